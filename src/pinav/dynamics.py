@@ -25,13 +25,13 @@ class AbstractDynamics(eqx.Module):
 
     @abc.abstractmethod
     def __call__(
-        self, t: ScalarLike, y: Float[Array, "state"]
-    ) -> Float[Array, "state"]:
+        self, t: ScalarLike, y: Float[Array, " state"]
+    ) -> Float[Array, " state"]:
         """Rate of change of the state `y` at time `t` [T]."""
 
 
 class Swimmer(AbstractDynamics):
-    r"""A swimmer with inertia: $\dot x = v$, $\dot v$ = propulsion + drag + environment.
+    r"""A swimmer with inertia, $\dot x = v$, $\dot v = $ sum of three forces.
 
     Its state stacks position and velocity, y = (x, v), in any dimension. Mass is
     absorbed in the coefficients, so forces are accelerations [L T⁻²].
@@ -105,15 +105,15 @@ class Rollout(eqx.Module):
             when the solver gave up before the last time.
     """
 
-    ts: Float[Array, "time"]
+    ts: Float[Array, " time"]
     ys: Float[Array, "time state"]
     outcome: Int[Array, ""]
 
 
 def rollout(
     dynamics: AbstractDynamics,
-    y0: Float[Array, "state"],
-    ts: Float[Array, "time"],
+    y0: Float[Array, " state"],
+    ts: Float[Array, " time"],
     *,
     solver: AbstractSolver | None = None,
     throw: bool = True,

@@ -1,7 +1,7 @@
-"""Forces on one swimmer, known and learned, and their algebra.
+r"""Forces on one swimmer, known and learned, and their algebra.
 
 A force returns what is *added* to the acceleration, so a barrier returns
-$-\\nabla U$. The paper learns $\\nabla\\hat U$ and subtracts it; the learned
+$-\nabla U$. The paper learns $\nabla\hat U$ and subtracts it; the learned
 forces here are that field with its sign turned.
 """
 
@@ -22,8 +22,8 @@ class AbstractForce(eqx.Module):
 
     @abc.abstractmethod
     def __call__(
-        self, t: ScalarLike, x: Float[Array, "dim"], v: Float[Array, "dim"]
-    ) -> Float[Array, "dim"]:
+        self, t: ScalarLike, x: Float[Array, " dim"], v: Float[Array, " dim"]
+    ) -> Float[Array, " dim"]:
         """Force [L T⁻²] at time `t` [T], position `x` [L], velocity `v` [L T⁻¹]."""
 
     def __add__(self, other: "AbstractForce") -> "SumForce":
@@ -90,7 +90,7 @@ class GaussianBarrier(AbstractForce):
     """
 
     height: ScalarLike
-    center: Float[Array, "dim"] = eqx.field(
+    center: Float[Array, " dim"] = eqx.field(
         converter=lambda value: _point("GaussianBarrier.center", value)
     )
     width: ScalarLike
@@ -99,7 +99,7 @@ class GaussianBarrier(AbstractForce):
         if isinstance(self.width, float | int) and self.width <= 0:
             raise InputError(f"GaussianBarrier.width: expected > 0, got {self.width}")
 
-    def potential(self, x: Float[Array, "dim"]) -> Float[Array, ""]:
+    def potential(self, x: Float[Array, " dim"]) -> Float[Array, ""]:
         """Potential energy per mass $U(x)$ [L² T⁻²]."""
         offset = (x - self.center) / self.width
         return self.height * jnp.exp(-0.5 * offset @ offset)
@@ -132,12 +132,12 @@ class MagneticPropulsion(AbstractForce):
         converter=lambda value: _point("MagneticPropulsion.moment", value, 3)
     )
     gain: ScalarLike
-    axis: Float[Array, "dim"] = eqx.field(
+    axis: Float[Array, " dim"] = eqx.field(
         converter=lambda value: _point("MagneticPropulsion.axis", value)
     )
 
     def torque(self, t: ScalarLike) -> Float[Array, "3"]:
-        """Magnetic torque $m \\times B(t)$ per mass [L² T⁻²]."""
+        r"""Magnetic torque $m \times B(t)$ per mass [L² T⁻²]."""
         return jnp.cross(self.moment, self.field(t))
 
     def __call__(self, t, x, v):
@@ -152,8 +152,8 @@ class AbstractFeatures(eqx.Module):
 
     @abc.abstractmethod
     def __call__(
-        self, t: ScalarLike, x: Float[Array, "dim"], v: Float[Array, "dim"]
-    ) -> Float[Array, "features"]:
+        self, t: ScalarLike, x: Float[Array, " dim"], v: Float[Array, " dim"]
+    ) -> Float[Array, " features"]:
         """Dimensionless inputs of the network."""
 
 
@@ -245,7 +245,7 @@ def _terms(force: AbstractForce) -> tuple[AbstractForce, ...]:
     return force.terms if isinstance(force, SumForce) else (force,)
 
 
-def _point(name: str, value, dim: int | None = None) -> Float[Array, "dim"]:
+def _point(name: str, value, dim: int | None = None) -> Float[Array, " dim"]:
     """Array of a point given as list, tuple or array; `dim` components if given."""
     if isinstance(value, jax.Array | jax.core.Tracer):
         return value

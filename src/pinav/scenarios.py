@@ -27,7 +27,7 @@ class Scenario(eqx.Module):
     name: str = eqx.field(static=True)
     truth: Swimmer
     starts: Float[Array, "trajectory state"]
-    times: Float[Array, "time"]
+    times: Float[Array, " time"]
     noise: float
     channels: tuple[str, ...] = eqx.field(static=True)
     units: dict[str, str] = eqx.field(static=True)

@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, PyTree, ScalarLike
 
 from pinav.errors import InputError
 
-VectorField = Callable[[ScalarLike, Float[Array, "state"]], Float[Array, "state"]]
+VectorField = Callable[[ScalarLike, Float[Array, " state"]], Float[Array, " state"]]
 """Right-hand side f(t, y); a pytree, so that its leaves can be differentiated."""
 
 
@@ -65,8 +65,8 @@ class AbstractSolver(eqx.Module):
     def solve(
         self,
         vector_field: VectorField,
-        y0: Float[Array, "state"],
-        ts: Float[Array, "time"],
+        y0: Float[Array, " state"],
+        ts: Float[Array, " time"],
     ) -> tuple[Float[Array, "time state"], Bool[Array, ""]]:
         """States at `ts` [T], and whether the solver reached the last of them."""
 
@@ -99,10 +99,10 @@ class FixedStep(AbstractSolver):
     def step(
         self,
         vector_field: VectorField,
-        y: Float[Array, "state"],
+        y: Float[Array, " state"],
         t0: ScalarLike,
         t1: ScalarLike,
-    ) -> Float[Array, "state"]:
+    ) -> Float[Array, " state"]:
         """State at `t1` from the state `y` at `t0` [T]."""
         h = (t1 - t0) / self.substeps
         for substep in range(self.substeps):
@@ -267,7 +267,7 @@ def _dense_solution(parameters_and_y0, static, ts, solver):
 
 
 def linear_recursion(
-    start: Float[Array, "state"],
+    start: Float[Array, " state"],
     matrices: Float[Array, "step state state"],
     sources: Float[Array, "step state"],
 ) -> Float[Array, "step+1 state"]:
