@@ -14,8 +14,7 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.lax import stop_gradient
-from jaxtyping import Array, Bool, Float, PyTree, ScalarLike
+from jaxtyping import Array, Bool, Float, ScalarLike
 
 from pinav.errors import InputError
 
@@ -110,27 +109,41 @@ class FixedStep(AbstractSolver):
         return y
 
     def solve(self, vector_field, y0, ts):
-        def advance(field, y, interval):
-            return self.step(field, y, interval[0], interval[1])
+        states = _fixed_step_solve(vector_field, y0, ts, self)
+        return states, jnp.all(jnp.isfinite(states))
 
-        intervals = jnp.stack([ts[:-1], ts[1:]], axis=1)
-        frozen, frozen_y0 = stop_gradient_tree(vector_field), stop_gradient(y0)
 
-        def record(y, interval):
-            y_next = advance(frozen, y, interval)
-            return y_next, y_next
+@eqx.filter_custom_jvp
+def _fixed_step_solve(vector_field, y0, ts, solver):
+    def record(y, interval):
+        y_next = solver.step(vector_field, y, interval[0], interval[1])
+        return y_next, y_next
 
-        _, later = jax.lax.scan(record, frozen_y0, intervals)
-        states = jnp.concatenate([frozen_y0[None], later])
-        starts = states[:-1]
-        jacobians = jax.vmap(jax.jacfwd(advance, argnums=1), (None, 0, 0))(
-            frozen, starts, intervals
-        )
-        landed = jax.vmap(advance, (None, 0, 0))(vector_field, starts, intervals)
-        deltas = linear_recursion(
-            y0 - frozen_y0, stop_gradient(jacobians), landed - stop_gradient(landed)
-        )
-        return states + deltas, jnp.all(jnp.isfinite(states))
+    _, later = jax.lax.scan(record, y0, jnp.stack([ts[:-1], ts[1:]], axis=1))
+    return jnp.concatenate([y0[None], later])
+
+
+@_fixed_step_solve.def_jvp
+def _fixed_step_jvp(primals, tangents):
+    """All steps are linearised at once; a short recursion joins them."""
+    vector_field, y0, ts, solver = primals
+    field_tangent, y0_tangent, ts_tangent, _ = tangents
+    states = _fixed_step_solve(vector_field, y0, ts, solver)
+    starts = states[:-1]
+
+    def jacobian(y, t0, t1):
+        return jax.jacfwd(lambda y: solver.step(vector_field, y, t0, t1))(y)
+
+    def one_step(field, ts):
+        return jax.vmap(solver.step, (None, 0, 0, 0))(field, starts, ts[:-1], ts[1:])
+
+    jacobians = jax.vmap(jacobian)(starts, ts[:-1], ts[1:])
+    _, sources = eqx.filter_jvp(
+        one_step, (vector_field, ts), (field_tangent, ts_tangent)
+    )
+    if y0_tangent is None:
+        y0_tangent = jnp.zeros_like(y0)
+    return states, linear_recursion(y0_tangent, jacobians, sources)
 
 
 class Adaptive(AbstractSolver):
@@ -285,13 +298,6 @@ def linear_recursion(
 
     _, deltas = jax.lax.scan(advance, start, (matrices, sources), unroll=4)
     return jnp.concatenate([start[None], deltas])
-
-
-def stop_gradient_tree(tree: PyTree) -> PyTree:
-    """The tree with every inexact array held constant under differentiation."""
-    return jax.tree.map(
-        lambda leaf: stop_gradient(leaf) if eqx.is_inexact_array(leaf) else leaf, tree
-    )
 
 
 def _runge_kutta_step(tableau, vector_field, y, t, h):

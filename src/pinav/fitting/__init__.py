@@ -1,0 +1,17 @@
+"""Fitting: what is minimised, phases that minimise it, and their composition."""
+
+from pinav.fitting.fit import AbstractCheckpoint as AbstractCheckpoint
+from pinav.fitting.fit import Fit as Fit
+from pinav.fitting.fit import FitOutcome as FitOutcome
+from pinav.fitting.fit import FitProgress as FitProgress
+from pinav.fitting.fit import FitState as FitState
+from pinav.fitting.fit import fit as fit
+from pinav.fitting.fit import fit_many as fit_many
+from pinav.fitting.objectives import AbstractObjective as AbstractObjective
+from pinav.fitting.objectives import Observations as Observations
+from pinav.fitting.objectives import TrajectoryLoss as TrajectoryLoss
+from pinav.fitting.phases import LBFGS as LBFGS
+from pinav.fitting.phases import AbstractPhase as AbstractPhase
+from pinav.fitting.phases import Adam as Adam
+from pinav.fitting.phases import BestSoFar as BestSoFar
+from pinav.fitting.recipes import paper_recipe as paper_recipe
