@@ -208,7 +208,7 @@ def _weak_wolfe_search(value_and_grad, start, direction, max_evaluations):
         return low, high, length, best, evaluations + 1, enough & flat
 
     zero, one = jnp.zeros_like(value), jnp.ones_like(value)
-    state = (zero, one * jnp.inf, one, start, jnp.asarray(0), jnp.asarray(False))
+    state = (zero, one * jnp.inf, one, start, jnp.asarray(0), jnp.zeros((), bool))
     return jax.lax.while_loop(unfinished, evaluate, state)[3]
 
 
