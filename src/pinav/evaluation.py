@@ -135,7 +135,7 @@ def field_map(
     force: AbstractForce,
     trajectories: Trajectories,
     *,
-    time: float = 0.0,
+    time: float | None = None,
     limits: tuple[float, float, float, float] = (-2.0, 12.0, -2.0, 12.0),
     points: int = 57,
 ) -> FieldMap:
@@ -144,27 +144,32 @@ def field_map(
     Args:
         force: the field; evaluated in float64.
         trajectories: their observed positions define the distance.
-        time: time [T] at which a field that depends on it is drawn.
+        time: time [T] at which a field that depends on it is drawn; unless given,
+            each grid point takes the time of its nearest sample, the reading most
+            favourable to such a field.
         limits: x from, x to, y from, y to [L].
         points: grid points along each side.
     """
     x, y = np.linspace(*limits[:2], points), np.linspace(*limits[2:], points)
     grid = np.stack(np.meshgrid(x, y), axis=-1)
-    flat = jnp.asarray(grid.reshape(-1, 2))
+    flat = grid.reshape(-1, 2)
+    distance, nearest_times = _nearest_samples(flat, trajectories)
+    ts = nearest_times if time is None else np.full_like(nearest_times, time)
     exact = with_dtype(force, jnp.float64)
-    values = jax.vmap(lambda p: exact(jnp.asarray(time), p, jnp.zeros(2)))(flat)
+    at_rest = jax.vmap(lambda t, x: exact(t, x, jnp.zeros_like(x)))
+    values = at_rest(jnp.asarray(ts), jnp.asarray(flat))
     return FieldMap(
-        x, y, np.asarray(values).reshape(grid.shape), _distance(grid, trajectories)
+        x, y, np.asarray(values).reshape(grid.shape), distance.reshape(grid.shape[:2])
     )
 
 
-def _distance(grid, trajectories):
-    """Distance of each grid point to the nearest fully observed position."""
+def _nearest_samples(points, trajectories):
+    """Distance to, and time of, the nearest fully observed position."""
     from scipy.spatial import KDTree
 
     seen = trajectories.observed[..., :2].all(-1)
-    samples = trajectories.states[..., :2][seen]
-    return KDTree(samples).query(grid.reshape(-1, 2))[0].reshape(grid.shape[:2])
+    distance, index = KDTree(trajectories.states[..., :2][seen]).query(points)
+    return distance, trajectories.times[seen][index]
 
 
 def force_error(

@@ -1,0 +1,37 @@
+# Each target makes .venv on first use and again when the pins change.
+PYTHON ?= python3
+BIN := .venv/bin
+SEEDS ?= 42
+OUT ?= runs/reproduce
+
+.PHONY: reproduce test lint validate bench clean
+
+reproduce: .venv/installed
+	$(BIN)/pinav reproduce --seeds $(SEEDS) --out $(OUT) --resume
+
+test: .venv/installed-dev
+	$(BIN)/python -m pytest -n 2 --dist worksteal --cov --cov-report=term --cov-fail-under=90
+
+lint: .venv/installed-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+validate: .venv/installed-dev
+	$(BIN)/python -m pytest validation -v -p no:cacheprovider
+
+bench: .venv/installed-dev
+	$(BIN)/pinav bench gradient
+
+clean:
+	rm -rf .venv .pytest_cache .ruff_cache .hypothesis .coverage
+
+.venv/installed: pyproject.toml constraints.txt
+	$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(0 if v >= (3, 11) else f"pinav needs Python 3.11 or later, this is {v.major}.{v.minor}; run make PYTHON=python3.12")'
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable .
+	touch $@
+
+.venv/installed-dev: .venv/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test,lint]'
+	touch $@

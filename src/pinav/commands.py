@@ -1,0 +1,309 @@
+"""The commands: their options, and the call of the job behind each.
+
+Heavy imports stand inside the functions, so that `pinav COMMAND --help` is quick.
+"""
+
+import contextlib
+import io
+import json
+import sys
+import tomllib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import msgspec
+import tyro
+
+from pinav.errors import InputError
+from pinav.jobs.settings import FitSettings, ReproduceSettings, SimulateSettings
+
+Settings = TypeVar("Settings", bound=msgspec.Struct)
+Options = TypeVar("Options", bound=msgspec.Struct)
+
+ConfigFile = Annotated[
+    Path | None,
+    tyro.conf.arg(help="TOML file with settings; options on the command line win."),
+]
+OutFolder = Annotated[Path, tyro.conf.arg(help="Folder of the run.")]
+Resume = Annotated[
+    bool, tyro.conf.arg(help="Go on with the run in --out where it was interrupted.")
+]
+Overwrite = Annotated[
+    bool, tyro.conf.arg(help="Replace the results that --out already holds.")
+]
+AsJson = Annotated[
+    bool, tyro.conf.arg(help="Print the metrics as JSON, for scripts, and nothing else.")
+]
+
+
+class ReproduceOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Run the paper's experiment, from nothing to its table and figures.
+
+    Simulates the Gaussian-barrier benchmark, trains the UDE and the network-only
+    baseline, scores them in float64, prints Table 2 beside the paper's values and
+    writes report.html. A killed run goes on with --resume.
+    """
+
+    settings: ReproduceSettings = ReproduceSettings()
+    out: OutFolder = Path("runs/reproduce")
+    config: ConfigFile = None
+    resume: Resume = False
+    overwrite: Overwrite = False
+    json: AsJson = False
+
+
+class SimulateOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Write the trajectories of a named scenario to a .npz or .csv file."""
+
+    scenario: Annotated[
+        str, tyro.conf.Positional, tyro.conf.arg(help="Name of the scenario: paper.")
+    ]
+    out: Annotated[Path, tyro.conf.arg(help="File to write, .npz or .csv.")]
+    settings: SimulateSettings = SimulateSettings()
+    overwrite: Annotated[
+        bool, tyro.conf.arg(help="Replace the file if it is there.")
+    ] = False
+
+
+class FitOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Fit a model of the unknown force to trajectories (.npz or .csv).
+
+    A CSV file has the columns t, x, y, vx, vy and, for several trajectories,
+    trajectory; an empty cell is a missing observation.
+    """
+
+    data: Annotated[
+        Path, tyro.conf.Positional, tyro.conf.arg(help="Trajectories, .npz or .csv.")
+    ]
+    out: OutFolder
+    settings: FitSettings = FitSettings()
+    config: ConfigFile = None
+    resume: Resume = False
+    overwrite: Overwrite = False
+    json: AsJson = False
+
+
+class EvaluateOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Score every model of a run on trajectories: roll out, compare, print RMSE."""
+
+    run: Annotated[
+        Path, tyro.conf.Positional, tyro.conf.arg(help="Folder of a fitted run.")
+    ]
+    data: Annotated[
+        Path, tyro.conf.Positional, tyro.conf.arg(help="Trajectories, .npz or .csv.")
+    ]
+    json: AsJson = False
+
+
+class ReportOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Draw the figures and the HTML page of a finished run again."""
+
+    run: Annotated[
+        Path, tyro.conf.Positional, tyro.conf.arg(help="Folder of a finished run.")
+    ]
+
+
+class BenchOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Run a benchmark of a source checkout and print its table."""
+
+    name: Annotated[
+        str, tyro.conf.Positional, tyro.conf.arg(help="Name of the benchmark: gradient.")
+    ]
+
+
+def reproduce(options: ReproduceOptions) -> None:
+    """`pinav reproduce`."""
+    settings = options.settings
+    settings.check()
+    folder = _run_folder(options, settings, job="reproduce")
+    _enable_x64()
+    from pinav.jobs import reproduce as job
+    from pinav.jobs import table2
+    from pinav.jobs.reporting import write_report
+
+    rows = job.reproduce(settings, folder)
+    report = write_report(folder)
+    if options.json:
+        _print_json(folder.read_json("metrics.json"))
+        return
+    print(table2.text(rows))
+    for row in table2.summary_lines(rows):
+        print(row)
+    print(f"report: {report}")
+
+
+def simulate(options: SimulateOptions) -> None:
+    """`pinav simulate`."""
+    _enable_x64()
+    from pinav.jobs.simulate import simulate as job
+
+    trajectories = job(options.scenario, options.settings, options.out, overwrite=options.overwrite)
+    samples = int(trajectories.lengths.sum())
+    print(f"{options.out}: {len(trajectories)} trajectories, {samples} samples")
+
+
+def fit(options: FitOptions) -> None:
+    """`pinav fit`."""
+    settings = options.settings
+    settings.check()
+    _enable_x64()
+    from pinav.jobs import fit as job
+    from pinav.jobs.reporting import write_report
+    from pinav.trajectories import load
+
+    data = load(options.data)
+    job.check(settings, data)
+    folder = _run_folder(options, settings, job="fit", data=job.fingerprint(data))
+    metrics = job.fit(settings, data, folder)
+    report = write_report(folder)
+    if options.json:
+        _print_json(metrics)
+        return
+    print(job.text(metrics))
+    print(f"report: {report}")
+
+
+def evaluate(options: EvaluateOptions) -> None:
+    """`pinav evaluate`."""
+    _enable_x64()
+    from pinav.jobs import evaluate as job
+
+    metrics = job.evaluate(options.run, options.data)
+    if options.json:
+        _print_json(metrics)
+    else:
+        print(job.text(metrics))
+
+
+def report(options: ReportOptions) -> None:
+    """`pinav report`."""
+    from pinav.jobs.reporting import write_report
+    from pinav.runs import RunFolder
+
+    print(f"report: {write_report(RunFolder.open(options.run))}")
+
+
+def bench(options: BenchOptions) -> None:
+    """`pinav bench`."""
+    import runpy
+
+    folder = Path(__file__).parents[2] / "benchmarks"
+    names = sorted(path.stem for path in folder.glob("[a-z]*.py"))
+    if options.name not in names:
+        known = ", ".join(names) or "none here: benchmarks are part of a source checkout"
+        raise InputError(f"benchmark {options.name!r} is unknown; choose one of: {known}")
+    runpy.run_path(str(folder / f"{options.name}.py"), run_name="__main__")
+
+
+HANDLERS: dict[str, tuple[type[msgspec.Struct], Callable[[Any], None]]] = {
+    "reproduce": (ReproduceOptions, reproduce),
+    "simulate": (SimulateOptions, simulate),
+    "fit": (FitOptions, fit),
+    "evaluate": (EvaluateOptions, evaluate),
+    "report": (ReportOptions, report),
+    "bench": (BenchOptions, bench),
+}
+
+
+def dispatch(command: str, argv: Sequence[str]) -> None:
+    """Parse the words after a command and run it.
+
+    Raises:
+        InputError: an option is unknown, misses its value or has a wrong one.
+    """
+    options, handler = HANDLERS[command]
+    parsed = parse(options, argv, prog=f"pinav {command}")
+    if parsed is not None:
+        handler(parsed)
+
+
+def parse(options: type[Options], argv: Sequence[str], prog: str) -> Options | None:
+    """Options from words; None where help was asked for and printed.
+
+    Raises:
+        InputError: tyro refuses the words; its boxed message becomes one line.
+    """
+    complaint = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(complaint):
+            return tyro.cli(
+                options,
+                args=list(argv),
+                prog=prog,
+                **_defaults(options, argv),
+                config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+            )
+    except SystemExit as stop:
+        if not stop.code:
+            return None
+        raise InputError(f"{_one_line(complaint.getvalue())}; see {prog} --help") from stop
+
+
+def _one_line(box: str) -> str:
+    """The first paragraph of a boxed message, without its box."""
+    words = []
+    for line in box.splitlines()[1:]:
+        inner = line.strip("│╭╮╰╯ ")
+        if not inner.strip("─"):
+            break
+        words.append(inner)
+    return " ".join(words).rstrip(".")
+
+
+def _defaults(options: type[Options], argv: Sequence[str]) -> dict[str, Any]:
+    """Keyword `default` of tyro: the settings of `--config`, where it is given.
+
+    Raises:
+        InputError: the file is missing, not TOML, or holds an unknown setting.
+    """
+    path = _config_path(argv)
+    fields = {field.name: field for field in msgspec.structs.fields(options)}
+    if path is None or "config" not in fields:
+        return {}
+    settings = fields["settings"].type
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        identity = ("job", "data")  # a config.toml of a run is welcome too
+        content = {k: v for k, v in content.items() if k not in identity}
+        from_file = msgspec.convert(content, settings)
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"--config {path}: cannot be read: {error}") from error
+    except msgspec.ValidationError as error:
+        raise InputError(f"--config {path}: {error}") from error
+    required = {n: tyro.MISSING for n, field in fields.items() if field.required}
+    return {"default": options(**required, settings=from_file)}
+
+
+def _config_path(argv: Sequence[str]) -> Path | None:
+    for word, following in zip(argv, [*argv[1:], ""], strict=True):
+        if word == "--config" and following:
+            return Path(following)
+        if word.startswith("--config="):
+            return Path(word.removeprefix("--config="))
+    return None
+
+
+def _run_folder(options, settings: msgspec.Struct, **identity: str):
+    """The run folder, new or resumed."""
+    if options.resume and options.overwrite:
+        raise InputError("--resume and --overwrite: choose one of them")
+    from pinav.runs import RunFolder
+
+    content = msgspec.to_builtins(settings)
+    config = identity | {k: v for k, v in content.items() if v is not None}
+    config = {k: list(v) if isinstance(v, tuple) else v for k, v in config.items()}
+    if options.resume:
+        return RunFolder.resume(options.out, config)
+    return RunFolder.create(options.out, config, overwrite=options.overwrite)
+
+
+def _enable_x64() -> None:
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+
+
+def _print_json(content: Any) -> None:
+    json.dump(content, sys.stdout, indent=2)
+    print()

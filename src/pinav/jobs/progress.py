@@ -1,0 +1,52 @@
+"""Progress of a fit: a bar for people, a line of JSON for the record."""
+
+from types import TracebackType
+
+import numpy as np
+from tqdm import tqdm
+
+from pinav.fitting import FitProgress
+from pinav.runs import RunFolder
+
+
+class FitReporter:
+    """Shows a fit's stage, loss and time left, and appends its losses to the run.
+
+    Attributes:
+        folder: where `metrics.jsonl` is appended.
+        label: name of the model that is fitted.
+    """
+
+    def __init__(self, folder: RunFolder, label: str):
+        self.folder, self.label = folder, label
+        self.bar = tqdm(desc=label, unit="step", leave=True, dynamic_ncols=True)
+
+    def __enter__(self) -> "FitReporter":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.bar.close()
+
+    def __call__(self, progress: FitProgress) -> None:
+        """Take note of one finished chunk."""
+        last = progress.losses[:, -1]
+        if self.bar.total is None:
+            done_before = progress.done - progress.losses.shape[1]
+            self.bar.reset(total=progress.total)
+            self.bar.initial = self.bar.n = done_before  # resumed: rate without it
+        self.bar.set_description(f"{self.label} {progress.phase}", refresh=False)
+        self.bar.set_postfix_str(f"loss {np.median(last):.3g}", refresh=False)
+        self.bar.update(progress.done - self.bar.n)
+        self.folder.append_record(
+            {
+                "model": self.label,
+                "phase": progress.phase,
+                "step": progress.done,
+                "loss": last,
+            }
+        )

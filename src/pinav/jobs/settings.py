@@ -1,0 +1,99 @@
+"""Settings of the jobs: strict, nested in nothing, readable as TOML.
+
+Only these decide the numbers of a run; where it is written does not belong here.
+This module imports no numerical library, so that `--help` is quick.
+"""
+
+from typing import Annotated, Literal
+
+import msgspec
+import tyro
+
+from pinav.errors import InputError
+
+RecipeName = Literal["paper"]
+
+
+class ReproduceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Settings of `pinav reproduce`."""
+
+    recipe: Annotated[
+        RecipeName,
+        tyro.conf.arg(help="How the networks are trained: the paper's Table 1."),
+    ] = "paper"
+    seeds: Annotated[
+        tuple[int, ...],
+        tyro.conf.arg(help="Seeds of the networks; several train in one batch."),
+    ] = (42,)
+    adam_steps: Annotated[
+        int, tyro.conf.arg(help="Adam steps of the paper's recipe (7500 in the paper).")
+    ] = 7500
+    lbfgs_steps: Annotated[
+        int, tyro.conf.arg(help="L-BFGS steps of the recipe (500 in the paper).")
+    ] = 500
+
+    def check(self) -> None:
+        """Raise `InputError` where a setting makes no sense."""
+        if not self.seeds:
+            raise InputError("--seeds: expected at least one seed, such as --seeds 42")
+        repeated = [seed for seed in self.seeds if self.seeds.count(seed) > 1]
+        if repeated:
+            raise InputError(f"--seeds: {repeated[0]} is given twice; drop one")
+        _check_counts(self, "adam_steps", "lbfgs_steps")
+
+
+class SimulateSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Settings of `pinav simulate`."""
+
+    seed: Annotated[
+        int, tyro.conf.arg(help="Seed of random starts and observation noise.")
+    ] = 0
+    noise: Annotated[
+        float | None,
+        tyro.conf.arg(help="Standard deviation of observation noise, in every state."),
+    ] = None
+
+
+class FitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Settings of `pinav fit`."""
+
+    model: Annotated[
+        Literal["ude", "ude-static", "nn-only"],
+        tyro.conf.arg(
+            help="ude: known physics plus a network of position and time; ude-static: "
+            "of position alone; nn-only: a black box."
+        ),
+    ] = "ude"
+    learn: Annotated[
+        tuple[Literal["damping", "gain"], ...],
+        tyro.conf.arg(help="Known constants to train beside the network."),
+    ] = ()
+    physics: Annotated[
+        str | None,
+        tyro.conf.arg(
+            help="Scenario that supplies propulsion and drag; the one that the data "
+            "were simulated from unless given."
+        ),
+    ] = None
+    seed: Annotated[int, tyro.conf.arg(help="Seed of the network.")] = 0
+    width: Annotated[int, tyro.conf.arg(help="Neurons of each hidden layer.")] = 32
+    depth: Annotated[int, tyro.conf.arg(help="Number of hidden layers.")] = 2
+    adam_steps: Annotated[int, tyro.conf.arg(help="Steps of Adam.")] = 7500
+    lbfgs_steps: Annotated[int, tyro.conf.arg(help="Steps of L-BFGS.")] = 500
+
+    def check(self) -> None:
+        """Raise `InputError` where a setting makes no sense."""
+        _check_counts(self, "width", "depth", "adam_steps", "lbfgs_steps")
+        if self.model == "nn-only" and self.learn:
+            raise InputError(
+                "--learn: the model nn-only has no physical constants; drop --learn or "
+                "choose --model ude"
+            )
+
+
+def _check_counts(settings: msgspec.Struct, *names: str) -> None:
+    for name in names:
+        value = getattr(settings, name)
+        if value < 1:
+            option = name.replace("_", "-")
+            raise InputError(f"--{option}: expected 1 or more, got {value}")

@@ -1,0 +1,325 @@
+"""The run folder: everything a run needs to be repeated, resumed and reported.
+
+| file | holds |
+|---|---|
+| `config.toml` | all settings that decide the numbers |
+| `environment.json` | versions and platform |
+| `metrics.jsonl` | loss after each chunk, appended as it goes |
+| `checkpoint-*.eqx` | state of a fit in progress |
+| `model-*.eqx` | a fitted model: one JSON line, then its leaves |
+| `data.npz`, `results.npz` | trajectories; arrays behind the figures |
+| `metrics.json`, `*.csv` | result tables |
+| `figures/`, `report.html` | what people look at |
+
+Files are written under a temporary name and renamed, so that none is ever half
+written; nothing is pickled.
+"""
+
+import contextlib
+import csv
+import io
+import json
+import platform
+import tomllib
+from collections.abc import Callable, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Any, TypeVar
+
+import equinox as eqx
+import numpy as np
+import tomli_w
+
+from pinav import __version__
+from pinav.errors import InputError
+from pinav.files import TEMPORARY_SUFFIX, atomic_write, write_text
+from pinav.fitting import AbstractCheckpoint, FitState
+
+Tree = TypeVar("Tree")
+
+REPORTED_PACKAGES = ("jax", "jaxlib", "equinox", "diffrax", "optax", "numpy", "scipy")
+
+
+class RunFolder:
+    """One run on disk.
+
+    Attributes:
+        path: the folder.
+    """
+
+    def __init__(self, path: Path):
+        self.path = path
+
+    @classmethod
+    def create(cls, path: Path, config: dict[str, Any], *, overwrite: bool) -> "RunFolder":
+        """Start a new run in an absent or empty folder.
+
+        Args:
+            path: the folder, made if absent.
+            config: settings that decide the numbers.
+            overwrite: replace the run that the folder holds.
+
+        Raises:
+            InputError: the folder holds another run and `overwrite` is false, holds
+                something that is not a run, or cannot be made.
+        """
+        folder = cls(path)
+        if path.exists() and not path.is_dir():
+            raise InputError(f"{path} is a file; choose another folder with --out")
+        if folder.exists():
+            if not overwrite:
+                raise InputError(
+                    f"{path} already holds a run; go on with --resume, replace it with "
+                    "--overwrite, or choose another folder with --out"
+                )
+            folder._remove_run()
+        elif folder._holds_anything():
+            raise InputError(
+                f"{path} is not empty and holds no run; choose another folder with --out"
+            )
+        _make_folder(path)
+        folder.write_json("environment.json", environment())
+        write_text(path / "config.toml", tomli_w.dumps(config))
+        return folder
+
+    @classmethod
+    def resume(cls, path: Path, config: dict[str, Any]) -> "RunFolder":
+        """Go on with a run, or start it where nothing was saved yet.
+
+        Raises:
+            InputError: the folder holds a run with other settings.
+        """
+        folder = cls(path)
+        if not folder.exists():
+            return cls.create(path, config, overwrite=False)
+        saved = folder.config()
+        differing = sorted(
+            key
+            for key in saved.keys() | config.keys()
+            if saved.get(key) != config.get(key)
+        )
+        if differing:
+            key = differing[0]
+            raise InputError(
+                f"{path} holds a run with {key} = {saved.get(key)!r}, not "
+                f"{config.get(key)!r}; resume with the settings in its config.toml, or "
+                "choose another folder with --out"
+            )
+        return folder
+
+    @classmethod
+    def open(cls, path: Path) -> "RunFolder":
+        """An existing run.
+
+        Raises:
+            InputError: the folder does not hold a run.
+        """
+        folder = cls(path)
+        if not folder.exists():
+            raise InputError(
+                f"{path} holds no run (no config.toml); give the folder that was the "
+                "--out of pinav reproduce or pinav fit"
+            )
+        return folder
+
+    def exists(self) -> bool:
+        """Whether the folder holds a run."""
+        return (self.path / "config.toml").is_file()
+
+    def has(self, name: str) -> bool:
+        """Whether the run has the file `name`."""
+        return (self.path / name).is_file()
+
+    def config(self) -> dict[str, Any]:
+        """Settings of the run.
+
+        Raises:
+            InputError: `config.toml` is not readable TOML.
+        """
+        path = self.path / "config.toml"
+        try:
+            return tomllib.loads(path.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            raise InputError(f"{path} cannot be read: {error}") from error
+
+    def write_json(self, name: str, content: Any) -> None:
+        """Write a JSON file; a number that is not finite becomes null."""
+        text = json.dumps(_finite_json(content), indent=2, allow_nan=False)
+        write_text(self.path / name, text + "\n")
+
+    def read_json(self, name: str) -> Any:
+        """Read a JSON file of the run.
+
+        Raises:
+            InputError: it is missing or damaged.
+        """
+        path = self.path / name
+        try:
+            return json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+            raise InputError(
+                f"{path} cannot be read ({error}); finish the run with --resume"
+            ) from error
+
+    def write_table(self, name: str, header: Sequence[str], rows: Sequence[Sequence]):
+        """Write a CSV table."""
+        buffer = io.StringIO()
+        writer = csv.writer(buffer, lineterminator="\n")
+        writer.writerows([header, *rows])
+        write_text(self.path / name, buffer.getvalue())
+
+    def write_arrays(self, name: str, arrays: dict[str, np.ndarray]) -> None:
+        """Write arrays as npz."""
+        atomic_write(self.path / name, lambda f: np.savez(f, **arrays))  # pyright: ignore
+
+    def read_arrays(self, name: str) -> dict[str, np.ndarray]:
+        """Read arrays written by `write_arrays`.
+
+        Raises:
+            InputError: the file is missing or damaged.
+        """
+        path = self.path / name
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                return dict(file)
+        except Exception as error:
+            raise InputError(
+                f"{path} cannot be read ({error}); finish the run with --resume"
+            ) from error
+
+    def append_record(self, record: dict[str, Any]) -> None:
+        """Append a line to `metrics.jsonl`."""
+        line = json.dumps(_finite_json(record), allow_nan=False)
+        with open(self.path / "metrics.jsonl", "a", encoding="utf-8") as file:
+            file.write(line + "\n")
+
+    def records(self) -> list[dict[str, Any]]:
+        """Lines of `metrics.jsonl`; where a chunk was run twice, its last one."""
+        path = self.path / "metrics.jsonl"
+        latest = {}
+        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+        for line in lines:
+            with contextlib.suppress(json.JSONDecodeError):  # cut off by a kill
+                record = json.loads(line)
+                latest[record.get("model"), record.get("step")] = record
+        return list(latest.values())
+
+    def write_model(self, name: str, header: dict[str, Any], model: Any) -> None:
+        """Write a model: a JSON line that says how to build it, then its leaves."""
+        line = json.dumps({"pinav": __version__, **header})
+        write_tree(self.path / name, line, model)
+
+    def read_model(self, name: str, build: Callable[[dict[str, Any]], Tree]) -> Tree:
+        """Read a model; `build(header)` makes one of the same shape.
+
+        Raises:
+            InputError: the file is missing or damaged.
+        """
+        return read_tree(self.path / name, build)
+
+    def models(self) -> list[str]:
+        """Names of the model files."""
+        return sorted(path.name for path in self.path.glob("model*.eqx"))
+
+    def checkpoint(self, name: str) -> "FileCheckpoint":
+        """Where the fit `name` keeps its state."""
+        return FileCheckpoint(self.path / f"checkpoint-{name}.eqx")
+
+    def _holds_anything(self) -> bool:
+        if not self.path.is_dir():
+            return False
+        names = {p.name for p in self.path.iterdir() if p.suffix != TEMPORARY_SUFFIX}
+        return bool(names - {"environment.json"})
+
+    def _remove_run(self) -> None:
+        """Remove the files that a run writes, and nothing else; config.toml last."""
+        patterns = ("checkpoint-*.eqx", "model*.eqx", "metrics.json*", "*.npz", "*.csv")
+        patterns += ("figures/*.png", "figures/*.svg", "report.html", "*.json")
+        for pattern in (*patterns, f"*{TEMPORARY_SUFFIX}", "config.toml"):
+            for file in self.path.glob(pattern):
+                file.unlink()
+
+
+class FileCheckpoint(AbstractCheckpoint):
+    """A fit's state in one file: a JSON line, then its leaves."""
+
+    def __init__(self, path: Path):
+        self.path = path
+
+    def load(self, like):
+        if not self.path.exists():
+            return None
+        return read_tree(
+            self.path,
+            lambda header: _at(like(header["phase"]), header["phase"], header["step"]),
+        )
+
+    def save(self, state):
+        header = json.dumps({"phase": state.phase, "step": state.step})
+        write_tree(self.path, header, state)
+
+
+def write_tree(path: Path, header: str, tree: Any) -> None:
+    """Write one line of text and the leaves of a tree, atomically."""
+
+    def write(file):
+        file.write(header.encode() + b"\n")
+        eqx.tree_serialise_leaves(file, tree)
+
+    atomic_write(path, write)
+
+
+def read_tree(path: Path, build: Callable[[dict[str, Any]], Tree]) -> Tree:
+    """Read what `write_tree` wrote; `build(header)` gives a tree of the same shape.
+
+    Raises:
+        InputError: the file is missing or damaged.
+    """
+    try:
+        with open(path, "rb") as file:
+            like = build(json.loads(file.readline()))
+            return eqx.tree_deserialise_leaves(file, like)
+    except InputError:
+        raise
+    except Exception as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(
+            f"{path} cannot be read ({reason}); delete it and run again with --resume"
+        ) from error
+
+
+def environment() -> dict[str, Any]:
+    """Versions and platform, for the record."""
+    versions = {name: metadata.version(name) for name in REPORTED_PACKAGES}
+    return {
+        "pinav": __version__,
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        **versions,
+    }
+
+
+def _at(state: FitState, phase: int, step: int) -> FitState:
+    return FitState(state.params, state.minimiser, state.losses, phase, step)
+
+
+def _make_folder(path: Path) -> None:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{path} cannot be made ({error.strerror}); choose another folder with --out"
+        ) from error
+
+
+def _finite_json(content: Any) -> Any:
+    """The content with every non-finite number replaced by None."""
+    if isinstance(content, dict):
+        return {str(key): _finite_json(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [_finite_json(value) for value in content]
+    if isinstance(content, np.ndarray):
+        return _finite_json(content.tolist())
+    if isinstance(content, float | np.floating):
+        return float(content) if np.isfinite(content) else None
+    return content
