@@ -4,14 +4,17 @@ import abc
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, ScalarLike
+from jaxtyping import Array, Float
+
+Scalar = float | int | Float[Array, ""]
+"""One real number: plain, NumPy's float64, or a JAX array without axes."""
 
 
 class AbstractField(eqx.Module):
     """A uniform magnetic field that varies in time."""
 
     @abc.abstractmethod
-    def __call__(self, t: ScalarLike) -> Float[Array, "3"]:
+    def __call__(self, t: Scalar) -> Float[Array, "3"]:
         """Field [B] at time `t` [T]."""
 
 
@@ -26,8 +29,8 @@ class RotatingField(AbstractField):
         PI-NAV paper, section 2.2.
     """
 
-    amplitude: ScalarLike
-    frequency: ScalarLike
+    amplitude: Scalar
+    frequency: Scalar
 
     def __call__(self, t):
         phase = self.frequency * jnp.asarray(t)

@@ -11,8 +11,9 @@ from typing import TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree, ScalarLike
+from jaxtyping import Array, ArrayLike, Float, Int, PRNGKeyArray, PyTree
 
+from pinav.actuation import Scalar
 from pinav.errors import InputError
 from pinav.forces import AbstractForce, tanh_network
 from pinav.solvers import AbstractSolver, Adaptive
@@ -24,9 +25,7 @@ class AbstractDynamics(eqx.Module):
     """Right-hand side of an ordinary differential equation for the state y."""
 
     @abc.abstractmethod
-    def __call__(
-        self, t: ScalarLike, y: Float[Array, " state"]
-    ) -> Float[Array, " state"]:
+    def __call__(self, t: Scalar, y: Float[Array, " state"]) -> Float[Array, " state"]:
         """Rate of change of the state `y` at time `t` [T]."""
 
 
@@ -112,8 +111,8 @@ class Rollout(eqx.Module):
 
 def rollout(
     dynamics: AbstractDynamics,
-    y0: Float[Array, " state"],
-    ts: Float[Array, " time"],
+    y0: ArrayLike,
+    ts: ArrayLike,
     *,
     solver: AbstractSolver | None = None,
     throw: bool = True,
@@ -122,8 +121,8 @@ def rollout(
 
     Args:
         dynamics: the system.
-        y0: initial state.
-        ts: times [T], not decreasing, at least two.
+        y0: initial state, a vector.
+        ts: times [T], a vector: not decreasing, at least two.
         solver: how to integrate; `Adaptive()` (Dopri8 at 1e-11) unless given.
         throw: raise when the rollout does not end in `Outcome.SUCCESS`.
 

@@ -11,9 +11,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
+from jaxtyping import Array, Float, PRNGKeyArray
 
-from pinav.actuation import AbstractField
+from pinav.actuation import AbstractField, Scalar
 from pinav.errors import InputError
 
 
@@ -22,7 +22,7 @@ class AbstractForce(eqx.Module):
 
     @abc.abstractmethod
     def __call__(
-        self, t: ScalarLike, x: Float[Array, " dim"], v: Float[Array, " dim"]
+        self, t: Scalar, x: Float[Array, " dim"], v: Float[Array, " dim"]
     ) -> Float[Array, " dim"]:
         """Force [L T⁻²] at time `t` [T], position `x` [L], velocity `v` [L T⁻¹]."""
 
@@ -64,7 +64,7 @@ class LinearDrag(AbstractForce):
         PI-NAV paper, eq. (2).
     """
 
-    damping: ScalarLike
+    damping: Scalar
 
     def __check_init__(self):
         if isinstance(self.damping, float | int) and self.damping < 0:
@@ -89,11 +89,11 @@ class GaussianBarrier(AbstractForce):
         PI-NAV paper, eq. (1); its centre is (5, 5).
     """
 
-    height: ScalarLike
+    height: Scalar
     center: Float[Array, " dim"] = eqx.field(
         converter=lambda value: _point("GaussianBarrier.center", value)
     )
-    width: ScalarLike
+    width: Scalar
 
     def __check_init__(self):
         if isinstance(self.width, float | int) and self.width <= 0:
@@ -131,12 +131,12 @@ class MagneticPropulsion(AbstractForce):
     moment: Float[Array, "3"] = eqx.field(
         converter=lambda value: _point("MagneticPropulsion.moment", value, 3)
     )
-    gain: ScalarLike
+    gain: Scalar
     axis: Float[Array, " dim"] = eqx.field(
         converter=lambda value: _point("MagneticPropulsion.axis", value)
     )
 
-    def torque(self, t: ScalarLike) -> Float[Array, "3"]:
+    def torque(self, t: Scalar) -> Float[Array, "3"]:
         r"""Magnetic torque $m \times B(t)$ per mass [L² T⁻²]."""
         return jnp.cross(self.moment, self.field(t))
 
@@ -152,7 +152,7 @@ class AbstractFeatures(eqx.Module):
 
     @abc.abstractmethod
     def __call__(
-        self, t: ScalarLike, x: Float[Array, " dim"], v: Float[Array, " dim"]
+        self, t: Scalar, x: Float[Array, " dim"], v: Float[Array, " dim"]
     ) -> Float[Array, " features"]:
         """Dimensionless inputs of the network."""
 
@@ -247,10 +247,8 @@ def _terms(force: AbstractForce) -> tuple[AbstractForce, ...]:
 
 def _point(name: str, value, dim: int | None = None) -> Float[Array, " dim"]:
     """Array of a point given as list, tuple or array; `dim` components if given."""
-    if isinstance(value, jax.Array | jax.core.Tracer):
-        return value
     shape = np.shape(value)
     if len(shape) != 1 or (dim is not None and shape != (dim,)):
         expected = "(dim,)" if dim is None else f"({dim},)"
         raise InputError(f"{name}: expected a point of shape {expected}, got {shape}")
-    return jnp.asarray(value, float)
+    return value if isinstance(value, jax.Array) else jnp.asarray(value, float)

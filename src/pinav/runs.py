@@ -32,7 +32,7 @@ import tomli_w
 
 from pinav import __version__
 from pinav.errors import InputError
-from pinav.files import TEMPORARY_SUFFIX, atomic_write, write_text
+from pinav.files import atomic_write, write_text
 from pinav.fitting import AbstractCheckpoint, FitState
 
 Tree = TypeVar("Tree")
@@ -145,7 +145,7 @@ class RunFolder:
     def write_json(self, name: str, content: Any) -> None:
         """Write a JSON file; a number that is not finite becomes null."""
         text = json.dumps(_finite_json(content), indent=2, allow_nan=False)
-        write_text(self.path / name, text + "\n")
+        write_text(self.path / name, text + "\n", overwrite=True)
 
     def read_json(self, name: str) -> Any:
         """Read a JSON file of the run.
@@ -166,11 +166,14 @@ class RunFolder:
         buffer = io.StringIO()
         writer = csv.writer(buffer, lineterminator="\n")
         writer.writerows([header, *rows])
-        write_text(self.path / name, buffer.getvalue())
+        write_text(self.path / name, buffer.getvalue(), overwrite=True)
 
     def write_arrays(self, name: str, arrays: dict[str, np.ndarray]) -> None:
         """Write arrays as npz."""
-        atomic_write(self.path / name, lambda f: np.savez(f, **arrays))  # pyright: ignore
+        def write(file):
+            np.savez(file, **arrays)  # pyright: ignore[reportArgumentType]
+
+        atomic_write(self.path / name, write, overwrite=True)
 
     def read_arrays(self, name: str) -> dict[str, np.ndarray]:
         """Read arrays written by `write_arrays`.
@@ -228,14 +231,14 @@ class RunFolder:
     def _holds_anything(self) -> bool:
         if not self.path.is_dir():
             return False
-        names = {p.name for p in self.path.iterdir() if p.suffix != TEMPORARY_SUFFIX}
+        names = {p.name for p in self.path.iterdir() if p.suffix != ".tmp"}
         return bool(names - {"environment.json"})
 
     def _remove_run(self) -> None:
         """Remove the files that a run writes, and nothing else; config.toml last."""
         patterns = ("checkpoint-*.eqx", "model*.eqx", "metrics.json*", "*.npz", "*.csv")
         patterns += ("figures/*.png", "figures/*.svg", "report.html", "*.json")
-        for pattern in (*patterns, f"*{TEMPORARY_SUFFIX}", "config.toml"):
+        for pattern in (*patterns, "*.tmp", "config.toml"):
             for file in self.path.glob(pattern):
                 file.unlink()
 
@@ -266,7 +269,7 @@ def write_tree(path: Path, header: str, tree: Any) -> None:
         file.write(header.encode() + b"\n")
         eqx.tree_serialise_leaves(file, tree)
 
-    atomic_write(path, write)
+    atomic_write(path, write, overwrite=True)
 
 
 def read_tree(path: Path, build: Callable[[dict[str, Any]], Tree]) -> Tree:

@@ -30,11 +30,11 @@ class Scenario(eqx.Module):
     times: Float[Array, " time"]
     noise: float
     channels: tuple[str, ...] = eqx.field(static=True)
-    units: dict[str, str] = eqx.field(static=True)
+    units: dict[str, str]
 
 
 PLANAR_CHANNELS = ("x", "y", "vx", "vy")
-DIMENSIONLESS = dict.fromkeys((*PLANAR_CHANNELS, "t"), "1")
+DIMENSIONLESS: dict[str, str] = dict.fromkeys((*PLANAR_CHANNELS, "t"), "1")
 
 
 def paper(key: PRNGKeyArray | None = None) -> Scenario:

@@ -9,16 +9,18 @@
 
 import abc
 from collections.abc import Callable
+from typing import cast
 
 import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, ScalarLike
+from jaxtyping import Array, Bool, Float
 
+from pinav.actuation import Scalar
 from pinav.errors import InputError
 
-VectorField = Callable[[ScalarLike, Float[Array, " state"]], Float[Array, " state"]]
+VectorField = Callable[[Scalar, Float[Array, " state"]], Float[Array, " state"]]
 """Right-hand side f(t, y); a pytree, so that its leaves can be differentiated."""
 
 
@@ -99,8 +101,8 @@ class FixedStep(AbstractSolver):
         self,
         vector_field: VectorField,
         y: Float[Array, " state"],
-        t0: ScalarLike,
-        t1: ScalarLike,
+        t0: Scalar,
+        t1: Scalar,
     ) -> Float[Array, " state"]:
         """State at `t1` from the state `y` at `t0` [T]."""
         h = (t1 - t0) / self.substeps
@@ -173,7 +175,7 @@ class Adaptive(AbstractSolver):
         solution = _diffeqsolve(
             self, vector_field, y0, ts, diffrax.SaveAt(ts=ts), self.adjoint
         )
-        return solution.ys, solution.result == diffrax.RESULTS.successful
+        return _states_and_reached(solution)
 
 
 class InterpolatingAdjoint(AbstractSolver):
@@ -214,15 +216,14 @@ class InterpolatingAdjoint(AbstractSolver):
 @eqx.filter_custom_vjp
 def _interpolating_solve(parameters_and_y0, static, ts, solver):
     solution = _dense_solution(parameters_and_y0, static, ts, solver)
-    return solution.ys, solution.result == diffrax.RESULTS.successful
+    return _states_and_reached(solution)
 
 
 @_interpolating_solve.def_fwd
 def _interpolating_forward(perturbed, parameters_and_y0, static, ts, solver):
     del perturbed
     solution = _dense_solution(parameters_and_y0, static, ts, solver)
-    reached = solution.result == diffrax.RESULTS.successful
-    return (solution.ys, reached), solution.interpolation
+    return _states_and_reached(solution), solution.interpolation
 
 
 @_interpolating_solve.def_bwd
@@ -277,6 +278,13 @@ def _dense_solution(parameters_and_y0, static, ts, solver):
     return _diffeqsolve(
         solver, eqx.combine(parameters, static), y0, ts, saveat, diffrax.DirectAdjoint()
     )
+
+
+def _states_and_reached(
+    solution: diffrax.Solution,
+) -> tuple[Float[Array, "time state"], Bool[Array, ""]]:
+    states = cast(Array, solution.ys)
+    return states, solution.result == diffrax.RESULTS.successful
 
 
 def linear_recursion(
