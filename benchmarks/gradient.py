@@ -101,7 +101,7 @@ def reference(solver: AbstractSolver) -> np.ndarray:
 
 
 def main() -> None:
-    jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_enable_x64", val=True)
     compiled, first, times = {}, {}, {name: [] for name in METHODS}
     errors = {}
     for name, solver in METHODS.items():
@@ -119,12 +119,16 @@ def main() -> None:
             jax.block_until_ready(function(params))
             times[name].append(time.perf_counter() - start)
     ours = np.median(times["pinav FixedStep Tsit5 (default)"])
-    print(f"{'gradient method':<52}{'median ms':>10}{'min ms':>8}{'ratio':>7}"
-          f"{'first call s':>14}{'error':>9}")
+    print(
+        f"{'gradient method':<52}{'median ms':>10}{'min ms':>8}{'ratio':>7}"
+        f"{'first call s':>14}{'error':>9}"
+    )
     for name, values in times.items():
         median = np.median(values)
-        print(f"{name:<52}{1e3 * median:>10.2f}{1e3 * min(values):>8.2f}"
-              f"{median / ours:>7.1f}{first[name]:>14.1f}{errors[name]:>9.0e}")
+        print(
+            f"{name:<52}{1e3 * median:>10.2f}{1e3 * min(values):>8.2f}"
+            f"{median / ours:>7.1f}{first[name]:>14.1f}{errors[name]:>9.0e}"
+        )
 
 
 if __name__ == "__main__":

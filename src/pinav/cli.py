@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pinav import __version__
 
 COMMANDS = {
-    "reproduce": "run the paper's experiment: simulate, train, Table 2, figures, report",
+    "reproduce": "run the paper's experiment: simulate, train, Table 2, report",
     "simulate": "write the trajectories of a named scenario to a file",
     "fit": "fit a model of the unknown force to trajectories",
     "evaluate": "score a fitted run on trajectories",
@@ -35,7 +35,9 @@ def run(argv: Sequence[str]) -> int:
         print(f"pinav {__version__}")
         return 0
     if argv[0] not in COMMANDS:
-        return _complain(f"unknown command {argv[0]!r}{_suggestion(argv[0])}; see pinav --help")
+        return _complain(
+            f"unknown command {argv[0]!r}{_suggestion(argv[0])}; see pinav --help"
+        )
     from pinav import commands
     from pinav.errors import FitError, InputError
 
@@ -69,7 +71,7 @@ def overview() -> str:
             "commands:",
             *lines,
             "",
-            "pinav COMMAND --help explains a command; pinav --version prints the version.",
+            "pinav COMMAND --help explains a command.",
             "Start with: pinav reproduce --out runs/paper",
         ]
     )
@@ -88,7 +90,8 @@ def _how_to_go_on(argv: Sequence[str]) -> str:
         words += [] if "--resume" in argv else ["--resume"]
         import shlex
 
-        return f"interrupted; what was done is saved; go on with: pinav {shlex.join(words)}"
+        command = shlex.join(["pinav", *words])
+        return f"interrupted; what was done is saved; go on with: {command}"
     return "interrupted"
 
 

@@ -33,7 +33,8 @@ Overwrite = Annotated[
     bool, tyro.conf.arg(help="Replace the results that --out already holds.")
 ]
 AsJson = Annotated[
-    bool, tyro.conf.arg(help="Print the metrics as JSON, for scripts, and nothing else.")
+    bool,
+    tyro.conf.arg(help="Print the metrics as JSON, for scripts, and nothing else."),
 ]
 
 
@@ -108,7 +109,9 @@ class BenchOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Run a benchmark of a source checkout and print its table."""
 
     name: Annotated[
-        str, tyro.conf.Positional, tyro.conf.arg(help="Name of the benchmark: gradient.")
+        str,
+        tyro.conf.Positional,
+        tyro.conf.arg(help="Name of the benchmark: gradient."),
     ]
 
 
@@ -138,7 +141,9 @@ def simulate(options: SimulateOptions) -> None:
     _enable_x64()
     from pinav.jobs.simulate import simulate as job
 
-    trajectories = job(options.scenario, options.settings, options.out, overwrite=options.overwrite)
+    trajectories = job(
+        options.scenario, options.settings, options.out, overwrite=options.overwrite
+    )
     samples = int(trajectories.lengths.sum())
     print(f"{options.out}: {len(trajectories)} trajectories, {samples} samples")
 
@@ -150,7 +155,7 @@ def fit(options: FitOptions) -> None:
     _enable_x64()
     from pinav.jobs import fit as job
     from pinav.jobs.reporting import write_report
-    from pinav.trajectories import load
+    from pinav.trajectory_files import load
 
     data = load(options.data)
     job.check(settings, data)
@@ -191,8 +196,12 @@ def bench(options: BenchOptions) -> None:
     folder = Path(__file__).parents[2] / "benchmarks"
     names = sorted(path.stem for path in folder.glob("[a-z]*.py"))
     if options.name not in names:
-        known = ", ".join(names) or "none here: benchmarks are part of a source checkout"
-        raise InputError(f"benchmark {options.name!r} is unknown; choose one of: {known}")
+        known = (
+            ", ".join(names) or "none here: benchmarks are part of a source checkout"
+        )
+        raise InputError(
+            f"benchmark {options.name!r} is unknown; choose one of: {known}"
+        )
     runpy.run_path(str(folder / f"{options.name}.py"), run_name="__main__")
 
 
@@ -237,7 +246,9 @@ def parse(options: type[Options], argv: Sequence[str], prog: str) -> Options | N
     except SystemExit as stop:
         if not stop.code:
             return None
-        raise InputError(f"{_one_line(complaint.getvalue())}; see {prog} --help") from stop
+        raise InputError(
+            f"{_one_line(complaint.getvalue())}; see {prog} --help"
+        ) from stop
 
 
 def _one_line(box: str) -> str:
@@ -301,7 +312,7 @@ def _run_folder(options, settings: msgspec.Struct, **identity: str):
 def _enable_x64() -> None:
     import jax
 
-    jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_enable_x64", val=True)
 
 
 def _print_json(content: Any) -> None:

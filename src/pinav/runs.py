@@ -51,7 +51,9 @@ class RunFolder:
         self.path = path
 
     @classmethod
-    def create(cls, path: Path, config: dict[str, Any], *, overwrite: bool) -> "RunFolder":
+    def create(
+        cls, path: Path, config: dict[str, Any], *, overwrite: bool
+    ) -> "RunFolder":
         """Start a new run in an absent or empty folder.
 
         Args:
@@ -75,7 +77,7 @@ class RunFolder:
             folder._remove_run()
         elif folder._holds_anything():
             raise InputError(
-                f"{path} is not empty and holds no run; choose another folder with --out"
+                f"{path} is not empty and holds no run; choose another --out"
             )
         _make_folder(path)
         folder.write_json("environment.json", environment())
@@ -170,6 +172,7 @@ class RunFolder:
 
     def write_arrays(self, name: str, arrays: dict[str, np.ndarray]) -> None:
         """Write arrays as npz."""
+
         def write(file):
             np.savez(file, **arrays)  # pyright: ignore[reportArgumentType]
 
@@ -311,7 +314,7 @@ def _make_folder(path: Path) -> None:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(
-            f"{path} cannot be made ({error.strerror}); choose another folder with --out"
+            f"{path} cannot be made ({error.strerror}); choose another --out"
         ) from error
 
 

@@ -9,7 +9,7 @@ from pinav.jobs.fit import score_metrics
 from pinav.jobs.models import build_model
 from pinav.jobs.table2 import number
 from pinav.runs import RunFolder
-from pinav.trajectories import load
+from pinav.trajectory_files import load
 
 
 def evaluate(run: Path, data: Path) -> dict[str, Any]:

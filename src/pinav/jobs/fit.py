@@ -24,7 +24,8 @@ from pinav.jobs.progress import FitReporter
 from pinav.jobs.settings import FitSettings
 from pinav.jobs.table2 import number
 from pinav.runs import RunFolder
-from pinav.trajectories import Trajectories, save
+from pinav.trajectories import Trajectories
+from pinav.trajectory_files import save
 
 MODEL_FILE = "model.eqx"
 
@@ -65,7 +66,9 @@ def fit(settings: FitSettings, data: Trajectories, folder: RunFolder) -> dict[st
     if not folder.has("data.npz"):
         save(data, folder.path / "data.npz")
     if not folder.has(MODEL_FILE):
-        _write_fit(settings, known.name, data, _fit(settings, known, data, folder), folder)
+        _write_fit(
+            settings, known.name, data, _fit(settings, known, data, folder), folder
+        )
     model = folder.read_model(MODEL_FILE, build_model)
     predictions, outcomes = predict(model, data)
     result = score(predictions, outcomes, data)
@@ -134,5 +137,3 @@ def _write_fit(settings, physics, data, fit: Fit, folder: RunFolder) -> None:
         "dtype": "float32",
     }
     folder.write_model(MODEL_FILE, header, fit.model)
-
-

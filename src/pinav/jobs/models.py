@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from pinav.dynamics import (
-    AbstractDynamics,
     NeuralDynamics,
     Swimmer,
     paper_black_box,
@@ -46,14 +45,14 @@ PAPER_MODELS = {"ude": paper_ude, "nn-only": paper_nn_only}
 """Models that the paper trains, by the name of their row in Table 2."""
 
 
-CONSTANTS: dict[str, Callable[[Swimmer], Any]] = {
+CONSTANTS: dict[str, Callable[[Any], Any]] = {
     "damping": lambda swimmer: swimmer.drag.damping,
     "gain": lambda swimmer: swimmer.propulsion.gain,
 }
 """Known constants that `pinav fit --learn` can train."""
 
 
-def residual(model: AbstractDynamics) -> Any:
+def residual(model: Any) -> Any:
     """The learned part of a model: what trains unless more is asked for."""
     return model.environment if isinstance(model, Swimmer) else model.network
 
@@ -134,4 +133,6 @@ def build_model(header: dict[str, Any]) -> Any:
             model = fit_model(settings, known, header["data"])
         return with_dtype(model, jnp.dtype(header["dtype"]))
     except (KeyError, TypeError) as error:
-        raise InputError(f"model file: its first line misses or misnames {error}") from error
+        raise InputError(
+            f"model file: its first line misses or misnames {error}"
+        ) from error

@@ -26,7 +26,8 @@ from pinav.jobs.table2 import HEADER, PAPER, PAPER_LOSS, Row, improvements, summ
 from pinav.runs import RunFolder
 from pinav.scenarios import Scenario, scenario
 from pinav.solvers import FixedStep
-from pinav.trajectories import Trajectories, load, save, simulate
+from pinav.trajectories import Trajectories, simulate
+from pinav.trajectory_files import load, save
 
 
 def reproduce(settings: ReproduceSettings, folder: RunFolder) -> list[Row]:
@@ -45,7 +46,9 @@ def reproduce(settings: ReproduceSettings, folder: RunFolder) -> list[Row]:
     data = _data(benchmark, folder)
     for name in PAPER_MODELS:
         if not _fitted(name, settings.seeds, folder):
-            _write_fits(name, settings.seeds, _fit(name, settings, data, folder), folder)
+            _write_fits(
+                name, settings.seeds, _fit(name, settings, data, folder), folder
+            )
     rows, arrays = _evaluate(benchmark, data, settings.seeds, folder)
     folder.write_table("table2.csv", HEADER, [row.cells for row in rows])
     folder.write_arrays("results.npz", arrays)
@@ -165,7 +168,9 @@ def _metrics(settings, rows, arrays, folder) -> dict[str, Any]:
             | dict(zip(HEADER[2:], row.errors, strict=True))
             for row in rows
         ],
-        "paper_table2": {k: dict(zip(HEADER[2:], v, strict=True)) for k, v in PAPER.items()},
+        "paper_table2": {
+            k: dict(zip(HEADER[2:], v, strict=True)) for k, v in PAPER.items()
+        },
         "summary_total": summary(rows),
         "improvement": improvements(rows),
         "loss": {name: _losses(settings.seeds, losses[name]) for name in PAPER_MODELS},
@@ -202,7 +207,9 @@ def _own_total(arrays, key) -> float:
 
 
 def _force_error(arrays, seed) -> dict[str, float]:
-    return force_errors(stored_field(arrays, f"ude-{seed}"), stored_field(arrays, "true"))
+    return force_errors(
+        stored_field(arrays, f"ude-{seed}"), stored_field(arrays, "true")
+    )
 
 
 def stored_field(arrays: dict[str, np.ndarray], name: str) -> FieldMap:

@@ -8,8 +8,9 @@ import jax
 from pinav.errors import InputError
 from pinav.jobs.settings import SimulateSettings
 from pinav.scenarios import scenario
-from pinav.trajectories import Trajectories, save
+from pinav.trajectories import Trajectories
 from pinav.trajectories import simulate as simulate_scenario
+from pinav.trajectory_files import save
 
 
 def simulate(

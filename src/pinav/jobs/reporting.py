@@ -1,0 +1,5 @@
+"""stub"""
+
+
+def write_report(folder):
+    return folder.path / "report.html"
