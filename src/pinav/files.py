@@ -1,0 +1,61 @@
+"""Files that are either whole or absent, whatever happens while they are written."""
+
+import os
+import secrets
+from collections.abc import Callable
+from pathlib import Path
+from typing import BinaryIO
+
+from pinav.errors import InputError
+
+
+def atomic_write(
+    path: str | os.PathLike[str],
+    write: Callable[[BinaryIO], None],
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Write a file under a temporary name beside `path`, then rename it.
+
+    A reader sees the old file or the new one, never a part. Whatever goes wrong, the
+    old file stays and the temporary one is removed.
+
+    Args:
+        path: where the file goes; its folder must exist.
+        write: writes the content to an open binary file.
+        overwrite: replace a file that is there already.
+
+    Raises:
+        InputError: the file exists and `overwrite` is false, or the system refused
+            to write (no such folder, no permission, disk full).
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise InputError(f"{path}: expected the name of a file, got a folder")
+    if path.exists() and not overwrite:
+        raise InputError(
+            f"{path}: exists already; choose another name or allow overwriting"
+        )
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    try:
+        with open(temporary, "xb") as file:
+            write(file)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InputError(f"{path}: cannot write: {reason}") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_text(
+    path: str | os.PathLike[str], text: str, *, overwrite: bool = False
+) -> None:
+    """Write UTF-8 text as `atomic_write` does, with its errors."""
+    atomic_write(path, lambda file: _write_all(file, text), overwrite=overwrite)
+
+
+def _write_all(file: BinaryIO, text: str) -> None:
+    file.write(text.encode())

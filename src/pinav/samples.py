@@ -1,0 +1,147 @@
+"""The samples of one trajectory, and the checks that let them in."""
+
+from collections.abc import Callable, Sequence
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Bool, Float64
+
+from pinav.errors import InputError
+
+Ragged = np.ndarray | Array | Sequence
+"""Numbers of one trajectory, or a sequence with those of each trajectory."""
+
+
+class Trajectory(eqx.Module):
+    """One trajectory without padding.
+
+    Attributes:
+        times: increasing [T].
+        states: 0 where not observed.
+        observed: which entries of `states` were observed.
+        commands: what the operator commanded, by name, at each time.
+    """
+
+    times: Float64[np.ndarray, " time"]
+    states: Float64[np.ndarray, "time state"]
+    observed: Bool[np.ndarray, "time state"]
+    commands: dict[str, Float64[np.ndarray, " time"]]
+
+
+def arrays_per_trajectory(
+    name: str, values: Ragged, ndim: int, count: int | None = None, dtype: type = float
+) -> list[np.ndarray]:
+    """One array of `ndim` axes per trajectory; a single one serves all `count`.
+
+    Raises:
+        InputError: the numbers of axes, of arrays or the type of number is another;
+            the message calls the argument `name`.
+    """
+    depth = _depth(values)
+    if depth == ndim:
+        return [_array(name, values, ndim, dtype)] * (count or 1)
+    if depth != ndim + 1 or len(values) == 0:
+        raise InputError(
+            f"{name}: expected an array with {ndim} axes, or one for each trajectory; "
+            f"got {depth} axes"
+        )
+    if count is not None and len(values) != count:
+        raise InputError(
+            f"{name}: expected one array for each of the {count} trajectories, "
+            f"got {len(values)}"
+        )
+    return [
+        _array(f"{name} of trajectory {i}", value, ndim, dtype)
+        for i, value in enumerate(values)
+    ]
+
+
+def _depth(values: Ragged) -> int:
+    """Number of axes of what may be a ragged sequence."""
+    if isinstance(values, list | tuple):
+        return 1 + (_depth(values[0]) if values else 0)
+    return np.ndim(values)
+
+
+def _array(name: str, values: Ragged, ndim: int, dtype: type) -> np.ndarray:
+    expected = "booleans" if dtype is bool else "numbers"
+    try:
+        array = np.array(values)
+    except ValueError as error:
+        raise InputError(f"{name}: expected rows of equal length") from error
+    if array.ndim != ndim:
+        raise InputError(f"{name}: expected {ndim} axes, got shape {array.shape}")
+    if array.dtype.kind not in ("b" if dtype is bool else "fiu"):
+        raise InputError(f"{name}: expected {expected}, got {array.dtype}")
+    return array.astype(dtype)
+
+
+def checked_trajectory(
+    name: str,
+    channels: tuple[str, ...],
+    samples: tuple[np.ndarray, np.ndarray, np.ndarray | None],
+    commands: dict[str, np.ndarray],
+) -> Trajectory:
+    """A trajectory from its times, states and mask, and from its commands.
+
+    Raises:
+        InputError: they do not fit together, are not finite, or a time does not come
+            after the one before it; the message calls the trajectory `name`.
+    """
+    times, states, observed = samples
+    observed = np.ones_like(states, bool) if observed is None else observed
+    for what, array, expected in (
+        ("states", states, (len(times), len(channels))),
+        ("observed", observed, states.shape),
+        *((f"command {key!r}", c, times.shape) for key, c in commands.items()),
+    ):
+        if array.shape != expected:
+            raise InputError(
+                f"{what} of {name}: expected shape {expected} for {len(times)} times "
+                f"and the channels {', '.join(channels)}; got {array.shape}"
+            )
+    if len(times) < 2:
+        raise InputError(f"{name}: expected two or more samples, got {len(times)}")
+    _check_finite(f"times of {name}", times)
+    check_increasing(times, lambda row: f"times of {name}, row {row}")
+    states = np.where(observed, states, 0.0)
+    for column, channel in enumerate(channels):
+        _check_finite(
+            f"states of {name}, column {column} ({channel})",
+            states[:, column],
+            "; mark what is missing by observed=numpy.isfinite(states)",
+        )
+    for key, values in commands.items():
+        _check_finite(f"command {key!r} of {name}", values)
+    return Trajectory(times, states, observed, commands)
+
+
+def check_increasing(
+    times: Float64[np.ndarray, " time"], where: Callable[[int], str]
+) -> None:
+    """Refuse times that do not increase.
+
+    Args:
+        times: of one trajectory [T].
+        where: names the place of a row for the message.
+
+    Raises:
+        InputError: a time is not after the one before it.
+    """
+    late = np.flatnonzero(times[1:] <= times[:-1])
+    if late.size:
+        row = int(late[0]) + 1
+        fault = "repeated" if times[row] == times[row - 1] else "out of order"
+        raise InputError(
+            f"{where(row)}: time {times[row]} after {times[row - 1]} is {fault}; "
+            "expected increasing times, so sort the rows and drop repeats"
+        )
+
+
+def _check_finite(name: str, values: np.ndarray, remedy: str = "") -> None:
+    wrong = np.flatnonzero(~np.isfinite(values))
+    if wrong.size:
+        row = wrong[0]
+        raise InputError(
+            f"{name}, row {row}: expected a finite number, got {values[row]}{remedy}"
+        )
