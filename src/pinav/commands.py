@@ -144,8 +144,9 @@ def simulate(options: SimulateOptions) -> None:
     trajectories = job(
         options.scenario, options.settings, options.out, overwrite=options.overwrite
     )
-    samples = int(trajectories.lengths.sum())
-    print(f"{options.out}: {len(trajectories)} trajectories, {samples} samples")
+    count, samples = len(trajectories), int(trajectories.lengths.sum())
+    noun = "trajectory" if count == 1 else "trajectories"
+    print(f"{options.out}: {count} {noun}, {samples} samples")
 
 
 def fit(options: FitOptions) -> None:

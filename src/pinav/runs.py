@@ -196,8 +196,11 @@ class RunFolder:
     def append_record(self, record: dict[str, Any]) -> None:
         """Append a line to `metrics.jsonl`."""
         line = json.dumps(_finite_json(record), allow_nan=False)
-        with open(self.path / "metrics.jsonl", "a", encoding="utf-8") as file:
-            file.write(line + "\n")
+        path = self.path / "metrics.jsonl"
+        with open(path, "a+b") as file:
+            if file.tell() and not _ends_with_newline(path):
+                file.write(b"\n")  # the line before was cut off by a kill
+            file.write(line.encode() + b"\n")
 
     def records(self) -> list[dict[str, Any]]:
         """Lines of `metrics.jsonl`; where a chunk was run twice, its last one."""
@@ -307,6 +310,12 @@ def environment() -> dict[str, Any]:
 
 def _at(state: FitState, phase: int, step: int) -> FitState:
     return FitState(state.params, state.minimiser, state.losses, phase, step)
+
+
+def _ends_with_newline(path: Path) -> bool:
+    with open(path, "rb") as file:
+        file.seek(-1, io.SEEK_END)
+        return file.read(1) == b"\n"
 
 
 def _make_folder(path: Path) -> None:

@@ -108,7 +108,9 @@ def test_many_fits_are_the_single_fits(data):
 
 
 def test_damping_and_gain_can_be_learned_with_the_barrier_known(data):
-    start = eqx.tree_at(lambda s: (s.drag.damping, s.propulsion.gain), TRUTH, (0.2, 0.1))
+    start = eqx.tree_at(
+        lambda s: (s.drag.damping, s.propulsion.gain), TRUTH, (0.2, 0.1)
+    )
     found = fit(
         start,
         data,
@@ -198,8 +200,8 @@ def test_bad_requests_are_refused(data):
     call = {"trainable": environment, "objective": OBJECTIVE}
     with pytest.raises(InputError, match="expected at least one model and one phase"):
         fit(network_swimmer(0), data, (), **call)
+    nothing = {"trainable": lambda s: s.environment.network.activation}
     with pytest.raises(InputError, match="the selection holds no floating-point array"):
-        nothing = {"trainable": lambda s: s.environment.network.activation}
         fit(network_swimmer(0), data, RECIPE, **nothing)
     observed = data.observed.copy()
     observed[1, 0, 2] = False
@@ -209,5 +211,7 @@ def test_bad_requests_are_refused(data):
         observed=list(observed[:, :20]),
         channels=data.channels,
     )
-    with pytest.raises(InputError, match="trajectory 1: its first sample must be fully"):
+    with pytest.raises(
+        InputError, match="trajectory 1: its first sample must be fully"
+    ):
         fit(network_swimmer(0), late, RECIPE, **call)

@@ -39,7 +39,9 @@ def minimise(phase, loss, params):
 @pytest.mark.parametrize("make", PHASES.values(), ids=PHASES)
 def test_every_phase_lowers_a_convex_loss(make):
     scales = jnp.array([1.0, 10.0, 0.1])
-    x, values = minimise(make(300), lambda x: jnp.sum(scales * (x - 1) ** 2), 0.0 * scales)
+    x, values = minimise(
+        make(300), lambda x: jnp.sum(scales * (x - 1) ** 2), 0.0 * scales
+    )
     assert values[0] == pytest.approx(11.1)
     assert jnp.sum(scales * (x - 1) ** 2) < 0.2
 

@@ -189,7 +189,7 @@ def _weak_wolfe_search(value_and_grad, start, direction, max_evaluations):
     (point, value, gradient); the start itself where nothing lower was found.
     """
     params, value, gradient = start
-    slope = optax.tree.vdot(gradient, direction)
+    slope = jnp.asarray(optax.tree.vdot(gradient, direction))
 
     def unfinished(state):
         _, _, _, _, evaluations, done = state
@@ -200,7 +200,7 @@ def _weak_wolfe_search(value_and_grad, start, direction, max_evaluations):
         point = optax.tree.add_scale(params, length, direction)
         point_value, point_gradient = value_and_grad(point)
         enough = point_value <= value + 1e-4 * length * slope
-        flat = optax.tree.vdot(point_gradient, direction) >= 0.9 * slope
+        flat = jnp.asarray(optax.tree.vdot(point_gradient, direction)) >= 0.9 * slope
         candidate = (point, point_value, point_gradient)
         best = _where(enough & (point_value <= best[1]), candidate, best)
         low, high = jnp.where(enough, length, low), jnp.where(enough, high, length)

@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-from pinav.evaluation import predict, score
 from pinav.errors import InputError
+from pinav.evaluation import predict, score
 from pinav.jobs.fit import score_metrics
 from pinav.jobs.models import build_model
 from pinav.jobs.table2 import number

@@ -1,0 +1,146 @@
+import json
+import subprocess
+import sys
+import time
+
+import pytest
+
+from pinav import __version__, cli, commands
+from pinav.commands import FitOptions, ReproduceOptions, parse
+from pinav.errors import InputError
+
+
+def fails(capsys, *argv: str) -> str:
+    """The one line that a failing command prints."""
+    assert cli.run(argv) == cli.USAGE_ERROR
+    out, err = capsys.readouterr()
+    assert out == ""
+    lines = err.strip().splitlines()
+    assert len(lines) == 1, err
+    assert lines[0].startswith("pinav: ")
+    return lines[0]
+
+
+def test_help_is_quick_and_loads_nothing_heavy():
+    code = (
+        "import sys, pinav.cli; pinav.cli.run(['--help']);"
+        "heavy = {'jax', 'numpy', 'matplotlib', 'pandas', 'tyro'} & set(sys.modules);"
+        "sys.exit(f'imported {heavy}' if heavy else 0)"
+    )
+    start = time.perf_counter()
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert time.perf_counter() - start < 2.0  # 0.03 s alone; generous under load
+    assert all(name in done.stdout for name in cli.COMMANDS)
+
+
+def test_every_command_explains_itself_without_jax(capsys):
+    code = (
+        "import sys, pinav.cli\n"
+        "for name in pinav.cli.COMMANDS:\n"
+        "    assert pinav.cli.run([name, '--help']) == 0\n"
+        "heavy = {'jax', 'numpy', 'matplotlib'} & set(sys.modules)\n"
+        "sys.exit(f'imported {heavy}' if heavy else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("usage: pinav") == len(cli.COMMANDS)
+
+
+def test_version(capsys):
+    assert cli.run(["--version"]) == 0
+    assert capsys.readouterr().out == f"pinav {__version__}\n"
+
+
+def test_every_listed_command_has_a_handler():
+    assert commands.HANDLERS.keys() == cli.COMMANDS.keys()
+
+
+@pytest.mark.parametrize(
+    ("argv", "message"),
+    [
+        (["fti"], r"unknown command 'fti' \(did you mean fit\?\); see pinav --help"),
+        (["fit", "a.npz", "--out", "b", "--wdith", "3"], "--wdith.* see pinav fit --help"),
+        (["fit", "a.npz"], "--out"),
+        (["fit", "a.npz", "--out", "b", "--width", "-3"], "--width: expected 1 or more"),
+        (["fit", "a.npz", "--out", "b", "--width", "x"], "Error parsing --width"),
+        (["fit", "a.npz", "--out", "b", "--model", "cnn"], "invalid choice 'cnn'"),
+        (["fit", "a.npz", "--out", "b", "--adam-steps", "0"], "--adam-steps: expected"),
+        (
+            ["fit", "a.npz", "--out", "b", "--model", "nn-only", "--learn", "gain"],
+            "--learn: the model nn-only has no physical constants",
+        ),
+        (["fit", "absent.npz", "--out", "b"], "absent.npz.*No such file"),
+        (["reproduce", "--seeds"], "--seeds: expected at least one seed"),
+        (["reproduce", "--seeds", "1", "1"], "--seeds: 1 is given twice"),
+        (["reproduce", "--resume", "--overwrite"], "--resume and --overwrite: choose"),
+        (["simulate", "papre", "--out", "x.npz"], "scenario 'papre' is unknown; choose"),
+        (["simulate", "paper", "--out", "x.doc"], "x.doc"),
+        (["simulate", "paper", "--out", "x.npz", "--noise", "-1"], "--noise: expected 0"),
+        (["evaluate", "nowhere", "x.npz"], "nowhere holds no run"),
+        (["report", "nowhere"], "nowhere holds no run"),
+        (["bench", "nothing"], "benchmark 'nothing' is unknown; choose one of: .*gradient"),
+    ],
+)
+def test_mistakes_get_one_line(argv, message, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    import re
+
+    line = fails(capsys, *argv)
+    assert re.search(message, line), line
+    assert not list(tmp_path.iterdir()), "nothing half-written"
+
+
+def test_an_interruption_says_how_to_go_on(capsys, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(commands, "dispatch", interrupt)
+    assert cli.run(["fit", "my data.csv", "--out", "r", "--overwrite"]) == cli.INTERRUPTED
+    line = capsys.readouterr().err
+    assert line.endswith("go on with: pinav fit 'my data.csv' --out r --resume\n")
+
+
+def test_a_config_file_sets_and_options_win(tmp_path):
+    config = tmp_path / "c.toml"
+    config.write_text('seeds = [7, 8]\nadam_steps = 5\njob = "reproduce"\n')
+    argv = ["--config", str(config), "--adam-steps", "7500"]
+    options = parse(ReproduceOptions, argv, "pinav reproduce")
+    assert options is not None
+    assert options.settings.seeds == (7, 8)
+    assert options.settings.adam_steps == 7500
+    argv = ["d.npz", "--out", "o", f"--config={config}"]
+    with pytest.raises(InputError, match="c.toml: Object contains unknown field `seeds`"):
+        parse(FitOptions, argv, "pinav fit")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("seeds = ", "cannot be read"),
+        ("sedes = [1]", "unknown field `sedes`"),
+        ('adam_steps = "many"', "Expected `int`, got `str`"),
+    ],
+)
+def test_bad_config_files_are_refused(content, message, tmp_path, capsys):
+    config = tmp_path / "c.toml"
+    config.write_text(content)
+    assert message in fails(capsys, "reproduce", "--config", str(config))
+    assert "cannot be read" in fails(capsys, "reproduce", "--config", "absent.toml")
+
+
+def test_simulate_writes_what_load_reads(tmp_path, capsys):
+    path = tmp_path / "data.csv"
+    assert cli.run(["simulate", "paper", "--out", str(path), "--noise", "0.1"]) == 0
+    assert capsys.readouterr().out == f"{path}: 1 trajectory, 501 samples\n"
+    from pinav.trajectory_files import load
+
+    assert load(path).provenance["scenario"] == "paper"
+    assert "exists" in fails(capsys, "simulate", "paper", "--out", str(path))
+    assert cli.run(["simulate", "paper", "--out", str(path), "--overwrite"]) == 0
+
+
+def test_json_output_is_json_alone(tiny_fit, capsys):
+    run, data = tiny_fit
+    assert cli.run(["evaluate", str(run), str(data), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["trajectories"] == 1
