@@ -1,4 +1,4 @@
-"""Strict JAX, strict types: set before pinav is imported by any test."""
+"""Strict JAX, strict types: set before any test imports pinav."""
 
 import os
 
@@ -6,9 +6,34 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 
 import jax
 import jaxtyping
+import pytest
 
 jax.config.update("jax_enable_x64", val=True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 jaxtyping.install_import_hook("pinav", "beartype.beartype")
+
+
+@pytest.fixture(scope="session")
+def paper_trajectories():
+    """The paper's benchmark, solved once for all tests."""
+    from pinav.scenarios import paper
+    from pinav.trajectories import simulate
+
+    return simulate(paper())
+
+
+@pytest.fixture(scope="session")
+def tiny_fit(tmp_path_factory):
+    """A run of `pinav fit` with a few steps, and the file that it was fitted to."""
+    from pinav import cli
+
+    folder = tmp_path_factory.mktemp("fit")
+    data, run = folder / "data.csv", folder / "run"
+    assert cli.run(["simulate", "paper", "--out", str(data), "--noise", "0.01"]) == 0
+    steps = ["--adam-steps", "10", "--lbfgs-steps", "2"]
+    argv = ["fit", str(data), "--out", str(run), "--learn", "damping", *steps]
+    with jax.numpy_dtype_promotion("standard"):
+        assert cli.run(argv) == 0
+    return run, data

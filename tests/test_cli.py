@@ -60,9 +60,15 @@ def test_every_listed_command_has_a_handler():
     ("argv", "message"),
     [
         (["fti"], r"unknown command 'fti' \(did you mean fit\?\); see pinav --help"),
-        (["fit", "a.npz", "--out", "b", "--wdith", "3"], "--wdith.* see pinav fit --help"),
+        (
+            ["fit", "a.npz", "--out", "b", "--wdith", "3"],
+            "--wdith.* see pinav fit --help",
+        ),
         (["fit", "a.npz"], "--out"),
-        (["fit", "a.npz", "--out", "b", "--width", "-3"], "--width: expected 1 or more"),
+        (
+            ["fit", "a.npz", "--out", "b", "--width", "-3"],
+            "--width: expected 1 or more",
+        ),
         (["fit", "a.npz", "--out", "b", "--width", "x"], "Error parsing --width"),
         (["fit", "a.npz", "--out", "b", "--model", "cnn"], "invalid choice 'cnn'"),
         (["fit", "a.npz", "--out", "b", "--adam-steps", "0"], "--adam-steps: expected"),
@@ -74,12 +80,21 @@ def test_every_listed_command_has_a_handler():
         (["reproduce", "--seeds"], "--seeds: expected at least one seed"),
         (["reproduce", "--seeds", "1", "1"], "--seeds: 1 is given twice"),
         (["reproduce", "--resume", "--overwrite"], "--resume and --overwrite: choose"),
-        (["simulate", "papre", "--out", "x.npz"], "scenario 'papre' is unknown; choose"),
+        (
+            ["simulate", "papre", "--out", "x.npz"],
+            "scenario 'papre' is unknown; choose",
+        ),
         (["simulate", "paper", "--out", "x.doc"], "x.doc"),
-        (["simulate", "paper", "--out", "x.npz", "--noise", "-1"], "--noise: expected 0"),
+        (
+            ["simulate", "paper", "--out", "x.npz", "--noise", "-1"],
+            "--noise: expected 0",
+        ),
         (["evaluate", "nowhere", "x.npz"], "nowhere holds no run"),
         (["report", "nowhere"], "nowhere holds no run"),
-        (["bench", "nothing"], "benchmark 'nothing' is unknown; choose one of: .*gradient"),
+        (
+            ["bench", "nothing"],
+            "benchmark 'nothing' is unknown; choose one of: .*gradient",
+        ),
     ],
 )
 def test_mistakes_get_one_line(argv, message, capsys, tmp_path, monkeypatch):
@@ -96,7 +111,9 @@ def test_an_interruption_says_how_to_go_on(capsys, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(commands, "dispatch", interrupt)
-    assert cli.run(["fit", "my data.csv", "--out", "r", "--overwrite"]) == cli.INTERRUPTED
+    assert (
+        cli.run(["fit", "my data.csv", "--out", "r", "--overwrite"]) == cli.INTERRUPTED
+    )
     line = capsys.readouterr().err
     assert line.endswith("go on with: pinav fit 'my data.csv' --out r --resume\n")
 
@@ -110,7 +127,9 @@ def test_a_config_file_sets_and_options_win(tmp_path):
     assert options.settings.seeds == (7, 8)
     assert options.settings.adam_steps == 7500
     argv = ["d.npz", "--out", "o", f"--config={config}"]
-    with pytest.raises(InputError, match="c.toml: Object contains unknown field `seeds`"):
+    with pytest.raises(
+        InputError, match="c.toml: Object contains unknown field `seeds`"
+    ):
         parse(FitOptions, argv, "pinav fit")
 
 

@@ -55,7 +55,9 @@ def test_other_places_are_refused(tmp_path):
 
 def test_resume_wants_the_same_settings(folder):
     assert RunFolder.resume(folder.path, CONFIG).config() == CONFIG
-    with pytest.raises(InputError, match=r"holds a run with seeds = \[1, 2\], not \[3\]"):
+    with pytest.raises(
+        InputError, match=r"holds a run with seeds = \[1, 2\], not \[3\]"
+    ):
         RunFolder.resume(folder.path, CONFIG | {"seeds": [3]})
 
 

@@ -43,7 +43,7 @@ def paper(key: PRNGKeyArray | None = None) -> Scenario:
     The constants that the paper does not print are *identified*: the row
     "physics-only" of its Table 2 depends on them alone, and least squares on that
     row gives these values (one point of a family; docs/benchmark.md). The swimmer
-    all but stalls near the top of the barrier at about 10 s, so the rest of the
+    all but stalls near the top of the barrier at about 7 s, so the rest of the
     trajectory is very sensitive to the start: keep all digits.
 
     Args:
