@@ -215,7 +215,8 @@ class _Row(NamedTuple):
 
 def _read_csv(file: BinaryIO) -> Trajectories:
     try:
-        lines = io.TextIOWrapper(file, encoding="utf-8-sig", newline="").readlines()
+        text = file.read().decode("utf-8-sig")
+        lines = io.StringIO(text, newline="").readlines()
         num_comments, metadata = _leading_comments(lines)
         metadata, rows = _table(lines, num_comments, metadata)
     except UnicodeDecodeError as error:
