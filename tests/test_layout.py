@@ -29,6 +29,7 @@ ORDER = [
     "report",
     "runs",
     "jobs",
+    "commands",
     "cli",
 ]
 ROOT = Path(pinav.__file__).parent

@@ -136,7 +136,7 @@ def field_map(
     trajectories: Trajectories,
     *,
     time: float | None = None,
-    limits: tuple[float, float, float, float] = (-2.0, 12.0, -2.0, 12.0),
+    limits: tuple[float, float, float, float] | None = None,
     points: int = 57,
 ) -> FieldMap:
     """The force of a swimmer at rest at each point of a planar grid.
@@ -147,10 +147,11 @@ def field_map(
         time: time [T] at which a field that depends on it is drawn; unless given,
             each grid point takes the time of its nearest sample, the reading most
             favourable to such a field.
-        limits: x from, x to, y from, y to [L].
+        limits: x from, x to, y from, y to [L]; a square around the data unless given.
         points: grid points along each side.
     """
-    x, y = np.linspace(*limits[:2], points), np.linspace(*limits[2:], points)
+    x_from, x_to, y_from, y_to = _square(trajectories) if limits is None else limits
+    x, y = np.linspace(x_from, x_to, points), np.linspace(y_from, y_to, points)
     grid = np.stack(np.meshgrid(x, y), axis=-1)
     flat = grid.reshape(-1, 2)
     distance, nearest_times = _nearest_samples(flat, trajectories)
@@ -163,13 +164,27 @@ def field_map(
     )
 
 
+def _square(trajectories):
+    """The smallest square around the observed positions, with a margin of `NEAR`."""
+    samples = _observed_positions(trajectories)[0]
+    low, high = samples.min(axis=0), samples.max(axis=0)
+    middle, half = (low + high) / 2, (high - low).max() / 2 + NEAR
+    return middle[0] - half, middle[0] + half, middle[1] - half, middle[1] + half
+
+
+def _observed_positions(trajectories):
+    """All fully observed planar positions, and their times."""
+    seen = trajectories.observed[..., :2].all(-1)
+    return trajectories.states[..., :2][seen], trajectories.times[seen]
+
+
 def _nearest_samples(points, trajectories):
     """Distance to, and time of, the nearest fully observed position."""
     from scipy.spatial import KDTree
 
-    seen = trajectories.observed[..., :2].all(-1)
-    distance, index = KDTree(trajectories.states[..., :2][seen]).query(points)
-    return distance, trajectories.times[seen][index]
+    samples, times = _observed_positions(trajectories)
+    distance, index = KDTree(samples).query(points)
+    return distance, times[index]
 
 
 def force_error(

@@ -80,7 +80,13 @@ def fit(settings: FitSettings, data: Trajectories, folder: RunFolder) -> dict[st
         "learned": {name: float(CONSTANTS[name](model)) for name in settings.learn},
     }
     folder.write_arrays(
-        "results.npz", {"times": data.times, "truth": data.states, "ys": predictions}
+        "results.npz",
+        {
+            "times": data.times,
+            "truth": data.states,
+            "observed": data.observed,
+            "ys": predictions,
+        },
     )
     folder.write_json("metrics.json", metrics)
     return metrics

@@ -1,5 +1,269 @@
-"""stub"""
+"""Figures and the HTML page of a run, from its saved results alone."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pinav.errors import InputError
+from pinav.evaluation import Decomposition
+from pinav.files import write_text
+from pinav.jobs.reproduce import stored_field
+from pinav.jobs.table2 import DIFFERENCES, PAPER
+from pinav.report import (
+    Code,
+    FigureFiles,
+    Image,
+    Paragraph,
+    Section,
+    Table,
+    acceleration_figure,
+    figure1,
+    force_comparison,
+    loss_curve,
+    render,
+    save_figure,
+    trajectory,
+    velocity,
+)
+from pinav.report.style import new_figure
+from pinav.runs import RunFolder
+
+BARRIER = ([5.0, 5.0], 2.9)
+"""Centre and width of the benchmark's barrier, drawn as context."""
 
 
-def write_report(folder):
-    return folder.path / "report.html"
+def write_report(folder: RunFolder) -> Path:
+    """Draw the figures of a finished run and write its `report.html`.
+
+    Raises:
+        InputError: the run is not finished, or one of its files is damaged.
+    """
+    if not folder.has("metrics.json"):
+        raise InputError(
+            f"{folder.path} is not finished; go on with --resume, then report"
+        )
+    sections = {"reproduce": _reproduction, "fit": _fitted}
+    job = folder.config().get("job")
+    if job not in sections:
+        raise InputError(f"{folder.path}/config.toml: job {job!r} is unknown")
+    title = {"reproduce": "The paper's benchmark", "fit": "A fitted model"}[job]
+    content = [*sections[job](folder), *_provenance(folder)]
+    path = folder.path / "report.html"
+    write_text(path, render(title, _subtitle(folder), content), overwrite=True)
+    return path
+
+
+def _subtitle(folder: RunFolder) -> str:
+    environment = folder.read_json("environment.json")
+    return f"pinav {environment['pinav']}, run {folder.path.name}"
+
+
+def _reproduction(folder: RunFolder) -> list[Section]:
+    metrics = folder.read_json("metrics.json")
+    arrays = folder.read_arrays("results.npz")
+    seed = metrics["seeds"][0]
+    return [
+        Section("Table 2", _table2(metrics)),
+        Section(
+            "Figure 1: the UDE", [_figure1(folder, arrays, metrics["seeds"], "ude")]
+        ),
+        Section(
+            "Figure 1 for the network alone",
+            [
+                Paragraph("The paper left this figure out."),
+                _figure1(folder, arrays, metrics["seeds"], "nn-only"),
+            ],
+        ),
+        Section("The learned force", _force(folder, metrics, arrays, seed)),
+        Section("What makes up the acceleration", [_parts(folder, arrays, seed)]),
+    ]
+
+
+def _table2(metrics: dict[str, Any]) -> list[Paragraph | Table]:
+    columns = ("x", "y", "vx", "vy", "total", "position")
+    rows = []
+    for row in metrics["table2"]:
+        label = "–" if row["seed"] is None else str(row["seed"])
+        rows.append((row["model"], label, *(row[name] for name in columns)))
+    for model in PAPER:
+        printed = metrics["paper_table2"][model]
+        cells = ("–" if printed[n] is None else printed[n] for n in columns)
+        rows.append((f"{model}, as printed in the paper", "–", *cells))
+    factors = [(name, factor) for name, factor in metrics["improvement"].items()]
+    return [
+        Table(
+            ("model", "seed", *columns),
+            sorted(rows, key=lambda row: list(PAPER).index(row[0].split(",")[0])),
+            "Root-mean-square errors of rollouts from the true start, dimensionless. "
+            "Total is the root mean square of the four columns.",
+        ),
+        *(Paragraph(text) for text in DIFFERENCES),
+        _spread(metrics),
+        Table(
+            ("ratio of median total errors", "factor"),
+            factors,
+            "How many times smaller the trained UDE's error is.",
+        ),
+        _losses(metrics),
+    ]
+
+
+def _spread(metrics: dict[str, Any]) -> Table:
+    rows = [
+        (model, spread["median"], spread["best"], spread["worst"])
+        for model, spread in metrics["summary_total"].items()
+        if model != "physics-only"
+    ]
+    seeds = ", ".join(map(str, metrics["seeds"]))
+    caption = f"Total error over the seeds {seeds}."
+    return Table(("model", "median", "best", "worst"), rows, caption)
+
+
+def _losses(metrics: dict[str, Any]) -> Table:
+    rows = [
+        (model, seed, loss["start"], loss["end"], loss["decades"])
+        for model, losses in metrics["loss"].items()
+        for seed, loss in losses.items()
+    ]
+    paper = metrics["paper_loss"]
+    decades = float(np.log10(paper["start"] / paper["end"]))
+    rows.append(("ude, as printed", "42", paper["start"], paper["end"], decades))
+    header = ("model", "seed", "loss at start", "at end", "decades")
+    return Table(header, rows, "Training loss, the sum of squares of eq. (3).")
+
+
+def _figure1(
+    folder: RunFolder, arrays: dict[str, np.ndarray], seeds: Sequence[int], model: str
+) -> Image:
+    losses, phases = _loss_history(folder, model)
+    figure = figure1(
+        arrays["times"],
+        arrays["truth"],
+        arrays[f"{model}-untrained-{seeds[0]}"],
+        arrays[f"{model}-{seeds[0]}"],
+        losses,
+        phases,
+        model=model,
+        barrier=BARRIER,
+    )
+    files = save_figure(figure, folder.path / "figures", f"figure1-{model}")
+    return _image(
+        files,
+        f"Trajectory, velocity and training loss of the model {model}",
+        f"{model}, seed {seeds[0]}: (a, b) trajectory, (c) training loss with the "
+        "change of phase marked, (d, e) velocity; before and after training, against "
+        "the truth. Dimensionless, synthetic data.",
+    )
+
+
+def _loss_history(
+    folder: RunFolder, name: str
+) -> tuple[np.ndarray, list[tuple[str, int]]]:
+    stored = folder.read_arrays(f"losses-{name}.npz")
+    names, starts = stored["phase_names"], stored["phase_starts"]
+    phases = [(str(n), int(start)) for n, start in zip(names, starts, strict=True)]
+    return stored["losses"], phases
+
+
+def _force(folder, metrics, arrays, seed) -> list[Paragraph | Image | Table]:
+    true = stored_field(arrays, "true")
+    learned = stored_field(arrays, f"ude-{seed}")
+    figure = force_comparison(true, learned, path=arrays["truth"][:, :2])
+    files = save_figure(figure, folder.path / "figures", "force")
+    rows = [
+        (seed, *(100 * errors[k] for k in ("visited", "near", "everywhere")))
+        for seed, errors in metrics["force_error"].items()
+    ]
+    return [
+        _image(
+            files,
+            "True force, learned force and their difference on a grid",
+            f"The true force, the UDE's (seed {seed}) and the difference. The network "
+            "also sees time: each point shows the time of the nearest sample, the "
+            "reading most favourable to it.",
+        ),
+        Table(
+            ("seed", "visited (%)", "near (%)", "everywhere (%)"),
+            rows,
+            "Relative L2 error of the force on grid points within 0.35 of a sample, "
+            "within 1.0, and on the whole grid.",
+        ),
+        Paragraph(
+            "One trajectory does not determine the field: away from the path the "
+            "learned force is an extrapolation, whatever the trajectory error says."
+        ),
+    ]
+
+
+def _parts(folder, arrays, seed) -> Image:
+    prefix = f"parts/ude-{seed}/"
+    terms = {
+        name.removeprefix(prefix): values
+        for name, values in arrays.items()
+        if name.startswith(prefix)
+    }
+    learned = Decomposition(arrays["times"], terms)
+    truth = Decomposition(arrays["times"], terms | {"environment": arrays["parts/true"]})
+    files = save_figure(
+        acceleration_figure(learned, true=truth),
+        folder.path / "figures",
+        "acceleration",
+    )
+    return _image(
+        files,
+        "Propulsion, learned environment and drag along the trajectory",
+        f"a(t) = propulsion + environment + drag along the true trajectory, UDE of seed "
+        f"{seed}.",
+    )
+
+
+def _fitted(folder: RunFolder) -> list[Section]:
+    metrics = folder.read_json("metrics.json")
+    arrays = folder.read_arrays("results.npz")
+    losses, phases = _loss_history(folder, "model")
+    figure = new_figure(7.5, 2.8)
+    axes = figure.subplots(1, 3)
+    observed = np.where(arrays["observed"][0], arrays["truth"][0], np.nan)
+    predicted = {metrics["model"]: arrays["ys"][0]}
+    trajectory(observed[:, :2], {k: a[:, :2] for k, a in predicted.items()}, ax=axes[0])
+    speeds = {k: a[:, 2:] for k, a in predicted.items()}
+    velocity(arrays["times"][0], observed[:, 2:], speeds, ax=axes[1])
+    loss_curve(losses, phases, ax=axes[2])
+    files = save_figure(figure, folder.path / "figures", "fit")
+    return [
+        Section(
+            "Fit",
+            [
+                Table(tuple(metrics["rmse"]), [tuple(metrics["rmse"].values())], "RMSE."),
+                Table(("loss at start", "at end"), [tuple(metrics["loss"].values())]),
+                *_constants(metrics),
+                _image(
+                    files,
+                    "Observed and predicted trajectory, velocity, and training loss",
+                    "First trajectory: observed and predicted; the training loss.",
+                ),
+            ],
+        )
+    ]
+
+
+def _constants(metrics: dict[str, Any]) -> list[Table]:
+    learned = metrics["learned"]
+    if not learned:
+        return []
+    return [Table(tuple(learned), [tuple(learned.values())], "Constants learned.")]
+
+
+def _provenance(folder: RunFolder) -> list[Section]:
+    environment = folder.read_json("environment.json")
+    config = (folder.path / "config.toml").read_text(encoding="utf-8")
+    return [
+        Section("Configuration", [Code(config)]),
+        Section("Versions", [Table(("what", "version"), list(environment.items()))]),
+    ]
+
+
+def _image(files: FigureFiles, alt: str, caption: str) -> Image:
+    return Image(files.svg, alt, caption)
