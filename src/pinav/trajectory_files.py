@@ -88,7 +88,7 @@ class _Metadata(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     channels: tuple[str, ...] = ()
     commands: tuple[str, ...] = ()
     units: dict[str, str] = {}
-    provenance: dict[str, Any] = {}
+    provenance: dict[str, Any] | None = None
 
 
 def _metadata_text(trajectories: Trajectories) -> str:
@@ -215,7 +215,8 @@ class _Row(NamedTuple):
 
 def _read_csv(file: BinaryIO) -> Trajectories:
     try:
-        lines = io.TextIOWrapper(file, encoding="utf-8-sig", newline="").readlines()
+        text = file.read().decode("utf-8-sig")
+        lines = io.StringIO(text, newline="").readlines()
         num_comments, metadata = _leading_comments(lines)
         metadata, rows = _table(lines, num_comments, metadata)
     except UnicodeDecodeError as error:
@@ -238,7 +239,9 @@ def _read_csv(file: BinaryIO) -> Trajectories:
         },
         channels=metadata.channels,
         units=metadata.units,
-        provenance=metadata.provenance or {"source": Path(file.name).name},
+        provenance={"source": Path(file.name).name}
+        if metadata.provenance is None
+        else metadata.provenance,
     )
 
 
