@@ -1,6 +1,7 @@
 """The samples of one trajectory, and the checks that let them in."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -56,14 +57,14 @@ def arrays_per_trajectory(
     ]
 
 
-def _depth(values: Ragged) -> int:
+def _depth(values: Any) -> int:
     """Number of axes of what may be a ragged sequence."""
     if isinstance(values, list | tuple):
         return 1 + (_depth(values[0]) if values else 0)
     return np.ndim(values)
 
 
-def _array(name: str, values: Ragged, ndim: int, dtype: type) -> np.ndarray:
+def _array(name: str, values: Any, ndim: int, dtype: type) -> np.ndarray:
     expected = "booleans" if dtype is bool else "numbers"
     try:
         array = np.array(values)

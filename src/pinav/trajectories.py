@@ -132,7 +132,7 @@ class Trajectories(eqx.Module):
             commands={name: c[index, own] for name, c in self.commands.items()},
         )
 
-    def select(self, indices: Sequence[int]) -> "Trajectories":
+    def select(self, indices: Sequence[int] | np.ndarray) -> "Trajectories":
         """The trajectories at `indices`, in that order, padded no more than needed.
 
         The provenance remembers, as `selection`, where each of them stood at first.
@@ -171,7 +171,7 @@ def split(trajectories: Trajectories, fraction: float, *, key: PRNGKeyArray) -> 
         raise InputError("split: expected two or more trajectories, got 1")
     num_train = min(max(round(fraction * count), 1), count - 1)
     order = np.asarray(jax.random.permutation(key, count))
-    train, held_out = sorted(order[:num_train]), sorted(order[num_train:])
+    train, held_out = np.sort(order[:num_train]), np.sort(order[num_train:])
     return Split(trajectories.select(train), trajectories.select(held_out))
 
 
@@ -281,7 +281,7 @@ def _all_units(units: Mapping[str, str], names: Sequence[str]) -> dict[str, str]
     return {name: str(units.get(name, UNKNOWN_UNIT)) for name in names}
 
 
-def _checked_indices(indices: Sequence[int], count: int) -> list[int]:
+def _checked_indices(indices: Sequence[int] | np.ndarray, count: int) -> list[int]:
     """The indices as integers from 0, negative ones counted from the end."""
     chosen = np.asarray(indices)
     if chosen.ndim != 1 or chosen.size == 0 or chosen.dtype.kind not in "iu":

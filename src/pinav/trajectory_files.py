@@ -88,7 +88,7 @@ class _Metadata(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     channels: tuple[str, ...] = ()
     commands: tuple[str, ...] = ()
     units: dict[str, str] = {}
-    provenance: dict[str, Any] = {}
+    provenance: dict[str, Any] | None = None
 
 
 def _metadata_text(trajectories: Trajectories) -> str:
@@ -239,7 +239,9 @@ def _read_csv(file: BinaryIO) -> Trajectories:
         },
         channels=metadata.channels,
         units=metadata.units,
-        provenance=metadata.provenance or {"source": Path(file.name).name},
+        provenance={"source": Path(file.name).name}
+        if metadata.provenance is None
+        else metadata.provenance,
     )
 
 
