@@ -1,0 +1,64 @@
+"""Figures as files, whole or not at all, and the same bytes for the same figure."""
+
+import dataclasses
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from pinav.report.style import file_settings
+
+
+@dataclasses.dataclass(frozen=True)
+class FigureFiles:
+    """Where one figure was written.
+
+    Attributes:
+        png: raster image, 150 dots per inch.
+        svg: vector image, its text as text.
+    """
+
+    png: Path
+    svg: Path
+
+
+def save_figure(figure: Figure, folder: str | Path, name: str) -> FigureFiles:
+    """Write `name.png` and `name.svg`; the same figure gives the same bytes.
+
+    Each file appears whole or not at all: it is written under a temporary name.
+
+    Args:
+        figure: what to write.
+        folder: where; made if it is not there.
+        name: file name without its ending.
+
+    Raises:
+        OSError: the folder cannot be made or written.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    files = FigureFiles(folder / f"{name}.png", folder / f"{name}.svg")
+    with file_settings():
+        _write_whole(
+            files.png,
+            lambda to: figure.savefig(
+                to, format="png", dpi=150, metadata={"Software": None}
+            ),
+        )
+        _write_whole(
+            files.svg,
+            lambda to: figure.savefig(
+                to, format="svg", dpi=150, metadata={"Date": None, "Creator": None}
+            ),
+        )
+    return files
+
+
+def _write_whole(path: Path, write: Callable[[Path], object]) -> None:
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        write(partial)
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)

@@ -1,0 +1,243 @@
+"""Maps of planar force fields, which show where there was data and where not."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.patheffects import withStroke
+
+from pinav.evaluation import NEAR, VISITED, FieldMap
+from pinav.report.style import (
+    BLACK,
+    DIMENSIONLESS,
+    SMALL,
+    TEXT,
+    channel_label,
+    file_settings,
+    force_unit,
+    label_axes,
+    new_figure,
+    prepared,
+    round_ticks,
+    title_panel,
+    with_unit,
+)
+
+ARROWS = 15
+"""Most arrows along each side of a map."""
+
+
+def force_map(
+    field: FieldMap,
+    *,
+    path: Float[np.ndarray, "time 2"] | None = None,
+    limit: float | None = None,
+    shade: bool = True,
+    units: Mapping[str, str] = DIMENSIONLESS,
+    ax: Axes | None = None,
+) -> Axes:
+    """A force field: its magnitude in colour, its direction in arrows.
+
+    Args:
+        field: the force on a grid, and the distance of the grid from the data.
+        path: positions to overlay [L]; a row of NaN separates two trajectories.
+        limit: top of the colour scale [L T⁻²], shared between maps that are to be
+            compared; the largest magnitude near the data unless given.
+        shade: grey out what is farther than `NEAR` from the data. A learned force
+            is a guess there; a true one is not.
+        units: unit of each channel; "1" means dimensionless.
+        ax: where to draw; a new figure unless given.
+    """
+    magnitude = np.linalg.norm(field.force, axis=-1)
+    top = _top(magnitude, field) if limit is None else limit
+    ax = _magnitude_map(magnitude, field, top, ("viridis", "$|F|$"), units, ax)
+    _arrows(ax, field, top)
+    _overlay(ax, field, path, units, shade=shade)
+    return ax
+
+
+def force_error_map(
+    learned: FieldMap,
+    true: FieldMap,
+    *,
+    path: Float[np.ndarray, "time 2"] | None = None,
+    limit: float | None = None,
+    units: Mapping[str, str] = DIMENSIONLESS,
+    ax: Axes | None = None,
+) -> Axes:
+    """Magnitude of the difference between a learned and the true force.
+
+    Args:
+        learned: the learned force.
+        true: the true force on the same grid.
+        path: as for `force_map`.
+        limit: as for `force_map`.
+        units: unit of each channel; "1" means dimensionless.
+        ax: where to draw; a new figure unless given.
+    """
+    error = np.linalg.norm(learned.force - true.force, axis=-1)
+    top = _top(error, true) if limit is None else limit
+    ax = _magnitude_map(error, true, top, ("magma", r"$|F - F^*|$"), units, ax)
+    _overlay(ax, true, path, units, shade=True)
+    return ax
+
+
+def force_comparison(
+    true: FieldMap,
+    learned: FieldMap,
+    *,
+    path: Float[np.ndarray, "time 2"] | None = None,
+    units: Mapping[str, str] = DIMENSIONLESS,
+) -> Figure:
+    """True force, learned force on the same colour scale, and their difference."""
+    figure = new_figure(7.5, 3.5)
+    axes = figure.subplots(1, 3)
+    top = float(np.nanmax(np.linalg.norm(true.force, axis=-1)))
+    force_map(true, path=path, limit=top, shade=False, units=units, ax=axes[0])
+    force_map(learned, path=path, limit=top, units=units, ax=axes[1])
+    force_error_map(learned, true, path=path, units=units, ax=axes[2])
+    for ax, title in zip(axes, ("(a) true", "(b) learned", "(c) error"), strict=True):
+        title_panel(ax, title)
+        legend = ax.get_legend()
+        if legend is not None:
+            legend.remove()
+    for ax in axes[1:]:
+        ax.set_ylabel("")
+    figure.legend(
+        handles=_keys(path is not None, units, shade=True),
+        loc="outside lower center",
+        ncols=4,
+        fontsize=SMALL,
+        frameon=False,
+    )
+    return figure
+
+
+def _top(magnitude, field: FieldMap) -> float:
+    """Largest finite magnitude near the data, or anywhere if there is none."""
+    near = magnitude[(field.distance <= NEAR) & np.isfinite(magnitude)]
+    values = near if near.size else magnitude[np.isfinite(magnitude)]
+    return float(values.max(initial=0.0)) or 1.0
+
+
+def _magnitude_map(magnitude, field, top, look, units, ax) -> Axes:
+    cmap, quantity = look
+    ax = prepared(ax, width=4.0, height=4.2)
+    image = ax.pcolormesh(
+        field.x,
+        field.y,
+        np.ma.masked_invalid(magnitude),
+        cmap=cmap,
+        vmin=0.0,
+        vmax=top,
+        shading="nearest",
+        rasterized=True,
+    )
+    beyond = bool((magnitude > top * (1.0 + 1e-9)).any())
+    bar = ax.figure.colorbar(
+        image,
+        ax=ax,
+        location="bottom",
+        aspect=30,
+        pad=0.02,
+        extend="max" if beyond else "neither",
+    )
+    bar.set_label(with_unit(quantity, force_unit(units)), fontsize=TEXT)
+    bar.ax.tick_params(labelsize=SMALL, length=2.5, width=0.6)
+    bar.outline.set_linewidth(0.6)
+    ax.set_aspect("equal", adjustable="box")
+    round_ticks(ax)
+    label_axes(ax, channel_label("x", units), channel_label("y", units))
+    return ax
+
+
+def _arrows(ax: Axes, field: FieldMap, top: float) -> None:
+    """Arrows on a coarser grid, none longer than the distance between two."""
+    rows, columns = (
+        slice((n - 1) % stride // 2, None, stride)
+        for n in field.distance.shape
+        for stride in [-(-n // ARROWS)]
+    )
+    x, y = field.x[columns], field.y[rows]
+    force = field.force[rows, columns]
+    size = np.linalg.norm(force, axis=-1, keepdims=True)
+    force = force * np.minimum(1.0, top / np.maximum(size, 1e-300))
+    spacing = float(max(np.ptp(x) / max(len(x) - 1, 1), 1e-300))
+    ax.quiver(
+        x,
+        y,
+        force[..., 0],
+        force[..., 1],
+        color="white",
+        edgecolor=BLACK,
+        linewidth=0.3,
+        angles="xy",
+        scale_units="xy",
+        scale=top / (1.2 * spacing),
+        pivot="mid",
+        width=0.008,
+    )
+
+
+def _overlay(ax: Axes, field: FieldMap, path, units, *, shade: bool) -> None:
+    """Grey ground without data, contours of visited and near ground, the path."""
+    lowest, highest = float(field.distance.min()), float(field.distance.max())
+    with file_settings():
+        if shade and highest > NEAR:
+            ground = (field.x, field.y, field.distance, [NEAR, highest])
+            ax.contourf(*ground, colors=["0.85"], alpha=0.85)
+            ax.contourf(*ground, colors="none", hatches=["////"])
+    for level, dash in ((VISITED, "solid"), (NEAR, "dashed")):
+        if lowest < level < highest:
+            ax.contour(
+                field.x,
+                field.y,
+                field.distance,
+                [level],
+                colors="white" if level == VISITED else "black",
+                linewidths=0.8,
+                linestyles=dash,
+            )
+    if path is not None:
+        ax.plot(*path.T, **_PATH)
+    ax.set(xlim=field.x[[0, -1]], ylim=field.y[[0, -1]])
+    handles = _keys(path is not None, units, shade=shade)
+    ax.legend(handles=handles, loc="upper left", fontsize=SMALL, framealpha=0.9)
+
+
+_PATH = {
+    "color": "white",
+    "lw": 1.0,
+    "path_effects": [withStroke(linewidth=2.2, foreground=BLACK)],
+}
+
+
+def _keys(path: bool, units, *, shade: bool) -> list[Artist]:  # noqa: FBT001
+    """Legend entries of what `_overlay` draws."""
+    length = with_unit("", units.get("x", "1")).strip(" []")
+    visited, near = (f"within {d:g} {length}".strip() for d in (VISITED, NEAR))
+    outline = [withStroke(linewidth=1.8, foreground="0.6")]
+    keys: list[Artist] = []
+    if path:
+        keys.append(Line2D([], [], label="trajectory", **_PATH))
+    keys += [
+        Line2D(
+            [],
+            [],
+            color="white",
+            lw=0.8,
+            path_effects=outline,
+            label=f"visited ({visited})",
+        ),
+        Line2D([], [], color=BLACK, lw=0.8, ls="dashed", label=f"near ({near})"),
+    ]
+    if shade:
+        keys.append(
+            Patch(facecolor="0.85", hatch="////", label="no data: extrapolation")
+        )
+    return keys

@@ -1,0 +1,166 @@
+"""How every figure looks: colours, labels with their units, axes and files' fonts.
+
+Nothing here touches matplotlib's global settings.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
+YELLOW, BLUE, VERMILLION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
+"""The colours of Okabe and Ito, which colour-blind readers can tell apart."""
+
+GREY = "#7F7F7F"
+TEXT, SMALL = 8.0, 7.0
+"""Font sizes [pt] of labels and of ticks and legends, for a page 7.5 inches wide."""
+
+WIDE, THIN = 2.4, 1.1
+"""Line widths [pt]: truth below, models on top, so that agreement shows as both."""
+
+DIMENSIONLESS: Mapping[str, str] = {}
+"""Units of a scenario without any: a channel that is not listed has the unit "1"."""
+
+
+@dataclasses.dataclass(frozen=True)
+class LineStyle:
+    """How one model is drawn, in every figure alike.
+
+    Attributes:
+        label: what the legend says.
+        color: a matplotlib colour.
+        dash: a matplotlib line style.
+    """
+
+    label: str
+    color: str
+    dash: str = "-"
+
+
+STYLES = {
+    "truth": LineStyle("truth", BLACK),
+    "ude": LineStyle("trained UDE", BLUE),
+    "ude-untrained": LineStyle("untrained UDE", VERMILLION, "--"),
+    "nn-only": LineStyle("trained NN only", GREEN),
+    "nn-only-untrained": LineStyle("untrained NN only", VERMILLION, "--"),
+    "physics-only": LineStyle("physics only", PURPLE, ":"),
+    "propulsion": LineStyle("propulsion", ORANGE),
+    "environment": LineStyle("environment", BLUE),
+    "drag": LineStyle("drag", GREEN),
+}
+_SPARE = (ORANGE, SKY, GREEN, PURPLE, VERMILLION, BLUE)
+
+
+def style_of(name: str, index: int = 0) -> LineStyle:
+    """Style of a model or term; an unknown name gets the spare colour `index`."""
+    return STYLES.get(name) or LineStyle(name, _SPARE[index % len(_SPARE)])
+
+
+def pale(color: str) -> tuple[float, float, float]:
+    """The colour mixed with white: the second component beside the first."""
+    red, green, blue = (1.0 - 0.5 * (1.0 - part) for part in to_rgb(color))
+    return red, green, blue
+
+
+_SYMBOLS = {"vx": "$v_x$", "vy": "$v_y$", "vz": "$v_z$"}
+
+
+def symbol(channel: str) -> str:
+    """A channel as the field writes it: `vx` is a v with subscript x."""
+    plain = f"${channel}$" if len(channel) == 1 and channel.isalpha() else channel
+    return _SYMBOLS.get(channel, plain)
+
+
+def with_unit(quantity: str, unit: str) -> str:
+    """An axis label; the unit "1" prints nothing, and `um` prints as µm."""
+    return quantity if unit in ("1", "") else f"{quantity} [{unit.replace('um', 'µm')}]"
+
+
+def channel_label(channel: str, units: Mapping[str, str]) -> str:
+    """Axis label of a channel of the data."""
+    return with_unit(symbol(channel), units.get(channel, "1"))
+
+
+def force_unit(units: Mapping[str, str]) -> str:
+    """Unit of a mass-specific force, from those of position and time."""
+    length, time = units.get("x", "1"), units.get("t", "1")
+    parts = ("" if length == "1" else length, "" if time == "1" else f"{time}⁻²")
+    return " ".join(part for part in parts if part) or "1"
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure of this size [inch], laid out without overlap."""
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def prepared(ax: Axes | None, *, width: float = 4.0, height: float = 3.2) -> Axes:
+    """`ax`, or the axes of a new figure, with fonts and frame set."""
+    if ax is None:
+        ax = new_figure(width, height).add_subplot()
+    ax.tick_params(labelsize=SMALL, length=3.0, width=0.6)
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.spines[["left", "bottom"]].set_linewidth(0.6)
+    return ax
+
+
+def label_axes(ax: Axes, x: str, y: str) -> None:
+    """Set both axis labels."""
+    ax.set_xlabel(x, fontsize=TEXT)
+    ax.set_ylabel(y, fontsize=TEXT)
+
+
+def title_panel(ax: Axes, title: str, *, pad: float = 5.0) -> None:
+    """Set the title of one panel, flush left, `pad` points above it."""
+    ax.set_title(title, fontsize=TEXT, loc="left", pad=pad)
+
+
+def round_ticks(ax: Axes) -> None:
+    """The same few round ticks on both axes of a plane."""
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.set_major_locator(MaxNLocator(nbins=6, steps=[1, 2, 5, 10]))
+
+
+LegendPlace = Literal["best", "upper left", "upper right"]
+
+
+def add_legend(ax: Axes, *, columns: int = 1, loc: LegendPlace = "best") -> None:
+    """Add the legend, on a ground that keeps lines behind it visible."""
+    ax.legend(
+        fontsize=SMALL,
+        ncols=columns,
+        loc=loc,
+        frameon=True,
+        framealpha=0.85,
+        edgecolor="none",
+        handlelength=1.8,
+        columnspacing=1.2,
+        borderaxespad=0.3,
+    )
+
+
+def finite(values: np.ndarray) -> np.ndarray:
+    """The values as float64, NaN where they are not finite, so that lines break."""
+    values = np.asarray(values, float)
+    return np.where(np.isfinite(values), values, np.nan)
+
+
+FILE_SETTINGS: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "pinav",
+    "hatch.linewidth": 0.4,
+    "hatch.color": "#A0A0A0",
+    "path.simplify": True,
+}
+"""Text stays text, and the same figure gives the same bytes."""
+
+
+def file_settings():
+    """Context in which figures are written: `FILE_SETTINGS`, then restored."""
+    return matplotlib.rc_context(FILE_SETTINGS)
