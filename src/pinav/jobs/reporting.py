@@ -49,7 +49,13 @@ def write_report(folder: RunFolder) -> Path:
     if job not in sections:
         raise InputError(f"{folder.path}/config.toml: job {job!r} is unknown")
     title = {"reproduce": "The paper's benchmark", "fit": "A fitted model"}[job]
-    content = [*sections[job](folder), *_provenance(folder)]
+    try:
+        content = [*sections[job](folder), *_provenance(folder)]
+    except KeyError as error:
+        raise InputError(
+            f"{folder.path}: its results miss {error}; they were written by another "
+            "version of pinav: run it again with --overwrite"
+        ) from error
     path = folder.path / "report.html"
     write_text(path, render(title, _subtitle(folder), content), overwrite=True)
     return path
