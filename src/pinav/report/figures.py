@@ -40,7 +40,7 @@ from pinav.report.style import (
     with_unit,
 )
 
-PHASE_NAMES = 17.0
+PHASE_NAMES = 13.5
 """Height [pt] of the phase names above a loss curve, with what keeps them apart."""
 
 REACH = 1.0
@@ -78,8 +78,9 @@ def trajectory(
         note = _fate(np.asarray(positions), frame)
         style = dataclasses.replace(style, label=style.label + note)
         _draw_path(ax, _within_reach(positions, frame), style, THIN)
-    _mark(ax, truth[:1], "o", "start")
-    _mark(ax, truth[-1:], "s", "end")
+    observed = truth[np.isfinite(truth).all(1)]
+    _mark(ax, observed[0], "o", "start", (6, -7))
+    _mark(ax, observed[-1], "s", "end", (-6, -1))
     ax.set_xlim(*frame[:, 0], auto=True)
     ax.set_ylim(*frame[:, 1], auto=True)
     ax.set_aspect("equal", adjustable="datalim")
@@ -114,15 +115,24 @@ def _draw_path(ax: Axes, positions, style: LineStyle, width: float) -> None:
     ax.plot(*last.T, "s", color=line.get_color(), markersize=3.5)
 
 
-def _mark(ax: Axes, point, marker: str, label: str) -> None:
+def _mark(ax: Axes, point, marker: str, name: str, offset: tuple[int, int]) -> None:
+    """A white marker with its name beside it, `offset` points away."""
     ax.plot(
-        *point.T,
+        *point[:, None],
         marker,
         markerfacecolor="white",
         markeredgecolor=BLACK,
         markersize=5,
-        linestyle="none",
-        label=label,
+        zorder=3,
+    )
+    ax.annotate(
+        name,
+        point,
+        offset,
+        textcoords="offset points",
+        ha="left" if offset[0] > 0 else "right",
+        va="center",
+        fontsize=SMALL,
         zorder=3,
     )
 
@@ -226,10 +236,10 @@ def loss_curve(
     steps = np.arange(rows.shape[1])
     color = style_of(model).color
     first = "first seed" if len(rows) > 1 else None
-    ax.plot(steps, rows[0], color=color, lw=1.4, label=first)
+    ax.plot(steps, rows[0], color=color, lw=THIN, label=first, zorder=3)
     for index, row in enumerate(rows[1:]):
         label = f"{len(rows) - 1} more" if index == 0 else None
-        ax.plot(steps, row, color=pale(color), lw=0.4, label=label)
+        ax.plot(steps, row, color=pale(color), lw=0.6, label=label)
     ax.set_yscale("log")
     ax.set_xlim(0, max(len(steps) - 1, 1))
     _mark_phases(ax, phases, len(steps) - 1)

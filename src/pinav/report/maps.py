@@ -127,7 +127,7 @@ def _top(magnitude, field: FieldMap) -> float:
 
 def _magnitude_map(magnitude, field, top, look, units, ax) -> Axes:
     cmap, quantity = look
-    ax = prepared(ax, width=4.0, height=4.2)
+    ax = prepared(ax, width=3.8, height=4.4)
     image = ax.pcolormesh(
         field.x,
         field.y,
@@ -237,7 +237,7 @@ def _keys(path: bool, units, *, shade: bool) -> list[Artist]:  # noqa: FBT001
         Line2D([], [], color=BLACK, lw=0.8, ls="dashed", label=f"near ({near})"),
     ]
     if shade:
-        keys.append(
-            Patch(facecolor="0.85", hatch="////", label="no data: extrapolation")
-        )
+        with file_settings():
+            label = "no data: extrapolation"
+            keys.append(Patch(facecolor="0.85", hatch="////", label=label))
     return keys

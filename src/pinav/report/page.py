@@ -147,19 +147,23 @@ class Image(AbstractBlock):
         path: the file.
         alt: what it shows, for those who do not see it.
         caption: the words below it.
+        width: share of the page's width, in (0, 1].
 
     Raises:
-        InputError: the file is neither PNG nor SVG (when made), or cannot be read
-            (when rendered).
+        InputError: the file is neither PNG nor SVG, or `width` is out of range (when
+            made); the file cannot be read (when rendered).
     """
 
     path: str | Path
     alt: str
     caption: str = ""
+    width: float = 1.0
 
     def __post_init__(self):
         if Path(self.path).suffix.lower() not in _MEDIA_TYPES:
             raise InputError(f"image {self.path}: expected a .png or .svg file")
+        if not 0.0 < self.width <= 1.0:
+            raise InputError(f"image width: expected within (0, 1], got {self.width}")
 
     def html(self) -> str:
         path = Path(self.path)
@@ -171,7 +175,8 @@ class Image(AbstractBlock):
         source = f"data:{_MEDIA_TYPES[path.suffix.lower()]};base64,{data}"
         caption = f"<figcaption>{escape(self.caption)}</figcaption>"
         return (
-            f'<figure><img src="{source}" alt="{escape(self.alt)}">'
+            f'<figure><img src="{source}" alt="{escape(self.alt)}" '
+            f'style="width: {self.width:.0%}">'
             f"{caption if self.caption else ''}</figure>"
         )
 
@@ -301,7 +306,7 @@ figure {
   margin: 1.5rem 0; padding: 1rem; background: #ffffff;
   border: 1px solid var(--line); border-radius: 8px;
 }
-figure img { display: block; margin: 0 auto; max-width: 100%; height: auto; }
+figure img { display: block; margin: 0 auto; height: auto; }
 figcaption { margin-top: 0.75rem; color: #4a535d; font-size: 0.9rem; }
 pre {
   overflow-x: auto; padding: 0.9rem 1rem; background: var(--card);
