@@ -18,7 +18,7 @@ lint: .venv/installed-dev
 	$(BIN)/pyright
 
 validate: .venv/installed-dev
-	$(BIN)/python -m pytest validation -v -p no:cacheprovider
+	$(BIN)/python -m pytest validation -v -s
 
 bench: .venv/installed-dev
 	$(BIN)/pinav bench gradient

@@ -22,7 +22,8 @@ def snippets(language: str) -> list[str]:
 
 def test_the_python_example_runs_and_prints_an_error():
     (example,) = snippets("python")
-    done = subprocess.run([sys.executable, "-c", example], capture_output=True, text=True)
+    command = [sys.executable, "-c", example]
+    done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert 0.0 < float(done.stdout.split()[-1]) < 2.0
 

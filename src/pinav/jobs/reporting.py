@@ -89,19 +89,19 @@ def _reproduction(folder: RunFolder) -> list[Section]:
 
 def _table2(metrics: dict[str, Any]) -> list[Paragraph | Table]:
     columns = ("x", "y", "vx", "vy", "total", "position")
-    rows = []
+    rows: list[tuple] = []
     for row in metrics["table2"]:
         label = "–" if row["seed"] is None else str(row["seed"])
         rows.append((row["model"], label, *(row[name] for name in columns)))
     for model in PAPER:
         printed = metrics["paper_table2"][model]
-        cells = ("–" if printed[n] is None else printed[n] for n in columns)
+        cells = ("–" if printed[n] is None else f"{printed[n]:g}" for n in columns)
         rows.append((f"{model}, as printed in the paper", "–", *cells))
     factors = [(name, factor) for name, factor in metrics["improvement"].items()]
     return [
         Table(
             ("model", "seed", *columns),
-            sorted(rows, key=lambda row: list(PAPER).index(row[0].split(",")[0])),
+            [row for model in PAPER for row in rows if row[0].split(",")[0] == model],
             "Root-mean-square errors of rollouts from the true start, dimensionless. "
             "Total is the root mean square of the four columns.",
         ),
@@ -211,7 +211,8 @@ def _parts(folder, arrays, seed) -> Image:
         if name.startswith(prefix)
     }
     learned = Decomposition(arrays["times"], terms)
-    truth = Decomposition(arrays["times"], terms | {"environment": arrays["parts/true"]})
+    true_terms = terms | {"environment": arrays["parts/true"]}
+    truth = Decomposition(arrays["times"], true_terms)
     files = save_figure(
         acceleration_figure(learned, true=truth),
         folder.path / "figures",
@@ -220,8 +221,8 @@ def _parts(folder, arrays, seed) -> Image:
     return _image(
         files,
         "Propulsion, learned environment and drag along the trajectory",
-        f"a(t) = propulsion + environment + drag along the true trajectory, UDE of seed "
-        f"{seed}.",
+        "a(t) = propulsion + environment + drag along the true trajectory, UDE of "
+        f"seed {seed}.",
     )
 
 
@@ -242,8 +243,8 @@ def _fitted(folder: RunFolder) -> list[Section]:
         Section(
             "Fit",
             [
-                Table(tuple(metrics["rmse"]), [tuple(metrics["rmse"].values())], "RMSE."),
-                Table(("loss at start", "at end"), [tuple(metrics["loss"].values())]),
+                _one_row(metrics["rmse"], "Root-mean-square errors."),
+                _one_row(metrics["loss"], "Training loss."),
                 *_constants(metrics),
                 _image(
                     files,
@@ -257,9 +258,11 @@ def _fitted(folder: RunFolder) -> list[Section]:
 
 def _constants(metrics: dict[str, Any]) -> list[Table]:
     learned = metrics["learned"]
-    if not learned:
-        return []
-    return [Table(tuple(learned), [tuple(learned.values())], "Constants learned.")]
+    return [_one_row(learned, "Constants learned.")] if learned else []
+
+
+def _one_row(values: dict[str, float], caption: str) -> Table:
+    return Table(tuple(values), [tuple(values.values())], caption)
 
 
 def _provenance(folder: RunFolder) -> list[Section]:

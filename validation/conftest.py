@@ -1,0 +1,26 @@
+"""Slow reproductions of published numbers; run with `make validate`."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+
+def pinav(*words: str, **options) -> subprocess.CompletedProcess:
+    """Run the command line in a process of its own."""
+    code = "from pinav.cli import main; main()"
+    command = [sys.executable, "-c", code, *words]
+    return subprocess.run(command, text=True, capture_output=True, **options)
+
+
+@pytest.fixture(scope="session")
+def paper_run(tmp_path_factory):
+    """The paper's recipe over seeds 0 to 4 and 42, and its metrics."""
+    out: Path = tmp_path_factory.mktemp("paper") / "run"
+    seeds = ["42", "0", "1", "2", "3", "4"]
+    done = pinav("reproduce", "--recipe", "paper", "--seeds", *seeds, "--out", str(out))
+    assert done.returncode == 0, done.stderr
+    print(done.stdout)
+    return json.loads((out / "metrics.json").read_text())
