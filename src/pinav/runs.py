@@ -260,11 +260,11 @@ class FileCheckpoint(AbstractCheckpoint):
             return None
         return read_tree(
             self.path,
-            lambda header: _at(like(header["phase"]), header["phase"], header["step"]),
+            lambda header: _at(like(len(header["starts"]) - 1), header),
         )
 
     def save(self, state):
-        header = json.dumps({"phase": state.phase, "step": state.step})
+        header = json.dumps({"starts": state.starts, "taken": state.taken})
         write_tree(self.path, header, state)
 
 
@@ -308,8 +308,15 @@ def environment() -> dict[str, Any]:
     }
 
 
-def _at(state: FitState, phase: int, step: int) -> FitState:
-    return FitState(state.params, state.minimiser, state.losses, phase, step)
+def _at(shape: FitState, header: dict[str, Any]) -> FitState:
+    """A state of this shape at the place that the header of its file names."""
+    return FitState(
+        shape.params,
+        shape.minimiser,
+        shape.losses,
+        tuple(header["starts"]),
+        header["taken"],
+    )
 
 
 def _ends_with_newline(path: Path) -> bool:

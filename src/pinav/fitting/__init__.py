@@ -5,6 +5,7 @@ from pinav.fitting.fit import Fit as Fit
 from pinav.fitting.fit import FitOutcome as FitOutcome
 from pinav.fitting.fit import FitProgress as FitProgress
 from pinav.fitting.fit import FitState as FitState
+from pinav.fitting.fit import Problem as Problem
 from pinav.fitting.fit import fit as fit
 from pinav.fitting.fit import fit_many as fit_many
 from pinav.fitting.objectives import AbstractObjective as AbstractObjective

@@ -20,9 +20,6 @@ from pinav.trajectories import Trajectories
 Recipe = Sequence[AbstractPhase]
 Trainable = Callable[[Any], PyTree]
 
-CHUNK_STEPS = {"Adam": 250, "L-BFGS": 25}
-"""Steps between two checkpoints: about a second of work each."""
-
 
 class FitOutcome(enum.IntEnum):
     """How a fit ended."""
@@ -56,15 +53,21 @@ class FitState(eqx.Module):
         params: trained leaves of all members, stacked.
         minimiser: state of the phase in progress, stacked.
         losses: loss of each member before each step taken so far; NaN beyond.
-        phase: index of the phase in progress.
-        step: steps of this phase that are done.
+        starts: number of steps taken before each phase that has begun; the last one
+            is in progress, unless there is one more than phases: then all are done.
+        taken: steps taken, over all phases.
     """
 
     params: PyTree
     minimiser: PyTree
     losses: Float[Array, "member step"]
-    phase: int = eqx.field(static=True)
-    step: int = eqx.field(static=True)
+    starts: tuple[int, ...] = eqx.field(static=True)
+    taken: int = eqx.field(static=True)
+
+    @property
+    def phase(self) -> int:
+        """Index of the phase in progress."""
+        return len(self.starts) - 1
 
 
 class FitProgress(eqx.Module):
@@ -177,13 +180,33 @@ def fit_many(
         return task.results(start, state)
 
 
+class Problem(eqx.Module):
+    """What is minimised, as a function of the parameters alone.
+
+    Attributes:
+        static: the model without the leaves that train.
+        observations: what the model is to explain.
+        objective: how badly it does.
+    """
+
+    static: PyTree
+    observations: Observations
+    objective: AbstractObjective
+
+    def model(self, params: PyTree) -> Any:
+        """The model with these parameters."""
+        return eqx.combine(params, self.static)
+
+    def __call__(self, params: PyTree) -> Float[Array, ""]:
+        """Loss of these parameters."""
+        return self.objective(self.model(params), self.observations)
+
+
 class _FitTask(eqx.Module):
     """The parts of a fit that do not change while it runs."""
 
-    static: PyTree
+    problem: Problem
     initial_params: PyTree
-    observations: Observations
-    objective: AbstractObjective
     recipe: tuple[AbstractPhase, ...]
 
     @classmethod
@@ -193,64 +216,65 @@ class _FitTask(eqx.Module):
             lambda *leaves: jnp.stack(leaves), *(p for p, _ in parts)
         )
         observations = Observations.of(trajectories, dtype)
-        return cls(parts[0][1], stacked, observations, objective, tuple(recipe))
+        return cls(
+            Problem(parts[0][1], observations, objective), stacked, tuple(recipe)
+        )
 
     @property
     def total_steps(self) -> int:
         return sum(phase.num_steps for phase in self.recipe)
 
-    def steps_before(self, phase: int) -> int:
-        return sum(phase.num_steps for phase in self.recipe[:phase])
-
     def state_before(self, phase: int) -> FitState:
-        """State at the start of a phase, with the initial parameters."""
+        """A state in a phase, of the right shapes, with the initial parameters."""
         params = self.initial_params
         members = jax.tree.leaves(params)[0].shape[0]
-        minimiser = (
-            _begin_phase(self, phase, params) if phase < len(self.recipe) else ()
-        )
         losses = jnp.full((members, self.total_steps + 1), jnp.nan)
-        return FitState(params, minimiser, losses, phase, 0)
+        minimiser = self.begin(phase, params)
+        return FitState(params, minimiser, losses, (0,) * (phase + 1), 0)
 
-    def loss(self, params):
-        model = eqx.combine(params, self.static)
-        return self.objective(model, self.observations)
+    def begin(self, phase: int, params: PyTree) -> PyTree:
+        """State of the minimiser at the start of a phase; nothing after the last."""
+        if phase == len(self.recipe):
+            return ()
+        return _begin_phase(self.problem, self.recipe[phase], params)
 
     def advance(self, state, checkpoint, on_chunk) -> FitState:
         """Run one chunk, and begin the next phase where this one is done."""
         phase = self.recipe[state.phase]
-        offset = self.steps_before(state.phase) + state.step
-        count = min(CHUNK_STEPS.get(phase.name, 10), phase.num_steps - state.step)
-        position = jnp.asarray([offset, count])
-        params, minimiser, losses = _run_chunk(
-            self, state.phase, state.params, state.minimiser, state.losses, position
+        left = phase.num_steps - (state.taken - state.starts[-1])
+        count = min(phase.chunk_steps, left)
+        params, minimiser, losses, done = _run_chunk(
+            self.problem,
+            phase,
+            state.params,
+            state.minimiser,
+            state.losses,
+            jnp.asarray([state.taken, count]),
         )
-        index, step = state.phase, state.step + count
-        if step == phase.num_steps:
-            params = _finish_phase(self, index, params, minimiser)
-            index, step = index + 1, 0
-            more = index < len(self.recipe)
-            minimiser = _begin_phase(self, index, params) if more else ()
-            if not more:
-                final = _member_losses(self, params)
-                losses = losses.at[:, -1].set(final.astype(losses.dtype))
-        state = FitState(params, minimiser, losses, index, step)
+        starts, taken = state.starts, state.taken + count
+        if count == left or bool(done):
+            params = _finish_phase(self.problem, phase, params, minimiser)
+            starts = (*starts, taken)
+            minimiser = self.begin(len(starts) - 1, params)
+            if len(starts) > len(self.recipe):
+                final = _member_losses(self.problem, params)
+                losses = losses.at[:, taken].set(final.astype(losses.dtype))
+        chunk = np.asarray(losses)[:, state.taken : taken]
+        state = FitState(params, minimiser, losses, starts, taken)
         if checkpoint:
             checkpoint.save(state)
         if on_chunk:
-            chunk = np.asarray(losses)[:, offset : offset + count]
-            on_chunk(FitProgress(phase.name, offset + count, self.total_steps, chunk))
+            on_chunk(FitProgress(phase.name, taken, self.total_steps, chunk))
         return state
 
     def results(self, start: FitState, state: FitState) -> list[Fit]:
-        losses = np.asarray(state.losses)
-        phases = tuple(
-            (phase.name, self.steps_before(i)) for i, phase in enumerate(self.recipe)
-        )
+        losses = np.asarray(state.losses)[:, : state.taken + 1]
+        names = [phase.name for phase in self.recipe]
+        phases = tuple(zip(names, state.starts[:-1], strict=True))
 
         def one(member: int) -> Fit:
             model, initial = (
-                eqx.combine(jax.tree.map(lambda a: a[member], params), self.static)
+                self.problem.model(jax.tree.map(lambda a: a[member], params))
                 for params in (state.params, start.params)
             )
             finite = bool(np.isfinite(losses[member, -1]))
@@ -261,36 +285,38 @@ class _FitTask(eqx.Module):
 
 
 @eqx.filter_jit
-def _begin_phase(task: _FitTask, phase: int, params: PyTree) -> PyTree:
-    return jax.vmap(lambda p: task.recipe[phase].init(task.loss, p))(params)
+def _begin_phase(problem: Problem, phase: AbstractPhase, params: PyTree) -> PyTree:
+    return jax.vmap(lambda p: phase.init(problem, p))(params)
 
 
 @eqx.filter_jit
-def _finish_phase(task: _FitTask, phase: int, params: PyTree, minimiser: PyTree):
-    finish = jax.vmap(lambda p, s: task.recipe[phase].finish(task.loss, p, s))
-    return finish(params, minimiser)
+def _finish_phase(problem: Problem, phase: AbstractPhase, params, minimiser):
+    return jax.vmap(lambda p, s: phase.finish(problem, p, s))(params, minimiser)
 
 
 @eqx.filter_jit
-def _member_losses(task: _FitTask, params: PyTree):
-    return jax.vmap(task.loss)(params)
+def _member_losses(problem: Problem, params: PyTree):
+    return jax.vmap(problem)(params)
 
 
 @eqx.filter_jit
-def _run_chunk(task: _FitTask, phase: int, params, minimiser, losses, position):
-    """Take `count` steps from `offset`: traced numbers, so that one compile serves."""
+def _run_chunk(problem, phase, params, minimiser, losses, position):
+    """Take `count` steps from `offset`: traced numbers, so that one compile serves.
+
+    Phases that differ in their arrays alone, such as the window of `GaussNewton`,
+    share the compiled function too.
+    """
     offset, count = position
-
-    def one_step(params, minimiser):
-        return task.recipe[phase].step(task.loss, params, minimiser)
 
     def body(index, carry):
         params, minimiser, losses = carry
-        params, minimiser, values = jax.vmap(one_step)(params, minimiser)
+        step = jax.vmap(lambda p, s: phase.step(problem, p, s))
+        params, minimiser, values = step(params, minimiser)
         losses = losses.at[:, offset + index].set(values.astype(losses.dtype))
         return params, minimiser, losses
 
-    return jax.lax.fori_loop(0, count, body, (params, minimiser, losses))
+    carry = jax.lax.fori_loop(0, count, body, (params, minimiser, losses))
+    return *carry, jnp.all(jax.vmap(phase.is_done)(carry[1]))
 
 
 def split_trainable(model: Any, trainable: Trainable, dtype: type):

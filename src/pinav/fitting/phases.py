@@ -10,11 +10,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Bool, Float, PyTree
 
 from pinav.errors import InputError
 
 Loss = Callable[[PyTree], Float[Array, ""]]
+"""Loss of the parameters; a `Problem` is one, and tells a phase more if it asks."""
 
 
 class AbstractPhase(eqx.Module):
@@ -43,6 +44,15 @@ class AbstractPhase(eqx.Module):
     @abc.abstractmethod
     def finish(self, loss: Loss, params: PyTree, state: PyTree) -> PyTree:
         """Parameters that the phase hands on."""
+
+    @abc.abstractmethod
+    def is_done(self, state: PyTree) -> Bool[Array, ""]:
+        """Whether further steps are pointless; a done phase no longer moves."""
+
+    @property
+    @abc.abstractmethod
+    def chunk_steps(self) -> int:
+        """Steps between two checkpoints: about a second of work."""
 
 
 class Adam(AbstractPhase):
@@ -84,6 +94,13 @@ class Adam(AbstractPhase):
 
     def finish(self, loss, params, state):
         return params
+
+    def is_done(self, state):
+        return jnp.zeros((), bool)
+
+    @property
+    def chunk_steps(self):
+        return 250
 
 
 class LBFGS(AbstractPhase):
@@ -143,6 +160,13 @@ class LBFGS(AbstractPhase):
     def finish(self, loss, params, state):
         return params
 
+    def is_done(self, state):
+        return jnp.zeros((), bool)
+
+    @property
+    def chunk_steps(self):
+        return 25
+
 
 class BestSoFar(AbstractPhase):
     """Hands on the best parameters that another phase visited, not its last ones.
@@ -179,6 +203,13 @@ class BestSoFar(AbstractPhase):
         params = self.phase.finish(loss, params, inner)
         best, _ = _better(params, loss(params), best, best_value)
         return best
+
+    def is_done(self, state):
+        return self.phase.is_done(state[0])
+
+    @property
+    def chunk_steps(self):
+        return self.phase.chunk_steps
 
 
 def _weak_wolfe_search(value_and_grad, start, direction, max_evaluations):
