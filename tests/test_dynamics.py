@@ -13,7 +13,8 @@ from pinav.dynamics import (
     with_dtype,
 )
 from pinav.errors import InputError
-from pinav.forces import AbstractForce, LinearDrag, ZeroForce, tanh_network
+from pinav.forces import AbstractForce, LinearDrag, ZeroForce
+from pinav.learned import tanh_network
 from pinav.solvers import Adaptive, FixedStep
 
 TS = jnp.arange(4.0)

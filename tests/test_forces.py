@@ -10,10 +10,16 @@ from pinav.forces import (
     GaussianBarrier,
     LinearDrag,
     MagneticPropulsion,
-    NeuralForce,
-    PositionFeatures,
     SumForce,
     ZeroForce,
+)
+from pinav.learned import (
+    KernelForce,
+    KernelPotential,
+    NeuralForce,
+    NeuralPotential,
+    PositionFeatures,
+    kernel_centers,
     paper_force,
     tanh_network,
 )
@@ -36,6 +42,21 @@ def position_force():
     return NeuralForce(network, features, scale=0.7)
 
 
+def neural_potential():
+    features = PositionFeatures(center=(5.0, 4.0), scale=(2.0, 3.0))
+    network = tanh_network(2, 1, width=3, depth=1, key=KEY)
+    return NeuralPotential(network, features, scale=0.7)
+
+
+def kernel_force():
+    centers = jnp.array([[4.0, 5.0], [5.0, 5.5], [4.5, 6.5]])
+    return KernelForce(jnp.array([[0.3, -0.2], [0.1, 0.5], [-0.4, 0.2]]), centers, 1.3)
+
+
+def kernel_potential():
+    return KernelPotential(jnp.array([0.3, -0.2, 0.5]), kernel_force().centers, 1.3)
+
+
 FORCES = {
     "zero": ZeroForce,
     "drag": lambda: LinearDrag(0.3),
@@ -44,6 +65,9 @@ FORCES = {
     "tilted propulsion": lambda: propulsion((1.0, 0.5, -0.3)),
     "network of position": position_force,
     "network of the paper": lambda: paper_force(KEY),
+    "neural potential": neural_potential,
+    "kernel force": kernel_force,
+    "kernel potential": kernel_potential,
     "sum": lambda: LinearDrag(0.3) + barrier() + propulsion(),
 }
 every_force = pytest.mark.parametrize("make", FORCES.values(), ids=list(FORCES))
@@ -175,3 +199,54 @@ def test_paper_network_has_the_printed_shape_and_sees_time():
 def test_bad_arguments_are_named(make, message):
     with pytest.raises(InputError, match=message):
         make()
+
+
+POTENTIALS = {
+    "neural": neural_potential,
+    "kernel": kernel_potential,
+}
+
+
+@pytest.mark.parametrize("make", POTENTIALS.values(), ids=list(POTENTIALS))
+def test_a_learned_potential_gives_minus_its_gradient(make):
+    force = make()
+    expected = -jax.grad(force.potential, argnums=1)(T, X)
+    np.testing.assert_allclose(force(T, X, V), expected, rtol=1e-12)
+    curl = jax.jacfwd(force, argnums=1)(T, X, V)
+    assert curl[0, 1] == pytest.approx(curl[1, 0], rel=1e-10), "no rotation"
+
+
+def test_a_single_kernel_is_the_gaussian_barrier():
+    barrier = GaussianBarrier(height=2.0, center=[5.0, 4.0], width=1.5)
+    kernel = KernelPotential(jnp.array([2.0]), jnp.array([[5.0, 4.0]]), 1.5)
+    np.testing.assert_allclose(kernel(T, X, V), barrier(T, X, V), rtol=1e-13)
+
+
+def test_kernels_are_linear_and_vanish_far_away():
+    for force in (kernel_force(), kernel_potential()):
+        double = eqx.tree_at(lambda f: f.weights, force, 2 * force.weights)
+        np.testing.assert_allclose(double(T, X, V), 2 * force(T, X, V), rtol=1e-13)
+        np.testing.assert_allclose(force(T, X + 100.0, V), 0.0, atol=1e-300)
+
+
+def test_kernel_centers_surround_the_data():
+    rng = np.random.default_rng(0)
+    positions = rng.uniform(-3.0, 3.0, (40, 2))
+    centers = kernel_centers(positions, spacing=0.5, margin=1.0)
+    gaps = np.linalg.norm(positions[:, None] - centers[None], axis=-1)
+    assert gaps.min(axis=0).max() < 1.0, "no kernel far from the data"
+    assert gaps.min(axis=1).max() <= 0.5 / np.sqrt(2) + 1e-12, "none missing near it"
+
+
+def test_bad_kernels_are_refused():
+    centers = jnp.zeros((3, 2))
+    with pytest.raises(
+        InputError, match=r"KernelForce.weights: expected shape \(3, 2\)"
+    ):
+        KernelForce(jnp.zeros((3, 1)), centers, 1.0)
+    with pytest.raises(InputError, match=r"KernelPotential.weights: expected .*\(3,\)"):
+        KernelPotential(jnp.zeros(2), centers, 1.0)
+    with pytest.raises(InputError, match="KernelPotential.width: expected > 0, got 0"):
+        KernelPotential(jnp.zeros(3), centers, 0.0)
+    with pytest.raises(InputError, match="kernel_centers spacing: expected > 0"):
+        kernel_centers(np.zeros((2, 2)), spacing=0.0, margin=1.0)

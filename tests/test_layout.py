@@ -14,6 +14,7 @@ ORDER = [
     "files",
     "actuation",
     "forces",
+    "learned",
     "solvers",
     "dynamics",
     "scenarios",

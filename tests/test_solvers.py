@@ -10,15 +10,8 @@ from scipy.integrate import solve_ivp
 from pinav.actuation import RotatingField
 from pinav.dynamics import Swimmer, rollout
 from pinav.errors import InputError
-from pinav.forces import (
-    GaussianBarrier,
-    LinearDrag,
-    MagneticPropulsion,
-    NeuralForce,
-    PositionTimeFeatures,
-    ZeroForce,
-    tanh_network,
-)
+from pinav.forces import GaussianBarrier, LinearDrag, MagneticPropulsion, ZeroForce
+from pinav.learned import NeuralForce, PositionTimeFeatures, tanh_network
 from pinav.scenarios import paper
 from pinav.solvers import (
     RK4,

@@ -15,7 +15,8 @@ from jaxtyping import Array, ArrayLike, Float, Int, PRNGKeyArray, PyTree
 
 from pinav.actuation import Scalar
 from pinav.errors import InputError
-from pinav.forces import AbstractForce, tanh_network
+from pinav.forces import AbstractForce
+from pinav.learned import tanh_network
 from pinav.solvers import AbstractSolver, Adaptive
 
 Model = TypeVar("Model", bound=PyTree)
@@ -69,6 +70,11 @@ class NeuralDynamics(AbstractDynamics):
     network: eqx.nn.MLP
     center: tuple[float, ...] = eqx.field(static=True)
     scale: tuple[float, ...] = eqx.field(static=True)
+
+    @property
+    def parameters(self) -> PyTree:
+        """The leaves that train."""
+        return self.network
 
     def __call__(self, t, y):
         inputs = jnp.append(y, jnp.asarray(t, y.dtype))

@@ -23,10 +23,8 @@ from pinav.forces import (
     GaussianBarrier,
     LinearDrag,
     MagneticPropulsion,
-    NeuralForce,
-    PositionFeatures,
-    tanh_network,
 )
+from pinav.learned import NeuralForce, PositionFeatures, tanh_network
 from pinav.solvers import RK4, Adaptive, FixedStep
 from pinav.trajectories import Trajectories
 

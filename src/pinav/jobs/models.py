@@ -15,14 +15,14 @@ from pinav.dynamics import (
     with_dtype,
 )
 from pinav.errors import InputError
-from pinav.forces import (
+from pinav.jobs.settings import FitSettings
+from pinav.learned import (
     NeuralForce,
     PositionFeatures,
     PositionTimeFeatures,
     paper_force,
     tanh_network,
 )
-from pinav.jobs.settings import FitSettings
 from pinav.scenarios import Scenario, scenario
 from pinav.trajectories import Trajectories
 
@@ -54,7 +54,8 @@ CONSTANTS: dict[str, Callable[[Any], Any]] = {
 
 def residual(model: Any) -> Any:
     """The learned part of a model: what trains unless more is asked for."""
-    return model.environment if isinstance(model, Swimmer) else model.network
+    learned: Any = model.environment if isinstance(model, Swimmer) else model
+    return learned.parameters
 
 
 def fit_model(settings: FitSettings, known: Swimmer, data: dict[str, Any]) -> Any:
