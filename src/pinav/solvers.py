@@ -109,9 +109,14 @@ class FixedStep(AbstractSolver):
     ) -> Float[Array, " state"]:
         """State at `t1` from the state `y` at `t0` [T]."""
         h = (t1 - t0) / self.substeps
-        for substep in range(self.substeps):
-            y = _runge_kutta_step(self.tableau, vector_field, y, t0 + substep * h, h)
-        return y
+        if self.substeps == 1:
+            return _runge_kutta_step(self.tableau, vector_field, y, t0, h)
+
+        def substep(y, index):  # a loop compiles faster than the steps in a row
+            t = t0 + index.astype(y.dtype) * h
+            return _runge_kutta_step(self.tableau, vector_field, y, t, h), None
+
+        return jax.lax.scan(substep, y, jnp.arange(self.substeps))[0]
 
     def solve(self, vector_field, y0, ts):
         states = _fixed_step_solve(vector_field, y0, ts, self)

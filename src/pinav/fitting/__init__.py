@@ -8,6 +8,7 @@ from pinav.fitting.fit import FitState as FitState
 from pinav.fitting.fit import Problem as Problem
 from pinav.fitting.fit import fit as fit
 from pinav.fitting.fit import fit_many as fit_many
+from pinav.fitting.gauss_newton import GaussNewton as GaussNewton
 from pinav.fitting.objectives import AbstractObjective as AbstractObjective
 from pinav.fitting.objectives import Observations as Observations
 from pinav.fitting.objectives import TrajectoryLoss as TrajectoryLoss
@@ -15,4 +16,5 @@ from pinav.fitting.phases import LBFGS as LBFGS
 from pinav.fitting.phases import AbstractPhase as AbstractPhase
 from pinav.fitting.phases import Adam as Adam
 from pinav.fitting.phases import BestSoFar as BestSoFar
+from pinav.fitting.recipes import curriculum as curriculum
 from pinav.fitting.recipes import paper_recipe as paper_recipe

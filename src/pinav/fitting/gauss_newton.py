@@ -57,7 +57,7 @@ class GaussNewton(AbstractPhase):
     target: Float[Array, ""] = eqx.field(converter=lambda x: jnp.asarray(x, float))
     patience: Int[Array, ""] = eqx.field(converter=jnp.asarray, default=2)
     steps: int = eqx.field(static=True, default=20)
-    rank: int = eqx.field(static=True, default=96)
+    rank: int = eqx.field(static=True, default=64)
     chord_steps: int = eqx.field(static=True, default=5)
     num_dampings: int = eqx.field(static=True, default=5)
     linearisation: FixedStep = FixedStep()
@@ -71,7 +71,7 @@ class GaussNewton(AbstractPhase):
 
     @property
     def name(self):
-        return "Gauss-Newton"
+        return f"window {int(self.window)}"
 
     @property
     def num_steps(self):

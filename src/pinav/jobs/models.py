@@ -20,7 +20,9 @@ from pinav.learned import (
     NeuralForce,
     PositionFeatures,
     PositionTimeFeatures,
+    kernel_potential,
     paper_force,
+    spread_weights,
     tanh_network,
 )
 from pinav.scenarios import Scenario, scenario
@@ -41,8 +43,47 @@ def paper_nn_only(known: Swimmer, seed: int) -> NeuralDynamics:
     return paper_black_box(jax.random.key(seed))
 
 
-PAPER_MODELS = {"ude": paper_ude, "nn-only": paper_nn_only}
-"""Models that the paper trains, by the name of their row in Table 2."""
+def default_ude(known: Swimmer, seed: int, data: dict[str, Any]) -> Swimmer:
+    """The paper's network on standardised (x, y, t), its weights spread."""
+    environment = paper_force(jax.random.key(seed))
+    center, scale = data["mean"], data["std"]
+    inputs = [0, 1, len(center) - 1]
+    features = PositionTimeFeatures(
+        tuple(center[i] for i in inputs), tuple(scale[i] for i in inputs)
+    )
+    environment = NeuralForce(spread_weights(environment.network), features)
+    return eqx.tree_at(lambda swimmer: swimmer.environment, known, environment)
+
+
+def default_nn_only(known: Swimmer, seed: int, data: dict[str, Any]) -> NeuralDynamics:
+    """The black box on standardised (x, y, vx, vy, t), its weights spread."""
+    del known
+    network = spread_weights(paper_black_box(jax.random.key(seed)).network)
+    return NeuralDynamics(network, tuple(data["mean"]), tuple(data["std"]))
+
+
+def default_kernel(known: Swimmer, seed: int | None, data: dict[str, Any]) -> Swimmer:
+    """A kernel potential around the data, zero before training; it has no seed."""
+    del seed
+    environment = kernel_potential(np.asarray(data["positions"]))
+    return eqx.tree_at(lambda swimmer: swimmer.environment, known, environment)
+
+
+REPRODUCED: dict[str, dict[str, Callable[..., Any]]] = {
+    "paper": {
+        "ude": lambda known, seed, data: paper_ude(known, seed),
+        "nn-only": lambda known, seed, data: paper_nn_only(known, seed),
+    },
+    "default": {
+        "ude": default_ude,
+        "nn-only": default_nn_only,
+        "ude-kernel": default_kernel,
+    },
+}
+"""Untrained models of each recipe, by the name of their row in Table 2."""
+
+SEEDLESS = ("ude-kernel",)
+"""Models without random numbers."""
 
 
 CONSTANTS: dict[str, Callable[[Any], Any]] = {
@@ -104,6 +145,19 @@ def data_scales(trajectories: Trajectories) -> dict[str, list[float]]:
     return {"center": center.tolist(), "scale": np.where(half > 0, half, 1.0).tolist()}
 
 
+def data_moments(trajectories: Trajectories) -> dict[str, list]:
+    """Mean and standard deviation of each state and of time, and the positions."""
+    complete = trajectories.observed.all(-1)
+    times = trajectories.times[complete][:, None]
+    rows = np.concatenate([trajectories.states[complete], times], axis=1)
+    std = rows.std(axis=0)
+    return {
+        "mean": rows.mean(axis=0).tolist(),
+        "std": np.where(std > 0, std, 1.0).tolist(),
+        "positions": trajectories.states[complete][:, :2].tolist(),
+    }
+
+
 def known_physics(name: str | None, trajectories: Trajectories) -> Scenario:
     """The scenario that supplies propulsion and drag.
 
@@ -127,8 +181,9 @@ def build_model(header: dict[str, Any]) -> Any:
     """
     try:
         known = scenario(header["physics"]).truth
-        if header["kind"] == "paper":
-            model = PAPER_MODELS[header["name"]](known, header["seed"])
+        if header["kind"] in REPRODUCED:
+            build = REPRODUCED[header["kind"]][header["name"]]
+            model = build(known, header["seed"], header.get("data"))
         else:
             settings = FitSettings(**header["settings"])
             model = fit_model(settings, known, header["data"])

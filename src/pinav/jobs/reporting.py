@@ -1,6 +1,5 @@
 """Figures and the HTML page of a run, from its saved results alone."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +8,8 @@ import numpy as np
 from pinav.errors import InputError
 from pinav.evaluation import Decomposition
 from pinav.files import write_text
-from pinav.jobs.reproduce import stored_field
-from pinav.jobs.table2 import DIFFERENCES, PAPER
+from pinav.jobs.reproduce import key_of, stored_field
+from pinav.jobs.table2 import DIFFERENCES, PAPER, ROWS
 from pinav.report import (
     Code,
     FigureFiles,
@@ -72,17 +71,16 @@ def _reproduction(folder: RunFolder) -> list[Section]:
     seed = metrics["seeds"][0]
     return [
         Section("Table 2", _table2(metrics)),
-        Section(
-            "Figure 1: the UDE", [_figure1(folder, arrays, metrics["seeds"], "ude")]
-        ),
+        Section("Figure 1: the UDE", [_figure1(folder, arrays, seed, "ude")]),
         Section(
             "Figure 1 for the network alone",
             [
                 Paragraph("The paper left this figure out."),
-                _figure1(folder, arrays, metrics["seeds"], "nn-only"),
+                _figure1(folder, arrays, seed, "nn-only"),
             ],
         ),
-        Section("The learned force", _force(folder, metrics, arrays, seed)),
+        *_kernel_figure(folder, arrays),
+        Section("The learned force", _forces(folder, metrics, arrays, seed)),
         Section("What makes up the acceleration", [_parts(folder, arrays, seed)]),
     ]
 
@@ -101,7 +99,7 @@ def _table2(metrics: dict[str, Any]) -> list[Paragraph | Table]:
     return [
         Table(
             ("model", "seed", *columns),
-            [row for model in PAPER for row in rows if row[0].split(",")[0] == model],
+            [row for model in ROWS for row in rows if row[0].split(",")[0] == model],
             "Root-mean-square errors of rollouts from the true start, dimensionless. "
             "Total is the root mean square of the four columns.",
         ),
@@ -120,7 +118,7 @@ def _spread(metrics: dict[str, Any]) -> Table:
     rows = [
         (model, spread["median"], spread["best"], spread["worst"])
         for model, spread in metrics["summary_total"].items()
-        if model != "physics-only"
+        if model not in ("physics-only", "ude-kernel")
     ]
     seeds = ", ".join(map(str, metrics["seeds"]))
     caption = f"Total error over the seeds {seeds}."
@@ -129,26 +127,27 @@ def _spread(metrics: dict[str, Any]) -> Table:
 
 def _losses(metrics: dict[str, Any]) -> Table:
     rows = [
-        (model, seed, loss["start"], loss["end"], loss["decades"])
+        (model, seed, loss["start"], loss["end"], loss["decades"], loss["iterations"])
         for model, losses in metrics["loss"].items()
         for seed, loss in losses.items()
     ]
     paper = metrics["paper_loss"]
     decades = float(np.log10(paper["start"] / paper["end"]))
-    rows.append(("ude, as printed", "42", paper["start"], paper["end"], decades))
-    header = ("model", "seed", "loss at start", "at end", "decades")
+    printed = (paper["start"], paper["end"], decades, 8000)
+    rows.append(("ude, as printed", "42", *printed))
+    header = ("model", "seed", "loss at start", "at end", "decades", "iterations")
     return Table(header, rows, "Training loss, the sum of squares of eq. (3).")
 
 
 def _figure1(
-    folder: RunFolder, arrays: dict[str, np.ndarray], seeds: Sequence[int], model: str
+    folder: RunFolder, arrays: dict[str, np.ndarray], seed: int | None, model: str
 ) -> Image:
     losses, phases = _loss_history(folder, model)
     figure = figure1(
         arrays["times"],
         arrays["truth"],
-        arrays[f"{model}-untrained-{seeds[0]}"],
-        arrays[f"{model}-{seeds[0]}"],
+        arrays[key_of(f"{model}-untrained", seed)],
+        arrays[key_of(model, seed)],
         losses,
         phases,
         model=model,
@@ -158,7 +157,7 @@ def _figure1(
     return _image(
         files,
         f"Trajectory, velocity and training loss of the model {model}",
-        f"{model}, seed {seeds[0]}: (a, b) trajectory, (c) training loss with the "
+        f"{key_of(model, seed)}: (a, b) trajectory, (c) training loss with the "
         "change of phase marked, (d, e) velocity; before and after training, against "
         "the truth. Dimensionless, synthetic data.",
     )
@@ -173,34 +172,51 @@ def _loss_history(
     return stored["losses"], phases
 
 
-def _force(folder, metrics, arrays, seed) -> list[Paragraph | Image | Table]:
-    true = stored_field(arrays, "true")
-    learned = stored_field(arrays, f"ude-{seed}")
-    figure = force_comparison(true, learned, path=arrays["truth"][:, :2])
-    files = save_figure(figure, folder.path / "figures", "force")
+def _kernel_figure(folder, arrays) -> list[Section]:
+    if "ude-kernel" not in arrays:
+        return []
+    text = (
+        "The same physics with a static kernel potential in place of the network: "
+        "linear in its weights, and nothing random in it."
+    )
+    image = _figure1(folder, arrays, None, "ude-kernel")
+    return [Section("Figure 1 for the kernel residual", [Paragraph(text), image])]
+
+
+def _forces(folder, metrics, arrays, seed) -> list[Paragraph | Image | Table]:
     rows = [
-        (seed, *(100 * errors[k] for k in ("visited", "near", "everywhere")))
-        for seed, errors in metrics["force_error"].items()
+        (label, *(100 * errors[k] for k in ("visited", "near", "everywhere")))
+        for label, errors in metrics["force_error"].items()
+    ]
+    drawn = [
+        name for name in (f"ude-{seed}", "ude-kernel") if f"field/{name}" in arrays
     ]
     return [
-        _image(
-            files,
-            "True force, learned force and their difference on a grid",
-            f"The true force, the UDE's (seed {seed}) and the difference. The network "
-            "also sees time: each point shows the time of the nearest sample, the "
-            "reading most favourable to it.",
-        ),
+        *(_force(folder, arrays, label) for label in drawn),
         Table(
-            ("seed", "visited (%)", "near (%)", "everywhere (%)"),
+            ("model", "visited (%)", "near (%)", "everywhere (%)"),
             rows,
             "Relative L2 error of the force on grid points within 0.35 of a sample, "
             "within 1.0, and on the whole grid.",
         ),
         Paragraph(
             "One trajectory does not determine the field: away from the path the "
-            "learned force is an extrapolation, whatever the trajectory error says."
+            "learned force is an extrapolation, whatever the trajectory error says. The "
+            "network also sees time; each point shows the time of the nearest sample, "
+            "the reading most favourable to it."
         ),
     ]
+
+
+def _force(folder, arrays, label: str) -> Image:
+    true, learned = stored_field(arrays, "true"), stored_field(arrays, label)
+    figure = force_comparison(true, learned, path=arrays["truth"][:, :2])
+    files = save_figure(figure, folder.path / "figures", f"force-{label}")
+    return _image(
+        files,
+        "True force, learned force and their difference on a grid",
+        f"The true force, that of {label}, and the difference.",
+    )
 
 
 def _parts(folder, arrays, seed) -> Image:

@@ -1,6 +1,7 @@
 """`pinav reproduce`: the paper's experiment, from nothing to its table and figures."""
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -16,13 +17,27 @@ from pinav.evaluation import (
     predict,
     score,
 )
-from pinav.fitting import Fit, fit_many, paper_recipe
+from pinav.fitting import TrajectoryLoss, curriculum, fit_many, paper_recipe
 from pinav.forces import ZeroForce
 from pinav.jobs.fit import write_losses
-from pinav.jobs.models import PAPER_MODELS, build_model, residual
+from pinav.jobs.models import (
+    REPRODUCED,
+    SEEDLESS,
+    build_model,
+    data_moments,
+    residual,
+)
 from pinav.jobs.progress import FitReporter
 from pinav.jobs.settings import ReproduceSettings
-from pinav.jobs.table2 import HEADER, PAPER, PAPER_LOSS, Row, improvements, summary
+from pinav.jobs.table2 import (
+    HEADER,
+    PAPER,
+    PAPER_LOSS,
+    ROWS,
+    Row,
+    improvements,
+    summary,
+)
 from pinav.runs import RunFolder
 from pinav.scenarios import Scenario, scenario
 from pinav.solvers import FixedStep
@@ -30,8 +45,35 @@ from pinav.trajectories import Trajectories, simulate
 from pinav.trajectory_files import load, save
 
 
+@dataclasses.dataclass(frozen=True)
+class Entry:
+    """One kind of model that is trained, for all its seeds.
+
+    Attributes:
+        name: name of its row.
+        seeds: seeds of its network; (None,) where there is nothing random.
+        build: untrained model from known physics, seed and moments of the data.
+    """
+
+    name: str
+    seeds: tuple[int | None, ...]
+    build: Callable[..., Any]
+
+    def labels(self) -> list[str]:
+        """Name and seed of each member, as files and arrays are called."""
+        return [key_of(self.name, seed) for seed in self.seeds]
+
+
+def entries(settings: ReproduceSettings) -> list[Entry]:
+    """What the recipe trains."""
+    return [
+        Entry(name, (None,) if name in SEEDLESS else settings.seeds, build)
+        for name, build in REPRODUCED[settings.recipe].items()
+    ]
+
+
 def reproduce(settings: ReproduceSettings, folder: RunFolder) -> list[Row]:
-    """Simulate the benchmark, train UDE and NN-only, score, and write the results.
+    """Simulate the benchmark, train the models, score, and write the results.
 
     Whatever the folder already holds is not computed again.
 
@@ -44,12 +86,11 @@ def reproduce(settings: ReproduceSettings, folder: RunFolder) -> list[Row]:
     """
     benchmark = scenario("paper")
     data = _data(benchmark, folder)
-    for name in PAPER_MODELS:
-        if not _fitted(name, settings.seeds, folder):
-            _write_fits(
-                name, settings.seeds, _fit(name, settings, data, folder), folder
-            )
-    rows, arrays = _evaluate(benchmark, data, settings.seeds, folder)
+    chosen = entries(settings)
+    for entry in chosen:
+        if not all(folder.has(model_file(label)) for label in entry.labels()):
+            _write_fits(entry, settings, data, folder)
+    rows, arrays = _evaluate(benchmark, data, chosen, folder)
     folder.write_table("table2.csv", HEADER, [row.cells for row in rows])
     folder.write_arrays("results.npz", arrays)
     folder.write_json("metrics.json", _metrics(settings, rows, arrays, folder))
@@ -62,104 +103,108 @@ def _data(benchmark: Scenario, folder: RunFolder) -> Trajectories:
     return load(folder.path / "data.npz")
 
 
-def _fitted(name: str, seeds: Sequence[int], folder: RunFolder) -> bool:
-    return all(folder.has(model_file(name, seed)) for seed in seeds)
-
-
-def model_file(name: str, seed: int) -> str:
+def model_file(label: str) -> str:
     """Name of the file that holds a trained model."""
-    return f"model-{name}-{seed}.eqx"
+    return f"model-{label}.eqx"
 
 
-def _fit(name, settings, data, folder) -> list[Fit]:
-    known = scenario("paper").truth
-    with FitReporter(folder, name) as report:
-        return fit_many(
-            [PAPER_MODELS[name](known, seed) for seed in settings.seeds],
+def _write_fits(entry: Entry, settings, data, folder: RunFolder) -> None:
+    """Train, and write losses first: a model file says that all of its fit is there."""
+    known, moments = scenario("paper").truth, data_moments(data)
+    paper = settings.recipe == "paper"
+    models = [entry.build(known, seed, moments) for seed in entry.seeds]
+    with FitReporter(folder, entry.name) as report:
+        fits = fit_many(
+            models,
             data,
-            paper_recipe(settings.adam_steps, settings.lbfgs_steps),
+            _recipe(settings, data),
             trainable=residual,
-            dtype=jnp.float32,
-            checkpoint=folder.checkpoint(name),
+            objective=TrajectoryLoss(FixedStep(substeps=1 if paper else 2)),
+            dtype=jnp.float32 if paper else jnp.float64,
+            checkpoint=folder.checkpoint(entry.name),
             on_chunk=report,
         )
-
-
-def _write_fits(name, seeds, fits: Sequence[Fit], folder: RunFolder) -> None:
-    """Write losses first: a model file says that all of its fit is there."""
-    write_losses(name, fits, folder)
-    for seed, fit in zip(seeds, fits, strict=True):
+    write_losses(entry.name, fits, folder)
+    for seed, label, fit in zip(entry.seeds, entry.labels(), fits, strict=True):
         header = {
-            "kind": "paper",
-            "name": name,
+            "kind": settings.recipe,
+            "name": entry.name,
             "seed": seed,
             "physics": "paper",
-            "dtype": "float32",
+            "dtype": "float32" if paper else "float64",
+            "data": None if paper else moments,
         }
-        folder.write_model(model_file(name, seed), header, fit.model)
+        folder.write_model(model_file(label), header, fit.model)
 
 
-def _evaluate(benchmark, data, seeds, folder):
+def _recipe(settings: ReproduceSettings, data: Trajectories):
+    if settings.recipe == "paper":
+        return paper_recipe(settings.adam_steps, settings.lbfgs_steps)
+    return curriculum(data, max_steps=settings.max_steps)
+
+
+def _evaluate(benchmark, data, chosen: Sequence[Entry], folder: RunFolder):
     """Score every model; return the rows and the arrays behind the figures."""
     arrays = {"times": data.times[0], "truth": data.states[0]}
-    rows = []
+    arrays |= _true_arrays(benchmark.truth, data)
+    moments = data_moments(data)
 
-    def add(model: str, seed: int | None, dynamics: AbstractDynamics) -> None:
+    def scored(model: str, seed: int | None, dynamics: AbstractDynamics) -> Row:
         predictions, outcomes = predict(dynamics, data)
-        rows.append(Row(model, seed, score(predictions, outcomes, data)))
-        arrays[_key(model, seed)] = predictions[0]
+        arrays[key_of(model, seed)] = predictions[0]
+        return Row(model, seed, score(predictions, outcomes, data))
 
-    add("physics-only", None, _without_environment(benchmark.truth))
-    trained = {
-        (name, seed): folder.read_model(model_file(name, seed), build_model)
-        for name in PAPER_MODELS
-        for seed in seeds
-    }
-    for seed in seeds:
-        add("nn-only", seed, trained["nn-only", seed])
-    for name in ("nn-only-untrained", "ude-untrained"):
-        build = PAPER_MODELS[name.removesuffix("-untrained")]
-        for seed in seeds:
-            add(name, seed, build(benchmark.truth, seed))
-    for seed in seeds:
-        add("ude", seed, trained["ude", seed])
-        arrays |= _force_arrays(benchmark.truth, trained["ude", seed], seed, data)
-        for name in PAPER_MODELS:
-            own, _ = predict(trained[name, seed], data, solver=FixedStep())
-            arrays[f"{_key(name, seed)}/own"] = own[0]
-    rows = [row for row in rows if row.model in PAPER]
-    return rows, arrays
+    rows = [scored("physics-only", None, _without_environment(benchmark.truth))]
+    for entry in chosen:
+        for seed, label in zip(entry.seeds, entry.labels(), strict=True):
+            before = entry.build(benchmark.truth, seed, moments)
+            trained = folder.read_model(model_file(label), build_model)
+            rows.append(scored(f"{entry.name}-untrained", seed, before))
+            rows.append(scored(entry.name, seed, trained))
+            own, _ = predict(trained, data, solver=FixedStep())
+            arrays[f"{label}/own"] = own[0]
+            if isinstance(trained, Swimmer):
+                arrays |= _force_arrays(trained, label, data)
+    order = list(ROWS)
+    listed = [row for row in rows if row.model in order]
+    return sorted(listed, key=lambda row: order.index(row.model)), arrays
 
 
 def _without_environment(truth: Swimmer) -> Swimmer:
     return eqx.tree_at(lambda swimmer: swimmer.environment, truth, ZeroForce())
 
 
-def _force_arrays(truth, swimmer, seed, data) -> dict[str, np.ndarray]:
-    """The true and the learned field, and the parts of the acceleration."""
+def _true_arrays(truth: Swimmer, data: Trajectories) -> dict[str, np.ndarray]:
+    """The true force on the grid and along the trajectory."""
     true = field_map(truth.environment, data)
-    learned = field_map(swimmer.environment, data)
-    parts = decompose(swimmer, data.times[0], data.states[0])
-    true_parts = decompose(truth, data.times[0], data.states[0])
-    arrays = {
+    parts = decompose(truth, data.times[0], data.states[0])
+    return {
         "field/x": true.x,
         "field/y": true.y,
         "field/distance": true.distance,
         "field/true": true.force,
-        f"field/ude-{seed}": learned.force,
-        "parts/true": true_parts.terms["environment"],
+        "parts/true": parts.terms["environment"],
     }
-    parts_of = {f"parts/ude-{seed}/{name}": a for name, a in parts.terms.items()}
-    return arrays | parts_of
 
 
-def _key(model: str, seed: int | None) -> str:
+def _force_arrays(swimmer: Swimmer, label: str, data: Trajectories):
+    """The learned force on the grid, and the parts of the acceleration."""
+    learned = field_map(swimmer.environment, data)
+    parts = decompose(swimmer, data.times[0], data.states[0])
+    arrays = {f"parts/{label}/{name}": terms for name, terms in parts.terms.items()}
+    return arrays | {f"field/{label}": learned.force}
+
+
+def key_of(model: str, seed: int | None) -> str:
     return model if seed is None else f"{model}-{seed}"
 
 
 def _metrics(settings, rows, arrays, folder) -> dict[str, Any]:
     """Everything that a script would ask for; nothing that varies with the clock."""
-    losses = {name: folder.read_arrays(f"losses-{name}.npz") for name in PAPER_MODELS}
+    chosen = entries(settings)
+    labels = [label for entry in chosen for label in entry.labels()]
+    with_force = [label for label in labels if f"field/{label}" in arrays]
+    true = stored_field(arrays, "true")
     return {
         "recipe": settings.recipe,
         "seeds": list(settings.seeds),
@@ -173,43 +218,35 @@ def _metrics(settings, rows, arrays, folder) -> dict[str, Any]:
         },
         "summary_total": summary(rows),
         "improvement": improvements(rows),
-        "loss": {name: _losses(settings.seeds, losses[name]) for name in PAPER_MODELS},
+        "loss": {entry.name: _losses(entry, folder) for entry in chosen},
         "paper_loss": PAPER_LOSS,
-        "own_integrator_total": {
-            _key(name, seed): _own_total(arrays, _key(name, seed))
-            for name in PAPER_MODELS
-            for seed in settings.seeds
-        },
+        "own_integrator_total": {label: _own_total(arrays, label) for label in labels},
         "force_error": {
-            str(seed): _force_error(arrays, seed) for seed in settings.seeds
+            label: force_errors(stored_field(arrays, label), true)
+            for label in with_force
         },
     }
 
 
-def _losses(seeds, stored) -> dict[str, dict[str, Any]]:
+def _losses(entry: Entry, folder: RunFolder) -> dict[str, dict[str, Any]]:
+    stored = folder.read_arrays(f"losses-{entry.name}.npz")
+    curves = zip(entry.seeds, stored["losses"], stored["diverged"], strict=True)
     return {
-        str(seed): {
+        "-" if seed is None else str(seed): {
             "start": float(losses[0]),
             "end": float(losses[-1]),
             "decades": float(np.log10(losses[0] / losses[-1])),
+            "iterations": int(losses.size - 1),
             "diverged": bool(diverged),
         }
-        for seed, losses, diverged in zip(
-            seeds, stored["losses"], stored["diverged"], strict=True
-        )
+        for seed, losses, diverged in curves
     }
 
 
-def _own_total(arrays, key) -> float:
-    """Total error as the integrator of the fit sees it."""
-    difference = arrays[f"{key}/own"] - arrays["truth"]
+def _own_total(arrays, label: str) -> float:
+    """Total error as one step per sample of the plain integrator sees it."""
+    difference = arrays[f"{label}/own"] - arrays["truth"]
     return float(np.sqrt(np.mean(difference**2)))
-
-
-def _force_error(arrays, seed) -> dict[str, float]:
-    return force_errors(
-        stored_field(arrays, f"ude-{seed}"), stored_field(arrays, "true")
-    )
 
 
 def stored_field(arrays: dict[str, np.ndarray], name: str) -> FieldMap:

@@ -11,7 +11,7 @@ import tyro
 
 from pinav.errors import InputError
 
-RecipeName = Literal["paper"]
+RecipeName = Literal["default", "paper"]
 
 
 class ReproduceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -19,17 +19,23 @@ class ReproduceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
 
     recipe: Annotated[
         RecipeName,
-        tyro.conf.arg(help="How the networks are trained: the paper's Table 1."),
-    ] = "paper"
+        tyro.conf.arg(
+            help="default: Gauss-Newton, from one-step matching to the full rollout; "
+            "paper: Adam, then L-BFGS, as in its Table 1."
+        ),
+    ] = "default"
     seeds: Annotated[
         tuple[int, ...],
         tyro.conf.arg(help="Seeds of the networks; several train in one batch."),
     ] = (42,)
+    max_steps: Annotated[
+        int, tyro.conf.arg(help="Default recipe: steps of each window at most.")
+    ] = 20
     adam_steps: Annotated[
-        int, tyro.conf.arg(help="Adam steps of the paper's recipe (7500 in the paper).")
+        int, tyro.conf.arg(help="Paper's recipe: steps of Adam (7500 in the paper).")
     ] = 7500
     lbfgs_steps: Annotated[
-        int, tyro.conf.arg(help="L-BFGS steps of the recipe (500 in the paper).")
+        int, tyro.conf.arg(help="Paper's recipe: steps of L-BFGS (500 in the paper).")
     ] = 500
 
     def check(self) -> None:
@@ -39,7 +45,7 @@ class ReproduceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
         repeated = [seed for seed in self.seeds if self.seeds.count(seed) > 1]
         if repeated:
             raise InputError(f"--seeds: {repeated[0]} is given twice; drop one")
-        _check_counts(self, "adam_steps", "lbfgs_steps")
+        _check_counts(self, "max_steps", "adam_steps", "lbfgs_steps")
 
 
 class SimulateSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -18,6 +18,9 @@ PAPER = {
 }
 """The paper's printed errors: x, y, vx, vy, total; position-only from its text."""
 
+ROWS = (*PAPER, "ude-kernel")
+"""Models in the order of our table: the paper's, then what it does not have."""
+
 PAPER_LOSS = {"start": 3.9e4, "end": 4.5e-1}
 """The paper's training loss (section 3.1)."""
 
@@ -79,11 +82,14 @@ def summary(rows: Sequence[Row]) -> dict[str, dict[str, float]]:
 def improvements(rows: Sequence[Row]) -> dict[str, float]:
     """How many times smaller the trained UDE's total error is (median over seeds)."""
     median = {model: values["median"] for model, values in summary(rows).items()}
-    return {
+    factors = {
         f"{model} / ude": median[model] / median["ude"]
         for model in median
-        if model != "ude"
+        if model not in ("ude", "ude-kernel")
     }
+    if "ude-kernel" in median:
+        factors["ude / ude-kernel"] = median["ude"] / median["ude-kernel"]
+    return factors
 
 
 def text(rows: Sequence[Row]) -> str:
