@@ -10,12 +10,18 @@ import numpy as np
 
 from pinav.errors import InputError
 from pinav.evaluation import Score, predict, score
-from pinav.fitting import Fit, FitOutcome, TrajectoryLoss, paper_recipe
+from pinav.fitting import (
+    Fit,
+    FitOutcome,
+    TrajectoryLoss,
+    curriculum,
+    paper_recipe,
+)
 from pinav.fitting import fit as fit_trajectories
 from pinav.jobs.models import (
     CONSTANTS,
     build_model,
-    data_scales,
+    data_moments,
     fit_model,
     fit_trainable,
     known_physics,
@@ -24,6 +30,7 @@ from pinav.jobs.progress import FitReporter
 from pinav.jobs.settings import FitSettings
 from pinav.jobs.table2 import number
 from pinav.runs import RunFolder
+from pinav.solvers import FixedStep
 from pinav.trajectories import Trajectories
 from pinav.trajectory_files import save
 
@@ -121,16 +128,28 @@ def score_metrics(result: Score) -> dict[str, float]:
 
 
 def _fit(settings, known, data, folder) -> Fit:
+    paper = settings.recipe == "paper"
+    recipe = (
+        paper_recipe(settings.adam_steps, settings.lbfgs_steps)
+        if paper
+        else curriculum(data, max_steps=settings.max_steps)
+    )
     with FitReporter(folder, settings.model) as report:
         return fit_trajectories(
-            fit_model(settings, known.truth, data_scales(data)),
+            fit_model(settings, known.truth, data_moments(data)),
             data,
-            paper_recipe(settings.adam_steps, settings.lbfgs_steps),
+            recipe,
             trainable=fit_trainable(settings),
-            dtype=jnp.float32,
+            objective=TrajectoryLoss(FixedStep(substeps=1 if paper else 2)),
+            dtype=_dtype(settings),
             checkpoint=folder.checkpoint(settings.model),
             on_chunk=report,
         )
+
+
+def _dtype(settings: FitSettings) -> type:
+    """The paper's recipe is float32; Gauss-Newton wants float64."""
+    return jnp.float32 if settings.recipe == "paper" else jnp.float64
 
 
 def _write_fit(settings, physics, data, fit: Fit, folder: RunFolder) -> None:
@@ -139,7 +158,7 @@ def _write_fit(settings, physics, data, fit: Fit, folder: RunFolder) -> None:
         "kind": "fit",
         "settings": msgspec.to_builtins(settings),
         "physics": physics,
-        "data": data_scales(data),
-        "dtype": "float32",
+        "data": data_moments(data),
+        "dtype": jnp.dtype(_dtype(settings)).name,
     }
     folder.write_model(MODEL_FILE, header, fit.model)

@@ -100,28 +100,35 @@ def residual(model: Any) -> Any:
 
 
 def fit_model(settings: FitSettings, known: Swimmer, data: dict[str, Any]) -> Any:
-    """The untrained model of `pinav fit`.
+    """The untrained model of `pinav fit`, its inputs standardised by the data.
 
     Args:
         settings: its kind, size and seed.
         known: swimmer whose propulsion and drag are known.
-        data: centre and scale of the data, from `data_scales`.
+        data: moments of the data, from `data_moments`.
     """
+    if settings.model == "ude-kernel":
+        return default_kernel(known, None, data)
+    mean, std = data["mean"], data["std"]
+    dim = len(mean) // 2
+    inputs = {
+        "ude": (*range(dim), len(mean) - 1),
+        "ude-static": tuple(range(dim)),
+        "nn-only": tuple(range(len(mean))),
+    }
+    chosen = inputs[settings.model]
+    center, scale = tuple(mean[i] for i in chosen), tuple(std[i] for i in chosen)
+    outputs = 2 * dim if settings.model == "nn-only" else dim
     key = jax.random.key(settings.seed)
-    center, scale = tuple(data["center"]), tuple(data["scale"])
-    dim = len(center) // 2
-    size = {"width": settings.width, "depth": settings.depth, "key": key}
-    if settings.model == "nn-only":
-        network = tanh_network(2 * dim + 1, 2 * dim, **size)
-        return NeuralDynamics(network, center, scale)
-    if settings.model == "ude-static":
-        features = PositionFeatures(center[:dim], scale[:dim])
-    else:
-        features = PositionTimeFeatures(
-            (*center[:dim], center[-1]), (*scale[:dim], scale[-1])
+    network = spread_weights(
+        tanh_network(
+            len(chosen), outputs, width=settings.width, depth=settings.depth, key=key
         )
-    network = tanh_network(len(features.center), dim, **size)
-    environment = NeuralForce(network, features)
+    )
+    if settings.model == "nn-only":
+        return NeuralDynamics(network, center, scale)
+    kind = PositionFeatures if settings.model == "ude-static" else PositionTimeFeatures
+    environment = NeuralForce(network, kind(center, scale))
     return eqx.tree_at(lambda swimmer: swimmer.environment, known, environment)
 
 
@@ -129,20 +136,6 @@ def fit_trainable(settings: FitSettings) -> Trainable:
     """Selects the leaves that `pinav fit` trains."""
     chosen = [CONSTANTS[name] for name in settings.learn]
     return lambda model: (residual(model), *(pick(model) for pick in chosen))
-
-
-def data_scales(trajectories: Trajectories) -> dict[str, list[float]]:
-    """Middle and half-width of each state, and of time, over the observed samples."""
-    low, high = [], []
-    for channel in range(len(trajectories.channels)):
-        values = trajectories.states[..., channel][trajectories.observed[..., channel]]
-        low.append(values.min())
-        high.append(values.max())
-    low.append(trajectories.times.min())
-    high.append(trajectories.times.max())
-    half = (np.array(high) - np.array(low)) / 2
-    center = (np.array(high) + np.array(low)) / 2
-    return {"center": center.tolist(), "scale": np.where(half > 0, half, 1.0).tolist()}
 
 
 def data_moments(trajectories: Trajectories) -> dict[str, list]:

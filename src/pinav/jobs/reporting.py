@@ -201,9 +201,9 @@ def _forces(folder, metrics, arrays, seed) -> list[Paragraph | Image | Table]:
         ),
         Paragraph(
             "One trajectory does not determine the field: away from the path the "
-            "learned force is an extrapolation, whatever the trajectory error says. The "
-            "network also sees time; each point shows the time of the nearest sample, "
-            "the reading most favourable to it."
+            "learned force is an extrapolation, whatever the trajectory error says. "
+            "The network also sees time; each point shows the time of the nearest "
+            "sample, the reading most favourable to it."
         ),
     ]
 

@@ -196,6 +196,7 @@ def _force_arrays(swimmer: Swimmer, label: str, data: Trajectories):
 
 
 def key_of(model: str, seed: int | None) -> str:
+    """Name and seed of a model, as files and arrays are called."""
     return model if seed is None else f"{model}-{seed}"
 
 

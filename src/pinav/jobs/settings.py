@@ -64,12 +64,20 @@ class FitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Settings of `pinav fit`."""
 
     model: Annotated[
-        Literal["ude", "ude-static", "nn-only"],
+        Literal["ude", "ude-static", "ude-kernel", "nn-only"],
         tyro.conf.arg(
             help="ude: known physics plus a network of position and time; ude-static: "
-            "of position alone; nn-only: a black box."
+            "of position alone; ude-kernel: plus a kernel potential; nn-only: a black "
+            "box."
         ),
     ] = "ude"
+    recipe: Annotated[
+        RecipeName,
+        tyro.conf.arg(
+            help="default: Gauss-Newton, from one-step matching to the full rollout; "
+            "paper: Adam, then L-BFGS."
+        ),
+    ] = "default"
     learn: Annotated[
         tuple[Literal["damping", "gain"], ...],
         tyro.conf.arg(help="Known constants to train beside the network."),
@@ -84,12 +92,19 @@ class FitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     seed: Annotated[int, tyro.conf.arg(help="Seed of the network.")] = 0
     width: Annotated[int, tyro.conf.arg(help="Neurons of each hidden layer.")] = 32
     depth: Annotated[int, tyro.conf.arg(help="Number of hidden layers.")] = 2
-    adam_steps: Annotated[int, tyro.conf.arg(help="Steps of Adam.")] = 7500
-    lbfgs_steps: Annotated[int, tyro.conf.arg(help="Steps of L-BFGS.")] = 500
+    max_steps: Annotated[
+        int, tyro.conf.arg(help="Default recipe: steps of each window at most.")
+    ] = 20
+    adam_steps: Annotated[int, tyro.conf.arg(help="Paper's recipe: steps of Adam.")] = (
+        7500
+    )
+    lbfgs_steps: Annotated[
+        int, tyro.conf.arg(help="Paper's recipe: steps of L-BFGS.")
+    ] = 500
 
     def check(self) -> None:
         """Raise `InputError` where a setting makes no sense."""
-        _check_counts(self, "width", "depth", "adam_steps", "lbfgs_steps")
+        _check_counts(self, "width", "depth", "max_steps", "adam_steps", "lbfgs_steps")
         if self.model == "nn-only" and self.learn:
             raise InputError(
                 "--learn: the model nn-only has no physical constants; drop --learn or "

@@ -27,10 +27,10 @@ PAPER_LOSS = {"start": 3.9e4, "end": 4.5e-1}
 DIFFERENCES = (
     "The constants of the benchmark are identified from the paper's physics-only row, "
     "not published; they are one point of a family.",
-    "NN-only: the paper prints 0.285. A black box that sees time fits this one "
-    "trajectory about as well as the UDE does, here with the same training as the UDE; "
-    "what tells them apart (other starts, longer horizons, the force field itself) is "
-    "not in this table.",
+    "NN-only: the paper prints 0.285. With the same training as the UDE, a black box "
+    "that sees time fits this one trajectory far better than that, by the paper's own "
+    "recipe as well as the UDE does. What tells them apart (other starts, longer "
+    "horizons, the force field itself) is not in this table.",
     "UDE (untrained): depends on the random start of the network alone. The paper's "
     "own row (total 12.95) and the start of its loss curve (3.9e4, that is total 4.4) "
     "are not the same network, so no run can match both.",
