@@ -3,6 +3,7 @@
 import os
 
 os.environ.setdefault("MPLBACKEND", "Agg")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
 
 import jax
 import jaxtyping
@@ -32,7 +33,7 @@ def tiny_fit(tmp_path_factory):
     folder = tmp_path_factory.mktemp("fit")
     data, run = folder / "data.csv", folder / "run"
     assert cli.run(["simulate", "paper", "--out", str(data), "--noise", "0.01"]) == 0
-    steps = ["--adam-steps", "10", "--lbfgs-steps", "2"]
+    steps = ["--recipe", "paper", "--adam-steps", "10", "--lbfgs-steps", "2"]
     argv = ["fit", str(data), "--out", str(run), "--learn", "damping", *steps]
     with jax.numpy_dtype_promotion("standard"):
         assert cli.run(argv) == 0

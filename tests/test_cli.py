@@ -72,6 +72,7 @@ def test_every_listed_command_has_a_handler():
         (["fit", "a.npz", "--out", "b", "--width", "x"], "Error parsing --width"),
         (["fit", "a.npz", "--out", "b", "--model", "cnn"], "invalid choice 'cnn'"),
         (["fit", "a.npz", "--out", "b", "--adam-steps", "0"], "--adam-steps: expected"),
+        (["fit", "a.npz", "--out", "b", "--max-steps", "0"], "--max-steps: expected"),
         (
             ["fit", "a.npz", "--out", "b", "--model", "nn-only", "--learn", "gain"],
             "--learn: the model nn-only has no physical constants",

@@ -34,9 +34,8 @@ def test_the_commands_run(tmp_path, monkeypatch):
     with jax.numpy_dtype_promotion("standard"):
         for line in commands.strip().splitlines():
             words = shlex.split(line, comments=True)
-            few = ["--adam-steps", "10", "--lbfgs-steps", "2"]
             assert words[0] == "pinav"
-            assert cli.run(words[1:] + (few if words[1] == "fit" else [])) == 0
+            assert cli.run(words[1:]) == 0
 
 
 def test_the_make_targets_exist():

@@ -12,7 +12,7 @@ import pytest
 from conftest import pinav
 
 RESULTS = ("metrics.json", "table2.csv", "model-ude-42.eqx", "model-nn-only-42.eqx")
-STEPS = ["--adam-steps", "1500", "--lbfgs-steps", "100"]
+STEPS = ["--recipe", "paper", "--adam-steps", "1500", "--lbfgs-steps", "100"]
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ def run(tmp_path_factory) -> RunFolder:
 
 
 def words(out, *more):
-    steps = ["--adam-steps", "12", "--lbfgs-steps", "3"]
+    steps = ["--recipe", "paper", "--adam-steps", "12", "--lbfgs-steps", "3"]
     return ["reproduce", "--seeds", "42", "1", *steps, "--out", str(out), *more]
 
 
@@ -63,7 +63,7 @@ def test_the_metrics_hold_what_the_table_needs(run):
     assert factor == pytest.approx(
         metrics["summary_total"]["physics-only"]["median"] / spread["median"]
     )
-    assert set(metrics["force_error"]["42"]) == {"visited", "near", "everywhere"}
+    assert set(metrics["force_error"]["ude-42"]) == {"visited", "near", "everywhere"}
     assert not re.search("time|seconds", json.dumps(metrics)), "nothing from the clock"
 
 
@@ -138,3 +138,42 @@ def test_the_table_for_people_sets_the_paper_beside_ours(run, capsys):
 def test_a_diverged_rollout_is_printed_as_such():
     assert table2.number(float("inf")) == "diverged"
     assert table2.number(0.014999) == "0.015"
+
+
+@pytest.fixture(scope="module")
+def default_run(tmp_path_factory) -> RunFolder:
+    """The default recipe in full."""
+    out = tmp_path_factory.mktemp("default") / "run"
+    assert cli.run(["reproduce", "--seeds", "0", "--out", str(out)]) == 0
+    return RunFolder.open(out)
+
+
+def test_the_default_recipe_leaves_the_paper_behind(default_run):
+    metrics = default_run.read_json("metrics.json")
+    total = {row["model"]: row["total"] for row in metrics["table2"]}
+    assert total["ude"] <= 2e-3
+    assert total["ude-kernel"] <= 1e-5
+    assert total["nn-only"] < 0.015, "the black box too"
+    assert metrics["loss"]["ude-kernel"]["-"]["iterations"] <= 15
+    assert metrics["force_error"]["ude-kernel"]["visited"] < 0.01
+    assert "force-ude-kernel" in " ".join(map(str, default_run.path.rglob("*.svg")))
+
+
+def test_the_default_recipe_resumes_to_the_same_numbers(default_run, tmp_path):
+    argv = ["reproduce", "--seeds", "0", "--out", str(tmp_path / "run")]
+    calls = []
+    write = files.os.replace
+
+    def interrupted(*args):
+        calls.append(args)
+        if len(calls) == 12:
+            raise KeyboardInterrupt
+        write(*args)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(files.os, "replace", interrupted)
+        assert cli.run(argv) == cli.INTERRUPTED
+    assert cli.run([*argv, "--resume"]) == 0
+    for name in ("metrics.json", "table2.csv", "model-ude-0.eqx"):
+        resumed = (tmp_path / "run" / name).read_bytes()
+        assert resumed == (default_run.path / name).read_bytes()

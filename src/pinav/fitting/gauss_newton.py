@@ -254,7 +254,8 @@ def _orthonormal(columns):
     """Orthonormal basis by two rounds of the Gram matrix: quicker than a QR here."""
     for floor in (1e-11, 1e-15):
         values, vectors = jnp.linalg.eigh(columns.T @ columns)
-        columns = columns @ vectors / jnp.sqrt(jnp.maximum(values, floor * values[-1]))
+        lengths = jnp.sqrt(jnp.maximum(values, floor * values[-1]))
+        columns = columns @ vectors / lengths[None]
     return columns
 
 
