@@ -108,13 +108,12 @@ def summary_lines(rows: Sequence[Row]) -> list[str]:
     lines = [
         f"{name}: {factor:.3g} times" for name, factor in improvements(rows).items()
     ]
-    if len({row.seed for row in rows}) > 2:
-        lines += [
-            f"{model} over seeds: median {number(spread['median'])}, "
-            f"best {number(spread['best'])}, worst {number(spread['worst'])}"
-            for model, spread in summary(rows).items()
-            if model != "physics-only"
-        ]
+    for model, spread in summary(rows).items():
+        if sum(row.model == model for row in rows) > 2:
+            lines.append(
+                f"{model} over seeds: median {number(spread['median'])}, "
+                f"best {number(spread['best'])}, worst {number(spread['worst'])}"
+            )
     return lines
 
 
