@@ -151,10 +151,10 @@ def test_the_curriculum_fits_kernels_and_compiles_once(data):
     assert found.losses[-1] < 1e-8 * found.losses[0]
     assert len(found.losses) - 1 <= 20
     assert [name for name, _ in found.phases] == [
-        "window 1",
-        "window 5",
-        "window 25",
-        "window 30",
+        "L = 1",
+        "L = 5",
+        "L = 25",
+        "L = 30",
     ]
     assert _run_chunk._cached._cache_size() == compiled + 1
 

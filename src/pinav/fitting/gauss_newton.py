@@ -71,7 +71,7 @@ class GaussNewton(AbstractPhase):
 
     @property
     def name(self):
-        return f"window {int(self.window)}"
+        return f"L = {int(self.window)}"
 
     @property
     def num_steps(self):

@@ -258,7 +258,7 @@ def _mark_phases(ax: Axes, phases: Sequence[tuple[str, int]], end: int) -> None:
     top = ax.secondary_xaxis("top")
     top.set_xticks(middles, [name for name, _ in phases])
     top.tick_params(
-        length=0, pad=2, labelsize=SMALL, labelrotation=30 if len(phases) > 3 else 0
+        length=0, pad=2, labelsize=SMALL, labelrotation=90 if len(phases) > 3 else 0
     )
     top.spines["top"].set_visible(False)
 
