@@ -192,6 +192,7 @@ class _Problem(eqx.Module):
     free: FreeModel
     theta: Float[np.ndarray, " parameter"]
     states: Float[jax.Array, "trajectory time state"]
+    num_free: int
     environment: KernelForce | KernelPotential
     names: tuple[str, ...]
     flat: Bool[np.ndarray, " parameter"]
@@ -212,10 +213,17 @@ class _Problem(eqx.Module):
                     "weights alone are learned; pick constants of other forces"
                 )
         states = smoothed_states(trajectories)
+        num_free = trajectories.num_observed - states[:, 0].size
+        if num_free <= len(names) - sum(is_weight):
+            raise InputError(
+                f"fit_bayes trajectories: {trajectories.num_observed} observations "
+                "are no more than the starts and constants to be found; add samples"
+            )
         return cls(
             free=free,
             theta=np.asarray(theta),
             states=jnp.asarray(states),
+            num_free=num_free,
             environment=cast(Any, model.environment),
             names=names,
             flat=~np.array(is_weight),
@@ -248,12 +256,12 @@ class _Problem(eqx.Module):
 
     def quadratic(self, theta, linear: Linearisation) -> Quadratic:
         starts = np.asarray(linear.start_information)
-        return Quadratic.about(
+        return Quadratic(
             theta,
             np.asarray(linear.hessian),
             np.asarray(linear.gradient),
             float(linear.squares),
-            num_free=int(self.observations.observed.sum()) - starts[..., 0].size,
+            num_free=self.num_free,
             log_determinant=float(np.linalg.slogdet(starts).logabsdet.sum()),
         )
 

@@ -30,9 +30,13 @@ r"""Values of $\beta$ that are tried, relative to the largest eigenvalue."""
 
 
 class Quadratic(eqx.Module):
-    r"""Sum of squares $q + 2\,g\cdot\theta + \theta\cdot H\,\theta$, and what it hides.
+    r"""Sum of squares about a point, and what it hides.
+
+    $q + 2\,g\cdot\delta + \delta\cdot H\,\delta$ with $\delta = \theta - \theta_0$.
+    About the origin it would be a small difference of large numbers.
 
     Attributes:
+        point: $\theta_0$.
         hessian: $H$.
         gradient: $g$.
         squares: $q$.
@@ -40,27 +44,12 @@ class Quadratic(eqx.Module):
         log_determinant: of the blocks integrated out so far.
     """
 
+    point: Float[np.ndarray, " parameter"]
     hessian: Float[np.ndarray, "parameter parameter"]
     gradient: Float[np.ndarray, " parameter"]
     squares: float
     num_free: int
     log_determinant: float
-
-    @classmethod
-    def about(
-        cls,
-        theta: Float[np.ndarray, " parameter"],
-        hessian: Float[np.ndarray, "parameter parameter"],
-        gradient: Float[np.ndarray, " parameter"],
-        squares: float,
-        *,
-        num_free: int,
-        log_determinant: float,
-    ) -> "Quadratic":
-        """The quadratic whose coefficients are given for changes of `theta`."""
-        origin = squares - 2 * gradient @ theta + theta @ hessian @ theta
-        gradient = gradient - hessian @ theta
-        return cls(hessian, gradient, float(origin), num_free, log_determinant)
 
 
 class FlatBlock(eqx.Module):
@@ -95,16 +84,19 @@ def without_flat(
             "learn fewer of them"
         )
     covariance = np.linalg.inv(own)
+    slope, change = -covariance @ border, -covariance @ gradient[mask]
+    point = quadratic.point
     block = FlatBlock(
         mask=mask,
-        offset=-covariance @ gradient[mask],
-        slope=-covariance @ border,
+        offset=point[mask] + change - slope @ point[~mask],
+        slope=slope,
         covariance=covariance,
     )
     reduced = Quadratic(
-        hessian=hessian[np.ix_(~mask, ~mask)] + border.T @ block.slope,
-        gradient=gradient[~mask] + border.T @ block.offset,
-        squares=quadratic.squares + float(gradient[mask] @ block.offset),
+        point=point[~mask],
+        hessian=hessian[np.ix_(~mask, ~mask)] + border.T @ slope,
+        gradient=gradient[~mask] + border.T @ change,
+        squares=quadratic.squares + float(gradient[mask] @ change),
         num_free=quadratic.num_free - int(mask.sum()),
         log_determinant=quadratic.log_determinant
         + float(np.linalg.slogdet(own).logabsdet),
@@ -164,14 +156,41 @@ def best_hyperparameters(
     return max(candidates, key=lambda chosen: chosen.log_evidence)
 
 
+class _Whitened(eqx.Module):
+    """The quadratic in independent weights of unit prior variance.
+
+    Attributes:
+        columns: from these weights to the weights.
+        point: where the quadratic is expanded.
+        eigenvalues: its diagonal Hessian, not negative.
+        gradient: its gradient there.
+    """
+
+    columns: Float[np.ndarray, "weight weight"]
+    point: Float[np.ndarray, " weight"]
+    eigenvalues: Float[np.ndarray, " weight"]
+    gradient: Float[np.ndarray, " weight"]
+
+    @classmethod
+    def of(cls, quadratic: Quadratic, prior: Float[np.ndarray, "weight weight"]):
+        factor = np.linalg.cholesky(prior)
+        eigenvalues, vectors = np.linalg.eigh(factor.T @ quadratic.hessian @ factor)
+        columns = factor @ vectors
+        return cls(
+            columns=columns,
+            point=vectors.T @ np.linalg.solve(factor, quadratic.point),
+            eigenvalues=np.maximum(eigenvalues, 0.0),
+            gradient=columns.T @ quadratic.gradient,
+        )
+
+
 def _best_amplitude(quadratic, prior, length_scale, noise):
-    factor = np.linalg.cholesky(prior)
-    eigenvalues, vectors = np.linalg.eigh(factor.T @ quadratic.hessian @ factor)
-    eigenvalues = np.maximum(eigenvalues, 0.0)
-    projections = (vectors.T @ (factor.T @ quadratic.gradient)) ** 2
-    ratios = RATIOS * max(eigenvalues[-1], np.finfo(float).tiny)
-    shifted = eigenvalues[:, None] + ratios
-    squares = quadratic.squares - (projections[:, None] / shifted).sum(axis=0)
+    white = _Whitened.of(quadratic, prior)
+    ratios = RATIOS * max(white.eigenvalues[-1], np.finfo(float).tiny)
+    shifted = white.eigenvalues[:, None] + ratios
+    slopes = white.gradient[:, None] + ratios * white.point[:, None]
+    penalty = ratios * (white.point @ white.point)
+    squares = quadratic.squares + penalty - (slopes**2 / shifted).sum(axis=0)
     squares = np.maximum(squares, np.finfo(float).eps * abs(quadratic.squares))
     squares = np.maximum(squares, np.finfo(float).tiny)
     variances = squares / quadratic.num_free if noise is None else noise**2
@@ -197,13 +216,12 @@ def weight_posterior(
     chosen: Hyperparameters,
 ) -> tuple[Float[np.ndarray, " weight"], Float[np.ndarray, "weight weight"]]:
     r"""Mean and covariance of the weights, $(H/\sigma^2 + K^{-1}/a^2)^{-1}$."""
+    white = _Whitened.of(quadratic, prior)
     ratio = (chosen.noise / chosen.amplitude) ** 2
-    factor = np.linalg.cholesky(prior)
-    whitened = factor.T @ quadratic.hessian @ factor
-    eigenvalues, vectors = np.linalg.eigh(whitened)
-    columns = factor @ vectors / np.sqrt(np.maximum(eigenvalues, 0.0) + ratio)
-    mean = -columns @ (columns.T @ quadratic.gradient)
-    return mean, chosen.noise**2 * columns @ columns.T
+    shifted = white.eigenvalues + ratio
+    change = -(white.gradient + ratio * white.point) / shifted
+    mean = quadratic.point + white.columns @ change
+    return mean, chosen.noise**2 * (white.columns / shifted) @ white.columns.T
 
 
 def joint_posterior(

@@ -64,8 +64,8 @@ class Sensitivities(eqx.Module):
         defects: $d_k$, by which each step misses the next state.
     """
 
-    columns: Float[Array, "time state parameter+state+1"]
-    defects: Float[Array, "time-1 state"]
+    columns: Float[Array, "time state column"]
+    defects: Float[Array, "step state"]
 
 
 def sensitivities(
@@ -116,9 +116,9 @@ class Linearisation(eqx.Module):
     hessian: Float[Array, "parameter parameter"]
     gradient: Float[Array, " parameter"]
     squares: Float[Array, ""]
-    columns: Float[Array, "trajectory time state parameter+state+1"]
+    columns: Float[Array, "trajectory time state column"]
     start_information: Float[Array, "trajectory state state"]
-    start_rows: Float[Array, "trajectory state parameter+1"]
+    start_rows: Float[Array, "trajectory state row"]
     defects: Float[Array, " state"]
 
 
