@@ -3,10 +3,13 @@ import pytest
 
 from pinav.errors import FitError
 from pinav.fitting.evidence import (
+    Data,
     Quadratic,
+    at_shape,
     best_hyperparameters,
     is_singular,
     joint_posterior,
+    shape_covariance,
     weight_posterior,
     without_flat,
 )
@@ -20,7 +23,11 @@ MASK = np.arange(WEIGHTS + FLAT) >= WEIGHTS
 ABOUT = RNG.normal(size=WEIGHTS + FLAT)
 
 
-def prior(length_scale):
+BOUNDS = np.array([[-1.0, 1.0]])
+
+
+def prior(shape):
+    length_scale = np.exp(shape[0])
     distance = np.arange(WEIGHTS)[:, None] - np.arange(WEIGHTS)
     return np.exp(-0.5 * (distance / length_scale) ** 2) + 1e-6 * np.eye(WEIGHTS)
 
@@ -43,7 +50,7 @@ def restricted_likelihood(chosen):
     """Log density of the data with the flat parameters integrated out, directly."""
     weights, flat = DESIGN[:, ~MASK], DESIGN[:, MASK]
     covariance = chosen.noise**2 * np.eye(ROWS)
-    covariance += chosen.amplitude**2 * weights @ prior(chosen.length_scale) @ weights.T
+    covariance += chosen.amplitude**2 * weights @ prior(chosen.shape) @ weights.T
     inverse = np.linalg.inv(covariance)
     information = flat.T @ inverse @ flat
     projected = inverse - inverse @ flat @ np.linalg.solve(
@@ -60,7 +67,7 @@ def restricted_likelihood(chosen):
 @pytest.mark.parametrize("noise", [None, 0.1, 0.3])
 def test_evidence_is_the_normal_density_of_the_data(quadratic, noise):
     reduced, _ = without_flat(quadratic, MASK)
-    chosen = best_hyperparameters(reduced, prior, [0.5, 1.0, 2.0], noise)
+    chosen = best_hyperparameters(Data.of(reduced), prior, np.zeros(1), BOUNDS, noise)
     expected = restricted_likelihood(chosen)
     np.testing.assert_allclose(chosen.log_evidence, expected, rtol=1e-8)
     assert noise is None or chosen.noise == noise
@@ -68,21 +75,40 @@ def test_evidence_is_the_normal_density_of_the_data(quadratic, noise):
 
 def test_noise_is_estimated_without_bias(quadratic):
     reduced, _ = without_flat(quadratic, MASK)
-    assert best_hyperparameters(reduced, prior, [1.0]).noise == pytest.approx(0.1, 0.3)
+    chosen = best_hyperparameters(Data.of(reduced), prior, np.zeros(1), BOUNDS)
+    assert chosen.noise == pytest.approx(0.1, rel=0.3)
+
+
+def test_the_evidence_is_highest_where_the_search_ends(quadratic):
+    data = Data.of(without_flat(quadratic, MASK)[0])
+    chosen = best_hyperparameters(data, prior, np.zeros(1), BOUNDS)
+    for shape in np.linspace(-1, 1, 9)[:, None]:
+        assert at_shape(data, prior, shape).log_evidence < chosen.log_evidence + 1e-4
+
+
+def test_an_uncertain_shape_widens_the_posterior(quadratic):
+    data = Data.of(without_flat(quadratic, MASK)[0])
+    chosen = best_hyperparameters(data, prior, np.zeros(1), BOUNDS)
+    extra = shape_covariance(data, prior, chosen)
+    values = np.linalg.eigvalsh(extra)
+    assert values[-1] > 0
+    np.testing.assert_allclose(values[:-1], 0, atol=1e-12)
+    idle = shape_covariance(data, lambda _: prior(np.zeros(1)), chosen)
+    np.testing.assert_allclose(idle, 0, atol=1e-12)
 
 
 def test_posterior_is_the_exact_one(quadratic):
     reduced, block = without_flat(quadratic, MASK)
-    chosen = best_hyperparameters(reduced, prior, [1.0])
-    weights = weight_posterior(reduced, prior(1.0), chosen)
-    mean, covariance = joint_posterior(block, *weights, chosen.noise)
+    data = Data.of(reduced)
+    chosen = best_hyperparameters(data, prior, np.zeros(1), BOUNDS)
+    covariance = prior(chosen.shape)
+    weights = weight_posterior(data, covariance, chosen)
+    mean, joint = joint_posterior(block, *weights, chosen.noise)
     precision = DESIGN.T @ DESIGN / chosen.noise**2
-    precision[:WEIGHTS, :WEIGHTS] += np.linalg.inv(prior(1.0)) / chosen.amplitude**2
+    precision[:WEIGHTS, :WEIGHTS] += np.linalg.inv(covariance) / chosen.amplitude**2
     exact = np.linalg.solve(precision, DESIGN.T @ DATA / chosen.noise**2)
     np.testing.assert_allclose(mean, exact, rtol=1e-9)
-    np.testing.assert_allclose(
-        covariance, np.linalg.inv(precision), rtol=1e-8, atol=1e-14
-    )
+    np.testing.assert_allclose(joint, np.linalg.inv(precision), rtol=1e-8, atol=1e-12)
 
 
 def test_constants_that_the_data_leave_open_are_refused(quadratic):

@@ -6,8 +6,8 @@ import pytest
 
 from pinav.errors import FitError, InputError
 from pinav.fitting import BayesOutcome, fit_bayes, kernel_environment
-from pinav.fitting.kernels import length_scales, weight_covariance
-from pinav.forces import ZeroForce
+from pinav.fitting.kernels import WeightPrior
+from pinav.forces import GaussianBarrier, ZeroForce
 from pinav.learned import KernelForce, KernelPotential
 from pinav.scenarios import barrier_crossings
 from pinav.trajectories import Trajectories, simulate
@@ -233,11 +233,14 @@ def test_an_environment_made_from_data_surrounds_them(data, kind):
     offsets = positions[:, None] - np.asarray(made.centers)
     distance = np.linalg.norm(offsets, axis=-1)
     assert distance.min(axis=1).max() < made.width
-    assert distance.min(axis=0).max() < 3 * made.width
+    assert distance.min(axis=0).max() < 4 * made.width
     assert not np.any(forces(made, positions))
-    covariance = weight_covariance(made, float(length_scales(made)[0]))
+    prior = WeightPrior(made)
+    assert np.all(prior.bounds[:, 0] <= prior.start)
+    assert np.all(prior.start <= prior.bounds[:, 1])
+    covariance = prior.covariance(prior.start)
     assert covariance.shape == (made.weights.size,) * 2
-    np.linalg.cholesky(covariance)
+    assert np.linalg.eigvalsh(covariance)[0] > -1e-10
 
 
 def test_data_at_one_point_have_no_extent():
@@ -248,11 +251,28 @@ def test_data_at_one_point_have_no_extent():
         kernel_environment(KernelPotential, still)
 
 
-def test_the_weights_prior_gives_the_field_its_length_scale():
-    """Filtering by a basis of width b turns l_w into l, away from the edges."""
-    axis = np.arange(-10.0, 10.5, 0.5)
-    made = KernelPotential(jnp.zeros(len(axis)), jnp.asarray(axis[:, None]), 0.7)
-    basis = np.exp(-0.5 * ((axis[:, None] - axis) / 0.7) ** 2)
-    field = basis @ weight_covariance(made, 2.0) @ basis.T
-    middle = field[20] / field[20, 20]
-    np.testing.assert_allclose(middle, np.exp(-0.5 * (axis / 2.0) ** 2), atol=1e-3)
+def test_a_wide_envelope_is_no_envelope_and_a_narrow_one_fades():
+    axis = np.arange(-10.0, 11.0)[:, None]
+    prior = WeightPrior(KernelPotential(jnp.zeros(21), jnp.asarray(axis), 2.0))
+    stationary = np.exp(-0.5 * ((axis - axis.T) / 3.0) ** 2)
+    wide = prior.covariance(np.array([np.log(1.5), np.log(1e4), 0.0]))
+    np.testing.assert_allclose(wide, stationary, rtol=1e-5)
+    narrow = prior.covariance(np.array([np.log(1.5), 0.0, 1.0]))
+    expected = np.exp(-(((axis[:, 0] - 2.0) / 2.0) ** 2))
+    np.testing.assert_allclose(np.diag(narrow), expected)
+
+
+def test_two_obstacles_are_learned_with_a_wide_envelope(scenario, untrained):
+    """Where the field does not fade away from one place the evidence notices."""
+    barriers = GaussianBarrier(4.0, [2.0, 3.0], 1.5) + GaussianBarrier(
+        -3.0, [8.0, 6.0], 2.0
+    )
+    two = eqx.tree_at(lambda s: s.truth.environment, scenario, barriers)
+    seen = simulate(two, key=jax.random.key(3))
+    model = eqx.tree_at(
+        lambda s: s.environment, untrained, kernel_environment(KernelPotential, seen)
+    )
+    found = fit_bayes(model, seen)
+    assert found.outcome is BayesOutcome.CONVERGED
+    assert error(found, two, seen) < 0.1
+    assert found.hyperparameters.shape[1] > 0.5

@@ -1,7 +1,7 @@
 """`fit_bayes`: a kernel environment from noisy data, with everything it needs.
 
 Lifted Gauss-Newton steps with the starts eliminated; at every step the evidence
-chooses length scale, amplitude and noise anew, so that nothing is set by hand.
+chooses shape of the prior, amplitude and noise anew, so that nothing is set by hand.
 """
 
 import enum
@@ -17,16 +17,18 @@ from jaxtyping import Bool, Float, PyTree
 from pinav.dynamics import Swimmer, with_dtype
 from pinav.errors import FitError, InputError
 from pinav.fitting.evidence import (
+    Data,
     FlatBlock,
     Hyperparameters,
     Quadratic,
     best_hyperparameters,
     is_singular,
     joint_posterior,
+    shape_covariance,
     weight_posterior,
     without_flat,
 )
-from pinav.fitting.kernels import length_scales, weight_covariance
+from pinav.fitting.kernels import WeightPrior
 from pinav.fitting.lifting import (
     FreeModel,
     Linearisation,
@@ -43,6 +45,9 @@ from pinav.trajectories import Trajectories
 
 EVIDENCE_TOLERANCE, DEFECT_TOLERANCE = 1e-2, 1e-4
 """Converged: change of the log evidence, and defects relative to the states' spread."""
+
+ROUNDING = 1e-9
+"""Defects at which another step changes nothing but the last digits of the evidence."""
 
 
 class BayesOutcome(enum.IntEnum):
@@ -73,7 +78,8 @@ class BayesFit(eqx.Module):
         outcome: stalled when the iterations ran out, diverged when the defects grew
             or became infinite; the rest is then what was reached last.
         iterations: Gauss-Newton steps taken.
-        hyperparameters: noise, length scale, amplitude, and the log evidence.
+        hyperparameters: noise, shape of the prior (`WeightPrior`), amplitude, and the
+            log evidence.
         posterior: distribution of all learned parameters.
         constants: learned constants by the path of their leaf, as `drag.damping`.
         states: the smoothed states; they fulfil the dynamics when converged.
@@ -150,6 +156,8 @@ class _Step(eqx.Module):
 
     defect: float
     hyperparameters: Hyperparameters
+    data: Data
+    block: FlatBlock
     mean: Float[np.ndarray, " parameter"]
     covariance: Float[np.ndarray, "parameter parameter"]
     states: Float[jax.Array, "trajectory time state"]
@@ -159,13 +167,13 @@ def _iterate(
     problem: "_Problem", max_iterations: int
 ) -> tuple[BayesOutcome, list[_Step]]:
     """Gauss-Newton steps until they converge, diverge or run out."""
-    theta, states = problem.theta, problem.states
+    theta, states, shape = problem.theta, problem.states, problem.prior.start
     steps: list[_Step] = []
     while len(steps) < max_iterations:
-        step = problem.step(theta, states)
+        step = problem.step(theta, states, shape)
         if step is None:
             return BayesOutcome.DIVERGED, steps
-        theta, states = step.mean, step.states
+        theta, states, shape = step.mean, step.states, step.hyperparameters.shape
         steps.append(step)
         outcome = _outcome(steps)
         if outcome is not BayesOutcome.STALLED:
@@ -181,6 +189,8 @@ def _outcome(steps: list[_Step]) -> BayesOutcome:
         change = abs(last.hyperparameters.log_evidence - before)
         if change < EVIDENCE_TOLERANCE and last.defect < DEFECT_TOLERANCE:
             return BayesOutcome.CONVERGED
+    if last.defect < ROUNDING:
+        return BayesOutcome.CONVERGED
     if last.defect > 100 * max(steps[0].defect, 1.0):
         return BayesOutcome.DIVERGED
     return BayesOutcome.STALLED
@@ -193,7 +203,7 @@ class _Problem(eqx.Module):
     theta: Float[np.ndarray, " parameter"]
     states: Float[jax.Array, "trajectory time state"]
     num_free: int
-    environment: KernelForce | KernelPotential
+    prior: WeightPrior
     names: tuple[str, ...]
     flat: Bool[np.ndarray, " parameter"]
     observations: Observations
@@ -224,7 +234,7 @@ class _Problem(eqx.Module):
             theta=np.asarray(theta),
             states=jnp.asarray(states),
             num_free=num_free,
-            environment=cast(Any, model.environment),
+            prior=WeightPrior(cast(Any, model.environment)),
             names=names,
             flat=~np.array(is_weight),
             observations=Observations.of(trajectories, jnp.float64),
@@ -233,7 +243,7 @@ class _Problem(eqx.Module):
             solver=solver,
         )
 
-    def step(self, theta, states) -> _Step | None:
+    def step(self, theta, states, shape) -> _Step | None:
         """One step, or None where the linearisation is not finite."""
         linear = linearise(
             self.free, jnp.asarray(theta), states, self.observations, self.solver
@@ -244,13 +254,20 @@ class _Problem(eqx.Module):
         if not np.all(np.isfinite(linear.hessian)):
             return None
         quadratic, block = without_flat(self.quadratic(theta, linear), self.flat)
-        chosen, mean, covariance = self.posterior(quadratic, block)
+        data, covariance = Data.of(quadratic), self.prior.covariance
+        chosen = best_hyperparameters(
+            data, covariance, shape, self.prior.bounds, self.noise
+        )
+        weights = weight_posterior(data, covariance(chosen.shape), chosen)
+        mean, spread = joint_posterior(block, *weights, chosen.noise)
         change = jnp.asarray(mean - theta)
         return _Step(
             defect=float(np.max(np.asarray(linear.defects) / self.scale)),
             hyperparameters=chosen,
+            data=data,
+            block=block,
             mean=mean,
-            covariance=covariance,
+            covariance=spread,
             states=advanced(states, linear, change),
         )
 
@@ -265,17 +282,12 @@ class _Problem(eqx.Module):
             log_determinant=float(np.linalg.slogdet(starts).logabsdet.sum()),
         )
 
-    def posterior(self, quadratic: Quadratic, block: FlatBlock):
-        environment = self.environment
-        chosen = best_hyperparameters(
-            quadratic,
-            lambda scale: weight_covariance(environment, scale),
-            length_scales(environment),
-            self.noise,
+    def with_shape_uncertainty(self, step: _Step) -> Posterior:
+        """The posterior after a step, that of the prior's shape included."""
+        extra = shape_covariance(
+            step.data, self.prior.covariance, step.hyperparameters, self.noise
         )
-        prior = weight_covariance(environment, chosen.length_scale)
-        mean, covariance = weight_posterior(quadratic, prior, chosen)
-        return chosen, *joint_posterior(block, mean, covariance, chosen.noise)
+        return Posterior(self.free, step.mean, step.covariance + step.block.lift(extra))
 
     def result(self, outcome: BayesOutcome, steps: list[_Step]) -> BayesFit:
         if not steps:
@@ -284,8 +296,8 @@ class _Problem(eqx.Module):
                 "at the observed states; check its constants"
             )
         last = steps[-1]
-        posterior = Posterior(self.free, last.mean, last.covariance)
-        sd = np.sqrt(np.diag(last.covariance))
+        posterior = self.with_shape_uncertainty(last)
+        sd = np.sqrt(np.diag(posterior.covariance))
         constants = {
             self.names[i]: Estimate(float(last.mean[i]), float(sd[i]))
             for i in np.flatnonzero(self.flat)

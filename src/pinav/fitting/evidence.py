@@ -1,8 +1,8 @@
 r"""The evidence of a linear model with a Gaussian prior, and its best hyperparameters.
 
 Residuals are normal with standard deviation $\sigma$. The weights $w$ have the prior
-$N(0, a^2 K_\ell)$; all other unknowns have a flat one and are integrated out, so that
-$\sigma$ is not estimated too small (restricted likelihood). With $C C^\top = K_\ell$,
+$N(0, a^2 K)$; all other unknowns have a flat one and are integrated out, so that
+$\sigma$ is not estimated too small (restricted likelihood). With $C C^\top = K$,
 $\beta = \sigma^2/a^2$ and the eigenvalues $e_i$ of $C^\top H C$,
 
 $$-2 \log Z = n \log 2\pi\sigma^2 + m(\beta)/\sigma^2
@@ -17,16 +17,17 @@ References:
     Biometrika 58, 545 (1971).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import equinox as eqx
 import numpy as np
+import scipy.optimize
 from jaxtyping import Bool, Float
 
 from pinav.errors import FitError
 
-RATIOS = np.geomspace(1e2, 1e-14, 149)
-r"""Values of $\beta$ that are tried, relative to the largest eigenvalue."""
+LOG_RATIOS = np.linspace(-32.0, 4.0, 37)
+r"""Logarithms of $\beta$ tried first, relative to the largest eigenvalue."""
 
 
 class Quadratic(eqx.Module):
@@ -66,6 +67,22 @@ class FlatBlock(eqx.Module):
     offset: Float[np.ndarray, " flat"]
     slope: Float[np.ndarray, "flat weight"]
     covariance: Float[np.ndarray, "flat flat"]
+
+    def map_weights(
+        self,
+    ) -> Float[np.ndarray, "parameter weight"]:
+        """From changes of the weights to those of all parameters."""
+        full = np.zeros((len(self.mask), self.slope.shape[1]))
+        full[~self.mask] = np.eye(self.slope.shape[1])
+        full[self.mask] = self.slope
+        return full
+
+    def lift(
+        self, covariance: Float[np.ndarray, "weight weight"]
+    ) -> Float[np.ndarray, "parameter parameter"]:
+        """Covariance of all parameters that a covariance of the weights makes."""
+        full = self.map_weights()
+        return full @ covariance @ full.T
 
 
 def without_flat(
@@ -115,113 +132,207 @@ def is_singular(matrix: Float[np.ndarray, "n n"]) -> bool:
     return bool(eigenvalues[0] < 1e-13 * eigenvalues[-1])
 
 
+class Data(eqx.Module):
+    r"""The quadratic as few independent data, $|R w - \tau|^2 + q_0$.
+
+    Attributes:
+        rows: $R$, one for each direction that the data determine at all.
+        targets: $\tau$.
+        squares: $q_0$, which no weights explain.
+        num_free: residuals less flat unknowns.
+        log_determinant: of what was integrated out.
+    """
+
+    rows: Float[np.ndarray, "datum weight"]
+    targets: Float[np.ndarray, " datum"]
+    squares: float
+    num_free: int
+    log_determinant: float
+
+    @classmethod
+    def of(cls, quadratic: Quadratic) -> "Data":
+        """The data behind `quadratic`, less directions lost in rounding."""
+        values, vectors = np.linalg.eigh(quadratic.hessian)
+        kept = values > 1e-14 * values[-1]
+        roots, vectors = np.sqrt(values[kept]), vectors[:, kept]
+        residuals = vectors.T @ quadratic.gradient / roots
+        return cls(
+            rows=roots[:, None] * vectors.T,
+            targets=roots * (vectors.T @ quadratic.point) - residuals,
+            squares=quadratic.squares - float(residuals @ residuals),
+            num_free=quadratic.num_free,
+            log_determinant=quadratic.log_determinant,
+        )
+
+
+class _Whitened(eqx.Module):
+    """The data in directions in which the prior makes them independent.
+
+    Attributes:
+        columns: from these directions to the weights, times their prior covariance.
+        variances: prior variance in each direction.
+        targets: the data there.
+    """
+
+    columns: Float[np.ndarray, "weight datum"]
+    variances: Float[np.ndarray, " datum"]
+    targets: Float[np.ndarray, " datum"]
+
+    @classmethod
+    def of(cls, data: Data, prior: Float[np.ndarray, "weight weight"]):
+        columns = prior @ data.rows.T
+        variances, vectors = np.linalg.eigh(data.rows @ columns)
+        return cls(
+            columns=columns @ vectors,
+            variances=np.maximum(variances, 0.0),
+            targets=vectors.T @ data.targets,
+        )
+
+
 class Hyperparameters(eqx.Module):
     r"""What the evidence chooses.
 
     Attributes:
-        length_scale: $\ell$ of the prior [L].
+        shape: what the prior's covariance $K$ depends on.
         amplitude: $a$ of the prior, in the unit of the weights.
         noise: $\sigma$.
         log_evidence: $\log Z$.
     """
 
-    length_scale: float
+    shape: Float[np.ndarray, " shape"]
     amplitude: float
     noise: float
     log_evidence: float
 
 
-Covariance = Callable[[float], Float[np.ndarray, "weight weight"]]
-"""Prior covariance of the weights for a length scale, of unit amplitude."""
+Covariance = Callable[[Float[np.ndarray, " shape"]], Float[np.ndarray, "weight weight"]]
+"""Prior covariance of the weights for a shape, of unit amplitude."""
 
 
 def best_hyperparameters(
-    quadratic: Quadratic,
+    data: Data,
     covariance: Covariance,
-    length_scales: Sequence[float] | Float[np.ndarray, " candidate"],
+    start: Float[np.ndarray, " shape"],
+    bounds: Float[np.ndarray, "shape 2"],
     noise: float | None = None,
 ) -> Hyperparameters:
-    """The hyperparameters of highest evidence, on a grid of candidates.
+    """The hyperparameters of highest evidence, by L-BFGS-B from `start`.
 
     Args:
-        quadratic: in the weights alone.
+        data: what the weights are to explain.
         covariance: prior of the weights.
-        length_scales: candidates [L].
+        start: shape at which the search begins, each entry scaled to order one.
+        bounds: between which each entry is sought.
         noise: standard deviation of the residuals; estimated unless given.
     """
-    candidates = [
-        _best_amplitude(quadratic, covariance(float(scale)), float(scale), noise)
-        for scale in length_scales
-    ]
-    return max(candidates, key=lambda chosen: chosen.log_evidence)
-
-
-class _Whitened(eqx.Module):
-    """The quadratic in independent weights of unit prior variance.
-
-    Attributes:
-        columns: from these weights to the weights.
-        point: where the quadratic is expanded.
-        eigenvalues: its diagonal Hessian, not negative.
-        gradient: its gradient there.
-    """
-
-    columns: Float[np.ndarray, "weight weight"]
-    point: Float[np.ndarray, " weight"]
-    eigenvalues: Float[np.ndarray, " weight"]
-    gradient: Float[np.ndarray, " weight"]
-
-    @classmethod
-    def of(cls, quadratic: Quadratic, prior: Float[np.ndarray, "weight weight"]):
-        factor = np.linalg.cholesky(prior)
-        eigenvalues, vectors = np.linalg.eigh(factor.T @ quadratic.hessian @ factor)
-        columns = factor @ vectors
-        return cls(
-            columns=columns,
-            point=vectors.T @ np.linalg.solve(factor, quadratic.point),
-            eigenvalues=np.maximum(eigenvalues, 0.0),
-            gradient=columns.T @ quadratic.gradient,
-        )
-
-
-def _best_amplitude(quadratic, prior, length_scale, noise):
-    white = _Whitened.of(quadratic, prior)
-    ratios = RATIOS * max(white.eigenvalues[-1], np.finfo(float).tiny)
-    shifted = white.eigenvalues[:, None] + ratios
-    slopes = white.gradient[:, None] + ratios * white.point[:, None]
-    penalty = ratios * (white.point @ white.point)
-    squares = quadratic.squares + penalty - (slopes**2 / shifted).sum(axis=0)
-    squares = np.maximum(squares, np.finfo(float).eps * abs(quadratic.squares))
-    squares = np.maximum(squares, np.finfo(float).tiny)
-    variances = squares / quadratic.num_free if noise is None else noise**2
-    values = -0.5 * (
-        quadratic.num_free * np.log(2 * np.pi * variances)
-        + squares / variances
-        + np.log(shifted / ratios).sum(axis=0)
-        + quadratic.log_determinant
+    found = scipy.optimize.minimize(
+        lambda shape: -at_shape(data, covariance, shape, noise).log_evidence,
+        start,
+        method="L-BFGS-B",
+        bounds=bounds,
+        options={"ftol": 1e-8, "gtol": 1e-3, "eps": 1e-4, "maxiter": 60},
     )
-    best = int(np.argmax(values))
-    variance = float(np.broadcast_to(variances, values.shape)[best])
+    return at_shape(data, covariance, found.x, noise)
+
+
+def at_shape(
+    data: Data,
+    covariance: Covariance,
+    shape: Float[np.ndarray, " shape"],
+    noise: float | None = None,
+) -> Hyperparameters:
+    """Amplitude, and noise unless given, of highest evidence for this shape."""
+    white = _Whitened.of(data, covariance(shape))
+    largest = max(white.variances[-1], np.finfo(float).tiny)
+
+    def loss(log_ratio):
+        return -_log_evidence(data, white, largest * np.exp(log_ratio), noise)[0]
+
+    coarse = LOG_RATIOS[np.argmin([loss(value) for value in LOG_RATIOS])]
+    step = LOG_RATIOS[1] - LOG_RATIOS[0]
+    found = scipy.optimize.minimize_scalar(
+        loss,
+        bounds=(coarse - step, coarse + step),
+        method="bounded",
+        options={"xatol": 1e-5},
+    )
+    ratio = largest * np.exp(found.x)
+    value, variance = _log_evidence(data, white, ratio, noise)
     return Hyperparameters(
-        length_scale=length_scale,
-        amplitude=float(np.sqrt(variance / ratios[best])),
-        noise=float(np.sqrt(variance)),
-        log_evidence=float(values[best]),
+        shape=np.asarray(shape),
+        amplitude=float(np.sqrt(variance / ratio)),
+        noise=float(np.sqrt(variance)) if noise is None else noise,
+        log_evidence=float(value),
     )
+
+
+def _log_evidence(data, white, ratio, noise):
+    r"""Log evidence for $\beta$ = `ratio`, and the variance $\sigma^2$."""
+    shifted = white.variances + ratio
+    explained = ratio * float(white.targets @ (white.targets / shifted))
+    least = np.finfo(float).eps * float(data.targets @ data.targets) ** 0.5
+    squares = max(data.squares, 0.0) + explained
+    squares = max(squares, least**2, np.finfo(float).tiny)
+    variance = squares / data.num_free if noise is None else noise**2
+    value = -0.5 * (
+        data.num_free * np.log(2 * np.pi * variance)
+        + squares / variance
+        + np.log(shifted / ratio).sum()
+        + data.log_determinant
+    )
+    return value, variance
 
 
 def weight_posterior(
-    quadratic: Quadratic,
+    data: Data,
     prior: Float[np.ndarray, "weight weight"],
     chosen: Hyperparameters,
 ) -> tuple[Float[np.ndarray, " weight"], Float[np.ndarray, "weight weight"]]:
     r"""Mean and covariance of the weights, $(H/\sigma^2 + K^{-1}/a^2)^{-1}$."""
-    white = _Whitened.of(quadratic, prior)
-    ratio = (chosen.noise / chosen.amplitude) ** 2
-    shifted = white.eigenvalues + ratio
-    change = -(white.gradient + ratio * white.point) / shifted
-    mean = quadratic.point + white.columns @ change
-    return mean, chosen.noise**2 * (white.columns / shifted) @ white.columns.T
+    white = _Whitened.of(data, prior)
+    shifted = white.variances + (chosen.noise / chosen.amplitude) ** 2
+    mean = white.columns @ (white.targets / shifted)
+    learned = (white.columns / shifted) @ white.columns.T
+    return mean, chosen.amplitude**2 * (prior - learned)
+
+
+def shape_covariance(
+    data: Data,
+    covariance: Covariance,
+    chosen: Hyperparameters,
+    noise: float | None = None,
+) -> Float[np.ndarray, "weight weight"]:
+    r"""What the uncertainty of the prior's shape adds to the weights' covariance.
+
+    $M A^{-1} M^\top$ with the curvature $A$ of $-\log Z$ and the slope $M$ of the mean,
+    both by differences. A normal distribution of standard deviation `SHAPE_SD` holds
+    directions of the shape on which the evidence does not depend.
+
+    References:
+        MacKay, Neural Computation 11, 1035 (1999), section 5.
+    """
+    unit = STEP * np.eye(len(chosen.shape))
+
+    def at(offset):
+        return at_shape(data, covariance, chosen.shape + offset, noise)
+
+    def mean(offset):
+        shape = chosen.shape + offset
+        return weight_posterior(data, covariance(shape), at(offset))[0]
+
+    sums = [[at(a + b).log_evidence for b in unit] for a in unit]
+    differences = [[at(a - b).log_evidence for b in unit] for a in unit]
+    opposite = [[at(-a - b).log_evidence for b in unit] for a in unit]
+    second = np.array(sums) + np.array(opposite)
+    second -= np.array(differences) + np.array(differences).T
+    values, vectors = np.linalg.eigh(-second / (4 * STEP**2))
+    spread = vectors / np.sqrt(np.maximum(values, 0.0) + SHAPE_SD**-2)
+    slopes = np.stack([(mean(a) - mean(-a)) / (2 * STEP) for a in unit], axis=1)
+    return slopes @ spread @ spread.T @ slopes.T
+
+
+STEP, SHAPE_SD = 0.02, 2.0
+"""Difference step in the shape, and standard deviation of its own prior."""
 
 
 def joint_posterior(
@@ -231,12 +342,12 @@ def joint_posterior(
     noise: float,
 ) -> tuple[Float[np.ndarray, " parameter"], Float[np.ndarray, "parameter parameter"]]:
     """Mean and covariance of all parameters from those of the weights."""
-    total, mask = len(block.mask), block.mask
-    map_weights = np.zeros((total, len(mean)))
-    map_weights[~mask] = np.eye(len(mean))
-    map_weights[mask] = block.slope
-    joint = map_weights @ covariance @ map_weights.T
+    joint, mask = block.lift(covariance), block.mask
     joint[np.ix_(mask, mask)] += noise**2 * block.covariance
-    offset = np.zeros(total)
+    offset = np.zeros(len(mask))
     offset[mask] = block.offset
-    return offset + map_weights @ mean, joint
+    return offset + block.map_weights() @ mean, joint
+
+
+STEP, SHAPE_SD = 0.02, 2.0
+"""Difference step in the shape, and standard deviation of its own prior."""
