@@ -58,7 +58,9 @@ class SimulateOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Write the trajectories of a named scenario to a .npz or .csv file."""
 
     scenario: Annotated[
-        str, tyro.conf.Positional, tyro.conf.arg(help="Name of the scenario: paper.")
+        str,
+        tyro.conf.Positional,
+        tyro.conf.arg(help="Name of the scenario: paper or barrier-crossings."),
     ]
     out: Annotated[Path, tyro.conf.arg(help="File to write, .npz or .csv.")]
     settings: SimulateSettings = SimulateSettings()

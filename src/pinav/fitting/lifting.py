@@ -1,0 +1,197 @@
+r"""Lifted least squares: every sample state is a point of linearisation.
+
+A rollout that depends on its start sensitively is a hard function to linearise. So it
+is not rolled out: with one state $u_k$ per sample and the step $F_k$ from one sample to
+the next, the constraint $u_{k+1} = F_k(u_k, \theta)$ is linearised about states that
+need not fulfil it. Its solution is $u + J\,\delta\theta + \Phi\,\delta s + c$, with a
+change $\delta s$ of the start and $c$ the response to the defects
+$d_k = F_k(u_k) - u_{k+1}$; all three follow from one linear recursion.
+
+References:
+    Bock, Randwertproblemmethoden zur Parameteridentifizierung (1987), condensing;
+    Albersmeyer and Diehl, SIAM J. Optim. 20, 1655 (2010), the lifted Newton method.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float, PyTree
+
+from pinav.fitting.fit import Trainable, split_trainable
+from pinav.fitting.objectives import Observations
+from pinav.solvers import FixedStep, linear_recursion
+
+
+class FreeModel(eqx.Module):
+    """A model as a function of the vector of its free parameters.
+
+    Attributes:
+        static: the model without the leaves that are free.
+        unravel: from the vector to those leaves.
+    """
+
+    static: PyTree
+    unravel: Callable[[Float[Array, " parameter"]], PyTree] = eqx.field(static=True)
+
+    def __call__(self, theta: Float[Array, " parameter"]) -> Any:
+        """The model with these parameters."""
+        return eqx.combine(self.unravel(theta), self.static)
+
+
+def freed(
+    model: Any, trainable: Trainable
+) -> tuple[FreeModel, Float[Array, " parameter"]]:
+    """The model as a function of the selected leaves, and their values, in float64.
+
+    Raises:
+        InputError: the selection holds no number that could be free.
+    """
+    free, static = split_trainable(model, trainable, jnp.float64)
+    theta, unravel = ravel_pytree(free)
+    return FreeModel(static, unravel), theta
+
+
+class Sensitivities(eqx.Module):
+    r"""Linearised solution along one trajectory of states.
+
+    Attributes:
+        columns: $J$, $\Phi$ and $c$ side by side.
+        defects: $d_k$, by which each step misses the next state.
+    """
+
+    columns: Float[Array, "time state column"]
+    defects: Float[Array, "step state"]
+
+
+def sensitivities(
+    free: FreeModel,
+    theta: Float[Array, " parameter"],
+    states: Float[Array, "time state"],
+    times: Float[Array, " time"],
+    solver: FixedStep,
+) -> Sensitivities:
+    r"""Linearise the dynamics about `states`, whether or not they are a solution.
+
+    With $A_k = \partial F_k/\partial u$ and $B_k = \partial F_k/\partial\theta$, all
+    at once, $E_{k+1} = A_k E_k + [B_k, 0, d_k]$ from $E_0 = [0, I, 0]$.
+    """
+
+    def step(theta, y, t0, t1):
+        return solver.step(free(theta), y, t0, t1)
+
+    inputs = (theta, states[:-1], times[:-1], times[1:])
+    axes = (None, 0, 0, 0)
+    by_state = jax.vmap(jax.jacfwd(step, argnums=1), axes)(*inputs)
+    by_parameter = jax.vmap(jax.jacrev(step), axes)(*inputs)
+    defects = jax.vmap(step, axes)(*inputs) - states[1:]
+    steps, state = defects.shape
+    nothing = jnp.zeros((steps, state, state))
+    sources = jnp.concatenate([by_parameter, nothing, defects[..., None]], axis=2)
+    start = jnp.eye(state, sources.shape[2], k=theta.shape[0])
+    recursion = jax.vmap(linear_recursion, (1, None, 2), 2)
+    return Sensitivities(recursion(start, by_state, sources), defects)
+
+
+class Linearisation(eqx.Module):
+    r"""Sum of squared residuals as a quadratic, the starts eliminated.
+
+    $\sum r^2 = q + 2\,g\cdot\delta\theta + \delta\theta\cdot H\,\delta\theta$, minimal
+    over the changes of all starts.
+
+    Attributes:
+        hessian: $H$.
+        gradient: $g$.
+        squares: $q$.
+        columns: see `Sensitivities`.
+        start_information: $\Phi^\top\Phi$ over the observed entries.
+        start_rows: $\delta s = -$ (these rows applied to $(\delta\theta, 1)$).
+        defects: the largest defect of each channel.
+    """
+
+    hessian: Float[Array, "parameter parameter"]
+    gradient: Float[Array, " parameter"]
+    squares: Float[Array, ""]
+    columns: Float[Array, "trajectory time state column"]
+    start_information: Float[Array, "trajectory state state"]
+    start_rows: Float[Array, "trajectory state row"]
+    defects: Float[Array, " state"]
+
+
+@eqx.filter_jit
+def linearise(
+    free: FreeModel,
+    theta: Float[Array, " parameter"],
+    states: Float[Array, "trajectory time state"],
+    observations: Observations,
+    solver: FixedStep,
+) -> Linearisation:
+    """Linearise all trajectories about `states` and eliminate their starts.
+
+    Padding, which repeats the last time and state, adds nothing.
+    """
+
+    def one(states, times, data, observed):
+        local = sensitivities(free, theta, states, times, solver)
+        reach = local.columns
+        residuals = states + reach[..., -1] - data
+        rows = jnp.concatenate([reach[..., :-1], residuals[..., None]], axis=2)
+        rows = jnp.where(observed[..., None], rows, 0.0).reshape(-1, rows.shape[2])
+        reduced, information, start_rows = eliminate(
+            rows.T @ rows, theta.shape[0], states.shape[1]
+        )
+        return reduced, information, start_rows, reach, local.defects
+
+    reduced, information, start_rows, columns, defects = jax.vmap(one)(
+        states, observations.times, observations.states, observations.observed
+    )
+    total = reduced.sum(axis=0)
+    return Linearisation(
+        hessian=total[:-1, :-1],
+        gradient=total[:-1, -1],
+        squares=total[-1, -1],
+        columns=columns,
+        start_information=information,
+        start_rows=start_rows,
+        defects=jnp.abs(defects).max(axis=(0, 1)),
+    )
+
+
+def eliminate(
+    gram: Float[Array, "all all"], first: int, count: int
+) -> tuple[
+    Float[Array, "rest rest"],
+    Float[Array, "count count"],
+    Float[Array, "count rest"],
+]:
+    """Minimise a quadratic form over `count` of its unknowns, from index `first` on.
+
+    Returns:
+        The Schur complement, the eliminated block, and the rows that give its
+        unknowns, up to sign, from the rest.
+    """
+    chosen = np.arange(first, first + count)
+    rest = np.delete(np.arange(gram.shape[0]), chosen)
+    information = gram[np.ix_(chosen, chosen)]
+    border = gram[np.ix_(chosen, rest)]
+    rows = jnp.linalg.solve(information, border)
+    return gram[np.ix_(rest, rest)] - border.T @ rows, information, rows
+
+
+@eqx.filter_jit
+def advanced(
+    states: Float[Array, "trajectory time state"],
+    linearisation: Linearisation,
+    change: Float[Array, " parameter"],
+) -> Float[Array, "trajectory time state"]:
+    r"""The states after the step $\delta\theta$, each start at its best."""
+
+    def one(states, columns, start_rows):
+        starts = -start_rows @ jnp.append(change, 1.0)
+        return states + columns @ jnp.concatenate([change, starts, jnp.ones(1)])
+
+    return jax.vmap(one)(states, linearisation.columns, linearisation.start_rows)

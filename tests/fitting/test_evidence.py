@@ -1,0 +1,127 @@
+import numpy as np
+import pytest
+
+from pinav.errors import FitError
+from pinav.fitting.evidence import (
+    Data,
+    Quadratic,
+    at_shape,
+    best_hyperparameters,
+    is_singular,
+    joint_posterior,
+    shape_covariance,
+    weight_posterior,
+    without_flat,
+)
+
+WEIGHTS, FLAT, ROWS = 4, 2, 30
+RNG = np.random.default_rng(1)
+DESIGN = RNG.normal(size=(ROWS, WEIGHTS + FLAT))
+TRUE = np.array([1.0, -0.5, 0.3, 0.8, 5.0, -3.0])
+DATA = DESIGN @ TRUE + 0.1 * RNG.normal(size=ROWS)
+MASK = np.arange(WEIGHTS + FLAT) >= WEIGHTS
+ABOUT = RNG.normal(size=WEIGHTS + FLAT)
+
+
+BOUNDS = np.array([[-1.0, 1.0]])
+
+
+def prior(shape):
+    length_scale = np.exp(shape[0])
+    distance = np.arange(WEIGHTS)[:, None] - np.arange(WEIGHTS)
+    return np.exp(-0.5 * (distance / length_scale) ** 2) + 1e-6 * np.eye(WEIGHTS)
+
+
+@pytest.fixture
+def quadratic():
+    """The sum of squares of the linear model, known about an arbitrary point."""
+    residuals = DESIGN @ ABOUT - DATA
+    return Quadratic(
+        ABOUT,
+        DESIGN.T @ DESIGN,
+        DESIGN.T @ residuals,
+        float(residuals @ residuals),
+        num_free=ROWS,
+        log_determinant=0.0,
+    )
+
+
+def restricted_likelihood(chosen):
+    """Log density of the data with the flat parameters integrated out, directly."""
+    weights, flat = DESIGN[:, ~MASK], DESIGN[:, MASK]
+    covariance = chosen.noise**2 * np.eye(ROWS)
+    covariance += chosen.amplitude**2 * weights @ prior(chosen.shape) @ weights.T
+    inverse = np.linalg.inv(covariance)
+    information = flat.T @ inverse @ flat
+    projected = inverse - inverse @ flat @ np.linalg.solve(
+        information, flat.T @ inverse
+    )
+    return -0.5 * (
+        (ROWS - FLAT) * np.log(2 * np.pi)
+        + np.linalg.slogdet(covariance)[1]
+        + np.linalg.slogdet(information)[1]
+        + DATA @ projected @ DATA
+    )
+
+
+@pytest.mark.parametrize("noise", [None, 0.1, 0.3])
+def test_evidence_is_the_normal_density_of_the_data(quadratic, noise):
+    reduced, _ = without_flat(quadratic, MASK)
+    chosen = best_hyperparameters(Data.of(reduced), prior, np.zeros(1), BOUNDS, noise)
+    expected = restricted_likelihood(chosen)
+    np.testing.assert_allclose(chosen.log_evidence, expected, rtol=1e-8)
+    assert noise is None or chosen.noise == noise
+
+
+def test_noise_is_estimated_without_bias(quadratic):
+    reduced, _ = without_flat(quadratic, MASK)
+    chosen = best_hyperparameters(Data.of(reduced), prior, np.zeros(1), BOUNDS)
+    assert chosen.noise == pytest.approx(0.1, rel=0.3)
+
+
+def test_the_evidence_is_highest_where_the_search_ends(quadratic):
+    data = Data.of(without_flat(quadratic, MASK)[0])
+    chosen = best_hyperparameters(data, prior, np.zeros(1), BOUNDS)
+    for shape in np.linspace(-1, 1, 9)[:, None]:
+        assert at_shape(data, prior, shape).log_evidence < chosen.log_evidence + 1e-4
+
+
+def test_an_uncertain_shape_widens_the_posterior(quadratic):
+    data = Data.of(without_flat(quadratic, MASK)[0])
+    chosen = best_hyperparameters(data, prior, np.zeros(1), BOUNDS)
+    extra = shape_covariance(data, prior, chosen)
+    values = np.linalg.eigvalsh(extra)
+    assert values[-1] > 0
+    np.testing.assert_allclose(values[:-1], 0, atol=1e-12)
+    idle = shape_covariance(data, lambda _: prior(np.zeros(1)), chosen)
+    np.testing.assert_allclose(idle, 0, atol=1e-12)
+
+
+def test_posterior_is_the_exact_one(quadratic):
+    reduced, block = without_flat(quadratic, MASK)
+    data = Data.of(reduced)
+    chosen = best_hyperparameters(data, prior, np.zeros(1), BOUNDS)
+    covariance = prior(chosen.shape)
+    weights = weight_posterior(data, covariance, chosen)
+    mean, joint = joint_posterior(block, *weights, chosen.noise)
+    precision = DESIGN.T @ DESIGN / chosen.noise**2
+    precision[:WEIGHTS, :WEIGHTS] += np.linalg.inv(covariance) / chosen.amplitude**2
+    exact = np.linalg.solve(precision, DESIGN.T @ DATA / chosen.noise**2)
+    np.testing.assert_allclose(mean, exact, rtol=1e-9)
+    np.testing.assert_allclose(joint, np.linalg.inv(precision), rtol=1e-8, atol=1e-12)
+
+
+def test_constants_that_the_data_leave_open_are_refused(quadratic):
+    hessian = quadratic.hessian.copy()
+    hessian[-1], hessian[:, -1] = hessian[-2], hessian[:, -2]
+    hessian[-1, -1] = hessian[-2, -2]
+    twins = Quadratic(ABOUT, hessian, quadratic.gradient, 1.0, ROWS, 0.0)
+    with pytest.raises(FitError, match="singular: the data do not determine the learn"):
+        without_flat(twins, MASK)
+
+
+def test_a_matrix_that_is_not_finite_or_has_a_zero_is_singular():
+    assert is_singular(np.diag([1.0, 0.0]))
+    assert is_singular(np.array([[np.nan]]))
+    assert not is_singular(np.diag([1.0, 1e-20]))
+    assert not is_singular(np.zeros((0, 0)))
