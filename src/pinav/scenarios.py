@@ -82,8 +82,8 @@ def barrier_crossings(key: PRNGKeyArray | None = None) -> Scenario:
     uniform angles, aimed at the centre plus a normal offset of standard deviation 2
     in each coordinate, with a speed uniform in [2.5, 5]. Observed every 0.1 for 20
     time units, with Gaussian noise of 0.02 in every state. Working values: the
-    conservative kernel fit of `pinav.fitting.fit_bayes` finds the force to about 1 %
-    on visited ground and 5 % everywhere around it.
+    conservative kernel fit of `pinav.fitting.fit_bayes` finds the force to about 0.1 %
+    on visited ground and around it.
 
     Args:
         key: random key of the starts; `jax.random.key(0)` unless given.

@@ -331,7 +331,7 @@ def shape_covariance(
     return slopes @ spread @ spread.T @ slopes.T
 
 
-STEP, SHAPE_SD = 0.02, 2.0
+STEP, SHAPE_SD = 1e-3, 2.0
 """Difference step in the shape, and standard deviation of its own prior."""
 
 
@@ -349,5 +349,5 @@ def joint_posterior(
     return offset + block.map_weights() @ mean, joint
 
 
-STEP, SHAPE_SD = 0.02, 2.0
+STEP, SHAPE_SD = 1e-3, 2.0
 """Difference step in the shape, and standard deviation of its own prior."""
