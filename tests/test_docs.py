@@ -38,6 +38,15 @@ def test_the_commands_run(tmp_path, monkeypatch):
             assert cli.run(words[1:]) == 0
 
 
+@pytest.mark.parametrize(
+    "path", sorted((ROOT / "examples").glob("*.py")), ids=lambda p: p.name
+)
+def test_the_examples_run(path):
+    done = subprocess.run([sys.executable, path], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout
+
+
 def test_the_make_targets_exist():
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     named = re.findall(r"make ([a-z]+)", README)
