@@ -109,7 +109,7 @@ def force_comparison(
     for ax in axes[1:]:
         ax.set_ylabel("")
     figure.legend(
-        handles=_keys(path is not None, units, shade=True),
+        handles=_keys(units, path=path is not None, shade=True),
         loc="outside lower center",
         ncols=4,
         fontsize=SMALL,
@@ -206,7 +206,7 @@ def _overlay(ax: Axes, field: FieldMap, path, units, *, shade: bool) -> None:
     if path is not None:
         ax.plot(*path.T, **_PATH)
     ax.set(xlim=field.x[[0, -1]], ylim=field.y[[0, -1]])
-    handles = _keys(path is not None, units, shade=shade)
+    handles = _keys(units, path=path is not None, shade=shade)
     ax.legend(handles=handles, loc="upper left", fontsize=SMALL, framealpha=0.9)
 
 
@@ -217,7 +217,7 @@ _PATH = {
 }
 
 
-def _keys(path: bool, units, *, shade: bool) -> list[Artist]:  # noqa: FBT001
+def _keys(units, *, path: bool, shade: bool) -> list[Artist]:
     """Legend entries of what `_overlay` draws."""
     length = with_unit("", units.get("x", "1")).strip(" []")
     visited, near = (f"within {d:g} {length}".strip() for d in (VISITED, NEAR))
