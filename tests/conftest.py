@@ -5,6 +5,7 @@ import os
 os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
 
+import hypothesis
 import jax
 import jaxtyping
 import pytest
@@ -14,6 +15,8 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 jaxtyping.install_import_hook("pinav", "beartype.beartype")
+hypothesis.settings.register_profile("no deadline", deadline=None)
+hypothesis.settings.load_profile("no deadline")  # other work may slow the machine
 
 
 @pytest.fixture(scope="session")
