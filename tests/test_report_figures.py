@@ -307,7 +307,7 @@ def test_failed_write_keeps_the_old_file_and_leaves_no_part(tmp_path):
     before = paths.png.read_bytes()
 
     def fail(to, **_):
-        to.write_bytes(b"half")
+        to.write(b"half")
         raise OSError("disk full")
 
     figure.savefig = fail

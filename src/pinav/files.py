@@ -36,6 +36,19 @@ def atomic_write(
         raise InputError(
             f"{path}: exists already; choose another name or allow overwriting"
         )
+    try:
+        write_whole(path, write)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InputError(f"{path}: cannot write: {reason}") from error
+
+
+def write_whole(path: Path, write: Callable[[BinaryIO], object]) -> None:
+    """Write or replace a file as `atomic_write` does, with the system's own errors.
+
+    Raises:
+        OSError: the system refused to write; the old file stays.
+    """
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     try:
         with open(temporary, "xb") as file:
@@ -43,9 +56,6 @@ def atomic_write(
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, path)
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise InputError(f"{path}: cannot write: {reason}") from error
     finally:
         temporary.unlink(missing_ok=True)
 

@@ -1,12 +1,11 @@
 """Figures as files, whole or not at all, and the same bytes for the same figure."""
 
 import dataclasses
-import os
-from collections.abc import Callable
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from pinav.files import write_whole
 from pinav.report.style import file_settings
 
 
@@ -40,25 +39,16 @@ def save_figure(figure: Figure, folder: str | Path, name: str) -> FigureFiles:
     folder.mkdir(parents=True, exist_ok=True)
     files = FigureFiles(folder / f"{name}.png", folder / f"{name}.svg")
     with file_settings():
-        _write_whole(
+        write_whole(
             files.png,
             lambda to: figure.savefig(
                 to, format="png", dpi=150, metadata={"Software": None}
             ),
         )
-        _write_whole(
+        write_whole(
             files.svg,
             lambda to: figure.savefig(
                 to, format="svg", dpi=150, metadata={"Date": None, "Creator": None}
             ),
         )
     return files
-
-
-def _write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        write(partial)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
