@@ -9,7 +9,13 @@ import pytest
 from pinav import __version__
 from pinav.errors import InputError
 from pinav.scenarios import paper
-from pinav.trajectories import Trajectories, concatenate, simulate, split
+from pinav.trajectories import (
+    Trajectories,
+    concatenate,
+    simulate,
+    split,
+    with_unobserved,
+)
 
 NAN = float("nan")
 XY = ("x", "y")
@@ -299,3 +305,22 @@ BAD_CALLS = {
 def test_bad_calls_are_named(call, message):
     with pytest.raises(InputError, match=message):
         call()
+
+
+def test_channels_that_nobody_observed_can_be_added():
+    data = Trajectories.from_arrays(
+        [[0.0, 1.0, 2.0], [0.0, 1.0]],
+        [np.ones((3, 1)), np.ones((2, 1))],
+        channels=("x",),
+        units={"x": "um", "t": "s"},
+        commands={"f": [[1.0, 2.0, 3.0], [4.0, 5.0]]},
+    )
+    wide = with_unobserved(data, {"vx": "um/s"})
+    assert wide.channels == ("x", "vx")
+    assert wide.units == {**data.units, "vx": "um/s"}
+    np.testing.assert_array_equal(wide.states[..., :1], data.states)
+    np.testing.assert_array_equal(wide.observed[..., 0], data.observed[..., 0])
+    assert not wide.observed[..., 1].any()
+    np.testing.assert_array_equal(wide.commands["f"], data.commands["f"])
+    with pytest.raises(InputError, match="channel 'x': stands twice"):
+        with_unobserved(data, {"x": "um"})

@@ -145,6 +145,37 @@ class Trajectories(eqx.Module):
         return _padded(pieces, self.channels, self.units, provenance)
 
 
+def with_unobserved(
+    trajectories: Trajectories, units: Mapping[str, str]
+) -> Trajectories:
+    """The trajectories with more channels, of which nothing was observed.
+
+    A tracker gives positions; a swimmer with inertia has velocities too.
+
+    Args:
+        trajectories: what was observed.
+        units: unit of each new channel, by its name.
+    """
+    extra = len(units)
+
+    def widened(piece: Trajectory) -> Trajectory:
+        blank = np.zeros((len(piece.times), extra))
+        return Trajectory(
+            times=piece.times,
+            states=np.concatenate([piece.states, blank], axis=1),
+            observed=np.concatenate([piece.observed, blank > 0], axis=1),
+            commands=piece.commands,
+        )
+
+    channels = _checked_names((*trajectories.channels, *units), trajectories.commands)
+    return _padded(
+        [widened(piece) for piece in trajectories],
+        channels,
+        {**trajectories.units, **units},
+        trajectories.provenance,
+    )
+
+
 class Split(NamedTuple):
     """Trajectories for training, and those kept for testing."""
 
