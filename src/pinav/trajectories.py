@@ -206,6 +206,31 @@ def split(trajectories: Trajectories, fraction: float, *, key: PRNGKeyArray) -> 
     return Split(trajectories.select(train), trajectories.select(held_out))
 
 
+def bootstrap(
+    trajectories: Trajectories, count: int, *, key: PRNGKeyArray
+) -> list[Trajectories]:
+    """Resamples of whole trajectories, with replacement, for intervals.
+
+    Args:
+        trajectories: at least two.
+        count: number of resamples, each of as many trajectories.
+        key: random key of the choice.
+
+    Raises:
+        InputError: there is one trajectory, or `count` is not positive.
+
+    References:
+        Efron and Tibshirani, An Introduction to the Bootstrap (1993).
+    """
+    if len(trajectories) < 2:
+        raise InputError("bootstrap: expected two or more trajectories, got 1")
+    if count < 1:
+        raise InputError(f"bootstrap count: expected 1 or more, got {count}")
+    shape = (count, len(trajectories))
+    chosen = jax.random.randint(key, shape, 0, len(trajectories))
+    return [trajectories.select(np.asarray(own)) for own in chosen]
+
+
 def concatenate(several: Sequence[Trajectories]) -> Trajectories:
     """The trajectories of all, in order; provenances are kept side by side.
 

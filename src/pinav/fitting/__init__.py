@@ -6,11 +6,6 @@ from pinav.fitting.bayes import BayesProgress as BayesProgress
 from pinav.fitting.bayes import Estimate as Estimate
 from pinav.fitting.bayes import fit_bayes as fit_bayes
 from pinav.fitting.evidence import Hyperparameters as Hyperparameters
-from pinav.fitting.fit import AbstractCheckpoint as AbstractCheckpoint
-from pinav.fitting.fit import Fit as Fit
-from pinav.fitting.fit import FitOutcome as FitOutcome
-from pinav.fitting.fit import FitProgress as FitProgress
-from pinav.fitting.fit import FitState as FitState
 from pinav.fitting.fit import Problem as Problem
 from pinav.fitting.fit import fit as fit
 from pinav.fitting.fit import fit_many as fit_many
@@ -31,3 +26,8 @@ from pinav.fitting.posterior import Band as Band
 from pinav.fitting.posterior import Posterior as Posterior
 from pinav.fitting.recipes import curriculum as curriculum
 from pinav.fitting.recipes import paper_recipe as paper_recipe
+from pinav.fitting.records import AbstractCheckpoint as AbstractCheckpoint
+from pinav.fitting.records import Fit as Fit
+from pinav.fitting.records import FitOutcome as FitOutcome
+from pinav.fitting.records import FitProgress as FitProgress
+from pinav.fitting.records import FitState as FitState
