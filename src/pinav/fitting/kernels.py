@@ -21,7 +21,9 @@ KERNELS_ACROSS, MARGIN = 12, 4.0
 """Kernels along the longer side of the data, and kernels in the margin around them."""
 
 
-def kernel_environment(kind: type[Kernel], trajectories: Trajectories) -> Kernel:
+def kernel_environment(
+    kind: type[Kernel], trajectories: Trajectories, *, dim: int | None = None
+) -> Kernel:
     """An untrained kernel environment on a grid around the data: no force at all.
 
     The grid is as fine as a twelfth of the longer side of the data, the kernels are as
@@ -31,11 +33,20 @@ def kernel_environment(kind: type[Kernel], trajectories: Trajectories) -> Kernel
     Args:
         kind: `KernelForce` or `KernelPotential`.
         trajectories: their channels are positions, then as many velocities.
+        dim: how many of their channels are positions, where that is not half of them:
+            all, where the state of the dynamics is the position.
 
     Raises:
-        InputError: the observed positions are fewer than two, or all the same.
+        InputError: the observed positions are fewer than two, or all the same, or
+            there are no `dim` channels.
     """
-    dim = len(trajectories.channels) // 2
+    count = len(trajectories.channels)
+    dim = count // 2 if dim is None else dim
+    if not 0 < dim <= count:
+        raise InputError(
+            f"kernel_environment dim: expected 1 to {count}, as many as there are "
+            f"channels, got {dim}"
+        )
     seen = trajectories.observed[..., :dim].all(axis=-1)
     positions = trajectories.states[..., :dim][seen]
     extent = float(np.ptp(positions, axis=0).max()) if len(positions) > 1 else 0.0
