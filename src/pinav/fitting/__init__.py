@@ -15,6 +15,7 @@ from pinav.fitting.fit import fit as fit
 from pinav.fitting.fit import fit_many as fit_many
 from pinav.fitting.gauss_newton import GaussNewton as GaussNewton
 from pinav.fitting.kernels import kernel_environment as kernel_environment
+from pinav.fitting.networks import neural_environment as neural_environment
 from pinav.fitting.objectives import AbstractObjective as AbstractObjective
 from pinav.fitting.objectives import Observations as Observations
 from pinav.fitting.objectives import TrajectoryLoss as TrajectoryLoss

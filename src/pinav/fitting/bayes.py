@@ -10,51 +10,29 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
-from jaxtyping import Bool, Float, PyTree
+from jaxtyping import Float, PyTree
 
-from pinav.dynamics import AbstractDynamics, Swimmer, with_dtype
+from pinav.dynamics import AbstractDynamics
 from pinav.errors import FitError, InputError
-from pinav.fitting.descent import (
-    AbstractDescent,
-    ChordSteps,
-    FullStep,
-    Local,
-    Move,
-)
-from pinav.fitting.evidence import (
-    FlatBlock,
-    Hyperparameters,
-    Quadratic,
-    is_singular,
-    joint_posterior,
-    without_flat,
-)
-from pinav.fitting.inference import (
-    AbstractWeights,
-    GaussianWeights,
-    Inference,
-    NoWeights,
-)
-from pinav.fitting.kernels import WeightPrior
-from pinav.fitting.lifting import (
-    FreeModel,
-    Linearisation,
-    freed,
-    linearise,
-)
-from pinav.fitting.objectives import Observations
+from pinav.fitting.bayes_problem import BayesProblem, Step, num_positions
+from pinav.fitting.descent import Move
+from pinav.fitting.distil import distilled, lesson
+from pinav.fitting.evidence import Hyperparameters
+from pinav.fitting.kernels import kernel_environment
 from pinav.fitting.posterior import Posterior
-from pinav.fitting.smoother import smoothed_states
 from pinav.forces import AbstractForce
-from pinav.learned import AbstractLearnedForce, KernelForce, KernelPotential
+from pinav.learned import (
+    KernelForce,
+    KernelPotential,
+    NeuralForce,
+    NeuralPotential,
+)
 from pinav.solvers import FixedStep
 from pinav.trajectories import Trajectories
 
-EVIDENCE_TOLERANCE, DEFECT_TOLERANCE = 1e-2, 1e-4
-"""Converged: change of the log evidence, and defects relative to the states' spread."""
+DEFECT_TOLERANCE = 1e-4
+"""Converged: defects relative to the states' spread."""
 
 ROUNDING = 1e-9
 """Defects at which another step changes nothing but the last digits of the evidence."""
@@ -146,8 +124,8 @@ def fit_bayes(
     _check(model, noise, max_iterations)
     with jax.enable_x64(new_val=True):
         solver = FixedStep() if solver is None else solver
-        problem = _Problem.of(model, trajectories, learn, noise, solver)
-        result = problem.result(*_iterate(problem, max_iterations))
+        problem = _begun(model, trajectories, learn, noise, solver)
+        result = _result(problem, *_iterate(problem, max_iterations))
     if throw and result.outcome is not BayesOutcome.CONVERGED:
         raise FitError(_MESSAGES[result.outcome])
     return result
@@ -165,43 +143,69 @@ _MESSAGES = {
 }
 
 
-class _Step(eqx.Module):
-    """One step: what the data said before it, and where it led."""
+KERNELS = {NeuralForce: KernelForce, NeuralPotential: KernelPotential}
+"""The kernels that teach a network of each kind."""
 
-    defect: float
-    inference: Inference
-    quadratic: Quadratic
-    block: FlatBlock
-    covariance: Float[np.ndarray, "parameter parameter"]
-    move: Move
+
+def _begun(model, trajectories, learn, noise, solver) -> BayesProblem:
+    """The fit at its start: from the model's values, or taught by a kernel fit."""
+    given = BayesProblem.of(model, trajectories, learn, noise, solver)
+    environment = model.environment
+    if not isinstance(environment, NeuralForce | NeuralPotential):
+        return given
+    dim = num_positions(model, trajectories)
+    kernels = kernel_environment(KERNELS[type(environment)], trajectories, dim=dim)
+    replaced = eqx.tree_at(lambda m: m.environment, model, kernels)
+    teaching = BayesProblem.of(replaced, trajectories, learn, noise, solver)
+    outcome, steps = _iterate(teaching, TEACHING_STEPS)
+    if outcome is BayesOutcome.DIVERGED:
+        return given
+    teacher = _result(teaching, outcome, steps)
+    taught = lesson(
+        teacher.model.environment,
+        trajectories,
+        teacher.states,
+        dim=dim,
+        margin=float(kernels.width),
+    )
+    start = eqx.tree_at(
+        lambda m: m.environment, teacher.model, distilled(environment, taught)
+    )
+    return BayesProblem.of(
+        start, trajectories, learn, noise, solver, states=teacher.states
+    )
+
+
+TEACHING_STEPS = 20
+"""Of the kernel fit at most."""
 
 
 def _iterate(
-    problem: "_Problem", max_iterations: int
-) -> tuple[BayesOutcome, list[_Step]]:
+    problem: "BayesProblem", max_iterations: int
+) -> tuple[BayesOutcome, list[Step]]:
     """Steps until they converge, diverge or run out."""
     move = Move(problem.theta, problem.states, problem.descent)
     shape = problem.weights.start
-    steps: list[_Step] = []
+    steps: list[Step] = []
     while len(steps) < max_iterations:
         step = problem.step(move, shape)
         if step is None:
             return BayesOutcome.DIVERGED, steps
         move, shape = step.move, step.inference.hyperparameters.shape
         steps.append(step)
-        outcome = _outcome(steps)
+        outcome = _outcome(steps, problem.tolerance)
         if outcome is not BayesOutcome.STALLED:
             return outcome, steps
     return BayesOutcome.STALLED, steps
 
 
-def _outcome(steps: list[_Step]) -> BayesOutcome:
+def _outcome(steps: list[Step], tolerance: float) -> BayesOutcome:
     """Converged, or not yet; defects that grow without bound count as diverged."""
     last = steps[-1]
     if len(steps) > 1:
         before = steps[-2].inference.hyperparameters.log_evidence
         change = abs(last.inference.hyperparameters.log_evidence - before)
-        if change < EVIDENCE_TOLERANCE and last.defect < DEFECT_TOLERANCE:
+        if change < tolerance and last.defect < DEFECT_TOLERANCE:
             return BayesOutcome.CONVERGED
     if last.defect < ROUNDING:
         return BayesOutcome.CONVERGED
@@ -210,228 +214,30 @@ def _outcome(steps: list[_Step]) -> BayesOutcome:
     return BayesOutcome.STALLED
 
 
-class _Problem(eqx.Module):
-    """The start of a fit, and its parts that do not change while it runs."""
-
-    free: FreeModel
-    theta: Float[np.ndarray, " parameter"]
-    states: Float[jax.Array, "trajectory time state"]
-    num_free: int
-    weights: AbstractWeights
-    descent: AbstractDescent
-    names: tuple[str, ...]
-    flat: Bool[np.ndarray, " parameter"]
-    observations: Observations
-    scale: Float[np.ndarray, " state"]
-    noise: float | None
-    solver: FixedStep
-
-    @classmethod
-    def of(cls, model, trajectories, learn, noise, solver):
-        _check_selection(model, learn)
-        free, theta = freed(with_dtype(model, jnp.float64), _trainable(learn))
-        names, flat = _names(free, theta), ~_is_weight(free, theta)
-        _check_learned(model, names, flat)
-        states = smoothed_states(trajectories, _num_positions(model, trajectories))
-        num_free = trajectories.num_observed - states[:, 0].size
-        if num_free <= flat.sum():
-            raise InputError(
-                f"fit_bayes trajectories: {trajectories.num_observed} observations "
-                "are no more than the starts and constants to be found; add samples"
-            )
-        weights, descent = _weights_and_descent(model)
-        return cls(
-            free=free,
-            theta=np.asarray(theta),
-            states=jnp.asarray(states),
-            num_free=num_free,
-            weights=weights,
-            descent=descent,
-            names=names,
-            flat=flat,
-            observations=Observations.of(trajectories, jnp.float64),
-            scale=_spread(states, trajectories.lengths),
-            noise=noise,
-            solver=solver,
+def _result(
+    problem: BayesProblem, outcome: BayesOutcome, steps: list[Step]
+) -> BayesFit:
+    if not steps:
+        raise FitError(
+            "the fit diverged at once: the model's rates of change are not finite "
+            "at the observed states; check its constants"
         )
-
-    def step(self, move: Move, shape) -> _Step | None:
-        """One step, or None where the linearisation is not finite."""
-        theta, states = move.theta, move.states
-        linear = linearise(
-            self.free, jnp.asarray(theta), states, self.observations, self.solver
-        )
-        if not np.all(np.isfinite(linear.start_information)):
-            return None
-        _check_starts(linear)
-        if not np.all(np.isfinite(linear.hessian)):
-            return None
-        quadratic, block = without_flat(self.quadratic(theta, linear), self.flat)
-        found = self.weights.infer(quadratic, shape, self.noise)
-        chosen = found.hyperparameters
-        mean, covariance = joint_posterior(
-            block, found.mean, found.covariance, chosen.noise
-        )
-        local = Local(
-            free=self.free,
-            observations=self.observations,
-            solver=self.solver,
-            theta=theta,
-            states=states,
-            linear=linear,
-            precision=self.precision(chosen),
-            noise=chosen.noise,
-        )
-        return _Step(
-            defect=float(np.max(np.asarray(linear.defects) / self.scale)),
-            inference=found,
-            quadratic=quadratic,
-            block=block,
-            covariance=covariance,
-            move=move.descent(local, mean),
-        )
-
-    def precision(self, chosen: Hyperparameters):
-        """Prior precision of each parameter on its own; zero where it is flat."""
-        precision = np.zeros(len(self.flat))
-        precision[~self.flat] = chosen.amplitude**-2 if chosen.amplitude else 0.0
-        return precision
-
-    def quadratic(self, theta, linear: Linearisation) -> Quadratic:
-        starts = np.asarray(linear.start_information)
-        return Quadratic(
-            theta,
-            np.asarray(linear.hessian),
-            np.asarray(linear.gradient),
-            float(linear.squares),
-            num_free=self.num_free,
-            log_determinant=float(np.linalg.slogdet(starts).logabsdet.sum()),
-        )
-
-    def with_shape_uncertainty(self, step: _Step) -> Posterior:
-        """The posterior after a step, that of the prior's shape included."""
-        extra = self.weights.shape_covariance(
-            step.quadratic, step.inference.hyperparameters, self.noise
-        )
-        covariance = step.covariance + step.block.lift(extra)
-        return Posterior(self.free, step.move.theta, covariance)
-
-    def result(self, outcome: BayesOutcome, steps: list[_Step]) -> BayesFit:
-        if not steps:
-            raise FitError(
-                "the fit diverged at once: the model's rates of change are not finite "
-                "at the observed states; check its constants"
-            )
-        last = steps[-1]
-        posterior = self.with_shape_uncertainty(last)
-        sd = np.sqrt(np.diag(posterior.covariance))
-        constants = {
-            self.names[i]: Estimate(float(posterior.mean[i]), float(sd[i]))
-            for i in np.flatnonzero(self.flat)
-        }
-        return BayesFit(
-            model=posterior.model,
-            outcome=outcome,
-            iterations=len(steps),
-            hyperparameters=last.inference.hyperparameters,
-            posterior=posterior,
-            constants=constants,
-            states=np.asarray(last.move.states),
-        )
-
-
-def _weights(model) -> tuple:
-    """The leaves that have a Gaussian prior; none in a parametric environment."""
-    environment = model.environment
-    if isinstance(environment, AbstractLearnedForce):
-        return (environment.parameters,)
-    return ()
-
-
-def _weights_and_descent(model) -> tuple[AbstractWeights, AbstractDescent]:
-    """The prior of the environment's weights, and steps as curved as they are."""
-    environment = model.environment
-    if isinstance(environment, KernelForce | KernelPotential):
-        return GaussianWeights(WeightPrior(environment)), FullStep()
-    return NoWeights(), ChordSteps(damping=1e-2)
-
-
-def _trainable(learn):
-    def select(model):
-        constants = learn(model)
-        several = constants if isinstance(constants, tuple | list) else (constants,)
-        return *_weights(model), *several
-
-    return select
-
-
-def _is_weight(free: FreeModel, theta) -> Bool[np.ndarray, " parameter"]:
-    """Which entries of the parameter vector are weights of the environment."""
-    marks = free.unravel(jnp.zeros_like(theta))
-    if jax.tree.leaves(_weights(marks)):
-        marks = eqx.tree_at(
-            _weights, marks, jax.tree.map(jnp.ones_like, _weights(marks))
-        )
-    return np.asarray(ravel_pytree(marks)[0]) > 0
-
-
-def _num_positions(model, trajectories: Trajectories) -> int:
-    """How many channels are positions; what follows them are velocities.
-
-    Raises:
-        InputError: the trajectories have other channels than the model has states.
-    """
-    count = len(trajectories.channels)
-    dim = _dimension(model.environment)
-    if isinstance(model, Swimmer):
-        dim = count // 2 if dim is None else dim
-        fits, expected = count == 2 * dim, f"{2 * dim} channels, positions and"
-        expected += " velocities"
-    else:
-        dim = count if dim is None else dim
-        fits, expected = count in (dim, 2 * dim), f"{dim} or {2 * dim} channels"
-    if not fits:
-        raise InputError(
-            f"fit_bayes trajectories: expected {expected}, got "
-            f"{', '.join(trajectories.channels)}"
-        )
-    return dim
-
-
-def _dimension(environment) -> int | None:
-    """Dimension of the space in which a learned environment acts."""
-    if isinstance(environment, KernelForce | KernelPotential):
-        return environment.centers.shape[1]
-    return None
-
-
-def _names(free: FreeModel, theta) -> tuple[str, ...]:
-    """A name for every entry of the parameter vector: the path of its leaf."""
-    leaves, _ = jax.tree_util.tree_flatten_with_path(free.unravel(theta))
-    names = []
-    for path, leaf in leaves:
-        name = jax.tree_util.keystr(path).lstrip(".")
-        indices = np.ndindex(*leaf.shape) if leaf.ndim else [None]
-        names += [name if i is None else f"{name}{list(i)}" for i in indices]
-    return tuple(names)
-
-
-def _spread(states, lengths):
-    """Standard deviation of each channel over all samples; 1 where it is constant."""
-    samples = np.concatenate(
-        [own[:length] for own, length in zip(states, lengths, strict=True)]
+    last = steps[-1]
+    posterior = problem.with_shape_uncertainty(last)
+    sd = np.sqrt(np.diag(posterior.covariance))
+    constants = {
+        problem.names[i]: Estimate(float(posterior.mean[i]), float(sd[i]))
+        for i in np.flatnonzero(problem.flat)
+    }
+    return BayesFit(
+        model=posterior.model,
+        outcome=outcome,
+        iterations=len(steps),
+        hyperparameters=last.inference.hyperparameters,
+        posterior=posterior,
+        constants=constants,
+        states=np.asarray(last.move.states),
     )
-    spread = samples.std(axis=0)
-    return np.where(spread > 0, spread, 1.0)
-
-
-def _check_starts(linear: Linearisation) -> None:
-    for index, matrix in enumerate(np.asarray(linear.start_information)):
-        if is_singular(matrix):
-            raise FitError(
-                f"the fit is singular: the observations of trajectory {index} do not "
-                "determine its start; drop the trajectory"
-            )
 
 
 def _check(model, noise, max_iterations):
@@ -448,26 +254,4 @@ def _check(model, noise, max_iterations):
     if max_iterations < 1:
         raise InputError(
             f"fit_bayes max_iterations: expected >= 1, got {max_iterations}"
-        )
-
-
-def _check_learned(model, names, flat):
-    """Of an environment with weights these alone are learned."""
-    if not isinstance(model.environment, AbstractLearnedForce):
-        return
-    for name in np.array(names)[flat]:
-        if name.startswith("environment."):
-            raise InputError(
-                f"fit_bayes learn: {name} belongs to the environment, whose "
-                "weights alone are learned; pick constants of other forces"
-            )
-
-
-def _check_selection(model, learn):
-    leaves = jax.tree.leaves(_trainable(learn)(model))
-    if not any(isinstance(x, float) or eqx.is_inexact_array(x) for x in leaves):
-        raise InputError(
-            f"fit_bayes learn: {type(model.environment).__name__} has no weights; "
-            "make an environment by kernel_environment, or pick numbers to learn, "
-            "such as learn=lambda m: m.environment"
         )

@@ -26,7 +26,7 @@ from pinav.solvers import FixedStep
 CHORD_STEPS = 4
 """Steps with the Jacobian held, for each damping."""
 
-EXPONENTS = range(-4, 3)
+EXPONENTS = range(-3, 2)
 """Dampings tried, as powers of ten of the last one."""
 
 

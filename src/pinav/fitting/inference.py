@@ -19,35 +19,7 @@ from pinav.fitting.evidence import (
     weight_posterior,
 )
 from pinav.fitting.kernels import WeightPrior
-
-
-class IsotropicPrior(eqx.Module):
-    """Independent weights of one variance: the prior of a network.
-
-    Attributes:
-        count: how many weights.
-
-    References:
-        MacKay, Neural Computation 4, 448 (1992).
-    """
-
-    count: int
-
-    @property
-    def start(self) -> Float[np.ndarray, " shape"]:
-        """No shape: the amplitude is all."""
-        return np.zeros(0)
-
-    @property
-    def bounds(self) -> Float[np.ndarray, "shape 2"]:
-        """None."""
-        return np.zeros((0, 2))
-
-    def covariance(
-        self, shape: Float[np.ndarray, " shape"]
-    ) -> Float[np.ndarray, "weight weight"]:
-        """The identity."""
-        return np.eye(self.count)
+from pinav.fitting.networks import IsotropicPrior
 
 
 class Inference(eqx.Module):
