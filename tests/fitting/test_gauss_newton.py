@@ -18,7 +18,7 @@ from pinav.fitting import (
     kernel_environment,
 )
 from pinav.fitting.fit import _run_chunk, split_trainable
-from pinav.fitting.gauss_newton import _low_rank, _Windows
+from pinav.fitting.gauss_newton import _Windows, low_rank
 from pinav.forces import GaussianBarrier, LinearDrag, ZeroForce
 from pinav.learned import (
     KernelPotential,
@@ -120,12 +120,12 @@ def test_a_restart_waits_for_a_complete_sample():
 def test_the_projection_holds_a_matrix_of_low_rank():
     rng = np.random.default_rng(0)
     matrix = jnp.asarray(rng.normal(size=(200, 20)) @ rng.normal(size=(20, 150)))
-    left, scale, right = _low_rank(matrix, 40)
+    left, scale, right = low_rank(matrix, 40)
     np.testing.assert_allclose((left * scale[None]) @ right.T, matrix, atol=1e-6)
     kept = right[:, :20]  # the rest are directions that the matrix does not have
     np.testing.assert_allclose(kept.T @ kept, np.eye(20), atol=1e-8)
     small = matrix[:, :10]
-    left, scale, right = _low_rank(small, 40)
+    left, scale, right = low_rank(small, 40)
     np.testing.assert_allclose((left * scale[None]) @ right.T, small, atol=1e-10)
 
 

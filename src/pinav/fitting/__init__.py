@@ -15,6 +15,7 @@ from pinav.fitting.kernels import KernelGrid as KernelGrid
 from pinav.fitting.kernels import kernel_environment as kernel_environment
 from pinav.fitting.lifting import FreeModel as FreeModel
 from pinav.fitting.lifting import freed as freed
+from pinav.fitting.networks import neural_environment as neural_environment
 from pinav.fitting.objectives import AbstractObjective as AbstractObjective
 from pinav.fitting.objectives import Observations as Observations
 from pinav.fitting.objectives import TrajectoryLoss as TrajectoryLoss

@@ -6,45 +6,33 @@ chooses shape of the prior, amplitude and noise anew, so that nothing is set by 
 
 import enum
 from collections.abc import Callable
-from typing import Any, cast
+from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, PyTree
+from jaxtyping import Float, PyTree
 
-from pinav.dynamics import Swimmer, with_dtype
+from pinav.dynamics import AbstractDynamics
 from pinav.errors import FitError, InputError
-from pinav.fitting.evidence import (
-    Data,
-    FlatBlock,
-    Hyperparameters,
-    Quadratic,
-    best_hyperparameters,
-    is_singular,
-    joint_posterior,
-    shape_covariance,
-    weight_posterior,
-    without_flat,
-)
-from pinav.fitting.kernels import WeightPrior
-from pinav.fitting.lifting import (
-    FreeModel,
-    Linearisation,
-    advanced,
-    freed,
-    linearise,
-)
-from pinav.fitting.objectives import Observations
+from pinav.fitting.bayes_problem import BayesProblem, Step, num_positions
+from pinav.fitting.descent import Move
+from pinav.fitting.distil import distilled, lesson
+from pinav.fitting.evidence import Hyperparameters
+from pinav.fitting.kernels import kernel_environment
 from pinav.fitting.posterior import Posterior
-from pinav.fitting.smoother import smoothed_states
-from pinav.learned import KernelForce, KernelPotential
+from pinav.forces import AbstractForce
+from pinav.learned import (
+    KernelForce,
+    KernelPotential,
+    NeuralForce,
+    NeuralPotential,
+)
 from pinav.solvers import FixedStep
 from pinav.trajectories import Trajectories
 
-EVIDENCE_TOLERANCE, DEFECT_TOLERANCE = 1e-2, 1e-4
-"""Converged: change of the log evidence, and defects relative to the states' spread."""
+DEFECT_TOLERANCE = 1e-4
+"""Converged: defects relative to the states' spread."""
 
 ROUNDING = 1e-9
 """Defects at which another step changes nothing but the last digits of the evidence."""
@@ -103,7 +91,7 @@ class BayesFit(eqx.Module):
         states: the smoothed states; they fulfil the dynamics when converged.
     """
 
-    model: Swimmer
+    model: Any
     outcome: BayesOutcome = eqx.field(static=True)
     iterations: int = eqx.field(static=True)
     hyperparameters: Hyperparameters
@@ -113,30 +101,34 @@ class BayesFit(eqx.Module):
 
 
 def fit_bayes(
-    model: Swimmer,
+    model: AbstractDynamics,
     trajectories: Trajectories,
     *,
-    learn: Callable[[Swimmer], PyTree] = lambda _: (),
+    learn: Callable[[Any], PyTree] = lambda _: (),
     noise: float | None = None,
     solver: FixedStep | None = None,
     max_iterations: int = 20,
     on_step: Callable[[BayesProgress], None] | None = None,
     throw: bool = True,
 ) -> BayesFit:
-    r"""Fit the kernel environment of a swimmer, and constants, to noisy trajectories.
+    r"""Fit the environment of a swimmer, and constants, to noisy trajectories.
 
-    The weights have a Gaussian-process prior, the constants and all starts a flat one.
-    The rollout is a strong constraint: no process noise. The result needs neither
-    velocities nor regular times. A constant force along the thrust is hard to tell
-    from a wide slope of the environment: where the thrust is learned, its standard
-    deviation says so.
+    The weights of a kernel environment have a Gaussian-process prior; constants,
+    parametric environments and all starts have a flat one. The rollout is a strong
+    constraint: no process noise. The result needs neither velocities nor regular
+    times. A constant force along the thrust is hard to tell from a wide slope of the
+    environment: where the thrust is learned, its standard deviation says so.
 
     Args:
-        model: its environment is a `KernelForce` or a `KernelPotential`, such as
-            `kernel_environment` makes; its weights are where the fit starts.
+        model: dynamics with a field `environment`, of second order (`Swimmer`) or,
+            where the state is the position, of first. With a `KernelForce` or a
+            `KernelPotential`, such as `kernel_environment` makes, its weights are
+            learned; with any other force what `learn` picks of it. The fit starts
+            from the model's values.
         trajectories: what was observed; any entries may be missing.
         learn: picks a constant to learn too, such as `lambda m: m.drag.damping`, or
-            a tuple of them.
+            a tuple of them; `lambda m: m.environment` picks all numbers of a
+            parametric force.
         noise: standard deviation of the observations; estimated unless given.
         solver: steps between samples; `FixedStep()` unless given.
         max_iterations: after which the fit counts as stalled.
@@ -144,16 +136,16 @@ def fit_bayes(
         throw: raise where the fit did not converge.
 
     Raises:
-        InputError: the model has no kernels, the trajectories are not its own, or are
+        InputError: there is nothing to learn, the trajectories are not its own, or are
             too few, or `noise` is not positive.
         FitError: the data do not determine the constants or a start, or the fit did
             not converge and `throw` is true.
     """
-    _check(model, trajectories, noise, max_iterations)
+    _check(model, noise, max_iterations)
     with jax.enable_x64(new_val=True):
         solver = FixedStep() if solver is None else solver
-        problem = _Problem.of(model, trajectories, learn, noise, solver)
-        result = problem.result(*_iterate(problem, max_iterations, on_step))
+        problem = _begun(model, trajectories, learn, noise, solver)
+        result = _result(problem, *_iterate(problem, max_iterations, on_step))
     if throw and result.outcome is not BayesOutcome.CONVERGED:
         raise FitError(_MESSAGES[result.outcome])
     return result
@@ -171,52 +163,78 @@ _MESSAGES = {
 }
 
 
-class _Step(eqx.Module):
-    """One Gauss-Newton step: what it started with, chose and reached."""
+KERNELS = {NeuralForce: KernelForce, NeuralPotential: KernelPotential}
+"""The kernels that teach a network of each kind."""
 
-    defect: float
-    hyperparameters: Hyperparameters
-    data: Data
-    block: FlatBlock
-    mean: Float[np.ndarray, " parameter"]
-    covariance: Float[np.ndarray, "parameter parameter"]
-    states: Float[jax.Array, "trajectory time state"]
+
+def _begun(model, trajectories, learn, noise, solver) -> BayesProblem:
+    """The fit at its start: from the model's values, or taught by a kernel fit."""
+    given = BayesProblem.of(model, trajectories, learn, noise, solver)
+    environment = model.environment
+    if not isinstance(environment, NeuralForce | NeuralPotential):
+        return given
+    dim = num_positions(model, trajectories)
+    kernels = kernel_environment(KERNELS[type(environment)], trajectories, dim=dim)
+    replaced = eqx.tree_at(lambda m: m.environment, model, kernels)
+    teaching = BayesProblem.of(replaced, trajectories, learn, noise, solver)
+    outcome, steps = _iterate(teaching, TEACHING_STEPS)
+    if outcome is BayesOutcome.DIVERGED:
+        return given
+    teacher = _result(teaching, outcome, steps)
+    taught = lesson(
+        teacher.model.environment,
+        trajectories,
+        teacher.states,
+        dim=dim,
+        margin=float(kernels.width),
+    )
+    start = eqx.tree_at(
+        lambda m: m.environment, teacher.model, distilled(environment, taught)
+    )
+    return BayesProblem.of(
+        start, trajectories, learn, noise, solver, states=teacher.states
+    )
+
+
+TEACHING_STEPS = 20
+"""Of the kernel fit at most."""
 
 
 def _iterate(
-    problem: "_Problem",
+    problem: "BayesProblem",
     max_iterations: int,
     on_step: Callable[[BayesProgress], None] | None = None,
-) -> tuple[BayesOutcome, list[_Step]]:
-    """Gauss-Newton steps until they converge, diverge or run out."""
-    theta, states, shape = problem.theta, problem.states, problem.prior.start
-    steps: list[_Step] = []
+) -> tuple[BayesOutcome, list[Step]]:
+    """Steps until they converge, diverge or run out."""
+    move = Move(problem.theta, problem.states, problem.descent)
+    shape = problem.weights.start
+    steps: list[Step] = []
     while len(steps) < max_iterations:
-        step = problem.step(theta, states, shape)
+        step = problem.step(move, shape)
         if step is None:
             return BayesOutcome.DIVERGED, steps
-        theta, states, shape = step.mean, step.states, step.hyperparameters.shape
+        move, shape = step.move, step.inference.hyperparameters.shape
         steps.append(step)
         if on_step:
             on_step(_progress(steps, max_iterations))
-        outcome = _outcome(steps)
+        outcome = _outcome(steps, problem.tolerance)
         if outcome is not BayesOutcome.STALLED:
             return outcome, steps
     return BayesOutcome.STALLED, steps
 
 
-def _progress(steps: list[_Step], total: int) -> BayesProgress:
-    chosen, defect = steps[-1].hyperparameters, steps[-1].defect
+def _progress(steps: list[Step], total: int) -> BayesProgress:
+    chosen, defect = steps[-1].inference.hyperparameters, steps[-1].defect
     return BayesProgress(len(steps), total, defect, chosen.noise, chosen.log_evidence)
 
 
-def _outcome(steps: list[_Step]) -> BayesOutcome:
+def _outcome(steps: list[Step], tolerance: float) -> BayesOutcome:
     """Converged, or not yet; defects that grow without bound count as diverged."""
     last = steps[-1]
     if len(steps) > 1:
-        before = steps[-2].hyperparameters.log_evidence
-        change = abs(last.hyperparameters.log_evidence - before)
-        if change < EVIDENCE_TOLERANCE and last.defect < DEFECT_TOLERANCE:
+        before = steps[-2].inference.hyperparameters.log_evidence
+        change = abs(last.inference.hyperparameters.log_evidence - before)
+        if change < tolerance and last.defect < DEFECT_TOLERANCE:
             return BayesOutcome.CONVERGED
     if last.defect < ROUNDING:
         return BayesOutcome.CONVERGED
@@ -225,173 +243,37 @@ def _outcome(steps: list[_Step]) -> BayesOutcome:
     return BayesOutcome.STALLED
 
 
-class _Problem(eqx.Module):
-    """The start of a fit, and its parts that do not change while it runs."""
-
-    free: FreeModel
-    theta: Float[np.ndarray, " parameter"]
-    states: Float[jax.Array, "trajectory time state"]
-    num_free: int
-    prior: WeightPrior
-    names: tuple[str, ...]
-    flat: Bool[np.ndarray, " parameter"]
-    observations: Observations
-    scale: Float[np.ndarray, " state"]
-    noise: float | None
-    solver: FixedStep
-
-    @classmethod
-    def of(cls, model, trajectories, learn, noise, solver):
-        free, theta = freed(with_dtype(model, jnp.float64), _trainable(learn))
-        names = _names(free, theta)
-        is_weight = [name.startswith("environment.weights") for name in names]
-        for name, weight in zip(names, is_weight, strict=True):
-            if name.startswith("environment.") and not weight:
-                raise InputError(
-                    f"fit_bayes learn: {name} belongs to the environment, whose "
-                    "weights alone are learned; pick constants of other forces"
-                )
-        states = smoothed_states(trajectories)
-        num_free = trajectories.num_observed - states[:, 0].size
-        if num_free <= len(names) - sum(is_weight):
-            raise InputError(
-                f"fit_bayes trajectories: {trajectories.num_observed} observations "
-                "are no more than the starts and constants to be found; add samples"
-            )
-        return cls(
-            free=free,
-            theta=np.asarray(theta),
-            states=jnp.asarray(states),
-            num_free=num_free,
-            prior=WeightPrior(cast(Any, model.environment)),
-            names=names,
-            flat=~np.array(is_weight),
-            observations=Observations.of(trajectories, jnp.float64),
-            scale=_spread(states, trajectories.lengths),
-            noise=noise,
-            solver=solver,
+def _result(
+    problem: BayesProblem, outcome: BayesOutcome, steps: list[Step]
+) -> BayesFit:
+    if not steps:
+        raise FitError(
+            "the fit diverged at once: the model's rates of change are not finite "
+            "at the observed states; check its constants"
         )
-
-    def step(self, theta, states, shape) -> _Step | None:
-        """One step, or None where the linearisation is not finite."""
-        linear = linearise(
-            self.free, jnp.asarray(theta), states, self.observations, self.solver
-        )
-        if not np.all(np.isfinite(linear.start_information)):
-            return None
-        _check_starts(linear)
-        if not np.all(np.isfinite(linear.hessian)):
-            return None
-        quadratic, block = without_flat(self.quadratic(theta, linear), self.flat)
-        data, covariance = Data.of(quadratic), self.prior.covariance
-        chosen = best_hyperparameters(
-            data, covariance, shape, self.prior.bounds, self.noise
-        )
-        weights = weight_posterior(data, covariance(chosen.shape), chosen)
-        mean, spread = joint_posterior(block, *weights, chosen.noise)
-        change = jnp.asarray(mean - theta)
-        return _Step(
-            defect=float(np.max(np.asarray(linear.defects) / self.scale)),
-            hyperparameters=chosen,
-            data=data,
-            block=block,
-            mean=mean,
-            covariance=spread,
-            states=advanced(states, linear, change),
-        )
-
-    def quadratic(self, theta, linear: Linearisation) -> Quadratic:
-        starts = np.asarray(linear.start_information)
-        return Quadratic(
-            theta,
-            np.asarray(linear.hessian),
-            np.asarray(linear.gradient),
-            float(linear.squares),
-            num_free=self.num_free,
-            log_determinant=float(np.linalg.slogdet(starts).logabsdet.sum()),
-        )
-
-    def with_shape_uncertainty(self, step: _Step) -> Posterior:
-        """The posterior after a step, that of the prior's shape included."""
-        extra = shape_covariance(
-            step.data, self.prior.covariance, step.hyperparameters, self.noise
-        )
-        return Posterior(self.free, step.mean, step.covariance + step.block.lift(extra))
-
-    def result(self, outcome: BayesOutcome, steps: list[_Step]) -> BayesFit:
-        if not steps:
-            raise FitError(
-                "the fit diverged at once: the model's rates of change are not finite "
-                "at the observed states; check its constants"
-            )
-        last = steps[-1]
-        posterior = self.with_shape_uncertainty(last)
-        sd = np.sqrt(np.diag(posterior.covariance))
-        constants = {
-            self.names[i]: Estimate(float(last.mean[i]), float(sd[i]))
-            for i in np.flatnonzero(self.flat)
-        }
-        return BayesFit(
-            model=posterior.model,
-            outcome=outcome,
-            iterations=len(steps),
-            hyperparameters=last.hyperparameters,
-            posterior=posterior,
-            constants=constants,
-            states=np.asarray(last.states),
-        )
-
-
-def _trainable(learn):
-    def select(model):
-        constants = learn(model)
-        several = constants if isinstance(constants, tuple | list) else (constants,)
-        return model.environment.weights, *several
-
-    return select
-
-
-def _names(free: FreeModel, theta) -> tuple[str, ...]:
-    """A name for every entry of the parameter vector: the path of its leaf."""
-    leaves, _ = jax.tree_util.tree_flatten_with_path(free.unravel(theta))
-    names = []
-    for path, leaf in leaves:
-        name = jax.tree_util.keystr(path).lstrip(".")
-        indices = np.ndindex(*leaf.shape) if leaf.ndim else [None]
-        names += [name if i is None else f"{name}{list(i)}" for i in indices]
-    return tuple(names)
-
-
-def _spread(states, lengths):
-    """Standard deviation of each channel over all samples; 1 where it is constant."""
-    samples = np.concatenate(
-        [own[:length] for own, length in zip(states, lengths, strict=True)]
+    last = steps[-1]
+    posterior = problem.with_shape_uncertainty(last)
+    sd = np.sqrt(np.diag(posterior.covariance))
+    constants = {
+        problem.names[i]: Estimate(float(posterior.mean[i]), float(sd[i]))
+        for i in np.flatnonzero(problem.flat)
+    }
+    return BayesFit(
+        model=posterior.model,
+        outcome=outcome,
+        iterations=len(steps),
+        hyperparameters=last.inference.hyperparameters,
+        posterior=posterior,
+        constants=constants,
+        states=np.asarray(last.move.states),
     )
-    spread = samples.std(axis=0)
-    return np.where(spread > 0, spread, 1.0)
 
 
-def _check_starts(linear: Linearisation) -> None:
-    for index, matrix in enumerate(np.asarray(linear.start_information)):
-        if is_singular(matrix):
-            raise FitError(
-                f"the fit is singular: the observations of trajectory {index} do not "
-                "determine its start; drop the trajectory"
-            )
-
-
-def _check(model, trajectories, noise, max_iterations):
-    environment = getattr(model, "environment", None)
-    if not isinstance(environment, KernelForce | KernelPotential):
+def _check(model, noise, max_iterations):
+    if not isinstance(getattr(model, "environment", None), AbstractForce):
         raise InputError(
-            "fit_bayes model.environment: expected KernelForce or KernelPotential, "
-            f"got {type(environment).__name__}; make one by kernel_environment"
-        )
-    states = 2 * environment.centers.shape[1]
-    if states != len(trajectories.channels):
-        raise InputError(
-            f"fit_bayes trajectories: expected {states} channels, positions and "
-            f"velocities, got {', '.join(trajectories.channels)}"
+            "fit_bayes model: expected dynamics with a force called environment, got "
+            f"{type(model).__name__}"
         )
     if noise is not None and not 0 < noise < np.inf:
         raise InputError(

@@ -225,6 +225,8 @@ def best_hyperparameters(
         bounds: between which each entry is sought.
         noise: standard deviation of the residuals; estimated unless given.
     """
+    if not len(start):
+        return at_shape(data, covariance, start, noise)
     found = scipy.optimize.minimize(
         lambda shape: -at_shape(data, covariance, shape, noise).log_evidence,
         start,
@@ -311,6 +313,8 @@ def shape_covariance(
     References:
         MacKay, Neural Computation 11, 1035 (1999), section 5.
     """
+    if not len(chosen.shape):
+        return np.zeros_like(covariance(chosen.shape))
     unit = STEP * np.eye(len(chosen.shape))
 
     def at(offset):

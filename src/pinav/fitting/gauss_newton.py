@@ -94,12 +94,12 @@ class GaussNewton(AbstractPhase):
         windows = _Windows.of(loss, params, self)
         theta, unravel = ravel_pytree(params)
         starts, residual, surrogate = windows.surrogate(theta)
-        left, scale, right = _low_rank(windows.jacobian(theta, starts), self.rank)
+        left, scale, right = low_rank(windows.jacobian(theta, starts), self.rank)
         exponents = jnp.arange(self.num_dampings) - (self.num_dampings - 2)
         dampings = state.damping * 10.0 ** exponents.astype(theta.dtype)
 
         def try_damping(damping):
-            return _chord(
+            return chord(
                 lambda z: surrogate(theta + right @ z),
                 (residual, left, scale),
                 damping,
@@ -237,7 +237,7 @@ def _sensitivities(matrices, sources):
     return jax.lax.scan(advance, jnp.zeros_like(sources[0]), (matrices, sources))[1]
 
 
-def _low_rank(jacobian, rank):
+def low_rank(jacobian, rank):
     """U, S, V of a random projection of the row space; exact up to its rank."""
     rows, columns = jacobian.shape
     if columns <= rank:
@@ -259,7 +259,7 @@ def _orthonormal(columns):
     return columns
 
 
-def _chord(residuals, linear, damping, num_steps):
+def chord(residuals, linear, damping, num_steps):
     """Best of several steps with the Jacobian held, and its sum of squares."""
     residual, left, scale = linear
 

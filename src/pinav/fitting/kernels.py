@@ -47,7 +47,11 @@ WITHOUT_PRIOR = KernelGrid(across=10, width=1.5, margin=2.0)
 
 
 def kernel_environment(
-    kind: type[Kernel], trajectories: Trajectories, grid: KernelGrid | None = None
+    kind: type[Kernel],
+    trajectories: Trajectories,
+    grid: KernelGrid | None = None,
+    *,
+    dim: int | None = None,
 ) -> Kernel:
     """An untrained kernel environment on a grid around the data: no force at all.
 
@@ -59,12 +63,21 @@ def kernel_environment(
         kind: `KernelForce` or `KernelPotential`.
         trajectories: their channels are positions, then as many velocities.
         grid: its fineness; `KernelGrid()` unless given.
+        dim: how many of their channels are positions, where that is not half of them:
+            all, where the state of the dynamics is the position.
 
     Raises:
-        InputError: the observed positions are fewer than two, or all the same.
+        InputError: the observed positions are fewer than two, or all the same, or
+            there are no `dim` channels.
     """
     grid = KernelGrid() if grid is None else grid
-    dim = len(trajectories.channels) // 2
+    count = len(trajectories.channels)
+    dim = count // 2 if dim is None else dim
+    if not 0 < dim <= count:
+        raise InputError(
+            f"kernel_environment dim: expected 1 to {count}, as many as there are "
+            f"channels, got {dim}"
+        )
     seen = trajectories.observed[..., :dim].all(axis=-1)
     positions = trajectories.states[..., :dim][seen]
     extent = float(np.ptp(positions, axis=0).max()) if len(positions) > 1 else 0.0

@@ -80,19 +80,31 @@ def sensitivities(
     With $A_k = \partial F_k/\partial u$ and $B_k = \partial F_k/\partial\theta$, all
     at once, $E_{k+1} = A_k E_k + [B_k, 0, d_k]$ from $E_0 = [0, I, 0]$.
     """
+    by_parameter = jax.vmap(jax.jacrev(_step_of(free, solver)), (None, 0, 0, 0))(
+        theta, states[:-1], times[:-1], times[1:]
+    )
+    return _propagated(free, theta, states, times, solver, by_parameter)
+
+
+def _step_of(free, solver):
+    """The step from one sample to the next, as a function of the parameters."""
 
     def step(theta, y, t0, t1):
         return solver.step(free(theta), y, t0, t1)
 
+    return step
+
+
+def _propagated(free, theta, states, times, solver, by_parameter):
+    """Sensitivities to the parameters whose effect on each step is given."""
+    step, axes = _step_of(free, solver), (None, 0, 0, 0)
     inputs = (theta, states[:-1], times[:-1], times[1:])
-    axes = (None, 0, 0, 0)
     by_state = jax.vmap(jax.jacfwd(step, argnums=1), axes)(*inputs)
-    by_parameter = jax.vmap(jax.jacrev(step), axes)(*inputs)
     defects = jax.vmap(step, axes)(*inputs) - states[1:]
     steps, state = defects.shape
     nothing = jnp.zeros((steps, state, state))
     sources = jnp.concatenate([by_parameter, nothing, defects[..., None]], axis=2)
-    start = jnp.eye(state, sources.shape[2], k=theta.shape[0])
+    start = jnp.eye(state, sources.shape[2], k=by_parameter.shape[2])
     recursion = jax.vmap(linear_recursion, (1, None, 2), 2)
     return Sensitivities(recursion(start, by_state, sources), defects)
 
@@ -195,3 +207,71 @@ def advanced(
         return states + columns @ jnp.concatenate([change, starts, jnp.ones(1)])
 
     return jax.vmap(one)(states, linearisation.columns, linearisation.start_rows)
+
+
+class Prediction(eqx.Module):
+    """What a parameter vector explains, the states linearised, each start at its best.
+
+    Attributes:
+        residuals: of the observed entries; zero where nothing was observed.
+        states: the linearised solution.
+    """
+
+    residuals: Float[Array, "trajectory time state"]
+    states: Float[Array, "trajectory time state"]
+
+
+@eqx.filter_jit
+def predict(
+    free: FreeModel,
+    theta: Float[Array, " parameter"],
+    states: Float[Array, "trajectory time state"],
+    observations: Observations,
+    solver: FixedStep,
+) -> Prediction:
+    """Linearise in the states alone: the parameters count in full.
+
+    Costs a small part of `linearise`, because no derivative by a parameter is taken.
+    """
+
+    def one(states, times, data, observed):
+        steps, state = len(times) - 1, states.shape[1]
+        no_parameter = jnp.zeros((steps, state, 0))
+        columns = _propagated(free, theta, states, times, solver, no_parameter).columns
+        seen = observed[..., None]
+        by_start = jnp.where(seen, columns[..., :-1], 0.0).reshape(-1, state)
+        residuals = jnp.where(observed, states + columns[..., -1] - data, 0.0)
+        start = -jnp.linalg.solve(
+            by_start.T @ by_start, by_start.T @ residuals.reshape(-1)
+        )
+        change = columns @ jnp.append(start, 1.0)
+        moved = states + change
+        return jnp.where(observed, moved - data, 0.0), moved
+
+    return Prediction(
+        *jax.vmap(one)(
+            states, observations.times, observations.states, observations.observed
+        )
+    )
+
+
+@eqx.filter_jit
+def pull_back(
+    linearisation: Linearisation,
+    residuals: Float[Array, "trajectory time state"],
+) -> Float[Array, " parameter"]:
+    r"""$J^\top r$ with the starts eliminated from $J$.
+
+    Args:
+        linearisation: about the point where $J$ was taken.
+        residuals: $r$, zero where nothing was observed.
+    """
+    state = residuals.shape[-1]
+
+    def one(columns, start_rows, residuals):
+        flat = columns.reshape(-1, columns.shape[-1])[:, :-1].T @ residuals.reshape(-1)
+        count = flat.shape[0] - state
+        return flat[:count] - start_rows[:, :count].T @ flat[count:]
+
+    rows = (linearisation.columns, linearisation.start_rows, residuals)
+    return jax.vmap(one)(*rows).sum(axis=0)

@@ -11,13 +11,18 @@ WINDOW, DEGREE = 11, 3
 
 
 def smoothed_states(
-    trajectories: Trajectories,
+    trajectories: Trajectories, dim: int | None = None
 ) -> Float[np.ndarray, "trajectory time state"]:
     r"""Every state by a cubic through the observed samples around it.
 
     On regular, complete data this is the Savitzky-Golay filter; times may be
     irregular and samples missing. In a state $y = (x, v)$ a velocity that was never
     observed is the derivative of its position. Padding repeats the last state.
+
+    Args:
+        trajectories: what was observed.
+        dim: how many channels are positions; half of them unless given. The others
+            are the velocities.
 
     Raises:
         InputError: a channel has too few observations in one trajectory, and is not
@@ -26,22 +31,23 @@ def smoothed_states(
     References:
         Savitzky and Golay, Anal. Chem. 36, 1627 (1964).
     """
+    dim = len(trajectories.channels) // 2 if dim is None else dim
     states = np.empty_like(trajectories.states)
     for index, piece in enumerate(trajectories):
         length = len(piece.times)
         for column in range(states.shape[2]):
             states[index, :length, column] = _channel(
-                trajectories.channels, index, piece, column
+                trajectories.channels, index, piece, column, dim
             )
         states[index, length:] = states[index, length - 1]
     return states
 
 
-def _channel(channels, index, piece, column):
+def _channel(channels, index, piece, column, dim):
     """One channel of one trajectory: from itself, or as a derivative."""
     source, order = column, 0
-    if not piece.observed[:, column].any() and column >= len(channels) // 2:
-        source, order = column - len(channels) // 2, 1
+    if not piece.observed[:, column].any() and column >= dim:
+        source, order = column - dim, 1
     seen = piece.observed[:, source]
     if seen.sum() <= order + 1:
         raise InputError(

@@ -1,0 +1,301 @@
+"""A fit with the evidence as a problem: its unknowns, its start and its steps."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Bool, Float
+
+from pinav.dynamics import Swimmer, with_dtype
+from pinav.errors import FitError, InputError
+from pinav.fitting.descent import (
+    AbstractDescent,
+    ChordSteps,
+    FullStep,
+    Local,
+    Move,
+)
+from pinav.fitting.evidence import (
+    FlatBlock,
+    Hyperparameters,
+    Quadratic,
+    is_singular,
+    joint_posterior,
+    without_flat,
+)
+from pinav.fitting.inference import (
+    AbstractWeights,
+    GaussianWeights,
+    Inference,
+    NoWeights,
+)
+from pinav.fitting.kernels import WeightPrior
+from pinav.fitting.lifting import FreeModel, Linearisation, freed, linearise
+from pinav.fitting.networks import IsotropicPrior
+from pinav.fitting.objectives import Observations
+from pinav.fitting.posterior import Posterior
+from pinav.fitting.smoother import smoothed_states
+from pinav.learned import (
+    AbstractLearnedForce,
+    KernelForce,
+    KernelPotential,
+    NeuralForce,
+    NeuralPotential,
+    PositionFeatures,
+    PositionTimeFeatures,
+)
+from pinav.solvers import FixedStep
+from pinav.trajectories import Trajectories
+
+
+class Step(eqx.Module):
+    """One step: what the data said before it, and where it led."""
+
+    defect: float
+    inference: Inference
+    quadratic: Quadratic
+    block: FlatBlock
+    covariance: Float[np.ndarray, "parameter parameter"]
+    move: Move
+
+
+class BayesProblem(eqx.Module):
+    """The start of a fit, and its parts that do not change while it runs."""
+
+    free: FreeModel
+    theta: Float[np.ndarray, " parameter"]
+    states: Float[jax.Array, "trajectory time state"]
+    num_free: int
+    weights: AbstractWeights
+    descent: AbstractDescent
+    tolerance: float
+    names: tuple[str, ...]
+    flat: Bool[np.ndarray, " parameter"]
+    observations: Observations
+    scale: Float[np.ndarray, " state"]
+    noise: float | None
+    solver: FixedStep
+
+    @classmethod
+    def of(cls, model, trajectories, learn, noise, solver, states=None):
+        _check_selection(model, learn)
+        free, theta = freed(with_dtype(model, jnp.float64), _trainable(learn))
+        names, flat = _names(free, theta), ~_is_weight(free, theta)
+        _check_learned(model, names, flat)
+        dim = num_positions(model, trajectories)
+        states = smoothed_states(trajectories, dim) if states is None else states
+        num_free = trajectories.num_observed - states[:, 0].size
+        if num_free <= flat.sum():
+            raise InputError(
+                f"fit_bayes trajectories: {trajectories.num_observed} observations "
+                "are no more than the starts and constants to be found; add samples"
+            )
+        weights, descent, tolerance = _method(model)
+        return cls(
+            free=free,
+            theta=np.asarray(theta),
+            states=jnp.asarray(states),
+            num_free=num_free,
+            weights=weights,
+            descent=descent,
+            tolerance=tolerance,
+            names=names,
+            flat=flat,
+            observations=Observations.of(trajectories, jnp.float64),
+            scale=_spread(states, trajectories.lengths),
+            noise=noise,
+            solver=solver,
+        )
+
+    def step(self, move: Move, shape) -> Step | None:
+        """One step, or None where the linearisation is not finite."""
+        theta, states = move.theta, move.states
+        linear = linearise(
+            self.free, jnp.asarray(theta), states, self.observations, self.solver
+        )
+        if not np.all(np.isfinite(linear.start_information)):
+            return None
+        _check_starts(linear)
+        if not np.all(np.isfinite(linear.hessian)):
+            return None
+        quadratic, block = without_flat(self.quadratic(theta, linear), self.flat)
+        found = self.weights.infer(quadratic, shape, self.noise)
+        chosen = found.hyperparameters
+        mean, covariance = joint_posterior(
+            block, found.mean, found.covariance, chosen.noise
+        )
+        local = Local(
+            free=self.free,
+            observations=self.observations,
+            solver=self.solver,
+            theta=theta,
+            states=states,
+            linear=linear,
+            precision=self.precision(chosen),
+            noise=chosen.noise,
+        )
+        return Step(
+            defect=float(np.max(np.asarray(linear.defects) / self.scale)),
+            inference=found,
+            quadratic=quadratic,
+            block=block,
+            covariance=covariance,
+            move=move.descent(local, mean),
+        )
+
+    def precision(self, chosen: Hyperparameters):
+        """Prior precision of each parameter on its own; zero where it is flat."""
+        precision = np.zeros(len(self.flat))
+        precision[~self.flat] = chosen.amplitude**-2 if chosen.amplitude else 0.0
+        return precision
+
+    def quadratic(self, theta, linear: Linearisation) -> Quadratic:
+        starts = np.asarray(linear.start_information)
+        return Quadratic(
+            theta,
+            np.asarray(linear.hessian),
+            np.asarray(linear.gradient),
+            float(linear.squares),
+            num_free=self.num_free,
+            log_determinant=float(np.linalg.slogdet(starts).logabsdet.sum()),
+        )
+
+    def with_shape_uncertainty(self, step: Step) -> Posterior:
+        """The posterior after a step, that of the prior's shape included."""
+        extra = self.weights.shape_covariance(
+            step.quadratic, step.inference.hyperparameters, self.noise
+        )
+        covariance = step.covariance + step.block.lift(extra)
+        return Posterior(self.free, step.move.theta, covariance)
+
+
+def _weights(model) -> tuple:
+    """The leaves that have a Gaussian prior; none in a parametric environment."""
+    environment = model.environment
+    if isinstance(environment, AbstractLearnedForce):
+        return (environment.parameters,)
+    return ()
+
+
+def _method(model) -> tuple[AbstractWeights, AbstractDescent, float]:
+    """Prior of the weights, steps as curved as they are, and when to stop."""
+    environment = model.environment
+    if isinstance(environment, KernelForce | KernelPotential):
+        return GaussianWeights(WeightPrior(environment)), FullStep(), TOLERANCE
+    if isinstance(environment, NeuralForce | NeuralPotential):
+        leaves = jax.tree.leaves(eqx.filter(environment.parameters, eqx.is_array))
+        prior = IsotropicPrior(sum(leaf.size for leaf in leaves))
+        return GaussianWeights(prior), ChordSteps(damping=1e3), NETWORK_TOLERANCE
+    return NoWeights(), ChordSteps(damping=1e-2), TOLERANCE
+
+
+TOLERANCE, NETWORK_TOLERANCE = 1e-2, 2.0
+"""Change of the log evidence at which a fit ends. That of a network goes on to creep
+while weights shrink on which the data do not depend."""
+
+
+def _trainable(learn):
+    def select(model):
+        constants = learn(model)
+        several = constants if isinstance(constants, tuple | list) else (constants,)
+        return *_weights(model), *several
+
+    return select
+
+
+def _is_weight(free: FreeModel, theta) -> Bool[np.ndarray, " parameter"]:
+    """Which entries of the parameter vector are weights of the environment."""
+    marks = free.unravel(jnp.zeros_like(theta))
+    if jax.tree.leaves(_weights(marks)):
+        marks = eqx.tree_at(
+            _weights, marks, jax.tree.map(jnp.ones_like, _weights(marks))
+        )
+    return np.asarray(ravel_pytree(marks)[0]) > 0
+
+
+def num_positions(model, trajectories: Trajectories) -> int:
+    """How many channels are positions; what follows them are velocities.
+
+    Raises:
+        InputError: the trajectories have other channels than the model has states.
+    """
+    count = len(trajectories.channels)
+    dim = _dimension(model.environment)
+    if isinstance(model, Swimmer):
+        dim = count // 2 if dim is None else dim
+        fits, expected = count == 2 * dim, f"{2 * dim} channels, positions and"
+        expected += " velocities"
+    else:
+        dim = count if dim is None else dim
+        fits, expected = count in (dim, 2 * dim), f"{dim} or {2 * dim} channels"
+    if not fits:
+        raise InputError(
+            f"fit_bayes trajectories: expected {expected}, got "
+            f"{', '.join(trajectories.channels)}"
+        )
+    return dim
+
+
+def _dimension(environment) -> int | None:
+    """Dimension of the space in which a learned environment acts."""
+    if isinstance(environment, KernelForce | KernelPotential):
+        return environment.centers.shape[1]
+    if isinstance(environment, NeuralForce | NeuralPotential):
+        features = environment.features
+        if isinstance(features, PositionFeatures):
+            return len(features.center)
+        if isinstance(features, PositionTimeFeatures):
+            return len(features.center) - 1
+    return None
+
+
+def _names(free: FreeModel, theta) -> tuple[str, ...]:
+    """A name for every entry of the parameter vector: the path of its leaf."""
+    leaves, _ = jax.tree_util.tree_flatten_with_path(free.unravel(theta))
+    names = []
+    for path, leaf in leaves:
+        name = jax.tree_util.keystr(path).lstrip(".")
+        indices = np.ndindex(*leaf.shape) if leaf.ndim else [None]
+        names += [name if i is None else f"{name}{list(i)}" for i in indices]
+    return tuple(names)
+
+
+def _spread(states, lengths):
+    """Standard deviation of each channel over all samples; 1 where it is constant."""
+    samples = np.concatenate(
+        [own[:length] for own, length in zip(states, lengths, strict=True)]
+    )
+    spread = samples.std(axis=0)
+    return np.where(spread > 0, spread, 1.0)
+
+
+def _check_starts(linear: Linearisation) -> None:
+    for index, matrix in enumerate(np.asarray(linear.start_information)):
+        if is_singular(matrix):
+            raise FitError(
+                f"the fit is singular: the observations of trajectory {index} do not "
+                "determine its start; drop the trajectory"
+            )
+
+
+def _check_learned(model, names, flat):
+    """Of an environment with weights these alone are learned."""
+    if not isinstance(model.environment, AbstractLearnedForce):
+        return
+    for name in np.array(names)[flat]:
+        if name.startswith("environment."):
+            raise InputError(
+                f"fit_bayes learn: {name} belongs to the environment, whose "
+                "weights alone are learned; pick constants of other forces"
+            )
+
+
+def _check_selection(model, learn):
+    leaves = jax.tree.leaves(_trainable(learn)(model))
+    if not any(isinstance(x, float) or eqx.is_inexact_array(x) for x in leaves):
+        raise InputError(
+            f"fit_bayes learn: {type(model.environment).__name__} has no weights; "
+            "make an environment by kernel_environment, or pick numbers to learn, "
+            "such as learn=lambda m: m.environment"
+        )

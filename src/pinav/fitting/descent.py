@@ -1,0 +1,163 @@
+r"""How a lifted fit moves from one linearisation to the next.
+
+Kernels are linear in their weights: the full step to the mean of the posterior is
+right. Networks and parametric forces are not, and move by damped steps whose damping
+is chosen by what the parameters explain in truth.
+"""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import scipy.linalg
+from jaxtyping import Array, Float
+
+from pinav.fitting.lifting import (
+    FreeModel,
+    Linearisation,
+    advanced,
+    predict,
+    pull_back,
+)
+from pinav.fitting.objectives import Observations
+from pinav.solvers import FixedStep
+
+CHORD_STEPS = 4
+"""Steps with the Jacobian held, for each damping."""
+
+EXPONENTS = range(-3, 2)
+"""Dampings tried, as powers of ten of the last one."""
+
+
+class Local(eqx.Module):
+    r"""A fit near one point: $|r|^2/\sigma^2 + \sum_i p_i \theta_i^2$ is minimised.
+
+    Attributes:
+        free: the model as a function of its parameters.
+        observations: the data.
+        solver: steps between samples.
+        theta: the parameters.
+        states: about which the dynamics are linearised.
+        linear: the linearisation.
+        precision: $p$, of the prior; zero for a flat one.
+        noise: $\sigma$.
+    """
+
+    free: FreeModel
+    observations: Observations
+    solver: FixedStep
+    theta: Float[np.ndarray, " parameter"]
+    states: Float[Array, "trajectory time state"]
+    linear: Linearisation
+    precision: Float[np.ndarray, " parameter"]
+    noise: float
+
+    def predict(self, theta):
+        """Residuals and linearised solution for other parameters."""
+        return predict(
+            self.free, jnp.asarray(theta), self.states, self.observations, self.solver
+        )
+
+    def cost(self, theta, residuals) -> float:
+        """What is minimised; infinite where the residuals are not finite."""
+        squares = float(jnp.sum(residuals**2)) / self.noise**2
+        cost = squares + float(self.precision @ theta**2)
+        return cost if np.isfinite(cost) else np.inf
+
+    def half_gradient(self, theta, residuals):
+        """Half the gradient of the cost, with the Jacobian of this point."""
+        slope = np.asarray(pull_back(self.linear, residuals)) / self.noise**2
+        return slope + self.precision * theta
+
+
+class Move(eqx.Module):
+    """Where a step leads.
+
+    Attributes:
+        theta: the parameters.
+        states: about which to linearise next.
+        descent: how to go on.
+    """
+
+    theta: Float[np.ndarray, " parameter"]
+    states: Float[Array, "trajectory time state"]
+    descent: "AbstractDescent"
+
+
+class AbstractDescent(eqx.Module):
+    """Chooses the next point of linearisation."""
+
+    @abc.abstractmethod
+    def __call__(self, local: Local, mean: Float[np.ndarray, " parameter"]) -> Move:
+        """The next point, given the `mean` of the linear model's posterior."""
+
+
+class FullStep(AbstractDescent):
+    """To the mean of the posterior: right for a model linear in its parameters."""
+
+    def __call__(self, local, mean):
+        change = jnp.asarray(mean - local.theta)
+        return Move(mean, advanced(local.states, local.linear, change), self)
+
+
+class ChordSteps(AbstractDescent):
+    r"""Damped steps with the true residuals and the Jacobian held.
+
+    For several dampings $\lambda$ and $P$, the Hessian of the cost, a few times
+    $d \leftarrow d - (P + \lambda D)^{-1}(g(\theta + d) + \lambda D d)$, with the
+    gradient $g$ of the true residuals. $D$ is the precision of the prior, or the
+    diagonal of $P$ where all priors are flat. Among all, the smallest damping wins that
+    gains at least half as much as the best: the greedy choice creeps.
+
+    Attributes:
+        damping: the last one that won.
+
+    References:
+        Levenberg 1944; Marquardt 1963.
+    """
+
+    damping: float
+
+    def __call__(self, local, mean):
+        hessian = np.asarray(local.linear.hessian) / local.noise**2
+        hessian = hessian + np.diag(local.precision)
+        scale = local.precision if np.any(local.precision) else np.diag(hessian)
+        here = local.predict(local.theta)
+        before = local.cost(local.theta, here.residuals)
+        dampings = [self.damping * 10.0**power for power in EXPONENTS]
+        found = [
+            _chord(local, hessian, damping * scale, here.residuals)
+            for damping in dampings
+        ]
+        gains = before - np.array([cost for _, cost in found])
+        if not gains.max() > 0:
+            return Move(local.theta, here.states, ChordSteps(100 * self.damping))
+        chosen = int(np.argmax(gains >= 0.5 * gains.max()))
+        theta = found[chosen][0]
+        descent = ChordSteps(max(dampings[chosen], LEAST_DAMPING))
+        return Move(theta, local.predict(theta).states, descent)
+
+
+LEAST_DAMPING = 1e-6
+"""Below this a damping changes nothing."""
+
+
+def _chord(local, hessian, damping, residuals):
+    """Best parameters for one damping, and their cost."""
+    try:
+        factor = scipy.linalg.cho_factor(hessian + np.diag(damping))
+    except scipy.linalg.LinAlgError:
+        return local.theta, np.inf
+    theta, best, lowest = local.theta, local.theta, np.inf
+    for _ in range(CHORD_STEPS):
+        pull = local.half_gradient(theta, residuals)
+        pull = pull + damping * (theta - local.theta)
+        theta = theta - scipy.linalg.cho_solve(factor, pull)
+        residuals = local.predict(theta).residuals
+        cost = local.cost(theta, residuals)
+        if not cost < np.inf:
+            break
+        if cost < lowest:
+            best, lowest = theta, cost
+    return best, lowest
