@@ -16,6 +16,7 @@ ORDER = [
     "tensors",
     "flows",
     "forces",
+    "environments",
     "learned",
     "solvers",
     "dynamics",
