@@ -20,6 +20,7 @@ ORDER = [
     "learned",
     "solvers",
     "dynamics",
+    "brownian",
     "scenarios",
     "samples",
     "trajectories",
