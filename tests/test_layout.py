@@ -24,6 +24,7 @@ ORDER = [
     "scenarios",
     "samples",
     "trajectories",
+    "degradation",
     "trajectory_files",
     "recordings",
     "fitting",

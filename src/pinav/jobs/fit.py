@@ -136,7 +136,7 @@ def _fit(settings, known, data, folder) -> Fit:
     )
     with FitReporter(folder, settings.model) as report:
         return fit_trajectories(
-            fit_model(settings, known.truth, data_moments(data)),
+            fit_model(settings, known.swimmer, data_moments(data)),
             data,
             recipe,
             trainable=fit_trainable(settings),

@@ -110,7 +110,7 @@ def model_file(label: str) -> str:
 
 def _write_fits(entry: Entry, settings, data, folder: RunFolder) -> None:
     """Train, and write losses first: a model file says that all of its fit is there."""
-    known, moments = scenario("paper").truth, data_moments(data)
+    known, moments = scenario("paper").swimmer, data_moments(data)
     paper = settings.recipe == "paper"
     models = [entry.build(known, seed, moments) for seed in entry.seeds]
     with FitReporter(folder, entry.name) as report:
@@ -146,7 +146,7 @@ def _recipe(settings: ReproduceSettings, data: Trajectories):
 def _evaluate(benchmark, data, chosen: Sequence[Entry], folder: RunFolder):
     """Score every model; return the rows and the arrays behind the figures."""
     arrays = {"times": data.times[0], "truth": data.states[0]}
-    arrays |= _true_arrays(benchmark.truth, data)
+    arrays |= _true_arrays(benchmark.swimmer, data)
     moments = data_moments(data)
 
     def scored(model: str, seed: int | None, dynamics: AbstractDynamics) -> Row:
@@ -154,10 +154,10 @@ def _evaluate(benchmark, data, chosen: Sequence[Entry], folder: RunFolder):
         arrays[key_of(model, seed)] = predictions[0]
         return Row(model, seed, score(predictions, outcomes, data))
 
-    rows = [scored("physics-only", None, _without_environment(benchmark.truth))]
+    rows = [scored("physics-only", None, _without_environment(benchmark.swimmer))]
     for entry in chosen:
         for seed, label in zip(entry.seeds, entry.labels(), strict=True):
-            before = entry.build(benchmark.truth, seed, moments)
+            before = entry.build(benchmark.swimmer, seed, moments)
             trained = folder.read_model(model_file(label), build_model)
             rows.append(scored(f"{entry.name}-untrained", seed, before))
             rows.append(scored(entry.name, seed, trained))
