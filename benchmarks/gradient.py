@@ -83,7 +83,7 @@ def gradient_function(solver: AbstractSolver, dtype: type):
     scenario = paper()
     states = jnp.asarray(simulate(scenario).states[0], dtype)
     times = jnp.asarray(scenario.times, dtype)
-    model = with_dtype(paper_ude(scenario.truth, 42), dtype)
+    model = with_dtype(paper_ude(scenario.swimmer, 42), dtype)
     params, static = split_trainable(model, residual, dtype)
 
     def loss(params):

@@ -31,7 +31,9 @@ data = Trajectories.from_arrays(
 )
 
 environment = kernel_environment(KernelPotential, data)
-unknown = eqx.tree_at(lambda swimmer: swimmer.environment, scenario.truth, environment)
+unknown = eqx.tree_at(
+    lambda swimmer: swimmer.environment, scenario.swimmer, environment
+)
 result = fit_bayes(unknown, data)
 print(f"{result.outcome.name.lower()} after {result.iterations} iterations")
 
@@ -40,5 +42,5 @@ sd = result.posterior.force_sd(points)
 for point, spread in zip(points, sd, strict=True):
     x, v = jnp.asarray(point), jnp.zeros(2)
     learned = np.asarray(result.model.environment(0.0, x, v))
-    true = np.asarray(scenario.truth.environment(0.0, x, v))
+    true = np.asarray(scenario.swimmer.environment(0.0, x, v))
     print(f"at {point}: learned {learned} ± {spread}, true {true}")

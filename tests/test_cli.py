@@ -102,6 +102,18 @@ def test_every_listed_command_has_a_handler():
             ["simulate", "paper", "--out", "x.npz", "--noise", "-1"],
             "--noise: expected 0",
         ),
+        (
+            ["simulate", "swirl", "--out", "x.npz", "--frame-loss", "1"],
+            "--frame-loss: expected from 0 to below 1, got 1.0",
+        ),
+        (
+            ["simulate", "swirl", "--out", "x.npz", "--count", "0"],
+            "--count: expected 1 or more, got 0",
+        ),
+        (
+            ["simulate", "paper", "--out", "x.npz", "--count", "2"],
+            "scenario 'paper' has one fixed start",
+        ),
         (["evaluate", "nowhere", "x.npz"], "nowhere holds no run"),
         (["report", "nowhere"], "nowhere holds no run"),
         (

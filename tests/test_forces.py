@@ -7,13 +7,23 @@ import numpy as np
 import pytest
 
 from pinav.actuation import RotatingField
+from pinav.environments import (
+    CircularMotion,
+    GaussianRidge,
+    GaussianSwirl,
+    LinearMotion,
+    Moving,
+)
 from pinav.errors import InputError
+from pinav.flows import PoiseuilleFlow, ShearFlow, VortexFlow
 from pinav.forces import (
     GaussianBarrier,
     HarmonicTrap,
+    InFlow,
     LinearDrag,
     MagneticPropulsion,
     SumForce,
+    TensorDrag,
     ZeroForce,
 )
 from pinav.learned import (
@@ -26,6 +36,13 @@ from pinav.learned import (
     kernel_centers,
     paper_force,
     tanh_network,
+)
+from pinav.tensors import (
+    BrinkmanTensor,
+    CholeskyTensor,
+    ConstantDirector,
+    UniaxialTensor,
+    WavyDirector,
 )
 
 KEY = jax.random.key(0)
@@ -61,9 +78,41 @@ def kernel_potential():
     return KernelPotential(jnp.array([0.3, -0.2, 0.5]), kernel_force().centers, 1.3)
 
 
+def ridge():
+    return GaussianRidge(2.0, [5.0, 4.0], length=3.0, width=0.8, angle=0.6)
+
+
+def swirl():
+    return GaussianSwirl(2.0, [5.0, 4.0], width=1.5)
+
+
+def porous():
+    centers = jnp.array([[4.0, 5.0], [5.0, 5.5]])
+    return TensorDrag(BrinkmanTensor(0.3, 0.5, jnp.array([3.0, 1.0]), centers, 1.2))
+
+
+DRAGS = {
+    "linear": lambda: LinearDrag(0.3),
+    "uniaxial": lambda: TensorDrag(UniaxialTensor(0.2, 0.5, ConstantDirector(0.4))),
+    "varying director": lambda: TensorDrag(
+        UniaxialTensor(0.2, 0.5, WavyDirector(0.4, 0.8, [0.5, -0.3]))
+    ),
+    "cholesky": lambda: TensorDrag(
+        CholeskyTensor.of(jnp.array([[0.5, -0.2], [-0.2, 0.3]]))
+    ),
+    "porous": porous,
+}
+
 FORCES = {
+    **DRAGS,
+    "ridge": ridge,
+    "swirl": swirl,
+    "circling barrier": lambda: Moving(barrier(), CircularMotion(1.0, 0.7, 0.3)),
+    "moving trap": lambda: Moving(HarmonicTrap(0.7, [5.0, 4.0]), LinearMotion([1, 2])),
+    "drag in shear": lambda: InFlow(LinearDrag(0.3), ShearFlow(0.2, 1.0)),
+    "drag in a channel": lambda: InFlow(porous(), PoiseuilleFlow(0.8, 5.0, 6.0)),
+    "drag in a vortex": lambda: InFlow(LinearDrag(0.3), VortexFlow(0.4, [4, 4], 2.0)),
     "zero": ZeroForce,
-    "drag": lambda: LinearDrag(0.3),
     "barrier": barrier,
     "trap": lambda: HarmonicTrap(0.7, [5.0, 4.0]),
     "propulsion": propulsion,

@@ -1,4 +1,5 @@
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -7,7 +8,13 @@ from scipy.integrate import solve_ivp
 from pinav.dynamics import rollout
 from pinav.errors import InputError
 from pinav.forces import ZeroForce
-from pinav.scenarios import SCENARIOS, paper, scenario
+from pinav.scenarios import SCENARIOS, barrier_crossings, paper, scenario
+from pinav.solvers import FixedStep
+from pinav.trajectories import simulate
+
+KEY = jax.random.key(1)
+PLANAR = sorted(SCENARIOS.keys() - {"paper", "brownian"})
+RK = FixedStep(substeps=2)
 
 
 @pytest.fixture(scope="module")
@@ -67,8 +74,90 @@ def test_every_scenario_fits_together(name):
     assert jnp.all(jnp.diff(made.times) > 0)
     slope = made.truth(made.times[0], made.starts[0])
     assert slope.shape == made.starts[0].shape
+    assert jnp.all(jnp.isfinite(slope))
+
+
+@pytest.mark.parametrize("name", sorted(SCENARIOS.keys() - {"paper"}))
+def test_a_key_changes_the_starts_alone_and_more_of_it_begin_with_the_same(name):
+    few, many = (scenario(name, KEY, count=count) for count in (3, 11))
+    assert many.starts.shape[0] == 11
+    np.testing.assert_array_equal(many.starts[:3], few.starts)
+    assert not np.allclose(scenario(name, count=3).starts, few.starts)
+    assert eqx.tree_equal(scenario(name).truth, few.truth)
+
+
+def test_barrier_crossings_are_those_that_were_published():
+    starts = barrier_crossings().starts
+    expected = [11.875582, 3.686084, -3.791512, 1.636989]
+    assert starts.shape == (8, 4)
+    np.testing.assert_allclose(starts[0], expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", PLANAR)
+def test_trajectories_are_about_as_large_as_the_domain(name):
+    made = scenario(name)
+    solve = eqx.filter_jit(
+        jax.vmap(lambda y0: rollout(made.truth, y0, made.times, solver=RK).ys)
+    )
+    paths = np.asarray(solve(made.starts))[..., :2]
+    extent = np.ptp(paths, axis=(0, 1))
+    assert np.all(extent > 15.0)
+    assert np.all(extent < 32.0)
+    way = np.linalg.norm(paths[:, -1] - paths[:, 0], axis=1)
+    assert np.median(way) > 3.0
+
+
+def test_rotational_fraction_of_the_swirl():
+    """By quadrature over the plane, as documented; the parts are orthogonal."""
+    barrier, rotation = scenario("swirl").swimmer.environment.terms
+    axis = jnp.arange(-20.0, 30.0, 0.25)
+    points = jnp.stack(jnp.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    gradient, rotational = (
+        jnp.sum(jax.vmap(lambda x, f=f: f(0.0, x, x))(points) ** 2)
+        for f in (barrier, rotation)
+    )
+    fraction = rotational / (gradient + rotational)
+    np.testing.assert_allclose(fraction, 9.0 / (9.0 + 5.25**2), rtol=1e-6)
+
+
+def test_a_stochastic_scenario_has_si_values_and_needs_a_key():
+    made = scenario("brownian", count=3)
+    diffusion = made.truth.diffusion(jnp.zeros(2))
+    np.testing.assert_allclose(diffusion, 0.2454 * np.eye(2), rtol=1e-3)
+    assert (made.units["x"], made.units["t"]) == ("um", "s")
+    with pytest.raises(InputError, match="'brownian' is stochastic; pass key="):
+        simulate(made)
+    with pytest.raises(InputError, match="'brownian': expected a swimmer with inertia"):
+        _ = made.swimmer
+
+
+def test_stochastic_trajectories_diffuse_and_belong_to_their_key():
+    made = scenario("brownian", count=4)
+    first, again = simulate(made, key=KEY), simulate(made, key=KEY)
+    np.testing.assert_array_equal(first.states, again.states)
+    assert first.channels == ("x", "y")
+    assert first.provenance["solver"] == "Euler-Maruyama"
+    fewer = simulate(scenario("brownian", count=2), key=KEY)
+    np.testing.assert_allclose(fewer.states, first.states[:2], atol=1e-12)
+    steps = np.diff(first.states, axis=1)
+    measured = np.var(steps) / 2 * 24  # drift adds a hundredth
+    np.testing.assert_allclose(
+        measured, 0.2454, rtol=4 * np.sqrt(2 / steps.size) + 0.02
+    )
 
 
 def test_unknown_scenario_is_refused_with_the_known_ones():
     with pytest.raises(InputError, match="'papper' is unknown; choose one of: .*paper"):
         scenario("papper")
+
+
+@pytest.mark.parametrize("name", ["barrier-crossings", "many-barriers", "brownian"])
+def test_a_count_is_positive(name):
+    with pytest.raises(InputError, match="scenario count: expected 1 or more, got 0"):
+        scenario(name, count=0)
+
+
+def test_the_paper_has_one_start():
+    assert len(scenario("paper", count=1).starts) == 1
+    with pytest.raises(InputError, match="'paper' has one fixed start"):
+        scenario("paper", count=8)

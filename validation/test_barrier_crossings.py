@@ -61,14 +61,14 @@ def row(name, seed):
     data = observe(scenario, seed, columns)
     model = eqx.tree_at(
         lambda s: (s.environment, s.drag.damping, s.propulsion.gain),
-        scenario.truth,
+        scenario.swimmer,
         (kernel_environment(kind, data), 0.1, 0.0)
         if learn is damping_and_gain
         else (kernel_environment(kind, data), 0.36, 0.034),
     )
     found = fit_bayes(model, data, learn=learn)
     assert found.outcome is BayesOutcome.CONVERGED
-    true = field_map(scenario.truth.environment, clean, limits=LIMITS)
+    true = field_map(scenario.swimmer.environment, clean, limits=LIMITS)
     learned = field_map(found.model.environment, clean, limits=LIMITS)
     points = np.stack(np.meshgrid(true.x, true.y), axis=-1).reshape(-1, 2)
     sd = found.posterior.force_sd(points).reshape(true.force.shape)

@@ -60,7 +60,10 @@ class SimulateOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     scenario: Annotated[
         str,
         tyro.conf.Positional,
-        tyro.conf.arg(help="Name of the scenario: paper or barrier-crossings."),
+        tyro.conf.arg(
+            help="Name of the scenario, such as barrier-crossings; docs/scenarios.md "
+            "lists them."
+        ),
     ]
     out: Annotated[Path, tyro.conf.arg(help="File to write, .npz or .csv.")]
     settings: SimulateSettings = SimulateSettings()

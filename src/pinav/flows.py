@@ -7,6 +7,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from pinav.actuation import Scalar
+from pinav.errors import InputError
+from pinav.tensors import as_point
 
 
 class AbstractFlow(eqx.Module):
@@ -22,3 +24,76 @@ class ZeroFlow(AbstractFlow):
 
     def __call__(self, t, x):
         return jnp.zeros_like(x)
+
+
+class ShearFlow(AbstractFlow):
+    r"""Simple shear $u = (\dot\gamma (y - y_0), 0)$ in the plane.
+
+    Attributes:
+        rate: $\dot\gamma$ [T⁻¹].
+        origin: $y_0$, where the fluid is at rest [L].
+    """
+
+    rate: Scalar
+    origin: Scalar = 0.0
+
+    def __call__(self, t, x):
+        return jnp.stack([self.rate * (x[1] - self.origin), jnp.zeros_like(x[0])])
+
+
+class PoiseuilleFlow(AbstractFlow):
+    r"""Flow $u = (u_m (1 - (y - y_0)^2 / R^2), 0)$ between two walls in the plane.
+
+    Beyond the walls, where it would run backwards, the fluid is at rest; the walls
+    themselves hold nothing back.
+
+    Attributes:
+        peak: $u_m$ in the middle [L T⁻¹].
+        middle: $y_0$ [L].
+        half_width: $R$, from the middle to a wall [L], positive.
+
+    Raises:
+        InputError: `half_width` is a number <= 0.
+    """
+
+    peak: Scalar
+    middle: Scalar
+    half_width: Scalar
+
+    def __check_init__(self):
+        if isinstance(self.half_width, float | int) and self.half_width <= 0:
+            raise InputError(
+                f"PoiseuilleFlow.half_width: expected > 0, got {self.half_width}"
+            )
+
+    def __call__(self, t, x):
+        profile = 1 - ((x[1] - self.middle) / self.half_width) ** 2
+        return jnp.stack([self.peak * jnp.maximum(profile, 0), jnp.zeros_like(x[0])])
+
+
+class VortexFlow(AbstractFlow):
+    r"""Gaussian vortex $u = \Omega \exp(-|x - c|^2 / 2w^2)\, \hat z \times (x - c)$.
+
+    Attributes:
+        rate: $\Omega$ of the rotation in the middle [rad T⁻¹]; counter-clockwise.
+        center: $c$ [L].
+        width: $w$ [L], positive.
+
+    Raises:
+        InputError: `center` is not a point in the plane, or `width` a number <= 0.
+    """
+
+    rate: Scalar
+    center: Float[Array, "2"] = eqx.field(
+        converter=lambda value: as_point("VortexFlow.center", value, 2)
+    )
+    width: Scalar
+
+    def __check_init__(self):
+        if isinstance(self.width, float | int) and self.width <= 0:
+            raise InputError(f"VortexFlow.width: expected > 0, got {self.width}")
+
+    def __call__(self, t, x):
+        offset = x - self.center
+        fading = jnp.exp(-0.5 * (offset @ offset) / self.width**2)
+        return self.rate * fading * jnp.stack([-offset[1], offset[0]])

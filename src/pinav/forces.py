@@ -7,13 +7,13 @@ $-\nabla U$.
 import abc
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.actuation import AbstractField, Scalar
 from pinav.errors import InputError
+from pinav.flows import AbstractFlow
+from pinav.tensors import AbstractTensorField, as_point
 
 
 class AbstractForce(eqx.Module):
@@ -73,6 +73,38 @@ class LinearDrag(AbstractForce):
         return -self.damping * v
 
 
+class TensorDrag(AbstractForce):
+    r"""Viscous drag $-\Gamma(x) v$ that depends on direction or place.
+
+    A `UniaxialTensor` makes it anisotropic, with a constant or varying director; a
+    `BrinkmanTensor` makes it that of a porous medium; a `CholeskyTensor` trains; an
+    `IsotropicTensor` is a `LinearDrag`.
+
+    Attributes:
+        tensor: $\Gamma$ [T⁻¹].
+    """
+
+    tensor: AbstractTensorField
+
+    def __call__(self, t, x, v):
+        return -self.tensor(x, v)
+
+
+class InFlow(AbstractForce):
+    """A force that sees the velocity relative to the fluid: a drag in a current.
+
+    Attributes:
+        force: such as `LinearDrag`.
+        flow: the velocity of the fluid.
+    """
+
+    force: AbstractForce
+    flow: AbstractFlow
+
+    def __call__(self, t, x, v):
+        return self.force(t, x, v - self.flow(t, x))
+
+
 class GaussianBarrier(AbstractForce):
     r"""Repulsion $-\nabla U$ from $U(x) = U_0 \exp(-|x - c|^2 / 2\sigma^2)$.
 
@@ -90,7 +122,7 @@ class GaussianBarrier(AbstractForce):
 
     height: Scalar
     center: Float[Array, " dim"] = eqx.field(
-        converter=lambda value: _point("GaussianBarrier.center", value)
+        converter=lambda value: as_point("GaussianBarrier.center", value)
     )
     width: Scalar
 
@@ -120,7 +152,7 @@ class HarmonicTrap(AbstractForce):
 
     stiffness: Scalar
     center: Float[Array, " dim"] = eqx.field(
-        converter=lambda value: _point("HarmonicTrap.center", value)
+        converter=lambda value: as_point("HarmonicTrap.center", value)
     )
 
     def potential(self, x: Float[Array, " dim"]) -> Float[Array, ""]:
@@ -153,11 +185,11 @@ class MagneticPropulsion(AbstractForce):
 
     field: AbstractField
     moment: Float[Array, "3"] = eqx.field(
-        converter=lambda value: _point("MagneticPropulsion.moment", value, 3)
+        converter=lambda value: as_point("MagneticPropulsion.moment", value, 3)
     )
     gain: Scalar
     axis: Float[Array, " dim"] = eqx.field(
-        converter=lambda value: _point("MagneticPropulsion.axis", value)
+        converter=lambda value: as_point("MagneticPropulsion.axis", value)
     )
 
     def torque(self, t: Scalar) -> Float[Array, "3"]:
@@ -170,12 +202,3 @@ class MagneticPropulsion(AbstractForce):
 
 def _terms(force: AbstractForce) -> tuple[AbstractForce, ...]:
     return force.terms if isinstance(force, SumForce) else (force,)
-
-
-def _point(name: str, value, dim: int | None = None) -> Float[Array, " dim"]:
-    """Array of a point given as list, tuple or array; `dim` components if given."""
-    shape = np.shape(value)
-    if len(shape) != 1 or (dim is not None and shape != (dim,)):
-        expected = "(dim,)" if dim is None else f"({dim},)"
-        raise InputError(f"{name}: expected a point of shape {expected}, got {shape}")
-    return value if isinstance(value, jax.Array) else jnp.asarray(value, float)

@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64, PRNGKeyArray
 
 from pinav import __version__
-from pinav.dynamics import rollout
 from pinav.errors import InputError
 from pinav.samples import (
     Ragged,
@@ -23,8 +22,7 @@ from pinav.samples import (
     arrays_per_trajectory,
     checked_trajectory,
 )
-from pinav.scenarios import Scenario
-from pinav.solvers import Adaptive
+from pinav.scenarios import Scenario, true_paths
 
 UNKNOWN_UNIT = "?"
 """Unit of a channel whose unit nobody stated; "1" means dimensionless."""
@@ -258,7 +256,7 @@ def simulate(scenario: Scenario, *, key: PRNGKeyArray | None = None) -> Trajecto
 
     Args:
         scenario: the true system.
-        key: random key of the observation noise; needed where there is noise.
+        key: random key of observation noise and Brownian motion, where there are any.
 
     Raises:
         InputError: JAX or the scenario is in float32, or noise has no key.
@@ -270,24 +268,17 @@ def simulate(scenario: Scenario, *, key: PRNGKeyArray | None = None) -> Trajecto
         )
     shape = (len(scenario.starts), len(scenario.times), len(scenario.channels))
     noise = _observation_noise(scenario, key, shape)
-    solver = Adaptive()
-    solve = eqx.filter_jit(rollout)
-    runs = [
-        solve(scenario.truth, y0, scenario.times, solver=solver)
-        for y0 in scenario.starts
-    ]
+    states, method = true_paths(scenario, key)
     return Trajectories.from_arrays(
         scenario.times,
-        np.stack([run.ys for run in runs]) + noise,
+        states + noise,
         channels=scenario.channels,
         units=scenario.units,
         provenance={
             "scenario": scenario.name,
             "noise": scenario.noise,
             "key": None if key is None else jax.random.key_data(key).tolist(),
-            "solver": type(solver.method).__name__,
-            "rtol": solver.rtol,
-            "atol": solver.atol,
+            **method,
             "pinav": __version__,
         },
     )

@@ -124,7 +124,7 @@ def _fields(model: Swimmer, data: Trajectories) -> dict[str, FieldMap]:
     """The learned force around the data, and the true one where it is known."""
     fields = {"learned": field_map(model.environment, data)}
     if "scenario" in data.provenance:
-        truth = scenario(data.provenance["scenario"]).truth
+       .swimmer = scenario(data.provenance["scenario"]).truth
         fields["true"] = field_map(truth.environment, data)
     return fields
 
@@ -202,7 +202,7 @@ def _match(
     method, summary = matching(settings, data), data_summary(data)
     with FitReporter(folder, settings.model) as report:
         found = fit_trajectories(
-            fit_model(settings, known.truth, summary),
+            fit_model(settings, known.swimmer, summary),
             data,
             method.recipe,
             trainable=fit_trainable(settings),

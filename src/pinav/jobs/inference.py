@@ -35,7 +35,7 @@ def infer(
     summary = data_summary(data, KernelGrid())
     with BayesReporter(folder, settings.model) as report:
         found = fit_bayes(
-            fit_model(settings, known.truth, summary),
+            fit_model(settings, known.swimmer, summary),
             data,
             learn=fit_constants(settings),
             noise=settings.noise,

@@ -219,7 +219,7 @@ def build_model(header: dict[str, Any]) -> Any:
         InputError: the header is not one of ours.
     """
     try:
-        known = scenario(header["physics"]).truth
+        known = scenario(header["physics"]).swimmer
         if header["kind"] in REPRODUCED:
             build = REPRODUCED[header["kind"]][header["name"]]
             model = build(known, header["seed"], header.get("data"))

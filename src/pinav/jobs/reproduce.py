@@ -110,7 +110,7 @@ def model_file(label: str) -> str:
 
 def _write_fits(entry: Entry, settings, data, folder: RunFolder) -> None:
     """Train, and write losses first: a model file says that all of its fit is there."""
-    known, summary = scenario("paper").truth, data_summary(data)
+    known, summary = scenario("paper").swimmer, data_summary(data)
     method = matching(settings, data)
     models = [entry.build(known, seed, summary) for seed in entry.seeds]
     with FitReporter(folder, entry.name) as report:
@@ -139,7 +139,7 @@ def _write_fits(entry: Entry, settings, data, folder: RunFolder) -> None:
 def _evaluate(benchmark, data, chosen: Sequence[Entry], folder: RunFolder):
     """Score every model; return the rows and the arrays behind the figures."""
     arrays = {"times": data.times[0], "truth": data.states[0]}
-    arrays |= _true_arrays(benchmark.truth, data)
+    arrays |= _true_arrays(benchmark.swimmer, data)
     summary = data_summary(data)
 
     def scored(model: str, seed: int | None, dynamics: AbstractDynamics) -> Row:
@@ -147,10 +147,10 @@ def _evaluate(benchmark, data, chosen: Sequence[Entry], folder: RunFolder):
         arrays[key_of(model, seed)] = predictions[0]
         return Row(model, seed, score(predictions, outcomes, data))
 
-    rows = [scored("physics-only", None, _without_environment(benchmark.truth))]
+    rows = [scored("physics-only", None, _without_environment(benchmark.swimmer))]
     for entry in chosen:
         for seed, label in zip(entry.seeds, entry.labels(), strict=True):
-            before = entry.build(benchmark.truth, seed, summary)
+            before = entry.build(benchmark.swimmer, seed, summary)
             trained = folder.read_model(model_file(label), build_model)
             rows.append(scored(f"{entry.name}-untrained", seed, before))
             rows.append(scored(entry.name, seed, trained))

@@ -5,12 +5,14 @@ from pathlib import Path
 import equinox as eqx
 import jax
 
-from pinav.errors import InputError
+from pinav.degradation import AbstractDegradation, FrameLoss, Unobserved, degrade
 from pinav.jobs.settings import SimulateSettings
 from pinav.scenarios import scenario
 from pinav.trajectories import Trajectories
 from pinav.trajectories import simulate as simulate_scenario
 from pinav.trajectory_files import save
+
+VELOCITY_CHANNELS = ("vx", "vy", "vz")
 
 
 def simulate(
@@ -19,14 +21,30 @@ def simulate(
     """Simulate a scenario and save its trajectories.
 
     Raises:
-        InputError: the scenario is unknown, the noise negative, or the file there.
+        InputError: the scenario is unknown, a setting makes no sense, or the file is
+            there.
     """
-    if settings.noise is not None and settings.noise < 0:
-        raise InputError(f"--noise: expected 0 or more, got {settings.noise}")
+    settings.check()
     starts_key, noise_key = jax.random.split(jax.random.key(settings.seed))
-    chosen = scenario(name, starts_key)
+    chosen = scenario(name, starts_key, count=settings.count)
     if settings.noise is not None:
         chosen = eqx.tree_at(lambda s: s.noise, chosen, settings.noise)
     trajectories = simulate_scenario(chosen, key=noise_key)
+    steps = _degradations(settings, trajectories.channels)
+    if steps:
+        loss_key = jax.random.fold_in(noise_key, 2)
+        trajectories = degrade(trajectories, steps, key=loss_key)
     save(trajectories, out, overwrite=overwrite)
     return trajectories
+
+
+def _degradations(
+    settings: SimulateSettings, channels: tuple[str, ...]
+) -> list[AbstractDegradation]:
+    steps: list[AbstractDegradation] = []
+    if settings.frame_loss > 0:
+        steps.append(FrameLoss(settings.frame_loss))
+    velocities = tuple(name for name in channels if name in VELOCITY_CHANNELS)
+    if settings.positions_only and velocities:
+        steps.append(Unobserved(velocities))
+    return steps

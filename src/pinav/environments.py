@@ -1,0 +1,270 @@
+"""Forces of an environment: fibres, rotation, motion, and random fields of them."""
+
+import abc
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from pinav.actuation import Scalar
+from pinav.errors import InputError
+from pinav.forces import AbstractForce, GaussianBarrier, SumForce
+from pinav.tensors import as_point
+
+
+class GaussianRidge(AbstractForce):
+    r"""Repulsion $-\nabla U$ from an elongated Gaussian in the plane: a fibre.
+
+    $U(x) = U_0 \exp(-\tfrac12 (a^2 / l^2 + b^2 / w^2))$, with the coordinates $a$ along
+    and $b$ across the ridge. With $l = w$ it is a `GaussianBarrier`.
+
+    Attributes:
+        height: $U_0$ [L² T⁻²].
+        center: $c$ [L].
+        length: $l$ along the ridge [L], positive.
+        width: $w$ across it [L], positive.
+        angle: of the ridge to the x axis [rad].
+
+    Raises:
+        InputError: `center` is not a point in the plane, or `length` or `width` is a
+            number <= 0.
+    """
+
+    height: Scalar
+    center: Float[Array, "2"] = eqx.field(
+        converter=lambda value: as_point("GaussianRidge.center", value, 2)
+    )
+    length: Scalar
+    width: Scalar
+    angle: Scalar
+
+    def __check_init__(self):
+        for name in ("length", "width"):
+            value = getattr(self, name)
+            if isinstance(value, float | int) and value <= 0:
+                raise InputError(f"GaussianRidge.{name}: expected > 0, got {value}")
+
+    def potential(self, x: Float[Array, "2"]) -> Float[Array, ""]:
+        """Potential energy per mass $U(x)$ [L² T⁻²]."""
+        offset = x - self.center
+        cos, sin = jnp.cos(self.angle), jnp.sin(self.angle)
+        along = (cos * offset[0] + sin * offset[1]) / self.length
+        across = (cos * offset[1] - sin * offset[0]) / self.width
+        return self.height * jnp.exp(-0.5 * (along**2 + across**2))
+
+    def __call__(self, t, x, v):
+        return -jax.grad(self.potential)(x)
+
+
+class GaussianSwirl(AbstractForce):
+    r"""Rotational force $(\partial_y \psi, -\partial_x \psi)$ in the plane.
+
+    With $\psi(x) = S \exp(-|x - c|^2 / 2w^2)$: it has no potential and no divergence.
+    Over the whole plane $\int |F|^2 = \pi S^2$, as it is $\pi U_0^2$ for a
+    `GaussianBarrier`, whatever the widths; the two are orthogonal there.
+
+    Attributes:
+        strength: $S$ [L² T⁻²]; positive pushes counter-clockwise.
+        center: $c$ [L].
+        width: $w$ [L], positive.
+
+    Raises:
+        InputError: `center` is not a point in the plane, or `width` a number <= 0.
+    """
+
+    strength: Scalar
+    center: Float[Array, "2"] = eqx.field(
+        converter=lambda value: as_point("GaussianSwirl.center", value, 2)
+    )
+    width: Scalar
+
+    def __check_init__(self):
+        if isinstance(self.width, float | int) and self.width <= 0:
+            raise InputError(f"GaussianSwirl.width: expected > 0, got {self.width}")
+
+    def stream(self, x: Float[Array, "2"]) -> Float[Array, ""]:
+        r"""Stream function $\psi(x)$ [L² T⁻²]."""
+        offset = (x - self.center) / self.width
+        return self.strength * jnp.exp(-0.5 * offset @ offset)
+
+    def __call__(self, t, x, v):
+        offset = (x - self.center) / self.width**2
+        return self.stream(x) * jnp.stack([-offset[1], offset[0]])
+
+
+class AbstractMotion(eqx.Module):
+    """How a thing moves."""
+
+    @abc.abstractmethod
+    def __call__(self, t: Scalar) -> Float[Array, " dim"]:
+        """Displacement [L] at time `t` [T]."""
+
+
+class LinearMotion(AbstractMotion):
+    """Displacement at a constant velocity, from zero at t = 0.
+
+    Attributes:
+        velocity: [L T⁻¹].
+
+    Raises:
+        InputError: `velocity` is not a vector.
+    """
+
+    velocity: Float[Array, " dim"] = eqx.field(
+        converter=lambda value: as_point("LinearMotion.velocity", value)
+    )
+
+    def __call__(self, t):
+        return self.velocity * t
+
+
+class CircularMotion(AbstractMotion):
+    r"""Displacement $r (\cos(\omega t + \varphi), \sin(\omega t + \varphi))$.
+
+    Attributes:
+        radius: $r$ [L].
+        frequency: $\omega$ [rad T⁻¹].
+        phase: $\varphi$ [rad].
+    """
+
+    radius: Scalar
+    frequency: Scalar
+    phase: Scalar = 0.0
+
+    def __call__(self, t):
+        angle = jnp.asarray(self.frequency * t + self.phase)
+        return self.radius * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+
+
+class Moving(AbstractForce):
+    """A force whose source moves.
+
+    Attributes:
+        force: the force of the source where it stands without displacement.
+        motion: displacement of the source in time.
+    """
+
+    force: AbstractForce
+    motion: AbstractMotion
+
+    def __call__(self, t, x, v):
+        return self.force(t, x - self.motion(t).astype(x.dtype), v)
+
+
+class Domain(eqx.Module):
+    """A rectangle in the plane.
+
+    Attributes:
+        lower: its lower left corner [L].
+        upper: its upper right corner [L].
+
+    Raises:
+        InputError: `upper` is not above and to the right of `lower`.
+    """
+
+    lower: tuple[float, float] = eqx.field(static=True)
+    upper: tuple[float, float] = eqx.field(static=True)
+
+    def __check_init__(self):
+        if not all(a < b for a, b in zip(self.lower, self.upper, strict=True)):
+            raise InputError(
+                f"Domain: expected upper beyond lower, got {self.lower}, {self.upper}"
+            )
+
+    def points(self, key: PRNGKeyArray, count: int) -> Float[Array, "{count} 2"]:
+        """Uniform random points; more points of a key begin with the same ones."""
+        lower, upper = jnp.asarray([self.lower]), jnp.asarray([self.upper])
+        return lower + (upper - lower) * jax.random.uniform(key, (count, 2))
+
+    def spread_points(self, key: PRNGKeyArray, count: int) -> Float[Array, "{count} 2"]:
+        """Random points that keep apart: each the best of 16, by its nearest one.
+
+        References:
+            Mitchell, SIGGRAPH 1991: best-candidate sampling.
+        """
+        candidates = np.asarray(self.points(key, 16 * count)).reshape(count, 16, 2)
+        chosen = candidates[0, :1]
+        for several in candidates[1:]:
+            gaps = np.linalg.norm(several[:, None] - chosen[None], axis=-1)
+            chosen = np.vstack([chosen, several[gaps.min(axis=1).argmax()]])
+        return jnp.asarray(chosen)
+
+
+def random_barriers(
+    domain: Domain,
+    count: int,
+    *,
+    heights: tuple[float, float],
+    widths: tuple[float, float],
+    key: PRNGKeyArray,
+) -> SumForce:
+    """Gaussian barriers that keep apart, with uniform heights and widths.
+
+    Args:
+        domain: holds their centres.
+        count: how many, positive.
+        heights: least and greatest height [L² T⁻²].
+        widths: least and greatest width [L].
+        key: random key of the field.
+
+    Raises:
+        InputError: `count` is not positive.
+    """
+    _check_count("random_barriers", count)
+    where, how_high, how_wide = jax.random.split(key, 3)
+    centers = domain.spread_points(where, count)
+    height, width = (
+        _uniform(how_high, heights, count),
+        _uniform(how_wide, widths, count),
+    )
+    return SumForce(
+        tuple(GaussianBarrier(height[i], centers[i], width[i]) for i in range(count))
+    )
+
+
+def random_fibres(
+    domain: Domain,
+    count: int,
+    *,
+    heights: tuple[float, float],
+    length: float,
+    width: float,
+    key: PRNGKeyArray,
+) -> SumForce:
+    """Gaussian ridges that keep apart, in random directions.
+
+    Args:
+        domain: holds their centres.
+        count: how many, positive.
+        heights: least and greatest height [L² T⁻²].
+        length: along each fibre [L].
+        width: across each fibre [L].
+        key: random key of the field.
+
+    Raises:
+        InputError: `count` is not positive.
+    """
+    _check_count("random_fibres", count)
+    where, how_high, direction = jax.random.split(key, 3)
+    centers = domain.spread_points(where, count)
+    height, angle = (
+        _uniform(how_high, heights, count),
+        _uniform(direction, (0.0, np.pi), count),
+    )
+    return SumForce(
+        tuple(
+            GaussianRidge(height[i], centers[i], length, width, angle[i])
+            for i in range(count)
+        )
+    )
+
+
+def _uniform(key, limits, count):
+    return jax.random.uniform(key, (count,), minval=limits[0], maxval=limits[1])
+
+
+def _check_count(name, count):
+    if count < 1:
+        raise InputError(f"{name} count: expected 1 or more, got {count}")

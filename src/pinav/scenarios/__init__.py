@@ -1,0 +1,79 @@
+"""Named true systems with their starts, times and noise."""
+
+from jaxtyping import PRNGKeyArray
+
+from pinav.errors import InputError
+from pinav.scenarios.crossings import (
+    barrier_crossings,
+    moving_barrier,
+    paper,
+    swirl,
+)
+from pinav.scenarios.definition import DIMENSIONLESS, PLANAR_CHANNELS, Scenario
+from pinav.scenarios.fields import fibres, many_barriers
+from pinav.scenarios.media import (
+    anisotropic_drag,
+    poiseuille,
+    porous,
+    shear,
+    varying_director,
+)
+from pinav.scenarios.paths import true_paths
+from pinav.scenarios.thermal import brownian
+
+__all__ = [
+    "DIMENSIONLESS",
+    "PLANAR_CHANNELS",
+    "SCENARIOS",
+    "Scenario",
+    "anisotropic_drag",
+    "barrier_crossings",
+    "brownian",
+    "fibres",
+    "many_barriers",
+    "moving_barrier",
+    "paper",
+    "poiseuille",
+    "porous",
+    "scenario",
+    "shear",
+    "swirl",
+    "true_paths",
+    "varying_director",
+]
+
+SCENARIOS = {
+    "paper": paper,
+    "barrier-crossings": barrier_crossings,
+    "many-barriers": many_barriers,
+    "fibres": fibres,
+    "swirl": swirl,
+    "anisotropic-drag": anisotropic_drag,
+    "varying-director": varying_director,
+    "moving-barrier": moving_barrier,
+    "porous": porous,
+    "shear": shear,
+    "poiseuille": poiseuille,
+    "brownian": brownian,
+}
+"""Named scenarios: each takes an optional random key and number of trajectories."""
+
+
+def scenario(
+    name: str, key: PRNGKeyArray | None = None, *, count: int | None = None
+) -> Scenario:
+    """The scenario of that name.
+
+    Args:
+        name: a key of `SCENARIOS`.
+        key: random key of its starts, where they are random.
+        count: number of trajectories, where the starts are random; more of a key
+            begin with the same ones. The scenario's own number unless given.
+
+    Raises:
+        InputError: no scenario has that name, or `count` is not positive.
+    """
+    if name not in SCENARIOS:
+        known = ", ".join(sorted(SCENARIOS))
+        raise InputError(f"scenario {name!r} is unknown; choose one of: {known}")
+    return SCENARIOS[name](key, count)
