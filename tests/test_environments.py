@@ -17,7 +17,14 @@ from pinav.environments import (
 )
 from pinav.errors import InputError
 from pinav.flows import PoiseuilleFlow, ShearFlow, VortexFlow
-from pinav.forces import GaussianBarrier, HarmonicTrap, InFlow, LinearDrag, TensorDrag
+from pinav.forces import (
+    GaussianBarrier,
+    HarmonicTrap,
+    InFlow,
+    LinearDrag,
+    SumForce,
+    TensorDrag,
+)
 from pinav.tensors import (
     BrinkmanTensor,
     CholeskyTensor,
@@ -241,6 +248,8 @@ def test_random_fibres_have_the_asked_shape():
         assert 1.0 <= fibre.height <= 2.0
         assert 0.0 <= fibre.angle <= np.pi
         assert (fibre.length, fibre.width) == (3.0, 0.6)
+    expected = SumForce(fibres.terms)(T, X, V)
+    np.testing.assert_allclose(fibres(T, X, V), expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize(

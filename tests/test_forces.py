@@ -9,10 +9,12 @@ import pytest
 from pinav.actuation import RotatingField
 from pinav.environments import (
     CircularMotion,
+    Domain,
     GaussianRidge,
     GaussianSwirl,
     LinearMotion,
     Moving,
+    random_barriers,
 )
 from pinav.errors import InputError
 from pinav.flows import PoiseuilleFlow, ShearFlow, VortexFlow
@@ -107,6 +109,13 @@ FORCES = {
     **DRAGS,
     "ridge": ridge,
     "swirl": swirl,
+    "random barriers": lambda: random_barriers(
+        Domain((3.0, 3.0), (7.0, 7.0)),
+        3,
+        heights=(1.0, 2.0),
+        widths=(1.0, 2.0),
+        key=KEY,
+    ),
     "circling barrier": lambda: Moving(barrier(), CircularMotion(1.0, 0.7, 0.3)),
     "moving trap": lambda: Moving(HarmonicTrap(0.7, [5.0, 4.0]), LinearMotion([1, 2])),
     "drag in shear": lambda: InFlow(LinearDrag(0.3), ShearFlow(0.2, 1.0)),

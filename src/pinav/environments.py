@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from pinav.actuation import Scalar
 from pinav.errors import InputError
-from pinav.forces import AbstractForce, GaussianBarrier, SumForce
+from pinav.forces import AbstractForce, GaussianBarrier
 from pinav.tensors import as_point
 
 
@@ -153,6 +153,31 @@ class Moving(AbstractForce):
         return self.force(t, x - self.motion(t).astype(x.dtype), v)
 
 
+class Superposition(AbstractForce):
+    """Sum of many forces of one kind: quicker to compile than a `SumForce`.
+
+    Attributes:
+        stacked: a force whose arrays have one more axis, the first, such as
+            `eqx.filter_vmap(GaussianBarrier)` makes; plain numbers are common to all.
+    """
+
+    stacked: AbstractForce
+
+    @property
+    def terms(self) -> tuple[AbstractForce, ...]:
+        """The forces one by one."""
+        arrays, common = eqx.partition(self.stacked, eqx.is_array)
+        count = jax.tree.leaves(arrays)[0].shape[0]
+        return tuple(
+            eqx.combine(jax.tree.map(lambda a, i=i: a[i], arrays), common)
+            for i in range(count)
+        )
+
+    def __call__(self, t, x, v):
+        one = eqx.filter_vmap(lambda f: f(t, x, v), in_axes=(eqx.if_array(0),))
+        return jnp.sum(one(self.stacked), axis=0)
+
+
 class Domain(eqx.Module):
     """A rectangle in the plane.
 
@@ -199,7 +224,7 @@ def random_barriers(
     heights: tuple[float, float],
     widths: tuple[float, float],
     key: PRNGKeyArray,
-) -> SumForce:
+) -> Superposition:
     """Gaussian barriers that keep apart, with uniform heights and widths.
 
     Args:
@@ -219,9 +244,7 @@ def random_barriers(
         _uniform(how_high, heights, count),
         _uniform(how_wide, widths, count),
     )
-    return SumForce(
-        tuple(GaussianBarrier(height[i], centers[i], width[i]) for i in range(count))
-    )
+    return Superposition(eqx.filter_vmap(GaussianBarrier)(height, centers, width))
 
 
 def random_fibres(
@@ -232,7 +255,7 @@ def random_fibres(
     length: float,
     width: float,
     key: PRNGKeyArray,
-) -> SumForce:
+) -> Superposition:
     """Gaussian ridges that keep apart, in random directions.
 
     Args:
@@ -253,12 +276,8 @@ def random_fibres(
         _uniform(how_high, heights, count),
         _uniform(direction, (0.0, np.pi), count),
     )
-    return SumForce(
-        tuple(
-            GaussianRidge(height[i], centers[i], length, width, angle[i])
-            for i in range(count)
-        )
-    )
+    sizes = jnp.full((count,), length), jnp.full((count,), width)
+    return Superposition(eqx.filter_vmap(GaussianRidge)(height, centers, *sizes, angle))
 
 
 def _uniform(key, limits, count):

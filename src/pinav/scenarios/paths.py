@@ -14,7 +14,7 @@ from pinav.errors import InputError
 from pinav.scenarios.definition import Scenario
 from pinav.solvers import Adaptive
 
-SUBSTEPS = 20
+SUBSTEPS = 8
 """Steps of a stochastic truth between two observations."""
 
 
