@@ -124,7 +124,7 @@ def _fields(model: Swimmer, data: Trajectories) -> dict[str, FieldMap]:
     """The learned force around the data, and the true one where it is known."""
     fields = {"learned": field_map(model.environment, data)}
     if "scenario" in data.provenance:
-       .swimmer = scenario(data.provenance["scenario"]).truth
+        truth = scenario(data.provenance["scenario"]).swimmer
         fields["true"] = field_map(truth.environment, data)
     return fields
 
