@@ -24,7 +24,8 @@ class Score(eqx.Module):
 
     Attributes:
         channels: names of the components of the state.
-        rmse: error of each component, over all observed samples.
+        rmse: error of each component, over all observed samples; NaN where a
+            component was never observed.
         outcomes: how the rollout of each trajectory ended.
     """
 
@@ -34,14 +35,19 @@ class Score(eqx.Module):
 
     @property
     def total(self) -> float:
-        """Root mean square of the errors of all components (paper, Table 2)."""
-        return float(np.sqrt(np.mean(self.rmse**2)))
+        """Root mean square of the errors of all observed ones (paper, Table 2)."""
+        return _root_mean_square(self.rmse)
 
     @property
     def position(self) -> float:
         """Root mean square of the errors of the position components alone."""
         chosen = [name in POSITION_CHANNELS for name in self.channels]
-        return float(np.sqrt(np.mean(self.rmse[chosen] ** 2)))
+        return _root_mean_square(self.rmse[chosen])
+
+
+def _root_mean_square(errors: Float[np.ndarray, " state"]) -> float:
+    seen = errors[~np.isnan(errors)]
+    return float(np.sqrt(np.mean(seen**2))) if seen.size else float("nan")
 
 
 def predict(
@@ -105,7 +111,9 @@ def score(
     observed = trajectories.observed
     squares = np.where(observed, (predictions - trajectories.states) ** 2, 0.0)
     squares = np.where(np.isfinite(squares), squares, np.inf)
-    mean = squares.sum(axis=(0, 1)) / observed.sum(axis=(0, 1))
+    count = observed.sum(axis=(0, 1))
+    total = squares.sum(axis=(0, 1))
+    mean = np.where(count > 0, total / np.maximum(count, 1), np.nan)
     return Score(trajectories.channels, np.sqrt(mean), outcomes)
 
 

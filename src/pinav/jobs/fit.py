@@ -180,8 +180,9 @@ def write_losses(name: str, fits: Sequence[Fit], folder: RunFolder) -> None:
 
 
 def score_metrics(result: Score) -> dict[str, float]:
-    """A score by the names of its columns."""
-    by_channel = dict(zip(result.channels, map(float, result.rmse), strict=True))
+    """A score by the names of its columns, without what was never observed."""
+    errors = zip(result.channels, map(float, result.rmse), strict=True)
+    by_channel = {name: error for name, error in errors if not np.isnan(error)}
     return by_channel | {"total": result.total, "position": result.position}
 
 
