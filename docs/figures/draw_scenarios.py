@@ -1,4 +1,4 @@
-"""Draw every scenario: python docs/figures/draw_scenarios.py docs/figures/scenarios.png.
+"""All scenarios: python docs/figures/draw_scenarios.py docs/figures/scenarios.png.
 
 Grey is the size of the environment's force at t = 0, lines are trajectories without
 observation noise, dots their starts.
