@@ -1,0 +1,94 @@
+"""All scenarios: python docs/figures/draw_scenarios.py docs/figures/scenarios.png.
+
+Grey is the size of the environment's force at t = 0, lines are trajectories without
+observation noise, dots their starts.
+"""
+
+import io
+import sys
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from PIL import Image
+
+from pinav.brownian import BrownianSwimmer, sample_path
+from pinav.dynamics import rollout
+from pinav.forces import InFlow, TensorDrag
+from pinav.scenarios import SCENARIOS, Scenario, scenario
+from pinav.solvers import FixedStep
+from pinav.tensors import BrinkmanTensor, UniaxialTensor
+
+
+def paths(shown: Scenario) -> np.ndarray:
+    """Positions of all swimmers at the times of the scenario."""
+
+    def one(y0, key):
+        if isinstance(shown.truth, BrownianSwimmer):
+            return sample_path(shown.truth, y0, shown.times, key=key, substeps=4).ys
+        solver = FixedStep(substeps=2)
+        return rollout(shown.truth, y0, shown.times, solver=solver).ys
+
+    keys = jax.random.split(jax.random.key(1), len(shown.starts))
+    return np.asarray(eqx.filter_jit(jax.vmap(one))(shown.starts, keys))[..., :2]
+
+
+def draw(shown: Scenario, ax: Axes) -> None:
+    """One scenario."""
+    lines = paths(shown)
+    low, high = lines.min(axis=(0, 1)) - 1, lines.max(axis=(0, 1)) + 1
+    side = (high - low).max() / 2
+    low, high = (low + high) / 2 - side, (low + high) / 2 + side
+    xs, ys = (jnp.linspace(a, b, 100) for a, b in zip(low, high, strict=True))
+    grid = jnp.stack(jnp.meshgrid(xs, ys), axis=-1)
+    truth = shown.truth
+    swimmer = truth.swimmer if isinstance(truth, BrownianSwimmer) else truth
+    force = jax.vmap(jax.vmap(lambda x: swimmer.environment(0.0, x, jnp.zeros(2))))
+    size = jnp.linalg.norm(force(grid), axis=-1)
+    ax.pcolormesh(xs, ys, size, cmap="Greys", vmax=1.6 * size.max(), rasterized=True)
+    draw_medium(getattr(swimmer, "drag", None), grid, ax)
+    for line in lines:
+        ax.plot(*line.T, lw=0.6)
+    ax.plot(*lines[:, 0].T, "k.", ms=2)
+    ax.set(title=shown.name, aspect="equal")
+    ax.title.set_size(8)
+    ax.tick_params(labelsize=6)
+
+
+def draw_medium(drag, grid, ax: Axes) -> None:
+    """Contours of a porous medium, directors of a fibrous one, arrows of a flow."""
+    x, y = np.asarray(grid[..., 0]), np.asarray(grid[..., 1])
+    coarse = (slice(5, None, 10), slice(5, None, 10))
+    look = {"color": "#0072B2", "pivot": "mid", "width": 0.004, "alpha": 0.7}
+    if isinstance(drag, TensorDrag) and isinstance(drag.tensor, BrinkmanTensor):
+        value = jax.vmap(jax.vmap(drag.tensor.value))(grid)
+        ax.contour(x, y, value, 3, colors="#0072B2", linewidths=0.6)
+    elif isinstance(drag, TensorDrag) and isinstance(drag.tensor, UniaxialTensor):
+        angle = jax.vmap(jax.vmap(drag.tensor.director))(grid[coarse])
+        headless = {"headwidth": 0, "headlength": 0, "headaxislength": 0, "scale": 18}
+        ax.quiver(
+            x[coarse], y[coarse], np.cos(angle), np.sin(angle), **look, **headless
+        )
+    elif isinstance(drag, InFlow):
+        flow = jax.vmap(jax.vmap(lambda x: drag.flow(0.0, x)))(grid[coarse])
+        ax.quiver(x[coarse], y[coarse], flow[..., 0], flow[..., 1], **look)
+
+
+def main(path: str) -> None:
+    """Draw all scenarios into a file."""
+    jax.config.update("jax_enable_x64", val=True)
+    figure = Figure(figsize=(8.2, 6.4), layout="constrained")
+    for name, ax in zip(SCENARIOS, figure.subplots(3, 4).flat, strict=True):
+        draw(scenario(name), ax)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, dpi=90)
+    picture = Image.open(buffer).convert("RGB")  # few colours make a small file
+    picture.quantize(48, dither=Image.Dither.NONE).save(path, optimize=True)
+    print(path)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
