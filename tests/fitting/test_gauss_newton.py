@@ -16,7 +16,7 @@ from pinav.fitting import (
     fit,
 )
 from pinav.fitting.fit import _run_chunk, split_trainable
-from pinav.fitting.gauss_newton import low_rank, _Windows
+from pinav.fitting.gauss_newton import _Windows, low_rank
 from pinav.forces import GaussianBarrier, LinearDrag, ZeroForce
 from pinav.learned import (
     NeuralForce,
