@@ -5,7 +5,14 @@ import numpy as np
 import pytest
 
 from pinav.dynamics import Swimmer
-from pinav.fitting.lifting import advanced, freed, linearise, sensitivities
+from pinav.fitting.lifting import (
+    advanced,
+    freed,
+    linearise,
+    predict,
+    pull_back,
+    sensitivities,
+)
 from pinav.fitting.objectives import Observations
 from pinav.forces import LinearDrag, ZeroForce
 from pinav.learned import KernelForce, KernelPotential
@@ -161,3 +168,15 @@ def test_steps_from_states_off_the_dynamics_reach_a_solution(problem):
     rollout = plain_rollout(free, theta, states[0, 0], observations.times[0])
     np.testing.assert_allclose(states[0], rollout, atol=1e-6)
     assert eqx.tree_equal(free(theta).environment.centers, CENTERS)
+
+
+def test_a_prediction_leaves_the_squares_and_the_gradient_of_the_linearisation(problem):
+    free, theta, states, observations = problem
+    found = linearise(free, theta, states, observations, SOLVER)
+    here = predict(free, theta, states, observations, SOLVER)
+    np.testing.assert_allclose(np.sum(here.residuals**2), found.squares, rtol=1e-9)
+    np.testing.assert_allclose(
+        pull_back(found, here.residuals), found.gradient, rtol=1e-8
+    )
+    moved = advanced(states, found, jnp.zeros_like(theta))
+    np.testing.assert_allclose(here.states, moved, atol=1e-9)

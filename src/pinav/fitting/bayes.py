@@ -1,4 +1,4 @@
-"""`fit_bayes`: a kernel environment from noisy data, with everything it needs.
+"""`fit_bayes`: an environment from noisy data, with everything it needs.
 
 Lifted Gauss-Newton steps with the starts eliminated; at every step the evidence
 chooses shape of the prior, amplitude and noise anew, so that nothing is set by hand.
@@ -77,15 +77,15 @@ class BayesProgress(eqx.Module):
 
 
 class BayesFit(eqx.Module):
-    """A fitted kernel environment, and how well it is known.
+    """A fitted environment, and how well it is known.
 
     Attributes:
         model: the model with its best parameters.
         outcome: stalled when the iterations ran out, diverged when the defects grew
             or became infinite; the rest is then what was reached last.
         iterations: Gauss-Newton steps taken.
-        hyperparameters: noise, shape of the prior (`WeightPrior`), amplitude, and the
-            log evidence.
+        hyperparameters: noise, shape of the prior (`WeightPrior`; empty for networks
+            and parametric forces), amplitude (0 without weights), and the log evidence.
         posterior: distribution of all learned parameters.
         constants: learned constants by the path of their leaf, as `drag.damping`.
         states: the smoothed states; they fulfil the dynamics when converged.
@@ -113,17 +113,19 @@ def fit_bayes(
 ) -> BayesFit:
     r"""Fit the environment of a swimmer, and constants, to noisy trajectories.
 
-    The weights of a kernel environment have a Gaussian-process prior; constants,
-    parametric environments and all starts have a flat one. The rollout is a strong
-    constraint: no process noise. The result needs neither velocities nor regular
-    times. A constant force along the thrust is hard to tell from a wide slope of the
-    environment: where the thrust is learned, its standard deviation says so.
+    The weights of a kernel environment have a Gaussian-process prior, those of a
+    network independent ones of one variance; constants, parametric environments and
+    all starts have a flat one. A network is taught by a kernel fit first; its bands
+    are too wide (docs/fitting.md). The rollout is a strong constraint: no process
+    noise. The result needs neither velocities nor regular times. A constant force
+    along the thrust is hard to tell from a wide slope of the environment: where the
+    thrust is learned, its standard deviation says so.
 
     Args:
         model: dynamics with a field `environment`, of second order (`Swimmer`) or,
-            where the state is the position, of first. With a `KernelForce` or a
-            `KernelPotential`, such as `kernel_environment` makes, its weights are
-            learned; with any other force what `learn` picks of it. The fit starts
+            where the state is the position, of first. With kernels or a network,
+            such as `kernel_environment` and `neural_environment` make, all weights
+            are learned; with any other force what `learn` picks of it. The fit starts
             from the model's values.
         trajectories: what was observed; any entries may be missing.
         learn: picks a constant to learn too, such as `lambda m: m.drag.damping`, or

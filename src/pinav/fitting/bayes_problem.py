@@ -50,7 +50,16 @@ from pinav.trajectories import Trajectories
 
 
 class Step(eqx.Module):
-    """One step: what the data said before it, and where it led."""
+    """One step: what the data said before it, and where it led.
+
+    Attributes:
+        defect: the largest, relative to the spread of its channel.
+        inference: hyperparameters and weights of the linear model.
+        quadratic: the sum of squares, as a function of the weights.
+        block: the other parameters, given the weights.
+        covariance: of all parameters.
+        move: where the step led.
+    """
 
     defect: float
     inference: Inference
@@ -61,7 +70,23 @@ class Step(eqx.Module):
 
 
 class BayesProblem(eqx.Module):
-    """The start of a fit, and its parts that do not change while it runs."""
+    """The start of a fit, and its parts that do not change while it runs.
+
+    Attributes:
+        free: the model as a function of its parameters.
+        theta: the parameters at the start.
+        states: about which the dynamics are linearised first.
+        num_free: observations less starts.
+        weights: what is known of the weights before the data.
+        descent: how to step.
+        tolerance: change of the log evidence at which the fit ends.
+        names: of all parameters.
+        flat: which of them have a flat prior.
+        observations: the data.
+        scale: spread of each channel.
+        noise: standard deviation of the data, where it is known.
+        solver: steps between samples.
+    """
 
     free: FreeModel
     theta: Float[np.ndarray, " parameter"]

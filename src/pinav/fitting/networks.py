@@ -52,7 +52,7 @@ def neural_environment(
     real = np.arange(states.shape[1]) < trajectories.lengths[:, None]
     positions = states[real][:, :dim]
     spread = float(np.sqrt(positions.var(axis=0).mean()))
-    if not spread > 0:
+    if not spread > 1e-9 * float(np.abs(positions).max()):  # smoothing rounds
         raise InputError(
             "neural_environment: expected positions that differ, got the same "
             "everywhere"
