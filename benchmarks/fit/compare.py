@@ -101,28 +101,38 @@ def measured(
     A finished one is read from its file, which is written last.
     """
     file = options.out / f"{contestant.name}-{seed}.json"
-    if file.exists():
-        return json.loads(file.read_text(encoding="utf-8"))
+    if not file.exists():
+        failure = _train(contestant, seed, file, options)
+        if failure:
+            return failure
+    measurement = json.loads(file.read_text(encoding="utf-8"))
+    if "rmse" not in measurement:
+        from benchmarks.fit.scores import scores
+        from pinav.scenarios import scenario
+
+        with np.load(file.with_suffix(".npz")) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+        measurement |= scores(scenario(contestant.scenario), arrays)
+        write_text(file, json.dumps(measurement, indent=2), overwrite=True)
+    return measurement
+
+
+def _train(contestant: Contestant, seed: int, file: Path, options: Options) -> str:
+    """Run the process of one contestant and write what it measured; or what failed."""
     print(f"{contestant.label}, seed {seed} ...", file=sys.stderr, flush=True)
-    arrays_file = file.with_suffix(".npz")
     noise_seed = seed if contestant.scenario == "barrier-crossings" else 0
     data = problem_file(contestant.scenario, noise_seed, options.out)
+    result = file.with_suffix(".npz")
     start = time.perf_counter()
-    done = _run_child(contestant, seed, data, arrays_file, options.effort)
+    done = _run_child(contestant, seed, data, result, options.effort)
     cold = time.perf_counter() - start
     if done.returncode != 0:
         lines = done.stderr.strip().splitlines() or ["no message"]
         return f"exit status {done.returncode}: {lines[-1]}"
-    from benchmarks.fit.scores import scores
-    from pinav.scenarios import scenario
-
     measurement = json.loads(done.stdout.splitlines()[-1])
-    with np.load(arrays_file) as stored:
-        arrays = {name: stored[name] for name in stored.files}
     measurement |= {"seed": seed, "cold_seconds": cold}
-    measurement |= scores(scenario(contestant.scenario), arrays)
     write_text(file, json.dumps(measurement, indent=2))
-    return measurement
+    return ""
 
 
 def _run_child(contestant, seed, data, result, effort):
@@ -150,7 +160,7 @@ def problem_file(name: str, seed: int, folder: Path) -> Path:
     chosen = scenario(name)
     data = simulate(chosen, key=jax.random.key(seed))
     save(data, file, overwrite=True)
-    at_rest = np.zeros(2)
+    at_rest = jax.numpy.zeros(2)
     arrays = {
         "times": data.times[0],
         "states": data.states,
@@ -184,7 +194,7 @@ def _write(options: Options, found, rows) -> None:
 
 def _draw(options: Options, found) -> None:
     """The figure, where there is a curve to show."""
-    from benchmarks.fit.convergence import convergence
+    from benchmarks.fit.convergence import figure
     from pinav.report.files import save_figure
 
     curves = {}
@@ -194,5 +204,5 @@ def _draw(options: Options, found) -> None:
                 if len(stored["curve"]):
                     curves[name] = stored["curve"]
     if curves:
-        files = save_figure(convergence(curves).figure, options.out, "convergence")
+        files = save_figure(figure(curves), options.out, "convergence")
         print(f"figure: {files.png}")

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from benchmarks.fit.contestants import BY_NAME
 from pinav.report.style import (
@@ -14,6 +15,7 @@ from pinav.report.style import (
     VERMILLION,
     add_legend,
     label_axes,
+    new_figure,
     prepared,
 )
 
@@ -27,6 +29,13 @@ _STYLES = {
 }
 
 
+def figure(curves: Mapping[str, np.ndarray]) -> Figure:
+    """The panel as a figure of its own."""
+    drawn = new_figure(5.2, 3.4)
+    convergence(curves, ax=drawn.add_subplot())
+    return drawn
+
+
 def convergence(curves: Mapping[str, np.ndarray], *, ax: Axes | None = None) -> Axes:
     """Error over wall time, both on logarithmic axes.
 
@@ -35,7 +44,7 @@ def convergence(curves: Mapping[str, np.ndarray], *, ax: Axes | None = None) -> 
             by name of the contestant.
         ax: where to draw; new axes unless given.
     """
-    ax = prepared(ax, width=5.2, height=3.4)
+    ax = prepared(ax)
     for name, curve in curves.items():
         color, dash, marker = _STYLES.get(name, (GREY, ":", ""))
         ax.plot(

@@ -1,4 +1,4 @@
-"""The paper's recipe against diffrax's public API, as its neural-ODE example does it."""
+"""The paper's recipe against diffrax's public API, as its examples do."""
 
 import diffrax
 import equinox as eqx
@@ -31,7 +31,7 @@ def vector_field(problem: Problem):
 def rollout(problem: Problem, network, adjoint: diffrax.AbstractAdjoint, tolerance):
     """States at the sample times by adaptive Tsit5."""
     ts = jnp.asarray(problem.times, float)
-    return diffrax.diffeqsolve(
+    solution = diffrax.diffeqsolve(
         diffrax.ODETerm(vector_field(problem)),  # pyright: ignore
         diffrax.Tsit5(),
         t0=ts[0],
@@ -43,7 +43,9 @@ def rollout(problem: Problem, network, adjoint: diffrax.AbstractAdjoint, toleran
         stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
         adjoint=adjoint,
         throw=False,
-    ).ys
+    )
+    assert solution.ys is not None
+    return solution.ys
 
 
 def untrained(seed: int) -> eqx.nn.MLP:

@@ -1,4 +1,4 @@
-"""optimistix's Levenberg-Marquardt on the residuals of the plain rollout, in float64."""
+"""optimistix's Levenberg-Marquardt on the plain rollout's residuals, in float64."""
 
 import diffrax
 import equinox as eqx

@@ -1,5 +1,6 @@
-"""What a contestant is given and what it hands back; plain arrays, so that no tool
-has to import another one's library.
+"""What a contestant is given and what it hands back.
+
+Plain arrays, so that no tool has to import another one's library.
 """
 
 import time
@@ -20,7 +21,7 @@ class Problem(NamedTuple):
         damping: known drag coefficient [T⁻¹].
         thrust: known constant thrust [L T⁻²].
         noise: standard deviation of the observations.
-        began: clock reading at which the process began [s].
+        began: time at which the process was launched [s].
     """
 
     file: Path
@@ -74,10 +75,8 @@ def network_arrays(layers, center=(0.0, 0.0, 0.0), scale=(1.0, 1.0, 1.0)):
     """A network of (x, y, t) as named arrays: weight and bias of each layer."""
     arrays = {"center": np.asarray(center), "scale": np.asarray(scale)}
     for index, (weight, bias) in enumerate(layers):
-        arrays |= {
-            f"weight{index}": np.asarray(weight),
-            f"bias{index}": np.asarray(bias),
-        }
+        arrays[f"weight{index}"] = np.asarray(weight)
+        arrays[f"bias{index}"] = np.asarray(bias)
     return arrays
 
 
@@ -133,14 +132,11 @@ def paced(
 
 
 def whole_recipe(paces: list[Pace]) -> tuple[int, float | None, str]:
-    """Steps taken, time of the whole recipe where it was cut, and a note that says so."""
+    """Steps taken, and where it was cut, time of the whole recipe and a note."""
     done = sum(pace.done for pace in paces)
     total = sum(pace.total for pace in paces)
     if done == total:
         return done, None, ""
     parts = " + ".join(f"{pace.done} of {pace.total}" for pace in paces)
-    return (
-        done,
-        sum(p.full_seconds for p in paces),
-        f"cut short: {parts} steps were run",
-    )
+    seconds = sum(pace.full_seconds for pace in paces)
+    return done, seconds, f"cut short: {parts} steps were run"

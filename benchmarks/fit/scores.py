@@ -53,7 +53,9 @@ def rebuilt(known: Swimmer, arrays: Mapping[str, np.ndarray]) -> Swimmer:
     if "weight0" in arrays:
         return eqx.tree_at(lambda s: s.environment, known, _neural_force(arrays))
     environment = KernelPotential(
-        jnp.asarray(arrays["weights"]), jnp.asarray(arrays["centers"]), arrays["width"]
+        jnp.asarray(arrays["weights"]),
+        jnp.asarray(arrays["centers"]),
+        float(arrays["width"]),
     )
     return eqx.tree_at(
         lambda s: (s.environment, s.drag.damping, s.propulsion.gain),
@@ -80,9 +82,9 @@ def _neural_force(arrays) -> NeuralForce:
         inputs, outputs, width=width, depth=depth - 1, key=jax.random.key(0)
     )
     network = eqx.tree_at(
-        lambda net: [(layer.weight, layer.bias) for layer in net.layers],
+        lambda net: [a for layer in net.layers for a in (layer.weight, layer.bias)],
         network,
-        [tuple(jnp.asarray(a, jnp.float64) for a in layer) for layer in layers],
+        [jnp.asarray(a, jnp.float64) for layer in layers for a in layer],
     )
     center, scale = arrays["center"].tolist(), arrays["scale"].tolist()
     return NeuralForce(network, PositionTimeFeatures(tuple(center), tuple(scale)))

@@ -153,7 +153,8 @@ def text(rows: Sequence[Row], absent: Mapping[str, str]) -> str:
 def _block(scenario, rows, absent) -> str:
     chosen = {r.contestant.name: r for r in rows if r.contestant.scenario == scenario}
     ours = chosen.get(OURS[scenario])
-    grid, reasons = [list(HEADER)], []
+    grid: list[list[str]] = [list(HEADER)]
+    reasons: list[str] = []
     for name, contestant in BY_NAME.items():
         if name in chosen:
             grid.append(cells(chosen[name], ours))
@@ -174,8 +175,10 @@ def aligned(grid: Sequence[Sequence[str]]) -> list[str]:
     widths[0] = max(len(line[0]) for line in grid)
     lines = []
     for line in grid:
-        padded = [cell.rjust(width) for cell, width in zip(line[1:], widths[1:])]
-        shown = padded if len(line) == len(grid[0]) else list(line[1:])
+        shown = line[1:]
+        if len(line) == len(grid[0]):
+            pairs = zip(line[1:], widths[1:], strict=True)
+            shown = [cell.rjust(width) for cell, width in pairs]
         lines.append("  ".join([line[0].ljust(widths[0]), *shown]).rstrip())
     return lines
 
