@@ -29,7 +29,15 @@ from pinav.fitting.objectives import Observations
 from pinav.jobs.models import data_moments, default_ude, fit_model, residual
 from pinav.jobs.settings import FitSettings
 from pinav.report.files import save_figure
-from pinav.report.style import BLUE, GREY, add_legend, label_axes, new_figure, prepared
+from pinav.report.style import (
+    BLUE,
+    GREY,
+    SMALL,
+    add_legend,
+    label_axes,
+    new_figure,
+    prepared,
+)
 from pinav.scenarios import barrier_crossings, paper
 from pinav.solvers import FixedStep
 from pinav.trajectories import Trajectories, concatenate, simulate
@@ -48,7 +56,7 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         tuple[int, ...], tyro.conf.arg(help="Widths of the network, 4 trajectories.")
     ] = (16, 32, 64)
     fits: Annotated[
-        tuple[int, ...], tyro.conf.arg(help="Numbers of fits in one call; 0: none.")
+        tuple[int, ...], tyro.conf.arg(help="Numbers of fits in one call.")
     ] = (1, 4, 16)
     rounds: Annotated[int, tyro.conf.arg(help="Times that each is timed.")] = 5
     max_steps: Annotated[
@@ -204,6 +212,7 @@ def panel(name: str, times: Mapping[int, float], *, ax: Axes | None = None) -> A
     ax.set_xticks(numbers)
     ax.xaxis.set_major_formatter(ScalarFormatter())
     ax.xaxis.set_minor_formatter(NullFormatter())
+    ax.tick_params(which="both", labelsize=SMALL)
     what = "time of all fits [s]" if name == FITS else "time per iteration [s]"
     label_axes(ax, name, what)
     add_legend(ax, loc="upper left")

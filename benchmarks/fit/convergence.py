@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 
 from benchmarks.fit.contestants import BY_NAME
 from pinav.report.style import (
@@ -69,6 +70,9 @@ def convergence(curves: Mapping[str, np.ndarray], *, ax: Axes | None = None) -> 
     )
     ax.set_xscale("log")
     ax.set_yscale("log")
+    ax.tick_params(which="both", labelsize=SMALL)
+    for subset in (ax.xaxis.set_major_formatter, ax.xaxis.set_minor_formatter):
+        subset(LogFormatter(minor_thresholds=(2.0, 0.5)))
     label_axes(ax, "wall time of the cold process [s]", "total RMSE")
     add_legend(ax)
     return ax
