@@ -22,6 +22,8 @@ validate: .venv/installed-dev
 
 bench: .venv/installed-dev
 	$(BIN)/pinav bench gradient
+	$(BIN)/pinav bench growth
+	$(BIN)/pinav bench fit
 
 clean:
 	rm -rf .venv .pytest_cache .ruff_cache .hypothesis .coverage

@@ -8,22 +8,25 @@ reference (our fixed step against itself in float64; the others against diffrax 
 """
 
 import time
+from collections.abc import Sequence
+from typing import Annotated
 
 import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import msgspec
 import numpy as np
+import tyro
 from jax.flatten_util import ravel_pytree
 
+from pinav.commands import parse
 from pinav.dynamics import with_dtype
 from pinav.fitting.fit import split_trainable
 from pinav.jobs.models import paper_ude, residual
 from pinav.scenarios import paper
 from pinav.solvers import RK4, AbstractSolver, Adaptive, FixedStep, InterpolatingAdjoint
 from pinav.trajectories import simulate
-
-ROUNDS = 30
 
 
 class PlainScan(AbstractSolver):
@@ -100,7 +103,19 @@ def reference(solver: AbstractSolver) -> np.ndarray:
     return np.asarray(ravel_pytree(function(params)[1])[0])
 
 
-def main() -> None:
+class Options(msgspec.Struct, frozen=True):
+    """Time one loss gradient of the paper's rollout, by every gradient method."""
+
+    rounds: Annotated[int, tyro.conf.arg(help="Times that each method is timed.")] = 30
+
+
+def main(argv: Sequence[str]) -> None:
+    options = parse(Options, argv, prog="pinav bench gradient")
+    if options is not None:
+        compare(options.rounds)
+
+
+def compare(rounds: int) -> None:
     jax.config.update("jax_enable_x64", val=True)
     compiled, first, times = {}, {}, {name: [] for name in METHODS}
     errors = {}
@@ -113,7 +128,7 @@ def main() -> None:
         exact = reference(solver)
         difference = np.asarray(ravel_pytree(gradient)[0]) - exact
         errors[name] = np.linalg.norm(difference) / np.linalg.norm(exact)
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         for name, (function, params) in compiled.items():
             start = time.perf_counter()
             jax.block_until_ready(function(params))
@@ -129,7 +144,3 @@ def main() -> None:
             f"{name:<52}{1e3 * median:>10.2f}{1e3 * min(values):>8.2f}"
             f"{median / ours:>7.1f}{first[name]:>14.1f}{errors[name]:>9.0e}"
         )
-
-
-if __name__ == "__main__":
-    main()

@@ -5,6 +5,7 @@ Heavy imports stand inside the functions, so that `pinav COMMAND --help` is quic
 
 import contextlib
 import io
+import itertools
 import json
 import sys
 import tomllib
@@ -117,7 +118,10 @@ class BenchOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     name: Annotated[
         str,
         tyro.conf.Positional,
-        tyro.conf.arg(help="Name of the benchmark: gradient."),
+        tyro.conf.arg(
+            help="Name of the benchmark: fit, gradient or growth. What follows it are "
+            "options of its own: pinav bench fit --help."
+        ),
     ]
 
 
@@ -195,12 +199,16 @@ def report(options: ReportOptions) -> None:
     print(f"report: {write_report(RunFolder.open(options.run))}")
 
 
-def bench(options: BenchOptions) -> None:
-    """`pinav bench`."""
-    import runpy
+def bench(argv: Sequence[str]) -> None:
+    """`pinav bench`: the first word names the benchmark, which parses the others."""
+    options = parse(BenchOptions, argv[:1], prog="pinav bench")
+    if options is None:
+        return
+    import importlib
 
-    folder = Path(__file__).parents[2] / "benchmarks"
-    names = sorted(path.stem for path in folder.glob("[a-z]*.py"))
+    root = Path(__file__).parents[2]
+    entries = root.glob("benchmarks/[a-z]*")
+    names = sorted(path.stem for path in entries if _is_module(path))
     if options.name not in names:
         known = (
             ", ".join(names) or "none here: benchmarks are part of a source checkout"
@@ -208,7 +216,12 @@ def bench(options: BenchOptions) -> None:
         raise InputError(
             f"benchmark {options.name!r} is unknown; choose one of: {known}"
         )
-    runpy.run_path(str(folder / f"{options.name}.py"), run_name="__main__")
+    sys.path.insert(0, str(root))
+    importlib.import_module(f"benchmarks.{options.name}").main(argv[1:])
+
+
+def _is_module(path: Path) -> bool:
+    return path.suffix == ".py" or (path / "__init__.py").exists()
 
 
 HANDLERS: dict[str, tuple[type[msgspec.Struct], Callable[[Any], None]]] = {
@@ -217,7 +230,6 @@ HANDLERS: dict[str, tuple[type[msgspec.Struct], Callable[[Any], None]]] = {
     "fit": (FitOptions, fit),
     "evaluate": (EvaluateOptions, evaluate),
     "report": (ReportOptions, report),
-    "bench": (BenchOptions, bench),
 }
 
 
@@ -227,6 +239,9 @@ def dispatch(command: str, argv: Sequence[str]) -> None:
     Raises:
         InputError: an option is unknown, misses its value or has a wrong one.
     """
+    if command == "bench":
+        bench(argv)
+        return
     options, handler = HANDLERS[command]
     parsed = parse(options, argv, prog=f"pinav {command}")
     if parsed is not None:
@@ -293,7 +308,7 @@ def _defaults(options: type[Options], argv: Sequence[str]) -> dict[str, Any]:
 
 
 def _config_path(argv: Sequence[str]) -> Path | None:
-    for word, following in zip(argv, [*argv[1:], ""], strict=True):
+    for word, following in itertools.pairwise([*argv, ""]):
         if word == "--config" and following:
             return Path(following)
         if word.startswith("--config="):

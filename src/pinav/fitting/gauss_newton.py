@@ -20,6 +20,9 @@ from pinav.errors import InputError
 from pinav.fitting.phases import AbstractPhase
 from pinav.solvers import FixedStep
 
+BATCH = 4
+"""Trajectories whose steps are linearised at once."""
+
 
 class GaussNewton(AbstractPhase):
     r"""Damped Gauss-Newton steps on rollouts of `window` samples.
@@ -206,18 +209,22 @@ class _Windows(eqx.Module):
         def step(theta, y, t0, t1):
             return self.solver.step(self.problem.model(self.unravel(theta)), y, t0, t1)
 
-        def one(times, starts, restart):
+        def one(inputs):
+            times, starts, restart, observed = inputs
             t0, t1 = times[:-1], times[1:]
             of_state = jax.vmap(jax.jacfwd(step, 1), (None, 0, 0, 0))
             of_theta = jax.vmap(jax.jacrev(step), (None, 0, 0, 0))
             matrices = jnp.where(
                 restart[:, None, None], 0.0, of_state(theta, starts, t0, t1)
             )
-            return _sensitivities(matrices, of_theta(theta, starts, t0, t1))
+            rows = _sensitivities(matrices, of_theta(theta, starts, t0, t1))
+            return jnp.where(observed[1:, :, None], rows, 0.0)
 
+        # A few trajectories at a time: the sources of all would need as much memory
+        # as the Jacobian itself, and more time than they cost in turns.
         data = self.problem.observations
-        rows = jax.vmap(one)(data.times, starts, self.restart)
-        rows = jnp.where(data.observed[:, 1:, :, None], rows, 0.0)
+        each = data.times, starts, self.restart, data.observed
+        rows = jax.lax.map(one, each, batch_size=BATCH)
         return rows.reshape(-1, theta.shape[0])
 
     def _differences(self, ends):

@@ -1,0 +1,1 @@
+"""Benchmarks, one module or package each, run by `pinav bench NAME`."""

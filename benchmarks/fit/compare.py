@@ -1,0 +1,208 @@
+"""Runs the contestants one after the other, scores them, and prints the table."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import jax
+import msgspec
+import numpy as np
+import tyro
+
+from benchmarks.fit import table
+from benchmarks.fit.contestants import BY_NAME, CONTESTANTS, Contestant, Effort
+from benchmarks.fit.problem import physics_file
+from pinav.commands import parse
+from pinav.errors import InputError
+from pinav.files import write_text, write_whole
+
+ROOT = Path(__file__).parents[2]
+
+
+class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Compare fits: the paper's recipe, other tools and ours, in one table.
+
+    Every contestant and seed trains in a cold process of its own, strictly one after
+    the other. What has finished in --out is not run again. Needs the extra packages of
+    pip install 'pinav[bench]' for all rows; without them, rows say so.
+    """
+
+    out: Annotated[Path, tyro.conf.arg(help="Folder of the results.")] = Path(
+        "runs/bench-fit"
+    )
+    seeds: Annotated[
+        tuple[int, ...], tyro.conf.arg(help="Seeds of the networks and of the noise.")
+    ] = (0, 1, 2)
+    only: Annotated[
+        tuple[str, ...],
+        tyro.conf.arg(help="Contestants to run: " + ", ".join(BY_NAME) + "."),
+    ] = tuple(BY_NAME)
+    effort: Effort = Effort()
+
+    def check(self) -> None:
+        """Raise `InputError` where an option makes no sense."""
+        for name in self.only:
+            if name not in BY_NAME:
+                known = ", ".join(BY_NAME)
+                raise InputError(
+                    f"--only: {name!r} is unknown; choose some of: {known}"
+                )
+        if not self.seeds or len(set(self.seeds)) < len(self.seeds):
+            raise InputError("--seeds: expected one or more, each once")
+        for name in ("adam_steps", "gauss_newton_steps", "marquardt_steps"):
+            if getattr(self.effort, name) < 1:
+                option = name.replace("_", "-")
+                raise InputError(f"--{option}: expected 1 or more")
+
+
+def main(argv: Sequence[str]) -> None:
+    options = parse(Options, argv, prog="pinav bench fit")
+    if options is None:
+        return
+    options.check()
+    jax.config.update("jax_enable_x64", val=True)
+    compare(options)
+
+
+def compare(options: Options) -> None:
+    """Run what is not there yet; print and write the results after the last one."""
+    options.out.mkdir(parents=True, exist_ok=True)
+    _check_settings(options)
+    chosen = [c for c in CONTESTANTS if c.name in options.only]
+    found: dict[str, list[dict[str, Any]]] = {c.name: [] for c in chosen}
+    absent: dict[str, str] = {}
+    for contestant in chosen:
+        if contestant.missing():
+            absent[contestant.name] = "skipped: pip install 'pinav[bench]'"
+            continue
+        for seed in options.seeds if contestant.seeded else (0,):
+            outcome = measured(contestant, seed, options)
+            if isinstance(outcome, str):
+                absent[contestant.name] = f"failed: {outcome}"
+            else:
+                found[contestant.name].append(outcome)
+    rows = [table.row(BY_NAME[name], ms) for name, ms in found.items() if ms]
+    _write(options, found, rows)
+    print(table.text(rows, absent))
+    print("\n".join(["", *table.verdicts(rows)]))
+    _draw(options, found)
+
+
+def measured(
+    contestant: Contestant, seed: int, options: Options
+) -> dict[str, Any] | str:
+    """Measurement and scores of one contestant and seed, or why there are none.
+
+    A finished one is read from its file, which is written last.
+    """
+    file = options.out / f"{contestant.name}-{seed}.json"
+    if not file.exists():
+        failure = _train(contestant, seed, file, options)
+        if failure:
+            return failure
+    measurement = json.loads(file.read_text(encoding="utf-8"))
+    if "rmse" not in measurement:
+        from benchmarks.fit.scores import scores
+        from pinav.scenarios import scenario
+
+        with np.load(file.with_suffix(".npz")) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+        measurement |= scores(scenario(contestant.scenario), arrays)
+        write_text(file, json.dumps(measurement, indent=2), overwrite=True)
+    return measurement
+
+
+def _train(contestant: Contestant, seed: int, file: Path, options: Options) -> str:
+    """Run the process of one contestant and write what it measured; or what failed."""
+    print(f"{contestant.label}, seed {seed} ...", file=sys.stderr, flush=True)
+    noise_seed = seed if contestant.scenario == "barrier-crossings" else 0
+    data = problem_file(contestant.scenario, noise_seed, options.out)
+    result = file.with_suffix(".npz")
+    start = time.perf_counter()
+    done = _run_child(contestant, seed, data, result, options.effort)
+    cold = time.perf_counter() - start
+    if done.returncode != 0:
+        lines = done.stderr.strip().splitlines() or ["no message"]
+        return f"exit status {done.returncode}: {lines[-1]}"
+    measurement = json.loads(done.stdout.splitlines()[-1])
+    measurement |= {"seed": seed, "cold_seconds": cold}
+    write_text(file, json.dumps(measurement, indent=2))
+    return ""
+
+
+def _run_child(contestant, seed, data, result, effort):
+    command = [sys.executable, "-W", "ignore", "-m", "benchmarks.fit.child"]
+    command += [repr(time.time()), contestant.name, str(seed), str(data), str(result)]
+    paths = [str(ROOT), os.environ.get("PYTHONPATH", "")]
+    return subprocess.run(
+        [*command, msgspec.json.encode(effort).decode()],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def problem_file(name: str, seed: int, folder: Path) -> Path:
+    """The trajectories of a scenario, and the known physics beside them."""
+    file = folder / f"data-{name}-{seed}.npz"
+    if physics_file(file).exists():
+        return file.resolve()
+    from pinav.scenarios import scenario
+    from pinav.trajectories import simulate
+    from pinav.trajectory_files import save
+
+    chosen = scenario(name)
+    data = simulate(chosen, key=jax.random.key(seed))
+    save(data, file, overwrite=True)
+    at_rest = jax.numpy.zeros(2)
+    arrays = {
+        "times": data.times[0],
+        "states": data.states,
+        "damping": chosen.truth.drag.damping,  # pyright: ignore
+        "thrust": np.asarray(chosen.truth.propulsion(0.0, at_rest, at_rest)),
+        "noise": chosen.noise,
+    }
+    write_whole(physics_file(file), lambda to: np.savez(to, **arrays))
+    return file.resolve()
+
+
+def _check_settings(options: Options) -> None:
+    """Results of another effort must not mix with these."""
+    file = options.out / "effort.json"
+    content = msgspec.json.encode(options.effort).decode()
+    if not file.exists():
+        write_text(file, content)
+    elif file.read_text(encoding="utf-8") != content:
+        raise InputError(
+            f"--out {options.out}: holds results of other steps or seconds; choose "
+            "another folder"
+        )
+
+
+def _write(options: Options, found, rows) -> None:
+    write_text(
+        options.out / "results.json", json.dumps(found, indent=2), overwrite=True
+    )
+    write_text(options.out / "results.csv", table.as_csv(rows), overwrite=True)
+
+
+def _draw(options: Options, found) -> None:
+    """The figure, where there is a curve to show."""
+    from benchmarks.fit.convergence import figure
+    from pinav.report.files import save_figure
+
+    curves = {}
+    for name, measurements in found.items():
+        for measurement in measurements[:1]:
+            with np.load(options.out / f"{name}-{measurement['seed']}.npz") as stored:
+                if len(stored["curve"]):
+                    curves[name] = stored["curve"]
+    if curves:
+        files = save_figure(figure(curves), options.out, "convergence")
+        print(f"figure: {files.png}")

@@ -1,0 +1,163 @@
+"""Our own contestants: the paper's recipe, the default recipe, and the noisy fit."""
+
+import time
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from benchmarks.fit.contestants import Effort
+from benchmarks.fit.problem import Problem, Trained, network_arrays
+from pinav.dynamics import Swimmer
+from pinav.fitting import (
+    Fit,
+    FitProgress,
+    TrajectoryLoss,
+    curriculum,
+    fit,
+    fit_bayes,
+    kernel_environment,
+    paper_recipe,
+)
+from pinav.jobs.models import (
+    data_moments,
+    default_kernel,
+    default_ude,
+    paper_ude,
+    residual,
+)
+from pinav.learned import KernelPotential
+from pinav.scenarios import scenario
+from pinav.solvers import FixedStep
+from pinav.trajectories import Trajectories
+from pinav.trajectory_files import load
+
+
+def _data(problem: Problem) -> tuple[Trajectories, Swimmer]:
+    """The trajectories, and the swimmer whose environment is to be replaced."""
+    jax.config.update("jax_enable_x64", val=True)
+    data = load(problem.file)
+    return data, scenario(data.provenance["scenario"]).truth
+
+
+class Curve:
+    """RMSE after each chunk of a fit, and when.
+
+    Attributes:
+        began: time at which the process was launched [s].
+        count: number of observed entries behind the sum of squares.
+        points: seconds and RMSE so far.
+    """
+
+    def __init__(self, began: float, count: int):
+        self.began, self.count = began, count
+        self.points: list[tuple[float, float]] = []
+
+    def __call__(self, progress: FitProgress) -> None:
+        """Take note of one chunk: its last loss, and the time."""
+        self.add(progress.losses[0, -1])
+
+    def add(self, loss: float) -> None:
+        """Take note of a sum of squares."""
+        now = time.time() - self.began
+        self.points.append((now, float(np.sqrt(loss / self.count))))
+
+
+def _fit(problem: Problem, data, model, recipe, *, exact: bool) -> tuple[Fit, Trained]:
+    curve = Curve(problem.began, data.num_observed)
+    found = fit(
+        model,
+        data,
+        recipe,
+        trainable=residual,
+        objective=TrajectoryLoss(FixedStep(substeps=2 if exact else 1)),
+        dtype=jnp.float64 if exact else jnp.float32,
+        on_chunk=curve,
+        throw=False,
+    )
+    curve.add(found.losses[-1])
+    points = np.array(curve.points)
+    return found, Trained({}, found.losses.size - 1, curve=points)
+
+
+def _network(found: Fit, trained: Trained) -> Trained:
+    environment = found.model.environment  # pyright: ignore[reportAttributeAccessIssue]
+    layers = [(layer.weight, layer.bias) for layer in environment.network.layers]
+    features = environment.features
+    arrays = network_arrays(layers, features.center, features.scale)
+    return trained._replace(arrays=arrays)
+
+
+def paper_network(problem: Problem, seed: int, effort: Effort) -> Trained:
+    """The paper's network and recipe: Adam, then L-BFGS, in float32."""
+    data, known = _data(problem)
+    recipe = paper_recipe(effort.adam_steps, effort.lbfgs_steps)
+    return _network(*_fit(problem, data, paper_ude(known, seed), recipe, exact=False))
+
+
+def network(problem: Problem, seed: int, effort: Effort) -> Trained:
+    """The paper's network, our default recipe."""
+    data, known = _data(problem)
+    model = default_ude(known, seed, data_moments(data))
+    recipe = curriculum(data, max_steps=effort.gauss_newton_steps)
+    return _network(*_fit(problem, data, model, recipe, exact=True))
+
+
+def kernel(problem: Problem, seed: int, effort: Effort) -> Trained:
+    """A kernel potential, our default recipe."""
+    data, known = _data(problem)
+    model = default_kernel(known, seed, data_moments(data))
+    recipe = curriculum(data, max_steps=effort.gauss_newton_steps)
+    found, trained = _fit(problem, data, model, recipe, exact=True)
+    return trained._replace(arrays=kernel_arrays(found.model))
+
+
+def kernel_arrays(swimmer) -> dict[str, np.ndarray]:
+    """A swimmer with a kernel potential as named arrays."""
+    environment = swimmer.environment
+    return {
+        "weights": np.asarray(environment.weights),
+        "centers": np.asarray(environment.centers),
+        "width": np.asarray(environment.width),
+        "damping": np.asarray(swimmer.drag.damping),
+        "gain": np.asarray(swimmer.propulsion.gain),
+    }
+
+
+def _noisy(problem: Problem, columns: int, *, constants: bool) -> Trained:
+    """`fit_bayes` of a kernel potential to the first columns of the states."""
+    data, known = _data(problem)
+    observed = np.broadcast_to(np.arange(4) < columns, data.states.shape)
+    data = Trajectories.from_arrays(
+        list(data.times), list(data.states), channels=data.channels, observed=observed
+    )
+    model = eqx.tree_at(
+        lambda swimmer: swimmer.environment,
+        known,
+        kernel_environment(KernelPotential, data),
+    )
+    if not constants:
+        found = fit_bayes(model, data)
+        return Trained(kernel_arrays(found.model), found.iterations)
+
+    def learned(swimmer):
+        return swimmer.drag.damping, swimmer.propulsion.gain
+
+    found = fit_bayes(eqx.tree_at(learned, model, (0.1, 0.0)), data, learn=learned)
+    return Trained(kernel_arrays(found.model), found.iterations)
+
+
+def states(problem: Problem, seed: int, effort: Effort) -> Trained:
+    """All four states, drag and thrust known."""
+    return _noisy(problem, 4, constants=False)
+
+
+def positions(problem: Problem, seed: int, effort: Effort) -> Trained:
+    """Positions alone, drag and thrust known."""
+    return _noisy(problem, 2, constants=False)
+
+
+def positions_and_constants(problem: Problem, seed: int, effort: Effort) -> Trained:
+    """Positions alone; drag and thrust are learned from 0.1 and 0."""
+    return _noisy(problem, 2, constants=True)
