@@ -4,6 +4,12 @@ from pinav.fitting.bayes import BayesFit as BayesFit
 from pinav.fitting.bayes import BayesOutcome as BayesOutcome
 from pinav.fitting.bayes import Estimate as Estimate
 from pinav.fitting.bayes import fit_bayes as fit_bayes
+from pinav.fitting.conformal import Calibration as Calibration
+from pinav.fitting.conformal import CalibrationOutcome as CalibrationOutcome
+from pinav.fitting.conformal import calibrate as calibrate
+from pinav.fitting.conformal import least_count as least_count
+from pinav.fitting.conformal import rollout_bands as rollout_bands
+from pinav.fitting.conformal import trajectory_scores as trajectory_scores
 from pinav.fitting.evidence import Hyperparameters as Hyperparameters
 from pinav.fitting.fit import AbstractCheckpoint as AbstractCheckpoint
 from pinav.fitting.fit import Fit as Fit
