@@ -209,7 +209,8 @@ def _root(
 ) -> Float[np.ndarray, "weight rank"]:
     r"""$C$ with $C C^\top$ the matrix: a long length scale needs few columns."""
     least = ROOT_TOLERANCE * matrix.diagonal().max()
-    factor, pivots, rank, _ = scipy.linalg.lapack.dpstrf(matrix, lower=1, tol=least)
+    (pivoted_cholesky,) = scipy.linalg.get_lapack_funcs(("pstrf",), (matrix,))
+    factor, pivots, rank, _ = pivoted_cholesky(matrix, lower=1, tol=least)
     root = np.empty((len(matrix), rank))
     root[pivots - 1] = np.tril(factor)[:, :rank]
     return root
