@@ -46,7 +46,7 @@ def quadratic():
     )
 
 
-def restricted_likelihood(chosen):
+def restricted_likelihood(chosen, prior=prior):
     """Log density of the data with the flat parameters integrated out, directly."""
     weights, flat = DESIGN[:, ~MASK], DESIGN[:, MASK]
     covariance = chosen.noise**2 * np.eye(ROWS)
@@ -71,6 +71,28 @@ def test_evidence_is_the_normal_density_of_the_data(quadratic, noise):
     expected = restricted_likelihood(chosen)
     np.testing.assert_allclose(chosen.log_evidence, expected, rtol=1e-8)
     assert noise is None or chosen.noise == noise
+
+
+def of_low_rank(shape):
+    """A prior under which all weights are made of two numbers."""
+    root = np.stack([np.ones(WEIGHTS), np.exp(shape[0]) * np.arange(WEIGHTS)], axis=1)
+    return root @ root.T
+
+
+def test_a_prior_of_low_rank_has_the_evidence_and_posterior_of_its_density(quadratic):
+    data = Data.of(without_flat(quadratic, MASK)[0])
+    chosen = at_shape(data, of_low_rank, np.zeros(1))
+    expected = restricted_likelihood(chosen, of_low_rank)
+    np.testing.assert_allclose(chosen.log_evidence, expected, rtol=1e-8)
+    covariance = of_low_rank(np.zeros(1))
+    mean, spread = weight_posterior(data, covariance, chosen)
+    prior_of_data = chosen.amplitude**2 * covariance @ data.rows.T
+    gain = prior_of_data @ np.linalg.inv(
+        data.rows @ prior_of_data + chosen.noise**2 * np.eye(len(data.targets))
+    )
+    np.testing.assert_allclose(mean, gain @ data.targets, rtol=1e-8)
+    exact = chosen.amplitude**2 * covariance - gain @ prior_of_data.T
+    np.testing.assert_allclose(spread, exact, rtol=1e-6, atol=1e-10)
 
 
 def test_noise_is_estimated_without_bias(quadratic):

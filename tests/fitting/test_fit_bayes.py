@@ -7,7 +7,7 @@ import pytest
 from pinav.errors import FitError, InputError
 from pinav.fitting import BayesOutcome, fit_bayes, kernel_environment
 from pinav.fitting.kernels import WeightPrior
-from pinav.forces import GaussianBarrier
+from pinav.forces import AbstractForce, GaussianBarrier, ZeroForce
 from pinav.learned import KernelForce, KernelPotential
 from pinav.scenarios import barrier_crossings
 from pinav.trajectories import Trajectories, simulate
@@ -125,9 +125,10 @@ def test_the_band_of_a_rollout_is_the_spread_of_sampled_rollouts(fitted, data):
     np.testing.assert_allclose(draws[:, -1].std(axis=0), fixed.sd[-1], rtol=0.25)
 
 
-def test_positions_alone_suffice(untrained, scenario, data):
+@pytest.mark.parametrize("missing", [[2, 3], [3]], ids=["velocities", "vy"])
+def test_positions_alone_suffice(untrained, scenario, data, missing):
     observed = data.observed.copy()
-    observed[..., 2:] = False
+    observed[..., missing] = False
     found = fit_bayes(untrained, observing(data, observed))
     assert found.outcome is BayesOutcome.CONVERGED
     assert error(found, scenario, data) < 0.12
@@ -185,6 +186,35 @@ def test_rates_that_are_not_finite_are_a_divergence(untrained, data):
         fit_bayes(broken, data, throw=False)
 
 
+class RootDrag(AbstractForce):
+    """Drag whose constant must not become negative."""
+
+    square: jax.Array
+
+    def __call__(self, t, x, v):
+        return -jnp.sqrt(self.square) * v
+
+
+def test_a_step_to_where_nothing_is_finite_is_a_divergence(untrained, data):
+    """From 1 the tangent of the root reaches 0.36 at -0.28."""
+    model = eqx.tree_at(lambda m: m.drag, untrained, RootDrag(jnp.asarray(1.0)))
+    with pytest.raises(FitError, match="the fit diverged: the states depart from"):
+        fit_bayes(model, data, learn=lambda m: m.drag.square)
+    found = fit_bayes(model, data, learn=lambda m: m.drag.square, throw=False)
+    assert found.outcome is BayesOutcome.DIVERGED
+    assert found.iterations == 1
+    assert found.constants["drag.square"].value < 0
+
+
+def test_two_constants_of_which_only_the_product_matters_are_singular(untrained, data):
+    with pytest.raises(FitError, match="do not determine the learned constants"):
+        fit_bayes(
+            untrained,
+            data,
+            learn=lambda m: (m.propulsion.gain, m.propulsion.field.amplitude),
+        )
+
+
 def test_a_constant_that_does_nothing_makes_the_fit_singular(untrained, data):
     idle = eqx.tree_at(lambda m: m.propulsion.gain, untrained, 0.0)
     with pytest.raises(FitError, match="do not determine the learned constants"):
@@ -203,6 +233,11 @@ def test_a_channel_that_nobody_saw_is_refused(untrained, data):
     observed[2, :, 0] = False
     with pytest.raises(InputError, match="channel 'x' of trajectory 2: 0 obs"):
         fit_bayes(untrained, observing(data, observed))
+    observed[..., 0] = False
+    with pytest.raises(InputError, match="channel 'x' of trajectory 0: 0 obs"):
+        fit_bayes(untrained, observing(data, observed))
+    with pytest.raises(InputError, match="two or more different observed positions"):
+        kernel_environment(KernelPotential, observing(data, observed))
 
 
 @pytest.mark.parametrize("noise", [0.0, -1.0, float("nan"), float("inf")])

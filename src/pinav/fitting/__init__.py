@@ -5,6 +5,12 @@ from pinav.fitting.bayes import BayesOutcome as BayesOutcome
 from pinav.fitting.bayes import BayesProgress as BayesProgress
 from pinav.fitting.bayes import Estimate as Estimate
 from pinav.fitting.bayes import fit_bayes as fit_bayes
+from pinav.fitting.conformal import Calibration as Calibration
+from pinav.fitting.conformal import CalibrationOutcome as CalibrationOutcome
+from pinav.fitting.conformal import calibrate as calibrate
+from pinav.fitting.conformal import least_count as least_count
+from pinav.fitting.conformal import rollout_bands as rollout_bands
+from pinav.fitting.conformal import trajectory_scores as trajectory_scores
 from pinav.fitting.evidence import Hyperparameters as Hyperparameters
 from pinav.fitting.fit import Problem as Problem
 from pinav.fitting.fit import fit as fit

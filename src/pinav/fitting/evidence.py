@@ -21,6 +21,7 @@ from collections.abc import Callable
 
 import equinox as eqx
 import numpy as np
+import scipy.linalg
 import scipy.optimize
 from jaxtyping import Bool, Float
 
@@ -28,6 +29,9 @@ from pinav.errors import FitError
 
 LOG_RATIOS = np.linspace(-32.0, 4.0, 37)
 r"""Logarithms of $\beta$ tried first, relative to the largest eigenvalue."""
+
+ROOT_TOLERANCE = 1e-14
+"""Variances that a root of the prior leaves out, relative to the largest."""
 
 
 class Quadratic(eqx.Module):
@@ -170,23 +174,46 @@ class _Whitened(eqx.Module):
 
     Attributes:
         columns: from these directions to the weights, times their prior covariance.
-        variances: prior variance in each direction.
+        variances: prior variance in each direction, ascending.
         targets: the data there.
+        squares: of the data in all other directions, which no weights reach.
     """
 
-    columns: Float[np.ndarray, "weight datum"]
-    variances: Float[np.ndarray, " datum"]
-    targets: Float[np.ndarray, " datum"]
+    columns: Float[np.ndarray, "weight direction"]
+    variances: Float[np.ndarray, " direction"]
+    targets: Float[np.ndarray, " direction"]
+    squares: float
 
     @classmethod
     def of(cls, data: Data, prior: Float[np.ndarray, "weight weight"]):
-        columns = prior @ data.rows.T
-        variances, vectors = np.linalg.eigh(data.rows @ columns)
+        root = _root(prior)
+        reached = data.rows @ root
+        if reached.shape[1] < reached.shape[0]:
+            basis, square = np.linalg.qr(reached)
+            own, singular, _ = np.linalg.svd(square)
+            vectors, variances = (basis @ own)[:, ::-1], singular[::-1] ** 2
+        else:
+            variances, vectors = np.linalg.eigh(reached @ reached.T)
+        targets = vectors.T @ data.targets
+        missed = data.targets - vectors @ targets
         return cls(
-            columns=columns @ vectors,
+            columns=root @ (reached.T @ vectors),
             variances=np.maximum(variances, 0.0),
-            targets=vectors.T @ data.targets,
+            targets=targets,
+            squares=float(missed @ missed),
         )
+
+
+def _root(
+    matrix: Float[np.ndarray, "weight weight"],
+) -> Float[np.ndarray, "weight rank"]:
+    r"""$C$ with $C C^\top$ the matrix: a long length scale needs few columns."""
+    least = ROOT_TOLERANCE * matrix.diagonal().max()
+    (pivoted_cholesky,) = scipy.linalg.get_lapack_funcs(("pstrf",), (matrix,))
+    factor, pivots, rank, _ = pivoted_cholesky(matrix, lower=1, tol=least)
+    root = np.empty((len(matrix), rank))
+    root[pivots - 1] = np.tril(factor)[:, :rank]
+    return root
 
 
 class Hyperparameters(eqx.Module):
@@ -273,7 +300,7 @@ def _log_evidence(data, white, ratio, noise):
     shifted = white.variances + ratio
     explained = ratio * float(white.targets @ (white.targets / shifted))
     least = np.finfo(float).eps * float(data.targets @ data.targets) ** 0.5
-    squares = max(data.squares, 0.0) + explained
+    squares = max(data.squares, 0.0) + white.squares + explained
     squares = max(squares, least**2, np.finfo(float).tiny)
     variance = squares / data.num_free if noise is None else noise**2
     value = -0.5 * (
@@ -336,7 +363,11 @@ def shape_covariance(
 
 
 STEP, SHAPE_SD = 1e-3, 2.0
-"""Difference step in the shape, and standard deviation of its own prior."""
+"""Difference step in the shape, and standard deviation of its own prior.
+
+Where the length scale is huge the reach R is known to some 4e-4; a step ten times as
+long misses that curvature, and the bands become too narrow.
+"""
 
 
 def joint_posterior(
@@ -351,7 +382,3 @@ def joint_posterior(
     offset = np.zeros(len(mask))
     offset[mask] = block.offset
     return offset + block.map_weights() @ mean, joint
-
-
-STEP, SHAPE_SD = 1e-3, 2.0
-"""Difference step in the shape, and standard deviation of its own prior."""
