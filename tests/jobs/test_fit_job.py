@@ -1,9 +1,14 @@
 import json
 
+import numpy as np
 import pytest
 
 from pinav import cli
+from pinav.errors import InputError
+from pinav.jobs.fit import check
+from pinav.jobs.settings import FitSettings
 from pinav.runs import RunFolder
+from pinav.trajectories import Trajectories
 
 
 def test_fit_learns_and_reports_what_was_asked(tiny_fit):
@@ -58,3 +63,29 @@ def test_a_model_file_of_something_else_is_refused(tiny_fit, tmp_path, capsys):
     (copy / "model.eqx").write_text('{"kind": "fit"}\n')
     assert cli.run(["evaluate", str(copy), str(data)]) == cli.USAGE_ERROR
     assert "its first line misses or misnames" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "channels", "message"),
+    [
+        (
+            "brownian",
+            ("x", "y"),
+            "'brownian': expected a swimmer with inertia, got Bro",
+        ),
+        (
+            "anisotropic-drag",
+            ("x", "y", "vx", "vy"),
+            "--learn damping: scenario anisotropic-drag has no .* drag is TensorDrag",
+        ),
+    ],
+)
+def test_physics_of_another_kind_is_refused(name, channels, message):
+    data = Trajectories.from_arrays(
+        np.arange(3.0),
+        np.zeros((3, len(channels))),
+        channels=channels,
+        provenance={"scenario": name},
+    )
+    with pytest.raises(InputError, match=message):
+        check(FitSettings(learn=("damping",)), data)

@@ -18,6 +18,7 @@ from pinav.fitting import (
     paper_recipe,
 )
 from pinav.fitting import fit as fit_trajectories
+from pinav.forces import LinearDrag
 from pinav.jobs.models import (
     CONSTANTS,
     build_model,
@@ -41,10 +42,17 @@ def check(settings: FitSettings, data: Trajectories) -> None:
     """Refuse data or settings before a run folder is made.
 
     Raises:
-        InputError: the objective cannot use the data, or no physics is named.
+        InputError: the objective cannot use the data, no physics is named, or it is
+            not of the kind that is fitted.
     """
     TrajectoryLoss().check(data)
     known = known_physics(settings.physics, data)
+    drag = known.swimmer.drag
+    if "damping" in settings.learn and not isinstance(drag, LinearDrag):
+        raise InputError(
+            f"--learn damping: scenario {known.name} has no such constant: its drag is "
+            f"{type(drag).__name__}; drop it"
+        )
     if len(known.channels) != len(data.channels):
         raise InputError(
             f"data: expected the channels {', '.join(known.channels)} of scenario "
