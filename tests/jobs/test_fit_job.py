@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from pinav import cli
+from pinav.errors import InputError
 from pinav.evaluation import FieldMap, field_map, force_errors
+from pinav.jobs.fit import prepared
 from pinav.jobs.inference import read_posterior
 from pinav.jobs.settings import FitSettings
 from pinav.runs import RunFolder
@@ -152,3 +154,29 @@ def test_evaluation_shows_the_force_error_where_the_truth_is_known(tmp_path, cap
     argv = ["fit", str(data), "--out", str(tmp_path / "run")]
     assert cli.run(argv) == 0
     assert "force error (truth of the scenario): visited 0." in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("name", "channels", "message"),
+    [
+        (
+            "brownian",
+            ("x", "y"),
+            "'brownian': expected a swimmer with inertia, got Bro",
+        ),
+        (
+            "anisotropic-drag",
+            ("x", "y", "vx", "vy"),
+            "--learn damping: scenario anisotropic-drag has no .* drag is TensorDrag",
+        ),
+    ],
+)
+def test_physics_of_another_kind_is_refused(name, channels, message):
+    data = Trajectories.from_arrays(
+        np.arange(3.0),
+        np.zeros((3, len(channels))),
+        channels=channels,
+        provenance={"scenario": name},
+    )
+    with pytest.raises(InputError, match=message):
+        prepared(FitSettings(learn=("damping",)), data)

@@ -21,6 +21,7 @@ from pinav.evaluation import (
 )
 from pinav.fitting import Fit, FitOutcome
 from pinav.fitting import fit as fit_trajectories
+from pinav.forces import LinearDrag
 from pinav.jobs import inference
 from pinav.jobs.inference import MODEL_FILE
 from pinav.jobs.matching import matching
@@ -47,9 +48,16 @@ def prepared(settings: FitSettings, data: Trajectories) -> Trajectories:
     Positions alone get velocities that nobody observed.
 
     Raises:
-        InputError: the recipe cannot use the data, or no physics is named.
+        InputError: the recipe cannot use the data, no physics is named, or it is
+            not of the kind that is fitted.
     """
     known = known_physics(settings.physics, data)
+    drag = known.swimmer.drag
+    if "damping" in settings.learn and not isinstance(drag, LinearDrag):
+        raise InputError(
+            f"--learn damping: scenario {known.name} has no such constant: its drag is "
+            f"{type(drag).__name__}; drop it"
+        )
     positions = tuple(name for name in known.channels if name in POSITION_CHANNELS)
     if data.channels == positions and settings.method == "bayes":
         unseen = known.channels[len(positions) :]
