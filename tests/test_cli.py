@@ -116,6 +116,7 @@ def test_every_listed_command_has_a_handler():
         ),
         (["evaluate", "nowhere", "x.npz"], "nowhere holds no run"),
         (["report", "nowhere"], "nowhere holds no run"),
+        (["bench"], "Missing from pinav bench: STR"),
         (
             ["bench", "nothing"],
             "benchmark 'nothing' is unknown; choose one of: .*gradient",
