@@ -8,34 +8,29 @@ import enum
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.stats
-from jaxtyping import Float
 
-from pinav.analysis.candidates import GAUSSIAN, POTENTIALS, ROTATIONS
+from pinav.analysis.baseline import Learned
 from pinav.analysis.field import (
     CentralTest,
     ForceSample,
     central_test,
     force_sample,
 )
-from pinav.analysis.laws import AbstractLaw, LawForce, Role, latex, sympy_text
-from pinav.analysis.refit import Lifted, Refit, RefitOutcome, RefitProblem, refit
+from pinav.analysis.laws import AbstractLaw, LawForce, Role, SumLaw, latex, sympy_text
+from pinav.analysis.potentials import GAUSSIAN, POTENTIALS
+from pinav.analysis.refit import Refit, RefitOutcome, refit
 from pinav.analysis.regression import FieldFit, fit_law, fit_sum, fit_two_gaussians
+from pinav.analysis.rotations import ROTATIONS
 from pinav.dynamics import Swimmer
-from pinav.errors import FitError, InputError
+from pinav.errors import InputError
 from pinav.fitting import Posterior
-from pinav.fitting.smoother import smoothed_states
 from pinav.solvers import FixedStep
 from pinav.trajectories import Trajectories
 
 CLOSE = 6.0
 """Laws whose BIC is within this of the best are not told apart."""
-
-MISFIT_PROBABILITY = 1e-3
-"""A law fits if it leaves a misfit that chance makes more often than this."""
 
 
 class EstimatedConstant(eqx.Module):
@@ -135,62 +130,6 @@ class Discovery(eqx.Module):
         return tuple(c for c in self.candidates if c.delta_bic < CLOSE)
 
 
-class Learned(eqx.Module):
-    """A learned force held against the trajectories once more.
-
-    Attributes:
-        problem: the trajectories, linearised about the smoothed states.
-        squares: sum of squared residuals.
-        noise: standard deviation of the observations.
-        num_effective: parameters that the data, not the prior, determine.
-    """
-
-    problem: RefitProblem
-    squares: float
-    noise: float
-    num_effective: float
-
-    @classmethod
-    def of(
-        cls, posterior: Posterior, trajectories: Trajectories, solver: FixedStep
-    ) -> "Learned":
-        """Linearise the mean model about states that fulfil its dynamics.
-
-        Raises:
-            FitError: no such states were found.
-        """
-        with jax.enable_x64(new_val=True):
-            problem = RefitProblem.of(
-                trajectories, smoothed_states(trajectories), solver
-            )
-            start = Lifted.at(posterior.free, posterior.mean, problem.states, problem)
-            lifted = problem.closed(start)
-            if not lifted.is_finite or problem.defect(lifted) > 1e-3:
-                raise FitError(
-                    "law discovery: the learned force does not explain the "
-                    "trajectories; fit it to them first"
-                )
-            problem = eqx.tree_at(lambda p: p.states, problem, lifted.states)
-            hessian = np.asarray(lifted.linear.hessian)
-            squares, count = lifted.squares, problem.num_residuals
-        # the noise and the number of parameters depend on each other
-        information = np.sum(hessian * posterior.covariance)
-        effective = min(float(len(posterior.mean)), 0.5 * count)
-        for _ in range(50):
-            noise = np.sqrt(max(squares, 1e-300) / max(count - effective, 1.0))
-            ceiling = min(float(len(posterior.mean)), 0.5 * count)
-            effective = float(np.clip(information / noise**2, 1.0, ceiling))
-        return cls(problem, squares, float(noise), effective)
-
-    def explained_by(self, law: Refit) -> bool:
-        """Whether the misfit that a law adds is what chance may add."""
-        if law.outcome is RefitOutcome.DIVERGED:
-            return False
-        excess = (law.squares - self.squares) / self.noise**2
-        chance = scipy.stats.chi2.sf(max(excess, 0.0), max(self.num_effective, 1.0))
-        return bool(chance > MISFIT_PROBABILITY)
-
-
 def discover(
     posterior: Posterior,
     trajectories: Trajectories,
@@ -212,7 +151,7 @@ def discover(
         rotations: candidates without a potential, tried alone and beside the best
             potentials.
         refits: number of laws refitted through the equations of motion.
-        solver: steps between samples; two substeps unless given.
+        solver: steps between samples; `FixedStep()` unless given.
 
     Raises:
         InputError: there are no candidates, `refits` is not positive, or the
@@ -224,7 +163,7 @@ def discover(
             "discover: expected one or more candidates and refits, got "
             f"{len(potentials) + len(rotations)} and {refits}"
         )
-    solver = FixedStep(substeps=2) if solver is None else solver
+    solver = FixedStep() if solver is None else solver
     model = posterior.model
     if not isinstance(model, Swimmer):
         raise InputError(
@@ -234,11 +173,8 @@ def discover(
     learned = Learned.of(posterior, trajectories, solver)
     sample = force_sample(posterior, trajectories, learned.num_effective)
     screened = screen(sample, potentials, rotations)
-    refitted = [
-        refit(fit.law, fit.constants, model, learned.problem)
-        for fit in screened[:refits]
-    ]
-    candidates = _ranked(screened, refitted, learned)
+    refitted = _refitted(screened, model, learned, refits)
+    candidates = _ranked(refitted, learned)
     return Discovery(
         candidates=candidates,
         screened=tuple((fit.law.name, fit.bic) for fit in screened),
@@ -271,10 +207,34 @@ def screen(
     return sorted([*conservative, *pairs, *alone, *sums], key=lambda fit: fit.bic)
 
 
-def _ranked(screened, refitted, learned):
+def _refitted(screened, model, learned, refits):
+    """The most promising laws, refitted; sums first where they gained on their terms.
+
+    Where none of them explains the data, the best sums that were left out come too.
+    """
+    alone = {fit.law: fit.bic for fit in screened}
+
+    def gains(fit):
+        terms = fit.law.terms if isinstance(fit.law, SumLaw) else ()
+        return all(fit.bic < alone.get(term, np.inf) for term in terms)
+
+    def through_the_dynamics(fits):
+        return [
+            (fit, refit(fit.law, fit.constants, model, learned.problem)) for fit in fits
+        ]
+
+    chosen = [fit for fit in screened if gains(fit)][:refits]
+    results = through_the_dynamics(chosen)
+    if not any(learned.explained_by(result) for _, result in results):
+        rest = [f for f in screened if isinstance(f.law, SumLaw) and f not in chosen]
+        results += through_the_dynamics(rest[:3])
+    return results
+
+
+def _ranked(refitted, learned):
     """Candidates in the order of their criterion on the trajectories."""
-    least = min(result.bic for result in refitted)
-    pairs = sorted(zip(screened, refitted, strict=False), key=lambda p: p[1].bic)
+    pairs = sorted(refitted, key=lambda pair: pair[1].bic)
+    least = pairs[0][1].bic
     return tuple(
         Candidate(
             name=result.law.name,
@@ -304,9 +264,7 @@ def _verdict(candidates):
     return Verdict.IDENTIFIED
 
 
-def estimates(
-    result: Refit, extent: float
-) -> tuple[EstimatedConstant, ...]:
+def estimates(result: Refit, extent: float) -> tuple[EstimatedConstant, ...]:
     """The constants of a refit with their 95 % intervals.
 
     A constant is not identifiable where its interval is wider than: zero to twice its

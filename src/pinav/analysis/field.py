@@ -204,7 +204,9 @@ def central_test(sample: ForceSample) -> CentralTest:
     covariance = _projected(sample.total_covariance, tangents)
     mean, variance = np.trace(covariance), 2 * np.sum(covariance**2)
     statistic = float(np.sum(tangential**2))
-    p_value = scipy.stats.chi2.sf(2 * mean * statistic / variance, 2 * mean**2 / variance)
+    p_value = scipy.stats.chi2.sf(
+        2 * mean * statistic / variance, 2 * mean**2 / variance
+    )
     strength = max(float(np.sqrt(np.sum(radial**2))), np.finfo(float).tiny)
     return CentralTest(
         center=(float(center[0]), float(center[1])),

@@ -261,6 +261,4 @@ def _numbered(constant: Constant, term: int, count: int) -> Constant:
     body, _, index = constant.symbol.partition("_")
     inner = index.strip("{}")
     symbol = f"{body}_{{{inner},{term}}}" if inner else f"{body}_{{{term}}}"
-    return dataclasses.replace(
-        constant, name=f"{constant.name}_{term}", symbol=symbol
-    )
+    return dataclasses.replace(constant, name=f"{constant.name}_{term}", symbol=symbol)

@@ -5,7 +5,6 @@ likelihood, and so the comparison of laws and their intervals, is exact.
 """
 
 import enum
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -15,12 +14,14 @@ from jaxtyping import Float
 
 from pinav.analysis.laws import AbstractLaw, LawForce, Role
 from pinav.dynamics import Swimmer, with_dtype
-from pinav.fitting import Observations
-from pinav.fitting.lifting import FreeModel, advanced, freed, linearise
+from pinav.fitting.lifting import FreeModel, freed
 from pinav.solvers import FixedStep
 from pinav.trajectories import Trajectories
 
 MAX_ITERATIONS = 40
+FEW = 16
+"""Constants up to which forward derivatives are cheaper than reverse ones."""
+
 SINGULAR = 1e-12
 """Relative eigenvalue of the scaled normal matrix that counts as zero."""
 
@@ -68,50 +69,128 @@ class Refit(eqx.Module):
 
 
 class Lifted(eqx.Module):
-    """A model, its free constants, and where it is linearised.
+    r"""A model linearised about states that need not solve it, the starts eliminated.
+
+    The same least squares as `pinav.fitting.lifting`, for many small models in turn:
+    only the steps are compiled for each of them.
 
     Attributes:
-        free: the model as a function of its constants.
+        free: the model as a function of its free constants.
         theta: their values.
         states: one for each sample.
-        linear: the linearisation about them.
+        columns: change of the states with the constants, with the start, and that
+            which closes the defects.
+        start_rows: the change of the starts is minus these rows times (change, 1).
+        hessian: $H$ of the sum of squares $q + 2 g\cdot\delta + \delta\cdot H\delta$.
+        gradient: $g$.
+        squares: $q$.
+        defects: largest defect of each channel.
     """
 
     free: FreeModel
     theta: Float[np.ndarray, " parameter"]
-    states: Any
-    linear: Any
+    states: Float[np.ndarray, "trajectory time state"]
+    columns: Float[np.ndarray, "trajectory time state column"]
+    start_rows: Float[np.ndarray, "trajectory state row"]
+    hessian: Float[np.ndarray, "parameter parameter"]
+    gradient: Float[np.ndarray, " parameter"]
+    squares: float
+    defects: Float[np.ndarray, " state"]
 
     @classmethod
     def at(cls, free, theta, states, problem: "RefitProblem") -> "Lifted":
         """Linearise about constants and states."""
-        linear = linearise(
-            free, jnp.asarray(theta), states, problem.observations, problem.solver
+        times, solver = problem.trajectories.times, problem.solver
+        inputs = (jnp.asarray(theta), jnp.asarray(states), jnp.asarray(times), solver)
+        by_state, by_constant, ends = map(np.asarray, _steps(free, *inputs))
+        defects = ends - states[:, 1:]
+        columns = _recursion(by_state, by_constant, defects)
+        reduced, start_rows = _eliminated(columns, states, problem.trajectories)
+        return cls(
+            free=free,
+            theta=np.asarray(theta),
+            states=states,
+            columns=columns,
+            start_rows=start_rows,
+            hessian=reduced[:-1, :-1],
+            gradient=reduced[:-1, -1],
+            squares=float(reduced[-1, -1]),
+            defects=np.abs(defects).max(axis=(0, 1)),
         )
-        return cls(free, np.asarray(theta), states, linear)
 
     def moved(self, change, problem: "RefitProblem") -> "Lifted":
         """After a change of the constants, each start at its best."""
-        states = advanced(self.states, self.linear, jnp.asarray(change))
+        starts = -self.start_rows @ np.append(change, 1.0)
+        count = len(starts)
+        shared = np.broadcast_to(change, (count, len(change)))
+        step = np.concatenate([shared, starts, np.ones((count, 1))], axis=1)
+        states = self.states + np.einsum("itsc,ic->its", self.columns, step)
         return Lifted.at(self.free, self.theta + change, states, problem)
-
-    @property
-    def squares(self) -> float:
-        """Sum of squares, once the defects are closed."""
-        return float(self.linear.squares)
 
     @property
     def is_finite(self) -> bool:
         """Whether the linearisation can be used."""
-        parts = (self.linear.hessian, self.linear.gradient, self.linear.squares)
+        parts = (self.hessian, self.gradient, self.squares, self.states)
         return all(bool(np.all(np.isfinite(part))) for part in parts)
+
+
+@eqx.filter_jit
+def _steps(free, theta, states, times, solver):
+    """Every step from one sample to the next, and its derivatives."""
+    derivative = jax.jacfwd if theta.shape[0] <= FEW else jax.jacrev
+
+    def step(theta, y, t0, t1):
+        return solver.step(free(theta), y, t0, t1)
+
+    def one(y, t0, t1):
+        by_constant = derivative(step)(theta, y, t0, t1)
+        by_state = jax.jacfwd(step, argnums=1)(theta, y, t0, t1)
+        return by_state, by_constant, step(theta, y, t0, t1)
+
+    return jax.vmap(jax.vmap(one))(states[:, :-1], times[:, :-1], times[:, 1:])
+
+
+def _recursion(by_state, by_constant, defects):
+    """Accumulate the derivatives of the steps along each trajectory."""
+    count, steps, size, constants = by_constant.shape
+    columns = np.zeros((count, steps + 1, size, constants + size + 1))
+    columns[:, 0, :, constants:-1] = np.eye(size)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(steps):
+            columns[:, k + 1] = by_state[:, k] @ columns[:, k]
+            columns[:, k + 1, :, :constants] += by_constant[:, k]
+            columns[:, k + 1, :, -1] += defects[:, k]
+    return columns
+
+
+def _eliminated(columns, states, trajectories):
+    """Normal equations over all trajectories, each minimised over its own start."""
+    count, _, size, width = columns.shape
+    rows = columns.copy()
+    rows[..., -1] += states - trajectories.states
+    rows = np.where(trajectories.observed[..., None], rows, 0.0)
+    rows = rows.reshape(count, -1, width)
+    with np.errstate(over="ignore", invalid="ignore"):
+        gram = np.swapaxes(rows, 1, 2) @ rows
+    chosen = np.arange(width - 1 - size, width - 1)
+    rest = np.delete(np.arange(width), chosen)
+    if not np.all(np.isfinite(gram)):
+        nothing = np.full((count, size, len(rest)), np.nan)
+        return np.full((len(rest),) * 2, np.nan), nothing
+    border = gram[:, chosen[:, None], rest]
+    inverse = np.linalg.pinv(
+        gram[:, chosen[:, None], chosen], rcond=1e-14, hermitian=True
+    )
+    start_rows = inverse @ border
+    reduced = gram[:, rest[:, None], rest] - np.swapaxes(border, 1, 2) @ start_rows
+    return reduced.sum(axis=0), start_rows
 
 
 class RefitProblem(eqx.Module):
     """What all refits on the same trajectories share.
 
     Attributes:
-        observations: the trajectories.
+        trajectories: what was observed.
         states: where the first linearisation stands.
         scale: spread of each channel.
         extent: of the positions [L].
@@ -119,8 +198,8 @@ class RefitProblem(eqx.Module):
         solver: steps between samples.
     """
 
-    observations: Observations
-    states: Any
+    trajectories: Trajectories
+    states: Float[np.ndarray, "trajectory time state"]
     scale: Float[np.ndarray, " state"]
     extent: float
     num_residuals: int
@@ -137,8 +216,8 @@ class RefitProblem(eqx.Module):
         spread = states.reshape(-1, states.shape[-1]).std(axis=0)
         positions = states[..., :2].reshape(-1, 2)
         return cls(
-            Observations.of(trajectories, jnp.float64),
-            jnp.asarray(states),
+            trajectories,
+            states,
             np.where(spread > 0, spread, 1.0),
             float(np.ptp(positions, axis=0).max()),
             trajectories.num_observed - states[:, 0].size,
@@ -147,7 +226,7 @@ class RefitProblem(eqx.Module):
 
     def defect(self, lifted: Lifted) -> float:
         """The largest defect, relative to the spread of its channel."""
-        return float(np.max(np.asarray(lifted.linear.defects) / self.scale))
+        return float(np.max(lifted.defects / self.scale))
 
     def closed(self, lifted: Lifted, iterations: int = 6) -> Lifted:
         """States that fulfil the dynamics, for the same constants."""
@@ -189,9 +268,9 @@ def _minimised(law, lifted, problem):
         return lifted, RefitOutcome.DIVERGED
     for _ in range(MAX_ITERATIONS):
         change, gain = _step(law, lifted, damping, problem.extent)
-        noise = lifted.squares / problem.num_residuals
+        variance = lifted.squares / problem.num_residuals
         small = np.all(np.abs(change) < 1e-10 * (1e-3 + np.abs(lifted.theta)))
-        settled = gain < 1e-4 * noise or small
+        settled = gain < 1e-3 * variance or small
         if settled and problem.defect(lifted) < 1e-6:
             return lifted, RefitOutcome.CONVERGED
         trial = lifted.moved(change, problem)
@@ -207,8 +286,8 @@ def _minimised(law, lifted, problem):
 
 def _step(law, lifted, damping, extent):
     """A damped step within reason, and the decrease of the squares it promises."""
-    hessian = np.asarray(lifted.linear.hessian)
-    gradient = np.asarray(lifted.linear.gradient)
+    hessian = lifted.hessian
+    gradient = lifted.gradient
     root = np.sqrt(np.maximum(np.diag(hessian), np.finfo(float).tiny))
     scaled = hessian / np.outer(root, root) + damping * np.eye(len(root))
     change = -np.linalg.lstsq(scaled, gradient / root, rcond=1e-13)[0] / root
@@ -238,7 +317,7 @@ def _result(law, lifted, outcome, problem):
     return Refit(
         law=law,
         constants=lifted.theta,
-        covariance=variance * _inverse(np.asarray(lifted.linear.hessian)),
+        covariance=variance * _inverse(lifted.hessian),
         squares=squares,
         noise=float(np.sqrt(variance)),
         num_residuals=count,

@@ -7,9 +7,9 @@ import numpy as np
 import scipy.optimize
 from jaxtyping import Array, Float
 
-from pinav.analysis.candidates import GAUSSIAN, TWO_GAUSSIANS
 from pinav.analysis.field import ForceSample, landscape
 from pinav.analysis.laws import AbstractLaw, LawForce, Role
+from pinav.analysis.potentials import GAUSSIAN, TWO_GAUSSIANS
 
 STARTS = 3
 """Best starts from which a fit is run to its end."""
@@ -57,9 +57,7 @@ def fit_law(
         scaled = [problem.with_best_amplitudes(np.clip(s, low, high)) for s in starts]
         scaled = [np.clip(start, low, high) for start in scaled]
         costs = [float(np.sum(problem.residuals(start) ** 2)) for start in scaled]
-        fits = [
-            problem.fit(scaled[i], (low, high)) for i in np.argsort(costs)[:STARTS]
-        ]
+        fits = [problem.fit(scaled[i], (low, high)) for i in np.argsort(costs)[:STARTS]]
     best = min(fits, key=lambda fit: fit.cost)
     squares = 2 * float(best.cost)
     penalty = len(law.constants) * np.log(max(sample.num_effective, np.e))

@@ -1,16 +1,17 @@
-r"""The library of candidate laws: potentials, rotational terms, and their starts.
+r"""The library of candidate laws: potentials, and their starts.
 
 $r$ is the distance from the centre $(c_x, c_y)$.
 """
 
 import itertools
 import math
+from typing import Any
 
 from pinav.analysis.laws import (
     AbstractLaw,
     AbstractPotential,
-    AbstractRotation,
     Constant,
+    Landscape,
     Role,
     SumLaw,
 )
@@ -50,7 +51,7 @@ class Harmonic(AbstractPotential):
     )
 
     def potential(self, c, x, y, ops):
-        return c[0] * _square(x - c[1], y - c[2]) / 2
+        return c[0] * square(x - c[1], y - c[2]) / 2
 
     def shapes(self, landscape):
         return [(1.0, *center) for center in landscape.centers]
@@ -63,10 +64,10 @@ class Gaussian(AbstractPotential):
     constants = (HEIGHT, CENTER_X, CENTER_Y, WIDTH)
 
     def potential(self, c, x, y, ops):
-        return c[0] * ops.exp(-_square(x - c[1], y - c[2]) / (2 * c[3] ** 2))
+        return c[0] * ops.exp(-square(x - c[1], y - c[2]) / (2 * c[3] ** 2))
 
     def shapes(self, landscape):
-        return _central(landscape)
+        return central_shapes(landscape)
 
 
 class AnisotropicGaussian(AbstractPotential):
@@ -83,7 +84,7 @@ class AnisotropicGaussian(AbstractPotential):
     )
 
     def potential(self, c, x, y, ops):
-        u, w = _turned(x - c[1], y - c[2], c[5], ops)
+        u, w = turned(x - c[1], y - c[2], c[5], ops)
         return c[0] * ops.exp(-(u**2) / (2 * c[3] ** 2) - w**2 / (2 * c[4] ** 2))
 
     def shapes(self, landscape):
@@ -103,10 +104,10 @@ class Lorentzian(AbstractPotential):
     constants = (HEIGHT, CENTER_X, CENTER_Y, Constant("core", "s", Role.SCALE))
 
     def potential(self, c, x, y, ops):
-        return c[0] / (1 + _square(x - c[1], y - c[2]) / c[3] ** 2)
+        return c[0] / (1 + square(x - c[1], y - c[2]) / c[3] ** 2)
 
     def shapes(self, landscape):
-        return _central(landscape)
+        return central_shapes(landscape)
 
 
 class InversePower(AbstractPotential):
@@ -119,11 +120,11 @@ class InversePower(AbstractPotential):
     )
 
     def potential(self, c, x, y, ops):
-        base = 1 + _square(x - c[1], y - c[2]) / c[3] ** 2
+        base = 1 + square(x - c[1], y - c[2]) / c[3] ** 2
         return c[0] * ops.exp(-c[4] * ops.log(base) / 2)
 
     def shapes(self, landscape):
-        return [(*start, n) for start in _central(landscape) for n in (1.0, 3.0)]
+        return [(*start, n) for start in central_shapes(landscape) for n in (1.0, 3.0)]
 
 
 class Yukawa(AbstractPotential):
@@ -136,13 +137,13 @@ class Yukawa(AbstractPotential):
     )
 
     def potential(self, c, x, y, ops):
-        distance = ops.sqrt(_square(x - c[1], y - c[2]) + c[3] ** 2)
+        distance = ops.sqrt(square(x - c[1], y - c[2]) + c[3] ** 2)
         return c[0] * c[3] * ops.exp(-(distance - c[3]) / c[4]) / distance
 
     def shapes(self, landscape):
         return [
             (*start, times * start[3])
-            for start in _central(landscape)
+            for start in central_shapes(landscape)
             for times in (0.5, 2.0)
         ]
 
@@ -163,21 +164,21 @@ class SoftDisc(AbstractPotential):
     )
 
     def potential(self, c, x, y, ops):
-        distance = ops.sqrt(_square(x - c[1], y - c[2]) + c[4] ** 2)
+        distance = ops.sqrt(square(x - c[1], y - c[2]) + c[4] ** 2)
         return c[0] * _logistic((c[3] - distance) / c[4], ops)
 
     def shapes(self, landscape):
-        return [(*start, 0.4 * start[3]) for start in _central(landscape)]
+        return [(*start, 0.4 * start[3]) for start in central_shapes(landscape)]
 
 
 class Wall(AbstractPotential):
-    r"""$U = U_0 / (1 + e^{-(u - d)/w})$, $u = x\cos\phi + y\sin\phi$: a straight wall."""
+    r"""$U = U_0 / (1 + e^{-(u - d)/w})$, $u = x\cos\phi + y\sin\phi$: a wall."""
 
     name = "logistic wall"
     constants = (HEIGHT, ANGLE, OFFSET, Constant("edge", "w", Role.SCALE))
 
     def potential(self, c, x, y, ops):
-        u, _ = _turned(x, y, c[1], ops)
+        u, _ = turned(x, y, c[1], ops)
         return c[0] * _logistic((u - c[2]) / c[3], ops)
 
     def shapes(self, landscape):
@@ -236,7 +237,7 @@ class DoubleWell(AbstractPotential):
     )
 
     def potential(self, c, x, y, ops):
-        u, w = _turned(x - c[2], y - c[3], c[5], ops)
+        u, w = turned(x - c[2], y - c[3], c[5], ops)
         return c[0] * (u**2 / c[4] ** 2 - 1) ** 2 + c[1] * w**2 / 2
 
     def shapes(self, landscape):
@@ -246,66 +247,6 @@ class DoubleWell(AbstractPotential):
             for center, length, angle in itertools.product(
                 landscape.centers, landscape.lengths, angles
             )
-        ]
-
-
-class Swirl(AbstractRotation):
-    r"""$R = \Omega\,(-(y - c_y),\ x - c_x)\exp(-r^2/2\sigma^2)$: a Gaussian vortex."""
-
-    name = "Gaussian swirl"
-    constants = (
-        Constant("rate", r"\Omega", Role.AMPLITUDE, "T⁻²"),
-        CENTER_X,
-        CENTER_Y,
-        WIDTH,
-    )
-
-    def rotation(self, c, x, y, ops):
-        dx, dy = x - c[1], y - c[2]
-        size = c[0] * ops.exp(-_square(dx, dy) / (2 * c[3] ** 2))
-        return -size * dy, size * dx
-
-    def shapes(self, landscape):
-        return _central(landscape)
-
-
-class SolidRotation(AbstractRotation):
-    r"""$R = \Omega\,(-(y - c_y),\ x - c_x)$: it grows with the distance."""
-
-    name = "solid rotation"
-    constants = (
-        Constant("rate", r"\Omega", Role.AMPLITUDE, "T⁻²"),
-        CENTER_X,
-        CENTER_Y,
-    )
-
-    def rotation(self, c, x, y, ops):
-        return -c[0] * (y - c[2]), c[0] * (x - c[1])
-
-    def shapes(self, landscape):
-        return [(1.0, *center) for center in landscape.centers]
-
-
-class Shear(AbstractRotation):
-    r"""$R = \gamma\,(w - d)\,(\cos\phi, \sin\phi)$, $w = -x\sin\phi + y\cos\phi$."""
-
-    name = "shear"
-    constants = (
-        Constant("rate", r"\gamma", Role.AMPLITUDE, "T⁻²"),
-        ANGLE,
-        OFFSET,
-    )
-
-    def rotation(self, c, x, y, ops):
-        size = c[0] * (_turned(x, y, c[1], ops)[1] - c[2])
-        return size * ops.cos(c[1]), size * ops.sin(c[1])
-
-    def shapes(self, landscape):
-        angles = [landscape.direction + math.pi * i / 4 for i in range(4)]
-        return [
-            (1.0, angle, -x * math.sin(angle) + y * math.cos(angle))
-            for angle in angles
-            for x, y in landscape.centers
         ]
 
 
@@ -328,11 +269,8 @@ POTENTIALS: tuple[AbstractLaw, ...] = (
 
 TWO_GAUSSIANS = SumLaw((GAUSSIAN, GAUSSIAN))
 
-ROTATIONS: tuple[AbstractLaw, ...] = (Swirl(), SolidRotation(), Shear())
-"""Candidates without a potential."""
 
-
-def _central(landscape):
+def central_shapes(landscape: Landscape) -> list[tuple[float, ...]]:
     """Unit amplitude, a centre and a length."""
     return [
         (1.0, *center, length)
@@ -340,11 +278,12 @@ def _central(landscape):
     ]
 
 
-def _square(dx, dy):
+def square(dx: Any, dy: Any) -> Any:
+    """Squared length of a vector."""
     return dx**2 + dy**2
 
 
-def _turned(x, y, angle, ops):
+def turned(x: Any, y: Any, angle: Any, ops: Any) -> tuple[Any, Any]:
     """Coordinates along axes turned by `angle`."""
     cos, sin = ops.cos(angle), ops.sin(angle)
     return x * cos + y * sin, y * cos - x * sin
