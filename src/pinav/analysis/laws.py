@@ -68,17 +68,14 @@ class AbstractLaw(abc.ABC):
 
     $c$ stands for the constants, in their order. Wherever `ops` appears, it is the
     module of the elementary functions: `jax.numpy`, or `sympy`.
+
+    Attributes:
+        name: what tables call it.
+        constants: its constants, in order.
     """
 
-    @property
-    @abc.abstractmethod
-    def name(self) -> str:
-        """What tables call it."""
-
-    @property
-    @abc.abstractmethod
-    def constants(self) -> tuple[Constant, ...]:
-        """Its constants, in order."""
+    name: str
+    constants: tuple[Constant, ...]
 
     @abc.abstractmethod
     def potential(self, c: Any, x: Any, y: Any, ops: Any) -> Any:
@@ -121,19 +118,20 @@ class SumLaw(AbstractLaw):
 
     Attributes:
         terms: the laws that add up.
+        name: their names.
+        constants: theirs, one term after the other.
     """
 
     terms: tuple[AbstractLaw, ...]
+    name: str = dataclasses.field(init=False)
+    constants: tuple[Constant, ...] = dataclasses.field(init=False)
 
-    @property
-    def name(self):
-        return " + ".join(term.name for term in self.terms)
-
-    @property
-    def constants(self):
+    def __post_init__(self):
         own = [(i, c) for i, t in enumerate(self.terms, 1) for c in t.constants]
         names = [constant.name for _, constant in own]
-        return tuple(_numbered(c, i, names.count(c.name)) for i, c in own)
+        numbered = tuple(_numbered(c, i, names.count(c.name)) for i, c in own)
+        object.__setattr__(self, "name", " + ".join(t.name for t in self.terms))
+        object.__setattr__(self, "constants", numbered)
 
     def potential(self, c, x, y, ops):
         return sum(t.potential(own, x, y, ops) for t, own in self._split(c))

@@ -164,26 +164,26 @@ def _recursion(by_state, by_constant, defects):
 
 
 def _eliminated(columns, states, trajectories):
-    """Normal equations over all trajectories, each minimised over its own start."""
+    """Normal equations over all trajectories, each minimised over its own start.
+
+    By a QR decomposition: the start of a sensitive trajectory has columns too large
+    for its normal equations.
+    """
     count, _, size, width = columns.shape
     rows = columns.copy()
     rows[..., -1] += states - trajectories.states
     rows = np.where(trajectories.observed[..., None], rows, 0.0)
-    rows = rows.reshape(count, -1, width)
-    with np.errstate(over="ignore", invalid="ignore"):
-        gram = np.swapaxes(rows, 1, 2) @ rows
-    chosen = np.arange(width - 1 - size, width - 1)
-    rest = np.delete(np.arange(width), chosen)
-    if not np.all(np.isfinite(gram)):
-        nothing = np.full((count, size, len(rest)), np.nan)
-        return np.full((len(rest),) * 2, np.nan), nothing
-    border = gram[:, chosen[:, None], rest]
-    inverse = np.linalg.pinv(
-        gram[:, chosen[:, None], chosen], rcond=1e-14, hermitian=True
-    )
-    start_rows = inverse @ border
-    reduced = gram[:, rest[:, None], rest] - np.swapaxes(border, 1, 2) @ start_rows
-    return reduced.sum(axis=0), start_rows
+    rows = np.roll(rows.reshape(count, -1, width), size + 1, axis=2)
+    rows = np.concatenate([rows[..., :size], np.roll(rows[..., size:], -1, 2)], axis=2)
+    if not np.all(np.isfinite(rows)):
+        unknown = np.full((width - size,) * 2, np.nan)
+        return unknown, np.full((count, size, width - size), np.nan)
+    rows = np.pad(rows, [(0, 0), (0, max(0, width - rows.shape[1])), (0, 0)])
+    triangles = np.linalg.qr(rows, mode="r")
+    rest = triangles[:, size:, size:]
+    inverse = np.linalg.pinv(triangles[:, :size, :size], rcond=1e-14)
+    start_rows = inverse @ triangles[:, :size, size:]
+    return (np.swapaxes(rest, 1, 2) @ rest).sum(axis=0), start_rows
 
 
 class RefitProblem(eqx.Module):

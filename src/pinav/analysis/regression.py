@@ -1,5 +1,7 @@
 """Laws fitted to a sampled force, weighted by the covariance of its errors."""
 
+from typing import Any, cast
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -144,7 +146,7 @@ class _Regression(eqx.Module):
         return scipy.optimize.least_squares(
             self.residuals,
             start,
-            self.jacobian,
+            cast(Any, self.jacobian),
             bounds=bounds,
             x_scale="jac",
             max_nfev=200,
