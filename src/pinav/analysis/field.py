@@ -167,6 +167,7 @@ class CentralTest(eqx.Module):
         ratio: root-mean-square tangential force over the radial one.
         noise_ratio: what the uncertainty of a central force makes of it on average.
         p_value: probability of a ratio this large if the force is central.
+        extent: of the points [L].
     """
 
     center: tuple[float, float]
@@ -174,13 +175,18 @@ class CentralTest(eqx.Module):
     ratio: float
     noise_ratio: float
     p_value: float
+    extent: float
 
     @property
     def verdict(self) -> Centrality:
-        """Not central where p < 0.01; undecided where noise hides a ratio of 0.3."""
+        """Not central where p < 0.01.
+
+        Undecided where noise hides a ratio of 0.3, or the centre is less certain than
+        the points are far apart.
+        """
         if self.p_value < 0.01:
             return Centrality.NOT_CENTRAL
-        if not self.noise_ratio < 0.3:
+        if not (self.noise_ratio < 0.3 and max(self.center_sd) < self.extent):
             return Centrality.UNDECIDED
         return Centrality.CENTRAL
 
@@ -214,6 +220,7 @@ def central_test(sample: ForceSample) -> CentralTest:
         ratio=float(np.sqrt(statistic)) / strength,
         noise_ratio=float(np.sqrt(mean)) / strength,
         p_value=float(p_value),
+        extent=sample.extent,
     )
 
 
