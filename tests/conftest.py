@@ -37,7 +37,8 @@ def tiny_fit(tmp_path_factory):
     data, run = folder / "data.csv", folder / "run"
     assert cli.run(["simulate", "paper", "--out", str(data), "--noise", "0.01"]) == 0
     steps = ["--recipe", "paper", "--adam-steps", "10", "--lbfgs-steps", "2"]
-    argv = ["fit", str(data), "--out", str(run), "--learn", "damping", *steps]
+    argv = ["fit", str(data), "--out", str(run), "--model", "ude", *steps]
+    argv += ["--learn", "damping"]
     with jax.numpy_dtype_promotion("standard"):
         assert cli.run(argv) == 0
     return run, data

@@ -77,6 +77,18 @@ def test_every_listed_command_has_a_handler():
             ["fit", "a.npz", "--out", "b", "--model", "nn-only", "--learn", "gain"],
             "--learn: the model nn-only has no physical constants",
         ),
+        (
+            ["fit", "a.npz", "--out", "b", "--model", "physics-only"],
+            "--model physics-only: there is nothing to fit",
+        ),
+        (
+            ["fit", "a.npz", "--out", "b", "--model", "ude", "--recipe", "bayes"],
+            "--recipe bayes: the model ude has no evidence",
+        ),
+        (
+            ["fit", "a.npz", "--out", "b", "--model", "ude", "--noise", "0.1"],
+            "--noise: only the recipe bayes uses it",
+        ),
         (["fit", "absent.npz", "--out", "b"], "absent.npz.*No such file"),
         (["reproduce", "--seeds"], "--seeds: expected at least one seed"),
         (["reproduce", "--seeds", "1", "1"], "--seeds: 1 is given twice"),

@@ -10,6 +10,7 @@ from pinav.actuation import RotatingField
 from pinav.errors import InputError
 from pinav.forces import (
     GaussianBarrier,
+    HarmonicTrap,
     LinearDrag,
     MagneticPropulsion,
     SumForce,
@@ -64,6 +65,7 @@ FORCES = {
     "zero": ZeroForce,
     "drag": lambda: LinearDrag(0.3),
     "barrier": barrier,
+    "trap": lambda: HarmonicTrap(0.7, [5.0, 4.0]),
     "propulsion": propulsion,
     "tilted propulsion": lambda: propulsion((1.0, 0.5, -0.3)),
     "network of position": position_force,

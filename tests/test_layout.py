@@ -13,6 +13,8 @@ ORDER = [
     "errors",
     "files",
     "actuation",
+    "tensors",
+    "flows",
     "forces",
     "learned",
     "solvers",

@@ -40,6 +40,10 @@ def field(strength=1.0, points=41):
     return FieldMap(axis, axis, strength * grid, distance)
 
 
+def deviation():
+    return 0.1 + 0.01 * np.abs(field().force)
+
+
 def budget(strength=1.0):
     wave = np.stack([np.sin(TIMES), np.cos(TIMES)], axis=1)
     names = ("propulsion", "environment", "drag")
@@ -76,7 +80,11 @@ LABELS = {
 }
 FIGURES = {
     "figure1": paper_figure,
-    "force_comparison": lambda: report.force_comparison(field(), field(1.1)),
+    "force_comparison": lambda: report.force_comparison(field(1.1), true=field()),
+    "force and deviation": lambda: report.force_comparison(field(), sd=deviation()),
+    "all of the force": lambda: report.force_comparison(
+        field(1.1), true=field(), sd=deviation()
+    ),
     "acceleration": lambda: report.acceleration_figure(budget(1.1), true=budget()),
 }
 
@@ -247,6 +255,32 @@ def test_force_map_without_a_finite_force_still_draws(value):
         field().x, field().y, np.full_like(field().force, value), field().distance
     )
     report.force_map(flat).figure.draw_without_rendering()
+
+
+@pytest.mark.parametrize(
+    ("name", "panels"),
+    [
+        ("force and deviation", ["learned", "standard deviation"]),
+        ("all of the force", ["true", "learned", "error", "standard deviation"]),
+    ],
+)
+def test_a_comparison_shows_what_is_known(name, panels):
+    figure = FIGURES[name]()
+    titles = [ax.get_title(loc="left") for ax in figure.axes]
+    titles = [title for title in titles if title]
+    assert [title.split(" ", 1)[1] for title in titles] == panels
+
+
+def test_observed_paths_leave_gaps_and_mark_every_start():
+    seen = states()[:, :2].copy()
+    seen[3] = np.nan
+    ax = report.observed_paths([seen, seen + 2.0], [states()[:, :2]] * 2, units=UNITS)
+    assert legend_texts(ax) == ["observed", "model", "start"]
+    assert ax.get_xlabel() == "$x$ [µm]"
+    dots, line, _, _, starts = ax.get_lines()
+    assert np.isnan(dots.get_xydata()[3]).all()
+    assert np.isfinite(line.get_xydata()).all()
+    assert len(starts.get_xydata()) == 2
 
 
 def test_comparison_shares_the_scale_of_the_true_force():

@@ -9,7 +9,14 @@ import pytest
 from pinav import __version__
 from pinav.errors import InputError
 from pinav.scenarios import paper
-from pinav.trajectories import Trajectories, concatenate, simulate, split
+from pinav.trajectories import (
+    Trajectories,
+    bootstrap,
+    concatenate,
+    simulate,
+    split,
+    with_unobserved,
+)
 
 NAN = float("nan")
 XY = ("x", "y")
@@ -299,3 +306,38 @@ BAD_CALLS = {
 def test_bad_calls_are_named(call, message):
     with pytest.raises(InputError, match=message):
         call()
+
+
+def test_channels_that_nobody_observed_can_be_added():
+    data = Trajectories.from_arrays(
+        [[0.0, 1.0, 2.0], [0.0, 1.0]],
+        [np.ones((3, 1)), np.ones((2, 1))],
+        channels=("x",),
+        units={"x": "um", "t": "s"},
+        commands={"f": [[1.0, 2.0, 3.0], [4.0, 5.0]]},
+    )
+    wide = with_unobserved(data, {"vx": "um/s"})
+    assert wide.channels == ("x", "vx")
+    assert wide.units == {**data.units, "vx": "um/s"}
+    np.testing.assert_array_equal(wide.states[..., :1], data.states)
+    np.testing.assert_array_equal(wide.observed[..., 0], data.observed[..., 0])
+    assert not wide.observed[..., 1].any()
+    np.testing.assert_array_equal(wide.commands["f"], data.commands["f"])
+    with pytest.raises(InputError, match="channel 'x': stands twice"):
+        with_unobserved(data, {"x": "um"})
+
+
+def test_bootstrap_draws_whole_trajectories_with_replacement():
+    data = ragged(4)
+    draws = bootstrap(data, 50, key=jax.random.key(0))
+    assert [len(draw) for draw in draws] == [4] * 50
+    chosen = np.array([draw.provenance["selection"] for draw in draws])
+    assert set(chosen.ravel()) == {0, 1, 2, 3}
+    assert any(len(set(row)) < 4 for row in chosen)
+    np.testing.assert_array_equal(
+        draws[0].trajectory(0).states, data.trajectory(chosen[0, 0]).states
+    )
+    with pytest.raises(InputError, match="two or more trajectories"):
+        bootstrap(data.select([0]), 2, key=jax.random.key(0))
+    with pytest.raises(InputError, match="count: expected 1 or more, got 0"):
+        bootstrap(data, 0, key=jax.random.key(0))

@@ -73,7 +73,8 @@ class FitOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Fit a model of the unknown force to trajectories (.npz or .csv).
 
     A CSV file has the columns t, x, y, vx, vy and, for several trajectories,
-    trajectory; an empty cell is a missing observation.
+    trajectory; an empty cell is a missing observation. The recipe bayes needs
+    positions alone: the columns vx, vy may be missing.
     """
 
     data: Annotated[
@@ -160,8 +161,7 @@ def fit(options: FitOptions) -> None:
     from pinav.jobs.reporting import write_report
     from pinav.trajectory_files import load
 
-    data = load(options.data)
-    job.check(settings, data)
+    data = job.prepared(settings, load(options.data))
     folder = _run_folder(options, settings, job="fit", data=job.fingerprint(data))
     metrics = job.fit(settings, data, folder)
     report = write_report(folder)

@@ -1,7 +1,8 @@
 """Swimmers as dynamical systems y' = f(t, y), and their rollouts.
 
-Truth, UDE and physics-only baseline are one class, `Swimmer`, holding different
-values; the network-only baseline is `NeuralDynamics`.
+Truth, UDE and physics-only baseline are one class, `Swimmer` with inertia or
+`OverdampedSwimmer` without, holding different values; the network-only baseline is
+`NeuralDynamics`.
 """
 
 import abc
@@ -15,9 +16,11 @@ from jaxtyping import Array, ArrayLike, Float, Int, PRNGKeyArray, PyTree
 
 from pinav.actuation import Scalar
 from pinav.errors import InputError
+from pinav.flows import AbstractFlow, ZeroFlow
 from pinav.forces import AbstractForce
 from pinav.learned import tanh_network
 from pinav.solvers import AbstractSolver, Adaptive
+from pinav.tensors import AbstractTensorField, as_tensor
 
 Model = TypeVar("Model", bound=PyTree)
 
@@ -56,6 +59,38 @@ class Swimmer(AbstractDynamics):
             self.propulsion(t, x, v) + self.drag(t, x, v) + self.environment(t, x, v)
         )
         return jnp.concatenate([v, acceleration])
+
+
+class OverdampedSwimmer(AbstractDynamics):
+    r"""A swimmer without inertia, $\dot x = u(t, x) + M(x) (F_p + F_e)$.
+
+    Its state is the position alone, y = x, in any dimension. This is the limit of
+    `Swimmer` with flow for strong drag, $M = 1/\eta$; real microswimmers are there,
+    because their velocity relaxes within microseconds. The velocity is not a state,
+    so forces are called with v = 0: drag belongs into the mobility, not among them.
+
+    Attributes:
+        propulsion: what the operator commands [F].
+        environment: the unknown [F].
+        mobility: $M$ [L T⁻¹ F⁻¹], positive; a number means isotropic.
+        flow: $u(t, x)$, which carries the swimmer.
+
+    Raises:
+        InputError: `mobility` is a number <= 0.
+
+    References:
+        Purcell, Am. J. Phys. 45, 3 (1977).
+    """
+
+    propulsion: AbstractForce
+    environment: AbstractForce
+    mobility: AbstractTensorField = eqx.field(converter=as_tensor)
+    flow: AbstractFlow = ZeroFlow()
+
+    def __call__(self, t, y):
+        at_rest = jnp.zeros_like(y)
+        force = self.propulsion(t, y, at_rest) + self.environment(t, y, at_rest)
+        return self.flow(t, y) + self.mobility(y, force)
 
 
 class NeuralDynamics(AbstractDynamics):

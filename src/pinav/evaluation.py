@@ -48,13 +48,15 @@ def predict(
     dynamics: AbstractDynamics,
     trajectories: Trajectories,
     *,
+    starts: Float[np.ndarray, "trajectory state"] | None = None,
     solver: AbstractSolver | None = None,
 ) -> tuple[Float[np.ndarray, "trajectory time state"], tuple[Outcome, ...]]:
-    """Rollouts from the first sample of each trajectory, in float64.
+    """Rollouts over the times of each trajectory, in float64.
 
     Args:
         dynamics: the model, in any precision; it is cast exactly.
-        trajectories: where to start and when to save.
+        trajectories: when to save.
+        starts: first state of each rollout; the first sample unless given.
         solver: how to integrate; `Adaptive()` (Dopri8 at 1e-11) unless given.
 
     Returns:
@@ -64,17 +66,22 @@ def predict(
         InputError: a first sample is not fully observed, or x64 is switched off.
     """
     require_x64("scoring")
+    starts = _first_samples(trajectories) if starts is None else starts
+    first = jnp.asarray(starts, jnp.float64)
+    times = jnp.asarray(trajectories.times, jnp.float64)
+    solver = Adaptive() if solver is None else solver
+    ys, outcomes = _rollouts(with_dtype(dynamics, jnp.float64), first, times, solver)
+    return np.asarray(ys), tuple(Outcome(int(code)) for code in outcomes)
+
+
+def _first_samples(trajectories: Trajectories):
     for index, first in enumerate(trajectories.observed[:, 0]):
         if not first.all():
             raise InputError(
                 f"trajectory {index}: its first sample is not fully observed, so no "
                 "rollout can start there; drop the samples before a complete one"
             )
-    starts = jnp.asarray(trajectories.states[:, 0], jnp.float64)
-    times = jnp.asarray(trajectories.times, jnp.float64)
-    solver = Adaptive() if solver is None else solver
-    ys, outcomes = _rollouts(with_dtype(dynamics, jnp.float64), starts, times, solver)
-    return np.asarray(ys), tuple(Outcome(int(code)) for code in outcomes)
+    return trajectories.states[:, 0]
 
 
 @eqx.filter_jit

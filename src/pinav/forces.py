@@ -107,6 +107,31 @@ class GaussianBarrier(AbstractForce):
         return self.potential(x) * (x - self.center) / self.width**2
 
 
+class HarmonicTrap(AbstractForce):
+    r"""Pull $-\nabla U$ from $U(x) = k |x - c|^2 / 2$, as of an optical tweezer.
+
+    Attributes:
+        stiffness: $k$ [T⁻²]; negative pushes away.
+        center: $c$ [L].
+
+    Raises:
+        InputError: `center` is not a point.
+    """
+
+    stiffness: Scalar
+    center: Float[Array, " dim"] = eqx.field(
+        converter=lambda value: _point("HarmonicTrap.center", value)
+    )
+
+    def potential(self, x: Float[Array, " dim"]) -> Float[Array, ""]:
+        """Potential energy per mass $U(x)$ [L² T⁻²]."""
+        offset = x - self.center
+        return 0.5 * self.stiffness * (offset @ offset)
+
+    def __call__(self, t, x, v):
+        return -self.stiffness * (x - self.center)
+
+
 class MagneticPropulsion(AbstractForce):
     r"""Thrust $\alpha\,|m \times B(t)|\,\hat a$ along the fixed body axis.
 

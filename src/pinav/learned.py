@@ -246,33 +246,6 @@ def spread_weights(network: eqx.nn.MLP) -> eqx.nn.MLP:
     )
 
 
-def kernel_potential(
-    positions: Float[np.ndarray, "sample dim"], *, intervals: int = 10
-) -> KernelPotential:
-    """Zero potential on a grid of kernels around the data.
-
-    The spacing is the longest extent of the data over `intervals`, the width of a
-    kernel 1.5 spacings, the margin around the data two.
-
-    Args:
-        positions: observed positions [L].
-        intervals: grid intervals along the longest extent, positive.
-
-    Raises:
-        InputError: `intervals` is not positive, or all positions are the same.
-    """
-    extent = float(np.ptp(positions, axis=0).max())
-    if intervals < 1 or extent == 0:
-        raise InputError(
-            "kernel_potential: expected positions that differ and one or more "
-            f"intervals, got an extent of {extent} and {intervals} intervals"
-        )
-    spacing = extent / intervals
-    centers = kernel_centers(positions, spacing=spacing, margin=2.0 * spacing)
-    weights = jnp.zeros(centers.shape[0])
-    return KernelPotential(weights, jnp.asarray(centers), 1.5 * spacing)
-
-
 def paper_force(key: PRNGKeyArray) -> NeuralForce:
     """The paper's residual: 3-32-32-2 tanh network on raw (x, y, t) (Table 1)."""
     features = PositionTimeFeatures(center=(0.0, 0.0, 0.0), scale=(1.0, 1.0, 1.0))

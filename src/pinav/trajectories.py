@@ -145,6 +145,37 @@ class Trajectories(eqx.Module):
         return _padded(pieces, self.channels, self.units, provenance)
 
 
+def with_unobserved(
+    trajectories: Trajectories, units: Mapping[str, str]
+) -> Trajectories:
+    """The trajectories with more channels, of which nothing was observed.
+
+    A tracker gives positions; a swimmer with inertia has velocities too.
+
+    Args:
+        trajectories: what was observed.
+        units: unit of each new channel, by its name.
+    """
+    extra = len(units)
+
+    def widened(piece: Trajectory) -> Trajectory:
+        blank = np.zeros((len(piece.times), extra))
+        return Trajectory(
+            times=piece.times,
+            states=np.concatenate([piece.states, blank], axis=1),
+            observed=np.concatenate([piece.observed, blank > 0], axis=1),
+            commands=piece.commands,
+        )
+
+    channels = _checked_names((*trajectories.channels, *units), trajectories.commands)
+    return _padded(
+        [widened(piece) for piece in trajectories],
+        channels,
+        {**trajectories.units, **units},
+        trajectories.provenance,
+    )
+
+
 class Split(NamedTuple):
     """Trajectories for training, and those kept for testing."""
 
@@ -173,6 +204,31 @@ def split(trajectories: Trajectories, fraction: float, *, key: PRNGKeyArray) -> 
     order = np.asarray(jax.random.permutation(key, count))
     train, held_out = np.sort(order[:num_train]), np.sort(order[num_train:])
     return Split(trajectories.select(train), trajectories.select(held_out))
+
+
+def bootstrap(
+    trajectories: Trajectories, count: int, *, key: PRNGKeyArray
+) -> list[Trajectories]:
+    """Resamples of whole trajectories, with replacement, for intervals.
+
+    Args:
+        trajectories: at least two.
+        count: number of resamples, each of as many trajectories.
+        key: random key of the choice.
+
+    Raises:
+        InputError: there is one trajectory, or `count` is not positive.
+
+    References:
+        Efron and Tibshirani, An Introduction to the Bootstrap (1993).
+    """
+    if len(trajectories) < 2:
+        raise InputError("bootstrap: expected two or more trajectories, got 1")
+    if count < 1:
+        raise InputError(f"bootstrap count: expected 1 or more, got {count}")
+    shape = (count, len(trajectories))
+    chosen = jax.random.randint(key, shape, 0, len(trajectories))
+    return [trajectories.select(np.asarray(own)) for own in chosen]
 
 
 def concatenate(several: Sequence[Trajectories]) -> Trajectories:

@@ -15,6 +15,7 @@ from pinav.fitting import (
     FitOutcome,
     FitState,
     TrajectoryLoss,
+    curriculum,
     fit,
     fit_many,
 )
@@ -26,7 +27,7 @@ from pinav.forces import (
 )
 from pinav.learned import NeuralForce, PositionFeatures, tanh_network
 from pinav.solvers import RK4, Adaptive, FixedStep
-from pinav.trajectories import Trajectories
+from pinav.trajectories import Trajectories, bootstrap
 
 BARRIER = GaussianBarrier(height=2.0, center=[1.0, 0.2], width=0.8)
 TRUTH = Swimmer(
@@ -103,6 +104,38 @@ def test_many_fits_are_the_single_fits(data):
     alone = fit(models[1], data, recipe, **options)
     np.testing.assert_allclose(many[1].losses, alone.losses, rtol=1e-7)
     assert len({float(one.losses[-1]) for one in many}) == 3
+
+
+def test_fits_in_small_batches_are_the_fits_side_by_side(data):
+    models = [network_swimmer(seed) for seed in range(3)]
+    options = {"trainable": environment, "objective": OBJECTIVE, "dtype": jnp.float64}
+    together = fit_many(models, data, (Adam(1e-2, 20),), **options)
+    batched = fit_many(models, data, (Adam(1e-2, 20),), at_once=2, **options)
+    for one, other in zip(together, batched, strict=True):
+        np.testing.assert_allclose(other.losses, one.losses, rtol=1e-10)
+
+
+@pytest.mark.parametrize("at_once", [None, 1])
+def test_each_model_may_have_data_of_its_own(data, at_once):
+    models = [network_swimmer(seed) for seed in range(2)]
+    own = [data, observe([[0.5, 0.0, 0.3, 0.8], [0.0, 1.0, 0.5, 0.1]], [15, 22])]
+    recipe = (Adam(1e-2, 20),)
+    options = {"trainable": environment, "objective": OBJECTIVE, "dtype": jnp.float64}
+    many = fit_many(models, own, recipe, at_once=at_once, **options)
+    for model, mine, found in zip(models, own, many, strict=True):
+        alone = fit(model, mine, recipe, **options)
+        np.testing.assert_allclose(found.losses, alone.losses, rtol=1e-9)
+
+
+def test_gauss_newton_runs_in_float32_and_on_resamples(data):
+    models = [network_swimmer(seed) for seed in range(2)]
+    draws = bootstrap(data, 2, key=jax.random.key(0))
+    options = {"trainable": environment, "objective": OBJECTIVE}
+    recipe = curriculum(data, max_steps=6)
+    single = fit_many(models, draws, recipe, dtype=jnp.float32, **options)
+    for found in single:
+        assert found.model.environment.network.layers[0].weight.dtype == jnp.float32
+        assert found.losses[-1] < 1e-4 * found.losses[0]
 
 
 def test_damping_and_gain_can_be_learned_with_the_barrier_known(data):
@@ -213,3 +246,11 @@ def test_bad_requests_are_refused(data):
         InputError, match="trajectory 1: its first sample must be fully"
     ):
         fit(network_swimmer(0), late, RECIPE, **call)
+    models = [network_swimmer(0), network_swimmer(1)]
+    options = {"trainable": environment, "objective": OBJECTIVE}
+    with pytest.raises(InputError, match="at_once: expected 1 or more, got 0"):
+        fit_many(models, data, RECIPE, at_once=0, **options)
+    with pytest.raises(InputError, match="one for each of the 2 models, got 3"):
+        fit_many(models, [data] * 3, RECIPE, **options)
+    with pytest.raises(InputError, match="as many trajectories and channels"):
+        fit_many(models, [data, data.select([0])], RECIPE, **options)

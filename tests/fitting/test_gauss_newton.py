@@ -8,20 +8,22 @@ from jax.flatten_util import ravel_pytree
 from pinav.dynamics import NeuralDynamics, Swimmer
 from pinav.errors import InputError
 from pinav.fitting import (
+    WITHOUT_PRIOR,
     GaussNewton,
     Observations,
     Problem,
     TrajectoryLoss,
     curriculum,
     fit,
+    kernel_environment,
 )
 from pinav.fitting.fit import _run_chunk, split_trainable
 from pinav.fitting.gauss_newton import _low_rank, _Windows
 from pinav.forces import GaussianBarrier, LinearDrag, ZeroForce
 from pinav.learned import (
+    KernelPotential,
     NeuralForce,
     PositionTimeFeatures,
-    kernel_potential,
     tanh_network,
 )
 from pinav.solvers import Adaptive, FixedStep
@@ -128,8 +130,7 @@ def test_the_projection_holds_a_matrix_of_low_rank():
 
 
 def kernel_swimmer(data: Trajectories) -> Swimmer:
-    positions = data.states[..., :2].reshape(-1, 2)
-    force = kernel_potential(positions)
+    force = kernel_environment(KernelPotential, data, WITHOUT_PRIOR)
     return eqx.tree_at(lambda s: s.environment, TRUTH, force)
 
 

@@ -2,19 +2,19 @@
 
 from pinav.fitting.bayes import BayesFit as BayesFit
 from pinav.fitting.bayes import BayesOutcome as BayesOutcome
+from pinav.fitting.bayes import BayesProgress as BayesProgress
 from pinav.fitting.bayes import Estimate as Estimate
 from pinav.fitting.bayes import fit_bayes as fit_bayes
 from pinav.fitting.evidence import Hyperparameters as Hyperparameters
-from pinav.fitting.fit import AbstractCheckpoint as AbstractCheckpoint
-from pinav.fitting.fit import Fit as Fit
-from pinav.fitting.fit import FitOutcome as FitOutcome
-from pinav.fitting.fit import FitProgress as FitProgress
-from pinav.fitting.fit import FitState as FitState
 from pinav.fitting.fit import Problem as Problem
 from pinav.fitting.fit import fit as fit
 from pinav.fitting.fit import fit_many as fit_many
 from pinav.fitting.gauss_newton import GaussNewton as GaussNewton
+from pinav.fitting.kernels import WITHOUT_PRIOR as WITHOUT_PRIOR
+from pinav.fitting.kernels import KernelGrid as KernelGrid
 from pinav.fitting.kernels import kernel_environment as kernel_environment
+from pinav.fitting.lifting import FreeModel as FreeModel
+from pinav.fitting.lifting import freed as freed
 from pinav.fitting.objectives import AbstractObjective as AbstractObjective
 from pinav.fitting.objectives import Observations as Observations
 from pinav.fitting.objectives import TrajectoryLoss as TrajectoryLoss
@@ -26,3 +26,8 @@ from pinav.fitting.posterior import Band as Band
 from pinav.fitting.posterior import Posterior as Posterior
 from pinav.fitting.recipes import curriculum as curriculum
 from pinav.fitting.recipes import paper_recipe as paper_recipe
+from pinav.fitting.records import AbstractCheckpoint as AbstractCheckpoint
+from pinav.fitting.records import Fit as Fit
+from pinav.fitting.records import FitOutcome as FitOutcome
+from pinav.fitting.records import FitProgress as FitProgress
+from pinav.fitting.records import FitState as FitState

@@ -70,6 +70,24 @@ class Estimate(eqx.Module):
     sd: float
 
 
+class BayesProgress(eqx.Module):
+    """What a progress bar shows after each step.
+
+    Attributes:
+        done: steps done.
+        total: steps at most.
+        defect: by which the states miss the dynamics, relative to their spread.
+        noise: standard deviation of the observations.
+        log_evidence: of the hyperparameters chosen.
+    """
+
+    done: int
+    total: int
+    defect: float
+    noise: float
+    log_evidence: float
+
+
 class BayesFit(eqx.Module):
     """A fitted kernel environment, and how well it is known.
 
@@ -102,6 +120,7 @@ def fit_bayes(
     noise: float | None = None,
     solver: FixedStep | None = None,
     max_iterations: int = 20,
+    on_step: Callable[[BayesProgress], None] | None = None,
     throw: bool = True,
 ) -> BayesFit:
     r"""Fit the kernel environment of a swimmer, and constants, to noisy trajectories.
@@ -121,6 +140,7 @@ def fit_bayes(
         noise: standard deviation of the observations; estimated unless given.
         solver: steps between samples; `FixedStep()` unless given.
         max_iterations: after which the fit counts as stalled.
+        on_step: called after each step.
         throw: raise where the fit did not converge.
 
     Raises:
@@ -133,7 +153,7 @@ def fit_bayes(
     with jax.enable_x64(new_val=True):
         solver = FixedStep() if solver is None else solver
         problem = _Problem.of(model, trajectories, learn, noise, solver)
-        result = problem.result(*_iterate(problem, max_iterations))
+        result = problem.result(*_iterate(problem, max_iterations, on_step))
     if throw and result.outcome is not BayesOutcome.CONVERGED:
         raise FitError(_MESSAGES[result.outcome])
     return result
@@ -164,7 +184,9 @@ class _Step(eqx.Module):
 
 
 def _iterate(
-    problem: "_Problem", max_iterations: int
+    problem: "_Problem",
+    max_iterations: int,
+    on_step: Callable[[BayesProgress], None] | None = None,
 ) -> tuple[BayesOutcome, list[_Step]]:
     """Gauss-Newton steps until they converge, diverge or run out."""
     theta, states, shape = problem.theta, problem.states, problem.prior.start
@@ -175,10 +197,17 @@ def _iterate(
             return BayesOutcome.DIVERGED, steps
         theta, states, shape = step.mean, step.states, step.hyperparameters.shape
         steps.append(step)
+        if on_step:
+            on_step(_progress(steps, max_iterations))
         outcome = _outcome(steps)
         if outcome is not BayesOutcome.STALLED:
             return outcome, steps
     return BayesOutcome.STALLED, steps
+
+
+def _progress(steps: list[_Step], total: int) -> BayesProgress:
+    chosen, defect = steps[-1].hyperparameters, steps[-1].defect
+    return BayesProgress(len(steps), total, defect, chosen.noise, chosen.log_evidence)
 
 
 def _outcome(steps: list[_Step]) -> BayesOutcome:

@@ -1,7 +1,5 @@
 """`fit`: a recipe of phases applied to one model, or to many at once."""
 
-import abc
-import enum
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -15,87 +13,17 @@ from pinav.dynamics import AbstractDynamics, with_dtype
 from pinav.errors import FitError, InputError
 from pinav.fitting.objectives import AbstractObjective, Observations, TrajectoryLoss
 from pinav.fitting.phases import AbstractPhase
+from pinav.fitting.records import (
+    AbstractCheckpoint,
+    Fit,
+    FitOutcome,
+    FitProgress,
+    FitState,
+)
 from pinav.trajectories import Trajectories
 
 Recipe = Sequence[AbstractPhase]
 Trainable = Callable[[Any], PyTree]
-
-
-class FitOutcome(enum.IntEnum):
-    """How a fit ended."""
-
-    COMPLETED = 0
-    DIVERGED = 1
-
-
-class Fit(eqx.Module):
-    """A fitted model.
-
-    Attributes:
-        model: the model with its trained leaves, in the precision of the fit.
-        initial_model: the model before the first step.
-        losses: loss before each step and after the last one.
-        phases: name of each phase and the step at which it began.
-        outcome: diverged when the final loss is not finite.
-    """
-
-    model: AbstractDynamics
-    initial_model: AbstractDynamics
-    losses: Float[np.ndarray, " step"]
-    phases: tuple[tuple[str, int], ...] = eqx.field(static=True)
-    outcome: FitOutcome = eqx.field(static=True)
-
-
-class FitState(eqx.Module):
-    """Everything that an interrupted fit needs to go on.
-
-    Attributes:
-        params: trained leaves of all members, stacked.
-        minimiser: state of the phase in progress, stacked.
-        losses: loss of each member before each step taken so far; NaN beyond.
-        starts: number of steps taken before each phase that has begun; the last one
-            is in progress, unless there is one more than phases: then all are done.
-        taken: steps taken, over all phases.
-    """
-
-    params: PyTree
-    minimiser: PyTree
-    losses: Float[Array, "member step"]
-    starts: tuple[int, ...] = eqx.field(static=True)
-    taken: int = eqx.field(static=True)
-
-    @property
-    def phase(self) -> int:
-        """Index of the phase in progress."""
-        return len(self.starts) - 1
-
-
-class FitProgress(eqx.Module):
-    """What a progress bar shows after each chunk.
-
-    Attributes:
-        phase: name of the phase.
-        done: steps done, over all phases.
-        total: steps of the whole recipe.
-        losses: loss of each member before each step of the chunk.
-    """
-
-    phase: str
-    done: int
-    total: int
-    losses: Float[np.ndarray, "member step"]
-
-
-class AbstractCheckpoint(abc.ABC):
-    """Where a fit keeps its state, so that it can go on after an interruption."""
-
-    @abc.abstractmethod
-    def load(self, like: Callable[[int], FitState]) -> FitState | None:
-        """The saved state, or None; `like(phase)` is a state of the same shape."""
-
-    @abc.abstractmethod
-    def save(self, state: FitState) -> None:
-        """Keep `state` in place of the one saved before."""
 
 
 def fit(
@@ -135,12 +63,13 @@ def fit(
 
 def fit_many(
     models: Sequence[AbstractDynamics],
-    trajectories: Trajectories,
+    trajectories: Trajectories | Sequence[Trajectories],
     recipe: Recipe,
     *,
     trainable: Trainable,
     objective: AbstractObjective | None = None,
     dtype: type = jnp.float32,
+    at_once: int | None = None,
     checkpoint: AbstractCheckpoint | None = None,
     on_chunk: Callable[[FitProgress], None] | None = None,
 ) -> list[Fit]:
@@ -148,12 +77,15 @@ def fit_many(
 
     Args:
         models: starts of the fit, such as one network per seed.
-        trajectories: what is observed.
+        trajectories: what is observed; one for each model, such as draws of the noise
+            or resamples (`pinav.trajectories.bootstrap`), or one that all share.
         recipe: phases, run one after the other.
         trainable: picks the leaves that train, such as
             `lambda m: (m.environment.network, m.drag.damping)`.
         objective: what is minimised; `TrajectoryLoss()` unless given.
         dtype: precision of the fit; the paper's is float32.
+        at_once: models that are computed side by side; all of them unless given.
+            Fewer need less memory.
         checkpoint: where the state is kept after each chunk, and found again.
         on_chunk: called after each chunk of steps.
 
@@ -162,16 +94,22 @@ def fit_many(
 
     Raises:
         InputError: nothing to train, an empty recipe, or trajectories that the
-            objective cannot use.
+            objective cannot use or of which there are not as many as models.
     """
     objective = TrajectoryLoss() if objective is None else objective
     if not recipe or not models:
         raise InputError("fit: expected at least one model and one phase")
-    objective.check(trajectories)
+    if at_once is not None and at_once < 1:
+        raise InputError(f"fit_many at_once: expected 1 or more, got {at_once}")
+    several = _one_each(trajectories, len(models))
+    for own in several:
+        objective.check(own)
     models = [with_dtype(model, dtype) for model in models]
     # A float32 fit must not meet float64 defaults inside the minimisers.
     with jax.enable_x64(jnp.dtype(dtype) == jnp.float64):
-        task = _FitTask.of(models, trajectories, recipe, trainable, objective, dtype)
+        observations = _stacked([Observations.of(own, dtype) for own in several])
+        phases = [_in_mode(phase) for phase in recipe]
+        task = _FitTask.of(models, observations, phases, trainable, objective, at_once)
         start = task.state_before(0)
         state = checkpoint.load(task.state_before) if checkpoint else None
         state = start if state is None else state
@@ -203,22 +141,26 @@ class Problem(eqx.Module):
 
 
 class _FitTask(eqx.Module):
-    """The parts of a fit that do not change while it runs."""
+    """The parts of a fit that do not change while it runs.
+
+    The problem's observations have an axis in front: one entry that all members share,
+    or one for each.
+    """
 
     problem: Problem
     initial_params: PyTree
     recipe: tuple[AbstractPhase, ...]
+    at_once: int | None = eqx.field(static=True)
 
     @classmethod
-    def of(cls, models, trajectories, recipe, trainable, objective, dtype):
+    def of(cls, models, observations, recipe, trainable, objective, at_once):
+        dtype = observations.times.dtype.type
         parts = [split_trainable(m, trainable, dtype) for m in models]
         stacked = jax.tree.map(
             lambda *leaves: jnp.stack(leaves), *(p for p, _ in parts)
         )
-        observations = Observations.of(trajectories, dtype)
-        return cls(
-            Problem(parts[0][1], observations, objective), stacked, tuple(recipe)
-        )
+        problem = Problem(parts[0][1], observations, objective)
+        return cls(problem, stacked, tuple(recipe), at_once)
 
     @property
     def total_steps(self) -> int:
@@ -236,7 +178,7 @@ class _FitTask(eqx.Module):
         """State of the minimiser at the start of a phase; nothing after the last."""
         if phase == len(self.recipe):
             return ()
-        return _begin_phase(self.problem, self.recipe[phase], params)
+        return _begin_phase(self.problem, self.recipe[phase], params, self.at_once)
 
     def advance(self, state, checkpoint, on_chunk) -> FitState:
         """Run one chunk, and begin the next phase where this one is done."""
@@ -250,14 +192,15 @@ class _FitTask(eqx.Module):
             state.minimiser,
             state.losses,
             jnp.asarray([state.taken, count]),
+            self.at_once,
         )
         starts, taken = state.starts, state.taken + count
         if count == left or bool(done):
-            params = _finish_phase(self.problem, phase, params, minimiser)
+            params = _finish_phase(self.problem, phase, params, minimiser, self.at_once)
             starts = (*starts, taken)
             minimiser = self.begin(len(starts) - 1, params)
             if len(starts) > len(self.recipe):
-                final = _member_losses(self.problem, params)
+                final = _member_losses(self.problem, params, self.at_once)
                 losses = losses.at[:, taken].set(final.astype(losses.dtype))
         chunk = np.asarray(losses)[:, state.taken : taken]
         state = FitState(params, minimiser, losses, starts, taken)
@@ -284,23 +227,82 @@ class _FitTask(eqx.Module):
         return [one(member) for member in range(losses.shape[0])]
 
 
-@eqx.filter_jit
-def _begin_phase(problem: Problem, phase: AbstractPhase, params: PyTree) -> PyTree:
-    return jax.vmap(lambda p: phase.init(problem, p))(params)
+def _in_mode(tree: PyTree) -> PyTree:
+    """Arrays made with x64 on, as the mode in force would have made them."""
+    return jax.tree.map(
+        lambda leaf: jnp.asarray(np.asarray(leaf)) if eqx.is_array(leaf) else leaf, tree
+    )
+
+
+def _one_each(trajectories, count: int) -> list[Trajectories]:
+    if isinstance(trajectories, Trajectories):
+        return [trajectories]
+    if len(trajectories) != count:
+        raise InputError(
+            f"fit_many trajectories: expected one, or one for each of the {count} "
+            f"models, got {len(trajectories)}"
+        )
+    return list(trajectories)
+
+
+def _stacked(several: list[Observations]) -> Observations:
+    """Observations with an axis in front, padded to one shape; padding is unobserved.
+
+    Raises:
+        InputError: numbers of trajectories or of channels differ.
+    """
+    kinds = {(one.states.shape[0], one.states.shape[2]) for one in several}
+    if len(kinds) > 1:
+        raise InputError(
+            "fit_many trajectories: expected as many trajectories and channels for "
+            "each model"
+        )
+    longest = max(one.times.shape[1] for one in several)
+
+    def pad(array):
+        widths = [(0, 0), (0, longest - array.shape[1])] + [(0, 0)] * (array.ndim - 2)
+        return jnp.pad(array, widths, "constant" if array.dtype == bool else "edge")
+
+    padded = [jax.tree.map(pad, one) for one in several]
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *padded)
+
+
+def _for_each(function, problem: Problem, members: tuple, at_once: int | None):
+    """`function(problem, *member)` for all members, `at_once` of them side by side."""
+    count = jax.tree.leaves(members)[0].shape[0]
+    observations = problem.observations
+    shared = observations.times.shape[0] == 1
+
+    def one(own, *member):
+        return function(eqx.tree_at(lambda p: p.observations, problem, own), *member)
+
+    if shared:
+        observations = jax.tree.map(lambda leaf: leaf[0], observations)
+    if at_once is None or at_once >= count:
+        axes = (None if shared else 0, *(0 for _ in members))
+        return jax.vmap(one, axes)(observations, *members)
+    if shared:
+        return jax.lax.map(lambda m: one(observations, *m), members, batch_size=at_once)
+    return jax.lax.map(lambda m: one(*m), (observations, *members), batch_size=at_once)
 
 
 @eqx.filter_jit
-def _finish_phase(problem: Problem, phase: AbstractPhase, params, minimiser):
-    return jax.vmap(lambda p, s: phase.finish(problem, p, s))(params, minimiser)
+def _begin_phase(problem: Problem, phase: AbstractPhase, params: PyTree, at_once):
+    return _for_each(phase.init, problem, (params,), at_once)
 
 
 @eqx.filter_jit
-def _member_losses(problem: Problem, params: PyTree):
-    return jax.vmap(problem)(params)
+def _finish_phase(problem: Problem, phase: AbstractPhase, params, minimiser, at_once):
+    return _for_each(phase.finish, problem, (params, minimiser), at_once)
 
 
 @eqx.filter_jit
-def _run_chunk(problem, phase, params, minimiser, losses, position):
+def _member_losses(problem: Problem, params: PyTree, at_once):
+    return _for_each(lambda p, own: p(own), problem, (params,), at_once)
+
+
+@eqx.filter_jit
+def _run_chunk(problem, phase, params, minimiser, losses, position, at_once=None):
     """Take `count` steps from `offset`: traced numbers, so that one compile serves.
 
     Phases that differ in their arrays alone, such as the window of `GaussNewton`,
@@ -310,8 +312,9 @@ def _run_chunk(problem, phase, params, minimiser, losses, position):
 
     def body(index, carry):
         params, minimiser, losses = carry
-        step = jax.vmap(lambda p, s: phase.step(problem, p, s))
-        params, minimiser, values = step(params, minimiser)
+        params, minimiser, values = _for_each(
+            phase.step, problem, (params, minimiser), at_once
+        )
         losses = losses.at[:, offset + index].set(values.astype(losses.dtype))
         return params, minimiser, losses
 

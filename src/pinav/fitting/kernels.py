@@ -17,24 +17,53 @@ from pinav.trajectories import Trajectories
 
 Kernel = TypeVar("Kernel", KernelForce, KernelPotential)
 
-KERNELS_ACROSS, MARGIN = 12, 4.0
-"""Kernels along the longer side of the data, and kernels in the margin around them."""
+
+class KernelGrid(eqx.Module):
+    """How kernels are laid around the data.
+
+    Attributes:
+        across: grid intervals along the longest extent of the data.
+        width: of a kernel, in intervals.
+        margin: in which there are kernels beyond the data, in intervals.
+
+    Raises:
+        InputError: a number is not positive.
+    """
+
+    across: int = 12
+    width: float = 1.0
+    margin: float = 4.0
+
+    def __check_init__(self):
+        for name in ("across", "width", "margin"):
+            if not getattr(self, name) > 0:
+                raise InputError(
+                    f"KernelGrid.{name}: expected > 0, got {getattr(self, name)}"
+                )
 
 
-def kernel_environment(kind: type[Kernel], trajectories: Trajectories) -> Kernel:
+WITHOUT_PRIOR = KernelGrid(across=10, width=1.5, margin=2.0)
+"""Wide kernels close to the data: where no prior makes the field smooth."""
+
+
+def kernel_environment(
+    kind: type[Kernel], trajectories: Trajectories, grid: KernelGrid | None = None
+) -> Kernel:
     """An untrained kernel environment on a grid around the data: no force at all.
 
-    The grid is as fine as a twelfth of the longer side of the data, the kernels are as
-    wide as the grid is fine, and they reach four spacings beyond the samples: the
-    prior must not end within its own length scale.
+    Unless given, the grid is as fine as a twelfth of the longer side of the data, the
+    kernels are as wide as the grid is fine, and they reach four intervals beyond the
+    samples: a prior must not end within its own length scale.
 
     Args:
         kind: `KernelForce` or `KernelPotential`.
         trajectories: their channels are positions, then as many velocities.
+        grid: its fineness; `KernelGrid()` unless given.
 
     Raises:
         InputError: the observed positions are fewer than two, or all the same.
     """
+    grid = KernelGrid() if grid is None else grid
     dim = len(trajectories.channels) // 2
     seen = trajectories.observed[..., :dim].all(axis=-1)
     positions = trajectories.states[..., :dim][seen]
@@ -43,10 +72,10 @@ def kernel_environment(kind: type[Kernel], trajectories: Trajectories) -> Kernel
         raise InputError(
             "kernel_environment: expected two or more different observed positions"
         )
-    spacing = extent / KERNELS_ACROSS
-    centers = kernel_centers(positions, spacing=spacing, margin=MARGIN * spacing)
+    spacing = extent / grid.across
+    centers = kernel_centers(positions, spacing=spacing, margin=grid.margin * spacing)
     shape = centers.shape if kind is KernelForce else centers.shape[:1]
-    return kind(jnp.zeros(shape), jnp.asarray(centers), spacing)
+    return kind(jnp.zeros(shape), jnp.asarray(centers), grid.width * spacing)
 
 
 class WeightPrior(eqx.Module):

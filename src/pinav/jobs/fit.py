@@ -2,26 +2,32 @@
 
 import hashlib
 from collections.abc import Sequence
+from operator import attrgetter
 from typing import Any
 
-import jax.numpy as jnp
 import msgspec
 import numpy as np
 
+from pinav.dynamics import Swimmer
 from pinav.errors import InputError
-from pinav.evaluation import Score, predict, score
-from pinav.fitting import (
-    Fit,
-    FitOutcome,
-    TrajectoryLoss,
-    curriculum,
-    paper_recipe,
+from pinav.evaluation import (
+    POSITION_CHANNELS,
+    FieldMap,
+    Score,
+    field_map,
+    force_errors,
+    predict,
+    score,
 )
+from pinav.fitting import Fit, FitOutcome
 from pinav.fitting import fit as fit_trajectories
+from pinav.jobs import inference
+from pinav.jobs.inference import MODEL_FILE
+from pinav.jobs.matching import matching
 from pinav.jobs.models import (
     CONSTANTS,
     build_model,
-    data_moments,
+    data_summary,
     fit_model,
     fit_trainable,
     known_physics,
@@ -30,26 +36,37 @@ from pinav.jobs.progress import FitReporter
 from pinav.jobs.settings import FitSettings
 from pinav.jobs.table2 import number
 from pinav.runs import RunFolder
-from pinav.solvers import FixedStep
-from pinav.trajectories import Trajectories
+from pinav.scenarios import Scenario, scenario
+from pinav.trajectories import Trajectories, with_unobserved
 from pinav.trajectory_files import save
 
-MODEL_FILE = "model.eqx"
 
+def prepared(settings: FitSettings, data: Trajectories) -> Trajectories:
+    """The data as the fit needs them; refused before a run folder is made.
 
-def check(settings: FitSettings, data: Trajectories) -> None:
-    """Refuse data or settings before a run folder is made.
+    Positions alone get velocities that nobody observed.
 
     Raises:
-        InputError: the objective cannot use the data, or no physics is named.
+        InputError: the recipe cannot use the data, or no physics is named.
     """
-    TrajectoryLoss().check(data)
     known = known_physics(settings.physics, data)
+    positions = tuple(name for name in known.channels if name in POSITION_CHANNELS)
+    if data.channels == positions and settings.method == "bayes":
+        unseen = known.channels[len(positions) :]
+        data = with_unobserved(data, {name: known.units[name] for name in unseen})
     if len(known.channels) != len(data.channels):
         raise InputError(
             f"data: expected the channels {', '.join(known.channels)} of scenario "
             f"{known.name}, got {', '.join(data.channels)}"
+            + (
+                "; --recipe bayes needs positions alone"
+                if data.channels == positions
+                else ""
+            )
         )
+    if settings.method != "bayes":
+        _check_starts(data)
+    return data
 
 
 def fingerprint(data: Trajectories) -> str:
@@ -67,44 +84,85 @@ def fit(settings: FitSettings, data: Trajectories, folder: RunFolder) -> dict[st
         The content of `metrics.json`.
 
     Raises:
-        FitError: the fit diverged.
+        FitError: the fit diverged, or the data do not determine it.
     """
     known = known_physics(settings.physics, data)
     if not folder.has("data.npz"):
         save(data, folder.path / "data.npz")
+    bayes = settings.method == "bayes"
     if not folder.has(MODEL_FILE):
-        _write_fit(
-            settings, known.name, data, _fit(settings, known, data, folder), folder
-        )
+        run = inference.infer if bayes else _match
+        run(settings, known, data, folder)
     model = folder.read_model(MODEL_FILE, build_model)
-    predictions, outcomes = predict(model, data)
-    result = score(predictions, outcomes, data)
-    losses = folder.read_arrays("losses-model.npz")["losses"][0]
-    metrics = {
-        "model": settings.model,
-        "loss": {"start": float(losses[0]), "end": float(losses[-1])},
-        "rmse": score_metrics(result),
-        "learned": {name: float(CONSTANTS[name](model)) for name in settings.learn},
-    }
-    folder.write_arrays(
-        "results.npz",
-        {
-            "times": data.times,
-            "truth": data.states,
-            "observed": data.observed,
-            "ys": predictions,
-        },
+    metrics: dict[str, Any] = {"model": settings.model, "recipe": settings.method}
+    if bayes:
+        metrics |= inference.metrics(settings, folder)
+    else:
+        metrics |= _matched_metrics(settings, model, folder)
+    predictions, outcomes = predict(
+        model, data, starts=inference.starts(folder) if bayes else None
     )
+    metrics["rmse"] = score_metrics(score(predictions, outcomes, data))
+    arrays = {
+        "times": data.times,
+        "truth": data.states,
+        "observed": data.observed,
+        "ys": predictions,
+    }
+    if isinstance(model, Swimmer):
+        fields = _fields(model, data)
+        metrics |= _force_errors(fields)
+        arrays |= _field_arrays(fields)
+        if bayes:
+            arrays["field/sd"] = inference.force_sd(settings, fields["learned"], folder)
+    folder.write_arrays("results.npz", arrays)
     folder.write_json("metrics.json", metrics)
     return metrics
+
+
+def _fields(model: Swimmer, data: Trajectories) -> dict[str, FieldMap]:
+    """The learned force around the data, and the true one where it is known."""
+    fields = {"learned": field_map(model.environment, data)}
+    if "scenario" in data.provenance:
+        truth = scenario(data.provenance["scenario"]).truth
+        fields["true"] = field_map(truth.environment, data)
+    return fields
+
+
+def _force_errors(fields: dict[str, FieldMap]) -> dict[str, Any]:
+    if "true" not in fields:
+        return {}
+    return {"force_error": force_errors(fields["learned"], fields["true"])}
+
+
+def _field_arrays(fields: dict[str, FieldMap]) -> dict[str, np.ndarray]:
+    learned = fields["learned"]
+    return {
+        "field/x": learned.x,
+        "field/y": learned.y,
+        "field/distance": learned.distance,
+        **{f"field/{name}": field.force for name, field in fields.items()},
+    }
 
 
 def text(metrics: dict[str, Any]) -> str:
     """The metrics for a terminal."""
     rmse = ", ".join(f"{k} {number(v)}" for k, v in metrics["rmse"].items())
-    loss = metrics["loss"]
-    lines = [f"loss: {loss['start']:.3g} -> {loss['end']:.3g}", f"RMSE: {rmse}"]
-    lines += [f"{name}: {value:.6g}" for name, value in metrics["learned"].items()]
+    if "loss" in metrics:
+        loss = metrics["loss"]
+        lines = [f"loss: {loss['start']:.3g} -> {loss['end']:.3g}"]
+    else:
+        lines = [
+            f"noise: {metrics['noise']:.3g}, log evidence "
+            f"{metrics['log_evidence']:.1f}, {metrics['iterations']} steps"
+        ]
+    lines.append(f"RMSE: {rmse}")
+    for name, learned in metrics["learned"].items():
+        spread = "" if learned["sd"] is None else f" ± {learned['sd']:.2g} (sd)"
+        lines.append(f"{name}: {learned['value']:.6g}{spread}")
+    if "force_error" in metrics:
+        errors = ", ".join(f"{k} {v:.2%}" for k, v in metrics["force_error"].items())
+        lines.append(f"force error (truth of the scenario): {errors}")
     return "\n".join(lines)
 
 
@@ -127,38 +185,49 @@ def score_metrics(result: Score) -> dict[str, float]:
     return by_channel | {"total": result.total, "position": result.position}
 
 
-def _fit(settings, known, data, folder) -> Fit:
-    paper = settings.recipe == "paper"
-    recipe = (
-        paper_recipe(settings.adam_steps, settings.lbfgs_steps)
-        if paper
-        else curriculum(data, max_steps=settings.max_steps)
-    )
+def _check_starts(data: Trajectories) -> None:
+    for index, first in enumerate(data.observed[:, 0]):
+        if not first.all():
+            raise InputError(
+                f"trajectory {index}: its first sample must be fully observed, because "
+                "the rollout starts there; drop the samples before it, or choose "
+                "--recipe bayes"
+            )
+
+
+def _match(
+    settings: FitSettings, known: Scenario, data: Trajectories, folder: RunFolder
+) -> None:
+    """Match the trajectories; the model file is written last."""
+    method, summary = matching(settings, data), data_summary(data)
     with FitReporter(folder, settings.model) as report:
-        return fit_trajectories(
-            fit_model(settings, known.truth, data_moments(data)),
+        found = fit_trajectories(
+            fit_model(settings, known.truth, summary),
             data,
-            recipe,
+            method.recipe,
             trainable=fit_trainable(settings),
-            objective=TrajectoryLoss(FixedStep(substeps=1 if paper else 2)),
-            dtype=_dtype(settings),
             checkpoint=folder.checkpoint(settings.model),
             on_chunk=report,
+            **method.options(),
         )
-
-
-def _dtype(settings: FitSettings) -> type:
-    """The paper's recipe is float32; Gauss-Newton wants float64."""
-    return jnp.float32 if settings.recipe == "paper" else jnp.float64
-
-
-def _write_fit(settings, physics, data, fit: Fit, folder: RunFolder) -> None:
-    write_losses("model", [fit], folder)
+    write_losses("model", [found], folder)
     header = {
         "kind": "fit",
         "settings": msgspec.to_builtins(settings),
-        "physics": physics,
-        "data": data_moments(data),
-        "dtype": jnp.dtype(_dtype(settings)).name,
+        "physics": known.name,
+        "data": summary,
+        "dtype": method.precision,
     }
-    folder.write_model(MODEL_FILE, header, fit.model)
+    folder.write_model(MODEL_FILE, header, found.model)
+
+
+def _matched_metrics(settings, model, folder: RunFolder) -> dict[str, Any]:
+    losses = folder.read_arrays("losses-model.npz")["losses"][0]
+    constants = {name: attrgetter(CONSTANTS[name])(model) for name in settings.learn}
+    return {
+        "loss": {"start": float(losses[0]), "end": float(losses[-1])},
+        "learned": {
+            name: {"value": float(value), "sd": None}
+            for name, value in constants.items()
+        },
+    }

@@ -1,6 +1,7 @@
 """Models by name: what a model file says of itself, and how to build it again."""
 
 from collections.abc import Callable
+from operator import attrgetter
 from typing import Any
 
 import equinox as eqx
@@ -15,12 +16,18 @@ from pinav.dynamics import (
     with_dtype,
 )
 from pinav.errors import InputError
+from pinav.evaluation import POSITION_CHANNELS
+from pinav.fitting import WITHOUT_PRIOR, KernelGrid, kernel_environment
+from pinav.forces import AbstractForce, ZeroForce
 from pinav.jobs.settings import FitSettings
 from pinav.learned import (
+    AbstractLearnedForce,
+    KernelForce,
+    KernelPotential,
     NeuralForce,
+    NeuralPotential,
     PositionFeatures,
     PositionTimeFeatures,
-    kernel_potential,
     paper_force,
     spread_weights,
     tanh_network,
@@ -65,8 +72,7 @@ def default_nn_only(known: Swimmer, seed: int, data: dict[str, Any]) -> NeuralDy
 def default_kernel(known: Swimmer, seed: int | None, data: dict[str, Any]) -> Swimmer:
     """A kernel potential around the data, zero before training; it has no seed."""
     del seed
-    environment = kernel_potential(np.asarray(data["positions"]))
-    return eqx.tree_at(lambda swimmer: swimmer.environment, known, environment)
+    return _with_environment(known, _kernels(KernelPotential, data))
 
 
 REPRODUCED: dict[str, dict[str, Callable[..., Any]]] = {
@@ -86,68 +92,108 @@ SEEDLESS = ("ude-kernel",)
 """Models without random numbers."""
 
 
-CONSTANTS: dict[str, Callable[[Any], Any]] = {
-    "damping": lambda swimmer: swimmer.drag.damping,
-    "gain": lambda swimmer: swimmer.propulsion.gain,
-}
-"""Known constants that `pinav fit --learn` can train."""
+CONSTANTS = {"damping": "drag.damping", "gain": "propulsion.gain"}
+"""Known constants that `pinav fit --learn` can train, and where they stand."""
+
+KERNELS = {"kernel-potential": KernelPotential, "kernel-force": KernelForce}
+"""Kernel environments of `pinav fit`."""
 
 
 def residual(model: Any) -> Any:
     """The learned part of a model: what trains unless more is asked for."""
-    learned: Any = model.environment if isinstance(model, Swimmer) else model
+    learned = model.environment if isinstance(model, Swimmer) else model
+    if isinstance(learned, AbstractForce) and not isinstance(
+        learned, AbstractLearnedForce
+    ):
+        return ()
     return learned.parameters
 
 
 def fit_model(settings: FitSettings, known: Swimmer, data: dict[str, Any]) -> Any:
-    """The untrained model of `pinav fit`, its inputs standardised by the data.
+    """The untrained model of `pinav fit`.
 
     Args:
         settings: its kind, size and seed.
         known: swimmer whose propulsion and drag are known.
-        data: moments of the data, from `data_moments`.
+        data: what it takes from the data, from `data_summary`.
     """
-    if settings.model == "ude-kernel":
-        return default_kernel(known, None, data)
-    mean, std = data["mean"], data["std"]
-    dim = len(mean) // 2
-    inputs = {
-        "ude": (*range(dim), len(mean) - 1),
-        "ude-static": tuple(range(dim)),
-        "nn-only": tuple(range(len(mean))),
-    }
-    chosen = inputs[settings.model]
-    center, scale = tuple(mean[i] for i in chosen), tuple(std[i] for i in chosen)
-    outputs = 2 * dim if settings.model == "nn-only" else dim
-    key = jax.random.key(settings.seed)
-    network = spread_weights(
-        tanh_network(
-            len(chosen), outputs, width=settings.width, depth=settings.depth, key=key
-        )
-    )
     if settings.model == "nn-only":
-        return NeuralDynamics(network, center, scale)
-    kind = PositionFeatures if settings.model == "ude-static" else PositionTimeFeatures
-    environment = NeuralForce(network, kind(center, scale))
+        mean, std = tuple(data["mean"]), tuple(data["std"])
+        network = _network(settings, len(mean), len(mean) - 1)
+        return NeuralDynamics(network, mean, std)
+    return _with_environment(known, _environment(settings, data))
+
+
+def _environment(settings: FitSettings, data: dict[str, Any]) -> AbstractForce:
+    if settings.model == "physics-only":
+        return ZeroForce()
+    if settings.model in KERNELS:
+        return _kernels(KERNELS[settings.model], data)
+    mean, std, dim = data["mean"], data["std"], data["dim"]
+    if settings.model == "ude":
+        center, scale = (*mean[:dim], mean[-1]), (*std[:dim], std[-1])
+        network = _network(settings, dim + 1, dim)
+        return NeuralForce(network, PositionTimeFeatures(center, scale))
+    features = PositionFeatures(tuple(mean[:dim]), tuple(std[:dim]))
+    if settings.model == "neural-force":
+        return NeuralForce(_network(settings, dim, dim), features)
+    return NeuralPotential(_network(settings, dim, 1), features)
+
+
+def _network(settings: FitSettings, inputs: int, outputs: int):
+    size = {"width": settings.width, "depth": settings.depth}
+    key = jax.random.key(settings.seed)
+    return spread_weights(tanh_network(inputs, outputs, **size, key=key))
+
+
+def _kernels(kind, data: dict[str, Any]):
+    centers = jnp.asarray(data["centers"])
+    weights = centers if kind is KernelForce else centers[:, 0]
+    return kind(jnp.zeros_like(weights), centers, data["kernel_width"])
+
+
+def _with_environment(known: Swimmer, environment: AbstractForce) -> Swimmer:
     return eqx.tree_at(lambda swimmer: swimmer.environment, known, environment)
 
 
 def fit_trainable(settings: FitSettings) -> Trainable:
     """Selects the leaves that `pinav fit` trains."""
-    chosen = [CONSTANTS[name] for name in settings.learn]
-    return lambda model: (residual(model), *(pick(model) for pick in chosen))
+    constants = fit_constants(settings)
+    return lambda model: (residual(model), *constants(model))
 
 
-def data_moments(trajectories: Trajectories) -> dict[str, list]:
-    """Mean and standard deviation of each state and of time, and the positions."""
-    complete = trajectories.observed.all(-1)
-    times = trajectories.times[complete][:, None]
-    rows = np.concatenate([trajectories.states[complete], times], axis=1)
-    std = rows.std(axis=0)
+def fit_constants(settings: FitSettings) -> Trainable:
+    """Selects the constants of `--learn`."""
+    chosen = [attrgetter(CONSTANTS[name]) for name in settings.learn]
+    return lambda model: tuple(pick(model) for pick in chosen)
+
+
+def data_summary(
+    trajectories: Trajectories, grid: KernelGrid = WITHOUT_PRIOR
+) -> dict[str, Any]:
+    """What an untrained model takes from the data; JSON values.
+
+    Args:
+        trajectories: the data.
+        grid: how kernels are laid around them.
+
+    Returns:
+        The number of position channels; mean and standard deviation of each state,
+        where it was observed, and of time; centres and width of kernels.
+    """
+    dim = sum(name in POSITION_CHANNELS for name in trajectories.channels)
+    seen = trajectories.observed
+    columns = [trajectories.states[..., i][seen[..., i]] for i in range(seen.shape[2])]
+    columns.append(trajectories.times[seen.any(axis=-1)])
+    mean = [float(column.mean()) if column.size else 0.0 for column in columns]
+    std = [float(column.std()) if column.size else 0.0 for column in columns]
+    kernels = kernel_environment(KernelPotential, trajectories, grid)
     return {
-        "mean": rows.mean(axis=0).tolist(),
-        "std": np.where(std > 0, std, 1.0).tolist(),
-        "positions": trajectories.states[complete][:, :2].tolist(),
+        "dim": dim,
+        "mean": mean,
+        "std": [value if value > 0 else 1.0 for value in std],
+        "centers": np.asarray(kernels.centers).tolist(),
+        "kernel_width": float(kernels.width),
     }
 
 

@@ -5,7 +5,7 @@ from types import TracebackType
 import numpy as np
 from tqdm import tqdm
 
-from pinav.fitting import FitProgress
+from pinav.fitting import BayesProgress, FitProgress
 from pinav.runs import RunFolder
 
 
@@ -48,5 +48,47 @@ class FitReporter:
                 "phase": progress.phase,
                 "step": progress.done,
                 "loss": last,
+            }
+        )
+
+
+class BayesReporter:
+    """Shows the steps of a Bayesian fit, and appends them to the run.
+
+    Attributes:
+        folder: where `metrics.jsonl` is appended.
+        label: name of the model that is fitted.
+    """
+
+    def __init__(self, folder: RunFolder, label: str):
+        self.folder, self.label = folder, label
+        self.bar = tqdm(desc=label, unit="step", leave=True, dynamic_ncols=True)
+
+    def __enter__(self) -> "BayesReporter":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.bar.close()
+
+    def __call__(self, progress: BayesProgress) -> None:
+        """Take note of one step."""
+        self.bar.set_postfix_str(
+            f"noise {progress.noise:.3g}, log evidence {progress.log_evidence:.1f}, "
+            f"defect {progress.defect:.0e}",
+            refresh=False,
+        )
+        self.bar.update(1)
+        self.folder.append_record(
+            {
+                "model": self.label,
+                "step": progress.done,
+                "noise": progress.noise,
+                "log_evidence": progress.log_evidence,
+                "defect": progress.defect,
             }
         )

@@ -21,13 +21,14 @@ from pinav.report import (
     figure1,
     force_comparison,
     loss_curve,
+    observed_paths,
     render,
     save_figure,
-    trajectory,
-    velocity,
 )
 from pinav.report.style import new_figure
 from pinav.runs import RunFolder
+from pinav.trajectories import Trajectories
+from pinav.trajectory_files import load
 
 BARRIER = ([5.0, 5.0], 2.9)
 """Centre and width of the benchmark's barrier, drawn as context."""
@@ -210,7 +211,7 @@ def _forces(folder, metrics, arrays, seed) -> list[Paragraph | Image | Table]:
 
 def _force(folder, arrays, label: str) -> Image:
     true, learned = stored_field(arrays, "true"), stored_field(arrays, label)
-    figure = force_comparison(true, learned, path=arrays["truth"][:, :2])
+    figure = force_comparison(learned, true=true, path=arrays["truth"][:, :2])
     files = save_figure(figure, folder.path / "figures", f"force-{label}")
     return _image(
         files,
@@ -244,37 +245,95 @@ def _parts(folder, arrays, seed) -> Image:
 
 def _fitted(folder: RunFolder) -> list[Section]:
     metrics = folder.read_json("metrics.json")
+    data = load(folder.path / "data.npz")
     arrays = folder.read_arrays("results.npz")
-    losses, phases = _loss_history(folder, "model")
-    figure = new_figure(7.5, 2.8)
-    axes = figure.subplots(1, 3)
-    observed = np.where(arrays["observed"][0], arrays["truth"][0], np.nan)
-    predicted = {metrics["model"]: arrays["ys"][0]}
-    trajectory(observed[:, :2], {k: a[:, :2] for k, a in predicted.items()}, ax=axes[0])
-    speeds = {k: a[:, 2:] for k, a in predicted.items()}
-    velocity(arrays["times"][0], observed[:, 2:], speeds, ax=axes[1])
-    loss_curve(losses, phases, ax=axes[2])
+    chosen = {
+        k: metrics[k] for k in ("noise", "log_evidence", "iterations") if k in metrics
+    }
+    content = [
+        _one_row(metrics["rmse"], "Root-mean-square errors of rollouts."),
+        *([_one_row(chosen, "What the evidence chose.")] if chosen else []),
+        *([_one_row(metrics["loss"], "Training loss.")] if "loss" in metrics else []),
+        *_constants(metrics),
+        _paths(folder, data, arrays),
+    ]
+    sections = [Section(f"The fit: {metrics['model']}, {metrics['recipe']}", content)]
+    if "field/learned" in arrays:
+        sections.append(
+            Section("The learned force", _learned_force(folder, data, arrays, metrics))
+        )
+    return sections
+
+
+def _paths(folder: RunFolder, data: Trajectories, arrays) -> Image:
+    """All trajectories, and the loss where the recipe has one."""
+    with_loss = folder.has("losses-model.npz")
+    figure = new_figure(7.5 if with_loss else 4.2, 3.4)
+    axes = figure.subplots(1, 2) if with_loss else [figure.subplots()]
+    observed_paths(
+        [np.where(p.observed[:, :2], p.states[:, :2], np.nan) for p in data],
+        [ys[:n, :2] for ys, n in zip(arrays["ys"], data.lengths, strict=True)],
+        units=data.units,
+        ax=axes[0],
+    )
+    caption = "Observed positions and rollouts of the fitted model."
+    if with_loss:
+        loss_curve(*_loss_history(folder, "model"), ax=axes[1])
+        caption += " Right: training loss."
     files = save_figure(figure, folder.path / "figures", "fit")
-    return [
-        Section(
-            "Fit",
-            [
-                _one_row(metrics["rmse"], "Root-mean-square errors."),
-                _one_row(metrics["loss"], "Training loss."),
-                *_constants(metrics),
-                _image(
-                    files,
-                    "Observed and predicted trajectory, velocity, and training loss",
-                    "First trajectory: observed and predicted; the training loss.",
-                ),
-            ],
+    return _image(files, "Observed trajectories and rollouts of the model", caption)
+
+
+def _learned_force(folder, data, arrays, metrics) -> list[Paragraph | Image | Table]:
+    """Maps of the force, with what is known of its truth and of its uncertainty."""
+    true = stored_field(arrays, "true") if "field/true" in arrays else None
+    figure = force_comparison(
+        stored_field(arrays, "learned"),
+        true=true,
+        sd=arrays.get("field/sd"),
+        path=_joined(data),
+        units=data.units,
+    )
+    files = save_figure(figure, folder.path / "figures", "force")
+    content: list[Paragraph | Image | Table] = [
+        _image(
+            files,
+            "Maps of the learned force and of how well it is known",
+            "The force of the environment on a swimmer at rest. Hatched: farther than "
+            "1 from any sample, an extrapolation.",
         )
     ]
+    if "force_error" in metrics:
+        errors = {f"{k} (%)": 100 * v for k, v in metrics["force_error"].items()}
+        content.append(
+            _one_row(
+                errors,
+                "Relative L2 error of the force against the scenario's truth, on grid "
+                "points within 0.35 of a sample, within 1.0, and on the whole grid.",
+            )
+        )
+    return content
+
+
+def _joined(data: Trajectories) -> np.ndarray:
+    """All observed paths in one array, a row of NaN between two."""
+    gap = np.full((1, 2), np.nan)
+    return np.concatenate(
+        [
+            part
+            for p in data
+            for part in (np.where(p.observed[:, :2], p.states[:, :2], np.nan), gap)
+        ]
+    )
 
 
 def _constants(metrics: dict[str, Any]) -> list[Table]:
-    learned = metrics["learned"]
-    return [_one_row(learned, "Constants learned.")] if learned else []
+    rows = [
+        (name, learned["value"], "–" if learned["sd"] is None else learned["sd"])
+        for name, learned in metrics["learned"].items()
+    ]
+    header = ("constant", "value", "standard deviation")
+    return [Table(header, rows, "Constants learned.")] if rows else []
 
 
 def _one_row(values: dict[str, float], caption: str) -> Table:

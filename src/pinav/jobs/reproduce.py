@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from pinav.dynamics import AbstractDynamics, Swimmer
@@ -17,14 +16,15 @@ from pinav.evaluation import (
     predict,
     score,
 )
-from pinav.fitting import TrajectoryLoss, curriculum, fit_many, paper_recipe
+from pinav.fitting import fit_many
 from pinav.forces import ZeroForce
 from pinav.jobs.fit import write_losses
+from pinav.jobs.matching import matching
 from pinav.jobs.models import (
     REPRODUCED,
     SEEDLESS,
     build_model,
-    data_moments,
+    data_summary,
     residual,
 )
 from pinav.jobs.progress import FitReporter
@@ -52,7 +52,7 @@ class Entry:
     Attributes:
         name: name of its row.
         seeds: seeds of its network; (None,) where there is nothing random.
-        build: untrained model from known physics, seed and moments of the data.
+        build: untrained model from known physics, seed and summary of the data.
     """
 
     name: str
@@ -110,17 +110,16 @@ def model_file(label: str) -> str:
 
 def _write_fits(entry: Entry, settings, data, folder: RunFolder) -> None:
     """Train, and write losses first: a model file says that all of its fit is there."""
-    known, moments = scenario("paper").truth, data_moments(data)
-    paper = settings.recipe == "paper"
-    models = [entry.build(known, seed, moments) for seed in entry.seeds]
+    known, summary = scenario("paper").truth, data_summary(data)
+    method = matching(settings, data)
+    models = [entry.build(known, seed, summary) for seed in entry.seeds]
     with FitReporter(folder, entry.name) as report:
         fits = fit_many(
             models,
             data,
-            _recipe(settings, data),
+            method.recipe,
             trainable=residual,
-            objective=TrajectoryLoss(FixedStep(substeps=1 if paper else 2)),
-            dtype=jnp.float32 if paper else jnp.float64,
+            **method.options(),
             checkpoint=folder.checkpoint(entry.name),
             on_chunk=report,
         )
@@ -131,23 +130,17 @@ def _write_fits(entry: Entry, settings, data, folder: RunFolder) -> None:
             "name": entry.name,
             "seed": seed,
             "physics": "paper",
-            "dtype": "float32" if paper else "float64",
-            "data": None if paper else moments,
+            "dtype": method.precision,
+            "data": summary,
         }
         folder.write_model(model_file(label), header, fit.model)
-
-
-def _recipe(settings: ReproduceSettings, data: Trajectories):
-    if settings.recipe == "paper":
-        return paper_recipe(settings.adam_steps, settings.lbfgs_steps)
-    return curriculum(data, max_steps=settings.max_steps)
 
 
 def _evaluate(benchmark, data, chosen: Sequence[Entry], folder: RunFolder):
     """Score every model; return the rows and the arrays behind the figures."""
     arrays = {"times": data.times[0], "truth": data.states[0]}
     arrays |= _true_arrays(benchmark.truth, data)
-    moments = data_moments(data)
+    summary = data_summary(data)
 
     def scored(model: str, seed: int | None, dynamics: AbstractDynamics) -> Row:
         predictions, outcomes = predict(dynamics, data)
@@ -157,7 +150,7 @@ def _evaluate(benchmark, data, chosen: Sequence[Entry], folder: RunFolder):
     rows = [scored("physics-only", None, _without_environment(benchmark.truth))]
     for entry in chosen:
         for seed, label in zip(entry.seeds, entry.labels(), strict=True):
-            before = entry.build(benchmark.truth, seed, moments)
+            before = entry.build(benchmark.truth, seed, summary)
             trained = folder.read_model(model_file(label), build_model)
             rows.append(scored(f"{entry.name}-untrained", seed, before))
             rows.append(scored(entry.name, seed, trained))

@@ -60,27 +60,55 @@ class SimulateSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = None
 
 
+ModelName = Literal[
+    "kernel-potential",
+    "kernel-force",
+    "neural-potential",
+    "neural-force",
+    "ude",
+    "physics-only",
+    "nn-only",
+]
+FitRecipeName = Literal["default", "bayes", "curriculum", "paper"]
+
+DEFAULT_RECIPES: dict[str, FitRecipeName] = {
+    "ude": "curriculum",
+    "nn-only": "curriculum",
+}
+"""What `--recipe default` means for a model; `bayes` for all others."""
+
+
 class FitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Settings of `pinav fit`."""
 
     model: Annotated[
-        Literal["ude", "ude-static", "ude-kernel", "nn-only"],
+        ModelName,
         tyro.conf.arg(
-            help="ude: known physics plus a network of position and time; ude-static: "
-            "of position alone; ude-kernel: plus a kernel potential; nn-only: a black "
-            "box."
+            help="What stands for the unknown. kernel-, neural-: a force that depends "
+            "on position alone, -potential: that is conservative; ude: the paper's "
+            "network of position and time; physics-only: nothing (fits --learn); "
+            "nn-only: a black box in place of all physics."
         ),
-    ] = "ude"
+    ] = "kernel-potential"
     recipe: Annotated[
-        RecipeName,
+        FitRecipeName,
         tyro.conf.arg(
-            help="default: Gauss-Newton, from one-step matching to the full rollout; "
-            "paper: Adam, then L-BFGS."
+            help="bayes: noisy or incomplete data, every setting chosen by the "
+            "evidence, with uncertainty; curriculum: noise-free data, Gauss-Newton "
+            "from one-step matching to the full rollout; paper: Adam, then L-BFGS. "
+            "The default is bayes, but curriculum for ude and nn-only."
         ),
     ] = "default"
+    noise: Annotated[
+        float | None,
+        tyro.conf.arg(
+            help="Recipe bayes: standard deviation of the observations; estimated "
+            "unless given."
+        ),
+    ] = None
     learn: Annotated[
         tuple[Literal["damping", "gain"], ...],
-        tyro.conf.arg(help="Known constants to train beside the network."),
+        tyro.conf.arg(help="Known constants to learn beside the unknown."),
     ] = ()
     physics: Annotated[
         str | None,
@@ -93,7 +121,8 @@ class FitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     width: Annotated[int, tyro.conf.arg(help="Neurons of each hidden layer.")] = 32
     depth: Annotated[int, tyro.conf.arg(help="Number of hidden layers.")] = 2
     max_steps: Annotated[
-        int, tyro.conf.arg(help="Default recipe: steps of each window at most.")
+        int,
+        tyro.conf.arg(help="Recipes bayes, curriculum: steps (of a window) at most."),
     ] = 20
     adam_steps: Annotated[int, tyro.conf.arg(help="Paper's recipe: steps of Adam.")] = (
         7500
@@ -108,8 +137,26 @@ class FitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         if self.model == "nn-only" and self.learn:
             raise InputError(
                 "--learn: the model nn-only has no physical constants; drop --learn or "
-                "choose --model ude"
+                "choose another --model"
             )
+        if self.model == "physics-only" and not self.learn:
+            raise InputError(
+                "--model physics-only: there is nothing to fit; add --learn damping"
+            )
+        if self.model in DEFAULT_RECIPES and self.recipe == "bayes":
+            raise InputError(
+                f"--recipe bayes: the model {self.model} has no evidence; choose "
+                "--recipe curriculum, or a kernel or neural model"
+            )
+        if self.noise is not None and self.method != "bayes":
+            raise InputError("--noise: only the recipe bayes uses it; drop --noise")
+
+    @property
+    def method(self) -> str:
+        """The recipe, with `default` resolved."""
+        if self.recipe != "default":
+            return self.recipe
+        return DEFAULT_RECIPES.get(self.model, "bayes")
 
 
 def _check_counts(settings: msgspec.Struct, *names: str) -> None:

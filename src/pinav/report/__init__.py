@@ -11,6 +11,8 @@ from pinav.report.files import save_figure as save_figure
 from pinav.report.maps import force_comparison as force_comparison
 from pinav.report.maps import force_error_map as force_error_map
 from pinav.report.maps import force_map as force_map
+from pinav.report.maps import force_sd_map as force_sd_map
+from pinav.report.observations import observed_paths as observed_paths
 from pinav.report.page import Code as Code
 from pinav.report.page import Image as Image
 from pinav.report.page import Paragraph as Paragraph

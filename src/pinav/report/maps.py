@@ -1,6 +1,7 @@
 """Maps of planar force fields, which show where there was data and where not."""
 
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -87,31 +88,80 @@ def force_error_map(
     return ax
 
 
+def force_sd_map(
+    field: FieldMap,
+    sd: Float[np.ndarray, "rows columns 2"],
+    *,
+    path: Float[np.ndarray, "time 2"] | None = None,
+    limit: float | None = None,
+    units: Mapping[str, str] = DIMENSIONLESS,
+    ax: Axes | None = None,
+) -> Axes:
+    """Posterior standard deviation of a learned force: root sum of both components.
+
+    Args:
+        field: the learned force.
+        sd: standard deviation of each component of it [L T⁻²].
+        path: as for `force_map`.
+        limit: as for `force_map`.
+        units: unit of each channel; "1" means dimensionless.
+        ax: where to draw; a new figure unless given.
+    """
+    size = np.linalg.norm(sd, axis=-1)
+    top = _top(size, field) if limit is None else limit
+    ax = _magnitude_map(size, field, top, ("cividis", r"$\mathrm{sd}(F)$"), units, ax)
+    _overlay(ax, field, path, units, shade=False)
+    return ax
+
+
 def force_comparison(
-    true: FieldMap,
     learned: FieldMap,
     *,
+    true: FieldMap | None = None,
+    sd: Float[np.ndarray, "rows columns 2"] | None = None,
     path: Float[np.ndarray, "time 2"] | None = None,
     units: Mapping[str, str] = DIMENSIONLESS,
 ) -> Figure:
-    """True force, learned force on the same colour scale, and their difference."""
-    figure = new_figure(7.5, 3.5)
-    axes = figure.subplots(1, 3)
-    top = float(np.nanmax(np.linalg.norm(true.force, axis=-1)))
-    force_map(true, path=path, limit=top, shade=False, units=units, ax=axes[0])
-    force_map(learned, path=path, limit=top, units=units, ax=axes[1])
-    force_error_map(learned, true, path=path, units=units, ax=axes[2])
-    for ax, title in zip(axes, ("(a) true", "(b) learned", "(c) error"), strict=True):
-        title_panel(ax, title)
+    """A learned force beside the truth and its error, and beside its uncertainty.
+
+    Args:
+        learned: the learned force.
+        true: the true force on the same grid, where it is known.
+        sd: standard deviation of the learned force [L T⁻²], where it is known.
+        path: as for `force_map`.
+        units: unit of each channel; "1" means dimensionless.
+    """
+    sizes = [np.linalg.norm(f.force, axis=-1) for f in (true, learned) if f is not None]
+    top = float(np.nanmax(sizes[0])) if true is not None else _top(sizes[0], learned)
+    shared = {"path": path, "units": units}
+    panels = {"learned": partial(force_map, learned, limit=top, **shared)}
+    if true is not None:
+        truth = partial(force_map, true, limit=top, shade=False, **shared)
+        error = partial(force_error_map, learned, true, **shared)
+        panels = {"true": truth, **panels, "error": error}
+    if sd is not None:
+        panels["standard deviation"] = partial(force_sd_map, learned, sd, **shared)
+    return _arranged(panels, units, path=path is not None)
+
+
+def _arranged(panels, units, *, path: bool) -> Figure:
+    """Panels side by side, four of them in a square, over one legend."""
+    columns = 2 if len(panels) == 4 else len(panels)
+    rows = -(-len(panels) // columns)
+    figure = new_figure(2.5 * max(columns, 2), 3.5 * rows)
+    axes = np.ravel(figure.subplots(rows, columns))
+    for index, (ax, (name, draw)) in enumerate(zip(axes, panels.items(), strict=True)):
+        draw(ax=ax)
+        title_panel(ax, f"({'abcd'[index]}) {name}")
         legend = ax.get_legend()
         if legend is not None:
             legend.remove()
-    for ax in axes[1:]:
-        ax.set_ylabel("")
+        if index % columns:
+            ax.set_ylabel("")
     figure.legend(
-        handles=_keys(units, path=path is not None, shade=True),
+        handles=_keys(units, path=path, shade=True),
         loc="outside lower center",
-        ncols=4,
+        ncols=4 if columns > 2 else 2,
         fontsize=SMALL,
         frameon=False,
     )
