@@ -110,6 +110,7 @@ class Discovery(eqx.Module):
         central: whether the force is central at all.
         learned_noise: standard deviation of the observations about the learned force.
         num_effective: independent numbers that the data tell about the force.
+        sample: the learned force that the candidates were fitted to first.
     """
 
     candidates: tuple[Candidate, ...]
@@ -118,6 +119,7 @@ class Discovery(eqx.Module):
     central: CentralTest
     learned_noise: float
     num_effective: float
+    sample: ForceSample
 
     @property
     def best(self) -> Candidate:
@@ -182,6 +184,7 @@ def discover(
         central=central_test(sample),
         learned_noise=learned.noise,
         num_effective=learned.num_effective,
+        sample=sample,
     )
 
 
