@@ -207,7 +207,7 @@ def central_test(sample: ForceSample) -> CentralTest:
     tangents = np.stack([-outward[:, 1], outward[:, 0]], axis=1)
     tangential = np.sum(tangents * sample.force, axis=1)
     radial = np.sum(outward * sample.force, axis=1)
-    covariance = _projected(sample.total_covariance, tangents)
+    covariance = projected(sample.total_covariance, tangents)
     mean, variance = np.trace(covariance), 2 * np.sum(covariance**2)
     statistic = float(np.sum(tangential**2))
     p_value = scipy.stats.chi2.sf(
@@ -235,13 +235,16 @@ def _center(sample):
         center = normal @ (rows.T @ (inverse @ targets))
         offsets = sample.positions - center
         arms = np.stack([offsets[:, 1], -offsets[:, 0]], axis=1)
-        covariance = _projected(sample.total_covariance, arms)
+        covariance = projected(sample.total_covariance, arms)
         ridge = 1e-9 * np.trace(covariance) / len(x)
         covariance += ridge * np.eye(len(x))
     return center, np.sqrt(np.diag(normal))
 
 
-def _projected(covariance, directions):
+def projected(
+    covariance: Float[np.ndarray, "component component"],
+    directions: Float[np.ndarray, "point dim"],
+) -> Float[np.ndarray, "point point"]:
     """Covariance of each point's force along its own direction."""
     points = len(directions)
     blocks = covariance.reshape(points, 2, points, 2)

@@ -179,7 +179,7 @@ def _eliminated(columns, states, trajectories):
         unknown = np.full((width - size,) * 2, np.nan)
         return unknown, np.full((count, size, width - size), np.nan)
     rows = np.pad(rows, [(0, 0), (0, max(0, width - rows.shape[1])), (0, 0)])
-    triangles = np.linalg.qr(rows, mode="r")
+    triangles = np.asarray(np.linalg.qr(rows, mode="r"))
     rest = triangles[:, size:, size:]
     inverse = np.linalg.pinv(triangles[:, :size, :size], rcond=1e-14)
     start_rows = inverse @ triangles[:, :size, size:]
