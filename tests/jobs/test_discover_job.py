@@ -1,7 +1,10 @@
 import numpy as np
 import pytest
+from matplotlib.mathtext import MathTextParser
 
 from pinav import cli
+from pinav.analysis.laws import latex
+from pinav.analysis.potentials import POTENTIALS, TWO_GAUSSIANS
 from pinav.jobs.discover import LAWS_FILE, SAMPLE_FILE, text, verdict_lines
 from pinav.jobs.law_report import law_sections
 from pinav.runs import RunFolder
@@ -98,3 +101,9 @@ def test_messages(tmp_path, capsys):
     ):
         assert cli.run(["discover", *argv]) == cli.USAGE_ERROR
         assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("law", [*POTENTIALS, TWO_GAUSSIANS], ids=lambda law: law.name)
+def test_every_formula_can_be_drawn(law):
+    parsed = MathTextParser("path").parse(f"${latex(law)}$")
+    assert parsed.width > 10
