@@ -10,6 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.optimize
 import scipy.stats
 from jaxtyping import Float
 
@@ -224,20 +225,43 @@ def central_test(sample: ForceSample) -> CentralTest:
     )
 
 
-def _center(sample):
-    """The centre and its standard deviations; the weights depend on it, weakly."""
+def _conditions(sample):
+    """F × (x − c) = 0 as rows and targets of a linear problem for c."""
     (x, y), (fx, fy) = sample.positions.T, sample.force.T
-    rows, targets = np.stack([-fy, fx], axis=1), fx * y - fy * x
-    covariance = np.eye(len(x))
-    for _ in range(5):
-        inverse = np.linalg.inv(covariance)
-        normal = np.linalg.pinv(rows.T @ inverse @ rows, rcond=1e-12, hermitian=True)
-        center = normal @ (rows.T @ (inverse @ targets))
+    return np.stack([-fy, fx], axis=1), fx * y - fy * x
+
+
+def _linear_center(sample):
+    """Where the conditions are fulfilled best, all weighted alike."""
+    return np.linalg.lstsq(*_conditions(sample), rcond=1e-12)[0]
+
+
+def _center(sample):
+    """The centre and its standard deviations.
+
+    Linear least squares first. Errors of the force pull that towards the data, so the
+    weights then follow the centre: each condition has the variance of F × (x − c).
+    """
+    rows, targets = _conditions(sample)
+
+    def factor(center):
         offsets = sample.positions - center
         arms = np.stack([offsets[:, 1], -offsets[:, 0]], axis=1)
         covariance = projected(sample.total_covariance, arms)
-        ridge = 1e-9 * np.trace(covariance) / len(x)
-        covariance += ridge * np.eye(len(x))
+        ridge = 1e-9 * np.trace(covariance) / len(rows) + np.finfo(float).tiny
+        return np.linalg.cholesky(covariance + ridge * np.eye(len(rows)))
+
+    def misfit(center):
+        white = np.linalg.solve(factor(center), rows @ center - targets)
+        return float(white @ white)
+
+    start = _linear_center(sample)
+    options = {"xatol": 1e-9 * sample.extent, "fatol": 1e-9, "maxiter": 200}
+    center = scipy.optimize.minimize(
+        misfit, start, method="Nelder-Mead", options=options
+    ).x
+    white = np.linalg.solve(factor(center), rows)
+    normal = np.linalg.pinv(white.T @ white, rcond=1e-12, hermitian=True)
     return center, np.sqrt(np.diag(normal))
 
 
@@ -257,7 +281,7 @@ def landscape(sample: ForceSample) -> Landscape:
     low, high = positions.min(axis=0), positions.max(axis=0)
     margin = 0.5 * sample.extent
     size = np.linalg.norm(force, axis=1)
-    central = np.clip(_center(sample)[0], low - margin, high + margin)
+    central = np.clip(_linear_center(sample), low - margin, high + margin)
     weighted = (size @ positions) / max(size.sum(), np.finfo(float).tiny)
     strong = size >= np.quantile(size, 0.9)
     reach = np.median(np.linalg.norm(positions[strong] - central, axis=1))
