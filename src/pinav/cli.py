@@ -11,6 +11,7 @@ COMMANDS = {
     "simulate": "write the trajectories of a named scenario to a file",
     "fit": "fit a model of the unknown force to trajectories",
     "evaluate": "score a fitted run on trajectories",
+    "discover": "find the law behind the learned force of a run",
     "report": "draw the figures and the HTML page of a run again",
     "bench": "run a benchmark and print its table",
 }

@@ -104,6 +104,23 @@ class EvaluateOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     json: AsJson = False
 
 
+class DiscoverOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Find the law behind the learned force of a run of pinav fit.
+
+    Fits about a dozen potentials and rotational terms to the learned force, refits
+    the best of them to the trajectories, and prints them with 95 % intervals, or
+    that the data do not identify one. Writes laws.json and report.html into the run.
+    """
+
+    run: Annotated[
+        Path, tyro.conf.Positional, tyro.conf.arg(help="Folder of pinav fit.")
+    ]
+    refits: Annotated[
+        int, tyro.conf.arg(help="Number of laws refitted to the trajectories.")
+    ] = 5
+    json: AsJson = False
+
+
 class ReportOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Draw the figures and the HTML page of a finished run again."""
 
@@ -191,6 +208,24 @@ def evaluate(options: EvaluateOptions) -> None:
         print(job.text(metrics))
 
 
+def discover(options: DiscoverOptions) -> None:
+    """`pinav discover`."""
+    if options.refits < 1:
+        raise InputError(f"--refits: expected 1 or more, got {options.refits}")
+    _enable_x64()
+    from pinav.jobs import discover as job
+    from pinav.jobs.reporting import write_report
+    from pinav.runs import RunFolder
+
+    metrics = job.discover(options.run, options.refits)
+    path = write_report(RunFolder.open(options.run))
+    if options.json:
+        _print_json(metrics)
+        return
+    print(job.text(metrics))
+    print(f"report: {path}")
+
+
 def report(options: ReportOptions) -> None:
     """`pinav report`."""
     from pinav.jobs.reporting import write_report
@@ -229,6 +264,7 @@ HANDLERS: dict[str, tuple[type[msgspec.Struct], Callable[[Any], None]]] = {
     "simulate": (SimulateOptions, simulate),
     "fit": (FitOptions, fit),
     "evaluate": (EvaluateOptions, evaluate),
+    "discover": (DiscoverOptions, discover),
     "report": (ReportOptions, report),
 }
 

@@ -8,6 +8,7 @@ import numpy as np
 from pinav.errors import InputError
 from pinav.evaluation import Decomposition
 from pinav.files import write_text
+from pinav.jobs.law_report import law_sections
 from pinav.jobs.reproduce import key_of, stored_field
 from pinav.jobs.table2 import DIFFERENCES, PAPER, ROWS
 from pinav.report import (
@@ -262,7 +263,7 @@ def _fitted(folder: RunFolder) -> list[Section]:
         sections.append(
             Section("The learned force", _learned_force(folder, data, arrays, metrics))
         )
-    return sections
+    return [*sections, *law_sections(folder, data.units)]
 
 
 def _paths(folder: RunFolder, data: Trajectories, arrays) -> Image:

@@ -8,6 +8,9 @@ from pinav.report.figures import trajectory as trajectory
 from pinav.report.figures import velocity as velocity
 from pinav.report.files import FigureFiles as FigureFiles
 from pinav.report.files import save_figure as save_figure
+from pinav.report.laws import law_agreement as law_agreement
+from pinav.report.laws import law_figure as law_figure
+from pinav.report.laws import law_ranking as law_ranking
 from pinav.report.maps import force_comparison as force_comparison
 from pinav.report.maps import force_error_map as force_error_map
 from pinav.report.maps import force_map as force_map

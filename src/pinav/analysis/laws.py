@@ -1,0 +1,262 @@
+r"""Laws: formulas of a force in the plane, with named constants.
+
+A law is written once, for numbers and for symbols alike: its formulas take the module
+that supplies `exp` and the like, `jax.numpy` or `sympy`. So the force that is fitted
+and the formula that is printed cannot disagree.
+"""
+
+import abc
+import dataclasses
+import enum
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from pinav.errors import InputError
+from pinav.forces import AbstractForce
+
+
+class Role(enum.Enum):
+    """What a constant is, and so against what its uncertainty is judged."""
+
+    AMPLITUDE = "amplitude"
+    POSITION = "position"
+    SCALE = "scale"
+    ANGLE = "angle"
+
+
+@dataclasses.dataclass(frozen=True)
+class Constant:
+    """A constant of a law.
+
+    Attributes:
+        name: in words, as `height`.
+        symbol: as it is written in LaTeX.
+        role: amplitudes enter the force linearly, scales are positive.
+        unit: dimension in length L and time T; "1" means dimensionless.
+    """
+
+    name: str
+    symbol: str
+    role: Role
+    unit: str = "L"
+
+
+@dataclasses.dataclass(frozen=True)
+class Landscape:
+    """What the starts of a fit need to know of a force field.
+
+    Attributes:
+        centers: where the centre of a central force may be [L].
+        lengths: from short to long, at which the force may change [L].
+        direction: angle of the axis along which the force is strongest.
+        extent: longest side of the box around the points [L].
+    """
+
+    centers: tuple[tuple[float, float], ...]
+    lengths: tuple[float, ...]
+    direction: float
+    extent: float
+
+
+class AbstractLaw(abc.ABC):
+    r"""A family of forces $F = -\nabla U + R$ in the plane.
+
+    $c$ stands for the constants, in their order. Wherever `ops` appears, it is the
+    module of the elementary functions: `jax.numpy`, or `sympy`.
+
+    Attributes:
+        name: what tables call it.
+        constants: its constants, in order.
+    """
+
+    name: str
+    constants: tuple[Constant, ...]
+
+    @abc.abstractmethod
+    def potential(self, c: Any, x: Any, y: Any, ops: Any) -> Any:
+        """Potential energy per mass U [L² T⁻²] of the conservative part."""
+
+    @abc.abstractmethod
+    def rotation(self, c: Any, x: Any, y: Any, ops: Any) -> tuple[Any, Any]:
+        """Components of the part R [L T⁻²] that has no potential."""
+
+    @abc.abstractmethod
+    def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
+        """Constants from which a fit may start, whatever their amplitudes."""
+
+    def __add__(self, other: "AbstractLaw") -> "SumLaw":
+        """The law of the sum of two forces."""
+        return SumLaw((*_terms(self), *_terms(other)))
+
+    def indices(self, role: Role) -> list[int]:
+        """Where the constants of that role stand."""
+        return [i for i, own in enumerate(self.constants) if own.role is role]
+
+
+class AbstractPotential(AbstractLaw):
+    """A conservative law: all of it has a potential."""
+
+    def rotation(self, c, x, y, ops):
+        return 0, 0
+
+
+class AbstractRotation(AbstractLaw):
+    """A law without any potential."""
+
+    def potential(self, c, x, y, ops):
+        return 0
+
+
+@dataclasses.dataclass(frozen=True)
+class SumLaw(AbstractLaw):
+    """The sum of laws; where constants share a name they are numbered by their term.
+
+    Attributes:
+        terms: the laws that add up.
+        name: their names.
+        constants: theirs, one term after the other.
+    """
+
+    terms: tuple[AbstractLaw, ...]
+    name: str = dataclasses.field(init=False)
+    constants: tuple[Constant, ...] = dataclasses.field(init=False)
+
+    def __post_init__(self):
+        own = [(i, c) for i, t in enumerate(self.terms, 1) for c in t.constants]
+        names = [constant.name for _, constant in own]
+        numbered = tuple(_numbered(c, i, names.count(c.name)) for i, c in own)
+        object.__setattr__(self, "name", " + ".join(t.name for t in self.terms))
+        object.__setattr__(self, "constants", numbered)
+
+    def potential(self, c, x, y, ops):
+        return sum(t.potential(own, x, y, ops) for t, own in self._split(c))
+
+    def rotation(self, c, x, y, ops):
+        parts = [t.rotation(own, x, y, ops) for t, own in self._split(c)]
+        return sum(part[0] for part in parts), sum(part[1] for part in parts)
+
+    def shapes(self, landscape):
+        """The first shape of every term; sums start from fits of their terms."""
+        return [sum((term.shapes(landscape)[0] for term in self.terms), ())]
+
+    def _split(self, c):
+        start = 0
+        for term in self.terms:
+            end = start + len(term.constants)
+            yield term, c[start:end]
+            start = end
+
+
+class LawForce(AbstractForce):
+    """The force of a law with given constants; at home in the plane.
+
+    Attributes:
+        law: the formula; fixed.
+        constants: the values of its constants, in order: what trains.
+
+    Raises:
+        InputError: there are more or fewer values than constants.
+    """
+
+    law: AbstractLaw = eqx.field(static=True)
+    constants: Float[Array, " constant"]
+
+    def __check_init__(self):
+        expected = (len(self.law.constants),)
+        if np.shape(self.constants) != expected:
+            raise InputError(
+                f"LawForce.constants: {self.law.name} expects shape {expected}, got "
+                f"{np.shape(self.constants)}"
+            )
+
+    def potential(self, x: Float[Array, "2"]) -> Float[Array, ""]:
+        """Potential energy per mass [L² T⁻²] of the conservative part."""
+        value = self.law.potential(self.constants, x[0], x[1], jnp)
+        return jnp.zeros((), x.dtype) + value
+
+    def __call__(self, t, x, v):
+        rotation = self.law.rotation(self.constants, x[0], x[1], jnp)
+        return -jax.grad(self.potential)(x) + jnp.stack(
+            [jnp.zeros((), x.dtype) + part for part in rotation]
+        )
+
+
+class LawExpressions(eqx.Module):
+    """A law in SymPy.
+
+    Attributes:
+        symbols: x, y and the constants, by name.
+        potential: of the conservative part.
+        rotation: the two components of the rest.
+        force: the two components of the whole force.
+    """
+
+    symbols: dict[str, Any]
+    potential: Any
+    rotation: tuple[Any, Any]
+    force: tuple[Any, Any]
+
+
+def expressions(law: AbstractLaw) -> LawExpressions:
+    """The formulas of a law as SymPy expressions, symbols for its constants."""
+    import sympy
+
+    x, y = sympy.symbols("x y", real=True)
+    constants = {
+        own.name: sympy.Symbol(
+            own.symbol, real=True, positive=True if own.role is Role.SCALE else None
+        )
+        for own in law.constants
+    }
+    values = tuple(constants.values())
+    potential = sympy.sympify(law.potential(values, x, y, sympy))
+    first, second = map(sympy.sympify, law.rotation(values, x, y, sympy))
+    force = (first - sympy.diff(potential, x), second - sympy.diff(potential, y))
+    symbols = {"x": x, "y": y} | constants
+    return LawExpressions(symbols, potential, (first, second), force)
+
+
+def latex(law: AbstractLaw) -> str:
+    """The law in LaTeX, symbols for its constants; without dollar signs."""
+    import sympy
+
+    formulas = expressions(law)
+    lines = []
+    if formulas.potential != 0:
+        lines.append(f"U = {sympy.latex(formulas.potential)}")
+    if formulas.rotation != (0, 0):
+        column = sympy.latex(sympy.Matrix(formulas.rotation))
+        lines.append(f"R = {column}")
+    return r",\quad ".join(lines) or "F = 0"
+
+
+def sympy_text(law: AbstractLaw, constants: Float[np.ndarray, " constant"]) -> str:
+    """Both components of the force with numbers, as SymPy prints and parses them."""
+    import sympy
+
+    formulas = expressions(law)
+    names = [own.name for own in law.constants]
+    values = {
+        formulas.symbols[name]: sympy.Float(float(value), 8)
+        for name, value in zip(names, constants, strict=True)
+    }
+    return str(tuple(part.subs(values) for part in formulas.force))
+
+
+def _terms(law: AbstractLaw) -> tuple[AbstractLaw, ...]:
+    return law.terms if isinstance(law, SumLaw) else (law,)
+
+
+def _numbered(constant: Constant, term: int, count: int) -> Constant:
+    """The constant with the number of its term, where several share its name."""
+    if count == 1:
+        return constant
+    body, _, index = constant.symbol.partition("_")
+    inner = index.strip("{}")
+    symbol = f"{body}_{{{inner},{term}}}" if inner else f"{body}_{{{term}}}"
+    return dataclasses.replace(constant, name=f"{constant.name}_{term}", symbol=symbol)
