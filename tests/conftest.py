@@ -4,6 +4,7 @@ import os
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
+os.environ["JAX_ENABLE_COMPILATION_CACHE"] = "false"  # nothing is left behind
 
 import hypothesis
 import jax

@@ -2,6 +2,7 @@ import json
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -53,7 +54,8 @@ def test_version(capsys):
 
 
 def test_every_listed_command_has_a_handler():
-    assert commands.HANDLERS.keys() == cli.COMMANDS.keys()
+    own_words = {"bench"}  # what it runs parses its own options
+    assert commands.HANDLERS.keys() | own_words == cli.COMMANDS.keys()
 
 
 @pytest.mark.parametrize(
@@ -189,3 +191,29 @@ def test_json_output_is_json_alone(tiny_fit, capsys):
     run, data = tiny_fit
     assert cli.run(["evaluate", str(run), str(data), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["trajectories"] == 1
+
+
+def test_compiled_code_is_kept_for_this_machine(tmp_path):
+    variables = cli.compilation_cache({"XDG_CACHE_HOME": str(tmp_path)})
+    folder = Path(variables["JAX_COMPILATION_CACHE_DIR"])
+    assert folder.parent == tmp_path / "pinav"
+    assert folder.is_dir()
+    assert int(variables["JAX_COMPILATION_CACHE_MAX_SIZE"]) > 0
+
+
+@pytest.mark.parametrize(
+    "choice",
+    [
+        {"JAX_COMPILATION_CACHE_DIR": "mine"},
+        {"JAX_ENABLE_COMPILATION_CACHE": "false"},
+    ],
+)
+def test_what_is_said_of_compiled_code_is_obeyed(tmp_path, choice):
+    assert cli.compilation_cache({"XDG_CACHE_HOME": str(tmp_path), **choice}) == {}
+    assert not any(tmp_path.iterdir())
+
+
+def test_compiled_code_is_not_kept_where_it_cannot_be(tmp_path):
+    file = tmp_path / "file"
+    file.write_text("")
+    assert cli.compilation_cache({"XDG_CACHE_HOME": str(file)}) == {}

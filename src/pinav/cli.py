@@ -1,8 +1,10 @@
 """The command line: parses, calls a job, prints. One module per command is loaded."""
 
+import contextlib
 import os
+import platform
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from pinav import __version__
 
@@ -17,6 +19,9 @@ COMMANDS = {
 }
 
 USAGE_ERROR, INTERRUPTED = 2, 130
+
+CACHE_BYTES = 256 * 2**20
+"""Compiled code kept on disk; the oldest goes first."""
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -42,6 +47,8 @@ def run(argv: Sequence[str]) -> int:
         )
     # Two pools of threads on the same cores slow small factorisations tenfold.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    if argv[0] != "bench":  # which measures cold processes
+        os.environ.update(compilation_cache(os.environ))
     from pinav import commands
     from pinav.errors import FitError, InputError
 
@@ -60,6 +67,33 @@ def run(argv: Sequence[str]) -> int:
     except KeyboardInterrupt:
         return _complain(_how_to_go_on(argv), code=INTERRUPTED)
     return 0
+
+
+def compilation_cache(environ: Mapping[str, str]) -> dict[str, str]:
+    """Variables that let JAX keep on disk what it compiled; none where it may not.
+
+    One folder for each machine: compiled code is for its processor. Set
+    `JAX_COMPILATION_CACHE_DIR` for another place, or
+    `JAX_ENABLE_COMPILATION_CACHE=false`.
+
+    Args:
+        environ: the environment; what it says of the cache is left to it.
+    """
+    if environ.get("JAX_ENABLE_COMPILATION_CACHE", "").lower() in ("false", "0"):
+        return {}
+    if "JAX_COMPILATION_CACHE_DIR" in environ:
+        return {}
+    base = environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    folder = os.path.join(base, "pinav", platform.node() or "machine")
+    with contextlib.suppress(OSError):
+        os.makedirs(folder, exist_ok=True)
+    if not os.access(folder, os.W_OK):
+        return {}
+    return {
+        "JAX_COMPILATION_CACHE_DIR": folder,
+        "JAX_COMPILATION_CACHE_MAX_SIZE": str(CACHE_BYTES),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
+    }
 
 
 def overview() -> str:

@@ -29,7 +29,7 @@ def minimise(phase, loss, params):
             *carry, value = phase.step(loss, *carry)
             return tuple(carry), value
 
-        carry = (params, phase.init(loss, params))
+        carry = (params, phase.init(loss, params, loss(params)))
         (params, state), values = jax.lax.scan(body, carry, length=phase.num_steps)
         return phase.finish(loss, params, state), values
 

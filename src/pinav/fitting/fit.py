@@ -178,7 +178,9 @@ class _FitTask(eqx.Module):
         """State of the minimiser at the start of a phase; nothing after the last."""
         if phase == len(self.recipe):
             return ()
-        return _begin_phase(self.problem, self.recipe[phase], params, self.at_once)
+        values = _member_losses(self.problem, params, self.at_once)
+        members = (params, values)
+        return _begin_phase(self.problem, self.recipe[phase], members, self.at_once)
 
     def advance(self, state, checkpoint, on_chunk) -> FitState:
         """Run one chunk, and begin the next phase where this one is done."""
@@ -287,8 +289,8 @@ def _for_each(function, problem: Problem, members: tuple, at_once: int | None):
 
 
 @eqx.filter_jit
-def _begin_phase(problem: Problem, phase: AbstractPhase, params: PyTree, at_once):
-    return _for_each(phase.init, problem, (params,), at_once)
+def _begin_phase(problem: Problem, phase: AbstractPhase, members: tuple, at_once):
+    return _for_each(phase.init, problem, members, at_once)
 
 
 @eqx.filter_jit

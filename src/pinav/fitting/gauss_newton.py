@@ -84,12 +84,12 @@ class GaussNewton(AbstractPhase):
     def chunk_steps(self):
         return 1
 
-    def init(self, loss, params):
+    def init(self, loss, params, value):
         theta, _ = ravel_pytree(params)
         return _State(
             damping=jnp.asarray(1e-2, theta.dtype),
             slow=jnp.zeros((), int),
-            full=_Windows.of(loss, params, self).full_error(theta),
+            full=jnp.sqrt(value / _Windows.of(loss, params, self).count),
             done=jnp.zeros((), bool),
         )
 
@@ -206,18 +206,18 @@ class _Windows(eqx.Module):
     def jacobian(self, theta, starts) -> Float[Array, "residual parameter"]:
         """Derivative of the residuals, by all local sensitivities at once."""
 
-        def step(theta, y, t0, t1):
+        def step(both, t0, t1):
+            theta, y = both
             return self.solver.step(self.problem.model(self.unravel(theta)), y, t0, t1)
+
+        def local(y, t0, t1):
+            return jax.jacrev(step)((theta, y), t0, t1)  # both from the same sweep
 
         def one(inputs):
             times, starts, restart, observed = inputs
-            t0, t1 = times[:-1], times[1:]
-            of_state = jax.vmap(jax.jacfwd(step, 1), (None, 0, 0, 0))
-            of_theta = jax.vmap(jax.jacrev(step), (None, 0, 0, 0))
-            matrices = jnp.where(
-                restart[:, None, None], 0.0, of_state(theta, starts, t0, t1)
-            )
-            rows = _sensitivities(matrices, of_theta(theta, starts, t0, t1))
+            sources, matrices = jax.vmap(local)(starts, times[:-1], times[1:])
+            matrices = jnp.where(restart[:, None, None], 0.0, matrices)
+            rows = _sensitivities(matrices, sources)
             return jnp.where(observed[1:, :, None], rows, 0.0)
 
         # A few trajectories at a time: the sources of all would need as much memory

@@ -32,8 +32,8 @@ class AbstractPhase(eqx.Module):
         """Number of steps."""
 
     @abc.abstractmethod
-    def init(self, loss: Loss, params: PyTree) -> PyTree:
-        """State of the minimiser before its first step."""
+    def init(self, loss: Loss, params: PyTree, value: Float[Array, ""]) -> PyTree:
+        """State of the minimiser before its first step; `value` is the loss there."""
 
     @abc.abstractmethod
     def step(
@@ -84,7 +84,7 @@ class Adam(AbstractPhase):
     def num_steps(self):
         return self.steps
 
-    def init(self, loss, params):
+    def init(self, loss, params, value):
         return optax.adam(self.learning_rate).init(params)
 
     def step(self, loss, params, state):
@@ -138,8 +138,8 @@ class LBFGS(AbstractPhase):
     def num_steps(self):
         return self.steps
 
-    def init(self, loss, params):
-        value, gradient = jax.value_and_grad(loss)(params)
+    def init(self, loss, params, value):
+        gradient = jax.grad(loss)(params)
         return optax.scale_by_lbfgs(self.memory).init(params), value, gradient
 
     def step(self, loss, params, state):
@@ -185,12 +185,9 @@ class BestSoFar(AbstractPhase):
     def num_steps(self):
         return self.phase.num_steps
 
-    def init(self, loss, params):
-        return (
-            self.phase.init(loss, params),
-            params,
-            jnp.full_like(loss(params), jnp.inf),
-        )
+    def init(self, loss, params, value):
+        inner = self.phase.init(loss, params, value)
+        return inner, params, jnp.full_like(value, jnp.inf)
 
     def step(self, loss, params, state):
         inner, best, best_value = state
