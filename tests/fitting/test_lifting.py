@@ -7,6 +7,7 @@ import pytest
 from pinav.dynamics import Swimmer
 from pinav.fitting.lifting import (
     advanced,
+    eliminate,
     freed,
     linearise,
     predict,
@@ -180,3 +181,25 @@ def test_a_prediction_leaves_the_squares_and_the_gradient_of_the_linearisation(p
     )
     moved = advanced(states, found, jnp.zeros_like(theta))
     np.testing.assert_allclose(here.states, moved, atol=1e-9)
+
+
+def test_starts_are_eliminated_to_all_digits_from_an_unstable_path():
+    rng = np.random.default_rng(0)
+    basis, _ = np.linalg.qr(rng.normal(size=(40, 3)))
+    growth = np.diag([1.0, 1e4, 1e9]) @ rng.normal(size=(3, 3))
+    others = rng.normal(size=(40, 5))
+    rows = np.concatenate([others[:, :2], basis @ growth, others[:, 2:]], axis=1)
+    rest, factor, start_rows = eliminate(jnp.asarray(rows), 2, 3)
+    expected = others - basis @ (basis.T @ others)
+    np.testing.assert_allclose(rest, expected, atol=1e-6)  # 1e-16 times 1e9, and more
+    gram = growth.T @ growth
+    np.testing.assert_allclose(factor.T @ factor, gram, atol=1e-14 * gram.max())
+    left = others - rows[:, 2:5] @ np.asarray(start_rows)
+    np.testing.assert_allclose(left, expected, atol=1e-5)
+
+
+def test_fewer_rows_than_starts_leave_nothing():
+    rng = np.random.default_rng(1)
+    rest, factor, _ = eliminate(jnp.asarray(rng.normal(size=(2, 7))), 3, 4)
+    np.testing.assert_allclose(rest, 0.0, atol=1e-13)
+    assert factor.shape == (4, 4)

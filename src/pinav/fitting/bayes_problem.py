@@ -20,7 +20,6 @@ from pinav.fitting.evidence import (
     FlatBlock,
     Hyperparameters,
     Quadratic,
-    is_singular,
     joint_posterior,
     without_flat,
 )
@@ -139,7 +138,7 @@ class BayesProblem(eqx.Module):
         linear = linearise(
             self.free, jnp.asarray(theta), states, self.observations, self.solver
         )
-        if not np.all(np.isfinite(linear.start_information)):
+        if not np.all(np.isfinite(linear.start_factor)):
             return None
         _check_starts(linear)
         if not np.all(np.isfinite(linear.hessian)):
@@ -176,14 +175,14 @@ class BayesProblem(eqx.Module):
         return precision
 
     def quadratic(self, theta, linear: Linearisation) -> Quadratic:
-        starts = np.asarray(linear.start_information)
+        diagonals = np.diagonal(np.asarray(linear.start_factor), axis1=1, axis2=2)
         return Quadratic(
             theta,
             np.asarray(linear.hessian),
             np.asarray(linear.gradient),
             float(linear.squares),
             num_free=self.num_free,
-            log_determinant=float(np.linalg.slogdet(starts).logabsdet.sum()),
+            log_determinant=2 * float(np.log(np.abs(diagonals)).sum()),
         )
 
     def with_shape_uncertainty(self, step: Step) -> Posterior:
@@ -296,8 +295,11 @@ def _spread(states, lengths):
 
 
 def _check_starts(linear: Linearisation) -> None:
-    for index, matrix in enumerate(np.asarray(linear.start_information)):
-        if is_singular(matrix):
+    for index, factor in enumerate(np.asarray(linear.start_factor)):
+        lengths = np.linalg.norm(factor, axis=0)
+        if lengths.all():
+            values = np.linalg.svd(factor / lengths, compute_uv=False)
+        if not lengths.all() or values[-1] < 1e-13 * values[0]:
             raise FitError(
                 f"the fit is singular: the observations of trajectory {index} do not "
                 "determine its start; drop the trajectory"

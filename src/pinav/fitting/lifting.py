@@ -18,7 +18,6 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, PyTree
 
@@ -120,7 +119,7 @@ class Linearisation(eqx.Module):
         gradient: $g$.
         squares: $q$.
         columns: see `Sensitivities`.
-        start_information: $\Phi^\top\Phi$ over the observed entries.
+        start_factor: R, where $R^\top R = \Phi^\top\Phi$ over the observed entries.
         start_rows: $\delta s = -$ (these rows applied to $(\delta\theta, 1)$).
         defects: the largest defect of each channel.
     """
@@ -129,7 +128,7 @@ class Linearisation(eqx.Module):
     gradient: Float[Array, " parameter"]
     squares: Float[Array, ""]
     columns: Float[Array, "trajectory time state column"]
-    start_information: Float[Array, "trajectory state state"]
+    start_factor: Float[Array, "trajectory state state"]
     start_rows: Float[Array, "trajectory state row"]
     defects: Float[Array, " state"]
 
@@ -153,12 +152,10 @@ def linearise(
         residuals = states + reach[..., -1] - data
         rows = jnp.concatenate([reach[..., :-1], residuals[..., None]], axis=2)
         rows = jnp.where(observed[..., None], rows, 0.0).reshape(-1, rows.shape[2])
-        reduced, information, start_rows = eliminate(
-            rows.T @ rows, theta.shape[0], states.shape[1]
-        )
-        return reduced, information, start_rows, reach, local.defects
+        rest, factor, start_rows = eliminate(rows, theta.shape[0], states.shape[1])
+        return rest.T @ rest, factor, start_rows, reach, local.defects
 
-    reduced, information, start_rows, columns, defects = jax.vmap(one)(
+    reduced, factors, start_rows, columns, defects = jax.vmap(one)(
         states, observations.times, observations.states, observations.observed
     )
     total = reduced.sum(axis=0)
@@ -167,31 +164,37 @@ def linearise(
         gradient=total[:-1, -1],
         squares=total[-1, -1],
         columns=columns,
-        start_information=information,
+        start_factor=factors,
         start_rows=start_rows,
         defects=jnp.abs(defects).max(axis=(0, 1)),
     )
 
 
 def eliminate(
-    gram: Float[Array, "all all"], first: int, count: int
+    rows: Float[Array, "row all"], first: int, count: int
 ) -> tuple[
-    Float[Array, "rest rest"],
+    Float[Array, "left rest"],
     Float[Array, "count count"],
     Float[Array, "count rest"],
 ]:
-    """Minimise a quadratic form over `count` of its unknowns, from index `first` on.
+    """Minimise a sum of squares over `count` of its unknowns, from column `first` on.
+
+    By an orthogonal factorisation: a normal matrix would have the square of its
+    condition, and an unstable path makes that of a start as bad as 1e8.
 
     Returns:
-        The Schur complement, the eliminated block, and the rows that give its
-        unknowns, up to sign, from the rest.
+        What is left of the other columns, the triangular factor of the eliminated ones,
+        and the rows that give their unknowns, up to sign, from the rest.
     """
-    chosen = np.arange(first, first + count)
-    rest = np.delete(np.arange(gram.shape[0]), chosen)
-    information = gram[np.ix_(chosen, chosen)]
-    border = gram[np.ix_(chosen, rest)]
-    rows = jnp.linalg.solve(information, border)
-    return gram[np.ix_(rest, rest)] - border.T @ rows, information, rows
+    chosen = rows[:, first : first + count]
+    others = jnp.concatenate([rows[:, :first], rows[:, first + count :]], axis=1)
+    if rows.shape[0] < count:
+        padding = ((0, count - rows.shape[0]), (0, 0))
+        chosen, others = jnp.pad(chosen, padding), jnp.pad(others, padding)
+    basis, factor = jnp.linalg.qr(chosen)
+    along = basis.T @ others
+    start_rows = jax.scipy.linalg.solve_triangular(factor, along)
+    return others - basis @ along, factor, start_rows
 
 
 @eqx.filter_jit
@@ -241,9 +244,8 @@ def predict(
         seen = observed[..., None]
         by_start = jnp.where(seen, columns[..., :-1], 0.0).reshape(-1, state)
         residuals = jnp.where(observed, states + columns[..., -1] - data, 0.0)
-        start = -jnp.linalg.solve(
-            by_start.T @ by_start, by_start.T @ residuals.reshape(-1)
-        )
+        rows = jnp.concatenate([by_start, residuals.reshape(-1, 1)], axis=1)
+        start = -eliminate(rows, 0, state)[2][:, 0]
         change = columns @ jnp.append(start, 1.0)
         moved = states + change
         return jnp.where(observed, moved - data, 0.0), moved
