@@ -9,6 +9,7 @@ from pinav.dynamics import NeuralDynamics, Swimmer
 from pinav.errors import InputError
 from pinav.fitting import (
     WITHOUT_PRIOR,
+    FitOutcome,
     GaussNewton,
     Observations,
     Problem,
@@ -171,7 +172,9 @@ def test_barrier_and_damping_are_found_exactly(data):
         trainable=lambda m: (m.environment, m.drag.damping),
         objective=TrajectoryLoss(FixedStep(substeps=4)),
         dtype=jnp.float64,
-    ).model
+    )
+    assert found.outcome is FitOutcome.CONVERGED
+    found = found.model
     assert found.environment.height == pytest.approx(2.0, rel=1e-7)
     np.testing.assert_allclose(found.environment.center, [1.0, 0.2], rtol=1e-6)
     assert found.drag.damping == pytest.approx(0.5, rel=1e-7)
@@ -209,3 +212,20 @@ def test_bad_requests_are_refused(data):
             objective=TrajectoryLoss(Adaptive()),
             dtype=jnp.float64,
         )
+
+
+def test_outcomes_tell_converged_from_stalled(data):
+    full = jnp.asarray(10**6)
+    few = (GaussNewton(full, target=1e-12, steps=1),)
+    hasty = learn_environment(kernel_swimmer(data), data, few)
+    assert hasty.outcome is FitOutcome.STALLED
+    drag = fit(  # a constant that cannot explain the barrier: the best one is reached
+        eqx.tree_at(lambda s: s.environment, TRUTH, ZeroForce()),
+        data,
+        (GaussNewton(full, target=1e-9, patience=jnp.asarray(3)),),
+        trainable=lambda m: m.drag.damping,
+        objective=TrajectoryLoss(FixedStep()),
+        dtype=jnp.float64,
+    )
+    assert drag.losses[-1] > 1e-3
+    assert drag.outcome is FitOutcome.CONVERGED

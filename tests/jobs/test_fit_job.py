@@ -22,6 +22,7 @@ def test_fit_learns_and_reports_what_was_asked(tiny_fit):
     run, _ = tiny_fit
     metrics = RunFolder.open(run).read_json("metrics.json")
     assert metrics["loss"]["end"] < metrics["loss"]["start"]
+    assert metrics["outcome"] == "completed"
     assert metrics["learned"].keys() == {"damping"}
     assert metrics["learned"]["damping"]["value"] != pytest.approx(0.36, abs=1e-6)
     assert metrics["learned"]["damping"]["sd"] is None

@@ -175,9 +175,9 @@ class _FitTask(eqx.Module):
         return FitState(params, minimiser, losses, (0,) * (phase + 1), 0)
 
     def begin(self, phase: int, params: PyTree) -> PyTree:
-        """State of the minimiser at the start of a phase; nothing after the last."""
+        """State of the minimiser at the start of a phase; outcomes after the last."""
         if phase == len(self.recipe):
-            return ()
+            return jnp.zeros(jax.tree.leaves(params)[0].shape[0], int)
         values = _member_losses(self.problem, params, self.at_once)
         members = (params, values)
         return _begin_phase(self.problem, self.recipe[phase], members, self.at_once)
@@ -200,8 +200,10 @@ class _FitTask(eqx.Module):
         if count == left or bool(done):
             params = _finish_phase(self.problem, phase, params, minimiser, self.at_once)
             starts = (*starts, taken)
+            outcomes = jax.vmap(phase.outcome)(minimiser)
             minimiser = self.begin(len(starts) - 1, params)
             if len(starts) > len(self.recipe):
+                minimiser = outcomes.astype(minimiser.dtype)
                 final = _member_losses(self.problem, params, self.at_once)
                 losses = losses.at[:, taken].set(final.astype(losses.dtype))
         chunk = np.asarray(losses)[:, state.taken : taken]
@@ -223,7 +225,8 @@ class _FitTask(eqx.Module):
                 for params in (state.params, start.params)
             )
             finite = bool(np.isfinite(losses[member, -1]))
-            outcome = FitOutcome.COMPLETED if finite else FitOutcome.DIVERGED
+            judged = FitOutcome(int(state.minimiser[member]))
+            outcome = judged if finite else FitOutcome.DIVERGED
             return Fit(model, initial, losses[member], phases, outcome)
 
         return [one(member) for member in range(losses.shape[0])]

@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from pinav.errors import InputError
 from pinav.fitting.phases import AbstractPhase
+from pinav.fitting.records import FitOutcome
 from pinav.solvers import FixedStep
 
 BATCH = 4
@@ -90,6 +91,7 @@ class GaussNewton(AbstractPhase):
             damping=jnp.asarray(1e-2, theta.dtype),
             slow=jnp.zeros((), int),
             full=jnp.sqrt(value / _Windows.of(loss, params, self).count),
+            promised=jnp.ones((), theta.dtype),
             done=jnp.zeros((), bool),
         )
 
@@ -118,8 +120,9 @@ class GaussNewton(AbstractPhase):
         slow = jnp.where(costs[best] > 0.81 * cost, state.slow + 1, 0)
         done = state.done | (full < self.target) | (slow >= self.patience)
         damping = jnp.where(lower, dampings[best], 100.0 * state.damping)
+        promised = _promised(residual, left, scale, dampings[0]) / cost
         value = windows.count * state.full**2
-        return unravel(moved), _State(damping, slow, full, done), value
+        return unravel(moved), _State(damping, slow, full, promised, done), value
 
     def finish(self, loss, params, state):
         return params
@@ -127,13 +130,30 @@ class GaussNewton(AbstractPhase):
     def is_done(self, state):
         return state.done
 
+    def outcome(self, state):
+        there = (state.full < self.target) | (state.promised < NEGLIGIBLE)
+        return jnp.where(there, FitOutcome.CONVERGED, FitOutcome.STALLED)
+
+
+NEGLIGIBLE = 1e-3
+"""Share of the squares that a linear step promises to save, below which none counts."""
+
 
 class _State(eqx.Module):
-    """Damping, slow steps in a row, rms of the full rollout, and whether done."""
+    """Where a phase stands.
+
+    Attributes:
+        damping: of the step taken last.
+        slow: slow steps in a row.
+        full: root-mean-square residual of the full rollout.
+        promised: share of the squares that the linear model promised to save.
+        done: whether the phase has ended.
+    """
 
     damping: Float[Array, ""]
     slow: Int[Array, ""]
     full: Float[Array, ""]
+    promised: Float[Array, ""]
     done: Bool[Array, ""]
 
 
@@ -264,6 +284,13 @@ def _orthonormal(columns):
         lengths = jnp.sqrt(jnp.maximum(values, floor * values[-1]))
         columns = columns @ vectors / lengths[None]
     return columns
+
+
+def _promised(residual, left, scale, damping):
+    """By how much the linear model says that a damped step lowers the squares."""
+    along = left.T @ residual
+    kept = damping / (scale**2 + damping)
+    return along @ along - (kept * along) @ (kept * along)
 
 
 def chord(residuals, linear, damping, num_steps):

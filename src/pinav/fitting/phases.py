@@ -10,9 +10,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Bool, Float, PyTree
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from pinav.errors import InputError
+from pinav.fitting.records import FitOutcome
 
 Loss = Callable[[PyTree], Float[Array, ""]]
 """Loss of the parameters; a `Problem` is one, and tells a phase more if it asks."""
@@ -48,6 +49,10 @@ class AbstractPhase(eqx.Module):
     @abc.abstractmethod
     def is_done(self, state: PyTree) -> Bool[Array, ""]:
         """Whether further steps are pointless; a done phase no longer moves."""
+
+    @abc.abstractmethod
+    def outcome(self, state: PyTree) -> Int[Array, ""]:
+        """The `FitOutcome` of a phase that ended in this state."""
 
     @property
     @abc.abstractmethod
@@ -97,6 +102,9 @@ class Adam(AbstractPhase):
 
     def is_done(self, state):
         return jnp.zeros((), bool)
+
+    def outcome(self, state):
+        return jnp.asarray(FitOutcome.COMPLETED)
 
     @property
     def chunk_steps(self):
@@ -163,6 +171,9 @@ class LBFGS(AbstractPhase):
     def is_done(self, state):
         return jnp.zeros((), bool)
 
+    def outcome(self, state):
+        return jnp.asarray(FitOutcome.COMPLETED)
+
     @property
     def chunk_steps(self):
         return 25
@@ -203,6 +214,9 @@ class BestSoFar(AbstractPhase):
 
     def is_done(self, state):
         return self.phase.is_done(state[0])
+
+    def outcome(self, state):
+        return self.phase.outcome(state[0])
 
     @property
     def chunk_steps(self):

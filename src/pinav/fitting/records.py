@@ -12,10 +12,21 @@ from pinav.dynamics import AbstractDynamics
 
 
 class FitOutcome(enum.IntEnum):
-    """How a fit ended."""
+    """How a fit ended.
+
+    Attributes:
+        COMPLETED: all steps were taken, of phases that do not judge themselves.
+        DIVERGED: the final loss is not finite.
+        CONVERGED: the residuals are as small as asked for, or no linear step makes
+            them smaller.
+        STALLED: steps ran out, or gained too little although the linear model
+            promised more.
+    """
 
     COMPLETED = 0
     DIVERGED = 1
+    CONVERGED = 2
+    STALLED = 3
 
 
 class Fit(eqx.Module):
@@ -26,7 +37,7 @@ class Fit(eqx.Module):
         initial_model: the model before the first step.
         losses: loss before each step and after the last one.
         phases: name of each phase and the step at which it began.
-        outcome: diverged when the final loss is not finite.
+        outcome: how the last phase ended.
     """
 
     model: AbstractDynamics
@@ -41,7 +52,7 @@ class FitState(eqx.Module):
 
     Attributes:
         params: trained leaves of all members, stacked.
-        minimiser: state of the phase in progress, stacked.
+        minimiser: state of the phase in progress, stacked; outcomes after the last.
         losses: loss of each member before each step taken so far; NaN beyond.
         starts: number of steps taken before each phase that has begun; the last one
             is in progress, unless there is one more than phases: then all are done.

@@ -19,7 +19,7 @@ from pinav.evaluation import (
     predict,
     score,
 )
-from pinav.fitting import Fit, FitOutcome
+from pinav.fitting import Fit
 from pinav.fitting import fit as fit_trajectories
 from pinav.forces import LinearDrag
 from pinav.jobs import inference
@@ -158,7 +158,9 @@ def text(metrics: dict[str, Any]) -> str:
     rmse = ", ".join(f"{k} {number(v)}" for k, v in metrics["rmse"].items())
     if "loss" in metrics:
         loss = metrics["loss"]
-        lines = [f"loss: {loss['start']:.3g} -> {loss['end']:.3g}"]
+        lines = [
+            f"loss: {loss['start']:.3g} -> {loss['end']:.3g} ({metrics['outcome']})"
+        ]
     else:
         lines = [
             f"noise: {metrics['noise']:.3g}, log evidence "
@@ -182,7 +184,7 @@ def write_losses(name: str, fits: Sequence[Fit], folder: RunFolder) -> None:
             "losses": np.stack([fit.losses for fit in fits]),
             "phase_starts": np.array([start for _, start in fits[0].phases]),
             "phase_names": np.array([phase for phase, _ in fits[0].phases]),
-            "diverged": np.array([f.outcome is FitOutcome.DIVERGED for f in fits]),
+            "outcomes": np.array([fit.outcome.name.lower() for fit in fits]),
         },
     )
 
@@ -231,9 +233,11 @@ def _match(
 
 
 def _matched_metrics(settings, model, folder: RunFolder) -> dict[str, Any]:
-    losses = folder.read_arrays("losses-model.npz")["losses"][0]
+    stored = folder.read_arrays("losses-model.npz")
+    losses = stored["losses"][0]
     constants = {name: attrgetter(CONSTANTS[name])(model) for name in settings.learn}
     return {
+        "outcome": str(stored["outcomes"][0]),
         "loss": {"start": float(losses[0]), "end": float(losses[-1])},
         "learned": {
             name: {"value": float(value), "sd": None}

@@ -224,16 +224,16 @@ def _metrics(settings, rows, arrays, folder) -> dict[str, Any]:
 
 def _losses(entry: Entry, folder: RunFolder) -> dict[str, dict[str, Any]]:
     stored = folder.read_arrays(f"losses-{entry.name}.npz")
-    curves = zip(entry.seeds, stored["losses"], stored["diverged"], strict=True)
+    curves = zip(entry.seeds, stored["losses"], stored["outcomes"], strict=True)
     return {
         "-" if seed is None else str(seed): {
             "start": float(losses[0]),
             "end": float(losses[-1]),
             "decades": float(np.log10(losses[0] / losses[-1])),
             "iterations": int(losses.size - 1),
-            "diverged": bool(diverged),
+            "outcome": str(outcome),
         }
-        for seed, losses, diverged in curves
+        for seed, losses, outcome in curves
     }
 
 
