@@ -160,14 +160,13 @@ def test_force_error_on_visited_ground(table):
 
 def test_the_band_covers(table):
     name, rows = table
-    if name == "kernel potential":
+    visited, near, rest = rows[:, 3:6].mean(axis=0)
+    covered = visited >= 0.88 and near >= 0.88 and rest >= 0.80
+    if name == "kernel potential" and not covered:
         pytest.xfail(
             "draws 0-4 are unlucky: least squares with the true law covers 80 %"
         )
-    visited, near, rest = rows[:, 3:6].mean(axis=0)
-    assert visited >= 0.88
-    assert near >= 0.88
-    assert rest >= 0.80
+    assert covered
 
 
 def test_z_scores_are_no_worse_than_those_of_the_true_law(table):
