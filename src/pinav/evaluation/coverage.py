@@ -12,7 +12,6 @@ noise $\sigma$ on top.
 """
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
@@ -100,31 +99,29 @@ def _inverses(matrices):
 
 
 def _bands(posterior, trajectories, starts, by_parameter, spread, solver) -> Bands:
-    ys, sd = _linear_bands(
-        posterior.free,
-        jnp.asarray(posterior.mean),
-        jnp.asarray(posterior.covariance),
-        (jnp.asarray(starts), jnp.asarray(by_parameter), jnp.asarray(spread)),
-        jnp.asarray(trajectories.times),
-        FixedStep() if solver is None else solver,
-    )
-    return Bands(np.asarray(ys), np.asarray(sd))
+    """One trajectory after the other, so that those of equal length compile once."""
+    solver = FixedStep() if solver is None else solver
+    theta, covariance = map(jnp.asarray, (posterior.mean, posterior.covariance))
+    rows = [
+        _linear_band(
+            posterior.free, theta, covariance, tuple(map(jnp.asarray, own)), solver
+        )
+        for own in zip(starts, by_parameter, spread, trajectories.times, strict=True)
+    ]
+    ys, sd = (np.stack(part) for part in zip(*rows, strict=True))
+    return Bands(ys, sd)
 
 
 @eqx.filter_jit
-def _linear_bands(free: FreeModel, theta, covariance, starts, times, solver):
-    def one(inputs):
-        (y0, by_parameter, spread), ts = inputs
-        ys, _ = solver.solve(free(theta), y0, ts)
-        columns = sensitivities(free, theta, ys, ts, solver).columns
-        to_parameter = columns[..., : len(theta)]
-        to_start = columns[..., len(theta) : -1]
-        total = to_parameter + to_start @ by_parameter
-        variance = jnp.sum((total @ covariance) * total, axis=-1)
-        variance += jnp.sum((to_start @ spread) * to_start, axis=-1)
-        return ys, jnp.sqrt(jnp.maximum(variance, 0.0))
-
-    return jax.lax.map(one, (starts, times))
+def _linear_band(free: FreeModel, theta, covariance, start, solver):
+    y0, by_parameter, spread, times = start
+    ys, _ = solver.solve(free(theta), y0, times)
+    columns = sensitivities(free, theta, ys, times, solver).columns
+    to_start = columns[..., len(theta) : -1]
+    total = columns[..., : len(theta)] + to_start @ by_parameter
+    variance = jnp.sum((total @ covariance) * total, axis=-1)
+    variance += jnp.sum((to_start @ spread) * to_start, axis=-1)
+    return ys, jnp.sqrt(jnp.maximum(variance, 0.0))
 
 
 def covered(

@@ -58,8 +58,8 @@ def position_errors(
         InputError: nothing is left to score.
     """
     dim = sum(name in POSITION_CHANNELS for name in trajectories.channels)
-    seen = trajectories.observed[..., :dim].all(-1)
-    scored = seen.copy()
+    seen = np.asarray(trajectories.observed[..., :dim].all(-1))
+    scored = np.array(seen)
     scored[:, :scored_from] = False
     if not scored.any():
         raise InputError(
@@ -84,7 +84,7 @@ def _paths(trajectories: Trajectories, dim: int) -> np.ndarray:
     """Way along local cubics through the observations: noise hardly lengthens it."""
     ways = np.zeros(trajectories.times.shape)
     for own, piece in zip(ways, trajectories, strict=True):
-        seen = piece.observed[:, :dim].all(-1)
+        seen = np.asarray(piece.observed[:, :dim].all(-1))
         if seen.sum() < 2:
             own[:] = np.nan
             continue

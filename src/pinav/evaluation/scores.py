@@ -73,7 +73,7 @@ def predict(
     """
     require_x64("scoring")
     starts = _first_samples(trajectories) if starts is None else starts
-    known = np.isfinite(starts).all(axis=1)
+    known = np.asarray(np.isfinite(starts).all(axis=1))
     first = jnp.asarray(np.where(known[:, None], starts, 0.0), jnp.float64)
     times = jnp.asarray(trajectories.times, jnp.float64)
     solver = Adaptive() if solver is None else solver
