@@ -109,12 +109,16 @@ def study(
     rows = folder.read_json(ROWS) if folder.has(ROWS) else {}
     clean = held_out(world, count=settings.held_out)
     chosen = list(cells(name, settings))
+    most = max(cell.count for cell in chosen)
+    several = {seed: clean_data(world, seed, most) for seed in settings.seeds}
     with tqdm(chosen, desc=name, unit="fit", dynamic_ncols=True) as bar:
         for cell in bar:
             bar.set_postfix_str(cell.label)
             if cell.label not in rows:
                 began = time.perf_counter()
-                rows[cell.label] = _row(cell, known, clean, settings)
+                rows[cell.label] = _row(
+                    cell, known, several[cell.seed], clean, settings
+                )
                 folder.write_json(ROWS, rows)
                 seconds = round(time.perf_counter() - began, 2)
                 folder.append_record({"model": cell.label, "seconds": seconds})
@@ -140,32 +144,40 @@ def check(name: str, world: str, settings: StudySettings) -> None:
         _ = scenario(world, count=cell.count).swimmer
 
 
-def training_data(
-    world: str, seed: int, count: int, sigma: float
-) -> tuple[Trajectories, Trajectories]:
-    """Noisy trajectories and the same without noise.
-
-    Starts are those of `pinav simulate --seed`; more trajectories begin with the same
-    ones, and more noise is the same noise, stronger.
+def clean_data(world: str, seed: int, count: int) -> Trajectories:
+    """Noise-free trajectories, from the starts of `pinav simulate --seed`.
 
     Args:
         world: name of the scenario.
-        seed: of starts and noise.
-        count: number of trajectories.
-        sigma: standard deviation of the noise, in every state.
+        seed: of the starts.
+        count: how many; more of a seed begin with the same ones.
     """
-    starts_key, noise_key = jax.random.split(jax.random.key(seed))
+    starts_key, _ = jax.random.split(jax.random.key(seed))
     chosen = scenario(world, starts_key, count=count)
-    clean = simulate(eqx.tree_at(lambda s: s.noise, chosen, 0.0))
-    if sigma == 0:
-        return clean, clean
-    return degrade(clean, [GaussianNoise(sigma)], key=noise_key), clean
+    return simulate(eqx.tree_at(lambda s: s.noise, chosen, 0.0))
+
+
+def with_noise(clean: Trajectories, sigma: float, seed: int) -> Trajectories:
+    """The trajectories as observed; more noise of a seed is the same noise, stronger.
+
+    Args:
+        clean: without noise.
+        sigma: standard deviation of the noise, in every state.
+        seed: of the noise.
+    """
+    _, noise_key = jax.random.split(jax.random.key(seed))
+    return degrade(clean, [GaussianNoise(sigma)], key=noise_key) if sigma else clean
 
 
 def _row(
-    cell: Cell, known: Scenario, held: Trajectories, settings: StudySettings
+    cell: Cell,
+    known: Scenario,
+    several: Trajectories,
+    held: Trajectories,
+    settings: StudySettings,
 ) -> dict[str, Any]:
-    data, clean = training_data(known.name, cell.seed, cell.count, cell.sigma)
+    clean = several.select(range(cell.count))
+    data = with_noise(clean, cell.sigma, cell.seed)
     row: dict[str, Any] = dict.fromkeys(HEADER)
     row |= {"model": cell.model, "seed": cell.seed}
     row |= {"trajectories": cell.count, "sigma": cell.sigma}

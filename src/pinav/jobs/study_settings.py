@@ -82,7 +82,7 @@ class StudySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             _check_at_least("sigmas", value, 0)
 
 
-def _check_at_least(name: str, value: float, least: int) -> None:
+def _check_at_least(name: str, value: float | int, least: int) -> None:
     if not least <= value < float("inf"):
         option = name.replace("_", "-")
         raise InputError(f"--{option}: expected {least} or more, got {value}")

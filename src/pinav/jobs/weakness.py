@@ -39,7 +39,7 @@ from pinav.jobs.models import (
 )
 from pinav.jobs.progress import BayesReporter, FitReporter
 from pinav.jobs.settings import FitSettings, ReproduceSettings
-from pinav.jobs.study import training_data
+from pinav.jobs.study import clean_data, with_noise
 from pinav.jobs.study_settings import StudySettings
 from pinav.jobs.subjects import as_cell
 from pinav.report import Image, Paragraph, Section, Table, save_figure
@@ -69,9 +69,8 @@ def weakness(settings: StudySettings, folder: RunFolder) -> dict[str, Any]:
     """
     single = simulate(paper())
     seed = settings.seeds[0]
-    several, clean = training_data(
-        "barrier-crossings", seed, settings.count, settings.sigma
-    )
+    clean = clean_data("barrier-crossings", seed, settings.count)
+    several = with_noise(clean, settings.sigma, seed)
     ude = _stored(folder, "model-ude.eqx", _fit_ude, settings, single)
     kernel = _stored(folder, "model-kernel.eqx", _fit_kernel, settings, several)
     physics = eqx.tree_at(lambda m: m.environment, paper().swimmer, ZeroForce())

@@ -75,13 +75,20 @@ def error_over_time(
         ax.fill_between(curve.elapsed, median, high, color=color, alpha=0.15, lw=0)
         ax.plot(curve.elapsed, median, dash, color=color, lw=THIN, label=name)
         ax.plot(curve.elapsed, high, ":", color=color, lw=0.8)
-    ax.set_yscale("log")
+    _set_log_if_positive(ax, [c.high for c in curves.values()])
     if horizon is not None:
         ax.axvline(horizon, color=GREY, lw=0.8, ls=(0, (4, 2)), zorder=1)
     suffix = "" if unit in ("1", "?") else f" [{unit.replace('um', 'µm')}]"
     label_axes(ax, "time since the start", f"position error{suffix}")
     add_legend(ax)
     return ax
+
+
+def _set_log_if_positive(ax: Axes, groups: Sequence) -> None:
+    """A log scale needs one number to begin at; without any the axis stays empty."""
+    values = [finite(np.asarray(group, float)) for group in groups]
+    if any((group > 0).any() for group in values):
+        ax.set_yscale("log")
 
 
 def _positive(values) -> np.ndarray:
@@ -124,7 +131,7 @@ def residual_autocorrelation(
 
 
 def errors_by_region(
-    errors: Mapping[str, Mapping[str, float]],
+    errors: Mapping[str, Mapping[str, float | str | None]],
     *,
     styles: Mapping[str, LineStyle] | None = None,
     ax: Axes | None = None,
@@ -132,7 +139,7 @@ def errors_by_region(
     """Bars of the relative force error in each region, one colour for each model.
 
     Args:
-        errors: relative errors by region, by model.
+        errors: relative errors by region, by model; what is no number has no bar.
         styles: how each model is drawn.
         ax: where to draw; a new figure unless given.
     """
@@ -145,18 +152,23 @@ def errors_by_region(
         if styles and name in styles:
             color = styles[name].color
         x = np.arange(len(regions)) + width * (index - (len(errors) - 1) / 2)
-        heights = 100 * finite(np.array([values[region] for region in regions]))
+        heights = np.array([_percent(values[region]) for region in regions])
         ax.bar(x, heights, 0.92 * width, color=color, label=name)
         for at, height in zip(x, heights, strict=True):
             if np.isfinite(height):
                 label = f"{height:.2g}" if height < 100 else f"{height:.0f}"
                 ax.text(at, height, label, ha="center", va="bottom", fontsize=SMALL)
-    ax.set_yscale("log")
+    percent = [[_percent(v) for v in row.values()] for row in errors.values()]
+    _set_log_if_positive(ax, percent)
     ax.set_xticks(np.arange(len(regions)), regions)
     label_axes(ax, "ground", "relative force error (%)")
     ax.margins(y=0.15)
     add_legend(ax)
     return ax
+
+
+def _percent(value: object) -> float:
+    return 100.0 * value if isinstance(value, float) else float("nan")
 
 
 Series = Mapping[str, Sequence[tuple[float, float]]]
@@ -203,7 +215,7 @@ def _scaling(ax: Axes, series: Series, quantity: str, label: str) -> None:
         ax.plot(at, middle, style.dash, color=style.color, lw=THIN, label=style.label)
         ax.plot(*zip(*shown, strict=True), marker, color=style.color, ms=4)
     ax.set_xscale("log")
-    ax.set_yscale("log")
+    _set_log_if_positive(ax, [[y for _, y in points] for points in series.values()])
     ax.minorticks_off()
     ax.set_xticks([place[x] for x in ticks], [f"{x:g}" for x in ticks])
     label_axes(ax, quantity, label)
