@@ -165,7 +165,7 @@ def test_the_papers_weakness_stands_beside_what_several_trajectories_give(
     assert kernel["rollouts"]["high"] < 1e-8 < ude["rollouts"]["median"]
     physics = found[weakness_job.PHYSICS]["force"]
     assert physics["unvisited"] == pytest.approx(1.0)
-    assert "UDE with time, 1 trajectory" in capsys.readouterr().out
+    assert "UDE with time, one trajectory" in capsys.readouterr().out
     page = (out / "report.html").read_text()
     assert "The paper&#x27;s weakness in one figure" in page
     assert "Gauss-Newton curriculum of pinav, not the paper&#x27;s optimiser" in page

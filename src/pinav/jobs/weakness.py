@@ -49,7 +49,8 @@ from pinav.runs import RunFolder
 from pinav.scenarios import paper
 from pinav.trajectories import Trajectories, simulate
 
-UDE, KERNEL, PHYSICS = "UDE with time, 1 trajectory", "kernel potential", "physics only"
+UDE, KERNEL = "UDE with time, one trajectory", "kernel potential, several"
+PHYSICS = "physics only"
 
 STYLES = {
     UDE: style_of_model("ude"),

@@ -89,6 +89,7 @@ def _set_log_if_positive(ax: Axes, groups: Sequence) -> None:
     values = [finite(np.asarray(group, float)) for group in groups]
     if any((group > 0).any() for group in values):
         ax.set_yscale("log")
+        ax.tick_params(which="both", labelsize=SMALL)
 
 
 def _positive(values) -> np.ndarray:
@@ -162,8 +163,9 @@ def errors_by_region(
     _set_log_if_positive(ax, percent)
     ax.set_xticks(np.arange(len(regions)), regions)
     label_axes(ax, "ground", "relative force error (%)")
-    ax.margins(y=0.15)
-    add_legend(ax)
+    low, high = ax.get_ylim()
+    ax.set_ylim(low, high * 30 ** (ax.get_yscale() == "log"))  # room for the legend
+    add_legend(ax, loc="upper left")
     return ax
 
 
