@@ -179,7 +179,7 @@ def true_scenario(data: Trajectories, subject: Subject) -> Scenario | None:
     return None
 
 
-def as_cell(value: float) -> Any:
+def as_cell(value: float | int) -> Any:
     """A number for JSON and tables: NaN is None, infinity the word "diverged"."""
     if isinstance(value, int):
         return value
