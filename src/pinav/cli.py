@@ -12,8 +12,9 @@ COMMANDS = {
     "reproduce": "run the paper's experiment: simulate, train, Table 2, report",
     "simulate": "write the trajectories of a named scenario to a file",
     "fit": "fit a model of the unknown force to trajectories",
-    "evaluate": "score a fitted run on trajectories",
     "discover": "find the law behind the learned force of a run",
+    "evaluate": "say where a fitted run can be trusted, on other trajectories",
+    "study": "compare models over the amount of data or of noise",
     "report": "draw the figures and the HTML page of a run again",
     "bench": "run a benchmark and print its table",
 }
@@ -124,7 +125,7 @@ def _suggestion(word: str) -> str:
 
 def _how_to_go_on(argv: Sequence[str]) -> str:
     words = [word for word in argv if word != "--overwrite"]
-    if argv[0] in ("reproduce", "fit"):
+    if argv[0] in ("reproduce", "fit", "study"):
         words += [] if "--resume" in argv else ["--resume"]
         import shlex
 

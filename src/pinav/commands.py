@@ -18,6 +18,7 @@ import tyro
 
 from pinav.errors import InputError
 from pinav.jobs.settings import FitSettings, ReproduceSettings, SimulateSettings
+from pinav.jobs.study_settings import StudyName, StudySettings
 
 Settings = TypeVar("Settings", bound=msgspec.Struct)
 Options = TypeVar("Options", bound=msgspec.Struct)
@@ -93,7 +94,14 @@ class FitOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class EvaluateOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Score every model of a run on trajectories: roll out, compare, print RMSE."""
+    """Say where the models of a run can be trusted, on trajectories kept apart.
+
+    Rollouts over time, also from clean starts beyond the training horizon; the force on
+    visited, near and unvisited ground; coverage of the bands; whiteness of the
+    residuals; learned constants. Where the data are noisy or incomplete, each start is
+    estimated from the first 20 samples and the others are scored. Writes
+    evaluation.json and evaluation.csv into the run, and figures into its report.
+    """
 
     run: Annotated[
         Path, tyro.conf.Positional, tyro.conf.arg(help="Folder of a fitted run.")
@@ -101,6 +109,20 @@ class EvaluateOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     data: Annotated[
         Path, tyro.conf.Positional, tyro.conf.arg(help="Trajectories, .npz or .csv.")
     ]
+    calibrate: Annotated[
+        Path | None,
+        tyro.conf.arg(
+            help="Further trajectories, from which bands that hold 95 % of new "
+            "trajectories are calibrated (split-conformal)."
+        ),
+    ] = None
+    regions: Annotated[
+        tuple[float, float] | None,
+        tyro.conf.arg(
+            help="Distances from the data up to which ground is visited, and near; "
+            "0.35 and 1 for dimensionless data, else 1/40 and 1/14 of their extent."
+        ),
+    ] = None
     json: AsJson = False
 
 
@@ -127,6 +149,31 @@ class ReportOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     run: Annotated[
         Path, tyro.conf.Positional, tyro.conf.arg(help="Folder of a finished run.")
     ]
+
+
+class StudyOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Compare models over the amount of data or of noise, one figure for each study.
+
+    data-efficiency: force and rollout error over the number of trajectories; noise:
+    the same over the noise of the observations; paper-weakness: the paper's network on
+    its single trajectory beside a kernel potential on several. All data are synthetic.
+    A killed study goes on with --resume.
+    """
+
+    name: Annotated[StudyName, tyro.conf.Positional, tyro.conf.arg(help="Which study.")]
+    out: OutFolder
+    scenario: Annotated[
+        str,
+        tyro.conf.Positional,
+        tyro.conf.arg(
+            help="Name of the scenario (docs/scenarios.md); paper-weakness has its own."
+        ),
+    ] = "barrier-crossings"
+    settings: StudySettings = StudySettings()
+    config: ConfigFile = None
+    resume: Resume = False
+    overwrite: Overwrite = False
+    json: AsJson = False
 
 
 class BenchOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -199,13 +246,47 @@ def fit(options: FitOptions) -> None:
 def evaluate(options: EvaluateOptions) -> None:
     """`pinav evaluate`."""
     _enable_x64()
+    from pinav.evaluation import Regions
     from pinav.jobs import evaluate as job
+    from pinav.jobs.reporting import write_report
+    from pinav.runs import RunFolder
 
-    metrics = job.evaluate(options.run, options.data)
+    regions = None if options.regions is None else Regions(*options.regions)
+    metrics = job.evaluate(
+        options.run, options.data, calibration=options.calibrate, regions=regions
+    )
+    report = write_report(RunFolder.open(options.run))
     if options.json:
         _print_json(metrics)
+        return
+    print(job.text(metrics))
+    print(f"report: {report}")
+
+
+def study(options: StudyOptions) -> None:
+    """`pinav study`."""
+    settings = options.settings
+    settings.check()
+    _enable_x64()
+    from pinav.jobs import study as job
+    from pinav.jobs.reporting import write_report
+    from pinav.jobs.study_report import text
+    from pinav.jobs.weakness import weakness
+
+    job.check(options.name, options.scenario, settings)
+    identity = {"study": options.name, "scenario": options.scenario}
+    folder = _run_folder(options, settings, job="study", **identity)
+    if options.name == "paper-weakness":
+        weakness(settings, folder)
     else:
-        print(job.text(metrics))
+        job.study(options.name, options.scenario, settings, folder)
+    report = write_report(folder)
+    metrics = folder.read_json("metrics.json")
+    if options.json:
+        _print_json(metrics)
+        return
+    print(text(metrics))
+    print(f"report: {report}")
 
 
 def discover(options: DiscoverOptions) -> None:
@@ -265,6 +346,7 @@ HANDLERS: dict[str, tuple[type[msgspec.Struct], Callable[[Any], None]]] = {
     "fit": (FitOptions, fit),
     "evaluate": (EvaluateOptions, evaluate),
     "discover": (DiscoverOptions, discover),
+    "study": (StudyOptions, study),
     "report": (ReportOptions, report),
 }
 
@@ -332,7 +414,12 @@ def _defaults(options: type[Options], argv: Sequence[str]) -> dict[str, Any]:
     settings = fields["settings"].type
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
-        identity = ("job", "data")  # a config.toml of a run is welcome too
+        identity = (
+            "job",
+            "data",
+            "study",
+            "scenario",
+        )  # a config.toml of a run is welcome too
         content = {k: v for k, v in content.items() if k not in identity}
         from_file = msgspec.convert(content, settings)
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:

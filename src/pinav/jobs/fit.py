@@ -13,7 +13,9 @@ from pinav.errors import InputError
 from pinav.evaluation import (
     POSITION_CHANNELS,
     FieldMap,
+    Regions,
     Score,
+    default_regions,
     field_map,
     force_errors,
     predict,
@@ -58,10 +60,9 @@ def prepared(settings: FitSettings, data: Trajectories) -> Trajectories:
             f"--learn damping: scenario {known.name} has no such constant: its drag is "
             f"{type(drag).__name__}; drop it"
         )
-    positions = tuple(name for name in known.channels if name in POSITION_CHANNELS)
-    if data.channels == positions and settings.method == "bayes":
-        unseen = known.channels[len(positions) :]
-        data = with_unobserved(data, {name: known.units[name] for name in unseen})
+    positions = _positions(known)
+    if settings.method == "bayes":
+        data = with_all_channels(data, known)
     if len(known.channels) != len(data.channels):
         raise InputError(
             f"data: expected the channels {', '.join(known.channels)} of scenario "
@@ -75,6 +76,19 @@ def prepared(settings: FitSettings, data: Trajectories) -> Trajectories:
     if settings.method != "bayes":
         _check_starts(data)
     return data
+
+
+def with_all_channels(data: Trajectories, known: Scenario) -> Trajectories:
+    """The data; positions alone get velocities that nobody observed."""
+    positions = _positions(known)
+    if data.channels != positions:
+        return data
+    unseen = known.channels[len(positions) :]
+    return with_unobserved(data, {name: known.units[name] for name in unseen})
+
+
+def _positions(known: Scenario) -> tuple[str, ...]:
+    return tuple(name for name in known.channels if name in POSITION_CHANNELS)
 
 
 def fingerprint(data: Trajectories) -> str:
@@ -119,7 +133,7 @@ def fit(settings: FitSettings, data: Trajectories, folder: RunFolder) -> dict[st
     }
     if isinstance(model, Swimmer):
         fields = _fields(model, data)
-        metrics |= _force_errors(fields)
+        metrics |= _force_errors(fields, default_regions(data))
         arrays |= _field_arrays(fields)
         if bayes:
             arrays["field/sd"] = inference.force_sd(settings, fields["learned"], folder)
@@ -137,10 +151,10 @@ def _fields(model: Swimmer, data: Trajectories) -> dict[str, FieldMap]:
     return fields
 
 
-def _force_errors(fields: dict[str, FieldMap]) -> dict[str, Any]:
+def _force_errors(fields: dict[str, FieldMap], regions: Regions) -> dict[str, Any]:
     if "true" not in fields:
         return {}
-    return {"force_error": force_errors(fields["learned"], fields["true"])}
+    return {"force_error": force_errors(fields["learned"], fields["true"], regions)}
 
 
 def _field_arrays(fields: dict[str, FieldMap]) -> dict[str, np.ndarray]:

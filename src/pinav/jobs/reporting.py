@@ -8,8 +8,10 @@ import numpy as np
 from pinav.errors import InputError
 from pinav.evaluation import Decomposition
 from pinav.files import write_text
+from pinav.jobs.evaluation_report import evaluated
 from pinav.jobs.law_report import law_sections
 from pinav.jobs.reproduce import key_of, stored_field
+from pinav.jobs.study_report import studied
 from pinav.jobs.table2 import DIFFERENCES, PAPER, ROWS
 from pinav.report import (
     Code,
@@ -31,6 +33,12 @@ from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories
 from pinav.trajectory_files import load
 
+TITLES = {
+    "reproduce": "The paper's benchmark",
+    "fit": "A fitted model",
+    "study": "A study of models",
+}
+
 BARRIER = ([5.0, 5.0], 2.9)
 """Centre and width of the benchmark's barrier, drawn as context."""
 
@@ -45,13 +53,13 @@ def write_report(folder: RunFolder) -> Path:
         raise InputError(
             f"{folder.path} is not finished; go on with --resume, then report"
         )
-    sections = {"reproduce": _reproduction, "fit": _fitted}
+    sections = {"reproduce": _reproduction, "fit": _fitted, "study": studied}
     job = folder.config().get("job")
     if job not in sections:
         raise InputError(f"{folder.path}/config.toml: job {job!r} is unknown")
-    title = {"reproduce": "The paper's benchmark", "fit": "A fitted model"}[job]
+    title = TITLES[job]
     try:
-        content = [*sections[job](folder), *_provenance(folder)]
+        content = [*sections[job](folder), *evaluated(folder), *_provenance(folder)]
     except KeyError as error:
         raise InputError(
             f"{folder.path}: its results miss {error}; they were written by another "

@@ -1,0 +1,178 @@
+r"""Whether the bands of a fit are as wide as its errors.
+
+To first order a predicted state depends on the parameters $\theta$ and the start s as
+$\delta y = J\,\delta\theta + \Phi\,\delta s$. A start estimated from the first samples
+depends on the parameters too, $\delta s = S\,\delta\theta + \epsilon$ with $\epsilon$
+the noise of those samples, so that
+
+$$\mathrm{Cov}\,y = (J + \Phi S)\,C\,(J + \Phi S)^\top + \Phi\,\Sigma_s\,\Phi^\top,$$
+
+$\Sigma_s = \sigma^2 (\Phi^\top\Phi)^{-1}$ over those samples. What is observed has the
+noise $\sigma$ on top.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from pinav.evaluation.fields import FieldMap
+from pinav.evaluation.starts import Starts, first_samples
+from pinav.fitting import FreeModel, Observations, Posterior
+from pinav.fitting.lifting import linearise, sensitivities
+from pinav.solvers import FixedStep
+from pinav.trajectories import Trajectories
+
+NOMINAL, NORMAL_QUANTILE = 0.95, 1.959963984540054
+"""Nominal coverage, and the standard deviations on either side that a normal
+distribution needs for it."""
+
+
+class Bands(eqx.Module):
+    """Predicted states and their standard deviations, observation noise apart.
+
+    Attributes:
+        ys: predicted states; not finite once diverged.
+        sd: their standard deviations.
+    """
+
+    ys: Float[np.ndarray, "trajectory time state"]
+    sd: Float[np.ndarray, "trajectory time state"]
+
+    def observable_sd(self, noise: float) -> Float[np.ndarray, "trajectory time state"]:
+        """Standard deviation of what is observed with this noise."""
+        return np.sqrt(self.sd**2 + noise**2)
+
+
+def exact_start_bands(
+    posterior: Posterior, trajectories: Trajectories, solver: FixedStep | None = None
+) -> Bands:
+    """Bands of rollouts from the first samples, which are exact.
+
+    Args:
+        posterior: of the model.
+        trajectories: where to start and when to predict.
+        solver: how to integrate; `FixedStep()` unless given.
+    """
+    states = trajectories.states.shape[2]
+    by_parameter = np.zeros((len(trajectories), states, len(posterior.mean)))
+    spread = np.zeros((len(trajectories), states, states))
+    starts = trajectories.states[:, 0]
+    return _bands(posterior, trajectories, starts, by_parameter, spread, solver)
+
+
+def estimated_start_bands(
+    posterior: Posterior,
+    trajectories: Trajectories,
+    starts: Starts,
+    noise: float,
+    solver: FixedStep | None = None,
+) -> Bands:
+    """Bands of rollouts from estimated starts.
+
+    Args:
+        posterior: of the model with which the starts were estimated.
+        trajectories: when to predict.
+        starts: the estimates.
+        noise: standard deviation of the observations.
+        solver: how to integrate; `FixedStep()` unless given.
+    """
+    head = first_samples(trajectories, starts.count)
+    linear = linearise(
+        posterior.free,
+        jnp.asarray(posterior.mean),
+        jnp.asarray(starts.lifted),
+        Observations.of(head, jnp.float64),
+        FixedStep() if solver is None else solver,
+    )
+    rows = -np.asarray(linear.start_rows)[:, :, : len(posterior.mean)]
+    spread = noise**2 * _inverses(np.asarray(linear.start_information))
+    return _bands(posterior, trajectories, starts.states, rows, spread, solver)
+
+
+def _inverses(matrices):
+    """Inverses, NaN where a matrix is not finite or singular."""
+    usable = np.isfinite(matrices).all(axis=(1, 2))
+    inverses = np.full(matrices.shape, np.nan)
+    inverses[usable] = np.linalg.pinv(matrices[usable], hermitian=True)
+    return inverses
+
+
+def _bands(posterior, trajectories, starts, by_parameter, spread, solver) -> Bands:
+    """One trajectory after the other, so that those of equal length compile once."""
+    solver = FixedStep() if solver is None else solver
+    theta, covariance = map(jnp.asarray, (posterior.mean, posterior.covariance))
+    rows = [
+        _linear_band(
+            posterior.free, theta, covariance, tuple(map(jnp.asarray, own)), solver
+        )
+        for own in zip(starts, by_parameter, spread, trajectories.times, strict=True)
+    ]
+    ys, sd = (np.stack(part) for part in zip(*rows, strict=True))
+    return Bands(ys, sd)
+
+
+@eqx.filter_jit
+def _linear_band(free: FreeModel, theta, covariance, start, solver):
+    y0, by_parameter, spread, times = start
+    ys, _ = solver.solve(free(theta), y0, times)
+    columns = sensitivities(free, theta, ys, times, solver).columns
+    to_start = columns[..., len(theta) : -1]
+    total = columns[..., : len(theta)] + to_start @ by_parameter
+    variance = jnp.sum((total @ covariance) * total, axis=-1)
+    variance += jnp.sum((to_start @ spread) * to_start, axis=-1)
+    return ys, jnp.sqrt(jnp.maximum(variance, 0.0))
+
+
+def covered(
+    errors: Float[np.ndarray, "*shape"], sd: Float[np.ndarray, "*shape"]
+) -> Bool[np.ndarray, "*shape"]:
+    """Which errors lie inside the nominal 95 % band; what is not finite does not."""
+    usable = np.isfinite(errors) & np.isfinite(sd)
+    inside = np.abs(np.where(usable, errors, 0.0)) <= NORMAL_QUANTILE * np.where(
+        usable, sd, 0.0
+    )
+    return usable & inside
+
+
+def share(
+    inside: Bool[np.ndarray, "*shape"], counted: Bool[np.ndarray, "*shape"]
+) -> float:
+    """Share of the counted entries that are inside; NaN where none is counted."""
+    return float(inside[counted].mean()) if counted.any() else float("nan")
+
+
+def force_coverage(
+    learned: FieldMap,
+    true: FieldMap,
+    sd: Float[np.ndarray, "rows columns 2"],
+    regions: dict[str, Bool[np.ndarray, "rows columns"]],
+) -> dict[str, float]:
+    """Share of the true force's components inside the band, in each region."""
+    inside = covered(learned.force - true.force, sd)
+    return {
+        name: share(inside, np.repeat(mask[..., None], 2, axis=-1))
+        for name, mask in regions.items()
+    }
+
+
+def rollout_coverage(
+    bands: Bands,
+    trajectories: Trajectories,
+    noise: float,
+    regions: dict[str, Bool[np.ndarray, "trajectory time"]],
+) -> dict[str, float]:
+    """Share of the observed values inside the band, by where they were observed.
+
+    Args:
+        bands: of the rollouts.
+        trajectories: what was observed; only that counts.
+        noise: standard deviation of the observations; 0 for an exact truth.
+        regions: which samples lie in each region.
+    """
+    errors = bands.ys - trajectories.states
+    inside = covered(errors, bands.observable_sd(noise))
+    counted = trajectories.observed
+    return {
+        name: share(inside, counted & mask[..., None]) for name, mask in regions.items()
+    }

@@ -1,0 +1,244 @@
+r"""Force fields on a grid, and where a learned one agrees with the true one.
+
+Ground counts by its distance d to the nearest observed position of the training data:
+visited, $d \le \ell_1$; near, $d \le \ell_2$, the visited ground included; unvisited,
+$d > \ell_2$. The lengths $\ell_1 < \ell_2$ are those of `Regions`.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from pinav.dynamics import with_dtype
+from pinav.errors import InputError
+from pinav.forces import AbstractForce
+from pinav.trajectories import Trajectories
+
+VISITED, NEAR = 0.35, 1.0
+"""Grid points this close to a sample [L] are called visited, and near, where lengths
+are dimensionless."""
+
+VISITED_FRACTION, NEAR_FRACTION = 1 / 40, 1 / 14
+"""The same as fractions of the data's extent, where lengths have a unit. The shots of
+`barrier-crossings` cover a square of side 14, so that the two rules agree on it."""
+
+
+class Regions(eqx.Module):
+    r"""How far from the data ground is called visited, and near.
+
+    Attributes:
+        visited: $\ell_1$ [L], positive.
+        near: $\ell_2$ [L], larger.
+
+    Raises:
+        InputError: not 0 < `visited` < `near` < infinity.
+    """
+
+    visited: float = eqx.field(static=True, default=VISITED)
+    near: float = eqx.field(static=True, default=NEAR)
+
+    def __check_init__(self):
+        if not 0 < self.visited < self.near < np.inf:
+            raise InputError(
+                "Regions: expected 0 < visited < near, got "
+                f"{self.visited:g} and {self.near:g}"
+            )
+
+    def masks(
+        self, distance: Float[np.ndarray, "*shape"]
+    ) -> dict[str, Bool[np.ndarray, "*shape"]]:
+        """Which points belong to each region, by their distance to the data [L]."""
+        return {
+            "visited": distance <= self.visited,
+            "near": distance <= self.near,
+            "unvisited": distance > self.near,
+        }
+
+    def definition(self, unit: str = "1") -> str:
+        """The definition in words, for tables.
+
+        Args:
+            unit: of length; "1" means dimensionless.
+        """
+        suffix = "" if unit in ("1", "?", "") else f" {unit}"
+        return (
+            f"visited: within {self.visited:.3g}{suffix} of an observed position of "
+            f"the training data; near: within {self.near:.3g}{suffix}, visited ground "
+            "included; unvisited: farther away"
+        )
+
+
+def default_regions(trajectories: Trajectories) -> Regions:
+    """The lengths that suit the data: fixed if dimensionless, else by their extent.
+
+    Args:
+        trajectories: the training data. Where the unit of `x` is "1" the lengths are
+            `VISITED` and `NEAR`; otherwise those fractions of the largest side of the
+            box around all observed positions.
+
+    Raises:
+        InputError: all observed positions are the same.
+    """
+    if trajectories.units.get(trajectories.channels[0]) == "1":
+        return Regions()
+    length = extent(trajectories)
+    if not length > 0:
+        raise InputError(
+            "regions: all observed positions are the same, so there is no extent; "
+            "give the lengths, such as Regions(visited=2.0, near=5.0)"
+        )
+    return Regions(VISITED_FRACTION * length, NEAR_FRACTION * length)
+
+
+def extent(trajectories: Trajectories) -> float:
+    """Largest side of the box around all observed planar positions [L]."""
+    samples = _observed_positions(trajectories)[0]
+    return float((samples.max(axis=0) - samples.min(axis=0)).max())
+
+
+class FieldMap(eqx.Module):
+    """A planar force field on a grid, and how far its points are from the data.
+
+    Attributes:
+        x: grid coordinates along x [L].
+        y: grid coordinates along y [L].
+        force: force at each grid point [L T⁻²].
+        distance: distance of each grid point to the nearest sample [L].
+    """
+
+    x: Float[np.ndarray, " columns"]
+    y: Float[np.ndarray, " rows"]
+    force: Float[np.ndarray, "rows columns 2"]
+    distance: Float[np.ndarray, "rows columns"]
+
+
+def field_map(
+    force: AbstractForce,
+    trajectories: Trajectories,
+    *,
+    time: float | None = None,
+    limits: tuple[float, float, float, float] | None = None,
+    points: int = 57,
+) -> FieldMap:
+    """The force of a swimmer at rest at each point of a planar grid.
+
+    Args:
+        force: the field; evaluated in float64.
+        trajectories: their observed positions define the distance.
+        time: time [T] at which a field that depends on it is drawn; unless given,
+            each grid point takes the time of its nearest sample, the reading most
+            favourable to such a field.
+        limits: x from, x to, y from, y to [L]; a square around the data unless given.
+        points: grid points along each side.
+    """
+    x_from, x_to, y_from, y_to = square(trajectories) if limits is None else limits
+    x, y = np.linspace(x_from, x_to, points), np.linspace(y_from, y_to, points)
+    grid = np.stack(np.meshgrid(x, y), axis=-1)
+    flat = grid.reshape(-1, 2)
+    distance, nearest_times = _nearest_samples(flat, trajectories)
+    ts = nearest_times if time is None else np.full_like(nearest_times, time)
+    exact = with_dtype(force, jnp.float64)
+    at_rest = jax.vmap(lambda t, x: exact(t, x, jnp.zeros_like(x)))
+    values = at_rest(jnp.asarray(ts), jnp.asarray(flat))
+    return FieldMap(
+        x, y, np.asarray(values).reshape(grid.shape), distance.reshape(grid.shape[:2])
+    )
+
+
+def square(trajectories: Trajectories) -> tuple[float, float, float, float]:
+    """The smallest square around the observed positions, with the near ground [L].
+
+    Returns:
+        x from, x to, y from, y to.
+    """
+    samples = _observed_positions(trajectories)[0]
+    margin = default_regions(trajectories).near
+    low, high = samples.min(axis=0), samples.max(axis=0)
+    middle, half = (low + high) / 2, (high - low).max() / 2 + margin
+    return middle[0] - half, middle[0] + half, middle[1] - half, middle[1] + half
+
+
+def distances(
+    points: Float[np.ndarray, "point 2"], trajectories: Trajectories
+) -> Float[np.ndarray, " point"]:
+    """Distance of each point to the nearest fully observed position [L]."""
+    return _nearest_samples(points, trajectories)[0]
+
+
+def _observed_positions(trajectories):
+    """All fully observed planar positions, and their times."""
+    seen = trajectories.observed[..., :2].all(-1)
+    return trajectories.states[..., :2][seen], trajectories.times[seen]
+
+
+def _nearest_samples(points, trajectories):
+    """Distance to, and time of, the nearest fully observed position."""
+    from scipy.spatial import KDTree
+
+    samples, times = _observed_positions(trajectories)
+    distance, index = KDTree(samples).query(points)
+    return distance, times[index]
+
+
+class Agreement(eqx.Module):
+    r"""How well two fields agree on a set of grid points.
+
+    Attributes:
+        error: $\|F - F^*\|_2 / \|F^*\|_2$, all points and components together.
+        cosine: $F \cdot F^* / (\|F\|_2 \|F^*\|_2)$; 1 for forces that are right but for
+            a common factor. NaN where either field is zero.
+        points: how many there are; where there is none, the others are NaN.
+    """
+
+    error: float
+    cosine: float
+    points: int
+
+
+def agreement(
+    learned: FieldMap, true: FieldMap, region: Bool[np.ndarray, "rows columns"]
+) -> Agreement:
+    """Relative error and cosine similarity over the grid points of a region."""
+    a, b = learned.force[region], true.force[region]
+    size, true_size = np.linalg.norm(a), np.linalg.norm(b)
+    return Agreement(
+        error=_ratio(np.linalg.norm(a - b), true_size),
+        cosine=_ratio(np.sum(a * b), size * true_size),
+        points=len(a),
+    )
+
+
+def _ratio(numerator, denominator) -> float:
+    return float(numerator / denominator) if denominator > 0 else float("nan")
+
+
+def force_agreement(
+    learned: FieldMap, true: FieldMap, regions: Regions | None = None
+) -> dict[str, Agreement]:
+    """Agreement on visited, near and unvisited ground and on the whole grid.
+
+    Args:
+        learned: the field of a fit.
+        true: the truth on the same grid; its distances define the regions.
+        regions: their lengths; `Regions()` unless given.
+    """
+    masks = (Regions() if regions is None else regions).masks(true.distance)
+    masks["everywhere"] = np.ones_like(true.distance, bool)
+    return {name: agreement(learned, true, mask) for name, mask in masks.items()}
+
+
+def force_error(
+    learned: FieldMap, true: FieldMap, region: Bool[np.ndarray, "rows columns"]
+) -> float:
+    r"""Relative error $\|F - F^*\|_2 / \|F^*\|_2$ over the grid points of a region."""
+    return agreement(learned, true, region).error
+
+
+def force_errors(
+    learned: FieldMap, true: FieldMap, regions: Regions | None = None
+) -> dict[str, float]:
+    """Relative L2 force error on visited ground, near it, and on the whole grid."""
+    found = force_agreement(learned, true, regions)
+    return {name: found[name].error for name in ("visited", "near", "everywhere")}

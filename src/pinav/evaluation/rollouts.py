@@ -1,0 +1,192 @@
+r"""Errors of rollouts over time, over many trajectories.
+
+A rollout has diverged from the first time at which its position is not finite or
+farther from the truth than the extent of the domain; its error is infinite from then
+on. A quantile is the smallest value that the given share of trajectories does not
+exceed, so that infinite errors stay infinite and nothing is interpolated.
+"""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool, Float
+
+from pinav.errors import InputError
+from pinav.evaluation.fields import extent
+from pinav.evaluation.scores import POSITION_CHANNELS
+from pinav.fitting.smoother import local_polynomial
+from pinav.trajectories import Trajectories
+
+MEDIAN, HIGH = 0.5, 0.9
+BINS = 60
+"""Intervals of time in which errors are pooled, at most."""
+
+
+class RolloutErrors(eqx.Module):
+    """Position errors of rollouts, one row for each trajectory.
+
+    Attributes:
+        elapsed: time since the start [T].
+        distance: distance to the observed position [L]; infinite once diverged.
+        path: way travelled since the start [L], along the smoothed observations.
+        scored: where a position was observed and is scored.
+        extent: of the domain [L]; a rollout farther off has diverged.
+    """
+
+    elapsed: Float[np.ndarray, "trajectory time"]
+    distance: Float[np.ndarray, "trajectory time"]
+    path: Float[np.ndarray, "trajectory time"]
+    scored: Bool[np.ndarray, "trajectory time"]
+    extent: float
+
+
+def position_errors(
+    predictions: Float[np.ndarray, "trajectory time state"],
+    trajectories: Trajectories,
+    *,
+    scored_from: int = 0,
+    domain: float | None = None,
+) -> RolloutErrors:
+    """Errors of the predicted positions against the observed ones.
+
+    Args:
+        predictions: states at the times of the trajectories.
+        trajectories: what was observed.
+        scored_from: index of the first sample that counts.
+        domain: extent of the domain [L]; that of these trajectories unless given.
+
+    Raises:
+        InputError: nothing is left to score.
+    """
+    dim = sum(name in POSITION_CHANNELS for name in trajectories.channels)
+    seen = np.asarray(trajectories.observed[..., :dim].all(-1))
+    scored = np.array(seen)
+    scored[:, :scored_from] = False
+    if not scored.any():
+        raise InputError(
+            "rollout errors: no observed position is left to score after the first "
+            f"{scored_from} samples; give longer trajectories"
+        )
+    domain = extent(trajectories) if domain is None else domain
+    offsets = predictions[..., :dim] - trajectories.states[..., :dim]
+    distance = np.linalg.norm(offsets, axis=-1)
+    lost = seen & ~(distance <= domain)
+    diverged = np.logical_or.accumulate(lost, axis=1)
+    return RolloutErrors(
+        elapsed=trajectories.times - trajectories.times[:, :1],
+        distance=np.where(diverged, np.inf, distance),
+        path=_paths(trajectories, dim),
+        scored=scored,
+        extent=domain,
+    )
+
+
+def _paths(trajectories: Trajectories, dim: int) -> np.ndarray:
+    """Way along local cubics through the observations: noise hardly lengthens it."""
+    ways = np.zeros(trajectories.times.shape)
+    for own, piece in zip(ways, trajectories, strict=True):
+        seen = np.asarray(piece.observed[:, :dim].all(-1))
+        if seen.sum() < 2:
+            own[:] = np.nan
+            continue
+        smooth = [
+            local_polynomial(piece.times, piece.states[:, i], seen) for i in range(dim)
+        ]
+        steps = np.linalg.norm(np.diff(np.stack(smooth, axis=1), axis=0), axis=1)
+        own[1 : len(steps) + 1] = np.cumsum(steps)
+        own[len(steps) + 1 :] = own[len(steps)]
+    return ways
+
+
+def quantile(values: Float[np.ndarray, " any"], level: float) -> float:
+    """Smallest of the values that a share `level` of them does not exceed."""
+    if not len(values):
+        return float("nan")
+    return float(np.quantile(values, level, method="inverted_cdf"))
+
+
+class ErrorCurve(eqx.Module):
+    """Errors over time.
+
+    Attributes:
+        elapsed: mean time since the start of the samples in each interval [T].
+        median: of the root-mean-square error of each trajectory in the interval [L].
+        high: 90th percentile [L].
+        diverged: share of the trajectories observed that had diverged.
+    """
+
+    elapsed: Float[np.ndarray, " bin"]
+    median: Float[np.ndarray, " bin"]
+    high: Float[np.ndarray, " bin"]
+    diverged: Float[np.ndarray, " bin"]
+
+
+def error_curve(errors: RolloutErrors, bins: int = BINS) -> ErrorCurve:
+    """Quantiles over trajectories in equal intervals of time since the start.
+
+    Args:
+        errors: of the rollouts.
+        bins: number of intervals; those without a scored sample are left out.
+    """
+    edges = np.linspace(0.0, errors.elapsed[errors.scored].max(), bins + 1)
+    place = np.clip(np.searchsorted(edges, errors.elapsed, "left") - 1, 0, bins - 1)
+    rows = []
+    for index in range(bins):
+        values = mean_errors(errors, place == index)
+        if len(values):
+            when = errors.elapsed[errors.scored & (place == index)].mean()
+            lost = float(np.mean(np.isinf(values)))
+            rows.append((when, quantile(values, MEDIAN), quantile(values, HIGH), lost))
+    return ErrorCurve(*np.array(rows).T)
+
+
+def mean_errors(
+    errors: RolloutErrors, chosen: Bool[np.ndarray, "trajectory time"]
+) -> Float[np.ndarray, " some"]:
+    """Root-mean-square error of each trajectory over its chosen samples [L].
+
+    Trajectories without any are left out.
+    """
+    scored = errors.scored & chosen
+    counts = scored.sum(axis=1)
+    squares = np.where(scored, errors.distance, 0.0) ** 2
+    return np.sqrt(squares.sum(axis=1)[counts > 0] / counts[counts > 0])
+
+
+class RolloutSummary(eqx.Module):
+    """Errors within an interval of time, over trajectories.
+
+    Attributes:
+        median: of the root-mean-square position error of each trajectory [L].
+        high: its 90th percentile [L].
+        median_relative: median of that error over the way travelled by its end.
+        high_relative: its 90th percentile.
+        diverged: share of trajectories that diverged by its end.
+        trajectories: how many have a scored sample in it.
+    """
+
+    median: float
+    high: float
+    median_relative: float
+    high_relative: float
+    diverged: float
+    trajectories: int
+
+
+def summarise(
+    errors: RolloutErrors, after: float = -np.inf, until: float = np.inf
+) -> RolloutSummary:
+    """Summary of the samples with `after` < time since the start <= `until` [T]."""
+    chosen = (errors.elapsed > after) & (errors.elapsed <= until)
+    values = mean_errors(errors, chosen)
+    scored = errors.scored & chosen
+    ways = np.where(scored, errors.path, 0.0).max(axis=1)[scored.any(axis=1)]
+    moved = ways > 0
+    relative = values[moved] / ways[moved]
+    return RolloutSummary(
+        median=quantile(values, MEDIAN),
+        high=quantile(values, HIGH),
+        median_relative=quantile(relative, MEDIAN),
+        high_relative=quantile(relative, HIGH),
+        diverged=float(np.mean(np.isinf(values))) if len(values) else float("nan"),
+        trajectories=len(values),
+    )

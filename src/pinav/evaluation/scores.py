@@ -1,0 +1,129 @@
+"""Root-mean-square errors of rollouts.
+
+Every rollout is solved anew in float64 at a tight tolerance, whatever the fit
+used, so that a fit cannot profit from the errors of its own integrator.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from pinav.dynamics import AbstractDynamics, Outcome, rollout, with_dtype
+from pinav.errors import InputError
+from pinav.solvers import AbstractSolver, Adaptive
+from pinav.trajectories import Trajectories
+
+POSITION_CHANNELS = ("x", "y", "z")
+
+
+class Score(eqx.Module):
+    """Root-mean-square errors of rollouts against observed states.
+
+    Attributes:
+        channels: names of the components of the state.
+        rmse: error of each component, over all observed samples; NaN where a
+            component was never observed.
+        outcomes: how the rollout of each trajectory ended.
+    """
+
+    channels: tuple[str, ...] = eqx.field(static=True)
+    rmse: Float[np.ndarray, " state"]
+    outcomes: tuple[Outcome, ...] = eqx.field(static=True)
+
+    @property
+    def total(self) -> float:
+        """Root mean square of the errors of all observed ones (paper, Table 2)."""
+        return _root_mean_square(self.rmse)
+
+    @property
+    def position(self) -> float:
+        """Root mean square of the errors of the position components alone."""
+        chosen = [name in POSITION_CHANNELS for name in self.channels]
+        return _root_mean_square(self.rmse[chosen])
+
+
+def _root_mean_square(errors: Float[np.ndarray, " state"]) -> float:
+    seen = errors[~np.isnan(errors)]
+    return float(np.sqrt(np.mean(seen**2))) if seen.size else float("nan")
+
+
+def predict(
+    dynamics: AbstractDynamics,
+    trajectories: Trajectories,
+    *,
+    starts: Float[np.ndarray, "trajectory state"] | None = None,
+    solver: AbstractSolver | None = None,
+) -> tuple[Float[np.ndarray, "trajectory time state"], tuple[Outcome, ...]]:
+    """Rollouts over the times of each trajectory, in float64.
+
+    Args:
+        dynamics: the model, in any precision; it is cast exactly.
+        trajectories: when to save.
+        starts: first state of each rollout; the first sample unless given. A rollout
+            from one that is not finite counts as diverged.
+        solver: how to integrate; `Adaptive()` (Dopri8 at 1e-11) unless given.
+
+    Returns:
+        The states, and how each rollout ended: a diverged one is data, not an error.
+
+    Raises:
+        InputError: a first sample is not fully observed, or x64 is switched off.
+    """
+    require_x64("scoring")
+    starts = _first_samples(trajectories) if starts is None else starts
+    known = np.asarray(np.isfinite(starts).all(axis=1))
+    first = jnp.asarray(np.where(known[:, None], starts, 0.0), jnp.float64)
+    times = jnp.asarray(trajectories.times, jnp.float64)
+    solver = Adaptive() if solver is None else solver
+    ys, outcomes = _rollouts(with_dtype(dynamics, jnp.float64), first, times, solver)
+    codes = np.where(known, outcomes, Outcome.DIVERGED)
+    ys = np.where(known[:, None, None], ys, np.nan)
+    return ys, tuple(Outcome(int(code)) for code in codes)
+
+
+def _first_samples(trajectories: Trajectories):
+    for index, first in enumerate(trajectories.observed[:, 0]):
+        if not first.all():
+            raise InputError(
+                f"trajectory {index}: its first sample is not fully observed, so no "
+                "rollout can start there; drop the samples before a complete one"
+            )
+    return trajectories.states[:, 0]
+
+
+@eqx.filter_jit
+def _rollouts(dynamics, starts, times, solver):
+    def one(y0, ts):
+        solution = rollout(dynamics, y0, ts, solver=solver, throw=False)
+        return solution.ys, solution.outcome
+
+    return jax.vmap(one)(starts, times)
+
+
+def score(
+    predictions: Float[np.ndarray, "trajectory time state"],
+    outcomes: tuple[Outcome, ...],
+    trajectories: Trajectories,
+) -> Score:
+    """Errors of `predictions` over every observed entry of `trajectories`.
+
+    A diverged rollout scores infinity.
+    """
+    observed = trajectories.observed
+    squares = np.where(observed, (predictions - trajectories.states) ** 2, 0.0)
+    squares = np.where(np.isfinite(squares), squares, np.inf)
+    count = observed.sum(axis=(0, 1))
+    total = squares.sum(axis=(0, 1))
+    mean = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    return Score(trajectories.channels, np.sqrt(mean), outcomes)
+
+
+def require_x64(purpose: str) -> None:
+    """Raise `InputError` where JAX would silently compute in float32."""
+    if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+        raise InputError(
+            f"{purpose} needs float64: call "
+            'jax.config.update("jax_enable_x64", True) before anything else'
+        )

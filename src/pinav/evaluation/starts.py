@@ -1,0 +1,150 @@
+r"""Starts of held-out trajectories that are noisy or not completely observed.
+
+With the model fixed, the start alone is fitted to the first K samples by lifted
+Gauss-Newton steps: every sample state is a point of linearisation, so that a rollout
+that depends on its start sensitively does no harm. What follows those K samples is then
+a prediction; the K samples themselves are not.
+
+References:
+    Bock, Randwertproblemmethoden zur Parameteridentifizierung (1987).
+"""
+
+import enum
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from pinav.dynamics import AbstractDynamics, with_dtype
+from pinav.errors import InputError
+from pinav.evaluation.scores import POSITION_CHANNELS, require_x64
+from pinav.fitting.lifting import FreeModel, advanced, linearise
+from pinav.fitting.objectives import Observations
+from pinav.fitting.smoother import smoothed_states
+from pinav.solvers import FixedStep
+from pinav.trajectories import Trajectories
+
+START_SAMPLES = 20
+"""Samples from which a start is estimated."""
+
+STEPS, TOLERANCE = 30, 1e-9
+"""Gauss-Newton steps at most, and the relative change at which they end."""
+
+
+class StartOutcome(enum.IntEnum):
+    """How the estimate of a start ended."""
+
+    CONVERGED = 0
+    STALLED = 1
+    FAILED = 2
+
+
+class Starts(eqx.Module):
+    """Estimated starts.
+
+    Attributes:
+        states: state at the first time of each trajectory; NaN where it failed,
+            because the samples do not determine it or the model diverged on them.
+        lifted: states at the first samples, about which was linearised last.
+        outcomes: how each estimate ended; a stalled one holds the last step.
+        count: samples used of each trajectory.
+    """
+
+    states: Float[np.ndarray, "trajectory state"]
+    lifted: Float[np.ndarray, "trajectory sample state"]
+    outcomes: tuple[StartOutcome, ...]
+    count: int
+
+
+def estimate_starts(
+    dynamics: AbstractDynamics,
+    trajectories: Trajectories,
+    *,
+    count: int = START_SAMPLES,
+    solver: FixedStep | None = None,
+) -> Starts:
+    r"""Least squares for each start, the model fixed.
+
+    $\min_s \sum_{k<K} |m_k (y_k(s) - \tilde y_k)|^2$ with the mask $m_k$ of what was
+    observed.
+
+    Args:
+        dynamics: the model.
+        trajectories: whose starts are sought; each has more than `count` samples.
+        count: $K$, at least 2.
+        solver: steps between samples; `FixedStep(substeps=4)` unless given.
+
+    Raises:
+        InputError: a trajectory is too short, a channel has too few observations among
+            its first samples, or x64 is switched off.
+    """
+    require_x64("estimating starts")
+    head = first_samples(trajectories, count)
+    dim = sum(name in POSITION_CHANNELS for name in head.channels)
+    states = jnp.asarray(smoothed_states(head, dim))
+    scale = np.maximum(np.ptp(np.asarray(states), axis=1), np.finfo(float).tiny)
+    free = FreeModel(with_dtype(dynamics, jnp.float64), _nothing)
+    observations = Observations.of(head, jnp.float64)
+    solver = FixedStep(substeps=4) if solver is None else solver
+    nothing, settled = jnp.zeros(0), np.zeros(len(head), bool)
+    for _ in range(STEPS):
+        linear = linearise(free, nothing, states, observations, solver)
+        moved = advanced(states, linear, nothing)
+        change = np.abs(np.asarray(moved - states)).max(axis=1) / scale
+        settled = (change < TOLERANCE).all(axis=1)
+        states = moved
+        if (settled | ~np.isfinite(change).all(axis=1)).all():
+            break
+    return _starts(np.asarray(states), settled, count)
+
+
+def _nothing(theta):
+    """No leaf of the model is free."""
+    return
+
+
+def _starts(states, settled, count) -> Starts:
+    found = np.isfinite(states).all(axis=(1, 2))
+    outcomes = tuple(
+        StartOutcome.FAILED
+        if not finite
+        else StartOutcome.CONVERGED
+        if done
+        else StartOutcome.STALLED
+        for finite, done in zip(found, settled, strict=True)
+    )
+    states = np.where(found[:, None, None], states, np.nan)
+    return Starts(states[:, 0], states, outcomes, count)
+
+
+def first_samples(trajectories: Trajectories, count: int) -> Trajectories:
+    """The first `count` samples of each trajectory.
+
+    Raises:
+        InputError: `count` is below 2, or a trajectory has no more samples than that.
+    """
+    if count < 2:
+        raise InputError(f"starts count: expected 2 or more samples, got {count}")
+    for index, length in enumerate(trajectories.lengths):
+        if length <= count:
+            raise InputError(
+                f"trajectory {index}: expected more than {count} samples, from which "
+                f"its start is estimated, got {length}; drop it"
+            )
+    kept = (*trajectories.channels, "t")
+    return Trajectories.from_arrays(
+        [piece.times[:count] for piece in trajectories],
+        [piece.states[:count] for piece in trajectories],
+        observed=[piece.observed[:count] for piece in trajectories],
+        channels=trajectories.channels,
+        units={name: trajectories.units[name] for name in kept},
+        provenance=trajectories.provenance,
+    )
+
+
+def without_first(trajectories: Trajectories, count: int) -> Trajectories:
+    """The trajectories, their first `count` samples not observed."""
+    observed = trajectories.observed.copy()
+    observed[:, :count] = False
+    return eqx.tree_at(lambda t: t.observed, trajectories, observed)

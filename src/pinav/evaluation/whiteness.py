@@ -1,0 +1,90 @@
+r"""Whether what a fit leaves over is white, as the noise of a camera would be.
+
+The normalised residuals $z_t$ of one channel, over all trajectories and wherever both
+partners of a pair were observed, have the autocorrelation
+
+$$r_k = \sum_t z_t z_{t+k} \Big/ \sum_t z_t^2 .$$
+
+Ljung and Box's statistic $Q = n (n+2) \sum_{k=1}^{h} r_k^2 / n_k$, with n residuals and
+$n_k$ pairs of lag k ($n - k$ in a single complete series), is $\chi^2_h$ for white
+noise. Its degrees of freedom are not reduced by the fitted parameters, which are few
+against the residuals. The mean is not subtracted: an offset is not white either.
+
+References:
+    Ljung and Box, Biometrika 65, 297 (1978).
+"""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool, Float
+
+LAGS = 10
+"""Largest lag."""
+
+
+class Whiteness(eqx.Module):
+    """Autocorrelation of residuals, and the test that they have none.
+
+    Attributes:
+        channels: names of the channels.
+        autocorrelation: at lags 1, 2, ...; NaN where there is no pair.
+        statistic: Ljung and Box's Q of each channel; NaN where nothing was observed.
+        p_value: chance of a larger one if the residuals were white.
+        counts: residuals of each channel.
+    """
+
+    channels: tuple[str, ...] = eqx.field(static=True)
+    autocorrelation: Float[np.ndarray, "channel lag"]
+    statistic: Float[np.ndarray, " channel"]
+    p_value: Float[np.ndarray, " channel"]
+    counts: tuple[int, ...] = eqx.field(static=True)
+
+
+def whiteness(
+    residuals: Float[np.ndarray, "trajectory time channel"],
+    observed: Bool[np.ndarray, "trajectory time channel"],
+    channels: tuple[str, ...],
+    lags: int = LAGS,
+) -> Whiteness:
+    """Autocorrelation and Ljung-Box test of each channel.
+
+    Args:
+        residuals: observed less fitted, in any unit.
+        observed: where there was an observation; what is not finite does not count.
+        channels: names of the channels.
+        lags: largest lag.
+    """
+    rows = [
+        _channel(residuals[..., i], observed[..., i], lags)
+        for i in range(len(channels))
+    ]
+    correlations, statistics, p_values, counts = zip(*rows, strict=True)
+    return Whiteness(
+        channels,
+        np.stack(correlations),
+        np.array(statistics),
+        np.array(p_values),
+        tuple(counts),
+    )
+
+
+def _channel(z, observed, lags):
+    from scipy.stats import chi2
+
+    seen = observed & np.isfinite(z)
+    z = np.where(seen, z, 0.0)
+    count, power = int(seen.sum()), float((z**2).sum())
+    if power == 0.0:
+        return np.full(lags, np.nan), np.nan, np.nan, count
+    products = np.full(lags, np.nan)
+    pairs = np.zeros(lags)
+    for lag in range(1, min(lags, z.shape[1] - 1) + 1):
+        pairs[lag - 1] = (seen[:, lag:] & seen[:, :-lag]).sum()
+        products[lag - 1] = (z[:, lag:] * z[:, :-lag]).sum()
+    used = pairs > 0
+    correlation = np.where(used, products / power, np.nan)
+    terms = correlation[used] ** 2 / pairs[used]
+    statistic = float(count * (count + 2) * terms.sum())
+    freedom = int(used.sum())
+    p_value = float(chi2.sf(statistic, freedom)) if freedom else np.nan
+    return correlation, statistic if freedom else np.nan, p_value, count

@@ -1,0 +1,96 @@
+"""The studies and the evaluation at full size: what a fit can be trusted for."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from conftest import pinav
+
+
+def study(out: Path, *words: str) -> dict:
+    done = pinav("study", *words, "--out", str(out))
+    assert done.returncode == 0, done.stderr
+    print(done.stdout)
+    return json.loads((out / "metrics.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def weakness(tmp_path_factory):
+    return study(tmp_path_factory.mktemp("weakness") / "run", "paper-weakness")
+
+
+def test_the_papers_network_knows_its_trajectory_and_not_the_force(weakness):
+    ude = next(row for name, row in weakness["models"].items() if "UDE" in name)
+    assert weakness["own_trajectory"] < 1e-4
+    assert ude["force"]["unvisited"] > 1.0
+    assert ude["rollouts"]["diverged"] > 0.25
+
+
+def test_a_kernel_potential_on_eight_crossings_knows_it(weakness):
+    kernel = next(row for name, row in weakness["models"].items() if "kernel" in name)
+    assert max(kernel["force"].values()) < 0.02
+    assert kernel["rollouts"]["high"] < 0.05
+    assert kernel["rollouts"]["diverged"] == 0
+
+
+@pytest.fixture(scope="module")
+def data_efficiency(tmp_path_factory):
+    out = tmp_path_factory.mktemp("data") / "run"
+    rows = study(out, "data-efficiency", "barrier-crossings")["rows"]
+    return {(row["model"], row["trajectories"]): row for row in rows}
+
+
+def test_more_trajectories_help_the_kernel_potential(data_efficiency):
+    errors = [
+        data_efficiency["kernel-potential", n]["force visited"] for n in (1, 8, 32)
+    ]
+    assert errors[0] > errors[1] > 0.5 * errors[2]
+    assert errors[2] < 0.02
+
+
+def test_every_cell_has_its_row(data_efficiency):
+    assert len(data_efficiency) == 42
+    for (model, _), row in data_efficiency.items():
+        failed = row["outcome"].startswith("failed")
+        assert failed or row["rollouts median"] is not None
+        if model == "physics-only":
+            assert row["force visited"] == pytest.approx(1.0)
+
+
+def test_physics_alone_is_worse_than_the_kernel_potential_at_every_noise(
+    tmp_path_factory,
+):
+    out = tmp_path_factory.mktemp("noise") / "run"
+    models = ["--models", "kernel-potential", "physics-only"]
+    rows = study(out, "noise", "barrier-crossings", *models)["rows"]
+    table = {(row["model"], row["sigma"]): row for row in rows}
+    for sigma in (0.0, 0.005, 0.01, 0.02, 0.05, 0.1):
+        kernel = table["kernel-potential", sigma]["rollouts median"]
+        assert kernel < 0.2 * table["physics-only", sigma]["rollouts median"]
+
+
+def test_a_fit_of_the_crossings_is_trusted_where_it_should_be(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("evaluate")
+    for name, words in (
+        ("train", ["--seed", "0"]),
+        ("test", ["--seed", "5", "--count", "16"]),
+        ("calibration", ["--seed", "6", "--count", "39", "--positions-only"]),
+    ):
+        out = ["--out", str(folder / f"{name}.npz")]
+        assert pinav("simulate", "barrier-crossings", *out, *words).returncode == 0
+    run = str(folder / "run")
+    learn = ["--learn", "damping", "gain"]
+    fit = pinav("fit", str(folder / "train.npz"), "--out", run, *learn)
+    assert fit.returncode == 0, fit.stderr
+    words = ["--calibrate", str(folder / "calibration.npz")]
+    done = pinav("evaluate", run, str(folder / "test.npz"), *words)
+    assert done.returncode == 0, done.stderr
+    print(done.stdout)
+    found = json.loads((folder / "run" / "evaluation.json").read_text())
+    assert found["force"]["model"]["visited"]["error"] < 0.02
+    clean = found["rollouts"]["model"]["clean starts"]
+    assert clean["beyond it"]["diverged"] == 0
+    assert found["coverage"]["observations of the data"]["visited"] > 0.9
+    assert all(abs(constant["z"]) < 3 for constant in found["constants"])
+    assert all(row["p_value"] > 0.001 for row in found["whiteness"].values())
