@@ -11,6 +11,7 @@ COMMANDS = {
     "simulate": "write the trajectories of a named scenario to a file",
     "fit": "fit a model of the unknown force to trajectories",
     "evaluate": "score a fitted run on trajectories",
+    "analyse": "map what a fit learned, and what it depends on",
     "report": "draw the figures and the HTML page of a run again",
     "bench": "run a benchmark and print its table",
 }

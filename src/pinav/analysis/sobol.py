@@ -104,28 +104,29 @@ def sobol_indices(
     _check(factors, samples, confidence)
     generator = np.random.default_rng(seed)
     points = stats.qmc.Sobol(2 * len(factors), rng=generator).random(samples)
-    low, high = (
-        np.array([getattr(f, end) for f in factors]) for end in ("low", "high")
-    )
-    first, second = (low + half * (high - low) for half in np.split(points, 2, axis=1))
+    low = np.array([factor.low for factor in factors])
+    high = np.array([factor.high for factor in factors])
+    halves = np.split(points, 2, axis=1)
+    first, second = (low[None] + half * (high - low)[None] for half in halves)
     mixed = np.repeat(first[None], len(factors), axis=0)
     for index in range(len(factors)):
         mixed[index, :, index] = second[:, index]
     values = _evaluated(function, np.concatenate([first, second, *mixed]), outcomes)
     varies = values.std(axis=0) > 1e-12 * np.abs(values).max(axis=0)
-    stacked = np.where(varies, values, np.nan).reshape(-1, samples, len(outcomes))
+    stacked = values.reshape(-1, samples, len(outcomes))
+    blank = np.where(varies, 0.0, np.nan)[:, None]
     intervals = [
         np.quantile(draws, [0.5 - confidence / 2, 0.5 + confidence / 2], axis=0)
         for draws in _resampled(stacked, resamples, generator)
     ]
-    estimate = _indices(stacked)
+    first_order, total = (blank + own for own in _indices(stacked))
     return SobolIndices(
         factors=tuple(factor.name for factor in factors),
         outcomes=tuple(outcomes),
-        first=estimate[0],
-        first_interval=np.moveaxis(intervals[0], 0, -1),
-        total=estimate[1],
-        total_interval=np.moveaxis(intervals[1], 0, -1),
+        first=first_order,
+        first_interval=blank[..., None] + np.moveaxis(intervals[0], 0, -1),
+        total=total,
+        total_interval=blank[..., None] + np.moveaxis(intervals[1], 0, -1),
         confidence=confidence,
         variance=values[: 2 * samples].var(axis=0),
     )
@@ -174,7 +175,8 @@ def _check(factors, samples, confidence):
         raise InputError("sobol_indices factors: expected one or more, got none")
     if samples < 2 or samples & (samples - 1):
         raise InputError(
-            f"sobol_indices samples: expected a power of two, such as 256, got {samples}"
+            "sobol_indices samples: expected a power of two, such as 256, got "
+            f"{samples}"
         )
     if not 0 < confidence < 1:
         raise InputError(

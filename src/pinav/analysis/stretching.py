@@ -42,12 +42,13 @@ def start_jacobians(
         solver: how to integrate; `FixedStep()` unless given.
 
     Raises:
-        InputError: the starts are not rows of states, or there are fewer than two times.
+        InputError: the starts are not rows of states, or the times fewer than two.
     """
     starts, ts = np.asarray(starts, float), np.asarray(ts, float)
     if starts.ndim != 2:
         raise InputError(
-            f"start_jacobians starts: expected one state a row, got shape {starts.shape}"
+            "start_jacobians starts: expected one state a row, got shape "
+            f"{starts.shape}"
         )
     if ts.ndim != 1 or len(ts) < 2:
         raise InputError(

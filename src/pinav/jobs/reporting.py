@@ -8,6 +8,7 @@ import numpy as np
 from pinav.errors import InputError
 from pinav.evaluation import Decomposition
 from pinav.files import write_text
+from pinav.jobs.analysis_pages import analysis_sections
 from pinav.jobs.reproduce import key_of, stored_field
 from pinav.jobs.table2 import DIFFERENCES, PAPER, ROWS
 from pinav.report import (
@@ -50,7 +51,8 @@ def write_report(folder: RunFolder) -> Path:
         raise InputError(f"{folder.path}/config.toml: job {job!r} is unknown")
     title = {"reproduce": "The paper's benchmark", "fit": "A fitted model"}[job]
     try:
-        content = [*sections[job](folder), *_provenance(folder)]
+        results = [*sections[job](folder), *analysis_sections(folder)]
+        content = [*results, *_provenance(folder)]
     except KeyError as error:
         raise InputError(
             f"{folder.path}: its results miss {error}; they were written by another "
