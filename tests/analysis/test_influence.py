@@ -8,6 +8,14 @@ from pinav.analysis import influence
 from pinav.errors import FitError, InputError
 from pinav.fitting import fit_bayes, kernel_environment
 from pinav.fitting.bayes_problem import BayesProblem
+from pinav.fitting.evidence import (
+    Data,
+    Quadratic,
+    joint_posterior,
+    weight_posterior,
+    without_flat,
+)
+from pinav.fitting.lifting import linearise
 from pinav.learned import KernelPotential
 from pinav.scenarios import barrier_crossings
 from pinav.solvers import FixedStep
@@ -37,6 +45,14 @@ def without(data, index):
     )
 
 
+def with_arrays(swimmer):
+    """Constants as arrays: another value is then no other compilation."""
+    picks = tuple(CONSTANTS.values())
+    return eqx.tree_at(
+        lambda m: tuple(pick(m) for pick in picks), swimmer, replace_fn=jnp.asarray
+    )
+
+
 def barrier(model):
     return model.environment
 
@@ -44,7 +60,7 @@ def barrier(model):
 @pytest.fixture(scope="module")
 def parametric():
     """The barrier's four numbers, flat priors: a fit that is cheap to repeat."""
-    data, swimmer = crossings(4), barrier_crossings().truth
+    data, swimmer = crossings(4), with_arrays(barrier_crossings().truth)
     fitted = fit_bayes(swimmer, data, learn=barrier, noise=0.02)
     found = influence(
         fitted.model,
@@ -125,7 +141,7 @@ def test_leverages_count_the_parameters(parametric):
 
 def test_a_kernel_fit_without_a_trajectory_solves_its_normal_equations():
     """Exact for the linear model: compared with a solve that leaves the rows out."""
-    data = crossings(3, samples=31)
+    data = crossings(3, samples=21)
     swimmer = eqx.tree_at(
         lambda s: s.environment,
         barrier_crossings().truth,
@@ -148,23 +164,19 @@ def test_a_kernel_fit_without_a_trajectory_solves_its_normal_equations():
     problem = BayesProblem.of(
         fitted.model, data, damping, 0.02, FixedStep(), states=fitted.states
     )
-    from pinav.fitting.evidence import (
-        Data,
-        joint_posterior,
-        weight_posterior,
-        without_flat,
-    )
-    from pinav.fitting.lifting import linearise
+    theta, each = problem.theta, []
+    for index in range(3):
+        own = jax.tree.map(lambda a, i=index: a[i : i + 1], problem.observations)
+        states = problem.states[index : index + 1]
+        linear = linearise(
+            problem.free, jnp.asarray(theta), states, own, problem.solver
+        )
+        each.append((np.asarray(linear.hessian), np.asarray(linear.gradient)))
 
     def solved(kept):
-        own = jax.tree.map(lambda a: a[np.array(kept)], problem.observations)
-        states = problem.states[np.array(kept)]
-        linear = linearise(
-            problem.free, jnp.asarray(problem.theta), states, own, problem.solver
-        )
-        quadratic, block = without_flat(
-            problem.quadratic(problem.theta, linear), problem.flat
-        )
+        hessian, gradient = (sum(each[i][part] for i in kept) for part in (0, 1))
+        whole = Quadratic(theta, hessian, gradient, 0.0, problem.num_free, 0.0)
+        quadratic, block = without_flat(whole, problem.flat)
         prior = problem.weights.prior.covariance(chosen.shape)
         weights = weight_posterior(Data.of(quadratic), prior, chosen)
         return joint_posterior(block, *weights, chosen.noise)[0]
@@ -194,12 +206,12 @@ def test_what_cannot_be_left_out_is_refused(parametric):
 
 def test_a_trajectory_that_alone_determines_a_parameter_is_named(parametric):
     data, _, fitted, _ = parametric
-    far = data.states[:2].copy()
+    far = data.states[:2, :21].copy()
     far[1, :, :2] += 400.0  # no barrier there
     apart = Trajectories.from_arrays(
-        list(data.times[:2]), list(far), channels=data.channels
+        list(data.times[:2, :21]), list(far), channels=data.channels
     )
-    states = np.asarray(fitted.states[:2]).copy()
+    states = np.asarray(fitted.states[:2, :21]).copy()
     states[1, :, :2] += 400.0
     with pytest.raises(FitError, match="without trajectory 0 the data do not"):
         influence(fitted.model, apart, states, fitted.hyperparameters, learn=barrier)

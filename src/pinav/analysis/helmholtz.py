@@ -134,19 +134,14 @@ def sampled_forces(
         count: number of draws.
         key: random key of the draws.
     """
-    root = np.linalg.cholesky(_positive(posterior.covariance))
+    eigenvalues, vectors = np.linalg.eigh(posterior.covariance)
+    root = vectors * np.sqrt(np.maximum(eigenvalues, 0.0))
     points = np.stack(np.meshgrid(field.x, field.y), axis=-1)
     with jax.enable_x64(new_val=True):
         normal = jax.random.normal(key, (count, len(root)), jnp.float64)
         draws = jnp.asarray(posterior.mean)[None] + normal @ jnp.asarray(root).T
         forces = _forces(posterior.free, draws, jnp.asarray(points.reshape(-1, 2)))
     return np.asarray(forces).reshape(count, *field.force.shape)
-
-
-def _positive(covariance):
-    """The covariance with rounding made up for, so that it has a Cholesky factor."""
-    slack = 1e-12 * np.trace(covariance) / len(covariance)
-    return covariance + slack * np.eye(len(covariance))
 
 
 @eqx.filter_jit

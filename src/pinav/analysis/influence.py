@@ -167,6 +167,7 @@ def _influence(problem, model, chosen, learn, constants) -> Influence:
         model, lambda m: (*_selected(m, learn), *(pick(m) for pick in picked))
     )
     learned = _positions(free, theta, lambda m: _selected(m, learn))
+    places = {name: _place(name, free, theta, constants[name]) for name in constants}
     each = _linearised(problem, free, theta)
     hessian = sum(hessian for hessian, _ in each)
     covariance = np.zeros_like(hessian)
@@ -178,16 +179,10 @@ def _influence(problem, model, chosen, learn, constants) -> Influence:
         for index, one in enumerate(each)
     ]
     leverages = np.array([one.leverage for one in removed])
-    slopes = {}
-    for name, pick in constants.items():
-        place = np.flatnonzero(_positions(free, theta, pick))
-        if len(place) != 1:
-            raise InputError(
-                f"influence constants: {name} is {len(place)} numbers; expected one"
-            )
-        slopes[name] = _slope(
-            covariance, hessian, place[0], chosen.noise, known=not learned[place[0]]
-        )
+    slopes = {
+        name: _slope(covariance, hessian, place, chosen.noise, known=not learned[place])
+        for name, place in places.items()
+    }
     return Influence(
         free=free,
         theta=np.asarray(theta),
@@ -213,6 +208,16 @@ def _positions(free: FreeModel, theta, pick) -> Bool[np.ndarray, " parameter"]:
     if jax.tree.leaves(pick(marks)):
         marks = eqx.tree_at(pick, marks, jax.tree.map(jnp.ones_like, pick(marks)))
     return np.asarray(ravel_pytree(marks)[0]) > 0
+
+
+def _place(name, free: FreeModel, theta, pick) -> int:
+    """Where a constant stands in the parameter vector."""
+    places = np.flatnonzero(_positions(free, theta, pick))
+    if len(places) != 1:
+        raise InputError(
+            f"influence constants: {name} is {len(places)} numbers; expected one"
+        )
+    return int(places[0])
 
 
 def _linearised(problem: BayesProblem, free, theta):

@@ -9,7 +9,7 @@ from jaxtyping import ArrayLike, Float
 from pinav.analysis.sobol import Factor, SobolIndices, sobol_indices
 from pinav.dynamics import Swimmer, with_dtype
 from pinav.errors import InputError
-from pinav.forces import LinearDrag, MagneticPropulsion
+from pinav.forces import AbstractForce, LinearDrag, MagneticPropulsion
 from pinav.solvers import FixedStep
 
 OUTCOMES = ("final x", "final y", "displacement", "least distance", "arrival")
@@ -117,32 +117,39 @@ class RolloutStudy(eqx.Module):
 def _paths(swimmer, start, ts, names, parameters):
     def one(values):
         chosen = dict(zip(names, values, strict=True))
-        varied = _Varied(swimmer, chosen.get("environment", jnp.ones(())))
-        for name, pick in _SCALED.items():
+        varied = swimmer
+        for name, pick in _STRENGTHS.items():
             if name in chosen:
-                changed = chosen[name] * pick(varied)
-                varied = eqx.tree_at(pick, varied, changed)
+                varied = eqx.tree_at(pick, varied, chosen[name], is_leaf=_is_none)
         shifts = [chosen.get(f"start {axis}", jnp.zeros(())) for axis in "xy"]
         y0 = start.at[:2].add(jnp.stack(shifts))
         return FixedStep().solve(varied, y0, ts)[0][:, :2]
 
+    swimmer = Swimmer(*(_Scaled(force) for force in _forces(swimmer)))
     return jax.lax.map(one, parameters, batch_size=256)
 
 
-_SCALED = {
-    "damping": lambda varied: varied.swimmer.drag.damping,
-    "gain": lambda varied: varied.swimmer.propulsion.gain,
+def _forces(swimmer: Swimmer) -> tuple[AbstractForce, ...]:
+    return swimmer.propulsion, swimmer.drag, swimmer.environment
+
+
+_STRENGTHS = {
+    "environment": lambda swimmer: swimmer.environment.factor,
+    "damping": lambda swimmer: swimmer.drag.factor,
+    "gain": lambda swimmer: swimmer.propulsion.factor,
 }
 
 
-class _Varied(eqx.Module):
-    """A swimmer whose environment is stronger or weaker."""
+class _Scaled(AbstractForce):
+    """A force times a factor: thrust by its gain, linear drag by its damping."""
 
-    swimmer: Swimmer
-    strength: ArrayLike
+    force: AbstractForce
+    factor: ArrayLike | None = None
 
-    def __call__(self, t, y):
-        x, v = jnp.split(y, 2)
-        rate = self.swimmer(t, y)
-        extra = (self.strength - 1.0) * self.swimmer.environment(t, x, v)
-        return rate + jnp.concatenate([jnp.zeros_like(x), extra])
+    def __call__(self, t, x, v):
+        value = self.force(t, x, v)
+        return value if self.factor is None else self.factor * value
+
+
+def _is_none(leaf) -> bool:
+    return leaf is None

@@ -8,11 +8,13 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.colors import Normalize
+from matplotlib.colorbar import Colorbar
+from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
+from matplotlib.ticker import FuncFormatter, LogLocator, ScalarFormatter
 
 from pinav.evaluation import NEAR, VISITED, FieldMap
 from pinav.report.style import (
@@ -238,10 +240,23 @@ def heat_map(
     bar.set_label(look[1], fontsize=TEXT)
     bar.ax.tick_params(labelsize=SMALL, length=2.5, width=0.6)
     bar.outline.set_linewidth(0.6)
+    _few_labels(bar, norm)
     ax.set_aspect("equal", adjustable="box")
     round_ticks(ax)
     label_axes(ax, channel_label("x", units), channel_label("y", units))
     return ax
+
+
+def _few_labels(bar: Colorbar, norm: Normalize) -> None:
+    """Labels of a colour bar that do not run into each other."""
+    if not isinstance(norm, LogNorm):
+        bar.formatter = ScalarFormatter()
+        bar.formatter.set_powerlimits((-2, 4))
+        return
+    decades = np.log10(norm.vmax / norm.vmin)
+    subs = (1.0, 2.0, 5.0) if decades < 2 else (1.0,)
+    bar.set_ticks(LogLocator(subs=subs), format=FuncFormatter(lambda v, _: f"{v:g}"))
+    bar.minorticks_off()
 
 
 def _extend(values, norm: Normalize) -> str:
