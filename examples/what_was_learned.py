@@ -1,8 +1,10 @@
 # %% [markdown]
-# # What was learned, and what does it depend on?
-# Synthetic shots at a Gaussian barrier, noise 0.02. A free kernel force is fitted,
-# which could be rotational; then: which part of it is a gradient, where is it known,
-# which trajectory and which constant decide it, and what decides where a swimmer ends?
+"""What was learned, and what does it depend on?
+
+Synthetic shots at a Gaussian barrier, noise 0.02. A free kernel force is fitted, which
+could be rotational; then: which part of it is a gradient, where is it known, which
+trajectory and which constant decide it, and what decides where a swimmer ends?
+"""
 
 # %%
 import os
@@ -58,6 +60,8 @@ split = helmholtz_split(field)
 forces = sampled_forces(fit.posterior, field, 32, key=jax.random.key(2))
 spread = rotational_fractions(field, forces).std()
 print(f"rotational fraction {split.rotational_fraction:.1%} ± {spread:.1%} (sd)")
+# The standard deviation is that of the noise alone: harmonic fields, which are gradient
+# and rotational at once, are shared between both parts, so that the least counts.
 print(f"what no potential explains: {split.least_fraction:.1%}")
 
 with tempfile.TemporaryDirectory() as folder:

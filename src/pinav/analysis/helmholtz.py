@@ -28,9 +28,9 @@ from pinav.evaluation import NEAR, FieldMap
 from pinav.fitting import Posterior
 from pinav.learned import kernel_centers
 
-ACROSS, MARGIN = 14, 2.0
-"""Gaussians along the map, whose width is their spacing, and how far, in spacings,
-they reach beyond the ground."""
+ACROSS, WIDTH, MARGIN = 18, 1.5, 2.0
+"""Gaussians along the map; their width, and how far they reach beyond the ground, in
+spacings."""
 
 RIDGE = 1e-9
 """Penalty of the weights, relative to the largest eigenvalue of the normal matrix."""
@@ -81,7 +81,7 @@ def helmholtz_split(field: FieldMap, *, reach: float = NEAR) -> HelmholtzSplit:
     ground = _ground(field, field.force, reach)
     basis = _Basis.of(field, ground)
     force = field.force[ground]
-    parts = basis.fitted(force)
+    parts = basis.fitted(force.ravel())
     gradient, rotational = basis.parts(parts)
     potential, stream = basis.functions(parts)
     least, greatest = basis.bounds(force)
@@ -116,11 +116,11 @@ def rotational_fractions(
     """
     ground = _ground(field, forces, reach)
     basis = _Basis.of(field, ground)
-    fractions = []
-    for force in forces:
-        gradient, rotational = basis.parts(basis.fitted(force[ground]))
-        fractions.append(_fraction(gradient[ground], rotational[ground]))
-    return np.array(fractions)
+    weights = basis.fitted(forces[:, ground].reshape(len(forces), -1).T)
+    parts = [basis.parts(column) for column in weights.T]
+    return np.array(
+        [_fraction(gradient[ground], turned[ground]) for gradient, turned in parts]
+    )
 
 
 def sampled_forces(
@@ -187,16 +187,17 @@ class _Basis(eqx.Module):
         centers = kernel_centers(
             points[ground], spacing=spacing, margin=MARGIN * spacing
         )
-        offsets = (points.reshape(-1, 1, 2) - centers[None]) / spacing
+        width = WIDTH * spacing
+        offsets = (points.reshape(-1, 1, 2) - centers[None]) / width
         values = np.exp(-0.5 * (offsets**2).sum(axis=-1))
-        slopes = -np.moveaxis(offsets, 2, 1) / spacing * values[:, None]
+        slopes = -np.moveaxis(offsets, 2, 1) / width * values[:, None]
         near = slopes[ground.ravel()]
         gradients = -near.reshape(-1, near.shape[2])
         rotations = _turned(near).reshape(gradients.shape)
         return cls(values, slopes, gradients, rotations, ground.shape)
 
     def fitted(self, force):
-        """Weights of potential and stream function, of least squares with a ridge."""
+        """Weights of potential and stream function, by least squares with a ridge."""
         return _ridge(np.concatenate([self.gradients, self.rotations], axis=1), force)
 
     def parts(self, weights):
@@ -215,10 +216,9 @@ class _Basis(eqx.Module):
     def bounds(self, force):
         """Rotational fraction left by all gradients, and by no rotation."""
         total = _norm(force) ** 2
-        by_gradients = self.gradients @ _ridge(self.gradients, force)
-        by_rotations = self.rotations @ _ridge(self.rotations, force)
         missed = [
-            _norm(force.ravel() - part) ** 2 for part in (by_gradients, by_rotations)
+            _norm(force.ravel() - rows @ _ridge(rows, force.ravel())) ** 2
+            for rows in (self.gradients, self.rotations)
         ]
         return float(missed[0] / total), float(1.0 - missed[1] / total)
 
@@ -233,7 +233,7 @@ def _ridge(rows, force):
     largest = scipy.linalg.eigvalsh(normal, subset_by_index=[len(normal) - 1] * 2)[0]
     normal[np.diag_indices_from(normal)] += RIDGE * largest
     factor = scipy.linalg.cho_factor(normal, lower=True, overwrite_a=True)
-    return scipy.linalg.cho_solve(factor, rows.T @ force.ravel())
+    return scipy.linalg.cho_solve(factor, rows.T @ force)
 
 
 def _fraction(gradient, rotational) -> float:

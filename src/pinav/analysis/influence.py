@@ -169,14 +169,14 @@ def _influence(problem, model, chosen, learn, constants) -> Influence:
     learned = _positions(free, theta, lambda m: _selected(m, learn))
     places = {name: _place(name, free, theta, constants[name]) for name in constants}
     each = _linearised(problem, free, theta)
-    hessian = sum(hessian for hessian, _ in each)
+    hessian = np.sum([hessian for hessian, _ in each], axis=0)
     covariance = np.zeros_like(hessian)
     covariance[np.ix_(learned, learned)] = _covariance(
         problem, hessian[np.ix_(learned, learned)], chosen
     )
     removed = [
-        _removal(*one, covariance, chosen.noise, index)
-        for index, one in enumerate(each)
+        _removal(own, gradient, covariance, chosen.noise, index)
+        for index, (own, gradient) in enumerate(each)
     ]
     leverages = np.array([one.leverage for one in removed])
     slopes = {

@@ -130,7 +130,9 @@ def stretch_map(
         own = [np.asarray(velocity(point), float) for point in points]
         starts = np.concatenate([points, np.stack(own)], axis=1)
     ends, slopes = start_jacobians(dynamics, starts, ts, solver=solver)
-    finite = np.isfinite(slopes).all(axis=(1, 2)) & np.isfinite(ends).all(axis=1)
+    finite = np.asarray(
+        np.isfinite(slopes).all(axis=(1, 2)) & np.isfinite(ends).all(axis=1)
+    )
     block = np.where(finite[:, None, None], slopes[:, :2, :2], 0.0)
     stretch = np.linalg.svd(block, compute_uv=False)[:, 0]
     times = np.asarray(ts, float)

@@ -292,13 +292,14 @@ def _bars(ax: Axes, indices: SobolIndices, outcome: int) -> None:
 
 def _one_legend(figure: Figure, axes: Sequence[Axes] | np.ndarray) -> None:
     """The legend of the first panel, once, below all of them."""
-    legends = [ax.get_legend() for ax in axes if ax.get_legend() is not None]
-    handles = legends[0].legend_handles
+    legends = [legend for ax in axes if (legend := ax.get_legend()) is not None]
+    handles = [handle for handle in legends[0].legend_handles if handle is not None]
     labels = [text.get_text() for text in legends[0].get_texts()]
     for legend in legends:
         legend.remove()
-    for ax in axes[1:]:
-        if ax.get_subplotspec().colspan.start:
+    left = min(ax.get_position().x0 for ax in axes)
+    for ax in axes:
+        if ax.get_position().x0 > left + 1e-6:
             ax.set_ylabel("")
     place = {"loc": "outside lower center", "ncols": 2, "fontsize": SMALL}
     figure.legend(handles, labels, frameon=False, **place)

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float
@@ -16,6 +15,7 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, ScalarFormatter
 
+from pinav.analysis import StretchMap
 from pinav.evaluation import NEAR, VISITED, FieldMap
 from pinav.report.style import (
     BLACK,
@@ -35,16 +35,6 @@ from pinav.report.style import (
 
 ARROWS = 15
 """Most arrows along each side of a map."""
-
-
-class Grid(Protocol):
-    """What has the coordinates of a planar grid [L]."""
-
-    @property
-    def x(self) -> np.ndarray: ...
-
-    @property
-    def y(self) -> np.ndarray: ...
 
 
 def force_map(
@@ -202,7 +192,7 @@ def _magnitude_map(magnitude, field, top, look, units, ax) -> Axes:
 
 def heat_map(
     values: Float[np.ndarray, "rows columns"],
-    grid: Grid,
+    grid: FieldMap | StretchMap,
     norm: Normalize,
     look: tuple[str, str],
     *,
@@ -253,7 +243,8 @@ def _few_labels(bar: Colorbar, norm: Normalize) -> None:
         bar.formatter = ScalarFormatter()
         bar.formatter.set_powerlimits((-2, 4))
         return
-    decades = np.log10(norm.vmax / norm.vmin)
+    low, high = bar.ax.get_xlim()
+    decades = np.log10(high / low)
     subs = (1.0, 2.0, 5.0) if decades < 2 else (1.0,)
     bar.set_ticks(LogLocator(subs=subs), format=FuncFormatter(lambda v, _: f"{v:g}"))
     bar.minorticks_off()
