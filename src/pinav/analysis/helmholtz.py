@@ -29,8 +29,8 @@ from pinav.fitting import Posterior
 from pinav.learned import kernel_centers
 
 ACROSS, WIDTH, MARGIN = 18, 1.5, 2.0
-"""Gaussians along the map; their width, and how far they reach beyond the ground, in
-spacings."""
+"""Gaussians along the map, no closer than two grid points; their width, and how far
+they reach beyond the ground, in spacings."""
 
 RIDGE = 1e-9
 """Penalty of the weights, relative to the largest eigenvalue of the normal matrix."""
@@ -183,7 +183,9 @@ class _Basis(eqx.Module):
     @classmethod
     def of(cls, field: FieldMap, ground) -> "_Basis":
         points = np.stack(np.meshgrid(field.x, field.y), axis=-1)
-        spacing = max(np.ptp(field.x), np.ptp(field.y)) / ACROSS
+        extent = max(np.ptp(field.x), np.ptp(field.y))
+        step = extent / (max(ground.shape) - 1)
+        spacing = max(extent / ACROSS, 2.0 * step)
         centers = kernel_centers(
             points[ground], spacing=spacing, margin=MARGIN * spacing
         )

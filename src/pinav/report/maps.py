@@ -13,7 +13,12 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import FuncFormatter, LogLocator, ScalarFormatter
+from matplotlib.ticker import (
+    FuncFormatter,
+    LogLocator,
+    NullLocator,
+    ScalarFormatter,
+)
 
 from pinav.analysis import StretchMap
 from pinav.evaluation import NEAR, VISITED, FieldMap
@@ -243,11 +248,12 @@ def _few_labels(bar: Colorbar, norm: Normalize) -> None:
         bar.formatter = ScalarFormatter()
         bar.formatter.set_powerlimits((-2, 4))
         return
-    low, high = bar.ax.get_xlim()
-    decades = np.log10(high / low)
+    decades = np.log10(bar.vmax / bar.vmin)
     subs = (1.0, 2.0, 5.0) if decades < 2 else (1.0,)
-    bar.set_ticks(LogLocator(subs=subs), format=FuncFormatter(lambda v, _: f"{v:g}"))
-    bar.minorticks_off()
+    axis = bar.ax.xaxis
+    axis.set_major_locator(LogLocator(subs=subs))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_locator(NullLocator())
 
 
 def _extend(values, norm: Normalize) -> str:
