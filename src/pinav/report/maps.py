@@ -248,7 +248,8 @@ def _few_labels(bar: Colorbar, norm: Normalize) -> None:
         bar.formatter = ScalarFormatter()
         bar.formatter.set_powerlimits((-2, 4))
         return
-    decades = np.log10(bar.vmax / bar.vmin)
+    low, high = bar.mappable.get_clim()
+    decades = np.log10((high or 1.0) / (low or 1.0))
     subs = (1.0, 2.0, 5.0) if decades < 2 else (1.0,)
     axis = bar.ax.xaxis
     axis.set_major_locator(LogLocator(subs=subs))
