@@ -17,7 +17,12 @@ import msgspec
 import tyro
 
 from pinav.errors import InputError
-from pinav.jobs.settings import FitSettings, ReproduceSettings, SimulateSettings
+from pinav.jobs.settings import (
+    AnalyseSettings,
+    FitSettings,
+    ReproduceSettings,
+    SimulateSettings,
+)
 from pinav.jobs.study_settings import StudyName, StudySettings
 
 Settings = TypeVar("Settings", bound=msgspec.Struct)
@@ -140,6 +145,22 @@ class DiscoverOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     refits: Annotated[
         int, tyro.conf.arg(help="Number of laws refitted to the trajectories.")
     ] = 5
+    json: AsJson = False
+
+
+class AnalyseOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Map what a fit learned, and what it depends on; adds to its report.
+
+    Writes analysis.json, analysis-*.csv, figures and sections of report.html: gradient
+    and rotational part of the force, potential, signal to noise, influence of each
+    trajectory and constant, dependence of rollouts on start and parameters. What needs
+    a posterior is left out where the run has none.
+    """
+
+    run: Annotated[
+        Path, tyro.conf.Positional, tyro.conf.arg(help="Folder of a run of pinav fit.")
+    ]
+    settings: AnalyseSettings = AnalyseSettings()
     json: AsJson = False
 
 
@@ -307,6 +328,23 @@ def discover(options: DiscoverOptions) -> None:
     print(f"report: {path}")
 
 
+def analyse(options: AnalyseOptions) -> None:
+    """`pinav analyse`."""
+    options.settings.check()
+    _enable_x64()
+    from pinav.jobs import analyse as job
+    from pinav.jobs.reporting import write_report
+    from pinav.runs import RunFolder
+
+    found = job.analyse(options.settings, options.run)
+    page = write_report(RunFolder.open(options.run))
+    if options.json:
+        _print_json(found)
+        return
+    print(job.text(found))
+    print(f"report: {page}")
+
+
 def report(options: ReportOptions) -> None:
     """`pinav report`."""
     from pinav.jobs.reporting import write_report
@@ -347,6 +385,7 @@ HANDLERS: dict[str, tuple[type[msgspec.Struct], Callable[[Any], None]]] = {
     "evaluate": (EvaluateOptions, evaluate),
     "discover": (DiscoverOptions, discover),
     "study": (StudyOptions, study),
+    "analyse": (AnalyseOptions, analyse),
     "report": (ReportOptions, report),
 }
 

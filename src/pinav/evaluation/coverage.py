@@ -86,7 +86,8 @@ def estimated_start_bands(
         FixedStep() if solver is None else solver,
     )
     rows = -np.asarray(linear.start_rows)[:, :, : len(posterior.mean)]
-    spread = noise**2 * _inverses(np.asarray(linear.start_information))
+    factors = np.asarray(linear.start_factor)
+    spread = noise**2 * _inverses(np.swapaxes(factors, 1, 2) @ factors)
     return _bands(posterior, trajectories, starts.states, rows, spread, solver)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from pinav.errors import InputError
 from pinav.evaluation import Decomposition
 from pinav.files import write_text
+from pinav.jobs.analysis_pages import analysis_sections
 from pinav.jobs.evaluation_report import evaluated
 from pinav.jobs.law_report import law_sections
 from pinav.jobs.reproduce import key_of, stored_field
@@ -59,7 +60,8 @@ def write_report(folder: RunFolder) -> Path:
         raise InputError(f"{folder.path}/config.toml: job {job!r} is unknown")
     title = TITLES[job]
     try:
-        content = [*sections[job](folder), *evaluated(folder), *_provenance(folder)]
+        results = [*sections[job](folder), *evaluated(folder)]
+        content = [*results, *analysis_sections(folder), *_provenance(folder)]
     except KeyError as error:
         raise InputError(
             f"{folder.path}: its results miss {error}; they were written by another "

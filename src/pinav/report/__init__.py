@@ -1,5 +1,12 @@
 """Figures of results, and one self-contained HTML page that holds them."""
 
+from pinav.report.analysis_maps import constants_figure as constants_figure
+from pinav.report.analysis_maps import helmholtz_figure as helmholtz_figure
+from pinav.report.analysis_maps import influence_figure as influence_figure
+from pinav.report.analysis_maps import potential_map as potential_map
+from pinav.report.analysis_maps import sobol_figure as sobol_figure
+from pinav.report.analysis_maps import stretch_figure as stretch_figure
+from pinav.report.analysis_maps import trust_map as trust_map
 from pinav.report.figures import acceleration_figure as acceleration_figure
 from pinav.report.figures import decomposition as decomposition
 from pinav.report.figures import figure1 as figure1

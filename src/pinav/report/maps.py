@@ -7,11 +7,20 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.colorbar import Colorbar
+from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
+from matplotlib.ticker import (
+    FuncFormatter,
+    LogLocator,
+    NullLocator,
+    ScalarFormatter,
+)
 
+from pinav.analysis import StretchMap
 from pinav.evaluation import NEAR, VISITED, FieldMap
 from pinav.report.style import (
     BLACK,
@@ -55,10 +64,10 @@ def force_map(
         ax: where to draw; a new figure unless given.
     """
     magnitude = np.linalg.norm(field.force, axis=-1)
-    top = _top(magnitude, field) if limit is None else limit
+    top = largest_near(magnitude, field) if limit is None else limit
     ax = _magnitude_map(magnitude, field, top, ("viridis", "$|F|$"), units, ax)
-    _arrows(ax, field, top)
-    _overlay(ax, field, path, units, shade=shade)
+    draw_arrows(ax, field, top)
+    overlay(ax, field, path, units, shade=shade)
     return ax
 
 
@@ -82,9 +91,9 @@ def force_error_map(
         ax: where to draw; a new figure unless given.
     """
     error = np.linalg.norm(learned.force - true.force, axis=-1)
-    top = _top(error, true) if limit is None else limit
+    top = largest_near(error, true) if limit is None else limit
     ax = _magnitude_map(error, true, top, ("magma", r"$|F - F^*|$"), units, ax)
-    _overlay(ax, true, path, units, shade=True)
+    overlay(ax, true, path, units, shade=True)
     return ax
 
 
@@ -108,9 +117,9 @@ def force_sd_map(
         ax: where to draw; a new figure unless given.
     """
     size = np.linalg.norm(sd, axis=-1)
-    top = _top(size, field) if limit is None else limit
+    top = largest_near(size, field) if limit is None else limit
     ax = _magnitude_map(size, field, top, ("cividis", r"$\mathrm{sd}(F)$"), units, ax)
-    _overlay(ax, field, path, units, shade=False)
+    overlay(ax, field, path, units, shade=False)
     return ax
 
 
@@ -132,7 +141,11 @@ def force_comparison(
         units: unit of each channel; "1" means dimensionless.
     """
     sizes = [np.linalg.norm(f.force, axis=-1) for f in (true, learned) if f is not None]
-    top = float(np.nanmax(sizes[0])) if true is not None else _top(sizes[0], learned)
+    top = (
+        float(np.nanmax(sizes[0]))
+        if true is not None
+        else largest_near(sizes[0], learned)
+    )
     shared = {"path": path, "units": units}
     panels = {"learned": partial(force_map, learned, limit=top, **shared)}
     if true is not None:
@@ -168,7 +181,7 @@ def _arranged(panels, units, *, path: bool) -> Figure:
     return figure
 
 
-def _top(magnitude, field: FieldMap) -> float:
+def largest_near(magnitude, field: FieldMap) -> float:
     """Largest finite magnitude near the data, or anywhere if there is none."""
     near = magnitude[(field.distance <= NEAR) & np.isfinite(magnitude)]
     values = near if near.size else magnitude[np.isfinite(magnitude)]
@@ -177,36 +190,84 @@ def _top(magnitude, field: FieldMap) -> float:
 
 def _magnitude_map(magnitude, field, top, look, units, ax) -> Axes:
     cmap, quantity = look
+    label = with_unit(quantity, force_unit(units))
+    norm = Normalize(0.0, top)
+    return heat_map(magnitude, field, norm, (cmap, label), units=units, ax=ax)
+
+
+def heat_map(
+    values: Float[np.ndarray, "rows columns"],
+    grid: FieldMap | StretchMap,
+    norm: Normalize,
+    look: tuple[str, str],
+    *,
+    units: Mapping[str, str] = DIMENSIONLESS,
+    ax: Axes | None = None,
+) -> Axes:
+    """A quantity in colour over the plane, with its colour bar; axes of equal scale.
+
+    Args:
+        values: the quantity at each grid point; not drawn where it is not finite.
+        grid: what has the coordinates `x` and `y` of the grid [L].
+        norm: scale of the colours, with its limits.
+        look: name of the colour map, and label of the colour bar with its unit.
+        units: unit of each channel; "1" means dimensionless.
+        ax: where to draw; a new figure unless given.
+    """
     ax = prepared(ax, width=3.8, height=4.4)
     image = ax.pcolormesh(
-        field.x,
-        field.y,
-        np.ma.masked_invalid(magnitude),
-        cmap=cmap,
-        vmin=0.0,
-        vmax=top,
+        grid.x,
+        grid.y,
+        np.ma.masked_invalid(values),
+        cmap=look[0],
+        norm=norm,
         shading="nearest",
         rasterized=True,
     )
-    beyond = bool((magnitude > top * (1.0 + 1e-9)).any())
     bar = ax.figure.colorbar(
         image,
         ax=ax,
         location="bottom",
         aspect=30,
         pad=0.02,
-        extend="max" if beyond else "neither",
+        extend=_extend(values, norm),
     )
-    bar.set_label(with_unit(quantity, force_unit(units)), fontsize=TEXT)
+    bar.set_label(look[1], fontsize=TEXT)
     bar.ax.tick_params(labelsize=SMALL, length=2.5, width=0.6)
     bar.outline.set_linewidth(0.6)
+    _few_labels(bar, norm)
     ax.set_aspect("equal", adjustable="box")
     round_ticks(ax)
     label_axes(ax, channel_label("x", units), channel_label("y", units))
     return ax
 
 
-def _arrows(ax: Axes, field: FieldMap, top: float) -> None:
+def _few_labels(bar: Colorbar, norm: Normalize) -> None:
+    """Labels of a colour bar that do not run into each other."""
+    if not isinstance(norm, LogNorm):
+        bar.formatter = ScalarFormatter()
+        bar.formatter.set_powerlimits((-2, 4))
+        return
+    low, high = bar.mappable.get_clim()
+    decades = np.log10((high or 1.0) / (low or 1.0))
+    subs = (1.0, 2.0, 5.0) if decades < 2 else (1.0,)
+    axis = bar.ax.xaxis
+    axis.set_major_locator(LogLocator(subs=subs))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_locator(NullLocator())
+
+
+def _extend(values, norm: Normalize) -> str:
+    """Which ends of the colour bar are pointed: where values lie beyond."""
+    slack = 1.0 + 1e-9
+    above = norm.vmax is not None and bool((values > norm.vmax * slack).any())
+    below = norm.vmin is not None and bool((values < norm.vmin / slack).any())
+    return {(False, False): "neither", (True, False): "max", (False, True): "min"}.get(
+        (above, below), "both"
+    )
+
+
+def draw_arrows(ax: Axes, field: FieldMap, top: float) -> None:
     """Arrows on a coarser grid, none longer than the distance between two."""
     rows, columns = (
         slice((n - 1) % stride // 2, None, stride)
@@ -234,7 +295,7 @@ def _arrows(ax: Axes, field: FieldMap, top: float) -> None:
     )
 
 
-def _overlay(ax: Axes, field: FieldMap, path, units, *, shade: bool) -> None:
+def overlay(ax: Axes, field: FieldMap, path, units, *, shade: bool) -> None:
     """Grey ground without data, contours of visited and near ground, the path."""
     lowest, highest = float(field.distance.min()), float(field.distance.max())
     with file_settings():
@@ -268,7 +329,7 @@ _PATH = {
 
 
 def _keys(units, *, path: bool, shade: bool) -> list[Artist]:
-    """Legend entries of what `_overlay` draws."""
+    """Legend entries of what `overlay` draws."""
     length = with_unit("", units.get("x", "1")).strip(" []")
     visited, near = (f"within {d:g} {length}".strip() for d in (VISITED, NEAR))
     outline = [withStroke(linewidth=1.8, foreground="0.6")]

@@ -1,0 +1,247 @@
+r"""Helmholtz split of a planar force: a gradient part and a rotational part.
+
+$F \approx -\nabla U + \nabla^\perp \psi$ with $\nabla^\perp = (\partial_y,
+-\partial_x)$ and a potential $U$ and a stream function $\psi$ made of Gaussians on a
+grid. Their weights are those of least squares on the ground near the data, with a
+small ridge: what lies elsewhere, and the edge of the map, have no say.
+
+A field that is both a gradient and rotational there (harmonic: a constant force, a
+saddle) is ambiguous on any bounded ground. The ridge shares it equally. How much that
+matters is told by two orthogonal projections: on the gradients alone, so that all
+harmonic fields count as gradients (least rotational fraction: what no potential
+explains), and on the rotational fields alone (greatest).
+
+References:
+    Bhatia, Norgard, Pascucci and Bremer, IEEE TVCG 19, 1386 (2013), a survey; Fuselier
+    and Wright, IMA J. Numer. Anal. 37, 774 (2017), radial basis functions.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.linalg
+from jaxtyping import Bool, Float, PRNGKeyArray
+
+from pinav.errors import InputError
+from pinav.evaluation import NEAR, FieldMap
+from pinav.fitting import Posterior
+from pinav.learned import kernel_centers
+
+ACROSS, WIDTH, MARGIN = 18, 1.5, 2.0
+"""Gaussians along the map, no closer than two grid points; their width, and how far
+they reach beyond the ground, in spacings."""
+
+RIDGE = 1e-9
+"""Penalty of the weights, relative to the largest eigenvalue of the normal matrix."""
+
+
+class HelmholtzSplit(eqx.Module):
+    r"""A force as the sum of a gradient, a rotational part and a small misfit.
+
+    Attributes:
+        gradient: $-\nabla U$ on the grid of the map [L T⁻²].
+        rotational: $\nabla^\perp\psi$ there [L T⁻²].
+        potential: $U$ [L² T⁻²]; its least value on the ground is zero.
+        stream: $\psi$ [L² T⁻²].
+        ground: grid points that count.
+        rotational_fraction: $|F_r|^2 / (|F_g|^2 + |F_r|^2)$, sums over the ground.
+        least_fraction: rotational fraction where harmonic fields are all gradients.
+        greatest_fraction: rotational fraction where they are all rotational.
+        misfit: relative L2 norm of what neither part explains, over the ground.
+    """
+
+    gradient: Float[np.ndarray, "rows columns 2"]
+    rotational: Float[np.ndarray, "rows columns 2"]
+    potential: Float[np.ndarray, "rows columns"]
+    stream: Float[np.ndarray, "rows columns"]
+    ground: Bool[np.ndarray, "rows columns"]
+    rotational_fraction: float
+    least_fraction: float
+    greatest_fraction: float
+    misfit: float
+
+    @property
+    def gradient_fraction(self) -> float:
+        """One less the rotational fraction."""
+        return 1.0 - self.rotational_fraction
+
+
+def helmholtz_split(field: FieldMap, *, reach: float = NEAR) -> HelmholtzSplit:
+    """Split a force into its gradient and its rotational part.
+
+    Args:
+        field: the force on a grid.
+        reach: ground is what lies so near to a sample [L]. Everywhere counts if it is
+            infinite.
+
+    Raises:
+        InputError: no force is known on the ground, or it is zero there.
+    """
+    ground = _ground(field, field.force, reach)
+    basis = _Basis.of(field, ground)
+    force = field.force[ground]
+    parts = basis.fitted(force.ravel())
+    gradient, rotational = basis.parts(parts)
+    potential, stream = basis.functions(parts)
+    least, greatest = basis.bounds(force)
+    return HelmholtzSplit(
+        gradient=gradient,
+        rotational=rotational,
+        potential=potential - potential[ground].min(),
+        stream=stream,
+        ground=ground,
+        rotational_fraction=_fraction(gradient[ground], rotational[ground]),
+        least_fraction=least,
+        greatest_fraction=greatest,
+        misfit=_norm(force - (gradient + rotational)[ground]) / _norm(force),
+    )
+
+
+def rotational_fractions(
+    field: FieldMap,
+    forces: Float[np.ndarray, "sample rows columns 2"],
+    *,
+    reach: float = NEAR,
+) -> Float[np.ndarray, " sample"]:
+    """Rotational fraction of each of several forces, such as draws of a posterior.
+
+    Args:
+        field: the map whose grid and ground they share.
+        forces: one force a row [L T⁻²].
+        reach: as for `helmholtz_split`.
+
+    Raises:
+        InputError: no force is known on the ground, or one is zero there.
+    """
+    ground = _ground(field, forces, reach)
+    basis = _Basis.of(field, ground)
+    weights = basis.fitted(forces[:, ground].reshape(len(forces), -1).T)
+    parts = [basis.parts(column) for column in weights.T]
+    return np.array(
+        [_fraction(gradient[ground], turned[ground]) for gradient, turned in parts]
+    )
+
+
+def sampled_forces(
+    posterior: Posterior, field: FieldMap, count: int, *, key: PRNGKeyArray
+) -> Float[np.ndarray, "sample rows columns 2"]:
+    """Forces on the grid of a map, of models drawn from a posterior, at time zero.
+
+    Args:
+        posterior: the distribution of models.
+        field: the map.
+        count: number of draws.
+        key: random key of the draws.
+    """
+    eigenvalues, vectors = np.linalg.eigh(posterior.covariance)
+    root = vectors * np.sqrt(np.maximum(eigenvalues, 0.0))
+    points = np.stack(np.meshgrid(field.x, field.y), axis=-1)
+    with jax.enable_x64(new_val=True):
+        normal = jax.random.normal(key, (count, len(root)), jnp.float64)
+        draws = jnp.asarray(posterior.mean)[None] + normal @ jnp.asarray(root).T
+        forces = _forces(posterior.free, draws, jnp.asarray(points.reshape(-1, 2)))
+    return np.asarray(forces).reshape(count, *field.force.shape)
+
+
+@eqx.filter_jit
+def _forces(free, draws, points):
+    def one(theta):
+        force = free(theta).environment
+        return jax.vmap(lambda x: force(0.0, x, jnp.zeros_like(x)))(points)
+
+    return jax.lax.map(one, draws)
+
+
+def _ground(field: FieldMap, forces, reach) -> Bool[np.ndarray, "rows columns"]:
+    finite = np.isfinite(forces).all(axis=-1)
+    ground = (field.distance <= reach) & finite.reshape(-1, *field.distance.shape).all(
+        axis=0
+    )
+    if ground.sum() < 3:
+        raise InputError(
+            f"helmholtz_split field: no finite force within {reach:g} of a sample; "
+            "raise reach, or draw the map around the data"
+        )
+    if not forces[..., ground, :].any(axis=(-2, -1)).all():
+        raise InputError(
+            "helmholtz_split field: the force is zero near the data; there is "
+            "nothing to split"
+        )
+    return ground
+
+
+class _Basis(eqx.Module):
+    """Gaussians on a grid: the forces that they make, and the normal matrix."""
+
+    values: Float[np.ndarray, "all kernel"]
+    slopes: Float[np.ndarray, "all 2 kernel"]
+    gradients: Float[np.ndarray, "row kernel"]
+    rotations: Float[np.ndarray, "row kernel"]
+    shape: tuple[int, int] = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, field: FieldMap, ground) -> "_Basis":
+        points = np.stack(np.meshgrid(field.x, field.y), axis=-1)
+        extent = max(np.ptp(field.x), np.ptp(field.y))
+        step = extent / (max(ground.shape) - 1)
+        spacing = max(extent / ACROSS, 2.0 * step)
+        centers = kernel_centers(
+            points[ground], spacing=spacing, margin=MARGIN * spacing
+        )
+        width = WIDTH * spacing
+        offsets = (points.reshape(-1, 1, 2) - centers[None]) / width
+        values = np.exp(-0.5 * (offsets**2).sum(axis=-1))
+        slopes = -np.moveaxis(offsets, 2, 1) / width * values[:, None]
+        near = slopes[ground.ravel()]
+        gradients = -near.reshape(-1, near.shape[2])
+        rotations = _turned(near).reshape(gradients.shape)
+        return cls(values, slopes, gradients, rotations, ground.shape)
+
+    def fitted(self, force):
+        """Weights of potential and stream function, by least squares with a ridge."""
+        return _ridge(np.concatenate([self.gradients, self.rotations], axis=1), force)
+
+    def parts(self, weights):
+        """Gradient and rotational force on the whole grid."""
+        of_potential, of_stream = np.split(weights, 2)
+        gradient = -self.slopes @ of_potential
+        rotational = _turned(self.slopes) @ of_stream
+        return gradient.reshape(*self.shape, 2), rotational.reshape(*self.shape, 2)
+
+    def functions(self, weights):
+        """Potential and stream function on the whole grid."""
+        return tuple(
+            (self.values @ part).reshape(self.shape) for part in np.split(weights, 2)
+        )
+
+    def bounds(self, force):
+        """Rotational fraction left by all gradients, and by no rotation."""
+        total = _norm(force) ** 2
+        missed = [
+            _norm(force.ravel() - rows @ _ridge(rows, force.ravel())) ** 2
+            for rows in (self.gradients, self.rotations)
+        ]
+        return float(missed[0] / total), float(1.0 - missed[1] / total)
+
+
+def _turned(slopes):
+    """From the slopes of a stream function to its force."""
+    return np.stack([slopes[:, 1], -slopes[:, 0]], axis=1)
+
+
+def _ridge(rows, force):
+    normal = rows.T @ rows
+    largest = scipy.linalg.eigvalsh(normal, subset_by_index=[len(normal) - 1] * 2)[0]
+    normal[np.diag_indices_from(normal)] += RIDGE * largest
+    factor = scipy.linalg.cho_factor(normal, lower=True, overwrite_a=True)
+    return scipy.linalg.cho_solve(factor, rows.T @ force)
+
+
+def _fraction(gradient, rotational) -> float:
+    squares = _norm(gradient) ** 2, _norm(rotational) ** 2
+    return float(squares[1] / sum(squares))
+
+
+def _norm(values) -> float:
+    return float(np.linalg.norm(values))
