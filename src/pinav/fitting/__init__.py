@@ -19,6 +19,10 @@ from pinav.fitting.gauss_newton import GaussNewton as GaussNewton
 from pinav.fitting.kernels import WITHOUT_PRIOR as WITHOUT_PRIOR
 from pinav.fitting.kernels import KernelGrid as KernelGrid
 from pinav.fitting.kernels import kernel_environment as kernel_environment
+from pinav.fitting.kernels import kernels_on as kernels_on
+from pinav.fitting.kernels import (
+    timed_kernel_environment as timed_kernel_environment,
+)
 from pinav.fitting.lifting import FreeModel as FreeModel
 from pinav.fitting.lifting import freed as freed
 from pinav.fitting.networks import neural_environment as neural_environment

@@ -30,12 +30,13 @@ from pinav.fitting.inference import (
     Inference,
     NoWeights,
 )
-from pinav.fitting.kernels import WeightPrior
 from pinav.fitting.lifting import FreeModel, Linearisation, freed, linearise
 from pinav.fitting.networks import IsotropicPrior
 from pinav.fitting.objectives import Observations
 from pinav.fitting.posterior import Posterior
+from pinav.fitting.priors import kernel_prior
 from pinav.fitting.smoother import smoothed_states
+from pinav.kernel_fields import KernelMixture, KernelStream, TimedKernelPotential
 from pinav.learned import (
     AbstractLearnedForce,
     KernelForce,
@@ -199,21 +200,27 @@ def _weights(model) -> tuple:
     """The leaves that have a Gaussian prior; none in a parametric environment."""
     environment = model.environment
     if isinstance(environment, AbstractLearnedForce):
-        return (environment.parameters,)
+        parameters = environment.parameters
+        return parameters if isinstance(parameters, tuple) else (parameters,)
     return ()
 
 
 def _method(model) -> tuple[AbstractWeights, AbstractDescent, float]:
     """Prior of the weights, steps as curved as they are, and when to stop."""
     environment = model.environment
-    if isinstance(environment, KernelForce | KernelPotential):
-        return GaussianWeights(WeightPrior(environment)), FullStep(), TOLERANCE
+    if isinstance(environment, KERNELS):
+        return GaussianWeights(kernel_prior(environment)), FullStep(), TOLERANCE
     if isinstance(environment, NeuralForce | NeuralPotential):
         leaves = jax.tree.leaves(eqx.filter(environment.parameters, eqx.is_array))
         prior = IsotropicPrior(sum(leaf.size for leaf in leaves))
         return GaussianWeights(prior), ChordSteps(damping=1e3), NETWORK_TOLERANCE
     return NoWeights(), ChordSteps(damping=1e-2), TOLERANCE
 
+
+KERNELS = (
+    KernelForce | KernelPotential | KernelStream | KernelMixture | TimedKernelPotential
+)
+"""Environments that are linear in their weights."""
 
 TOLERANCE, NETWORK_TOLERANCE = 1e-2, 2.0
 """Change of the log evidence at which a fit ends. That of a network goes on to creep
@@ -264,7 +271,9 @@ def num_positions(model, trajectories: Trajectories) -> int:
 
 def _dimension(environment) -> int | None:
     """Dimension of the space in which a learned environment acts."""
-    if isinstance(environment, KernelForce | KernelPotential):
+    if isinstance(environment, KernelMixture):
+        environment = environment.gradient
+    if isinstance(environment, KERNELS):
         return environment.centers.shape[1]
     if isinstance(environment, NeuralForce | NeuralPotential):
         features = environment.features

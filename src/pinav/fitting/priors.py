@@ -1,0 +1,183 @@
+r"""Gaussian-process priors of the weights of kernel environments.
+
+Each has a shape, which the evidence chooses: length scales, envelopes, relative
+amplitudes. The amplitude common to all weights is not part of it.
+"""
+
+import abc
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from pinav.kernel_fields import KernelMixture, KernelStream, TimedKernelPotential
+from pinav.learned import KernelForce, KernelPotential
+
+
+class AbstractPrior(eqx.Module):
+    """A normal distribution of weights, of unit amplitude, that depends on a shape."""
+
+    @property
+    @abc.abstractmethod
+    def start(self) -> Float[np.ndarray, " shape"]:
+        """Shape at which the search begins."""
+
+    @property
+    @abc.abstractmethod
+    def bounds(self) -> Float[np.ndarray, "shape 2"]:
+        """Between which the shape is sought."""
+
+    @abc.abstractmethod
+    def covariance(
+        self, shape: Float[np.ndarray, " shape"]
+    ) -> Float[np.ndarray, "weight weight"]:
+        """Covariance of the weights, flattened as they are."""
+
+
+class WeightPrior(AbstractPrior):
+    r"""Gaussian-process prior of the weights of one environment, of unit amplitude.
+
+    $K_{ij} = D_i D_j \exp(-|c_i - c_j|^2 / 2\ell^2)$ with the envelope
+    $D_i = \exp(-|c_i - m|^2 / 2 R^2)$: a field of length scale $\ell$ that may fade
+    away from a place. Where nothing fades the evidence makes R large, and the prior is
+    stationary. The envelope is what separates an obstacle from a constant force: a
+    stationary prior takes a slope over the whole domain for an obstacle.
+
+    Its shape is $\log \ell$, $\log R$, and $m$ from the middle, all in widths; a search
+    begins with a wide envelope about the middle of the kernels.
+
+    Attributes:
+        environment: the kernels.
+    """
+
+    environment: KernelForce | KernelPotential | KernelStream
+
+    @property
+    def start(self):
+        return np.append([0.5, np.log(0.5 * self._extent)], np.zeros(self._dim))
+
+    @property
+    def bounds(self):
+        extent = self._extent
+        half = 0.5 * extent
+        scales = [(-1.2, np.log(10 * extent)), (0.0, np.log(10 * extent))]
+        return np.array(scales + [(-half, half)] * self._dim)
+
+    def covariance(self, shape):
+        centers = self._scaled_centers
+        length_scale, reach = np.exp(shape[:2])
+        squares = ((centers[:, None] - centers[None]) ** 2).sum(axis=-1)
+        envelope = np.exp(-0.5 * ((centers - shape[2:]) ** 2).sum(axis=-1) / reach**2)
+        covariance = np.exp(-0.5 * squares / length_scale**2)
+        covariance *= np.outer(envelope, envelope)
+        if isinstance(self.environment, KernelForce):
+            return np.kron(covariance, np.eye(self._dim))
+        return covariance
+
+    @property
+    def _scaled_centers(self):
+        centers = np.asarray(self.environment.centers, float)
+        middle = (centers.min(axis=0) + centers.max(axis=0)) / 2
+        return (centers - middle) / float(self.environment.width)
+
+    @property
+    def _extent(self):
+        return float(max(np.ptp(self._scaled_centers, axis=0).max(), 1.0))
+
+    @property
+    def _dim(self):
+        return np.shape(self.environment.centers)[1]
+
+
+class MixturePrior(AbstractPrior):
+    r"""Prior of a gradient and a rotational part, independent of each other.
+
+    Each part is a `WeightPrior` with a length scale and an envelope of its own. The last
+    entry of the shape is the logarithm of the amplitude of the stream function relative
+    to that of the potential.
+
+    Attributes:
+        environment: the two parts.
+    """
+
+    environment: KernelMixture
+
+    @property
+    def start(self):
+        return np.concatenate([*(part.start for part in self._parts), [0.0]])
+
+    @property
+    def bounds(self):
+        parts = [part.bounds for part in self._parts]
+        return np.concatenate([*parts, [[-LOG_RATIO, LOG_RATIO]]])
+
+    def covariance(self, shape):
+        gradient, rotation = self._parts
+        half = len(gradient.start)
+        count = len(self.environment.gradient.weights)
+        total = np.zeros((count + len(self.environment.rotation.weights),) * 2)
+        total[:count, :count] = gradient.covariance(shape[:half])
+        total[count:, count:] = rotation.covariance(shape[half:-1])
+        total[count:, count:] *= np.exp(2 * shape[-1])
+        return total
+
+    @property
+    def _parts(self):
+        mixture = self.environment
+        return WeightPrior(mixture.gradient), WeightPrior(mixture.rotation)
+
+
+LOG_RATIO = 8.0
+"""Largest logarithm of the ratio of two amplitudes: one part then is nothing."""
+
+
+class TimedPrior(AbstractPrior):
+    r"""Prior of a potential that changes with time.
+
+    The product of a `WeightPrior` in space and $\exp(-(k - k')^2 / 2\tau^2)$ between
+    splines. The last entry of the shape is $\log\tau$, in intervals. As $\tau$ grows the
+    prior becomes that of a static potential.
+
+    Attributes:
+        environment: the kernels.
+    """
+
+    environment: TimedKernelPotential
+
+    @property
+    def start(self):
+        return np.append(self._space.start, 1.0)
+
+    @property
+    def bounds(self):
+        return np.concatenate([self._space.bounds, [[-0.5, LOG_STATIC]]])
+
+    def covariance(self, shape):
+        index = np.arange(self.environment.weights.shape[1])
+        gaps = (index[:, None] - index[None]) / np.exp(shape[-1])
+        return np.kron(self._space.covariance(shape[:-1]), np.exp(-0.5 * gaps**2))
+
+    @property
+    def _space(self):
+        kernels = self.environment
+        still = KernelPotential(kernels.weights[:, 0], kernels.centers, kernels.width)
+        return WeightPrior(still)
+
+
+LOG_STATIC = 12.0
+r"""$\log\tau$ at which a change in time is too slow for any data to show."""
+
+
+def kernel_prior(
+    environment: KernelForce
+    | KernelPotential
+    | KernelStream
+    | KernelMixture
+    | TimedKernelPotential,
+) -> AbstractPrior:
+    """The Gaussian-process prior of a kernel environment."""
+    if isinstance(environment, KernelMixture):
+        return MixturePrior(environment)
+    if isinstance(environment, TimedKernelPotential):
+        return TimedPrior(environment)
+    return WeightPrior(environment)
