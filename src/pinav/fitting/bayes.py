@@ -20,6 +20,7 @@ from pinav.fitting.descent import Move
 from pinav.fitting.distil import distilled, lesson
 from pinav.fitting.evidence import Hyperparameters
 from pinav.fitting.kernels import kernel_environment
+from pinav.fitting.occam import LinearFit
 from pinav.fitting.posterior import Posterior
 from pinav.forces import AbstractForce
 from pinav.learned import (
@@ -89,6 +90,7 @@ class BayesFit(eqx.Module):
         posterior: distribution of all learned parameters.
         constants: learned constants by the path of their leaf, as `drag.damping`.
         states: the smoothed states; they fulfil the dynamics when converged.
+        linear: the linear problem in which it ended; see `model_evidence`.
     """
 
     model: Any
@@ -98,6 +100,7 @@ class BayesFit(eqx.Module):
     posterior: Posterior
     constants: dict[str, Estimate]
     states: Float[np.ndarray, "trajectory time state"]
+    linear: LinearFit
 
 
 def fit_bayes(
@@ -268,6 +271,7 @@ def _result(
         posterior=posterior,
         constants=constants,
         states=np.asarray(last.move.states),
+        linear=problem.linear_fit(last),
     )
 
 

@@ -33,6 +33,7 @@ from pinav.fitting.inference import (
 from pinav.fitting.lifting import FreeModel, Linearisation, freed, linearise
 from pinav.fitting.networks import IsotropicPrior
 from pinav.fitting.objectives import Observations
+from pinav.fitting.occam import LinearFit
 from pinav.fitting.posterior import Posterior
 from pinav.fitting.priors import kernel_prior
 from pinav.fitting.smoother import smoothed_states
@@ -187,6 +188,20 @@ class BayesProblem(eqx.Module):
             log_determinant=float(np.linalg.slogdet(starts).logabsdet.sum()),
         )
 
+    def linear_fit(self, step: Step) -> LinearFit:
+        """The linear problem of a step, for the evidence of the model."""
+        counts = np.asarray(self.observations.observed).sum(axis=(1, 2))
+        state, total = self.states.shape[2], int(counts.sum())
+        return LinearFit(
+            quadratic=step.quadratic,
+            weights=self.weights,
+            noise=self.noise,
+            num_observed=total,
+            flat_information=float(
+                state * np.log(counts).sum() + self.flat.sum() * np.log(total)
+            ),
+        )
+
     def with_shape_uncertainty(self, step: Step) -> Posterior:
         """The posterior after a step, that of the prior's shape included."""
         extra = self.weights.shape_covariance(
@@ -253,7 +268,7 @@ def num_positions(model, trajectories: Trajectories) -> int:
         InputError: the trajectories have other channels than the model has states.
     """
     count = len(trajectories.channels)
-    dim = _dimension(model.environment)
+    dim = dimension(model.environment)
     if isinstance(model, Swimmer):
         dim = count // 2 if dim is None else dim
         fits, expected = count == 2 * dim, f"{2 * dim} channels, positions and"
@@ -269,7 +284,7 @@ def num_positions(model, trajectories: Trajectories) -> int:
     return dim
 
 
-def _dimension(environment) -> int | None:
+def dimension(environment) -> int | None:
     """Dimension of the space in which a learned environment acts."""
     if isinstance(environment, KernelMixture):
         environment = environment.gradient

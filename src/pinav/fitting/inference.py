@@ -74,7 +74,9 @@ class GaussianWeights(AbstractWeights):
 
     def infer(self, quadratic, shape, noise):
         data, covariance = Data.of(quadratic), self.prior.covariance
-        chosen = best_hyperparameters(data, covariance, shape, self.prior.bounds, noise)
+        chosen = best_hyperparameters(
+            data, covariance, shape, self.prior.bounds, noise, self.prior.slopes
+        )
         weights = weight_posterior(data, covariance(chosen.shape), chosen)
         return Inference(chosen, *weights)
 

@@ -46,6 +46,9 @@ class KernelGrid(eqx.Module):
 WITHOUT_PRIOR = KernelGrid(across=10, width=1.5, margin=2.0)
 """Wide kernels close to the data: where no prior makes the field smooth."""
 
+IN_TIME = KernelGrid(across=9, margin=2.0)
+"""Fewer kernels: each of them has a weight for every spline in time."""
+
 
 def kernel_environment(
     kind: type[Kernel],
@@ -90,7 +93,7 @@ def timed_kernel_environment(
 
     Args:
         trajectories: their channels are positions, then as many velocities.
-        grid: its fineness at most; `KernelGrid()` unless given.
+        grid: its fineness at most; `IN_TIME` unless given.
         intervals: of the splines in time, positive.
         max_weights: weights at most.
         dim: see `kernel_environment`.
@@ -99,7 +102,7 @@ def timed_kernel_environment(
         InputError: `intervals` is not positive, `max_weights` is less than 100 for
             each spline, or as `kernel_environment` does.
     """
-    grid = KernelGrid() if grid is None else grid
+    grid = IN_TIME if grid is None else grid
     splines = intervals + 3
     if intervals < 1 or max_weights < 100 * splines:
         raise InputError(

@@ -8,6 +8,7 @@ import abc
 
 import equinox as eqx
 import numpy as np
+import scipy.linalg
 from jaxtyping import Float
 
 from pinav.kernel_fields import KernelMixture, KernelStream, TimedKernelPotential
@@ -32,6 +33,12 @@ class AbstractPrior(eqx.Module):
         self, shape: Float[np.ndarray, " shape"]
     ) -> Float[np.ndarray, "weight weight"]:
         """Covariance of the weights, flattened as they are."""
+
+    @abc.abstractmethod
+    def slopes(
+        self, shape: Float[np.ndarray, " shape"]
+    ) -> Float[np.ndarray, "shape weight weight"]:
+        """Derivative of the covariance by each entry of the shape."""
 
 
 class WeightPrior(AbstractPrior):
@@ -64,15 +71,37 @@ class WeightPrior(AbstractPrior):
         return np.array(scales + [(-half, half)] * self._dim)
 
     def covariance(self, shape):
-        centers = self._scaled_centers
+        return self._per_component(self._scalar(shape))
+
+    def slopes(self, shape):
         length_scale, reach = np.exp(shape[:2])
-        squares = ((centers[:, None] - centers[None]) ** 2).sum(axis=-1)
-        envelope = np.exp(-0.5 * ((centers - shape[2:]) ** 2).sum(axis=-1) / reach**2)
-        covariance = np.exp(-0.5 * squares / length_scale**2)
-        covariance *= np.outer(envelope, envelope)
+        from_middle = self._scaled_centers - shape[2:]
+        squares = (from_middle**2).sum(axis=-1)
+        factors = [
+            self._squares / length_scale**2,
+            (squares[:, None] + squares[None]) / reach**2,
+            *(from_middle.T[:, :, None] + from_middle.T[:, None]) / reach**2,
+        ]
+        scalar = self._scalar(shape)
+        return np.stack([self._per_component(scalar * factor) for factor in factors])
+
+    def _scalar(self, shape):
+        """Covariance of one component."""
+        length_scale, reach = np.exp(shape[:2])
+        from_middle = self._scaled_centers - shape[2:]
+        envelope = np.exp(-0.5 * (from_middle**2).sum(axis=-1) / reach**2)
+        covariance = np.exp(-0.5 * self._squares / length_scale**2)
+        return covariance * np.outer(envelope, envelope)
+
+    def _per_component(self, scalar):
         if isinstance(self.environment, KernelForce):
-            return np.kron(covariance, np.eye(self._dim))
-        return covariance
+            return np.kron(scalar, np.eye(self._dim))
+        return scalar
+
+    @property
+    def _squares(self):
+        centers = self._scaled_centers
+        return ((centers[:, None] - centers[None]) ** 2).sum(axis=-1)
 
     @property
     def _scaled_centers(self):
@@ -112,19 +141,34 @@ class MixturePrior(AbstractPrior):
         return np.concatenate([*parts, [[-LOG_RATIO, LOG_RATIO]]])
 
     def covariance(self, shape):
-        gradient, rotation = self._parts
-        half = len(gradient.start)
-        count = len(self.environment.gradient.weights)
-        total = np.zeros((count + len(self.environment.rotation.weights),) * 2)
-        total[:count, :count] = gradient.covariance(shape[:half])
-        total[count:, count:] = rotation.covariance(shape[half:-1])
-        total[count:, count:] *= np.exp(2 * shape[-1])
-        return total
+        (first, second), half = self._parts, self._half
+        return _blocks(
+            first.covariance(shape[:half]),
+            np.exp(2 * shape[-1]) * second.covariance(shape[half:-1]),
+        )
+
+    def slopes(self, shape):
+        (first, second), half = self._parts, self._half
+        ratio = np.exp(2 * shape[-1])
+        covariance = ratio * second.covariance(shape[half:-1])
+        nothing = np.zeros((len(self.environment.gradient.weights),) * 2)
+        absent = np.zeros_like(covariance)
+        slopes = [_blocks(s, absent) for s in first.slopes(shape[:half])]
+        slopes += [_blocks(nothing, ratio * s) for s in second.slopes(shape[half:-1])]
+        return np.stack([*slopes, _blocks(nothing, 2 * covariance)])
+
+    @property
+    def _half(self):
+        return len(self._parts[0].start)
 
     @property
     def _parts(self):
         mixture = self.environment
         return WeightPrior(mixture.gradient), WeightPrior(mixture.rotation)
+
+
+def _blocks(first, second):
+    return scipy.linalg.block_diag(first, second)
 
 
 LOG_RATIO = 8.0
@@ -153,9 +197,20 @@ class TimedPrior(AbstractPrior):
         return np.concatenate([self._space.bounds, [[-0.5, LOG_STATIC]]])
 
     def covariance(self, shape):
+        space = self._space.covariance(shape[:-1])
+        return np.kron(space, np.exp(-0.5 * self._gaps(shape)))
+
+    def slopes(self, shape):
+        gaps = self._gaps(shape)
+        time = np.exp(-0.5 * gaps)
+        slopes = [np.kron(s, time) for s in self._space.slopes(shape[:-1])]
+        space = self._space.covariance(shape[:-1])
+        return np.stack([*slopes, np.kron(space, gaps * time)])
+
+    def _gaps(self, shape):
+        """Squared distances in time, in correlation times."""
         index = np.arange(self.environment.weights.shape[1])
-        gaps = (index[:, None] - index[None]) / np.exp(shape[-1])
-        return np.kron(self._space.covariance(shape[:-1]), np.exp(-0.5 * gaps**2))
+        return ((index[:, None] - index[None]) / np.exp(shape[-1])) ** 2
 
     @property
     def _space(self):
