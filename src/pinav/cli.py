@@ -10,6 +10,7 @@ COMMANDS = {
     "reproduce": "run the paper's experiment: simulate, train, Table 2, report",
     "simulate": "write the trajectories of a named scenario to a file",
     "fit": "fit a model of the unknown force to trajectories",
+    "compare": "weigh the evidence of several models of the same data",
     "evaluate": "score a fitted run on trajectories",
     "report": "draw the figures and the HTML page of a run again",
     "bench": "run a benchmark and print its table",

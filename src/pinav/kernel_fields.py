@@ -143,9 +143,7 @@ class TimedKernelPotential(AbstractLearnedForce):
 
     def at(self, t: Scalar) -> KernelPotential:
         """The static potential that it is at time `t` [T]."""
-        return KernelPotential(
-            self.weights @ self.splines(t), self.centers, self.width
-        )
+        return KernelPotential(self.weights @ self.splines(t), self.centers, self.width)
 
     def __call__(self, t, x, v):
         return self.at(t)(t, x, v)

@@ -215,7 +215,7 @@ def _iterate(
     shape = problem.weights.start
     steps: list[Step] = []
     while len(steps) < max_iterations:
-        step = problem.step(move, shape)
+        step = _attempt(problem, move, shape, begun=bool(steps))
         if step is None:
             return BayesOutcome.DIVERGED, steps
         move, shape = step.move, step.inference.hyperparameters.shape
@@ -226,6 +226,16 @@ def _iterate(
         if outcome is not BayesOutcome.STALLED:
             return outcome, steps
     return BayesOutcome.STALLED, steps
+
+
+def _attempt(problem, move, shape, *, begun: bool) -> Step | None:
+    """One step; None where it leads nowhere, after others that did."""
+    try:
+        return problem.step(move, shape)
+    except FitError:
+        if begun:
+            return None
+        raise
 
 
 def _progress(steps: list[Step], total: int) -> BayesProgress:

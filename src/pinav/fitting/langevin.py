@@ -17,7 +17,7 @@ from pinav.dynamics import OverdampedSwimmer, with_dtype
 from pinav.errors import InputError
 from pinav.fitting.bayes import Estimate
 from pinav.fitting.bayes_problem import KERNELS, dimension
-from pinav.fitting.evidence import Data, Hyperparameters, Quadratic
+from pinav.fitting.evidence import Hyperparameters, Quadratic
 from pinav.fitting.inference import GaussianWeights
 from pinav.fitting.lifting import freed
 from pinav.fitting.occam import LinearFit

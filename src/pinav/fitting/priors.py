@@ -121,9 +121,9 @@ class WeightPrior(AbstractPrior):
 class MixturePrior(AbstractPrior):
     r"""Prior of a gradient and a rotational part, independent of each other.
 
-    Each part is a `WeightPrior` with a length scale and an envelope of its own. The last
-    entry of the shape is the logarithm of the amplitude of the stream function relative
-    to that of the potential.
+    Each part is a `WeightPrior` with a length scale and an envelope of its own. The
+    last entry of the shape is the logarithm of the amplitude of the stream function
+    relative to that of the potential.
 
     Attributes:
         environment: the two parts.
@@ -179,8 +179,8 @@ class TimedPrior(AbstractPrior):
     r"""Prior of a potential that changes with time.
 
     The product of a `WeightPrior` in space and $\exp(-(k - k')^2 / 2\tau^2)$ between
-    splines. The last entry of the shape is $\log\tau$, in intervals. As $\tau$ grows the
-    prior becomes that of a static potential.
+    splines. The last entry of the shape is $\log\tau$, in intervals. As $\tau$ grows
+    the prior becomes that of a static potential.
 
     Attributes:
         environment: the kernels.

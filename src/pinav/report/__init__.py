@@ -1,5 +1,6 @@
 """Figures of results, and one self-contained HTML page that holds them."""
 
+from pinav.report.evidence import evidence_bars as evidence_bars
 from pinav.report.figures import acceleration_figure as acceleration_figure
 from pinav.report.figures import decomposition as decomposition
 from pinav.report.figures import figure1 as figure1
