@@ -5,6 +5,7 @@ its inputs and outputs, and the centres of a kernel, are fixed.
 """
 
 import abc
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -260,7 +261,7 @@ def kernel_values(
     return jnp.exp(-0.5 * jnp.sum(offsets**2, axis=1))
 
 
-def check_kernels(force: AbstractLearnedForce, expected: tuple[int, ...]) -> None:
+def check_kernels(force: Any, expected: tuple[int, ...]) -> None:
     """Raise `InputError` where its weights have not the shape `expected`."""
     name = type(force).__name__
     if np.shape(force.weights) != expected:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.brownian import BrownianSwimmer
-from pinav.dynamics import OverdampedSwimmer, with_dtype
+from pinav.dynamics import AbstractDynamics, OverdampedSwimmer, with_dtype
 from pinav.errors import InputError
 from pinav.fitting.bayes import Estimate
 from pinav.fitting.bayes_problem import KERNELS, dimension
@@ -84,7 +84,7 @@ class Increments(eqx.Module):
 
 
 def fit_langevin(
-    model: OverdampedSwimmer | BrownianSwimmer,
+    model: AbstractDynamics,
     trajectories: Trajectories,
     *,
     diffusion: float | None = None,
@@ -99,8 +99,8 @@ def fit_langevin(
     everywhere. Times may be irregular and samples missing.
 
     Args:
-        model: a swimmer without inertia, its environment made of kernels; its mobility
-            turns velocities into forces.
+        model: an `OverdampedSwimmer`, or a `BrownianSwimmer` that has one; its
+            environment is made of kernels, its mobility turns velocities into forces.
         trajectories: their channels are the positions.
         diffusion: $D$ [L² T⁻¹] where it is known; estimated unless given.
 

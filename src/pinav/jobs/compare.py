@@ -18,6 +18,7 @@ from pinav.fitting import (
 )
 from pinav.jobs.inference import parts
 from pinav.jobs.models import (
+    TIMED,
     fit_model,
     known_physics,
     mean_drag,
@@ -36,16 +37,19 @@ DECISIVE = 5.0
 
 Reference: Kass and Raftery, J. Am. Stat. Assoc. 90, 773 (1995)."""
 
+STATIC = "kernel-potential-static"
+"""The potential that one in time becomes when nothing changes: on the same grid."""
+
 QUESTIONS = (
     ("kernel-potential", "kernel-force", "a potential", "a free force"),
     ("kernel-potential", "kernel-mixture", "a potential", "a rotational part too"),
-    ("kernel-potential", "kernel-potential-time", "a static potential", "a moving one"),
+    (STATIC, TIMED, "a static potential", "one that changes with time"),
     ("first-order", "kernel-potential", "first-order dynamics", "inertia"),
     ("isotropic-drag", "anisotropic-drag", "isotropic drag", "anisotropic drag"),
 )
 """Pairs of models that answer a question, and what each of them stands for."""
 
-KERNEL_POTENTIAL = ("first-order", "isotropic-drag", "anisotropic-drag")
+KERNEL_POTENTIAL = (STATIC, "first-order", "isotropic-drag", "anisotropic-drag")
 """Candidates whose environment is a kernel potential."""
 
 LEARNED = {
@@ -87,7 +91,7 @@ def compare(
     """
     known = checked(settings, data)
     rows = {}
-    for name in dict.fromkeys(settings.models):
+    for name in candidates(settings):
         stored = f"evidence-{name}.json"
         if not folder.has(stored):
             folder.write_json(stored, _row(name, settings, known, data, folder))
@@ -95,6 +99,12 @@ def compare(
     metrics = {"models": rows, "verdicts": verdicts(rows)}
     folder.write_json("metrics.json", metrics)
     return metrics
+
+
+def candidates(settings: CompareSettings) -> tuple[str, ...]:
+    """The models asked for, and the one that a potential in time is compared with."""
+    added = (STATIC,) if TIMED in settings.models else ()
+    return tuple(dict.fromkeys((*settings.models, *added)))
 
 
 def _row(name, settings, known: Scenario, data, folder) -> dict[str, Any]:
@@ -131,7 +141,7 @@ def fitted(
     """
     kernels = "kernel-potential" if name in KERNEL_POTENTIAL else name
     own = msgspec.convert({"model": kernels}, FitSettings)
-    summary = model_summary(kernels, data)
+    summary = model_summary(TIMED if name == STATIC else kernels, data)
     swimmer, seen = known.swimmer, data
     if name == "first-order":
         swimmer = _without_inertia(swimmer, summary)
@@ -207,9 +217,9 @@ def _caveats(rows, names) -> str:
 
 def text(metrics: dict[str, Any]) -> str:
     """The table and the verdicts for a terminal."""
-    lines = [f"{'':<22}{'log evidence':>14}{'occam':>8}{'below best':>12}  outcome"]
+    lines = [f"{'':<25}{'log evidence':>14}{'occam':>8}{'below best':>12}  outcome"]
     for name, cells in table(metrics["models"]):
-        lines.append(f"{name:<22}" + "".join(cells))
+        lines.append(f"{name:<25}" + "".join(cells))
     fractions = [
         f"rotational fraction of {name} on visited ground: {part['value']:.3f} ± "
         f"{part['sd']:.2g} (sd)"

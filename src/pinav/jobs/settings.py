@@ -124,8 +124,8 @@ class FitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             help="bayes: noisy or incomplete data, every setting chosen by the "
             "evidence, with uncertainty; langevin: the same for thermal motion without "
             "inertia, with the diffusion coefficient; curriculum: noise-free data, "
-            "Gauss-Newton from one-step matching to the full rollout; paper: Adam, then L-BFGS. "
-            "The default is bayes, but curriculum for ude and nn-only."
+            "Gauss-Newton from one-step matching to the full rollout; paper: Adam, "
+            "then L-BFGS. The default is bayes, but curriculum for ude and nn-only."
         ),
     ] = "default"
     noise: Annotated[
@@ -212,6 +212,7 @@ Candidate = Literal[
     "kernel-potential",
     "kernel-force",
     "kernel-mixture",
+    "kernel-potential-static",
     "kernel-potential-time",
     "first-order",
     "isotropic-drag",
@@ -225,7 +226,8 @@ class CompareSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     models: Annotated[
         tuple[Candidate, ...],
         tyro.conf.arg(
-            help="Models to compare. kernel-: as in pinav fit; first-order: a kernel "
+            help="Models to compare. kernel-: as in pinav fit, -static: on the grid of "
+            "-time, beside which it is always fitted; first-order: a kernel "
             "potential without inertia (positions alone); isotropic-drag, "
             "anisotropic-drag: a kernel potential, with the drag learned too."
         ),
@@ -248,7 +250,7 @@ class CompareSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def check(self) -> None:
         """Raise `InputError` where a setting makes no sense."""
         _check_counts(self, "max_steps")
-        if len(set(self.models)) < 2:
+        if len(set(self.models)) < 2 and "kernel-potential-time" not in self.models:
             raise InputError(
                 "--models: expected two or more different ones, such as --models "
                 "kernel-potential kernel-force"
