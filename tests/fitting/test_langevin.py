@@ -117,7 +117,12 @@ def test_what_it_cannot_fit_is_refused():
     wide = Trajectories.from_arrays([0.0, 1.0], np.eye(2, 3), channels=("x", "y", "z"))
     with pytest.raises(InputError, match="expected 2 channels, positions alone"):
         fit_langevin(good, wide)
-    single = Trajectories.from_arrays([0.0], np.zeros((1, 2)), channels=("x", "y"))
+    single = Trajectories.from_arrays(
+        [0.0, 1.0],
+        np.zeros((2, 2)),
+        channels=("x", "y"),
+        observed=np.array([[True, True], [True, False]]),
+    )
     with pytest.raises(InputError, match="two or more samples with all positions"):
         fit_langevin(good, single)
 
