@@ -9,6 +9,7 @@ import scipy.interpolate
 from pinav.environments import GaussianSwirl
 from pinav.errors import InputError
 from pinav.kernel_fields import (
+    ChangingPotential,
     KernelMixture,
     KernelStream,
     TimedKernelPotential,
@@ -60,6 +61,14 @@ def test_weights_that_do_not_change_make_a_static_potential(t):
         jnp.repeat(WEIGHTS[:, None], 7, axis=1), CENTERS, 1.3, 2.0, 6.0
     )
     np.testing.assert_allclose(constant(t, X, X), POTENTIAL(t, X, X), rtol=1e-12)
+
+
+def test_a_changing_potential_is_the_sum_of_its_parts():
+    changing = ChangingPotential(POTENTIAL, MOVING)
+    expected = POTENTIAL(2.5, X, X) + MOVING(2.5, X, X)
+    np.testing.assert_allclose(changing(2.5, X, X), expected, rtol=1e-14)
+    force = -jax.grad(changing.potential, argnums=1)(2.5, X)
+    np.testing.assert_allclose(force, expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("t", [2.0, 3.3, 5.9])

@@ -149,6 +149,32 @@ class TimedKernelPotential(AbstractLearnedForce):
         return self.at(t)(t, x, v)
 
 
+class ChangingPotential(AbstractLearnedForce):
+    r"""Force $-\nabla (U_0(x) + U_1(t, x))$: what stays, and what changes.
+
+    Where nothing changes $U_1 = 0$ leaves a `KernelPotential` on a grid as fine as it
+    needs, while that of the change, which has many more weights, may be coarser.
+
+    Attributes:
+        static: the part $U_0$ that does not depend on time.
+        change: the part $U_1$ that does.
+    """
+
+    static: KernelPotential
+    change: TimedKernelPotential
+
+    @property
+    def parameters(self):
+        return self.static.weights, self.change.weights
+
+    def potential(self, t: Scalar, x: Float[Array, " dim"]) -> Float[Array, ""]:
+        """Potential energy per mass $U(t, x)$ [L² T⁻²]."""
+        return self.static.potential(t, x) + self.change.potential(t, x)
+
+    def __call__(self, t, x, v):
+        return self.static(t, x, v) + self.change(t, x, v)
+
+
 def cubic_spline(offsets: Float[Array, " spline"]) -> Float[Array, " spline"]:
     """The uniform cubic B-spline about zero, with knots at the integers -2 to 2."""
     far = jnp.abs(offsets)

@@ -23,7 +23,12 @@ from pinav.fitting.evidence import (
 from pinav.fitting.inference import GaussianWeights, NoWeights
 from pinav.fitting.occam import LOG_RANGE
 from pinav.fitting.priors import AbstractPrior, kernel_prior
-from pinav.kernel_fields import KernelMixture, KernelStream, TimedKernelPotential
+from pinav.kernel_fields import (
+    ChangingPotential,
+    KernelMixture,
+    KernelStream,
+    TimedKernelPotential,
+)
 from pinav.learned import KernelForce, KernelPotential
 from pinav.trajectories import Trajectories
 
@@ -38,6 +43,9 @@ ENVIRONMENTS = {
         jnp.zeros((7, 5)), jnp.asarray(CENTERS), 1.0, 0.0, 1.0
     ),
 }
+ENVIRONMENTS["changing"] = ChangingPotential(
+    ENVIRONMENTS["potential"], ENVIRONMENTS["in time"]
+)
 every_prior = pytest.mark.parametrize(
     "prior", [kernel_prior(e) for e in ENVIRONMENTS.values()], ids=list(ENVIRONMENTS)
 )

@@ -8,7 +8,7 @@ import pytest
 
 from pinav import cli
 from pinav.errors import InputError
-from pinav.jobs.compare import STATIC, candidates, checked, table, text, verdicts
+from pinav.jobs.compare import checked, table, text, verdicts
 from pinav.jobs.models import (
     build_model,
     fit_model,
@@ -59,12 +59,6 @@ def positions(name, channels=("x", "y")):
         channels=channels,
         provenance={"scenario": name},
     )
-
-
-def test_a_potential_in_time_is_compared_with_a_static_one_on_its_grid():
-    settings = CompareSettings(models=("kernel-potential-time",))
-    settings.check()
-    assert candidates(settings) == ("kernel-potential-time", STATIC)
 
 
 @pytest.mark.parametrize(

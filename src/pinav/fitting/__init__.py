@@ -21,6 +21,7 @@ from pinav.fitting.fit import fit_many as fit_many
 from pinav.fitting.gauss_newton import GaussNewton as GaussNewton
 from pinav.fitting.kernels import WITHOUT_PRIOR as WITHOUT_PRIOR
 from pinav.fitting.kernels import KernelGrid as KernelGrid
+from pinav.fitting.kernels import changing_environment as changing_environment
 from pinav.fitting.kernels import kernel_environment as kernel_environment
 from pinav.fitting.kernels import kernels_on as kernels_on
 from pinav.fitting.kernels import (

@@ -37,7 +37,12 @@ from pinav.fitting.occam import LinearFit
 from pinav.fitting.posterior import Posterior
 from pinav.fitting.priors import kernel_prior
 from pinav.fitting.smoother import smoothed_states
-from pinav.kernel_fields import KernelMixture, KernelStream, TimedKernelPotential
+from pinav.kernel_fields import (
+    ChangingPotential,
+    KernelMixture,
+    KernelStream,
+    TimedKernelPotential,
+)
 from pinav.learned import (
     AbstractLearnedForce,
     KernelForce,
@@ -232,9 +237,10 @@ def _method(model) -> tuple[AbstractWeights, AbstractDescent, float]:
     return NoWeights(), ChordSteps(damping=1e-2), TOLERANCE
 
 
-KERNELS = (
-    KernelForce | KernelPotential | KernelStream | KernelMixture | TimedKernelPotential
-)
+SINGLE_KERNELS = KernelForce | KernelPotential | KernelStream | TimedKernelPotential
+"""Environments of kernels on one grid."""
+
+KERNELS = SINGLE_KERNELS | KernelMixture | ChangingPotential
 """Environments that are linear in their weights."""
 
 TOLERANCE, NETWORK_TOLERANCE = 1e-2, 2.0
@@ -288,7 +294,9 @@ def dimension(environment) -> int | None:
     """Dimension of the space in which a learned environment acts."""
     if isinstance(environment, KernelMixture):
         environment = environment.gradient
-    if isinstance(environment, KERNELS):
+    if isinstance(environment, ChangingPotential):
+        environment = environment.static
+    if isinstance(environment, SINGLE_KERNELS):
         return environment.centers.shape[1]
     if isinstance(environment, NeuralForce | NeuralPotential):
         features = environment.features

@@ -62,7 +62,7 @@ def principal_drags(posterior: Posterior) -> dict[str, Estimate]:
         )
     names = ("along", "across", "director")
     values = derived(posterior, lambda model: _principal(model.drag.tensor))
-    found = dict(zip(names, values, strict=True))
+    found: dict[str, Estimate] = dict(zip(names, values, strict=True))
     if not np.isfinite(found["director"].sd):
         found["director"] = Estimate(found["director"].value, float("inf"))
     return found

@@ -4,7 +4,7 @@ A grid of radial basis functions of width b, whose weights have a squared-expone
 covariance, is a Gaussian process: the basis filters the weights.
 """
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,7 +12,12 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.errors import InputError
-from pinav.kernel_fields import KernelMixture, KernelStream, TimedKernelPotential
+from pinav.kernel_fields import (
+    ChangingPotential,
+    KernelMixture,
+    KernelStream,
+    TimedKernelPotential,
+)
 from pinav.learned import KernelForce, KernelPotential, kernel_centers
 from pinav.trajectories import Trajectories
 
@@ -122,9 +127,33 @@ def timed_kernel_environment(
     )
 
 
+def changing_environment(
+    trajectories: Trajectories, *, intervals: int = 6, dim: int | None = None
+) -> ChangingPotential:
+    """An untrained potential with a static part, and a part that changes with time.
+
+    Args:
+        trajectories: their channels are positions, then as many velocities.
+        intervals: of the splines in time, positive.
+        dim: see `kernel_environment`.
+
+    Raises:
+        InputError: see `timed_kernel_environment`.
+    """
+    static = kernel_environment(KernelPotential, trajectories, dim=dim)
+    change = timed_kernel_environment(
+        trajectories, intervals=intervals, max_weights=MOST_IN_TIME, dim=dim
+    )
+    return ChangingPotential(static, change)
+
+
+MOST_IN_TIME = 1200
+"""Weights of the part that changes, beside some 300 of the static one."""
+
+
 def kernels_on(
-    kind: type[Kernel], centers: Float[np.ndarray, "kernel dim"], width: float
-) -> Kernel:
+    kind: Any, centers: Float[np.ndarray, "kernel dim"], width: float
+) -> Any:
     """Kernels of a kind at given places, with weights of zero."""
     places, scalar = jnp.asarray(centers), jnp.zeros(len(centers))
     if kind is KernelMixture:

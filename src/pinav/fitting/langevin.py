@@ -6,6 +6,8 @@ $\sqrt{\Delta t}$, all have the variance 2D, and kernels are linear in their wei
 the evidence chooses prior and diffusion as `fit_bayes` chooses prior and noise.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -120,7 +122,8 @@ def fit_langevin(
         exact = with_dtype(swimmer, jnp.float64)
         free, theta = freed(exact, lambda m: m.environment.parameters)
         quadratic = _regression(free, jnp.zeros_like(theta), increments)
-        weights = GaussianWeights(kernel_prior(exact.environment))
+        environment: Any = exact.environment
+        weights = GaussianWeights(kernel_prior(environment))
         found = weights.infer(quadratic, weights.start, noise)
         chosen = found.hyperparameters
         extra = weights.shape_covariance(quadratic, chosen, noise)

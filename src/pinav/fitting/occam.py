@@ -21,6 +21,7 @@ from jaxtyping import Float
 
 from pinav.fitting.evidence import Data, Hyperparameters, Quadratic, log_evidence
 from pinav.fitting.inference import AbstractWeights, GaussianWeights
+from pinav.fitting.priors import AbstractPrior
 
 LOG_RANGE = 8.0
 """Range of the logarithms of amplitude and noise: a factor of 3000."""
@@ -79,15 +80,16 @@ def model_evidence(linear: LinearFit, chosen: Hyperparameters) -> ModelEvidence:
         - flat * np.log(2 * np.pi * chosen.noise**2)
         - linear.flat_information
     )
-    if isinstance(linear.weights, GaussianWeights):
-        return ModelEvidence(float(best), _occam(linear, chosen))
+    weights = linear.weights
+    if isinstance(weights, GaussianWeights):
+        return ModelEvidence(float(best), _occam(linear, weights.prior, chosen))
     cost = _narrow_cost([[2.0 * quadratic.num_free]], [LOG_RANGE])
     return ModelEvidence(float(best), 0.0 if linear.noise else cost)
 
 
-def _occam(linear: LinearFit, chosen: Hyperparameters) -> float:
+def _occam(linear: LinearFit, prior: AbstractPrior, chosen: Hyperparameters) -> float:
     """Minus the logarithm of the share of the hyperparameters that explain the data."""
-    prior, data = linear.weights.prior, Data.of(linear.quadratic)
+    data = Data.of(linear.quadratic)
     known = linear.noise is not None
     start = np.append(chosen.shape, np.log([chosen.amplitude, chosen.noise]))
     ranges = np.append(np.ptp(prior.bounds, axis=1), [LOG_RANGE, LOG_RANGE])
@@ -95,10 +97,10 @@ def _occam(linear: LinearFit, chosen: Hyperparameters) -> float:
         start, ranges = start[:-1], ranges[:-1]
 
     def value(point):
-        amplitude, noise = np.exp(point[len(chosen.shape) :][:2]), linear.noise
-        noise = noise if known else amplitude[1]
         covariance = prior.covariance(point[: len(chosen.shape)])
-        return log_evidence(data, covariance, float(amplitude[0]), float(noise))
+        amplitude = float(np.exp(point[len(chosen.shape)]))
+        noise = float(np.exp(point[-1])) if linear.noise is None else linear.noise
+        return log_evidence(data, covariance, amplitude, noise)
 
     curvature = _curvature(value, start)
     wide = np.diag(curvature) < (BROAD * ranges) ** -2

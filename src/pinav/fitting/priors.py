@@ -11,7 +11,12 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Float
 
-from pinav.kernel_fields import KernelMixture, KernelStream, TimedKernelPotential
+from pinav.kernel_fields import (
+    ChangingPotential,
+    KernelMixture,
+    KernelStream,
+    TimedKernelPotential,
+)
 from pinav.learned import KernelForce, KernelPotential
 
 
@@ -119,56 +124,48 @@ class WeightPrior(AbstractPrior):
 
 
 class MixturePrior(AbstractPrior):
-    r"""Prior of a gradient and a rotational part, independent of each other.
+    r"""Prior of two parts of a force, independent of each other.
 
-    Each part is a `WeightPrior` with a length scale and an envelope of its own. The
-    last entry of the shape is the logarithm of the amplitude of the stream function
-    relative to that of the potential.
+    Each part has a length scale and an envelope of its own. The last entry of the shape
+    is the logarithm of the amplitude of the second relative to that of the first: where
+    it is low the first part is all there is.
 
     Attributes:
-        environment: the two parts.
+        first: prior of the first part.
+        second: prior of the second part.
     """
 
-    environment: KernelMixture
+    first: AbstractPrior
+    second: AbstractPrior
 
     @property
     def start(self):
-        return np.concatenate([*(part.start for part in self._parts), [0.0]])
+        return np.concatenate([self.first.start, self.second.start, [0.0]])
 
     @property
     def bounds(self):
-        parts = [part.bounds for part in self._parts]
-        return np.concatenate([*parts, [[-LOG_RATIO, LOG_RATIO]]])
+        ratio = [[-LOG_RATIO, LOG_RATIO]]
+        return np.concatenate([self.first.bounds, self.second.bounds, ratio])
 
     def covariance(self, shape):
-        (first, second), half = self._parts, self._half
+        half = len(self.first.start)
         return _blocks(
-            first.covariance(shape[:half]),
-            np.exp(2 * shape[-1]) * second.covariance(shape[half:-1]),
+            self.first.covariance(shape[:half]),
+            np.exp(2 * shape[-1]) * self.second.covariance(shape[half:-1]),
         )
 
     def slopes(self, shape):
-        (first, second), half = self._parts, self._half
-        ratio = np.exp(2 * shape[-1])
-        covariance = ratio * second.covariance(shape[half:-1])
-        nothing = np.zeros((len(self.environment.gradient.weights),) * 2)
-        absent = np.zeros_like(covariance)
-        slopes = [_blocks(s, absent) for s in first.slopes(shape[:half])]
-        slopes += [_blocks(nothing, ratio * s) for s in second.slopes(shape[half:-1])]
+        half, ratio = len(self.first.start), np.exp(2 * shape[-1])
+        own, other = self.first.slopes(shape[:half]), self.second.slopes(shape[half:-1])
+        covariance = ratio * self.second.covariance(shape[half:-1])
+        nothing, absent = np.zeros_like(own[0]), np.zeros_like(covariance)
+        slopes: list[np.ndarray] = [_blocks(slope, absent) for slope in own]
+        slopes += [_blocks(nothing, ratio * slope) for slope in other]
         return np.stack([*slopes, _blocks(nothing, 2 * covariance)])
 
-    @property
-    def _half(self):
-        return len(self._parts[0].start)
 
-    @property
-    def _parts(self):
-        mixture = self.environment
-        return WeightPrior(mixture.gradient), WeightPrior(mixture.rotation)
-
-
-def _blocks(first, second):
-    return scipy.linalg.block_diag(first, second)
+def _blocks(first, second) -> np.ndarray:
+    return np.asarray(scipy.linalg.block_diag(first, second))
 
 
 LOG_RATIO = 8.0
@@ -228,11 +225,16 @@ def kernel_prior(
     | KernelPotential
     | KernelStream
     | KernelMixture
-    | TimedKernelPotential,
+    | TimedKernelPotential
+    | ChangingPotential,
 ) -> AbstractPrior:
     """The Gaussian-process prior of a kernel environment."""
     if isinstance(environment, KernelMixture):
-        return MixturePrior(environment)
+        first, second = environment.gradient, environment.rotation
+        return MixturePrior(kernel_prior(first), kernel_prior(second))
+    if isinstance(environment, ChangingPotential):
+        first, second = environment.static, environment.change
+        return MixturePrior(kernel_prior(first), kernel_prior(second))
     if isinstance(environment, TimedKernelPotential):
         return TimedPrior(environment)
     return WeightPrior(environment)

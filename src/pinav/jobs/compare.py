@@ -37,19 +37,16 @@ DECISIVE = 5.0
 
 Reference: Kass and Raftery, J. Am. Stat. Assoc. 90, 773 (1995)."""
 
-STATIC = "kernel-potential-static"
-"""The potential that one in time becomes when nothing changes: on the same grid."""
-
 QUESTIONS = (
     ("kernel-potential", "kernel-force", "a potential", "a free force"),
     ("kernel-potential", "kernel-mixture", "a potential", "a rotational part too"),
-    (STATIC, TIMED, "a static potential", "one that changes with time"),
+    ("kernel-potential", TIMED, "a static potential", "one that changes with time"),
     ("first-order", "kernel-potential", "first-order dynamics", "inertia"),
     ("isotropic-drag", "anisotropic-drag", "isotropic drag", "anisotropic drag"),
 )
 """Pairs of models that answer a question, and what each of them stands for."""
 
-KERNEL_POTENTIAL = (STATIC, "first-order", "isotropic-drag", "anisotropic-drag")
+KERNEL_POTENTIAL = ("first-order", "isotropic-drag", "anisotropic-drag")
 """Candidates whose environment is a kernel potential."""
 
 LEARNED = {
@@ -91,7 +88,7 @@ def compare(
     """
     known = checked(settings, data)
     rows = {}
-    for name in candidates(settings):
+    for name in dict.fromkeys(settings.models):
         stored = f"evidence-{name}.json"
         if not folder.has(stored):
             folder.write_json(stored, _row(name, settings, known, data, folder))
@@ -99,12 +96,6 @@ def compare(
     metrics = {"models": rows, "verdicts": verdicts(rows)}
     folder.write_json("metrics.json", metrics)
     return metrics
-
-
-def candidates(settings: CompareSettings) -> tuple[str, ...]:
-    """The models asked for, and the one that a potential in time is compared with."""
-    added = (STATIC,) if TIMED in settings.models else ()
-    return tuple(dict.fromkeys((*settings.models, *added)))
 
 
 def _row(name, settings, known: Scenario, data, folder) -> dict[str, Any]:
@@ -141,9 +132,9 @@ def fitted(
     """
     kernels = "kernel-potential" if name in KERNEL_POTENTIAL else name
     own = msgspec.convert({"model": kernels}, FitSettings)
-    summary = model_summary(TIMED if name == STATIC else kernels, data)
+    summary = model_summary(kernels, data)
     swimmer, seen = known.swimmer, data
-    if name == "first-order":
+    if name == "first-order" and isinstance(swimmer, Swimmer):
         swimmer = _without_inertia(swimmer, summary)
     elif isinstance(swimmer, Swimmer) and len(_positions(data)) == len(data.channels):
         unseen = known.channels[len(data.channels) :]

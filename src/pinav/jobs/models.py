@@ -21,13 +21,13 @@ from pinav.evaluation import POSITION_CHANNELS
 from pinav.fitting import (
     WITHOUT_PRIOR,
     KernelGrid,
+    changing_environment,
     kernel_environment,
     kernels_on,
-    timed_kernel_environment,
 )
 from pinav.forces import AbstractForce, LinearDrag, TensorDrag, ZeroForce
 from pinav.jobs.settings import FitSettings
-from pinav.kernel_fields import KernelMixture, TimedKernelPotential
+from pinav.kernel_fields import ChangingPotential, KernelMixture, TimedKernelPotential
 from pinav.learned import (
     AbstractLearnedForce,
     KernelForce,
@@ -185,7 +185,7 @@ def _environment(settings: FitSettings, data: dict[str, Any]) -> AbstractForce:
     if settings.model in KERNELS:
         return _kernels(KERNELS[settings.model], data)
     if settings.model == TIMED:
-        return _timed_kernels(data)
+        return _changing(data)
     mean, std, dim = data["mean"], data["std"], data["dim"]
     if settings.model == "ude":
         center, scale = (*mean[:dim], mean[-1]), (*std[:dim], std[-1])
@@ -207,10 +207,14 @@ def _kernels(kind, data: dict[str, Any]):
     return kernels_on(kind, np.asarray(data["centers"]), data["kernel_width"])
 
 
-def _timed_kernels(data: dict[str, Any]) -> TimedKernelPotential:
-    centers = jnp.asarray(data["centers"])
-    weights = jnp.zeros((len(centers), data["splines"]))
-    return TimedKernelPotential(weights, centers, data["kernel_width"], *data["times"])
+def _changing(data: dict[str, Any]) -> ChangingPotential:
+    change = data["change"]
+    centers = jnp.asarray(change["centers"])
+    weights = jnp.zeros((len(centers), change["splines"]))
+    return ChangingPotential(
+        _kernels(KernelPotential, data),
+        TimedKernelPotential(weights, centers, change["width"], *change["times"]),
+    )
 
 
 def _with_environment(known: KnownSwimmer, environment: AbstractForce) -> Any:
@@ -268,12 +272,14 @@ def model_summary(model: str, trajectories: Trajectories) -> dict[str, Any]:
     summary = data_summary(trajectories, KernelGrid())
     if model != TIMED:
         return summary
-    kernels = timed_kernel_environment(trajectories, dim=summary["dim"])
+    change = changing_environment(trajectories, dim=summary["dim"]).change
     return summary | {
-        "centers": np.asarray(kernels.centers).tolist(),
-        "kernel_width": float(kernels.width),
-        "splines": kernels.weights.shape[1],
-        "times": [float(kernels.first), float(kernels.last)],
+        "change": {
+            "centers": np.asarray(change.centers).tolist(),
+            "width": float(change.width),
+            "splines": change.weights.shape[1],
+            "times": [float(change.first), float(change.last)],
+        }
     }
 
 

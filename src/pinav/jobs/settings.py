@@ -212,7 +212,6 @@ Candidate = Literal[
     "kernel-potential",
     "kernel-force",
     "kernel-mixture",
-    "kernel-potential-static",
     "kernel-potential-time",
     "first-order",
     "isotropic-drag",
@@ -226,8 +225,7 @@ class CompareSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     models: Annotated[
         tuple[Candidate, ...],
         tyro.conf.arg(
-            help="Models to compare. kernel-: as in pinav fit, -static: on the grid of "
-            "-time, beside which it is always fitted; first-order: a kernel "
+            help="Models to compare. kernel-: as in pinav fit; first-order: a kernel "
             "potential without inertia (positions alone); isotropic-drag, "
             "anisotropic-drag: a kernel potential, with the drag learned too."
         ),
@@ -250,7 +248,7 @@ class CompareSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def check(self) -> None:
         """Raise `InputError` where a setting makes no sense."""
         _check_counts(self, "max_steps")
-        if len(set(self.models)) < 2 and "kernel-potential-time" not in self.models:
+        if len(set(self.models)) < 2:
             raise InputError(
                 "--models: expected two or more different ones, such as --models "
                 "kernel-potential kernel-force"
