@@ -8,7 +8,7 @@ import pytest
 
 from pinav import cli
 from pinav.errors import InputError
-from pinav.jobs.compare import checked, table, text, verdicts
+from pinav.jobs.compare import checked, positions_alone, table, text, verdicts
 from pinav.jobs.models import (
     build_model,
     fit_model,
@@ -131,3 +131,11 @@ def test_comparison_of_stochastic_paths_from_the_command_line(tmp_path, capsys):
         cli.run(["fit", str(data), *langevin[:-1], str(run), "--physics", "paper"]) == 2
     )
     assert "expected physics without inertia" in capsys.readouterr().err
+
+
+def test_positions_alone_keep_everything_but_velocities():
+    data = positions("paper", ("x", "y", "vx", "vy"))
+    found = positions_alone(data)
+    assert found.channels == ("x", "y")
+    np.testing.assert_array_equal(found.states, data.states[..., :2])
+    np.testing.assert_array_equal(found.times, data.times)

@@ -65,7 +65,7 @@ def checked(settings: CompareSettings, data: Trajectories) -> Scenario:
     known = known_physics(settings.physics, data)
     inert = isinstance(known.swimmer, Swimmer)
     if "first-order" in settings.models and (
-        not inert or len(data.channels) != len(_positions(data))
+        not inert or data.observed[..., len(_positions(data)) :].any()
     ):
         raise InputError(
             "--models first-order: expected physics with inertia and positions alone, "
@@ -135,7 +135,7 @@ def fitted(
     summary = model_summary(kernels, data)
     swimmer, seen = known.swimmer, data
     if name == "first-order" and isinstance(swimmer, Swimmer):
-        swimmer = _without_inertia(swimmer, summary)
+        swimmer, seen = _without_inertia(swimmer, summary), positions_alone(data)
     elif isinstance(swimmer, Swimmer) and len(_positions(data)) == len(data.channels):
         unseen = known.channels[len(data.channels) :]
         seen = with_unobserved(data, {n: known.units[n] for n in unseen})
@@ -162,6 +162,19 @@ def _without_inertia(swimmer: Swimmer, summary) -> OverdampedSwimmer:
     """The limit of strong drag: the mobility is one over the drag."""
     mobility = 1 / mean_drag(swimmer, summary)
     return OverdampedSwimmer(swimmer.propulsion, swimmer.environment, mobility)
+
+
+def positions_alone(data: Trajectories) -> Trajectories:
+    """The data without the channels that are no positions."""
+    names = _positions(data)
+    return Trajectories.from_arrays(
+        [piece.times for piece in data],
+        [piece.states[:, : len(names)] for piece in data],
+        observed=[piece.observed[:, : len(names)] for piece in data],
+        channels=names,
+        units={name: data.units[name] for name in (*names, "t")},
+        provenance=data.provenance,
+    )
 
 
 def _positions(data: Trajectories) -> list[str]:
