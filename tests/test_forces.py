@@ -34,7 +34,7 @@ from pinav.learned import (
     NeuralForce,
     NeuralPotential,
     PositionFeatures,
-    _check_kernels,
+    check_kernels,
     kernel_centers,
     paper_force,
     tanh_network,
@@ -308,7 +308,7 @@ def test_bad_kernels_are_refused():
     with pytest.raises(
         InputError, match=r"weights: expected shape \(3,\), as .* \(2,\)"
     ):
-        _check_kernels(wrong, (3,))
+        check_kernels(wrong, (3,))
     with pytest.raises(InputError, match="KernelPotential.width: expected > 0, got 0"):
         KernelPotential(jnp.zeros(3), centers, 0.0)
     with pytest.raises(InputError, match="kernel_centers spacing: expected > 0"):

@@ -18,6 +18,7 @@ ORDER = [
     "forces",
     "environments",
     "learned",
+    "kernel_fields",
     "solvers",
     "dynamics",
     "brownian",

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pinav.dynamics import rollout
+from pinav.dynamics import paper_black_box, rollout
 from pinav.errors import InputError
 from pinav.forces import ZeroForce
 from pinav.scenarios import SCENARIOS, barrier_crossings, paper, scenario
@@ -127,8 +127,10 @@ def test_a_stochastic_scenario_has_si_values_and_needs_a_key():
     assert (made.units["x"], made.units["t"]) == ("um", "s")
     with pytest.raises(InputError, match="'brownian' is stochastic; pass key="):
         simulate(made)
-    with pytest.raises(InputError, match="'brownian': expected a swimmer with inertia"):
-        _ = made.swimmer
+    assert made.swimmer is made.truth.swimmer
+    box = eqx.tree_at(lambda s: s.truth, made, paper_black_box(KEY))
+    with pytest.raises(InputError, match="'brownian': expected a swimmer, got Neural"):
+        _ = box.swimmer
 
 
 def test_stochastic_trajectories_diffuse_and_belong_to_their_key():

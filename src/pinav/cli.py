@@ -14,6 +14,7 @@ COMMANDS = {
     "fit": "fit a model of the unknown force to trajectories",
     "evaluate": "say where a fitted run can be trusted, on other trajectories",
     "analyse": "map what a fit learned, and what it depends on",
+    "compare": "weigh the evidence of several models of the same data",
     "discover": "find the law behind the learned force of a run",
     "study": "compare models over the amount of data or of noise",
     "report": "draw the figures and the HTML page of a run again",

@@ -19,6 +19,7 @@ import tyro
 from pinav.errors import InputError
 from pinav.jobs.settings import (
     AnalyseSettings,
+    CompareSettings,
     FitSettings,
     ReproduceSettings,
     SimulateSettings,
@@ -92,6 +93,24 @@ class FitOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ]
     out: OutFolder
     settings: FitSettings = FitSettings()
+    config: ConfigFile = None
+    resume: Resume = False
+    overwrite: Overwrite = False
+    json: AsJson = False
+
+
+class CompareOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Fit several models to the same trajectories and weigh their evidence.
+
+    Prints the log evidence of each, what its hyperparameters cost, and a verdict with
+    its number on each question that two of the models answer.
+    """
+
+    data: Annotated[
+        Path, tyro.conf.Positional, tyro.conf.arg(help="Trajectories, .npz or .csv.")
+    ]
+    out: OutFolder
+    settings: CompareSettings = CompareSettings()
     config: ConfigFile = None
     resume: Resume = False
     overwrite: Overwrite = False
@@ -264,6 +283,28 @@ def fit(options: FitOptions) -> None:
     print(f"report: {report}")
 
 
+def compare(options: CompareOptions) -> None:
+    """`pinav compare`."""
+    settings = options.settings
+    settings.check()
+    _enable_x64()
+    from pinav.jobs import compare as job
+    from pinav.jobs.fit import fingerprint
+    from pinav.jobs.reporting import write_report
+    from pinav.trajectory_files import load
+
+    data = load(options.data)
+    job.checked(settings, data)
+    folder = _run_folder(options, settings, job="compare", data=fingerprint(data))
+    metrics = job.compare(settings, data, folder)
+    report = write_report(folder)
+    if options.json:
+        _print_json(metrics)
+        return
+    print(job.text(metrics))
+    print(f"report: {report}")
+
+
 def evaluate(options: EvaluateOptions) -> None:
     """`pinav evaluate`."""
     _enable_x64()
@@ -382,6 +423,7 @@ HANDLERS: dict[str, tuple[type[msgspec.Struct], Callable[[Any], None]]] = {
     "reproduce": (ReproduceOptions, reproduce),
     "simulate": (SimulateOptions, simulate),
     "fit": (FitOptions, fit),
+    "compare": (CompareOptions, compare),
     "evaluate": (EvaluateOptions, evaluate),
     "discover": (DiscoverOptions, discover),
     "study": (StudyOptions, study),

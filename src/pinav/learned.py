@@ -5,6 +5,7 @@ its inputs and outputs, and the centres of a kernel, are fixed.
 """
 
 import abc
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -144,14 +145,14 @@ class KernelForce(AbstractLearnedForce):
     width: Scalar
 
     def __check_init__(self):
-        _check_kernels(self, np.shape(self.centers))
+        check_kernels(self, np.shape(self.centers))
 
     @property
     def parameters(self):
         return self.weights
 
     def __call__(self, t, x, v):
-        return _kernels(x, self.centers, self.width) @ self.weights
+        return kernel_values(x, self.centers, self.width) @ self.weights
 
 
 class KernelPotential(AbstractLearnedForce):
@@ -171,7 +172,7 @@ class KernelPotential(AbstractLearnedForce):
     width: Scalar
 
     def __check_init__(self):
-        _check_kernels(self, np.shape(self.centers)[:1])
+        check_kernels(self, np.shape(self.centers)[:1])
 
     @property
     def parameters(self):
@@ -179,10 +180,10 @@ class KernelPotential(AbstractLearnedForce):
 
     def potential(self, t: Scalar, x: Float[Array, " dim"]) -> Float[Array, ""]:
         """Potential energy per mass $U(x)$ [L² T⁻²]."""
-        return self.weights @ _kernels(x, self.centers, self.width)
+        return self.weights @ kernel_values(x, self.centers, self.width)
 
     def __call__(self, t, x, v):
-        strengths = self.weights * _kernels(x, self.centers, self.width)
+        strengths = self.weights * kernel_values(x, self.centers, self.width)
         return strengths @ (x[None] - self.centers) / self.width**2
 
 
@@ -252,13 +253,16 @@ def paper_force(key: PRNGKeyArray) -> NeuralForce:
     return NeuralForce(tanh_network(3, 2, width=32, depth=2, key=key), features)
 
 
-def _kernels(x, centers, width):
-    """Value of every radial basis function at one point."""
+def kernel_values(
+    x: Float[Array, " dim"], centers: Float[Array, "kernel dim"], width: Scalar
+) -> Float[Array, " kernel"]:
+    r"""Radial basis functions $\exp(-|x - c_j|^2 / 2 b^2)$ at one point."""
     offsets = (x[None] - centers) / width
     return jnp.exp(-0.5 * jnp.sum(offsets**2, axis=1))
 
 
-def _check_kernels(force, expected):
+def check_kernels(force: Any, expected: tuple[int, ...]) -> None:
+    """Raise `InputError` where its weights have not the shape `expected`."""
     name = type(force).__name__
     if np.shape(force.weights) != expected:
         raise InputError(

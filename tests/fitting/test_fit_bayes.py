@@ -6,7 +6,7 @@ import pytest
 
 from pinav.errors import FitError, InputError
 from pinav.fitting import BayesOutcome, fit_bayes, kernel_environment
-from pinav.fitting.kernels import WeightPrior
+from pinav.fitting.priors import WeightPrior
 from pinav.forces import AbstractForce, GaussianBarrier
 from pinav.learned import KernelForce, KernelPotential
 from pinav.scenarios import barrier_crossings

@@ -163,7 +163,7 @@ def test_evaluation_shows_the_force_error_where_the_truth_is_known(tmp_path, cap
         (
             "brownian",
             ("x", "y"),
-            "'brownian': expected a swimmer with inertia, got Bro",
+            "--learn damping: scenario brownian has no .* its drag is a mobility",
         ),
         (
             "anisotropic-drag",

@@ -20,6 +20,7 @@ from pinav.fitting.descent import Move
 from pinav.fitting.distil import distilled, lesson
 from pinav.fitting.evidence import Hyperparameters
 from pinav.fitting.kernels import kernel_environment
+from pinav.fitting.occam import LinearFit
 from pinav.fitting.posterior import Posterior
 from pinav.forces import AbstractForce
 from pinav.learned import (
@@ -89,6 +90,7 @@ class BayesFit(eqx.Module):
         posterior: distribution of all learned parameters.
         constants: learned constants by the path of their leaf, as `drag.damping`.
         states: the smoothed states; they fulfil the dynamics when converged.
+        linear: the linear problem in which it ended; see `model_evidence`.
     """
 
     model: Any
@@ -98,6 +100,7 @@ class BayesFit(eqx.Module):
     posterior: Posterior
     constants: dict[str, Estimate]
     states: Float[np.ndarray, "trajectory time state"]
+    linear: LinearFit
 
 
 def fit_bayes(
@@ -212,7 +215,7 @@ def _iterate(
     shape = problem.weights.start
     steps: list[Step] = []
     while len(steps) < max_iterations:
-        step = problem.step(move, shape)
+        step = _attempt(problem, move, shape, begun=bool(steps))
         if step is None:
             return BayesOutcome.DIVERGED, steps
         move, shape = step.move, step.inference.hyperparameters.shape
@@ -223,6 +226,16 @@ def _iterate(
         if outcome is not BayesOutcome.STALLED:
             return outcome, steps
     return BayesOutcome.STALLED, steps
+
+
+def _attempt(problem, move, shape, *, begun: bool) -> Step | None:
+    """One step; None where it leads nowhere, after others that did."""
+    try:
+        return problem.step(move, shape)
+    except FitError:
+        if begun:
+            return None
+        raise
 
 
 def _progress(steps: list[Step], total: int) -> BayesProgress:
@@ -268,6 +281,7 @@ def _result(
         posterior=posterior,
         constants=constants,
         states=np.asarray(last.move.states),
+        linear=problem.linear_fit(last),
     )
 
 

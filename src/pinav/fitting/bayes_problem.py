@@ -29,12 +29,19 @@ from pinav.fitting.inference import (
     Inference,
     NoWeights,
 )
-from pinav.fitting.kernels import WeightPrior
 from pinav.fitting.lifting import FreeModel, Linearisation, freed, linearise
 from pinav.fitting.networks import IsotropicPrior
 from pinav.fitting.objectives import Observations
+from pinav.fitting.occam import LinearFit
 from pinav.fitting.posterior import Posterior
+from pinav.fitting.priors import kernel_prior
 from pinav.fitting.smoother import smoothed_states
+from pinav.kernel_fields import (
+    ChangingPotential,
+    KernelMixture,
+    KernelStream,
+    TimedKernelPotential,
+)
 from pinav.learned import (
     AbstractLearnedForce,
     KernelForce,
@@ -185,6 +192,20 @@ class BayesProblem(eqx.Module):
             log_determinant=2 * float(np.log(np.abs(diagonals)).sum()),
         )
 
+    def linear_fit(self, step: Step) -> LinearFit:
+        """The linear problem of a step, for the evidence of the model."""
+        counts = np.asarray(self.observations.observed).sum(axis=(1, 2))
+        state, total = self.states.shape[2], int(counts.sum())
+        return LinearFit(
+            quadratic=step.quadratic,
+            weights=self.weights,
+            noise=self.noise,
+            num_observed=total,
+            flat_information=float(
+                state * np.log(counts).sum() + self.flat.sum() * np.log(total)
+            ),
+        )
+
     def with_shape_uncertainty(self, step: Step) -> Posterior:
         """The posterior after a step, that of the prior's shape included."""
         extra = self.weights.shape_covariance(
@@ -198,21 +219,28 @@ def _weights(model) -> tuple:
     """The leaves that have a Gaussian prior; none in a parametric environment."""
     environment = model.environment
     if isinstance(environment, AbstractLearnedForce):
-        return (environment.parameters,)
+        parameters = environment.parameters
+        return parameters if isinstance(parameters, tuple) else (parameters,)
     return ()
 
 
 def _method(model) -> tuple[AbstractWeights, AbstractDescent, float]:
     """Prior of the weights, steps as curved as they are, and when to stop."""
     environment = model.environment
-    if isinstance(environment, KernelForce | KernelPotential):
-        return GaussianWeights(WeightPrior(environment)), FullStep(), TOLERANCE
+    if isinstance(environment, KERNELS):
+        return GaussianWeights(kernel_prior(environment)), FullStep(), TOLERANCE
     if isinstance(environment, NeuralForce | NeuralPotential):
         leaves = jax.tree.leaves(eqx.filter(environment.parameters, eqx.is_array))
         prior = IsotropicPrior(sum(leaf.size for leaf in leaves))
         return GaussianWeights(prior), ChordSteps(damping=1e3), NETWORK_TOLERANCE
     return NoWeights(), ChordSteps(damping=1e-2), TOLERANCE
 
+
+SINGLE_KERNELS = KernelForce | KernelPotential | KernelStream | TimedKernelPotential
+"""Environments of kernels on one grid."""
+
+KERNELS = SINGLE_KERNELS | KernelMixture | ChangingPotential
+"""Environments that are linear in their weights."""
 
 TOLERANCE, NETWORK_TOLERANCE = 1e-2, 2.0
 """Change of the log evidence at which a fit ends. That of a network goes on to creep
@@ -245,7 +273,7 @@ def num_positions(model, trajectories: Trajectories) -> int:
         InputError: the trajectories have other channels than the model has states.
     """
     count = len(trajectories.channels)
-    dim = _dimension(model.environment)
+    dim = dimension(model.environment)
     if isinstance(model, Swimmer):
         dim = count // 2 if dim is None else dim
         fits, expected = count == 2 * dim, f"{2 * dim} channels, positions and"
@@ -261,9 +289,13 @@ def num_positions(model, trajectories: Trajectories) -> int:
     return dim
 
 
-def _dimension(environment) -> int | None:
+def dimension(environment) -> int | None:
     """Dimension of the space in which a learned environment acts."""
-    if isinstance(environment, KernelForce | KernelPotential):
+    if isinstance(environment, KernelMixture):
+        environment = environment.gradient
+    if isinstance(environment, ChangingPotential):
+        environment = environment.static
+    if isinstance(environment, SINGLE_KERNELS):
         return environment.centers.shape[1]
     if isinstance(environment, NeuralForce | NeuralPotential):
         features = environment.features

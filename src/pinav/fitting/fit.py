@@ -343,16 +343,24 @@ def split_trainable(model: Any, trainable: Trainable, dtype: type):
     def as_array(leaf):
         return jnp.asarray(leaf, dtype) if _is_number(leaf) else leaf
 
-    chosen = jax.tree.map(as_array, trainable(model))
-    model = eqx.tree_at(trainable, model, chosen)
+    def subtrees(model):
+        return _without_nesting(trainable(model))
+
+    chosen = jax.tree.map(as_array, subtrees(model))
+    model = eqx.tree_at(subtrees, model, chosen)
     spec = jax.tree.map(lambda _: False, model)
-    spec = eqx.tree_at(trainable, spec, jax.tree.map(eqx.is_inexact_array, chosen))
+    spec = eqx.tree_at(subtrees, spec, jax.tree.map(eqx.is_inexact_array, chosen))
     if not any(jax.tree.leaves(spec)):
         raise InputError(
             "fit trainable: the selection holds no floating-point array or number; "
             "pick leaves of the model, such as lambda m: m.environment"
         )
     return eqx.partition(model, spec)
+
+
+def _without_nesting(selection) -> list:
+    """Subtrees of nested tuples in one list, as `eqx.tree_at` needs them."""
+    return jax.tree.leaves(selection, is_leaf=lambda s: not isinstance(s, tuple | list))
 
 
 def _is_number(leaf) -> bool:

@@ -1,7 +1,7 @@
 r"""What a linearised fit says of the parameters, for each prior of its weights.
 
 Weights with a Gaussian prior, whose covariance is that of a kernel field
-(`WeightPrior`) or a multiple of one (`IsotropicPrior`), or no weights at all.
+(`fitting.priors`) or a multiple of one (`IsotropicPrior`), or no weights at all.
 """
 
 import abc
@@ -18,8 +18,7 @@ from pinav.fitting.evidence import (
     shape_covariance,
     weight_posterior,
 )
-from pinav.fitting.kernels import WeightPrior
-from pinav.fitting.networks import IsotropicPrior
+from pinav.fitting.priors import AbstractPrior
 
 
 class Inference(eqx.Module):
@@ -67,7 +66,7 @@ class GaussianWeights(AbstractWeights):
         prior: its covariance.
     """
 
-    prior: WeightPrior | IsotropicPrior
+    prior: AbstractPrior
 
     @property
     def start(self):
@@ -75,7 +74,9 @@ class GaussianWeights(AbstractWeights):
 
     def infer(self, quadratic, shape, noise):
         data, covariance = Data.of(quadratic), self.prior.covariance
-        chosen = best_hyperparameters(data, covariance, shape, self.prior.bounds, noise)
+        chosen = best_hyperparameters(
+            data, covariance, shape, self.prior.bounds, noise, self.prior.slopes
+        )
         weights = weight_posterior(data, covariance(chosen.shape), chosen)
         return Inference(chosen, *weights)
 

@@ -4,7 +4,7 @@ A grid of radial basis functions of width b, whose weights have a squared-expone
 covariance, is a Gaussian process: the basis filters the weights.
 """
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,10 +12,16 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.errors import InputError
+from pinav.kernel_fields import (
+    ChangingPotential,
+    KernelMixture,
+    KernelStream,
+    TimedKernelPotential,
+)
 from pinav.learned import KernelForce, KernelPotential, kernel_centers
 from pinav.trajectories import Trajectories
 
-Kernel = TypeVar("Kernel", KernelForce, KernelPotential)
+Kernel = TypeVar("Kernel", KernelForce, KernelPotential, KernelStream, KernelMixture)
 
 
 class KernelGrid(eqx.Module):
@@ -45,6 +51,9 @@ class KernelGrid(eqx.Module):
 WITHOUT_PRIOR = KernelGrid(across=10, width=1.5, margin=2.0)
 """Wide kernels close to the data: where no prior makes the field smooth."""
 
+IN_TIME = KernelGrid(across=9, margin=2.0)
+"""Fewer kernels: each of them has a weight for every spline in time."""
+
 
 def kernel_environment(
     kind: type[Kernel],
@@ -60,7 +69,7 @@ def kernel_environment(
     samples: a prior must not end within its own length scale.
 
     Args:
-        kind: `KernelForce` or `KernelPotential`.
+        kind: `KernelForce`, `KernelPotential`, `KernelStream` or `KernelMixture`.
         trajectories: their channels are positions, then as many velocities.
         grid: its fineness; `KernelGrid()` unless given.
         dim: how many of their channels are positions, where that is not half of them:
@@ -70,6 +79,93 @@ def kernel_environment(
         InputError: the observed positions are fewer than two, or all the same, or
             there are no `dim` channels.
     """
+    centers, width = _laid(trajectories, grid, dim)
+    return kernels_on(kind, centers, width)
+
+
+def timed_kernel_environment(
+    trajectories: Trajectories,
+    *,
+    grid: KernelGrid | None = None,
+    intervals: int = 6,
+    max_weights: int = 1500,
+    dim: int | None = None,
+) -> TimedKernelPotential:
+    """An untrained potential that may change with time, on a grid around the data.
+
+    The splines reach from the first time to the last. Where the weights would be too
+    many, the grid in space is made coarser: a step costs the square of their number.
+
+    Args:
+        trajectories: their channels are positions, then as many velocities.
+        grid: its fineness at most; `IN_TIME` unless given.
+        intervals: of the splines in time, positive.
+        max_weights: weights at most.
+        dim: see `kernel_environment`.
+
+    Raises:
+        InputError: `intervals` is not positive, `max_weights` is less than 100 for
+            each spline, or as `kernel_environment` does.
+    """
+    grid = IN_TIME if grid is None else grid
+    splines = intervals + 3
+    if intervals < 1 or max_weights < 100 * splines:
+        raise InputError(
+            "timed_kernel_environment: expected one or more intervals and 100 weights "
+            f"for each of 3 splines more, got {intervals} and {max_weights}"
+        )
+    centers, width = _laid(trajectories, grid, dim)
+    while len(centers) * splines > max_weights:
+        grid = KernelGrid(grid.across - 1, grid.width, grid.margin)
+        centers, width = _laid(trajectories, grid, dim)
+    return TimedKernelPotential(
+        jnp.zeros((len(centers), splines)),
+        jnp.asarray(centers),
+        width,
+        float(trajectories.times.min()),
+        float(trajectories.times.max()),
+    )
+
+
+def changing_environment(
+    trajectories: Trajectories, *, intervals: int = 6, dim: int | None = None
+) -> ChangingPotential:
+    """An untrained potential with a static part, and a part that changes with time.
+
+    Args:
+        trajectories: their channels are positions, then as many velocities.
+        intervals: of the splines in time, positive.
+        dim: see `kernel_environment`.
+
+    Raises:
+        InputError: see `timed_kernel_environment`.
+    """
+    static = kernel_environment(KernelPotential, trajectories, dim=dim)
+    change = timed_kernel_environment(
+        trajectories, intervals=intervals, max_weights=MOST_IN_TIME, dim=dim
+    )
+    return ChangingPotential(static, change)
+
+
+MOST_IN_TIME = 1200
+"""Weights of the part that changes, beside some 300 of the static one."""
+
+
+def kernels_on(
+    kind: Any, centers: Float[np.ndarray, "kernel dim"], width: float
+) -> Any:
+    """Kernels of a kind at given places, with weights of zero."""
+    places, scalar = jnp.asarray(centers), jnp.zeros(len(centers))
+    if kind is KernelMixture:
+        gradient = KernelPotential(scalar, places, width)
+        return KernelMixture(gradient, KernelStream(scalar, places, width))
+    return kind(
+        jnp.zeros_like(places) if kind is KernelForce else scalar, places, width
+    )
+
+
+def _laid(trajectories, grid, dim):
+    """Centres and width of kernels on a grid around the data."""
     grid = KernelGrid() if grid is None else grid
     count = len(trajectories.channels)
     dim = count // 2 if dim is None else dim
@@ -87,66 +183,4 @@ def kernel_environment(
         )
     spacing = extent / grid.across
     centers = kernel_centers(positions, spacing=spacing, margin=grid.margin * spacing)
-    shape = centers.shape if kind is KernelForce else centers.shape[:1]
-    return kind(jnp.zeros(shape), jnp.asarray(centers), grid.width * spacing)
-
-
-class WeightPrior(eqx.Module):
-    r"""Gaussian-process prior of the weights of one environment, of unit amplitude.
-
-    $K_{ij} = D_i D_j \exp(-|c_i - c_j|^2 / 2\ell^2)$ with the envelope
-    $D_i = \exp(-|c_i - m|^2 / 2 R^2)$: a field of length scale $\ell$ that may fade
-    away from a place. Where nothing fades the evidence makes R large, and the prior is
-    stationary. The envelope is what separates an obstacle from a constant force: a
-    stationary prior takes a slope over the whole domain for an obstacle.
-
-    Attributes:
-        environment: the kernels.
-    """
-
-    environment: KernelForce | KernelPotential
-
-    @property
-    def start(self) -> Float[np.ndarray, " shape"]:
-        """Shape of a wide envelope about the middle of the kernels."""
-        return np.append([0.5, np.log(0.5 * self._extent)], np.zeros(self._dim))
-
-    @property
-    def bounds(self) -> Float[np.ndarray, "shape 2"]:
-        """Between which the shape is sought."""
-        extent = self._extent
-        half = 0.5 * extent
-        scales = [(-1.2, np.log(10 * extent)), (0.0, np.log(10 * extent))]
-        return np.array(scales + [(-half, half)] * self._dim)
-
-    def covariance(
-        self, shape: Float[np.ndarray, " shape"]
-    ) -> Float[np.ndarray, "weight weight"]:
-        r"""Covariance of the weights, flattened as they are.
-
-        Args:
-            shape: $\log \ell$, $\log R$, and $m$ from the middle, all in widths.
-        """
-        centers = self._scaled_centers
-        length_scale, reach = np.exp(shape[:2])
-        squares = ((centers[:, None] - centers[None]) ** 2).sum(axis=-1)
-        envelope = np.exp(-0.5 * ((centers - shape[2:]) ** 2).sum(axis=-1) / reach**2)
-        covariance = np.exp(-0.5 * squares / length_scale**2)
-        covariance *= np.outer(envelope, envelope)
-        if isinstance(self.environment, KernelForce):
-            return np.kron(covariance, np.eye(self._dim))
-        return covariance
-
-    @property
-    def _scaled_centers(self):
-        centers = np.asarray(self.environment.centers, float)
-        middle = (centers.min(axis=0) + centers.max(axis=0)) / 2
-        return (centers - middle) / float(self.environment.width)
-
-    @property
-    def _extent(self):
-        return float(max(np.ptp(self._scaled_centers, axis=0).max(), 1.0))
-
-    @property
-    def _dim(self):
-        return np.shape(self.environment.centers)[1]
+    return centers, grid.width * spacing

@@ -2,11 +2,11 @@
 
 from typing import TypeVar
 
-import equinox as eqx
 import numpy as np
-from jaxtyping import Float, PRNGKeyArray
+from jaxtyping import PRNGKeyArray
 
 from pinav.errors import InputError
+from pinav.fitting.priors import AbstractPrior
 from pinav.fitting.smoother import smoothed_states
 from pinav.learned import (
     NeuralForce,
@@ -78,8 +78,8 @@ def _typical_force(trajectories, states, dim, spread) -> float:
     return float(np.sqrt(speed_squared)) or 1.0
 
 
-class IsotropicPrior(eqx.Module):
-    """Independent weights of one variance: the prior of a network.
+class IsotropicPrior(AbstractPrior):
+    """Independent weights of one variance: the prior of a network, without a shape.
 
     Attributes:
         count: how many weights.
@@ -91,17 +91,15 @@ class IsotropicPrior(eqx.Module):
     count: int
 
     @property
-    def start(self) -> Float[np.ndarray, " shape"]:
-        """No shape: the amplitude is all."""
+    def start(self):
         return np.zeros(0)
 
     @property
-    def bounds(self) -> Float[np.ndarray, "shape 2"]:
-        """None."""
+    def bounds(self):
         return np.zeros((0, 2))
 
-    def covariance(
-        self, shape: Float[np.ndarray, " shape"]
-    ) -> Float[np.ndarray, "weight weight"]:
-        """The identity."""
+    def covariance(self, shape):
         return np.eye(self.count)
+
+    def slopes(self, shape):
+        return np.zeros((0, self.count, self.count))

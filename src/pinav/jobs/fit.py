@@ -29,11 +29,13 @@ from pinav.jobs.inference import MODEL_FILE
 from pinav.jobs.matching import matching
 from pinav.jobs.models import (
     CONSTANTS,
+    KnownSwimmer,
     build_model,
     data_summary,
     fit_model,
     fit_trainable,
     known_physics,
+    mean_drag,
 )
 from pinav.jobs.progress import FitReporter
 from pinav.jobs.settings import FitSettings
@@ -54,11 +56,12 @@ def prepared(settings: FitSettings, data: Trajectories) -> Trajectories:
             not of the kind that is fitted.
     """
     known = known_physics(settings.physics, data)
-    drag = known.swimmer.drag
+    _check_dynamics(settings, known)
+    drag = getattr(known.swimmer, "drag", None)
     if "damping" in settings.learn and not isinstance(drag, LinearDrag):
         raise InputError(
             f"--learn damping: scenario {known.name} has no such constant: its drag is "
-            f"{type(drag).__name__}; drop it"
+            f"{'a mobility' if drag is None else type(drag).__name__}; drop it"
         )
     positions = _positions(known)
     if settings.method == "bayes":
@@ -73,7 +76,7 @@ def prepared(settings: FitSettings, data: Trajectories) -> Trajectories:
                 else ""
             )
         )
-    if settings.method != "bayes":
+    if settings.method not in BAYESIAN:
         _check_starts(data)
     return data
 
@@ -89,6 +92,27 @@ def with_all_channels(data: Trajectories, known: Scenario) -> Trajectories:
 
 def _positions(known: Scenario) -> tuple[str, ...]:
     return tuple(name for name in known.channels if name in POSITION_CHANNELS)
+
+
+BAYESIAN = ("bayes", "langevin")
+"""Recipes with a posterior."""
+
+
+def _check_dynamics(settings: FitSettings, known: Scenario) -> None:
+    """The recipe and the model must suit the order of the dynamics."""
+    inert = isinstance(known.swimmer, Swimmer)
+    if settings.method == "langevin" and inert:
+        raise InputError(
+            f"--recipe langevin: expected physics without inertia, such as brownian, "
+            f"got scenario {known.name}; choose --recipe bayes"
+        )
+    if "drag" in settings.learn:
+        mean_drag(known.swimmer, {"mean": [0.0, 0.0], "dim": 2})
+    if not inert and settings.model == "ude":
+        raise InputError(
+            f"--model ude: expected physics with inertia, got scenario {known.name}; "
+            "choose a kernel or neural model"
+        )
 
 
 def fingerprint(data: Trajectories) -> str:
@@ -111,14 +135,14 @@ def fit(settings: FitSettings, data: Trajectories, folder: RunFolder) -> dict[st
     known = known_physics(settings.physics, data)
     if not folder.has("data.npz"):
         save(data, folder.path / "data.npz")
-    bayes = settings.method == "bayes"
+    bayes = settings.method in BAYESIAN
     if not folder.has(MODEL_FILE):
         run = inference.infer if bayes else _match
         run(settings, known, data, folder)
     model = folder.read_model(MODEL_FILE, build_model)
     metrics: dict[str, Any] = {"model": settings.model, "recipe": settings.method}
     if bayes:
-        metrics |= inference.metrics(settings, folder)
+        metrics |= inference.metrics(folder)
     else:
         metrics |= _matched_metrics(settings, model, folder)
     predictions, outcomes = predict(
@@ -131,7 +155,7 @@ def fit(settings: FitSettings, data: Trajectories, folder: RunFolder) -> dict[st
         "observed": data.observed,
         "ys": predictions,
     }
-    if isinstance(model, Swimmer):
+    if isinstance(model, KnownSwimmer):
         fields = _fields(model, data)
         metrics |= _force_errors(fields, default_regions(data))
         arrays |= _field_arrays(fields)
@@ -142,7 +166,7 @@ def fit(settings: FitSettings, data: Trajectories, folder: RunFolder) -> dict[st
     return metrics
 
 
-def _fields(model: Swimmer, data: Trajectories) -> dict[str, FieldMap]:
+def _fields(model: KnownSwimmer, data: Trajectories) -> dict[str, FieldMap]:
     """The learned force around the data, and the true one where it is known."""
     fields = {"learned": field_map(model.environment, data)}
     if "scenario" in data.provenance:

@@ -5,18 +5,29 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from pinav.evaluation import FieldMap
-from pinav.fitting import BayesFit, KernelGrid, Posterior, fit_bayes, freed
+from pinav.evaluation import VISITED, FieldMap, field_map
+from pinav.fitting import (
+    BayesFit,
+    Estimate,
+    LangevinFit,
+    Posterior,
+    fit_bayes,
+    fit_langevin,
+    freed,
+    principal_drags,
+    rotational_fraction,
+)
 from pinav.jobs.models import (
     CONSTANTS,
     build_model,
-    data_summary,
     fit_constants,
     fit_model,
     fit_trainable,
+    model_summary,
 )
 from pinav.jobs.progress import BayesReporter
 from pinav.jobs.settings import FitSettings
+from pinav.kernel_fields import KernelMixture
 from pinav.runs import RunFolder
 from pinav.scenarios import Scenario
 from pinav.trajectories import Trajectories
@@ -32,7 +43,10 @@ def infer(
     Raises:
         FitError: the fit did not converge, or the data do not determine it.
     """
-    summary = data_summary(data, KernelGrid())
+    summary = model_summary(settings.model, data)
+    if settings.method == "langevin":
+        _infer_langevin(settings, known, data, summary, folder)
+        return
     with BayesReporter(folder, settings.model) as report:
         found = fit_bayes(
             fit_model(settings, known.swimmer, summary),
@@ -42,11 +56,25 @@ def infer(
             max_iterations=settings.max_steps,
             on_step=report,
         )
-    _write(settings, known, summary, found, folder)
+    arrays = {"iterations": np.array(found.iterations), "states": found.states}
+    estimates = _constants(settings, found) | parts(found, data)
+    _write(settings, known, summary, (found, estimates, arrays), folder)
 
 
-def _write(settings, known, summary, found: BayesFit, folder: RunFolder) -> None:
+def _infer_langevin(settings, known, data, summary, folder: RunFolder) -> None:
+    found = fit_langevin(fit_model(settings, known.swimmer, summary), data)
+    arrays = {"iterations": np.array(1), "states": data.states}
+    estimates = {"diffusion": found.diffusion} | parts(found, data)
+    _write(settings, known, summary, (found, estimates, arrays), folder)
+
+
+def _write(settings, known, summary, results, folder: RunFolder) -> None:
+    found, estimates, arrays = results
     chosen = found.hyperparameters
+    constants = {
+        f"constant/{name}": np.array([estimate.value, estimate.sd])
+        for name, estimate in estimates.items()
+    }
     folder.write_arrays(
         POSTERIOR_FILE,
         {
@@ -56,9 +84,8 @@ def _write(settings, known, summary, found: BayesFit, folder: RunFolder) -> None
             "amplitude": np.array(chosen.amplitude),
             "noise": np.array(chosen.noise),
             "log_evidence": np.array(chosen.log_evidence),
-            "iterations": np.array(found.iterations),
-            "states": found.states,
-            **_constants(settings, found),
+            **arrays,
+            **constants,
         },
     )
     header = {
@@ -71,13 +98,25 @@ def _write(settings, known, summary, found: BayesFit, folder: RunFolder) -> None
     folder.write_model(MODEL_FILE, header, found.model)
 
 
-def _constants(settings, found: BayesFit) -> dict[str, np.ndarray]:
-    """Value and standard deviation of each learned constant."""
-    estimates = {name: found.constants[CONSTANTS[name]] for name in settings.learn}
-    return {
-        f"constant/{name}": np.array([estimate.value, estimate.sd])
-        for name, estimate in estimates.items()
-    }
+def _constants(settings, found: BayesFit) -> dict[str, Estimate]:
+    """Each learned constant, by its name; the drag by its principal values."""
+    plain = [name for name in settings.learn if name != "drag"]
+    estimates = {name: found.constants[CONSTANTS[name]] for name in plain}
+    if "drag" in settings.learn:
+        drags = principal_drags(found.posterior)
+        estimates |= {f"drag {name}": value for name, value in drags.items()}
+    return estimates
+
+
+def parts(found: BayesFit | LangevinFit, data: Trajectories) -> dict[str, Estimate]:
+    """The rotational fraction of a mixture on visited ground; nothing for others."""
+    environment = found.model.environment
+    if not isinstance(environment, KernelMixture):
+        return {}
+    field = field_map(environment, data)
+    points = np.stack(np.meshgrid(field.x, field.y), axis=-1)
+    visited = points[field.distance <= VISITED]
+    return {"rotational fraction": rotational_fraction(found.posterior, visited)}
 
 
 def read_posterior(settings: FitSettings, folder: RunFolder) -> Posterior:
@@ -92,7 +131,7 @@ def read_posterior(settings: FitSettings, folder: RunFolder) -> Posterior:
     return Posterior(free, stored["mean"], stored["covariance"])
 
 
-def metrics(settings: FitSettings, folder: RunFolder) -> dict[str, Any]:
+def metrics(folder: RunFolder) -> dict[str, Any]:
     """What the evidence chose, and the learned constants with their deviations."""
     stored = folder.read_arrays(POSTERIOR_FILE)
     return {
@@ -101,10 +140,9 @@ def metrics(settings: FitSettings, folder: RunFolder) -> dict[str, Any]:
         "amplitude": float(stored["amplitude"]),
         "log_evidence": float(stored["log_evidence"]),
         "learned": {
-            name: dict(
-                zip(("value", "sd"), stored[f"constant/{name}"].tolist(), strict=True)
-            )
-            for name in settings.learn
+            name.removeprefix("constant/"): {"value": pair[0], "sd": pair[1]}
+            for name, pair in ((n, stored[n].tolist()) for n in sorted(stored))
+            if name.startswith("constant/")
         },
     }
 

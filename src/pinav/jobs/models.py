@@ -11,15 +11,23 @@ import numpy as np
 
 from pinav.dynamics import (
     NeuralDynamics,
+    OverdampedSwimmer,
     Swimmer,
     paper_black_box,
     with_dtype,
 )
 from pinav.errors import InputError
 from pinav.evaluation import POSITION_CHANNELS
-from pinav.fitting import WITHOUT_PRIOR, KernelGrid, kernel_environment
-from pinav.forces import AbstractForce, ZeroForce
+from pinav.fitting import (
+    WITHOUT_PRIOR,
+    KernelGrid,
+    changing_environment,
+    kernel_environment,
+    kernels_on,
+)
+from pinav.forces import AbstractForce, LinearDrag, TensorDrag, ZeroForce
 from pinav.jobs.settings import FitSettings
+from pinav.kernel_fields import ChangingPotential, KernelMixture, TimedKernelPotential
 from pinav.learned import (
     AbstractLearnedForce,
     KernelForce,
@@ -33,6 +41,7 @@ from pinav.learned import (
     tanh_network,
 )
 from pinav.scenarios import Scenario, scenario
+from pinav.tensors import CholeskyTensor, tensor_matrix
 from pinav.trajectories import Trajectories
 
 Trainable = Callable[[Any], Any]
@@ -92,16 +101,29 @@ SEEDLESS = ("ude-kernel",)
 """Models without random numbers."""
 
 
-CONSTANTS = {"damping": "drag.damping", "gain": "propulsion.gain"}
+KnownSwimmer = Swimmer | OverdampedSwimmer
+
+CONSTANTS = {
+    "damping": "drag.damping",
+    "gain": "propulsion.gain",
+    "drag": "drag.tensor",
+}
 """Known constants that `pinav fit --learn` can train, and where they stand."""
 
-KERNELS = {"kernel-potential": KernelPotential, "kernel-force": KernelForce}
-"""Kernel environments of `pinav fit`."""
+KERNELS = {
+    "kernel-potential": KernelPotential,
+    "kernel-force": KernelForce,
+    "kernel-mixture": KernelMixture,
+}
+"""Static kernel environments of `pinav fit`."""
+
+TIMED = "kernel-potential-time"
+"""The one that changes with time."""
 
 
 def residual(model: Any) -> Any:
     """The learned part of a model: what trains unless more is asked for."""
-    learned = model.environment if isinstance(model, Swimmer) else model
+    learned = model.environment if isinstance(model, KnownSwimmer) else model
     if isinstance(learned, AbstractForce) and not isinstance(
         learned, AbstractLearnedForce
     ):
@@ -109,7 +131,7 @@ def residual(model: Any) -> Any:
     return learned.parameters
 
 
-def fit_model(settings: FitSettings, known: Swimmer, data: dict[str, Any]) -> Any:
+def fit_model(settings: FitSettings, known: KnownSwimmer, data: dict[str, Any]) -> Any:
     """The untrained model of `pinav fit`.
 
     Args:
@@ -121,7 +143,40 @@ def fit_model(settings: FitSettings, known: Swimmer, data: dict[str, Any]) -> An
         mean, std = tuple(data["mean"]), tuple(data["std"])
         network = _network(settings, len(mean), len(mean) - 1)
         return NeuralDynamics(network, mean, std)
+    if "drag" in settings.learn:
+        known = with_tensor_drag(known, data)
     return _with_environment(known, _environment(settings, data))
+
+
+def with_tensor_drag(known: KnownSwimmer, data: dict[str, Any]) -> KnownSwimmer:
+    """The swimmer with a tensor to learn as its drag; isotropic at first."""
+    matrix = mean_drag(known, data) * jnp.eye(data["dim"])
+    drag = TensorDrag(CholeskyTensor.of(matrix))
+    return eqx.tree_at(lambda swimmer: swimmer.drag, known, drag)
+
+
+def with_linear_drag(known: KnownSwimmer, data: dict[str, Any]) -> KnownSwimmer:
+    """The swimmer with a number to learn as its drag."""
+    drag = LinearDrag(float(mean_drag(known, data)))
+    return eqx.tree_at(lambda swimmer: swimmer.drag, known, drag)
+
+
+def mean_drag(known: KnownSwimmer, data: dict[str, Any]) -> float:
+    """Drag averaged over all directions, in the middle of the data [T⁻¹].
+
+    Raises:
+        InputError: the swimmer has no drag that depends on its velocity alone.
+    """
+    drag = known.drag if isinstance(known, Swimmer) else None
+    if isinstance(drag, LinearDrag):
+        return float(drag.damping)
+    if isinstance(drag, TensorDrag):
+        middle = jnp.asarray(data["mean"][: data["dim"]])
+        return float(jnp.trace(tensor_matrix(drag.tensor, middle)) / data["dim"])
+    raise InputError(
+        "--learn drag: expected physics with inertia and a drag in a fluid at rest, "
+        f"got {type(known).__name__ if drag is None else type(drag).__name__}; drop it"
+    )
 
 
 def _environment(settings: FitSettings, data: dict[str, Any]) -> AbstractForce:
@@ -129,6 +184,8 @@ def _environment(settings: FitSettings, data: dict[str, Any]) -> AbstractForce:
         return ZeroForce()
     if settings.model in KERNELS:
         return _kernels(KERNELS[settings.model], data)
+    if settings.model == TIMED:
+        return _changing(data)
     mean, std, dim = data["mean"], data["std"], data["dim"]
     if settings.model == "ude":
         center, scale = (*mean[:dim], mean[-1]), (*std[:dim], std[-1])
@@ -147,12 +204,20 @@ def _network(settings: FitSettings, inputs: int, outputs: int):
 
 
 def _kernels(kind, data: dict[str, Any]):
-    centers = jnp.asarray(data["centers"])
-    weights = centers if kind is KernelForce else centers[:, 0]
-    return kind(jnp.zeros_like(weights), centers, data["kernel_width"])
+    return kernels_on(kind, np.asarray(data["centers"]), data["kernel_width"])
 
 
-def _with_environment(known: Swimmer, environment: AbstractForce) -> Swimmer:
+def _changing(data: dict[str, Any]) -> ChangingPotential:
+    change = data["change"]
+    centers = jnp.asarray(change["centers"])
+    weights = jnp.zeros((len(centers), change["splines"]))
+    return ChangingPotential(
+        _kernels(KernelPotential, data),
+        TimedKernelPotential(weights, centers, change["width"], *change["times"]),
+    )
+
+
+def _with_environment(known: KnownSwimmer, environment: AbstractForce) -> Any:
     return eqx.tree_at(lambda swimmer: swimmer.environment, known, environment)
 
 
@@ -187,13 +252,34 @@ def data_summary(
     columns.append(trajectories.times[seen.any(axis=-1)])
     mean = [float(column.mean()) if column.size else 0.0 for column in columns]
     std = [float(column.std()) if column.size else 0.0 for column in columns]
-    kernels = kernel_environment(KernelPotential, trajectories, grid)
+    kernels = kernel_environment(KernelPotential, trajectories, grid, dim=dim)
     return {
         "dim": dim,
         "mean": mean,
         "std": [value if value > 0 else 1.0 for value in std],
         "centers": np.asarray(kernels.centers).tolist(),
         "kernel_width": float(kernels.width),
+    }
+
+
+def model_summary(model: str, trajectories: Trajectories) -> dict[str, Any]:
+    """What a model with a prior takes from the data: `data_summary`, and its kernels.
+
+    Args:
+        model: its name in `pinav fit`.
+        trajectories: the data.
+    """
+    summary = data_summary(trajectories, KernelGrid())
+    if model != TIMED:
+        return summary
+    change = changing_environment(trajectories, dim=summary["dim"]).change
+    return summary | {
+        "change": {
+            "centers": np.asarray(change.centers).tolist(),
+            "width": float(change.width),
+            "splines": change.weights.shape[1],
+            "times": [float(change.first), float(change.last)],
+        }
     }
 
 

@@ -9,6 +9,7 @@ from pinav.errors import InputError
 from pinav.evaluation import Decomposition
 from pinav.files import write_text
 from pinav.jobs.analysis_pages import analysis_sections
+from pinav.jobs.compare import table
 from pinav.jobs.evaluation_report import evaluated
 from pinav.jobs.law_report import law_sections
 from pinav.jobs.reproduce import key_of, stored_field
@@ -22,6 +23,7 @@ from pinav.report import (
     Section,
     Table,
     acceleration_figure,
+    evidence_bars,
     figure1,
     force_comparison,
     loss_curve,
@@ -37,6 +39,7 @@ from pinav.trajectory_files import load
 TITLES = {
     "reproduce": "The paper's benchmark",
     "fit": "A fitted model",
+    "compare": "Models compared",
     "study": "A study of models",
 }
 
@@ -54,7 +57,12 @@ def write_report(folder: RunFolder) -> Path:
         raise InputError(
             f"{folder.path} is not finished; go on with --resume, then report"
         )
-    sections = {"reproduce": _reproduction, "fit": _fitted, "study": studied}
+    sections = {
+        "reproduce": _reproduction,
+        "fit": _fitted,
+        "compare": _compared,
+        "study": studied,
+    }
     job = folder.config().get("job")
     if job not in sections:
         raise InputError(f"{folder.path}/config.toml: job {job!r} is unknown")
@@ -274,6 +282,33 @@ def _fitted(folder: RunFolder) -> list[Section]:
             Section("The learned force", _learned_force(folder, data, arrays, metrics))
         )
     return [*sections, *law_sections(folder, data.units)]
+
+
+def _compared(folder: RunFolder) -> list[Section]:
+    """The evidence of each model, and what it says."""
+    metrics = folder.read_json("metrics.json")
+    rows = [(name, *map(str.strip, cells)) for name, cells in table(metrics["models"])]
+    header = ("model", "log evidence", "cost of choices", "below the best", "outcome")
+    figure = evidence_bars(
+        {name: row["log_evidence"] for name, row in metrics["models"].items()}
+    )
+    files = save_figure(figure, folder.path / "figures", "evidence")
+    content = [
+        *(Paragraph(verdict["text"]) for verdict in metrics["verdicts"]),
+        Table(header, rows, EVIDENCE_NOTE),
+        _image(
+            files,
+            "Bars: by how much the log evidence of each model is below the best",
+            "Nats below the best model; the scale is logarithmic above one.",
+        ),
+    ]
+    return [Section("The evidence", content)]
+
+
+EVIDENCE_NOTE = (
+    "Log evidence in nats, hyperparameters integrated out (their cost is the third "
+    "column); starts and learned constants have priors of unit information."
+)
 
 
 def _paths(folder: RunFolder, data: Trajectories, arrays) -> Image:

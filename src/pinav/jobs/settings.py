@@ -87,13 +87,15 @@ class SimulateSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 ModelName = Literal[
     "kernel-potential",
     "kernel-force",
+    "kernel-mixture",
+    "kernel-potential-time",
     "neural-potential",
     "neural-force",
     "ude",
     "physics-only",
     "nn-only",
 ]
-FitRecipeName = Literal["default", "bayes", "curriculum", "paper"]
+FitRecipeName = Literal["default", "bayes", "langevin", "curriculum", "paper"]
 
 DEFAULT_RECIPES: dict[str, FitRecipeName] = {
     "ude": "curriculum",
@@ -109,7 +111,9 @@ class FitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         ModelName,
         tyro.conf.arg(
             help="What stands for the unknown. kernel-, neural-: a force that depends "
-            "on position alone, -potential: that is conservative; ude: the paper's "
+            "on position alone, -potential: that is conservative, -mixture: with a "
+            "gradient and a rotational part, -time: that changes with time; ude: the "
+            "paper's "
             "network of position and time; physics-only: nothing (fits --learn); "
             "nn-only: a black box in place of all physics."
         ),
@@ -118,9 +122,10 @@ class FitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         FitRecipeName,
         tyro.conf.arg(
             help="bayes: noisy or incomplete data, every setting chosen by the "
-            "evidence, with uncertainty; curriculum: noise-free data, Gauss-Newton "
-            "from one-step matching to the full rollout; paper: Adam, then L-BFGS. "
-            "The default is bayes, but curriculum for ude and nn-only."
+            "evidence, with uncertainty; langevin: the same for thermal motion without "
+            "inertia, with the diffusion coefficient; curriculum: noise-free data, "
+            "Gauss-Newton from one-step matching to the full rollout; paper: Adam, "
+            "then L-BFGS. The default is bayes, but curriculum for ude and nn-only."
         ),
     ] = "default"
     noise: Annotated[
@@ -131,8 +136,11 @@ class FitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         ),
     ] = None
     learn: Annotated[
-        tuple[Literal["damping", "gain"], ...],
-        tyro.conf.arg(help="Known constants to learn beside the unknown."),
+        tuple[Literal["damping", "gain", "drag"], ...],
+        tyro.conf.arg(
+            help="Known constants to learn beside the unknown; drag: an anisotropic "
+            "drag tensor in place of the known drag."
+        ),
     ] = ()
     physics: Annotated[
         str | None,
@@ -172,8 +180,25 @@ class FitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
                 f"--recipe bayes: the model {self.model} has no evidence; choose "
                 "--recipe curriculum, or a kernel or neural model"
             )
+        if "drag" in self.learn and "damping" in self.learn:
+            raise InputError("--learn: drag takes the place of damping; drop one")
+        if "drag" in self.learn and self.method != "bayes":
+            raise InputError("--learn drag: only the recipe bayes does; drop it")
+        if self.method == "langevin":
+            self._check_langevin()
         if self.noise is not None and self.method != "bayes":
             raise InputError("--noise: only the recipe bayes uses it; drop --noise")
+
+    def _check_langevin(self) -> None:
+        if not self.model.startswith("kernel-"):
+            raise InputError(
+                f"--recipe langevin: expected a kernel model, got {self.model}; choose "
+                "--model kernel-potential"
+            )
+        if self.learn:
+            raise InputError(
+                "--recipe langevin: it learns no constant but diffusion; drop --learn"
+            )
 
     @property
     def method(self) -> str:
@@ -181,6 +206,53 @@ class FitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         if self.recipe != "default":
             return self.recipe
         return DEFAULT_RECIPES.get(self.model, "bayes")
+
+
+Candidate = Literal[
+    "kernel-potential",
+    "kernel-force",
+    "kernel-mixture",
+    "kernel-potential-time",
+    "first-order",
+    "isotropic-drag",
+    "anisotropic-drag",
+]
+
+
+class CompareSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Settings of `pinav compare`."""
+
+    models: Annotated[
+        tuple[Candidate, ...],
+        tyro.conf.arg(
+            help="Models to compare. kernel-: as in pinav fit; first-order: a kernel "
+            "potential without inertia (positions alone); isotropic-drag, "
+            "anisotropic-drag: a kernel potential, with the drag learned too."
+        ),
+    ] = ("kernel-potential", "kernel-force", "kernel-mixture")
+    noise: Annotated[
+        float | None,
+        tyro.conf.arg(
+            help="Standard deviation of the observations; estimated unless given."
+        ),
+    ] = None
+    physics: Annotated[
+        str | None,
+        tyro.conf.arg(
+            help="Scenario that supplies propulsion and drag; the one that the data "
+            "were simulated from unless given."
+        ),
+    ] = None
+    max_steps: Annotated[int, tyro.conf.arg(help="Steps of each fit at most.")] = 20
+
+    def check(self) -> None:
+        """Raise `InputError` where a setting makes no sense."""
+        _check_counts(self, "max_steps")
+        if len(set(self.models)) < 2:
+            raise InputError(
+                "--models: expected two or more different ones, such as --models "
+                "kernel-potential kernel-force"
+            )
 
 
 def _check_counts(settings: msgspec.Struct, *names: str) -> None:

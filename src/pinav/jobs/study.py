@@ -13,7 +13,7 @@ import jax
 from tqdm import tqdm
 
 from pinav.degradation import GaussianNoise, degrade
-from pinav.dynamics import AbstractDynamics, Swimmer
+from pinav.dynamics import AbstractDynamics
 from pinav.errors import FitError
 from pinav.evaluation import (
     default_regions,
@@ -199,7 +199,7 @@ def _fit_settings(cell: Cell, settings: StudySettings) -> FitSettings:
 
 
 def fitted(
-    settings: FitSettings, known: Swimmer, data: Trajectories
+    settings: FitSettings, known: KnownSwimmer, data: Trajectories
 ) -> tuple[AbstractDynamics, str]:
     """A model as `pinav fit` fits it, and how the fit ended.
 
@@ -254,7 +254,7 @@ def scores(
         "rollouts 90 %": as_cell(whole.high),
         "rollouts diverged": whole.diverged,
     }
-    if not isinstance(model, Swimmer):
+    if not isinstance(model, KnownSwimmer):
         return row
     limits = square(held)
     learned = field_map(model.environment, training, limits=limits)

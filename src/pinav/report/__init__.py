@@ -7,6 +7,7 @@ from pinav.report.analysis_maps import potential_map as potential_map
 from pinav.report.analysis_maps import sobol_figure as sobol_figure
 from pinav.report.analysis_maps import stretch_figure as stretch_figure
 from pinav.report.analysis_maps import trust_map as trust_map
+from pinav.report.evidence import evidence_bars as evidence_bars
 from pinav.report.figures import acceleration_figure as acceleration_figure
 from pinav.report.figures import decomposition as decomposition
 from pinav.report.figures import figure1 as figure1

@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from pinav.dynamics import AbstractDynamics, Swimmer
+from pinav.brownian import BrownianSwimmer
+from pinav.dynamics import AbstractDynamics, OverdampedSwimmer, Swimmer
 from pinav.environments import Domain
 from pinav.errors import InputError
 
@@ -33,18 +34,20 @@ class Scenario(eqx.Module):
     units: dict[str, str]
 
     @property
-    def swimmer(self) -> Swimmer:
-        """The truth, where it has inertia.
+    def swimmer(self) -> Swimmer | OverdampedSwimmer:
+        """The truth without what thermal noise adds: propulsion and drag are known.
 
         Raises:
-            InputError: the truth is of first order.
+            InputError: the truth is no swimmer.
         """
-        if not isinstance(self.truth, Swimmer):
+        truth = self.truth
+        found = truth.swimmer if isinstance(truth, BrownianSwimmer) else truth
+        if not isinstance(found, Swimmer | OverdampedSwimmer):
             raise InputError(
-                f"scenario {self.name!r}: expected a swimmer with inertia, got "
+                f"scenario {self.name!r}: expected a swimmer, got "
                 f"{type(self.truth).__name__}; choose another scenario"
             )
-        return self.truth
+        return found
 
 
 PLANAR_CHANNELS = ("x", "y", "vx", "vy")

@@ -1,0 +1,105 @@
+"""The bars of the missing models: rotational, moving, anisotropic, stochastic."""
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+
+from pinav.errors import FitError
+from pinav.evaluation import VISITED, field_map, force_errors
+from pinav.fitting import (
+    fit_bayes,
+    fit_langevin,
+    kernel_environment,
+    principal_drags,
+    rotational_fraction,
+)
+from pinav.jobs.compare import compare
+from pinav.jobs.models import model_summary, with_tensor_drag
+from pinav.jobs.settings import CompareSettings
+from pinav.kernel_fields import KernelMixture
+from pinav.learned import KernelPotential
+from pinav.runs import RunFolder
+from pinav.scenarios import scenario
+from pinav.trajectories import simulate
+
+KEY = jax.random.key(0)
+
+
+def observed(name):
+    made = scenario(name, KEY)
+    return made, simulate(made, key=KEY)
+
+
+def with_kernels(swimmer, kind, data, dim=None):
+    environment = kernel_environment(kind, data, dim=dim)
+    return eqx.tree_at(lambda s: s.environment, swimmer, environment)
+
+
+def differences(name, models, tmp_path):
+    """Nats by which the second model of each verdict beats the first."""
+    settings = CompareSettings(models=models)
+    folder = RunFolder.create(tmp_path / "run", {"job": "compare"}, overwrite=False)
+    verdicts = compare(settings, observed(name)[1], folder)["verdicts"]
+    return [verdict["difference"] for verdict in verdicts]
+
+
+def test_swirl_has_its_rotational_fraction():
+    made, data = observed("swirl")
+    found = fit_bayes(with_kernels(made.swimmer, KernelMixture, data), data)
+    field = field_map(found.model.environment, data)
+    visited = field.distance <= VISITED
+    squares = [
+        np.sum(field_map(term, data).force[visited] ** 2)
+        for term in made.swimmer.environment.terms
+    ]
+    points = np.stack(np.meshgrid(field.x, field.y), axis=-1)[visited]
+    fraction = rotational_fraction(found.posterior, points)
+    assert fraction.value == pytest.approx(squares[1] / sum(squares), rel=0.1)
+
+
+FORCES = ("kernel-potential", "kernel-force", "kernel-mixture")
+
+
+def test_swirl_prefers_a_free_force(tmp_path):
+    assert min(differences("swirl", FORCES, tmp_path)) > 10
+
+
+def test_crossings_prefer_a_potential(tmp_path):
+    assert max(differences("barrier-crossings", FORCES, tmp_path)) < 0
+
+
+@pytest.mark.parametrize(
+    ("name", "moves"), [("moving-barrier", True), ("barrier-crossings", False)]
+)
+def test_only_a_moving_barrier_prefers_time(name, moves, tmp_path):
+    models = ("kernel-potential", "kernel-potential-time")
+    (difference,) = differences(name, models, tmp_path)
+    assert (difference > 0) == moves
+
+
+def test_anisotropic_drag_is_found():
+    made, data = observed("anisotropic-drag")
+    summary = model_summary("kernel-potential", data)
+    model = with_tensor_drag(with_kernels(made.swimmer, KernelPotential, data), summary)
+    found = fit_bayes(model, data, learn=lambda m: m.drag.tensor)
+    drags = principal_drags(found.posterior)
+    assert drags["along"].value == pytest.approx(0.24, rel=0.02)
+    assert drags["across"].value == pytest.approx(0.48, rel=0.02)
+    assert np.rad2deg(drags["director"].value) == pytest.approx(30.0, abs=2.0)
+
+
+def test_brownian_diffusion_and_force():
+    made, data = observed("brownian")
+    model = with_kernels(made.swimmer, KernelPotential, data, dim=2)
+    found = fit_langevin(model, data)
+    true = made.truth.diffusion(made.starts[0])[0, 0]
+    assert found.diffusion.value == pytest.approx(float(true), rel=0.15)
+    truth = field_map(made.swimmer.environment, data)
+    errors = force_errors(field_map(found.model.environment, data), truth)
+    try:
+        smooth = fit_bayes(model, data, throw=False)
+    except FitError:
+        return  # without process noise these paths cannot be explained at all
+    deterministic = force_errors(field_map(smooth.model.environment, data), truth)
+    assert errors["visited"] < deterministic["visited"]
