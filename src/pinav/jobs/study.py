@@ -29,7 +29,7 @@ from pinav.fitting import BayesOutcome, FitOutcome, KernelGrid, fit, fit_bayes
 from pinav.forces import ZeroForce
 from pinav.jobs.held_out import held_out
 from pinav.jobs.matching import matching
-from pinav.jobs.models import data_summary, fit_model, fit_trainable
+from pinav.jobs.models import KnownSwimmer, data_summary, fit_model, fit_trainable
 from pinav.jobs.settings import FitSettings, ModelName
 from pinav.jobs.study_settings import StudySettings
 from pinav.jobs.subjects import as_cell
