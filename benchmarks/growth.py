@@ -26,7 +26,7 @@ from pinav.files import write_text
 from pinav.fitting import GaussNewton, Problem, TrajectoryLoss, curriculum, fit_many
 from pinav.fitting.fit import split_trainable
 from pinav.fitting.objectives import Observations
-from pinav.jobs.models import data_moments, default_ude, fit_model, residual
+from pinav.jobs.models import data_summary, default_ude, fit_model, residual
 from pinav.jobs.settings import FitSettings
 from pinav.report.files import save_figure
 from pinav.report.style import (
@@ -119,8 +119,8 @@ def crossings(count: int) -> Trajectories:
 
 def iteration(data: Trajectories, width: int) -> Callable[[], object]:
     """One compiled Gauss-Newton iteration on full rollouts, ready to be called."""
-    known, moments = barrier_crossings().truth, data_moments(data)
-    model: Any = fit_model(FitSettings(width=width), known, moments)
+    known, summary = barrier_crossings().truth, data_summary(data)
+    model: Any = fit_model(FitSettings(model="ude", width=width), known, summary)
     params, static = split_trainable(model, residual, jnp.float64)
     objective = TrajectoryLoss(FixedStep(substeps=2))
     problem = Problem(static, Observations.of(data, jnp.float64), objective)
@@ -146,10 +146,10 @@ def medians(calls: Mapping[int, Callable[[], object]], rounds: int) -> dict[int,
 def many_fits(counts: Sequence[int], max_steps: int) -> dict[int, float]:
     """Time of the default fit of several seeds at once [s], compilation apart."""
     data = simulate(paper())
-    known, moments = paper().truth, data_moments(data)
+    known, summary = paper().truth, data_summary(data)
     found = {}
     for count in counts:
-        models = [default_ude(known, seed, moments) for seed in range(count)]
+        models = [default_ude(known, seed, summary) for seed in range(count)]
 
         def run(steps, models=models):
             fit_many(

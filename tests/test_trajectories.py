@@ -335,7 +335,7 @@ def test_bootstrap_draws_whole_trajectories_with_replacement():
     assert set(chosen.ravel()) == {0, 1, 2, 3}
     assert any(len(set(row)) < 4 for row in chosen)
     np.testing.assert_array_equal(
-        draws[0].trajectory(0).states, data.trajectory(chosen[0, 0]).states
+        draws[0].trajectory(0).states, data.trajectory(int(chosen[0, 0])).states
     )
     with pytest.raises(InputError, match="two or more trajectories"):
         bootstrap(data.select([0]), 2, key=jax.random.key(0))

@@ -21,7 +21,7 @@ from pinav.fitting import (
     paper_recipe,
 )
 from pinav.jobs.models import (
-    data_moments,
+    data_summary,
     default_kernel,
     default_ude,
     paper_ude,
@@ -99,7 +99,7 @@ def paper_network(problem: Problem, seed: int, effort: Effort) -> Trained:
 def network(problem: Problem, seed: int, effort: Effort) -> Trained:
     """The paper's network, our default recipe."""
     data, known = _data(problem)
-    model = default_ude(known, seed, data_moments(data))
+    model = default_ude(known, seed, data_summary(data))
     recipe = curriculum(data, max_steps=effort.gauss_newton_steps)
     return _network(*_fit(problem, data, model, recipe, exact=True))
 
@@ -107,7 +107,7 @@ def network(problem: Problem, seed: int, effort: Effort) -> Trained:
 def kernel(problem: Problem, seed: int, effort: Effort) -> Trained:
     """A kernel potential, our default recipe."""
     data, known = _data(problem)
-    model = default_kernel(known, seed, data_moments(data))
+    model = default_kernel(known, seed, data_summary(data))
     recipe = curriculum(data, max_steps=effort.gauss_newton_steps)
     found, trained = _fit(problem, data, model, recipe, exact=True)
     return trained._replace(arrays=kernel_arrays(found.model))

@@ -284,7 +284,7 @@ def _influence(
         "damping": isinstance(model.drag, LinearDrag),
         "gain": isinstance(model.propulsion, MagneticPropulsion),
     }
-    constants = {n: attrgetter(path) for n, path in CONSTANTS.items() if has[n]}
+    constants = {n: attrgetter(path) for n, path in CONSTANTS.items() if has.get(n)}
     return influence(
         model,
         data,

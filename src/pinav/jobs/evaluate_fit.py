@@ -99,10 +99,12 @@ def _constants(setting: Setting, folder: RunFolder) -> list[dict[str, Any]]:
 
 
 def _true_constant(name: str, truth: Scenario) -> float | None:
-    """Its value in the truth; None where the truth has no such constant."""
+    """Its value in the truth; None where the truth has no such number."""
+    if name not in CONSTANTS:
+        return None
     try:
         return float(attrgetter(CONSTANTS[name])(truth.swimmer))
-    except AttributeError:
+    except (AttributeError, TypeError):
         return None
 
 
