@@ -119,7 +119,7 @@ def crossings(count: int) -> Trajectories:
 
 def iteration(data: Trajectories, width: int) -> Callable[[], object]:
     """One compiled Gauss-Newton iteration on full rollouts, ready to be called."""
-    known, summary = barrier_crossings().truth, data_summary(data)
+    known, summary = barrier_crossings().swimmer, data_summary(data)
     model: Any = fit_model(FitSettings(model="ude", width=width), known, summary)
     params, static = split_trainable(model, residual, jnp.float64)
     objective = TrajectoryLoss(FixedStep(substeps=2))
@@ -127,7 +127,7 @@ def iteration(data: Trajectories, width: int) -> Callable[[], object]:
     window = jnp.asarray(data.states.shape[1] - 1)
     phase = GaussNewton(window, target=jnp.zeros(()))
     step = eqx.filter_jit(lambda problem, p, s: phase.step(problem, p, s))
-    state = eqx.filter_jit(phase.init)(problem, params)
+    state = eqx.filter_jit(phase.init)(problem, params, problem(params))
     jax.block_until_ready(step(problem, params, state))
     return lambda: jax.block_until_ready(step(problem, params, state))
 
@@ -146,7 +146,7 @@ def medians(calls: Mapping[int, Callable[[], object]], rounds: int) -> dict[int,
 def many_fits(counts: Sequence[int], max_steps: int) -> dict[int, float]:
     """Time of the default fit of several seeds at once [s], compilation apart."""
     data = simulate(paper())
-    known, summary = paper().truth, data_summary(data)
+    known, summary = paper().swimmer, data_summary(data)
     found = {}
     for count in counts:
         models = [default_ude(known, seed, summary) for seed in range(count)]

@@ -79,7 +79,7 @@ def discovered(environment, seed, *, kind: Any = KernelPotential, **options):
 def test_barrier_from_noisy_positions_over_five_seeds():
     inside = 0
     for seed in range(5):
-        found = discovered(paper().truth.environment, seed, columns=2)
+        found = discovered(paper().swimmer.environment, seed, columns=2)
         (gaussian,) = (c for c in found.candidates if c.law is GAUSSIAN)
         assert gaussian.delta_bic < 6.0
         values = np.array([own.value for own in gaussian.constants])
@@ -119,7 +119,7 @@ def test_barrier_from_the_papers_single_trajectory():
 @pytest.mark.parametrize("seed", range(2))
 def test_rotational_term_is_found(seed):
     swirl = LawForce(ROTATIONS[0], jnp.array([0.15, 5.0, 5.0, 2.5]))
-    truth = paper().truth.environment + swirl
+    truth = paper().swimmer.environment + swirl
     found = discovered(truth, seed, kind=KernelForce)
     assert "swirl" in found.best.name
     assert found.best.fits
@@ -132,6 +132,6 @@ def test_says_that_no_law_fits():
 
 
 def test_few_data_identify_nothing():
-    environment = paper().truth.environment
+    environment = paper().swimmer.environment
     found = discovered(environment, 0, columns=2, trajectories=1, samples=15)
     assert found.verdict is Verdict.NOT_IDENTIFIABLE

@@ -1,5 +1,7 @@
 """The bars of the missing models: rotational, moving, anisotropic, stochastic."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import numpy as np
@@ -46,12 +48,12 @@ def differences(name, models, tmp_path):
 
 def test_swirl_has_its_rotational_fraction():
     made, data = observed("swirl")
+    environment: Any = made.swimmer.environment
     found = fit_bayes(with_kernels(made.swimmer, KernelMixture, data), data)
     field = field_map(found.model.environment, data)
     visited = field.distance <= VISITED
     squares = [
-        np.sum(field_map(term, data).force[visited] ** 2)
-        for term in made.swimmer.environment.terms
+        np.sum(field_map(term, data).force[visited] ** 2) for term in environment.terms
     ]
     points = np.stack(np.meshgrid(field.x, field.y), axis=-1)[visited]
     fraction = rotational_fraction(found.posterior, points)
@@ -93,7 +95,8 @@ def test_brownian_diffusion_and_force():
     made, data = observed("brownian")
     model = with_kernels(made.swimmer, KernelPotential, data, dim=2)
     found = fit_langevin(model, data)
-    true = made.truth.diffusion(made.starts[0])[0, 0]
+    truth: Any = made.truth
+    true = truth.diffusion(made.starts[0])[0, 0]
     assert found.diffusion.value == pytest.approx(float(true), rel=0.15)
     truth = field_map(made.swimmer.environment, data)
     errors = force_errors(field_map(found.model.environment, data), truth)

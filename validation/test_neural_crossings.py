@@ -48,7 +48,7 @@ def row(kind, columns, seed):
     found = fit_bayes(model, data)
     seconds = time.perf_counter() - started
     assert found.outcome is BayesOutcome.CONVERGED
-    true = field_map(scenario.truth.environment, clean, limits=LIMITS)
+    true = field_map(scenario.swimmer.environment, clean, limits=LIMITS)
     learned = field_map(found.model.environment, clean, limits=LIMITS)
     points = np.stack(np.meshgrid(true.x, true.y), axis=-1).reshape(-1, 2)
     sd = found.posterior.force_sd(points).reshape(true.force.shape)

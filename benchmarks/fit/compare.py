@@ -158,14 +158,15 @@ def problem_file(name: str, seed: int, folder: Path) -> Path:
     from pinav.trajectory_files import save
 
     chosen = scenario(name)
+    known = chosen.swimmer
     data = simulate(chosen, key=jax.random.key(seed))
     save(data, file, overwrite=True)
     at_rest = jax.numpy.zeros(2)
     arrays = {
         "times": data.times[0],
         "states": data.states,
-        "damping": chosen.truth.drag.damping,  # pyright: ignore
-        "thrust": np.asarray(chosen.truth.propulsion(0.0, at_rest, at_rest)),
+        "damping": known.drag.damping,  # pyright: ignore
+        "thrust": np.asarray(known.propulsion(0.0, at_rest, at_rest)),
         "noise": chosen.noise,
     }
     write_whole(physics_file(file), lambda to: np.savez(to, **arrays))

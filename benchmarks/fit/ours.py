@@ -1,6 +1,7 @@
 """Our own contestants: the paper's recipe, the default recipe, and the noisy fit."""
 
 import time
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -9,7 +10,6 @@ import numpy as np
 
 from benchmarks.fit.contestants import Effort
 from benchmarks.fit.problem import Problem, Trained, network_arrays
-from pinav.dynamics import Swimmer
 from pinav.fitting import (
     Fit,
     FitProgress,
@@ -34,11 +34,11 @@ from pinav.trajectories import Trajectories
 from pinav.trajectory_files import load
 
 
-def _data(problem: Problem) -> tuple[Trajectories, Swimmer]:
+def _data(problem: Problem) -> tuple[Trajectories, Any]:
     """The trajectories, and the swimmer whose environment is to be replaced."""
     jax.config.update("jax_enable_x64", val=True)
     data = load(problem.file)
-    return data, scenario(data.provenance["scenario"]).truth
+    return data, scenario(data.provenance["scenario"]).swimmer
 
 
 class Curve:

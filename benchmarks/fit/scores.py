@@ -1,6 +1,7 @@
 """What a contestant learned, solved anew in float64 and compared with the truth."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -36,15 +37,16 @@ def scores(scenario: Scenario, arrays: Mapping[str, np.ndarray]) -> dict[str, fl
         `rmse` of all states, and `force`, the relative error on visited ground.
     """
     clean = simulate(eqx.tree_at(lambda s: s.noise, scenario, 0.0))
-    learned = rebuilt(scenario.truth, arrays)
+    truth: Any = scenario.swimmer
+    learned = rebuilt(truth, arrays)
     limits = LIMITS[scenario.name]
-    maps = [
+    learned_map, true_map = (
         field_map(swimmer.environment, clean, limits=limits)
-        for swimmer in (learned, scenario.truth)
-    ]
+        for swimmer in (learned, truth)
+    )
     return {
         "rmse": score(*predict(learned, clean), clean).total,
-        "force": force_errors(*maps)["visited"],
+        "force": force_errors(learned_map, true_map)["visited"],
     }
 
 

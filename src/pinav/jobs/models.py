@@ -46,8 +46,11 @@ from pinav.trajectories import Trajectories
 
 Trainable = Callable[[Any], Any]
 
+KnownSwimmer = Swimmer | OverdampedSwimmer
+"""Physics whose environment alone is unknown."""
 
-def paper_ude(known: Swimmer, seed: int) -> Swimmer:
+
+def paper_ude(known: KnownSwimmer, seed: int) -> KnownSwimmer:
     """Known propulsion and drag with the paper's untrained network (Table 1)."""
     environment = paper_force(jax.random.key(seed))
     return eqx.tree_at(lambda swimmer: swimmer.environment, known, environment)
@@ -59,7 +62,7 @@ def paper_nn_only(known: Swimmer, seed: int) -> NeuralDynamics:
     return paper_black_box(jax.random.key(seed))
 
 
-def default_ude(known: Swimmer, seed: int, data: dict[str, Any]) -> Swimmer:
+def default_ude(known: KnownSwimmer, seed: int, data: dict[str, Any]) -> KnownSwimmer:
     """The paper's network on standardised (x, y, t), its weights spread."""
     environment = paper_force(jax.random.key(seed))
     center, scale = data["mean"], data["std"]
@@ -78,7 +81,9 @@ def default_nn_only(known: Swimmer, seed: int, data: dict[str, Any]) -> NeuralDy
     return NeuralDynamics(network, tuple(data["mean"]), tuple(data["std"]))
 
 
-def default_kernel(known: Swimmer, seed: int | None, data: dict[str, Any]) -> Swimmer:
+def default_kernel(
+    known: KnownSwimmer, seed: int | None, data: dict[str, Any]
+) -> Swimmer:
     """A kernel potential around the data, zero before training; it has no seed."""
     del seed
     return _with_environment(known, _kernels(KernelPotential, data))
@@ -100,8 +105,6 @@ REPRODUCED: dict[str, dict[str, Callable[..., Any]]] = {
 SEEDLESS = ("ude-kernel",)
 """Models without random numbers."""
 
-
-KnownSwimmer = Swimmer | OverdampedSwimmer
 
 CONSTANTS = {
     "damping": "drag.damping",
