@@ -5,6 +5,7 @@ force along the radius is a function of one variable, and genetic programming fi
 The front of short and exact formulas is ranked again by the covariance of the force.
 """
 
+import importlib
 import re
 
 import equinox as eqx
@@ -98,13 +99,13 @@ def search_radial_law(
 
 def _regressor(seconds, max_length, seed):
     try:
-        from pyoperon.sklearn import SymbolicRegressor
+        regression = importlib.import_module("pyoperon.sklearn")
     except ImportError as error:
         raise InputError(
             "search_radial_law needs pyoperon: install pinav[symbolic] "
             f"(Linux x86-64 and macOS arm64 only): {error}"
         ) from error
-    return SymbolicRegressor(
+    return regression.SymbolicRegressor(
         allowed_symbols=SYMBOLS,
         objectives=["mse", "length"],
         max_length=max_length,
