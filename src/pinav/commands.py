@@ -269,18 +269,12 @@ def fit(options: FitOptions) -> None:
     settings.check()
     _enable_x64()
     from pinav.jobs import fit as job
-    from pinav.jobs.reporting import write_report
     from pinav.trajectory_files import load
 
     data = job.prepared(settings, load(options.data))
     folder = _run_folder(options, settings, job="fit", data=job.fingerprint(data))
     metrics = job.fit(settings, data, folder)
-    report = write_report(folder)
-    if options.json:
-        _print_json(metrics)
-        return
-    print(job.text(metrics))
-    print(f"report: {report}")
+    _show(folder, metrics, job.text, as_json=options.json)
 
 
 def compare(options: CompareOptions) -> None:
@@ -290,19 +284,13 @@ def compare(options: CompareOptions) -> None:
     _enable_x64()
     from pinav.jobs import compare as job
     from pinav.jobs.fit import fingerprint
-    from pinav.jobs.reporting import write_report
     from pinav.trajectory_files import load
 
     data = load(options.data)
     job.checked(settings, data)
     folder = _run_folder(options, settings, job="compare", data=fingerprint(data))
     metrics = job.compare(settings, data, folder)
-    report = write_report(folder)
-    if options.json:
-        _print_json(metrics)
-        return
-    print(job.text(metrics))
-    print(f"report: {report}")
+    _show(folder, metrics, job.text, as_json=options.json)
 
 
 def evaluate(options: EvaluateOptions) -> None:
@@ -310,19 +298,13 @@ def evaluate(options: EvaluateOptions) -> None:
     _enable_x64()
     from pinav.evaluation import Regions
     from pinav.jobs import evaluate as job
-    from pinav.jobs.reporting import write_report
     from pinav.runs import RunFolder
 
     regions = None if options.regions is None else Regions(*options.regions)
     metrics = job.evaluate(
         options.run, options.data, calibration=options.calibrate, regions=regions
     )
-    report = write_report(RunFolder.open(options.run))
-    if options.json:
-        _print_json(metrics)
-        return
-    print(job.text(metrics))
-    print(f"report: {report}")
+    _show(RunFolder.open(options.run), metrics, job.text, as_json=options.json)
 
 
 def study(options: StudyOptions) -> None:
@@ -331,7 +313,6 @@ def study(options: StudyOptions) -> None:
     settings.check()
     _enable_x64()
     from pinav.jobs import study as job
-    from pinav.jobs.reporting import write_report
     from pinav.jobs.study_report import text
     from pinav.jobs.weakness import weakness
 
@@ -342,13 +323,8 @@ def study(options: StudyOptions) -> None:
         weakness(settings, folder)
     else:
         job.study(options.name, options.scenario, settings, folder)
-    report = write_report(folder)
     metrics = folder.read_json("metrics.json")
-    if options.json:
-        _print_json(metrics)
-        return
-    print(text(metrics))
-    print(f"report: {report}")
+    _show(folder, metrics, text, as_json=options.json)
 
 
 def discover(options: DiscoverOptions) -> None:
@@ -357,16 +333,10 @@ def discover(options: DiscoverOptions) -> None:
         raise InputError(f"--refits: expected 1 or more, got {options.refits}")
     _enable_x64()
     from pinav.jobs import discover as job
-    from pinav.jobs.reporting import write_report
     from pinav.runs import RunFolder
 
     metrics = job.discover(options.run, options.refits)
-    path = write_report(RunFolder.open(options.run))
-    if options.json:
-        _print_json(metrics)
-        return
-    print(job.text(metrics))
-    print(f"report: {path}")
+    _show(RunFolder.open(options.run), metrics, job.text, as_json=options.json)
 
 
 def analyse(options: AnalyseOptions) -> None:
@@ -374,16 +344,10 @@ def analyse(options: AnalyseOptions) -> None:
     options.settings.check()
     _enable_x64()
     from pinav.jobs import analyse as job
-    from pinav.jobs.reporting import write_report
     from pinav.runs import RunFolder
 
     found = job.analyse(options.settings, options.run)
-    page = write_report(RunFolder.open(options.run))
-    if options.json:
-        _print_json(found)
-        return
-    print(job.text(found))
-    print(f"report: {page}")
+    _show(RunFolder.open(options.run), found, job.text, as_json=options.json)
 
 
 def report(options: ReportOptions) -> None:
@@ -532,6 +496,18 @@ def _run_folder(options, settings: msgspec.Struct, **identity: str):
     if options.resume:
         return RunFolder.resume(options.out, config)
     return RunFolder.create(options.out, config, overwrite=options.overwrite)
+
+
+def _show(folder, metrics: Any, text: Callable[[Any], str], *, as_json: bool) -> None:
+    """Write the run's report; print its metrics, as JSON alone or for people."""
+    from pinav.jobs.reporting import write_report
+
+    page = write_report(folder)
+    if as_json:
+        _print_json(metrics)
+        return
+    print(text(metrics))
+    print(f"report: {page}")
 
 
 def _enable_x64() -> None:

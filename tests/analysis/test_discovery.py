@@ -95,7 +95,10 @@ def test_refit_is_the_least_squares_of_rollouts(crossings, found):
 
     def residuals(constants, starts):
         model = eqx.tree_at(environment, truth, LawForce(GAUSSIAN, constants))
-        solve = lambda y0, ts: rollout(model, y0, ts, solver=Adaptive()).ys  # noqa: E731
+
+        def solve(y0, ts):
+            return rollout(model, y0, ts, solver=Adaptive()).ys
+
         return (jax.vmap(solve)(starts, data.times) - data.states)[..., :2].ravel()
 
     import scipy.optimize

@@ -1,6 +1,8 @@
 """Progress of a fit: a bar for people, a line of JSON for the record."""
 
+import abc
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -9,8 +11,8 @@ from pinav.fitting import BayesProgress, FitProgress
 from pinav.runs import RunFolder
 
 
-class FitReporter:
-    """Shows a fit's stage, loss and time left, and appends its losses to the run.
+class AbstractReporter(abc.ABC):
+    """A bar while a fit runs, closed whatever ends it, and its record in the run.
 
     Attributes:
         folder: where `metrics.jsonl` is appended.
@@ -21,7 +23,7 @@ class FitReporter:
         self.folder, self.label = folder, label
         self.bar = tqdm(desc=label, unit="step", leave=True, dynamic_ncols=True)
 
-    def __enter__(self) -> "FitReporter":
+    def __enter__(self) -> "AbstractReporter":
         return self
 
     def __exit__(
@@ -31,6 +33,14 @@ class FitReporter:
         trace: TracebackType | None,
     ) -> None:
         self.bar.close()
+
+    @abc.abstractmethod
+    def __call__(self, progress: Any) -> None:
+        """Take note of what was done since the last call."""
+
+
+class FitReporter(AbstractReporter):
+    """Shows a fit's stage, loss and time left, and appends its losses to the run."""
 
     def __call__(self, progress: FitProgress) -> None:
         """Take note of one finished chunk."""
@@ -52,28 +62,8 @@ class FitReporter:
         )
 
 
-class BayesReporter:
-    """Shows the steps of a Bayesian fit, and appends them to the run.
-
-    Attributes:
-        folder: where `metrics.jsonl` is appended.
-        label: name of the model that is fitted.
-    """
-
-    def __init__(self, folder: RunFolder, label: str):
-        self.folder, self.label = folder, label
-        self.bar = tqdm(desc=label, unit="step", leave=True, dynamic_ncols=True)
-
-    def __enter__(self) -> "BayesReporter":
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.bar.close()
+class BayesReporter(AbstractReporter):
+    """Shows the steps of a Bayesian fit, and appends them to the run."""
 
     def __call__(self, progress: BayesProgress) -> None:
         """Take note of one step."""
