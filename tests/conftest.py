@@ -1,10 +1,13 @@
 """Strict JAX, strict types: set before any test imports pinav."""
 
 import os
+import shutil
+import tempfile
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
-os.environ["JAX_ENABLE_COMPILATION_CACHE"] = "false"  # nothing is left behind
+os.environ["JAX_COMPILATION_CACHE_MAX_SIZE"] = str(2**31)  # which locks it, too
+os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
 
 import hypothesis
 import jax
@@ -18,6 +21,19 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 jaxtyping.install_import_hook("pinav", "beartype.beartype")
 hypothesis.settings.register_profile("no deadline", deadline=None)
 hypothesis.settings.load_profile("no deadline")  # other work may slow the machine
+
+
+def pytest_configure(config):
+    """One cache of compiled code for this run of the tests, subprocesses included."""
+    if not hasattr(config, "workerinput"):
+        folder = tempfile.mkdtemp(prefix="pinav-tests-")
+        os.environ["JAX_COMPILATION_CACHE_DIR"] = folder
+        jax.config.update("jax_compilation_cache_dir", folder)
+
+
+def pytest_unconfigure(config):
+    if not hasattr(config, "workerinput"):
+        shutil.rmtree(os.environ["JAX_COMPILATION_CACHE_DIR"], ignore_errors=True)
 
 
 @pytest.fixture(scope="session")

@@ -12,9 +12,10 @@ import equinox as eqx
 import jax
 from tqdm import tqdm
 
+from pinav.brownian import BrownianSwimmer
 from pinav.degradation import GaussianNoise, degrade
 from pinav.dynamics import AbstractDynamics
-from pinav.errors import FitError
+from pinav.errors import FitError, InputError
 from pinav.evaluation import (
     default_regions,
     extent,
@@ -136,12 +137,17 @@ def check(name: str, world: str, settings: StudySettings) -> None:
     """Refuse a study before a folder is made for it.
 
     Raises:
-        InputError: the scenario is unknown, has no inertia or too few starts.
+        InputError: the scenario is unknown, stochastic or has too few starts.
     """
     if name == "paper-weakness":
         return
     for cell in cells(name, settings):
-        _ = scenario(world, count=cell.count).swimmer
+        chosen = scenario(world, count=cell.count)
+        if isinstance(chosen.truth, BrownianSwimmer):
+            raise InputError(
+                f"study: scenario {world!r} is stochastic, so that clean trajectories "
+                f"to score against do not exist; choose another scenario"
+            )
 
 
 def clean_data(world: str, seed: int, count: int) -> Trajectories:
