@@ -4,12 +4,19 @@ BIN := .venv/bin
 SEEDS ?= 42
 OUT ?= runs/reproduce
 
-.PHONY: reproduce test lint validate bench clean
+.PHONY: reproduce test test-slow coverage lint validate bench clean
 
 reproduce: .venv/installed
 	$(BIN)/pinav reproduce --seeds $(SEEDS) --out $(OUT) --resume
 
 test: .venv/installed-dev
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"
+
+# Whole commands, examples and snippets, from end to end.
+test-slow: .venv/installed-dev
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m slow
+
+coverage: .venv/installed-dev
 	$(BIN)/python -m pytest -n 2 --dist loadfile --cov --cov-report=term --cov-fail-under=90
 
 lint: .venv/installed-dev

@@ -226,6 +226,7 @@ def test_the_rate_for_diffrax_is_that_of_the_swimmer(data):
 LITTLE = Effort(adam_steps=2, lbfgs_steps=1, gauss_newton_steps=1, seconds=60.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["paper-recipe", "ude", "ude-kernel", "positions", "paper-diffrax"]
 )
@@ -249,6 +250,7 @@ def test_contestants_train(name, data):
         assert np.all(np.diff(trained.curve[:, 0]) > 0)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_torch_trains(data):
     pytest.importorskip("torchdiffeq")

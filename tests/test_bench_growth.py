@@ -29,6 +29,7 @@ def test_calls_take_turns():
     assert order == [1, 2, 1, 2]
 
 
+@pytest.mark.slow
 def test_a_tiny_run_prints_and_draws(tmp_path, capsys):
     words = ["--trajectories", "1", "2", "--rounds", "1", "--out", str(tmp_path)]
     with jax.numpy_dtype_promotion("standard"):

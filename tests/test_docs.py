@@ -20,6 +20,7 @@ def snippets(language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", README, flags=re.DOTALL)
 
 
+@pytest.mark.slow
 def test_the_python_example_runs_and_prints_an_error():
     (example,) = snippets("python")
     command = [sys.executable, "-c", example]
@@ -28,6 +29,7 @@ def test_the_python_example_runs_and_prints_an_error():
     assert 0.0 < float(done.stdout.split()[-1]) < 2.0
 
 
+@pytest.mark.slow
 def test_the_commands_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (commands,) = (text for text in snippets("sh") if "pinav simulate" in text)
@@ -38,6 +40,7 @@ def test_the_commands_run(tmp_path, monkeypatch):
             assert cli.run(words[1:]) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "path", sorted((ROOT / "examples").glob("*.py")), ids=lambda p: p.name
 )

@@ -42,6 +42,7 @@ def inferred(tmp_path_factory):
     return folder / "run"
 
 
+@pytest.mark.slow
 def test_the_analysis_of_a_posterior_is_whole(inferred):
     found = RunFolder.open(inferred).read_json("analysis.json")
     assert found["left_out"] == []
@@ -59,6 +60,7 @@ def test_the_analysis_of_a_posterior_is_whole(inferred):
     assert found["stretch"]["horizon"] == pytest.approx(3.0)
 
 
+@pytest.mark.slow
 def test_tables_say_what_the_json_says(inferred):
     found = RunFolder.open(inferred).read_json("analysis.json")
     for name in ("influence", "constants", "sobol"):
@@ -68,6 +70,7 @@ def test_tables_say_what_the_json_says(inferred):
         assert list(rows[0]) == list(found[name][0])
 
 
+@pytest.mark.slow
 def test_the_report_has_the_figures(inferred):
     page = (inferred / "report.html").read_text(encoding="utf-8")
     for title in (
@@ -81,6 +84,7 @@ def test_the_report_has_the_figures(inferred):
         assert (inferred / "figures" / f"analysis-{name}.png").stat().st_size > 0
 
 
+@pytest.mark.slow
 def test_without_a_posterior_the_rest_is_done_and_said(tiny_fit, tmp_path, capsys):
     copy = tmp_path / "run"
     shutil.copytree(tiny_fit[0], copy)
@@ -123,6 +127,7 @@ def test_settings_that_make_no_sense_are_refused(change, message):
         AnalyseSettings(**change).check()
 
 
+@pytest.mark.slow
 def test_a_model_without_a_learned_force_is_refused(tmp_path, capsys):
     data, run = tmp_path / "data.npz", tmp_path / "run"
     short = eqx.tree_at(

@@ -112,6 +112,7 @@ def test_a_drag_to_learn_starts_isotropic_with_the_mean_of_the_known_one():
     np.testing.assert_allclose(matrix, 0.36 * np.eye(2), atol=1e-15)
 
 
+@pytest.mark.slow
 def test_comparison_of_stochastic_paths_from_the_command_line(tmp_path, capsys):
     data, run = tmp_path / "data.npz", tmp_path / "run"
     argv = ["simulate", "brownian", "--count", "3", "--out", str(data)]

@@ -55,6 +55,7 @@ def metrics(judged):
     return RunFolder.open(judged).read_json("evaluation.json")
 
 
+@pytest.mark.slow
 def test_noisy_positions_get_estimated_starts(metrics):
     assert metrics["starts"].startswith("estimated from the first 20 samples")
     row = metrics["rmse"]["model"]
@@ -63,6 +64,7 @@ def test_noisy_positions_get_estimated_starts(metrics):
     assert row["diverged"] == 0
 
 
+@pytest.mark.slow
 def test_rollouts_are_told_apart_at_the_training_horizon(metrics):
     assert metrics["horizon"] == pytest.approx(5.0)
     sources = metrics["rollouts"]["model"]
@@ -74,6 +76,7 @@ def test_rollouts_are_told_apart_at_the_training_horizon(metrics):
     assert inside["median"] <= inside["high"]
 
 
+@pytest.mark.slow
 def test_the_force_is_judged_by_region(metrics):
     force = metrics["force"]["model"]
     assert force.keys() == {"visited", "near", "unvisited", "everywhere"}
@@ -84,6 +87,7 @@ def test_the_force_is_judged_by_region(metrics):
     assert "within 0.35 of an observed position" in metrics["regions"]
 
 
+@pytest.mark.slow
 def test_bands_residuals_and_constants_are_judged(metrics):
     coverage = metrics["coverage"]
     assert coverage.keys() == {
@@ -104,12 +108,14 @@ def test_bands_residuals_and_constants_are_judged(metrics):
     assert abs(expected) < 4
 
 
+@pytest.mark.slow
 def test_four_trajectories_are_too_few_for_a_conformal_band(metrics):
     found = metrics["calibration"]
     assert "4 calibration trajectories are too few" in found["says"]
     assert (found["count"], found["covered"]) == (4, 1.0)
 
 
+@pytest.mark.slow
 def test_the_report_and_the_table_hold_the_evaluation(judged, metrics):
     page = (judged / "report.html").read_text()
     for words in (
@@ -141,6 +147,7 @@ def test_a_fit_from_its_own_starts_says_so(tiny_fit, capsys):
     assert "coverage" not in stored
 
 
+@pytest.mark.slow
 def test_data_of_other_channels_are_refused(judged, tmp_path):
     path = tmp_path / "other.csv"
     path.write_text("t,x\n0,0\n1,1\n")

@@ -159,6 +159,7 @@ def default_run(tmp_path_factory) -> RunFolder:
     return RunFolder.open(out)
 
 
+@pytest.mark.slow
 def test_the_default_recipe_leaves_the_paper_behind(default_run):
     metrics = default_run.read_json("metrics.json")
     total = {row["model"]: row["total"] for row in metrics["table2"]}
@@ -170,6 +171,7 @@ def test_the_default_recipe_leaves_the_paper_behind(default_run):
     assert "force-ude-kernel" in " ".join(map(str, default_run.path.rglob("*.svg")))
 
 
+@pytest.mark.slow
 def test_the_default_recipe_resumes_to_the_same_numbers(
     default_run, tmp_path, plain_figures
 ):

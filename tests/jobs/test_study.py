@@ -61,6 +61,7 @@ def noise_study(tmp_path_factory):
     return out, argv
 
 
+@pytest.mark.slow
 def test_a_study_ends_in_a_table_and_a_figure(noise_study, capsys):
     out, argv = noise_study
     rows = RunFolder.open(out).read_json("metrics.json")["rows"]
@@ -79,6 +80,7 @@ def test_a_study_ends_in_a_table_and_a_figure(noise_study, capsys):
     assert (out / "study.csv").read_text().startswith("model,seed,trajectories,sigma,")
 
 
+@pytest.mark.slow
 def test_a_resumed_study_does_nothing_again(noise_study, capsys, monkeypatch):
     out, argv = noise_study
     before = (out / "metrics.json").read_bytes()
