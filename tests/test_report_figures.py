@@ -1,3 +1,4 @@
+import dataclasses
 import subprocess
 import sys
 
@@ -8,7 +9,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from pinav import report
-from pinav.evaluation import NEAR, VISITED, Decomposition, FieldMap
+from pinav.evaluation import NEAR, VISITED, Decomposition, FieldMap, Regions
 from pinav.report.style import BLACK, BLUE, VERMILLION, pale
 
 UNITS = {"x": "um", "y": "um", "t": "s", "vx": "um/s", "vy": "um/s"}
@@ -231,6 +232,15 @@ def test_force_map_marks_visited_ground_and_shades_the_unvisited():
     bare = report.force_map(field(), shade=False)
     levels = [list(c.levels) for c in bare.collections if hasattr(c, "levels")]
     assert levels == [[VISITED], [NEAR]]
+
+
+def test_force_map_draws_the_regions_of_its_unit():
+    regions = Regions(visited=0.2, near=0.9)
+    shown = dataclasses.replace(field(), regions=regions)
+    ax = report.force_map(shown, shade=False, units={"x": "um", "y": "um"})
+    levels = [list(c.levels) for c in ax.collections if hasattr(c, "levels")]
+    assert levels == [[0.2], [0.9]]
+    assert "visited (within 0.2 µm)" in legend_texts(ax)
 
 
 def test_force_map_scales_by_what_is_near_the_data():

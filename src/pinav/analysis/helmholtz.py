@@ -24,7 +24,7 @@ import scipy.linalg
 from jaxtyping import Bool, Float, PRNGKeyArray
 
 from pinav.errors import InputError
-from pinav.evaluation import NEAR, FieldMap
+from pinav.evaluation import FieldMap
 from pinav.fitting import Posterior
 from pinav.learned import kernel_centers
 
@@ -67,13 +67,13 @@ class HelmholtzSplit(eqx.Module):
         return 1.0 - self.rotational_fraction
 
 
-def helmholtz_split(field: FieldMap, *, reach: float = NEAR) -> HelmholtzSplit:
+def helmholtz_split(field: FieldMap, *, reach: float | None = None) -> HelmholtzSplit:
     """Split a force into its gradient and its rotational part.
 
     Args:
         field: the force on a grid.
-        reach: ground is what lies so near to a sample [L]. Everywhere counts if it is
-            infinite.
+        reach: ground is what lies so near to a sample [L]; the map's own near ground
+            unless given. Everywhere counts if it is infinite.
 
     Raises:
         InputError: no force is known on the ground, or it is zero there.
@@ -102,7 +102,7 @@ def rotational_fractions(
     field: FieldMap,
     forces: Float[np.ndarray, "sample rows columns 2"],
     *,
-    reach: float = NEAR,
+    reach: float | None = None,
 ) -> Float[np.ndarray, " sample"]:
     """Rotational fraction of each of several forces, such as draws of a posterior.
 
@@ -154,6 +154,7 @@ def _forces(free, draws, points):
 
 
 def _ground(field: FieldMap, forces, reach) -> Bool[np.ndarray, "rows columns"]:
+    reach = field.regions.near if reach is None else reach
     finite = np.isfinite(forces).all(axis=-1)
     ground = (field.distance <= reach) & finite.reshape(-1, *field.distance.shape).all(
         axis=0

@@ -5,6 +5,8 @@ visited, $d \le \ell_1$; near, $d \le \ell_2$, the visited ground included; unvi
 $d > \ell_2$. The lengths $\ell_1 < \ell_2$ are those of `Regions`.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -106,12 +108,18 @@ class FieldMap(eqx.Module):
         y: grid coordinates along y [L].
         force: force at each grid point [L T⁻²].
         distance: distance of each grid point to the nearest sample [L].
+        regions: what counts as visited and as near.
     """
 
     x: Float[np.ndarray, " columns"]
     y: Float[np.ndarray, " rows"]
     force: Float[np.ndarray, "rows columns 2"]
     distance: Float[np.ndarray, "rows columns"]
+    regions: Regions = Regions()
+
+    def showing(self, force: Float[np.ndarray, "rows columns 2"]) -> "FieldMap":
+        """Another force [L T⁻²] on the same ground."""
+        return dataclasses.replace(self, force=force)
 
 
 def field_map(
@@ -143,7 +151,11 @@ def field_map(
     at_rest = jax.vmap(lambda t, x: exact(t, x, jnp.zeros_like(x)))
     values = at_rest(jnp.asarray(ts), jnp.asarray(flat))
     return FieldMap(
-        x, y, np.asarray(values).reshape(grid.shape), distance.reshape(grid.shape[:2])
+        x,
+        y,
+        np.asarray(values).reshape(grid.shape),
+        distance.reshape(grid.shape[:2]),
+        default_regions(trajectories),
     )
 
 
@@ -222,9 +234,9 @@ def force_agreement(
     Args:
         learned: the field of a fit.
         true: the truth on the same grid; its distances define the regions.
-        regions: their lengths; `Regions()` unless given.
+        regions: their lengths; those of the true map unless given.
     """
-    masks = (Regions() if regions is None else regions).masks(true.distance)
+    masks = (true.regions if regions is None else regions).masks(true.distance)
     masks["everywhere"] = np.ones_like(true.distance, bool)
     return {name: agreement(learned, true, mask) for name, mask in masks.items()}
 

@@ -22,7 +22,7 @@ from pinav.analysis import (
 )
 from pinav.dynamics import Swimmer
 from pinav.errors import FitError, InputError
-from pinav.evaluation import NEAR, VISITED, FieldMap, field_map
+from pinav.evaluation import FieldMap, field_map
 from pinav.fitting import Hyperparameters
 from pinav.forces import LinearDrag, MagneticPropulsion
 from pinav.jobs.inference import MODEL_FILE, POSTERIOR_FILE, force_sd, read_posterior
@@ -104,7 +104,7 @@ class _Analysis:
         """Gradient and rotational part, with the potential."""
         split = helmholtz_split(self.field)
         self.found["helmholtz"] = {
-            "reach": NEAR,
+            "reach": self.field.regions.near,
             "rotational": split.rotational_fraction,
             "gradient": split.gradient_fraction,
             "least": split.least_fraction,
@@ -130,8 +130,9 @@ class _Analysis:
         size = np.linalg.norm(self.field.force, axis=-1)
         sure = size > 2.0 * np.linalg.norm(sd, axis=-1)
         share = {
-            name: float(sure[self.field.distance <= reach].mean())
-            for name, reach in (("visited", VISITED), ("near", NEAR))
+            name: float(sure[ground].mean())
+            for name, ground in self.field.regions.masks(self.field.distance).items()
+            if name != "unvisited"
         }
         self.arrays["sd"], self.found["above_two_sd"] = sd, share
         posterior = read_posterior(self.fit_settings, self.folder)
@@ -156,7 +157,7 @@ class _Analysis:
         moved = found.force_changes(points, found.removals).reshape(-1, *shape)
         final = found.final_changes(start, times, found.removals)[:, :2]
         self.arrays["influence"] = moved
-        near = self.field.distance <= NEAR
+        near = self.field.distance <= self.field.regions.near
         size = _rms(self.field.force[near])
         self.found["influence"] = [
             {
@@ -175,7 +176,7 @@ class _Analysis:
         if not found.constants:
             self.leave_out("influence of constants", "the physics has none")
             return
-        near, rows = self.field.distance <= NEAR, []
+        near, rows = self.field.distance <= self.field.regions.near, []
         size = _rms(self.field.force[near])
         for name, change in found.constants.items():
             value = float(attrgetter(CONSTANTS[name])(self.model))
@@ -200,11 +201,15 @@ class _Analysis:
         start, times = self._reference()
         self._stretch(start, times)
         potential = np.where(
-            self.field.distance <= NEAR, self.arrays["potential"], -np.inf
+            self.field.distance <= self.field.regions.near,
+            self.arrays["potential"],
+            -np.inf,
         )
         row, column = np.unravel_index(potential.argmax(), potential.shape)
         landmark = np.array([self.field.x[column], self.field.y[row]])
-        study = RolloutStudy(self.model, start, times, landmark, VISITED)
+        study = RolloutStudy(
+            self.model, start, times, landmark, self.field.regions.visited
+        )
         factors = study.factors(
             relative=self.settings.relative, shift=self.settings.shift
         )

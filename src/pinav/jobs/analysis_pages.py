@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from pinav.analysis import HelmholtzSplit, SobolIndices, StretchMap
-from pinav.evaluation import FieldMap
+from pinav.evaluation import FieldMap, default_regions
 from pinav.jobs.analyse import ANALYSIS_FILE, ARRAYS_FILE
 from pinav.report import (
     Image,
@@ -36,7 +36,8 @@ def analysis_sections(folder: RunFolder) -> list[Section]:
     found = folder.read_json(ANALYSIS_FILE)
     arrays = folder.read_arrays(ARRAYS_FILE)
     data = load(folder.path / "data.npz")
-    field = FieldMap(*(arrays[name] for name in ("x", "y", "force", "distance")))
+    grid = (arrays[name] for name in ("x", "y", "force", "distance"))
+    field = FieldMap(*grid, default_regions(data))
     pages = _Pages(folder, found, arrays, data, field)
     sections = [Section("What was learned", pages.learned())]
     if "influence" in arrays:

@@ -5,7 +5,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from pinav.evaluation import VISITED, FieldMap, field_map
+from pinav.evaluation import FieldMap, field_map
 from pinav.fitting import (
     BayesFit,
     Estimate,
@@ -115,7 +115,7 @@ def parts(found: BayesFit | LangevinFit, data: Trajectories) -> dict[str, Estima
         return {}
     field = field_map(environment, data)
     points = np.stack(np.meshgrid(field.x, field.y), axis=-1)
-    visited = points[field.distance <= VISITED]
+    visited = points[field.distance <= field.regions.visited]
     return {"rotational fraction": rotational_fraction(found.posterior, visited)}
 
 

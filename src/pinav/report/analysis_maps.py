@@ -9,7 +9,7 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
 from pinav.analysis import HelmholtzSplit, SobolIndices, StretchMap
-from pinav.evaluation import NEAR, FieldMap
+from pinav.evaluation import FieldMap
 from pinav.report.maps import (
     draw_arrows,
     force_map,
@@ -54,7 +54,7 @@ def potential_map(
         units: unit of each channel; "1" means dimensionless.
         ax: where to draw; a new figure unless given.
     """
-    near = (field.distance <= NEAR) & np.isfinite(potential)
+    near = (field.distance <= field.regions.near) & np.isfinite(potential)
     near = near if near.any() else np.isfinite(potential)
     lifted = potential - potential[near].min()
     top = float(lifted[near].max()) or 1.0
@@ -135,7 +135,7 @@ def helmholtz_figure(
         (axes[0], split.gradient, f"(a) gradient: {split.gradient_fraction:.1%}"),
         (axes[1], split.rotational, f"(b) rotational: {split.rotational_fraction:.1%}"),
     ):
-        shown = FieldMap(field.x, field.y, part, field.distance)
+        shown = field.showing(part)
         force_map(shown, path=path, limit=top, units=units, ax=ax)
         title_panel(ax, title + plus)
     potential_map(split.potential, field, path=path, units=units, ax=axes[2])
@@ -161,7 +161,7 @@ def influence_figure(
         most: how many trajectories are shown.
         units: unit of each channel; "1" means dimensionless.
     """
-    near = field.distance <= NEAR
+    near = field.distance <= field.regions.near
     sizes = np.linalg.norm(changes, axis=-1)
     order = np.argsort(-(sizes[:, near] ** 2).sum(axis=1))[:most]
     top = float(sizes[order][:, near].max()) or 1.0
@@ -171,7 +171,7 @@ def influence_figure(
     axes = np.ravel(figure.subplots(rows, columns))
     label = with_unit(r"$|\Delta F|$", force_unit(units))
     for ax, index in zip(axes, order, strict=False):
-        shown = FieldMap(field.x, field.y, changes[index], field.distance)
+        shown = field.showing(changes[index])
         norm = Normalize(0.0, top)
         heat_map(sizes[index], field, norm, ("magma", label), units=units, ax=ax)
         draw_arrows(ax, shown, top)
@@ -206,7 +206,7 @@ def constants_figure(
         top = largest_near(size, field)
         look = ("magma", label)
         heat_map(size, field, Normalize(0.0, top), look, units=units, ax=ax)
-        draw_arrows(ax, FieldMap(field.x, field.y, change, field.distance), top)
+        draw_arrows(ax, field.showing(change), top)
         overlay(ax, field, path, units, shade=True)
         title_panel(ax, f"{name} one percent larger")
     _one_legend(figure, axes)

@@ -21,7 +21,7 @@ from matplotlib.ticker import (
 )
 
 from pinav.analysis import StretchMap
-from pinav.evaluation import NEAR, VISITED, FieldMap
+from pinav.evaluation import FieldMap
 from pinav.report.style import (
     BLACK,
     DIMENSIONLESS,
@@ -58,7 +58,7 @@ def force_map(
         path: positions to overlay [L]; a row of NaN separates two trajectories.
         limit: top of the colour scale [L T⁻²], shared between maps that are to be
             compared; the largest magnitude near the data unless given.
-        shade: grey out what is farther than `NEAR` from the data. A learned force
+        shade: grey out what is off the near ground. A learned force
             is a guess there; a true one is not.
         units: unit of each channel; "1" means dimensionless.
         ax: where to draw; a new figure unless given.
@@ -154,10 +154,10 @@ def force_comparison(
         panels = {"true": truth, **panels, "error": error}
     if sd is not None:
         panels["standard deviation"] = partial(force_sd_map, learned, sd, **shared)
-    return _arranged(panels, units, path=path is not None)
+    return _arranged(panels, learned.regions, units, path=path is not None)
 
 
-def _arranged(panels, units, *, path: bool) -> Figure:
+def _arranged(panels, regions, units, *, path: bool) -> Figure:
     """Panels side by side, four of them in a square, over one legend."""
     columns = 2 if len(panels) == 4 else len(panels)
     rows = -(-len(panels) // columns)
@@ -172,7 +172,7 @@ def _arranged(panels, units, *, path: bool) -> Figure:
         if index % columns:
             ax.set_ylabel("")
     figure.legend(
-        handles=_keys(units, path=path, shade=True),
+        handles=_keys(regions, units, path=path, shade=True),
         loc="outside lower center",
         ncols=4 if columns > 2 else 2,
         fontsize=SMALL,
@@ -183,7 +183,7 @@ def _arranged(panels, units, *, path: bool) -> Figure:
 
 def largest_near(magnitude, field: FieldMap) -> float:
     """Largest finite magnitude near the data, or anywhere if there is none."""
-    near = magnitude[(field.distance <= NEAR) & np.isfinite(magnitude)]
+    near = magnitude[(field.distance <= field.regions.near) & np.isfinite(magnitude)]
     values = near if near.size else magnitude[np.isfinite(magnitude)]
     return float(values.max(initial=0.0)) or 1.0
 
@@ -298,26 +298,27 @@ def draw_arrows(ax: Axes, field: FieldMap, top: float) -> None:
 def overlay(ax: Axes, field: FieldMap, path, units, *, shade: bool) -> None:
     """Grey ground without data, contours of visited and near ground, the path."""
     lowest, highest = float(field.distance.min()), float(field.distance.max())
+    visited, near = field.regions.visited, field.regions.near
     with file_settings():
-        if shade and highest > NEAR:
-            ground = (field.x, field.y, field.distance, [NEAR, highest])
+        if shade and highest > near:
+            ground = (field.x, field.y, field.distance, [near, highest])
             ax.contourf(*ground, colors=["0.85"], alpha=0.85)
             ax.contourf(*ground, colors="none", hatches=["////"])
-    for level, dash in ((VISITED, "solid"), (NEAR, "dashed")):
+    for level, dash in ((visited, "solid"), (near, "dashed")):
         if lowest < level < highest:
             ax.contour(
                 field.x,
                 field.y,
                 field.distance,
                 [level],
-                colors="white" if level == VISITED else "black",
+                colors="white" if level == visited else "black",
                 linewidths=0.8,
                 linestyles=dash,
             )
     if path is not None:
         ax.plot(*path.T, **_PATH)
     ax.set(xlim=field.x[[0, -1]], ylim=field.y[[0, -1]])
-    handles = _keys(units, path=path is not None, shade=shade)
+    handles = _keys(field.regions, units, path=path is not None, shade=shade)
     ax.legend(handles=handles, loc="upper left", fontsize=SMALL, framealpha=0.9)
 
 
@@ -328,10 +329,12 @@ _PATH = {
 }
 
 
-def _keys(units, *, path: bool, shade: bool) -> list[Artist]:
+def _keys(regions, units, *, path: bool, shade: bool) -> list[Artist]:
     """Legend entries of what `overlay` draws."""
     length = with_unit("", units.get("x", "1")).strip(" []")
-    visited, near = (f"within {d:g} {length}".strip() for d in (VISITED, NEAR))
+    visited, near = (
+        f"within {d:.3g} {length}".strip() for d in (regions.visited, regions.near)
+    )
     outline = [withStroke(linewidth=1.8, foreground="0.6")]
     keys: list[Artist] = []
     if path:
