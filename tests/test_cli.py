@@ -1,7 +1,9 @@
 import json
+import os
 import subprocess
 import sys
 import time
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -191,6 +193,20 @@ def test_json_output_is_json_alone(tiny_fit, capsys):
     run, data = tiny_fit
     assert cli.run(["evaluate", str(run), str(data), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["trajectories"] == 1
+
+
+def test_flags_are_for_the_compiler_on_which_they_were_tried():
+    assert "fusion_emitters" in cli.compiler_flags({}, "0.10.2")["XLA_FLAGS"]
+    assert cli.compiler_flags({}, "0.11.0") == {}
+    assert cli.compiler_flags({"XLA_FLAGS": ""}, "0.10.2") == {}
+
+
+def test_the_compiler_knows_the_flags():
+    code = "import jax; jax.jit(lambda x: x + 1)(1.0)"
+    flags = cli.compiler_flags({}, metadata.version("jaxlib"))
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, env=os.environ | flags, capture_output=True)
+    assert done.returncode == 0, done.stderr
 
 
 def test_compiled_code_is_kept_for_this_machine(tmp_path):
