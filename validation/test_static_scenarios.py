@@ -1,0 +1,71 @@
+"""The static scenarios through `pinav fit` and `pinav evaluate`, with nothing set."""
+
+import json
+import time
+
+import pytest
+
+from conftest import pinav
+
+SECONDS = 180
+"""A fit at most, on two quiet cores; compilation is part of it."""
+
+
+@pytest.fixture(scope="module")
+def evaluated(tmp_path_factory):
+    """Evaluation of a scenario's fit, and the seconds that the fit took, by name."""
+    folder, known = tmp_path_factory.mktemp("static"), {}
+
+    def made(name, model):
+        if (name, model) not in known:
+            known[name, model] = evaluation(folder / f"{name}-{model}", name, model)
+        return known[name, model]
+
+    return made
+
+
+def evaluation(folder, name, model):
+    folder.mkdir()
+    for file, seed, count in (("train", "0", []), ("test", "5", ["--count", "8"])):
+        words = ["--out", str(folder / f"{file}.npz"), "--seed", seed, *count]
+        assert pinav("simulate", name, *words).returncode == 0
+    run, began = str(folder / "run"), time.perf_counter()
+    fit = pinav("fit", str(folder / "train.npz"), "--out", run, "--model", model)
+    seconds = time.perf_counter() - began
+    assert fit.returncode == 0, fit.stderr
+    done = pinav("evaluate", run, str(folder / "test.npz"))
+    assert done.returncode == 0, done.stderr
+    print(name, model, f"{seconds:.0f} s", fit.stdout, done.stdout)
+    return json.loads((folder / "run" / "evaluation.json").read_text()), seconds
+
+
+STATIC = (
+    ("barrier-crossings", "kernel-potential"),
+    ("many-barriers", "kernel-potential"),
+    ("fibres", "kernel-potential"),
+    ("swirl", "kernel-mixture"),
+    ("anisotropic-drag", "kernel-potential"),
+    ("porous", "kernel-potential"),
+)
+"""The scenarios whose force does not change and whose fluid rests."""
+
+
+@pytest.mark.parametrize(("name", "model"), STATIC)
+def test_the_band_covers_the_force_on_visited_ground(name, model, evaluated):
+    found, _ = evaluated(name, model)
+    assert 0.85 <= found["coverage"]["force"]["visited"] <= 0.99
+
+
+@pytest.mark.parametrize(("name", "model"), STATIC)
+def test_a_fit_takes_three_minutes_at_most(name, model, evaluated):
+    assert evaluated(name, model)[1] < SECONDS
+
+
+def test_many_barriers_are_learned_and_predicted(evaluated):
+    found, _ = evaluated("many-barriers", "kernel-potential")
+    assert found["force"]["model"]["visited"]["error"] <= 0.08
+    learned, physics = (
+        found["rollouts"][name]["clean starts"]["within the training horizon"]["median"]
+        for name in ("model", "physics-only")
+    )
+    assert learned <= physics / 5
