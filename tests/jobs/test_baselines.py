@@ -101,3 +101,8 @@ def test_another_tool_that_is_not_installed_is_named(monkeypatch, crossings):
     without_sfi(monkeypatch)
     with pytest.raises(FitError, match="StochasticForceInference is not installed"):
         infer_force(crossings[0].swimmer, crossings[1], 0.02)
+
+
+def test_another_tool_is_asked_for_swimmers_with_inertia(crossings):
+    with pytest.raises(FitError, match="asked for swimmers with inertia"):
+        infer_force(scenario("brownian").swimmer, crossings[1], 0.02)

@@ -78,7 +78,7 @@ class Refinement(eqx.Module):
         seen = trajectories.observed[..., :dim].all(axis=-1)
         extent = np.ptp(trajectories.states[..., :dim][seen], axis=0).max()
         grid = KernelGrid(across=round(self.factor * extent / float(static.width)))
-        made = kernel_environment(kind, trajectories, grid, dim=dim)
+        made: Any = kernel_environment(kind, trajectories, grid, dim=dim)
         if isinstance(environment, ChangingPotential):
             made = ChangingPotential(made, environment.change)
         count = sum(leaf.size for leaf in jax.tree.leaves(made.parameters))

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from pinav.dynamics import Swimmer
+from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import FitError
 from pinav.forces import LinearDrag
 from pinav.learned import KernelPotential, kernel_centers
@@ -57,7 +57,7 @@ ACROSS = 7
 
 
 def infer_force(
-    known: Swimmer,
+    known: Swimmer | OverdampedSwimmer,
     trajectories: Trajectories,
     noise: float,
     basis: RadialBasis | None = None,
@@ -71,8 +71,10 @@ def infer_force(
         basis: as fine as the extent of the data asks for unless given.
 
     Raises:
-        FitError: the tool is not installed.
+        FitError: the tool is not installed, or the swimmer has no inertia.
     """
+    if not isinstance(known, Swimmer):
+        raise FitError("StochasticForceInference is asked for swimmers with inertia")
     if importlib.util.find_spec("SFI") is None:
         raise FitError(
             "StochasticForceInference is not installed; pip install 'pinav[bench]'"
