@@ -3,9 +3,18 @@
 import json
 import time
 
+import equinox as eqx
+import jax
+import numpy as np
 import pytest
 
 from conftest import pinav
+from pinav.evaluation import default_regions, field_map
+from pinav.fitting import fit_bayes, kernel_environment
+from pinav.kernel_fields import KernelMixture
+from pinav.learned import KernelPotential
+from pinav.scenarios import scenario
+from pinav.trajectories import simulate
 
 SECONDS = 180
 """A fit at most, on two quiet cores; compilation is part of it."""
@@ -49,11 +58,37 @@ STATIC = (
 )
 """The scenarios whose force does not change and whose fluid rests."""
 
+KINDS = {"kernel-potential": KernelPotential, "kernel-mixture": KernelMixture}
+
+DRAWS = {"barrier-crossings": 5, "anisotropic-drag": 5, "porous": 5}
+"""One barrier has in effect four parameters: a draw of the noise moves the whole field
+at once, and its coverage is near 0 or 1; see docs/fitting.md. One draw of others."""
+
 
 @pytest.mark.parametrize(("name", "model"), STATIC)
-def test_the_band_covers_the_force_on_visited_ground(name, model, evaluated):
-    found, _ = evaluated(name, model)
-    assert 0.85 <= found["coverage"]["force"]["visited"] <= 0.99
+def test_the_band_covers_the_force_on_visited_ground(name, model):
+    draws = [covered(name, KINDS[model], seed) for seed in range(DRAWS.get(name, 1))]
+    print(name, draws)
+    assert 0.85 <= np.mean(draws) <= 0.99
+
+
+def covered(name, kind, seed):
+    """Share of visited ground inside the nominal 95 % band; data as of `simulate`."""
+    starts_key, noise_key = jax.random.split(jax.random.key(seed))
+    made = scenario(name, starts_key)
+    data = simulate(made, key=noise_key)
+    model = eqx.tree_at(
+        lambda s: s.environment, made.swimmer, kernel_environment(kind, data)
+    )
+    found = fit_bayes(model, data, throw=False)
+    true = field_map(made.swimmer.environment, data)
+    learned = field_map(found.model.environment, data)
+    points = np.stack(np.meshgrid(true.x, true.y), axis=-1).reshape(-1, 2)
+    sd = found.posterior.force_sd(points).reshape(true.force.shape)
+    visited = default_regions(data).masks(true.distance)["visited"]
+    return float(
+        np.mean(np.abs(learned.force - true.force)[visited] < 1.96 * sd[visited])
+    )
 
 
 @pytest.mark.parametrize(("name", "model"), STATIC)

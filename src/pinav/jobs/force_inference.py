@@ -41,7 +41,7 @@ class RadialBasis(eqx.Module):
 
     @classmethod
     def of(cls, positions: Float[np.ndarray, "sample dim"]) -> "RadialBasis":
-        """A basis that is as fine, for its extent, as was best on one barrier."""
+        """A basis as fine, for the extent, as our kernels are at first."""
         spacing = float(np.ptp(positions, axis=0).max()) / ACROSS
         return cls(spacing, 1.25 * spacing)
 
@@ -52,7 +52,7 @@ class RadialBasis(eqx.Module):
         return kernel_centers(positions, spacing=self.spacing, margin=self.spacing)
 
 
-ACROSS = 7
+ACROSS = 12
 """Intervals of the basis along the data."""
 
 
