@@ -51,3 +51,4 @@ from pinav.fitting.records import Fit as Fit
 from pinav.fitting.records import FitOutcome as FitOutcome
 from pinav.fitting.records import FitProgress as FitProgress
 from pinav.fitting.records import FitState as FitState
+from pinav.fitting.refinement import Refinement as Refinement

@@ -6,10 +6,12 @@ chooses shape of the prior, amplitude and noise anew, so that nothing is set by 
 
 import enum
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, PyTree
 
@@ -22,6 +24,7 @@ from pinav.fitting.evidence import Hyperparameters
 from pinav.fitting.kernels import kernel_environment
 from pinav.fitting.occam import LinearFit
 from pinav.fitting.posterior import Posterior
+from pinav.fitting.refinement import AS_FINE_AS_ASKED, Refinement
 from pinav.forces import AbstractForce
 from pinav.learned import (
     KernelForce,
@@ -40,11 +43,12 @@ ROUNDING = 1e-9
 
 
 class BayesOutcome(enum.IntEnum):
-    """How a Bayesian fit ended."""
+    """How a Bayesian fit ended; coarse: converged, but finer kernels had no room."""
 
     CONVERGED = 0
     STALLED = 1
     DIVERGED = 2
+    COARSE = 3
 
 
 class Estimate(eqx.Module):
@@ -63,8 +67,9 @@ class BayesProgress(eqx.Module):
     """What a progress bar shows after each step.
 
     Attributes:
-        done: steps done.
+        done: steps done, on the kernels as they are now.
         total: steps at most.
+        unknowns: number of weights and constants.
         defect: by which the states miss the dynamics, relative to their spread.
         noise: standard deviation of the observations.
         log_evidence: of the hyperparameters chosen.
@@ -72,6 +77,7 @@ class BayesProgress(eqx.Module):
 
     done: int
     total: int
+    unknowns: int
     defect: float
     noise: float
     log_evidence: float
@@ -83,8 +89,9 @@ class BayesFit(eqx.Module):
     Attributes:
         model: the model with its best parameters.
         outcome: stalled when the iterations ran out, diverged when the defects grew
-            or became infinite; the rest is then what was reached last.
-        iterations: Gauss-Newton steps taken.
+            or became infinite; the rest is then what was reached last. Coarse where
+            the kernels blur what the data show, and finer ones would be too many.
+        iterations: Gauss-Newton steps taken, on the last kernels.
         hyperparameters: noise, shape of the prior (`WeightPrior`; empty for networks
             and parametric forces), amplitude (0 without weights), and the log evidence.
         posterior: distribution of all learned parameters.
@@ -110,6 +117,7 @@ def fit_bayes(
     learn: Callable[[Any], PyTree] = lambda _: (),
     noise: float | None = None,
     solver: FixedStep | None = None,
+    refine: Refinement | None = AS_FINE_AS_ASKED,
     max_iterations: int = 20,
     on_step: Callable[[BayesProgress], None] | None = None,
     throw: bool = True,
@@ -136,6 +144,8 @@ def fit_bayes(
             parametric force.
         noise: standard deviation of the observations; estimated unless given.
         solver: steps between samples; `FixedStep()` unless given.
+        refine: when kernels turn out too coarse, and the fit begins anew on finer
+            ones; None keeps them.
         max_iterations: after which the fit counts as stalled.
         on_step: called after each step.
         throw: raise where the fit did not converge.
@@ -149,9 +159,17 @@ def fit_bayes(
     _check(model, noise, max_iterations)
     with jax.enable_x64(new_val=True):
         solver = FixedStep() if solver is None else solver
+        begin = partial(
+            BayesProblem.of,
+            trajectories=trajectories,
+            learn=learn,
+            noise=noise,
+            solver=solver,
+        )
         problem = _begun(model, trajectories, learn, noise, solver)
-        result = _result(problem, *_iterate(problem, max_iterations, on_step))
-    if throw and result.outcome is not BayesOutcome.CONVERGED:
+        grids = _Grids(begin, refine, trajectories)
+        result = _result(*_refined(problem, grids, max_iterations, on_step))
+    if throw and result.outcome in _MESSAGES:
         raise FitError(_MESSAGES[result.outcome])
     return result
 
@@ -205,12 +223,60 @@ TEACHING_STEPS = 20
 """Of the kernel fit at most."""
 
 
+class _Grids(eqx.Module):
+    """How a fit goes on where its kernels are too coarse."""
+
+    begin: Callable[[Any], BayesProblem]
+    refine: Refinement | None
+    trajectories: Trajectories
+
+    def wanted(self, problem: BayesProblem, step: Step) -> bool:
+        shape = step.inference.hyperparameters.shape
+        environment = problem.free.static.environment
+        return self.refine is not None and self.refine.wanted(environment, shape)
+
+    def finer(self, problem: BayesProblem, step: Step) -> BayesProblem | None:
+        """The fit on finer kernels; None where they are not wanted, or too many."""
+        if self.refine is None or not self.wanted(problem, step):
+            return None
+        model = problem.free(jnp.asarray(problem.theta))
+        environment = self.refine.finer(model.environment, self.trajectories)
+        if environment is None:
+            return None
+        return self.begin(eqx.tree_at(lambda m: m.environment, model, environment))
+
+
+def _refined(
+    problem: BayesProblem,
+    grids: _Grids,
+    max_iterations: int,
+    on_step: Callable[[BayesProgress], None] | None,
+) -> tuple[BayesProblem, BayesOutcome, list[Step]]:
+    """Steps on kernels as fine as the evidence asks for.
+
+    Each grid begins anew, so that the result is that of its own fit.
+    """
+    finer = partial(grids.finer, problem)
+    outcome, steps = _iterate(problem, max_iterations, on_step, finer)
+    better = finer(steps[-1]) if steps else None
+    if better is not None:
+        return _refined(better, grids, max_iterations, on_step)
+    if outcome is BayesOutcome.CONVERGED and grids.wanted(problem, steps[-1]):
+        outcome = BayesOutcome.COARSE
+    return problem, outcome, steps
+
+
+PROBES = 2
+"""Steps after which the evidence is asked whether the kernels are too coarse."""
+
+
 def _iterate(
     problem: "BayesProblem",
     max_iterations: int,
     on_step: Callable[[BayesProgress], None] | None = None,
+    finer: Callable[[Step], BayesProblem | None] = lambda _: None,
 ) -> tuple[BayesOutcome, list[Step]]:
-    """Steps until they converge, diverge or run out."""
+    """Steps until they converge, diverge, run out, or had better be others."""
     move = Move(problem.theta, problem.states, problem.descent)
     shape = problem.weights.start
     steps: list[Step] = []
@@ -224,6 +290,8 @@ def _iterate(
             on_step(_progress(steps, max_iterations))
         outcome = _outcome(steps, problem.tolerance)
         if outcome is not BayesOutcome.STALLED:
+            return outcome, steps
+        if len(steps) >= PROBES and finer(step) is not None:
             return outcome, steps
     return BayesOutcome.STALLED, steps
 
@@ -240,7 +308,14 @@ def _attempt(problem, move, shape, *, begun: bool) -> Step | None:
 
 def _progress(steps: list[Step], total: int) -> BayesProgress:
     chosen, defect = steps[-1].inference.hyperparameters, steps[-1].defect
-    return BayesProgress(len(steps), total, defect, chosen.noise, chosen.log_evidence)
+    return BayesProgress(
+        done=len(steps),
+        total=total,
+        unknowns=len(steps[-1].covariance),
+        defect=defect,
+        noise=chosen.noise,
+        log_evidence=chosen.log_evidence,
+    )
 
 
 def _outcome(steps: list[Step], tolerance: float) -> BayesOutcome:

@@ -414,15 +414,34 @@ def shape_covariance(
         shape = chosen.shape + offset
         return weight_posterior(data, covariance(shape), at(offset))[0]
 
-    sums = [[at(a + b).log_evidence for b in unit] for a in unit]
-    differences = [[at(a - b).log_evidence for b in unit] for a in unit]
-    opposite = [[at(-a - b).log_evidence for b in unit] for a in unit]
-    second = np.array(sums) + np.array(opposite)
-    second -= np.array(differences) + np.array(differences).T
-    values, vectors = np.linalg.eigh(-second / (4 * STEP**2))
+    bend = curvature(lambda shape: at(shape).log_evidence, np.zeros(len(unit)), STEP)
+    values, vectors = np.linalg.eigh(bend)
     spread = vectors / np.sqrt(np.maximum(values, 0.0) + SHAPE_SD**-2)
     slopes = np.stack([(mean(a) - mean(-a)) / (2 * STEP) for a in unit], axis=1)
     return slopes @ spread @ spread.T @ slopes.T
+
+
+def curvature(
+    value: Callable[[Float[np.ndarray, " n"]], float],
+    point: Float[np.ndarray, " n"],
+    step: float,
+) -> Float[np.ndarray, "n n"]:
+    """Hessian of minus a function, by central differences.
+
+    Args:
+        value: the function; it is called n (n + 1) + 1 times.
+        point: where.
+        step: of the differences.
+    """
+    steps = step * np.eye(len(point))
+    middle = value(point)
+    sums = np.array([value(point + s) + value(point - s) - 2 * middle for s in steps])
+    hessian = np.diag(sums)
+    for i, j in zip(*np.triu_indices(len(point), 1), strict=True):
+        both = value(point + steps[i] + steps[j]) + value(point - steps[i] - steps[j])
+        mixed = 0.5 * (both - 2 * middle - sums[i] - sums[j])
+        hessian[i, j] = hessian[j, i] = mixed
+    return -hessian / step**2
 
 
 STEP, SHAPE_SD = 1e-3, 2.0

@@ -66,7 +66,8 @@ def kernel_environment(
 
     Unless given, the grid is as fine as a twelfth of the longer side of the data, the
     kernels are as wide as the grid is fine, and they reach four intervals beyond the
-    samples: a prior must not end within its own length scale.
+    samples: a prior must not end within its own length scale. That is where `fit_bayes`
+    begins; it lays finer ones where the evidence asks for them (`Refinement`).
 
     Args:
         kind: `KernelForce`, `KernelPotential`, `KernelStream` or `KernelMixture`.

@@ -143,22 +143,24 @@ def linearise(
 ) -> Linearisation:
     """Linearise all trajectories about `states` and eliminate their starts.
 
-    Padding, which repeats the last time and state, adds nothing.
+    Padding, which repeats the last time and state, adds nothing. One trajectory after
+    the other: what a step leaves behind for its derivative would take many times the
+    memory of the result.
     """
 
-    def one(states, times, data, observed):
+    def one(total, inputs):
+        states, times, data, observed = inputs
         local = sensitivities(free, theta, states, times, solver)
         reach = local.columns
         residuals = states + reach[..., -1] - data
         rows = jnp.concatenate([reach[..., :-1], residuals[..., None]], axis=2)
         rows = jnp.where(observed[..., None], rows, 0.0).reshape(-1, rows.shape[2])
         rest, factor, start_rows = eliminate(rows, theta.shape[0], states.shape[1])
-        return rest.T @ rest, factor, start_rows, reach, local.defects
+        return total + rest.T @ rest, (factor, start_rows, reach, local.defects)
 
-    reduced, factors, start_rows, columns, defects = jax.vmap(one)(
-        states, observations.times, observations.states, observations.observed
-    )
-    total = reduced.sum(axis=0)
+    nothing = jnp.zeros((theta.shape[0] + 1,) * 2, states.dtype)
+    inputs = (states, observations.times, observations.states, observations.observed)
+    total, (factors, start_rows, columns, defects) = jax.lax.scan(one, nothing, inputs)
     return Linearisation(
         hessian=total[:-1, :-1],
         gradient=total[:-1, -1],

@@ -17,9 +17,14 @@ References:
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float
 
-from pinav.fitting.evidence import Data, Hyperparameters, Quadratic, log_evidence
+from pinav.fitting.evidence import (
+    Data,
+    Hyperparameters,
+    Quadratic,
+    curvature,
+    log_evidence,
+)
 from pinav.fitting.inference import AbstractWeights, GaussianWeights
 from pinav.fitting.priors import AbstractPrior
 
@@ -102,33 +107,20 @@ def _occam(linear: LinearFit, prior: AbstractPrior, chosen: Hyperparameters) -> 
         noise = float(np.exp(point[-1])) if linear.noise is None else linear.noise
         return log_evidence(data, covariance, amplitude, noise)
 
-    curvature = _curvature(value, start)
-    wide = np.diag(curvature) < (BROAD * ranges) ** -2
+    bend = curvature(value, start, STEP)
+    wide = np.diag(bend) < (BROAD * ranges) ** -2
     lower = np.append(prior.bounds[:, 0], start[len(chosen.shape) :] - LOG_RANGE / 2)
     cost = sum(
         _broad_cost(value, start, i, lower[i], ranges[i]) for i in np.flatnonzero(wide)
     )
     narrow = ~wide
-    return cost + _narrow_cost(curvature[np.ix_(narrow, narrow)], ranges[narrow])
+    return cost + _narrow_cost(bend[np.ix_(narrow, narrow)], ranges[narrow])
 
 
-def _curvature(value, point) -> Float[np.ndarray, "n n"]:
-    """Hessian of minus a function, by central differences."""
-    steps = STEP * np.eye(len(point))
-    middle = value(point)
-    sums = np.array([value(point + s) + value(point - s) - 2 * middle for s in steps])
-    hessian = np.diag(sums)
-    for i, j in zip(*np.triu_indices(len(point), 1), strict=True):
-        both = value(point + steps[i] + steps[j]) + value(point - steps[i] - steps[j])
-        mixed = 0.5 * (both - 2 * middle - sums[i] - sums[j])
-        hessian[i, j] = hessian[j, i] = mixed
-    return -hessian / STEP**2
-
-
-def _narrow_cost(curvature, ranges) -> float:
+def _narrow_cost(bend, ranges) -> float:
     """By Laplace's method: a normal prior as high as the uniform one."""
     widths = np.asarray(ranges) / np.sqrt(2 * np.pi)
-    values = np.linalg.eigvalsh(np.asarray(curvature) * np.outer(widths, widths))
+    values = np.linalg.eigvalsh(np.asarray(bend) * np.outer(widths, widths))
     return float(0.5 * np.log(np.maximum(values, 1.0)).sum())
 
 

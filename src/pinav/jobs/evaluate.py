@@ -7,7 +7,9 @@ force by region; bands; residuals; learned constants.
 from pathlib import Path
 from typing import Any
 
-from pinav.dynamics import Outcome, Swimmer
+import equinox as eqx
+
+from pinav.dynamics import AbstractDynamics, Outcome, Swimmer
 from pinav.evaluation import (
     START_SAMPLES,
     Regions,
@@ -18,6 +20,7 @@ from pinav.evaluation import (
     score,
     summarise,
 )
+from pinav.forces import ZeroForce
 from pinav.jobs.evaluate_fit import conformal, judge_fit
 from pinav.jobs.evaluation_tables import tables
 from pinav.jobs.fit import score_metrics
@@ -25,6 +28,7 @@ from pinav.jobs.held_out import held_out
 from pinav.jobs.subjects import (
     Prediction,
     Setting,
+    Subject,
     as_cell,
     force_fields,
     prediction,
@@ -72,7 +76,7 @@ def evaluate(
     )
     metrics, arrays = _header(setting, data), {}
     clean = _clean(setting)
-    for name, model in subject.models.items():
+    for name, model in (subject.models | _baseline(subject)).items():
         _score_model(name, model, setting, clean, (metrics, arrays))
     judge_fit(setting, folder, clean, (metrics, arrays))
     if calibration is not None:
@@ -81,6 +85,16 @@ def evaluate(
     folder.write_arrays("evaluation.npz", arrays)
     _write_csv(folder, metrics)
     return metrics
+
+
+def _baseline(subject: Subject) -> dict[str, AbstractDynamics]:
+    """The known physics alone, as the least that a model must beat."""
+    known = subject.known.swimmer
+    return {BASELINE: eqx.tree_at(lambda s: s.environment, known, ZeroForce())}
+
+
+BASELINE = "physics-only"
+"""What the tables call it."""
 
 
 def _header(setting: Setting, data: Path) -> dict[str, Any]:

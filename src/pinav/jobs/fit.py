@@ -204,6 +204,8 @@ def text(metrics: dict[str, Any]) -> str:
             f"noise: {metrics['noise']:.3g}, log evidence "
             f"{metrics['log_evidence']:.1f}, {metrics['iterations']} steps"
         ]
+        if metrics["outcome"] == "coarse":
+            lines.append(COARSE)
     lines.append(f"RMSE: {rmse}")
     for name, learned in metrics["learned"].items():
         spread = "" if learned["sd"] is None else f" ± {learned['sd']:.2g} (sd)"
@@ -212,6 +214,13 @@ def text(metrics: dict[str, Any]) -> str:
         errors = ", ".join(f"{k} {v:.2%}" for k, v in metrics["force_error"].items())
         lines.append(f"force error (truth of the scenario): {errors}")
     return "\n".join(lines)
+
+
+COARSE = (
+    "the kernels are coarser than the data: finer ones would be too many; fit fewer or "
+    "shorter trajectories, or a smaller region"
+)
+"""Printed where a fit ended on kernels that blur what the data show."""
 
 
 def write_losses(name: str, fits: Sequence[Fit], folder: RunFolder) -> None:

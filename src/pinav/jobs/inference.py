@@ -8,6 +8,7 @@ import numpy as np
 from pinav.evaluation import FieldMap, field_map
 from pinav.fitting import (
     BayesFit,
+    BayesOutcome,
     Estimate,
     LangevinFit,
     Posterior,
@@ -23,6 +24,7 @@ from pinav.jobs.models import (
     fit_constants,
     fit_model,
     fit_trainable,
+    fitted_summary,
     model_summary,
 )
 from pinav.jobs.progress import BayesReporter
@@ -56,14 +58,22 @@ def infer(
             max_iterations=settings.max_steps,
             on_step=report,
         )
-    arrays = {"iterations": np.array(found.iterations), "states": found.states}
+    arrays = {
+        "iterations": np.array(found.iterations),
+        "outcome": np.array(found.outcome.name.lower()),
+        "states": found.states,
+    }
     estimates = _constants(settings, found) | parts(found, data)
     _write(settings, known, summary, (found, estimates, arrays), folder)
 
 
 def _infer_langevin(settings, known, data, summary, folder: RunFolder) -> None:
     found = fit_langevin(fit_model(settings, known.swimmer, summary), data)
-    arrays = {"iterations": np.array(1), "states": data.states}
+    arrays = {
+        "iterations": np.array(1),
+        "outcome": np.array(BayesOutcome.CONVERGED.name.lower()),
+        "states": data.states,
+    }
     estimates = {"diffusion": found.diffusion} | parts(found, data)
     _write(settings, known, summary, (found, estimates, arrays), folder)
 
@@ -92,7 +102,7 @@ def _write(settings, known, summary, results, folder: RunFolder) -> None:
         "kind": "fit",
         "settings": msgspec.to_builtins(settings),
         "physics": known.name,
-        "data": summary,
+        "data": fitted_summary(summary, found.model.environment),
         "dtype": "float64",
     }
     folder.write_model(MODEL_FILE, header, found.model)
@@ -136,6 +146,7 @@ def metrics(folder: RunFolder) -> dict[str, Any]:
     stored = folder.read_arrays(POSTERIOR_FILE)
     return {
         "iterations": int(stored["iterations"]),
+        "outcome": str(stored["outcome"]),
         "noise": float(stored["noise"]),
         "amplitude": float(stored["amplitude"]),
         "log_evidence": float(stored["log_evidence"]),

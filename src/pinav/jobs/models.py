@@ -286,6 +286,25 @@ def model_summary(model: str, trajectories: Trajectories) -> dict[str, Any]:
     }
 
 
+def fitted_summary(summary: dict[str, Any], environment: AbstractForce) -> Any:
+    """The summary of a fitted model, whose kernels may be finer than at the start.
+
+    Args:
+        summary: of the untrained model.
+        environment: the fitted one.
+    """
+    if isinstance(environment, KernelMixture):
+        environment = environment.gradient
+    if isinstance(environment, ChangingPotential):
+        environment = environment.static
+    if not isinstance(environment, KernelForce | KernelPotential):
+        return summary
+    return summary | {
+        "centers": np.asarray(environment.centers).tolist(),
+        "kernel_width": float(environment.width),
+    }
+
+
 def known_physics(name: str | None, trajectories: Trajectories) -> Scenario:
     """The scenario that supplies propulsion and drag.
 

@@ -68,8 +68,8 @@ class BayesReporter(AbstractReporter):
     def __call__(self, progress: BayesProgress) -> None:
         """Take note of one step."""
         self.bar.set_postfix_str(
-            f"noise {progress.noise:.3g}, log evidence {progress.log_evidence:.1f}, "
-            f"defect {progress.defect:.0e}",
+            f"{progress.unknowns} unknowns, noise {progress.noise:.3g}, log evidence "
+            f"{progress.log_evidence:.1f}, defect {progress.defect:.0e}",
             refresh=False,
         )
         self.bar.update(1)
@@ -77,6 +77,7 @@ class BayesReporter(AbstractReporter):
             {
                 "model": self.label,
                 "step": progress.done,
+                "unknowns": progress.unknowns,
                 "noise": progress.noise,
                 "log_evidence": progress.log_evidence,
                 "defect": progress.defect,

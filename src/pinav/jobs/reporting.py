@@ -6,25 +6,21 @@ from typing import Any
 import numpy as np
 
 from pinav.errors import InputError
-from pinav.evaluation import Decomposition
 from pinav.files import write_text
 from pinav.jobs.analysis_pages import analysis_sections
 from pinav.jobs.compare import table
 from pinav.jobs.evaluation_report import evaluated
 from pinav.jobs.law_report import law_sections
-from pinav.jobs.reproduce import key_of, stored_field
+from pinav.jobs.reproduce import stored_field
+from pinav.jobs.reproduction_report import loss_history, reproduced
 from pinav.jobs.study_report import studied
-from pinav.jobs.table2 import DIFFERENCES, PAPER, ROWS
 from pinav.report import (
     Code,
-    FigureFiles,
     Image,
     Paragraph,
     Section,
     Table,
-    acceleration_figure,
     evidence_bars,
-    figure1,
     force_comparison,
     loss_curve,
     observed_paths,
@@ -43,9 +39,6 @@ TITLES = {
     "study": "A study of models",
 }
 
-BARRIER = ([5.0, 5.0], 2.9)
-"""Centre and width of the benchmark's barrier, drawn as context."""
-
 
 def write_report(folder: RunFolder) -> Path:
     """Draw the figures of a finished run and write its `report.html`.
@@ -58,7 +51,7 @@ def write_report(folder: RunFolder) -> Path:
             f"{folder.path} is not finished; go on with --resume, then report"
         )
     sections = {
-        "reproduce": _reproduction,
+        "reproduce": reproduced,
         "fit": _fitted,
         "compare": _compared,
         "study": studied,
@@ -83,183 +76,6 @@ def write_report(folder: RunFolder) -> Path:
 def _subtitle(folder: RunFolder) -> str:
     environment = folder.read_json("environment.json")
     return f"pinav {environment['pinav']}, run {folder.path.name}"
-
-
-def _reproduction(folder: RunFolder) -> list[Section]:
-    metrics = folder.read_json("metrics.json")
-    arrays = folder.read_arrays("results.npz")
-    seed = metrics["seeds"][0]
-    return [
-        Section("Table 2", _table2(metrics)),
-        Section("Figure 1: the UDE", [_figure1(folder, arrays, seed, "ude")]),
-        Section(
-            "Figure 1 for the network alone",
-            [
-                Paragraph("The paper left this figure out."),
-                _figure1(folder, arrays, seed, "nn-only"),
-            ],
-        ),
-        *_kernel_figure(folder, arrays),
-        Section("The learned force", _forces(folder, metrics, arrays, seed)),
-        Section("What makes up the acceleration", [_parts(folder, arrays, seed)]),
-    ]
-
-
-def _table2(metrics: dict[str, Any]) -> list[Paragraph | Table]:
-    columns = ("x", "y", "vx", "vy", "total", "position")
-    rows: list[tuple] = []
-    for row in metrics["table2"]:
-        label = "–" if row["seed"] is None else str(row["seed"])
-        rows.append((row["model"], label, *(row[name] for name in columns)))
-    for model in PAPER:
-        printed = metrics["paper_table2"][model]
-        cells = ("–" if printed[n] is None else f"{printed[n]:g}" for n in columns)
-        rows.append((f"{model}, as printed in the paper", "–", *cells))
-    factors = [(name, factor) for name, factor in metrics["improvement"].items()]
-    return [
-        Table(
-            ("model", "seed", *columns),
-            [row for model in ROWS for row in rows if row[0].split(",")[0] == model],
-            "Root-mean-square errors of rollouts from the true start, dimensionless. "
-            "Total is the root mean square of the four columns.",
-        ),
-        *(Paragraph(text) for text in DIFFERENCES),
-        _spread(metrics),
-        Table(
-            ("ratio of median total errors", "factor"),
-            factors,
-            "How many times smaller the trained UDE's error is.",
-        ),
-        _losses(metrics),
-    ]
-
-
-def _spread(metrics: dict[str, Any]) -> Table:
-    rows = [
-        (model, spread["median"], spread["best"], spread["worst"])
-        for model, spread in metrics["summary_total"].items()
-        if model not in ("physics-only", "ude-kernel")
-    ]
-    seeds = ", ".join(map(str, metrics["seeds"]))
-    caption = f"Total error over the seeds {seeds}."
-    return Table(("model", "median", "best", "worst"), rows, caption)
-
-
-def _losses(metrics: dict[str, Any]) -> Table:
-    rows = [
-        (model, seed, loss["start"], loss["end"], loss["decades"], loss["iterations"])
-        for model, losses in metrics["loss"].items()
-        for seed, loss in losses.items()
-    ]
-    paper = metrics["paper_loss"]
-    decades = float(np.log10(paper["start"] / paper["end"]))
-    printed = (paper["start"], paper["end"], decades, 8000)
-    rows.append(("ude, as printed", "42", *printed))
-    header = ("model", "seed", "loss at start", "at end", "decades", "iterations")
-    return Table(header, rows, "Training loss, the sum of squares of eq. (3).")
-
-
-def _figure1(
-    folder: RunFolder, arrays: dict[str, np.ndarray], seed: int | None, model: str
-) -> Image:
-    losses, phases = _loss_history(folder, model)
-    figure = figure1(
-        arrays["times"],
-        arrays["truth"],
-        arrays[key_of(f"{model}-untrained", seed)],
-        arrays[key_of(model, seed)],
-        losses,
-        phases,
-        model=model,
-        barrier=BARRIER,
-    )
-    files = save_figure(figure, folder.path / "figures", f"figure1-{model}")
-    return _image(
-        files,
-        f"Trajectory, velocity and training loss of the model {model}",
-        f"{key_of(model, seed)}: (a, b) trajectory, (c) training loss with the "
-        "change of phase marked, (d, e) velocity; before and after training, against "
-        "the truth. Dimensionless, synthetic data.",
-    )
-
-
-def _loss_history(
-    folder: RunFolder, name: str
-) -> tuple[np.ndarray, list[tuple[str, int]]]:
-    stored = folder.read_arrays(f"losses-{name}.npz")
-    names, starts = stored["phase_names"], stored["phase_starts"]
-    phases = [(str(n), int(start)) for n, start in zip(names, starts, strict=True)]
-    return stored["losses"], phases
-
-
-def _kernel_figure(folder, arrays) -> list[Section]:
-    if "ude-kernel" not in arrays:
-        return []
-    text = (
-        "The same physics with a static kernel potential in place of the network: "
-        "linear in its weights, and nothing random in it."
-    )
-    image = _figure1(folder, arrays, None, "ude-kernel")
-    return [Section("Figure 1 for the kernel residual", [Paragraph(text), image])]
-
-
-def _forces(folder, metrics, arrays, seed) -> list[Paragraph | Image | Table]:
-    rows = [
-        (label, *(100 * errors[k] for k in ("visited", "near", "everywhere")))
-        for label, errors in metrics["force_error"].items()
-    ]
-    drawn = [
-        name for name in (f"ude-{seed}", "ude-kernel") if f"field/{name}" in arrays
-    ]
-    return [
-        *(_force(folder, arrays, label) for label in drawn),
-        Table(
-            ("model", "visited (%)", "near (%)", "everywhere (%)"),
-            rows,
-            "Relative L2 error of the force on grid points within 0.35 of a sample, "
-            "within 1.0, and on the whole grid.",
-        ),
-        Paragraph(
-            "One trajectory does not determine the field: away from the path the "
-            "learned force is an extrapolation, whatever the trajectory error says. "
-            "The network also sees time; each point shows the time of the nearest "
-            "sample, the reading most favourable to it."
-        ),
-    ]
-
-
-def _force(folder, arrays, label: str) -> Image:
-    true, learned = stored_field(arrays, "true"), stored_field(arrays, label)
-    figure = force_comparison(learned, true=true, path=arrays["truth"][:, :2])
-    files = save_figure(figure, folder.path / "figures", f"force-{label}")
-    return _image(
-        files,
-        "True force, learned force and their difference on a grid",
-        f"The true force, that of {label}, and the difference.",
-    )
-
-
-def _parts(folder, arrays, seed) -> Image:
-    prefix = f"parts/ude-{seed}/"
-    terms = {
-        name.removeprefix(prefix): values
-        for name, values in arrays.items()
-        if name.startswith(prefix)
-    }
-    learned = Decomposition(arrays["times"], terms)
-    true_terms = terms | {"environment": arrays["parts/true"]}
-    truth = Decomposition(arrays["times"], true_terms)
-    files = save_figure(
-        acceleration_figure(learned, true=truth),
-        folder.path / "figures",
-        "acceleration",
-    )
-    return _image(
-        files,
-        "Propulsion, learned environment and drag along the trajectory",
-        "a(t) = propulsion + environment + drag along the true trajectory, UDE of "
-        f"seed {seed}.",
-    )
 
 
 def _fitted(folder: RunFolder) -> list[Section]:
@@ -296,8 +112,8 @@ def _compared(folder: RunFolder) -> list[Section]:
     content = [
         *(Paragraph(verdict["text"]) for verdict in metrics["verdicts"]),
         Table(header, rows, EVIDENCE_NOTE),
-        _image(
-            files,
+        Image(
+            files.svg,
             "Bars: by how much the log evidence of each model is below the best",
             "Nats below the best model; the scale is logarithmic above one.",
         ),
@@ -324,10 +140,10 @@ def _paths(folder: RunFolder, data: Trajectories, arrays) -> Image:
     )
     caption = "Observed positions and rollouts of the fitted model."
     if with_loss:
-        loss_curve(*_loss_history(folder, "model"), ax=axes[1])
+        loss_curve(*loss_history(folder, "model"), ax=axes[1])
         caption += " Right: training loss."
     files = save_figure(figure, folder.path / "figures", "fit")
-    return _image(files, "Observed trajectories and rollouts of the model", caption)
+    return Image(files.svg, "Observed trajectories and rollouts of the model", caption)
 
 
 def _learned_force(folder, data, arrays, metrics) -> list[Paragraph | Image | Table]:
@@ -342,8 +158,8 @@ def _learned_force(folder, data, arrays, metrics) -> list[Paragraph | Image | Ta
     )
     files = save_figure(figure, folder.path / "figures", "force")
     content: list[Paragraph | Image | Table] = [
-        _image(
-            files,
+        Image(
+            files.svg,
             "Maps of the learned force and of how well it is known",
             "The force of the environment on a swimmer at rest. Hatched: farther than "
             "1 from any sample, an extrapolation.",
@@ -393,7 +209,3 @@ def _provenance(folder: RunFolder) -> list[Section]:
         Section("Configuration", [Code(config)]),
         Section("Versions", [Table(("what", "version"), list(environment.items()))]),
     ]
-
-
-def _image(files: FigureFiles, alt: str, caption: str) -> Image:
-    return Image(files.svg, alt, caption)

@@ -26,13 +26,20 @@ from pinav.evaluation import (
     square,
     summarise,
 )
-from pinav.fitting import BayesOutcome, FitOutcome, KernelGrid, fit, fit_bayes
+from pinav.fitting import BayesOutcome, FitOutcome, fit, fit_bayes
 from pinav.forces import ZeroForce
+from pinav.jobs.force_inference import infer_force
 from pinav.jobs.held_out import held_out
 from pinav.jobs.matching import matching
-from pinav.jobs.models import KnownSwimmer, data_summary, fit_model, fit_trainable
-from pinav.jobs.settings import FitSettings, ModelName
-from pinav.jobs.study_settings import StudySettings
+from pinav.jobs.models import (
+    KnownSwimmer,
+    data_summary,
+    fit_model,
+    fit_trainable,
+    model_summary,
+)
+from pinav.jobs.settings import FitSettings
+from pinav.jobs.study_settings import StudyModel, StudySettings
 from pinav.jobs.subjects import as_cell
 from pinav.runs import RunFolder
 from pinav.scenarios import Scenario, scenario
@@ -67,7 +74,7 @@ class Cell(eqx.Module):
         sigma: standard deviation of the observations.
     """
 
-    model: ModelName
+    model: StudyModel
     seed: int
     count: int
     sigma: float
@@ -188,20 +195,18 @@ def _row(
     row |= {"model": cell.model, "seed": cell.seed}
     row |= {"trajectories": cell.count, "sigma": cell.sigma}
     try:
-        model, row["outcome"] = fitted(
-            _fit_settings(cell, settings), known.swimmer, data
-        )
+        model, row["outcome"] = _fitted(cell, settings, known, data)
     except FitError as error:
         return row | {"outcome": f"failed: {error}"}
     return row | scores(model, known, clean, held)
 
 
-def _fit_settings(cell: Cell, settings: StudySettings) -> FitSettings:
-    return FitSettings(
-        model=cell.model,
-        seed=cell.seed,
-        max_steps=settings.max_steps,
-    )
+def _fitted(cell: Cell, settings: StudySettings, known: Scenario, data: Trajectories):
+    if cell.model == "sfi":
+        found = infer_force(known.swimmer, data, cell.sigma)
+        return found, "functions selected by PASTIS"
+    own = FitSettings(model=cell.model, seed=cell.seed, max_steps=settings.max_steps)
+    return fitted(own, known.swimmer, data)
 
 
 def fitted(
@@ -218,7 +223,7 @@ def fitted(
         alone = eqx.tree_at(lambda m: m.environment, known, ZeroForce())
         return alone, "nothing to fit"
     if settings.method == "bayes":
-        start = fit_model(settings, known, data_summary(data, KernelGrid()))
+        start = fit_model(settings, known, model_summary(settings.model, data))
         found = fit_bayes(start, data, max_iterations=settings.max_steps, throw=False)
         if found.outcome is BayesOutcome.DIVERGED:
             raise FitError("the fit diverged")

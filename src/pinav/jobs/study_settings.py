@@ -10,7 +10,9 @@ from pinav.jobs.settings import ModelName, RecipeName
 
 StudyName = Literal["data-efficiency", "noise", "paper-weakness"]
 
-MODELS: tuple[ModelName, ...] = (
+StudyModel = ModelName | Literal["sfi"]
+
+MODELS: tuple[StudyModel, ...] = (
     "kernel-potential",
     "kernel-force",
     "neural-potential",
@@ -25,8 +27,11 @@ class StudySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Settings of `pinav study`."""
 
     models: Annotated[
-        tuple[ModelName, ...],
-        tyro.conf.arg(help="Models to compare; ude is the paper's network with time."),
+        tuple[StudyModel, ...],
+        tyro.conf.arg(
+            help="Models to compare; ude is the paper's network with time, sfi "
+            "StochasticForceInference (pip install 'pinav[bench]')."
+        ),
     ] = MODELS
     seeds: Annotated[
         tuple[int, ...],

@@ -35,6 +35,7 @@ from pinav.jobs.models import (
     build_model,
     data_summary,
     fit_model,
+    fitted_summary,
     residual,
 )
 from pinav.jobs.progress import BayesReporter, FitReporter
@@ -130,7 +131,8 @@ def _fit_kernel(settings: StudySettings, data: Trajectories, folder: RunFolder):
             on_step=report,
         )
     header = {"kind": "fit", "settings": msgspec.to_builtins(own), "physics": "paper"}
-    return header | {"dtype": "float64", "data": summary}, found.model
+    fitted = fitted_summary(summary, found.model.environment)
+    return header | {"dtype": "float64", "data": fitted}, found.model
 
 
 def _scores(name, model: Swimmer, training, held, arrays) -> dict[str, Any]:
