@@ -1,3 +1,5 @@
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,6 +12,7 @@ from pinav.errors import FitError, InputError
 from pinav.fitting import (
     LBFGS,
     AbstractCheckpoint,
+    AbstractPhase,
     Adam,
     BestSoFar,
     FitOutcome,
@@ -113,6 +116,71 @@ def test_fits_in_small_batches_are_the_fits_side_by_side(data):
     batched = fit_many(models, data, (Adam(1e-2, 20),), at_once=2, **options)
     for one, other in zip(together, batched, strict=True):
         np.testing.assert_allclose(other.losses, one.losses, rtol=1e-10)
+
+
+class Halving(AbstractPhase):
+    """Halves all parameters until they are small; says each time that it did."""
+
+    heard: Callable[[], None] = eqx.field(static=True)
+    side_by_side: bool = eqx.field(static=True, default=False)
+    name: str = eqx.field(static=True, default="halving")
+    num_steps: int = eqx.field(static=True, default=30)
+    chunk_steps: int = eqx.field(static=True, default=10)
+
+    def init(self, loss, params, value):
+        return jnp.zeros((), bool)
+
+    def step(self, loss, params, state):
+        def halved():
+            jax.debug.callback(self.heard)
+            return jax.tree.map(lambda leaf: 0.5 * leaf, params)
+
+        params = jax.lax.cond(state, lambda: params, halved)
+        size = sum(jnp.sum(leaf**2) for leaf in jax.tree.leaves(params))
+        return params, size < 1e-6, jnp.zeros((), size.dtype)
+
+    def finish(self, loss, params, state):
+        return params
+
+    def is_done(self, state):
+        return state
+
+    def outcome(self, state):
+        return jnp.zeros((), int)
+
+
+def halvings(models, data, **options):
+    """How often the fits of several models took a step in all."""
+    heard = []
+    recipe = (Halving(lambda: heard.append(1), **options),)
+    fit_many(models, data, recipe, trainable=environment, objective=OBJECTIVE)
+    jax.effects_barrier()
+    return len(heard)
+
+
+@pytest.mark.skipif(jax.default_backend() != "cpu", reason="about fits on a CPU")
+def test_a_fit_that_is_done_takes_no_steps_while_others_do(data):
+    large = network_swimmer(0)
+    weights = jax.tree.map(
+        lambda leaf: 1e-3 * leaf if eqx.is_array(leaf) else leaf, large.environment
+    )
+    small = eqx.tree_at(lambda m: m.environment, large, weights)
+    few = halvings([small, small], data, side_by_side=False)
+    many = halvings([large, large], data, side_by_side=False)
+    assert 0 < few < many - 10
+    both = halvings([large, small], data, side_by_side=False)
+    assert 2 * both == few + many
+    assert halvings([large, small], data, side_by_side=True) > both
+
+
+def test_gauss_newton_fits_of_many_are_the_single_fits(data):
+    models = [network_swimmer(seed) for seed in range(2)]
+    options = {"trainable": environment, "objective": OBJECTIVE, "dtype": jnp.float64}
+    recipe = curriculum(data, max_steps=4)
+    together = fit_many(models, data, recipe, at_once=2, **options)
+    in_turns = fit_many(models, data, recipe, **options)
+    for one, other in zip(together, in_turns, strict=True):
+        np.testing.assert_allclose(other.losses[-1], one.losses[-1], rtol=1e-3)
 
 
 @pytest.mark.parametrize("at_once", [None, 1])

@@ -6,9 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from pinav.analysis import influence
 from pinav.errors import InputError
 from pinav.fitting import BayesOutcome, fit_bayes, neural_environment
 from pinav.fitting.distil import distilled, lesson
+from pinav.fitting.teaching import Request, function_prior
 from pinav.forces import AbstractForce
 from pinav.learned import (
     NeuralForce,
@@ -18,9 +20,16 @@ from pinav.learned import (
     tanh_network,
 )
 from pinav.scenarios import barrier_crossings
+from pinav.solvers import FixedStep
 from pinav.trajectories import Trajectories, simulate
 
 NOISE = 0.02
+
+
+def damping_of(model):
+    return model.drag.damping
+
+
 KINDS = [NeuralForce, NeuralPotential]
 
 
@@ -85,7 +94,7 @@ def test_the_speed_is_the_unit_of_force_without_inertia(data):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_network_learns_what_it_is_taught(scenario, data, kind):
     barrier = scenario.truth.environment
-    taught = lesson(barrier, data, data.states, dim=2, margin=0.5)
+    taught = lesson(barrier, data, data.states, dim=2, width=0.5)
     samples = data.states[..., :2].reshape(-1, 2)
     np.testing.assert_array_equal(taught.positions[: len(samples)], samples)
     np.testing.assert_allclose(
@@ -106,7 +115,7 @@ def test_a_network_that_sees_the_time_learns_a_force_that_swings(data):
     features = PositionTimeFeatures((5.0, 5.0, 2.5), (3.0, 3.0, 1.5))
     network = tanh_network(3, 2, width=8, depth=1, key=jax.random.key(0))
     force = NeuralForce(spread_weights(network), features)
-    taught = lesson(Swinging(), data, data.states, dim=2, margin=0.5)
+    taught = lesson(Swinging(), data, data.states, dim=2, width=0.5)
     found = distilled(force, taught)
     points = data.states[0, :5, :2]
     for time in (0.0, 2.0, 4.0):
@@ -121,7 +130,7 @@ def fitted(scenario, data):
         scenario.truth,
         (small(NeuralPotential, data), 0.3),
     )
-    return fit_bayes(model, data, learn=lambda m: m.drag.damping)
+    return fit_bayes(model, data, learn=damping_of)
 
 
 def test_a_network_learns_the_force_from_noisy_crossings(fitted, scenario, data):
@@ -152,6 +161,46 @@ def test_networks_drawn_from_the_posterior_spread_about_it(fitted):
     assert np.all(draws.std(axis=0) > 0)
     band = fitted.posterior.rollout_band(fitted.states[0, 0], np.linspace(0.0, 1.0, 11))
     assert np.all(np.isfinite(band.sd))
+
+
+def test_the_bands_of_a_network_are_as_wide_as_its_errors(fitted, scenario, data):
+    """A prior of one variance for all weights makes them five times too wide."""
+    points = data.states[..., :2].reshape(-1, 2)
+    miss = forces(fitted.model.environment, points)
+    miss = miss - forces(scenario.truth.environment, points)
+    z = miss / fitted.posterior.force_sd(points)
+    assert 0.4 < np.sqrt(np.mean(z**2)) < 2.0
+
+
+def test_the_prior_is_made_again_from_what_a_run_keeps(fitted, data):
+    used = fitted.linear.weights
+    request = Request(fitted.model, data, damping_of, None, FixedStep())
+    again = function_prior(request, fitted.states, fitted.hyperparameters)
+    before = used.process.directions  # at the states from which the fit began
+    np.testing.assert_allclose(
+        again.process.directions, before, atol=0.01 * np.abs(before).max()
+    )
+    ratio = np.median(again.misfit / used.misfit)
+    assert 0.2 < ratio < 5.0
+    left_out = influence(
+        fitted.model,
+        data,
+        fitted.states,
+        fitted.hyperparameters,
+        learn=damping_of,
+        constants={"damping": damping_of},
+    )
+    assert np.all(np.isfinite(left_out.removals))
+
+
+def test_a_network_that_sees_the_time_has_independent_weights(scenario, data):
+    features = PositionTimeFeatures((5.0, 5.0, 2.5), (3.0, 3.0, 1.5))
+    network = tanh_network(3, 2, width=6, depth=1, key=jax.random.key(0))
+    force = NeuralForce(spread_weights(network), features)
+    model = eqx.tree_at(lambda m: m.environment, scenario.truth, force)
+    found = fit_bayes(model, data, max_iterations=1, throw=False)
+    assert found.hyperparameters.shape.size == 0
+    assert found.hyperparameters.amplitude > 0
 
 
 def test_channels_must_be_those_of_the_features(scenario, data):

@@ -30,14 +30,12 @@ from pinav.errors import FitError, InputError
 from pinav.fitting import FreeModel, Hyperparameters, freed
 from pinav.fitting.bayes_problem import BayesProblem
 from pinav.fitting.evidence import (
-    Data,
     Quadratic,
     joint_posterior,
-    weight_posterior,
     without_flat,
 )
-from pinav.fitting.inference import GaussianWeights
 from pinav.fitting.lifting import linearise, sensitivities
+from pinav.fitting.teaching import NEURAL, Request, function_prior
 from pinav.learned import AbstractLearnedForce
 from pinav.solvers import FixedStep
 from pinav.trajectories import Trajectories
@@ -155,9 +153,11 @@ def influence(
         )
     with jax.enable_x64(new_val=True):
         solver = FixedStep() if solver is None else solver
-        problem = BayesProblem.of(
-            model, trajectories, learn, None, solver, states=states
-        )
+        request = Request(model, trajectories, learn, None, solver)
+        weights = None
+        if isinstance(model.environment, NEURAL) and len(hyperparameters.shape):
+            weights = function_prior(request, states, hyperparameters)
+        problem = request.problem(model, states=states, weights=weights)
         return _influence(problem, model, hyperparameters, learn, dict(constants or {}))
 
 
@@ -236,10 +236,7 @@ def _covariance(problem: BayesProblem, hessian, chosen: Hyperparameters):
     nothing = np.zeros(len(hessian))
     whole = Quadratic(problem.theta, hessian, nothing, 0.0, problem.num_free, 0.0)
     quadratic, block = without_flat(whole, problem.flat)
-    mean, covariance = np.zeros(0), np.zeros((0, 0))
-    if isinstance(problem.weights, GaussianWeights):
-        prior = problem.weights.prior.covariance(chosen.shape)
-        mean, covariance = weight_posterior(Data.of(quadratic), prior, chosen)
+    mean, covariance = problem.weights.posterior(quadratic, chosen)
     return joint_posterior(block, mean, covariance, chosen.noise)[1]
 
 

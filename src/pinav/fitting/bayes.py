@@ -17,21 +17,14 @@ from jaxtyping import Float, PyTree
 
 from pinav.dynamics import AbstractDynamics
 from pinav.errors import FitError, InputError
-from pinav.fitting.bayes_problem import BayesProblem, Step, num_positions
+from pinav.fitting.bayes_problem import BayesProblem, Step
 from pinav.fitting.descent import Move
-from pinav.fitting.distil import distilled, lesson
 from pinav.fitting.evidence import Hyperparameters
-from pinav.fitting.kernels import kernel_environment
 from pinav.fitting.occam import LinearFit
 from pinav.fitting.posterior import Posterior
 from pinav.fitting.refinement import AS_FINE_AS_ASKED, Refinement
+from pinav.fitting.teaching import NEURAL, Request
 from pinav.forces import AbstractForce
-from pinav.learned import (
-    KernelForce,
-    KernelPotential,
-    NeuralForce,
-    NeuralPotential,
-)
 from pinav.solvers import FixedStep
 from pinav.trajectories import Trajectories
 
@@ -92,8 +85,9 @@ class BayesFit(eqx.Module):
             or became infinite; the rest is then what was reached last. Coarse where
             the kernels blur what the data show, and finer ones would be too many.
         iterations: Gauss-Newton steps taken, on the last kernels.
-        hyperparameters: noise, shape of the prior (`WeightPrior`; empty for networks
-            and parametric forces), amplitude (0 without weights), and the log evidence.
+        hyperparameters: noise, shape of the prior (`WeightPrior`; empty for parametric
+            forces and for networks that see the time), amplitude (0 without weights),
+            and the log evidence.
         posterior: distribution of all learned parameters.
         constants: learned constants by the path of their leaf, as `drag.damping`.
         states: the smoothed states; they fulfil the dynamics when converged.
@@ -124,10 +118,11 @@ def fit_bayes(
 ) -> BayesFit:
     r"""Fit the environment of a swimmer, and constants, to noisy trajectories.
 
-    The weights of a kernel environment have a Gaussian-process prior, those of a
-    network independent ones of one variance; constants, parametric environments and
-    all starts have a flat one. A network is taught by a kernel fit first; its bands
-    are too wide (docs/fitting.md). The rollout is a strong constraint: no process
+    The weights of a kernel environment have a Gaussian-process prior. A network is
+    taught by a kernel fit first, whose process is then the prior of its forces; a
+    network that sees the time has independent weights of one variance instead, and
+    bands that are too wide (docs/fitting.md). Constants, parametric environments and
+    all starts have a flat prior. The rollout is a strong constraint: no process
     noise. The result needs neither velocities nor regular times. A constant force
     along the thrust is hard to tell from a wide slope of the environment: where the
     thrust is learned, its standard deviation says so.
@@ -159,16 +154,9 @@ def fit_bayes(
     _check(model, noise, max_iterations)
     with jax.enable_x64(new_val=True):
         solver = FixedStep() if solver is None else solver
-        begin = partial(
-            BayesProblem.of,
-            trajectories=trajectories,
-            learn=learn,
-            noise=noise,
-            solver=solver,
-        )
-        problem = _begun(model, trajectories, learn, noise, solver)
-        grids = _Grids(begin, refine, trajectories)
-        result = _result(*_refined(problem, grids, max_iterations, on_step))
+        request = Request(model, trajectories, learn, noise, solver)
+        grids = _Grids(request.problem, refine, trajectories)
+        result = _result(*_refined(_begun(request), grids, max_iterations, on_step))
     if throw and result.outcome in _MESSAGES:
         raise FitError(_MESSAGES[result.outcome])
     return result
@@ -186,37 +174,16 @@ _MESSAGES = {
 }
 
 
-KERNELS = {NeuralForce: KernelForce, NeuralPotential: KernelPotential}
-"""The kernels that teach a network of each kind."""
-
-
-def _begun(model, trajectories, learn, noise, solver) -> BayesProblem:
+def _begun(request: Request) -> BayesProblem:
     """The fit at its start: from the model's values, or taught by a kernel fit."""
-    given = BayesProblem.of(model, trajectories, learn, noise, solver)
-    environment = model.environment
-    if not isinstance(environment, NeuralForce | NeuralPotential):
+    given = request.problem(request.model)
+    if not isinstance(request.model.environment, NEURAL):
         return given
-    dim = num_positions(model, trajectories)
-    kernels = kernel_environment(KERNELS[type(environment)], trajectories, dim=dim)
-    replaced = eqx.tree_at(lambda m: m.environment, model, kernels)
-    teaching = BayesProblem.of(replaced, trajectories, learn, noise, solver)
+    teaching = request.by_kernels()
     outcome, steps = _iterate(teaching, TEACHING_STEPS)
     if outcome is BayesOutcome.DIVERGED:
         return given
-    teacher = _result(teaching, outcome, steps)
-    taught = lesson(
-        teacher.model.environment,
-        trajectories,
-        teacher.states,
-        dim=dim,
-        margin=float(kernels.width),
-    )
-    start = eqx.tree_at(
-        lambda m: m.environment, teacher.model, distilled(environment, taught)
-    )
-    return BayesProblem.of(
-        start, trajectories, learn, noise, solver, states=teacher.states
-    )
+    return request.taught(teaching, steps[-1])
 
 
 TEACHING_STEPS = 20

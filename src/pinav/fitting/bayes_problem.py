@@ -15,6 +15,7 @@ from pinav.fitting.descent import (
     FullStep,
     Local,
     Move,
+    ShortenedStep,
 )
 from pinav.fitting.evidence import (
     FlatBlock,
@@ -65,6 +66,7 @@ class Step(eqx.Module):
         block: the other parameters, given the weights.
         covariance: of all parameters.
         move: where the step led.
+        weights: their prior, about the point of linearisation.
     """
 
     defect: float
@@ -73,6 +75,7 @@ class Step(eqx.Module):
     block: FlatBlock
     covariance: Float[np.ndarray, "parameter parameter"]
     move: Move
+    weights: AbstractWeights
 
 
 class BayesProblem(eqx.Module):
@@ -109,7 +112,9 @@ class BayesProblem(eqx.Module):
     solver: FixedStep
 
     @classmethod
-    def of(cls, model, trajectories, learn, noise, solver, states=None):
+    def of(
+        cls, model, trajectories, learn, noise, solver, *, states=None, weights=None
+    ):
         _check_selection(model, learn)
         free, theta = freed(with_dtype(model, jnp.float64), _trainable(learn))
         names, flat = _names(free, theta), ~_is_weight(free, theta)
@@ -122,7 +127,7 @@ class BayesProblem(eqx.Module):
                 f"fit_bayes trajectories: {trajectories.num_observed} observations "
                 "are no more than the starts and constants to be found; add samples"
             )
-        weights, descent, tolerance = _method(model)
+        weights, descent, tolerance = _method(model, weights)
         return cls(
             free=free,
             theta=np.asarray(theta),
@@ -151,7 +156,8 @@ class BayesProblem(eqx.Module):
         if not np.all(np.isfinite(linear.hessian)):
             return None
         quadratic, block = without_flat(self.quadratic(theta, linear), self.flat)
-        found = self.weights.infer(quadratic, shape, self.noise)
+        weights = self.weights.about(theta[~self.flat])
+        found = weights.infer(quadratic, shape, self.noise)
         chosen = found.hyperparameters
         mean, covariance = joint_posterior(
             block, found.mean, found.covariance, chosen.noise
@@ -165,6 +171,7 @@ class BayesProblem(eqx.Module):
             linear=linear,
             precision=self.precision(chosen),
             noise=chosen.noise,
+            energy=lambda theta: weights.energy(theta[~self.flat]),
         )
         return Step(
             defect=float(np.max(np.asarray(linear.defects) / self.scale)),
@@ -173,12 +180,13 @@ class BayesProblem(eqx.Module):
             block=block,
             covariance=covariance,
             move=move.descent(local, mean),
+            weights=weights,
         )
 
     def precision(self, chosen: Hyperparameters):
         """Prior precision of each parameter on its own; zero where it is flat."""
         precision = np.zeros(len(self.flat))
-        precision[~self.flat] = chosen.amplitude**-2 if chosen.amplitude else 0.0
+        precision[~self.flat] = self.weights.ridge(chosen)
         return precision
 
     def quadratic(self, theta, linear: Linearisation) -> Quadratic:
@@ -198,7 +206,7 @@ class BayesProblem(eqx.Module):
         state, total = self.states.shape[2], int(counts.sum())
         return LinearFit(
             quadratic=step.quadratic,
-            weights=self.weights,
+            weights=step.weights,
             noise=self.noise,
             num_observed=total,
             flat_information=float(
@@ -208,7 +216,7 @@ class BayesProblem(eqx.Module):
 
     def with_shape_uncertainty(self, step: Step) -> Posterior:
         """The posterior after a step, that of the prior's shape included."""
-        extra = self.weights.shape_covariance(
+        extra = step.weights.shape_covariance(
             step.quadratic, step.inference.hyperparameters, self.noise
         )
         covariance = step.covariance + step.block.lift(extra)
@@ -224,9 +232,13 @@ def _weights(model) -> tuple:
     return ()
 
 
-def _method(model) -> tuple[AbstractWeights, AbstractDescent, float]:
+def _method(
+    model, weights: AbstractWeights | None
+) -> tuple[AbstractWeights, AbstractDescent, float]:
     """Prior of the weights, steps as curved as they are, and when to stop."""
     environment = model.environment
+    if weights is not None:
+        return weights, ShortenedStep(), NETWORK_TOLERANCE
     if isinstance(environment, KERNELS):
         return GaussianWeights(kernel_prior(environment)), FullStep(), TOLERANCE
     if isinstance(environment, NeuralForce | NeuralPotential):

@@ -15,10 +15,20 @@ from jaxtyping import Array, Float
 from pinav.fitting.gauss_newton import chord, low_rank
 from pinav.fitting.lifting import FreeModel, freed
 from pinav.forces import AbstractForce
+from pinav.learned import kernel_centers
 from pinav.trajectories import Trajectories
 
-STEPS, RANK, CHORD_STEPS, NUM_DAMPINGS, NUM_POINTS = 12, 128, 5, 5, 1600
-"""Gauss-Newton steps, and the size of each; points at most at which is taught."""
+STEPS, RANK, CHORD_STEPS, NUM_DAMPINGS = 16, 256, 5, 5
+"""Gauss-Newton steps, and the size of each."""
+
+DAMPING = 1e3
+"""Of the first step: with less, a third of the networks saturate and teach no more."""
+
+SPACING, MARGIN = 0.7, 4.0
+"""Of the grid on which is taught, in widths."""
+
+NUM_SAMPLES, NUM_POINTS = 400, 1200
+"""Samples, and points of the grid, at most."""
 
 
 class Lesson(eqx.Module):
@@ -41,38 +51,45 @@ def lesson(
     states: Float[np.ndarray, "trajectory time state"],
     *,
     dim: int,
-    margin: float,
+    width: float,
 ) -> Lesson:
-    """The force of `teacher` at the samples, and again at points around them.
+    """The force of `teacher` at the samples, and on a grid around them.
 
     Args:
         teacher: the force.
         trajectories: when it was sampled.
         states: at those times, smoothed.
         dim: how many of the states are positions.
-        margin: standard deviation of the distance around the samples [L].
+        width: over which the force varies [L]; the grid is finer, and reaches
+            `MARGIN` of them beyond the samples.
     """
     real = np.arange(states.shape[1]) < trajectories.lengths[:, None]
-    times, positions = trajectories.times[real], states[real][:, :dim]
-    stride = -(-2 * len(times) // NUM_POINTS)
-    times, positions = times[::stride], positions[::stride]
-    noise = np.random.default_rng(0).normal(scale=margin, size=positions.shape)
-    times = jnp.asarray(np.tile(times, 2))
-    positions = jnp.asarray(np.concatenate([positions, positions + noise]))
-    return Lesson(times, positions, _forces(teacher, times, positions))
+    times, samples = trajectories.times[real], states[real][:, :dim]
+    grid = kernel_centers(samples, spacing=SPACING * width, margin=MARGIN * width)
+    rng = np.random.default_rng(0)
+    if len(grid) > NUM_POINTS:
+        grid = grid[rng.choice(len(grid), NUM_POINTS, replace=False)]
+    stride = -(-len(times) // NUM_SAMPLES)
+    when = np.concatenate([times[::stride], rng.choice(times, len(grid))])
+    where = np.concatenate([samples[::stride], grid])
+    when, where = jnp.asarray(when), jnp.asarray(where)
+    return Lesson(when, where, forces(teacher, when, where))
 
 
 def distilled(network: Any, taught: Lesson) -> Any:
     """The neural force after a regression on what it is taught."""
     free, theta = freed(network, lambda force: force.parameters)
-    damping = jnp.asarray(1.0)
+    damping = jnp.asarray(DAMPING)
     for _ in range(STEPS):
         theta, damping = _step(free, theta, damping, taught)
     return free(theta)
 
 
 @eqx.filter_jit
-def _forces(force: Any, times, positions):
+def forces(
+    force: Any, times: Float[Array, " point"], positions: Float[Array, "point dim"]
+) -> Float[Array, "point dim"]:
+    """Force on a swimmer at rest, at several places and times [L T⁻²]."""
     return jax.vmap(lambda t, x: force(t, x, jnp.zeros_like(x)))(times, positions)
 
 

@@ -185,8 +185,8 @@ class _Whitened(eqx.Module):
 
     @classmethod
     def of(cls, data: Data, prior: Float[np.ndarray, "weight weight"]):
-        root = _root(prior)
-        reached = data.rows @ root
+        columns = root(prior)
+        reached = data.rows @ columns
         if reached.shape[1] < reached.shape[0]:
             basis, square = np.linalg.qr(reached)
             own, singular, _ = np.linalg.svd(square)
@@ -196,14 +196,14 @@ class _Whitened(eqx.Module):
         targets = vectors.T @ data.targets
         missed = data.targets - vectors @ targets
         return cls(
-            columns=root @ (reached.T @ vectors),
+            columns=columns @ (reached.T @ vectors),
             variances=np.maximum(variances, 0.0),
             targets=targets,
             squares=float(missed @ missed),
         )
 
 
-def _root(
+def root(
     matrix: Float[np.ndarray, "weight weight"],
 ) -> Float[np.ndarray, "weight rank"]:
     r"""$C$ with $C C^\top$ the matrix: a long length scale needs few columns."""
@@ -298,7 +298,7 @@ def covariance_pull(
         Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), eq. 5.9.
     """
     ratio = (chosen.noise / chosen.amplitude) ** 2
-    reached = data.rows @ _root(prior)
+    reached = data.rows @ root(prior)
     variances, vectors = np.linalg.eigh(reached @ reached.T)
     rows, targets = vectors.T @ data.rows, vectors.T @ data.targets
     shifted = np.maximum(variances, 0.0) + ratio
@@ -396,7 +396,21 @@ def shape_covariance(
 ) -> Float[np.ndarray, "weight weight"]:
     r"""What the uncertainty of the prior's shape adds to the weights' covariance.
 
-    $M A^{-1} M^\top$ with the curvature $A$ of $-\log Z$ and the slope $M$ of the mean,
+    $M A^{-1} M^\top$: see `shape_changes`.
+    """
+    changes = shape_changes(data, covariance, chosen, noise)
+    return changes @ changes.T
+
+
+def shape_changes(
+    data: Data,
+    covariance: Covariance,
+    chosen: Hyperparameters,
+    noise: float | None = None,
+) -> Float[np.ndarray, "weight shape"]:
+    r"""Changes of the mean by independent standard deviations of the prior's shape.
+
+    $M A^{-1/2}$ with the curvature $A$ of $-\log Z$ and the slope $M$ of the mean,
     both by differences. A normal distribution of standard deviation `SHAPE_SD` holds
     directions of the shape on which the evidence does not depend.
 
@@ -404,7 +418,7 @@ def shape_covariance(
         MacKay, Neural Computation 11, 1035 (1999), section 5.
     """
     if not len(chosen.shape):
-        return np.zeros_like(covariance(chosen.shape))
+        return np.zeros((data.rows.shape[1], 0))
     unit = STEP * np.eye(len(chosen.shape))
 
     def at(offset):
@@ -418,7 +432,7 @@ def shape_covariance(
     values, vectors = np.linalg.eigh(bend)
     spread = vectors / np.sqrt(np.maximum(values, 0.0) + SHAPE_SD**-2)
     slopes = np.stack([(mean(a) - mean(-a)) / (2 * STEP) for a in unit], axis=1)
-    return slopes @ spread @ spread.T @ slopes.T
+    return slopes @ spread
 
 
 def curvature(

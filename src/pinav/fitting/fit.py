@@ -84,8 +84,9 @@ def fit_many(
             `lambda m: (m.environment.network, m.drag.damping)`.
         objective: what is minimised; `TrajectoryLoss()` unless given.
         dtype: precision of the fit; the paper's is float32.
-        at_once: models that are computed side by side; all of them unless given.
-            Fewer need less memory.
+        at_once: models that are computed side by side; fewer need less memory. Unless
+            given, all of them, but on a CPU one after the other where the phase says so
+            (`GaussNewton`): a fit that is done then costs nothing more.
         checkpoint: where the state is kept after each chunk, and found again.
         on_chunk: called after each chunk of steps.
 
@@ -182,6 +183,11 @@ class _FitTask(eqx.Module):
         members = (params, values)
         return _begin_phase(self.problem, self.recipe[phase], members, self.at_once)
 
+    def abreast(self, phase: AbstractPhase) -> int | None:
+        """How many members take a step side by side; None for all of them."""
+        alone = not phase.side_by_side and jax.default_backend() == "cpu"
+        return 1 if self.at_once is None and alone else self.at_once
+
     def advance(self, state, checkpoint, on_chunk) -> FitState:
         """Run one chunk, and begin the next phase where this one is done."""
         phase = self.recipe[state.phase]
@@ -194,7 +200,7 @@ class _FitTask(eqx.Module):
             state.minimiser,
             state.losses,
             jnp.asarray([state.taken, count]),
-            self.at_once,
+            self.abreast(phase),
         )
         starts, taken = state.starts, state.taken + count
         if count == left or bool(done):
@@ -286,9 +292,11 @@ def _for_each(function, problem: Problem, members: tuple, at_once: int | None):
     if at_once is None or at_once >= count:
         axes = (None if shared else 0, *(0 for _ in members))
         return jax.vmap(one, axes)(observations, *members)
+    # In a batch of one, both branches of a condition would still be computed.
+    size = None if at_once == 1 else at_once
     if shared:
-        return jax.lax.map(lambda m: one(observations, *m), members, batch_size=at_once)
-    return jax.lax.map(lambda m: one(*m), (observations, *members), batch_size=at_once)
+        return jax.lax.map(lambda m: one(observations, *m), members, batch_size=size)
+    return jax.lax.map(lambda m: one(*m), (observations, *members), batch_size=size)
 
 
 @eqx.filter_jit

@@ -95,8 +95,21 @@ class GaussNewton(AbstractPhase):
             done=jnp.zeros((), bool),
         )
 
+    @property
+    def side_by_side(self):
+        return False
+
     def step(self, loss, params, state):
         windows = _Windows.of(loss, params, self)
+        value = windows.count * state.full**2
+        return jax.lax.cond(
+            state.done,
+            lambda: (params, state, value),
+            lambda: (*self._moved(windows, params, state), value),
+        )
+
+    def _moved(self, windows: "_Windows", params, state):
+        """Parameters and state after a step that is taken."""
         theta, unravel = ravel_pytree(params)
         starts, residual, surrogate = windows.surrogate(theta)
         left, scale, right = low_rank(windows.jacobian(theta, starts), self.rank)
@@ -115,14 +128,13 @@ class GaussNewton(AbstractPhase):
         best = jnp.argmin(costs)
         cost = residual @ residual
         lower = costs[best] < cost
-        moved = jnp.where(lower & ~state.done, theta + right @ moves[best], theta)
+        moved = jnp.where(lower, theta + right @ moves[best], theta)
         full = windows.full_error(moved)
         slow = jnp.where(costs[best] > 0.81 * cost, state.slow + 1, 0)
-        done = state.done | (full < self.target) | (slow >= self.patience)
+        done = (full < self.target) | (slow >= self.patience)
         damping = jnp.where(lower, dampings[best], 100.0 * state.damping)
         promised = _promised(residual, left, scale, dampings[0]) / cost
-        value = windows.count * state.full**2
-        return unravel(moved), _State(damping, slow, full, promised, done), value
+        return unravel(moved), _State(damping, slow, full, promised, done)
 
     def finish(self, loss, params, state):
         return params

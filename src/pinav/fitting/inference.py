@@ -44,6 +44,24 @@ class AbstractWeights(eqx.Module):
         """Shape of the prior at which a fit begins."""
 
     @abc.abstractmethod
+    def about(self, weights: Float[np.ndarray, " weight"]) -> "AbstractWeights":
+        """The same where it depends on the point of linearisation."""
+
+    @abc.abstractmethod
+    def ridge(self, chosen: Hyperparameters) -> float:
+        """Precision of each weight on its own; zero where `energy` tells more."""
+
+    @abc.abstractmethod
+    def energy(self, weights: Float[np.ndarray, " weight"]) -> float:
+        """Twice the negative logarithm of the prior, less that of the ridge."""
+
+    @abc.abstractmethod
+    def posterior(
+        self, quadratic: Quadratic, chosen: Hyperparameters
+    ) -> tuple[Float[np.ndarray, " weight"], Float[np.ndarray, "weight weight"]]:
+        """Mean and covariance of the weights for these hyperparameters."""
+
+    @abc.abstractmethod
     def infer(
         self,
         quadratic: Quadratic,
@@ -72,6 +90,19 @@ class GaussianWeights(AbstractWeights):
     def start(self):
         return self.prior.start
 
+    def about(self, weights):
+        return self
+
+    def ridge(self, chosen):
+        return chosen.amplitude**-2
+
+    def energy(self, weights):
+        return 0.0
+
+    def posterior(self, quadratic, chosen):
+        prior = self.prior.covariance(chosen.shape)
+        return weight_posterior(Data.of(quadratic), prior, chosen)
+
     def infer(self, quadratic, shape, noise):
         data, covariance = Data.of(quadratic), self.prior.covariance
         chosen = best_hyperparameters(
@@ -96,6 +127,18 @@ class NoWeights(AbstractWeights):
     @property
     def start(self):
         return np.zeros(0)
+
+    def about(self, weights):
+        return self
+
+    def ridge(self, chosen):
+        return 0.0
+
+    def energy(self, weights):
+        return 0.0
+
+    def posterior(self, quadratic, chosen):
+        return np.zeros(0), np.zeros((0, 0))
 
     def infer(self, quadratic, shape, noise):
         squares = max(quadratic.squares, np.finfo(float).tiny)

@@ -59,6 +59,15 @@ class AbstractPhase(eqx.Module):
     def chunk_steps(self) -> int:
         """Steps between two checkpoints: about a second of work."""
 
+    @property
+    @abc.abstractmethod
+    def side_by_side(self) -> bool:
+        """Whether a CPU is quicker with many fits side by side than one by one.
+
+        Many small steps are; large ones are not, and a fit that is done then costs as
+        much as one that is not.
+        """
+
 
 class Adam(AbstractPhase):
     """Adam at a constant learning rate.
@@ -109,6 +118,10 @@ class Adam(AbstractPhase):
     @property
     def chunk_steps(self):
         return 250
+
+    @property
+    def side_by_side(self):
+        return True
 
 
 class LBFGS(AbstractPhase):
@@ -178,6 +191,10 @@ class LBFGS(AbstractPhase):
     def chunk_steps(self):
         return 25
 
+    @property
+    def side_by_side(self):
+        return True
+
 
 class BestSoFar(AbstractPhase):
     """Hands on the best parameters that another phase visited, not its last ones.
@@ -221,6 +238,10 @@ class BestSoFar(AbstractPhase):
     @property
     def chunk_steps(self):
         return self.phase.chunk_steps
+
+    @property
+    def side_by_side(self):
+        return self.phase.side_by_side
 
 
 def _weak_wolfe_search(value_and_grad, start, direction, max_evaluations):

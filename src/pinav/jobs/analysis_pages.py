@@ -36,8 +36,8 @@ def analysis_sections(folder: RunFolder) -> list[Section]:
     found = folder.read_json(ANALYSIS_FILE)
     arrays = folder.read_arrays(ARRAYS_FILE)
     data = load(folder.path / "data.npz")
-    grid = (arrays[name] for name in ("x", "y", "force", "distance"))
-    field = FieldMap(*grid, default_regions(data))
+    x, y, force, distance = (arrays[n] for n in ("x", "y", "force", "distance"))
+    field = FieldMap(x, y, force, distance, default_regions(data))
     pages = _Pages(folder, found, arrays, data, field)
     sections = [Section("What was learned", pages.learned())]
     if "influence" in arrays:
