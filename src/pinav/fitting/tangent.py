@@ -263,4 +263,5 @@ def _neighbours(positions):
     from scipy.spatial import KDTree
 
     count = min(NEIGHBOURS, len(positions))
-    return KDTree(positions).query(positions, k=list(range(1, count + 1)))[1]
+    indices = KDTree(positions).query(positions, k=count)[1]
+    return np.reshape(indices, (len(positions), count))
