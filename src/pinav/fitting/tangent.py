@@ -263,5 +263,5 @@ def _neighbours(positions):
     from scipy.spatial import KDTree
 
     count = min(NEIGHBOURS, len(positions))
-    found = np.asarray(KDTree(positions).query(positions, k=count)[1])
-    return found.reshape(len(positions), count)
+    indices = KDTree(positions).query(positions, k=count)[1]
+    return np.reshape(indices, (len(positions), count))
