@@ -27,7 +27,7 @@ class RollingPropulsion(AbstractForce):
         Sokolich et al., arXiv:2406.02722, eq. (1), with scalar gain and no delay.
     """
 
-    gain: Float[Array, "2 2"]
+    gain: Float[Array, "_ _"]
     response: AbstractResponse
     programme: AbstractProgramme
     delay: Scalar = 0.0

@@ -7,7 +7,7 @@ import numpy as np
 
 from pinav.errors import FitError, InputError
 from pinav.fitting import Estimate
-from pinav.jobs.recording_settings import RecordingSettings
+from pinav.jobs.ladder_settings import LadderSettings
 from pinav.ladder import (
     Climb,
     Rollouts,
@@ -38,7 +38,7 @@ FIGURES = 9
 
 
 def fit_recording(
-    settings: RecordingSettings,
+    settings: LadderSettings,
     recording: Trajectories,
     folder: RunFolder,
     *,

@@ -7,7 +7,7 @@ import numpy as np
 from pinav.jobs.ladder import label
 from pinav.ladder.forecast import HORIZONS
 from pinav.report import Image, Paragraph, Section, Table, save_figure
-from pinav.report.recordings import horizon_errors, rollout_paths, speed_law
+from pinav.report.ladder import horizon_errors, rollout_paths, speed_law
 from pinav.report.style import new_figure
 from pinav.runs import RunFolder
 

@@ -8,6 +8,8 @@ from pinav.ladder.climb import Climb as Climb
 from pinav.ladder.climb import Row as Row
 from pinav.ladder.climb import climb as climb
 from pinav.ladder.climb import split as split
+from pinav.ladder.drift import DriftOverTime as DriftOverTime
+from pinav.ladder.drift import drift_over_time as drift_over_time
 from pinav.ladder.fit import TrackFit as TrackFit
 from pinav.ladder.fit import fit_track as fit_track
 from pinav.ladder.forecast import Coverage as Coverage

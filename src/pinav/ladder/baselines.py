@@ -174,6 +174,18 @@ def gaussian_process(
     return Baseline("Gaussian-process disturbance", velocity, seconds)
 
 
+def stochastic_force_inference(track: Track) -> Baseline:
+    """Always refused, with the reason: the method has no place for commands.
+
+    Raises:
+        InputError: always.
+    """
+    del track
+    raise InputError(
+        "it infers forces that depend on the position and has no command inputs"
+    )
+
+
 NETWORK_STEPS, LEARNING_RATE = 1000, 1e-2
 """Of Adam, for the black box."""
 

@@ -16,6 +16,7 @@ from pinav.ladder.baselines import (
     black_box,
     gaussian_process,
     least_squares,
+    stochastic_force_inference,
 )
 from pinav.ladder.fit import TrackFit, fit_track
 from pinav.ladder.forecast import (
@@ -297,5 +298,6 @@ BASELINES: dict[str, Callable[[Track], Baseline]] = {
     "least squares": least_squares,
     "Gaussian-process disturbance": gaussian_process,
     "neural ODE": black_box,
+    "StochasticForceInference": stochastic_force_inference,
 }
 """Baselines by name."""

@@ -123,24 +123,27 @@ class Innovations(eqx.Module):
 def innovations(
     columns: Float[Array, "block column"],
     present: Float[Array, " block"],
+    begins: Float[Array, " block"],
     transition: Transition,
     noise: Float[Array, ""],
 ) -> Innovations:
-    """Filter the columns of one segment; the first block only sets the start.
+    """Filter the columns of segments; the first block of each only sets its start.
 
     Args:
         columns: observed positions and regressors at each block.
         present: 1 for a block, 0 for padding, which comes last.
+        begins: 1 for the first block of a segment.
         transition: from each block to the next.
         noise: standard deviation of an observed position.
     """
     unit = jnp.zeros_like(columns[0])
     mean = jnp.stack([columns[0], unit, unit])
     covariance = jnp.diag(jnp.stack([noise**2, jnp.ones(()), jnp.ones(())]))
+    start = covariance
 
     def step(state, inputs):
         mean, covariance = state
-        matrix, added, row, here = inputs
+        matrix, added, row, here, new = inputs
         mean = matrix @ mean
         covariance = matrix @ covariance @ matrix.T + added
         variance = covariance[0, 0] + noise**2
@@ -149,9 +152,12 @@ def innovations(
         mean = mean + gain[:, None] * innovation[None]
         covariance = covariance - jnp.outer(gain, gain) * variance
         whitened = here * innovation / jnp.sqrt(variance)
+        mean = jnp.where(new > 0, jnp.stack([row, unit, unit]), mean)
+        covariance = jnp.where(new > 0, start, covariance)
         return (mean, covariance), (whitened, here * jnp.log(variance))
 
-    rows = transition.matrix, transition.noise, columns[1:], present[1:]
+    here = present[1:] * (1 - begins[1:])
+    rows = transition.matrix, transition.noise, columns[1:], here, begins[1:]
     _, (whitened, log_variance) = jax.lax.scan(step, (mean, covariance), rows)
     return Innovations(whitened, log_variance)
 
@@ -161,8 +167,8 @@ def smoothed_velocity(
     strength: Float[Array, " block"],
     transition: Transition,
     disturbance: Disturbance,
-) -> tuple[Float[Array, "block 2"], Float[Array, " block"]]:
-    """Velocity of both processes together at each block.
+) -> tuple[Float[Array, "block 2"], Float[Array, "block 2"], Float[Array, " block"]]:
+    """Velocity of both processes at each block.
 
     Args:
         positions: what the regressors leave [L].
@@ -171,7 +177,8 @@ def smoothed_velocity(
         disturbance: slow velocity and noise.
 
     Returns:
-        The mean velocity [L T⁻¹], and its standard deviation along either axis.
+        Mean velocity [L T⁻¹] of both processes together, that of the slow one alone,
+        and the standard deviation of both together along either axis.
 
     References:
         Rauch, Tung and Striebel, AIAA J. 3, 1445 (1965).
@@ -193,9 +200,10 @@ def smoothed_velocity(
     spreads = jnp.concatenate([spreads, last[1][None]])
     slow = jnp.broadcast_to(disturbance.slow, strength.shape)
     weights = jnp.stack([jnp.zeros_like(strength), strength, slow], axis=1)
-    velocity = jnp.einsum("bs,bsa->ba", weights, means)
+    both = jnp.einsum("bs,bsa->ba", weights, means)
+    alone = slow[:, None] * means[:, 2]
     variance = jnp.einsum("bs,bst,bt->b", weights, spreads, weights)
-    return velocity, jnp.sqrt(variance)
+    return both, alone, jnp.sqrt(variance)
 
 
 def _filtered(positions, transition, noise):

@@ -257,7 +257,7 @@ def _estimates(fit: TrackFit) -> dict[str, Estimate]:
         if fit.rung.gains:
             gain = jnp.einsum("g,gab->ab", unknown[count : count + 4], matrices)
             found["gain"] = mean_gain(gain)
-            found["gain x/y"] = gain[0, 0] / gain[1, 1]
+            found["gain x/y"] = jnp.linalg.norm(gain[0]) / jnp.linalg.norm(gain[1])
             found["heading offset"] = heading_offset(gain)
         if fit.rung.drifts:
             drift = unknown[count + 4 :] @ velocities

@@ -144,48 +144,48 @@ def disturbance_of(theta: Float[Array, " parameter"]) -> Disturbance:
     return Disturbance(*values)
 
 
-def displacements(theta, design: Design) -> Float[Array, "segment sample 2"]:
+def displacements(theta, design: Design) -> Float[Array, "sample 2"]:
     """Integral of the response along the heading, delayed and lagged [cycles]."""
     response = SwitchedResponse(design.response, theta[0], theta[1])
     delay, lag = theta[2], jnp.exp(theta[3])
 
-    def of(times, frequency, heading):
-        programme = HeldProgramme(times, frequency, heading)
-        return programme.lagged_integral(response, times - delay, lag)
+    def lagged(programme, ts):
+        return programme.lagged_integral(response, ts, lag)
+
+    def prompt(programme, ts):
+        return programme.integral(response, ts)
 
     blocks = design.blocks
-    return jax.vmap(of)(blocks.times, blocks.frequency, blocks.heading)
+    programme = HeldProgramme(blocks.times, blocks.frequency, blocks.heading)
+    ts = blocks.times - delay
+    return jax.lax.cond(lag > 2e-4, lagged, prompt, programme, ts)
 
 
 def block_means(values, blocks: Blocks):
     """Means over the samples of each block; zero in padding."""
-
-    def of(values, block, real, counts):
-        total = jnp.zeros((counts.shape[0], values.shape[1]))
-        total = total.at[block].add(values * real[:, None])
-        return total / jnp.maximum(counts, 1.0)[:, None]
-
-    return jax.vmap(of)(values, blocks.block, blocks.real, blocks.counts)
+    total = jnp.zeros((blocks.counts.shape[0], values.shape[1]))
+    total = total.at[blocks.block].add(values * blocks.real[:, None])
+    return total / jnp.maximum(blocks.counts, 1.0)[:, None]
 
 
 def whitened(theta: Float[Array, " parameter"], design: Design) -> Whitened:
     """Filter observations and regressors of a rung."""
     blocks = design.blocks
     along = displacements(theta, design)
-    rest = jnp.stack([blocks.times - blocks.times[0, 0], blocks.frequency], axis=-1)
+    rest = jnp.stack([blocks.times - blocks.times[0], blocks.frequency], axis=-1)
     columns = block_means(
         jnp.concatenate([blocks.positions, along, rest], axis=-1), blocks
     )
     filtered = filtered_columns(theta, columns[..., :5], columns[..., 5], blocks)
     x, y, along_x, along_y, time = jnp.moveaxis(filtered.columns, -1, 0)
-    along = jnp.stack([along_x.ravel(), along_y.ravel()])
+    along = jnp.stack([along_x, along_y])
     gains = jnp.einsum("gab,br->gar", design.gains, along)
-    drifts = design.drifts[:, :, None] * time.ravel()[None, None]
+    drifts = design.drifts[:, :, None] * time[None, None]
     return Whitened(
         rows=jnp.concatenate([gains, drifts]).reshape(6, -1).T,
-        target=jnp.concatenate([x.ravel(), y.ravel()]),
+        target=jnp.concatenate([x, y]),
         log_variance=jnp.sum(filtered.log_variance),
-        count=jnp.sum(blocks.counts[:, 1:] > 0).astype(x.dtype),
+        count=jnp.sum(_steps(blocks)),
     )
 
 
@@ -193,14 +193,16 @@ def filtered_columns(theta, columns, frequency, blocks: Blocks):
     """Innovations of columns given at each block; the fifth column is the time."""
     disturbance = disturbance_of(theta)
     present = (blocks.counts > 0).astype(columns.dtype)
+    steps = jnp.where(_steps(blocks) > 0, jnp.diff(columns[:, 4]), 1.0)
+    strength = disturbance.strength(rolling_about(frequency))
+    transition = transitions(steps, strength, disturbance)
+    return innovations(columns, present, blocks.begins, transition, disturbance.noise)
 
-    def of(columns, frequency, present, times):
-        steps = jnp.where(present[1:] > 0, jnp.diff(times), 1.0)
-        strength = disturbance.strength(rolling_about(frequency))
-        transition = transitions(steps, strength, disturbance)
-        return innovations(columns, present, transition, disturbance.noise)
 
-    return jax.vmap(of)(columns, frequency, present, columns[..., 4])
+def _steps(blocks: Blocks) -> Float[Array, " step"]:
+    """1 for each step within a segment."""
+    present = (blocks.counts[1:] > 0).astype(blocks.counts.dtype)
+    return present * (1 - blocks.begins[1:])
 
 
 def rolling_about(frequency: Float[Array, " block"]) -> Float[Array, " step"]:

@@ -183,29 +183,28 @@ def _displacement(free, point, blocks: Blocks, theta):
     def along(point, positions, times):
         velocity = jax.vmap(path, (None, 0))(point, positions)
         middle = (velocity[1:] + velocity[:-1]) / 2
-        steps = middle * jnp.diff(times)[:, None]
+        steps = middle * jnp.diff(times)[:, None]  # leaps between segments are reset
         return jnp.concatenate([jnp.zeros((1, 2)), jnp.cumsum(steps, axis=0)])
 
     def both(point):
-        moved = jax.vmap(along, (None, 0, 0))(point, blocks.positions, blocks.times)
-        return block_means(moved, blocks)
+        return block_means(along(point, blocks.positions, blocks.times), blocks)
 
     values = both(point)
     slopes = jax.jacfwd(both)(point)
     rest = jnp.stack([blocks.times, blocks.frequency], axis=-1)
     rest = block_means(rest, blocks)
     columns = jnp.concatenate([values[..., None], slopes], axis=-1)
-    whitened = [_filtered_axis(theta, columns[:, :, a], rest, blocks) for a in (0, 1)]
-    rows = jnp.concatenate([w.reshape(-1, w.shape[-1]) for w in whitened])
+    whitened = [_filtered_axis(theta, columns[:, a], rest, blocks) for a in (0, 1)]
+    rows = jnp.concatenate(whitened)
     return rows[:, 0], rows[:, 1:]
 
 
-def _filtered_axis(theta, columns, rest, blocks) -> Float[Array, "segment step column"]:
+def _filtered_axis(theta, columns, rest, blocks) -> Float[Array, "step column"]:
     """The columns of one axis through the filter, which wants the time as the fifth."""
     padded = jnp.concatenate(
-        [jnp.zeros((*columns.shape[:2], 4)), rest[..., :1], columns], axis=-1
+        [jnp.zeros((columns.shape[0], 4)), rest[:, :1], columns], axis=-1
     )
-    return filtered_columns(theta, padded, rest[..., 1], blocks).columns[..., 5:]
+    return filtered_columns(theta, padded, rest[:, 1], blocks).columns[:, 5:]
 
 
 def residual_errors(track: Track, rollouts: Rollouts, fit: ResidualFit) -> Errors:

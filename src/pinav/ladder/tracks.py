@@ -31,11 +31,14 @@ class Track(eqx.Module):
         name: run and particle.
         pieces: the segments, without padding.
         width: length of a block [s].
+        sizes: samples and blocks to pad to; parts of a track keep them, so that a
+            likelihood is compiled once.
     """
 
     name: str = eqx.field(static=True)
     pieces: tuple[Trajectory, ...]
     width: float = eqx.field(static=True)
+    sizes: tuple[int, int] = eqx.field(static=True)
 
     @property
     def commanded(self) -> bool:
@@ -94,7 +97,12 @@ LEAST_SAMPLES = 8
 
 def _track(name: str, pieces: Sequence[Trajectory]) -> Track:
     duration = float(sum(piece.times[-1] - piece.times[0] for piece in pieces))
-    return Track(name, tuple(pieces), min(BLOCK, duration / BLOCKS_AT_LEAST))
+    width = min(BLOCK, duration / BLOCKS_AT_LEAST)
+    blocks = sum(int(_block_indices(piece.times, width)[-1]) + 1 for piece in pieces)
+    samples = sum(len(piece.times) for piece in pieces)
+    ordered = sorted(pieces, key=lambda piece: piece.times[0])
+    sizes = _rounded(samples, 512), _rounded(blocks, 64)
+    return Track(name, tuple(ordered), width, sizes)
 
 
 def _observed(piece: Trajectory) -> Trajectory:
@@ -130,11 +138,11 @@ def _shortened(track: Track, pieces: Sequence[Trajectory]) -> Track:
             f"track {track.name}: expected {LEAST_SAMPLES} samples or more on both "
             "sides of the split, got fewer; move it, or leave the track out"
         )
-    return Track(track.name, long, track.width)
+    return Track(track.name, long, track.width, track.sizes)
 
 
 class Blocks(eqx.Module):
-    """A track as padded arrays, for one compiled likelihood.
+    """A track as padded arrays, one segment after the other.
 
     Attributes:
         times: of each sample [s]; padding goes on increasing.
@@ -144,44 +152,50 @@ class Blocks(eqx.Module):
         real: which samples are no padding.
         block: to which block each sample belongs.
         counts: samples in each block; 0 in padding.
+        begins: 1 where a segment begins with the block.
     """
 
-    times: Float[np.ndarray, "segment sample"]
-    positions: Float[np.ndarray, "segment sample 2"]
-    frequency: Float[np.ndarray, "segment sample"]
-    heading: Float[np.ndarray, "segment sample"]
-    real: Bool[np.ndarray, "segment sample"]
-    block: Int[np.ndarray, "segment sample"]
-    counts: Float[np.ndarray, "segment block"]
+    times: Float[np.ndarray, " sample"]
+    positions: Float[np.ndarray, "sample 2"]
+    frequency: Float[np.ndarray, " sample"]
+    heading: Float[np.ndarray, " sample"]
+    real: Bool[np.ndarray, " sample"]
+    block: Int[np.ndarray, " sample"]
+    counts: Float[np.ndarray, " block"]
+    begins: Float[np.ndarray, " block"]
 
     @classmethod
     def of(cls, track: Track) -> "Blocks":
         """The blocks of a track; sizes are rounded up, to compile seldom."""
         own = [_block_indices(piece.times, track.width) for piece in track.pieces]
-        samples = _rounded(max(len(piece.times) for piece in track.pieces), 512)
-        blocks = _rounded(max(int(index[-1]) + 1 for index in own), 64)
-        shape = _rounded(len(track.pieces), 1), samples
-        arrays = {
-            "times": np.tile(np.arange(samples, dtype=float), (shape[0], 1)),
-            "positions": np.zeros((*shape, 2)),
-            "frequency": np.zeros(shape),
-            "heading": np.zeros(shape),
-            "real": np.zeros(shape, bool),
-            "block": np.zeros(shape, np.int64),
-        }
-        counts = np.zeros((shape[0], blocks))
-        for row, (piece, index) in enumerate(zip(track.pieces, own, strict=True)):
-            length = len(piece.times)
-            arrays["times"][row] = piece.times[-1] + 1.0 + arrays["times"][row]
-            arrays["times"][row, :length] = piece.times
-            arrays["positions"][row, :length] = piece.states
-            for name in ("frequency", "heading"):
-                if name in piece.commands:
-                    arrays[name][row, :length] = piece.commands[name]
-            arrays["real"][row, :length] = True
-            arrays["block"][row, :length] = index
-            counts[row, : index[-1] + 1] = np.bincount(index)
-        return cls(**arrays, counts=counts)
+        samples, blocks = track.sizes
+        first = np.cumsum([0, *(int(index[-1]) + 1 for index in own)])
+        index = np.concatenate([i + f for i, f in zip(own, first[:-1], strict=True)])
+        length = len(index)
+        begins, counts = np.zeros((2, blocks))
+        begins[first[:-1]] = 1.0
+        counts[: first[-1]] = np.bincount(index)
+
+        def padded(name: str) -> np.ndarray:
+            values = [
+                piece.commands.get(name, np.zeros_like(piece.times))
+                for piece in track.pieces
+            ]
+            return np.pad(np.concatenate(values), (0, samples - length))
+
+        times = np.concatenate([piece.times for piece in track.pieces])
+        later = times.max() + 1.0 + np.arange(samples - length)
+        states = np.concatenate([piece.states for piece in track.pieces])
+        return cls(
+            times=np.concatenate([times, later]),
+            positions=np.pad(states, ((0, samples - length), (0, 0))),
+            frequency=padded("frequency"),
+            heading=padded("heading"),
+            real=np.arange(samples) < length,
+            block=np.pad(index, (0, samples - length)),
+            counts=counts,
+            begins=begins,
+        )
 
 
 def _block_indices(times: np.ndarray, width: float) -> np.ndarray:
@@ -191,8 +205,8 @@ def _block_indices(times: np.ndarray, width: float) -> np.ndarray:
 
 
 def _rounded(count: int, least: int) -> int:
-    """The next size: every one is four times the one before it."""
+    """The next size: four times the one before it, and twice where that is large."""
     size = least
     while size < count:
-        size *= 4
+        size *= 4 if size < 8 * least else 2
     return size

@@ -22,10 +22,13 @@ from pinav.ladder.tracks import Track
 NORMAL_95 = 1.96
 """Half width of an interval of 95 % in standard deviations."""
 
+TURNING_WINDOW = 2.0
+"""Turning rates are taken over this time [s]."""
+
 CONSTANT_TURNING = 0.1
 """Relative spread of the turning rate below which it counts as constant."""
 
-ALIGNED = math.radians(15.0)
+ALIGNED = math.radians(30.0)
 """Heading offsets up to this are taken for zero where a delay is sought."""
 
 
@@ -42,9 +45,13 @@ def turning_rate(track: Track) -> tuple[float, float]:
     """
     rates = []
     for piece in track.pieces:
-        turned = np.diff(np.unwrap(piece.commands["heading"]))
-        rate = turned / np.diff(piece.times)
-        rates.append(rate[piece.commands["frequency"][:-1] > 0])
+        turned = np.unwrap(piece.commands["heading"])
+        later = np.searchsorted(piece.times, piece.times + TURNING_WINDOW)
+        index = np.flatnonzero(later < len(turned))
+        index = index[piece.commands["frequency"][index] > 0]
+        later = later[index]
+        interval = piece.times[later] - piece.times[index]
+        rates.append((turned[later] - turned[index]) / interval)
     values = np.concatenate(rates)
     if not len(values):
         return 0.0, math.inf
@@ -121,11 +128,11 @@ def _difference(climb: Climb, name: str) -> float:
 
 
 def _propulsion(climb: Climb) -> str:
-    gain = climb.row(SCALAR.name).log_evidence - climb.row(DRIFT_ONLY.name).log_evidence
+    gain = climb.row(MATRIX.name).log_evidence - climb.row(DRIFT_ONLY.name).log_evidence
     matrix = climb.row(MATRIX.name).log_evidence - climb.row(SCALAR.name).log_evidence
     return (
         f"Propulsion by the command: {_words(gain)}. A gain matrix with drift, over "
-        f"one number: {_words(matrix)}."
+        f"one number and the heading as recorded: {_words(matrix)}."
     )
 
 

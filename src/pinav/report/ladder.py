@@ -65,9 +65,9 @@ def rollout_paths(
                 facecolor=ORANGE,
                 edgecolor="none",
                 alpha=0.35,
-                label="90 % of each coordinate",
             )
         )
+        ax.plot([], [], "o", color=ORANGE, alpha=0.35, label="90 % of each coordinate")
     ax.set_aspect("equal", adjustable="datalim")
     round_ticks(ax)
     label_axes(ax, channel_label("x", units), channel_label("y", units))
