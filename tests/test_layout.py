@@ -36,6 +36,7 @@ ORDER = [
     "report",
     "runs",
     "jobs",
+    "recording_commands",
     "commands",
     "cli",
 ]
