@@ -1,6 +1,7 @@
 """Strict JAX, strict types: set before any test imports pinav."""
 
 import os
+from pathlib import Path
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
@@ -18,6 +19,25 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 jaxtyping.install_import_hook("pinav", "beartype.beartype")
 hypothesis.settings.register_profile("no deadline", deadline=None)
 hypothesis.settings.load_profile("no deadline")  # other work may slow the machine
+
+
+RECORDINGS = Path(
+    os.environ.get("PINAV_RECORDINGS") or Path(__file__).parents[2] / "shared" / "data"
+)
+
+
+@pytest.fixture(scope="session")
+def recording():
+    """The path of a real recording; the test is skipped where it is absent."""
+
+    def path(name):
+        if not (RECORDINGS / name).exists():
+            pytest.skip(
+                f"no {name} in {RECORDINGS}; set PINAV_RECORDINGS to its folder"
+            )
+        return RECORDINGS / name
+
+    return path
 
 
 @pytest.fixture(scope="session")

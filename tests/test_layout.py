@@ -38,6 +38,7 @@ ORDER = [
     "report",
     "runs",
     "jobs",
+    "recording_commands",
     "commands",
     "cli",
 ]
