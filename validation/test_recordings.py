@@ -234,7 +234,6 @@ def test_the_drift_of_a_swimmer_is_the_flow_that_beads_show():
                 )
                 flow.append((ahead - behind) / (2 * window))
         flow = np.mean(flow, axis=0)
-        inner = slice(3, -3)
         correlations.append(_correlation(learned.drift, flow))
         everything = _correlation(learned.velocity, flow)
         constant = np.sqrt(np.mean(np.sum((fit.drift - flow) ** 2, axis=1)))
