@@ -101,7 +101,7 @@ def test_integrals_are_those_of_the_commands(kind):
     values = jax.vmap(command)(fine)
     found = programme.integral(response, ts)
     tolerance = 2e-3 if kind is HeldProgramme else 0.5  # the trapezoidal rule
-    for row, end in zip(found - found[0], ts, strict=True):
+    for row, end in zip(found - found[:1], ts, strict=True):
         own = fine <= end
         expected = jnp.sum(values * own[:, None], axis=0) * (fine[1] - fine[0])
         np.testing.assert_allclose(row, expected, atol=tolerance)
@@ -133,7 +133,7 @@ def test_a_rolling_robot_moves_by_gain_delay_and_drift():
     swimmer = OverdampedSwimmer(propulsion, ZeroForce(), 1.0, UniformFlow(drift))
     run = rollout(swimmer, jnp.zeros(2), TIMES, solver=Adaptive(1e-7, 1e-7))
     cycles = programme.integral(RESPONSES["slipping"], TIMES - 0.3)
-    expected = (cycles - cycles[0]) @ gain.T + TIMES[:, None] * drift[None]
+    expected = (cycles - cycles[:1]) @ gain.T + TIMES[:, None] * drift[None]
     np.testing.assert_allclose(run.ys, expected, atol=1e-4)
 
 

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pinav.recordings import read_recording
 
 from pinav.ladder import (
     Rollouts,
@@ -32,6 +31,7 @@ from pinav.ladder import (
 from pinav.ladder.forecast import errors
 from pinav.ladder.rungs import DRIFT_ONLY, MATRIX, SLOW
 from pinav.ladder.verdict import interval
+from pinav.recordings import read_recording
 from pinav.trajectories import Trajectories
 
 ROOT = Path(__file__).parents[1]

@@ -226,7 +226,8 @@ class HeldProgramme(AbstractProgramme):
 
     def _followed(self, commands, lag):
         """What a follower has reached when each command is given."""
-        place = jnp.arange(commands.shape[0])[:, None] - jnp.arange(1, MEMORY + 1)
+        back = jnp.arange(1, MEMORY + 1)[None]
+        place = jnp.arange(commands.shape[0])[:, None] - back
         known = place >= 0
         place = jnp.maximum(place, 0)
         begun = self.times[place]
@@ -276,8 +277,8 @@ def _interpolated(ts, times, steps, ends):
     """A cumulated integral between its knots, and beyond them at the end rates."""
     total = jnp.concatenate([jnp.zeros_like(steps[:1]), jnp.cumsum(steps, axis=0)])
     inside = jnp.stack([jnp.interp(ts, times, column) for column in total.T], axis=1)
-    before = jnp.minimum(ts - times[0], 0.0)[:, None] * ends[0]
-    after = jnp.maximum(ts - times[-1], 0.0)[:, None] * ends[1]
+    before = jnp.minimum(ts - times[0], 0.0)[:, None] * ends[0][None]
+    after = jnp.maximum(ts - times[-1], 0.0)[:, None] * ends[1][None]
     return inside + before + after
 
 

@@ -6,6 +6,7 @@ differential equation.
 """
 
 import time
+import warnings
 from collections.abc import Callable
 
 import equinox as eqx
@@ -162,7 +163,9 @@ def gaussian_process(
         process = GaussianProcessRegressor(
             kernel=kernel, n_restarts_optimizer=restarts, random_state=0
         )
-        processes.append(process.fit(inputs[kept], disturbance[kept, axis]))
+        with warnings.catch_warnings():  # a hyperparameter at its published bound
+            warnings.simplefilter("ignore")
+            processes.append(process.fit(inputs[kept], disturbance[kept, axis]))
 
     def velocity(piece):
         frequency, heading = commands(piece)

@@ -111,8 +111,7 @@ def fit_track(
     prior = Prior.of(track) if prior is None else prior
     with jax.enable_x64(new_val=True):
         search = _Search(Design.of(rung, Blocks.of(track)), rung, prior)
-        begins = [search.begin()] if start is None else [search.begin(start)]
-        begins += [search.begin(start, delay=0.4)] if "delay" in rung.free else []
+        begins = np.unique([search.begin(start, delay) for delay in STARTS], axis=0)
         found = [search.descend(begin) for begin in begins]
         best = min(found, key=lambda pair: pair[1])
         if not math.isfinite(best[1]):
@@ -121,6 +120,10 @@ def fit_track(
                 "check the times and units of the recording"
             )
         return search.result(*best)
+
+
+STARTS = (0.1, 0.4)
+"""Delays from which a search begins where no simpler rung had one [s]."""
 
 
 class _Search:
@@ -133,7 +136,7 @@ class _Search:
         self.base = np.array([fixed.get(name, 0.0) for name in NAMES])
         self.evaluations = 0
 
-    def begin(self, start: TrackFit | None = None, delay: float = 0.1):
+    def begin(self, start: TrackFit | None, delay: float):
         """Where a search begins: at the prior, or where a simpler rung ended."""
         theta = self.base.copy()
         theta[self.places] = self.prior.mean[self.places]

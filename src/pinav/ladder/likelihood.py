@@ -164,7 +164,7 @@ def displacements(theta, design: Design) -> Float[Array, "sample 2"]:
 def block_means(values, blocks: Blocks):
     """Means over the samples of each block; zero in padding."""
     total = jnp.zeros((blocks.counts.shape[0], values.shape[1]))
-    total = total.at[blocks.block].add(values * blocks.real[:, None])
+    total = total.at[blocks.block].add(jnp.where(blocks.real[:, None], values, 0.0))
     return total / jnp.maximum(blocks.counts, 1.0)[:, None]
 
 
@@ -227,7 +227,7 @@ def negative_log_evidence(
     problem = whitened(theta, design)
     best, _ = problem.coefficients()
     residuals = problem.target - problem.rows @ best
-    present = jnp.sum(jnp.any(problem.rows != 0, axis=0))
+    present = jnp.sum(jnp.any(problem.rows != 0, axis=0).astype(theta.dtype))
     return (
         0.5 * residuals @ residuals
         + problem.log_variance

@@ -17,6 +17,7 @@ from pinav.actuation import (
     AbstractResponse,
     LinearResponse,
     SaturatingResponse,
+    Scalar,
     SlippingResponse,
     StepOutResponse,
 )
@@ -104,7 +105,7 @@ RESPONSES = ("linear", "saturating", "slipping", "step-out")
 
 
 def response_of(
-    name: str, log_corner: float = 0.0, logit_residual: float = 0.0
+    name: str, log_corner: Scalar = 0.0, logit_residual: Scalar = 0.0
 ) -> AbstractResponse:
     """The response of a rung with its parameters."""
     values = jnp.asarray(log_corner), jnp.asarray(logit_residual)

@@ -6,12 +6,14 @@ of each block of time, in which the wobble averages out.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from pinav.errors import InputError
+from pinav.recordings import labels
 from pinav.samples import Trajectory
 from pinav.trajectories import Trajectories
 
@@ -63,7 +65,8 @@ def tracks(recording: Trajectories, *, pooled: bool = False) -> list[Track]:
     Args:
         recording: positions `x`, `y` and, where it was driven, commands `frequency`
             and `heading`; its provenance names run and particle of each trajectory.
-        pooled: all particles of a run as one track, as of bacteria that share physics.
+        pooled: all particles of a run that are of one kind as one track, as of
+            bacteria, which share their physics.
 
     Raises:
         InputError: the channels are not x and y, or nothing is long enough to fit.
@@ -73,12 +76,10 @@ def tracks(recording: Trajectories, *, pooled: bool = False) -> list[Track]:
             f"recording: expected the channels x and y, got "
             f"{', '.join(recording.channels)}"
         )
-    labels = recording.provenance.get("trajectories")
-    labels = labels or [{"run": "run", "particle": i} for i in range(len(recording))]
     groups: dict[str, list[Trajectory]] = {}
-    for label, piece in zip(labels, recording, strict=True):
-        name = str(label["run"])
-        name = name if pooled else f"{name}/{label['particle']}"
+    for label, piece in zip(_labels(recording), recording, strict=True):
+        own = [label["run"], label.get("kind") if pooled else label["particle"]]
+        name = "/".join(str(part) for part in own if part is not None)
         seen = _observed(piece)
         if len(seen.times) >= LEAST_SAMPLES:
             groups.setdefault(name, []).append(seen)
@@ -89,6 +90,13 @@ def tracks(recording: Trajectories, *, pooled: bool = False) -> list[Track]:
             f"{int(recording.lengths.max())} at most; check how tracks are linked"
         )
     return found
+
+
+def _labels(recording: Trajectories) -> list[dict[str, Any]]:
+    """Run and particle of each trajectory; numbers where nothing is known of them."""
+    if "trajectories" in recording.provenance or "concatenated" in recording.provenance:
+        return labels(recording)
+    return [{"run": "run", "particle": index} for index in range(len(recording))]
 
 
 LEAST_SAMPLES = 8
