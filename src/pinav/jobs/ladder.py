@@ -1,6 +1,7 @@
 """`pinav fit RECORDING`: the ladder of models on every track of a recording."""
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,9 @@ from pinav.trajectories import Trajectories
 SHOWN = 10.0
 """Horizon of bands, of figures and of the table in the terminal [s]."""
 
+THREADS = 2
+"""Tracks fitted side by side; JAX computes without Python's lock."""
+
 FIGURES = 9
 """Tracks with figures, the longest ones."""
 
@@ -62,16 +66,24 @@ def fit_recording(
         {track.name for track in longest[: settings.tracks]} if whole_ladder else set()
     )
     drawn = {track.name for track in longest[:FIGURES]}
-    results = {}
-    for index, track in enumerate(found):
-        stored = f"track-{index}.json"
-        if not folder.has(stored):
-            result, arrays = _track(track, settings.share, full=track.name in full)
-            if track.name in drawn and arrays:
+    undone = [i for i in range(len(found)) if not folder.has(_stored(i))]
+
+    def fitted(index: int) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+        track = found[index]
+        return _track(track, settings.share, full=track.name in full)
+
+    with ThreadPoolExecutor(max_workers=THREADS) as pool:
+        for index, (result, arrays) in zip(
+            undone, pool.map(fitted, undone), strict=True
+        ):
+            name = found[index].name
+            if name in drawn and arrays:
                 folder.write_arrays(f"track-{index}.npz", arrays)
-            folder.write_json(stored, result)
-            folder.append_record({"track": track.name, "chosen": result.get("chosen")})
-        results[track.name] = folder.read_json(stored)
+            folder.write_json(_stored(index), result)
+            folder.append_record({"track": name, "chosen": result.get("chosen")})
+    results = {
+        track.name: folder.read_json(_stored(i)) for i, track in enumerate(found)
+    }
     metrics = {
         "units": {name: recording.units[name] for name in ("x", "t")},
         "tracks": results,
@@ -80,6 +92,10 @@ def fit_recording(
     folder.write_table("ladder.csv", *_csv(results))
     folder.write_json("metrics.json", metrics)
     return metrics
+
+
+def _stored(index: int) -> str:
+    return f"track-{index}.json"
 
 
 def _track(

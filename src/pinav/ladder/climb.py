@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.errors import FitError, InputError
-from pinav.fitting import kernel_environment, neural_environment
+from pinav.fitting import KernelGrid, kernel_environment, neural_environment
 from pinav.ladder.baselines import (
     Baseline,
     black_box,
@@ -276,13 +276,17 @@ def _r2(seen: Float[np.ndarray, "n 2"], predicted: Float[np.ndarray, "n 2"]) -> 
     return 1 - float(((seen - predicted) ** 2).sum()) / max(spread, 1e-30)
 
 
+GRID = KernelGrid(across=6, margin=2.0)
+"""Of kernels: coarse, because a residual by position is a question, not a map."""
+
+
 def _kernels(kind: type[KernelForce | KernelPotential]) -> Callable[[Track], Any]:
-    return lambda track: kernel_environment(kind, positions_of(track), dim=2)
+    return lambda track: kernel_environment(kind, positions_of(track), GRID, dim=2)
 
 
 def _network(track: Track) -> NeuralForce:
     return neural_environment(
-        NeuralForce, positions_of(track), key=jax.random.key(0), width=16, dim=2
+        NeuralForce, positions_of(track), key=jax.random.key(0), width=8, dim=2
     )
 
 

@@ -30,7 +30,7 @@ from pinav.ladder.tracks import Blocks, Track
 from pinav.learned import NeuralForce
 from pinav.trajectories import Trajectories
 
-NETWORK_STEPS = 8
+NETWORK_STEPS = 5
 """Gauss-Newton steps of a network; kernels need one."""
 
 
@@ -124,6 +124,11 @@ class _Problem:
     def _projected(self, values):
         return values - self.basis @ (self.basis.T @ values)
 
+    def _values(self, point):
+        """Whitened displacement by the environment."""
+        theta = jnp.asarray(self.base.theta)
+        return np.asarray(_moved(self.free, jnp.asarray(point), self.blocks, theta))
+
     def _columns(self, point):
         """Whitened displacement by the environment, and its derivative."""
         value, slope = _displacement(
@@ -157,7 +162,7 @@ class _Problem:
         precision = 1 / max(chosen.amplitude, 1e-12) ** 2
 
         def cost(place):
-            residuals = self._projected(self._columns(place)[0] - self.target)
+            residuals = self._projected(self._values(place) - self.target)
             return residuals @ residuals + precision * place @ place
 
         here, length = cost(point), 1.0
@@ -167,36 +172,43 @@ class _Problem:
 
     def coefficients(self, point) -> Float[np.ndarray, " coefficient"]:
         """Gain and drift given the environment."""
-        left = self.target - self._columns(point)[0]
+        left = self.target - self._values(point)
         found = np.zeros(len(self.present))
         found[self.present] = np.linalg.lstsq(self.rows, left, rcond=None)[0]
         return found
 
 
 @eqx.filter_jit
+def _moved(free, point, blocks: Blocks, theta):
+    """Integral of the environment's velocity along the path, filtered."""
+    moved = _block_displacement(free, point, blocks)
+    return _filtered_rows(theta, moved[..., None], blocks)[:, 0]
+
+
+@eqx.filter_jit
 def _displacement(free, point, blocks: Blocks, theta):
-    """Integral of the environment's velocity along the path, filtered; by weights."""
-
-    def path(point, x):
-        return free(point)(0.0, x, jnp.zeros_like(x))
-
-    def along(point, positions, times):
-        velocity = jax.vmap(path, (None, 0))(point, positions)
-        middle = (velocity[1:] + velocity[:-1]) / 2
-        steps = middle * jnp.diff(times)[:, None]  # leaps between segments are reset
-        return jnp.concatenate([jnp.zeros((1, 2)), jnp.cumsum(steps, axis=0)])
-
-    def both(point):
-        return block_means(along(point, blocks.positions, blocks.times), blocks)
-
-    values = both(point)
-    slopes = jax.jacfwd(both)(point)
-    rest = jnp.stack([blocks.times, blocks.frequency], axis=-1)
-    rest = block_means(rest, blocks)
+    """The same, and its derivative by the weights."""
+    values = _block_displacement(free, point, blocks)
+    slopes = jax.jacfwd(lambda p: _block_displacement(free, p, blocks))(point)
     columns = jnp.concatenate([values[..., None], slopes], axis=-1)
-    whitened = [_filtered_axis(theta, columns[:, a], rest, blocks) for a in (0, 1)]
-    rows = jnp.concatenate(whitened)
+    rows = _filtered_rows(theta, columns, blocks)
     return rows[:, 0], rows[:, 1:]
+
+
+def _block_displacement(free, point, blocks: Blocks) -> Float[Array, "block 2"]:
+    environment = free(point)
+    velocity = jax.vmap(lambda x: environment(0.0, x, jnp.zeros_like(x)))
+    rates = velocity(blocks.positions)
+    middle = (rates[1:] + rates[:-1]) / 2
+    steps = middle * jnp.diff(blocks.times)[:, None]  # leaps between segments: reset
+    path = jnp.concatenate([jnp.zeros((1, 2)), jnp.cumsum(steps, axis=0)])
+    return block_means(path, blocks)
+
+
+def _filtered_rows(theta, columns, blocks) -> Float[Array, "row column"]:
+    rest = block_means(jnp.stack([blocks.times, blocks.frequency], axis=-1), blocks)
+    whitened = [_filtered_axis(theta, columns[:, a], rest, blocks) for a in (0, 1)]
+    return jnp.concatenate(whitened)
 
 
 def _filtered_axis(theta, columns, rest, blocks) -> Float[Array, "step column"]:
