@@ -30,7 +30,7 @@ from pinav.ladder import (
 )
 from pinav.ladder.forecast import errors
 from pinav.ladder.rungs import DRIFT_ONLY, MATRIX, SLOW
-from pinav.ladder.verdict import interval
+from pinav.ladder.verdict import interval, positive_interval
 from pinav.recordings import read_recording
 from pinav.trajectories import Trajectories
 
@@ -178,7 +178,7 @@ def test_speed_against_frequency():
                 print(
                     f"{groups[0]}, {track.name}: {speed[0] / 9:.2f} ± "
                     f"{1.96 * sd[0] / 9:.2f} um per cycle at 9 Hz, corner "
-                    f"{corner.value:.2f} ({interval(corner)})"
+                    f"{corner.value:.2f} {positive_interval(corner)}"
                 )
     medians = {group: float(np.median([g for g, _ in v])) for group, v in gains.items()}
     print(medians)

@@ -25,7 +25,7 @@ from pinav.ladder import (
 from pinav.ladder.baselines import stochastic_force_inference
 from pinav.ladder.residual import positions_of, residual_errors
 from pinav.ladder.rungs import DRIFT_ONLY, SLOW
-from pinav.ladder.verdict import interval
+from pinav.ladder.verdict import interval, positive_interval
 from pinav.learned import KernelForce
 from pinav.trajectories import Trajectories
 
@@ -115,3 +115,6 @@ def test_stochastic_force_inference_is_refused(recording):
 
 def test_an_interval_has_95_percent():
     assert interval(Estimate(1.0, 0.5)) == pytest.approx((0.02, 1.98))
+    low, high = positive_interval(Estimate(2.0, 1.0))
+    assert low * high == pytest.approx(4.0)
+    assert high == pytest.approx(2 * np.exp(0.98))

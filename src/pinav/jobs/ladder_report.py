@@ -4,7 +4,9 @@ from typing import Any
 
 import numpy as np
 
+from pinav.fitting import Estimate
 from pinav.jobs.ladder import label
+from pinav.ladder import interval, positive_interval
 from pinav.ladder.forecast import HORIZONS
 from pinav.report import Image, Paragraph, Section, Table, save_figure
 from pinav.report.ladder import horizon_errors, rollout_paths, speed_law
@@ -109,16 +111,25 @@ def _track(folder, index, result, units) -> list[Paragraph | Table | Image]:
     ]
 
 
+POSITIVE = (
+    "corner",
+    "lag",
+    "still",
+    "driven",
+    "memory",
+    "noise",
+    "slow",
+    "slow memory",
+)
+"""Quantities whose logarithm was fitted."""
+
+
 def _estimates(result) -> Table:
-    rows = [
-        (
-            name,
-            pair["value"],
-            pair["value"] - 1.96 * pair["sd"],
-            pair["value"] + 1.96 * pair["sd"],
-        )
-        for name, pair in result["estimates"].items()
-    ]
+    rows = []
+    for name, pair in result["estimates"].items():
+        estimate = Estimate(pair["value"], pair["sd"])
+        between = positive_interval if name in POSITIVE else interval
+        rows.append((name, estimate.value, *between(estimate)))
     note = (
         "The chosen rung on the whole track, with intervals of 95 %. Angles in rad, "
         "times in s, frequencies in Hz."

@@ -29,4 +29,6 @@ from pinav.ladder.tracks import Blocks as Blocks
 from pinav.ladder.tracks import Track as Track
 from pinav.ladder.tracks import tracks as tracks
 from pinav.ladder.verdict import delay_findings as delay_findings
+from pinav.ladder.verdict import interval as interval
+from pinav.ladder.verdict import positive_interval as positive_interval
 from pinav.ladder.verdict import sentences as sentences

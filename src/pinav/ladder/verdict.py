@@ -38,6 +38,15 @@ def interval(estimate: Estimate) -> tuple[float, float]:
     return estimate.value - half, estimate.value + half
 
 
+def positive_interval(estimate: Estimate) -> tuple[float, float]:
+    """Interval of 95 % of a number that is positive, such as a corner frequency.
+
+    Its logarithm is what was fitted; the interval is symmetric there.
+    """
+    factor = math.exp(min(NORMAL_95 * estimate.sd / estimate.value, 50.0))
+    return estimate.value / factor, estimate.value * factor
+
+
 def turning_rate(track: Track) -> tuple[float, float]:
     """Median turning rate of the commanded heading [rad/s] and its relative spread.
 
@@ -146,7 +155,9 @@ def _response(climb: Climb, estimates) -> str:
         f"Loss of gain with frequency ({chosen}): {_words(row.log_evidence - linear)}"
     )
     if "corner" in estimates:
-        text += f", corner {_plus_minus(estimates['corner'])} Hz"
+        corner = estimates["corner"]
+        low, high = positive_interval(corner)
+        text += f", corner {corner.value:.3g} Hz ({low:.2g} to {high:.2g})"
     if "residual" in estimates:
         text += f", residual gain {_plus_minus(estimates['residual'])}"
     return text + "."
