@@ -27,6 +27,7 @@ from pinav.jobs.settings import (
     SimulateSettings,
 )
 from pinav.jobs.study_settings import StudyName, StudySettings
+from pinav.recording_commands import InspectOptions, inspect
 
 Settings = TypeVar("Settings", bound=msgspec.Struct)
 Options = TypeVar("Options", bound=msgspec.Struct)
@@ -424,6 +425,7 @@ def _is_module(path: Path) -> bool:
 HANDLERS: dict[str, tuple[type[msgspec.Struct], Callable[[Any], None]]] = {
     "reproduce": (ReproduceOptions, reproduce),
     "simulate": (SimulateOptions, simulate),
+    "inspect": (InspectOptions, inspect),
     "fit": (FitOptions, fit),
     "compare": (CompareOptions, compare),
     "evaluate": (EvaluateOptions, evaluate),

@@ -1,6 +1,7 @@
 """MagScope workbooks: three dialects, joined on the frame number."""
 
 import io
+import sys
 import zipfile
 
 import numpy as np
@@ -289,3 +290,10 @@ def test_real_workbook_reproduces_its_tidy_file(recording, workbook, tidy, run, 
 def test_fps_gives_times_of_frames(read):
     data = read(workbook(sheets(EXAMPLE)), name="a.xlsx", fps=4.0)
     check(data, [t._replace(name=str(i + 1)) for i, t in enumerate(EXAMPLE)], fps=4.0)
+
+
+def test_missing_package_is_named_with_its_remedy(read, monkeypatch):
+    monkeypatch.setitem(sys.modules, "openpyxl", None)
+    message = r"a\.xlsx: this format needs the package openpyxl; install pinav\[record"
+    with pytest.raises(InputError, match=message):
+        read(zipped(xl__workbook="<a/>"), name="a.xlsx")

@@ -55,7 +55,7 @@ def test_matrix_and_cells_come_back_whole(tmp_path_factory, truth):
 
 def test_variable_can_be_chosen(read):
     content = saved(a=matrix(EXAMPLE), b=matrix(EXAMPLE[1:]))
-    data = read(content, columns={"variable": "b"}, form="matlab")
+    data = read(content, columns={"variable": "b"})
     assert [label["particle"] for label in labels(data)] == ["1"]
     assert data.provenance["variable"] == "b"
 
@@ -135,4 +135,4 @@ def test_wrong_choice_of_variable_is_named(read):
         ("a", r"'a': expected a"),
     ):
         with pytest.raises(InputError, match=message):
-            read(content, columns={"variable": name}, form="matlab")
+            read(content, columns={"variable": name})

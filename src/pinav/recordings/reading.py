@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Mapping
-from typing import Any
 
 from pinav.errors import InputError
 from pinav.recordings.assembly import assembled
@@ -13,7 +12,7 @@ from pinav.recordings.imagej import ImageJ
 from pinav.recordings.magscope import MagScope
 from pinav.recordings.matlab import Matlab
 from pinav.recordings.sfi import SFI
-from pinav.recordings.sources import Source
+from pinav.recordings.sources import DataFrame, Source
 from pinav.recordings.tidy import Tidy
 from pinav.recordings.trackmate import TrackMateCSV, TrackMateXML
 from pinav.recordings.trackpy import Trackpy
@@ -36,7 +35,7 @@ FORMS: tuple[AbstractForm, ...] = (
 
 
 def read_recording(
-    path: str | os.PathLike[str] | Any,
+    path: str | os.PathLike[str] | DataFrame,
     *,
     form: str | None = None,
     columns: Mapping[str, str] | None = None,
@@ -91,10 +90,11 @@ def read_recording(
         gap=gap,
         likelihood=likelihood,
     )
-    in_memory = hasattr(path, "columns")
-    name = "DataFrame" if in_memory else os.fspath(path)
+    name = "DataFrame" if isinstance(path, DataFrame) else os.fspath(path)
     try:
-        source = Source.of_frame(path) if in_memory else Source.read(path)
+        source = (
+            Source.of_frame(path) if isinstance(path, DataFrame) else Source.read(path)
+        )
         chosen = _form(form, source, reading)
         return assembled(chosen.tracks(source, reading), reading, source, chosen.name)
     except InputError as error:
@@ -109,7 +109,7 @@ def read_recording(
 def _form(name: str | None, source: Source, reading: Reading) -> AbstractForm:
     """The format of that name, or the first that suits the content."""
     by_name = {form.name: form for form in FORMS}
-    if name is None and reading.columns is not None:
+    if name is None and reading.columns and "variable" not in reading.columns:
         name = MappedTable.name
     if name is not None:
         if name not in by_name:

@@ -10,7 +10,7 @@ import zlib
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, final
+from typing import Any, Literal, Protocol, final, runtime_checkable
 
 import numpy as np
 
@@ -29,6 +29,18 @@ _ENDINGS = re.compile(
 )
 _MATLAB_HDF5 = 512
 """Bytes that MATLAB 7.3 puts in front of HDF5."""
+
+
+@runtime_checkable
+class DataFrame(Protocol):
+    """A table of pandas or polars."""
+
+    @property
+    def columns(self) -> Any:
+        """Names of the columns."""
+
+    def __getitem__(self, name: Any, /) -> Any:
+        """The column of a name."""
 
 
 @final
@@ -69,8 +81,8 @@ class Source:
         return cls(path, content)
 
     @classmethod
-    def of_frame(cls, frame: Any) -> "Source":
-        """The columns of a pandas or polars DataFrame."""
+    def of_frame(cls, frame: DataFrame) -> "Source":
+        """The columns of a DataFrame."""
         columns = {str(name): np.asarray(frame[name]) for name in frame.columns}
         return cls(Path("DataFrame"), b"", columns)
 
