@@ -84,7 +84,7 @@ def test_nominal_bands_of_90_percent_hold(sessions):
 
 def test_the_heading_offset_is_found(sessions):
     for ladder in sessions:
-        found = delay_findings(ladder.track, ladder.best)["offset without delay"]
+        found = delay_findings(ladder.track, ladder.best).offset_without_delay
         degrees = math.degrees(found.value)
         print(f"{ladder.track.name}: {degrees:.1f} degrees")
         assert abs(degrees - 90) <= 7, ladder.track.name
@@ -94,12 +94,10 @@ def test_the_delay_of_random_paths(sessions):
     for ladder in sessions:
         if ladder.track.name.startswith("datasetGP2"):
             found = delay_findings(ladder.track, ladder.best)
-            low, high = interval(found["free"])
-            print(
-                f"{ladder.track.name}: {found['free'].value:.3f} ({low:.3f}-{high:.3f})"
-            )
-            assert not found["confounded"]
-            assert 0.15 <= found["free"].value <= 0.45
+            low, high = interval(found.free)
+            print(f"{ladder.track.name}: {found.free.value:.3f} ({low:.3f}-{high:.3f})")
+            assert not found.confounded
+            assert 0.15 <= found.free.value <= 0.45
 
 
 def test_the_gaussian_process_is_slower_and_no_better(sessions):
@@ -129,12 +127,13 @@ def test_the_delay_of_constant_circles():
     track = tracks(recorded(name))[0]
     fit = fit_track(track, with_response(MATRIX, "slipping"))
     found = delay_findings(track, fit)
-    aligned = found["zero offset"]
+    aligned = found.zero_offset
+    assert aligned is not None
     low, high = interval(aligned)
     print(f"offset fixed at zero: {aligned.value:.3f} s ({low:.3f}-{high:.3f})")
-    print(f"both free: {found['free']}, {found['offset']}")
+    print(f"both free: {found.free}, {found.offset}")
     assert 0.16 <= aligned.value <= 0.20
-    assert found["confounded"]
+    assert found.confounded
 
 
 GROUPS = {
@@ -234,13 +233,13 @@ def test_the_drift_of_a_swimmer_is_the_flow_that_beads_show():
                 )
                 flow.append((ahead - behind) / (2 * window))
         flow = np.mean(flow, axis=0)
-        correlations.append(_correlation(learned.drift, flow))
-        everything = _correlation(learned.velocity, flow)
+        correlations.append(_correlation(learned.velocity, flow))
+        slow = _correlation(learned.drift, flow)
         constant = np.sqrt(np.mean(np.sum((fit.drift - flow) ** 2, axis=1)))
-        error = np.sqrt(np.mean(np.sum((learned.drift - flow) ** 2, axis=1)))
+        error = np.sqrt(np.mean(np.sum((learned.velocity - flow) ** 2, axis=1)))
         print(
             f"{run} swimmer {particle}: correlation {correlations[-1]:.2f} "
-            f"({everything:.2f} with all that wanders); rms "
+            f"({slow:.2f} for its slow part); rms "
             f"{error:.2f} um/s, constant drift {constant:.2f} um/s"
         )
     # A constant drift does not vary, so that it does not correlate at all.

@@ -114,19 +114,20 @@ def test_constant_turning_confounds_delay_and_offset(synthetic):
         )
     )[0]
     found = delay_findings(track, fit_track(track, MATRIX))
-    assert found["confounded"]
-    assert found["turning rate"] == pytest.approx(0.4, rel=1e-6)
-    aligned = found["zero offset"]
+    assert found.confounded
+    assert found.turning_rate == pytest.approx(0.4, rel=1e-6)
+    aligned = found.zero_offset
+    assert aligned is not None
     held = 0.05  # a held command is half a step old already
     assert abs(aligned.value - (synthetic.delay - held)) < 3.5 * aligned.sd + 0.01
     assert aligned.sd < 0.05
-    assert found["free"].sd > 3 * aligned.sd
+    assert found.free.sd > 3 * aligned.sd
 
 
 def test_random_headings_do_not_confound(track, fit, synthetic):
     found = delay_findings(track, fit)
-    assert not found["confounded"]
-    assert abs(found["free"].value - synthetic.delay) < 3.5 * found["free"].sd
+    assert not found.confounded
+    assert abs(found.free.value - synthetic.delay) < 3.5 * found.free.sd
 
 
 def test_a_split_keeps_all_samples_and_their_order(track):

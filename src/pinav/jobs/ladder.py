@@ -132,9 +132,14 @@ def _track(
         "seconds": time.perf_counter() - begin,
     }
     if delays is not None:
+        aligned = delays.zero_offset
         result["delay"] = {
-            name: _pair(value) if isinstance(value, Estimate) else value
-            for name, value in delays.items()
+            "free": _pair(delays.free),
+            "offset": _pair(delays.offset),
+            "offset without delay": _pair(delays.offset_without_delay),
+            "zero offset": None if aligned is None else _pair(aligned),
+            "turning rate": delays.turning_rate,
+            "confounded": delays.confounded,
         }
     return result, _arrays(ladder, whole, wobble, rollouts)
 

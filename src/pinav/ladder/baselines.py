@@ -8,6 +8,7 @@ differential equation.
 import time
 import warnings
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -216,9 +217,9 @@ def black_box(track: Track, *, seed: int = 0) -> Baseline:
         scaled = (position - center) / scales[0], command / scales[1]
         return np.concatenate(scaled, axis=1)
 
-    network = tanh_network(4, 2, width=32, depth=2, key=jax.random.key(seed))
-    network = _trained(
-        network,
+    untrained = tanh_network(4, 2, width=32, depth=2, key=jax.random.key(seed))
+    network: Any = _trained(
+        untrained,
         jnp.asarray(features(samples.position, samples.command())),
         jnp.asarray(samples.velocity / scales[2]),
     )

@@ -280,7 +280,7 @@ GRID = KernelGrid(across=6, margin=2.0)
 """Of kernels: coarse, because a residual by position is a question, not a map."""
 
 
-def _kernels(kind: type[KernelForce | KernelPotential]) -> Callable[[Track], Any]:
+def _kernels(kind: Any) -> Callable[[Track], Any]:
     return lambda track: kernel_environment(kind, positions_of(track), GRID, dim=2)
 
 

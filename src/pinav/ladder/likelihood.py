@@ -8,6 +8,7 @@ normal priors of the nonlinear parameters $\theta$.
 """
 
 import math
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -155,7 +156,7 @@ def displacements(theta, design: Design) -> Float[Array, "sample 2"]:
     def prompt(programme, ts):
         return programme.integral(response, ts)
 
-    blocks = design.blocks
+    blocks: Any = design.blocks  # as JAX arrays
     programme = HeldProgramme(blocks.times, blocks.frequency, blocks.heading)
     ts = blocks.times - delay
     return jax.lax.cond(lag > 2e-4, lagged, prompt, programme, ts)
@@ -189,7 +190,7 @@ def whitened(theta: Float[Array, " parameter"], design: Design) -> Whitened:
     )
 
 
-def filtered_columns(theta, columns, frequency, blocks: Blocks):
+def filtered_columns(theta, columns, frequency, blocks: Any):
     """Innovations of columns given at each block; the fifth column is the time."""
     disturbance = disturbance_of(theta)
     present = (blocks.counts > 0).astype(columns.dtype)
@@ -199,7 +200,7 @@ def filtered_columns(theta, columns, frequency, blocks: Blocks):
     return innovations(columns, present, blocks.begins, transition, disturbance.noise)
 
 
-def _steps(blocks: Blocks) -> Float[Array, " step"]:
+def _steps(blocks: Any) -> Float[Array, " step"]:
     """1 for each step within a segment."""
     present = (blocks.counts[1:] > 0).astype(blocks.counts.dtype)
     return present * (1 - blocks.begins[1:])

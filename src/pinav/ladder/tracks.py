@@ -118,7 +118,7 @@ def _observed(piece: Trajectory) -> Trajectory:
     return _cut(piece, piece.observed.all(axis=1))
 
 
-def _cut(piece: Trajectory, kept: np.ndarray) -> Trajectory:
+def _cut(piece: Trajectory, kept: Any) -> Trajectory:
     return Trajectory(
         times=piece.times[kept],
         states=piece.states[kept],
@@ -129,13 +129,13 @@ def _cut(piece: Trajectory, kept: np.ndarray) -> Trajectory:
 
 def before(track: Track, time: float) -> Track:
     """The part of a track before a time; blocks keep their length."""
-    cut = [_cut(piece, piece.times < time) for piece in track.pieces]
+    cut = [_cut(piece, np.less(piece.times, time)) for piece in track.pieces]
     return _shortened(track, cut)
 
 
 def after(track: Track, time: float) -> Track:
     """The part of a track from a time on; blocks keep their length."""
-    cut = [_cut(piece, piece.times >= time) for piece in track.pieces]
+    cut = [_cut(piece, np.greater_equal(piece.times, time)) for piece in track.pieces]
     return _shortened(track, cut)
 
 

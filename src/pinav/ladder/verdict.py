@@ -2,6 +2,7 @@
 
 import math
 
+import equinox as eqx
 import numpy as np
 
 from pinav.fitting import Estimate
@@ -70,36 +71,52 @@ def turning_rate(track: Track) -> tuple[float, float]:
     return float(middle), float((high - low) / 2 / abs(middle))
 
 
-def delay_findings(track: Track, fit: TrackFit) -> dict[str, Estimate | bool | float]:
+class DelayFindings(eqx.Module):
+    """What a track says of delay and heading offset.
+
+    Attributes:
+        free: the delay beside any gain matrix [s].
+        offset: the heading offset that belongs to it [rad].
+        offset_without_delay: the heading offset without a delay [rad].
+        zero_offset: the delay with a gain for each axis and no turn [s]; None where
+            the offset without delay is not small.
+        turning_rate: median of the commanded heading [rad/s].
+        confounded: whether that rate is constant, so that delay and offset are one
+            number.
+    """
+
+    free: Estimate
+    offset: Estimate
+    offset_without_delay: Estimate
+    zero_offset: Estimate | None
+    turning_rate: float
+    confounded: bool
+
+
+def delay_findings(track: Track, fit: TrackFit) -> DelayFindings:
     """The delay with the heading offset fixed at zero, and with both free.
 
     Args:
         track: all of it.
         fit: a rung of it with a gain; its response is kept.
-
-    Returns:
-        `free`: the delay beside any gain matrix, and `offset`, the heading offset that
-        belongs to it; `zero offset`: the delay with a gain for each axis and no turn,
-        where the offset without delay is small; `offset without delay`; `confounded`:
-        whether the turning rate is constant, so that delay and offset are one number;
-        `turning rate` [rad/s].
     """
     rung = with_response(MATRIX, fit.rung.response)
     without = fit_track(track, rung, start=fit).estimates()["heading offset"]
     both = fit_track(track, with_free(rung, "delay", "delay"), start=fit).estimates()
     rate, spread = turning_rate(track)
-    found: dict[str, Estimate | bool | float] = {
-        "offset without delay": without,
-        "free": both["delay"],
-        "offset": both["heading offset"],
-        "turning rate": rate,
-        "confounded": spread < CONSTANT_TURNING,
-    }
+    zero_offset = None
     if abs(without.value) < ALIGNED:
         plain = with_response(Rung("gains", DIAGONAL, BOTH), fit.rung.response)
         aligned = fit_track(track, with_free(plain, "delay", "delay"), start=fit)
-        found["zero offset"] = aligned.estimates()["delay"]
-    return found
+        zero_offset = aligned.estimates()["delay"]
+    return DelayFindings(
+        free=both["delay"],
+        offset=both["heading offset"],
+        offset_without_delay=without,
+        zero_offset=zero_offset,
+        turning_rate=rate,
+        confounded=spread < CONSTANT_TURNING,
+    )
 
 
 def sentences(climb: Climb, estimates: dict[str, Estimate], delays) -> list[str]:
@@ -164,8 +181,8 @@ def _response(climb: Climb, estimates) -> str:
 
 
 def _delay(delays) -> str:
-    if delays["confounded"]:
-        offset, rate = delays["offset without delay"], delays["turning rate"]
+    if delays.confounded:
+        offset, rate = delays.offset_without_delay, delays.turning_rate
         text = (
             "Delay and heading offset are confounded, because the heading turns at a "
             f"constant rate ({math.degrees(rate):.0f} degrees/s): without delay the "
@@ -174,13 +191,13 @@ def _delay(delays) -> str:
         )
     else:
         text = (
-            f"Delay {_plus_minus(delays['free'])} s with the heading offset free "
-            f"({math.degrees(delays['offset'].value):.1f} degrees)."
+            f"Delay {_plus_minus(delays.free)} s with the heading offset free "
+            f"({math.degrees(delays.offset.value):.1f} degrees)."
         )
-    if "zero offset" in delays:
+    if delays.zero_offset is not None:
         text += (
             f" With the heading offset fixed at zero the delay is "
-            f"{_plus_minus(delays['zero offset'])} s."
+            f"{_plus_minus(delays.zero_offset)} s."
         )
     return text
 

@@ -57,8 +57,9 @@ def rollout_paths(
         sizes = 2 * HALF_WIDTH_90 * np.array(end_sd)
         ax.add_collection(
             EllipseCollection(
-                *sizes.T,
-                np.zeros(len(sizes)),
+                widths=sizes[:, 0],
+                heights=sizes[:, 1],
+                angles=np.zeros(len(sizes)),
                 units="xy",
                 offsets=ends,
                 transOffset=ax.transData,
