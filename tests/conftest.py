@@ -3,6 +3,7 @@
 import os
 import shutil
 import tempfile
+from pathlib import Path
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
@@ -35,6 +36,25 @@ def pytest_configure(config):
 def pytest_unconfigure(config):
     if not hasattr(config, "workerinput"):
         shutil.rmtree(os.environ["JAX_COMPILATION_CACHE_DIR"], ignore_errors=True)
+
+
+RECORDINGS = Path(
+    os.environ.get("PINAV_RECORDINGS") or Path(__file__).parents[2] / "shared" / "data"
+)
+
+
+@pytest.fixture(scope="session")
+def recording():
+    """The path of a real recording; the test is skipped where it is absent."""
+
+    def path(name):
+        if not (RECORDINGS / name).exists():
+            pytest.skip(
+                f"no {name} in {RECORDINGS}; set PINAV_RECORDINGS to its folder"
+            )
+        return RECORDINGS / name
+
+    return path
 
 
 @pytest.fixture(scope="session")

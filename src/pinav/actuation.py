@@ -1,10 +1,18 @@
-"""What the operator commands: the magnetic field that drives the swimmer."""
+"""What the operator commands: magnetic fields, frequencies and headings.
+
+Tracked robots log the frequency of the rotating field and the heading it rolls to, not
+the field itself: `AbstractProgramme`. What a robot makes of the frequency is an
+`AbstractResponse`.
+"""
 
 import abc
+import math
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+
+from pinav.errors import InputError
 
 Scalar = float | int | Float[Array, ""]
 """One real number: plain, NumPy's float64, or a JAX array without axes."""
@@ -36,3 +44,245 @@ class RotatingField(AbstractField):
         phase = self.frequency * jnp.asarray(t)
         direction = jnp.stack([jnp.cos(phase), jnp.sin(phase), jnp.zeros_like(phase)])
         return self.amplitude * direction
+
+
+class AbstractResponse(eqx.Module):
+    """How a rolling robot turns the commanded frequency into speed.
+
+    The response is an effective frequency: speed per gain. It is about the commanded
+    one at low frequencies, so that gains of different responses can be compared.
+    """
+
+    @abc.abstractmethod
+    def __call__(self, frequency: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+        """Effective frequency [Hz] at commanded ones [Hz]; both at least 0."""
+
+
+class LinearResponse(AbstractResponse):
+    """Speed in proportion to the frequency."""
+
+    def __call__(self, frequency):
+        return frequency
+
+
+class SaturatingResponse(AbstractResponse):
+    r"""Smooth saturation $f / \sqrt{1 + (f / f_c)^2}$: the speed levels off.
+
+    Attributes:
+        log_corner: logarithm of the corner frequency $f_c$ [Hz].
+    """
+
+    log_corner: Scalar
+
+    @classmethod
+    def of(cls, corner: float) -> "SaturatingResponse":
+        """The response with this corner [Hz]."""
+        return cls(math.log(_positive("SaturatingResponse.of corner", corner)))
+
+    def __call__(self, frequency):
+        corner = jnp.exp(jnp.asarray(self.log_corner))
+        return frequency / jnp.sqrt(1 + (frequency / corner) ** 2)
+
+
+class SlippingResponse(AbstractResponse):
+    r"""Partial saturation: a part of the gain is lost above the corner, not all.
+
+    $$s(f) = \rho f + (1 - \rho) \frac{f}{\sqrt{1 + (f / f_c)^2}}.$$
+
+    A roller grips at low frequencies and slips at higher ones, where it still gains
+    speed at the rate $\rho$. It contains the linear response ($\rho = 1$) and full
+    saturation ($\rho = 0$).
+
+    Attributes:
+        log_corner: logarithm of the corner frequency $f_c$ [Hz].
+        logit_residual: $\log \rho / (1 - \rho)$.
+    """
+
+    log_corner: Scalar
+    logit_residual: Scalar
+
+    @classmethod
+    def of(cls, corner: float, residual: float) -> "SlippingResponse":
+        """The response with this corner [Hz] and residual gain, between 0 and 1."""
+        if not 0 < residual < 1:
+            raise InputError(
+                "SlippingResponse.of residual: expected between 0 and 1, got "
+                f"{residual}; for the ends take SaturatingResponse or LinearResponse"
+            )
+        log_corner = math.log(_positive("SlippingResponse.of corner", corner))
+        return cls(log_corner, math.log(residual / (1 - residual)))
+
+    def __call__(self, frequency):
+        residual = 1 / (1 + jnp.exp(-jnp.asarray(self.logit_residual)))
+        saturated = SaturatingResponse(self.log_corner)(frequency)
+        return residual * frequency + (1 - residual) * saturated
+
+
+class StepOutResponse(AbstractResponse):
+    r"""Step-out: a robot follows the field up to $f_c$, and falls behind above it.
+
+    The mean rotation of an overdamped dipole is $f$ below the step-out frequency and
+    $f - \sqrt{f^2 - f_c^2}$ above it. The corner is rounded, over a tenth of $f_c$.
+    Without the field strength $f_c$ is an effective parameter.
+
+    Attributes:
+        log_corner: logarithm of the step-out frequency $f_c$ [Hz].
+
+    References:
+        Adler, Proc. IRE 34, 351 (1946).
+    """
+
+    log_corner: Scalar
+
+    @classmethod
+    def of(cls, corner: float) -> "StepOutResponse":
+        """The response with this step-out frequency [Hz]."""
+        return cls(math.log(_positive("StepOutResponse.of corner", corner)))
+
+    def __call__(self, frequency):
+        corner = jnp.exp(jnp.asarray(self.log_corner))
+        above = (frequency / corner) ** 2 - 1
+        rounded = (above + jnp.sqrt(above**2 + ROUNDING**2)) / 2
+        start = (jnp.sqrt(1 + ROUNDING**2) - 1) / 2  # no slip at rest
+        return frequency - corner * (jnp.sqrt(rounded) - jnp.sqrt(start))
+
+
+ROUNDING = 0.1
+"""Relative width of the rounded corner of a step-out."""
+
+
+class AbstractProgramme(eqx.Module):
+    """Frequency and heading that the operator commands over time.
+
+    Before its first time a programme has its first values, after its last its last.
+    """
+
+    times: eqx.AbstractVar[Float[Array, " time"]]
+    frequency: eqx.AbstractVar[Float[Array, " time"]]
+    heading: eqx.AbstractVar[Float[Array, " time"]]
+
+    @abc.abstractmethod
+    def __call__(self, t: Scalar) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """Frequency [Hz] and heading [rad] at time `t` [s]."""
+
+    @abc.abstractmethod
+    def integral(
+        self, response: AbstractResponse, ts: Float[Array, " query"]
+    ) -> Float[Array, "query 2"]:
+        r"""$\int s(f)\, n(\theta)\, dt$ from the first time to `ts` [cycles]."""
+
+    def commands(self, response: AbstractResponse) -> Float[Array, "time 2"]:
+        r"""$s(f)\, n(\theta)$ at the programme's own times [Hz]."""
+        direction = jnp.stack([jnp.cos(self.heading), jnp.sin(self.heading)], axis=1)
+        return response(self.frequency)[:, None] * direction
+
+
+class HeldProgramme(AbstractProgramme):
+    """Commands that hold until the next one: what coils do between camera frames.
+
+    Attributes:
+        times: when each command was given [s], increasing.
+        frequency: [Hz].
+        heading: angle to the x axis, y up [rad].
+    """
+
+    times: Float[Array, " time"]
+    frequency: Float[Array, " time"]
+    heading: Float[Array, " time"]
+
+    def __call__(self, t):
+        last = self.times.shape[0] - 1
+        index = jnp.searchsorted(self.times, jnp.asarray(t), side="right") - 1
+        index = jnp.clip(index, 0, last)
+        return self.frequency[index], self.heading[index]
+
+    def integral(self, response, ts):
+        commands = self.commands(response)
+        steps = commands[:-1] * jnp.diff(self.times)[:, None]
+        return _interpolated(ts, self.times, steps, (commands[0], commands[-1]))
+
+    def lagged_integral(
+        self,
+        response: AbstractResponse,
+        ts: Float[Array, " query"],
+        lag: Float[Array, ""],
+    ) -> Float[Array, "query 2"]:
+        r"""The integral of a command followed with a lag T, $T \dot c' = c - c'$.
+
+        Exact at the programme's times, linear in between; a short lag is none.
+
+        Args:
+            response: what becomes of the frequency.
+            ts: times [s].
+            lag: T [s], positive.
+        """
+        commands = self.commands(response)
+        behind = self._followed(commands, lag)[:-1]
+        intervals = jnp.diff(self.times)[:, None]
+        decay = jnp.exp(-intervals / lag)
+        missed = (behind - commands[:-1]) * lag * (1 - decay)
+        steps = commands[:-1] * intervals + missed
+        return _interpolated(ts, self.times, steps, (commands[0], commands[-1]))
+
+    def _followed(self, commands, lag):
+        """What a follower has reached when each command is given."""
+        back = jnp.arange(1, MEMORY + 1)[None]
+        place = jnp.arange(commands.shape[0])[:, None] - back
+        known = place >= 0
+        place = jnp.maximum(place, 0)
+        begun = self.times[place]
+        ended = self.times[jnp.minimum(place + 1, commands.shape[0] - 1)]
+        now = self.times[:, None]
+        weight = jnp.exp(-(now - ended) / lag) - jnp.exp(-(now - begun) / lag)
+        weight = jnp.where(known, weight, 0.0)
+        rest = 1 - jnp.sum(weight, axis=1)
+        followed = jnp.sum(weight[..., None] * commands[place], axis=1)
+        return followed + rest[:, None] * commands[:1]
+
+
+MEMORY = 40
+"""Commands that a lagging follower still feels; older ones count as the first."""
+
+
+class LinearProgramme(AbstractProgramme):
+    """Commands that change linearly from one to the next; headings the short way.
+
+    Attributes:
+        times: when each command was reached [s], increasing.
+        frequency: [Hz].
+        heading: angle to the x axis, y up [rad].
+    """
+
+    times: Float[Array, " time"]
+    frequency: Float[Array, " time"]
+    heading: Float[Array, " time"]
+
+    def __call__(self, t):
+        turned = jnp.unwrap(self.heading)
+        t = jnp.asarray(t, self.times.dtype)
+        return (
+            jnp.interp(t, self.times, self.frequency),
+            jnp.interp(t, self.times, turned),
+        )
+
+    def integral(self, response, ts):
+        """By the trapezoidal rule between the programme's times."""
+        commands = self.commands(response)
+        middle = (commands[:-1] + commands[1:]) / 2
+        steps = middle * jnp.diff(self.times)[:, None]
+        return _interpolated(ts, self.times, steps, (commands[0], commands[-1]))
+
+
+def _interpolated(ts, times, steps, ends):
+    """A cumulated integral between its knots, and beyond them at the end rates."""
+    total = jnp.concatenate([jnp.zeros_like(steps[:1]), jnp.cumsum(steps, axis=0)])
+    inside = jnp.stack([jnp.interp(ts, times, column) for column in total.T], axis=1)
+    before = jnp.minimum(ts - times[0], 0.0)[:, None] * ends[0][None]
+    after = jnp.maximum(ts - times[-1], 0.0)[:, None] * ends[1][None]
+    return inside + before + after
+
+
+def _positive(name: str, value: float) -> float:
+    if not 0 < value < math.inf:
+        raise InputError(f"{name}: expected a finite number > 0, got {value}")
+    return value

@@ -11,6 +11,7 @@ from pinav import __version__
 COMMANDS = {
     "reproduce": "run the paper's experiment: simulate, train, Table 2, report",
     "simulate": "write the trajectories of a named scenario to a file",
+    "inspect": "say what a recording holds, before any fit",
     "fit": "fit a model of the unknown force to trajectories",
     "evaluate": "say where a fitted run can be trusted, on other trajectories",
     "analyse": "map what a fit learned, and what it depends on",

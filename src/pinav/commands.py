@@ -17,6 +17,8 @@ import msgspec
 import tyro
 
 from pinav.errors import InputError
+from pinav.jobs.ladder_settings import LadderSettings
+from pinav.jobs.recording_settings import RecordingSettings
 from pinav.jobs.settings import (
     AnalyseSettings,
     CompareSettings,
@@ -25,6 +27,7 @@ from pinav.jobs.settings import (
     SimulateSettings,
 )
 from pinav.jobs.study_settings import StudyName, StudySettings
+from pinav.recording_commands import InspectOptions, inspect
 
 Settings = TypeVar("Settings", bound=msgspec.Struct)
 Options = TypeVar("Options", bound=msgspec.Struct)
@@ -81,18 +84,31 @@ class SimulateOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class FitOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Fit a model of the unknown force to trajectories (.npz or .csv).
+    """Fit a model of the unknown force to trajectories, or a ladder to a recording.
 
-    A CSV file has the columns t, x, y, vx, vy and, for several trajectories,
-    trajectory; an empty cell is a missing observation. The recipe bayes needs
-    positions alone: the columns vx, vy may be missing.
+    Trajectories: an .npz or .csv file of pinav. A CSV file has the columns t, x, y, vx,
+    vy and, for several trajectories, trajectory; an empty cell is a missing
+    observation. The recipe bayes needs positions alone: vx, vy may be missing.
+
+    A recording: the file of a tracker (pinav inspect says what it holds). First-order
+    models from drift to a delayed, slipping propulsion are fitted to the first part of
+    each track and rolled out on the rest; the evidence chooses. With --ladder also
+    position-dependent residuals and baselines.
     """
 
     data: Annotated[
-        Path, tyro.conf.Positional, tyro.conf.arg(help="Trajectories, .npz or .csv.")
+        Path,
+        tyro.conf.Positional,
+        tyro.conf.arg(help="Trajectories, .npz or .csv, or a recording of a tracker."),
     ]
     out: OutFolder
+    ladder: Annotated[
+        bool,
+        tyro.conf.arg(help="Recording: residuals by position and baselines too."),
+    ] = False
     settings: FitSettings = FitSettings()
+    recording: RecordingSettings = RecordingSettings()
+    rungs: LadderSettings = LadderSettings()
     config: ConfigFile = None
     resume: Resume = False
     overwrite: Overwrite = False
@@ -265,6 +281,12 @@ def simulate(options: SimulateOptions) -> None:
 
 def fit(options: FitOptions) -> None:
     """`pinav fit`."""
+    from pinav.trajectory_files import is_trajectories
+
+    own = is_trajectories(options.data)
+    if options.ladder or not own:
+        _fit_recording(options, own=own)
+        return
     settings = options.settings
     settings.check()
     _enable_x64()
@@ -274,6 +296,23 @@ def fit(options: FitOptions) -> None:
     data = job.prepared(settings, load(options.data))
     folder = _run_folder(options, settings, job="fit", data=job.fingerprint(data))
     metrics = job.fit(settings, data, folder)
+    _show(folder, metrics, job.text, as_json=options.json)
+
+
+def _fit_recording(options: FitOptions, *, own: bool) -> None:
+    """`pinav fit RECORDING`, also of a file of pinav that holds one."""
+    options.rungs.check()
+    _enable_x64()
+    from pinav.jobs import ladder as job
+    from pinav.jobs.fit import fingerprint
+    from pinav.trajectory_files import load
+
+    data = load(options.data) if own else options.recording.read(options.data)
+    identity = {"data": fingerprint(data), "ladder": str(options.ladder).lower()}
+    folder = _run_folder(options, options.rungs, job="recording", **identity)
+    metrics = job.fit_recording(
+        options.rungs, data, folder, whole_ladder=options.ladder
+    )
     _show(folder, metrics, job.text, as_json=options.json)
 
 
@@ -386,6 +425,7 @@ def _is_module(path: Path) -> bool:
 HANDLERS: dict[str, tuple[type[msgspec.Struct], Callable[[Any], None]]] = {
     "reproduce": (ReproduceOptions, reproduce),
     "simulate": (SimulateOptions, simulate),
+    "inspect": (InspectOptions, inspect),
     "fit": (FitOptions, fit),
     "compare": (CompareOptions, compare),
     "evaluate": (EvaluateOptions, evaluate),
@@ -464,6 +504,7 @@ def _defaults(options: type[Options], argv: Sequence[str]) -> dict[str, Any]:
             "data",
             "study",
             "scenario",
+            "ladder",
         )  # a config.toml of a run is welcome too
         content = {k: v for k, v in content.items() if k not in identity}
         from_file = msgspec.convert(content, settings)

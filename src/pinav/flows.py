@@ -97,3 +97,18 @@ class VortexFlow(AbstractFlow):
         offset = x - self.center
         fading = jnp.exp(-0.5 * (offset @ offset) / self.width**2)
         return self.rate * fading * jnp.stack([-offset[1], offset[0]])
+
+
+class UniformFlow(AbstractFlow):
+    """The same velocity everywhere, at all times: a drift.
+
+    Attributes:
+        velocity: of the fluid [L T⁻¹].
+    """
+
+    velocity: Float[Array, " dim"] = eqx.field(
+        converter=lambda value: as_point("UniformFlow.velocity", value)
+    )
+
+    def __call__(self, t, x):
+        return self.velocity.astype(x.dtype)

@@ -73,6 +73,23 @@ def load(path: str | os.PathLike[str]) -> Trajectories:
         raise InputError(f"{os.fspath(path)}: cannot read: {reason}") from error
 
 
+def is_trajectories(path: str | os.PathLike[str]) -> bool:
+    """Whether a file looks as `save` writes it: `.npz`, or a CSV with a column t.
+
+    What cannot be opened counts as one, so that `load` says why.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix != ".csv":
+        return suffix == ".npz"
+    try:
+        with open(path, encoding="utf-8", errors="replace") as file:
+            first = file.readline()
+    except OSError:
+        return True
+    names = [name.strip() for name in first.split(",")]
+    return first.startswith(PREFIX) or "t" in names
+
+
 def _by_suffix(path, functions):
     suffix = Path(path).suffix.lower()
     if suffix not in functions:

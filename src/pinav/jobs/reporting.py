@@ -10,6 +10,7 @@ from pinav.files import write_text
 from pinav.jobs.analysis_pages import analysis_sections
 from pinav.jobs.compare import table
 from pinav.jobs.evaluation_report import evaluated
+from pinav.jobs.ladder_report import laddered
 from pinav.jobs.law_report import law_sections
 from pinav.jobs.reproduce import stored_field
 from pinav.jobs.reproduction_report import loss_history, reproduced
@@ -37,6 +38,7 @@ TITLES = {
     "fit": "A fitted model",
     "compare": "Models compared",
     "study": "A study of models",
+    "recording": "A recording",
 }
 
 
@@ -55,6 +57,7 @@ def write_report(folder: RunFolder) -> Path:
         "fit": _fitted,
         "compare": _compared,
         "study": studied,
+        "recording": laddered,
     }
     job = folder.config().get("job")
     if job not in sections:

@@ -31,3 +31,5 @@ from pinav.report.page import Section as Section
 from pinav.report.page import Table as Table
 from pinav.report.page import number as number
 from pinav.report.page import render as render
+from pinav.report.recordings import overlay as overlay
+from pinav.report.recordings import recording_figure as recording_figure

@@ -1,0 +1,34 @@
+"""The ladder: what physics a recording supports, from drift to a learned residual."""
+
+from pinav.ladder.baselines import Baseline as Baseline
+from pinav.ladder.baselines import black_box as black_box
+from pinav.ladder.baselines import gaussian_process as gaussian_process
+from pinav.ladder.baselines import least_squares as least_squares
+from pinav.ladder.climb import Climb as Climb
+from pinav.ladder.climb import Row as Row
+from pinav.ladder.climb import climb as climb
+from pinav.ladder.climb import split as split
+from pinav.ladder.drift import DriftOverTime as DriftOverTime
+from pinav.ladder.drift import drift_over_time as drift_over_time
+from pinav.ladder.fit import TrackFit as TrackFit
+from pinav.ladder.fit import fit_track as fit_track
+from pinav.ladder.forecast import Coverage as Coverage
+from pinav.ladder.forecast import Errors as Errors
+from pinav.ladder.forecast import Rollouts as Rollouts
+from pinav.ladder.forecast import Wobble as Wobble
+from pinav.ladder.forecast import band_variance as band_variance
+from pinav.ladder.forecast import coverage as coverage
+from pinav.ladder.forecast import errors as errors
+from pinav.ladder.forecast import path_of as path_of
+from pinav.ladder.residual import ResidualFit as ResidualFit
+from pinav.ladder.residual import fit_residual as fit_residual
+from pinav.ladder.rungs import Rung as Rung
+from pinav.ladder.rungs import with_free as with_free
+from pinav.ladder.rungs import with_response as with_response
+from pinav.ladder.tracks import Blocks as Blocks
+from pinav.ladder.tracks import Track as Track
+from pinav.ladder.tracks import tracks as tracks
+from pinav.ladder.verdict import delay_findings as delay_findings
+from pinav.ladder.verdict import interval as interval
+from pinav.ladder.verdict import positive_interval as positive_interval
+from pinav.ladder.verdict import sentences as sentences

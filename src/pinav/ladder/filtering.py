@@ -1,0 +1,230 @@
+r"""The Kalman filter behind every evidence here: a path with a wandering velocity.
+
+Along each axis $\dot p = \sigma(t) z + u$ with Ornstein-Uhlenbeck processes: a quick
+one z of variance 1, whose strength $\sigma$ grows with the drive, and a slow one u, the
+drift that changes. Observed is $p$ plus white noise. Known regressors add to p, and the
+filter is linear: filtered as further columns, they make the fit of their coefficients
+ordinary least squares.
+
+References:
+    de Jong, Ann. Statist. 19, 1073 (1991), the augmented filter; Gillespie, Phys. Rev.
+    E 54, 2084 (1996), the exact integrated Ornstein-Uhlenbeck process.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+class Disturbance(eqx.Module):
+    r"""Noise of a track.
+
+    Attributes:
+        still: standard deviation of the quick velocity without drive [L T⁻¹].
+        driven: its growth, $\sigma^2 = \mathrm{still}^2 + \mathrm{driven}^2 \sqrt f$.
+        memory: correlation time of the quick velocity [T].
+        slow: standard deviation of the slow velocity [L T⁻¹].
+        slow_memory: its correlation time [T].
+        noise: of the mean position of a block [L].
+    """
+
+    still: Float[Array, ""]
+    driven: Float[Array, ""]
+    memory: Float[Array, ""]
+    slow: Float[Array, ""]
+    slow_memory: Float[Array, ""]
+    noise: Float[Array, ""]
+
+    def strength(self, frequency: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+        r"""$\sigma$ at these frequencies."""
+        rolling = frequency > 0
+        root = jnp.sqrt(jnp.where(rolling, frequency, 1.0))
+        return jnp.sqrt(self.still**2 + self.driven**2 * jnp.where(rolling, root, 0.0))
+
+
+class Transition(eqx.Module):
+    """From one block to the next: state (p, z, u).
+
+    Attributes:
+        matrix: of the mean.
+        noise: covariance that is added.
+    """
+
+    matrix: Float[Array, "*step 3 3"]
+    noise: Float[Array, "*step 3 3"]
+
+
+def transitions(
+    intervals: Float[Array, " step"],
+    strength: Float[Array, " step"],
+    disturbance: Disturbance,
+) -> Transition:
+    """Exact transitions over intervals [T], the strength of each held.
+
+    Args:
+        intervals: between two times.
+        strength: of the quick velocity in each.
+        disturbance: memories and the slow velocity.
+    """
+    slow = jnp.broadcast_to(disturbance.slow, strength.shape)
+    quick = _integrated(intervals, disturbance.memory, strength)
+    drift = _integrated(intervals, disturbance.slow_memory, slow)
+    zero, one = jnp.zeros_like(intervals), jnp.ones_like(intervals)
+    matrix = [
+        [one, quick[0], drift[0]],
+        [zero, quick[1], zero],
+        [zero, zero, drift[1]],
+    ]
+    noise = [
+        [quick[2] + drift[2], quick[3], drift[3]],
+        [quick[3], quick[4], zero],
+        [drift[3], zero, drift[4]],
+    ]
+    return Transition(*(_stacked(rows) for rows in (matrix, noise)))
+
+
+def _stacked(rows):
+    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _integrated(interval, memory, strength):
+    """What one process of variance 1 adds: reach, decay, and three covariances."""
+    ratio = interval / memory
+    decay = jnp.exp(-ratio)
+    reach = memory * -jnp.expm1(-ratio)
+    spread = 2 * ratio - 3 + 4 * decay - decay**2
+    spread = jnp.where(ratio < SMALL, 2 * ratio**3 / 3, spread)  # cancellation
+    return (
+        strength * reach,
+        decay,
+        strength**2 * memory**2 * spread,
+        strength * memory * jnp.expm1(-ratio) ** 2,
+        -jnp.expm1(-2 * ratio),
+    )
+
+
+SMALL = 1e-3
+"""Intervals this short against the memory are taken to third order."""
+
+
+class Innovations(eqx.Module):
+    """What each block adds to the ones before it, in its own standard deviation.
+
+    Attributes:
+        columns: whitened columns; zero where there is no block.
+        log_variance: of each innovation; zero where there is no block.
+    """
+
+    columns: Float[Array, "step column"]
+    log_variance: Float[Array, " step"]
+
+
+def innovations(
+    columns: Float[Array, "block column"],
+    present: Float[Array, " block"],
+    begins: Float[Array, " block"],
+    transition: Transition,
+    noise: Float[Array, ""],
+) -> Innovations:
+    """Filter the columns of segments; the first block of each only sets its start.
+
+    Args:
+        columns: observed positions and regressors at each block.
+        present: 1 for a block, 0 for padding, which comes last.
+        begins: 1 for the first block of a segment.
+        transition: from each block to the next.
+        noise: standard deviation of an observed position.
+    """
+    unit = jnp.zeros_like(columns[0])
+    mean = jnp.stack([columns[0], unit, unit])
+    covariance = jnp.diag(jnp.stack([noise**2, jnp.ones(()), jnp.ones(())]))
+    start = covariance
+
+    def step(state, inputs):
+        mean, covariance = state
+        matrix, added, row, here, new = inputs
+        mean = matrix @ mean
+        covariance = matrix @ covariance @ matrix.T + added
+        variance = covariance[0, 0] + noise**2
+        gain = covariance[:, 0] / variance
+        innovation = row - mean[0]
+        mean = mean + gain[:, None] * innovation[None]
+        covariance = covariance - jnp.outer(gain, gain) * variance
+        whitened = here * innovation / jnp.sqrt(variance)
+        mean = jnp.where(new > 0, jnp.stack([row, unit, unit]), mean)
+        covariance = jnp.where(new > 0, start, covariance)
+        return (mean, covariance), (whitened, here * jnp.log(variance))
+
+    here = present[1:] * (1 - begins[1:])
+    rows = transition.matrix, transition.noise, columns[1:], here, begins[1:]
+    _, (whitened, log_variance) = jax.lax.scan(step, (mean, covariance), rows)
+    return Innovations(whitened, log_variance)
+
+
+def smoothed_velocity(
+    positions: Float[Array, "block 2"],
+    strength: Float[Array, " block"],
+    transition: Transition,
+    disturbance: Disturbance,
+) -> tuple[Float[Array, "block 2"], Float[Array, "block 2"], Float[Array, " block"]]:
+    """Velocity of both processes at each block.
+
+    Args:
+        positions: what the regressors leave [L].
+        strength: of the quick velocity at each block.
+        transition: from each block to the next.
+        disturbance: slow velocity and noise.
+
+    Returns:
+        Mean velocity [L T⁻¹] of both processes together, that of the slow one alone,
+        and the standard deviation of both together along either axis.
+
+    References:
+        Rauch, Tung and Striebel, AIAA J. 3, 1445 (1965).
+    """
+    own, ahead = _filtered(positions, transition, disturbance.noise)
+
+    def back(later, inputs):
+        mean, covariance = later
+        own_mean, own_spread, ahead_mean, ahead_spread, matrix = inputs
+        gain = jnp.linalg.solve(ahead_spread, matrix @ own_spread).T
+        mean = own_mean + gain @ (mean - ahead_mean)
+        covariance = own_spread + gain @ (covariance - ahead_spread) @ gain.T
+        return (mean, covariance), (mean, covariance)
+
+    last = own[0][-1], own[1][-1]
+    rows = own[0][:-1], own[1][:-1], *ahead, transition.matrix
+    _, (means, spreads) = jax.lax.scan(back, last, rows, reverse=True)
+    means = jnp.concatenate([means, last[0][None]])
+    spreads = jnp.concatenate([spreads, last[1][None]])
+    slow = jnp.broadcast_to(disturbance.slow, strength.shape)
+    weights = jnp.stack([jnp.zeros_like(strength), strength, slow], axis=1)
+    both = jnp.einsum("bs,bsa->ba", weights, means)
+    alone = slow[:, None] * means[:, 2]
+    variance = jnp.einsum("bs,bst,bt->b", weights, spreads, weights)
+    return both, alone, jnp.sqrt(variance)
+
+
+def _filtered(positions, transition, noise):
+    """Mean and covariance given the past and the present, and those given the past."""
+    unit = jnp.zeros_like(positions[0])
+    mean = jnp.stack([positions[0], unit, unit])
+    covariance = jnp.diag(jnp.stack([noise**2, jnp.ones(()), jnp.ones(())]))
+
+    def step(state, inputs):
+        mean, covariance = state
+        matrix, added, row = inputs
+        mean = matrix @ mean
+        covariance = matrix @ covariance @ matrix.T + added
+        variance = covariance[0, 0] + noise**2
+        gain = covariance[:, 0] / variance
+        updated = mean + gain[:, None] * (row - mean[0])[None]
+        narrowed = covariance - jnp.outer(gain, gain) * variance
+        return (updated, narrowed), (updated, narrowed, mean, covariance)
+
+    rows = transition.matrix, transition.noise, positions[1:]
+    _, (means, spreads, *ahead) = jax.lax.scan(step, (mean, covariance), rows)
+    means = jnp.concatenate([mean[None], means])
+    spreads = jnp.concatenate([covariance[None], spreads])
+    return (means, spreads), tuple(ahead)

@@ -1,0 +1,285 @@
+"""Open-loop rollouts on the held-out part of a track: errors and bands."""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from pinav.actuation import HeldProgramme
+from pinav.ladder.filtering import transitions
+from pinav.ladder.fit import TrackFit
+from pinav.ladder.rungs import NAMES, response_of
+from pinav.ladder.tracks import Track
+from pinav.samples import Trajectory
+
+HORIZONS = (1.0, 5.0, 10.0, 30.0)
+"""Seconds over which errors are reported."""
+
+STRIDE = 5.0
+"""Seconds between the starts of two rollouts."""
+
+Displacement = Callable[[Trajectory], Float[np.ndarray, "time 2"]]
+"""Predicted path of a segment, up to a constant [L]."""
+
+
+class Rollouts(eqx.Module):
+    """Rollouts of one horizon over a track, each from an observed position.
+
+    Attributes:
+        piece: in which segment each starts.
+        first: sample at which it starts.
+        last: sample at which it ends.
+    """
+
+    piece: Int[np.ndarray, " rollout"]
+    first: Int[np.ndarray, " rollout"]
+    last: Int[np.ndarray, " rollout"]
+
+    @classmethod
+    def of(cls, track: Track, horizon: float) -> "Rollouts":
+        """Starts every `STRIDE` seconds of each segment, where the horizon fits."""
+        found = []
+        for index, piece in enumerate(track.pieces):
+            times = piece.times
+            starts = np.arange(times[0], times[-1] - horizon + 1e-9, STRIDE)
+            first = np.searchsorted(times, starts - 1e-9)
+            last = np.searchsorted(times, times[first] + horizon - 1e-9)
+            fits = (last < len(times)) & (first < last)
+            found += [
+                (index, a, b) for a, b in zip(first[fits], last[fits], strict=True)
+            ]
+        rows = np.array(found, np.int64).reshape(-1, 3)
+        return cls(*rows.T)
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+
+class Errors(eqx.Module):
+    """End-point errors of rollouts.
+
+    Attributes:
+        distance: between predicted and observed end [L].
+        path: length of the observed path [L].
+    """
+
+    distance: Float[np.ndarray, " rollout"]
+    path: Float[np.ndarray, " rollout"]
+
+    @property
+    def relative(self) -> float:
+        """Median distance over path length; NaN without rollouts."""
+        ratio = self.distance / np.maximum(self.path, 1e-12)
+        return float(np.median(ratio)) if len(ratio) else float("nan")
+
+    @property
+    def median(self) -> float:
+        """Median distance [L]; NaN without rollouts."""
+        return float(np.median(self.distance)) if len(self.distance) else float("nan")
+
+
+def errors(track: Track, rollouts: Rollouts, displacement: Displacement) -> Errors:
+    """Errors of a model that predicts displacements, whatever the start.
+
+    The path is the polygon of the observed positions, frame by frame.
+    """
+    paths = [displacement(piece) for piece in track.pieces]
+    lengths = [_cumulated_length(piece.states) for piece in track.pieces]
+    distance, path = [], []
+    for index, a, b in zip(rollouts.piece, rollouts.first, rollouts.last, strict=True):
+        seen = track.pieces[index].states
+        miss = seen[b] - seen[a] - (paths[index][b] - paths[index][a])
+        distance.append(np.hypot(*miss))
+        path.append(lengths[index][b] - lengths[index][a])
+    return Errors(np.array(distance), np.array(path))
+
+
+def _cumulated_length(positions):
+    steps = np.hypot(*np.diff(positions, axis=0).T)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def programme_of(piece: Trajectory) -> HeldProgramme:
+    """The commands of a segment; none count as a frequency of 0."""
+    nothing = np.zeros_like(piece.times)
+    names = ("frequency", "heading")
+    values = [jnp.asarray(piece.commands.get(name, nothing)) for name in names]
+    return HeldProgramme(jnp.asarray(piece.times), *values)
+
+
+def cycles(fit: TrackFit, piece: Trajectory) -> Float[np.ndarray, "time 2"]:
+    """Integral of the delayed response along the heading."""
+    corner, residual, delay, lag = (fit.theta[NAMES.index(n)] for n in NAMES[:4])
+    response = response_of(fit.rung.response, corner, residual)
+    times = jnp.asarray(piece.times - delay)
+    lag = jnp.exp(jnp.asarray(lag))
+    return np.asarray(programme_of(piece).lagged_integral(response, times, lag))
+
+
+def path_of(fit: TrackFit) -> Displacement:
+    """Displacements by gain and drift alone."""
+
+    def displacement(piece: Trajectory) -> Float[np.ndarray, "time 2"]:
+        along = cycles(fit, piece) @ fit.gain.T
+        return along + np.outer(piece.times - piece.times[0], fit.drift)
+
+    return displacement
+
+
+class Wobble(eqx.Module):
+    """Scatter of single frames about the mean path, along and across the heading.
+
+    Attributes:
+        driven: variances along and across while rolling [L²].
+        still: variance at rest, along any axis [L²].
+    """
+
+    driven: Float[np.ndarray, "2"]
+    still: float
+
+    @classmethod
+    def of(cls, track: Track, displacement: Displacement) -> "Wobble":
+        """From what a model leaves, about its running mean over a block."""
+        along, across, rest = [], [], []
+        for piece in track.pieces:
+            left = piece.states - displacement(piece)
+            scatter = left - _running_mean(piece.times, left, track.width)
+            on = _rolling(piece)
+            heading = piece.commands.get("heading", np.zeros_like(piece.times))
+            cosine, sine = np.cos(heading), np.sin(heading)
+            along.append((scatter[:, 0] * cosine + scatter[:, 1] * sine)[on])
+            across.append((scatter[:, 1] * cosine - scatter[:, 0] * sine)[on])
+            rest.append(scatter[~on].ravel())
+        variances = [_mean_square(np.concatenate(v)) for v in (along, across, rest)]
+        driven = np.array(variances[:2])
+        still = variances[2] if sum(map(len, rest)) else float(driven.min())
+        return cls(driven if driven.any() else np.full(2, still), still)
+
+    def variance(self, piece: Trajectory) -> Float[np.ndarray, "time 2"]:
+        """Variance of each coordinate at each sample."""
+        heading = piece.commands.get("heading", np.zeros_like(piece.times))
+        squares = np.stack([np.cos(heading), np.sin(heading)], axis=1) ** 2
+        along, across = self.driven
+        rolling = along * squares + across * (1 - squares)
+        return np.where(_rolling(piece)[:, None], rolling, self.still)
+
+
+def _rolling(piece) -> Bool[np.ndarray, " time"]:
+    return piece.commands.get("frequency", np.zeros_like(piece.times)) > 0
+
+
+def _mean_square(values) -> float:
+    return float(np.mean(values**2)) if len(values) else 0.0
+
+
+def _running_mean(times, values, width):
+    total = np.concatenate([np.zeros((1, 2)), np.cumsum(values, axis=0)])
+    low = np.searchsorted(times, times - width / 2)
+    high = np.searchsorted(times, times + width / 2, side="right")
+    return (total[high] - total[low]) / (high - low)[:, None]
+
+
+class Coverage(eqx.Module):
+    """How often rollouts stayed within their nominal band.
+
+    Attributes:
+        inside: share of all coordinates at all samples after the start.
+        at_end: the same at the last sample alone.
+        count: number of rollouts.
+    """
+
+    inside: float
+    at_end: float
+    count: int
+
+
+NORMAL_90 = 1.6448536269514722
+"""Half width of a band of 90 % in standard deviations."""
+
+
+def coverage(
+    track: Track, rollouts: Rollouts, fit: TrackFit, wobble: Wobble
+) -> Coverage:
+    """Coverage of nominal bands of 90 % along each axis."""
+    displacement = path_of(fit)
+    inside, ends = [], []
+    for index, a, b in zip(rollouts.piece, rollouts.first, rollouts.last, strict=True):
+        piece = track.pieces[index]
+        path, seen = displacement(piece)[a : b + 1], piece.states[a : b + 1]
+        miss = seen - seen[0] - (path - path[0])
+        sd = np.sqrt(band_variance(piece, (int(a), int(b)), fit, wobble))
+        within = np.abs(miss[1:]) <= NORMAL_90 * sd[1:]
+        inside.append(within.ravel())
+        ends.append(within[-1])
+    if not inside:
+        return Coverage(float("nan"), float("nan"), 0)
+    return Coverage(
+        float(np.mean(np.concatenate(inside))), float(np.mean(ends)), len(ends)
+    )
+
+
+def band_variance(
+    piece: Trajectory, samples: tuple[int, int], fit: TrackFit, wobble: Wobble
+) -> Float[np.ndarray, "time 2"]:
+    """Variance of a rollout: disturbance, parameters, wobble at start and end [L²].
+
+    Args:
+        piece: the segment.
+        samples: first and last sample of the rollout.
+        fit: the model.
+        wobble: scatter of single frames.
+    """
+    a, b = samples
+    own = slice(a, b + 1)
+    frame = wobble.variance(piece)[own]
+    wandering = _wandering(piece, own, fit)[:, None]
+    return wandering + _parameter_variance(piece, own, fit) + frame + frame[:1]
+
+
+def _wandering(piece, own, fit) -> Float[np.ndarray, " time"]:
+    """Variance that the disturbance adds from a start without knowledge of it."""
+    times = piece.times[own]
+    frequency = piece.commands.get("frequency", np.zeros_like(piece.times))[own]
+    disturbance = fit.disturbance
+    strength = disturbance.strength(jnp.asarray(frequency[:-1]))
+    steps = transitions(jnp.asarray(np.diff(times)), strength, disturbance)
+    matrices, noises = np.asarray(steps.matrix), np.asarray(steps.noise)
+    spread, variances = np.diag([0.0, 1.0, 1.0]), [0.0]
+    for matrix, noise in zip(matrices, noises, strict=True):
+        spread = matrix @ spread @ matrix.T + noise
+        variances.append(spread[0, 0])
+    return np.array(variances)
+
+
+def _parameter_variance(piece, own, fit) -> Float[np.ndarray, "time 2"]:
+    """By the delta method, from gain, drift, response and delay together."""
+    learned = fit.rung.learned
+    drive = [name for name in NAMES[:4] if name in learned]
+    rows = [_coefficient_slopes(piece, own, fit)]
+    for name in drive:
+        rows.insert(0, _drive_slope(piece, own, fit, name)[:, :, None])
+    places = [learned.index(name) for name in reversed(drive)]
+    places += list(range(len(learned), len(fit.covariance)))
+    slopes = np.concatenate(rows, axis=2)
+    covariance = fit.covariance[np.ix_(places, places)]
+    return np.einsum("tap,pq,taq->ta", slopes, covariance, slopes)
+
+
+def _coefficient_slopes(piece, own, fit):
+    moved = cycles(fit, piece)[own]
+    moved = moved - moved[0]
+    gains = np.einsum("gab,tb->tag", fit.rung.matrices(), moved)
+    elapsed = piece.times[own] - piece.times[own][0]
+    drifts = np.einsum("ga,t->tag", fit.rung.velocities(), elapsed)
+    return np.concatenate([gains, drifts], axis=2)
+
+
+def _drive_slope(piece, own, fit, name):
+    step = 1e-3
+    theta = np.array(fit.theta)
+    theta[NAMES.index(name)] += step
+    moved = path_of(eqx.tree_at(lambda f: f.theta, fit, theta))(piece)[own]
+    here = path_of(fit)(piece)[own]
+    return ((moved - moved[0]) - (here - here[0])) / step

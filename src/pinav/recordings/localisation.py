@@ -1,0 +1,175 @@
+r"""Localisation error and diffusion of a moving particle, from its positions alone.
+
+Third divided differences remove any motion that is a parabola over four samples, with
+irregular times too. What they leave of independent errors of variance $\sigma^2$ and of
+a diffusion $D$ has known covariances at lags 0 to 3, linear in both: errors alone
+correlate over three lags, diffusion over two. Weighted least squares on the measured
+covariances gives both numbers; it extends the covariance estimator to particles that
+are driven. Robots also wobble, which looks like diffusion from row to row, so that the
+scatter of all causes is given beside them.
+
+References:
+    Vestergaard, Blainey and Flyvbjerg, Phys. Rev. E 89, 022726 (2014).
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+
+_SAMPLES, _LAGS = 4, 4
+_MEDIAN = 0.6744897501960817  # of the size of a standard normal number
+_REFINEMENTS = 4
+_OUTLIER = 4.0
+"""Differences beyond this many deviations are steps of the command, not errors.
+
+They are left out with all differences that share a sample with them.
+"""
+
+LEAST_SAMPLES = 20
+"""Fewer samples say too little."""
+
+
+@final
+@dataclasses.dataclass(frozen=True)
+class Localisation:
+    r"""What scatters the positions of a particle.
+
+    Attributes:
+        scatter: what all causes together add to each coordinate of a row, as a
+            standard deviation; the error is no greater [L].
+        deviation: $\sigma$ of each coordinate, averaged over both [L].
+        diffusion: $D$ [L² T⁻¹].
+        error: standard error of `deviation`, from tenths of the samples [L].
+    """
+
+    scatter: float
+    deviation: float
+    diffusion: float
+    error: float
+
+
+def localisation(
+    times: Sequence[Float[np.ndarray, " _"]],
+    positions: Sequence[Float[np.ndarray, "_ 2"]],
+) -> Localisation | None:
+    """Error and diffusion of one particle over its segments.
+
+    None where there are too few samples.
+
+    Args:
+        times: of each segment, increasing [T].
+        positions: of each segment, NaN where the particle was lost [L].
+    """
+    parts = [
+        _products(own[seen], path[seen])
+        for own, path in zip(times, positions, strict=True)
+        if (seen := np.isfinite(path).all(axis=1)).sum() > _SAMPLES + _LAGS
+    ]
+    if not parts or sum(len(part) for part in parts) < LEAST_SAMPLES:
+        return None
+    table = np.concatenate(parts)
+    variance, diffusion = _solved(table)
+    tenths = [_solved(part)[0] for part in np.array_split(table, 10)]
+    spread = np.std(np.sqrt(tenths), ddof=1) / np.sqrt(len(tenths))
+    return Localisation(
+        scatter=float(np.sqrt(table[:, 0].mean())),
+        deviation=float(np.sqrt(variance)),
+        diffusion=diffusion,
+        error=float(spread),
+    )
+
+
+def _products(
+    times: Float[np.ndarray, " time"], path: Float[np.ndarray, "time 2"]
+) -> Float[np.ndarray, "window 12"]:
+    """Covariance of the differences at each lag; what error and diffusion make of it.
+
+    Each row holds, for the lags 0 to 3, the measured product averaged over both
+    coordinates, then the factor of the variance, then the factor of the diffusion.
+    """
+    count = len(times) - _SAMPLES + 1
+    index = np.arange(count)[:, None] + np.arange(_SAMPLES)
+    weights = _weights(times[index])
+    differences = np.einsum("ij,ijk->ik", weights, path[index])
+    scale = np.median(np.abs(differences), axis=0) / _MEDIAN
+    odd = (np.abs(differences) > _OUTLIER * scale).any(axis=1)
+    usual = np.convolve(odd, np.ones(2 * _SAMPLES - 1), "same") < 0.5
+    rows = np.arange(count - _LAGS + 1)
+    columns = []
+    for lag in range(_LAGS):
+        late = rows + lag
+        product = (differences[rows] * differences[late]).mean(axis=1)
+        columns.append(np.where(usual[rows] & usual[late], product, np.nan))
+    for lag in range(_LAGS):
+        late = rows + lag
+        overlap = weights[rows, lag:] * weights[late, : _SAMPLES - lag]
+        columns.append(overlap.sum(axis=1))
+    for lag in range(_LAGS):
+        columns.append(_brownian(times, weights, rows, lag))
+    table = np.stack(columns, axis=1)
+    return table[np.isfinite(table).all(axis=1)]
+
+
+def _weights(times: Float[np.ndarray, "window 4"]) -> Float[np.ndarray, "window 4"]:
+    """Of the third divided difference, with the sum of squares 1."""
+    spans = times[:, :, None] - times[:, None, :]
+    spans[:, np.arange(_SAMPLES), np.arange(_SAMPLES)] = 1.0
+    weights = 1.0 / spans.prod(axis=2)
+    return weights / np.linalg.norm(weights, axis=1, keepdims=True)
+
+
+def _brownian(
+    times: np.ndarray, weights: np.ndarray, rows: np.ndarray, lag: int
+) -> Float[np.ndarray, " window"]:
+    """Covariance of two differences of a Brownian path whose diffusion is 1."""
+    offsets = np.arange(_SAMPLES)
+    early = times[rows[:, None] + offsets] - times[rows, None]
+    late = times[rows[:, None] + lag + offsets] - times[rows, None]
+    shared = 2.0 * np.minimum(early[:, :, None], late[:, None, :])
+    return np.einsum("ij,ik,ijk->i", weights[rows], weights[rows + lag], shared)
+
+
+def _solved(table: Float[np.ndarray, "window 12"]) -> tuple[float, float]:
+    """Variance of the error and diffusion, neither of them negative."""
+    measured, error, diffusion = np.split(table.mean(axis=0), 3)
+    design = np.stack([error, diffusion / diffusion[0]], axis=1)
+    root = np.eye(_LAGS)
+    found = np.zeros(2)
+    for _ in range(_REFINEMENTS):
+        found = _least_squares(root @ design, root @ measured)
+        root = np.linalg.inv(np.linalg.cholesky(_sampling(design @ found)))
+    variance = min(found[0], max(measured[0], 0.0))  # not above what all causes make
+    return float(variance), float(found[1] / diffusion[0])
+
+
+def _least_squares(design: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """Coefficients of two columns, neither of them negative."""
+    found = np.linalg.lstsq(design, measured)[0]
+    for negative in np.flatnonzero(found < 0):
+        other = design[:, 1 - negative]
+        found = np.zeros(2)
+        found[1 - negative] = max(other @ measured / (other @ other), 0.0)
+        break
+    return found
+
+
+def _sampling(covariances: np.ndarray) -> np.ndarray:
+    """Covariance of the measured covariances of normal numbers, up to a factor.
+
+    References:
+        Bartlett, J. R. Stat. Soc. Suppl. 8, 27 (1946).
+    """
+    lags = np.arange(-2 * _LAGS, 2 * _LAGS + 1)
+
+    def at(lag: np.ndarray) -> np.ndarray:
+        inside = np.abs(lag) < _LAGS
+        return np.where(inside, covariances[np.minimum(np.abs(lag), _LAGS - 1)], 0.0)
+
+    one, other = np.arange(_LAGS)[:, None, None], np.arange(_LAGS)[None, :, None]
+    k = lags[None, None, :]
+    matrix = (at(k) * at(k + one - other) + at(k + one) * at(k - other)).sum(axis=2)
+    floor = 1e-9 * np.trace(matrix) + np.finfo(float).tiny
+    return matrix + floor * np.eye(_LAGS)

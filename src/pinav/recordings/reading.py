@@ -1,0 +1,126 @@
+"""`read_recording`: a tracker's file, whatever its format, as `Trajectories`."""
+
+import os
+from collections.abc import Mapping
+
+from pinav.errors import InputError
+from pinav.recordings.assembly import assembled
+from pinav.recordings.column_map import MappedTable
+from pinav.recordings.deeplabcut import DeepLabCut
+from pinav.recordings.forms import AbstractForm
+from pinav.recordings.imagej import ImageJ
+from pinav.recordings.magscope import MagScope
+from pinav.recordings.matlab import Matlab
+from pinav.recordings.sfi import SFI
+from pinav.recordings.sources import DataFrame, Source
+from pinav.recordings.tidy import Tidy
+from pinav.recordings.trackmate import TrackMateCSV, TrackMateXML
+from pinav.recordings.trackpy import Trackpy
+from pinav.recordings.tracks import Reading
+from pinav.trajectories import Trajectories
+
+FORMS: tuple[AbstractForm, ...] = (
+    Tidy(),
+    TrackMateCSV(),
+    TrackMateXML(),
+    MagScope(),
+    Trackpy(),
+    SFI(),
+    DeepLabCut(),
+    ImageJ(),
+    Matlab(),
+    MappedTable(),
+)
+"""The formats, in the order in which a file is tried."""
+
+
+def read_recording(
+    path: str | os.PathLike[str] | DataFrame,
+    *,
+    form: str | None = None,
+    columns: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+    fps: float | None = None,
+    mpp: float | None = None,
+    y_down: bool | None = None,
+    heading_offset: float = 0.0,
+    delay: float = 0.0,
+    jump: float | None = None,
+    gap: int = 10,
+    likelihood: float = 0.6,
+) -> Trajectories:
+    r"""A recording as one trajectory for each run, particle and segment.
+
+    Channels are x and y with y up, in um where the scale is known; times in s where
+    the rate is known. Commands, where there are any, have the names of
+    `pinav.recordings.COMMAND_UNITS`; the heading is the y-up azimuth of the commanded
+    motion. At the sample time $t$ a command is the last one logged up to
+    $t - \tau$ with the delay $\tau$ (zero-order hold). The provenance holds everything
+    that was done, and `labels` tells which trajectory is which.
+
+    Args:
+        path: the file, gzip is unpacked; or a DataFrame.
+        form: name of the format; found from the content unless given.
+        columns: the file's name of each quantity, for tables of any make.
+        units: unit of a quantity in such a table, where it is not the usual one.
+        fps: frames per second [1/s]; times become frame / fps.
+        mpp: scale of positions in pixels [um/px].
+        y_down: whether y grows downwards in the file; what is usual for the format
+            unless given.
+        heading_offset: added to the logged heading [rad]; never guessed.
+        delay: by which commands act late [s].
+        jump: displacement from row to row that splits a track, in px or um as the
+            file has it, before `mpp`; 40 px or 15 um unless given.
+        gap: frames without the particle that split a track.
+        likelihood: below which a position counts as lost, where the file has one.
+
+    Raises:
+        InputError: the file cannot be read as a recording; the message names the file,
+            the row and the column.
+    """
+    reading = Reading(
+        columns=columns,
+        units=units,
+        fps=fps,
+        mpp=mpp,
+        y_down=y_down,
+        heading_offset=heading_offset,
+        delay=delay,
+        jump=jump,
+        gap=gap,
+        likelihood=likelihood,
+    )
+    name = "DataFrame" if isinstance(path, DataFrame) else os.fspath(path)
+    try:
+        source = (
+            Source.of_frame(path) if isinstance(path, DataFrame) else Source.read(path)
+        )
+        chosen = _form(form, source, reading)
+        return assembled(chosen.tracks(source, reading), reading, source, chosen.name)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from error
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"{name}: this format needs the package {error.name}; install "
+            "pinav[recordings]"
+        ) from error
+
+
+def _form(name: str | None, source: Source, reading: Reading) -> AbstractForm:
+    """The format of that name, or the first that suits the content."""
+    by_name = {form.name: form for form in FORMS}
+    if name is None and reading.columns and "variable" not in reading.columns:
+        name = MappedTable.name
+    if name is not None:
+        if name not in by_name:
+            raise InputError(
+                f"form: expected one of {', '.join(by_name)}; got {name!r}"
+            )
+        return by_name[name]
+    for form in FORMS:
+        if form.suits(source):
+            return form
+    raise InputError(
+        "the format is not known; give its name as form, one of "
+        f"{', '.join(by_name)}, or describe the table by columns"
+    )

@@ -1,0 +1,150 @@
+"""What every format comes down to: rows of positions, in the file's own conventions."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from pinav.errors import InputError
+from pinav.recordings import units
+
+FRAMES = "frame"
+"""Unit of times that are only numbers of frames."""
+
+COMMAND_UNITS: Mapping[str, str] = {
+    "frequency": "Hz",
+    "heading": "rad",
+    "gamma": "rad",
+    "psi": "rad",
+    "field_x": "1",
+    "field_y": "1",
+    "field_z": "1",
+    "acoustic_frequency": "Hz",
+}
+"""The commands that recordings have, and their units."""
+
+
+@final
+@dataclasses.dataclass(frozen=True, eq=False)
+class Tracks:
+    """Rows of a recording as its file has them: one particle in one frame each.
+
+    Attributes:
+        x: in `length_unit`, NaN where the particle was lost.
+        y: likewise.
+        particle: name of the particle of each row; all of one where not given.
+        run: name of the run of each row.
+        kind: what sort of particle, where the file says it.
+        frame: number of the frame.
+        time: in `time_unit`.
+        segment: number of the stretch between jumps, where the file has it.
+        commands: by the names of `COMMAND_UNITS`; NaN where the log has none.
+        length_unit: of x and y.
+        time_unit: of time.
+        y_down: whether y grows downwards, as in images.
+        scaled: whether positions in pixels may be scaled by `mpp`.
+        place: names the place of a row for messages, such as "line 7".
+        columns: what the file calls "frame" and "time".
+        notes: what a reader should know, in words.
+        facts: further entries of the provenance; JSON values.
+    """
+
+    x: Float64[np.ndarray, " row"]
+    y: Float64[np.ndarray, " row"]
+    place: Callable[[int], str]
+    particle: list[str] | None = None
+    run: list[str] | None = None
+    kind: list[str] | None = None
+    frame: Int64[np.ndarray, " row"] | None = None
+    time: Float64[np.ndarray, " row"] | None = None
+    segment: Int64[np.ndarray, " row"] | None = None
+    commands: dict[str, Float64[np.ndarray, " row"]] = dataclasses.field(
+        default_factory=dict
+    )
+    length_unit: str = "px"
+    time_unit: str = "s"
+    y_down: bool = True
+    columns: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+    def where(self, row: int, what: str) -> str:
+        """Where the frame or the time of a row stands, for a message."""
+        return f"{self.place(row)}, column {self.columns.get(what, what)!r}"
+
+
+@final
+@dataclasses.dataclass(frozen=True)
+class Reading:
+    """How a recording is to be read; what a format needs of it, it takes.
+
+    Attributes:
+        columns: the file's name of each quantity, for tables of any make.
+        units: unit of a quantity, where it is not the usual one.
+        fps: frames per second; times become frame / fps.
+        mpp: micrometres per pixel.
+        y_down: whether y grows downwards in the file; as is usual for the format
+            unless given.
+        heading_offset: added to the logged heading [rad].
+        delay: by which commands act late [s].
+        jump: displacement from row to row beyond which a particle counts as lost and
+            another found, in the file's unit of length; that of the format unless
+            given.
+        gap: frames without the particle that part two segments.
+        likelihood: below which a position counts as lost, where the file has one.
+
+    Raises:
+        InputError: a number is not positive, or `delay` is negative.
+    """
+
+    columns: Mapping[str, str] | None = None
+    units: Mapping[str, str] | None = None
+    fps: float | None = None
+    mpp: float | None = None
+    y_down: bool | None = None
+    heading_offset: float = 0.0
+    delay: float = 0.0
+    jump: float | None = None
+    gap: int = 10
+    likelihood: float = 0.6
+
+    def __post_init__(self):
+        for name in ("fps", "mpp", "jump", "gap"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < np.inf:
+                raise InputError(f"{name}: expected > 0, got {value}")
+        if not 0 <= self.delay < np.inf:
+            raise InputError(f"delay: expected >= 0 s, got {self.delay}")
+        if not np.isfinite(self.heading_offset):
+            raise InputError(
+                f"heading_offset: expected a number of radians, "
+                f"got {self.heading_offset}"
+            )
+        if not 0 <= self.likelihood <= 1:
+            raise InputError(f"likelihood: expected from 0 to 1, got {self.likelihood}")
+
+
+def in_known_units(tracks: Tracks, reading: Reading) -> Tracks:
+    """The tracks with lengths in px or um and times in s or frames, where possible.
+
+    What the user states of a unit stands above what the file says. `mpp` says that an
+    unknown unit is the pixel.
+
+    Raises:
+        InputError: a stated unit measures something else.
+    """
+    scale, length_unit = units.stated_length(reading.units) or (
+        1.0,
+        "px" if tracks.length_unit == "?" and reading.mpp else tracks.length_unit,
+    )
+    factor, time_unit = units.stated_duration(reading.units) or (1.0, tracks.time_unit)
+    return dataclasses.replace(
+        tracks,
+        x=scale * tracks.x,
+        y=scale * tracks.y,
+        time=None if tracks.time is None else factor * tracks.time,
+        length_unit=length_unit,
+        time_unit=time_unit,
+    )

@@ -1,0 +1,59 @@
+r"""Robots that roll or corkscrew along a commanded heading.
+
+The first-order core of a tracked robot is
+$\dot x = G\, s(f(t - d))\, n(\theta(t - d)) + b + u(t, x)$: an `OverdampedSwimmer` of
+mobility 1 whose propulsion is a `RollingPropulsion`, in a `UniformFlow` of velocity b,
+with an environment u. The propulsion is then a velocity, not a force.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from pinav.actuation import AbstractProgramme, AbstractResponse, Scalar
+from pinav.errors import InputError
+from pinav.forces import AbstractForce
+
+
+class RollingPropulsion(AbstractForce):
+    r"""Velocity $G\, s(f(t - d))\, n(\theta(t - d))$ by frequency and heading.
+
+    Attributes:
+        gain: $G$ [L per cycle], a matrix: coils are unequal, and a heading may be off.
+        response: $s(f)$, the effective frequency [Hz].
+        programme: what was commanded: $f$ [Hz] and $\theta$ [rad].
+        delay: $d$ from command to motion [s].
+
+    References:
+        Sokolich et al., arXiv:2406.02722, eq. (1), with scalar gain and no delay.
+    """
+
+    gain: Float[Array, "_ _"]
+    response: AbstractResponse
+    programme: AbstractProgramme
+    delay: Scalar = 0.0
+
+    def __check_init__(self):
+        if jnp.shape(self.gain) != (2, 2):
+            raise InputError(
+                "RollingPropulsion.gain: expected a matrix of 2 rows and 2 columns, "
+                f"got shape {jnp.shape(self.gain)}"
+            )
+
+    def __call__(self, t, x, v):
+        return self.gain.astype(x.dtype) @ self.command(t).astype(x.dtype)
+
+    def command(self, t: Scalar) -> Float[Array, "2"]:
+        r"""$s(f)\, n(\theta)$ at the delayed time [Hz]."""
+        frequency, heading = self.programme(jnp.asarray(t) - self.delay)
+        direction = jnp.stack([jnp.cos(heading), jnp.sin(heading)])
+        return self.response(frequency) * direction
+
+
+def heading_offset(gain: Float[Array, "2 2"]) -> Float[Array, ""]:
+    """Angle by which a gain matrix turns the commanded heading [rad]."""
+    return jnp.arctan2(gain[1, 0] - gain[0, 1], gain[0, 0] + gain[1, 1])
+
+
+def mean_gain(gain: Float[Array, "2 2"]) -> Float[Array, ""]:
+    """Speed per effective frequency, without the turn: a scalar gain is itself."""
+    return jnp.hypot(gain[1, 0] - gain[0, 1], gain[0, 0] + gain[1, 1]) / 2

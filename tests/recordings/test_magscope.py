@@ -1,0 +1,299 @@
+"""MagScope workbooks: three dialects, joined on the frame number."""
+
+import io
+import sys
+import zipfile
+
+import numpy as np
+import openpyxl
+import pytest
+from hypothesis import given, settings
+from tests.recordings.synthetic import EXAMPLE, check, tracks
+
+from pinav.errors import InputError
+from pinav.recordings import labels, read_recording
+
+ACTIONS = ["Frame", "Bx", "By", "Bz", "Alpha", "Gamma", "Rolling Frequency", "Psi"]
+LATER = ["Gradient?", "Acoustic Frequency", "Sensor Bx", "Sensor By", "Sensor Bz"]
+UNITS = {
+    "Bx": "%",
+    "By": "%",
+    "Bz": "%",
+    "Alpha": "rad",
+    "Gamma": "rad",
+    "Rolling Frequency": "Hz",
+    "Psi": "rad",
+    "Acoustic Frequency": "Hz",
+}
+ROBOT = {
+    "2024": ["Frame", "Times", "Pos X", "Pos Y", "Vel X", "Blur", "Path X", "Path Y"],
+    "2024-12": ["Frame", "Time(s)", "Pos X (px)", "Pos Y (px)", "Vel X (um/s)"],
+    "2025": ["Frame", "Time(s)", "Pos X (um)", "Pos Y (um)", "Acc X (um/s2)"],
+}
+
+
+def action(frame):
+    """The row of a frame: its commands tell its number."""
+    return [frame, 0.5, 0, 0, frame / 10, 1.5, frame + 1, 1.5, 0, 0, 1, 2, 3]
+
+
+def sheets(truth, dialect="2024"):
+    """The cells of a sound workbook, by sheet; one frame takes 1/8 s."""
+    header = [*ACTIONS, *LATER]
+    if dialect == "2025":
+        header = [f"{n} ({UNITS[n]})" if n in UNITS else n for n in header]
+    last = max(track.frames[-1] for track in truth)
+    content = {"Magnetic Field Actions": [header, *map(action, range(last + 1))]}
+    for number, track in enumerate(truth, start=1):
+        rows = [ROBOT[dialect]]
+        steps = np.diff(track.frames, prepend=track.frames[0] - 1) / 8
+        times = steps if dialect == "2024" else np.array(track.frames) / 8
+        for time, frame, x, y in zip(
+            times.tolist(), track.frames, track.xs, track.ys, strict=True
+        ):
+            rows.append([frame, time, x, y, 9.0, 100])
+        content[f"Robot {number}"] = [row[: len(rows[0])] for row in rows]
+    return content
+
+
+def workbook(content):
+    book = openpyxl.Workbook()
+    book.remove(book.active)
+    for name, rows in content.items():
+        sheet = book.create_sheet(name)
+        for row in rows:
+            sheet.append(row)
+    file = io.BytesIO()
+    book.save(file)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize("dialect", ROBOT)
+@settings(max_examples=8)
+@given(truth=tracks(names=("1", "2")))
+def test_every_dialect_comes_back_whole(tmp_path_factory, dialect, truth):
+    path = tmp_path_factory.mktemp("magscope") / "run.xlsx"
+    path.write_bytes(workbook(sheets(truth, dialect)))
+    mpp = None if dialect == "2025" else 0.345
+    data = read_recording(path, mpp=mpp)
+    if dialect == "2024":  # whose time starts with the robot
+        starts = [track.frames[0] / 8 for track in truth]
+    else:
+        starts = [0.0] * len(truth)
+    for piece, track, start in zip(data, truth, starts, strict=True):
+        frames = np.array(track.frames)
+        np.testing.assert_array_equal(piece.times, frames / 8 - start)
+        expected = np.stack([track.xs, -np.array(track.ys)], axis=1)
+        scaled = (mpp or 1.0) * expected  # a workbook keeps 16 digits
+        np.testing.assert_allclose(piece.states, scaled, rtol=1e-15)
+        np.testing.assert_array_equal(piece.commands["frequency"], frames + 1)
+        np.testing.assert_allclose(piece.commands["heading"], frames / 10)
+        field = 0.005 if dialect == "2025" else 0.5
+        np.testing.assert_allclose(piece.commands["field_x"], field)
+    assert [label["particle"] for label in labels(data)] == [t.name for t in truth]
+    assert set(data.units.values()) == {"um", "s", "Hz", "rad", "1"}
+
+
+def test_commands_are_joined_on_the_frame_not_on_the_row(read):
+    """Either sheet repeats and drops rows."""
+    content = sheets(EXAMPLE)
+    name = "Magnetic Field Actions"
+    header, *rows = content[name]
+    content[name] = [header, rows[0], rows[0], rows[1], rows[3], rows[2]]
+    robot = content["Robot 1"]
+    content["Robot 1"] = [*robot[:2], robot[1], *robot[2:], [None] * 6 + [3.0, 4.0]]
+    data = read(workbook(content), name="a.xlsx")
+    np.testing.assert_array_equal(
+        data.trajectory(0).commands["frequency"], [1, 2, 3, 3]
+    )
+    note = "1 rows without an action of their frame keep the last one"
+    assert data.provenance["notes"] == [note]
+    assert data.provenance["rows without a command"] == 1
+
+
+def test_scale_of_the_workbook_is_taken_unless_given(read):
+    content = sheets(EXAMPLE, "2024-12")
+    for number in "12":
+        rows = content[f"Robot {number}"]
+        rows[0] = [*rows[0], "pix2metric"]
+        rows[1:] = [[*row, 2.5] for row in rows[1:]]
+    data = read(workbook(content), name="a.xlsx")
+    np.testing.assert_allclose(data.states[0, 1], [0.8, -0.2])
+    assert "scale 0.4 um/px from the column pix2metric" in data.provenance["notes"]
+    given = read(workbook(content), name="a.xlsx", mpp=1.0)
+    np.testing.assert_allclose(given.states[0, 1], [2.0, -0.5])
+    content["Robot 1"][1][-1] = 3.0
+    with pytest.raises(InputError, match=r"'pix2metric': expected one number > 0"):
+        read(workbook(content), name="a.xlsx")
+
+
+def test_workbook_without_actions_has_no_commands(read):
+    content = sheets(EXAMPLE)
+    del content["Magnetic Field Actions"]
+    data = read(workbook(content), name="a.xlsx")
+    assert data.commands == {}
+    assert "the recording has no commands" in data.provenance["notes"][0]
+    shifted = [t._replace(name=str(i)) for i, t in enumerate(EXAMPLE, start=1)]
+    assert [label["particle"] for label in labels(data)] == [t.name for t in shifted]
+
+
+def cell(sheet, row, column, value):
+    """A sound workbook, but for a cell; rows and columns as Excel counts them."""
+
+    def change(content):
+        content[sheet][row - 1][column - 1] = value
+
+    return change
+
+
+def renamed(sheet, column, name):
+    return cell(sheet, 1, column, name)
+
+
+def emptied(sheet):
+    def change(content):
+        content[sheet] = []
+
+    return change
+
+
+def only_header(sheet):
+    def change(content):
+        content[sheet] = content[sheet][:1]
+
+    return change
+
+
+def without_robots(content):
+    del content["Robot 1"], content["Robot 2"]
+
+
+def mixed_units(content):
+    content["Robot 1"][0][2:4] = ["Pos X (um)", "Pos Y (um)"]
+
+
+def one_row_each(content):
+    for number in "12":
+        content[f"Robot {number}"] = content[f"Robot {number}"][:2]
+
+
+R, A = "Robot 1", "Magnetic Field Actions"
+BAD = {
+    "no robots": (without_robots, rf"sheets {A}: expected 'Robot 1' and so on"),
+    "empty robot": (emptied(R), r"sheet 'Robot 1', row 1: column 'Frame' is missing"),
+    "empty actions": (
+        emptied(A),
+        r"Actions', row 1: column 'Frame' is missing; got",
+    ),
+    "header alone": (only_header(R), r"sheet 'Robot 1': no rows below the header"),
+    "actions header alone": (only_header(A), r"Actions': no rows below the header"),
+    "no frames": (renamed(R, 1, "Fr."), r"'Robot 1', row 1: column 'Frame' is missing"),
+    "no times": (renamed(R, 2, "Clock"), r"sheet 'Robot 1': column 'Time' is missing"),
+    "no x": (renamed(R, 3, "X"), r"sheet 'Robot 1': column 'Pos X' is missing; got Fr"),
+    "no y": (renamed(R, 4, "Y"), r"sheet 'Robot 1': column 'Pos Y' is missing"),
+    "column twice": (renamed(R, 4, "Pos X"), r"row 1: column 'Pos X' stands twice"),
+    "unknown unit of angle": (
+        renamed(A, 5, "Alpha (mT)"),
+        r"units: expected head",
+    ),
+    "mixed units": (mixed_units, r"positions in .* and .*; bring them to one unit"),
+    "word in x": (
+        cell(R, 3, 3, "lost"),
+        r"'Robot 1', row 3, column 'Pos X': .*'lost'",
+    ),
+    "infinite y": (cell(R, 3, 4, "inf"), r"row 3, column 'Pos Y': .* got 'inf'"),
+    "no interval": (cell(R, 3, 2, None), r"row 3, column 'Times': .* an empty cell"),
+    "negative interval": (cell(R, 3, 2, -0.1), r"row 3, column 'Times': .* got -0.1"),
+    "word for a frame": (cell(R, 3, 1, "a"), r"row 3, column 'Frame': .* got 'a'"),
+    "no frame": (cell(R, 3, 1, None), r"row 3, column 'Frame': .* an empty cell"),
+    "half a frame": (cell(R, 3, 1, 1.5), r"row 3, column 'Frame': .* got 1.5"),
+    "negative frame": (cell(R, 2, 1, -1), r"row 2, column 'Frame': .* >= 0, got -1"),
+    "frame twice": (
+        cell(R, 3, 1, 2),
+        r"'Robot 1', row 4, column 'Frame': frame 2 of '1' stands in sheet 'Robot 1'",
+    ),
+    "word for a command": (
+        cell(A, 3, 7, "fast"),
+        r"Actions', row 3, column 'Rolling Frequency': .* got 'fast'",
+    ),
+    "word for an action's frame": (cell(A, 3, 1, "b"), r"Actions', row 3, .* got 'b'"),
+    "single rows": (one_row_each, r"the longest of 2 segments has a single position"),
+}
+
+
+@pytest.mark.parametrize(("change", "message"), BAD.values(), ids=list(BAD))
+def test_damage_is_named_with_its_place(read, change, message):
+    content = sheets(EXAMPLE)
+    change(content)
+    with pytest.raises(InputError, match=rf"a\.xlsx: .*{message}") as caught:
+        read(workbook(content), name="a.xlsx")
+    assert "\n" not in str(caught.value)
+
+
+def zipped(**files):
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, content in files.items():
+            archive.writestr(name.replace("__", "/") + ".xml", content)
+    return file.getvalue()
+
+
+BAD_BYTES = {
+    "cut short": (workbook(sheets(EXAMPLE))[:-200], r"damaged workbook: .*; copy it"),
+    "cut in half": (workbook(sheets(EXAMPLE))[:3000], r"damaged workbook|not known"),
+    "another zip": (zipped(a="<a/>"), r"the format is not known"),
+    "hollow workbook": (zipped(xl__workbook="<a/>"), r"damaged workbook: .*; copy it"),
+}
+
+
+@pytest.mark.parametrize(
+    ("content", "message"), BAD_BYTES.values(), ids=list(BAD_BYTES)
+)
+def test_truncated_workbook_is_refused(read, content, message):
+    with pytest.raises(InputError, match=rf"a\.xlsx: .*({message})"):
+        read(content, name="a.xlsx")
+
+
+@pytest.mark.parametrize(
+    ("workbook", "tidy", "run", "robots"),
+    [
+        (
+            "magscope_roller_circles/idle_action_data.xlsx",
+            "magscope_roller_circles/idle_brownian.csv.gz",
+            "idle_20240410",
+            4,
+        ),
+        (
+            "magscope_speed_vs_freq/5umspeedvsfreq_10.xlsx",
+            "magscope_speed_vs_freq/5um_roller.csv.gz",
+            "10",
+            10,
+        ),
+    ],
+)
+def test_real_workbook_reproduces_its_tidy_file(recording, workbook, tidy, run, robots):
+    """Positions within 5e-4 px, times within 5e-6 s, commands joined on the frame."""
+    raw = read_recording(recording(workbook), mpp=0.345)
+    known = read_recording(recording(tidy))
+    chosen = [i for i, label in enumerate(labels(known)) if label["run"] == run]
+    known = known.select(chosen)
+    assert len(raw) == len(known) == robots
+    for own, other in zip(raw, known, strict=True):
+        np.testing.assert_allclose(own.times, other.times, atol=5e-6)
+        np.testing.assert_allclose(own.states, other.states, atol=5e-4 * 0.345)
+        for name in ("frequency", "heading", "gamma"):
+            np.testing.assert_allclose(
+                own.commands[name], other.commands[name], atol=1e-3
+            )
+
+
+def test_fps_gives_times_of_frames(read):
+    data = read(workbook(sheets(EXAMPLE)), name="a.xlsx", fps=4.0)
+    check(data, [t._replace(name=str(i + 1)) for i, t in enumerate(EXAMPLE)], fps=4.0)
+
+
+def test_missing_package_is_named_with_its_remedy(read, monkeypatch):
+    monkeypatch.setitem(sys.modules, "openpyxl", None)
+    message = r"a\.xlsx: this format needs the package openpyxl; install pinav\[record"
+    with pytest.raises(InputError, match=message):
+        read(zipped(xl__workbook="<a/>"), name="a.xlsx")

@@ -1,0 +1,214 @@
+"""Tables: trackpy, ImageJ, StochasticForceInference, and any by a column map."""
+
+import io
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from tests.recordings.synthetic import EXAMPLE, check, rows_of, tracks
+
+from pinav.errors import InputError
+from pinav.recordings import labels, read_recording
+
+
+def trackpy_frame(truth):
+    """What trackpy.link returns."""
+    columns = ("particle", "frame", "x", "y")
+    frame = pd.DataFrame(list(rows_of(truth)), columns=columns)
+    frame["particle"] = frame["particle"].astype(int)
+    frame["mass"] = 7.5
+    return frame
+
+
+def parquet(frame):
+    file = io.BytesIO()
+    frame.to_parquet(file)
+    return file.getvalue()
+
+
+@settings(max_examples=25)
+@given(tracks())
+def test_trackpy_comes_back_whole(tmp_path_factory, truth):
+    frame = trackpy_frame(truth)
+    folder = tmp_path_factory.mktemp("trackpy")
+    shuffled = frame.sample(frac=1.0, random_state=1).sort_values("particle")
+    (folder / "a.csv").write_text(shuffled.to_csv())
+    (folder / "a.parquet").write_bytes(parquet(frame))
+    for source in (folder / "a.csv", folder / "a.parquet", shuffled):
+        check(read_recording(source, fps=20.0, mpp=0.345), truth, mpp=0.345, fps=20.0)
+        check(read_recording(source), truth)
+
+
+def test_without_rate_and_scale_units_are_frames_and_pixels():
+    data = read_recording(trackpy_frame(EXAMPLE))
+    assert data.units == {"x": "px", "y": "px", "t": "frame"}
+    assert data.provenance["form"] == "trackpy"
+    assert data.provenance["source"] == "DataFrame"
+
+
+def damaged_frames():
+    frame = trackpy_frame(EXAMPLE)
+    xs = ["a", *map(str, frame["x"][1:])]
+    yield "no rows", frame.iloc[:0], r"the table has no rows"
+    yield "unlinked", frame.drop(columns="particle"), r"link the features first"
+    yield "no x", frame.drop(columns="x"), r"format is not known"
+    yield "word", frame.assign(x=xs), r"row 0, column 'x': .* got 'a'"
+    yield "infinite", frame.replace({"y": {0.5: np.inf}}), r"row 1, column 'y': .*'inf'"
+    for name, old, new, message in (
+        ("half", 4, 3.5, r"row 3, column 'frame': .* got 3.5"),
+        ("twice", 4, 2, r"row 3, column 'frame': .* stands in row 2 already"),
+        ("negative", 0, -1, r"row 0, column 'frame': .* >= 0, got -1"),
+        ("NaN", 4, np.nan, r"row 3, column 'frame': expected a finite number"),
+    ):
+        yield name, frame.replace({"frame": {old: new}}), message
+    whose = frame.replace({"particle": {0: np.nan}})
+    yield "whose", whose, r"row 0, column 'particle': .* an empty cell"
+
+
+@pytest.mark.parametrize(
+    ("frame", "message"),
+    [case[1:] for case in damaged_frames()],
+    ids=[case[0] for case in damaged_frames()],
+)
+@pytest.mark.parametrize("kind", ["DataFrame", "parquet"])
+def test_damaged_frame_is_named_with_its_place(read, kind, frame, message):
+    make = {"DataFrame": read_recording, "parquet": lambda f: read(parquet(f))}
+    with pytest.raises(InputError, match=message):
+        make[kind](frame)
+
+
+@pytest.mark.parametrize("end", [8, 100, -1])
+def test_parquet_cut_short_is_refused(read, end):
+    with pytest.raises(InputError, match=r"a\.parquet: damaged parquet file"):
+        read(parquet(trackpy_frame(EXAMPLE))[:end], name="a.parquet")
+
+
+@settings(max_examples=25)
+@given(tracks(names=("1", "2"), first_frame=1))
+def test_imagej_comes_back_whole(tmp_path_factory, truth):
+    path = tmp_path_factory.mktemp("imagej") / "Results.xls"
+    lines = [" \tTrack n°\tSlice n°\tX\tY\tDistance\tVelocity\tPixel Value"]
+    for index, (name, frame, x, y) in enumerate(rows_of(truth), start=1):
+        lines.append(f"{index}\t{name}\t{frame}\t{x!r}\t{y!r}\t-1\t-1\t90")
+    path.write_bytes("\n".join(lines).encode("latin-1"))
+    data = read_recording(path, fps=10.0)
+    check(data, truth, fps=10.0)
+    assert data.units["x"] == "px"
+    one = truth[:1]
+    lines = [" ,Area,X,Y,XM,YM,Slice"]
+    for index, (_, frame, x, y) in enumerate(rows_of(one), start=1):
+        lines.append(f"{index},12,{x!r},{y!r},0,0,{frame}")
+    path.write_text("\n".join(lines))
+    data = read_recording(path, fps=10.0, mpp=2.0)
+    check(data, [one[0]._replace(name="1")], mpp=2.0, fps=10.0)
+    assert read_recording(path).units["x"] == "?"
+    assert read_recording(path, units={"x": "um"}).units["x"] == "um"
+
+
+def test_imagej_results_of_several_particles_need_tracks(read):
+    with pytest.raises(
+        InputError, match=r"line 3, column 'Slice': frame 1 stands in l"
+    ):
+        read("X,Y,Slice\n1,2,1\n5,6,1\n")
+
+
+@settings(max_examples=25)
+@given(tracks())
+def test_sfi_comes_back_whole(tmp_path_factory, truth):
+    path = tmp_path_factory.mktemp("sfi") / "trap.csv"
+    lines = ["# dt: 0.125", "# description: a trap: synthetic"]
+    lines += ["particle_id,frame,x,y,TG_frequency"]
+    lines += [f"{n},{f},{x!r},{y!r},{f}" for n, f, x, y in rows_of(truth)]
+    path.write_text("\n".join(lines))
+    data = read_recording(path)
+    check(data, truth, fps=8.0, up=True)
+    for piece, track in zip(data, truth, strict=True):
+        np.testing.assert_array_equal(piece.commands["frequency"], track.frames)
+    assert data.units == {"x": "?", "y": "?", "t": "?", "frequency": "Hz"}
+    assert data.provenance["comments"]["description"] == "a trap: synthetic"
+
+
+@pytest.mark.parametrize("word", ["fast", "0", "-0.1", "inf", ""])
+def test_sfi_with_a_wrong_interval_is_refused(read, word):
+    with pytest.raises(InputError, match=r"comment 'dt': expected a number > 0, got"):
+        read(f"# dt: {word}\nparticle_id,frame,x,y\n0,0,1,2\n0,1,1,2\n")
+
+
+def test_real_sfi_file(recording):
+    data = read_recording(recording("sfi_synthetic_trap/optical_tweezer.csv"))
+    assert data.lengths.tolist() == [20_001]
+    np.testing.assert_allclose(data.times[0, [1, -1]], [0.01, 200.0])
+    np.testing.assert_allclose(data.states[0, 1], [0.037124, -0.100932])
+
+
+MAP = {
+    "t": "Time [ms]",
+    "x": "X",
+    "y": "Y",
+    "heading": "angle",
+    "frequency": "drive",
+    "field_x": "coil",
+    "particle": "bot",
+}
+MAPPED = (
+    "bot;Time [ms];X;Y;angle;drive;coil\n"
+    "a;0;1;2;90;60;50\na;500;1.5;2.5;180;120;50\na;1000;2;3;180;120;50\n"
+)
+
+
+def test_any_table_by_its_columns_and_units(read):
+    units = {"t": "ms", "x": "mm", "heading": "deg", "frequency": "rpm", "field_x": "%"}
+    data = read(MAPPED, columns=MAP, units=units, jump=1e4)
+    np.testing.assert_allclose(data.times[0], [0, 0.5, 1])
+    np.testing.assert_allclose(
+        data.states[0], [[1000, -2000], [1500, -2500], [2000, -3000]]
+    )
+    np.testing.assert_allclose(data.commands["heading"][0] / np.pi, [0.5, 1, 1])
+    np.testing.assert_allclose(data.commands["frequency"], [[1, 2, 2]])
+    np.testing.assert_allclose(data.commands["field_x"], [[0.5, 0.5, 0.5]])
+    assert data.units["x"] == "um"
+    assert data.units["t"] == "s"
+    assert labels(data)[0]["particle"] == "a"
+    assert data.provenance["columns"] == MAP
+    assert read(MAPPED, columns=MAP, y_down=False).states[0, 0].tolist() == [1, 2]
+
+
+BAD_MAPS = {
+    "unknown quantity": ({"speed": "v"}, {}, r"columns: 'speed' is no quantity; exp"),
+    "no position": ({"t": "T"}, {}, r"columns: x, y not named; expected columns such"),
+    "no time": ({"x": "X", "y": "Y"}, {}, r"columns: t or frame not named"),
+    "absent column": (
+        {"t": "T", "x": "X", "y": "Y"},
+        {},
+        r"header: column 'X' is missing; got a; add it, or name another",
+    ),
+    "unit of nothing": (MAP, {"speed": "m"}, r"units: 'speed' is no quantity"),
+    "unit of length": (MAP, {"x": "ms"}, r"units: expected x in one of um, .*got 'ms'"),
+    "unit of time": (MAP, {"t": "px"}, r"units: expected t in one of s, .*got 'px'"),
+    "unit of angle": (MAP, {"heading": "Hz"}, r"units: expected heading in one of rad"),
+}
+
+
+@pytest.mark.parametrize(
+    ("columns", "units", "message"), BAD_MAPS.values(), ids=list(BAD_MAPS)
+)
+def test_wrong_map_is_named(read, columns, units, message):
+    text = MAPPED if columns is MAP else "a\n1\n2\n"
+    with pytest.raises(InputError, match=message):
+        read(text, columns=columns, units=units)
+
+
+def test_rate_that_the_file_contradicts_is_noted(read):
+    text = "frame,t_s,x_px,y_px\n0,0,0,0\n1,0.1,0,0\n2,0.2,0,0\n"
+    notes = read(text, fps=20.0).provenance["notes"]
+    assert notes == ["fps 20 was given, the times of the file say 10"]
+    assert read(text, fps=10.0).provenance["notes"] == []
+
+
+def test_delay_needs_seconds(read):
+    text = "t,x,y,f\n0,0,0,1\n1,0,0,1\n"
+    columns = {"frame": "t", "x": "x", "y": "y", "frequency": "f"}
+    with pytest.raises(InputError, match="delay: times are in frames; give fps too"):
+        read(text, columns=columns, delay=0.1)
+    assert read(text, columns=columns, delay=0.1, fps=5.0).units["t"] == "s"

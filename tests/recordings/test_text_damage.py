@@ -1,0 +1,255 @@
+"""Tables of text, of every make: the same damage is refused, with its place."""
+
+import gzip
+from typing import NamedTuple
+
+import pytest
+from tests.recordings.synthetic import EXAMPLE, rows_of
+
+from pinav.errors import InputError
+
+
+class Sample(NamedTuple):
+    """A sound file of a format, in parts."""
+
+    form: str
+    header: list[str]
+    columns: dict[str, str]  # name, frame, x, y
+    reading: dict = {}
+    above: list[str] = []
+    below: list[list[str]] = []
+    delimiter: str = ","
+    blank: str = ""
+
+    def lines(self):
+        """The cells of the header, of what is below it, and of the rows."""
+        rows = [self.row(self.header, *row) for row in ROWS]
+        return [list(self.header), *map(list, self.below), *rows]
+
+    def row(self, header, name, frame, x, y):
+        known = {"name": name, "frame": str(frame), "x": str(x), "y": str(y)}
+        roles = {column: known[role] for role, column in self.columns.items()}
+        if self.form == "tidy":
+            roles["t_s"] = str(frame / 10)
+        return [roles.get(column, self.blank) for column in header]
+
+    def text(self, lines):
+        """The file."""
+        joined = [self.delimiter.join(cells) for cells in lines]
+        return "\n".join([*self.above, *joined, ""])
+
+    def line(self, row):
+        """Number of the line of a row, 0 first."""
+        return len(self.above) + 2 + len(self.below) + row
+
+    def edited(self, row, role, value):
+        """The file with one cell changed."""
+        lines = self.lines()
+        lines[row + 1 + len(self.below)][self.header.index(self.columns[role])] = value
+        return self.text(lines)
+
+    def without(self, role):
+        """The file with one column less."""
+        index = self.header.index(self.columns[role])
+        return self.text([c[:index] + c[index + 1 :] for c in self.lines()])
+
+    def lost(self):
+        """The cells, every position a NaN."""
+        lines = self.lines()
+        for cells in lines[1 + len(self.below) :]:
+            for role in "xy":
+                cells[self.header.index(self.columns[role])] = "nan"
+        return lines
+
+
+ROWS = list(rows_of(EXAMPLE[:1]))
+TRACKMATE = ["LABEL", "TRACK_ID", "POSITION_X", "POSITION_Y", "FRAME"]
+TRACKMATE_COLUMNS = {
+    "name": "TRACK_ID",
+    "frame": "FRAME",
+    "x": "POSITION_X",
+    "y": "POSITION_Y",
+}
+SAMPLES = {
+    "tidy": Sample(
+        "tidy",
+        ["particle", "frame", "t_s", "x_px", "y_px"],
+        {"name": "particle", "frame": "frame", "x": "x_px", "y": "y_px"},
+    ),
+    "trackpy": Sample(
+        "trackpy",
+        ["x", "y", "mass", "frame", "particle"],
+        {"name": "particle", "frame": "frame", "x": "x", "y": "y"},
+    ),
+    "TrackMate, raw": Sample(
+        "trackmate-csv",
+        TRACKMATE,
+        TRACKMATE_COLUMNS,
+        below=[
+            ["Label", "Track ID", "X", "Y", "Frame"],
+            ["Label", "Track ID", "X", "Y", "Frame"],
+            ["", "", "(pixel)", "(pixel)", ""],
+        ],
+    ),
+    "TrackMate, re-saved": Sample("trackmate-csv", TRACKMATE, TRACKMATE_COLUMNS),
+    "SFI": Sample(
+        "sfi",
+        ["particle_id", "frame", "x", "y"],
+        {"name": "particle_id", "frame": "frame", "x": "x", "y": "y"},
+        above=["# dt: 0.01", "# description: a trap"],
+    ),
+    "ImageJ, manual tracking": Sample(
+        "imagej",
+        ["Track n°", "Slice n°", "X", "Y", "Distance"],
+        {"name": "Track n°", "frame": "Slice n°", "x": "X", "y": "Y"},
+        delimiter="\t",
+        blank="-1",
+    ),
+    "any table": Sample(
+        "table",
+        ["Zeit", "Bot", "lage x", "lage y"],
+        {"name": "Bot", "frame": "Zeit", "x": "lage x", "y": "lage y"},
+        reading={
+            "columns": {
+                "frame": "Zeit",
+                "particle": "Bot",
+                "x": "lage x",
+                "y": "lage y",
+            }
+        },
+        delimiter=";",
+    ),
+}
+NUMBER = "expected a finite number, got"
+DAMAGE = {
+    "empty": (lambda s: "", lambda s: "the file is empty"),
+    "header alone": (
+        lambda s: s.text(s.lines()[: 1 + len(s.below)]),
+        lambda s: r"(line \d+: the header is all there is|no spot belongs)",
+    ),
+    "x missing": (
+        lambda s: s.without("x"),
+        lambda s: f"header: .*({s.columns['x']!r} is missing|expected columns X)",
+    ),
+    "y missing": (
+        lambda s: s.without("y"),
+        lambda s: f"header: .*({s.columns['y']!r} is missing|expected columns X)",
+    ),
+    "column twice": (
+        lambda s: s.text(
+            [c + c[-1:] if i else [*c, c[0]] for i, c in enumerate(s.lines())]
+        ),
+        lambda s: f"line {len(s.above) + 1}: column {s.header[0]!r} stands twice",
+    ),
+    "word in x": (
+        lambda s: s.edited(1, "x", "wall"),
+        lambda s: f"line {s.line(1)}, column {s.columns['x']!r}: {NUMBER} 'wall'",
+    ),
+    "word in y": (
+        lambda s: s.edited(2, "y", "-"),
+        lambda s: f"line {s.line(2)}, column {s.columns['y']!r}: {NUMBER} '-'",
+    ),
+    "word in frame": (
+        lambda s: s.edited(3, "frame", "four"),
+        lambda s: f"line {s.line(3)}, column {s.columns['frame']!r}: {NUMBER} 'four'",
+    ),
+    "infinite x": (
+        lambda s: s.edited(0, "x", "inf"),
+        lambda s: f"line {s.line(0)}, column {s.columns['x']!r}: {NUMBER} 'inf'",
+    ),
+    "digits with underscores": (
+        lambda s: s.edited(0, "x", "1_0"),
+        lambda s: f"line {s.line(0)}, column {s.columns['x']!r}: {NUMBER} '1_0'",
+    ),
+    "decimal comma": (
+        lambda s: s.edited(0, "x", '"1,5"'),
+        lambda s: f"line {s.line(0)}, .*got '1,5'; write decimals with a point",
+    ),
+    "no frame": (
+        lambda s: s.edited(1, "frame", ""),
+        lambda s: f"line {s.line(1)}, column {s.columns['frame']!r}: .* empty cell",
+    ),
+    "NaN frame": (
+        lambda s: s.edited(1, "frame", "nan"),
+        lambda s: f"line {s.line(1)}, column {s.columns['frame']!r}: {NUMBER} 'nan'",
+    ),
+    "negative frame": (
+        lambda s: s.edited(1, "frame", "-1"),
+        lambda s: f"line {s.line(1)}, column .* whole number >= 0, got -1",
+    ),
+    "half a frame": (
+        lambda s: s.edited(1, "frame", "1.5"),
+        lambda s: f"line {s.line(1)}, column .* whole number >= 0, got 1.5",
+    ),
+    "frame twice": (
+        lambda s: s.edited(1, "frame", "2"),
+        lambda s: (
+            f"line {s.line(2)}, column .*: frame 2 of '0' stands in line "
+            f"{s.line(1)} already; delete one"
+        ),
+    ),
+    "no particle": (
+        lambda s: s.edited(1, "name", ""),
+        lambda s: f"line {s.line(1)}, column {s.columns['name']!r}: .* an empty cell",
+    ),
+    "row cut short": (
+        lambda s: s.text([*s.lines()[:-1], s.lines()[-1][:-1]]),
+        lambda s: f"line {s.line(3)}: expected {len(s.header)} cells, as in the header",
+    ),
+    "row too long": (
+        lambda s: s.text([*s.lines()[:-1], [*s.lines()[-1], "7"]]),
+        lambda s: f"line {s.line(3)}: expected {len(s.header)} cells, as in the header",
+    ),
+    "other delimiter": (
+        lambda s: s.text(s.lines()).replace(s.delimiter, "|"),
+        lambda s: r"(header|line \d+): .*",
+    ),
+    "open quote": (
+        lambda s: s.edited(3, "x", '"1'),
+        lambda s: r"line \d+: (not CSV: unexpected end of data|expected)",
+    ),
+    "bytes that are no text": (
+        lambda s: s.edited(1, "x", "\udcff"),
+        lambda s: f"line {s.line(1)}: expected UTF-8 text, got the byte 0xff",
+    ),
+    "zeros in the text": (
+        lambda s: s.edited(1, "x", "1\0"),
+        lambda s: f"line {s.line(1)}: expected text, got binary data",
+    ),
+    "gzip cut short": (
+        lambda s: gzip.compress(s.text(s.lines()).encode())[:-10],
+        lambda s: "damaged gzip file: .* copy it from its origin again",
+    ),
+    "single row": (
+        lambda s: s.text(s.lines()[: 2 + len(s.below)]),
+        lambda s: "the longest of 1 segments has a single position",
+    ),
+    "no positions": (
+        lambda s: s.text(s.lost()),
+        lambda s: "the longest of 0 segments has a single position",
+    ),
+}
+FINE = {("TrackMate, raw", "no particle"), ("TrackMate, re-saved", "no particle")}
+CASES = [(s, d) for s in SAMPLES for d in DAMAGE if (s, d) not in FINE]
+
+
+@pytest.mark.parametrize(("name", "damage"), CASES)
+def test_damage_is_named_with_its_place(read, name, damage):
+    sample = SAMPLES[name]
+    damaged, message = DAMAGE[damage]
+    content = damaged(sample)
+    if isinstance(content, str):
+        content = content.encode("utf-8", "surrogateescape")
+    reading = {"form": sample.form, **sample.reading}
+    with pytest.raises(InputError, match=rf"a\.csv: .*{message(sample)}") as caught:
+        read(content, name="a.csv", **reading)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_the_sample_itself_is_sound(read, name):
+    """So that each refusal is for its damage alone."""
+    sample = SAMPLES[name]
+    text = sample.text(sample.lines())
+    assert len(read(text, form=sample.form, **sample.reading)) == 1
+    assert len(read(text, **sample.reading)) == 1  # the format is found, too

@@ -1,0 +1,336 @@
+"""The tidy table, and what is common to all formats: cuts, commands, labels."""
+
+import gzip
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pinav.errors import InputError
+from pinav.recordings import COMMAND_UNITS, groups, labels, read_recording
+from pinav.trajectories import concatenate
+
+HEADER = "run,particle,segment,frame,t_s,x_um,y_um,freq_hz,alpha_rad"
+
+
+def rows(*lines):
+    return "\n".join([HEADER, *lines, ""])
+
+
+def test_table_in_micrometres_is_taken_as_it_is(read):
+    data = read(
+        rows(
+            "10,1,0,5,0.0,1.5,-2.5,3,0.1",
+            "10,1,0,6,0.04,2.5,-3.5,4,0.2",
+            "10,1,1,9,0.2,9,8,5,0.3",
+            "10,1,1,10,0.3,7,6,6,0.4",
+            "b,2.0,0,0,0.0,1,1,0,0",
+            "b,2.0,0,2,0.1,2,2,0,0",
+        )
+    )
+    assert labels(data) == [
+        {"run": "10", "particle": "1", "segment": 0},
+        {"run": "10", "particle": "1", "segment": 1},
+        {"run": "b", "particle": "2", "segment": 0},
+    ]
+    np.testing.assert_array_equal(data.trajectory(0).states, [[1.5, -2.5], [2.5, -3.5]])
+    np.testing.assert_array_equal(data.trajectory(1).times, [0.2, 0.3])
+    np.testing.assert_array_equal(data.trajectory(1).commands["frequency"], [5, 6])
+    np.testing.assert_array_equal(data.trajectory(1).commands["heading"], [0.3, 0.4])
+    assert data.units == {
+        "x": "um",
+        "y": "um",
+        "t": "s",
+        "frequency": "Hz",
+        "heading": "rad",
+    }
+    assert data.provenance["positions"]["y flipped"] is False
+    assert data.provenance["source"] == "tracks.csv"
+
+
+PIXELS = "t_s,x_px,y_px\n0,10,20\n1,12,26\n2,14,32\n"
+
+
+def test_pixels_are_flipped_and_scaled(read):
+    data = read(PIXELS, mpp=0.5)
+    np.testing.assert_array_equal(data.states[0], [[5, -10], [6, -13], [7, -16]])
+    assert data.units["x"] == "um"
+    plain = read(PIXELS)
+    np.testing.assert_array_equal(plain.states[0], [[10, -20], [12, -26], [14, -32]])
+    assert plain.units["x"] == "px"
+    up = read(PIXELS, y_down=False)
+    np.testing.assert_array_equal(up.states[0, :, 1], [20, 26, 32])
+    assert [r.provenance["positions"]["y flipped"] for r in (plain, up)] == [
+        True,
+        False,
+    ]
+
+
+def test_gzip_is_unpacked(read):
+    data = read(gzip.compress(PIXELS.encode()), name="a.csv.gz")
+    assert len(data) == 1
+    assert labels(data)[0]["run"] == "a"
+
+
+def track(frames, xs, commands=None):
+    lines = ["frame,t_s,x_px,y_px" + (",freq_hz,alpha_rad" if commands else "")]
+    for index, (frame, x) in enumerate(zip(frames, xs, strict=True)):
+        tail = "" if not commands else f",{commands[index]},{commands[index] / 10}"
+        lines.append(f"{frame},{frame / 10!r},{x},0{tail}")
+    return "\n".join(lines)
+
+
+def test_track_is_cut_at_jumps_and_gaps_and_never_bridged(read):
+    frames = [0, 1, 2, 3, 13, 14, 25, 26]
+    text = track(frames, [0, 1, 41, 82, 83, 84, 85, 86])
+    data = read(text)
+    assert [p.times.tolist() for p in data] == [
+        [0.0, 0.1, 0.2],
+        [0.3, 1.3, 1.4],
+        [2.5, 2.6],
+    ]
+    assert [label["segment"] for label in labels(data)] == [0, 1, 2]
+    assert len(read(track(frames, [0, 1, 41, 82, 83, 84, 85, 86]), jump=39.0)) == 3
+    assert (
+        len(read(track(frames, [0, 1, 41, 82, 83, 84, 85, 86]), jump=1e3, gap=20)) == 1
+    )
+
+
+def test_single_rows_are_left_out_and_named(read):
+    data = read(track([0, 1, 2, 3, 4], [0, 1, 90, 1, 2]))
+    assert len(data) == 2
+    assert [p["segment"] for p in data.provenance["segments left out"]] == [1]
+
+
+def test_gaps_in_time_count_where_there_are_no_frames(read):
+    times = [0, 0.1, 0.2, 0.3, 0.4, 1.4, 2.5, 2.6]
+    text = "t_s,x_px,y_px\n" + "".join(f"{t},0,0\n" for t in times)
+    assert [len(p.times) for p in read(text)] == [6, 2]
+
+
+def test_lost_positions_stay_as_rows_without_observation(read):
+    text = "frame,t_s,x_px,y_px,freq_hz,alpha_rad\n"
+    text += "0,0,,nan,1,0\n1,1,5,5,2,0\n2,2,,6,3,0\n3,3,7,7,4,0\n4,4,,,5,0\n"
+    data = read(text)
+    np.testing.assert_array_equal(data.times, [[1, 2, 3]])
+    np.testing.assert_array_equal(data.observed[0], [[1, 1], [0, 0], [1, 1]])
+    np.testing.assert_array_equal(data.commands["frequency"], [[2, 3, 4]])
+
+
+def test_heading_offset_is_added_and_recorded(read):
+    text = track(range(3), range(3), [1, 2, 3])
+    data = read(text, heading_offset=np.pi / 2)
+    np.testing.assert_allclose(data.commands["heading"][0], np.pi / 2 + np.r_[1:4] / 10)
+    assert data.provenance["commands"]["heading_offset"] == np.pi / 2
+
+
+def test_delay_shifts_commands_across_cuts(read):
+    """A robot that was lost for a while still had its commands."""
+    text = track(range(6), [0, 1, 2, 90, 91, 92], [1, 2, 3, 4, 5, 6])
+    data = read(text, delay=0.2)
+    assert [p.commands["frequency"].tolist() for p in data] == [[1, 1, 1], [2, 3, 4]]
+    between = read(text, delay=0.15)
+    assert between.trajectory(1).commands["frequency"].tolist() == [2, 3, 4]
+    assert data.provenance["commands"]["delay"] == 0.2
+
+
+def test_missing_commands_are_held_and_counted(read):
+    text = "t_s,x_px,y_px,freq_hz,alpha_rad\n"
+    text += "0,0,0,,\n1,0,0,2,1\n2,0,0,,1\n3,0,0,4,1\n"
+    data = read(text)
+    np.testing.assert_array_equal(data.commands["frequency"], [[2, 2, 2, 4]])
+    assert data.provenance["rows without a command"] == 2
+
+
+def test_frames_sort_rows_and_one_time_of_two_frames_is_left_out(read):
+    text = "frame,t_s,x_px,y_px\n2,0.2,2,0\n0,0,0,0\n3,0.2,3,0\n1,0.1,1,0\n"
+    data = read(text)
+    np.testing.assert_array_equal(data.states[0, :, 0], [0, 1, 2])
+    assert data.provenance["repeated times left out"] == 1
+
+
+def test_labels_follow_selections_and_joins(read):
+    data = read(
+        "run,kind,particle,t_s,x_um,y_um\n"
+        + "".join(
+            f"{run},{kind},{particle},{t},0,0\n"
+            for run in "ab"
+            for kind in ("bead", "swimmer")
+            for particle in (1, 2)
+            for t in (0, 1)
+        )
+    )
+    assert labels(data)[3] == {
+        "run": "a",
+        "particle": "swimmer 2",
+        "kind": "swimmer",
+        "segment": 0,
+    }
+    chosen = data.select([5, 2]).select([1])
+    assert [label["particle"] for label in labels(chosen)] == ["swimmer 1"]
+    joined = concatenate([chosen, data]).select([0, 1])
+    assert [label["particle"] for label in labels(joined)] == ["swimmer 1", "bead 1"]
+    assert list(groups(data, "run", "kind")) == [
+        ("a", "bead"),
+        ("a", "swimmer"),
+        ("b", "bead"),
+        ("b", "swimmer"),
+    ]
+    assert groups(data)["b", "bead 2"] == [5]
+    with pytest.raises(InputError, match="no label 'robot'; expected some of run"):
+        groups(data, "robot")
+
+
+def test_labels_of_other_trajectories_are_refused(paper_trajectories):
+    with pytest.raises(InputError, match="say nothing of runs and particles"):
+        labels(paper_trajectories)
+
+
+@settings(max_examples=40)
+@given(
+    st.lists(
+        st.tuples(st.floats(-1e4, 1e4), st.floats(-1e4, 1e4)), min_size=2, max_size=8
+    ),
+    st.floats(0.01, 10),
+)
+def test_every_digit_survives(tmp_path_factory, points, mpp):
+    path = tmp_path_factory.mktemp("tidy") / "a.csv"
+    lines = [f"{i},{x!r},{y!r}" for i, (x, y) in enumerate(points)]
+    path.write_text("\n".join(["t_s,x_px,y_px", *lines]))
+    data = read_recording(path, mpp=mpp, jump=1e9)
+    expected = mpp * np.array(points) * [1, -1]
+    np.testing.assert_array_equal(data.states[0], expected)
+
+
+def good(row, column, value):
+    """A sound table, one cell of which is another."""
+    lines = [["run", "particle", "frame", "t_s", "x_px", "y_px", "freq_hz"]]
+    lines += [["a", "1", str(i), str(i / 10), str(i), "2", "3"] for i in range(4)]
+    lines[row][lines[0].index(column)] = value
+    return "\n".join(map(",".join, lines))
+
+
+BAD = {
+    "empty": ("", r"the file is empty; copy it"),
+    "blank": ("\n\n", r"the file is empty"),
+    "header alone": ("t_s,x_px,y_px\n", r"line 1: the header is all there is"),
+    "no positions": ("t_s,angle_rad\n0,1\n", r"header: .* columns x_um, y_um or x_px"),
+    "y missing": ("t_s,x_px\n0,1\n1,2\n", r"header: column 'y_px' is missing; got t_s"),
+    "column twice": ("t_s,x_px,x_px\n0,1,2\n", r"line 1: column 'x_px' stands twice"),
+    "word": (good(2, "x_px", "wall"), r"line 3, column 'x_px': .* got 'wall'; corr"),
+    "digits with underscores": (good(2, "x_px", "1_0"), r"line 3, .*'x_px': .* '1_0'"),
+    "infinite": (good(3, "y_px", "inf"), r"line 4, column 'y_px': .* got 'inf'"),
+    "NaN time": (good(3, "t_s", "nan"), r"line 4, column 't_s': .* got 'nan'; give"),
+    "no time": (good(3, "t_s", ""), r"line 4, column 't_s': .* got an empty cell; gi"),
+    "time goes back": (
+        good(3, "t_s", "0.05"),
+        r"line 4, column 't_s': time 0.05 is before the time 0.1 of line 3; sort",
+    ),
+    "frame twice": (
+        good(3, "frame", "1"),
+        r"line 4, column 'frame': frame 1 of '1' stands in line 3 already; delete one",
+    ),
+    "negative frame": (good(1, "frame", "-1"), r"line 2, column 'frame': .* >= 0, got"),
+    "half a frame": (good(2, "frame", "1.5"), r"line 3, column 'frame': .* whole num"),
+    "no particle": (good(2, "particle", ""), r"line 3, column 'particle': .* an empty"),
+    "command is a word": (good(4, "freq_hz", "off"), r"line 5, .*'freq_hz': .* 'off'"),
+    "row cut short": ("t_s,x_px,y_px\n0,1,2\n1,2\n", r"line 3: expected 3 cells"),
+    "decimal comma": (
+        "t_s;x_px;y_px\n0;1,5;2\n",
+        r"line 2, column 'x_px': .* got '1,5'; write decimals with a point",
+    ),
+    "decimal commas": (
+        "t_s,x_px,y_px\n0,1,5,2\n",
+        r"line 2: expected 3 cells, .* got 4; is the file cut short, or a comma in a",
+    ),
+    "open quote": ('t_s,x_px,y_px\n0,"1,2\n', r"line 2: not CSV: unexpected end"),
+    "single row": ("t_s,x_px,y_px\n0,1,2\n", r"the longest of 1 segments has a single"),
+    "all lost": ("t_s,x_px,y_px\n0,,\n1,,\n", r"the longest of 0 segments"),
+    "bytes that are no text": (b"t_s,x_px,y_px\n0,\xff\xfe,2\n", r"line 2: .* 0xff"),
+    "zeros in the text": (b"t_s,x_px,y_px\n0,1\x00,2\n", r"line 2: .* got binary data"),
+    "gzip cut short": (gzip.compress(PIXELS.encode())[:-12], r"damaged gzip file"),
+    "other delimiter": ("t_s|x_px|y_px\n0|1|2\n", r"the format is not known; give its"),
+}
+
+
+@pytest.mark.parametrize(("content", "message"), BAD.values(), ids=list(BAD))
+def test_damage_is_named_with_its_place(read, content, message):
+    with pytest.raises(InputError, match=r"tracks\.csv: .*" + message) as caught:
+        read(content)
+    assert "\n" not in str(caught.value)
+
+
+BAD_READING = {
+    "form": ({"form": "excel"}, r"form: expected one of tidy.* got 'excel'"),
+    "mpp": ({"mpp": 0.0}, r"mpp: expected > 0, got 0"),
+    "gap": ({"gap": 0}, r"gap: expected > 0"),
+    "jump": ({"jump": -1.0}, r"jump: expected > 0"),
+    "delay": ({"delay": -0.1}, r"delay: expected >= 0 s, got -0.1"),
+    "offset": ({"heading_offset": np.nan}, r"heading_offset: expected a number"),
+    "likelihood": ({"likelihood": 2.0}, r"likelihood: expected from 0 to 1, got 2"),
+    "delay without commands": ({"delay": 0.1}, r"delay: the file has no commands"),
+    "offset without commands": (
+        {"heading_offset": 1.0},
+        r"heading_offset: the file has no commands; leave it out",
+    ),
+    "fps without frames": ({"fps": 20.0}, r"fps: the file has times and no frames"),
+}
+
+
+@pytest.mark.parametrize(
+    ("reading", "message"), BAD_READING.values(), ids=list(BAD_READING)
+)
+def test_wrong_options_are_named(read, reading, message):
+    with pytest.raises(InputError, match=message):
+        read(PIXELS, **reading)
+
+
+def test_micrometres_are_not_scaled_again(read):
+    with pytest.raises(InputError, match="mpp: positions are in um already"):
+        read("t_s,x_um,y_um\n0,1,2\n1,2,3\n", mpp=0.5)
+
+
+def test_missing_file_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"absent\.csv: cannot read: No such file"):
+        read_recording(tmp_path / "absent.csv")
+
+
+TIDY_FILES = {
+    "magscope_cellbot_sessions/sessions.csv.gz": (22_360, 9, 9),
+    "magscope_roller_circles/control_circles.csv.gz": (11_756, 1, 6),
+    "magscope_roller_circles/idle_brownian.csv.gz": (880, 4, 4),
+    "magscope_speed_vs_freq/5um_roller.csv.gz": (68_242, 81, 91),
+    "magscope_speed_vs_freq/5um_dimer.csv.gz": (28_001, 5, 5),
+    "magscope_speed_vs_freq/20um_roller.csv.gz": (36_458, 14, 24),
+    "magscope_speed_vs_freq/cellbot.csv.gz": (118_004, 33, 42),
+    "dna_microswimmer_flow/tracks.csv.gz": (66_337, 29, 29),
+}
+
+
+@pytest.mark.parametrize("name", TIDY_FILES)
+def test_real_tidy_file_is_read_whole(recording, name):
+    """Counts as its README states them; single rows and repeated times are named."""
+    samples, tracks, segments = TIDY_FILES[name]
+    data = read_recording(recording(name))
+    left_out = data.provenance["segments left out"]
+    repeats = data.provenance["repeated times left out"]
+    assert int(data.lengths.sum()) == samples - len(left_out) - repeats
+    assert len(groups(data)) == tracks
+    assert len(data) + len(left_out) == segments
+    assert set(data.commands) <= set(COMMAND_UNITS)
+    assert repeats == (1 if "5um_roller" in name else 0)
+
+
+def test_cuts_of_a_real_recording_are_those_of_its_readme(recording, tmp_path):
+    """Without its column `segment` the file is cut at the same rows."""
+    path = recording("magscope_roller_circles/control_circles.csv.gz")
+    lines = gzip.decompress(path.read_bytes()).decode().splitlines()
+    header = lines[0].split(",")
+    drop = [header.index(name) for name in ("segment", "x_um", "y_um")]
+    kept = [i for i in range(len(header)) if i not in drop]
+    table = [",".join(line.split(",")[i] for i in kept) for line in lines]
+    own = tmp_path / "uncut.csv"
+    own.write_text("\n".join(table))
+    cut, known = read_recording(own), read_recording(path)
+    assert [len(p.times) for p in cut] == [len(p.times) for p in known]

@@ -1,0 +1,232 @@
+"""TrackMate: spots as CSV with four header rows or one, and tracks as XML."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from tests.recordings.synthetic import EXAMPLE, check, rows_of, tracks
+
+from pinav.errors import InputError
+from pinav.recordings import groups, labels, read_recording
+
+NAMES = "LABEL,ID,TRACK_ID,POSITION_X,POSITION_Y,POSITION_Z,POSITION_T,FRAME"
+LONG = "Label,Spot ID,Track ID,X,Y,Z,T,Frame"
+UNITS = ",,,({0}),({0}),({0}),({1}),"
+
+
+def spots(truth, *, raw=True, interval=0.05, space="pixel", time="sec"):
+    """A file of spots, not in order."""
+    head = [NAMES, LONG, LONG, UNITS.format(space, time)] if raw else [NAMES]
+    rows = [
+        f"ID{f},{f},{name},{x!r},{y!r},0.0,{f * interval!r},{f}"
+        for name, f, x, y in rows_of(truth)
+    ]
+    return "\n".join([*head, rows[0], *rows[:0:-1]]) + "\n"
+
+
+@pytest.mark.parametrize("raw", [True, False])
+@settings(max_examples=20)
+@given(truth=tracks())
+def test_spots_come_back_whole(tmp_path_factory, raw, truth):
+    path = tmp_path_factory.mktemp("trackmate") / "spots.csv"
+    path.write_text(spots(truth, raw=raw))
+    by_name = sorted(truth, key=lambda track: track.name)
+    data = read_recording(path, fps=20.0, mpp=0.656)
+    order = np.argsort([label["particle"] for label in labels(data)])
+    check(data.select(order), by_name, mpp=0.656, fps=20.0)
+
+
+def test_units_of_the_raw_file_are_taken(read):
+    data = read(spots(EXAMPLE, space="micron", time="msec", interval=50.0))
+    assert data.units == {"x": "um", "y": "um", "t": "s"}
+    np.testing.assert_allclose(data.trajectory(0).times, [0, 0.05, 0.1, 0.2])
+    with pytest.raises(InputError, match="mpp: positions are in um already"):
+        read(spots(EXAMPLE, space="micron"), mpp=0.5)
+    metres = read(spots(EXAMPLE, space="mm"), jump=1e6)
+    np.testing.assert_allclose(metres.states[0, 0, 0], 1000)
+
+
+def test_frame_numbers_said_to_be_seconds_are_noticed(read):
+    """The traps of a film that was never calibrated."""
+    data = read(spots(EXAMPLE, interval=1.0))
+    assert data.units["t"] == "frame"
+    note = "times equal the frame numbers, although they are said to be in sec"
+    assert note in data.provenance["notes"][0]
+    corrected = read(spots(EXAMPLE, interval=1.0), fps=20.0)
+    assert corrected.units["t"] == "s"
+    np.testing.assert_array_equal(corrected.trajectory(0).times, [0, 0.05, 0.1, 0.2])
+
+
+def test_spots_without_a_track_are_left_out_and_counted(read):
+    text = spots(EXAMPLE) + "ID9,9,,1.0,2.0,0.0,0.1,2\nID8,8,None,1.0,2.0,0,0.1,3\n"
+    data = read(text)
+    assert len(data) == 2
+    assert "2 spots without a track left out" in data.provenance["notes"]
+    with pytest.raises(InputError, match=r"line 5, .*no spot belongs to a track"):
+        read(spots([EXAMPLE[0]._replace(name="None")]))
+
+
+RAW = spots(EXAMPLE)
+BAD_HEADERS = {
+    "units missing": (
+        RAW.replace(UNITS.format("pixel", "sec") + "\n", ""),
+        r"line 4: expected the row of units, such as \(pixel\) .* got 'ID0'; a raw fi",
+    ),
+    "short names missing": (
+        "\n".join([NAMES, LONG, UNITS.format("pixel", "sec"), *RAW.split("\n")[4:]]),
+        r"line 4: expected the row of units",
+    ),
+    "header alone": ("\n".join(RAW.split("\n")[:4]), r"line \d: .*|no spot"),
+}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"), BAD_HEADERS.values(), ids=list(BAD_HEADERS)
+)
+def test_damaged_header_is_named(read, text, message):
+    with pytest.raises(InputError, match=message):
+        read(text)
+
+
+XML = '<Tracks spaceUnits="{}" timeUnits="{}" frameInterval="{}">\n{}\n</Tracks>'
+
+
+def xml(truth, *, space="pixel", time="sec", interval="0.05"):
+    particles = []
+    for track in truth:
+        rows = rows_of([track])
+        inner = "\n".join(
+            f'<detection t="{f}" x="{x!r}" y="{y!r}" z="0.0" />' for _, f, x, y in rows
+        )
+        particles.append(
+            f'<particle nSpots="{len(track.frames)}">\n{inner}\n</particle>'
+        )
+    return XML.format(space, time, interval, "\n".join(particles))
+
+
+@settings(max_examples=20)
+@given(truth=tracks())
+def test_xml_comes_back_whole(tmp_path_factory, truth):
+    path = tmp_path_factory.mktemp("trackmate") / "tracks.xml"
+    path.write_text('<?xml version="1.0" encoding="UTF-8"?>\n' + xml(truth))
+    check(read_recording(path, fps=20.0, mpp=0.656), truth, mpp=0.656, fps=20.0)
+    own = read_recording(path)
+    assert own.units == {"x": "px", "y": "px", "t": "s"}
+    frames = np.array(truth[0].frames)
+    np.testing.assert_array_equal(own.trajectory(0).times, 0.05 * frames)
+
+
+def test_xml_of_a_film_never_calibrated(read):
+    for interval, time in (("1.0", "sec"), ("1.0", "frame")):
+        data = read(xml(EXAMPLE, interval=interval, time=time), name="a.xml")
+        assert data.units["t"] == "frame"
+    micron = read(xml(EXAMPLE, space="µm", time="ms"), name="a.xml")
+    assert micron.units == {"x": "um", "y": "um", "t": "s"}
+    np.testing.assert_allclose(micron.trajectory(0).times[1], 5e-5)
+
+
+DECLARED = '<?xml version="1.0" encoding="UTF-8"?>'
+GOOD = xml(EXAMPLE)
+SPOT = "particle 1, detection 2, attribute"
+BAD_XML = {
+    "cut short": (GOOD[:-30], r"line \d+, column \d+: not well-formed XML"),
+    "tag not closed": (
+        GOOD.replace("</particle>", "", 1),
+        r"line \d+, column \d+: not",
+    ),
+    "other root": (
+        "<TrackMate><Model/></TrackMate>",
+        r"<TrackMate>: expected <Tracks>",
+    ),
+    "page of the web": ("<html><body/></html>", r"<html>: expected <Tracks>; in Track"),
+    "no particles": (XML.format("px", "s", 1, ""), r"<Tracks>: no <particle> in it"),
+    "no detections": (
+        XML.format("px", "s", 1, "<particle></particle>"),
+        r"<particle>: no <detection>; export again",
+    ),
+    "wrong count": (
+        GOOD.replace('nSpots="4"', 'nSpots="9"'),
+        r"particle 1, attribute 'nSpots': expected 9 detections, got 4; export",
+    ),
+    "x missing": (GOOD.replace(' x="2.0"', ""), rf"{SPOT} 'x': .* got nothing; exp"),
+    "y missing": (GOOD.replace(' y="0.5"', ""), rf"{SPOT} 'y': .* got nothing"),
+    "t missing": (GOOD.replace(' t="1" x="2', ' x="2'), rf"{SPOT} 't': .* got nothing"),
+    "word": (GOOD.replace('x="2.0"', 'x="wall"'), rf"{SPOT} 'x': .* got 'wall'"),
+    "underscore": (GOOD.replace('x="2.0"', 'x="2_0"'), rf"{SPOT} 'x': .* got '2_0'"),
+    "comma": (GOOD.replace('x="2.0"', 'x="2,0"'), rf"{SPOT} 'x': .* got '2,0'"),
+    "NaN": (GOOD.replace('x="2.0"', 'x="NaN"'), rf"{SPOT} 'x': .* got 'NaN'"),
+    "infinite": (GOOD.replace('y="0.5"', 'y="inf"'), rf"{SPOT} 'y': .* got 'inf'"),
+    "half a frame": (
+        GOOD.replace('t="1" x="2', 't="1.5" x="2'),
+        rf"{SPOT} 't': expected a frame, a whole number >= 0, got 1.5",
+    ),
+    "negative frame": (
+        GOOD.replace('t="1" x="2', 't="-1" x="2'),
+        rf"{SPOT} 't': .* got -1",
+    ),
+    "frame twice": (
+        GOOD.replace('t="1" x="2', 't="2" x="2'),
+        r"particle 1, detection 3, column 't': frame 2 of '0' stands in particle 1, de",
+    ),
+    "interval": (xml(EXAMPLE, interval="fast"), r"'frameInterval': .* got 'fast'"),
+    "interval zero": (
+        xml(EXAMPLE, interval="0"),
+        r"'frameInterval': expected > 0, got",
+    ),
+    "single spots": (
+        xml(
+            [t._replace(frames=t.frames[:1], xs=t.xs[:1], ys=t.ys[:1]) for t in EXAMPLE]
+        ),
+        r"the longest of 2 segments has a single position",
+    ),
+    "entities": (
+        f'<!DOCTYPE t [<!ENTITY a "1"><!ENTITY b "&a;&a;">]>{GOOD}',
+        r"declares entities or a document type, which is not read",
+    ),
+    "file from outside": (
+        f'<!DOCTYPE t [<!ENTITY a SYSTEM "file:///etc/hostname">]>{GOOD}',
+        r"declares entities or a document type",
+    ),
+    "other encoding": (
+        f'<?xml version="1.0" encoding="UTF-8"?>{GOOD}'.encode().replace(
+            b"sec", b"\xb5"
+        ),
+        r"line 1, column \d+: not well-formed XML",
+    ),
+}
+
+
+@pytest.mark.parametrize(("content", "message"), BAD_XML.values(), ids=list(BAD_XML))
+def test_damaged_xml_is_named_with_its_place(read, content, message):
+    with pytest.raises(InputError, match=rf"a\.xml: .*{message}") as caught:
+        read(content, name="a.xml")
+    assert "\n" not in str(caught.value)
+
+
+REAL = "ecoli_pillars_trackmate/{}dev1-pil{}-rep1-02022024.csv"
+
+
+@pytest.mark.parametrize(
+    ("name", "spots", "ids"),
+    [
+        (REAL.format("", "0-dis0"), 836, ["0", "3", "4", "5", "6"]),
+        (
+            REAL.format("sorted-", "3-dis1"),
+            2757,
+            ["0", "2", "3", "4", "5", "6", "7", "8", "12"],
+        ),
+    ],
+)
+def test_real_spots(recording, name, spots, ids):
+    """Counts and ids as its README states them; 20 frames in a second."""
+    path = recording(name)
+    data = read_recording(path, fps=20.0, mpp=0.656)
+    lost = len(data.provenance["segments left out"])
+    assert int(data.lengths.sum()) + lost == spots
+    found = {label["particle"] for label in labels(data)}
+    found |= {label["particle"] for label in data.provenance["segments left out"]}
+    assert sorted(found, key=int) == ids
+    assert data.times.max() <= 40.0
+    assert set(data.units.values()) == {"um", "s"}
+    assert read_recording(path).units["t"] == "frame"
+    assert "frame numbers" in read_recording(path).provenance["notes"][0]
+    assert len(groups(data)) <= len(ids)
