@@ -150,7 +150,7 @@ def fit_bayes(
     with jax.enable_x64(new_val=True):
         solver = FixedStep() if solver is None else solver
         problem = _begun(model, trajectories, learn, noise, solver)
-        result = _result(problem, *_iterate(problem, max_iterations, on_step))
+        result = _result(problem, *iterate(problem, max_iterations, on_step))
     if throw and result.outcome is not BayesOutcome.CONVERGED:
         raise FitError(_MESSAGES[result.outcome])
     return result
@@ -182,7 +182,7 @@ def _begun(model, trajectories, learn, noise, solver) -> BayesProblem:
     kernels = kernel_environment(KERNELS[type(environment)], trajectories, dim=dim)
     replaced = eqx.tree_at(lambda m: m.environment, model, kernels)
     teaching = BayesProblem.of(replaced, trajectories, learn, noise, solver)
-    outcome, steps = _iterate(teaching, TEACHING_STEPS)
+    outcome, steps = iterate(teaching, TEACHING_STEPS)
     if outcome is BayesOutcome.DIVERGED:
         return given
     teacher = _result(teaching, outcome, steps)
@@ -205,12 +205,18 @@ TEACHING_STEPS = 20
 """Of the kernel fit at most."""
 
 
-def _iterate(
-    problem: "BayesProblem",
+def iterate(
+    problem: Any,
     max_iterations: int,
     on_step: Callable[[BayesProgress], None] | None = None,
 ) -> tuple[BayesOutcome, list[Step]]:
-    """Steps until they converge, diverge or run out."""
+    """Steps until they converge, diverge or run out.
+
+    Args:
+        problem: a `BayesProblem`, or what steps as it does.
+        max_iterations: steps at most.
+        on_step: called after each step.
+    """
     move = Move(problem.theta, problem.states, problem.descent)
     shape = problem.weights.start
     steps: list[Step] = []
