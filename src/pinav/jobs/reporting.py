@@ -11,6 +11,7 @@ from pinav.files import write_text
 from pinav.jobs.analysis_pages import analysis_sections
 from pinav.jobs.compare import table
 from pinav.jobs.evaluation_report import evaluated
+from pinav.jobs.heat_report import heated
 from pinav.jobs.law_report import law_sections
 from pinav.jobs.reproduce import key_of, stored_field
 from pinav.jobs.study_report import studied
@@ -41,6 +42,7 @@ TITLES = {
     "fit": "A fitted model",
     "compare": "Models compared",
     "study": "A study of models",
+    "heat": "Bioheat",
 }
 
 BARRIER = ([5.0, 5.0], 2.9)
@@ -62,6 +64,7 @@ def write_report(folder: RunFolder) -> Path:
         "fit": _fitted,
         "compare": _compared,
         "study": studied,
+        "heat": heated,
     }
     job = folder.config().get("job")
     if job not in sections:
