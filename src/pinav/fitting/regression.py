@@ -229,7 +229,7 @@ class Regression(eqx.Module):
             theta=move.theta,
             jacobian=rows,
             precision=self.precision(chosen),
-            noise=chosen.noise,
+            noise=max(chosen.noise, np.finfo(float).eps * self.scale),
         )
         wanted = np.abs(rows @ (mean - move.theta)).max()
         allowed = max(SMALL_CHANGE * chosen.noise, SMALLEST * self.scale)

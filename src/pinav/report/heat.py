@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 
 from pinav.report.style import (
     BLACK,
@@ -221,6 +222,9 @@ def perfusion_figure(laws: Mapping[str, Mapping[str, Any]]) -> Figure:
         ax.plot(temperatures, law["values"], ":", color=BLUE, lw=THIN)
         ax.plot(temperatures, known, color=BLUE, lw=THIN, label="learned, 95 % band")
         ax.set_yscale("log")
+        plain = LogFormatter(minor_thresholds=(2.0, 0.5))
+        ax.yaxis.set_major_formatter(plain)
+        ax.yaxis.set_minor_formatter(plain)
         ax.tick_params(which="both", labelsize=SMALL)
         label_axes(ax, "temperature [°C]", "perfusion [kg/(m³ s)]")
         title_panel(ax, name)

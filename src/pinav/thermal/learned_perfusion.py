@@ -130,7 +130,7 @@ def neural_perfusion(
 
 
 def kernel_perfusion(
-    level: Number, temperatures: tuple[float, float], *, length_scale: Number = 2.0
+    level: Number, temperatures: tuple[float, float], *, length_scale: Number = 3.0
 ) -> KernelPerfusion:
     """Kernels every half length scale, without weight yet.
 

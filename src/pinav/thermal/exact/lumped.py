@@ -63,13 +63,20 @@ def lumped_nonlinear(
     grid = np.linspace(0.0, ceiling, 4001)
     stuck = [x for x in grid if source - sink(float(x)) <= 0]
     if not stuck:
-        return float(scipy.optimize.brentq(lateness, 0.0, ceiling, rtol=1e-13))
+        return _root(lateness, 0.0, ceiling)
     before = stuck[0] - ceiling / 4000
-    steady = scipy.optimize.brentq(lambda x: source - sink(x), before, stuck[0])
+    steady = _root(lambda x: source - sink(x), before, stuck[0])
     gap = 0.5 * steady
     while lateness(steady - gap) < 0:  # the integral diverges at the steady state
         gap *= 0.5
-    return float(scipy.optimize.brentq(lateness, 0.0, steady - gap, rtol=1e-13))
+    return _root(lateness, 0.0, steady - gap)
+
+
+def _root(function, low, high) -> float:
+    found = scipy.optimize.root_scalar(
+        function, bracket=(low, high), method="brentq", rtol=1e-13
+    )
+    return float(found.root)
 
 
 def on_off_cycle(
