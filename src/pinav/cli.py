@@ -18,6 +18,7 @@ COMMANDS = {
     "compare": "weigh the evidence of several models of the same data",
     "discover": "find the law behind the learned force of a run",
     "study": "compare models over the amount of data or of noise",
+    "heat": "bioheat: simulate a case, learn perfusion, optimise a protocol",
     "report": "draw the figures and the HTML page of a run again",
     "bench": "run a benchmark and print its table",
 }

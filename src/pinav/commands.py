@@ -11,7 +11,7 @@ import sys
 import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import msgspec
 import tyro
@@ -232,6 +232,31 @@ class StudyOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     json: AsJson = False
 
 
+class HeatOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Bioheat with magnetic heating: synthetic cases of a research code.
+
+    validate: errors of the solver against exact solutions, here and now; simulate:
+    temperature and dose of a case; learn: its perfusion from probes, with a band;
+    optimise: the protocol of most dose in the tumour under the limits of the case. A
+    case is a TOML file (docs/thermal.md, examples/heat). Perfusion takes a unit: 1/s,
+    kg/m3/s, ml/min/kg or ml/min/100g. Never a plan for anybody's treatment.
+    """
+
+    task: Annotated[
+        Literal["validate", "simulate", "learn", "optimise"],
+        tyro.conf.Positional,
+        tyro.conf.arg(help="What to do."),
+    ]
+    case: Annotated[
+        Path | None,
+        tyro.conf.Positional,
+        tyro.conf.arg(help="TOML file of the case; validate needs none."),
+    ] = None
+    out: OutFolder = Path("runs/heat")
+    overwrite: Overwrite = False
+    json: AsJson = False
+
+
 class BenchOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Run a benchmark of a source checkout and print its table."""
 
@@ -389,6 +414,54 @@ def analyse(options: AnalyseOptions) -> None:
     _show(RunFolder.open(options.run), found, job.text, as_json=options.json)
 
 
+def heat(options: HeatOptions) -> None:
+    """`pinav heat`."""
+    if options.task == "validate":
+        _heat_validate(as_json=options.json)
+        return
+    if options.case is None:
+        raise InputError(
+            f"heat {options.task}: expected the TOML file of a case, got none; "
+            "examples/heat has some"
+        )
+    _enable_x64()
+    from pinav.jobs.heat import optimise_protocol, simulate
+    from pinav.jobs.heat_cases import read_case
+    from pinav.jobs.heat_learning import learn_perfusion
+    from pinav.jobs.heat_models import built
+    from pinav.jobs.heat_tables import text
+    from pinav.runs import RunFolder
+
+    case, content = read_case(options.case)
+    built(case)  # refuses a bad case before the folder is made
+    config = {"job": "heat", "task": options.task, "case": content}
+    folder = RunFolder.create(options.out, config, overwrite=options.overwrite)
+    if options.task == "simulate":
+        metrics = simulate(case, folder)
+    elif options.task == "learn":
+        metrics = learn_perfusion(case, folder, options.case)
+    else:
+        metrics = optimise_protocol(case, folder)
+    _show(folder, metrics, text, as_json=options.json)
+
+
+def _heat_validate(*, as_json: bool) -> None:
+    _enable_x64()
+    from pinav.errors import FitError
+    from pinav.jobs.heat_tables import validation_rows, validation_table
+    from pinav.jobs.terminal import as_text
+    from pinav.thermal.validation import validate
+
+    checks = validate()
+    if as_json:
+        _print_json(validation_rows(checks))
+    else:
+        print(as_text(validation_table(checks)))
+    missed = [check.case for check in checks if not check.passed]
+    if missed:
+        raise FitError(f"outside their tolerance: {', '.join(missed)}")
+
+
 def report(options: ReportOptions) -> None:
     """`pinav report`."""
     from pinav.jobs.reporting import write_report
@@ -432,6 +505,7 @@ HANDLERS: dict[str, tuple[type[msgspec.Struct], Callable[[Any], None]]] = {
     "discover": (DiscoverOptions, discover),
     "study": (StudyOptions, study),
     "analyse": (AnalyseOptions, analyse),
+    "heat": (HeatOptions, heat),
     "report": (ReportOptions, report),
 }
 

@@ -180,7 +180,7 @@ def _begun(request: Request) -> BayesProblem:
     if not isinstance(request.model.environment, NEURAL):
         return given
     teaching = request.by_kernels()
-    outcome, steps = _iterate(teaching, TEACHING_STEPS)
+    outcome, steps = iterate(teaching, TEACHING_STEPS)
     if outcome is BayesOutcome.DIVERGED:
         return given
     return request.taught(teaching, steps[-1])
@@ -224,7 +224,7 @@ def _refined(
     Each grid begins anew, so that the result is that of its own fit.
     """
     finer = partial(grids.finer, problem)
-    outcome, steps = _iterate(problem, max_iterations, on_step, finer)
+    outcome, steps = iterate(problem, max_iterations, on_step, finer)
     better = finer(steps[-1]) if steps else None
     if better is not None:
         return _refined(better, grids, max_iterations, on_step)
@@ -237,13 +237,20 @@ PROBES = 2
 """Steps after which the evidence is asked whether the kernels are too coarse."""
 
 
-def _iterate(
-    problem: "BayesProblem",
+def iterate(
+    problem: Any,
     max_iterations: int,
     on_step: Callable[[BayesProgress], None] | None = None,
     finer: Callable[[Step], BayesProblem | None] = lambda _: None,
 ) -> tuple[BayesOutcome, list[Step]]:
-    """Steps until they converge, diverge, run out, or had better be others."""
+    """Steps until they converge, diverge, run out, or had better be others.
+
+    Args:
+        problem: a `BayesProblem`, or what steps as it does.
+        max_iterations: steps at most.
+        on_step: called after each step.
+        finer: a better problem to go on with after a step, if there is one.
+    """
     move = Move(problem.theta, problem.states, problem.descent)
     shape = problem.weights.start
     steps: list[Step] = []

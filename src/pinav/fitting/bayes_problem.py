@@ -117,7 +117,7 @@ class BayesProblem(eqx.Module):
     ):
         _check_selection(model, learn)
         free, theta = freed(with_dtype(model, jnp.float64), _trainable(learn))
-        names, flat = _names(free, theta), ~_is_weight(free, theta)
+        names, flat = parameter_names(free, theta), ~_is_weight(free, theta)
         _check_learned(model, names, flat)
         dim = num_positions(model, trajectories)
         states = smoothed_states(trajectories, dim) if states is None else states
@@ -318,7 +318,7 @@ def dimension(environment) -> int | None:
     return None
 
 
-def _names(free: FreeModel, theta) -> tuple[str, ...]:
+def parameter_names(free: FreeModel, theta) -> tuple[str, ...]:
     """A name for every entry of the parameter vector: the path of its leaf."""
     leaves, _ = jax.tree_util.tree_flatten_with_path(free.unravel(theta))
     names = []

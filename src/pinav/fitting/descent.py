@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from pinav.fitting.lifting import (
     FreeModel,
     Linearisation,
+    Prediction,
     advanced,
     predict,
     pull_back,
@@ -31,10 +32,67 @@ EXPONENTS = range(-3, 2)
 """Dampings tried, as powers of ten of the last one."""
 
 
-class Local(eqx.Module):
+class AbstractLocal(eqx.Module):
     r"""A fit near one point.
 
     $|r|^2/\sigma^2 + \sum_i p_i \theta_i^2 + E(\theta)$ is minimised.
+
+    Attributes:
+        theta: the parameters.
+        precision: $p$, of the prior; zero for a flat one.
+        noise: $\sigma$.
+        energy: $E$, what the prior says beyond the precision.
+    """
+
+    theta: eqx.AbstractVar[Float[np.ndarray, " parameter"]]
+    precision: eqx.AbstractVar[Float[np.ndarray, " parameter"]]
+    noise: eqx.AbstractVar[float]
+    energy: eqx.AbstractVar[Callable[[Float[np.ndarray, " parameter"]], float]]
+
+    @property
+    @abc.abstractmethod
+    def hessian(self) -> Float[np.ndarray, "parameter parameter"]:
+        r"""$J^\top J$ of the residuals at this point."""
+
+    @abc.abstractmethod
+    def predict(self, theta: Float[np.ndarray, " parameter"]) -> Prediction:
+        """Residuals for other parameters, and about which states to linearise there."""
+
+    @abc.abstractmethod
+    def pull_back(
+        self, residuals: Float[Array, "..."]
+    ) -> Float[np.ndarray, " parameter"]:
+        r"""$J^\top r$, with the Jacobian of this point."""
+
+    @abc.abstractmethod
+    def advanced(
+        self, mean: Float[np.ndarray, " parameter"]
+    ) -> Float[Array, "trajectory time state"]:
+        """States about which to linearise after a full step to `mean`."""
+
+    @abc.abstractmethod
+    def damping_scale(
+        self, hessian: Float[np.ndarray, "parameter parameter"]
+    ) -> Float[np.ndarray, " parameter"]:
+        """What the damping of each parameter is relative to.
+
+        Args:
+            hessian: of the cost.
+        """
+
+    def cost(self, theta, residuals) -> float:
+        """What is minimised; infinite where the residuals are not finite."""
+        squares = float(jnp.sum(residuals**2)) / self.noise**2
+        cost = squares + float(self.precision @ theta**2) + self.energy(theta)
+        return cost if np.isfinite(cost) else np.inf
+
+    def half_gradient(self, theta, residuals):
+        """Half the gradient of the cost, with the Jacobian of this point."""
+        return self.pull_back(residuals) / self.noise**2 + self.precision * theta
+
+
+class Local(AbstractLocal):
+    """A lifted fit of trajectories near one point.
 
     Attributes:
         free: the model as a function of its parameters.
@@ -43,9 +101,9 @@ class Local(eqx.Module):
         theta: the parameters.
         states: about which the dynamics are linearised.
         linear: the linearisation.
-        precision: $p$, of the prior; zero for a flat one.
-        noise: $\sigma$.
-        energy: $E$, what the prior says beyond the precision.
+        precision: of the prior.
+        noise: standard deviation of the observations.
+        energy: what the prior says beyond the precision.
     """
 
     free: FreeModel
@@ -58,22 +116,23 @@ class Local(eqx.Module):
     noise: float
     energy: Callable[[Float[np.ndarray, " parameter"]], float]
 
+    @property
+    def hessian(self):
+        return np.asarray(self.linear.hessian)
+
     def predict(self, theta):
-        """Residuals and linearised solution for other parameters."""
         return predict(
             self.free, jnp.asarray(theta), self.states, self.observations, self.solver
         )
 
-    def cost(self, theta, residuals) -> float:
-        """What is minimised; infinite where the residuals are not finite."""
-        squares = float(jnp.sum(residuals**2)) / self.noise**2
-        cost = squares + float(self.precision @ theta**2) + self.energy(theta)
-        return cost if np.isfinite(cost) else np.inf
+    def pull_back(self, residuals):
+        return np.asarray(pull_back(self.linear, residuals))
 
-    def half_gradient(self, theta, residuals):
-        """Half the gradient of the cost, with the Jacobian of this point."""
-        slope = np.asarray(pull_back(self.linear, residuals)) / self.noise**2
-        return slope + self.precision * theta
+    def damping_scale(self, hessian):
+        return self.precision if np.any(self.precision) else np.diag(hessian)
+
+    def advanced(self, mean):
+        return advanced(self.states, self.linear, jnp.asarray(mean - self.theta))
 
 
 class Move(eqx.Module):
@@ -94,7 +153,9 @@ class AbstractDescent(eqx.Module):
     """Chooses the next point of linearisation."""
 
     @abc.abstractmethod
-    def __call__(self, local: Local, mean: Float[np.ndarray, " parameter"]) -> Move:
+    def __call__(
+        self, local: AbstractLocal, mean: Float[np.ndarray, " parameter"]
+    ) -> Move:
         """The next point, given the `mean` of the linear model's posterior."""
 
 
@@ -102,8 +163,7 @@ class FullStep(AbstractDescent):
     """To the mean of the posterior: right for a model linear in its parameters."""
 
     def __call__(self, local, mean):
-        change = jnp.asarray(mean - local.theta)
-        return Move(mean, advanced(local.states, local.linear, change), self)
+        return Move(mean, local.advanced(mean), self)
 
 
 class ShortenedStep(AbstractDescent):
@@ -133,9 +193,10 @@ class ChordSteps(AbstractDescent):
 
     For several dampings $\lambda$ and $P$, the Hessian of the cost, a few times
     $d \leftarrow d - (P + \lambda D)^{-1}(g(\theta + d) + \lambda D d)$, with the
-    gradient $g$ of the true residuals. $D$ is the precision of the prior, or the
-    diagonal of $P$ where all priors are flat. Among all, the smallest damping wins that
-    gains at least half as much as the best: the greedy choice creeps.
+    gradient $g$ of the true residuals. $D$ is `damping_scale`: for trajectories the
+    precision of the prior, or the diagonal of $P$ where all priors are flat. Among all,
+    the smallest damping wins that gains at least half as much as the best: the greedy
+    choice creeps.
 
     Attributes:
         damping: the last one that won.
@@ -147,9 +208,8 @@ class ChordSteps(AbstractDescent):
     damping: float
 
     def __call__(self, local, mean):
-        hessian = np.asarray(local.linear.hessian) / local.noise**2
-        hessian = hessian + np.diag(local.precision)
-        scale = local.precision if np.any(local.precision) else np.diag(hessian)
+        hessian = local.hessian / local.noise**2 + np.diag(local.precision)
+        scale = local.damping_scale(hessian)
         here = local.predict(local.theta)
         before = local.cost(local.theta, here.residuals)
         dampings = [self.damping * 10.0**power for power in EXPONENTS]

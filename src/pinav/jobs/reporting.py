@@ -10,6 +10,7 @@ from pinav.files import write_text
 from pinav.jobs.analysis_pages import analysis_sections
 from pinav.jobs.compare import table
 from pinav.jobs.evaluation_report import evaluated
+from pinav.jobs.heat_report import heated
 from pinav.jobs.ladder_report import laddered
 from pinav.jobs.law_report import law_sections
 from pinav.jobs.reproduce import stored_field
@@ -39,6 +40,7 @@ TITLES = {
     "compare": "Models compared",
     "study": "A study of models",
     "recording": "A recording",
+    "heat": "Bioheat",
 }
 
 
@@ -58,6 +60,7 @@ def write_report(folder: RunFolder) -> Path:
         "compare": _compared,
         "study": studied,
         "recording": laddered,
+        "heat": heated,
     }
     job = folder.config().get("job")
     if job not in sections:

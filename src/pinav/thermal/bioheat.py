@@ -1,0 +1,230 @@
+r"""Pennes' equation in conservative finite volumes.
+
+$\rho c\,\partial_t T = \nabla\cdot(k\nabla T) + c_b w(T)(T_a - T) + Q_{met} + Q(x, t)$.
+Heat crosses a face by $G = A/(\Delta_1/k_1 + \Delta_2/k_2)$, the harmonic mean, so that
+what leaves one cell enters the next: $k\nabla^2 T$ would be 12 % off where $k$ jumps.
+
+References:
+    Pennes, J. Appl. Physiol. 1, 93 (1948).
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from pinav.actuation import Scalar
+from pinav.errors import InputError
+from pinav.thermal.boundaries import Sides
+from pinav.thermal.grids import AbstractGrid
+from pinav.thermal.perfusion import AbstractPerfusion
+from pinav.thermal.protocols import AbstractProtocol
+from pinav.thermal.sources import AbstractSource
+from pinav.thermal.tissues import Blood, Tissue
+
+Field = Float[Array, "..."]
+
+COLDEST, WARMEST = 20.0, 60.0
+"""Temperatures [°C] between which the steepest slope of perfusion is sought."""
+
+
+class Bioheat(eqx.Module):
+    """Tissue on a grid, perfused and heated.
+
+    Attributes:
+        grid: the cells.
+        tissue: passive properties, the same everywhere or one for each cell.
+        blood: that perfuses it.
+        perfusion: mass perfusion as a function of temperature.
+        sources: of heat, that go with the field.
+        sides: both boundaries of each axis, such as `boundaries.outer` makes.
+
+    Raises:
+        InputError: a property has not the shape of the grid, or an axis has no sides.
+    """
+
+    grid: AbstractGrid
+    tissue: Tissue
+    blood: Blood
+    perfusion: AbstractPerfusion
+    sources: tuple[AbstractSource, ...]
+    sides: tuple[Sides, ...]
+
+    def __check_init__(self):
+        if len(self.sides) != len(self.grid.shape):
+            raise InputError(
+                f"Bioheat.sides: expected {len(self.grid.shape)}, one pair for each "
+                f"axis, got {len(self.sides)}"
+            )
+        for name in ("conductivity", "density", "specific_heat", "metabolic"):
+            shape = np.shape(getattr(self.tissue, name))
+            if shape not in ((), self.grid.shape):
+                raise InputError(
+                    f"Bioheat.tissue.{name}: expected a number or the shape "
+                    f"{self.grid.shape} of the grid, got shape {shape}"
+                )
+
+    def levels(
+        self, protocol: AbstractProtocol, t: Scalar, interval
+    ) -> Float[Array, " source"]:
+        """Level of each source at a time [s] in an interval of the protocol."""
+        amplitude = protocol.amplitude(t, interval)
+        found = [s.level(amplitude, protocol.frequency) for s in self.sources]
+        return jnp.stack(found) if found else jnp.zeros(0)
+
+
+class Rates(eqx.Module):
+    """How temperature and the ledger change.
+
+    Attributes:
+        temperature: of each cell [K s⁻¹].
+        ledger: heat brought in, taken by blood, and lost through the sides [W].
+    """
+
+    temperature: Field
+    ledger: Float[Array, "3"]
+
+
+class HeatBalance(eqx.Module):
+    """The equation with everything computed that does not change in time.
+
+    Attributes:
+        inverse_capacity: one over the heat capacity of each cell [K J⁻¹].
+        conductances: across all faces of each axis [W K⁻¹], the sides included.
+        outside: temperatures behind the lower and the upper side of each axis [°C].
+        volumes: of the cells [m³].
+        metabolic: heat of each cell [W].
+        shapes: of the sources, times the volume.
+        perfusion: mass perfusion as a function of temperature.
+        blood: that perfuses it.
+    """
+
+    inverse_capacity: Field
+    conductances: tuple[Field, ...]
+    outside: tuple[tuple[Scalar, Scalar], ...]
+    volumes: Field
+    metabolic: Field
+    shapes: tuple[Field, ...]
+    perfusion: AbstractPerfusion
+    blood: Blood
+
+    @classmethod
+    def of(cls, model: Bioheat) -> "HeatBalance":
+        grid, tissue, volumes = model.grid, model.tissue, model.grid.volumes
+
+        def full(value) -> Field:
+            return jnp.broadcast_to(jnp.asarray(value, float), grid.shape)
+
+        k = full(tissue.conductivity)
+        axes = range(len(grid.shape))
+        return cls(
+            inverse_capacity=1 / (full(tissue.capacity) * volumes),
+            conductances=tuple(
+                _conductances(grid, k, axis, model.sides[axis]) for axis in axes
+            ),
+            outside=tuple(
+                (side.low.outside, side.high.outside) for side in model.sides
+            ),
+            volumes=volumes,
+            metabolic=full(tissue.metabolic) * volumes,
+            shapes=tuple(
+                full(source.shape(grid)) * volumes for source in model.sources
+            ),
+            perfusion=model.perfusion,
+            blood=model.blood,
+        )
+
+    def sink(self, temperature: Field) -> Field:
+        """What blood takes from each cell, per volume [W m⁻³]."""
+        mass = self.perfusion(temperature)
+        return self.blood.specific_heat * mass * (temperature - self.blood.arterial)
+
+    def heated(self, levels: Float[Array, " source"]) -> Field:
+        """What metabolism and the sources bring into each cell [W]."""
+        heat = self.metabolic
+        for index, shape in enumerate(self.shapes):
+            heat = heat + levels[index] * shape
+        return heat
+
+    def conducted(self, temperature: Field) -> tuple[Field, Float[Array, ""]]:
+        """What conduction brings into each cell, and what leaves the sides [W]."""
+        gain, lost = jnp.zeros_like(temperature), jnp.asarray(0.0)
+        for axis, conductance in enumerate(self.conductances):
+            walled = _walled(temperature, axis, *self.outside[axis])
+            flow = conductance * jnp.diff(walled, axis=axis)
+            gain = gain + jnp.diff(flow, axis=axis)
+            ends = [jax.lax.index_in_dim(flow, i, axis) for i in (0, -1)]
+            lost = lost + jnp.sum(ends[0]) - jnp.sum(ends[1])
+        return gain, lost
+
+    def rates(self, temperature: Field, levels: Float[Array, " source"]) -> Rates:
+        """Rates of change, and the heat flows behind them."""
+        heat, (gain, lost) = self.heated(levels), self.conducted(temperature)
+        taken = self.sink(temperature) * self.volumes
+        change = (gain + heat - taken) * self.inverse_capacity
+        total = jnp.stack([jnp.sum(heat), jnp.sum(taken), lost])
+        return Rates(change, total)
+
+    def stored(self, begin: Field, end: Field) -> Float[Array, ""]:
+        """Heat stored between two temperatures [J]."""
+        return jnp.sum((end - begin) / self.inverse_capacity)
+
+    @property
+    def fastest(self) -> Float[Array, ""]:
+        r"""Bound on the rates of decay [s⁻¹], by Gershgorin's circles.
+
+        Twice the conductances of a cell to others and once those to the outside, over
+        its capacity, plus the steepest slope of its sink.
+        """
+        total = jnp.zeros_like(self.inverse_capacity)
+        for axis, conductance in enumerate(self.conductances):
+            count = total.shape[axis]
+            first = jax.lax.slice_in_dim(conductance, 0, 1, axis=axis)
+            last = jax.lax.slice_in_dim(conductance, count, count + 1, axis=axis)
+            inner = jax.lax.slice_in_dim(conductance, 1, count, axis=axis)
+            circle = jnp.concatenate([first, 2 * inner, last], axis=axis)
+            low = jax.lax.slice_in_dim(circle, 0, count, axis=axis)
+            high = jax.lax.slice_in_dim(circle, 1, count + 1, axis=axis)
+            total = total + low + high
+
+        def steeper(steepest, celsius):
+            return jnp.maximum(steepest, self._sink_slope(celsius)), None
+
+        trials = jnp.arange(COLDEST, WARMEST, 0.5)
+        steepest, _ = jax.lax.scan(steeper, jnp.zeros_like(total), trials)
+        return jnp.max((total + steepest * self.volumes) * self.inverse_capacity)
+
+    def _sink_slope(self, celsius):
+        temperature = jnp.full_like(self.volumes, celsius)
+        return jax.jvp(self.sink, (temperature,), (jnp.ones_like(temperature),))[1]
+
+
+@eqx.filter_jit
+def fastest_rate(model: Bioheat) -> Float[Array, ""]:
+    """Bound on the rates of decay [s⁻¹] of a model, compiled as one."""
+    return HeatBalance.of(model).fastest
+
+
+def _conductances(grid, k, axis, sides):
+    """Across all faces of one axis, the sides included."""
+    area, resistance = grid.faces(axis), grid.half_widths(axis) / k
+    count = k.shape[axis]
+
+    def part(array, start, stop):
+        return jax.lax.slice_in_dim(array, start, stop, axis=axis)
+
+    series = part(resistance, 0, count - 1) + part(resistance, 1, count)
+    low = sides.low.conductance(part(area, 0, 1), part(resistance, 0, 1))
+    high = sides.high.conductance(
+        part(area, count, count + 1), part(resistance, count - 1, count)
+    )
+    return jnp.concatenate([low, part(area, 1, count) / series, high], axis=axis)
+
+
+def _walled(temperature, axis, low, high):
+    """The temperatures with those behind the sides at both ends of an axis."""
+    shape = list(temperature.shape)
+    shape[axis] = 1
+    walls = [jnp.broadcast_to(jnp.asarray(t, float), shape) for t in (low, high)]
+    return jnp.concatenate([walls[0], temperature, walls[1]], axis=axis)

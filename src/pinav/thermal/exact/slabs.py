@@ -1,0 +1,141 @@
+r"""Exact rises in slabs, and in cylinders and spheres held at the arterial temperature.
+
+All functions return the rise $\theta = T - T_a$ [K] unless they say otherwise.
+"""
+
+import numpy as np
+import scipy.special
+from jaxtyping import Float
+
+from pinav.thermal.exact.media import Medium, Number
+
+MODES = 400
+"""Terms of a series; those beyond have decayed within a thousandth of a second."""
+
+Points = Float[np.ndarray, " point"]
+
+
+def perfused_slab(
+    x: Points, t: Number, medium: Medium, source: Number, length: Number
+) -> Points:
+    r"""Uniform source, insulated at 0, at the arterial temperature at $L$ and at first.
+
+    $\theta = \frac{Q}{W}\left(1 - \frac{\cosh mx}{\cosh mL}\right)
+    - \sum_n \frac{2Q}{\rho c L} \frac{(-1)^n}{b_n} \cos(b_n x)
+    \frac{e^{-\lambda_n t}}{\lambda_n}$, $b_n = (n + \tfrac12)\pi/L$,
+    $\lambda_n = \alpha b_n^2 + p$.
+
+    Args:
+        x: places [m].
+        t: time [s]; infinity for the steady state.
+        medium: with perfusion.
+        source: $Q$ [W m⁻³].
+        length: $L$ [m].
+    """
+    m = medium.inverse_length
+    steady = source / medium.perfusion * (1 - np.cosh(m * x) / np.cosh(m * length))
+    if np.isinf(t):
+        return steady
+    n = np.arange(MODES)
+    b = (n + 0.5) * np.pi / length
+    decay = medium.diffusivity * b**2 + medium.rate
+    size = (-1.0) ** n / b * np.exp(-decay * t) / decay
+    sums = np.cos(b * np.asarray(x)[:, None]) @ size
+    return steady - 2 * source / (medium.capacity * length) * sums
+
+
+def perfused_slab_flux(medium: Medium, source: Number, length: Number) -> float:
+    r"""Heat that leaves the steady slab at $L$, $(Q/m) \tanh mL$ [W m⁻²]."""
+    m = medium.inverse_length
+    return float(source / m * np.tanh(m * length))
+
+
+def perfused_slab_sensitivities(
+    medium: Medium, source: Number, length: Number
+) -> dict[str, float]:
+    r"""Derivatives of the steady rise at 0, $\frac{Q}{W}(1 - \mathrm{sech}\, mL)$.
+
+    Returns:
+        By `conductivity`, `perfusion` ($W$), `length` and `source`.
+    """
+    m, W = medium.inverse_length, medium.perfusion
+    reach = m * length
+    sech = 1 / np.cosh(reach)
+    value = source / W * (1 - sech)
+    by_reach = source / W * sech * np.tanh(reach)
+    return {
+        "conductivity": float(-by_reach * reach / (2 * medium.conductivity)),
+        "perfusion": float(-value / W + by_reach * reach / (2 * W)),
+        "length": float(by_reach * m),
+        "source": float(value / source),
+    }
+
+
+def perfused_cylinder(
+    r: Points, medium: Medium, source: Number, radius: Number
+) -> Points:
+    r"""Steady, uniform source: $\frac{Q}{W}(1 - I_0(mr)/I_0(mR))$."""
+    m = medium.inverse_length
+    ratio = scipy.special.iv(0, m * r) / scipy.special.iv(0, m * radius)
+    return source / medium.perfusion * (1 - ratio)
+
+
+def perfused_ball(r: Points, medium: Medium, source: Number, radius: Number) -> Points:
+    r"""Steady, uniform source: $\frac{Q}{W}(1 - \frac{R \sinh mr}{r \sinh mR})$."""
+    m = medium.inverse_length
+    ratio = _sinhc(m * np.asarray(r)) / _sinhc(np.asarray(m * radius))
+    return source / medium.perfusion * (1 - ratio)
+
+
+def skin(
+    x: Points,
+    medium: Medium,
+    metabolic: Number,
+    length: Number,
+    exchange: Number,
+    ambient: Number,
+    *,
+    arterial: Number = 37.0,
+    core: Number = 37.0,
+) -> Points:
+    r"""Steady temperature [°C] below a surface that loses heat to the air.
+
+    $T = T_s + A \cosh mx + B \sinh mx$ with $T_s = T_a + Q_{met}/W$,
+    $k T'(0) = h (T(0) - T_\infty)$ and $T(L)$ the core's temperature.
+
+    Args:
+        x: depths [m].
+        medium: with perfusion.
+        metabolic: $Q_{met}$ [W m⁻³].
+        length: $L$ [m].
+        exchange: $h$ [W m⁻² K⁻¹].
+        ambient: $T_\infty$ [°C].
+        arterial: $T_a$ [°C].
+        core: temperature at $L$ [°C].
+    """
+    m, k = medium.inverse_length, medium.conductivity
+    far = arterial + metabolic / medium.perfusion
+    rows = [[-exchange, k * m], [np.cosh(m * length), np.sinh(m * length)]]
+    right = [exchange * (far - ambient), core - far]
+    a, b = np.linalg.solve(np.array(rows), np.array(right))
+    return far + a * np.cosh(m * x) + b * np.sinh(m * x)
+
+
+def eigenmode_rate(medium: Medium, mode: int, length: Number) -> float:
+    r"""Decay of $\cos(n \pi x/L)$ between insulated ends, $\alpha (n\pi/L)^2 + p$."""
+    return medium.diffusivity * (mode * np.pi / length) ** 2 + medium.rate
+
+
+def discrete_eigenmode_rate(
+    medium: Medium, mode: int, length: Number, num_cells: int
+) -> float:
+    r"""The same of second differences, $\alpha (2 - 2\cos(n\pi/N))/h^2 + p$."""
+    curvature = (2 - 2 * np.cos(mode * np.pi / num_cells)) * (num_cells / length) ** 2
+    return float(medium.diffusivity * curvature + medium.rate)
+
+
+def _sinhc(x):
+    """Sinh(x)/x, one at zero."""
+    small = np.abs(x) < 1e-8
+    safe = np.where(small, 1.0, x)
+    return np.where(small, 1.0, np.sinh(safe) / safe)

@@ -1,0 +1,217 @@
+r"""Learning perfusion, or what heats, from sparse noisy probes.
+
+A universal differential equation: conduction, blood and field are known, a law is not.
+Gauss-Newton steps, hyperparameters by the evidence and the Laplace posterior are those
+of `pinav.fitting`; only the residuals are thermal.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, PyTree
+
+from pinav.fitting import derived
+from pinav.fitting.networks import IsotropicPrior
+from pinav.fitting.posterior import Posterior
+from pinav.fitting.regression import RegressionFit, fit_regression
+from pinav.thermal.bioheat import Bioheat
+from pinav.thermal.learned_perfusion import AbstractLearnedPerfusion
+from pinav.thermal.probes import ProbeData
+from pinav.thermal.protocols import AbstractProtocol
+from pinav.thermal.quantities import Number, Numbers
+from pinav.thermal.solve import Probes, State, default_stepper, run, solve
+from pinav.thermal.steppers import AbstractStepper
+from pinav.thermal.timetable import Timetable, timetable
+
+Laws = Callable[[Any], tuple[AbstractLearnedPerfusion, ...]]
+"""Picks the laws to be learned from a model."""
+
+
+class ProbeResiduals(eqx.Module):
+    """Predicted less read temperatures [K], as a function of the model.
+
+    Attributes:
+        protocol: the field.
+        table: time steps, which end at the readings.
+        stepper: how time advances.
+        probes: where temperatures are read.
+        values: the readings there are [°C].
+        index: their places among all times and probes.
+    """
+
+    protocol: AbstractProtocol
+    table: Timetable
+    stepper: AbstractStepper
+    probes: Probes
+    values: Float[Array, " reading"]
+    index: Int[Array, " reading"]
+
+    def __call__(self, model: Bioheat) -> Float[Array, " reading"]:
+        """The residuals of a model."""
+        found = run(
+            model,
+            self.protocol,
+            self.table,
+            stepper=self.stepper,
+            observe=self.probes,
+            start=State.at_rest(model),
+        )
+        return found.observed.reshape(-1)[self.index] - self.values
+
+
+def probe_residuals(
+    model: Bioheat,
+    protocol: AbstractProtocol,
+    data: ProbeData,
+    *,
+    stepper: AbstractStepper | None = None,
+) -> ProbeResiduals:
+    """The residuals of models like `model`.
+
+    Raises:
+        InputError: a probe is outside the grid, or a reading after the protocol.
+    """
+    stepper = default_stepper(model) if stepper is None else stepper
+    longest = stepper.longest_step(model)
+    return ProbeResiduals(
+        protocol=protocol,
+        table=timetable(protocol, longest, save_at=data.times.tolist()),
+        stepper=stepper,
+        probes=Probes(model.grid.interpolation(data.points)),
+        values=jnp.asarray(data.values[data.observed]),
+        index=jnp.asarray(np.flatnonzero(data.observed)),
+    )
+
+
+def learn(
+    model: Bioheat,
+    protocol: AbstractProtocol,
+    data: ProbeData,
+    *,
+    laws: Laws = lambda _: (),
+    constants: Callable[[Any], PyTree] = lambda _: (),
+    noise: Number | None = None,
+    stepper: AbstractStepper | None = None,
+    max_iterations: int = 40,
+    throw: bool = True,
+) -> RegressionFit:
+    """Fit laws of perfusion, and constants, to readings of probes.
+
+    Args:
+        model: where the fit starts; what is not picked stays as it is.
+        protocol: the field while the readings were taken, best with steps of power:
+            at steady state a scale of the power cannot be told from perfusion.
+        data: the readings.
+        laws: picks learned perfusions, such as `lambda m: (m.perfusion.outside,)`.
+        constants: picks numbers to learn, such as `lambda m: m.sources[0].scale`.
+        noise: standard deviation of a reading [K]; estimated unless given.
+        stepper: as of `solve`.
+        max_iterations: after which the fit counts as stalled.
+        throw: raise where the fit did not converge.
+
+    Raises:
+        InputError: nothing is picked, or the data do not fit the grid or the protocol.
+        FitError: the fit did not converge, and `throw` is true.
+    """
+
+    def weights(own):
+        return tuple(law.weights for law in laws(own))
+
+    def flat(own):
+        return tuple(law.log_level for law in laws(own)), constants(own)
+
+    leaves = jax.tree.leaves(eqx.filter(weights(model), eqx.is_inexact_array))
+    count = sum(leaf.size for leaf in leaves)
+    return fit_regression(
+        model,
+        probe_residuals(model, protocol, data, stepper=stepper),
+        weights=weights,
+        prior=IsotropicPrior(count) if count else None,
+        constants=flat,
+        scale=data.spread,
+        noise=noise,
+        tolerance=0.5 if count else 1e-2,
+        max_iterations=max_iterations,
+        throw=throw,
+    )
+
+
+class PerfusionCurve(eqx.Module):
+    """A learned law with its band, and where it was visited.
+
+    Attributes:
+        temperatures: [°C].
+        values: perfusion there [kg m⁻³ s⁻¹].
+        sd: standard deviation of its logarithm.
+        visited: lowest and highest temperature [°C] of its tissue during the fit.
+    """
+
+    temperatures: Float[np.ndarray, " temperature"]
+    values: Float[np.ndarray, " temperature"]
+    sd: Float[np.ndarray, " temperature"]
+    visited: tuple[float, float]
+
+    @property
+    def band(self) -> Float[np.ndarray, "2 temperature"]:
+        """Bounds between which the law lies with a nominal probability of 95 %."""
+        return self.values * np.exp(1.96 * np.array([[-1.0], [1.0]]) * self.sd)
+
+    @property
+    def inside(self) -> np.ndarray:
+        """Which temperatures were visited; elsewhere nothing is known."""
+        low, high = self.visited
+        return (self.temperatures >= low) & (self.temperatures <= high)
+
+
+def perfusion_curve(
+    posterior: Posterior,
+    law: Callable[[Any], AbstractLearnedPerfusion],
+    temperatures: Numbers,
+    visited: tuple[float, float],
+) -> PerfusionCurve:
+    """A learned law at temperatures, by the delta method on its logarithm.
+
+    Args:
+        posterior: of the fit.
+        law: picks it from the model.
+        temperatures: [°C].
+        visited: range [°C] that its tissue went through.
+    """
+    at = jnp.asarray(temperatures, float)
+    found = derived(posterior, lambda model: jnp.log(law(model)(at)))
+    return PerfusionCurve(
+        temperatures=np.asarray(at),
+        values=np.exp([own.value for own in found]),
+        sd=np.array([own.sd for own in found]),
+        visited=visited,
+    )
+
+
+def visited_range(
+    model: Bioheat, protocol: AbstractProtocol, share: Float[Array, "..."]
+) -> tuple[float, float]:
+    """Lowest and highest temperature [°C] of the cells that a mask holds mostly.
+
+    Args:
+        model: run over the protocol.
+        protocol: the field.
+        share: volume fraction of the tissue in each cell.
+    """
+    inside = np.asarray(share) > 0.5
+    hottest = solve(
+        model,
+        protocol,
+        observe=lambda t: jnp.stack(
+            [
+                jnp.min(jnp.where(inside, t, jnp.inf)),
+                jnp.max(jnp.where(inside, t, -jnp.inf)),
+            ]
+        ),
+        save_every=protocol.duration / 180,
+    ).observed
+    low = min(float(model.blood.arterial), float(hottest[:, 0].min()))
+    return low, float(hottest[:, 1].max())

@@ -1,0 +1,194 @@
+r"""Perfusion laws: mass perfusion $w(T)$ [kg m⁻³ s⁻¹], of blood per tissue and time.
+
+Four conventions are in use, and mixing them up is the commonest mistake; numbers from
+outside come with a unit, through `mass_perfusion`. In the equation stands
+$W = c_b w$ [W m⁻³ K⁻¹].
+"""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from pinav.actuation import Scalar
+from pinav.errors import InputError
+from pinav.thermal.tissues import Blood, Property, Tissue, least_known
+
+UNITS = {
+    "1/s": "volume of blood per volume of tissue",
+    "kg/m3/s": "mass of blood per volume of tissue",
+    "ml/min/kg": "volume of blood per mass of tissue (heat transfer rate)",
+    "ml/min/100g": "volume of blood per 100 g of tissue",
+}
+
+PLAUSIBLE = (1e-3, 150.0)
+"""Mass perfusions [kg m⁻³ s⁻¹] that living tissue can have; the kidney has 70."""
+
+
+def mass_perfusion(value: Scalar, *, unit: str, blood: Blood, tissue: Tissue) -> Scalar:
+    r"""A perfusion in kg m⁻³ s⁻¹, from any of the usual conventions.
+
+    Args:
+        value: the perfusion.
+        unit: one of `UNITS`: volume perfusion `1/s`, mass perfusion `kg/m3/s`,
+            `ml/min/kg` as in the IT'IS database, or the clinical `ml/min/100g`.
+        blood: its density turns volumes into masses.
+        tissue: its density turns masses of tissue into volumes.
+
+    Raises:
+        InputError: the unit is unknown, or the result is nothing living tissue has,
+            which is what a wrong unit looks like.
+    """
+    per_kilogram = 1e-6 / 60 * tissue.density * blood.density
+    factors = {
+        "1/s": blood.density,
+        "kg/m3/s": 1.0,
+        "ml/min/kg": per_kilogram,
+        "ml/min/100g": 10 * per_kilogram,
+    }
+    if unit not in factors:
+        raise InputError(
+            f"perfusion unit {unit!r} is unknown; choose one of: {', '.join(UNITS)}"
+        )
+    found = value * factors[unit]
+    size = least_known(found)
+    if size is not None and size != 0 and not PLAUSIBLE[0] <= size <= PLAUSIBLE[1]:
+        raise InputError(
+            f"perfusion {value:g} {unit}: expected within {PLAUSIBLE[0]:g} and "
+            f"{PLAUSIBLE[1]:g} kg/(m³ s), or zero, got {size:.3g}; check the unit"
+        )
+    return found
+
+
+class AbstractPerfusion(eqx.Module):
+    """Mass perfusion as a function of the local temperature."""
+
+    @abc.abstractmethod
+    def __call__(self, temperature: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Mass perfusion $w$ [kg m⁻³ s⁻¹] at temperatures [°C], one for each cell."""
+
+
+class ConstantPerfusion(AbstractPerfusion):
+    """The same at all temperatures.
+
+    Attributes:
+        value: $w$ [kg m⁻³ s⁻¹], a number or one for each cell.
+
+    Raises:
+        InputError: it is negative.
+    """
+
+    value: Property
+
+    def __check_init__(self):
+        least = least_known(self.value)
+        if least is not None and least < 0:
+            raise InputError(
+                f"ConstantPerfusion: expected >= 0 kg/(m³ s), got {least:g}"
+            )
+
+    def __call__(self, temperature):
+        return jnp.broadcast_to(jnp.asarray(self.value, float), temperature.shape)
+
+
+class RisingPerfusion(AbstractPerfusion):
+    r"""Perfusion that rises with temperature up to a plateau.
+
+    $w = a + b \exp(-(T - T_m)^2/s)$ for $T \le T_m$, and $a + b$ above.
+
+    Attributes:
+        rest: $a$ [kg m⁻³ s⁻¹].
+        gain: $b$ [kg m⁻³ s⁻¹].
+        plateau: $T_m$ [°C].
+        spread: $s$ [K²].
+
+    References:
+        Lang, Erdmann and Seebass, IEEE Trans. Biomed. Eng. 46, 1129 (1999).
+    """
+
+    rest: Scalar
+    gain: Scalar
+    plateau: Scalar = 45.0
+    spread: Scalar = 12.0
+
+    def __call__(self, temperature):
+        below = jnp.minimum(temperature - self.plateau, 0.0)
+        return self.rest + self.gain * jnp.exp(-(below**2) / self.spread)
+
+
+class CollapsingPerfusion(AbstractPerfusion):
+    r"""Perfusion of a tumour that breaks down as it is heated.
+
+    $w = w_0 - (T - T_1)^{4.8}/s$ between $T_1$ and $T_2$; $w_0$ below, the constant
+    $w_2$ above. With the printed constants it jumps by 5e-4 at $T_2$. Power balance
+    without conduction then has two stable temperatures for some powers, so that the
+    result depends on the past.
+
+    Attributes:
+        rest: $w_0$ [kg m⁻³ s⁻¹].
+        collapsed: $w_2$ [kg m⁻³ s⁻¹].
+        onset: $T_1$ [°C].
+        end: $T_2$ [°C].
+        scale: $s$ [K⁴·⁸ m³ s kg⁻¹].
+
+    References:
+        Lang, Erdmann and Seebass, IEEE Trans. Biomed. Eng. 46, 1129 (1999).
+    """
+
+    rest: Scalar = 0.833
+    collapsed: Scalar = 0.416
+    onset: Scalar = 37.0
+    end: Scalar = 42.0
+    scale: Scalar = 5438.0
+
+    def __call__(self, temperature):
+        above = jnp.clip(temperature - self.onset, 0.0, self.end - self.onset)
+        # the power of zero has no derivative by itself: kept out, then put back
+        positive = above > 0
+        # by exp and log, which run on whole vectors: ten times faster than pow
+        loss = jnp.exp(4.8 * jnp.log(jnp.where(positive, above, 1.0))) / self.scale
+        falling = self.rest - jnp.where(positive, loss, 0.0)
+        return jnp.where(temperature > self.end, self.collapsed, falling)
+
+
+LANG = {
+    "muscle": RisingPerfusion(0.45, 3.55),
+    "fat": RisingPerfusion(0.36, 0.36),
+    "tumour": CollapsingPerfusion(),
+}
+"""The laws of Lang, Erdmann and Seebass (1999)."""
+
+
+def lang(tissue: str) -> AbstractPerfusion:
+    """The temperature-dependent perfusion of a tissue.
+
+    Raises:
+        InputError: there is no law for this tissue.
+
+    References:
+        Lang, Erdmann and Seebass, IEEE Trans. Biomed. Eng. 46, 1129 (1999).
+    """
+    if tissue not in LANG:
+        raise InputError(
+            f"no perfusion law for {tissue!r}; choose one of: {', '.join(LANG)}"
+        )
+    return LANG[tissue]
+
+
+class MixedPerfusion(AbstractPerfusion):
+    """Two laws in the cells that a mask shares between them, averaged by volume.
+
+    Attributes:
+        share: volume fraction of `inside` in each cell; fixed.
+        inside: law where the share is one.
+        outside: law where it is zero.
+    """
+
+    share: Float[Array, "..."]
+    inside: AbstractPerfusion
+    outside: AbstractPerfusion
+
+    def __call__(self, temperature):
+        within, without = self.inside(temperature), self.outside(temperature)
+        return self.share * within + (1 - self.share) * without

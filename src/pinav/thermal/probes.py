@@ -1,0 +1,163 @@
+"""Readings of thermometers: the data that thermal models are fitted to."""
+
+import csv
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Bool, Float, PRNGKeyArray
+
+from pinav.errors import InputError
+from pinav.files import write_text
+from pinav.thermal.bioheat import Bioheat
+from pinav.thermal.protocols import AbstractProtocol
+from pinav.thermal.quantities import Number
+from pinav.thermal.solve import probes_at, solve
+from pinav.thermal.steppers import AbstractStepper
+
+AXES = {("r",): 1, ("x",): 1, ("x", "y"): 2, ("x", "y", "z"): 3}
+
+
+class ProbeData(eqx.Module):
+    """Temperatures at a few places over time.
+
+    Attributes:
+        times: of the readings [s], increasing.
+        points: of the probes [m].
+        values: temperatures [°C]; NaN where a reading is missing.
+
+    Raises:
+        InputError: times do not increase from above zero, shapes disagree, or nothing
+            was read.
+    """
+
+    times: Float[np.ndarray, " time"]
+    points: Float[np.ndarray, "probe axis"]
+    values: Float[np.ndarray, "..."]
+
+    def __check_init__(self):
+        shape = len(self.times), len(self.points)
+        if self.values.shape != shape:
+            raise InputError(
+                f"ProbeData.values: expected shape {shape}, times by probes, got "
+                f"{self.values.shape}"
+            )
+        if not (
+            len(self.times) and self.times[0] > 0 and np.all(np.diff(self.times) > 0)
+        ):
+            raise InputError(
+                "ProbeData.times: expected increasing times > 0 s; the state at 0 s is "
+                "where a run starts, not a reading"
+            )
+        if not self.observed.any():
+            raise InputError("ProbeData.values: expected a reading, got none")
+
+    @property
+    def observed(self) -> Bool[np.ndarray, "time probe"]:
+        """Which readings there are."""
+        return np.isfinite(self.values)
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of all readings [K]; 1 where they are all the same."""
+        return float(np.nanstd(self.values)) or 1.0
+
+
+def simulate_probes(
+    model: Bioheat,
+    protocol: AbstractProtocol,
+    points: Float[np.ndarray, "probe axis"],
+    *,
+    every: Number,
+    noise: Number,
+    key: PRNGKeyArray,
+    stepper: AbstractStepper | None = None,
+) -> ProbeData:
+    """Synthetic readings of a model.
+
+    Args:
+        model: the truth.
+        protocol: the field.
+        points: of the probes [m].
+        every: interval between readings [s].
+        noise: standard deviation of a reading [K].
+        key: random key of the noise.
+        stepper: as of `solve`.
+    """
+    found = solve(
+        model,
+        protocol,
+        observe=probes_at(model, points),
+        save_every=every,
+        stepper=stepper,
+    )
+    clean = np.asarray(found.observed)
+    noisy = clean + noise * np.asarray(jax.random.normal(key, clean.shape))
+    return ProbeData(np.asarray(found.times), points, noisy)
+
+
+def save_probes(data: ProbeData, path: Path, *, overwrite: bool = False) -> None:
+    """Write a CSV file with the columns t, the coordinates, and T, one reading a row.
+
+    Raises:
+        InputError: the file is there and `overwrite` is false.
+    """
+    axes = (
+        ("r",) if data.points.shape[1] == 1 else ("x", "y", "z")[: data.points.shape[1]]
+    )
+    lines = [",".join(("t", *axes, "T"))]
+    for t, row in zip(data.times, data.values, strict=True):
+        for point, value in zip(data.points, row, strict=True):
+            cells = [t, *point] + ([value] if np.isfinite(value) else [])
+            words = [repr(float(cell)) for cell in cells]
+            lines.append(",".join(words + [""] * (len(axes) + 2 - len(words))))
+    write_text(path, "\n".join(lines) + "\n", overwrite=overwrite)
+
+
+def load_probes(path: Path) -> ProbeData:
+    """Read a CSV file: columns t [s], r or x, y, z [m], and T [°C]; empty is missing.
+
+    Raises:
+        InputError: the file cannot be read, has other columns, or a cell is no number.
+    """
+    try:
+        with open(path, newline="", encoding="utf-8") as file:
+            header, *rows = list(csv.reader(file)) or [[]]
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error
+    names = tuple(name.strip() for name in header)
+    if names[:1] != ("t",) or names[-1:] != ("T",) or names[1:-1] not in AXES:
+        raise InputError(
+            f"{path}: expected the columns t, r, T or t, x, y, z, T, got "
+            f"{', '.join(names) or 'none'}"
+        )
+    cells = [_numbers(path, i, row, len(names)) for i, row in enumerate(rows, 2)]
+    return _gridded(path, np.array(cells).reshape(-1, len(names)))
+
+
+def _numbers(path, line, row, count):
+    if len(row) != count:
+        raise InputError(f"{path}, row {line}: expected {count} cells, got {len(row)}")
+    found = []
+    for column, cell in enumerate(row):
+        missing = not cell.strip() and column == count - 1
+        try:
+            found.append(np.nan if missing else float(cell))
+        except ValueError as error:
+            raise InputError(
+                f"{path}, row {line}, column {column + 1}: expected a number, got "
+                f"{cell!r}"
+            ) from error
+    return found
+
+
+def _gridded(path, cells):
+    """One row for each time, one column for each probe, missing where nothing was."""
+    if not len(cells):
+        raise InputError(f"{path}: expected readings, got a header alone")
+    times, when = np.unique(cells[:, 0], return_inverse=True)
+    points, where = np.unique(cells[:, 1:-1], axis=0, return_inverse=True)
+    values = np.full((len(times), len(points)), np.nan)
+    values[when.reshape(-1), where.reshape(-1)] = cells[:, -1]
+    return ProbeData(times, points, values)

@@ -1,0 +1,13 @@
+"""What functions take for numbers: whole ones count, and lists are arrays."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+Number = float | int
+"""One number that is never traced."""
+
+Numbers = Sequence[Any] | np.ndarray | jax.Array
+"""Several, nested lists among them."""

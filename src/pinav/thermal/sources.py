@@ -1,0 +1,127 @@
+r"""Sources of heat: a shape in space times a level that the field sets."""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from pinav.actuation import Scalar
+from pinav.thermal.grids import AbstractGrid
+from pinav.thermal.magnetics import VACUUM_PERMEABILITY, AbstractHeating
+
+
+class AbstractSource(eqx.Module):
+    """Power per volume, `shape * level` [W m⁻³]."""
+
+    @abc.abstractmethod
+    def shape(self, grid: AbstractGrid) -> Float[Array, "..."]:
+        """The part that depends on the cell."""
+
+    @abc.abstractmethod
+    def level(self, amplitude: Scalar, frequency: Scalar) -> Float[Array, ""]:
+        """The part that depends on the field: peak [A m⁻¹] and frequency [Hz]."""
+
+
+class ParticleSource(AbstractSource):
+    r"""Nanoparticles, $Q = s\,\rho_{mnp}\,\mathrm{SLP}(H, f)$.
+
+    Attributes:
+        concentration: $\rho_{mnp}$ in each cell [kg m⁻³], of the mass that the SLP is
+            per.
+        heating: their SLP.
+        scale: $s$; in vivo the SLP is often far below that of a suspension. At steady
+            state it cannot be told from perfusion: learn it from steps of the power.
+    """
+
+    concentration: Float[Array, "..."]
+    heating: AbstractHeating
+    scale: Scalar = 1.0
+
+    def shape(self, grid):
+        return self.concentration
+
+    def level(self, amplitude, frequency):
+        return self.scale * self.heating.slp(amplitude, frequency)
+
+
+class PowerSource(AbstractSource):
+    r"""A given power density, that goes with the square of the field, $Q (H/H_0)^2$.
+
+    Attributes:
+        power: $Q$ in each cell [W m⁻³], at the amplitude $H_0$.
+        reference: $H_0$ [A m⁻¹].
+        scale: a factor, to be learned.
+    """
+
+    power: Float[Array, "..."]
+    reference: Scalar
+    scale: Scalar = 1.0
+
+    def shape(self, grid):
+        return self.power
+
+    def level(self, amplitude, frequency):
+        return jnp.asarray(self.scale * (amplitude / self.reference) ** 2)
+
+
+class GaussianSource(AbstractSource):
+    r"""Power density $Q_0 e^{-r^2/2\sigma^2} (H/H_0)^2$ about a point.
+
+    The few numbers of a distribution of power that as few probes can determine.
+
+    Attributes:
+        log_peak: $\ln Q_0$, with $Q_0$ in W m⁻³.
+        log_width: $\ln \sigma$, with $\sigma$ in metres.
+        reference: $H_0$ [A m⁻¹].
+        center: of the spot [m]; the middle of the grid unless given.
+    """
+
+    log_peak: Scalar
+    log_width: Scalar
+    reference: Scalar
+    center: Float[Array, " axis"] | None = None
+
+    def shape(self, grid):
+        width = jnp.exp(jnp.asarray(self.log_width))
+        scaled = grid.distances(self.center) / width
+        return jnp.exp(self.log_peak - 0.5 * scaled**2)
+
+    def level(self, amplitude, frequency):
+        return jnp.asarray((amplitude / self.reference) ** 2)
+
+
+class EddySource(AbstractSource):
+    r"""Eddy currents of a uniform axial field, $Q = \tfrac12\sigma(\pi\mu_0 r H f)^2$.
+
+    Attributes:
+        radius: $r$ of the current loop [m]: of the body there, not of the tumour.
+        conductivity: $\sigma$ [S m⁻¹].
+
+    References:
+        Atkinson, Brezovich and Chakraborty, IEEE Trans. Biomed. Eng. 31, 70 (1984).
+    """
+
+    radius: Scalar
+    conductivity: Scalar
+
+    def shape(self, grid):
+        return jnp.ones(grid.shape)
+
+    def level(self, amplitude, frequency):
+        return eddy_power(self.radius, self.conductivity, amplitude * frequency)
+
+
+def eddy_power(
+    radius: Scalar, conductivity: Scalar, product: Scalar
+) -> Float[Array, ""]:
+    r"""$\tfrac12\sigma(\pi\mu_0)^2 r^2 (Hf)^2$ [W m⁻³].
+
+    Args:
+        radius: $r$ [m].
+        conductivity: $\sigma$ [S m⁻¹].
+        product: $Hf$ [A m⁻¹ s⁻¹].
+    """
+    loop = np.pi * VACUUM_PERMEABILITY * radius * product
+    return jnp.asarray(0.5 * conductivity * loop**2)

@@ -1,0 +1,139 @@
+"""Dose: the closed form on linear segments, and volumes of a target."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.integrate
+
+from pinav.thermal import exact
+from pinav.thermal.dose import (
+    LIVER_DAMAGE,
+    SKIN_DAMAGE,
+    cem43_rate,
+    cem43_segment,
+    exceeded_by,
+    volume_above,
+)
+
+
+def ramp(dt, cutoff):
+    """Dose of 37 to 45 °C in ten minutes, in steps of `dt` seconds."""
+    times = np.linspace(0.0, 600.0, round(600 / dt) + 1)
+    temperatures = jnp.asarray(37 + 8 * times / 600)
+    begin, end = temperatures[:-1], temperatures[1:]
+    return float(cem43_segment(begin, end, dt, cutoff).sum())
+
+
+@pytest.mark.parametrize(
+    ("celsius", "minutes"),
+    [(42, 15), (43, 60), (43.5, 84.8528137424), (44, 120), (45, 240)],
+)
+def test_an_hour_at_one_temperature(celsius, minutes):
+    constant = jnp.asarray(float(celsius))
+    found = cem43_segment(constant, constant, 3600.0)
+    assert float(found) == pytest.approx(minutes, rel=1e-11)
+
+
+@pytest.mark.parametrize("cutoff", [37.0, 39.0])
+@pytest.mark.parametrize("dt", [1.0, 10.0, 30.0, 60.0, 300.0, 600.0])
+def test_a_ramp_is_exact_at_any_step(dt, cutoff):
+    """A right rectangle misses by 0.5 % at one second and by 34 % at a minute."""
+    true = exact.ramp_dose(37.0, 45.0, 10.0, cutoff)
+    assert ramp(dt, cutoff) == pytest.approx(true, rel=1e-9)
+
+
+def test_a_rectangle_and_a_trapezoid_fail_on_the_ramp():
+    """Trap: the error of the common forms, so that the law above can fail."""
+    true = exact.ramp_dose(37.0, 45.0, 10.0, 37.0)
+    temperatures = jnp.linspace(37.0, 45.0, 11)
+    rates = cem43_rate(temperatures)
+    rectangle = float(rates[1:].sum())
+    trapezoid = float(0.5 * (rates[1:] + rates[:-1]).sum())
+    assert rectangle / true - 1 == pytest.approx(0.34, abs=0.01)
+    assert trapezoid / true - 1 == pytest.approx(0.026, abs=0.002)
+
+
+def test_a_segment_does_not_depend_on_its_direction_or_division():
+    begin, end = jnp.asarray(35.0), jnp.asarray(46.0)
+    whole = cem43_segment(begin, end, 200.0)
+    assert float(cem43_segment(end, begin, 200.0)) == pytest.approx(float(whole))
+    middle = jnp.asarray(39.4)
+    share = (39.4 - 35.0) / 11.0
+    parts = cem43_segment(begin, middle, 200.0 * share)
+    parts += cem43_segment(middle, end, 200.0 * (1 - share))
+    assert float(parts) == pytest.approx(float(whole), rel=1e-12)
+
+
+@pytest.mark.parametrize("gap", [0.0, 1e-14, 1e-9, 1e-3, 0.3])
+@pytest.mark.parametrize("start", [41.0, 42.9999, 43.5])
+def test_the_derivative_of_a_segment_has_no_noise(start, gap):
+    """Also where the temperature hardly changes, as in a steady state."""
+
+    def dose(begin, end):
+        return cem43_segment(begin, end, 60.0)
+
+    begin, end = jnp.asarray(start), jnp.asarray(start + gap)
+    slopes = jax.grad(dose, argnums=(0, 1))(begin, end)
+    nodes, weights = np.polynomial.legendre.leggauss(60)
+    if start < 43 < start + gap:
+        return
+    share = 0.5 * (nodes + 1)
+    steepness = np.where(start >= 43, 1.0, 2.0) * np.log(2)
+    rate = np.asarray(cem43_rate(jnp.asarray(start + share * gap))) * steepness
+    assert float(slopes[0]) == pytest.approx(
+        float(0.5 * weights @ (rate * (1 - share))), rel=1e-8
+    )
+    assert float(slopes[1]) == pytest.approx(
+        float(0.5 * weights @ (rate * share)), rel=1e-8
+    )
+
+
+def test_lumped_tissue_at_its_printed_dose():
+    """The rise crosses 43 °C; the dose is that of quadrature."""
+    times = np.linspace(0.0, 1800.0, 3601)
+    rises = [exact.lumped_rise(float(t), exact.SET_S, 3e4) for t in times]
+    temperatures = jnp.asarray(37 + np.array(rises))
+    dose = cem43_segment(temperatures[:-1], temperatures[1:], 0.5).sum()
+    assert float(dose) == pytest.approx(12.8317342298, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("damage", "printed"),
+    [
+        (SKIN_DAMAGE, (5.426979e-6, 2.436739e-5, 9.596522e-4, 1.069220)),
+        (LIVER_DAMAGE, (1.958877e-3, 3.627926e-3, 1.637918e-2, 2.914812e-1)),
+    ],
+)
+def test_arrhenius_rates_at_their_printed_values(damage, printed):
+    found = damage.rate(jnp.array([43.0, 45.0, 50.0, 60.0]))
+    assert np.asarray(found) == pytest.approx(printed, rel=1e-6)
+
+
+def test_arrhenius_segments_agree_with_quadrature():
+    def rate(t):
+        return float(SKIN_DAMAGE.rate(jnp.asarray(44.0 + t / 60.0)))
+
+    true, _ = scipy.integrate.quad(rate, 0.0, 60.0)
+    found = SKIN_DAMAGE.segment(jnp.asarray(44.0), jnp.asarray(45.0), 60.0)
+    assert float(found) == pytest.approx(true, rel=1e-6)
+
+
+def test_what_ninety_percent_of_a_volume_exceed():
+    """A radial profile: T90 is the temperature where the inner 90 % end."""
+    edges = np.linspace(0.0, 0.01, 401)
+    centers = 0.5 * (edges[1:] + edges[:-1])
+    volumes = np.diff(edges**3)
+    temperatures = jnp.asarray(45.0 - 3.0 * (centers / 0.01) ** 2)
+    found = exceeded_by(temperatures, jnp.asarray(volumes), 0.9)
+    assert float(found) == pytest.approx(45.0 - 3.0 * 0.9 ** (2 / 3), abs=1e-4)
+    share = volume_above(temperatures, jnp.asarray(volumes), 43.0)
+    assert float(share) == pytest.approx((2 / 3) ** 1.5, abs=5e-3)
+
+
+def test_quantiles_leave_out_what_is_not_target_and_differentiate():
+    values, weights = jnp.array([50.0, 42.0, 41.0, 40.0]), jnp.array([0.0, 1, 1, 1])
+    median = exceeded_by(values, weights, 0.5)
+    assert float(median) == pytest.approx(41.0)
+    slope = jax.grad(lambda v: exceeded_by(v, weights, 0.5))(values)
+    assert slope.tolist() == pytest.approx([0.0, 0.0, 1.0, 0.0])

@@ -1,0 +1,216 @@
+"""Learning from probes: known answers come back, bands say where nothing is known."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.errors import InputError
+from pinav.thermal.bioheat import Bioheat
+from pinav.thermal.boundaries import Dirichlet, outer
+from pinav.thermal.discovery import CANDIDATES, rank_laws
+from pinav.thermal.grids import RadialGrid
+from pinav.thermal.learned_perfusion import kernel_perfusion, neural_perfusion
+from pinav.thermal.learning import learn, perfusion_curve, visited_range
+from pinav.thermal.perfusion import lang
+from pinav.thermal.probes import ProbeData, load_probes, save_probes, simulate_probes
+from pinav.thermal.protocols import Piecewise
+from pinav.thermal.sources import GaussianSource, PowerSource
+from pinav.thermal.steppers import Rosenbrock
+from pinav.thermal.tissues import Blood, Tissue
+
+STEPPER = Rosenbrock(20.0)
+EDGES = (0.0, 300.0, 600.0, 900.0)
+STEPS = Piecewise.constant(EDGES, [1e4, 6e3, 1e4], 1e5)
+POINTS = np.array([[0.0], [0.006], [0.013], [0.02]])
+
+
+def muscle(power=1.6e5):
+    """Muscle alone, heated by a spot."""
+    grid = RadialGrid.sphere(0.04, 24)
+    spot = jnp.exp(-0.5 * (grid.distances() / 0.012) ** 2)
+    return Bioheat(
+        grid,
+        Tissue(0.49, 1090.0, 3421.0),
+        Blood(),
+        lang("muscle"),
+        (PowerSource(power * spot, 1e4),),
+        outer(Dirichlet(37.0)),
+    )
+
+
+@pytest.fixture(scope="module")
+def readings():
+    return simulate_probes(
+        muscle(),
+        STEPS,
+        POINTS,
+        every=20.0,
+        noise=0.05,
+        key=jax.random.key(0),
+        stepper=STEPPER,
+    )
+
+
+@pytest.fixture(scope="module")
+def learned(readings):
+    start = eqx.tree_at(
+        lambda m: m.perfusion, muscle(), kernel_perfusion(0.47, (37.0, 46.0))
+    )
+    return learn(start, STEPS, readings, laws=lambda m: (m.perfusion,), stepper=STEPPER)
+
+
+def test_perfusion_of_temperature_comes_back_within_its_band(learned):
+    visited = visited_range(learned.model, STEPS, jnp.ones(24))
+    at = np.linspace(41.0, visited[1] - 0.5, 8)
+    curve = perfusion_curve(learned.posterior, lambda m: m.perfusion, at, visited)
+    true = np.asarray(lang("muscle")(jnp.asarray(at)))
+    assert np.abs(curve.values / true - 1).max() < 0.15
+    low, high = curve.band
+    assert np.mean((low <= true) & (true <= high)) >= 0.75
+    assert learned.hyperparameters.noise == pytest.approx(0.05, rel=0.15)
+
+
+def test_the_band_widens_where_the_data_say_nothing(learned):
+    """Near the arterial temperature perfusion has no effect, above none was."""
+    visited = visited_range(learned.model, STEPS, jnp.ones(24))
+    at = np.array([37.2, 43.0])
+    curve = perfusion_curve(learned.posterior, lambda m: m.perfusion, at, visited)
+    assert curve.sd[0] > 3 * curve.sd[1]
+    assert curve.inside.tolist() == [True, True]
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        kernel_perfusion(0.5, (37.0, 45.0)),
+        neural_perfusion(0.5, (37.0, 45.0), key=jax.random.key(1), width=4),
+    ],
+    ids=["kernels", "network"],
+)
+def test_laws_are_positive_and_flat_outside_their_range(law):
+    moved = eqx.tree_at(
+        lambda m: m.weights,
+        law,
+        jax.tree.map(lambda w: w + 0.7 if eqx.is_inexact_array(w) else w, law.weights),
+    )
+    at = jnp.array([[30.0, 37.0, 41.0], [45.0, 50.0, 44.0]])
+    found = moved(at)
+    assert found.shape == at.shape
+    assert bool(jnp.all(found > 0))
+    assert float(found[0, 0]) == pytest.approx(float(found[0, 1]))
+    assert float(found[1, 0]) == pytest.approx(float(found[1, 1]))
+    assert float(found[0, 2]) != pytest.approx(float(found[0, 1]), rel=1e-3)
+
+
+def test_untrained_kernels_are_their_level():
+    found = kernel_perfusion(0.8, (37.0, 45.0))(jnp.array([38.0, 44.0]))
+    assert found.tolist() == pytest.approx([0.8, 0.8])
+
+
+def test_a_network_learns_too(readings):
+    start = eqx.tree_at(
+        lambda m: m.perfusion,
+        muscle(),
+        neural_perfusion(0.47, (37.0, 46.0), key=jax.random.key(0), width=6),
+    )
+    fit = learn(start, STEPS, readings, laws=lambda m: (m.perfusion,), stepper=STEPPER)
+    assert fit.hyperparameters.noise == pytest.approx(0.05, rel=0.3)
+
+
+def test_the_scale_of_the_power_is_learned_from_steps(readings):
+    start = muscle(2e5)
+    fit = learn(
+        start, STEPS, readings, constants=lambda m: m.sources[0].scale, stepper=STEPPER
+    )
+    (found,) = fit.constants.values()
+    assert found.value == pytest.approx(0.8, abs=4 * found.sd)
+    assert found.sd < 0.01
+
+
+def test_the_shape_of_the_power_is_learned(readings):
+    spot = GaussianSource(jnp.log(2.2e5), jnp.log(0.009), 1e4)
+    start = eqx.tree_at(lambda m: m.sources, muscle(), (spot,))
+    fit = learn(
+        start,
+        STEPS,
+        readings,
+        constants=lambda m: (m.sources[0].log_peak, m.sources[0].log_width),
+        stepper=STEPPER,
+    )
+    found = fit.constants["sources[0].log_width"]
+    assert found.value == pytest.approx(np.log(0.012), abs=max(4 * found.sd, 0.01))
+
+
+def test_readings_survive_a_file(tmp_path, readings):
+    with_gap = eqx.tree_at(
+        lambda d: d.values,
+        readings,
+        np.where(readings.values > 44, np.nan, readings.values),
+    )
+    save_probes(with_gap, tmp_path / "probes.csv")
+    again = load_probes(tmp_path / "probes.csv")
+    assert again.times == pytest.approx(with_gap.times)
+    assert again.points == pytest.approx(with_gap.points)
+    assert np.array_equal(again.values, with_gap.values, equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("t,r\n1,2\n", r"expected the columns t, r, T or t, x, y, z, T, got t, r"),
+        ("t,r,T\n1,0.0\n", r"row 2: expected 3 cells, got 2"),
+        ("t,r,T\n1,abc,40\n", r"row 2, column 2: expected a number, got 'abc'"),
+        ("t,r,T\n", r"expected readings, got a header alone"),
+        ("t,r,T\n0,0.0,37\n", r"ProbeData.times: expected increasing times > 0 s"),
+        ("t,r,T\n1,0.0,\n", r"ProbeData.values: expected a reading, got none"),
+        ("", r"got none"),
+    ],
+)
+def test_bad_files_name_the_place(tmp_path, text, message):
+    path = tmp_path / "probes.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message):
+        load_probes(path)
+
+
+def test_what_cannot_be_learned_is_refused(readings, tmp_path):
+    with pytest.raises(InputError, match="nothing to learn"):
+        learn(muscle(), STEPS, readings, stepper=STEPPER)
+    far = ProbeData(readings.times, POINTS + 1.0, readings.values)
+    with pytest.raises(InputError, match="probe at 1 m: expected between 0 and 0.04"):
+        learn(muscle(), STEPS, far, constants=lambda m: m.sources[0].scale)
+    late = ProbeData(readings.times + 1e4, POINTS, readings.values)
+    with pytest.raises(InputError, match="saved time .* expected after 0 and up to"):
+        learn(muscle(), STEPS, late, constants=lambda m: m.sources[0].scale)
+    with pytest.raises(InputError, match=r"expected shape \(45, 4\), times by probes"):
+        ProbeData(readings.times, POINTS, readings.values[:, :2])
+    with pytest.raises(InputError, match="cannot be read"):
+        load_probes(tmp_path / "nowhere.csv")
+    with pytest.raises(InputError, match="perfusion level: expected > 0"):
+        kernel_perfusion(0.0, (37.0, 45.0))
+    with pytest.raises(InputError, match="perfusion range: expected increasing"):
+        kernel_perfusion(1.0, (45.0, 37.0))
+    with pytest.raises(InputError, match="length_scale: expected > 0 K"):
+        kernel_perfusion(1.0, (37.0, 45.0), length_scale=0.0)
+
+
+def test_the_formula_behind_a_learned_law_is_found(learned, readings):
+    visited = visited_range(learned.model, STEPS, jnp.ones(24))
+    at = np.linspace(38.0, visited[1], 25)
+    curve = perfusion_curve(learned.posterior, lambda m: m.perfusion, at, visited)
+    picked = {k: CANDIDATES[k] for k in ("constant", "rise to a plateau (Lang)")}
+    best, worst = rank_laws(
+        learned.model,
+        STEPS,
+        readings,
+        law=lambda m: m.perfusion,
+        curve=curve,
+        candidates=picked,
+        stepper=STEPPER,
+    )
+    assert best.name == "rise to a plateau (Lang)"
+    assert worst.bic - best.bic > 100
+    plateau = next(v for k, v in best.constants.items() if k.endswith("spread"))
+    assert plateau.value == pytest.approx(12.0, abs=4 * plateau.sd + 1.0)

@@ -1,0 +1,351 @@
+"""Laws of a run: heat is kept, gradients agree, runs go on, bad input is refused."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.errors import InputError
+from pinav.thermal import exact
+from pinav.thermal.bioheat import Bioheat
+from pinav.thermal.boundaries import Dirichlet, Robin, Sides, around, outer
+from pinav.thermal.dose import exceeded_by
+from pinav.thermal.exact import SET_S
+from pinav.thermal.grids import CartesianGrid, RadialGrid, scaled_to
+from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion, lang
+from pinav.thermal.protocols import Piecewise
+from pinav.thermal.solve import Probes, State, default_stepper, probes_at, run, solve
+from pinav.thermal.sources import EddySource, PowerSource
+from pinav.thermal.steppers import RKL2, Rosenbrock
+from pinav.thermal.timetable import timetable
+from pinav.thermal.tissues import Blood, Tissue, mixed
+
+
+def heated_tumour(grid, side):
+    """A tumour in muscle, with perfusion that follows the temperature."""
+    share = grid.ball(0.008)
+    return Bioheat(
+        grid,
+        mixed(share, Tissue(0.55, 1045.0, 3600.0), Tissue(0.49, 1090.0, 3421.0, 700.0)),
+        Blood(),
+        MixedPerfusion(share, lang("tumour"), lang("muscle")),
+        (PowerSource(2.2e5 * share, 1e4), EddySource(0.1, 0.4)),
+        outer(side) if len(grid.shape) == 1 else around(grid, side),
+    )
+
+
+GRIDS = {
+    "sphere": lambda: RadialGrid.sphere(0.03, 60),
+    "cylinder": lambda: RadialGrid.cylinder(0.03, 60),
+    "plane": lambda: CartesianGrid.cubes((20, 20), 2e-3),
+    "space": lambda: CartesianGrid.cubes((10, 10, 10), 3e-3),
+}
+
+
+@pytest.mark.parametrize("make", GRIDS.values(), ids=GRIDS)
+@pytest.mark.parametrize("side", [Dirichlet(37.0), Robin(15.0, 25.0)])
+def test_heat_in_is_heat_out_or_stored(make, side):
+    model = heated_tumour(make(), side)
+    protocol = Piecewise.ramp((0, 300, 900), [0.0, 1.1e4, 0.9e4], 1e5)
+    ledger = solve(model, protocol).ledger
+    assert float(ledger.imbalance) < 1e-10
+    assert float(ledger.brought) > 0
+    assert float(ledger.perfused) > 0
+
+
+@pytest.fixture(scope="module")
+def short_run():
+    """Log dose, probe and T90 of a short run, as functions of a few numbers."""
+    model = heated_tumour(RadialGrid.sphere(0.03, 30), Dirichlet(37.0))
+    edges = (0.0, 130.0, 300.0)
+    table = timetable(Piecewise.constant(edges, [1.0, 1.0], 1e5), 10.0)
+    target = model.grid.ball(0.008) * model.grid.volumes
+
+    def outcome(numbers):
+        k, gain, power, h1, h2 = numbers
+        own = eqx.tree_at(
+            lambda m: (
+                m.tissue.conductivity,
+                m.perfusion.outside.gain,
+                m.sources[0].power,
+            ),
+            model,
+            (
+                model.tissue.conductivity * k,
+                3.55 * gain,
+                model.sources[0].power * power,
+            ),
+        )
+        protocol = Piecewise.constant(edges, 1.5e4 * jnp.stack([h1, h2]), 1e5)
+        found = run(
+            own,
+            protocol,
+            table,
+            stepper=Rosenbrock(),
+            observe=probes_at(model, [0.004]),
+            start=State.at_rest(own),
+        )
+        return jnp.stack(
+            [
+                found.observed[-1, 0],
+                jnp.log(jnp.sum(found.final.dose * target)),
+                exceeded_by(found.final.temperature, target, 0.9),
+                jnp.log(exceeded_by(found.final.dose, target, 0.9)),
+                jnp.max(found.hottest),
+            ]
+        )
+
+    return outcome, jnp.array([1.0, 1.0, 1.0, 1.0, 0.8])
+
+
+def test_reverse_mode_is_forward_mode_is_central_differences(short_run):
+    """Through solver, perfusion, dose and protocol."""
+    outcome, at = short_run
+    forward = np.asarray(jax.jit(jax.jacfwd(outcome))(at))
+    reverse = np.asarray(jax.jit(jax.jacrev(outcome))(at))
+    scale = np.abs(forward).max(axis=1, keepdims=True)
+    assert np.abs(forward - reverse).max() <= 1e-10 * scale.max()
+    assert np.all(np.abs(forward - reverse) <= 1e-10 * scale)
+    step = 1e-5 * np.eye(len(at))
+    jitted = jax.jit(outcome)
+    columns = [(jitted(at + s) - jitted(at - s)) / 2e-5 for s in jnp.asarray(step)]
+    differences = np.stack([np.asarray(c) for c in columns], axis=1)
+    assert np.all(np.abs(forward - differences) <= 1e-6 * scale)
+    assert np.all(scale > 0)
+
+
+def test_reverse_mode_in_the_plane():
+    """Through the stages of RKL2, in blocks."""
+    model = heated_tumour(CartesianGrid.cubes((12, 12), 2.5e-3), Robin(20.0, 25.0))
+    protocol = Piecewise.constant((0.0, 100.0), [1.2e4], 1e5)
+    stepper = RKL2(5)
+    table = timetable(protocol, 20.0)
+
+    def outcome(power):
+        own = eqx.tree_at(lambda m: m.sources[0].scale, model, power)
+        found = run(
+            own,
+            protocol,
+            table,
+            stepper=stepper,
+            observe=jnp.max,
+            start=State.at_rest(own),
+        )
+        return jnp.log(jnp.sum(found.final.dose)) + found.observed[-1]
+
+    at = jnp.asarray(1.1)
+    reverse = float(jax.jit(jax.grad(outcome))(at))
+    forward = float(jax.jit(jax.jacfwd(outcome))(at))
+    assert reverse == pytest.approx(forward, rel=1e-10)
+
+
+def centre_rise(count):
+    """Steady rise at the centre of the heated sphere by k, perfusion, radius, Q."""
+
+    def outcome(numbers):
+        k, perfusion, radius, power = numbers
+        grid = RadialGrid.sphere(0.005 * 405 / 25.5, count)
+        model = Bioheat(
+            grid,
+            Tissue(k, 1050.0, 3600.0),
+            Blood(),
+            ConstantPerfusion(perfusion / 3617.0),
+            (PowerSource(power * grid.ball(radius), 1e4),),
+            outer(Dirichlet(37.0)),
+        )
+        protocol = Piecewise.constant((0.0, 4e4), [1e4], 1e5)
+        found = run(
+            model,
+            protocol,
+            timetable(protocol, 2000.0),
+            stepper=Rosenbrock(),
+            observe=probe,
+            start=State.at_rest(model),
+        )
+        return found.observed[-1, 0] - 37.0
+
+    probe = Probes(RadialGrid.sphere(0.005 * 405 / 25.5, count).interpolation([0.0]))
+    at = jnp.array([SET_S.conductivity, SET_S.perfusion, 0.005, 4e5])
+    return np.asarray(jax.jit(jax.grad(outcome))(at))
+
+
+def test_exact_sensitivities_at_second_order():
+    """By k, W, R and Q within 1e-3 at some 400 cells, far from the outer wall.
+
+    The radius ends in the middle of a cell on both grids: the derivative by it is that
+    of the cell it cuts, which elsewhere is off by a share of the cell's width.
+    """
+    own = exact.heated_sphere_sensitivities(SET_S, 4e5, 0.005)
+    true = np.array([own[n] for n in ("conductivity", "perfusion", "radius", "source")])
+    errors = [np.abs(centre_rise(n) / true - 1) for n in (135, 405)]
+    assert np.all(errors[1] < 1e-3)
+    assert np.all(np.log(errors[0] / errors[1]) / np.log(3.0) > 1.9)
+
+
+def test_the_sensitivity_to_power_in_an_interval_is_the_adjoint_kernel(
+    medium, switched
+):
+    grid = RadialGrid.sphere(0.05, 400)
+    model = medium(grid, 4e5 * grid.ball(0.005))
+    edges = (0.0, 120.0, 300.0)
+
+    def outcome(powers):
+        protocol = Piecewise.constant(edges, 1e4 * jnp.sqrt(powers), 1e5)
+        return run(
+            model,
+            protocol,
+            table,
+            stepper=Rosenbrock(),
+            observe=probe,
+            start=State.at_rest(model),
+        ).observed[-1, 0]
+
+    probe = probes_at(model, [0.0])
+    table = timetable(switched(edges, [1.0, 1.0]), 5.0)
+    found = jax.grad(outcome)(jnp.ones(2))
+    true = exact.heated_sphere_kernels(0.0, 300.0, SET_S, 0.005, edges)
+    assert np.asarray(found) == pytest.approx(4e5 * np.array(true), rel=1e-3)
+
+
+def test_a_run_goes_on_from_its_state():
+    """Two runs one after the other are one run, dose included."""
+    model = heated_tumour(RadialGrid.sphere(0.03, 30), Dirichlet(37.0))
+    protocol = Piecewise.constant((0, 200, 400), [1.5e4, 1.2e4], 1e5)
+    whole = solve(model, protocol, save_at=[200.0, 400.0])
+    first = solve(model, Piecewise.constant((0, 200), [1.5e4], 1e5))
+    second = solve(model, protocol, start=first.final)
+    for name in ("temperature", "dose"):
+        found, true = (np.asarray(getattr(s.final, name)) for s in (second, whole))
+        assert found == pytest.approx(true, rel=1e-12)
+    assert float(second.final.time) == 400.0
+    assert np.asarray(whole.observed[0]) == pytest.approx(
+        np.asarray(first.final.temperature), rel=1e-12
+    )
+
+
+def test_the_axes_of_a_box_are_alike():
+    """A box along x is the slab; the plane and space of one shape agree with it."""
+    slab = RadialGrid.slab(0.02, 10)
+    sides = (Sides(Robin(50.0, 20.0), Dirichlet(37.0)),)
+    box = CartesianGrid((3, 10), (1e-3, 2e-3))
+    wide = (Sides(insulated := outer(Dirichlet(0.0))[0].low, insulated), *sides)
+
+    def of(grid, own):
+        return Bioheat(grid, Tissue(0.5, 1000.0, 3600.0), Blood(), lang("fat"), (), own)
+
+    protocol = Piecewise.constant((0.0, 600.0), [0.0], 1e5)
+    stepper = RKL2(5, 10.0)
+    along = solve(of(slab, sides), protocol, stepper=stepper).final.temperature
+    across = solve(of(box, wide), protocol, stepper=stepper).final.temperature
+    assert np.asarray(across) == pytest.approx(np.tile(along, (3, 1)), rel=1e-12)
+    implicit = solve(of(slab, sides), protocol).final.temperature
+    assert np.asarray(implicit) == pytest.approx(np.asarray(along), abs=2e-3)
+
+
+def test_a_concentration_can_carry_the_injected_mass():
+    grid = CartesianGrid.cubes((9, 9, 9), 1e-3)
+    field = scaled_to(5.0 * grid.ball(3e-3), grid, 2e-6)
+    assert float(jnp.sum(field * grid.volumes)) == pytest.approx(2e-6)
+
+
+BLAND = Bioheat(
+    RadialGrid.sphere(0.03, 30),
+    Tissue(0.5, 1000.0, 3600.0),
+    Blood(),
+    lang("muscle"),
+    (),
+    outer(Dirichlet(37.0)),
+)
+HOUR = Piecewise.constant((0.0, 3600.0), [0.0], 1e5)
+PLANE = CartesianGrid.cubes((20, 20), 5e-4)
+
+
+@pytest.mark.parametrize(
+    ("act", "message"),
+    [
+        (
+            lambda: Tissue(-0.5, 1.0, 1.0),
+            r"Tissue.conductivity: expected > 0 W/\(m K\)",
+        ),
+        (
+            lambda: Tissue(0.5, 1e3, 0.0),
+            r"Tissue.specific_heat: expected > 0 J/\(kg K\)",
+        ),
+        (lambda: Tissue(0.5, 1e3, 1e3, -1.0), r"Tissue.metabolic: expected >= 0 W/m³"),
+        (lambda: Blood(0.0), r"Blood.density: expected > 0 kg/m³, got 0"),
+        (lambda: Robin(0.0, 20.0), r"Robin.exchange: expected > 0 W/\(m² K\), got 0.0"),
+        (lambda: RadialGrid.sphere(0.03, 2), r"sphere radius: expected 3 cells"),
+        (lambda: RadialGrid.slab(-1.0, 9), r"slab length: expected a length > 0 m"),
+        (lambda: CartesianGrid((9,), (0.0,)), r"expected 3 cells or more of positive"),
+        (lambda: CartesianGrid((9, 9), (1.0,)), r"one to three axes with a spacing"),
+        (
+            lambda: BLAND.grid.ball(0.01, center=[0.0]),
+            r"a ball is centred at 0; use a CartesianGrid",
+        ),
+        (lambda: probes_at(BLAND, [0.01, 0.04]), r"probe at 0.04 m: expected between"),
+        (
+            lambda: PLANE.interpolation([[0.001, 0.02]]),
+            r"probe at \[0.001, 0.02\] m: expected inside the grid",
+        ),
+        (
+            lambda: eqx.tree_at(lambda m: m.sides, BLAND, ()).__check_init__(),
+            r"Bioheat.sides: expected 1, one pair",
+        ),
+        (
+            lambda: Bioheat(
+                PLANE,
+                Tissue(jnp.ones(3), 1.0, 1.0),
+                Blood(),
+                lang("fat"),
+                (),
+                around(PLANE, Dirichlet(37.0)),
+            ),
+            r"Bioheat.tissue.conductivity: expected a number or the shape \(20, 20\)",
+        ),
+        (lambda: RKL2(4), r"RKL2.stages: expected odd and >= 3, got 4"),
+        (lambda: RKL2(9, 0.0), r"RKL2.longest: expected a time > 0 s, got 0.0"),
+        (lambda: Rosenbrock(-1.0), r"Rosenbrock.longest: expected a time > 0 s"),
+        (
+            lambda: solve(
+                heated_tumour(PLANE, Dirichlet(37.0)), HOUR, stepper=RKL2(3, 20.0)
+            ),
+            r"RKL2.longest: expected <= .* s, which 3 stages hold stable .* got 20 s",
+        ),
+        (
+            lambda: solve(
+                heated_tumour(PLANE, Dirichlet(37.0)), HOUR, stepper=Rosenbrock()
+            ),
+            r"Rosenbrock: expected a grid with one axis, got 2; use RKL2",
+        ),
+        (
+            lambda: solve(BLAND, HOUR, save_at=[4000.0]),
+            r"saved time 4000 s: expected after 0 and up to 3600 s",
+        ),
+        (
+            lambda: solve(BLAND, HOUR, save_every=0.0),
+            r"save_every: expected a time > 0",
+        ),
+        (
+            lambda: solve(
+                BLAND, HOUR, start=State(jnp.asarray(1e4), jnp.ones(30), jnp.ones(30))
+            ),
+            r"timetable start: expected within 0 and 3600 s, got 10000",
+        ),
+        (
+            lambda: solve(
+                BLAND, HOUR, start=State(jnp.asarray(0.0), jnp.ones(9), jnp.ones(9))
+            ),
+            r"start: expected temperatures of shape \(30,\), got \(9,\)",
+        ),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(act, message):
+    with pytest.raises(InputError, match=message) as caught:
+        act()
+    assert "\n" not in str(caught.value)
+
+
+def test_the_stepper_suits_the_grid():
+    assert isinstance(default_stepper(BLAND), Rosenbrock)
+    assert isinstance(default_stepper(heated_tumour(PLANE, Dirichlet(37.0))), RKL2)

@@ -1,0 +1,246 @@
+"""Bioheat: large grids, their cost, and the three demonstrations. Synthetic data."""
+
+import json
+import time
+import tomllib
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import tomli_w
+
+from conftest import pinav
+from pinav.jobs.heat_cases import read_case
+from pinav.jobs.heat_models import built
+from pinav.thermal import exact
+from pinav.thermal.bioheat import Bioheat
+from pinav.thermal.boundaries import Dirichlet, around, outer
+from pinav.thermal.dose import exceeded_by
+from pinav.thermal.exact import SET_S
+from pinav.thermal.grids import CartesianGrid, RadialGrid
+from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion, lang
+from pinav.thermal.protocols import Piecewise
+from pinav.thermal.solve import State, default_stepper, run, solve
+from pinav.thermal.sources import PowerSource
+from pinav.thermal.timetable import timetable
+from pinav.thermal.tissues import Blood, Tissue, mixed
+from pinav.thermal.validation import powers, reference_model, validate
+
+EXAMPLES = Path(__file__).parents[1] / "examples" / "heat"
+
+
+@pytest.fixture(autouse=True, scope="module")
+def double_precision():
+    before = jax.config.read("jax_enable_x64")
+    jax.config.update("jax_enable_x64", val=True)
+    yield
+    jax.config.update("jax_enable_x64", val=before)
+
+
+def test_every_case_is_within_its_tolerance():
+    checks = validate()
+    assert len(checks) > 40
+    missed = [(c.case, c.error, c.tolerance) for c in checks if not c.passed]
+    assert not missed
+
+
+def tumour(grid):
+    """The common geometry of the demonstrations on any grid."""
+    share = grid.ball(0.010)
+    wall = Dirichlet(37.0)
+    return Bioheat(
+        grid,
+        mixed(share, Tissue(0.55, 1045.0, 3600.0), Tissue(0.49, 1090.0, 3421.0)),
+        Blood(),
+        MixedPerfusion(share, lang("tumour"), lang("muscle")),
+        (PowerSource(1.5e5 * share, 1e4),),
+        outer(wall) if len(grid.shape) == 1 else around(grid, wall),
+    )
+
+
+COSTS = {  # grid, bars of forward and gradient [s], of memory [MiB]
+    "radial 200": (lambda: RadialGrid.sphere(0.05, 200), 5e-3, 10e-3, 1024),
+    "128 x 128": (lambda: CartesianGrid.cubes((128, 128), 5e-4), 1.5, 2.5, 1024),
+    "64 x 64 x 64": (lambda: CartesianGrid.cubes((64, 64, 64), 1e-3), 4.0, 16.0, 2048),
+}
+
+
+@pytest.mark.parametrize("name", COSTS)
+def test_what_half_an_hour_costs(name):
+    """15 intervals of 2 minutes: time after compilation, and XLA's own memory."""
+    make, forward_bar, gradient_bar, memory_bar = COSTS[name]
+    model = tumour(make())
+    stepper = default_stepper(model)
+    protocol = powers(tuple(np.linspace(0.0, 1800.0, 16)), np.ones(15))
+    table = timetable(protocol, stepper.longest_step(model))
+    begin = State.at_rest(model)
+
+    def outcome(amplitudes):
+        own = eqx.tree_at(lambda p: (p.starts, p.ends), protocol, (amplitudes,) * 2)
+        found = run(model, own, table, stepper=stepper, observe=jnp.max, start=begin)
+        return jnp.log(jnp.sum(found.final.dose))
+
+    at = protocol.starts
+    forward = jax.jit(outcome).lower(at).compile()
+    gradient = jax.jit(jax.grad(outcome)).lower(at).compile()
+    seconds = {"forward": timed(forward, at), "gradient": timed(gradient, at)}
+    memory = gradient.memory_analysis().temp_size_in_bytes / 2**20
+    print(f"{name}: {len(table.steps)} steps, {seconds}, gradient {memory:.0f} MiB")
+    assert memory < memory_bar
+    assert seconds["forward"] < forward_bar
+    assert seconds["gradient"] < gradient_bar
+
+
+def timed(function, at):
+    """Best of several calls [s]."""
+    times = []
+    for _ in range(3):
+        begin = time.perf_counter()
+        for _ in range(3):
+            jax.block_until_ready(function(at))
+        times.append((time.perf_counter() - begin) / 3)
+    return min(times)
+
+
+def test_the_heated_sphere_on_a_large_grid():
+    """2e-2 K at 64³ cells of 0.94 mm."""
+    grid = CartesianGrid.cubes((64, 64, 64), 0.94e-3)
+    model = reference_model(grid, 4e5 * grid.ball(0.005))
+    found = np.asarray(solve(model, powers((0.0, 300.0), [1.0])).final.temperature)
+    r = np.asarray(grid.distances())
+    for cell in [(32, 32, 32), (34, 33, 32), (37, 32, 32), (42, 36, 32)]:
+        true = exact.heated_sphere(float(r[cell]), 300.0, SET_S, 4e5, 0.005)
+        assert found[cell] - 37.0 == pytest.approx(true, abs=2e-2)
+
+
+DEMO = [  # Q, perfusion: T(0) 5 min, T(0), T(R), T(R + 3 mm), T90
+    (1.0e5, "const", (41.14, 42.98, 40.44, 39.15, 40.58)),
+    (1.0e5, "Lang", (41.16, 43.20, 40.45, 39.13, 40.60)),
+    (1.5e5, "const", (43.20, 45.96, 42.16, 40.22, 42.37)),
+    (1.5e5, "Lang", (43.35, 46.19, 42.02, 40.04, 42.25)),
+    (2.0e5, "const", (45.27, 48.95, 43.88, 41.30, 44.16)),
+    (2.0e5, "Lang", (45.53, 48.88, 43.29, 40.73, 43.59)),
+]
+
+
+@pytest.mark.parametrize(("power", "perfusion", "listed"), DEMO)
+def test_a_tumour_at_constant_field(power, perfusion, listed):
+    """Demonstration 1, to 0.1 K."""
+    model = tumour(RadialGrid.sphere(0.05, 200))
+    share = model.grid.ball(0.010)
+    model = eqx.tree_at(lambda m: m.sources[0].power, model, power * share)
+    if perfusion == "const":
+        rest = model.perfusion(jnp.full(model.grid.shape, 37.0))
+        model = eqx.tree_at(
+            lambda m: m.perfusion,
+            model,
+            MixedPerfusion(share, ConstantPerfusion(rest), ConstantPerfusion(rest)),
+        )
+    probes = model.grid.interpolation([0.0, 0.010, 0.013])
+    found = solve(
+        model,
+        powers((0.0, 1800.0), [1.0]),
+        save_at=[300.0, 1800.0],
+        observe=lambda t: probes @ t,
+    )
+    t90 = exceeded_by(found.final.temperature, share * model.grid.volumes, 0.9)
+    reached = [found.observed[0, 0], *found.observed[1], t90]
+    print(power, perfusion, [round(float(v), 2) for v in reached])
+    assert [float(v) for v in reached] == pytest.approx(listed, abs=0.1)
+
+
+def ran(tmp_path, task, content, name="case"):
+    """The metrics and arrays of a task on a case, and its seconds."""
+    case, out = tmp_path / f"{name}.toml", tmp_path / name
+    case.write_text(tomli_w.dumps(content))
+    begin = time.perf_counter()
+    done = pinav("heat", task, str(case), "--out", str(out))
+    seconds = time.perf_counter() - begin
+    print(done.stdout)
+    assert done.returncode == 0, done.stderr
+    metrics = json.loads((out / "metrics.json").read_text())
+    return metrics, dict(np.load(out / "results.npz")), seconds
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("kind", ["kernels", "network"])
+def test_perfusion_from_seven_probes(tmp_path, kind, seed):
+    """Demonstration 2."""
+    content = tomllib.loads((EXAMPLES / "learn.toml").read_text())
+    content["learn"] |= {"kind": kind, "seed": seed}
+    metrics, arrays, seconds = ran(tmp_path, "learn", content)
+    law = {
+        key.rpartition("/")[2]: values
+        for key, values in arrays.items()
+        if key.startswith("law/tissue/")
+    }
+    at = np.array([40.0, 41.0, 42.0, 43.0, 44.0])
+    values, true, low, high = (
+        np.exp(np.interp(at, law["temperatures"], np.log(law[key])))
+        for key in ("values", "true", "low", "high")
+    )
+    error = np.abs(values / true - 1)
+    print(kind, seed, error, f"{seconds:.1f} s with imports and figures")
+    assert metrics["residual"] == pytest.approx(0.1, rel=0.05)
+    assert error[0] <= 0.20
+    assert np.all(error[1:] <= 0.08)
+    assert np.all((low <= true) & (true <= high))
+    held_out = {row["power"]: row for row in metrics["held_out"]}
+    assert held_out[1.3]["learned"] <= 0.15
+    assert held_out[1.3]["constant"] > 2.0
+    assert metrics["constant"]["residual"] > 0.3
+    assert seconds < 60
+
+
+@pytest.mark.parametrize(
+    ("edge_weighted", "least"), [(False, 14.0), (True, 36.0)], ids=["uniform", "edge"]
+)
+def test_a_protocol_under_limits(tmp_path, edge_weighted, least):
+    """Demonstration 3, from a flat start."""
+    content = tomllib.loads((EXAMPLES / "optimise.toml").read_text())
+    content["heating"]["edge_weighted"] = edge_weighted
+    metrics, _, seconds = ran(tmp_path, "optimise", content)
+    print(metrics["amplitudes"], f"{seconds:.1f} s with imports and figures")
+    assert metrics["D90"] >= least
+    (temperature, _) = metrics["constraints"]
+    assert temperature["active"]
+    assert temperature["value"] <= 47.05
+    assert seconds < 60
+
+
+def test_the_examples_are_synthetic_and_small():
+    for path in EXAMPLES.glob("*.toml"):
+        case, _ = read_case(path)
+        assert np.prod(built(case).model.grid.shape) <= 500
+        assert "Synthetic" in path.read_text()
+
+
+def test_a_protocol_that_pauses_is_worse(tmp_path):
+    """On and off at the same highest temperature gives the tumour less dose."""
+    model = tumour(RadialGrid.sphere(0.05, 100))
+    share = model.grid.ball(0.010)
+    volumes = share * model.grid.volumes
+
+    def dose(protocol, power):
+        own = eqx.tree_at(lambda m: m.sources[0].power, model, power * share)
+        found = solve(own, protocol)
+        return float(found.hottest.max()), float(
+            exceeded_by(found.final.dose, volumes, 0.9)
+        )
+
+    still = powers((0.0, 1800.0), [1.0])
+    bursts = Piecewise.on_off(1e4, 1e5, on=50.0, off=100.0, duration=1800.0)
+    results = {}
+    for name, protocol in (("still", still), ("bursts", bursts)):
+        low, high = 5e4, 1e6
+        for _ in range(14):
+            middle = 0.5 * (low + high)
+            hot, reached = dose(protocol, middle)
+            low, high = (middle, high) if hot < 47.0 else (low, middle)
+        results[name] = reached
+    print(results)
+    assert results["still"] == pytest.approx(9.44, rel=0.05)
+    assert results["bursts"] < 0.5 * results["still"]
