@@ -21,6 +21,7 @@ from pinav.thermal.freedoms import (
 )
 from pinav.thermal.limits import doubtful, require
 from pinav.thermal.optimise import (
+    AbstractConstraint,
     HealthyDose,
     LogD90,
     MaxTemperature,
@@ -130,12 +131,14 @@ def optimise_protocol(case: Case, folder: RunFolder) -> dict[str, Any]:
         total = float(jnp.sum(first.shape(own.model.grid) * own.model.grid.volumes))
         patterns = shells(own.model, radius, asked.placement, total)
         freedoms.append(FreePlacement(patterns))
-    constraints = [MaxTemperature(float(asked.max_temperature))]
+    constraints: list[AbstractConstraint] = [
+        MaxTemperature(bound=float(asked.max_temperature))
+    ]
     if asked.healthy_dose is not None:
         center = case.tumour.center
         grown = float(case.tumour.radius + asked.margin)
         away = 1 - own.model.grid.ball(grown, center=center)
-        constraints.append(HealthyDose(float(asked.healthy_dose), away))
+        constraints.append(HealthyDose(bound=float(asked.healthy_dose), share=away))
     constraints += [within(limit) for limit in own.limits]
     treated = Treated(own.model, own.protocol)
     best = optimise(

@@ -185,7 +185,8 @@ def protocol_figure(
     """
     figure = new_figure(4.6, 4.2)
     above, below = figure.subplots(2, 1, sharex=True)
-    prepared(above), prepared(below)
+    for ax in (above, below):
+        prepared(ax)
     at = np.repeat(np.asarray(edges) / 60, 2)[1:-1]
     values = np.stack([starts, ends], axis=1).reshape(-1)
     above.plot(at, values / 1e3, color=BLUE, lw=THIN)

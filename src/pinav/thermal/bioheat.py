@@ -66,7 +66,7 @@ class Bioheat(eqx.Module):
                 )
 
     def levels(
-        self, protocol: AbstractProtocol, t: Scalar, interval
+        self, protocol: AbstractProtocol, t: Float[Array, ""], interval
     ) -> Float[Array, " source"]:
         """Level of each source at a time [s] in an interval of the protocol."""
         amplitude = protocol.amplitude(t, interval)
