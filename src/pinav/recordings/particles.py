@@ -96,7 +96,7 @@ def _particle(tracks: Tracks, reading: Reading, times, rows) -> Particle:
         rows=rows,
         times=own,
         positions=positions,
-        seen=np.isfinite(positions).all(axis=1),
+        seen=np.asarray(np.isfinite(positions).all(axis=1)),
         commands=_acting(commands, own, reading),
         repeats=repeats,
         silent=int(np.any(unknown, axis=0).sum()),

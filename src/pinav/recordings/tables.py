@@ -3,7 +3,7 @@
 import csv
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, final
 
 import numpy as np
@@ -29,7 +29,7 @@ class Table:
         place: what a row is called, such as "line" or "sheet 'Robot 1', row".
     """
 
-    columns: dict[str, Sequence[Any] | np.ndarray]
+    columns: Mapping[str, Sequence[Any] | np.ndarray]
     rows: Int64[np.ndarray, " row"]
     place: str = "line"
 
