@@ -87,7 +87,9 @@ def test_what_half_an_hour_costs(name):
     forward = jax.jit(outcome).lower(at).compile()
     gradient = jax.jit(jax.grad(outcome)).lower(at).compile()
     seconds = {"forward": timed(forward, at), "gradient": timed(gradient, at)}
-    memory = gradient.memory_analysis().temp_size_in_bytes / 2**20
+    used = gradient.memory_analysis()
+    assert used is not None
+    memory = used.temp_size_in_bytes / 2**20
     print(f"{name}: {len(table.steps)} steps, {seconds}, gradient {memory:.0f} MiB")
     assert memory < memory_bar
     assert seconds["forward"] < forward_bar

@@ -7,7 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from pinav import cli, files, report
-from pinav.jobs import reporting, table2
+from pinav.jobs import reproduction_report, table2
 from pinav.jobs.models import build_model
 from pinav.runs import RunFolder
 
@@ -106,7 +106,7 @@ def plain_figures(monkeypatch):
     def save(_, folder, name):
         return report.save_figure(Figure(), folder, name)
 
-    monkeypatch.setattr(reporting, "save_figure", save)
+    monkeypatch.setattr(reproduction_report, "save_figure", save)
 
 
 @pytest.mark.parametrize("writes", [0, 1, 2, 3, 5, 6, 8, 11])
