@@ -20,10 +20,10 @@ import numpy as np
 import tyro
 from jax.flatten_util import ravel_pytree
 
-from pinav.commands import parse
 from pinav.dynamics import with_dtype
 from pinav.fitting.fit import split_trainable
 from pinav.jobs.models import paper_ude, residual
+from pinav.options import parse
 from pinav.scenarios import paper
 from pinav.solvers import RK4, AbstractSolver, Adaptive, FixedStep, InterpolatingAdjoint
 from pinav.trajectories import simulate

@@ -20,7 +20,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter, ScalarFormatter
 
-from pinav.commands import parse
 from pinav.errors import InputError
 from pinav.files import write_text
 from pinav.fitting import GaussNewton, Problem, TrajectoryLoss, curriculum, fit_many
@@ -28,6 +27,7 @@ from pinav.fitting.fit import split_trainable
 from pinav.fitting.objectives import Observations
 from pinav.jobs.models import data_summary, default_ude, fit_model, residual
 from pinav.jobs.settings import FitSettings
+from pinav.options import parse
 from pinav.report.files import save_figure
 from pinav.report.style import (
     BLUE,

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from pinav import __version__, cli, commands
-from pinav.commands import FitOptions, ReproduceOptions, parse
 from pinav.errors import InputError
+from pinav.options import FitOptions, ReproduceOptions, parse
 
 
 def fails(capsys, *argv: str) -> str:

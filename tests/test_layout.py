@@ -39,6 +39,7 @@ ORDER = [
     "runs",
     "jobs",
     "recording_commands",
+    "options",
     "commands",
     "cli",
 ]

@@ -17,9 +17,9 @@ import tyro
 from benchmarks.fit import table
 from benchmarks.fit.contestants import BY_NAME, CONTESTANTS, Contestant, Effort
 from benchmarks.fit.problem import physics_file
-from pinav.commands import parse
 from pinav.errors import InputError
 from pinav.files import write_text, write_whole
+from pinav.options import parse
 
 ROOT = Path(__file__).parents[2]
 

@@ -5,6 +5,7 @@ $v = a_0 f\,n(\theta) + D$, the published method for these robots; a black-box n
 differential equation.
 """
 
+import importlib
 import time
 import warnings
 from collections.abc import Callable
@@ -141,8 +142,7 @@ def gaussian_process(
         Sokolich et al., arXiv:2406.02722; Beaver et al., arXiv:2212.00188.
     """
     try:
-        from sklearn.gaussian_process import GaussianProcessRegressor
-        from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+        processes_of: Any = importlib.import_module("sklearn.gaussian_process")
     except ImportError as error:
         raise InputError(
             "gaussian_process: scikit-learn is not installed; install pinav[bench]"
@@ -159,9 +159,10 @@ def gaussian_process(
         kept = np.linspace(0, len(inputs) - 1, rows).astype(int)
     processes = []
     for axis in (0, 1):
-        kernel = ConstantKernel(1.0, (1e-2, 1e2)) * RBF(1.0, (1e-2, 1e2))
-        kernel = kernel + WhiteKernel()
-        process = GaussianProcessRegressor(
+        kinds = processes_of.kernels
+        kernel = kinds.ConstantKernel(1.0, (1e-2, 1e2)) * kinds.RBF(1.0, (1e-2, 1e2))
+        kernel = kernel + kinds.WhiteKernel()
+        process = processes_of.GaussianProcessRegressor(
             kernel=kernel, n_restarts_optimizer=restarts, random_state=0
         )
         with warnings.catch_warnings():  # a hyperparameter at its published bound
