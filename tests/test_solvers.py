@@ -129,6 +129,19 @@ def both_ways():
     return arranged, plain, vector
 
 
+@pytest.mark.parametrize("substeps", [1, 2])
+def test_a_looped_step_is_the_step(substeps):
+    solver = FixedStep(substeps=substeps)
+
+    def field(t, y):
+        return jnp.stack([y[1], -jnp.sin(y[0]) + jnp.cos(3.0 * t)])
+
+    inputs = field, jnp.array([0.3, -1.2]), 0.7, 0.9
+    np.testing.assert_allclose(
+        solver.looped_step(*inputs), solver.step(*inputs), rtol=1e-14
+    )
+
+
 def test_fixed_step_reverse_mode_equals_a_plain_scan(both_ways):
     arranged, plain, vector = both_ways
     expected, pull_plain = jax.vjp(plain, vector)

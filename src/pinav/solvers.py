@@ -108,10 +108,17 @@ class FixedStep(AbstractSolver):
         t0: Scalar,
         t1: Scalar,
     ) -> Float[Array, " state"]:
-        """State at `t1` from the state `y` at `t0` [T]; quick to compile.
+        """State at `t1` from the state `y` at `t0` [T]; quick to run."""
+        return _substeps(_runge_kutta_step, self, vector_field, (y, t0, t1))
 
-        It is a step of `solve`, which is quicker to run, up to rounding.
-        """
+    def looped_step(
+        self,
+        vector_field: VectorField,
+        y: Float[Array, " state"],
+        t0: Scalar,
+        t1: Scalar,
+    ) -> Float[Array, " state"]:
+        """The same up to rounding; quick to compile."""
         return _substeps(_looped_runge_kutta_step, self, vector_field, (y, t0, t1))
 
     def solve(self, vector_field, y0, ts):
@@ -122,7 +129,7 @@ class FixedStep(AbstractSolver):
 @eqx.filter_custom_jvp
 def _fixed_step_solve(vector_field, y0, ts, solver):
     def record(y, interval):
-        y_next = _step_of_solve(solver, vector_field, y, interval[0], interval[1])
+        y_next = solver.step(vector_field, y, interval[0], interval[1])
         return y_next, y_next
 
     _, later = jax.lax.scan(record, y0, jnp.stack([ts[:-1], ts[1:]], axis=1))
@@ -138,12 +145,10 @@ def _fixed_step_jvp(primals, tangents):
     starts = states[:-1]
 
     def jacobian(y, t0, t1):
-        return jax.jacfwd(lambda y: _step_of_solve(solver, vector_field, y, t0, t1))(y)
+        return jax.jacfwd(lambda y: solver.step(vector_field, y, t0, t1))(y)
 
     def one_step(field, ts):
-        return jax.vmap(_step_of_solve, (None, None, 0, 0, 0))(
-            solver, field, starts, ts[:-1], ts[1:]
-        )
+        return jax.vmap(solver.step, (None, 0, 0, 0))(field, starts, ts[:-1], ts[1:])
 
     jacobians = jax.vmap(jacobian)(starts, ts[:-1], ts[1:])
     _, sources = eqx.filter_jvp(
@@ -326,10 +331,6 @@ def _substeps(step, solver, vector_field, inputs):
         return step(solver.tableau, vector_field, y, t, h), None
 
     return jax.lax.scan(substep, y, jnp.arange(solver.substeps))[0]
-
-
-def _step_of_solve(solver, vector_field, y, t0, t1):
-    return _substeps(_runge_kutta_step, solver, vector_field, (y, t0, t1))
 
 
 def _runge_kutta_step(tableau, vector_field, y, t, h):

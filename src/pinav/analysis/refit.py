@@ -140,7 +140,7 @@ def _steps(free, theta, states, times, solver):
     derivative = jax.jacfwd if theta.shape[0] <= FEW else jax.jacrev
 
     def step(theta, y, t0, t1):
-        return solver.step(free(theta), y, t0, t1)
+        return solver.looped_step(free(theta), y, t0, t1)
 
     def one(y, t0, t1):
         by_constant = derivative(step)(theta, y, t0, t1)

@@ -67,7 +67,7 @@ def _jacobians(dynamics, starts, ts, solver):
         ys, _ = solver.solve(dynamics, y0, ts)
 
         def slope(y, t0, t1):
-            return jax.jacfwd(lambda y: solver.step(dynamics, y, t0, t1))(y)
+            return jax.jacfwd(lambda y: solver.looped_step(dynamics, y, t0, t1))(y)
 
         steps = jax.vmap(slope)(ys[:-1], ts[:-1], ts[1:])
         nothing = jnp.zeros((steps.shape[0], y0.shape[0]))

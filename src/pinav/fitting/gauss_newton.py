@@ -204,7 +204,7 @@ class _Windows(eqx.Module):
             def record(y, inputs):
                 t0, t1, state, again = inputs
                 start = jnp.where(again, state, y)
-                end = solver.step(model, start, t0, t1)
+                end = solver.looped_step(model, start, t0, t1)
                 return end, (start, end)
 
             inputs = (times[:-1], times[1:], states[:-1], restart)

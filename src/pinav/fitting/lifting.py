@@ -89,7 +89,7 @@ def _step_of(free, solver):
     """The step from one sample to the next, as a function of the parameters."""
 
     def step(theta, y, t0, t1):
-        return solver.step(free(theta), y, t0, t1)
+        return solver.looped_step(free(theta), y, t0, t1)
 
     return step
 
