@@ -13,7 +13,8 @@ from pinav.learned import NeuralForce, NeuralPotential
 from pinav.scenarios import barrier_crossings
 from pinav.trajectories import Trajectories, simulate
 
-SEEDS = range(5)
+SEEDS = range(10)
+"""On the first five alone the true law covers but 80 % with four states."""
 LIMITS = (-2.0, 12.0, -2.0, 12.0)
 CASES = {
     "potential": (NeuralPotential, 4, 0.025),
