@@ -26,7 +26,6 @@ from pinav.jobs.settings import (
 )
 from pinav.jobs.study_settings import StudyName, StudySettings
 
-Settings = TypeVar("Settings", bound=msgspec.Struct)
 Options = TypeVar("Options", bound=msgspec.Struct)
 
 ConfigFile = Annotated[
