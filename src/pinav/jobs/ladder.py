@@ -29,6 +29,7 @@ from pinav.ladder import (
 from pinav.ladder.baselines import commands
 from pinav.ladder.climb import BASELINES, RESIDUALS
 from pinav.ladder.forecast import HORIZONS, cycles
+from pinav.recordings import image_positions
 from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories
 
@@ -79,6 +80,7 @@ def fit_recording(
         ):
             name = found[index].name
             if name in drawn and arrays:
+                arrays |= _in_image(recording, arrays)
                 folder.write_arrays(f"track-{index}.npz", arrays)
             folder.write_json(_stored(index), result)
             folder.append_record({"track": name, "chosen": result.get("chosen")})
@@ -196,6 +198,21 @@ def _arrays(
     if whole.rung.gains:
         arrays |= _speed_law(ladder.track, whole)
     return arrays
+
+
+def _in_image(
+    recording: Trajectories, arrays: dict[str, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """Paths and bands in the pixels of the image, where they came from one."""
+    if recording.provenance.get("positions", {}).get("unit in the file") != "px":
+        return {}
+    found = {}
+    for key, values in arrays.items():
+        if key.startswith(("observed/", "predicted/")):
+            found[f"image {key}"] = image_positions(recording, values)
+        if key.startswith("sd/"):
+            found[f"image {key}"] = np.abs(image_positions(recording, values))
+    return found
 
 
 def _speed_law(track: Track, fit: TrackFit) -> dict[str, np.ndarray]:
