@@ -64,9 +64,10 @@ SLOW = pytest.mark.xfail(reason="kernels of 1348 weights; docs/evaluation.md")
 
 KINDS = {"kernel-potential": KernelPotential, "kernel-mixture": KernelMixture}
 
-DRAWS = {"barrier-crossings": 5, "anisotropic-drag": 5, "porous": 5}
-"""One barrier has in effect four parameters: a draw of the noise moves the whole field
-at once, and its coverage is near 0 or 1; see docs/fitting.md. One draw of others."""
+DRAWS = dict.fromkeys(("barrier-crossings", "swirl", "anisotropic-drag", "porous"), 5)
+"""One barrier has in effect four parameters, with a swirl eight: a draw of the noise
+moves the whole field at once, and its coverage is near 0 or 1; see docs/fitting.md. One
+draw of the others."""
 
 
 @pytest.mark.parametrize(
