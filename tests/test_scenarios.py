@@ -13,7 +13,8 @@ from pinav.solvers import FixedStep
 from pinav.trajectories import simulate
 
 KEY = jax.random.key(1)
-PLANAR = sorted(SCENARIOS.keys() - {"paper", "brownian"})
+CURRENTS = {name for name in SCENARIOS if name.endswith("-current")}
+PLANAR = sorted(SCENARIOS.keys() - {"paper", "brownian"} - CURRENTS)
 RK = FixedStep(substeps=2)
 
 

@@ -4,6 +4,7 @@ import abc
 import math
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -96,6 +97,10 @@ class FigureEightPath(AbstractPath):
         return self.center + self.radius * jnp.stack([jnp.sin(angle), across])
 
 
+CATCH_UP = 0.5
+"""Time in which guidance makes up for an offset from a path [T]."""
+
+
 class AbstractObjective(eqx.Module):
     """What is to be done, and when it is done."""
 
@@ -104,8 +109,24 @@ class AbstractObjective(eqx.Module):
         """Where the swimmer should be, or go to, at time `t` [L]."""
 
     @abc.abstractmethod
+    def guidance(
+        self, t: Scalar, x: Float[Array, "2"], speed: Scalar
+    ) -> Float[Array, "2"]:
+        """Velocity that leads there along the line of sight [L T⁻¹].
+
+        Args:
+            t: now [T].
+            x: position [L].
+            speed: of a swimmer in a hurry [L T⁻¹].
+        """
+
+    @abc.abstractmethod
+    def distance(self, x: Float[Array, "2"]) -> Float[Array, ""]:
+        """From position `x` to where the task ends [L]: not positive there."""
+
     def is_reached(self, x: Float[Array, "2"]) -> Bool[Array, ""]:
         """Whether the task ends at position `x` [L]."""
+        return self.distance(x) <= 0
 
 
 class Reach(AbstractObjective):
@@ -130,8 +151,12 @@ class Reach(AbstractObjective):
     def target(self, t):
         return self.goal
 
-    def is_reached(self, x):
-        return jnp.sum((x - self.goal) ** 2) <= jnp.asarray(self.tolerance) ** 2
+    def guidance(self, t, x, speed):
+        offset = self.goal - x
+        return speed * offset / jnp.maximum(jnp.linalg.norm(offset), 1e-12)
+
+    def distance(self, x):
+        return jnp.linalg.norm(x - self.goal) - self.tolerance
 
 
 class Follow(AbstractObjective):
@@ -146,8 +171,13 @@ class Follow(AbstractObjective):
     def target(self, t):
         return self.path(t)
 
-    def is_reached(self, x):
-        return jnp.zeros((), bool)
+    def guidance(self, t, x, speed):
+        t = jnp.asarray(t, x.dtype)
+        target, velocity = jax.jvp(self.path, (t,), (jnp.ones_like(t),))
+        return velocity + (target - x) / CATCH_UP
+
+    def distance(self, x):
+        return jnp.full((), math.inf, x.dtype)
 
 
 def _check_positive(name, value):
