@@ -141,12 +141,12 @@ def solve(
 
 def default_stepper(model: Bioheat) -> AbstractStepper:
     """Implicit along one axis, explicit in two and three."""
-    return Rosenbrock() if len(model.grid.shape) == 1 else RKL2()
+    return Rosenbrock() if len(model.grid.shape) == 1 else RKL2.suited(model)
 
 
-FEW_VALUES, MANY_CELLS = 200_000, 50_000
-"""Temperatures of a run that are all kept in reverse mode; cells of a grid on which not
-even the stages of a block of steps are."""
+FEW_VALUES, MANY_VALUES = 200_000, 60_000_000
+"""Temperatures of a run up to which reverse mode keeps all it computed, and up to which
+it keeps the states of all steps: half a gigabyte."""
 
 
 class _Carry(eqx.Module):
@@ -168,9 +168,10 @@ def run(
 ) -> Solution:
     """Run a protocol with a given timetable; see `solve`.
 
-    In reverse mode a small run keeps all it computed. A larger one keeps the states of
+    In reverse mode a small run keeps all it computed. A larger one keeps the states
+    between steps and the stages of one step at a time; a very large one the states of
     one block at a time and those between blocks, about twice the square root of the
-    number of steps, and on large grids the stages of one step at a time.
+    number of steps.
     """
     balance = HeatBalance.of(model)
     nodes = jnp.asarray(stepper.nodes)
@@ -190,13 +191,13 @@ def run(
         kept = observe(after), jnp.max(after)
         return _Carry(after, dose, carry.flows + change.ledger), kept
 
-    cells = start.temperature.size
-    own_step = jax.checkpoint(advance) if cells > MANY_CELLS else advance
+    values = start.temperature.size * len(table.steps)
+    own_step = jax.checkpoint(advance) if values > FEW_VALUES else advance
 
     def advance_block(carry, inputs):
         return jax.lax.scan(own_step, carry, inputs)
 
-    if cells * len(table.steps) > FEW_VALUES:
+    if values > MANY_VALUES:
         advance_block = jax.checkpoint(advance_block)
 
     shape = len(table.steps) // table.block, table.block

@@ -28,6 +28,9 @@ MARGIN = 0.9
 LONGEST = 10.0
 """Time step [s] beyond which nothing is chosen for stability's sake alone."""
 
+STAGES = (3, 5, 7, 9, 11, 13, 15)
+"""Numbers of stages among which is chosen."""
+
 
 class AbstractStepper(eqx.Module):
     """A one-step method."""
@@ -86,6 +89,16 @@ class RKL2(AbstractStepper):
             raise InputError(f"RKL2.stages: expected odd and >= 3, got {self.stages}")
         _check_step("RKL2.longest", self.longest)
 
+    @classmethod
+    def suited(cls, model: Bioheat) -> "RKL2":
+        """The number of stages that covers a time with the fewest evaluations."""
+        rate = float(fastest_rate(model))
+
+        def cost(stages):
+            return stages / min(MARGIN * _stable_step(stages, rate), LONGEST)
+
+        return cls(min(STAGES, key=cost))
+
     @property
     def nodes(self):
         s = self.stages
@@ -96,13 +109,12 @@ class RKL2(AbstractStepper):
         return c
 
     def longest_step(self, model):
-        s = self.stages
-        limit = 0.5 * (s**2 + s - 2) / float(fastest_rate(model))
+        limit = _stable_step(self.stages, float(fastest_rate(model)))
         if self.longest is None:
             return min(MARGIN * limit, LONGEST)
         if self.longest > limit:
             raise InputError(
-                f"RKL2.longest: expected <= {limit:.4g} s, which {s} stages hold "
+                f"RKL2.longest: expected <= {limit:.4g} s, which {self.stages} stages hold "
                 f"stable on this grid, got {self.longest:g} s; take more stages or a "
                 "shorter step"
             )
@@ -128,6 +140,10 @@ class RKL2(AbstractStepper):
 
         (end, _), _ = jax.lax.scan(stage, (after, initial), (rows, levels[1:]))
         return Rates(end.temperature - temperature, end.ledger)
+
+
+def _stable_step(stages, rate):
+    return 0.5 * (stages**2 + stages - 2) / rate
 
 
 class _Stage(eqx.Module):
