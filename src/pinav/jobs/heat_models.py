@@ -20,13 +20,14 @@ from pinav.thermal.perfusion import (
     mass_perfusion,
 )
 from pinav.thermal.protocols import Piecewise
+from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.sources import (
     AbstractSource,
     EddySource,
     ParticleSource,
     PowerSource,
 )
-from pinav.thermal.steppers import RKL2, AbstractStepper, Rosenbrock
+from pinav.thermal.steppers import RKL2, AbstractStepper
 from pinav.thermal.tissues import Blood, Tissue, mixed, preset
 
 
@@ -73,7 +74,7 @@ def built(case: cases.Case) -> Built:
         grid,
         mixed(target, inner, outside),
         blood,
-        MixedPerfusion(
+        MixedPerfusion.localised(
             target,
             _perfusion(case.tumour.tissue, blood, inner),
             _perfusion(case.tissue, blood, outside),

@@ -48,28 +48,47 @@ def cem43_segment(
         duration: of the segment [s].
         cutoff: temperature [°C] below which nothing counts.
     """
-    below = _share(begin, end, cutoff, BREAK) * _mean_rate(begin, end, cutoff, 2.0)
-    above = _share(begin, end, BREAK, np.inf) * _mean_rate(begin, end, BREAK, 1.0)
+    first = _doubling(begin, cutoff)
+    last = _doubling(end, cutoff)
+    # of two powers of two alone: exponentials are what a dose costs
+    low, high = jnp.minimum(first, 1.0), jnp.minimum(last, 1.0)
+    rise = (
+        2 * np.log(2.0) * (_within(end, cutoff, BREAK) - _within(begin, cutoff, BREAK))
+    )
+    below = _mean(low**2, high**2, low * high, rise)
+    low, high = jnp.maximum(first, 1.0), jnp.maximum(last, 1.0)
+    rise = np.log(2.0) * (_within(end, BREAK, np.inf) - _within(begin, BREAK, np.inf))
+    above = _mean(low, high, jnp.sqrt(low * high), rise)
+    below = _share(begin, end, cutoff, BREAK) * below
+    above = _share(begin, end, BREAK, np.inf) * above
     return (below + above) * (duration / 60.0)
 
 
-def _limits(steepness):
-    return BREAK if steepness == 2.0 else np.inf
+def _within(temperature, low, high):
+    return jnp.clip(temperature, low, high)
 
 
-def _mean_rate(begin, end, low, steepness):
-    """Mean of the rate over the part of a segment between two temperatures."""
-    first = jnp.clip(begin, low, _limits(steepness))
-    last = jnp.clip(end, low, _limits(steepness))
-    growth = steepness * np.log(2.0) * (last - first)
-    return jnp.exp2((first - BREAK) * steepness) * _growth_mean(growth)
+def _doubling(temperature, cutoff):
+    return jnp.exp2(jnp.maximum(temperature, cutoff) - BREAK)
 
 
-def _growth_mean(z):
-    """(e^z - 1)/z, one at zero, with its derivative."""
-    small = jnp.abs(z) < 1e-4
-    safe = jnp.where(small, 1.0, z)
-    return jnp.where(small, 1 + z / 2 + z**2 / 6, jnp.expm1(safe) / safe)
+SMALL_GROWTH = 0.35
+"""Growth up to which a series is exact, and beyond which a difference is."""
+
+
+def _mean(first, last, middle, growth):
+    r"""Mean of an exponential between two of its values.
+
+    $(R_1 - R_0)/z$ with $z = \ln(R_1/R_0)$; for small $z$, where that cancels,
+    $\sqrt{R_0 R_1}\,\sinh(z/2)/(z/2)$ by its series, whose derivative has no noise.
+    """
+    small = jnp.abs(growth) < SMALL_GROWTH
+    square = growth**2
+    series = 1 + square / 24 * (
+        1 + square / 80 * (1 + square / 168 * (1 + square / 288))
+    )
+    quotient = (last - first) / jnp.where(small, 1.0, growth)
+    return jnp.where(small, middle * series, quotient)
 
 
 def _share(begin, end, low, high):
