@@ -11,22 +11,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import tomli_w
+from benchmarks.heat import CASES, in_own_process, tumour
 
 from conftest import pinav
 from pinav.jobs.heat_cases import read_case
 from pinav.jobs.heat_models import built
 from pinav.thermal import exact
-from pinav.thermal.bioheat import Bioheat
-from pinav.thermal.boundaries import Dirichlet, around, outer
 from pinav.thermal.dose import exceeded_by
 from pinav.thermal.exact import SET_S
 from pinav.thermal.grids import CartesianGrid, RadialGrid
-from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion, lang
+from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion
 from pinav.thermal.protocols import Piecewise
-from pinav.thermal.solve import State, default_stepper, run, solve
-from pinav.thermal.sources import PowerSource
-from pinav.thermal.timetable import timetable
-from pinav.thermal.tissues import Blood, Tissue, mixed
+from pinav.thermal.solve import solve
 from pinav.thermal.validation import powers, reference_model, validate
 
 EXAMPLES = Path(__file__).parents[1] / "examples" / "heat"
@@ -47,64 +43,14 @@ def test_every_case_is_within_its_tolerance():
     assert not missed
 
 
-def tumour(grid):
-    """The common geometry of the demonstrations on any grid."""
-    share = grid.ball(0.010)
-    wall = Dirichlet(37.0)
-    return Bioheat(
-        grid,
-        mixed(share, Tissue(0.55, 1045.0, 3600.0), Tissue(0.49, 1090.0, 3421.0)),
-        Blood(),
-        MixedPerfusion(share, lang("tumour"), lang("muscle")),
-        (PowerSource(1.5e5 * share, 1e4),),
-        outer(wall) if len(grid.shape) == 1 else around(grid, wall),
-    )
-
-
-COSTS = {  # grid, bars of forward and gradient [s], of memory [MiB]
-    "radial 200": (lambda: RadialGrid.sphere(0.05, 200), 5e-3, 10e-3, 1024),
-    "128 x 128": (lambda: CartesianGrid.cubes((128, 128), 5e-4), 1.5, 2.5, 1024),
-    "64 x 64 x 64": (lambda: CartesianGrid.cubes((64, 64, 64), 1e-3), 4.0, 16.0, 2048),
-}
-
-
-@pytest.mark.parametrize("name", COSTS)
+@pytest.mark.parametrize("name", CASES)
 def test_what_half_an_hour_costs(name):
-    """15 intervals of 2 minutes: time after compilation, and XLA's own memory."""
-    make, forward_bar, gradient_bar, memory_bar = COSTS[name]
-    model = tumour(make())
-    stepper = default_stepper(model)
-    protocol = powers(tuple(np.linspace(0.0, 1800.0, 16)), np.ones(15))
-    table = timetable(protocol, stepper.longest_step(model))
-    begin = State.at_rest(model)
-
-    def outcome(amplitudes):
-        own = eqx.tree_at(lambda p: (p.starts, p.ends), protocol, (amplitudes,) * 2)
-        found = run(model, own, table, stepper=stepper, observe=jnp.max, start=begin)
-        return jnp.log(jnp.sum(found.final.dose))
-
-    at = protocol.starts
-    forward = jax.jit(outcome).lower(at).compile()
-    gradient = jax.jit(jax.grad(outcome)).lower(at).compile()
-    seconds = {"forward": timed(forward, at), "gradient": timed(gradient, at)}
-    used = gradient.memory_analysis()
-    assert used is not None
-    memory = used.temp_size_in_bytes / 2**20
-    print(f"{name}: {len(table.steps)} steps, {seconds}, gradient {memory:.0f} MiB")
-    assert memory < memory_bar
-    assert seconds["forward"] < forward_bar
-    assert seconds["gradient"] < gradient_bar
-
-
-def timed(function, at):
-    """Best of several calls [s]."""
-    times = []
-    for _ in range(3):
-        begin = time.perf_counter()
-        for _ in range(3):
-            jax.block_until_ready(function(at))
-        times.append((time.perf_counter() - begin) / 3)
-    return min(times)
+    """15 intervals of 2 minutes: time after compilation, and memory of the gradient."""
+    found, bars = in_own_process(name), CASES[name]
+    print(name, found)
+    assert found.memory < bars.memory
+    assert found.forward < bars.forward
+    assert found.gradient < bars.gradient
 
 
 def test_the_heated_sphere_on_a_large_grid():
