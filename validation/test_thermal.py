@@ -113,7 +113,7 @@ def ran(tmp_path, task, content, name="case"):
     return metrics, dict(np.load(out / "results.npz")), seconds
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("kind", ["kernels", "network"])
 def test_perfusion_from_seven_probes(tmp_path, kind, seed):
     """Demonstration 2."""
@@ -166,18 +166,23 @@ def test_the_examples_are_synthetic_and_small():
         assert "Synthetic" in path.read_text()
 
 
-def test_a_protocol_that_pauses_is_worse(tmp_path):
-    """On and off at the same highest temperature gives the tumour less dose."""
+@pytest.mark.parametrize(
+    ("edge_weighted", "listed"), [(False, 9.44), (True, 25.9)], ids=["uniform", "edge"]
+)
+def test_a_protocol_that_pauses_is_worse(edge_weighted, listed):
+    """The baselines of demonstration 3: constant, and on and off, both up to 47 °C."""
     model = tumour(RadialGrid.sphere(0.05, 100))
     share = model.grid.ball(0.010)
     volumes = share * model.grid.volumes
+    shape = 0.4 + (model.grid.distances() / 0.010) ** 2 if edge_weighted else 1.0
+    field = share * shape
+    field = field * (jnp.sum(volumes) / jnp.sum(field * model.grid.volumes))
 
     def dose(protocol, power):
-        own = eqx.tree_at(lambda m: m.sources[0].power, model, power * share)
+        own = eqx.tree_at(lambda m: m.sources[0].power, model, power * field)
         found = solve(own, protocol)
-        return float(found.hottest.max()), float(
-            exceeded_by(found.final.dose, volumes, 0.9)
-        )
+        reached = exceeded_by(found.final.dose, volumes, 0.9)
+        return float(found.hottest.max()), float(reached)
 
     still = powers((0.0, 1800.0), [1.0])
     bursts = Piecewise.on_off(1e4, 1e5, on=50.0, off=100.0, duration=1800.0)
@@ -190,5 +195,5 @@ def test_a_protocol_that_pauses_is_worse(tmp_path):
             low, high = (middle, high) if hot < 47.0 else (low, middle)
         results[name] = reached
     print(results)
-    assert results["still"] == pytest.approx(9.44, rel=0.05)
-    assert results["bursts"] < 0.5 * results["still"]
+    assert results["still"] == pytest.approx(listed, rel=0.05)
+    assert results["bursts"] < 0.6 * results["still"]
