@@ -148,6 +148,17 @@ def test_an_interruption_says_how_to_go_on(capsys, monkeypatch):
     assert line.endswith("go on with: pinav fit 'my data.csv' --out r --resume\n")
 
 
+def test_a_config_file_of_a_recording_sets_how_it_is_read_and_split(tmp_path):
+    config = tmp_path / "c.toml"
+    config.write_text('job = "recording"\nshare = 0.6\nfps = 20.0\nnoise = 0.3\n')
+    argv = ["d.csv", "--out", "o", "--config", str(config), "--share", "0.8"]
+    parsed = parse(FitOptions, argv, "pinav fit")
+    assert parsed is not None
+    assert parsed.rungs.share == 0.8
+    assert parsed.recording.fps == 20.0
+    assert parsed.settings.noise == 0.3
+
+
 def test_a_config_file_sets_and_options_win(tmp_path):
     config = tmp_path / "c.toml"
     config.write_text('seeds = [7, 8]\nadam_steps = 5\njob = "reproduce"\n')

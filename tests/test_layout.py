@@ -34,6 +34,7 @@ ORDER = [
     "ladder",
     "analysis",
     "navigation",
+    "navigation",
     "thermal",
     "report",
     "runs",

@@ -5,7 +5,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import pytest
+
+
+@pytest.fixture(autouse=True, scope="session")
+def double_precision():
+    """As the command line has it."""
+    jax.config.update("jax_enable_x64", val=True)
 
 
 def pinav(*words: str, **options) -> subprocess.CompletedProcess:

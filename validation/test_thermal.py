@@ -28,14 +28,6 @@ from pinav.thermal.validation import powers, reference_model, validate
 EXAMPLES = Path(__file__).parents[1] / "examples" / "heat"
 
 
-@pytest.fixture(autouse=True, scope="module")
-def double_precision():
-    before = jax.config.read("jax_enable_x64")
-    jax.config.update("jax_enable_x64", val=True)
-    yield
-    jax.config.update("jax_enable_x64", val=before)
-
-
 def test_every_case_is_within_its_tolerance():
     checks = validate()
     assert len(checks) > 40

@@ -93,7 +93,8 @@ def _fit_recording(options: FitOptions, *, own: bool) -> None:
 
     data = load(options.data) if own else options.recording.read(options.data)
     identity = {"data": fingerprint(data), "ladder": str(options.ladder).lower()}
-    folder = _run_folder(options, options.rungs, job="recording", **identity)
+    groups = [options.rungs] if own else [options.rungs, options.recording]
+    folder = _run_folder(options, *groups, job="recording", **identity)
     metrics = job.fit_recording(
         options.rungs, data, folder, whole_ladder=options.ladder
     )
@@ -284,14 +285,14 @@ def dispatch(command: str, argv: Sequence[str]) -> None:
         handler(parsed)
 
 
-def _run_folder(options, settings: msgspec.Struct, **identity: str):
+def _run_folder(options, *settings: msgspec.Struct, **identity: str):
     """The run folder, new or resumed."""
     if options.resume and options.overwrite:
         raise InputError("--resume and --overwrite: choose one of them")
     from pinav.runs import RunFolder
 
-    content = msgspec.to_builtins(settings)
-    config = identity | {k: v for k, v in content.items() if v is not None}
+    content = [item for s in settings for item in msgspec.to_builtins(s).items()]
+    config = identity | {k: v for k, v in content if v is not None}
     config = {k: list(v) if isinstance(v, tuple) else v for k, v in config.items()}
     if options.resume:
         return RunFolder.resume(options.out, config)

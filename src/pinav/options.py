@@ -260,8 +260,8 @@ class BenchOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         str,
         tyro.conf.Positional,
         tyro.conf.arg(
-            help="Name of the benchmark: fit, gradient or growth. What follows it are "
-            "options of its own: pinav bench fit --help."
+            help="Name of the benchmark: fit, gradient, growth or recordings. What "
+            "follows are options of its own: pinav bench fit --help."
         ),
     ]
 
@@ -311,17 +311,42 @@ def _defaults(options: type[Options], argv: Sequence[str]) -> dict[str, Any]:
     fields = {field.name: field for field in msgspec.structs.fields(options)}
     if path is None or "config" not in fields:
         return {}
-    settings = fields["settings"].type
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
         content = {k: v for k, v in content.items() if k not in IDENTITY}
-        from_file = msgspec.convert(content, settings)
+        from_file = _grouped(content, fields)
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"--config {path}: cannot be read: {error}") from error
     except msgspec.ValidationError as error:
         raise InputError(f"--config {path}: {error}") from error
     required = {n: tyro.MISSING for n, field in fields.items() if field.required}
-    return {"default": options(**required, settings=from_file)}
+    return {"default": options(**required, **from_file)}
+
+
+def _grouped(content: dict[str, Any], fields: dict[str, Any]) -> dict[str, Any]:
+    """Each group of settings from those entries of a file that are its own.
+
+    Raises:
+        msgspec.ValidationError: an entry has the wrong type, or no group knows it.
+    """
+    groups = {
+        name: field.type
+        for name, field in fields.items()
+        if isinstance(field.type, type) and issubclass(field.type, msgspec.Struct)
+    }
+    own = {name: set(kind.__struct_fields__) for name, kind in groups.items()}
+    known = set.union(*own.values())
+    return {
+        name: msgspec.convert(
+            {
+                key: value
+                for key, value in content.items()
+                if key in own[name] or (name == "settings" and key not in known)
+            },
+            kind,
+        )
+        for name, kind in groups.items()
+    }
 
 
 def _config_path(argv: Sequence[str]) -> Path | None:

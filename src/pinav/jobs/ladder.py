@@ -1,5 +1,6 @@
 """`pinav fit RECORDING`: the ladder of models on every track of a recording."""
 
+import itertools
 import time
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -11,12 +12,12 @@ from pinav.fitting import Estimate
 from pinav.jobs.ladder_settings import LadderSettings
 from pinav.ladder import (
     Climb,
+    Forecast,
     Rollouts,
     Row,
     Track,
     TrackFit,
     Wobble,
-    band_variance,
     climb,
     coverage,
     delay_findings,
@@ -28,6 +29,7 @@ from pinav.ladder import (
 from pinav.ladder.baselines import commands
 from pinav.ladder.climb import BASELINES, RESIDUALS
 from pinav.ladder.forecast import HORIZONS, cycles
+from pinav.recordings import image_positions
 from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories
 
@@ -66,7 +68,7 @@ def fit_recording(
         {track.name for track in longest[: settings.tracks]} if whole_ladder else set()
     )
     drawn = {track.name for track in longest[:FIGURES]}
-    undone = [i for i in range(len(found)) if not folder.has(_stored(i))]
+    undone = [i for i in _mixed(found) if not folder.has(_stored(i))]
 
     def fitted(index: int) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         track = found[index]
@@ -78,6 +80,7 @@ def fit_recording(
         ):
             name = found[index].name
             if name in drawn and arrays:
+                arrays |= _in_image(recording, arrays)
                 folder.write_arrays(f"track-{index}.npz", arrays)
             folder.write_json(_stored(index), result)
             folder.append_record({"track": name, "chosen": result.get("chosen")})
@@ -92,6 +95,18 @@ def fit_recording(
     folder.write_table("ladder.csv", *_csv(results))
     folder.write_json("metrics.json", metrics)
     return metrics
+
+
+def _mixed(found: list[Track]) -> list[int]:
+    """Tracks in an order in which neighbours differ in length.
+
+    Fits of one length share compiled code; side by side both would compile it.
+    """
+    by_length = sorted(range(len(found)), key=lambda i: -found[i].duration)
+    half = (len(found) + 1) // 2
+    long, short = by_length[:half], by_length[half:][::-1]
+    pairs = itertools.zip_longest(long, short)
+    return [index for pair in pairs for index in pair if index is not None]
 
 
 def _stored(index: int) -> str:
@@ -176,15 +191,28 @@ def _arrays(
     for index, piece in enumerate(held_out.pieces):
         arrays[f"observed/{index}"] = piece.states
     ends = zip(rollouts.piece, rollouts.first, rollouts.last, strict=True)
+    forecasts = [Forecast.of(piece, fit, wobble) for piece in held_out.pieces]
     for index, (own, a, b) in enumerate(ends):
-        piece = held_out.pieces[own]
-        path = path_of(fit)(piece)[a : b + 1]
-        arrays[f"predicted/{index}"] = piece.states[a] + path - path[0]
-        variance = band_variance(piece, (int(a), int(b)), fit, wobble)
-        arrays[f"sd/{index}"] = np.sqrt(variance[-1])
+        arrays[f"predicted/{index}"] = forecasts[own].rollout(int(a), int(b))
+        arrays[f"sd/{index}"] = np.sqrt(forecasts[own].variance(int(a), int(b))[-1])
     if whole.rung.gains:
         arrays |= _speed_law(ladder.track, whole)
     return arrays
+
+
+def _in_image(
+    recording: Trajectories, arrays: dict[str, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """Paths and bands in the pixels of the image, where they came from one."""
+    if recording.provenance.get("positions", {}).get("unit in the file") != "px":
+        return {}
+    found = {}
+    for key, values in arrays.items():
+        if key.startswith(("observed/", "predicted/")):
+            found[f"image {key}"] = image_positions(recording, values)
+        if key.startswith("sd/"):
+            found[f"image {key}"] = np.abs(image_positions(recording, values))
+    return found
 
 
 def _speed_law(track: Track, fit: TrackFit) -> dict[str, np.ndarray]:

@@ -156,21 +156,10 @@ def _rows(result) -> Table:
 
 def _figures(folder, index, units) -> list[Image]:
     arrays = folder.read_arrays(f"track-{index}.npz")
-
-    def group(name: str) -> list[np.ndarray]:
-        found = [key for key in arrays if key.startswith(f"{name}/")]
-        return [arrays[key] for key in sorted(found, key=_trailing_number)]
-
     law = "law/places" in arrays
     figure = new_figure(7.5 if law else 4.2, 3.6)
     axes = figure.subplots(1, 2) if law else [figure.subplots()]
-    rollout_paths(
-        group("observed"),
-        group("predicted"),
-        group("sd"),
-        units={"x": units["x"], "y": units["x"]},
-        ax=axes[0],
-    )
+    _paths(arrays, "", units["x"], axes[0])
     caption = (
         "Held-out part: observed positions, rollouts of 10 s, bands at their ends."
     )
@@ -182,7 +171,30 @@ def _figures(folder, index, units) -> list[Image]:
         )
         caption += " Right: speed along the command, over blocks."
     files = save_figure(figure, folder.path / "figures", f"track-{index}")
-    return [Image(files.svg, "Observed and predicted paths of a track", caption)]
+    images = [Image(files.svg, "Observed and predicted paths of a track", caption)]
+    return images + _overlay(folder, index, arrays)
+
+
+def _overlay(folder, index, arrays) -> list[Image]:
+    """The same paths as they lie on the recorded image, where there was one."""
+    if not any(key.startswith("image ") for key in arrays):
+        return []
+    figure = new_figure(4.2, 3.6)
+    ax = figure.subplots()
+    _paths(arrays, "image ", "px", ax)
+    ax.invert_yaxis()
+    files = save_figure(figure, folder.path / "figures", f"image-{index}")
+    caption = "The same in the pixels of the image, y down: to lay over a frame."
+    return [Image(files.svg, "Paths of a track in image coordinates", caption)]
+
+
+def _paths(arrays, prefix: str, unit: str, ax) -> None:
+    def group(name: str) -> list[np.ndarray]:
+        found = [key for key in arrays if key.startswith(f"{prefix}{name}/")]
+        return [arrays[key] for key in sorted(found, key=_trailing_number)]
+
+    groups = (group(name) for name in ("observed", "predicted", "sd"))
+    rollout_paths(*groups, units={"x": unit, "y": unit}, ax=ax)
 
 
 def _trailing_number(key: str) -> int:

@@ -14,9 +14,9 @@ from pinav.ladder.fit import TrackFit as TrackFit
 from pinav.ladder.fit import fit_track as fit_track
 from pinav.ladder.forecast import Coverage as Coverage
 from pinav.ladder.forecast import Errors as Errors
+from pinav.ladder.forecast import Forecast as Forecast
 from pinav.ladder.forecast import Rollouts as Rollouts
 from pinav.ladder.forecast import Wobble as Wobble
-from pinav.ladder.forecast import band_variance as band_variance
 from pinav.ladder.forecast import coverage as coverage
 from pinav.ladder.forecast import errors as errors
 from pinav.ladder.forecast import path_of as path_of

@@ -26,6 +26,7 @@ from pinav.ladder.forecast import (
     Rollouts,
     errors,
     path_of,
+    remembered,
 )
 from pinav.ladder.likelihood import Prior
 from pinav.ladder.residual import (
@@ -239,6 +240,7 @@ class _Ladder:
         return Rollouts.of(self.held_out, horizon)
 
     def _add(self, name, log_evidence, seconds, displacement: Displacement) -> None:
+        displacement = remembered(displacement)
         found = {
             horizon: errors(self.held_out, self._rollouts(horizon), displacement)
             for horizon in HORIZONS

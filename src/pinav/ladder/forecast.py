@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from pinav.actuation import HeldProgramme
-from pinav.ladder.filtering import transitions
+from pinav.ladder.filtering import Disturbance, transitions
 from pinav.ladder.fit import TrackFit
 from pinav.ladder.rungs import NAMES, response_of
 from pinav.ladder.tracks import Track
@@ -128,6 +128,18 @@ def path_of(fit: TrackFit) -> Displacement:
     return displacement
 
 
+def remembered(displacement: Displacement) -> Displacement:
+    """The same displacement, computed once for each segment that lives as long."""
+    known: dict[int, Float[np.ndarray, "time 2"]] = {}
+
+    def path(piece: Trajectory) -> Float[np.ndarray, "time 2"]:
+        if id(piece) not in known:
+            known[id(piece)] = displacement(piece)
+        return known[id(piece)]
+
+    return path
+
+
 class Wobble(eqx.Module):
     """Scatter of single frames about the mean path, along and across the heading.
 
@@ -181,6 +193,84 @@ def _running_mean(times, values, width):
     return (total[high] - total[low]) / (high - low)[:, None]
 
 
+class Forecast(eqx.Module):
+    """A model's path through a segment, with what is uncertain about it.
+
+    Attributes:
+        piece: the segment.
+        path: displacement from its first sample [L].
+        slopes: of the displacement, by the unknowns of gain, drift and drive.
+        covariance: of those unknowns.
+        frame: variance of a single frame about the mean path [L²].
+        disturbance: the noise.
+    """
+
+    piece: Trajectory
+    path: Float[np.ndarray, "time 2"]
+    slopes: Float[np.ndarray, "time 2 unknown"]
+    covariance: Float[np.ndarray, "unknown unknown"]
+    frame: Float[np.ndarray, "time 2"]
+    disturbance: Disturbance
+
+    @classmethod
+    def of(cls, piece: Trajectory, fit: TrackFit, wobble: Wobble) -> "Forecast":
+        """The forecast of a fit, computed once for all rollouts of a segment."""
+        path = path_of(fit)(piece)
+        slopes, covariance = _slopes(piece, fit, path)
+        frame = wobble.variance(piece)
+        return cls(piece, path, slopes, covariance, frame, fit.disturbance)
+
+    def rollout(self, first: int, last: int) -> Float[np.ndarray, "sample 2"]:
+        """Positions from the observed one at sample `first` on [L]."""
+        path = self.path[first : last + 1]
+        return self.piece.states[first] + path - path[0]
+
+    def variance(self, first: int, last: int) -> Float[np.ndarray, "sample 2"]:
+        """Of a rollout: disturbance, unknowns, wobble at start and end [L²]."""
+        own = slice(first, last + 1)
+        slopes = self.slopes[own] - self.slopes[first]
+        unknown = np.einsum("tap,pq,taq->ta", slopes, self.covariance, slopes)
+        frame = self.frame[own]
+        return self._wandering(own)[:, None] + unknown + frame + frame[:1]
+
+    def _wandering(self, own) -> Float[np.ndarray, " sample"]:
+        """What the disturbance adds from a start without knowledge of it."""
+        times = self.piece.times[own]
+        frequency = self.piece.commands.get(
+            "frequency", np.zeros_like(self.frame[:, 0])
+        )
+        strength = self.disturbance.strength(jnp.asarray(frequency[own][:-1]))
+        steps = transitions(jnp.asarray(np.diff(times)), strength, self.disturbance)
+        matrices, noises = np.asarray(steps.matrix), np.asarray(steps.noise)
+        spread, variances = np.diag([0.0, 1.0, 1.0]), [0.0]
+        for matrix, noise in zip(matrices, noises, strict=True):
+            spread = matrix @ spread @ matrix.T + noise
+            variances.append(spread[0, 0])
+        return np.array(variances)
+
+
+def _slopes(piece, fit, path):
+    """Of a displacement by each unknown, and the covariance of the unknowns."""
+    learned = fit.rung.learned
+    drive = [name for name in NAMES[:4] if name in learned]
+    elapsed = piece.times - piece.times[0]
+    gains = np.einsum("gab,tb->tag", fit.rung.matrices(), cycles(fit, piece))
+    drifts = np.einsum("ga,t->tag", fit.rung.velocities(), elapsed)
+    columns = [_drive_slope(piece, fit, path, name)[:, :, None] for name in drive]
+    places = [learned.index(name) for name in drive]
+    places += list(range(len(learned), len(fit.covariance)))
+    slopes = np.concatenate([*columns, gains, drifts], axis=2)
+    return slopes, fit.covariance[np.ix_(places, places)]
+
+
+def _drive_slope(piece, fit, path, name):
+    step = 1e-3
+    theta = np.array(fit.theta)
+    theta[NAMES.index(name)] += step
+    moved = path_of(eqx.tree_at(lambda f: f.theta, fit, theta))(piece)
+    return (moved - path) / step
+
+
 class Coverage(eqx.Module):
     """How often rollouts stayed within their nominal band.
 
@@ -203,13 +293,12 @@ def coverage(
     track: Track, rollouts: Rollouts, fit: TrackFit, wobble: Wobble
 ) -> Coverage:
     """Coverage of nominal bands of 90 % along each axis."""
-    displacement = path_of(fit)
+    forecasts = [Forecast.of(piece, fit, wobble) for piece in track.pieces]
     inside, ends = [], []
     for index, a, b in zip(rollouts.piece, rollouts.first, rollouts.last, strict=True):
-        piece = track.pieces[index]
-        path, seen = displacement(piece)[a : b + 1], piece.states[a : b + 1]
-        miss = seen - seen[0] - (path - path[0])
-        sd = np.sqrt(band_variance(piece, (int(a), int(b)), fit, wobble))
+        forecast = forecasts[index]
+        miss = track.pieces[index].states[a : b + 1] - forecast.rollout(int(a), int(b))
+        sd = np.sqrt(forecast.variance(int(a), int(b)))
         within = np.abs(miss[1:]) <= NORMAL_90 * sd[1:]
         inside.append(within.ravel())
         ends.append(within[-1])
@@ -218,68 +307,3 @@ def coverage(
     return Coverage(
         float(np.mean(np.concatenate(inside))), float(np.mean(ends)), len(ends)
     )
-
-
-def band_variance(
-    piece: Trajectory, samples: tuple[int, int], fit: TrackFit, wobble: Wobble
-) -> Float[np.ndarray, "time 2"]:
-    """Variance of a rollout: disturbance, parameters, wobble at start and end [L²].
-
-    Args:
-        piece: the segment.
-        samples: first and last sample of the rollout.
-        fit: the model.
-        wobble: scatter of single frames.
-    """
-    a, b = samples
-    own = slice(a, b + 1)
-    frame = wobble.variance(piece)[own]
-    wandering = _wandering(piece, own, fit)[:, None]
-    return wandering + _parameter_variance(piece, own, fit) + frame + frame[:1]
-
-
-def _wandering(piece, own, fit) -> Float[np.ndarray, " time"]:
-    """Variance that the disturbance adds from a start without knowledge of it."""
-    times = piece.times[own]
-    frequency = piece.commands.get("frequency", np.zeros_like(piece.times))[own]
-    disturbance = fit.disturbance
-    strength = disturbance.strength(jnp.asarray(frequency[:-1]))
-    steps = transitions(jnp.asarray(np.diff(times)), strength, disturbance)
-    matrices, noises = np.asarray(steps.matrix), np.asarray(steps.noise)
-    spread, variances = np.diag([0.0, 1.0, 1.0]), [0.0]
-    for matrix, noise in zip(matrices, noises, strict=True):
-        spread = matrix @ spread @ matrix.T + noise
-        variances.append(spread[0, 0])
-    return np.array(variances)
-
-
-def _parameter_variance(piece, own, fit) -> Float[np.ndarray, "time 2"]:
-    """By the delta method, from gain, drift, response and delay together."""
-    learned = fit.rung.learned
-    drive = [name for name in NAMES[:4] if name in learned]
-    rows = [_coefficient_slopes(piece, own, fit)]
-    for name in drive:
-        rows.insert(0, _drive_slope(piece, own, fit, name)[:, :, None])
-    places = [learned.index(name) for name in reversed(drive)]
-    places += list(range(len(learned), len(fit.covariance)))
-    slopes = np.concatenate(rows, axis=2)
-    covariance = fit.covariance[np.ix_(places, places)]
-    return np.einsum("tap,pq,taq->ta", slopes, covariance, slopes)
-
-
-def _coefficient_slopes(piece, own, fit):
-    moved = cycles(fit, piece)[own]
-    moved = moved - moved[0]
-    gains = np.einsum("gab,tb->tag", fit.rung.matrices(), moved)
-    elapsed = piece.times[own] - piece.times[own][0]
-    drifts = np.einsum("ga,t->tag", fit.rung.velocities(), elapsed)
-    return np.concatenate([gains, drifts], axis=2)
-
-
-def _drive_slope(piece, own, fit, name):
-    step = 1e-3
-    theta = np.array(fit.theta)
-    theta[NAMES.index(name)] += step
-    moved = path_of(eqx.tree_at(lambda f: f.theta, fit, theta))(piece)[own]
-    here = path_of(fit)(piece)[own]
-    return ((moved - moved[0]) - (here - here[0])) / step

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int
 
 from pinav.actuation import HeldProgramme
 from pinav.ladder.filtering import Disturbance, innovations, transitions
-from pinav.ladder.rungs import NAMES, RESPONSES, Rung, SwitchedResponse
+from pinav.ladder.rungs import DRIVE, NAMES, RESPONSES, Rung, SwitchedResponse
 from pinav.ladder.tracks import Blocks, Track
 
 
@@ -147,19 +147,57 @@ def disturbance_of(theta: Float[Array, " parameter"]) -> Disturbance:
 
 def displacements(theta, design: Design) -> Float[Array, "sample 2"]:
     """Integral of the response along the heading, delayed and lagged [cycles]."""
-    response = SwitchedResponse(design.response, theta[0], theta[1])
-    delay, lag = theta[2], jnp.exp(theta[3])
+    return _displacements(theta[: len(DRIVE)], design)
 
-    def lagged(programme, ts):
-        return programme.lagged_integral(response, ts, lag)
 
-    def prompt(programme, ts):
-        return programme.integral(response, ts)
+@eqx.filter_custom_vjp
+def _displacements(drive, design):
+    return jax.lax.cond(_lags(drive), _lagged, _prompt, drive, design)
 
+
+@_displacements.def_fwd
+def _displacements_forward(perturbed, drive, design):
+    del perturbed
+    return _displacements(drive, design), None
+
+
+@_displacements.def_bwd
+def _displacements_reverse(residuals, cotangent, perturbed, drive, design):
+    """Differentiates the branch that was taken, without room for the other one.
+
+    Without a lag in forward mode: few parameters stand before thousands of samples.
+    """
+    del residuals, perturbed
+
+    def lagged(drive, cotangent):
+        return jax.vjp(lambda d: _lagged(d, design), drive)[1](cotangent)[0]
+
+    def prompt(drive, cotangent):
+        jacobian = jax.jacfwd(lambda d: _prompt(d, design))(drive)
+        return jnp.einsum("sa,sad->d", cotangent, jacobian)
+
+    return jax.lax.cond(_lags(drive), lagged, prompt, drive, cotangent)
+
+
+def _lags(drive):
+    return jnp.exp(drive[3]) > 2e-4
+
+
+def _lagged(drive, design):
+    programme, response, ts = _driven(drive, design)
+    return programme.lagged_integral(response, ts, jnp.exp(drive[3]))
+
+
+def _prompt(drive, design):
+    programme, response, ts = _driven(drive, design)
+    return programme.integral(response, ts)
+
+
+def _driven(drive, design):
     blocks: Any = design.blocks  # as JAX arrays
     programme = HeldProgramme(blocks.times, blocks.frequency, blocks.heading)
-    ts = blocks.times - delay
-    return jax.lax.cond(lag > 2e-4, lagged, prompt, programme, ts)
+    response = SwitchedResponse(design.response, drive[0], drive[1])
+    return programme, response, blocks.times - drive[2]
 
 
 def block_means(values, blocks: Blocks):

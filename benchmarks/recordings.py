@@ -1,0 +1,143 @@
+"""Every recording of a folder through `pinav inspect` and `pinav fit`, cold.
+
+Run with `pinav bench recordings`. Each command is a process of its own, so that import
+and compilation count. Nothing is set by hand but what a file cannot know: the scale
+and frame rate of files in pixels and frames, where their notes give them.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import tyro
+
+from pinav.errors import InputError
+from pinav.files import write_text
+from pinav.options import parse
+
+KNOWN = {
+    "ecoli_pillars_trackmate": ("--fps", "20", "--mpp", "0.656"),
+}
+"""Options for the files of a folder, from the notes of the recordings."""
+
+ENDINGS = (".csv", ".csv.gz", ".xlsx")
+
+
+class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Time `pinav inspect` and `pinav fit` on every recording, and score the fits."""
+
+    folder: Annotated[
+        Path, tyro.conf.arg(help="Folder of the recordings; searched for files.")
+    ] = Path(os.environ.get("PINAV_RECORDINGS", "../shared/data"))
+    out: Annotated[Path, tyro.conf.arg(help="Folder of the results.")] = Path(
+        "runs/bench-recordings"
+    )
+    only: Annotated[str, tyro.conf.arg(help="Only files whose path contains this.")] = (
+        ""
+    )
+    ladder: Annotated[
+        bool, tyro.conf.arg(help="Fit residuals by position and all baselines too.")
+    ] = False
+
+
+def main(argv: Sequence[str]) -> None:
+    options = parse(Options, argv, prog="pinav bench recordings")
+    if options is None:
+        return
+    files = recordings(options.folder, options.only)
+    options.out.mkdir(parents=True, exist_ok=True)
+    print(HEADER)
+    rows = []
+    for file in files:
+        rows.append(timed(file, options))
+        print(line(rows[-1]), flush=True)
+        write_text(options.out / "recordings.json", json.dumps(rows, indent=2) + "\n")
+
+
+def recordings(folder: Path, only: str) -> list[Path]:
+    """Files of tracks in a folder and in those that it holds.
+
+    Raises:
+        InputError: there are none.
+    """
+    found = [
+        path
+        for path in sorted(folder.glob("**/*"))
+        if path.name.endswith(ENDINGS) and only in str(path.relative_to(folder))
+    ]
+    if not found:
+        raise InputError(
+            f"--folder {folder}: no recordings that match {only!r}; set it, or the "
+            "environment variable PINAV_RECORDINGS, to their folder"
+        )
+    return found
+
+
+def timed(file: Path, options: Options) -> dict[str, Any]:
+    """Seconds of both commands on a file, and the scores of the fit."""
+    name = f"{file.parent.name}/{file.name}"
+    out = options.out / name.replace("/", "-")
+    known = KNOWN.get(file.parent.name, ())
+    inspected = _run("inspect", file, out / "inspect", known)
+    extra = (*known, "--ladder") if options.ladder else known
+    fitted = _run("fit", file, out / "fit", extra)
+    metrics = out / "fit" / "metrics.json"
+    scores = _scores(json.loads(metrics.read_text())) if metrics.is_file() else {}
+    return {"recording": name, "inspect": inspected, "fit": fitted, **scores}
+
+
+def _run(command: str, file: Path, out: Path, words: Sequence[str]) -> dict[str, Any]:
+    program = Path(sys.executable).with_name("pinav")
+    call = [str(program), command, str(file), "--out", str(out)]
+    begin = time.perf_counter()
+    done = subprocess.run(
+        [*call, "--overwrite", *words], capture_output=True, text=True, check=False
+    )
+    seconds = time.perf_counter() - begin
+    reason = done.stderr.strip().splitlines()[-1] if done.returncode else ""
+    return {"seconds": seconds, "reason": reason}
+
+
+def _scores(metrics: dict[str, Any]) -> dict[str, Any]:
+    """Medians over tracks, and coverage over all rollouts."""
+    fitted = [t for t in metrics["tracks"].values() if "reason" not in t]
+    covered = [(t["coverage"]["inside"], t["coverage"]["rollouts"]) for t in fitted]
+    count = sum(n for _, n in covered)
+    summary = metrics["summary"]
+    return {
+        "tracks": len(fitted),
+        "of": len(metrics["tracks"]),
+        "chosen": summary.get("chosen", {}).get("relative 10"),
+        "least squares": summary.get("least squares", {}).get("relative 10"),
+        "covered": sum(share * n for share, n in covered if n) / count
+        if count
+        else None,
+    }
+
+
+HEADER = (
+    f"{'':<52}{'inspect [s]':>12}{'fit [s]':>9}{'tracks':>9}{'error':>8}"
+    f"{'least sq.':>10}{'in 90 %':>9}\n"
+    "error: median over tracks of held-out rollouts of 10 s, end point over path length"
+)
+
+
+def line(row: dict[str, Any]) -> str:
+    """A row of the table."""
+    reason = row["inspect"]["reason"] or row["fit"]["reason"]
+    seconds = f"{row['inspect']['seconds']:>12.1f}{row['fit']['seconds']:>9.1f}"
+    if reason:
+        return f"{row['recording']:<52}{seconds}  {reason}"
+    tracks = f"{row['tracks']}/{row['of']}"
+    values = (row["chosen"], row["least squares"], row["covered"])
+    cells = ["–" if v is None else f"{v:.3f}" for v in values]
+    return (
+        f"{row['recording']:<52}{seconds}{tracks:>9}{cells[0]:>8}{cells[1]:>10}"
+        f"{cells[2]:>9}"
+    )

@@ -1,0 +1,1 @@
+"""Planning and steering with a known or learned force."""

@@ -1,0 +1,155 @@
+"""What a swimmer is asked to do: reach a place, or follow a path."""
+
+import abc
+import math
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from pinav.actuation import Scalar
+from pinav.errors import InputError
+from pinav.tensors import as_point
+
+
+class AbstractPath(eqx.Module):
+    """A curve that is to be followed at a speed, as a point that moves along it."""
+
+    @abc.abstractmethod
+    def __call__(self, t: Scalar) -> Float[Array, "2"]:
+        """Where the swimmer should be at time `t` [L]."""
+
+
+class LinePath(AbstractPath):
+    """Along a straight line, from end to end at constant speed; then at rest.
+
+    Attributes:
+        start: [L].
+        end: [L].
+        duration: from start to end [T], positive.
+    """
+
+    start: Float[Array, "2"] = eqx.field(
+        converter=lambda value: as_point("LinePath.start", value, 2)
+    )
+    end: Float[Array, "2"] = eqx.field(
+        converter=lambda value: as_point("LinePath.end", value, 2)
+    )
+    duration: Scalar
+
+    def __check_init__(self):
+        _check_positive("LinePath.duration", self.duration)
+
+    def __call__(self, t):
+        share = jnp.clip(jnp.asarray(t) / self.duration, 0.0, 1.0)
+        return self.start + share * (self.end - self.start)
+
+
+class CirclePath(AbstractPath):
+    r"""$c + r (\cos\phi, \sin\phi)$, $\phi = \phi_0 + 2\pi t / T$.
+
+    Attributes:
+        center: $c$ [L].
+        radius: $r$ [L], positive.
+        period: $T$ [T], positive: counter-clockwise.
+        phase: $\phi_0$ [rad].
+    """
+
+    center: Float[Array, "2"] = eqx.field(
+        converter=lambda value: as_point("CirclePath.center", value, 2)
+    )
+    radius: Scalar
+    period: Scalar
+    phase: Scalar = 0.0
+
+    def __check_init__(self):
+        _check_positive("CirclePath.radius", self.radius)
+        _check_positive("CirclePath.period", self.period)
+
+    def __call__(self, t):
+        angle = self.phase + 2 * math.pi * jnp.asarray(t) / self.period
+        return self.center + self.radius * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+
+
+class FigureEightPath(AbstractPath):
+    r"""Gerono's lemniscate $c + r (\sin\phi, \sin\phi\cos\phi)$, $\phi = 2\pi t / T$.
+
+    Attributes:
+        center: $c$, where it crosses itself [L].
+        radius: $r$, half its length [L], positive.
+        period: $T$ [T], positive.
+    """
+
+    center: Float[Array, "2"] = eqx.field(
+        converter=lambda value: as_point("FigureEightPath.center", value, 2)
+    )
+    radius: Scalar
+    period: Scalar
+
+    def __check_init__(self):
+        _check_positive("FigureEightPath.radius", self.radius)
+        _check_positive("FigureEightPath.period", self.period)
+
+    def __call__(self, t):
+        angle = 2 * math.pi * jnp.asarray(t) / self.period
+        across = jnp.sin(angle) * jnp.cos(angle)
+        return self.center + self.radius * jnp.stack([jnp.sin(angle), across])
+
+
+class AbstractObjective(eqx.Module):
+    """What is to be done, and when it is done."""
+
+    @abc.abstractmethod
+    def target(self, t: Scalar) -> Float[Array, "2"]:
+        """Where the swimmer should be, or go to, at time `t` [L]."""
+
+    @abc.abstractmethod
+    def is_reached(self, x: Float[Array, "2"]) -> Bool[Array, ""]:
+        """Whether the task ends at position `x` [L]."""
+
+
+class Reach(AbstractObjective):
+    """Come to a place, as soon as possible.
+
+    Attributes:
+        goal: its middle [L].
+        tolerance: how near is there [L], positive.
+
+    Raises:
+        InputError: `goal` is not a point in the plane, or `tolerance` is not positive.
+    """
+
+    goal: Float[Array, "2"] = eqx.field(
+        converter=lambda value: as_point("Reach.goal", value, 2)
+    )
+    tolerance: Scalar
+
+    def __check_init__(self):
+        _check_positive("Reach.tolerance", self.tolerance)
+
+    def target(self, t):
+        return self.goal
+
+    def is_reached(self, x):
+        return jnp.sum((x - self.goal) ** 2) <= jnp.asarray(self.tolerance) ** 2
+
+
+class Follow(AbstractObjective):
+    """Stay on a point that moves along a path, until time is up.
+
+    Attributes:
+        path: the moving point.
+    """
+
+    path: AbstractPath
+
+    def target(self, t):
+        return self.path(t)
+
+    def is_reached(self, x):
+        return jnp.zeros((), bool)
+
+
+def _check_positive(name, value):
+    if isinstance(value, float | int) and value <= 0:
+        raise InputError(f"{name}: expected > 0, got {value}")
