@@ -9,6 +9,7 @@ References:
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -48,6 +49,12 @@ def cem43_segment(
         duration: of the segment [s].
         cutoff: temperature [°C] below which nothing counts.
     """
+    return _mean_rate(begin, end, jnp.asarray(cutoff)) * (duration / 60.0)
+
+
+@jax.custom_jvp
+def _mean_rate(begin, end, cutoff):
+    """Mean of the rate over a segment."""
     first = _doubling(begin, cutoff)
     last = _doubling(end, cutoff)
     # of two powers of two alone: exponentials are what a dose costs
@@ -61,7 +68,52 @@ def cem43_segment(
     above = _mean(low, high, jnp.sqrt(low * high), rise)
     below = _share(begin, end, cutoff, BREAK) * below
     above = _share(begin, end, BREAK, np.inf) * above
-    return (below + above) * (duration / 60.0)
+    return below + above
+
+
+@_mean_rate.defjvp
+def _mean_rate_jvp(primals, tangents):
+    r"""$\partial m/\partial T_1 = (R(T_1) - m)/(T_1 - T_0)$, and so for $T_0$.
+
+    Where that cancels, the series of the derivative of a single exponential. The
+    cut-off is no quantity to differentiate by, but is: it takes the rate there away.
+    """
+    begin, end, cutoff = primals
+    mean = _mean_rate(begin, end, cutoff)
+    change = end - begin
+    first, last = (_counted_rate(t, cutoff) for t in (begin, end))
+    crossed = _crossed(begin, end, cutoff)
+    small = (jnp.abs(change) < SMALL_CHANGE) & ~(crossed | _crossed(begin, end, BREAK))
+    divisor = jnp.where(small | (change == 0), 1.0, change)
+    by_end = jnp.where(small, _series(end, last, change), (last - mean) / divisor)
+    by_begin = jnp.where(
+        small, _series(begin, first, -change), (mean - first) / divisor
+    )
+    lost = jnp.where(crossed, cem43_rate(cutoff) / jnp.abs(divisor), 0.0)
+    return mean, by_begin * tangents[0] + by_end * tangents[1] - lost * tangents[2]
+
+
+SMALL_CHANGE = 0.02
+"""Change of temperature [K] up to which derivatives are a series."""
+
+
+def _series(temperature, rate, change):
+    r"""$\sum_k (-\Delta)^k R^{(k+1)}(T) / (k + 2)!$, to the fourth power."""
+    steepness = np.log(2.0) * jnp.where(temperature >= BREAK, 1.0, 2.0)
+    z = steepness * change
+    terms = 1 - z / 3 * (1 - z / 4 * (1 - z / 5 * (1 - z / 6)))
+    return rate * steepness / 2 * terms
+
+
+def _counted_rate(temperature, cutoff):
+    """Rate where it counts, by the power of two that the mean takes too."""
+    double = _doubling(temperature, cutoff)
+    rate = jnp.where(temperature >= BREAK, double, double**2)
+    return jnp.where(temperature >= cutoff, rate, 0.0)
+
+
+def _crossed(begin, end, bound):
+    return (begin < bound) != (end < bound)
 
 
 def _within(temperature, low, high):

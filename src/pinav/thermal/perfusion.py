@@ -11,6 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from pinav.actuation import Scalar
@@ -204,7 +205,7 @@ class MixedPerfusion(AbstractPerfusion):
         outside: AbstractPerfusion,
     ) -> "MixedPerfusion":
         """The same with the smallest box; the whole grid for a share being traced."""
-        if isinstance(share, jax.core.Tracer) or not np.any(np.asarray(share)):
+        if isinstance(share, Tracer) or not np.any(np.asarray(share)):
             return cls(share, inside, outside)
         places = np.nonzero(np.asarray(share))
         box = tuple((int(own.min()), int(own.max()) + 1) for own in places)

@@ -176,7 +176,8 @@ def run(
         return dose, (observe(after), jnp.max(after))
 
     def advance(carry: State, inputs):
-        marched = stepper.march(balance, carry.temperature, *inputs, watch)
+        durations, forced = inputs
+        marched = stepper.march(balance, carry.temperature, durations, forced, watch)
         after = State(carry.time, marched.temperature, carry.dose + marched.total)
         return after, (marched.kept, marched.flows)
 
