@@ -6,27 +6,22 @@ import tomllib
 from pathlib import Path
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import tomli_w
+from benchmarks.heat import CASES, in_own_process, tumour
 
 from conftest import pinav
 from pinav.jobs.heat_cases import read_case
 from pinav.jobs.heat_models import built
 from pinav.thermal import exact
-from pinav.thermal.bioheat import Bioheat
-from pinav.thermal.boundaries import Dirichlet, around, outer
 from pinav.thermal.dose import exceeded_by
 from pinav.thermal.exact import SET_S
 from pinav.thermal.grids import CartesianGrid, RadialGrid
-from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion, lang
+from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion
 from pinav.thermal.protocols import Piecewise
-from pinav.thermal.solve import State, default_stepper, run, solve
-from pinav.thermal.sources import PowerSource
-from pinav.thermal.timetable import timetable
-from pinav.thermal.tissues import Blood, Tissue, mixed
+from pinav.thermal.solve import solve
 from pinav.thermal.validation import powers, reference_model, validate
 
 EXAMPLES = Path(__file__).parents[1] / "examples" / "heat"
@@ -39,64 +34,14 @@ def test_every_case_is_within_its_tolerance():
     assert not missed
 
 
-def tumour(grid):
-    """The common geometry of the demonstrations on any grid."""
-    share = grid.ball(0.010)
-    wall = Dirichlet(37.0)
-    return Bioheat(
-        grid,
-        mixed(share, Tissue(0.55, 1045.0, 3600.0), Tissue(0.49, 1090.0, 3421.0)),
-        Blood(),
-        MixedPerfusion(share, lang("tumour"), lang("muscle")),
-        (PowerSource(1.5e5 * share, 1e4),),
-        outer(wall) if len(grid.shape) == 1 else around(grid, wall),
-    )
-
-
-COSTS = {  # grid, bars of forward and gradient [s], of memory [MiB]
-    "radial 200": (lambda: RadialGrid.sphere(0.05, 200), 5e-3, 10e-3, 1024),
-    "128 x 128": (lambda: CartesianGrid.cubes((128, 128), 5e-4), 1.5, 2.5, 1024),
-    "64 x 64 x 64": (lambda: CartesianGrid.cubes((64, 64, 64), 1e-3), 4.0, 16.0, 2048),
-}
-
-
-@pytest.mark.parametrize("name", COSTS)
+@pytest.mark.parametrize("name", CASES)
 def test_what_half_an_hour_costs(name):
-    """15 intervals of 2 minutes: time after compilation, and XLA's own memory."""
-    make, forward_bar, gradient_bar, memory_bar = COSTS[name]
-    model = tumour(make())
-    stepper = default_stepper(model)
-    protocol = powers(tuple(np.linspace(0.0, 1800.0, 16)), np.ones(15))
-    table = timetable(protocol, stepper.longest_step(model))
-    begin = State.at_rest(model)
-
-    def outcome(amplitudes):
-        own = eqx.tree_at(lambda p: (p.starts, p.ends), protocol, (amplitudes,) * 2)
-        found = run(model, own, table, stepper=stepper, observe=jnp.max, start=begin)
-        return jnp.log(jnp.sum(found.final.dose))
-
-    at = protocol.starts
-    forward = jax.jit(outcome).lower(at).compile()
-    gradient = jax.jit(jax.grad(outcome)).lower(at).compile()
-    seconds = {"forward": timed(forward, at), "gradient": timed(gradient, at)}
-    used = gradient.memory_analysis()
-    assert used is not None
-    memory = used.temp_size_in_bytes / 2**20
-    print(f"{name}: {len(table.steps)} steps, {seconds}, gradient {memory:.0f} MiB")
-    assert memory < memory_bar
-    assert seconds["forward"] < forward_bar
-    assert seconds["gradient"] < gradient_bar
-
-
-def timed(function, at):
-    """Best of several calls [s]."""
-    times = []
-    for _ in range(3):
-        begin = time.perf_counter()
-        for _ in range(3):
-            jax.block_until_ready(function(at))
-        times.append((time.perf_counter() - begin) / 3)
-    return min(times)
+    """15 intervals of 2 minutes: time after compilation, and memory of the gradient."""
+    found, bars = in_own_process(name), CASES[name]
+    print(name, found)
+    assert found.memory < bars.memory
+    assert found.forward < bars.forward
+    assert found.gradient < bars.gradient
 
 
 def test_the_heated_sphere_on_a_large_grid():
@@ -159,7 +104,7 @@ def ran(tmp_path, task, content, name="case"):
     return metrics, dict(np.load(out / "results.npz")), seconds
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("kind", ["kernels", "network"])
 def test_perfusion_from_seven_probes(tmp_path, kind, seed):
     """Demonstration 2."""
@@ -212,18 +157,23 @@ def test_the_examples_are_synthetic_and_small():
         assert "Synthetic" in path.read_text()
 
 
-def test_a_protocol_that_pauses_is_worse(tmp_path):
-    """On and off at the same highest temperature gives the tumour less dose."""
+@pytest.mark.parametrize(
+    ("edge_weighted", "listed"), [(False, 9.44), (True, 25.9)], ids=["uniform", "edge"]
+)
+def test_a_protocol_that_pauses_is_worse(edge_weighted, listed):
+    """The baselines of demonstration 3: constant, and on and off, both up to 47 °C."""
     model = tumour(RadialGrid.sphere(0.05, 100))
     share = model.grid.ball(0.010)
     volumes = share * model.grid.volumes
+    shape = 0.4 + (model.grid.distances() / 0.010) ** 2 if edge_weighted else 1.0
+    field = share * shape
+    field = field * (jnp.sum(volumes) / jnp.sum(field * model.grid.volumes))
 
     def dose(protocol, power):
-        own = eqx.tree_at(lambda m: m.sources[0].power, model, power * share)
+        own = eqx.tree_at(lambda m: m.sources[0].power, model, power * field)
         found = solve(own, protocol)
-        return float(found.hottest.max()), float(
-            exceeded_by(found.final.dose, volumes, 0.9)
-        )
+        reached = exceeded_by(found.final.dose, volumes, 0.9)
+        return float(found.hottest.max()), float(reached)
 
     still = powers((0.0, 1800.0), [1.0])
     bursts = Piecewise.on_off(1e4, 1e5, on=50.0, off=100.0, duration=1800.0)
@@ -236,5 +186,5 @@ def test_a_protocol_that_pauses_is_worse(tmp_path):
             low, high = (middle, high) if hot < 47.0 else (low, middle)
         results[name] = reached
     print(results)
-    assert results["still"] == pytest.approx(9.44, rel=0.05)
-    assert results["bursts"] < 0.5 * results["still"]
+    assert results["still"] == pytest.approx(listed, rel=0.05)
+    assert results["bursts"] < 0.6 * results["still"]

@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import mpmath as mp
 import numpy as np
 import pytest
 import scipy.integrate
@@ -137,3 +138,55 @@ def test_quantiles_leave_out_what_is_not_target_and_differentiate():
     assert float(median) == pytest.approx(41.0)
     slope = jax.grad(lambda v: exceeded_by(v, weights, 0.5))(values)
     assert slope.tolist() == pytest.approx([0.0, 0.0, 1.0, 0.0])
+
+
+def exact_slopes(begin, end, cutoff):
+    """Derivatives of CEM43 of 60 s, to fifty digits."""
+
+    def minutes(a, b, c):
+        def integral(t):
+            if t >= 43:
+                steep = (mp.mpf(2) ** (t - 43) - 1) / mp.log(2)
+                return steep + 1 / mp.log(4)
+            return mp.mpf(4) ** (max(t, c) - 43) / mp.log(4)
+
+        return (integral(b) - integral(a)) / (b - a)
+
+    with mp.workdps(50):
+        at, step = [mp.mpf(v) for v in (begin, end, cutoff)], mp.mpf(10) ** -20
+        return [
+            float(
+                (
+                    minutes(*(v + step * (i == j) for j, v in enumerate(at)))
+                    - minutes(*(v - step * (i == j) for j, v in enumerate(at)))
+                )
+                / (2 * step)
+            )
+            for i in range(3)
+        ]
+
+
+@pytest.mark.parametrize(
+    ("begin", "end"),
+    [
+        (40.0, 41.0),
+        (40.0, 40.001),  # by the series
+        (40.0, 40.0199),
+        (44.0, 43.99),
+        (42.9, 43.2),  # the rate changes
+        (36.5, 37.4),  # the cut-off takes a part
+        (36.0, 44.0),
+        (45.0, 39.0),
+        (50.0, 50.0000001),
+        (30.0, 31.0),
+    ],
+)
+def test_the_derivatives_of_a_segment_are_exact(begin, end):
+    slopes = jax.grad(cem43_segment, argnums=(0, 1, 3))(begin, end, 60.0, 37.0)
+    np.testing.assert_allclose(slopes, exact_slopes(begin, end, 37.0), rtol=1e-10)
+
+
+def test_a_constant_temperature_has_the_slope_of_the_rate():
+    slopes = jax.grad(cem43_segment, argnums=(0, 1))(42.0, 42.0, 60.0)
+    rate = float(cem43_rate(jnp.asarray(42.0)))
+    np.testing.assert_allclose(slopes, [rate * np.log(2.0)] * 2, rtol=1e-12)

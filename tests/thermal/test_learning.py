@@ -16,8 +16,8 @@ from pinav.thermal.learning import learn, perfusion_curve, visited_range
 from pinav.thermal.perfusion import lang
 from pinav.thermal.probes import ProbeData, load_probes, save_probes, simulate_probes
 from pinav.thermal.protocols import Piecewise
+from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.sources import GaussianSource, PowerSource
-from pinav.thermal.steppers import Rosenbrock
 from pinav.thermal.tissues import Blood, Tissue
 
 STEPPER = Rosenbrock(20.0)

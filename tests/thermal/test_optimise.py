@@ -31,8 +31,8 @@ from pinav.thermal.optimise import (
 )
 from pinav.thermal.perfusion import ConstantPerfusion
 from pinav.thermal.protocols import Piecewise
+from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.sources import ParticleSource, PowerSource
-from pinav.thermal.steppers import Rosenbrock
 from pinav.thermal.tissues import Blood, Tissue
 
 DECAY, GAIN, END = 1e-3, 1 / 3.78e6, 1800.0

@@ -65,6 +65,26 @@ def test_a_mask_mixes_laws_by_volume():
     assert law(jnp.full(3, 40.0)).tolist() == pytest.approx([1.0, 1.25, 2.0])
 
 
+def test_a_localised_mixture_is_the_mixture():
+    """With its derivatives, where the mask is and where it is not."""
+    share = jnp.zeros((6, 5)).at[2:4, 1:3].set(0.7).at[3, 2].set(1.0)
+    whole = MixedPerfusion(share, lang("tumour"), lang("muscle"))
+    local = MixedPerfusion.localised(share, lang("tumour"), lang("muscle"))
+    assert local.box == ((2, 4), (1, 3))
+    at = jnp.linspace(36.0, 46.0, 30).reshape(6, 5)
+    assert np.asarray(local(at)) == pytest.approx(np.asarray(whole(at)), rel=1e-14)
+    slopes = [
+        jax.grad(lambda t, law=law: jnp.sum(law(t) * t))(at) for law in (local, whole)
+    ]
+    assert np.asarray(slopes[0]) == pytest.approx(np.asarray(slopes[1]), rel=1e-12)
+    nowhere = MixedPerfusion.localised(0 * share, lang("tumour"), lang("muscle"))
+    assert nowhere.box is None
+    traced = jax.jit(
+        lambda s: MixedPerfusion.localised(s, lang("fat"), lang("muscle"))(at)
+    )
+    assert traced(share).shape == (6, 5)
+
+
 def test_mixed_tissue_conducts_in_series_and_stores_in_sum():
     first, second = Tissue(0.8, 1000.0, 4000.0, 10.0), Tissue(0.2, 2000.0, 1000.0, 30.0)
     both = mixed(jnp.array([0.5]), first, second)

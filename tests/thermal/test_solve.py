@@ -15,9 +15,10 @@ from pinav.thermal.exact import SET_S
 from pinav.thermal.grids import CartesianGrid, RadialGrid, scaled_to
 from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion, lang
 from pinav.thermal.protocols import Piecewise
+from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.solve import Probes, State, default_stepper, probes_at, run, solve
 from pinav.thermal.sources import EddySource, PowerSource
-from pinav.thermal.steppers import RKL2, Rosenbrock
+from pinav.thermal.steppers import RKL2
 from pinav.thermal.timetable import timetable
 from pinav.thermal.tissues import Blood, Tissue, mixed
 
@@ -113,6 +114,38 @@ def test_reverse_mode_is_forward_mode_is_central_differences(short_run):
     differences = np.stack([np.asarray(c) for c in columns], axis=1)
     assert np.all(np.abs(forward - differences) <= 1e-6 * scale)
     assert np.all(scale > 0)
+
+
+@pytest.mark.parametrize(
+    ("kept", "cells"), [(1, 12), (10**9, 13)], ids=["blocks", "whole"]
+)
+def test_a_run_is_differentiated_in_blocks_or_whole(monkeypatch, kept, cells):
+    """As central differences say, by what the walls, blood and the ledger share.
+
+    Grids differ, so that none runs what was compiled for the other.
+    """
+    monkeypatch.setattr(Rosenbrock, "kept_values", kept)
+    model = heated_tumour(RadialGrid.sphere(0.03, cells), Robin(20.0, 25.0))
+    edges, stepper = (0.0, 70.0, 160.0), Rosenbrock(20.0)
+    protocol = Piecewise.constant(edges, [1.5e4, 0.7e4], 1e5)
+    table = timetable(protocol, 20.0)
+
+    def outcome(scale):
+        own = eqx.tree_at(lambda m: m.blood.arterial, model, 37.0 * scale)
+        begin = State.at_rest(model)
+        found = run(
+            own, protocol, table, stepper=stepper, observe=jnp.mean, start=begin
+        )
+        taken = jnp.log(jnp.abs(found.ledger.perfused))
+        return found.observed[-1] + jnp.log(jnp.sum(found.final.dose)) + taken
+
+    at, step = jnp.asarray(0.999), 1e-6
+    reverse = float(jax.grad(outcome)(at))
+    difference = float(outcome(at + step) - outcome(at - step)) / (2 * step)
+    assert reverse == pytest.approx(difference, rel=1e-6)
+    assert float(outcome(at)) == pytest.approx(
+        float(eqx.filter_jit(outcome)(at)), rel=1e-12
+    )
 
 
 def test_reverse_mode_in_the_plane():
@@ -349,3 +382,14 @@ def test_bad_input_is_refused_in_one_line(act, message):
 def test_the_stepper_suits_the_grid():
     assert isinstance(default_stepper(BLAND), Rosenbrock)
     assert isinstance(default_stepper(heated_tumour(PLANE, Dirichlet(37.0))), RKL2)
+
+
+@pytest.mark.parametrize(("size", "stages"), [(4e-3, 3), (1e-3, 5), (3e-4, 15)])
+def test_stages_are_the_fewest_for_the_time_they_cover(size, stages):
+    grid = CartesianGrid.cubes((5, 5, 5), size)
+    model = heated_tumour(grid, Dirichlet(37.0))
+    chosen = RKL2.suited(model)
+    assert chosen.stages == stages
+    cost = chosen.stages / chosen.longest_step(model)
+    for other in (3, 5, 7, 9, 11, 13, 15):
+        assert other / RKL2(other).longest_step(model) >= 0.999 * cost

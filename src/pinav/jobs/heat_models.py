@@ -20,13 +20,15 @@ from pinav.thermal.perfusion import (
     mass_perfusion,
 )
 from pinav.thermal.protocols import Piecewise
+from pinav.thermal.rosenbrock import Rosenbrock
+from pinav.thermal.solve import default_stepper
 from pinav.thermal.sources import (
     AbstractSource,
     EddySource,
     ParticleSource,
     PowerSource,
 )
-from pinav.thermal.steppers import RKL2, AbstractStepper, Rosenbrock
+from pinav.thermal.steppers import RKL2, AbstractStepper
 from pinav.thermal.tissues import Blood, Tissue, mixed, preset
 
 
@@ -73,7 +75,7 @@ def built(case: cases.Case) -> Built:
         grid,
         mixed(target, inner, outside),
         blood,
-        MixedPerfusion(
+        MixedPerfusion.localised(
             target,
             _perfusion(case.tumour.tissue, blood, inner),
             _perfusion(case.tissue, blood, outside),
@@ -89,7 +91,7 @@ def built(case: cases.Case) -> Built:
         model=model,
         protocol=_protocol(case.field),
         target=target,
-        stepper=_stepper(case, grid),
+        stepper=_stepper(case, model),
         limits=() if case.limit is None else (limit(case.limit),),
         points=points,
     )
@@ -103,11 +105,11 @@ def _grid(own) -> AbstractGrid:
     return CartesianGrid.cubes(own.cells, float(own.size))
 
 
-def _stepper(case, grid) -> AbstractStepper:
-    step = None if case.step is None else float(case.step)
-    if len(grid.shape) > 1:
-        return RKL2(longest=step)
-    return Rosenbrock() if step is None else Rosenbrock(step)
+def _stepper(case, model) -> AbstractStepper:
+    if case.step is None:
+        return default_stepper(model)
+    step = float(case.step)
+    return Rosenbrock(step) if len(model.grid.shape) == 1 else RKL2(longest=step)
 
 
 def _tissue(own: cases.Medium) -> Tissue:

@@ -59,6 +59,7 @@ from pinav.thermal.probes import save_probes as save_probes
 from pinav.thermal.probes import simulate_probes as simulate_probes
 from pinav.thermal.protocols import Piecewise as Piecewise
 from pinav.thermal.protocols import Waveform as Waveform
+from pinav.thermal.rosenbrock import Rosenbrock as Rosenbrock
 from pinav.thermal.solve import Solution as Solution
 from pinav.thermal.solve import State as State
 from pinav.thermal.solve import probes_at as probes_at
@@ -69,7 +70,6 @@ from pinav.thermal.sources import GaussianSource as GaussianSource
 from pinav.thermal.sources import ParticleSource as ParticleSource
 from pinav.thermal.sources import PowerSource as PowerSource
 from pinav.thermal.steppers import RKL2 as RKL2
-from pinav.thermal.steppers import Rosenbrock as Rosenbrock
 from pinav.thermal.timetable import timetable as timetable
 from pinav.thermal.tissues import Blood as Blood
 from pinav.thermal.tissues import Tissue as Tissue

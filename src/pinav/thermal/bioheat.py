@@ -151,11 +151,20 @@ class HeatBalance(eqx.Module):
         """What conduction brings into each cell, and what leaves the sides [W]."""
         gain, lost = jnp.zeros_like(temperature), jnp.asarray(0.0)
         for axis, conductance in enumerate(self.conductances):
-            walled = _walled(temperature, axis, *self.outside[axis])
-            flow = conductance * jnp.diff(walled, axis=axis)
-            gain = gain + jnp.diff(flow, axis=axis)
-            ends = [jax.lax.index_in_dim(flow, i, axis) for i in (0, -1)]
-            lost = lost + jnp.sum(ends[0]) - jnp.sum(ends[1])
+            count = temperature.shape[axis]
+            inner = _part(conductance, axis, 1, count) * jnp.diff(
+                temperature, axis=axis
+            )
+            low, high = self.outside[axis]
+            first = _part(temperature, axis, 0, 1) - jnp.asarray(low)
+            last = _part(temperature, axis, count - 1, count) - jnp.asarray(high)
+            below = _part(conductance, axis, 0, 1) * first
+            above = _part(conductance, axis, count, count + 1) * last
+            # zeros around each part: joined before, they would be several times slower
+            gain = gain + _padded(inner, axis, 0, 1) - _padded(inner, axis, 1, 0)
+            gain = gain - _padded(below, axis, 0, count - 1)
+            gain = gain - _padded(above, axis, count - 1, 0)
+            lost = lost + jnp.sum(below) + jnp.sum(above)
         return gain, lost
 
     def rates(self, temperature: Field, levels: Float[Array, " source"]) -> Rates:
@@ -180,12 +189,11 @@ class HeatBalance(eqx.Module):
         total = jnp.zeros_like(self.inverse_capacity)
         for axis, conductance in enumerate(self.conductances):
             count = total.shape[axis]
-            first = jax.lax.slice_in_dim(conductance, 0, 1, axis=axis)
-            last = jax.lax.slice_in_dim(conductance, count, count + 1, axis=axis)
-            inner = jax.lax.slice_in_dim(conductance, 1, count, axis=axis)
-            circle = jnp.concatenate([first, 2 * inner, last], axis=axis)
-            low = jax.lax.slice_in_dim(circle, 0, count, axis=axis)
-            high = jax.lax.slice_in_dim(circle, 1, count + 1, axis=axis)
+            first = _part(conductance, axis, 0, 1)
+            last = _part(conductance, axis, count, count + 1)
+            inner = 2 * _part(conductance, axis, 1, count)
+            circle = jnp.concatenate([first, inner, last], axis=axis)
+            low, high = (_part(circle, axis, i, count + i) for i in (0, 1))
             total = total + low + high
 
         def steeper(steepest, celsius):
@@ -210,21 +218,21 @@ def _conductances(grid, k, axis, sides):
     """Across all faces of one axis, the sides included."""
     area, resistance = grid.faces(axis), grid.half_widths(axis) / k
     count = k.shape[axis]
-
-    def part(array, start, stop):
-        return jax.lax.slice_in_dim(array, start, stop, axis=axis)
-
-    series = part(resistance, 0, count - 1) + part(resistance, 1, count)
-    low = sides.low.conductance(part(area, 0, 1), part(resistance, 0, 1))
+    series = _part(resistance, axis, 0, count - 1) + _part(resistance, axis, 1, count)
+    low = sides.low.conductance(_part(area, axis, 0, 1), _part(resistance, axis, 0, 1))
     high = sides.high.conductance(
-        part(area, count, count + 1), part(resistance, count - 1, count)
+        _part(area, axis, count, count + 1), _part(resistance, axis, count - 1, count)
     )
-    return jnp.concatenate([low, part(area, 1, count) / series, high], axis=axis)
+    inner = _part(area, axis, 1, count) / series
+    return jnp.concatenate([low, inner, high], axis=axis)
 
 
-def _walled(temperature, axis, low, high):
-    """The temperatures with those behind the sides at both ends of an axis."""
-    shape = list(temperature.shape)
-    shape[axis] = 1
-    walls = [jnp.broadcast_to(jnp.asarray(t, float), shape) for t in (low, high)]
-    return jnp.concatenate([walls[0], temperature, walls[1]], axis=axis)
+def _part(array, axis, start, stop):
+    return jax.lax.slice_in_dim(array, start, stop, axis=axis)
+
+
+def _padded(array, axis, before, after):
+    """With zeros before and after along an axis."""
+    widths = [(0, 0, 0)] * array.ndim
+    widths[axis] = (before, after, 0)
+    return jax.lax.pad(array, jnp.zeros((), array.dtype), widths)

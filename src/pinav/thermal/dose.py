@@ -9,6 +9,7 @@ References:
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -48,28 +49,98 @@ def cem43_segment(
         duration: of the segment [s].
         cutoff: temperature [°C] below which nothing counts.
     """
-    below = _share(begin, end, cutoff, BREAK) * _mean_rate(begin, end, cutoff, 2.0)
-    above = _share(begin, end, BREAK, np.inf) * _mean_rate(begin, end, BREAK, 1.0)
-    return (below + above) * (duration / 60.0)
+    return _mean_rate(begin, end, jnp.asarray(cutoff)) * (duration / 60.0)
 
 
-def _limits(steepness):
-    return BREAK if steepness == 2.0 else np.inf
+@jax.custom_jvp
+def _mean_rate(begin, end, cutoff):
+    """Mean of the rate over a segment."""
+    first = _doubling(begin, cutoff)
+    last = _doubling(end, cutoff)
+    # of two powers of two alone: exponentials are what a dose costs
+    low, high = jnp.minimum(first, 1.0), jnp.minimum(last, 1.0)
+    rise = (
+        2 * np.log(2.0) * (_within(end, cutoff, BREAK) - _within(begin, cutoff, BREAK))
+    )
+    below = _mean(low**2, high**2, low * high, rise)
+    low, high = jnp.maximum(first, 1.0), jnp.maximum(last, 1.0)
+    rise = np.log(2.0) * (_within(end, BREAK, np.inf) - _within(begin, BREAK, np.inf))
+    above = _mean(low, high, jnp.sqrt(low * high), rise)
+    below = _share(begin, end, cutoff, BREAK) * below
+    above = _share(begin, end, BREAK, np.inf) * above
+    return below + above
 
 
-def _mean_rate(begin, end, low, steepness):
-    """Mean of the rate over the part of a segment between two temperatures."""
-    first = jnp.clip(begin, low, _limits(steepness))
-    last = jnp.clip(end, low, _limits(steepness))
-    growth = steepness * np.log(2.0) * (last - first)
-    return jnp.exp2((first - BREAK) * steepness) * _growth_mean(growth)
+@_mean_rate.defjvp
+def _mean_rate_jvp(primals, tangents):
+    r"""$\partial m/\partial T_1 = (R(T_1) - m)/(T_1 - T_0)$, and so for $T_0$.
+
+    Where that cancels, the series of the derivative of a single exponential. The
+    cut-off is no quantity to differentiate by, but is: it takes the rate there away.
+    """
+    begin, end, cutoff = primals
+    mean = _mean_rate(begin, end, cutoff)
+    change = end - begin
+    first, last = (_counted_rate(t, cutoff) for t in (begin, end))
+    crossed = _crossed(begin, end, cutoff)
+    small = (jnp.abs(change) < SMALL_CHANGE) & ~(crossed | _crossed(begin, end, BREAK))
+    divisor = jnp.where(small | (change == 0), 1.0, change)
+    by_end = jnp.where(small, _series(end, last, change), (last - mean) / divisor)
+    by_begin = jnp.where(
+        small, _series(begin, first, -change), (mean - first) / divisor
+    )
+    lost = jnp.where(crossed, cem43_rate(cutoff) / jnp.abs(divisor), 0.0)
+    return mean, by_begin * tangents[0] + by_end * tangents[1] - lost * tangents[2]
 
 
-def _growth_mean(z):
-    """(e^z - 1)/z, one at zero, with its derivative."""
-    small = jnp.abs(z) < 1e-4
-    safe = jnp.where(small, 1.0, z)
-    return jnp.where(small, 1 + z / 2 + z**2 / 6, jnp.expm1(safe) / safe)
+SMALL_CHANGE = 0.02
+"""Change of temperature [K] up to which derivatives are a series."""
+
+
+def _series(temperature, rate, change):
+    r"""$\sum_k (-\Delta)^k R^{(k+1)}(T) / (k + 2)!$, to the fourth power."""
+    steepness = np.log(2.0) * jnp.where(temperature >= BREAK, 1.0, 2.0)
+    z = steepness * change
+    terms = 1 - z / 3 * (1 - z / 4 * (1 - z / 5 * (1 - z / 6)))
+    return rate * steepness / 2 * terms
+
+
+def _counted_rate(temperature, cutoff):
+    """Rate where it counts, by the power of two that the mean takes too."""
+    double = _doubling(temperature, cutoff)
+    rate = jnp.where(temperature >= BREAK, double, double**2)
+    return jnp.where(temperature >= cutoff, rate, 0.0)
+
+
+def _crossed(begin, end, bound):
+    return (begin < bound) != (end < bound)
+
+
+def _within(temperature, low, high):
+    return jnp.clip(temperature, low, high)
+
+
+def _doubling(temperature, cutoff):
+    return jnp.exp2(jnp.maximum(temperature, cutoff) - BREAK)
+
+
+SMALL_GROWTH = 0.35
+"""Growth up to which a series is exact, and beyond which a difference is."""
+
+
+def _mean(first, last, middle, growth):
+    r"""Mean of an exponential between two of its values.
+
+    $(R_1 - R_0)/z$ with $z = \ln(R_1/R_0)$; for small $z$, where that cancels,
+    $\sqrt{R_0 R_1}\,\sinh(z/2)/(z/2)$ by its series, whose derivative has no noise.
+    """
+    small = jnp.abs(growth) < SMALL_GROWTH
+    square = growth**2
+    series = 1 + square / 24 * (
+        1 + square / 80 * (1 + square / 168 * (1 + square / 288))
+    )
+    quotient = (last - first) / jnp.where(small, 1.0, growth)
+    return jnp.where(small, middle * series, quotient)
 
 
 def _share(begin, end, low, high):

@@ -19,9 +19,9 @@ from pinav.thermal.grids import RadialGrid
 from pinav.thermal.perfusion import AbstractPerfusion
 from pinav.thermal.protocols import AbstractProtocol, Piecewise
 from pinav.thermal.quantities import Number
+from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.solve import State, run
 from pinav.thermal.sources import EddySource
-from pinav.thermal.steppers import Rosenbrock
 from pinav.thermal.timetable import timetable
 from pinav.thermal.tissues import Blood, Tissue
 

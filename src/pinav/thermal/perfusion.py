@@ -8,7 +8,10 @@ $W = c_b w$ [W m⁻³ K⁻¹].
 import abc
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from pinav.actuation import Scalar
@@ -179,16 +182,43 @@ def lang(tissue: str) -> AbstractPerfusion:
 class MixedPerfusion(AbstractPerfusion):
     """Two laws in the cells that a mask shares between them, averaged by volume.
 
+    `localised` makes one that evaluates the inner law only where the mask is.
+
     Attributes:
         share: volume fraction of `inside` in each cell; fixed.
         inside: law where the share is one.
         outside: law where it is zero.
+        box: first cell and end along each axis of a part of the grid outside which the
+            share is zero; the whole grid unless given.
     """
 
     share: Float[Array, "..."]
     inside: AbstractPerfusion
     outside: AbstractPerfusion
+    box: tuple[tuple[int, int], ...] | None = eqx.field(static=True, default=None)
+
+    @classmethod
+    def localised(
+        cls,
+        share: Float[Array, "..."],
+        inside: AbstractPerfusion,
+        outside: AbstractPerfusion,
+    ) -> "MixedPerfusion":
+        """The same with the smallest box; the whole grid for a share being traced."""
+        if isinstance(share, Tracer) or not np.any(np.asarray(share)):
+            return cls(share, inside, outside)
+        places = np.nonzero(np.asarray(share))
+        box = tuple((int(own.min()), int(own.max()) + 1) for own in places)
+        return cls(share, inside, outside, box)
 
     def __call__(self, temperature):
-        within, without = self.inside(temperature), self.outside(temperature)
-        return self.share * within + (1 - self.share) * without
+        without = self.outside(temperature)
+        if self.box is None:
+            return self._mixed(self.share, temperature, without)
+        cut = tuple(slice(*ends) for ends in self.box)
+        part = self._mixed(self.share[cut], temperature[cut], without[cut])
+        first = tuple(start for start, _ in self.box)
+        return jax.lax.dynamic_update_slice(without, part, first)
+
+    def _mixed(self, share, temperature, without):
+        return share * self.inside(temperature) + (1 - share) * without

@@ -13,7 +13,8 @@ from pinav.thermal.bioheat import Bioheat, HeatBalance
 from pinav.thermal.dose import cem43_segment
 from pinav.thermal.protocols import AbstractProtocol
 from pinav.thermal.quantities import Number, Numbers
-from pinav.thermal.steppers import RKL2, AbstractStepper, Rosenbrock
+from pinav.thermal.rosenbrock import Rosenbrock
+from pinav.thermal.steppers import RKL2, AbstractStepper
 from pinav.thermal.timetable import Timetable, timetable
 
 Field = Float[Array, "..."]
@@ -141,18 +142,7 @@ def solve(
 
 def default_stepper(model: Bioheat) -> AbstractStepper:
     """Implicit along one axis, explicit in two and three."""
-    return Rosenbrock() if len(model.grid.shape) == 1 else RKL2()
-
-
-FEW_VALUES, MANY_CELLS = 200_000, 50_000
-"""Temperatures of a run that are all kept in reverse mode; cells of a grid on which not
-even the stages of a block of steps are."""
-
-
-class _Carry(eqx.Module):
-    temperature: Field
-    dose: Field
-    flows: Float[Array, "3"]
+    return Rosenbrock() if len(model.grid.shape) == 1 else RKL2.suited(model)
 
 
 @eqx.filter_jit
@@ -168,9 +158,8 @@ def run(
 ) -> Solution:
     """Run a protocol with a given timetable; see `solve`.
 
-    In reverse mode a small run keeps all it computed. A larger one keeps the states of
-    one block at a time and those between blocks, about twice the square root of the
-    number of steps, and on large grids the stages of one step at a time.
+    Reverse mode keeps the states of all steps; in a very large run those between blocks
+    and of one block at a time, about twice the square root of the number of steps.
     """
     balance = HeatBalance.of(model)
     nodes = jnp.asarray(stepper.nodes)
@@ -182,27 +171,23 @@ def run(
     steps, starts = jnp.asarray(table.steps), jnp.asarray(table.starts)
     each = jax.vmap(levels)(starts, steps, jnp.asarray(table.intervals))
 
-    def advance(carry: _Carry, inputs):
-        dt, own = inputs
-        change = stepper.step(balance, carry.temperature, dt, own)
-        after = carry.temperature + change.temperature
-        dose = carry.dose + cem43_segment(carry.temperature, after, dt, cutoff)
-        kept = observe(after), jnp.max(after)
-        return _Carry(after, dose, carry.flows + change.ledger), kept
+    def watch(before, after, dt):
+        dose = cem43_segment(before, after, dt, cutoff)
+        return dose, (observe(after), jnp.max(after))
 
-    cells = start.temperature.size
-    own_step = jax.checkpoint(advance) if cells > MANY_CELLS else advance
+    def advance(carry: State, inputs):
+        durations, forced = inputs
+        marched = stepper.march(balance, carry.temperature, durations, forced, watch)
+        after = State(carry.time, marched.temperature, carry.dose + marched.total)
+        return after, (marched.kept, marched.flows)
 
-    def advance_block(carry, inputs):
-        return jax.lax.scan(own_step, carry, inputs)
-
-    if cells * len(table.steps) > FEW_VALUES:
-        advance_block = jax.checkpoint(advance_block)
-
-    shape = len(table.steps) // table.block, table.block
+    # one block where reverse mode may keep the states of all steps
+    block = len(table.steps)
+    if start.temperature.size * block > stepper.kept_values:
+        block, advance = table.block, jax.checkpoint(advance)
+    shape = len(table.steps) // block, block
     blocks = jax.tree.map(lambda a: a.reshape(*shape, *a.shape[1:]), (steps, each))
-    begin = _Carry(start.temperature, start.dose, jnp.zeros(3))
-    end, kept = jax.lax.scan(advance_block, begin, blocks)
+    end, (kept, flows) = jax.lax.scan(advance, start, blocks)
     observed, hottest = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), kept)
     saved = jnp.asarray(table.saved)
     return Solution(
@@ -211,7 +196,8 @@ def run(
         hottest=hottest,
         final=State(jnp.asarray(table.times[-1]), end.temperature, end.dose),
         ledger=Ledger(
-            *end.flows, stored=balance.stored(start.temperature, end.temperature)
+            *jnp.sum(flows, axis=0),
+            stored=balance.stored(start.temperature, end.temperature),
         ),
     )
 

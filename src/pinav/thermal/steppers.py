@@ -1,18 +1,18 @@
-r"""How temperature advances by one time step.
+r"""How temperature advances, and `RKL2`: explicit, for grids of any dimension.
 
-`RKL2` is explicit, for grids of any dimension; `Rosenbrock` is implicit, for radial
-ones. Both evaluate perfusion at every stage and are of second order, also where the
-power changes with time.
+`Rosenbrock`, implicit along one axis, is in `rosenbrock`. Both evaluate perfusion at
+every stage and are of second order, also where the power changes with time.
 """
 
 import abc
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from pinav.actuation import Scalar
 from pinav.errors import InputError
@@ -20,13 +20,21 @@ from pinav.thermal.bioheat import Bioheat, HeatBalance, Rates, fastest_rate
 from pinav.thermal.quantities import Number
 
 Field = Float[Array, "..."]
-Levels = Float[Array, "node source"]
+Levels = Float[Array, "step node source"]
+Watch = Callable[[Field, Field, Scalar], tuple[Field, PyTree]]
+"""Of temperatures before and after a step, and its length: an addend, an output."""
 
 MARGIN = 0.9
 """Of the stability limit that is used."""
 
 LONGEST = 10.0
 """Time step [s] beyond which nothing is chosen for stability's sake alone."""
+
+FEW_VALUES = 200_000
+"""Temperatures of a run up to which reverse mode keeps all stages."""
+
+STAGES = (3, 5, 7, 9, 11, 13, 15)
+"""Numbers of stages among which is chosen."""
 
 
 class AbstractStepper(eqx.Module):
@@ -45,18 +53,45 @@ class AbstractStepper(eqx.Module):
             InputError: the step asked for is not positive, or is not stable.
         """
 
+    @property
     @abc.abstractmethod
-    def step(
-        self, balance: HeatBalance, temperature: Field, dt: Scalar, levels: Levels
-    ) -> Rates:
-        """Change of temperature [K] and of the ledger [J] over a time step [s].
+    def kept_values(self) -> int:
+        """Temperatures of a run that reverse mode may keep, all steps together."""
+
+    @abc.abstractmethod
+    def march(
+        self,
+        balance: HeatBalance,
+        temperature: Field,
+        steps: Float[Array, " step"],
+        levels: Levels,
+        watch: Watch,
+    ) -> "March":
+        """Take many steps.
 
         Args:
             balance: the equation.
             temperature: at the begin [°C].
-            dt: the step.
-            levels: of the sources at the nodes.
+            steps: their lengths [s].
+            levels: of the sources at the nodes of each step.
+            watch: what adds up over the steps, and what is kept of each.
         """
+
+
+class March(eqx.Module):
+    """What many steps lead to.
+
+    Attributes:
+        temperature: at the end [°C].
+        total: of what adds up.
+        flows: heat brought in, taken by blood, and lost through the sides [J].
+        kept: of each step.
+    """
+
+    temperature: Field
+    total: Field
+    flows: Float[Array, "3"]
+    kept: PyTree
 
 
 class RKL2(AbstractStepper):
@@ -84,7 +119,17 @@ class RKL2(AbstractStepper):
     def __check_init__(self):
         if self.stages < 3 or self.stages % 2 == 0:
             raise InputError(f"RKL2.stages: expected odd and >= 3, got {self.stages}")
-        _check_step("RKL2.longest", self.longest)
+        check_step("RKL2.longest", self.longest)
+
+    @classmethod
+    def suited(cls, model: Bioheat) -> "RKL2":
+        """The number of stages that covers a time with the fewest evaluations."""
+        rate = float(fastest_rate(model))
+
+        def cost(stages):
+            return stages / min(MARGIN * _stable_step(stages, rate), LONGEST)
+
+        return cls(min(STAGES, key=cost))
 
     @property
     def nodes(self):
@@ -96,19 +141,38 @@ class RKL2(AbstractStepper):
         return c
 
     def longest_step(self, model):
-        s = self.stages
-        limit = 0.5 * (s**2 + s - 2) / float(fastest_rate(model))
+        limit = _stable_step(self.stages, float(fastest_rate(model)))
         if self.longest is None:
             return min(MARGIN * limit, LONGEST)
         if self.longest > limit:
             raise InputError(
-                f"RKL2.longest: expected <= {limit:.4g} s, which {s} stages hold "
-                f"stable on this grid, got {self.longest:g} s; take more stages or a "
-                "shorter step"
+                f"RKL2.longest: expected <= {limit:.4g} s, which {self.stages} stages "
+                f"hold stable on this grid, got {self.longest:g} s; take more stages "
+                "or a shorter step"
             )
         return self.longest
 
-    def step(self, balance, temperature, dt, levels):
+    @property
+    def kept_values(self):
+        return 60_000_000  # half a gigabyte
+
+    def march(self, balance, temperature, steps, levels, watch):
+        def advance(carry: March, inputs):
+            dt, own = inputs
+            before = carry.temperature
+            change = self._change(balance, before, dt, own)
+            after = before + change.temperature
+            added, kept = watch(before, after, dt)
+            flows = carry.flows + change.ledger
+            return March(after, carry.total + added, flows, None), kept
+
+        if temperature.size * len(steps) > FEW_VALUES:
+            advance = jax.checkpoint(advance)
+        begin = March(temperature, jnp.zeros_like(temperature), jnp.zeros(3), None)
+        end, kept = jax.lax.scan(advance, begin, (steps, levels))
+        return March(end.temperature, end.total, end.flows, kept)
+
+    def _change(self, balance, temperature, dt, levels):
         rows, first = _rkl2_coefficients(self.stages)
         initial = _Stage(temperature, jnp.zeros(3))
         start = _slope(balance, initial, levels[0])
@@ -128,6 +192,10 @@ class RKL2(AbstractStepper):
 
         (end, _), _ = jax.lax.scan(stage, (after, initial), (rows, levels[1:]))
         return Rates(end.temperature - temperature, end.ledger)
+
+
+def _stable_step(stages, rate):
+    return 0.5 * (stages**2 + stages - 2) / rate
 
 
 class _Stage(eqx.Module):
@@ -155,120 +223,11 @@ def _rkl2_coefficients(s: int) -> tuple[Any, float]:
     return jnp.asarray(columns), b[1] * w
 
 
-class Rosenbrock(AbstractStepper):
-    r"""The two-stage Rosenbrock method ROS2, linearly implicit and L-stable.
-
-    $(1 - \gamma\Delta t J) k_1 = f(T) + \gamma\Delta t f_t$ and
-    $(1 - \gamma\Delta t J) k_2 = f(T + \Delta t k_1) - 2 k_1 - \gamma\Delta t f_t$,
-    $\gamma = 1 - 1/\sqrt2$, change $\Delta t (3 k_1 + k_2)/2$. Two tridiagonal solves
-    and no iteration, whatever the perfusion; it does not ring after a switch, so that
-    no starting steps are needed. For radial grids.
-
-    Attributes:
-        longest: time step [s].
+def check_step(name: str, value: Number | None) -> None:
+    """Refuse a time step [s] that is not positive.
 
     Raises:
-        InputError: `longest` is not positive.
-
-    References:
-        Verwer, Spee, Blom and Hundsdorfer, SIAM J. Sci. Comput. 20, 1456 (1999).
+        InputError: it is not.
     """
-
-    longest: Number = eqx.field(static=True, default=5.0)
-
-    def __check_init__(self):
-        _check_step("Rosenbrock.longest", self.longest)
-
-    @property
-    def nodes(self):
-        return np.array([0.0, 1.0])
-
-    def longest_step(self, model):
-        axes = len(model.grid.shape)
-        if axes != 1:
-            raise InputError(
-                f"Rosenbrock: expected a grid with one axis, got {axes}; use RKL2()"
-            )
-        return self.longest
-
-    def step(self, balance, temperature, dt, levels):
-        gamma = 1 - 1 / np.sqrt(2.0)
-        solve, slope = _implicit(balance, temperature, gamma * dt)
-
-        def flows(at, level):
-            return balance.rates(at, level)
-
-        begin = flows(temperature, levels[0])
-        heating = balance.heated(levels[1]) - balance.heated(levels[0])
-        drift = gamma * heating * balance.inverse_capacity
-        shift = gamma * jnp.stack(
-            [jnp.sum(heating), jnp.asarray(0.0), jnp.asarray(0.0)]
-        )
-
-        k1 = solve(begin.temperature + drift)
-        ledger1 = begin.ledger + gamma * dt * slope(k1) + shift
-        later = flows(temperature + dt * k1, levels[1])
-        k2 = solve(later.temperature - 2 * k1 - drift)
-        ledger2 = later.ledger - 2 * ledger1 + gamma * dt * slope(k2) - shift
-        return Rates(0.5 * dt * (3 * k1 + k2), 0.5 * dt * (3 * ledger1 + ledger2))
-
-
-def _implicit(balance, temperature, weight):
-    """Solver of 1 - weight * J at a temperature, and the slope of the ledger there."""
-    (conductance,) = balance.conductances
-    ones = jnp.ones_like(temperature)
-    taken = jax.jvp(balance.sink, (temperature,), (ones,))[1] * balance.volumes
-    scale = weight * balance.inverse_capacity
-    diagonal = 1 + scale * (conductance[1:] + conductance[:-1] + taken)
-    lower = -scale * jnp.concatenate([jnp.zeros(1), conductance[1:-1]])
-    upper = -scale * jnp.concatenate([conductance[1:-1], jnp.zeros(1)])
-
-    def solve(right):
-        return tridiagonal(lower, diagonal, upper, right)
-
-    def slope(change):
-        lost = conductance[0] * change[0] + conductance[-1] * change[-1]
-        return jnp.stack([jnp.zeros(()), jnp.sum(taken * change), lost])
-
-    return solve, slope
-
-
-def tridiagonal(
-    lower: Float[Array, " row"],
-    diagonal: Float[Array, " row"],
-    upper: Float[Array, " row"],
-    right: Float[Array, " row"],
-) -> Float[Array, " row"]:
-    """Solve a tridiagonal system, with derivatives that cost one more solve.
-
-    Args:
-        lower: left of the diagonal; the first entry is not used.
-        diagonal: of the matrix.
-        upper: right of the diagonal; the last entry is not used.
-        right: hand side.
-    """
-    # the derivative that comes with JAX's solver scatters, five times slower
-    below, above = lower[1:], upper[:-1]
-
-    def product(x):
-        under = jnp.concatenate([jnp.zeros(1), below * x[:-1]])
-        over = jnp.concatenate([above * x[1:], jnp.zeros(1)])
-        return under + diagonal * x + over
-
-    def solved(dl, du, x):
-        return jax.lax.linalg.tridiagonal_solve(dl, diagonal, du, x[:, None])[:, 0]
-
-    def direct(_, x):
-        return solved(lower, upper, x)
-
-    def transposed(_, x):
-        dl = jnp.concatenate([jnp.zeros(1), above])
-        du = jnp.concatenate([below, jnp.zeros(1)])
-        return solved(dl, du, x)
-
-    return jax.lax.custom_linear_solve(product, right, direct, transposed)
-
-
-def _check_step(name, value):
     if value is not None and not 0 < value < np.inf:
         raise InputError(f"{name}: expected a time > 0 s, got {value}")

@@ -24,9 +24,10 @@ from pinav.thermal.magnetics import LinearResponse
 from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion, lang
 from pinav.thermal.protocols import Piecewise, Waveform
 from pinav.thermal.quantities import Number, Numbers
+from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.solve import State, probes_at, run, solve
 from pinav.thermal.sources import PowerSource
-from pinav.thermal.steppers import RKL2, Rosenbrock
+from pinav.thermal.steppers import RKL2
 from pinav.thermal.timetable import timetable
 from pinav.thermal.tissues import Blood, Tissue, mixed
 

@@ -1,0 +1,295 @@
+r"""The implicit method for grids with one axis, and its derivative.
+
+The stages of all steps are the root of one system of equations, which is what is
+differentiated: a tangent solves the linear system forward in time, a cotangent its
+transpose backward, with the stored stages and two tridiagonal solves a step. All else,
+derivatives by properties and sources among it, is computed for all steps at once.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from pinav.actuation import Scalar
+from pinav.errors import InputError
+from pinav.thermal.bioheat import HeatBalance, Rates
+from pinav.thermal.quantities import Number
+from pinav.thermal.steppers import AbstractStepper, March, check_step
+
+GAMMA = 1 - 1 / np.sqrt(2.0)
+"""For which the method is L-stable."""
+
+Cells = Float[Array, " cell"]
+
+
+class Rosenbrock(AbstractStepper):
+    r"""The two-stage Rosenbrock method ROS2, linearly implicit and L-stable.
+
+    $(1 - \gamma\Delta t J) k_1 = f(T) + \gamma\Delta t f_t$ and
+    $(1 - \gamma\Delta t J) k_2 = f(T + \Delta t k_1) - 2 k_1 - \gamma\Delta t f_t$,
+    $\gamma = 1 - 1/\sqrt2$, change $\Delta t (3 k_1 + k_2)/2$. Two tridiagonal solves
+    and no iteration, whatever the perfusion; it does not ring after a switch, so that
+    no starting steps are needed. For radial grids.
+
+    Attributes:
+        longest: time step [s].
+
+    Raises:
+        InputError: `longest` is not positive.
+
+    References:
+        Verwer, Spee, Blom and Hundsdorfer, SIAM J. Sci. Comput. 20, 1456 (1999).
+    """
+
+    longest: Number = eqx.field(static=True, default=5.0)
+
+    def __check_init__(self):
+        check_step("Rosenbrock.longest", self.longest)
+
+    @property
+    def nodes(self):
+        return np.array([0.0, 1.0])
+
+    @property
+    def kept_values(self):
+        return 1_000_000  # some forty arrays as large: a third of a gigabyte
+
+    def longest_step(self, model):
+        axes = len(model.grid.shape)
+        if axes != 1:
+            raise InputError(
+                f"Rosenbrock: expected a grid with one axis, got {axes}; use RKL2()"
+            )
+        return self.longest
+
+    def march(self, balance, temperature, steps, levels, watch):
+        stages = _stages(balance, temperature, steps, levels)
+        before = stages.before(temperature)
+        added, kept = jax.vmap(watch)(before, stages.after, steps)
+        first, second = _slopes(stages, balance, temperature, steps, levels)
+        flows = 0.5 * steps @ (3 * first.ledger + second.ledger)
+        return March(stages.after[-1], jnp.sum(added, axis=0), flows, kept)
+
+
+class _Stages(eqx.Module):
+    """Both stages of every step, and the temperature after it."""
+
+    first: Float[Array, "... cell"]
+    second: Float[Array, "... cell"]
+    after: Float[Array, "... cell"]
+
+    def before(self, temperature: Cells) -> Float[Array, "step cell"]:
+        return jnp.concatenate([temperature[None], self.after[:-1]])
+
+
+@eqx.filter_custom_jvp
+def _stages(balance, temperature, steps, levels):
+    matrices = _Matrices.of(balance)
+
+    def step(begin, inputs):
+        dt, (level, later) = inputs
+        slope = jax.jvp(balance.sink, (begin,), (jnp.ones_like(begin),))[1]
+        taken = slope * balance.volumes * balance.inverse_capacity
+        drift = _shift(balance, level, later).temperature
+
+        def solve(right):
+            return matrices.solve(GAMMA * dt, taken, right)
+
+        k1 = solve(balance.rates(begin, level).temperature + drift)
+        end = balance.rates(begin + dt * k1, later).temperature
+        k2 = solve(end - 2 * k1 - drift)
+        after = begin + 0.5 * dt * (3 * k1 + k2)
+        return after, _Stages(k1, k2, after)
+
+    return jax.lax.scan(step, temperature, (steps, levels))[1]
+
+
+@_stages.def_jvp
+def _stages_jvp(primals, tangents):
+    found = _stages(*primals)
+    _, moved = eqx.filter_jvp(lambda *own: _defects(found, *own), primals, tangents)
+    linear = _Linearised.of(found, *primals)
+    change = jax.lax.custom_linear_solve(
+        lambda d: jax.jvp(lambda own: _defects(own, *primals), (found,), (d,))[1],
+        jax.tree.map(_negative, found, moved),
+        solve=lambda _, right: linear.forward(right),
+        transpose_solve=lambda _, right: linear.backward(right),
+    )
+    return found, change
+
+
+def _negative(like, tangent):
+    """The negative of a tangent, of which nothing is zero."""
+    return jnp.zeros_like(like) if tangent is None else -tangent
+
+
+def _defects(stages: _Stages, balance, temperature, steps, levels) -> _Stages:
+    """What is zero of the stages of a run."""
+    first, second = _slopes(stages, balance, temperature, steps, levels)
+    rise = 0.5 * steps[:, None] * (3 * stages.first + stages.second)
+    return _Stages(
+        stages.first - first.temperature,
+        stages.second - second.temperature,
+        stages.after - stages.before(temperature) - rise,
+    )
+
+
+def _slopes(stages: _Stages, balance, temperature, steps, levels):
+    """Both stages of every step from the equations of which they are the solution."""
+
+    def each(begin, k1, k2, dt, level):
+        def rates(at):
+            return balance.rates(at, level[0])
+
+        start, along1 = jax.jvp(rates, (begin,), (k1,))
+        _, along2 = jax.jvp(rates, (begin,), (k2,))
+        end = balance.rates(begin + dt * k1, level[1])
+        shift = _shift(balance, level[0], level[1])
+        first = _added(start, along1, shift, GAMMA * dt)
+        second = _added(end, along2, jax.tree.map(jnp.negative, shift), GAMMA * dt)
+        given = Rates(k1, first.ledger)
+        return first, jax.tree.map(lambda b, a: b - 2 * a, second, given)
+
+    before = stages.before(temperature)
+    return jax.vmap(each)(before, stages.first, stages.second, steps, levels)
+
+
+def _added(rates, along, shift, weight):
+    return jax.tree.map(lambda r, a, s: r + weight * a + s, rates, along, shift)
+
+
+def _shift(balance, level, later) -> Rates:
+    """What the change of the sources over a step adds to a stage."""
+    heating = GAMMA * (balance.heated(later) - balance.heated(level))
+    nothing = jnp.zeros(())
+    flows = jnp.stack([jnp.sum(heating), nothing, nothing])
+    return Rates(heating * balance.inverse_capacity, flows)
+
+
+class _Matrices(eqx.Module):
+    """Conduction between neighbours over the capacity of each, and its transpose."""
+
+    lower: Cells
+    diagonal: Cells
+    upper: Cells
+    lower_transposed: Cells
+    upper_transposed: Cells
+
+    @classmethod
+    def of(cls, balance: HeatBalance) -> "_Matrices":
+        (conductance,) = balance.conductances
+        inverse, zero = balance.inverse_capacity, jnp.zeros(1)
+        below = jnp.concatenate([zero, conductance[1:-1]])
+        above = jnp.concatenate([conductance[1:-1], zero])
+        lower, upper = below * inverse, above * inverse
+        return cls(
+            lower=lower,
+            diagonal=(conductance[1:] + conductance[:-1]) * inverse,
+            upper=upper,
+            lower_transposed=jnp.concatenate([zero, upper[:-1]]),
+            upper_transposed=jnp.concatenate([lower[1:], zero]),
+        )
+
+    @property
+    def transposed(self) -> "_Matrices":
+        return _Matrices(
+            self.lower_transposed,
+            self.diagonal,
+            self.upper_transposed,
+            self.lower,
+            self.upper,
+        )
+
+    def solve(self, weight: Scalar, taken: Cells, right: Cells) -> Cells:
+        """Solve 1 - weight * J, where blood takes `taken` of each degree."""
+        bands = (
+            -weight * self.lower,
+            1 + weight * (self.diagonal + taken),
+            -weight * self.upper,
+        )
+        return jax.lax.linalg.tridiagonal_solve(*bands, right[:, None])[:, 0]
+
+    def times(self, taken: Cells, right: Cells) -> Cells:
+        """The product with J."""
+        below = self.lower[1:] * right[:-1]
+        above = self.upper[:-1] * right[1:]
+        neighbours = jnp.pad(below, (1, 0)) + jnp.pad(above, (0, 1))
+        return neighbours - (self.diagonal + taken) * right
+
+
+class _Step(eqx.Module):
+    """What the linearised equations of one step need, or of all.
+
+    Attributes:
+        length: of the step [s].
+        first: slope of what blood takes at the begin, over the capacity [s⁻¹].
+        second: the same at the second stage.
+        bends: by how much both stages change the first equation's matrix [s⁻¹].
+    """
+
+    length: Float[Array, "..."]
+    first: Float[Array, "... cell"]
+    second: Float[Array, "... cell"]
+    bends: tuple[Float[Array, "... cell"], Float[Array, "... cell"]]
+
+
+class _Linearised(eqx.Module):
+    """The equations of all steps, linearised at their solution."""
+
+    matrices: _Matrices
+    steps: _Step
+
+    @classmethod
+    def of(cls, stages: _Stages, balance, temperature, steps, levels):
+        rate = balance.volumes * balance.inverse_capacity
+
+        def slope(at):
+            return rate * jax.jvp(balance.sink, (at,), (jnp.ones_like(at),))[1]
+
+        def each(begin, k1, k2, dt):
+            first, bend = jax.jvp(slope, (begin,), (jnp.ones_like(begin),))
+            bends = GAMMA * dt * bend * k1, GAMMA * dt * bend * k2
+            return _Step(dt, first, slope(begin + dt * k1), bends)
+
+        before = stages.before(temperature)
+        every = jax.vmap(each)(before, stages.first, stages.second, steps)
+        return cls(_Matrices.of(balance), every)
+
+    def forward(self, right: _Stages) -> _Stages:
+        """Solve for changes of the stages, from the first step on."""
+        matrices = self.matrices
+
+        def advance(change, inputs):
+            own, right = inputs
+            dt = own.length
+            push = matrices.times(own.first, change) - own.bends[0] * change
+            k1 = matrices.solve(GAMMA * dt, own.first, right.first + push)
+            push = matrices.times(own.second, change + dt * k1) - own.bends[1] * change
+            k2 = matrices.solve(GAMMA * dt, own.first, right.second + push - 2 * k1)
+            after = right.after + change + 0.5 * dt * (3 * k1 + k2)
+            return after, _Stages(k1, k2, after)
+
+        begin = jnp.zeros_like(right.after[0])
+        return jax.lax.scan(advance, begin, (self.steps, right))[1]
+
+    def backward(self, right: _Stages) -> _Stages:
+        """Solve the transposed system, from the last step on."""
+        matrices = self.matrices.transposed
+
+        def retreat(pull, inputs):
+            own, right = inputs
+            dt = own.length
+            after = right.after + pull
+            wanted = right.second + 0.5 * dt * after
+            k2 = matrices.solve(GAMMA * dt, own.first, wanted)
+            pulled = matrices.times(own.second, k2)
+            wanted = right.first + 1.5 * dt * after + dt * pulled - 2 * k2
+            k1 = matrices.solve(GAMMA * dt, own.first, wanted)
+            bent = own.bends[0] * k1 + own.bends[1] * k2
+            before = after + matrices.times(own.first, k1) + pulled - bent
+            return before, _Stages(k1, k2, after)
+
+        end = jnp.zeros_like(right.after[0])
+        return jax.lax.scan(retreat, end, (self.steps, right), reverse=True)[1]
