@@ -80,8 +80,8 @@ def draw_medium(drag, grid, ax: Axes) -> None:
 def main(path: str) -> None:
     """Draw all scenarios into a file."""
     jax.config.update("jax_enable_x64", val=True)
-    figure = Figure(figsize=(8.2, 6.4), layout="constrained")
-    for name, ax in zip(SCENARIOS, figure.subplots(3, 4).flat, strict=True):
+    figure = Figure(figsize=(8.2, 8.4), layout="constrained")
+    for name, ax in zip(SCENARIOS, figure.subplots(4, 4).flat, strict=True):
         draw(scenario(name), ax)
     buffer = io.BytesIO()
     figure.savefig(buffer, dpi=90)

@@ -105,6 +105,22 @@ class InFlow(AbstractForce):
         return self.force(t, x, v - self.flow(t, x))
 
 
+class Advection(AbstractForce):
+    """What a current does to a swimmer without inertia whose mobility is 1.
+
+    As an environment it makes the current what is unknown; as the flow of an
+    `OverdampedSwimmer` it would be known.
+
+    Attributes:
+        flow: the velocity of the fluid.
+    """
+
+    flow: AbstractFlow
+
+    def __call__(self, t, x, v):
+        return self.flow(t, x)
+
+
 class GaussianBarrier(AbstractForce):
     r"""Repulsion $-\nabla U$ from $U(x) = U_0 \exp(-|x - c|^2 / 2\sigma^2)$.
 

@@ -104,8 +104,12 @@ class AbstractObjective(eqx.Module):
         """Where the swimmer should be, or go to, at time `t` [L]."""
 
     @abc.abstractmethod
+    def distance(self, x: Float[Array, "2"]) -> Float[Array, ""]:
+        """From position `x` to where the task ends [L]: not positive there."""
+
     def is_reached(self, x: Float[Array, "2"]) -> Bool[Array, ""]:
         """Whether the task ends at position `x` [L]."""
+        return self.distance(x) <= 0
 
 
 class Reach(AbstractObjective):
@@ -130,8 +134,8 @@ class Reach(AbstractObjective):
     def target(self, t):
         return self.goal
 
-    def is_reached(self, x):
-        return jnp.sum((x - self.goal) ** 2) <= jnp.asarray(self.tolerance) ** 2
+    def distance(self, x):
+        return jnp.linalg.norm(x - self.goal) - self.tolerance
 
 
 class Follow(AbstractObjective):
@@ -146,8 +150,8 @@ class Follow(AbstractObjective):
     def target(self, t):
         return self.path(t)
 
-    def is_reached(self, x):
-        return jnp.zeros((), bool)
+    def distance(self, x):
+        return jnp.full((), math.inf, x.dtype)
 
 
 def _check_positive(name, value):

@@ -9,6 +9,12 @@ from pinav.scenarios.crossings import (
     paper,
     swirl,
 )
+from pinav.scenarios.currents import (
+    channel_current,
+    drift_current,
+    shear_current,
+    vortex_current,
+)
 from pinav.scenarios.definition import DIMENSIONLESS, PLANAR_CHANNELS, Scenario
 from pinav.scenarios.fields import fibres, many_barriers
 from pinav.scenarios.media import (
@@ -29,6 +35,8 @@ __all__ = [
     "anisotropic_drag",
     "barrier_crossings",
     "brownian",
+    "channel_current",
+    "drift_current",
     "fibres",
     "many_barriers",
     "moving_barrier",
@@ -37,9 +45,11 @@ __all__ = [
     "porous",
     "scenario",
     "shear",
+    "shear_current",
     "swirl",
     "true_paths",
     "varying_director",
+    "vortex_current",
 ]
 
 SCENARIOS = {
@@ -55,6 +65,10 @@ SCENARIOS = {
     "shear": shear,
     "poiseuille": poiseuille,
     "brownian": brownian,
+    "shear-current": shear_current,
+    "channel-current": channel_current,
+    "vortex-current": vortex_current,
+    "drift-current": drift_current,
 }
 """Named scenarios: each takes an optional random key and number of trajectories."""
 

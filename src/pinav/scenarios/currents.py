@@ -1,0 +1,101 @@
+r"""Unknown currents that carry a swimmer without inertia: Zermelo's problem.
+
+The swimmer's own velocity is known and of size 1, its heading turns once in 8 time
+units; what is unknown is the current, $\dot x = n(\theta(t)) + u(x)$. So the current
+is the environment of an `OverdampedSwimmer` of mobility 1.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import PRNGKeyArray
+
+from pinav.actuation import LinearProgramme, LinearResponse
+from pinav.dynamics import OverdampedSwimmer
+from pinav.environments import Domain, GaussianSwirl
+from pinav.flows import PoiseuilleFlow, ShearFlow, UniformFlow, VortexFlow
+from pinav.forces import AbstractForce, Advection, SumForce
+from pinav.rolling import RollingPropulsion
+from pinav.scenarios.definition import Scenario, uniform_starts
+
+BASIN = Domain((0.0, 0.0), (10.0, 10.0))
+"""Where swimmers start."""
+
+DURATION = 10.0
+"""Last time of observation [T]."""
+
+TURN = 8.0
+"""Time of one turn of the heading [T]."""
+
+
+def shear_current(
+    key: PRNGKeyArray | None = None, count: int | None = None
+) -> Scenario:
+    """A shear of rate 0.2, at rest on the line y = 5: as fast as the swimmer at y = 0.
+
+    Args:
+        key: random key of the starts; `jax.random.key(0)` unless given.
+        count: number of trajectories; 8 unless given.
+    """
+    flow = ShearFlow(rate=0.2, origin=5.0)
+    return _current("shear-current", Advection(flow), key, count)
+
+
+def channel_current(
+    key: PRNGKeyArray | None = None, count: int | None = None
+) -> Scenario:
+    """A channel flow of speed 0.8 between y = -1 and y = 11.
+
+    Args:
+        key: random key of the starts; `jax.random.key(0)` unless given.
+        count: number of trajectories; 8 unless given.
+    """
+    flow = PoiseuilleFlow(peak=0.8, middle=5.0, half_width=6.0)
+    return _current("channel-current", Advection(flow), key, count)
+
+
+def vortex_current(
+    key: PRNGKeyArray | None = None, count: int | None = None
+) -> Scenario:
+    """A vortex of width 2 in the middle, counter-clockwise, 0.85 where it is fastest.
+
+    Args:
+        key: random key of the starts; `jax.random.key(0)` unless given.
+        count: number of trajectories; 8 unless given.
+    """
+    flow = VortexFlow(rate=0.7, center=[5.0, 5.0], width=2.0)
+    return _current("vortex-current", Advection(flow), key, count)
+
+
+def drift_current(
+    key: PRNGKeyArray | None = None, count: int | None = None
+) -> Scenario:
+    """A drift of (0.25, -0.15) and a swirl of at most 0.24 around (6, 5).
+
+    Args:
+        key: random key of the starts; `jax.random.key(0)` unless given.
+        count: number of trajectories; 8 unless given.
+    """
+    drift = Advection(UniformFlow([0.25, -0.15]))
+    swirl = GaussianSwirl(strength=1.0, center=[6.0, 5.0], width=2.5)
+    return _current("drift-current", SumForce((drift, swirl)), key, count)
+
+
+def _current(
+    name: str, current: AbstractForce, key: PRNGKeyArray | None, count: int | None
+) -> Scenario:
+    times = jnp.linspace(0.0, DURATION, 41)
+    programme = LinearProgramme(times, jnp.ones_like(times), 2 * np.pi * times / TURN)
+    truth = OverdampedSwimmer(
+        propulsion=RollingPropulsion(jnp.eye(2), LinearResponse(), programme),
+        environment=current,
+        mobility=1.0,
+    )
+    return Scenario(
+        name=name,
+        truth=truth,
+        starts=uniform_starts(BASIN, key=key, count=count, default=8),
+        times=jnp.linspace(0.0, DURATION, round(10 * DURATION) + 1),
+        noise=0.02,
+        channels=("x", "y"),
+        units=dict.fromkeys(("x", "y", "t"), "1"),
+    )
