@@ -81,7 +81,7 @@ class Downhill(AbstractGuide):
     def __call__(self, observation, courses):
         def move(carry, t):
             y, previous = carry
-            share = self.plan.share(t, y, previous)
+            share = self.plan.share(t, y, previous, courses.predictor)
             command = courses.drive.command(share, previous, courses.step)
             y = courses.predictor.step(t, y, command, courses.step)
             return (y, command), share

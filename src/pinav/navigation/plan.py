@@ -19,10 +19,16 @@ from pinav.navigation.iteration import (
     swept_back,
 )
 from pinav.navigation.objectives import Reach
-from pinav.navigation.predictors import InertialTable
+from pinav.navigation.predictors import AbstractPredictor, InertialTable
 from pinav.navigation.steering import SteeredSwimmer
 from pinav.navigation.task import Task
-from pinav.navigation.terrain import HEADINGS, Terrain, terrain
+from pinav.navigation.terrain import Terrain, terrain
+
+HEADINGS = 24
+"""Directions of the thrust that are tried at each position, and by the policy."""
+
+PHASE_HEADINGS = 16
+"""The same where there is inertia, and four dimensions."""
 
 CELLS = 1.5
 """How many cells a step of the plan crosses, at most."""
@@ -103,20 +109,25 @@ class TimeToGo(eqx.Module):
         return self.map > self.horizon
 
     def share(
-        self, t: Scalar, y: Float[Array, " state"], previous: Float[Array, "2"]
+        self,
+        t: Scalar,
+        y: Float[Array, " state"],
+        previous: Float[Array, "2"],
+        predictor: AbstractPredictor,
     ) -> Float[Array, "2"]:
         """Direction of the greatest thrust after which the goal is nearest in time.
 
         Args:
             t: now [T].
-            y: the state.
+            y: the state, as the predictor takes it.
             previous: the command before.
+            predictor: says what comes of a thrust.
         """
         shares = self.terrain.drive.shares(HEADINGS)
 
         def after(share):
             command = self.terrain.drive.command(share, previous, self.step)
-            ahead = self.terrain.predictor.step(t, y, command, self.step)
+            ahead = predictor.step(t, y, command, self.step)
             return self.at(ahead, jnp.asarray(t) + self.step)
 
         return shares[jnp.argmin(jax.vmap(after)(shares))]
@@ -153,7 +164,8 @@ def _route(plan, start, step, count):
 
     def move(state, t):
         y, previous, arrived = state
-        command = terrain.drive.command(plan.share(t, y, previous), previous, step)
+        share = plan.share(t, y, previous, terrain.predictor)
+        command = terrain.drive.command(share, previous, step)
         ahead = terrain.predictor.step(t, y, command, step)
         y = jnp.where(jnp.isfinite(arrived), y, ahead)
         here = jnp.sum((y[:2] - goal) ** 2) <= reach**2
@@ -198,7 +210,7 @@ def time_to_go(
     inertial = isinstance(ground.predictor, InertialTable)
     count = (41 if inertial else 101) if points is None else points
     grid = Grid.over(task.arena, count)
-    arrival = _arrival(task, ground, grid)
+    arrival = _arrival(task, ground, grid, PHASE_HEADINGS if inertial else HEADINGS)
     if inertial:
         plan = _phase_plan(task, ground, arrival, grid, speeds)
     else:
@@ -240,14 +252,14 @@ def check_reachable(task: Task, plan: TimeToGo) -> None:
         )
 
 
-def _arrival(task, ground, grid):
+def _arrival(task, ground, grid, headings):
     """The goal: not smaller than the grid can show."""
     tolerance = max(float(task.objective.tolerance), float(jnp.max(grid.spacing)) / 4)
     return Arrival(
         task.objective.goal,
         jnp.asarray(tolerance),
         ground.surroundings,
-        ground.drive.thrusts(HEADINGS),
+        ground.drive.thrusts(headings),
         jnp.asarray(task.time_limit / 4),
     )
 
