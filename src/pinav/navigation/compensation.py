@@ -33,7 +33,13 @@ class Timing(eqx.Module):
     def remainder(self) -> float:
         """How long the oldest pending command stays in force [T]."""
         whole = max(math.ceil(self.delay / self.step - 1e-9), 1)
-        return self.delay - (whole - 1) * self.step
+        return max(self.delay - (whole - 1) * self.step, 0.0)
+
+    @property
+    def rest(self) -> float:
+        """What is left of a control step when the oldest one has passed [T]."""
+        rest = self.step - self.remainder
+        return rest if rest > 1e-9 * self.step else 0.0
 
     def predicted(
         self, predictor: AbstractPredictor, observation: Observation
@@ -160,20 +166,19 @@ class DriftEstimation(AbstractController[Belief[Inner]], Generic[Inner]):
 
     def _predicted(self, observation, memory):
         """Mean and covariance one step on, under the commands that were in force."""
-        remainder = self.timing.remainder
+        first, second = self.timing.remainder, self.timing.rest
 
         def onward(mean):
-            middle = self.predictor.step(memory.time, mean, memory.command, remainder)
-            return self.predictor.step(
-                memory.time + remainder,
-                middle,
-                observation.pending[0],
-                self.timing.step - remainder,
-            )
+            t, moved = memory.time, mean
+            if first > 0:
+                moved = self.predictor.step(t, moved, memory.command, first)
+            if second > 0:
+                command = observation.pending[0]
+                moved = self.predictor.step(t + first, moved, command, second)
+            return moved, moved
 
-        slope = jax.jacfwd(onward)(memory.mean)
-        covariance = slope @ memory.covariance @ slope.T
-        return onward(memory.mean), covariance + self._diffused(memory.mean)
+        slope, mean = jax.jacfwd(onward, has_aux=True)(memory.mean)
+        return mean, slope @ memory.covariance @ slope.T + self._diffused(mean)
 
     def _diffused(self, mean):
         """What a step adds to the covariance."""

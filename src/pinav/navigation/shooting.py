@@ -15,6 +15,7 @@ from pinav.navigation.controllers import AbstractController
 from pinav.navigation.costs import AbstractCost
 from pinav.navigation.courses import AbstractGuide, Courses
 from pinav.navigation.predictors import within_disc
+from pinav.navigation.steering import direction
 
 
 class Shooting(AbstractController[Float[Array, "step 2"]]):
@@ -48,7 +49,8 @@ class Shooting(AbstractController[Float[Array, "step 2"]]):
                 raise InputError(f"Shooting.{name}: expected > 0, got {value}")
 
     def start(self, observation):
-        return jnp.zeros((self.courses.steps, 2), observation.state.dtype)
+        ahead = SMALL * direction(observation.pending[-1, 1])
+        return jnp.tile(ahead.astype(observation.state.dtype), (self.courses.steps, 1))
 
     def __call__(self, observation, memory, *, key):
         del key
@@ -86,3 +88,7 @@ class Shooting(AbstractController[Float[Array, "step 2"]]):
         (last, _, best, least), _ = jax.lax.scan(descend, begin, length=self.iterations)
         final = cost(last)
         return jnp.where(final < least, last, best), jnp.minimum(final, least)
+
+
+SMALL = 0.1
+"""Thrust share of the first sequence: the heading of no thrust has no derivative."""
