@@ -124,7 +124,7 @@ def position_sweep(
     arrival: Arrival,
     grid: Grid,
     t: Scalar,
-    steps: Float[Array, "x y"],
+    steps: Float[Array, "x y heading"],
 ) -> Sweep:
     """A sweep over positions, for a swimmer without inertia.
 
@@ -133,7 +133,7 @@ def position_sweep(
         arrival: the goal, the walls, the thrust.
         grid: the positions.
         t: when the steps begin [T].
-        steps: how long the step from each point is [T].
+        steps: how long the step from each point in each direction is [T].
     """
 
     def look(x, h, thrust):
@@ -142,7 +142,7 @@ def position_sweep(
         discount, arrives = arrival.leg(t, x, displacement, h)
         return discount, arrives, grid.coordinates(x + displacement)
 
-    each = jax.vmap(look, (None, None, 0))
+    each = jax.vmap(look, (None, 0, 0))
     each = jax.vmap(jax.vmap(each, (0, 0, None)), (0, 0, None))
     discount, arrives, feet = each(grid.points, steps, arrival.thrusts)
     discount = discount.astype(jnp.float32)
@@ -222,7 +222,13 @@ def _coast(grid, arrival, t, velocities, h):
     discount, arrives = each(grid.points, velocities, velocities)
     discount = discount.astype(jnp.float32)
     along = [
-        Corners.of((jnp.arange(n)[None] + h * velocities[:, None] / spacing,), (n,))
+        Corners.of(
+            (
+                jnp.arange(n, dtype=velocities.dtype)[None]
+                + h * velocities[:, None] / spacing,
+            ),
+            (n,),
+        )
         for n, spacing in zip(grid.shape, grid.spacing, strict=True)
     ]
 

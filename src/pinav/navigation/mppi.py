@@ -74,7 +74,7 @@ class PathIntegral(AbstractController[Float[Array, "step 2"]]):
             better = self._improved(observation, centers, *inputs)
             return jnp.stack([better, better]), None
 
-        widths = self.spread * 0.5 ** jnp.arange(self.rounds)
+        widths = self.spread * 0.5 ** jnp.arange(float(self.rounds))
         keys = jax.random.split(key, self.rounds)
         centers = jnp.stack([nominal, other.astype(nominal.dtype)])
         centers, _ = jax.lax.scan(improve, centers, (widths, keys))
@@ -102,7 +102,9 @@ class PathIntegral(AbstractController[Float[Array, "step 2"]]):
         knots = max(2, -(-steps // STEPS_PER_KNOT) + 1)
         values = jax.random.normal(key, (self.samples, knots, 2))
         place = jnp.linspace(0.0, knots - 1.0, steps)
-        hats = jnp.maximum(0.0, 1 - jnp.abs(place[:, None] - jnp.arange(knots)[None]))
+        hats = jnp.maximum(
+            0.0, 1 - jnp.abs(place[:, None] - jnp.arange(float(knots))[None])
+        )
         return jnp.einsum("tk,skc->stc", hats, values)
 
 
