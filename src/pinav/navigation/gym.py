@@ -126,7 +126,7 @@ def _features(task, situation, key):
 @eqx.filter_jit
 def _reward(task, before, now):
     ways = [_way(task, situation) for situation in (before, now)]
-    left = task.time_limit - task.step * now.step
+    left = task.time_limit - _time(task, now)
     penalty = jnp.where(now.violated, left, 0.0)
     ends = jnp.isfinite(task.objective.distance(now.state[:2]))
     reached = ways[0] - ways[1] - task.step
@@ -135,5 +135,9 @@ def _reward(task, before, now):
 
 
 def _way(task, situation):
-    target = task.objective.target(task.step * situation.step)
+    target = task.objective.target(_time(task, situation))
     return jnp.linalg.norm(target - situation.state[:2])
+
+
+def _time(task, situation):
+    return task.step * situation.step.astype(situation.state.dtype)
