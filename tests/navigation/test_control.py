@@ -80,7 +80,7 @@ def test_both_methods_find_the_optimum_of_a_quadratic_cost(ground, make):
         np.vstack([positions, changes]),
         np.vstack([wanted, np.zeros((steps - 1, 2))]),
     )
-    best = np.linalg.lstsq(*rows, rcond=None)[0]
+    best = np.linalg.lstsq(rows, wanted, rcond=None)[0]
     assert np.linalg.norm(best, axis=1).max() < 1  # so that no bound is active
     found = cost(*method.courses(seen, shares), shares)
     least = cost(*method.courses(seen, jnp.asarray(best)), jnp.asarray(best))
