@@ -257,6 +257,7 @@ def _thrust(values, shifts):
     """
     count = values.shape[0]
     near = jnp.pad(values, ((1, 1), (1, 1), (0, 0), (0, 0)), "edge")
+    near = jax.lax.optimization_barrier(near)  # else it is computed anew in each term
     neighbours = [
         [near[i : i + count, j : j + count] for j in range(3)] for i in range(3)
     ]
@@ -270,7 +271,7 @@ def _thrust(values, shifts):
             across[i] * along[j] * neighbours[i][j] for i in range(3) for j in range(3)
         ]
         best = jnp.maximum(best, sum(terms[1:], terms[0]))
-    return best
+    return jax.lax.optimization_barrier(best)
 
 
 def converged(
