@@ -34,7 +34,6 @@ ORDER = [
     "ladder",
     "analysis",
     "navigation",
-    "navigation",
     "thermal",
     "report",
     "runs",
