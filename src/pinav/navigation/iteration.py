@@ -103,16 +103,16 @@ class Corners(eqx.Module):
         )
 
     def interpolate(
-        self, values: Float[Array, "*lattice"], before: tuple[Any, ...] = ()
+        self, values: Float[Array, "*lattice"], behind: tuple[Any, ...] = ()
     ) -> Float[Array, "*many"]:
-        """Values at the places; `before` are indices of the axes before these."""
+        """Values at the places; `behind` are indices of the axes behind these."""
         total = jnp.zeros((), values.dtype)
         for corner in itertools.product((0, 1), repeat=len(self.cell)):
             index = tuple(c + k for c, k in zip(self.cell, corner, strict=True))
             weight = jnp.ones((), values.dtype)
             for share, k in zip(self.share, corner, strict=True):
                 weight = weight * (share if k else 1 - share)
-            total = total + weight * values[(*before, *index)]
+            total = total + weight * values[(*index, *behind)]
         return total
 
 
@@ -163,7 +163,7 @@ def phase_sweep(
     velocities: Float[Array, " velocity"],
     h: Scalar,
 ) -> Sweep:
-    """A sweep over positions and velocities, for a swimmer with inertia.
+    """A sweep over velocities and positions, in this order, for a swimmer with inertia.
 
     A step is split: the force changes the velocity, the velocity changes the position.
     Both shifts are the same for many points, which is what makes four dimensions quick.
@@ -193,16 +193,22 @@ def _kicks(table, grid, t, velocities, h):
     v = jnp.stack(jnp.meshgrid(velocities, velocities, indexing="ij"), axis=-1)
     rates = jax.vmap(jax.vmap(table, (None, 0)), (None, 0))(t, grid.points)
     drag = rates[..., 2:].reshape(*grid.shape, 2, 2)
-    decay = jax.vmap(jax.vmap(lambda d: jax.scipy.linalg.expm(-h * d)))(drag)
     damping = jnp.mean(jnp.trace(drag, axis1=2, axis2=3)) / 2
     impulse = h * (1 - damping * h / 2)
-    after = jnp.einsum("xyab,ijb->xyija", decay, v)
-    after = after + impulse * rates[:, :, None, None, :2]
+    after = jnp.einsum("xyab,ijb->ijxya", _decay(h * drag), v)
+    after = after + impulse * rates[None, None, :, :, :2]
     places = (after - velocities[0]) / (velocities[1] - velocities[0])
     corners = Corners.of((places[..., 0], places[..., 1]), (count, count))
-    before = jnp.ogrid[tuple(slice(n) for n in grid.shape)]
-    before = tuple(index[..., None, None] for index in before)
-    return lambda values: corners.interpolate(values, before), impulse
+    behind = jnp.ogrid[tuple(slice(n) for n in grid.shape)]
+    behind = tuple(index[None, None] for index in behind)
+    return lambda values: corners.interpolate(values, behind), impulse
+
+
+def _decay(exponent):
+    """Padé's approximation of exp(-A) for many 2 x 2 matrices."""
+    identity = jnp.eye(2)[None, None]
+    even = identity + exponent @ exponent / 12
+    return jnp.linalg.solve(even + exponent / 2, even - exponent / 2)
 
 
 def _coast(grid, arrival, t, velocities, h):
@@ -211,8 +217,8 @@ def _coast(grid, arrival, t, velocities, h):
     def leg(x, vx, vy):
         return arrival.leg(t, x, h * jnp.stack([vx, vy]), h)
 
-    each = jax.vmap(jax.vmap(leg, (None, None, 0)), (None, 0, None))
-    each = jax.vmap(jax.vmap(each, (0, None, None)), (0, None, None))
+    each = jax.vmap(jax.vmap(leg, (0, None, None)), (0, None, None))
+    each = jax.vmap(jax.vmap(each, (None, None, 0)), (None, 0, None))
     discount, arrives = each(grid.points, velocities, velocities)
     discount = discount.astype(jnp.float32)
     along = [
@@ -221,9 +227,9 @@ def _coast(grid, arrival, t, velocities, h):
     ]
 
     def coast(values):
-        moved = _rows(along[0], jnp.transpose(values, (2, 0, 1, 3)))  # vx, x, y, vy
-        moved = _rows(along[1], jnp.transpose(moved, (3, 2, 0, 1)))  # vy, y, vx, x
-        moved = jnp.transpose(moved, (3, 1, 2, 0))
+        moved = _rows(along[0], jnp.transpose(values, (0, 2, 1, 3)))  # vx, x, vy, y
+        moved = _rows(along[1], jnp.transpose(moved, (2, 3, 0, 1)))  # vy, y, vx, x
+        moved = jnp.transpose(moved, (2, 0, 3, 1))
         return discount * jnp.where(arrives, jnp.float32(1.0), moved)
 
     return coast
@@ -240,19 +246,18 @@ def _rows(corners, values):
 
 def _thrust(values, shifts):
     """The best value within reach of one thrust, by direction."""
-    count = values.shape[-1]
-    reach = 3
-    padded = jnp.pad(values, ((0, 0), (0, 0), (reach, reach), (reach, reach)), "edge")
-    shape = (*values.shape[:2], count + 1, count + 1)
+    count, reach = values.shape[0], 2
+    padded = jnp.pad(values, ((reach, reach), (reach, reach), (0, 0), (0, 0)), "edge")
+    shape = (count + 1, count + 1, *values.shape[2:])
 
     def better(best, shift):
         cell = jnp.floor(shift)
-        a, b = (shift - cell).astype(values.dtype)
-        i, j = (cell.astype(jnp.int32) + reach).astype(jnp.int32)
+        share = (shift - cell).astype(values.dtype)
+        first = cell.astype(jnp.int32) + reach
         zero = jnp.zeros((), jnp.int32)
-        near = jax.lax.dynamic_slice(padded, (zero, zero, i, j), shape)
-        along = near[:, :, :-1] + a * (near[:, :, 1:] - near[:, :, :-1])
-        moved = along[..., :-1] + b * (along[..., 1:] - along[..., :-1])
+        near = jax.lax.dynamic_slice(padded, (first[0], first[1], zero, zero), shape)
+        along = near[:-1] + share[0] * (near[1:] - near[:-1])
+        moved = along[:, :-1] + share[1] * (along[:, 1:] - along[:, :-1])
         return jnp.maximum(best, moved), None
 
     best, _ = jax.lax.scan(better, jnp.zeros_like(values), shifts)
@@ -284,9 +289,9 @@ def converged(
 
 def swept_back(
     sweep_at: Callable[[Float[Array, ""]], Sweep],
-    times: Float[Array, " time"],
+    times: Float[Array, " moment"],
     shape: tuple[int, ...],
-) -> Float[Array, "time *lattice"]:
+) -> Float[Array, "moment ..."]:
     """Values at each time for a model that changes; after the last there is no goal.
 
     Args:

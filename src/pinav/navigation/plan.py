@@ -45,8 +45,9 @@ class Route(eqx.Module):
 class TimeToGo(eqx.Module):
     r"""Time-to-go $T(t, y)$ on a lattice of states, of a model and a task.
 
-    States are positions, or positions and velocities where there is inertia. Kept is
-    $U = e^{-T/\tau}$, interpolated linearly; beyond the lattice it is that of its edge.
+    The lattice is over positions, or velocities and positions where there is inertia.
+    Kept is $U = e^{-T/\tau}$, interpolated linearly; beyond the lattice it
+    is that of its edge.
 
     Attributes:
         values: U; one time where the model does not change.
@@ -61,7 +62,7 @@ class TimeToGo(eqx.Module):
         tolerance: its radius [L].
     """
 
-    values: Float[Array, "time *lattice"]
+    values: Float[Array, "moment ..."]
     lower: Float[Array, " state"]
     spacing: Float[Array, " state"]
     scale: Float[Array, ""]
@@ -78,8 +79,8 @@ class TimeToGo(eqx.Module):
         It is the time-to-go where walls are far and the model is certain. A state may
         have more components than the lattice has axes.
         """
-        axes = self.lower.shape[0]
-        place = (y[:axes] - self.lower.astype(y.dtype)) / self.spacing.astype(y.dtype)
+        state = jnp.roll(y[:4], 2) if self.lower.shape[0] == 4 else y[:2]
+        place = (state - self.lower.astype(y.dtype)) / self.spacing.astype(y.dtype)
         if self.values.shape[0] > 1:
             moment = jnp.asarray(t, y.dtype) / self.interval
             place = jnp.concatenate([moment[None], place])
@@ -92,8 +93,8 @@ class TimeToGo(eqx.Module):
         """Cost-to-go at the points of the plan's grid, from rest, at first [T]."""
         values = np.asarray(self.values[0])
         if values.ndim == 4:
-            middle = values.shape[2] // 2
-            values = values[:, :, middle, middle]
+            middle = values.shape[0] // 2
+            values = values[middle, middle]
         return -float(self.scale) * np.log(np.maximum(values, FLOOR))
 
     @property
@@ -233,8 +234,9 @@ def check_reachable(task: Task, plan: TimeToGo) -> None:
         goal, start = plan.goal, task.start
         raise InputError(
             f"goal: expected a place that can be reached within {plan.horizon:g}, got "
-            f"({float(goal[0]):.3g}, {float(goal[1]):.3g}) from ({float(start[0]):.3g}, "
-            f"{float(start[1]):.3g}); walls or drift are in the way of this thrust"
+            f"({float(goal[0]):.3g}, {float(goal[1]):.3g}) from "
+            f"({float(start[0]):.3g}, {float(start[1]):.3g}); walls or drift are "
+            "stronger than this thrust"
         )
 
 
@@ -297,14 +299,14 @@ def _phase_plan(task, ground, arrival, grid, speeds):
     if ground.table.values.shape[0] > 1:
         times = jnp.arange(0.0, task.time_limit, step)
     values = _phases(ground.table, arrival, grid, velocities, step, times)
-    spacing = jnp.concatenate([grid.spacing, jnp.full(2, width)])
-    lattice = (jnp.concatenate([grid.lower, jnp.full(2, -top)]), spacing)
+    spacing = jnp.concatenate([jnp.full(2, width), grid.spacing])
+    lattice = (jnp.concatenate([jnp.full(2, -top), grid.lower]), spacing)
     return _assembled(task, ground, arrival, values, lattice, step)
 
 
 @eqx.filter_jit
 def _phases(table, arrival, grid, velocities, step, times):
-    shape = (*grid.shape, velocities.shape[0], velocities.shape[0])
+    shape = (velocities.shape[0], velocities.shape[0], *grid.shape)
     if times is None:
         sweep = phase_sweep(table, arrival, grid, 0.0, velocities, step)
         return converged(sweep, shape, 20 * max(grid.shape), SETTLED)[None]
