@@ -17,10 +17,10 @@ class NavigateOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Plans on the learned force (which ground cannot be reached, where the model does not
     know), steers by model-predictive control, and tries it in closed loop: in the true
     environment where the data are those of a scenario, else in environments drawn from
-    the posterior. Beside it physics alone, a straight line, and the same controller with
-    the truth. Says which trajectory would tell most of the route. Writes metrics.json,
-    report.html, figures and an animation. A negative number takes an equals sign:
-    --from=-1,2.
+    the posterior. Beside it physics alone and, where it is known, the same controller
+    with the truth. Says which trajectory would tell most of the route. Writes
+    metrics.json, report.html, figures and an animation. A negative number takes an
+    equals sign: --from=-1,2.
     """
 
     run: Annotated[

@@ -260,8 +260,8 @@ class BenchOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         str,
         tyro.conf.Positional,
         tyro.conf.arg(
-            help="Name of the benchmark: fit, gradient, growth or navigate. What follows it are "
-            "options of its own: pinav bench fit --help."
+            help="Name of the benchmark: fit, gradient, growth or navigate. What "
+            "follows it are options of its own: pinav bench fit --help."
         ),
     ]
 

@@ -18,9 +18,9 @@ from pinav.jobs.navigate_tables import text as text
 from pinav.jobs.suggestion import suggestion
 from pinav.navigation.closed_loop import Episodes, run, run_many
 from pinav.navigation.controllers import AbstractController
+from pinav.navigation.default import controller
 from pinav.navigation.metrics import regret, summary
 from pinav.navigation.plan import Route, TimeToGo, check_places, time_to_go
-from pinav.navigation.policy import PlanPolicy
 from pinav.navigation.steering import SteeredSwimmer
 from pinav.navigation.terrain import terrain
 from pinav.runs import RunFolder
@@ -45,7 +45,9 @@ def navigate(
     check_places(task)
     plan = time_to_go(task, mission.model, ground=_ground(mission))
     route = plan.route(task.start, task.step)
-    controllers: dict[str, AbstractController] = {"learned": PlanPolicy(plan)}
+    controllers: dict[str, AbstractController] = {
+        "learned": controller(task, mission.model, samples=mission.samples)
+    }
     controllers |= _others(mission)
     found = {}
     for name in tqdm(controllers, desc="closed loop", unit="controller"):
@@ -85,20 +87,20 @@ def _others(mission: Mission) -> dict[str, AbstractController]:
     controllers = {}
     for name, model in models.items():
         try:
-            controllers[name] = PlanPolicy(time_to_go(mission.task, model))
+            controllers[name] = controller(mission.task, model)
         except InputError:  # it sees no way, which is an answer, too
             continue
     return controllers
 
 
 def trials(
-    mission: Mission, controller: AbstractController, settings: NavigateSettings
+    mission: Mission, steering: AbstractController, settings: NavigateSettings
 ) -> Episodes:
     """Closed loops of a controller, over seeds and over the possible truths."""
     truths = mission.truths[: settings.seeds]
     keys = _keys(settings)
     parts = [
-        run_many(mission.task, controller, keys[index :: len(truths)], truth=truth)
+        run_many(mission.task, steering, keys[index :: len(truths)], truth=truth)
         for index, truth in enumerate(truths)
     ]
     together = {
@@ -133,10 +135,10 @@ def _regrets(found: dict[str, Episodes]) -> dict[str, Any]:
     }
 
 
-def _step_times(mission, controller, settings) -> dict[str, float]:
+def _step_times(mission, steering, settings) -> dict[str, float]:
     """Time that one command takes to compute [s], and the first one."""
     key = _keys(settings)[0]
-    compute = run(mission.task, controller, key=key).compute
+    compute = run(mission.task, steering, key=key).compute
     return {"first": float(compute[0]), "median": float(np.median(compute[1:]))}
 
 

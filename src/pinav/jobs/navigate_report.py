@@ -1,7 +1,5 @@
 """Figures and sections of `pinav navigate`."""
 
-import numpy as np
-
 from pinav.jobs.navigate_tables import controller_table, sentences, where
 from pinav.report import Image, Paragraph, Section, save_figure
 from pinav.report.animation import Trails, save_animation
@@ -20,10 +18,8 @@ DRAWN = 8
 
 def navigated(folder: RunFolder) -> list[Section]:
     """The sections of a finished run."""
-    metrics, arrays = (
-        folder.read_json("metrics.json"),
-        folder.read_arrays("results.npz"),
-    )
+    metrics = folder.read_json("metrics.json")
+    arrays = folder.read_arrays("results.npz")
     units = metrics["units"]
     words = [Paragraph(line) for line in sentences(metrics)]
     bars = outcome_bars(metrics["controllers"], metrics["regret"])

@@ -81,8 +81,7 @@ def _experiment(
     interval = float(np.median(np.concatenate([np.diff(p.times) for p in data])))
     duration = min(settings.time_limit, float(np.median(spans)), SAMPLES * interval)
     seen = data.observed.any(axis=(0, 1))
-    unseen = np.arange(len(task.start)) >= len(seen)
-    seen = np.where(unseen, False, np.resize(seen, len(task.start)))
+    seen = np.resize(seen, len(task.start)) & (np.arange(len(task.start)) < len(seen))
     return Experiment(
         actuator=task.truth.actuator,
         limits=task.limits,

@@ -82,18 +82,16 @@ class Course:
         ax.set(xlim=(x0 - margin, x1 + margin), ylim=(y0 - margin, y1 + margin))
 
 
-class PlanGrid:
-    """Where a plan's map stands, as `heat_map` wants it.
+def plan_grid(arena: Float[np.ndarray, "2 2"], shape: tuple[int, ...]) -> FieldMap:
+    """Equally spaced points of an arena as a map without a force.
 
-    Attributes:
-        x: coordinates along x [L].
-        y: coordinates along y [L].
+    Args:
+        arena: lower and upper corner [L].
+        shape: points along x and y.
     """
-
-    def __init__(self, arena: Float[np.ndarray, "2 2"], shape: tuple[int, ...]):
-        self.x, self.y = (
-            np.linspace(arena[0, i], arena[1, i], shape[i]) for i in range(2)
-        )
+    x, y = (np.linspace(*arena[:, i], shape[i]) for i in range(2))
+    nothing = np.zeros((shape[1], shape[0]))
+    return FieldMap(x, y, np.stack([nothing, nothing], axis=-1), nothing)
 
 
 def plan_map(
@@ -114,7 +112,7 @@ def plan_map(
         units: unit of each channel; "1" means dimensionless.
         ax: where to draw; a new figure unless given.
     """
-    grid, values = PlanGrid(course.arena, time.shape), time.T
+    grid, values = plan_grid(course.arena, time.shape), time.T
     known = values[np.isfinite(values)]
     top = float(np.quantile(known, 0.98)) if known.size else 1.0
     label = with_unit("time to go from rest", units.get("t", "1"))
@@ -132,12 +130,12 @@ def plan_map(
     return ax
 
 
-def hatch_where(ax: Axes, grid: Any, ground: Bool[np.ndarray, "y x"]) -> None:
+def hatch_where(ax: Axes, grid: FieldMap, ground: Bool[np.ndarray, "y x"]) -> None:
     """Hatch a part of a map, if there is any.
 
     Args:
         ax: the map.
-        grid: what has its coordinates `x` and `y`.
+        grid: its points.
         ground: what is hatched.
     """
     if not ground.any():

@@ -150,8 +150,8 @@ class Image(AbstractBlock):
         width: share of the page's width, in (0, 1].
 
     Raises:
-        InputError: the file is neither PNG, SVG nor GIF, or `width` is out of range (when
-            made); the file cannot be read (when rendered).
+        InputError: the file is neither PNG, SVG nor GIF, or `width` is out of range
+            (when made); the file cannot be read (when rendered).
     """
 
     path: str | Path
