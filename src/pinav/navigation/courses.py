@@ -40,7 +40,9 @@ class Courses(eqx.Module):
     ) -> tuple[Float[Array, " time"], Float[Array, "time state"]]:
         """Times [T] and states of the course of a sequence of thrust shares."""
         y0, previous = observation.state, observation.pending[-1]
-        ts = observation.time + self.step * jnp.arange(shares.shape[0] + 1)
+        ts = observation.time + self.step * jnp.arange(
+            shares.shape[0] + 1, dtype=y0.dtype
+        )
 
         def move(carry, inputs):
             y, previous = carry
@@ -81,11 +83,12 @@ class Downhill(AbstractGuide):
     def __call__(self, observation, courses):
         def move(carry, t):
             y, previous = carry
-            share = self.plan.share(t, y, previous)
+            share = self.plan.share(t, y, previous, courses.predictor)
             command = courses.drive.command(share, previous, courses.step)
             y = courses.predictor.step(t, y, command, courses.step)
             return (y, command), share
 
-        ts = observation.time + courses.step * jnp.arange(courses.steps)
+        dtype = observation.state.dtype
+        ts = observation.time + courses.step * jnp.arange(courses.steps, dtype=dtype)
         begin = (observation.state, observation.pending[-1])
         return jax.lax.scan(move, begin, ts)[1]

@@ -55,9 +55,8 @@ class Grid(eqx.Module):
     @property
     def points(self) -> Float[Array, "x y 2"]:
         """All points [L]."""
-        steps = jnp.stack(
-            jnp.meshgrid(*map(jnp.arange, self.shape), indexing="ij"), axis=-1
-        )
+        along = [jnp.arange(n, dtype=self.spacing.dtype) for n in self.shape]
+        steps = jnp.stack(jnp.meshgrid(*along, indexing="ij"), axis=-1)
         return self.lower[None, None] + steps * self.spacing[None, None]
 
     def coordinates(self, x: Float[Array, "2"]) -> Float[Array, "2"]:

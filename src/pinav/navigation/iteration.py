@@ -124,7 +124,7 @@ def position_sweep(
     arrival: Arrival,
     grid: Grid,
     t: Scalar,
-    steps: Float[Array, "x y"],
+    steps: Float[Array, "x y heading"],
 ) -> Sweep:
     """A sweep over positions, for a swimmer without inertia.
 
@@ -133,7 +133,7 @@ def position_sweep(
         arrival: the goal, the walls, the thrust.
         grid: the positions.
         t: when the steps begin [T].
-        steps: how long the step from each point is [T].
+        steps: how long the step from each point in each direction is [T].
     """
 
     def look(x, h, thrust):
@@ -142,7 +142,7 @@ def position_sweep(
         discount, arrives = arrival.leg(t, x, displacement, h)
         return discount, arrives, grid.coordinates(x + displacement)
 
-    each = jax.vmap(look, (None, None, 0))
+    each = jax.vmap(look, (None, 0, 0))
     each = jax.vmap(jax.vmap(each, (0, 0, None)), (0, 0, None))
     discount, arrives, feet = each(grid.points, steps, arrival.thrusts)
     discount = discount.astype(jnp.float32)
@@ -222,7 +222,13 @@ def _coast(grid, arrival, t, velocities, h):
     discount, arrives = each(grid.points, velocities, velocities)
     discount = discount.astype(jnp.float32)
     along = [
-        Corners.of((jnp.arange(n)[None] + h * velocities[:, None] / spacing,), (n,))
+        Corners.of(
+            (
+                jnp.arange(n, dtype=velocities.dtype)[None]
+                + h * velocities[:, None] / spacing,
+            ),
+            (n,),
+        )
         for n, spacing in zip(grid.shape, grid.spacing, strict=True)
     ]
 
@@ -245,22 +251,25 @@ def _rows(corners, values):
 
 
 def _thrust(values, shifts):
-    """The best value within reach of one thrust, by direction."""
-    count, reach = values.shape[0], 2
-    padded = jnp.pad(values, ((reach, reach), (reach, reach), (0, 0), (0, 0)), "edge")
-    shape = (count + 1, count + 1, *values.shape[2:])
+    """The best value that one thrust, of less than a cell, leads to.
 
-    def better(best, shift):
-        cell = jnp.floor(shift)
-        share = (shift - cell).astype(values.dtype)
-        first = cell.astype(jnp.int32) + reach
-        zero = jnp.zeros((), jnp.int32)
-        near = jax.lax.dynamic_slice(padded, (first[0], first[1], zero, zero), shape)
-        along = near[:-1] + share[0] * (near[1:] - near[:-1])
-        moved = along[:, :-1] + share[1] * (along[:, 1:] - along[:, :-1])
-        return jnp.maximum(best, moved), None
-
-    best, _ = jax.lax.scan(better, jnp.zeros_like(values), shifts)
+    All directions in one loop over the nine neighbours, which a compiler can vectorise.
+    """
+    count = values.shape[0]
+    near = jnp.pad(values, ((1, 1), (1, 1), (0, 0), (0, 0)), "edge")
+    neighbours = [
+        [near[i : i + count, j : j + count] for j in range(3)] for i in range(3)
+    ]
+    weights = jnp.maximum(
+        0.0, 1 - jnp.abs(shifts[..., None] - jnp.arange(-1.0, 2.0)[None, None])
+    )
+    weights = weights.astype(values.dtype)
+    best = jnp.zeros_like(values)
+    for across, along in weights:
+        terms = [
+            across[i] * along[j] * neighbours[i][j] for i in range(3) for j in range(3)
+        ]
+        best = jnp.maximum(best, sum(terms[1:], terms[0]))
     return best
 
 

@@ -4,6 +4,7 @@ import math
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.stats import binom, norm
@@ -158,7 +159,7 @@ def tracking_errors(
         task: theirs.
         power: of the distance.
     """
-    targets = np.asarray(jax.vmap(task.objective.target)(episodes.ts))
+    targets = np.asarray(jax.vmap(task.objective.target)(jnp.asarray(episodes.ts)))
     distances = np.linalg.norm(episodes.states[..., :2] - targets[None], axis=-1)
     during = _during(episodes, len(episodes.ts), offset=1)
     return np.mean(distances**power, axis=1, where=during)
@@ -193,7 +194,7 @@ def _during(episodes, count, offset=0):
 
 def _quantiles(values) -> tuple[float, float, float]:
     if not len(values):
-        return (math.nan,) * 3
+        return math.nan, math.nan, math.nan
     low, middle, high = np.quantile(values, [0.05, 0.5, 0.95], method="inverted_cdf")
     return float(low), float(middle), float(high)
 

@@ -22,8 +22,9 @@ class PathIntegral(AbstractController[Float[Array, "step 2"]]):
     The weights are $\exp(-(J - J_{min}) / \lambda)$; $\lambda$ is `temperature` times
     the distance of the median cost from the least one, so that it needs no unit. The
     changes are linear between knots, as wide as `spread` and half as wide in each
-    further round. The sequence is kept from step to step, moved on by one; courses that
-    follow the guide compete with it, so that a warm start is not a trap.
+    further round. The sequence is kept from step to step, moved on by one; in the first
+    round half of the changes are of the guide's sequence, so that a warm start is not a
+    trap.
 
     Attributes:
         courses: what follows from a sequence, and the steps it has.
@@ -65,27 +66,25 @@ class PathIntegral(AbstractController[Float[Array, "step 2"]]):
 
     def __call__(self, observation, memory, *, key):
         nominal = jnp.concatenate([memory[1:], memory[-1:]])
-        nominal = self._guided(observation, nominal)
+        other = nominal
+        if self.guide is not None:
+            other = self.guide(observation, self.courses)
 
-        def improve(nominal, inputs):
-            return self._improved(observation, nominal, *inputs), None
+        def improve(centers, inputs):
+            better = self._improved(observation, centers, *inputs)
+            return jnp.stack([better, better]), None
 
-        widths = self.spread * 0.5 ** jnp.arange(self.rounds)
+        widths = self.spread * 0.5 ** jnp.arange(float(self.rounds))
         keys = jax.random.split(key, self.rounds)
-        nominal, _ = jax.lax.scan(improve, nominal, (widths, keys))
-        return self.courses.command(observation, nominal[0]), nominal
+        centers = jnp.stack([nominal, other.astype(nominal.dtype)])
+        centers, _ = jax.lax.scan(improve, centers, (widths, keys))
+        return self.courses.command(observation, centers[0, 0]), centers[0]
 
-    def _guided(self, observation, nominal):
-        """The better one of the kept sequence and the guide's."""
-        if self.guide is None:
-            return nominal
-        both = jnp.stack([nominal, self.guide(observation, self.courses)])
-        return both[jnp.argmin(self._costs(observation, both))]
-
-    def _improved(self, observation, nominal, width, key):
-        changes = width * self._changes(key).astype(nominal.dtype)
-        tried = within_disc(nominal[None] + changes)
-        tried = jnp.concatenate([nominal[None], tried])
+    def _improved(self, observation, centers, width, key):
+        """Mean of the two centres and of changes of either, by the weights."""
+        changes = width * self._changes(key).astype(centers.dtype)
+        around = centers[jnp.arange(self.samples) % 2] + changes
+        tried = jnp.concatenate([centers, within_disc(around)])
         costs = self._costs(observation, tried)
         least = jnp.min(costs)
         unit = self.temperature * (jnp.median(costs) - least) + 1e-9
@@ -103,7 +102,9 @@ class PathIntegral(AbstractController[Float[Array, "step 2"]]):
         knots = max(2, -(-steps // STEPS_PER_KNOT) + 1)
         values = jax.random.normal(key, (self.samples, knots, 2))
         place = jnp.linspace(0.0, knots - 1.0, steps)
-        hats = jnp.maximum(0.0, 1 - jnp.abs(place[:, None] - jnp.arange(knots)[None]))
+        hats = jnp.maximum(
+            0.0, 1 - jnp.abs(place[:, None] - jnp.arange(float(knots))[None])
+        )
         return jnp.einsum("tk,skc->stc", hats, values)
 
 

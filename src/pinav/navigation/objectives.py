@@ -4,6 +4,7 @@ import abc
 import math
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -96,12 +97,28 @@ class FigureEightPath(AbstractPath):
         return self.center + self.radius * jnp.stack([jnp.sin(angle), across])
 
 
+CATCH_UP = 0.5
+"""Time in which guidance makes up for an offset from a path [T]."""
+
+
 class AbstractObjective(eqx.Module):
     """What is to be done, and when it is done."""
 
     @abc.abstractmethod
     def target(self, t: Scalar) -> Float[Array, "2"]:
         """Where the swimmer should be, or go to, at time `t` [L]."""
+
+    @abc.abstractmethod
+    def guidance(
+        self, t: Scalar, x: Float[Array, "2"], speed: Scalar
+    ) -> Float[Array, "2"]:
+        """Velocity that leads there along the line of sight [L T⁻¹].
+
+        Args:
+            t: now [T].
+            x: position [L].
+            speed: of a swimmer in a hurry [L T⁻¹].
+        """
 
     @abc.abstractmethod
     def distance(self, x: Float[Array, "2"]) -> Float[Array, ""]:
@@ -134,6 +151,10 @@ class Reach(AbstractObjective):
     def target(self, t):
         return self.goal
 
+    def guidance(self, t, x, speed):
+        offset = self.goal - x
+        return speed * offset / jnp.maximum(jnp.linalg.norm(offset), 1e-12)
+
     def distance(self, x):
         return jnp.linalg.norm(x - self.goal) - self.tolerance
 
@@ -149,6 +170,11 @@ class Follow(AbstractObjective):
 
     def target(self, t):
         return self.path(t)
+
+    def guidance(self, t, x, speed):
+        t = jnp.asarray(t, x.dtype)
+        target, velocity = jax.jvp(self.path, (t,), (jnp.ones_like(t),))
+        return velocity + (target - x) / CATCH_UP
 
     def distance(self, x):
         return jnp.full((), math.inf, x.dtype)

@@ -19,10 +19,17 @@ from pinav.navigation.iteration import (
     swept_back,
 )
 from pinav.navigation.objectives import Reach
-from pinav.navigation.predictors import InertialTable
+from pinav.navigation.predictors import AbstractPredictor, InertialTable
 from pinav.navigation.steering import SteeredSwimmer
+from pinav.navigation.surroundings import entry
 from pinav.navigation.task import Task
-from pinav.navigation.terrain import HEADINGS, Terrain, terrain
+from pinav.navigation.terrain import Terrain, terrain
+
+HEADINGS = 24
+"""Directions of the thrust that are tried at each position, and by the policy."""
+
+PHASE_HEADINGS = 16
+"""The same where there is inertia, and four dimensions."""
 
 CELLS = 1.5
 """How many cells a step of the plan crosses, at most."""
@@ -103,20 +110,25 @@ class TimeToGo(eqx.Module):
         return self.map > self.horizon
 
     def share(
-        self, t: Scalar, y: Float[Array, " state"], previous: Float[Array, "2"]
+        self,
+        t: Scalar,
+        y: Float[Array, " state"],
+        previous: Float[Array, "2"],
+        predictor: AbstractPredictor,
     ) -> Float[Array, "2"]:
         """Direction of the greatest thrust after which the goal is nearest in time.
 
         Args:
             t: now [T].
-            y: the state.
+            y: the state, as the predictor takes it.
             previous: the command before.
+            predictor: says what comes of a thrust.
         """
         shares = self.terrain.drive.shares(HEADINGS)
 
         def after(share):
             command = self.terrain.drive.command(share, previous, self.step)
-            ahead = self.terrain.predictor.step(t, y, command, self.step)
+            ahead = predictor.step(t, y, command, self.step)
             return self.at(ahead, jnp.asarray(t) + self.step)
 
         return shares[jnp.argmin(jax.vmap(after)(shares))]
@@ -149,18 +161,17 @@ def _interpolated(values, place):
 @eqx.filter_jit
 def _route(plan, start, step, count):
     terrain = plan.terrain
-    goal, reach = plan.goal, plan.tolerance
 
     def move(state, t):
         y, previous, arrived = state
-        command = terrain.drive.command(plan.share(t, y, previous), previous, step)
+        share = plan.share(t, y, previous, terrain.predictor)
+        command = terrain.drive.command(share, previous, step)
         ahead = terrain.predictor.step(t, y, command, step)
+        when = t + step * entry(y[:2], ahead[:2] - y[:2], plan.goal, plan.tolerance)
         y = jnp.where(jnp.isfinite(arrived), y, ahead)
-        here = jnp.sum((y[:2] - goal) ** 2) <= reach**2
-        arrived = jnp.where(here, jnp.minimum(arrived, t + step), arrived)
-        return (y, command, arrived), y
+        return (y, command, jnp.minimum(arrived, when)), y
 
-    ts = step * jnp.arange(count + 1)
+    ts = step * jnp.arange(count + 1, dtype=start.dtype)
     begin = (start, jnp.zeros(2), jnp.asarray(jnp.inf))
     (_, _, arrived), ys = jax.lax.scan(move, begin, ts[:-1])
     return Route(ts, jnp.concatenate([start[None], ys]), arrived)
@@ -198,7 +209,7 @@ def time_to_go(
     inertial = isinstance(ground.predictor, InertialTable)
     count = (41 if inertial else 101) if points is None else points
     grid = Grid.over(task.arena, count)
-    arrival = _arrival(task, ground, grid)
+    arrival = _arrival(task, ground, grid, PHASE_HEADINGS if inertial else HEADINGS)
     if inertial:
         plan = _phase_plan(task, ground, arrival, grid, speeds)
     else:
@@ -240,21 +251,22 @@ def check_reachable(task: Task, plan: TimeToGo) -> None:
         )
 
 
-def _arrival(task, ground, grid):
+def _arrival(task, ground, grid, headings):
     """The goal: not smaller than the grid can show."""
     tolerance = max(float(task.objective.tolerance), float(jnp.max(grid.spacing)) / 4)
     return Arrival(
         task.objective.goal,
         jnp.asarray(tolerance),
         ground.surroundings,
-        ground.drive.thrusts(HEADINGS),
-        jnp.asarray(task.time_limit / 4),
+        ground.drive.thrusts(headings),
+        jnp.asarray(task.time_limit / 2),
     )
 
 
 def _position_plan(task, ground, arrival, grid):
-    speed = _speeds(ground.table, arrival.thrusts, grid)
-    steps = CELLS * float(jnp.min(grid.spacing)) / speed
+    speeds = _speeds(ground.table, arrival.thrusts, grid)
+    speeds = jnp.maximum(speeds, SLOWEST * jnp.max(speeds))
+    steps = CELLS * float(jnp.min(grid.spacing)) / speeds
     times = None
     if ground.table.values.shape[0] > 1:
         steps = jnp.full_like(steps, jnp.min(steps))
@@ -278,16 +290,20 @@ SETTLED = 1e-6
 """Change of U by a sweep, below which the values of a plan have settled."""
 
 
+SLOWEST = 0.2
+"""Least speed for which a step of the plan is made longer, of the greatest one."""
+
+
 @eqx.filter_jit
 def _speeds(table, thrusts, grid):
-    """Greatest speed at each point of a grid [L T⁻¹]."""
+    """Speed at each point of a grid in each direction of the thrust [L T⁻¹]."""
 
-    def fastest(x):
+    def fast(x):
         rates = table(0.0, x)
         velocities = rates[None, :2] + thrusts @ rates[2:].reshape(2, 2).T
-        return jnp.max(jnp.linalg.norm(velocities, axis=1))
+        return jnp.linalg.norm(velocities, axis=1)
 
-    return jax.vmap(jax.vmap(fastest))(grid.points)
+    return jax.vmap(jax.vmap(fast))(grid.points)
 
 
 def _phase_plan(task, ground, arrival, grid, speeds):

@@ -156,7 +156,11 @@ class Drive(eqx.Module):
     ) -> Float[Array, "2"]:
         """The allowed command for a share, `duration` [T] after the previous one."""
         length = jnp.sqrt(share @ share + 1e-12)
-        heading = jnp.arctan2(share[1], share[0])
+        idle = share @ share < 1e-12  # where the heading has no derivative
+        turned = jnp.arctan2(
+            jnp.where(idle, 0.0, share[1]), jnp.where(idle, 1.0, share[0])
+        )
+        heading = jnp.where(idle, previous[1], turned)
         wanted = jnp.stack([jnp.minimum(length, 1.0) * self.frequency, heading])
         if math.isinf(self.limits.max_turning_rate):
             return wanted

@@ -169,6 +169,13 @@ class SteeredSwimmer(eqx.Module):
         return FixedStep(RK4).looped_step(swimmer, y, t, t + jnp.asarray(duration))
 
 
+def greatest_thrust(
+    actuator: AbstractActuator, limits: "CommandLimits"
+) -> Float[Array, ""]:
+    """Size of the thrust at the greatest frequency [L T⁻²], along x."""
+    return jnp.linalg.norm(actuator(jnp.array([limits.max_frequency, 0.0])))
+
+
 class CommandLimits(eqx.Module):
     """What coils and robot allow.
 

@@ -7,6 +7,7 @@ it is learned.
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,10 +15,18 @@ from jaxtyping import PRNGKeyArray
 
 from pinav.actuation import StepOutResponse
 from pinav.errors import InputError
-from pinav.navigation.objectives import Reach
+from pinav.navigation.objectives import (
+    AbstractObjective,
+    AbstractPath,
+    CirclePath,
+    FigureEightPath,
+    Follow,
+    LinePath,
+    Reach,
+)
 from pinav.navigation.steering import CommandLimits, HelicalActuator, SteeredSwimmer
 from pinav.navigation.task import Task
-from pinav.navigation.zones import Rectangle
+from pinav.navigation.zones import AbstractZone, Disc, Rectangle, Wall
 from pinav.scenarios import scenario
 from pinav.trajectories import Trajectories, simulate
 
@@ -41,14 +50,35 @@ def barrier_strong() -> Task:
     return _crossing("barrier-strong", 1.5)
 
 
+def rotating_barrier() -> Task:
+    """Past the paper's barrier while it circles, once in 20, with a thrust of 0.8."""
+    return _crossing("rotating-barrier", 0.8)
+
+
+def keep_out() -> Task:
+    """As `barrier_weak`, with two discs on the quick ways around the barrier."""
+    discs = Disc([8.0, -1.5], 1.2), Disc([-1.5, 8.0], 1.2)
+    return _crossing("keep-out", 0.8, discs)
+
+
+def many_barriers() -> Task:
+    """Across twelve barriers, most of which the thrust of 0.6 cannot climb."""
+    return _traverse("many-barriers")
+
+
+def fibres() -> Task:
+    """Across twelve fibres, most of which the thrust of 0.6 cannot climb."""
+    return _traverse("fibres")
+
+
 def shear() -> Task:
     """Against a shear of rate 0.2 with speed 1: the quick way is not straight."""
     return _zermelo("shear", start=[2.0, 2.0], goal=[8.0, 2.5])
 
 
 def channel() -> Task:
-    """Upstream in a Poiseuille flow of speed 0.8, with speed 1."""
-    return _zermelo("channel", start=[8.0, 4.0], goal=[2.0, 4.5])
+    """Upstream in a Poiseuille flow of speed 0.7, with speed 1."""
+    return _zermelo("channel", start=[8.0, 3.0], goal=[2.0, 3.5])
 
 
 def vortex() -> Task:
@@ -56,12 +86,43 @@ def vortex() -> Task:
     return _zermelo("vortex", start=[1.0, 5.0], goal=[9.0, 5.0])
 
 
+def follow_line() -> Task:
+    """Keep up with a point on a line, in an unknown drift, with a delay of 0.2."""
+    return _following("follow-line", LinePath([1.5, 2.0], [8.5, 8.0], 20.0), 20.0)
+
+
+def follow_circle() -> Task:
+    """Keep up with a point on a circle, in an unknown drift, with a delay of 0.2."""
+    return _following("follow-circle", CirclePath([5.0, 5.0], 2.5, 30.0), 30.0)
+
+
+def follow_eight() -> Task:
+    """Keep up with a point on a figure eight, in an unknown drift, delayed by 0.2."""
+    return _following("follow-eight", FigureEightPath([5.0, 5.0], 3.5, 45.0), 45.0)
+
+
+def y_junction() -> Task:
+    """Into the upper branch of a vessel, in a drift that leads to the lower one.
+
+    The vessel is 1.04 wide; images, and so commands, are late by 0.2.
+    """
+    return _carried("y-junction", [0.7, 5.0], Reach([7.5, 8.25], 0.3), _vessel())
+
+
 TASKS: dict[str, tuple[Callable[[], Task], str]] = {
     "barrier-weak": (barrier_weak, "barrier-crossings"),
     "barrier-strong": (barrier_strong, "barrier-crossings"),
+    "rotating-barrier": (rotating_barrier, "moving-barrier"),
+    "keep-out": (keep_out, "barrier-crossings"),
+    "many-barriers": (many_barriers, "many-barriers"),
+    "fibres": (fibres, "fibres"),
     "shear": (shear, "shear-current"),
     "channel": (channel, "channel-current"),
     "vortex": (vortex, "vortex-current"),
+    "follow-line": (follow_line, "drift-current"),
+    "follow-circle": (follow_circle, "drift-current"),
+    "follow-eight": (follow_eight, "drift-current"),
+    "y-junction": (y_junction, "drift-current"),
 }
 """Each task by its name, and the scenario in which its surroundings are observed."""
 
@@ -100,18 +161,34 @@ def _known(name: str) -> str:
     return name
 
 
-def _crossing(name: str, thrust: float) -> Task:
+def _crossing(name: str, thrust: float, zones: tuple[AbstractZone, ...] = ()) -> Task:
     actuator, limits = _screw(thrust)
     return Task(
         name=name,
-        truth=SteeredSwimmer(scenario(TASKS[name][1]).swimmer, actuator),
+        truth=_truth(name, actuator),
         start=jnp.array([0.5, 1.0, 0.0, 0.0]),
         objective=Reach([9.5, 9.5], 0.3),
         limits=limits,
-        arena=Rectangle([-3.0, -3.0], [13.0, 13.0]),
+        arena=Rectangle([-4.0, -4.0], [14.0, 14.0]),
+        keep_out=zones,
+        step=STEP,
+        time_limit=30.0,
+        noise=0.1,
+    )
+
+
+def _traverse(name: str) -> Task:
+    actuator, limits = _screw(0.6)
+    return Task(
+        name=name,
+        truth=_truth(name, actuator),
+        start=jnp.array([1.5, 1.5, 0.0, 0.0]),
+        objective=Reach([18.5, 18.5], 0.4),
+        limits=limits,
+        arena=Rectangle([-2.0, -2.0], [22.0, 22.0]),
         keep_out=(),
         step=STEP,
-        time_limit=20.0,
+        time_limit=60.0,
         noise=0.1,
     )
 
@@ -120,7 +197,7 @@ def _zermelo(name: str, *, start: list[float], goal: list[float]) -> Task:
     actuator, limits = _screw(1.0)
     return Task(
         name=name,
-        truth=SteeredSwimmer(scenario(TASKS[name][1]).swimmer, actuator),
+        truth=_truth(name, actuator),
         start=jnp.asarray(start),
         objective=Reach(goal, 0.3),
         limits=limits,
@@ -130,6 +207,50 @@ def _zermelo(name: str, *, start: list[float], goal: list[float]) -> Task:
         time_limit=30.0,
         noise=0.02,
     )
+
+
+def _following(name: str, path: AbstractPath, duration: float) -> Task:
+    return _carried(name, path(0.0), Follow(path), time_limit=duration)
+
+
+def _carried(
+    name: str,
+    start: Any,
+    objective: AbstractObjective,
+    zones: tuple[AbstractZone, ...] = (),
+    time_limit: float = 30.0,
+) -> Task:
+    """With an unknown drift, a camera's error and delay, and coils that turn slowly."""
+    actuator, limits = _screw(1.0, max_turning_rate=4.0)
+    return Task(
+        name=name,
+        truth=_truth(name, actuator),
+        start=jnp.asarray(start),
+        objective=objective,
+        limits=limits,
+        arena=Rectangle([-1.0, -1.0], [11.0, 11.0]),
+        keep_out=zones,
+        step=STEP,
+        time_limit=time_limit,
+        noise=0.05,
+        sensor_noise=0.02,
+        delay=0.2,
+    )
+
+
+def _vessel() -> tuple[AbstractZone, ...]:
+    """Walls of a vessel that parts into two, at 45 degrees."""
+    lines = (
+        ([-1.0, 5.6], [4.0, 5.6]),
+        ([4.0, 5.6], [8.0, 9.6]),
+        ([5.1, 5.0], [9.1, 9.0]),
+    )
+    mirrored = [([a, 10 - b], [c, 10 - d]) for (a, b), (c, d) in lines]
+    return tuple(Wall(start, end, 0.08) for start, end in (*lines, *mirrored))
+
+
+def _truth(name: str, actuator: HelicalActuator) -> SteeredSwimmer:
+    return SteeredSwimmer(scenario(TASKS[name][1]).swimmer, actuator)
 
 
 def _screw(

@@ -20,7 +20,7 @@ from pinav.navigation.surroundings import Surroundings
 from pinav.navigation.task import Task
 
 HEADINGS = 24
-"""Directions of the thrust that are tried at each point."""
+"""Directions in which the greatest thrust is looked for."""
 
 
 class Terrain(eqx.Module):

@@ -3,8 +3,8 @@
 import abc
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from pinav.actuation import Scalar
@@ -95,7 +95,7 @@ class Rectangle(AbstractZone):
 
     def __check_init__(self):
         lower, upper = self.lower, self.upper
-        if not isinstance(lower, jax.core.Tracer) and not bool(jnp.all(lower < upper)):
+        if not isinstance(lower, Tracer) and not bool(jnp.all(lower < upper)):
             raise InputError(
                 f"Rectangle: expected lower below upper, got {lower} and {upper}"
             )

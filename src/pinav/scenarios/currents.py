@@ -43,13 +43,13 @@ def shear_current(
 def channel_current(
     key: PRNGKeyArray | None = None, count: int | None = None
 ) -> Scenario:
-    """A channel flow of speed 0.8 between y = -1 and y = 11.
+    """A channel flow of speed 0.7 between y = -3 and y = 13.
 
     Args:
         key: random key of the starts; `jax.random.key(0)` unless given.
         count: number of trajectories; 8 unless given.
     """
-    flow = PoiseuilleFlow(peak=0.8, middle=5.0, half_width=6.0)
+    flow = PoiseuilleFlow(peak=0.7, middle=5.0, half_width=8.0)
     return _current("channel-current", Advection(flow), key, count)
 
 

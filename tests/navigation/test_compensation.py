@@ -1,0 +1,140 @@
+"""Delay compensation is exact without noise; the filter finds the drift."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.actuation import LinearResponse
+from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.flows import UniformFlow
+from pinav.forces import GaussianBarrier, LinearDrag, ZeroForce
+from pinav.navigation.closed_loop import advance, begin, observe, run
+from pinav.navigation.compensation import (
+    DelayCompensation,
+    DriftEstimation,
+    Timing,
+)
+from pinav.navigation.controllers import AbstractController
+from pinav.navigation.objectives import Reach
+from pinav.navigation.predictors import Drifting, SwimmerPredictor
+from pinav.navigation.steering import CommandLimits, RollingActuator, SteeredSwimmer
+from pinav.navigation.task import Task
+from pinav.navigation.zones import Rectangle
+
+ROLLING = RollingActuator(jnp.eye(2), LinearResponse())
+BARRIER = GaussianBarrier(2.0, [1.0, 1.0], 1.0)
+MODELS = {
+    "inertial": SteeredSwimmer(Swimmer(ZeroForce(), LinearDrag(0.4), BARRIER), ROLLING),
+    "overdamped": SteeredSwimmer(
+        OverdampedSwimmer(ZeroForce(), BARRIER, 1.0), ROLLING
+    ),
+}
+
+
+class Wanderer(AbstractController):
+    """Random commands; remembers what it was told last."""
+
+    size: int = eqx.field(static=True)
+
+    def start(self, observation):
+        return observation.time, observation.state
+
+    def __call__(self, observation, memory, *, key):
+        frequency, heading = jax.random.uniform(key, (2,))
+        command = jnp.stack([frequency, 6 * heading])
+        return command, (observation.time, observation.state)
+
+
+def task_of(truth, delay=0.0, noise=0.0, sensor_noise=0.0, time_limit=3.0):
+    size = 4 if isinstance(truth.dynamics, Swimmer) else 2
+    return Task(
+        "test",
+        truth,
+        jnp.array([0.2, -0.3, 0.1, 0.2])[:size],
+        Reach([30.0, 30.0], 0.1),
+        CommandLimits(1.0),
+        Rectangle([-50.0, -50.0], [50.0, 50.0]),
+        (),
+        0.1,
+        time_limit,
+        noise=noise,
+        sensor_noise=sensor_noise,
+        delay=delay,
+    )
+
+
+@pytest.mark.parametrize("delay", [0.07, 0.2, 0.25])
+@pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
+def test_the_predicted_state_is_that_in_which_the_command_comes_into_force(
+    model, delay
+):
+    """The true states at t + delay: at the end of pending commands, whatever comes."""
+    task = task_of(model, delay)
+    timing = Timing(task.step, task.delay)
+    predictor, key = SwimmerPredictor(model), jax.random.key(3)
+    controller, now = Wanderer(4), begin(task)
+    predict = eqx.filter_jit(lambda o: timing.predicted(predictor, o))
+    move = eqx.filter_jit(lambda now, c: advance(task, model, now, c, key))
+    predictions, states = [], []
+    for step in range(12):
+        seen = observe(task, now, key)
+        predictions.append(predict(seen))
+        command, _ = controller(seen, None, key=jax.random.fold_in(key, step))
+        states.append(now.state)
+        now, _ = move(now, command)
+    for ahead, later in zip(predictions, predictions[1:], strict=False):
+        assert float(later.time - ahead.time) == pytest.approx(0.1)
+    # pending commands are those of the last steps: after them the true state is known
+    for first, ahead in enumerate(predictions[:8]):
+        whole = int(round(delay / 0.1, 6))
+        if abs(whole * 0.1 - delay) < 1e-9:
+            assert jnp.allclose(ahead.state, states[first + whole], atol=2e-5)
+        else:
+            share = delay / 0.1 - whole
+            low, high = states[first + whole], states[first + whole + 1]
+            between = low + share * (high - low)
+            assert jnp.allclose(ahead.state, between, atol=6e-3)
+
+
+def test_the_controller_inside_is_told_what_will_be():
+    model = MODELS["overdamped"]
+    timing = Timing(0.1, 0.2)
+    controller = DelayCompensation(Wanderer(2), SwimmerPredictor(model), timing)
+    seen = observe(task_of(model, 0.2), begin(task_of(model, 0.2)), jax.random.key(0))
+    ahead = timing.predicted(SwimmerPredictor(model), seen)
+    _, (time, state) = controller(seen, controller.start(seen), key=jax.random.key(0))
+    assert float(time) == pytest.approx(0.2)
+    assert jnp.allclose(state, ahead.state)
+
+
+def believed(kind, drift, **settings):
+    """Last state and belief about it, in a drift that the model does not know."""
+    if kind == "overdamped":
+        flow = UniformFlow(drift)
+        truth = eqx.tree_at(lambda s: s.dynamics.flow, MODELS[kind], flow)
+    else:
+        pushed = BARRIER + Push(jnp.asarray(drift))
+        truth = eqx.tree_at(lambda s: s.dynamics.environment, MODELS[kind], pushed)
+    task = task_of(truth, **settings)
+    controller = DriftEstimation(
+        Wanderer(2),
+        Drifting(SwimmerPredictor(MODELS[kind])),
+        Timing(task.step, task.delay),
+        noise=task.noise,
+        sensor_noise=task.sensor_noise,
+        prior=1.0,
+    )
+    episode = run(task, Recording(controller), key=jax.random.key(5))
+    return episode, controller, task
+
+
+from pinav.forces import AbstractForce  # noqa: E402
+
+
+class Push(AbstractForce):
+    push: jax.Array
+
+    def __call__(self, t, x, v):
+        return self.push.astype(x.dtype)
