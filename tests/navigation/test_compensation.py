@@ -27,9 +27,7 @@ ROLLING = RollingActuator(jnp.eye(2), LinearResponse())
 BARRIER = GaussianBarrier(2.0, [1.0, 1.0], 1.0)
 MODELS = {
     "inertial": SteeredSwimmer(Swimmer(ZeroForce(), LinearDrag(0.4), BARRIER), ROLLING),
-    "overdamped": SteeredSwimmer(
-        OverdampedSwimmer(ZeroForce(), BARRIER, 1.0), ROLLING
-    ),
+    "overdamped": SteeredSwimmer(OverdampedSwimmer(ZeroForce(), BARRIER, 1.0), ROLLING),
 }
 
 

@@ -16,7 +16,7 @@ from pinav.jobs.navigate_settings import NavigateSettings
 from pinav.jobs.navigate_tables import controller_row, interval
 from pinav.jobs.navigate_tables import text as text
 from pinav.jobs.suggestion import suggestion
-from pinav.navigation.closed_loop import Episodes, run, run_many
+from pinav.navigation.closed_loop import Episodes, joined, run, run_many
 from pinav.navigation.controllers import AbstractController
 from pinav.navigation.default import controller
 from pinav.navigation.metrics import regret, summary
@@ -103,12 +103,7 @@ def trials(
         run_many(mission.task, steering, keys[index :: len(truths)], truth=truth)
         for index, truth in enumerate(truths)
     ]
-    together = {
-        name: np.concatenate([getattr(part, name) for part in parts])
-        for name in vars(parts[0])
-        if name != "ts"
-    }
-    return Episodes(ts=parts[0].ts, **together)
+    return joined(parts)
 
 
 def _keys(settings: NavigateSettings) -> Shaped[PRNGKeyArray, " episode"]:

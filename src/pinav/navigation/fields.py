@@ -157,9 +157,10 @@ def _rates(dynamics, t, x):
     def acceleration(v):
         return swimmer(t, jnp.concatenate([x, v]))[2:]
 
-    at_rest = jnp.zeros_like(x)
-    drag = -jax.jacfwd(acceleration)(at_rest)
-    return jnp.concatenate([acceleration(at_rest), drag.ravel()])
+    at_rest = acceleration(jnp.zeros_like(x))
+    # Linear in the velocity; jacfwd compiles to NaN for kernels on a large grid.
+    columns = [at_rest - acceleration(unit) for unit in jnp.eye(2, dtype=x.dtype)]
+    return jnp.concatenate([at_rest, jnp.stack(columns, axis=1).ravel()])
 
 
 def _velocities(dynamics, t, x):
