@@ -11,18 +11,20 @@ from pinav.errors import InputError
 from pinav.fitting import Posterior, freed
 from pinav.forces import LinearDrag, ZeroForce
 from pinav.learned import KernelPotential
+from pinav.navigation.doubt import Unknown, doubt
 from pinav.navigation.experiments import Experiment, begins, in_sequence
 from pinav.navigation.information import (
     InformationGain,
     VarianceReduction,
     expected_posterior,
+    inside,
     rank,
-    stays_inside,
     suggest,
 )
 from pinav.navigation.steering import CommandLimits, HelicalActuator
 from pinav.navigation.zones import Rectangle
 from pinav.solvers import FixedStep
+from pinav.trajectories import Trajectories
 
 ACTUATOR = HelicalActuator(gain=1.5, moment=1.0, amplitude=1.0, rotational_drag=0.16)
 LIMITS = CommandLimits(max_frequency=1.0, max_turning_rate=1.2)
@@ -155,7 +157,7 @@ def test_a_candidate_that_leaves_the_arena_is_not_suggested():
     known, design = posterior(), experiment()
     shots = design.draw(4, key=jax.random.key(9))
     narrow = Rectangle([-0.1, -0.1], [1.2, 1.2])
-    stays = stays_inside(known, design, shots, narrow)
+    stays = np.asarray(inside(known.model, design, shots, narrow))
     assert 0 < stays.sum() < 4
     found = rank(known, ROUTE, design, shots, arena=narrow)
     np.testing.assert_array_equal(np.isfinite(found.worth), stays)
@@ -206,3 +208,56 @@ def test_bad_input_is_refused():
         rank(known, ROUTE, design, shots, arena=ARENA, draws=2)
     with pytest.raises(InputError, match="1 or more rounds and candidates"):
         suggest(known, ROUTE, design, arena=ARENA, key=jax.random.key(0), rounds=0)
+
+
+def recorded(design, model, count=2):
+    """Noisy observations of a few shots, and the swimmer as a fit knows it."""
+    shots = design.draw(count, key=jax.random.key(20))
+    propulsion = in_sequence(design, shots)
+    driven = eqx.tree_at(lambda m: m.propulsion, model, propulsion)
+    times = [np.asarray(design.times) + begin for begin in begins(design, count)]
+    states = [
+        FixedStep().solve(driven, shots.starts[i], jnp.asarray(ts))[0]
+        for i, ts in enumerate(times)
+    ]
+    data = Trajectories.from_arrays(
+        times, [np.asarray(s) for s in states], channels=("x", "y", "vx", "vy")
+    )
+    return driven, data, jnp.stack(states)
+
+
+def test_doubt_is_the_prior_far_from_the_data_and_little_near_them():
+    design = experiment()
+    model, data, states = recorded(design, posterior().model)
+    wide = Rectangle([-8.0, -8.0], [12.0, 12.0])
+    unknown = Unknown(wide, strength=0.7, length=3.0)
+    found = doubt(model, data, states, noise=0.002, unknown=unknown)
+    far, near = found.force_sd([[10.0, -6.0]]), found.force_sd(states[0, 10:11, :2])
+    assert np.sqrt(np.mean(far**2)) == pytest.approx(0.7, rel=0.1)
+    assert np.all(near < 0.1)
+    same = found.model.environment(0.0, states[0, 5, :2], jnp.zeros(2))
+    own = model.environment(0.0, states[0, 5, :2], jnp.zeros(2))
+    np.testing.assert_allclose(same, own, rtol=1e-12)
+
+
+def test_doubt_vanishes_as_the_noise_does_and_returns_with_it():
+    design = experiment()
+    model, data, states = recorded(design, posterior().model)
+    options = {"unknown": Unknown(ARENA, strength=0.7)}
+    sizes = [
+        np.mean(doubt(model, data, states, noise=s, **options).force_sd(ROUTE) ** 2)
+        for s in (1e-3, 1e-1, 1e4)
+    ]
+    assert sizes[0] < sizes[1] < sizes[2]
+    kernels = options["unknown"].kernels()
+    free, theta = freed(
+        eqx.tree_at(lambda m: m.environment, model, kernels),
+        lambda m: m.environment.parameters,
+    )
+    variance = options["unknown"].amplitude(kernels) ** 2 * np.eye(len(theta))
+    prior = Posterior(free, np.asarray(theta), variance).force_sd(ROUTE)
+    assert sizes[2] == pytest.approx(np.mean(prior**2), rel=1e-4)
+    with pytest.raises(InputError, match="doubt noise: expected > 0"):
+        doubt(model, data, states, noise=0.0, **options)
+    with pytest.raises(InputError, match=r"Unknown\.strength: expected > 0"):
+        Unknown(ARENA, strength=0.0)

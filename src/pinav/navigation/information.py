@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray
 
+from pinav.dynamics import AbstractDynamics
 from pinav.errors import InputError
 from pinav.fitting.lifting import FreeModel, eliminate, sensitivities
 from pinav.fitting.posterior import Posterior
@@ -336,17 +337,12 @@ def _checked_route(route: ArrayLike) -> Float[np.ndarray, "point 2"]:
     return points
 
 
-def stays_inside(
-    posterior: Posterior, experiment: Experiment, shots: Shots, arena: Rectangle
-) -> Bool[np.ndarray, " shot"]:
-    """Which shots stay inside the arena, as far as the mean model knows."""
-    with jax.enable_x64(new_val=True):
-        model = posterior.model
-        return np.asarray(_inside(model, experiment, shots, arena))
-
-
 @eqx.filter_jit
-def _inside(model, experiment, shots, arena):
+def inside(
+    model: AbstractDynamics, experiment: Experiment, shots: Shots, arena: Rectangle
+) -> Bool[Array, " shot"]:
+    """Which shots stay inside the arena, as far as a model knows."""
+
     def one(shot):
         driven = eqx.tree_at(lambda m: m.propulsion, model, experiment.thrust(shot))
         states, _ = FixedStep().solve(driven, shot.starts, experiment.times)
