@@ -3,14 +3,13 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 import pytest
 
 from pinav.actuation import LinearResponse
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.flows import UniformFlow
-from pinav.forces import GaussianBarrier, LinearDrag, ZeroForce
-from pinav.navigation.closed_loop import advance, begin, observe, run
+from pinav.forces import AbstractForce, GaussianBarrier, LinearDrag, ZeroForce
+from pinav.navigation.closed_loop import advance, begin, observe
 from pinav.navigation.compensation import (
     DelayCompensation,
     DriftEstimation,
@@ -107,14 +106,25 @@ def test_the_controller_inside_is_told_what_will_be():
     assert jnp.allclose(state, ahead.state)
 
 
-def believed(kind, drift, **settings):
-    """Last state and belief about it, in a drift that the model does not know."""
+class Push(AbstractForce):
+    push: jax.Array
+
+    def __call__(self, t, x, v):
+        return self.push.astype(x.dtype)
+
+
+def drifting(kind, drift):
+    """The truth of a model that does not know of a drift."""
+    model = MODELS[kind]
     if kind == "overdamped":
-        flow = UniformFlow(drift)
-        truth = eqx.tree_at(lambda s: s.dynamics.flow, MODELS[kind], flow)
-    else:
-        pushed = BARRIER + Push(jnp.asarray(drift))
-        truth = eqx.tree_at(lambda s: s.dynamics.environment, MODELS[kind], pushed)
+        return eqx.tree_at(lambda s: s.dynamics.flow, model, UniformFlow(drift))
+    pushed = BARRIER + Push(jnp.asarray(drift))
+    return eqx.tree_at(lambda s: s.dynamics.environment, model, pushed)
+
+
+def believed(kind, drift, steps, **settings):
+    """Mean and covariance of state and drift after some steps, and the true state."""
+    truth = drifting(kind, drift)
     task = task_of(truth, **settings)
     controller = DriftEstimation(
         Wanderer(2),
@@ -124,15 +134,41 @@ def believed(kind, drift, **settings):
         sensor_noise=task.sensor_noise,
         prior=1.0,
     )
-    episode = run(task, Recording(controller), key=jax.random.key(5))
-    return episode, controller, task
+    start = begin(task)
+    memory = controller.start(observe(task, start, jax.random.key(1)))
+
+    @eqx.filter_jit
+    def loop(start, memory):
+        def step(carry, key):
+            now, memory = carry
+            sensing, deciding, moving = jax.random.split(key, 3)
+            seen = observe(task, now, sensing)
+            command, memory = controller(seen, memory, key=deciding)
+            later, _ = advance(task, truth, now, command, moving)
+            return (later, memory), now.state
+
+        keys = jax.random.split(jax.random.key(2), steps)
+        (_, memory), states = jax.lax.scan(step, (start, memory), keys)
+        return memory, states[-1]
+
+    memory, state = loop(start, jax.tree.map(jnp.asarray, memory))
+    return memory.mean, memory.covariance, state
 
 
-from pinav.forces import AbstractForce  # noqa: E402
+@pytest.mark.parametrize("delay", [0.0, 0.25])
+@pytest.mark.parametrize("kind", MODELS)
+def test_without_noise_the_filter_finds_the_drift(kind, delay):
+    mean, _, state = believed(kind, [0.3, -0.2], 25, delay=delay)
+    assert jnp.allclose(mean[-2:], jnp.array([0.3, -0.2]), atol=2e-3)
+    assert jnp.allclose(mean[:-2], state, atol=1e-4)
 
 
-class Push(AbstractForce):
-    push: jax.Array
-
-    def __call__(self, t, x, v):
-        return self.push.astype(x.dtype)
+@pytest.mark.parametrize("kind", MODELS)
+def test_with_noise_state_and_drift_are_as_far_off_as_the_filter_says(kind):
+    drift = jnp.array([0.3, -0.2])
+    noise = {"noise": 0.05, "sensor_noise": 0.02}
+    mean, covariance, state = believed(kind, drift, 150, **noise)
+    error = mean - jnp.concatenate([state, drift])
+    assert error @ jnp.linalg.solve(covariance, error) < 17  # chi^2, 4 or 6 at 99 %
+    assert jnp.all(jnp.sqrt(jnp.diag(covariance))[-2:] < 0.03)
+    assert jnp.linalg.norm(mean[-2:] - drift) < 0.06

@@ -169,6 +169,7 @@ def advance(
     rows, durations = _parts(task)
     state = situation.state
     start = task.step * situation.step.astype(state.dtype)
+    durations = durations.astype(state.dtype)
     times = start + jnp.cumsum(durations) - durations
     kicks = _kicks(task, durations, key, state)
 
@@ -343,8 +344,8 @@ def _kicks(task, durations, key, state):
     """White noise of every short step: of the velocity where there is inertia."""
     numbers = jax.random.normal(key, (durations.shape[0], state.shape[0]), state.dtype)
     moved = jnp.arange(state.shape[0]) >= state.shape[0] - 2
-    strength = task.noise * jnp.sqrt(durations)[:, None] * moved[None]
-    return strength.astype(state.dtype) * numbers
+    strength = task.noise * jnp.sqrt(durations)[:, None]
+    return jnp.where(moved[None], strength * numbers, 0.0)
 
 
 def _delay(task: Task) -> tuple[int, float]:

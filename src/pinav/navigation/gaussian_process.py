@@ -69,7 +69,7 @@ def gaussian_process(
 def _residuals(known, trajectories):
     """Positions, and the observed rate less that of known physics."""
     alone = _with(known, ZeroForce())
-    rate = eqx.filter_jit(jax.vmap(alone))
+    rate = eqx.filter_jit(eqx.filter_vmap(alone))
     xs, residuals = [], []
     for index in range(len(trajectories.lengths)):
         each = trajectories.trajectory(index)

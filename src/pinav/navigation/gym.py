@@ -26,6 +26,9 @@ from pinav.navigation.closed_loop import (
 from pinav.navigation.steering import SteeredSwimmer
 from pinav.navigation.task import Task
 
+FAR = 1e6
+"""Bound of what is observed; nothing comes near it."""
+
 
 class NavigationEnv(gymnasium.Env):
     r"""A navigation task for agents.
@@ -57,7 +60,7 @@ class NavigationEnv(gymnasium.Env):
         self._key: PRNGKeyArray | None = None
         first = begin(task)
         size = first.state.size + 3 + first.pending.size
-        self.observation_space = Box(-np.inf, np.inf, (size,), np.float32)
+        self.observation_space = Box(-FAR, FAR, (size,), np.float32)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -119,14 +122,14 @@ def _features(task, situation, key):
     way = task.objective.target(seen.time) - seen.state[:2]
     left = task.time_limit - seen.time
     frequencies, headings = seen.pending.T
-    pending = frequencies * jnp.stack([jnp.cos(headings), jnp.sin(headings)])
+    pending = frequencies[None] * jnp.stack([jnp.cos(headings), jnp.sin(headings)])
     return jnp.concatenate([seen.state, way, left[None], pending.ravel()])
 
 
 @eqx.filter_jit
 def _reward(task, before, now):
     ways = [_way(task, situation) for situation in (before, now)]
-    left = task.time_limit - task.step * now.step
+    left = task.time_limit - _time(task, now)
     penalty = jnp.where(now.violated, left, 0.0)
     ends = jnp.isfinite(task.objective.distance(now.state[:2]))
     reached = ways[0] - ways[1] - task.step
@@ -135,5 +138,9 @@ def _reward(task, before, now):
 
 
 def _way(task, situation):
-    target = task.objective.target(task.step * situation.step)
+    target = task.objective.target(_time(task, situation))
     return jnp.linalg.norm(target - situation.state[:2])
+
+
+def _time(task, situation):
+    return task.step * situation.step.astype(situation.state.dtype)

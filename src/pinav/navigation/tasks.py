@@ -98,7 +98,7 @@ def follow_circle() -> Task:
 
 def follow_eight() -> Task:
     """Keep up with a point on a figure eight, in an unknown drift, delayed by 0.2."""
-    return _following("follow-eight", FigureEightPath([5.0, 5.0], 3.5, 45.0), 45.0)
+    return _following("follow-eight", FigureEightPath([5.0, 5.0], 3.0, 50.0), 50.0)
 
 
 def y_junction() -> Task:
@@ -172,7 +172,7 @@ def _crossing(name: str, thrust: float, zones: tuple[AbstractZone, ...] = ()) ->
         arena=Rectangle([-4.0, -4.0], [14.0, 14.0]),
         keep_out=zones,
         step=STEP,
-        time_limit=30.0,
+        time_limit=24.0,
         noise=0.1,
     )
 
