@@ -134,7 +134,7 @@ def contest(name: str, design: Contest, folder: RunFolder) -> dict[str, Any]:
         "median": float(np.median(compute[1:])),
     }
     folder.write_json(file, result)
-    return result
+    return folder.read_json(file)
 
 
 def _episodes(

@@ -58,6 +58,7 @@ def test_the_words_name_truth_regret_and_suggestion():
         "plan": {"time": 5.5, "route_time": 5.6, "unreachable": 0.25},
         "controllers": {"learned": row, "physics only": row},
         "regret": {"learned": {"value": 1.02, "lower": 1.0, "upper": None}},
+        "refused": {"oracle": "goal: expected a place that can be reached"},
         "step": {"first": 2.0, "median": 0.003},
         "suggestion": {"sd": 0.3, "sd_after": 0.1, "sd_after_random": 0.2},
     }
@@ -66,6 +67,7 @@ def test_the_words_name_truth_regret_and_suggestion():
     assert "1.020 (1.000–∞)" in found
     assert "the true environment of scenario barrier-crossings (synthetic)" in found
     assert "from 0.3 to 0.1, a random one to 0.2" in found
+    assert "No run with the model oracle: goal: expected a place" in found
     unknown = text(metrics | {"truth": None})
     assert "the true one is not known" in unknown
 

@@ -48,7 +48,8 @@ def navigate(
     controllers: dict[str, AbstractController] = {
         "learned": controller(task, mission.model, samples=mission.samples)
     }
-    controllers |= _others(mission)
+    others, refused = _others(mission)
+    controllers |= others
     found = {}
     for name in tqdm(controllers, desc="closed loop", unit="controller"):
         found[name] = trials(mission, controllers[name], settings)
@@ -62,6 +63,7 @@ def navigate(
             for name, episodes in found.items()
         },
         "regret": _regrets(found),
+        "refused": refused,
         "step": _step_times(mission, controllers["learned"], settings),
     }
     arrays = _arrays(mission, plan, route, found)
@@ -72,25 +74,30 @@ def navigate(
         arrays["suggestion"] = path
     folder.write_arrays("results.npz", arrays)
     folder.write_json("metrics.json", metrics)
-    return metrics
+    return folder.read_json("metrics.json")
 
 
 def _ground(mission: Mission):
     return terrain(mission.task, mission.model, samples=mission.samples)
 
 
-def _others(mission: Mission) -> dict[str, AbstractController]:
-    """Physics alone, and the same controller with the truth where it is known."""
+def _others(
+    mission: Mission,
+) -> tuple[dict[str, AbstractController], dict[str, str]]:
+    """Physics alone, and the same controller with the truth where it is known.
+
+    A model that sees no way is an answer, too: those and their reasons come second.
+    """
     models = {"physics only": mission.physics}
     if mission.truth is not None:
         models["oracle"] = mission.task.truth
-    controllers = {}
+    controllers, refused = {}, {}
     for name, model in models.items():
         try:
             controllers[name] = controller(mission.task, model)
-        except InputError:  # it sees no way, which is an answer, too
-            continue
-    return controllers
+        except InputError as error:
+            refused[name] = str(error)
+    return controllers, refused
 
 
 def trials(

@@ -84,6 +84,8 @@ def sentences(metrics: dict[str, Any]) -> list[str]:
         f"A control step takes {1e3 * step['median']:.2g} ms, the first one "
         f"{step['first']:.2g} s with its compilation.",
     ]
+    for name, reason in metrics["refused"].items():
+        lines.append(f"No run with the model {name}: {reason}.")
     if "suggestion" in metrics:
         lines.append(_advice(metrics["suggestion"]))
     return lines
