@@ -20,9 +20,8 @@ from pinav.navigation.closed_loop import Episodes, joined, run, run_many
 from pinav.navigation.controllers import AbstractController
 from pinav.navigation.default import controller
 from pinav.navigation.metrics import regret, summary
-from pinav.navigation.plan import Route, TimeToGo, check_places, time_to_go
+from pinav.navigation.plan import Route, TimeToGo
 from pinav.navigation.steering import SteeredSwimmer
-from pinav.navigation.terrain import terrain
 from pinav.runs import RunFolder
 
 MAP_POINTS = 61
@@ -42,12 +41,10 @@ def navigate(
             cannot be reached with this thrust, as far as the model knows.
     """
     task = mission.task
-    check_places(task)
-    plan = time_to_go(task, mission.model, ground=_ground(mission))
+    steered = controller(task, mission.model, samples=mission.samples)
+    plan = plan_of(steered)
     route = plan.route(task.start, task.step)
-    controllers: dict[str, AbstractController] = {
-        "learned": controller(task, mission.model, samples=mission.samples)
-    }
+    controllers: dict[str, AbstractController] = {"learned": steered}
     others, refused = _others(mission)
     controllers |= others
     found = {}
@@ -77,8 +74,10 @@ def navigate(
     return folder.read_json("metrics.json")
 
 
-def _ground(mission: Mission):
-    return terrain(mission.task, mission.model, samples=mission.samples)
+def plan_of(steered: AbstractController) -> TimeToGo:
+    """The plan inside of a controller that `controller` made for a place to reach."""
+    parts = jax.tree.leaves(steered, is_leaf=lambda x: isinstance(x, TimeToGo))
+    return next(part for part in parts if isinstance(part, TimeToGo))
 
 
 def _others(
