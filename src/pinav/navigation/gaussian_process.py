@@ -22,7 +22,7 @@ from pinav.trajectories import Trajectories
 WINDOW, ORDER = 7, 2
 """Samples and order of the polynomials whose slopes are the rates."""
 
-POINTS = 400
+POINTS = 300
 """Samples that the process sees, evenly chosen from all."""
 
 
