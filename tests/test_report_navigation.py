@@ -65,7 +65,9 @@ def test_a_panel_for_each_force_that_is_known(true, sd, panels):
     figure = closed_loop_figure(arrays, paths, thrust=1.0)
     titles = [ax.get_title(loc="left") for ax in figure.axes]
     assert len([title for title in titles if title]) == panels
-    assert [t.get_text() for t in figure.legends[0].get_texts()] == list(paths)
+    keys = [text.get_text() for text in figure.legends[0].get_texts()]
+    lines = ["planned route", "trajectory to record next"] if sd else []
+    assert keys == [*paths, *lines]
 
 
 def test_bars_show_success_with_its_interval_and_an_endless_regret():

@@ -1,5 +1,7 @@
 """Delay compensation is exact without noise; the filter finds the drift."""
 
+import math
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -67,32 +69,25 @@ def task_of(truth, delay=0.0, noise=0.0, sensor_noise=0.0, time_limit=3.0):
 def test_the_predicted_state_is_that_in_which_the_command_comes_into_force(
     model, delay
 ):
-    """The true states at t + delay: at the end of pending commands, whatever comes."""
+    """From there the command leads to the true state at the next control step."""
     task = task_of(model, delay)
     timing = Timing(task.step, task.delay)
     predictor, key = SwimmerPredictor(model), jax.random.key(3)
-    controller, now = Wanderer(4), begin(task)
-    predict = eqx.filter_jit(lambda o: timing.predicted(predictor, o))
+    predict = eqx.filter_jit(lambda seen: timing.predicted(predictor, seen))
     move = eqx.filter_jit(lambda now, c: advance(task, model, now, c, key))
-    predictions, states = [], []
-    for step in range(12):
+    now, ahead, commands, states = begin(task), [], [], []
+    for step in range(8):
         seen = observe(task, now, key)
-        predictions.append(predict(seen))
-        command, _ = controller(seen, None, key=jax.random.fold_in(key, step))
+        command, _ = Wanderer(4)(seen, None, key=jax.random.fold_in(key, step))
+        ahead.append(predict(seen))
+        commands.append(command)
         states.append(now.state)
         now, _ = move(now, command)
-    for ahead, later in zip(predictions, predictions[1:], strict=False):
-        assert float(later.time - ahead.time) == pytest.approx(0.1)
-    # pending commands are those of the last steps: after them the true state is known
-    for first, ahead in enumerate(predictions[:8]):
-        whole = int(round(delay / 0.1, 6))
-        if abs(whole * 0.1 - delay) < 1e-9:
-            assert jnp.allclose(ahead.state, states[first + whole], atol=2e-5)
-        else:
-            share = delay / 0.1 - whole
-            low, high = states[first + whole], states[first + whole + 1]
-            between = low + share * (high - low)
-            assert jnp.allclose(ahead.state, between, atol=6e-3)
+    whole = math.ceil(delay / task.step - 1e-9)
+    for one, command, later in zip(ahead, commands, states[whole:], strict=False):
+        held = whole * task.step - delay
+        reached = model.step(one.time, one.state, command, held)
+        assert jnp.allclose(reached, later, atol=2e-5)
 
 
 def test_the_controller_inside_is_told_what_will_be():

@@ -76,11 +76,9 @@ def test_both_methods_find_the_optimum_of_a_quadratic_cost(ground, make):
     positions = np.sqrt(h) * h * np.tril(np.ones((steps, steps)))
     changes = np.sqrt(effort) * np.diff(np.eye(steps), axis=0)
     wanted = np.sqrt(h) * np.tile([[0.2, 0.1]], (steps, 1))
-    rows = (
-        np.vstack([positions, changes]),
-        np.vstack([wanted, np.zeros((steps - 1, 2))]),
-    )
-    best = np.linalg.lstsq(*rows, rcond=None)[0]
+    rows = np.vstack([positions, changes])
+    wanted = np.vstack([wanted, np.zeros((steps - 1, 2))])
+    best = np.linalg.lstsq(rows, wanted, rcond=None)[0]
     assert np.linalg.norm(best, axis=1).max() < 1  # so that no bound is active
     found = cost(*method.courses(seen, shares), shares)
     least = cost(*method.courses(seen, jnp.asarray(best)), jnp.asarray(best))

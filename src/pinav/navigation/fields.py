@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from pinav.actuation import Scalar
 from pinav.dynamics import OverdampedSwimmer, Swimmer
@@ -221,9 +221,3 @@ def force_spread(tables: Sequence[FieldTable]) -> FieldTable:
     variance = jnp.sum(jnp.var(rates, axis=0, ddof=1), axis=-1, keepdims=True) / 2
     first = tables[0]
     return FieldTable(first.grid, jnp.sqrt(variance), first.start, first.interval)
-
-
-def inside(grid: Grid, x: Float[Array, "2"]) -> Bool[Array, ""]:
-    """Whether a position [L] is on the grid."""
-    place = grid.coordinates(x)
-    return jnp.all((place >= 0) & (place <= jnp.asarray(grid.shape, x.dtype) - 1))

@@ -84,7 +84,7 @@ class PathIntegral(AbstractController[Float[Array, "step 2"]]):
         """Mean of the two centres and of changes of either, by the weights."""
         changes = width * self._changes(key).astype(centers.dtype)
         around = centers[jnp.arange(self.samples) % 2] + changes
-        tried = jnp.concatenate([centers, within_disc(around)])
+        tried = jnp.concatenate([centers, BEYOND * within_disc(around / BEYOND)])
         costs = self._costs(observation, tried)
         least = jnp.min(costs)
         unit = self.temperature * (jnp.median(costs) - least) + 1e-9
@@ -110,3 +110,7 @@ class PathIntegral(AbstractController[Float[Array, "step 2"]]):
 
 STEPS_PER_KNOT = 4
 """Steps between the knots of a random change."""
+
+BEYOND = 1.5
+"""Length of the longest shares, of which a drive gives all it has: where the greatest
+thrust is best, means of shorter ones would fall short of it."""

@@ -286,7 +286,7 @@ def _positions(table, arrival, grid, steps, times):
     )
 
 
-SETTLED = 1e-6
+SETTLED = 1e-5
 """Change of U by a sweep, below which the values of a plan have settled."""
 
 
@@ -314,18 +314,20 @@ def _phase_plan(task, ground, arrival, grid, speeds):
     times = None
     if ground.table.values.shape[0] > 1:
         times = jnp.arange(0.0, task.time_limit, step)
-    values = _phases(ground.table, arrival, grid, velocities, step, times)
+    most = math.ceil(task.time_limit / step)  # as many steps as there is time for
+    values = _phases(ground.table, arrival, grid, velocities, (step, most), times)
     spacing = jnp.concatenate([jnp.full(2, width), grid.spacing])
     lattice = (jnp.concatenate([jnp.full(2, -top), grid.lower]), spacing)
     return _assembled(task, ground, arrival, values, lattice, step)
 
 
 @eqx.filter_jit
-def _phases(table, arrival, grid, velocities, step, times):
+def _phases(table, arrival, grid, velocities, steps, times):
+    step, most = steps
     shape = (velocities.shape[0], velocities.shape[0], *grid.shape)
     if times is None:
         sweep = phase_sweep(table, arrival, grid, 0.0, velocities, step)
-        return converged(sweep, shape, 20 * max(grid.shape), SETTLED)[None]
+        return converged(sweep, shape, most, SETTLED)[None]
     return swept_back(
         lambda t: phase_sweep(table, arrival, grid, t, velocities, step), times, shape
     )

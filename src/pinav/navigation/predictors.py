@@ -99,7 +99,8 @@ class Drifting(AbstractPredictor):
     r"""Another predictor, and a constant rate that it does not know.
 
     The rate b is the last pair of the state: (x, b) or (x, v, b). It adds to the
-    velocity [L T⁻¹], or to the acceleration [L T⁻²] where there is one.
+    velocity [L T⁻¹], or to the acceleration [L T⁻²] where there is one: half of it
+    before the step of the other predictor and half after, which is of second order.
 
     Attributes:
         predictor: what is known.
@@ -109,12 +110,10 @@ class Drifting(AbstractPredictor):
 
     def step(self, t, y, command, duration):
         state, drift = y[:-2], y[-2:]
-        duration = jnp.asarray(duration, y.dtype)
-        moved = duration * drift
-        if state.shape[0] == 4:
-            moved = jnp.concatenate([duration / 2 * moved, moved])
-        moved = moved + self.predictor.step(t, state, command, duration)
-        return jnp.concatenate([moved, drift])
+        half = jnp.asarray(duration, y.dtype) / 2 * drift
+        state = state.at[-2:].add(half)
+        state = self.predictor.step(t, state, command, duration).at[-2:].add(half)
+        return jnp.concatenate([state, drift])
 
 
 class Drive(eqx.Module):

@@ -69,25 +69,30 @@ class Shooting(AbstractController[Float[Array, "step 2"]]):
             value = self.cost(*self.courses(observation, shares), shares)
             return jnp.where(jnp.isfinite(value), value, jnp.inf)
 
-        length = optax.cosine_decay_schedule(self.rate, self.iterations)
-        method = optax.adam(length)
+        method = optax.scale_by_adam()
 
-        def descend(carry, _):
+        def descend(carry, length):
             shares, progress, best, least = carry
             value, slope = jax.value_and_grad(cost)(shares)
             better = value < least
             best = jnp.where(better, shares, best)
             least = jnp.where(better, value, least)
             slope = jnp.where(jnp.isfinite(slope), slope, 0.0)
-            change, progress = method.update(slope, progress)
-            shares = within_disc(shares + change.astype(shares.dtype))
+            with jax.numpy_dtype_promotion("standard"):  # as optax expects
+                change, progress = method.update(slope, progress)
+            shares = within_disc(shares - length * change)
             return (shares, progress, best, least), None
 
         least = jnp.asarray(jnp.inf, shares.dtype)
         begin = (shares, method.init(shares), shares, least)
-        (last, _, best, least), _ = jax.lax.scan(descend, begin, length=self.iterations)
+        (last, _, best, least), _ = jax.lax.scan(descend, begin, self._lengths(shares))
         final = cost(last)
         return jnp.where(final < least, last, best), jnp.minimum(final, least)
+
+    def _lengths(self, shares):
+        """Of the steps of descent: half a period of a cosine, from the rate to zero."""
+        done = jnp.arange(self.iterations, dtype=shares.dtype) / self.iterations
+        return self.rate * (1 + jnp.cos(jnp.pi * done)) / 2
 
 
 SMALL = 0.1

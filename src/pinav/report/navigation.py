@@ -24,9 +24,9 @@ from pinav.report.style import (
     PURPLE,
     SKY,
     SMALL,
-    TEXT,
     THIN,
     VERMILLION,
+    WIDE,
     add_legend,
     file_settings,
     force_unit,
@@ -170,8 +170,10 @@ def paths_map(
     ax = heat_map(size, field, Normalize(0.0, 1.6 * limit), look, units=units, ax=ax)
     draw_arrows(ax, field, limit)
     for name, runs in paths.items():
+        first = name == "oracle"
+        look = {"lw": WIDE if first else THIN, "zorder": 2.1 if first else 2.2}
         for path in runs:
-            ax.plot(*path.T, color=COLORS.get(name, GREY), lw=THIN, alpha=0.75)
+            ax.plot(*path.T, color=COLORS.get(name, GREY), alpha=0.75, **look)
     course.draw(ax)
     return ax
 
@@ -209,7 +211,6 @@ def spread_map(
         line = {"color": ORANGE, "lw": 1.2, "ls": "--", "path_effects": halo}
         ax.plot(*suggestion.T, label="trajectory to record next", **line)
     course.draw(ax)
-    ax.legend(loc="upper left", fontsize=SMALL, framealpha=0.9)
     return ax
 
 
@@ -230,7 +231,7 @@ def closed_loop_figure(
     """
     course, learned = Course(arrays), field_of(arrays, "field/learned")
     panels = 1 + ("field/true" in arrays) + ("field/sd" in arrays)
-    figure = new_figure(2.7 * max(panels, 2), 4.2)
+    figure = new_figure(2.7 * max(panels, 2), 3.7)
     axes = iter(np.ravel(figure.subplots(1, panels)))
     letters = iter("abc")
     truth = arrays.get("field/true", arrays["field/learned"])
@@ -251,10 +252,11 @@ def closed_loop_figure(
         spread_map(learned, sd, course, suggestion=suggestion, ax=ax, **options)
         title_panel(ax, f"({next(letters)}) its standard deviation")
     keys = [Line2D([], [], color=COLORS.get(n, GREY), lw=1.5, label=n) for n in paths]
+    keys += figure.axes[panels - 1].get_legend_handles_labels()[0]
     figure.legend(
         handles=keys,
         loc="outside lower center",
-        ncols=max(len(keys), 1),
+        ncols=min(max(len(keys), 1), 2 * panels),
         fontsize=SMALL,
         frameon=False,
     )
@@ -297,6 +299,8 @@ def outcome_bars(
     left.set_yticks(places, names, fontsize=SMALL)
     left.set_xlim(0, 100)
     right.axvline(1.0, color=GREY, lw=0.8, ls="--")
+    low, high = right.get_xlim()
+    right.set_xlim(min(low, 0.95), max(high, 1.15))
     label_axes(left, "success [%]", "")
     label_axes(right, "arrival time / that with the truth", "")
     return figure
@@ -306,7 +310,8 @@ def _draw_regret(ax: Axes, place: float, found: Mapping[str, Any] | None, color:
     if found is None:
         return
     if found["value"] is None:
-        ax.text(1.02, place, "∞", fontsize=TEXT, va="center", color=color)
+        beside = ax.get_yaxis_transform()
+        ax.text(0.97, place, "∞", transform=beside, ha="right", va="center", c=color)
         return
     ax.plot(found["value"], place, "o", color=color, ms=5)
     if found["upper"] is not None:
