@@ -3,12 +3,16 @@
 import json
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
 from pinav import cli
 from pinav.errors import InputError
+from pinav.jobs.mission import prepared
 from pinav.jobs.navigate_settings import NavigateSettings, numbers
 from pinav.jobs.navigate_tables import text
+from pinav.runs import RunFolder
 
 
 def settings(**changes):
@@ -105,3 +109,47 @@ def test_a_folder_without_a_fit_is_refused(tmp_path, capsys):
     words = ["--from", "0,0", "--to", "1,1", "--out", str(tmp_path / "out")]
     assert cli.run(["navigate", str(tmp_path), *words]) == cli.USAGE_ERROR
     assert "holds no run" in capsys.readouterr().err
+
+
+def recording(path, **track):
+    """The folder of a recording's fit, as far as navigation reads it."""
+    folder = RunFolder.create(path, {"job": "recording"}, overwrite=True)
+    folder.write_json(
+        "metrics.json",
+        {"units": {"x": "um", "t": "s"}, "tracks": {"1": {"duration": 9.0, **track}}},
+    )
+    return folder
+
+
+def test_a_recording_gives_a_rolling_robot_in_its_drift(tmp_path):
+    folder = recording(
+        tmp_path / "run",
+        gain=[[2.0, -0.5], [0.5, 2.0]],
+        response="saturating",
+        estimates={
+            "corner": {"value": 4.0, "sd": 0.1},
+            "drift x": {"value": 0.3, "sd": 0.1},
+        },
+    )
+    mission = prepared(settings(arena="-5,-5,15,15", keep_out=("4,4,1",)), folder)
+    command = jnp.array([3.0, np.pi / 2])
+    rate = mission.model(0.0, jnp.zeros(2), command)
+    effective = 3.0 / np.sqrt(1 + (3.0 / 4.0) ** 2)
+    np.testing.assert_allclose(rate, [0.3 - 0.5 * effective, 2.0 * effective])
+    assert mission.task.limits.max_frequency == 10.0
+    assert mission.units == {"x": "um", "t": "s"}
+    assert float(mission.task.keep_out[0].distance(jnp.array([4.0, 6.0]))) == 1.0
+
+
+def test_an_arena_that_is_not_given_holds_both_ends(tmp_path):
+    own = {"gain": [[1.0, 0.0], [0.0, 1.0]], "response": "linear", "estimates": {}}
+    folder = recording(tmp_path / "run", **own)
+    arena = prepared(settings(), folder).task.arena
+    for place in ([0.5, 1.0], [9.5, 9.5]):
+        assert float(arena.distance(jnp.array(place))) < -1.0
+
+
+def test_a_recording_without_propulsion_is_refused(tmp_path):
+    folder = recording(tmp_path / "run", gain=None)
+    with pytest.raises(InputError, match="no track has a fitted propulsion"):
+        prepared(settings(), folder)

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Rectangle
 from matplotlib.patheffects import withStroke
+from matplotlib.ticker import MaxNLocator
 
 from pinav.evaluation import FieldMap
 from pinav.report.maps import draw_arrows, heat_map
@@ -301,6 +302,7 @@ def outcome_bars(
     right.axvline(1.0, color=GREY, lw=0.8, ls="--")
     low, high = right.get_xlim()
     right.set_xlim(min(low, 0.95), max(high, 1.15))
+    right.xaxis.set_major_locator(MaxNLocator(5))
     label_axes(left, "success [%]", "")
     label_axes(right, "arrival time / that with the truth", "")
     return figure
