@@ -290,7 +290,7 @@ def outcome_bars(
     left, right = figure.subplots(1, 2, sharey=True)
     for ax in (left, right):
         prepared(ax)
-    places = np.arange(len(names))[::-1]
+    places = list(reversed(range(len(names))))
     for place, name in zip(places, names, strict=True):
         color = COLORS.get(name, GREY)
         found = rows[name]["success"]
@@ -308,7 +308,7 @@ def outcome_bars(
     return figure
 
 
-def _draw_regret(ax: Axes, place: float, found: Mapping[str, Any] | None, color: str):
+def _draw_regret(ax: Axes, place: int, found: Mapping[str, Any] | None, color: str):
     if found is None:
         return
     if found["value"] is None:
