@@ -74,7 +74,7 @@ def save_animation(
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
     moving = [_actors(ax, trails) for ax in axes]
-    clock = figure.text(0.01, 0.97, "", fontsize=SMALL, va="top")
+    clock = figure.text(0.99, 0.99, "", fontsize=SMALL, ha="right", va="top")
     frames = []
     for step in _shown(trails.steps):
         clock.set_text(f"t = {step * trails.step:.2f}")
@@ -125,14 +125,15 @@ def _stage(arrays, trails, units) -> tuple[Figure, list[Axes]]:
 
 
 def _actors(ax: Axes, trails: Trails) -> dict:
-    """A line and a dot for each controller."""
-    return {
-        name: (
-            ax.plot([], [], color=COLORS.get(name, GREY), lw=1.3)[0],
-            ax.plot([], [], "o", mfc=COLORS.get(name, GREY), mec=BLACK, ms=5)[0],
-        )
-        for name in trails.paths
-    }
+    """A line and a dot for each controller; the oracle below and wide."""
+    actors = {}
+    for name in sorted(trails.paths, key=lambda name: name != "oracle"):
+        color, below = COLORS.get(name, GREY), name == "oracle"
+        line = ax.plot([], [], color=color, lw=3.0 if below else 1.3)[0]
+        size = 8 if below else 5
+        dot = ax.plot([], [], "o", mfc=color, mec=BLACK, ms=size)[0]
+        actors[name] = (line, dot)
+    return actors
 
 
 def _move(actors: dict, trails: Trails, step: int) -> None:
