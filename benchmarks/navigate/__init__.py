@@ -63,12 +63,8 @@ def main(argv: Sequence[str]) -> None:
         return
     options.check()
     jax.config.update("jax_enable_x64", val=True)
-    config = {k: v for k, v in msgspec.to_builtins(options).items() if k != "out"}
-    config = {"job": "bench-navigate"} | {
-        k: list(v) if isinstance(v, tuple) else v
-        for k, v in config.items()
-        if k != "tasks"
-    }
+    numbers = {name: getattr(options, name) for name in ("fits", "seeds", "samples")}
+    config = {"job": "bench-navigate", **numbers}
     folder = RunFolder.resume(options.out, config)
     design = Contest(options.fits, options.seeds, options.samples)
     results = {}
