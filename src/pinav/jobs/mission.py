@@ -34,6 +34,22 @@ from pinav.trajectories import Trajectories
 from pinav.trajectory_files import load
 
 
+class Fitted(eqx.Module):
+    """A fit with a posterior.
+
+    Attributes:
+        posterior: of the model.
+        noise: standard deviation of what was observed.
+        states: smoothed states of the data.
+        data: what was fitted.
+    """
+
+    posterior: Posterior
+    noise: float
+    states: np.ndarray
+    data: Trajectories
+
+
 class Mission(eqx.Module):
     """A task and what is known of it.
 
@@ -42,9 +58,9 @@ class Mission(eqx.Module):
         model: the fitted swimmer.
         samples: of the posterior; none where the run has no posterior.
         truth: the name of the scenario that is the truth, where there is one.
-        posterior: of the fit, where there is one.
-        noise: standard deviation of what was observed, where a fit says so.
-        states: smoothed states of the data, where a fit has them.
+        fitted: the fit, where it has a posterior.
+        goal: the middle of the goal, and its radius.
+        discs: that must not be entered.
         data: what was fitted, where it holds positions of trajectories.
         units: of positions and times.
     """
@@ -53,9 +69,9 @@ class Mission(eqx.Module):
     model: SteeredSwimmer
     samples: tuple[SteeredSwimmer, ...]
     truth: str | None
-    posterior: Posterior | None
-    noise: float | None
-    states: np.ndarray | None
+    fitted: Fitted | None
+    goal: Reach
+    discs: tuple[Disc, ...]
     data: Trajectories | None
     units: dict[str, str]
 
@@ -100,34 +116,33 @@ def _of_fit(settings, config, run: RunFolder) -> Mission:
             f"the model {fitted.model} of {', '.join(data.channels)}"
         )
     actuator = RollingActuator(settings.thrust * jnp.eye(2), LinearResponse())
-    posterior, noise, states = None, None, None
+    found = None
     if run.has(POSTERIOR_FILE):
         stored = run.read_arrays(POSTERIOR_FILE)
-        posterior = read_posterior(fitted, run)
-        noise, states = float(stored["noise"]), stored["states"]
+        found = Fitted(
+            read_posterior(fitted, run), float(stored["noise"]), stored["states"], data
+        )
     truth = data.provenance.get("scenario")
     known = model if truth is None else scenario(truth).swimmer
     limits = CommandLimits(1.0)
     return Mission(
         task=_task(settings, SteeredSwimmer(known, actuator), limits, data),
         model=SteeredSwimmer(model, actuator),
-        samples=tuple(
-            SteeredSwimmer(one, actuator) for one in _draws(posterior, settings)
-        ),
+        samples=tuple(SteeredSwimmer(one, actuator) for one in _draws(found, settings)),
         truth=truth,
-        posterior=posterior,
-        noise=noise,
-        states=states,
+        fitted=found,
+        goal=_goal(settings),
+        discs=_discs(settings),
         data=data,
         units=data.units,
     )
 
 
-def _draws(posterior: Posterior | None, settings: NavigateSettings) -> list[Any]:
-    if posterior is None or settings.samples == 0:
+def _draws(found: Fitted | None, settings: NavigateSettings) -> list[Any]:
+    if found is None or settings.samples == 0:
         return []
     key = jax.random.fold_in(jax.random.key(settings.seed), 1)
-    return posterior.samples(settings.samples, key=key)
+    return found.posterior.samples(settings.samples, key=key)
 
 
 def _is_planar(model: KnownSwimmer, data: Trajectories) -> bool:
@@ -159,9 +174,9 @@ def _of_recording(settings: NavigateSettings, run: RunFolder) -> Mission:
         model=swimmer,
         samples=(),
         truth=None,
-        posterior=None,
-        noise=None,
-        states=None,
+        fitted=None,
+        goal=_goal(settings),
+        discs=_discs(settings),
         data=None,
         units=metrics["units"],
     )
@@ -171,23 +186,30 @@ def _logit(share: float) -> float:
     return float(np.log(share / (1 - share)))
 
 
+def _goal(settings: NavigateSettings) -> Reach:
+    return Reach(list(settings.places()[1]), settings.tolerance)
+
+
+def _discs(settings: NavigateSettings) -> tuple[Disc, ...]:
+    return tuple(Disc(list(disc[:2]), disc[2]) for disc in settings.discs())
+
+
 def _task(
     settings: NavigateSettings,
     truth: SteeredSwimmer,
     limits: CommandLimits,
     data: Trajectories | None,
 ) -> Task:
-    start, goal = settings.places()
+    start, _ = settings.places()
     rest = (0.0, 0.0) if isinstance(truth.dynamics, Swimmer) else ()
-    discs = (Disc(list(disc[:2]), disc[2]) for disc in settings.discs())
     return Task(
         name="navigate",
         truth=truth,
         start=jnp.asarray([*start, *rest]),
-        objective=Reach(list(goal), settings.tolerance),
+        objective=_goal(settings),
         limits=limits,
         arena=_arena(settings, data),
-        keep_out=tuple(discs),
+        keep_out=_discs(settings),
         step=settings.step,
         time_limit=settings.time_limit,
         noise=settings.noise,

@@ -64,9 +64,9 @@ def navigate(
         "step": _step_times(mission, controllers["learned"], settings),
     }
     arrays = _arrays(mission, plan, route, found)
-    if mission.states is not None:
+    if mission.fitted is not None:
         metrics["suggestion"], path = suggestion(
-            settings, mission, arrays["route"], folder
+            settings, mission, mission.fitted, arrays["route"], folder
         )
         arrays["suggestion"] = path
     folder.write_arrays("results.npz", arrays)
@@ -153,9 +153,9 @@ def _arrays(
     arrays = {
         "arena": np.array([task.arena.lower, task.arena.upper]),
         "start": np.asarray(task.start[:2]),
-        "goal": np.asarray(task.objective.target(0.0)),
-        "tolerance": np.asarray(task.objective.tolerance),
-        "discs": np.array([[*z.center, z.radius] for z in task.keep_out]),
+        "goal": np.asarray(mission.goal.goal),
+        "tolerance": np.asarray(mission.goal.tolerance),
+        "discs": np.array([[*z.center, z.radius] for z in mission.discs]),
         "step": np.asarray(task.step),
         "route": np.asarray(route.ys)[:count, :2],
         "plan/time": np.where(plan.unreachable, np.inf, plan.map),
@@ -171,15 +171,16 @@ def _arrays(
 def _maps(mission: Mission) -> dict[str, np.ndarray]:
     """Learned and true force on the arena, with its sd and the way to the data."""
     corners = mission.task.arena.lower, mission.task.arena.upper
-    x, y = np.linspace(*map(np.asarray, corners), MAP_POINTS).T
+    lower, upper = map(np.asarray, corners)
+    x, y = np.linspace(lower, upper, MAP_POINTS).T
     points = np.stack(np.meshgrid(x, y), axis=-1)
     flat, shape = points.reshape(-1, 2), points.shape
     found = {"field/x": x, "field/y": y}
     found["field/learned"] = _forces(mission.model, flat).reshape(shape)
     if mission.truth is not None:
         found["field/true"] = _forces(mission.task.truth, flat).reshape(shape)
-    if mission.posterior is not None:
-        found["field/sd"] = mission.posterior.force_sd(flat).reshape(shape)
+    if mission.fitted is not None:
+        found["field/sd"] = mission.fitted.posterior.force_sd(flat).reshape(shape)
     if mission.data is not None:
         found["field/distance"] = distances(flat, mission.data).reshape(shape[:2])
     return found

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from pinav.jobs.mission import Mission
+from pinav.jobs.mission import Fitted, Mission
 from pinav.jobs.navigate_settings import NavigateSettings
 from pinav.navigation.doubt import Unknown, doubt
 from pinav.navigation.experiments import Experiment, Shots
@@ -14,7 +14,6 @@ from pinav.navigation.information import rank, suggest
 from pinav.navigation.zones import Rectangle
 from pinav.runs import RunFolder
 from pinav.solvers import FixedStep
-from pinav.trajectories import Trajectories
 
 CANDIDATES, ROUNDS = 48, 3
 """Shots in each round, and rounds."""
@@ -29,6 +28,7 @@ STRENGTH = 0.5
 def suggestion(
     settings: NavigateSettings,
     mission: Mission,
+    fitted: Fitted,
     route: np.ndarray,
     folder: RunFolder,
 ) -> tuple[dict[str, Any], np.ndarray]:
@@ -39,22 +39,28 @@ def suggestion(
     Returns:
         What is expected of it, and its predicted path.
     """
-    task, data = mission.task, mission.data
+    task = mission.task
     unknown = Unknown(task.arena, STRENGTH * settings.thrust)
     open_questions = doubt(
         mission.model.dynamics,
-        data,
-        mission.states,
-        noise=mission.noise,
+        fitted.data,
+        fitted.states,
+        noise=fitted.noise,
         unknown=unknown,
     )
-    design = _experiment(settings, mission, data)
+    design = _experiment(settings, mission, fitted)
     key = jax.random.fold_in(jax.random.key(settings.seed), 2)
-    random_shots = design.draw(CANDIDATES, key=key)
-    options = {"arena": task.arena}
-    random = rank(open_questions, route, design, random_shots, **options)
-    options |= {"key": key, "candidates": CANDIDATES, "rounds": ROUNDS}
-    found = suggest(open_questions, route, design, **options)
+    shots = design.draw(CANDIDATES, key=key)
+    random = rank(open_questions, route, design, shots, arena=task.arena)
+    found = suggest(
+        open_questions,
+        route,
+        design,
+        arena=task.arena,
+        key=key,
+        candidates=CANDIDATES,
+        rounds=ROUNDS,
+    )
     best = found.shots[found.best]
     table = [design.knots.tolist(), best.frequency.tolist(), best.heading.tolist()]
     rows = list(zip(*table, strict=True))
@@ -71,22 +77,23 @@ def suggestion(
 
 
 def _experiment(
-    settings: NavigateSettings, mission: Mission, data: Trajectories
+    settings: NavigateSettings, mission: Mission, fitted: Fitted
 ) -> Experiment:
     """Released near the start, observed as the data were."""
-    task = mission.task
+    task, data = mission.task, fitted.data
     near = np.full(2, settings.tolerance)
     start = np.asarray(task.start[:2])
     spans = [piece.times[-1] - piece.times[0] for piece in data]
     interval = float(np.median(np.concatenate([np.diff(p.times) for p in data])))
     duration = min(settings.time_limit, float(np.median(spans)), SAMPLES * interval)
-    seen = data.observed.any(axis=(0, 1))
-    seen = np.resize(seen, len(task.start)) & (np.arange(len(task.start)) < len(seen))
+    noise = np.full(len(task.start), np.inf)
+    seen = np.flatnonzero(data.observed.any(axis=(0, 1)))
+    noise[seen] = fitted.noise
     return Experiment(
         actuator=task.truth.actuator,
         limits=task.limits,
         region=Rectangle(start - near, start + near),
-        noise=np.where(seen, mission.noise, np.inf),
+        noise=noise,
         duration=duration,
         interval=interval,
         knot=max(duration / 8, interval),

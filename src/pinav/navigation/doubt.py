@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from pinav.dynamics import AbstractDynamics
+from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.fitting import Observations, Posterior, freed
 from pinav.fitting.lifting import linearise
@@ -82,7 +82,7 @@ class Unknown(eqx.Module):
 
 
 def doubt(
-    model: AbstractDynamics,
+    model: Swimmer | OverdampedSwimmer,
     trajectories: Trajectories,
     states: ArrayLike,
     *,

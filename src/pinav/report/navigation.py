@@ -75,7 +75,14 @@ class Course:
             ax.add_patch(Circle((x, y), radius, fc="0.25", ec=BLACK, lw=0.8))
         halo = [withStroke(linewidth=2.5, foreground="white")]
         ax.add_patch(
-            Circle(self.goal, self.tolerance, fill=False, ec=BLACK, lw=1.2, zorder=5)
+            Circle(
+                (float(self.goal[0]), float(self.goal[1])),
+                self.tolerance,
+                fill=False,
+                ec=BLACK,
+                lw=1.2,
+                zorder=5,
+            )
         )
         ax.plot(*self.goal, "x", color=BLACK, ms=5, zorder=6, path_effects=halo)
         ax.plot(*self.start, "o", mfc="white", mec=BLACK, ms=5, zorder=6)
@@ -90,7 +97,8 @@ def plan_grid(arena: Float[np.ndarray, "2 2"], shape: tuple[int, ...]) -> FieldM
         arena: lower and upper corner [L].
         shape: points along x and y.
     """
-    x, y = (np.linspace(*arena[:, i], shape[i]) for i in range(2))
+    (x0, y0), (x1, y1) = arena
+    x, y = np.linspace(x0, x1, shape[0]), np.linspace(y0, y1, shape[1])
     nothing = np.zeros((shape[1], shape[0]))
     return FieldMap(x, y, np.stack([nothing, nothing], axis=-1), nothing)
 
@@ -172,9 +180,10 @@ def paths_map(
     draw_arrows(ax, field, limit)
     for name, runs in paths.items():
         first = name == "oracle"
-        look = {"lw": WIDE if first else THIN, "zorder": 2.1 if first else 2.2}
+        width, order = (WIDE, 2.1) if first else (THIN, 2.2)
         for path in runs:
-            ax.plot(*path.T, color=COLORS.get(name, GREY), alpha=0.75, **look)
+            (line,) = ax.plot(*path.T, color=COLORS.get(name, GREY), alpha=0.75)
+            line.set(linewidth=width, zorder=order)
     course.draw(ax)
     return ax
 
