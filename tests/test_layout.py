@@ -39,6 +39,7 @@ ORDER = [
     "runs",
     "jobs",
     "recording_commands",
+    "navigation_commands",
     "options",
     "commands",
     "cli",

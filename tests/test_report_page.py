@@ -94,7 +94,8 @@ def test_page_refers_to_nothing_outside(svg):
 
 
 @pytest.mark.parametrize(
-    ("suffix", "media_type"), [(".svg", "image/svg+xml"), (".PNG", "image/png")]
+    ("suffix", "media_type"),
+    [(".svg", "image/svg+xml"), (".PNG", "image/png"), (".gif", "image/gif")],
 )
 def test_image_is_embedded_byte_for_byte(tmp_path, suffix, media_type):
     path = tmp_path / f"figure{suffix}"
@@ -162,8 +163,8 @@ def test_ragged_table_is_refused():
 
 
 def test_wrong_or_missing_image_is_refused(tmp_path):
-    with pytest.raises(InputError, match="expected a .png or .svg"):
-        Image(tmp_path / "figure.gif", alt="")
+    with pytest.raises(InputError, match="expected a .png, .svg or .gif"):
+        Image(tmp_path / "figure.jpg", alt="")
     with pytest.raises(InputError, match="cannot be read: No such file"):
         Image(tmp_path / "figure.png", alt="").html()
     with pytest.raises(InputError, match=r"width: expected within \(0, 1\]"):

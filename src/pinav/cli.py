@@ -19,6 +19,7 @@ COMMANDS = {
     "discover": "find the law behind the learned force of a run",
     "study": "compare models over the amount of data or of noise",
     "heat": "bioheat: simulate a case, learn perfusion, optimise a protocol",
+    "navigate": "plan and steer through the force that a run has learned",
     "report": "draw the figures and the HTML page of a run again",
     "bench": "run a benchmark and print its table",
 }

@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 
 from pinav.errors import InputError
+from pinav.navigation_commands import NavigateOptions, navigate
 from pinav.options import (
     AnalyseOptions,
     BenchOptions,
@@ -266,6 +267,7 @@ HANDLERS: dict[str, tuple[type[msgspec.Struct], Callable[[Any], None]]] = {
     "study": (StudyOptions, study),
     "analyse": (AnalyseOptions, analyse),
     "heat": (HeatOptions, heat),
+    "navigate": (NavigateOptions, navigate),
     "report": (ReportOptions, report),
 }
 

@@ -260,8 +260,9 @@ class BenchOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         str,
         tyro.conf.Positional,
         tyro.conf.arg(
-            help="Name of the benchmark: fit, gradient, growth or recordings. What "
-            "follows are options of its own: pinav bench fit --help."
+            help="Name of the benchmark: fit, gradient, growth, heat, navigate or "
+            "recordings. What follows it are options of its own: pinav bench fit "
+            "--help."
         ),
     ]
 

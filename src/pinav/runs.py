@@ -243,7 +243,8 @@ class RunFolder:
     def _remove_run(self) -> None:
         """Remove the files that a run writes, and nothing else; config.toml last."""
         patterns = ("checkpoint-*.eqx", "model*.eqx", "metrics.json*", "*.npz", "*.csv")
-        patterns += ("figures/*.png", "figures/*.svg", "report.html", "*.json")
+        patterns += ("figures/*.png", "figures/*.svg", "figures/*.gif")
+        patterns += ("report.html", "*.json")
         for pattern in (*patterns, "*.tmp", "config.toml"):
             for file in self.path.glob(pattern):
                 file.unlink()

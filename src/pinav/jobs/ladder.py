@@ -135,6 +135,7 @@ def _track(
     result = {
         "chosen": ladder.chosen,
         "response": ladder.best.rung.response,
+        "gain": whole.gain.tolist() if whole.rung.gains else None,
         "duration": track.duration,
         "rows": [_row(row) for row in ladder.rows],
         "estimates": {name: _pair(value) for name, value in estimates.items()},

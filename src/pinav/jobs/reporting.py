@@ -13,6 +13,7 @@ from pinav.jobs.evaluation_report import evaluated
 from pinav.jobs.heat_report import heated
 from pinav.jobs.ladder_report import laddered
 from pinav.jobs.law_report import law_sections
+from pinav.jobs.navigate_report import navigated
 from pinav.jobs.reproduce import stored_field
 from pinav.jobs.reproduction_report import loss_history, reproduced
 from pinav.jobs.study_report import studied
@@ -41,6 +42,7 @@ TITLES = {
     "study": "A study of models",
     "recording": "A recording",
     "heat": "Bioheat",
+    "navigate": "Navigation",
 }
 
 
@@ -61,6 +63,7 @@ def write_report(folder: RunFolder) -> Path:
         "study": studied,
         "recording": laddered,
         "heat": heated,
+        "navigate": navigated,
     }
     job = folder.config().get("job")
     if job not in sections:

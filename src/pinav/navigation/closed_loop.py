@@ -10,6 +10,7 @@ forbidden place is entered, and when time is up.
 
 import math
 import time
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -105,6 +106,13 @@ class Episodes(eqx.Module):
     violated: Bool[np.ndarray, " episode"]
     arrival_time: Float[np.ndarray, " episode"]
     clearance: Float[np.ndarray, " episode"]
+
+
+def joined(parts: Sequence[Episodes]) -> Episodes:
+    """Episodes of one task, one part after the other."""
+    own = {name: [getattr(part, name) for part in parts] for name in vars(parts[0])}
+    times = own.pop("ts")[0]
+    return Episodes(ts=times, **{name: np.concatenate(a) for name, a in own.items()})
 
 
 def control_steps(task: Task) -> int:

@@ -234,6 +234,7 @@ def heat_map(
     )
     bar.set_label(look[1], fontsize=TEXT)
     bar.ax.tick_params(labelsize=SMALL, length=2.5, width=0.6)
+    bar.ax.xaxis.get_offset_text().set_fontsize(SMALL)
     bar.outline.set_linewidth(0.6)
     _few_labels(bar, norm)
     ax.set_aspect("equal", adjustable="box")

@@ -17,7 +17,7 @@ from pinav.errors import InputError
 Cell = str | float | int | None
 """A table cell; `number` formats what is not text."""
 
-_MEDIA_TYPES = {".png": "image/png", ".svg": "image/svg+xml"}
+_MEDIA_TYPES = {".png": "image/png", ".svg": "image/svg+xml", ".gif": "image/gif"}
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _NUMBER = re.compile(r"[-−+±<>≤≥≈~ ]*\d[\d.,\s×·⁻⁰¹²³⁴⁵⁶⁷⁸⁹eE+−-]*[%×]?")
 _WORDS_FOR_NUMBERS = frozenset({"", "–", "diverged"})
@@ -141,7 +141,7 @@ def _row(tag: str, cells: Sequence[str], numeric: Sequence[bool]) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class Image(AbstractBlock):
-    """A PNG or SVG file, embedded in the page.
+    """A PNG, SVG or GIF file, embedded in the page.
 
     Attributes:
         path: the file.
@@ -150,8 +150,8 @@ class Image(AbstractBlock):
         width: share of the page's width, in (0, 1].
 
     Raises:
-        InputError: the file is neither PNG nor SVG, or `width` is out of range (when
-            made); the file cannot be read (when rendered).
+        InputError: the file is neither PNG, SVG nor GIF, or `width` is out of range
+            (when made); the file cannot be read (when rendered).
     """
 
     path: str | Path
@@ -161,7 +161,7 @@ class Image(AbstractBlock):
 
     def __post_init__(self):
         if Path(self.path).suffix.lower() not in _MEDIA_TYPES:
-            raise InputError(f"image {self.path}: expected a .png or .svg file")
+            raise InputError(f"image {self.path}: expected a .png, .svg or .gif file")
         if not 0.0 < self.width <= 1.0:
             raise InputError(f"image width: expected within (0, 1], got {self.width}")
 

@@ -1,0 +1,165 @@
+"""All controllers on one task, over draws of the data and of the noise."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from pinav.errors import InputError
+from pinav.jobs import fit as fit_job
+from pinav.jobs.inference import MODEL_FILE, read_posterior
+from pinav.jobs.models import build_model
+from pinav.jobs.navigate_tables import controller_row, interval
+from pinav.jobs.settings import FitSettings, ModelName
+from pinav.navigation.baselines import (
+    LineOfSight,
+    StraightLine,
+    physics_only,
+    steered,
+)
+from pinav.navigation.closed_loop import Episodes, joined, run, run_many
+from pinav.navigation.controllers import AbstractController
+from pinav.navigation.default import controller
+from pinav.navigation.gaussian_process import gaussian_process
+from pinav.navigation.metrics import regret, summary, wilson
+from pinav.navigation.objectives import Follow
+from pinav.navigation.steering import SteeredSwimmer
+from pinav.navigation.task import Task
+from pinav.navigation.tasks import TASKS, task, training
+from pinav.runs import RunFolder
+
+MODELS: dict[str, ModelName] = {
+    "moving-barrier": "kernel-potential-time",
+    "shear-current": "kernel-mixture",
+    "channel-current": "kernel-mixture",
+    "vortex-current": "kernel-mixture",
+    "drift-current": "kernel-mixture",
+}
+"""What stands for the unknown of a scenario: `kernel-potential` unless named here."""
+
+
+class Contest(eqx.Module):
+    """How much is tried.
+
+    Attributes:
+        fits: draws of the training data.
+        seeds: runs with the model of each.
+        samples: models drawn from each posterior.
+    """
+
+    fits: int
+    seeds: int
+    samples: int
+
+
+class Knowledge(eqx.Module):
+    """What was learned from one draw of the training data.
+
+    Attributes:
+        model: the fit.
+        samples: of its posterior.
+        gaussian_process: the published baseline, from the same data.
+    """
+
+    model: SteeredSwimmer
+    samples: tuple[SteeredSwimmer, ...]
+    gaussian_process: SteeredSwimmer
+
+
+def learned(name: str, draw: int, samples: int, folder: RunFolder) -> Knowledge:
+    """Fit a task's surroundings; a fit that the folder holds is read."""
+    source = TASKS[name][1]
+    data = training(name, jax.random.key(1000 + draw))
+    settings = FitSettings(model=MODELS.get(source, "kernel-potential"))
+    path = folder.path / "fits" / f"{source}-{draw}"
+    run_folder = RunFolder.resume(path, {"job": "fit", "model": settings.model})
+    if not run_folder.has("metrics.json"):
+        fit_job.fit(settings, fit_job.prepared(settings, data), run_folder)
+    model = run_folder.read_model(MODEL_FILE, build_model)
+    drawn = []
+    if samples:
+        posterior = read_posterior(settings, run_folder)
+        drawn = posterior.samples(samples, key=jax.random.key(draw))
+    known = task(name).truth.dynamics
+    baseline = gaussian_process(known, data)
+    own = task(name)
+    return Knowledge(
+        steered(own, model),
+        tuple(steered(own, one) for one in drawn),
+        steered(own, baseline),
+    )
+
+
+Maker = Callable[[Task, Knowledge], AbstractController]
+
+CONTROLLERS: dict[str, Maker] = {
+    "oracle": lambda own, _: controller(own, own.truth),
+    "learned": lambda own, known: controller(own, known.model, samples=known.samples),
+    "physics only": lambda own, _: controller(own, physics_only(own.truth)),
+    "straight line": lambda own, _: StraightLine(own.objective, own.limits),
+    "line of sight": lambda own, known: LineOfSight.of(own, known.model),
+    "Gaussian process": lambda own, known: controller(own, known.gaussian_process),
+}
+"""What steers; each takes what it may know of the second argument."""
+
+WITHOUT_DATA = ("oracle", "physics only", "straight line")
+"""Controllers that do not depend on the draw of the data."""
+
+
+def contest(name: str, design: Contest, folder: RunFolder) -> dict[str, Any]:
+    """Results of all controllers on a task; those of the folder are read."""
+    file = f"task-{name}.json"
+    if folder.has(file):
+        return folder.read_json(file)
+    own = task(name)
+    draws = [learned(name, d, design.samples, folder) for d in range(design.fits)]
+    result: dict[str, Any] = {"controllers": {}, "regret": {}, "refused": {}}
+    oracle = None
+    for title, make in CONTROLLERS.items():
+        try:
+            episodes = _episodes(own, make, draws, design, once=title in WITHOUT_DATA)
+        except InputError as error:
+            result["refused"][title] = str(error)
+            continue
+        oracle = episodes if title == "oracle" else oracle
+        result["controllers"][title] = _row(own, episodes)
+        if title != "oracle" and oracle is not None and oracle.reached.any():
+            result["regret"][title] = interval(regret(episodes, oracle))
+    steering = CONTROLLERS["learned"](own, draws[0])
+    compute = run(own, steering, key=jax.random.key(0)).compute
+    result["step"] = {
+        "first": float(compute[0]),
+        "median": float(np.median(compute[1:])),
+    }
+    folder.write_json(file, result)
+    return folder.read_json(file)
+
+
+def _episodes(
+    own: Task, make: Maker, draws: list[Knowledge], design: Contest, *, once: bool
+) -> Episodes:
+    """Runs over all draws; the keys of a draw are the same for every controller."""
+    keys = jax.random.split(jax.random.key(7), design.fits * design.seeds)
+    if once:
+        return run_many(own, make(own, draws[0]), keys)
+    shares = np.split(np.arange(len(keys)), design.fits)
+    return joined(
+        [
+            run_many(own, make(own, known), keys[share])
+            for known, share in zip(draws, shares, strict=True)
+        ]
+    )
+
+
+def _row(own: Task, episodes: Episodes) -> dict[str, Any]:
+    """Metrics of a controller, as JSON."""
+    found = summary(episodes, own)
+    row = controller_row(found)
+    if isinstance(own.objective, Follow):
+        row |= {"tracking": found.tracking, "tracking_rms": found.tracking_rms}
+    else:
+        lost = len(episodes.steps) - int(episodes.reached.sum())
+        row["failed"] = interval(wilson(lost, len(episodes.steps)))
+    return row

@@ -1,0 +1,130 @@
+# %% [markdown]
+"""From A to B through an unknown obstacle.
+
+Synthetic shots at a Gaussian barrier that is stronger than the thrust, noise 0.02. A
+kernel potential is fitted; then: how soon can the goal be reached from where, does a
+controller that knows only the fit get there, and which trajectory would tell most?
+"""
+
+# %%
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # one pool of threads: see the docs
+
+import tempfile
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import numpy as np
+
+jax.config.update("jax_enable_x64", val=True)
+
+from pinav.fitting import fit_bayes, kernel_environment
+from pinav.learned import KernelPotential
+from pinav.navigation.baselines import StraightLine, steered
+from pinav.navigation.closed_loop import run_many
+from pinav.navigation.default import controller
+from pinav.navigation.doubt import Unknown, doubt
+from pinav.navigation.experiments import Experiment
+from pinav.navigation.information import suggest
+from pinav.navigation.metrics import regret, summary
+from pinav.navigation.plan import time_to_go
+from pinav.navigation.tasks import task, training
+from pinav.navigation.zones import Rectangle
+from pinav.report.files import save_figure
+from pinav.report.navigation import Course, plan_map
+
+# %% [markdown]
+# ## Data and fit
+# The task is to pass the barrier with less thrust than it has force; what is known of
+# it are eight trajectories, which were not recorded for the task.
+
+# %%
+crossing = task("barrier-weak")
+data = training("barrier-weak", jax.random.key(1))
+unknown = eqx.tree_at(
+    lambda s: s.environment,
+    crossing.truth.dynamics,
+    kernel_environment(KernelPotential, data),
+)
+fit = fit_bayes(unknown, data)
+model = steered(crossing, fit.model)
+
+# %% [markdown]
+# ## The plan
+# The time-to-go from anywhere, on the learned force.
+
+# %%
+plan = time_to_go(crossing, model)
+route = plan.route(crossing.start)
+print(f"planned: {float(route.arrival_time):.1f} from start to goal")
+print(f"out of reach in time: {plan.unreachable.mean():.0%} of the arena")
+
+arrays = {
+    "arena": np.array([crossing.arena.lower, crossing.arena.upper]),
+    "start": np.asarray(crossing.start[:2]),
+    "goal": np.asarray(crossing.objective.target(0.0)),
+    "tolerance": np.asarray(crossing.objective.tolerance),
+    "discs": np.zeros((0, 3)),
+}
+times = np.where(plan.unreachable, np.inf, plan.map)
+with tempfile.TemporaryDirectory() as folder:
+    ax = plan_map(times, Course(arrays), route=np.asarray(route.ys[:, :2]))
+    print("drawn:", save_figure(ax.figure, Path(folder), "plan").png.name)
+
+# %% [markdown]
+# ## In closed loop
+# The true environment, with noise; the controllers differ in what they know.
+
+# %%
+keys = jax.random.split(jax.random.key(2), 10)
+with_truth = run_many(crossing, controller(crossing, crossing.truth), keys)
+with_model = run_many(crossing, controller(crossing, model), keys)
+straight = StraightLine(crossing.objective, crossing.limits)
+for name, episodes in (
+    ("truth", with_truth),
+    ("learned", with_model),
+    ("straight line", run_many(crossing, straight, keys)),
+):
+    found = summary(episodes, crossing)
+    print(
+        f"{name}: {found.success.value:.0%} arrive, 95 % interval "
+        f"{found.success.lower:.0%} to {found.success.upper:.0%}"
+    )
+ratio = regret(with_model, with_truth)
+print(f"regret, median of the pairs: {ratio.value:.3f}")
+
+# %% [markdown]
+# ## What to record next
+# Which of many drive programmes, from near the start, tells most of the route?
+
+# %%
+start = np.asarray(crossing.start[:2])
+experiment = Experiment(
+    actuator=crossing.truth.actuator,
+    limits=crossing.limits,
+    region=Rectangle(start - 0.3, start + 0.3),
+    noise=np.full(4, fit.hyperparameters.noise),
+    duration=8.0,
+)
+open_questions = doubt(
+    fit.model,
+    data,
+    fit.states,
+    noise=fit.hyperparameters.noise,
+    unknown=Unknown(crossing.arena, strength=0.4),
+)
+ranking = suggest(
+    open_questions,
+    np.asarray(route.ys[::10, :2]),
+    experiment,
+    arena=crossing.arena,
+    key=jax.random.key(3),
+    candidates=24,
+)
+best = ranking.shots[ranking.best]
+print(f"headings: {np.round(np.asarray(best.heading), 2)}")
+print(
+    f"sd of the force along the route: {ranking.sd_now:.2g} -> {ranking.sd.min():.2g}"
+)

@@ -1,0 +1,132 @@
+"""Settings of `pinav navigate`; imports no numerical library."""
+
+import math
+from typing import Annotated
+
+import msgspec
+import tyro
+
+from pinav.errors import InputError
+
+
+class NavigateSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Where to go, with which swimmer, and how it is tried."""
+
+    start: Annotated[
+        str, tyro.conf.arg(name="from", metavar="X,Y", help="Where the run begins.")
+    ]
+    goal: Annotated[
+        str, tyro.conf.arg(name="to", metavar="X,Y", help="Where it should end.")
+    ]
+    tolerance: Annotated[
+        float, tyro.conf.arg(help="Distance from the goal that counts as there.")
+    ] = 0.3
+    thrust: Annotated[
+        float,
+        tyro.conf.arg(
+            help="Greatest thrust: an acceleration where the model has inertia, else "
+            "a force. A recording's robot has its own."
+        ),
+    ] = 0.8
+    keep_out: Annotated[
+        tuple[str, ...],
+        tyro.conf.arg(metavar="X,Y,R", help="Discs that must not be entered."),
+    ] = ()
+    arena: Annotated[
+        str | None,
+        tyro.conf.arg(
+            metavar="X0,Y0,X1,Y1",
+            help="Rectangle that must not be left; around data, start and goal unless "
+            "given.",
+        ),
+    ] = None
+    step: Annotated[float, tyro.conf.arg(help="How long a command holds.")] = 0.1
+    time_limit: Annotated[
+        float, tyro.conf.arg(help="When a run has failed; also horizon of the plan.")
+    ] = 20.0
+    noise: Annotated[
+        float,
+        tyro.conf.arg(
+            help="White noise of the true swimmer: it adds noise * sqrt(dt) to the "
+            "velocity, or to the position where there is no inertia."
+        ),
+    ] = 0.1
+    sensor_noise: Annotated[
+        float, tyro.conf.arg(help="Error of what the controller is told of the state.")
+    ] = 0.0
+    delay: Annotated[float, tyro.conf.arg(help="From command to thrust.")] = 0.0
+    samples: Annotated[
+        int,
+        tyro.conf.arg(
+            help="Models drawn from the posterior, whose spread makes unknown ground "
+            "cost more; 0 takes the model for true."
+        ),
+    ] = 8
+    seeds: Annotated[
+        int, tyro.conf.arg(help="Runs of each controller, each with its own noise.")
+    ] = 20
+    seed: Annotated[int, tyro.conf.arg(help="Seed of all noise.")] = 0
+    frequency: Annotated[
+        float, tyro.conf.arg(help="Recording: greatest frequency commanded [Hz].")
+    ] = 10.0
+
+    def check(self) -> None:
+        """Raise `InputError` where a setting makes no sense."""
+        for name in ("tolerance", "thrust", "step", "time_limit", "frequency"):
+            _require(name, getattr(self, name), above=True)
+        for name in ("noise", "sensor_noise", "delay"):
+            _require(name, getattr(self, name), above=False)
+        if self.seeds < 1:
+            raise InputError(f"--seeds: expected 1 or more, got {self.seeds}")
+        if self.samples < 0 or self.samples == 1:
+            raise InputError(
+                f"--samples: expected 0, or 2 and more, got {self.samples}"
+            )
+        self.places()
+
+    def places(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Start and goal."""
+        self.discs()
+        self.box()
+        return numbers("--from", self.start, 2), numbers("--to", self.goal, 2)
+
+    def discs(self) -> list[tuple[float, ...]]:
+        """Centre and radius of each disc that must not be entered."""
+        return [numbers("--keep-out", text, 3) for text in self.keep_out]
+
+    def box(self) -> tuple[float, ...] | None:
+        """Corners of the arena."""
+        return None if self.arena is None else numbers("--arena", self.arena, 4)
+
+
+def numbers(option: str, text: str, count: int) -> tuple[float, ...]:
+    """Numbers with commas between them.
+
+    Args:
+        option: what the message calls them.
+        text: such as "0.5,1".
+        count: how many are expected.
+
+    Raises:
+        InputError: they are not so many finite numbers.
+    """
+    try:
+        found = tuple(float(word) for word in text.split(","))
+    except ValueError:
+        found = ()
+    if len(found) != count or not all(map(math.isfinite, found)):
+        example = ",".join("1234"[:count])
+        raise InputError(
+            f"{option}: expected {count} numbers with commas between them, such as "
+            f"{example}, got {text!r}"
+        )
+    return found
+
+
+def _require(name: str, value: float, *, above: bool) -> None:
+    right = value > 0 if above else value >= 0
+    if not (right and math.isfinite(value)):
+        option = name.replace("_", "-")
+        raise InputError(
+            f"--{option}: expected a number {'> 0' if above else '>= 0'}, got {value}"
+        )

@@ -1,0 +1,147 @@
+"""Suggested trajectories against random ones: the force along a route they teach.
+
+Two random trajectories are known; three more are recorded, either as `suggest` says or
+at random, and everything is fitted again after each. Both have the same number, length,
+noise, region of release and limits, and their candidates come from the same
+distribution; random ones, too, are drawn until the model expects them to stay inside
+the arena. The route is the straight way across `many-barriers` and the same for both.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.actuation import LinearResponse
+from pinav.fitting import fit_bayes, kernel_environment
+from pinav.forces import ZeroForce
+from pinav.learned import KernelPotential
+from pinav.navigation.doubt import Unknown, doubt
+from pinav.navigation.experiments import Experiment, Shots, begins, in_sequence
+from pinav.navigation.information import inside, suggest
+from pinav.navigation.steering import CommandLimits, RollingActuator
+from pinav.navigation.zones import Rectangle
+from pinav.scenarios import (
+    DIMENSIONLESS,
+    PLANAR_CHANNELS,
+    Scenario,
+    many_barriers,
+)
+from pinav.trajectories import concatenate, simulate
+
+ARENA = Rectangle([0.0, 0.0], [20.0, 20.0])
+ROUTE = np.linspace([2.0, 2.0], [18.0, 18.0], 41)
+THRUST, NOISE, SEEDS = 1.5, 0.02, 10
+KNOWN, ADDED = 2, 3
+"""Trajectories at first, and how many follow."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def double_precision():
+    with jax.enable_x64(new_val=True):
+        yield
+
+
+class Laboratory:
+    """A true environment, and what was recorded of it."""
+
+    def __init__(self, seed: int):
+        self.truth = many_barriers().swimmer
+        self.experiment = Experiment(
+            RollingActuator(THRUST * jnp.eye(2), LinearResponse()),
+            CommandLimits(1.0),
+            Rectangle([1.0, 1.0], [3.0, 3.0]),
+            np.full(4, NOISE),
+            8.0,
+        )
+        first, self.noises, self.choices = jax.random.split(jax.random.key(seed), 3)
+        self.shots: list[Shots] = []
+        self.data = []
+        empty = eqx.tree_at(lambda s: s.environment, self.truth, ZeroForce())
+        for _ in range(KNOWN):
+            first, key = jax.random.split(first)
+            self.record(self.random(empty, key))
+
+    def random(self, model, key) -> Shots:
+        """A random shot that the model expects to stay inside."""
+        pool = self.experiment.draw(40, key=key)
+        stays = np.asarray(inside(model, self.experiment, pool, ARENA))
+        return pool[int(np.flatnonzero(stays)[0])]
+
+    def suggested(self, key) -> Shots:
+        """The shot that should tell most of the route."""
+        fit = self.fit
+        open_questions = doubt(
+            fit.model,
+            concatenate(self.data),
+            fit.states,
+            noise=fit.hyperparameters.noise,
+            unknown=Unknown(ARENA, THRUST / 2),
+        )
+        found = suggest(open_questions, ROUTE, self.experiment, arena=ARENA, key=key)
+        return found.shots[found.best]
+
+    def record(self, shot: Shots) -> None:
+        """Observe a shot, with its own span of the clock."""
+        index = len(self.shots)
+        begin = float(begins(self.experiment, index + 1)[index])
+        thrust = self.experiment.thrust(shot, begin)
+        made = Scenario(
+            name="many-barriers",
+            truth=eqx.tree_at(lambda s: s.propulsion, self.truth, thrust),
+            starts=shot.starts[None],
+            times=self.experiment.times + begin,
+            noise=NOISE,
+            channels=PLANAR_CHANNELS,
+            units=DIMENSIONLESS,
+        )
+        self.shots.append(shot)
+        self.data.append(simulate(made, key=jax.random.fold_in(self.noises, index)))
+
+    def learn(self) -> float:
+        """Fit everything; the relative error of the force along the route."""
+        data = concatenate(self.data)
+        shots = jax.tree.map(lambda *leaves: jnp.stack(leaves), *self.shots)
+        model = eqx.tree_at(
+            lambda s: (s.propulsion, s.environment),
+            self.truth,
+            (
+                in_sequence(self.experiment, shots),
+                kernel_environment(KernelPotential, data),
+            ),
+        )
+        self.fit = fit_bayes(model, data, throw=False)
+        learned, true = (forces(m.environment) for m in (self.fit.model, self.truth))
+        return float(np.linalg.norm(learned - true) / np.linalg.norm(true))
+
+
+def forces(environment):
+    at = jax.vmap(lambda x: environment(0.0, x, jnp.zeros_like(x)))
+    return np.asarray(at(jnp.asarray(ROUTE)))
+
+
+def errors(seed: int, *, suggested: bool) -> list[float]:
+    """Force error along the route after each fit."""
+    laboratory = Laboratory(seed)
+    found = [laboratory.learn()]
+    for key in jax.random.split(laboratory.choices, ADDED):
+        chosen = (
+            laboratory.suggested(key)
+            if suggested
+            else laboratory.random(laboratory.fit.model, jax.random.fold_in(key, 1))
+        )
+        laboratory.record(chosen)
+        found.append(laboratory.learn())
+    return found
+
+
+def test_suggested_trajectories_teach_more_than_random_ones():
+    rows = {
+        name: np.array([errors(seed, suggested=chosen) for seed in range(SEEDS)])
+        for name, chosen in (("suggested", True), ("random", False))
+    }
+    for name, values in rows.items():
+        print(name, np.round(values, 3).tolist(), np.median(values, axis=0))
+    suggested, random = (np.median(rows[name][:, -1]) for name in rows)
+    assert suggested <= 0.7 * random
