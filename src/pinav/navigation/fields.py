@@ -207,7 +207,8 @@ def sample_times(
         count: of times for a model that changes.
     """
     probes = np.array([0.0, 0.31, 0.73]) * time_limit
-    coarse = Grid(grid.lower, grid.spacing * 4, tuple(n // 4 + 1 for n in grid.shape))
+    across, along = (n // 4 + 1 for n in grid.shape)
+    coarse = Grid(grid.lower, grid.spacing * 4, (across, along))
     values = tabulate(model, coarse, probes).values
     changes = bool(jnp.any(jnp.ptp(values, axis=0) > 1e-9 * jnp.max(jnp.abs(values))))
     return np.linspace(0.0, time_limit, count) if changes else np.zeros(1)
