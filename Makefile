@@ -31,6 +31,8 @@ bench: .venv/installed-dev
 	$(BIN)/pinav bench gradient
 	$(BIN)/pinav bench growth
 	$(BIN)/pinav bench fit
+	$(BIN)/pinav bench heat
+	$(BIN)/pinav bench navigate
 
 clean:
 	rm -rf .venv .pytest_cache .ruff_cache .hypothesis .coverage

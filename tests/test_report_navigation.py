@@ -89,6 +89,7 @@ def test_the_curve_is_the_median_over_seeds():
     np.testing.assert_allclose(median.get_ydata(), [0.9, 0.4])
 
 
+@pytest.mark.slow
 def test_the_animation_has_a_frame_for_each_step_up_to_a_limit(tmp_path):
     for steps, frames in ((5, 6), (4 * FRAMES, FRAMES)):
         trails = Trails({"learned": walk(steps, steps + 30)}, 0.1)

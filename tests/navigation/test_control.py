@@ -26,6 +26,8 @@ from pinav.navigation.task import Task
 from pinav.navigation.terrain import terrain
 from pinav.navigation.zones import Disc, Rectangle
 
+pytestmark = pytest.mark.slow
+
 ROLLING = RollingActuator(jnp.eye(2), LinearResponse())
 START, GOAL = np.array([-2.0, -1.0]), np.array([2.5, 1.5])
 

@@ -26,6 +26,8 @@ from pinav.navigation.zones import Rectangle
 from pinav.solvers import FixedStep
 from pinav.trajectories import Trajectories
 
+pytestmark = pytest.mark.slow
+
 ACTUATOR = HelicalActuator(gain=1.5, moment=1.0, amplitude=1.0, rotational_drag=0.16)
 LIMITS = CommandLimits(max_frequency=1.0, max_turning_rate=1.2)
 ARENA = Rectangle([-3.0, -3.0], [7.0, 7.0])
@@ -232,7 +234,10 @@ def test_doubt_is_the_prior_far_from_the_data_and_little_near_them():
     wide = Rectangle([-8.0, -8.0], [12.0, 12.0])
     unknown = Unknown(wide, strength=0.7, length=3.0)
     found = doubt(model, data, states, noise=0.002, unknown=unknown)
-    far, near = found.force_sd([[10.0, -6.0]]), found.force_sd(states[0, 10:11, :2])
+    far, near = (
+        found.force_sd(np.array([[10.0, -6.0]])),
+        found.force_sd(states[0, 10:11, :2]),
+    )
     assert np.sqrt(np.mean(far**2)) == pytest.approx(0.7, rel=0.1)
     assert np.all(near < 0.1)
     same = found.model.environment(0.0, states[0, 5, :2], jnp.zeros(2))

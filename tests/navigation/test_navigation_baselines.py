@@ -69,6 +69,7 @@ def test_cruising_speed_is_thrust_over_drag():
     np.testing.assert_allclose(speed, 1.0)
 
 
+@pytest.mark.slow
 def test_paths_are_followed_with_the_true_model_in_spite_of_the_drift():
     """And with physics alone three times as badly at least."""
     task = tasks.task("follow-circle")
@@ -80,6 +81,7 @@ def test_paths_are_followed_with_the_true_model_in_spite_of_the_drift():
     assert known.tracking < blind.tracking / 3
 
 
+@pytest.mark.slow
 def test_gaussian_process_finds_the_current():
     """And does not take the propulsion, which is known, for it."""
     task = tasks.task("vortex")
@@ -94,6 +96,7 @@ def test_gaussian_process_finds_the_current():
     assert jnp.sqrt(jnp.mean(true**2)) > 0.3
 
 
+@pytest.mark.slow
 def test_gaussian_process_finds_the_force_and_nothing_far_away():
     known = scenario("barrier-crossings").swimmer
     data = tasks.training("barrier-weak", KEY, count=2)

@@ -67,6 +67,7 @@ def test_time_to_go_in_a_uniform_drift_is_that_of_the_closed_form(drift):
     assert np.abs(found - exact).mean() < 0.06
 
 
+@pytest.mark.slow
 def test_time_to_go_converges_with_the_grid():
     task = swimming((0.4, -0.3))
     exact = drifted_time(np.asarray(task.start), (0.4, -0.3))
@@ -102,6 +103,7 @@ def test_the_way_around_a_disc_is_two_tangents_and_an_arc():
     assert float(jnp.min(jax.vmap(disc.distance)(route.ys))) > -0.02
 
 
+@pytest.mark.slow
 def test_with_inertia_it_is_that_of_uniform_acceleration():
     """From rest, without drag: sqrt(2 d / u)."""
     truth = SteeredSwimmer(Swimmer(ZeroForce(), LinearDrag(0.0), ZeroForce()), ROLLING)
@@ -117,6 +119,7 @@ def test_with_inertia_it_is_that_of_uniform_acceleration():
     assert plan.map.shape == (25, 25)
 
 
+@pytest.mark.slow
 def test_a_plan_knows_how_a_force_will_change():
     """A push that comes too late is of no use; one that comes soon is."""
     push = GaussianBarrier(-40.0, [30.0, 1.5], 20.0)  # towards +x in the whole arena
@@ -164,6 +167,7 @@ def test_a_path_needs_no_plan():
         planned(task)
 
 
+@pytest.mark.slow
 def test_unknown_ground_is_gone_around():
     """Two samples that disagree in a disc: time costs more there."""
     task = swimming()
