@@ -55,7 +55,8 @@ def run(argv: Sequence[str]) -> int:
 
     # Two pools of threads on the same cores slow small factorisations tenfold.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    os.environ.update(compiler_flags(os.environ, metadata.version("jaxlib")))
+    if "heat" not in argv[:2]:  # small to compile, and its gradient runs slower then
+        os.environ.update(compiler_flags(os.environ, metadata.version("jaxlib")))
     if argv[0] != "bench":  # which measures cold processes
         os.environ.update(compilation_cache(os.environ))
     from pinav import commands

@@ -43,7 +43,7 @@ class Rosenbrock(AbstractStepper):
         Verwer, Spee, Blom and Hundsdorfer, SIAM J. Sci. Comput. 20, 1456 (1999).
     """
 
-    longest: Number = eqx.field(static=True, default=5.0)
+    longest: Number = eqx.field(static=True, default=7.5)
 
     def __check_init__(self):
         check_step("Rosenbrock.longest", self.longest)
