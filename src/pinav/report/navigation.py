@@ -195,7 +195,7 @@ def spread_map(
     *,
     thrust: float,
     route: Float[np.ndarray, "point 2"],
-    suggestion: Float[np.ndarray, "point 2"] | None = None,
+    suggestion: Float[np.ndarray, "sample 2"] | None = None,
     units: Mapping[str, str] = DIMENSIONLESS,
     ax: Axes | None = None,
 ) -> Axes:
