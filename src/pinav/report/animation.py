@@ -38,7 +38,7 @@ class Trails:
         step: time between two of them [T].
     """
 
-    paths: Mapping[str, Float[np.ndarray, "time 2"]]
+    paths: Mapping[str, Float[np.ndarray, "_ 2"]]
     step: float
 
     @property

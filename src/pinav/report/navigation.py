@@ -107,7 +107,7 @@ def plan_map(
     time: Float[np.ndarray, "x y"],
     course: Course,
     *,
-    route: Float[np.ndarray, "point 2"] | None = None,
+    route: Float[np.ndarray, "_ 2"] | None = None,
     units: Mapping[str, str] = DIMENSIONLESS,
     ax: Axes | None = None,
 ) -> Axes:
@@ -158,7 +158,7 @@ def hatch_where(ax: Axes, grid: FieldMap, ground: Bool[np.ndarray, "y x"]) -> No
 def paths_map(
     field: FieldMap,
     course: Course,
-    paths: Mapping[str, Sequence[Float[np.ndarray, "time 2"]]],
+    paths: Mapping[str, Sequence[Float[np.ndarray, "_ 2"]]],
     *,
     limit: float,
     units: Mapping[str, str] = DIMENSIONLESS,
@@ -194,8 +194,8 @@ def spread_map(
     course: Course,
     *,
     thrust: float,
-    route: Float[np.ndarray, "point 2"],
-    suggestion: Float[np.ndarray, "sample 2"] | None = None,
+    route: Float[np.ndarray, "_ 2"],
+    suggestion: Float[np.ndarray, "_ 2"] | None = None,
     units: Mapping[str, str] = DIMENSIONLESS,
     ax: Axes | None = None,
 ) -> Axes:
@@ -226,7 +226,7 @@ def spread_map(
 
 def closed_loop_figure(
     arrays: Mapping[str, np.ndarray],
-    paths: Mapping[str, Sequence[Float[np.ndarray, "time 2"]]],
+    paths: Mapping[str, Sequence[Float[np.ndarray, "_ 2"]]],
     *,
     thrust: float,
     units: Mapping[str, str] = DIMENSIONLESS,
