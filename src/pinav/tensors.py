@@ -45,7 +45,7 @@ class IsotropicTensor(AbstractTensorField):
     value: Scalar
 
     def __check_init__(self):
-        _check_positive(self, "value")
+        check_positive(self, "value")
 
     def __call__(self, x, vector):
         return self.value * vector
@@ -117,7 +117,7 @@ class UniaxialTensor(AbstractTensorField):
     director: AbstractDirector
 
     def __check_init__(self):
-        _check_positive(self, "along", "across")
+        check_positive(self, "along", "across")
 
     def __call__(self, x, vector):
         return self._with(self.along, self.across, x, vector)
@@ -202,7 +202,7 @@ class BrinkmanTensor(AbstractTensorField):
     width: Scalar
 
     def __check_init__(self):
-        _check_positive(self, "clear", "width")
+        check_positive(self, "clear", "width")
 
     def value(self, x: Float[Array, " dim"]) -> Float[Array, ""]:
         r"""$\eta(x)$."""
@@ -247,7 +247,8 @@ def as_point(name: str, value, dim: int | None = None) -> Float[Array, " dim"]:
     return value if isinstance(value, jax.Array) else jnp.asarray(value, float)
 
 
-def _check_positive(module: eqx.Module, *names: str) -> None:
+def check_positive(module: eqx.Module, *names: str) -> None:
+    """Raise `InputError` where a field of a module is a number <= 0."""
     for name in names:
         value = getattr(module, name)
         if isinstance(value, float | int) and value <= 0:

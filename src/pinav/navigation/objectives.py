@@ -9,8 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from pinav.actuation import Scalar
-from pinav.errors import InputError
-from pinav.tensors import as_point
+from pinav.tensors import as_point, check_positive
 
 
 class AbstractPath(eqx.Module):
@@ -39,7 +38,7 @@ class LinePath(AbstractPath):
     duration: Scalar
 
     def __check_init__(self):
-        _check_positive("LinePath.duration", self.duration)
+        check_positive(self, "duration")
 
     def __call__(self, t):
         share = jnp.clip(jnp.asarray(t) / self.duration, 0.0, 1.0)
@@ -64,8 +63,7 @@ class CirclePath(AbstractPath):
     phase: Scalar = 0.0
 
     def __check_init__(self):
-        _check_positive("CirclePath.radius", self.radius)
-        _check_positive("CirclePath.period", self.period)
+        check_positive(self, "radius", "period")
 
     def __call__(self, t):
         angle = self.phase + 2 * math.pi * jnp.asarray(t) / self.period
@@ -88,8 +86,7 @@ class FigureEightPath(AbstractPath):
     period: Scalar
 
     def __check_init__(self):
-        _check_positive("FigureEightPath.radius", self.radius)
-        _check_positive("FigureEightPath.period", self.period)
+        check_positive(self, "radius", "period")
 
     def __call__(self, t):
         angle = 2 * math.pi * jnp.asarray(t) / self.period
@@ -146,7 +143,7 @@ class Reach(AbstractObjective):
     tolerance: Scalar
 
     def __check_init__(self):
-        _check_positive("Reach.tolerance", self.tolerance)
+        check_positive(self, "tolerance")
 
     def target(self, t):
         return self.goal
@@ -178,8 +175,3 @@ class Follow(AbstractObjective):
 
     def distance(self, x):
         return jnp.full((), math.inf, x.dtype)
-
-
-def _check_positive(name, value):
-    if isinstance(value, float | int) and value <= 0:
-        raise InputError(f"{name}: expected > 0, got {value}")

@@ -17,6 +17,7 @@ from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.forces import AbstractForce
 from pinav.solvers import RK4, FixedStep
+from pinav.tensors import check_positive
 
 
 def direction(heading: Scalar) -> Float[Array, "2"]:
@@ -83,10 +84,7 @@ class HelicalActuator(AbstractActuator):
     rotational_drag: Scalar
 
     def __check_init__(self):
-        for name in ("moment", "amplitude", "rotational_drag"):
-            value = getattr(self, name)
-            if isinstance(value, float | int) and value <= 0:
-                raise InputError(f"HelicalActuator.{name}: expected > 0, got {value}")
+        check_positive(self, "moment", "amplitude", "rotational_drag")
 
     @property
     def step_out(self) -> Float[Array, ""]:

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from pinav.actuation import Scalar
 from pinav.errors import InputError
-from pinav.tensors import as_point
+from pinav.tensors import as_point, check_positive
 
 
 class AbstractZone(eqx.Module):
@@ -37,8 +37,7 @@ class Disc(AbstractZone):
     radius: Scalar
 
     def __check_init__(self):
-        if isinstance(self.radius, float | int) and self.radius <= 0:
-            raise InputError(f"Disc.radius: expected > 0, got {self.radius}")
+        check_positive(self, "radius")
 
     def distance(self, x):
         return _length(x - self.center) - self.radius
@@ -65,8 +64,7 @@ class Wall(AbstractZone):
     half_width: Scalar
 
     def __check_init__(self):
-        if isinstance(self.half_width, float | int) and self.half_width <= 0:
-            raise InputError(f"Wall.half_width: expected > 0, got {self.half_width}")
+        check_positive(self, "half_width")
 
     def distance(self, x):
         along = self.end - self.start
