@@ -57,7 +57,8 @@ def main(argv: Sequence[str]) -> None:
     for file in files:
         rows.append(timed(file, options))
         print(line(rows[-1]), flush=True)
-        write_text(options.out / "recordings.json", json.dumps(rows, indent=2) + "\n")
+        table = json.dumps(rows, indent=2) + "\n"
+        write_text(options.out / "recordings.json", table, overwrite=True)
 
 
 def recordings(folder: Path, only: str) -> list[Path]:

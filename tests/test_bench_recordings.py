@@ -31,6 +31,23 @@ def test_only_files_of_tracks_are_found(tmp_path):
         recordings.recordings(tmp_path, "zebra")
 
 
+def test_every_row_is_kept_as_soon_as_it_is_there(tmp_path, monkeypatch):
+    drifter(tmp_path / "lab" / "a.csv")
+    drifter(tmp_path / "pond" / "b.csv")
+    out, kept = tmp_path / "out", []
+
+    def timed(file, options):
+        table = options.out / "recordings.json"
+        kept.append(len(json.loads(table.read_text())) if table.is_file() else 0)
+        refused = {"seconds": 1.0, "reason": "none of ours"}
+        return {"recording": file.name, "inspect": refused, "fit": refused}
+
+    monkeypatch.setattr(recordings, "timed", timed)
+    for _ in range(2):  # a second run replaces the first
+        recordings.main(["--folder", str(tmp_path), "--out", str(out)])
+    assert kept == [0, 1, 2, 1]
+
+
 @pytest.mark.slow
 def test_a_file_has_its_row_and_its_paths_lie_on_the_image(
     tmp_path, capsys, monkeypatch
