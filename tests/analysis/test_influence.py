@@ -8,14 +8,9 @@ from pinav.analysis import influence
 from pinav.errors import FitError, InputError
 from pinav.fitting import fit_bayes, kernel_environment
 from pinav.fitting.bayes_problem import BayesProblem
-from pinav.fitting.evidence import (
-    Data,
-    Quadratic,
-    joint_posterior,
-    weight_posterior,
-    without_flat,
-)
+from pinav.fitting.evidence import Data, weight_posterior
 from pinav.fitting.lifting import linearise
+from pinav.fitting.quadratics import Quadratic, joint_posterior, without_flat
 from pinav.learned import KernelPotential
 from pinav.scenarios import barrier_crossings
 from pinav.solvers import FixedStep

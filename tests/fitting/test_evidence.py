@@ -4,15 +4,20 @@ import pytest
 from pinav.errors import FitError
 from pinav.fitting.evidence import (
     Data,
-    Quadratic,
+    Whitened,
     at_shape,
     best_hyperparameters,
+    shape_slope,
+    weight_posterior,
+)
+from pinav.fitting.priors import AbstractPrior
+from pinav.fitting.quadratics import (
+    Quadratic,
     is_singular,
     joint_posterior,
-    shape_covariance,
-    weight_posterior,
     without_flat,
 )
+from pinav.fitting.shape_uncertainty import SHAPE_SD, shape_covariance
 
 WEIGHTS, FLAT, ROWS = 4, 2, 30
 RNG = np.random.default_rng(1)
@@ -79,6 +84,50 @@ def of_low_rank(shape):
     return root @ root.T
 
 
+def slopes_of_low_rank(shape):
+    count = np.arange(WEIGHTS)
+    return 2 * np.exp(2 * shape[0]) * np.outer(count, count)[None]
+
+
+@pytest.mark.parametrize("noise", [None, 0.1])
+def test_the_slope_of_the_evidence_holds_for_data_that_no_weights_reach(
+    quadratic, noise
+):
+    data, step = Data.of(without_flat(quadratic, MASK)[0]), 1e-4
+    shape = np.array([0.3])
+    upper, lower = (
+        at_shape(data, of_low_rank, shape + s, noise).log_evidence
+        for s in (step, -step)
+    )
+    chosen = at_shape(data, of_low_rank, shape, noise)
+    white = Whitened.of(data, of_low_rank(shape))
+    slope = shape_slope(data, white, chosen, slopes_of_low_rank)
+    np.testing.assert_allclose(slope, [(upper - lower) / (2 * step)], rtol=1e-5)
+
+
+class Correlated(AbstractPrior):
+    """The prior of `prior`; `idle` where the shape has no effect."""
+
+    idle: bool = False
+
+    @property
+    def start(self):
+        return np.zeros(1)
+
+    @property
+    def bounds(self):
+        return BOUNDS
+
+    def covariance(self, shape):
+        return prior(np.zeros(1)) if self.idle else prior(shape)
+
+    def slopes(self, shape):
+        distance = np.arange(WEIGHTS)[:, None] - np.arange(WEIGHTS)
+        squares = (distance / np.exp(shape[0])) ** 2
+        slope = squares * np.exp(-0.5 * squares)
+        return np.zeros_like(slope)[None] if self.idle else slope[None]
+
+
 def test_a_prior_of_low_rank_has_the_evidence_and_posterior_of_its_density(quadratic):
     data = Data.of(without_flat(quadratic, MASK)[0])
     chosen = at_shape(data, of_low_rank, np.zeros(1))
@@ -111,12 +160,33 @@ def test_the_evidence_is_highest_where_the_search_ends(quadratic):
 def test_an_uncertain_shape_widens_the_posterior(quadratic):
     data = Data.of(without_flat(quadratic, MASK)[0])
     chosen = best_hyperparameters(data, prior, np.zeros(1), BOUNDS)
-    extra = shape_covariance(data, prior, chosen)
+    extra = shape_covariance(data, Correlated(), chosen)
     values = np.linalg.eigvalsh(extra)
     assert values[-1] > 0
     np.testing.assert_allclose(values[:-1], 0, atol=1e-12)
-    idle = shape_covariance(data, lambda _: prior(np.zeros(1)), chosen)
+    idle = shape_covariance(data, Correlated(idle=True), chosen)
     np.testing.assert_allclose(idle, 0, atol=1e-12)
+
+
+def test_what_a_shape_adds_follows_from_the_curvature_of_the_evidence(quadratic):
+    data, step = Data.of(without_flat(quadratic, MASK)[0]), 1e-3
+    chosen = best_hyperparameters(data, prior, np.zeros(1), BOUNDS)
+
+    def at(shape):
+        best = at_shape(data, prior, shape)
+        return best.log_evidence, weight_posterior(data, prior(shape), best)[0]
+
+    (upper, above), (middle, _), (lower, below) = (
+        at(chosen.shape + s * step) for s in (1, 0, -1)
+    )
+    precision = (2 * middle - upper - lower) / step**2 + 1 / SHAPE_SD**2
+    slope = (above - below) / (2 * step)
+    np.testing.assert_allclose(
+        shape_covariance(data, Correlated(), chosen),
+        np.outer(slope, slope) / precision,
+        rtol=1e-3,
+        atol=1e-9,
+    )
 
 
 def test_posterior_is_the_exact_one(quadratic):

@@ -15,14 +15,14 @@ from pinav.fitting import (
 from pinav.fitting.evidence import (
     Data,
     Hyperparameters,
-    Quadratic,
+    Whitened,
     at_shape,
-    covariance_pull,
-    without_flat,
+    shape_slope,
 )
 from pinav.fitting.inference import GaussianWeights, NoWeights
 from pinav.fitting.occam import LOG_RANGE
 from pinav.fitting.priors import AbstractPrior, kernel_prior
+from pinav.fitting.quadratics import Quadratic, without_flat
 from pinav.kernel_fields import (
     ChangingPotential,
     KernelMixture,
@@ -87,12 +87,12 @@ def quadratic_of(design, data):
 
 @every_prior
 @pytest.mark.parametrize("noise", [None, 0.1])
-def test_the_pull_on_a_covariance_is_the_slope_of_the_evidence(prior, noise):
+def test_the_slope_of_the_evidence_is_its_derivative(prior, noise):
     shape, step = inside(prior), 1e-3
     data = Data.of(problem(len(prior.covariance(prior.start)))[2])
     chosen = at_shape(data, prior.covariance, shape, noise)
-    pull = covariance_pull(data, prior.covariance(shape), chosen)
-    slope = np.tensordot(prior.slopes(shape), pull, axes=2)
+    white = Whitened.of(data, prior.covariance(shape))
+    slope = shape_slope(data, white, chosen, prior.slopes)
     units = step * np.eye(len(shape))
     expected = [
         at_shape(data, prior.covariance, shape + unit, noise).log_evidence

@@ -10,11 +10,11 @@ from pinav.fitting.distil import Lesson, forces
 from pinav.fitting.evidence import (
     Data,
     Hyperparameters,
-    Quadratic,
     log_evidence,
     weight_posterior,
 )
 from pinav.fitting.priors import kernel_prior
+from pinav.fitting.quadratics import Quadratic
 from pinav.fitting.tangent import Process, TangentWeights
 from pinav.learned import (
     KernelPotential,

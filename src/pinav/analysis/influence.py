@@ -29,12 +29,12 @@ from jaxtyping import ArrayLike, Bool, Float, PyTree
 from pinav.errors import FitError, InputError
 from pinav.fitting import FreeModel, Hyperparameters, freed
 from pinav.fitting.bayes_problem import BayesProblem
-from pinav.fitting.evidence import (
+from pinav.fitting.lifting import linearise, sensitivities
+from pinav.fitting.quadratics import (
     Quadratic,
     joint_posterior,
     without_flat,
 )
-from pinav.fitting.lifting import linearise, sensitivities
 from pinav.fitting.teaching import NEURAL, Request, function_prior
 from pinav.learned import AbstractLearnedForce
 from pinav.solvers import FixedStep

@@ -17,13 +17,7 @@ from pinav.fitting.descent import (
     Move,
     ShortenedStep,
 )
-from pinav.fitting.evidence import (
-    FlatBlock,
-    Hyperparameters,
-    Quadratic,
-    joint_posterior,
-    without_flat,
-)
+from pinav.fitting.evidence import Hyperparameters
 from pinav.fitting.inference import (
     AbstractWeights,
     GaussianWeights,
@@ -36,6 +30,12 @@ from pinav.fitting.objectives import Observations
 from pinav.fitting.occam import LinearFit
 from pinav.fitting.posterior import Posterior
 from pinav.fitting.priors import kernel_prior
+from pinav.fitting.quadratics import (
+    FlatBlock,
+    Quadratic,
+    joint_posterior,
+    without_flat,
+)
 from pinav.fitting.smoother import smoothed_states
 from pinav.kernel_fields import (
     ChangingPotential,

@@ -22,117 +22,15 @@ from collections.abc import Callable
 import equinox as eqx
 import numpy as np
 import scipy.linalg
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
-from pinav.errors import FitError
+from pinav.fitting.quadratics import Quadratic
 
 LOG_RATIOS = np.linspace(-32.0, 4.0, 37)
 r"""Logarithms of $\beta$ tried first, relative to the largest eigenvalue."""
 
 ROOT_TOLERANCE = 1e-14
 """Variances that a root of the prior leaves out, relative to the largest."""
-
-
-class Quadratic(eqx.Module):
-    r"""Sum of squares about a point, and what it hides.
-
-    $q + 2\,g\cdot\delta + \delta\cdot H\,\delta$ with $\delta = \theta - \theta_0$.
-    About the origin it would be a small difference of large numbers.
-
-    Attributes:
-        point: $\theta_0$.
-        hessian: $H$.
-        gradient: $g$.
-        squares: $q$.
-        num_free: residuals less flat unknowns integrated out so far.
-        log_determinant: of the blocks integrated out so far.
-    """
-
-    point: Float[np.ndarray, " parameter"]
-    hessian: Float[np.ndarray, "parameter parameter"]
-    gradient: Float[np.ndarray, " parameter"]
-    squares: float
-    num_free: int
-    log_determinant: float
-
-
-class FlatBlock(eqx.Module):
-    """Parameters with a flat prior, given the weights.
-
-    Attributes:
-        mask: which of all parameters they are.
-        offset: their values where the weights are zero.
-        slope: their change per weight.
-        covariance: their covariance given the weights, for unit noise.
-    """
-
-    mask: Bool[np.ndarray, " parameter"]
-    offset: Float[np.ndarray, " flat"]
-    slope: Float[np.ndarray, "flat weight"]
-    covariance: Float[np.ndarray, "flat flat"]
-
-    def map_weights(
-        self,
-    ) -> Float[np.ndarray, "parameter weight"]:
-        """From changes of the weights to those of all parameters."""
-        full = np.zeros((len(self.mask), self.slope.shape[1]))
-        full[~self.mask] = np.eye(self.slope.shape[1])
-        full[self.mask] = self.slope
-        return full
-
-    def lift(
-        self, covariance: Float[np.ndarray, "weight weight"]
-    ) -> Float[np.ndarray, "parameter parameter"]:
-        """Covariance of all parameters that a covariance of the weights makes."""
-        full = self.map_weights()
-        return full @ covariance @ full.T
-
-
-def without_flat(
-    quadratic: Quadratic, mask: Bool[np.ndarray, " parameter"]
-) -> tuple[Quadratic, FlatBlock]:
-    """Integrate out the parameters in `mask`, which have a flat prior.
-
-    Raises:
-        FitError: the data do not determine them, even with the weights known.
-    """
-    hessian, gradient = quadratic.hessian, quadratic.gradient
-    own, border = hessian[np.ix_(mask, mask)], hessian[np.ix_(mask, ~mask)]
-    if is_singular(own):
-        raise FitError(
-            "the fit is singular: the data do not determine the learned constants; "
-            "learn fewer of them"
-        )
-    covariance = np.linalg.inv(own)
-    slope, change = -covariance @ border, -covariance @ gradient[mask]
-    point = quadratic.point
-    block = FlatBlock(
-        mask=mask,
-        offset=point[mask] + change - slope @ point[~mask],
-        slope=slope,
-        covariance=covariance,
-    )
-    reduced = Quadratic(
-        point=point[~mask],
-        hessian=hessian[np.ix_(~mask, ~mask)] + border.T @ slope,
-        gradient=gradient[~mask] + border.T @ change,
-        squares=quadratic.squares + float(gradient[mask] @ change),
-        num_free=quadratic.num_free - int(mask.sum()),
-        log_determinant=quadratic.log_determinant
-        + float(np.linalg.slogdet(own).logabsdet),
-    )
-    return reduced, block
-
-
-def is_singular(matrix: Float[np.ndarray, "n n"]) -> bool:
-    """Whether a normal matrix, its rows and columns scaled, lost all digits."""
-    scale = np.sqrt(np.diag(matrix))
-    if not (np.all(np.isfinite(matrix)) and np.all(scale > 0)):
-        return True
-    if not scale.size:
-        return False
-    eigenvalues = np.linalg.eigvalsh(matrix / np.outer(scale, scale))
-    return bool(eigenvalues[0] < 1e-13 * eigenvalues[-1])
 
 
 class Data(eqx.Module):
@@ -168,23 +66,28 @@ class Data(eqx.Module):
         )
 
 
-class _Whitened(eqx.Module):
-    """The data in directions in which the prior makes them independent.
+class Whitened(eqx.Module):
+    r"""The data in directions in which the prior makes them independent.
 
     Attributes:
-        columns: from these directions to the weights, times their prior covariance.
+        columns: $C$, a root of the prior.
+        reached: $R C$, the data of each of its columns.
+        vectors: the directions, orthonormal.
         variances: prior variance in each direction, ascending.
         targets: the data there.
-        squares: of the data in all other directions, which no weights reach.
+        missed: the data in all other directions, which no weights reach.
     """
 
-    columns: Float[np.ndarray, "weight direction"]
+    columns: Float[np.ndarray, "weight column"]
+    reached: Float[np.ndarray, "datum column"]
+    vectors: Float[np.ndarray, "datum direction"]
     variances: Float[np.ndarray, " direction"]
     targets: Float[np.ndarray, " direction"]
-    squares: float
+    missed: Float[np.ndarray, " datum"]
 
     @classmethod
-    def of(cls, data: Data, prior: Float[np.ndarray, "weight weight"]):
+    def of(cls, data: Data, prior: Float[np.ndarray, "weight weight"]) -> "Whitened":
+        """The data under a prior covariance of the weights."""
         columns = root(prior)
         reached = data.rows @ columns
         if reached.shape[1] < reached.shape[0]:
@@ -194,13 +97,20 @@ class _Whitened(eqx.Module):
         else:
             variances, vectors = np.linalg.eigh(reached @ reached.T)
         targets = vectors.T @ data.targets
-        missed = data.targets - vectors @ targets
         return cls(
-            columns=columns @ (reached.T @ vectors),
+            columns=columns,
+            reached=reached,
+            vectors=vectors,
             variances=np.maximum(variances, 0.0),
             targets=targets,
-            squares=float(missed @ missed),
+            missed=data.targets - vectors @ targets,
         )
+
+    def to_weights(
+        self, values: Float[np.ndarray, " direction *all"]
+    ) -> Float[np.ndarray, " weight *all"]:
+        """What values in the directions are of the weights, by their covariance."""
+        return self.columns @ (self.reached.T @ (self.vectors @ values))
 
 
 def root(
@@ -263,12 +173,11 @@ def best_hyperparameters(
         return at_shape(data, covariance, start, noise)
 
     def loss(shape):
-        chosen = at_shape(data, covariance, shape, noise)
+        white = Whitened.of(data, covariance(shape))
+        chosen = best_amplitude(data, white, shape, noise)
         if slopes is None:
             return -chosen.log_evidence
-        pull = covariance_pull(data, covariance(shape), chosen)
-        gradient = -np.tensordot(slopes(shape), pull, axes=2)
-        return -chosen.log_evidence, gradient
+        return -chosen.log_evidence, -shape_slope(data, white, chosen, slopes)
 
     from scipy.optimize import minimize  # 0.2 s that other fits do without
 
@@ -283,10 +192,23 @@ def best_hyperparameters(
     return at_shape(data, covariance, found.x, noise)
 
 
+def shape_slope(
+    data: Data, white: Whitened, chosen: Hyperparameters, slopes: Slopes
+) -> Float[np.ndarray, " shape"]:
+    r"""Derivative of $\log Z$ by the shape, at its best amplitude and noise.
+
+    Args:
+        data: what the weights are to explain.
+        white: the same under the prior of this shape.
+        chosen: the shape, and amplitude and noise of highest evidence.
+        slopes: derivatives of the prior.
+    """
+    pull = covariance_pull(data, white, chosen)
+    return np.tensordot(slopes(chosen.shape), pull, axes=2)
+
+
 def covariance_pull(
-    data: Data,
-    prior: Float[np.ndarray, "weight weight"],
-    chosen: Hyperparameters,
+    data: Data, white: Whitened, chosen: Hyperparameters
 ) -> Float[np.ndarray, "weight weight"]:
     r"""Derivative of $\log Z$ by the entries of $K$, amplitude and noise held.
 
@@ -298,13 +220,16 @@ def covariance_pull(
         Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), eq. 5.9.
     """
     ratio = (chosen.noise / chosen.amplitude) ** 2
-    reached = data.rows @ root(prior)
-    variances, vectors = np.linalg.eigh(reached @ reached.T)
-    rows, targets = vectors.T @ data.rows, vectors.T @ data.targets
-    shifted = np.maximum(variances, 0.0) + ratio
-    pulled = (targets / shifted) @ rows / chosen.amplitude
+    shifted = white.variances + ratio
+    rows = white.vectors.T @ data.rows
     scaled = rows / np.sqrt(shifted)[:, None]
-    return 0.5 * (np.outer(pulled, pulled) - scaled.T @ scaled)
+    pulled, held = (white.targets / shifted) @ rows, scaled.T @ scaled
+    if white.vectors.shape[1] < len(data.rows):
+        unreached = data.rows - white.vectors @ rows
+        pulled += white.missed @ unreached / ratio
+        held += unreached.T @ unreached / ratio
+    pulled /= chosen.amplitude
+    return 0.5 * (np.outer(pulled, pulled) - held)
 
 
 def at_shape(
@@ -314,9 +239,19 @@ def at_shape(
     noise: float | None = None,
 ) -> Hyperparameters:
     """Amplitude, and noise unless given, of highest evidence for this shape."""
+    white = Whitened.of(data, covariance(shape))
+    return best_amplitude(data, white, shape, noise)
+
+
+def best_amplitude(
+    data: Data,
+    white: Whitened,
+    shape: Float[np.ndarray, " shape"],
+    noise: float | None = None,
+) -> Hyperparameters:
+    """As `at_shape`, for data that are whitened already."""
     from scipy.optimize import minimize_scalar
 
-    white = _Whitened.of(data, covariance(shape))
     largest = max(white.variances[-1], np.finfo(float).tiny)
 
     def loss(log_ratio):
@@ -328,7 +263,7 @@ def at_shape(
         loss,
         bounds=(coarse - step, coarse + step),
         method="bounded",
-        options={"xatol": 1e-5},
+        options={"xatol": 1e-7},
     )
     ratio = largest * np.exp(found.x)
     value, variance = _log_evidence(data, white, ratio, noise)
@@ -354,7 +289,7 @@ def log_evidence(
         amplitude: of the prior.
         noise: standard deviation of the residuals.
     """
-    white = _Whitened.of(data, prior)
+    white = Whitened.of(data, prior)
     return float(_log_evidence(data, white, (noise / amplitude) ** 2, noise)[0])
 
 
@@ -363,7 +298,7 @@ def _log_evidence(data, white, ratio, noise):
     shifted = white.variances + ratio
     explained = ratio * float(white.targets @ (white.targets / shifted))
     least = np.finfo(float).eps * float(data.targets @ data.targets) ** 0.5
-    squares = max(data.squares, 0.0) + white.squares + explained
+    squares = max(data.squares, 0.0) + float(white.missed @ white.missed) + explained
     squares = max(squares, least**2, np.finfo(float).tiny)
     variance = squares / data.num_free if noise is None else noise**2
     value = -0.5 * (
@@ -381,100 +316,16 @@ def weight_posterior(
     chosen: Hyperparameters,
 ) -> tuple[Float[np.ndarray, " weight"], Float[np.ndarray, "weight weight"]]:
     r"""Mean and covariance of the weights, $(H/\sigma^2 + K^{-1}/a^2)^{-1}$."""
-    white = _Whitened.of(data, prior)
+    white = Whitened.of(data, prior)
     shifted = white.variances + (chosen.noise / chosen.amplitude) ** 2
-    mean = white.columns @ (white.targets / shifted)
-    learned = (white.columns / shifted) @ white.columns.T
-    return mean, chosen.amplitude**2 * (prior - learned)
+    columns = white.to_weights(np.eye(len(shifted)))
+    learned = (columns / shifted) @ columns.T
+    return posterior_mean(white, chosen), chosen.amplitude**2 * (prior - learned)
 
 
-def shape_covariance(
-    data: Data,
-    covariance: Covariance,
-    chosen: Hyperparameters,
-    noise: float | None = None,
-) -> Float[np.ndarray, "weight weight"]:
-    r"""What the uncertainty of the prior's shape adds to the weights' covariance.
-
-    $M A^{-1} M^\top$: see `shape_changes`.
-    """
-    changes = shape_changes(data, covariance, chosen, noise)
-    return changes @ changes.T
-
-
-def shape_changes(
-    data: Data,
-    covariance: Covariance,
-    chosen: Hyperparameters,
-    noise: float | None = None,
-) -> Float[np.ndarray, "weight shape"]:
-    r"""Changes of the mean by independent standard deviations of the prior's shape.
-
-    $M A^{-1/2}$ with the curvature $A$ of $-\log Z$ and the slope $M$ of the mean,
-    both by differences. A normal distribution of standard deviation `SHAPE_SD` holds
-    directions of the shape on which the evidence does not depend.
-
-    References:
-        MacKay, Neural Computation 11, 1035 (1999), section 5.
-    """
-    if not len(chosen.shape):
-        return np.zeros((data.rows.shape[1], 0))
-    unit = STEP * np.eye(len(chosen.shape))
-
-    def at(offset):
-        return at_shape(data, covariance, chosen.shape + offset, noise)
-
-    def mean(offset):
-        shape = chosen.shape + offset
-        return weight_posterior(data, covariance(shape), at(offset))[0]
-
-    bend = curvature(lambda shape: at(shape).log_evidence, np.zeros(len(unit)), STEP)
-    values, vectors = np.linalg.eigh(bend)
-    spread = vectors / np.sqrt(np.maximum(values, 0.0) + SHAPE_SD**-2)
-    slopes = np.stack([(mean(a) - mean(-a)) / (2 * STEP) for a in unit], axis=1)
-    return slopes @ spread
-
-
-def curvature(
-    value: Callable[[Float[np.ndarray, " n"]], float],
-    point: Float[np.ndarray, " n"],
-    step: float,
-) -> Float[np.ndarray, "n n"]:
-    """Hessian of minus a function, by central differences.
-
-    Args:
-        value: the function; it is called n (n + 1) + 1 times.
-        point: where.
-        step: of the differences.
-    """
-    steps = step * np.eye(len(point))
-    middle = value(point)
-    sums = np.array([value(point + s) + value(point - s) - 2 * middle for s in steps])
-    hessian = np.diag(sums)
-    for i, j in zip(*np.triu_indices(len(point), 1), strict=True):
-        both = value(point + steps[i] + steps[j]) + value(point - steps[i] - steps[j])
-        mixed = 0.5 * (both - 2 * middle - sums[i] - sums[j])
-        hessian[i, j] = hessian[j, i] = mixed
-    return -hessian / step**2
-
-
-STEP, SHAPE_SD = 1e-3, 2.0
-"""Difference step in the shape, and standard deviation of its own prior.
-
-Where the length scale is huge the reach R is known to some 4e-4; a step ten times as
-long misses that curvature, and the bands become too narrow.
-"""
-
-
-def joint_posterior(
-    block: FlatBlock,
-    mean: Float[np.ndarray, " weight"],
-    covariance: Float[np.ndarray, "weight weight"],
-    noise: float,
-) -> tuple[Float[np.ndarray, " parameter"], Float[np.ndarray, "parameter parameter"]]:
-    """Mean and covariance of all parameters from those of the weights."""
-    joint, mask = block.lift(covariance), block.mask
-    joint[np.ix_(mask, mask)] += noise**2 * block.covariance
-    offset = np.zeros(len(mask))
-    offset[mask] = block.offset
-    return offset + block.map_weights() @ mean, joint
+def posterior_mean(
+    white: Whitened, chosen: Hyperparameters
+) -> Float[np.ndarray, " weight"]:
+    """Mean of the weights, for data that are whitened already."""
+    shifted = white.variances + (chosen.noise / chosen.amplitude) ** 2
+    return white.to_weights(white.targets / shifted)

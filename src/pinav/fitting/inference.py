@@ -13,12 +13,12 @@ from jaxtyping import Float
 from pinav.fitting.evidence import (
     Data,
     Hyperparameters,
-    Quadratic,
     best_hyperparameters,
-    shape_covariance,
     weight_posterior,
 )
 from pinav.fitting.priors import AbstractPrior
+from pinav.fitting.quadratics import Quadratic
+from pinav.fitting.shape_uncertainty import shape_covariance
 
 
 class Inference(eqx.Module):
@@ -113,7 +113,7 @@ class GaussianWeights(AbstractWeights):
 
     def shape_covariance(self, quadratic, chosen, noise):
         data = Data.of(quadratic)
-        return shape_covariance(data, self.prior.covariance, chosen, noise)
+        return shape_covariance(data, self.prior, chosen, noise)
 
 
 class NoWeights(AbstractWeights):

@@ -19,12 +19,13 @@ from pinav.dynamics import AbstractDynamics, OverdampedSwimmer, with_dtype
 from pinav.errors import InputError
 from pinav.fitting.bayes import Estimate
 from pinav.fitting.bayes_problem import KERNELS, dimension
-from pinav.fitting.evidence import Hyperparameters, Quadratic
+from pinav.fitting.evidence import Hyperparameters
 from pinav.fitting.inference import GaussianWeights
 from pinav.fitting.lifting import freed
 from pinav.fitting.occam import LinearFit
 from pinav.fitting.posterior import Posterior
 from pinav.fitting.priors import kernel_prior
+from pinav.fitting.quadratics import Quadratic
 from pinav.trajectories import Trajectories
 
 

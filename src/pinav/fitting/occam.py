@@ -15,18 +15,16 @@ References:
     90, 928 (1995), the prior of unit information.
 """
 
+from collections.abc import Callable
+
 import equinox as eqx
 import numpy as np
+from jaxtyping import Float
 
-from pinav.fitting.evidence import (
-    Data,
-    Hyperparameters,
-    Quadratic,
-    curvature,
-    log_evidence,
-)
+from pinav.fitting.evidence import Data, Hyperparameters, log_evidence
 from pinav.fitting.inference import AbstractWeights, GaussianWeights
 from pinav.fitting.priors import AbstractPrior
+from pinav.fitting.quadratics import Quadratic
 
 LOG_RANGE = 8.0
 """Range of the logarithms of amplitude and noise: a factor of 3000."""
@@ -115,6 +113,29 @@ def _occam(linear: LinearFit, prior: AbstractPrior, chosen: Hyperparameters) -> 
     )
     narrow = ~wide
     return cost + _narrow_cost(bend[np.ix_(narrow, narrow)], ranges[narrow])
+
+
+def curvature(
+    value: Callable[[Float[np.ndarray, " n"]], float],
+    point: Float[np.ndarray, " n"],
+    step: float,
+) -> Float[np.ndarray, "n n"]:
+    """Hessian of minus a function, by central differences.
+
+    Args:
+        value: the function; it is called n (n + 1) + 1 times.
+        point: where.
+        step: of the differences.
+    """
+    steps = step * np.eye(len(point))
+    middle = value(point)
+    sums = np.array([value(point + s) + value(point - s) - 2 * middle for s in steps])
+    hessian = np.diag(sums)
+    for i, j in zip(*np.triu_indices(len(point), 1), strict=True):
+        both = value(point + steps[i] + steps[j]) + value(point - steps[i] - steps[j])
+        mixed = 0.5 * (both - 2 * middle - sums[i] - sums[j])
+        hessian[i, j] = hessian[j, i] = mixed
+    return -hessian / step**2
 
 
 def _narrow_cost(bend, ranges) -> float:

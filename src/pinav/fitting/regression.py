@@ -26,16 +26,12 @@ from pinav.fitting.bayes import (
 )
 from pinav.fitting.bayes_problem import Step, parameter_names
 from pinav.fitting.descent import AbstractLocal, ChordSteps, Move
-from pinav.fitting.evidence import (
-    Hyperparameters,
-    Quadratic,
-    joint_posterior,
-    without_flat,
-)
+from pinav.fitting.evidence import Hyperparameters
 from pinav.fitting.inference import AbstractWeights, GaussianWeights, NoWeights
 from pinav.fitting.lifting import FreeModel, Prediction, freed
 from pinav.fitting.posterior import Posterior
 from pinav.fitting.priors import AbstractPrior
+from pinav.fitting.quadratics import Quadratic, joint_posterior, without_flat
 
 SMALL_CHANGE, SMALLEST = 0.02, 1e-9
 """Change of a prediction that ends a fit: in standard deviations of the noise, or as a

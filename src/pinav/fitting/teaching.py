@@ -16,9 +16,10 @@ from jaxtyping import Float, PyTree
 
 from pinav.fitting.bayes_problem import BayesProblem, Step, num_positions
 from pinav.fitting.distil import Lesson, distilled, lesson
-from pinav.fitting.evidence import Data, Hyperparameters, shape_changes
+from pinav.fitting.evidence import Data, Hyperparameters
 from pinav.fitting.kernels import kernel_environment
 from pinav.fitting.priors import kernel_prior
+from pinav.fitting.shape_uncertainty import shape_changes
 from pinav.fitting.tangent import Process, TangentWeights
 from pinav.learned import (
     KernelForce,
@@ -90,7 +91,7 @@ class Request(eqx.Module):
         if isinstance(network.features, PositionFeatures):
             prior = kernel_prior(teacher.environment)
             data = Data.of(step.quadratic)
-            shapes = shape_changes(data, prior.covariance, chosen, self.noise)
+            shapes = shape_changes(data, prior, chosen, self.noise)
             process = Process.of(teacher.environment, prior, chosen, places, shapes)
             wanted = np.asarray(places.forces).ravel()
             weights = TangentWeights.of(network, places, process, wanted)

@@ -14,10 +14,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.fitting import LinearFit, freed, model_evidence
-from pinav.fitting.evidence import Quadratic
 from pinav.fitting.inference import GaussianWeights
 from pinav.fitting.networks import IsotropicPrior
 from pinav.fitting.priors import kernel_prior
+from pinav.fitting.quadratics import Quadratic
 from pinav.ladder.fit import TrackFit
 from pinav.ladder.forecast import Errors, Rollouts, path_of
 from pinav.ladder.likelihood import (

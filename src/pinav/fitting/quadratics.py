@@ -1,0 +1,123 @@
+"""A least-squares problem as a quadratic, and its unknowns with a flat prior."""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool, Float
+
+from pinav.errors import FitError
+
+
+class Quadratic(eqx.Module):
+    r"""Sum of squares about a point, and what it hides.
+
+    $q + 2\,g\cdot\delta + \delta\cdot H\,\delta$ with $\delta = \theta - \theta_0$.
+    About the origin it would be a small difference of large numbers.
+
+    Attributes:
+        point: $\theta_0$.
+        hessian: $H$.
+        gradient: $g$.
+        squares: $q$.
+        num_free: residuals less flat unknowns integrated out so far.
+        log_determinant: of the blocks integrated out so far.
+    """
+
+    point: Float[np.ndarray, " parameter"]
+    hessian: Float[np.ndarray, "parameter parameter"]
+    gradient: Float[np.ndarray, " parameter"]
+    squares: float
+    num_free: int
+    log_determinant: float
+
+
+class FlatBlock(eqx.Module):
+    """Parameters with a flat prior, given the weights.
+
+    Attributes:
+        mask: which of all parameters they are.
+        offset: their values where the weights are zero.
+        slope: their change per weight.
+        covariance: their covariance given the weights, for unit noise.
+    """
+
+    mask: Bool[np.ndarray, " parameter"]
+    offset: Float[np.ndarray, " flat"]
+    slope: Float[np.ndarray, "flat weight"]
+    covariance: Float[np.ndarray, "flat flat"]
+
+    def map_weights(
+        self,
+    ) -> Float[np.ndarray, "parameter weight"]:
+        """From changes of the weights to those of all parameters."""
+        full = np.zeros((len(self.mask), self.slope.shape[1]))
+        full[~self.mask] = np.eye(self.slope.shape[1])
+        full[self.mask] = self.slope
+        return full
+
+    def lift(
+        self, covariance: Float[np.ndarray, "weight weight"]
+    ) -> Float[np.ndarray, "parameter parameter"]:
+        """Covariance of all parameters that a covariance of the weights makes."""
+        full = self.map_weights()
+        return full @ covariance @ full.T
+
+
+def without_flat(
+    quadratic: Quadratic, mask: Bool[np.ndarray, " parameter"]
+) -> tuple[Quadratic, FlatBlock]:
+    """Integrate out the parameters in `mask`, which have a flat prior.
+
+    Raises:
+        FitError: the data do not determine them, even with the weights known.
+    """
+    hessian, gradient = quadratic.hessian, quadratic.gradient
+    own, border = hessian[np.ix_(mask, mask)], hessian[np.ix_(mask, ~mask)]
+    if is_singular(own):
+        raise FitError(
+            "the fit is singular: the data do not determine the learned constants; "
+            "learn fewer of them"
+        )
+    covariance = np.linalg.inv(own)
+    slope, change = -covariance @ border, -covariance @ gradient[mask]
+    point = quadratic.point
+    block = FlatBlock(
+        mask=mask,
+        offset=point[mask] + change - slope @ point[~mask],
+        slope=slope,
+        covariance=covariance,
+    )
+    reduced = Quadratic(
+        point=point[~mask],
+        hessian=hessian[np.ix_(~mask, ~mask)] + border.T @ slope,
+        gradient=gradient[~mask] + border.T @ change,
+        squares=quadratic.squares + float(gradient[mask] @ change),
+        num_free=quadratic.num_free - int(mask.sum()),
+        log_determinant=quadratic.log_determinant
+        + float(np.linalg.slogdet(own).logabsdet),
+    )
+    return reduced, block
+
+
+def is_singular(matrix: Float[np.ndarray, "n n"]) -> bool:
+    """Whether a normal matrix, its rows and columns scaled, lost all digits."""
+    scale = np.sqrt(np.diag(matrix))
+    if not (np.all(np.isfinite(matrix)) and np.all(scale > 0)):
+        return True
+    if not scale.size:
+        return False
+    eigenvalues = np.linalg.eigvalsh(matrix / np.outer(scale, scale))
+    return bool(eigenvalues[0] < 1e-13 * eigenvalues[-1])
+
+
+def joint_posterior(
+    block: FlatBlock,
+    mean: Float[np.ndarray, " weight"],
+    covariance: Float[np.ndarray, "weight weight"],
+    noise: float,
+) -> tuple[Float[np.ndarray, " parameter"], Float[np.ndarray, "parameter parameter"]]:
+    """Mean and covariance of all parameters from those of the weights."""
+    joint, mask = block.lift(covariance), block.mask
+    joint[np.ix_(mask, mask)] += noise**2 * block.covariance
+    offset = np.zeros(len(mask))
+    offset[mask] = block.offset
+    return offset + block.map_weights() @ mean, joint
