@@ -9,7 +9,12 @@ from jaxtyping import Array, Float
 
 from pinav.dynamics import AbstractDynamics, rollout
 from pinav.errors import InputError
-from pinav.fitting import BayesOutcome, fit_bayes, kernel_environment
+from pinav.fitting import (
+    BayesOutcome,
+    fit_bayes,
+    kernel_environment,
+    model_evidence,
+)
 from pinav.forces import AbstractForce, GaussianBarrier, ZeroForce
 from pinav.learned import KernelForce, KernelPotential
 from pinav.scenarios import barrier_crossings
@@ -113,6 +118,30 @@ def test_the_intervals_are_those_of_least_squares_on_rollouts(parametric):
     sd = np.array([estimate.sd for estimate in found.constants.values()])
     np.testing.assert_allclose(sd, expected, rtol=0.02)
     np.testing.assert_allclose(rows.T @ residuals, 0.0, atol=2.0 * NOISE)
+
+
+def test_a_known_model_has_the_evidence_of_its_noise_and_starts(drifts):
+    """Without a force each path is its start plus a line, and starts are means."""
+    truth, data = drifts
+    known = eqx.tree_at(lambda m: m.environment, truth, ZeroForce())
+    found = fit_bayes(known, data, learn=None)
+    assert found.outcome is BayesOutcome.CONVERGED
+    assert found.posterior.mean.size == 0
+    assert not found.constants
+    lines = data.times[..., None] * np.asarray(truth.drift)
+    starts = (data.states - lines).mean(axis=1, keepdims=True)
+    np.testing.assert_allclose(found.states, starts + lines, atol=1e-9)
+    residuals = data.states - found.states
+    free = residuals.size - starts.size
+    noise = np.sqrt(np.sum(residuals**2) / free)
+    assert found.hyperparameters.noise == pytest.approx(noise)
+    samples = data.states.shape[1]
+    evidence = model_evidence(found.linear, found.hyperparameters)
+    assert evidence.best == pytest.approx(
+        -0.5 * residuals.size * np.log(2 * np.pi * noise**2)
+        - 0.5 * np.sum(residuals**2) / noise**2
+        - 0.5 * starts.size * np.log(samples)
+    )
 
 
 @pytest.mark.parametrize("kind", [KernelForce, KernelPotential])

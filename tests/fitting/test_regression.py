@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pinav.errors import FitError, InputError
-from pinav.fitting.bayes import BayesOutcome
+from pinav.fitting.iteration import BayesOutcome
 from pinav.fitting.networks import IsotropicPrior
 from pinav.fitting.regression import fit_regression
 

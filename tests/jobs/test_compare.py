@@ -67,6 +67,8 @@ def positions(name, channels=("x", "y")):
         (("first-order", "kernel-potential"), "paper", 4, "positions alone, got x, y"),
         (("first-order", "kernel-potential"), "brownian", 2, "physics with inertia"),
         (("isotropic-drag", "anisotropic-drag"), "brownian", 2, "physics with inertia"),
+        (("physics-only", "kernel-potential"), "brownian", 2, "fitted by kernels alo"),
+        (("neural-force", "kernel-potential"), "brownian", 2, "fitted by kernels alo"),
         (("isotropic-drag", "anisotropic-drag"), "shear", 4, "fluid at rest, got InFl"),
     ],
 )

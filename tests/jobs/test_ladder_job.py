@@ -93,12 +93,37 @@ def test_resuming_a_finished_run_changes_nothing(run, capsys):
     assert "The evidence chooses" in capsys.readouterr().out
 
 
+def idle():
+    """As `small`, with commands recorded that never asked for motion."""
+    drift = small(commanded=False)
+    nothing = [np.zeros_like(drift.times[0])]
+    return Trajectories.from_arrays(
+        [drift.times[0]],
+        [drift.states[0]],
+        channels=drift.channels,
+        commands={"frequency": nothing, "heading": nothing},
+        units=drift.units,
+    )
+
+
+def test_a_recording_whose_commands_ask_for_nothing_only_drifts(tmp_path, capsys):
+    save(idle(), tmp_path / "idle.csv")
+    out = tmp_path / "run"
+    with standard_promotion():
+        assert cli.run(["fit", str(tmp_path / "idle.csv"), "--out", str(out)]) == 0
+    assert "The commands ask for no motion: gain" in capsys.readouterr().out
+    (track,) = json.loads((out / "metrics.json").read_text())["tracks"].values()
+    assert track["gain"] is None
+    assert track["rows"][0]["name"] == "drift only"
+    assert "delay" not in track
+
+
 def test_a_recording_without_commands(tmp_path, capsys):
     save(small(commanded=False), tmp_path / "cell.npz")
     words = ["fit", str(tmp_path / "cell.npz"), "--ladder", "--tracks", "0"]
     with standard_promotion():
         assert cli.run([*words, "--out", str(tmp_path / "run")]) == 0
-    assert "No commands were recorded" in capsys.readouterr().out
+    assert "No commands recorded: gain" in capsys.readouterr().out
 
 
 def test_files_of_pinav_are_told_from_recordings(tmp_path):

@@ -36,7 +36,7 @@ from pinav.fitting.quadratics import (
     without_flat,
 )
 from pinav.fitting.teaching import NEURAL, Request, function_prior
-from pinav.learned import AbstractLearnedForce
+from pinav.learned import AbstractLearnedForce, KernelForce, KernelPotential
 from pinav.solvers import FixedStep
 from pinav.trajectories import Trajectories
 
@@ -127,6 +127,7 @@ def influence(
     *,
     learn: Pick = lambda _: (),
     constants: Mapping[str, Pick] | None = None,
+    kernels: KernelForce | KernelPotential | None = None,
     solver: FixedStep | None = None,
 ) -> Influence:
     """What each trajectory, and each constant, does to a fit of `fit_bayes`.
@@ -140,6 +141,8 @@ def influence(
         hyperparameters: of the fit.
         learn: as given to the fit.
         constants: numbers of the model by name, learned or not.
+        kernels: of the process that is the prior of a network, from
+            `fit.linear.weights.process`; those with which fits begin unless given.
         solver: as given to the fit.
 
     Raises:
@@ -156,7 +159,7 @@ def influence(
         request = Request(model, trajectories, learn, None, solver)
         weights = None
         if isinstance(model.environment, NEURAL) and len(hyperparameters.shape):
-            weights = function_prior(request, states, hyperparameters)
+            weights = function_prior(request, states, hyperparameters, kernels)
         problem = request.problem(model, states=states, weights=weights)
         return _influence(problem, model, hyperparameters, learn, dict(constants or {}))
 

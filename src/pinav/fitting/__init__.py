@@ -1,9 +1,6 @@
 """Fitting: phases that minimise an objective, and the Bayesian fit of kernels."""
 
 from pinav.fitting.bayes import BayesFit as BayesFit
-from pinav.fitting.bayes import BayesOutcome as BayesOutcome
-from pinav.fitting.bayes import BayesProgress as BayesProgress
-from pinav.fitting.bayes import Estimate as Estimate
 from pinav.fitting.bayes import fit_bayes as fit_bayes
 from pinav.fitting.conformal import Calibration as Calibration
 from pinav.fitting.conformal import CalibrationOutcome as CalibrationOutcome
@@ -19,6 +16,8 @@ from pinav.fitting.fit import Problem as Problem
 from pinav.fitting.fit import fit as fit
 from pinav.fitting.fit import fit_many as fit_many
 from pinav.fitting.gauss_newton import GaussNewton as GaussNewton
+from pinav.fitting.iteration import BayesOutcome as BayesOutcome
+from pinav.fitting.iteration import BayesProgress as BayesProgress
 from pinav.fitting.kernels import WITHOUT_PRIOR as WITHOUT_PRIOR
 from pinav.fitting.kernels import KernelGrid as KernelGrid
 from pinav.fitting.kernels import changing_environment as changing_environment
@@ -43,6 +42,7 @@ from pinav.fitting.phases import AbstractPhase as AbstractPhase
 from pinav.fitting.phases import Adam as Adam
 from pinav.fitting.phases import BestSoFar as BestSoFar
 from pinav.fitting.posterior import Band as Band
+from pinav.fitting.posterior import Estimate as Estimate
 from pinav.fitting.posterior import Posterior as Posterior
 from pinav.fitting.recipes import curriculum as curriculum
 from pinav.fitting.recipes import paper_recipe as paper_recipe

@@ -4,9 +4,7 @@ Lifted Gauss-Newton steps with the starts eliminated; at every step the evidence
 chooses shape of the prior, amplitude and noise anew, so that nothing is set by hand.
 """
 
-import enum
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -18,62 +16,15 @@ from jaxtyping import Float, PyTree
 from pinav.dynamics import AbstractDynamics
 from pinav.errors import FitError, InputError
 from pinav.fitting.bayes_problem import BayesProblem, Step
-from pinav.fitting.descent import Move
 from pinav.fitting.evidence import Hyperparameters
+from pinav.fitting.iteration import BayesOutcome, BayesProgress, iterate
 from pinav.fitting.occam import LinearFit
-from pinav.fitting.posterior import Posterior
+from pinav.fitting.posterior import Estimate, Posterior
 from pinav.fitting.refinement import AS_FINE_AS_ASKED, Refinement
 from pinav.fitting.teaching import NEURAL, Request
 from pinav.forces import AbstractForce
 from pinav.solvers import FixedStep
 from pinav.trajectories import Trajectories
-
-DEFECT_TOLERANCE = 1e-4
-"""Converged: defects relative to the states' spread."""
-
-ROUNDING = 1e-9
-"""Defects at which another step changes nothing but the last digits of the evidence."""
-
-
-class BayesOutcome(enum.IntEnum):
-    """How a Bayesian fit ended; coarse: converged, but finer kernels had no room."""
-
-    CONVERGED = 0
-    STALLED = 1
-    DIVERGED = 2
-    COARSE = 3
-
-
-class Estimate(eqx.Module):
-    """A learned constant.
-
-    Attributes:
-        value: its best value.
-        sd: its standard deviation.
-    """
-
-    value: float
-    sd: float
-
-
-class BayesProgress(eqx.Module):
-    """What a progress bar shows after each step.
-
-    Attributes:
-        done: steps done, on the kernels as they are now.
-        total: steps at most.
-        unknowns: number of weights and constants.
-        defect: by which the states miss the dynamics, relative to their spread.
-        noise: standard deviation of the observations.
-        log_evidence: of the hyperparameters chosen.
-    """
-
-    done: int
-    total: int
-    unknowns: int
-    defect: float
-    noise: float
-    log_evidence: float
 
 
 class BayesFit(eqx.Module):
@@ -108,7 +59,7 @@ def fit_bayes(
     model: AbstractDynamics,
     trajectories: Trajectories,
     *,
-    learn: Callable[[Any], PyTree] = lambda _: (),
+    learn: Callable[[Any], PyTree] | None = lambda _: (),
     noise: float | None = None,
     solver: FixedStep | None = None,
     refine: Refinement | None = AS_FINE_AS_ASKED,
@@ -136,7 +87,8 @@ def fit_bayes(
         trajectories: what was observed; any entries may be missing.
         learn: picks a constant to learn too, such as `lambda m: m.drag.damping`, or
             a tuple of them; `lambda m: m.environment` picks all numbers of a
-            parametric force.
+            parametric force. None where all of the model is known: the starts alone
+            are sought, and its evidence.
         noise: standard deviation of the observations; estimated unless given.
         solver: steps between samples; `FixedStep()` unless given.
         refine: when kernels turn out too coarse, and the fit begins anew on finer
@@ -156,7 +108,9 @@ def fit_bayes(
         solver = FixedStep() if solver is None else solver
         request = Request(model, trajectories, learn, noise, solver)
         grids = _Grids(request.problem, refine, trajectories)
-        result = _result(*_refined(_begun(request), grids, max_iterations, on_step))
+        result = _result(
+            *_refined(_begun(request, grids), grids, max_iterations, on_step)
+        )
     if throw and result.outcome in _MESSAGES:
         raise FitError(_MESSAGES[result.outcome])
     return result
@@ -174,15 +128,14 @@ _MESSAGES = {
 }
 
 
-def _begun(request: Request) -> BayesProblem:
+def _begun(request: Request, grids: "_Grids") -> BayesProblem:
     """The fit at its start: from the model's values, or taught by a kernel fit."""
-    given = request.problem(request.model)
-    if not isinstance(request.model.environment, NEURAL):
-        return given
-    teaching = request.by_kernels()
-    outcome, steps = iterate(teaching, TEACHING_STEPS)
+    taught = isinstance(request.model.environment, NEURAL)
+    if not taught or request.learn is None:
+        return request.problem(request.model)
+    teaching, outcome, steps = _refined(request.by_kernels(), grids, TEACHING_STEPS)
     if outcome is BayesOutcome.DIVERGED:
-        return given
+        return request.problem(request.model)
     return request.taught(teaching, steps[-1])
 
 
@@ -193,118 +146,53 @@ TEACHING_STEPS = 20
 class _Grids(eqx.Module):
     """How a fit goes on where its kernels are too coarse."""
 
-    begin: Callable[[Any], BayesProblem]
+    begin: Callable[..., BayesProblem]
     refine: Refinement | None
     trajectories: Trajectories
 
     def wanted(self, problem: BayesProblem, step: Step) -> bool:
+        """Whether the kernels are too coarse."""
         shape = step.inference.hyperparameters.shape
         environment = problem.free.static.environment
         return self.refine is not None and self.refine.wanted(environment, shape)
 
-    def finer(self, problem: BayesProblem, step: Step) -> BayesProblem | None:
-        """The fit on finer kernels; None where they are not wanted, or too many."""
+    def environment(self, problem: BayesProblem, step: Step) -> AbstractForce | None:
+        """Finer kernels; None where they are not wanted, or too many."""
         if self.refine is None or not self.wanted(problem, step):
             return None
-        model = problem.free(jnp.asarray(problem.theta))
-        environment = self.refine.finer(model.environment, self.trajectories)
+        return self.refine.finer(problem.free.static.environment, self.trajectories)
+
+    def finer(self, problem: BayesProblem, step: Step) -> BayesProblem | None:
+        """The fit on finer kernels, if there are any."""
+        environment = self.environment(problem, step)
         if environment is None:
             return None
-        return self.begin(eqx.tree_at(lambda m: m.environment, model, environment))
+        model = problem.free(jnp.asarray(problem.theta))
+        model = eqx.tree_at(lambda m: m.environment, model, environment)
+        return self.begin(model, states=problem.states)
 
 
 def _refined(
     problem: BayesProblem,
     grids: _Grids,
     max_iterations: int,
-    on_step: Callable[[BayesProgress], None] | None,
+    on_step: Callable[[BayesProgress], None] | None = None,
 ) -> tuple[BayesProblem, BayesOutcome, list[Step]]:
     """Steps on kernels as fine as the evidence asks for.
 
     Each grid begins anew, so that the result is that of its own fit.
     """
-    finer = partial(grids.finer, problem)
-    outcome, steps = iterate(problem, max_iterations, on_step, finer)
-    better = finer(steps[-1]) if steps else None
+
+    def enough(step):
+        return grids.environment(problem, step) is not None
+
+    outcome, steps = iterate(problem, max_iterations, on_step, enough)
+    better = grids.finer(problem, steps[-1]) if steps else None
     if better is not None:
         return _refined(better, grids, max_iterations, on_step)
     if outcome is BayesOutcome.CONVERGED and grids.wanted(problem, steps[-1]):
         outcome = BayesOutcome.COARSE
     return problem, outcome, steps
-
-
-PROBES = 2
-"""Steps after which the evidence is asked whether the kernels are too coarse."""
-
-
-def iterate(
-    problem: Any,
-    max_iterations: int,
-    on_step: Callable[[BayesProgress], None] | None = None,
-    finer: Callable[[Step], BayesProblem | None] = lambda _: None,
-) -> tuple[BayesOutcome, list[Step]]:
-    """Steps until they converge, diverge, run out, or had better be others.
-
-    Args:
-        problem: a `BayesProblem`, or what steps as it does.
-        max_iterations: steps at most.
-        on_step: called after each step.
-        finer: a better problem to go on with after a step, if there is one.
-    """
-    move = Move(problem.theta, problem.states, problem.descent)
-    shape = problem.weights.start
-    steps: list[Step] = []
-    while len(steps) < max_iterations:
-        step = _attempt(problem, move, shape, begun=bool(steps))
-        if step is None:
-            return BayesOutcome.DIVERGED, steps
-        move, shape = step.move, step.inference.hyperparameters.shape
-        steps.append(step)
-        if on_step:
-            on_step(_progress(steps, max_iterations))
-        outcome = _outcome(steps, problem.tolerance)
-        if outcome is not BayesOutcome.STALLED:
-            return outcome, steps
-        if len(steps) >= PROBES and finer(step) is not None:
-            return outcome, steps
-    return BayesOutcome.STALLED, steps
-
-
-def _attempt(problem, move, shape, *, begun: bool) -> Step | None:
-    """One step; None where it leads nowhere, after others that did."""
-    try:
-        return problem.step(move, shape)
-    except FitError:
-        if begun:
-            return None
-        raise
-
-
-def _progress(steps: list[Step], total: int) -> BayesProgress:
-    chosen, defect = steps[-1].inference.hyperparameters, steps[-1].defect
-    return BayesProgress(
-        done=len(steps),
-        total=total,
-        unknowns=len(steps[-1].covariance),
-        defect=defect,
-        noise=chosen.noise,
-        log_evidence=chosen.log_evidence,
-    )
-
-
-def _outcome(steps: list[Step], tolerance: float) -> BayesOutcome:
-    """Converged, or not yet; defects that grow without bound count as diverged."""
-    last = steps[-1]
-    if len(steps) > 1:
-        before = steps[-2].inference.hyperparameters.log_evidence
-        change = abs(last.inference.hyperparameters.log_evidence - before)
-        if change < tolerance and last.defect < DEFECT_TOLERANCE:
-            return BayesOutcome.CONVERGED
-    if last.defect < ROUNDING:
-        return BayesOutcome.CONVERGED
-    if last.defect > 100 * max(steps[0].defect, 1.0):
-        return BayesOutcome.DIVERGED
-    return BayesOutcome.STALLED
 
 
 def _result(

@@ -95,6 +95,7 @@ class BayesProblem(eqx.Module):
         scale: spread of each channel.
         noise: standard deviation of the data, where it is known.
         solver: steps between samples.
+        teacher: the fit that chose the prior of the weights, where it was another.
     """
 
     free: FreeModel
@@ -110,13 +111,22 @@ class BayesProblem(eqx.Module):
     scale: Float[np.ndarray, " state"]
     noise: float | None
     solver: FixedStep
+    teacher: LinearFit | None = None
 
     @classmethod
     def of(
-        cls, model, trajectories, learn, noise, solver, *, states=None, weights=None
+        cls,
+        model,
+        trajectories,
+        learn,
+        noise,
+        solver,
+        *,
+        states=None,
+        weights=None,
+        teacher=None,
     ):
-        _check_selection(model, learn)
-        free, theta = freed(with_dtype(model, jnp.float64), _trainable(learn))
+        free, theta = _unknowns(model, learn)
         names, flat = parameter_names(free, theta), ~_is_weight(free, theta)
         _check_learned(model, names, flat)
         dim = num_positions(model, trajectories)
@@ -127,7 +137,10 @@ class BayesProblem(eqx.Module):
                 f"fit_bayes trajectories: {trajectories.num_observed} observations "
                 "are no more than the starts and constants to be found; add samples"
             )
-        weights, descent, tolerance = _method(model, weights)
+        if learn is None:
+            weights, descent, tolerance = NoWeights(), FullStep(), TOLERANCE
+        else:
+            weights, descent, tolerance = _method(model, weights)
         return cls(
             free=free,
             theta=np.asarray(theta),
@@ -142,6 +155,7 @@ class BayesProblem(eqx.Module):
             scale=_spread(states, trajectories.lengths),
             noise=noise,
             solver=solver,
+            teacher=teacher,
         )
 
     def step(self, move: Move, shape) -> Step | None:
@@ -212,6 +226,7 @@ class BayesProblem(eqx.Module):
             flat_information=float(
                 state * np.log(counts).sum() + self.flat.sum() * np.log(total)
             ),
+            teacher=self.teacher,
         )
 
     def with_shape_uncertainty(self, step: Step) -> Posterior:
@@ -221,6 +236,16 @@ class BayesProblem(eqx.Module):
         )
         covariance = step.covariance + step.block.lift(extra)
         return Posterior(self.free, step.move.theta, covariance)
+
+
+def _unknowns(model, learn) -> tuple[FreeModel, Float[jax.Array, " parameter"]]:
+    """The model as a function of what is learned, if anything is, and its start."""
+    exact = with_dtype(model, jnp.float64)
+    if learn is None:
+        nothing, known = eqx.partition(exact, lambda _: False)
+        return FreeModel(known, ravel_pytree(nothing)[1]), jnp.zeros(0)
+    _check_selection(model, learn)
+    return freed(exact, _trainable(learn))
 
 
 def _weights(model) -> tuple:

@@ -13,8 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.errors import InputError
-from pinav.fitting.bayes import Estimate
-from pinav.fitting.posterior import Posterior
+from pinav.fitting.posterior import Estimate, Posterior
 from pinav.forces import TensorDrag
 from pinav.kernel_fields import KernelMixture
 from pinav.tensors import CholeskyTensor

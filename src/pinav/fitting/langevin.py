@@ -17,15 +17,16 @@ from jaxtyping import Float
 from pinav.brownian import BrownianSwimmer
 from pinav.dynamics import AbstractDynamics, OverdampedSwimmer, with_dtype
 from pinav.errors import InputError
-from pinav.fitting.bayes import Estimate
 from pinav.fitting.bayes_problem import KERNELS, dimension
 from pinav.fitting.evidence import Hyperparameters
 from pinav.fitting.inference import GaussianWeights
+from pinav.fitting.iteration import BayesOutcome
 from pinav.fitting.lifting import freed
 from pinav.fitting.occam import LinearFit
-from pinav.fitting.posterior import Posterior
+from pinav.fitting.posterior import Estimate, Posterior
 from pinav.fitting.priors import kernel_prior
 from pinav.fitting.quadratics import Quadratic
+from pinav.fitting.refinement import AS_FINE_AS_ASKED, Refinement
 from pinav.trajectories import Trajectories
 
 
@@ -34,6 +35,8 @@ class LangevinFit(eqx.Module):
 
     Attributes:
         model: the swimmer with the best weights.
+        outcome: converged, for the problem is linear; or coarse, where the kernels blur
+            what the data show, and finer ones would be too many.
         diffusion: $D$ [L² T⁻¹], with its standard deviation.
         hyperparameters: shape and amplitude of the prior; `noise` is $\sqrt{2D}$.
         posterior: distribution of the weights.
@@ -41,6 +44,7 @@ class LangevinFit(eqx.Module):
     """
 
     model: OverdampedSwimmer
+    outcome: BayesOutcome = eqx.field(static=True)
     diffusion: Estimate
     hyperparameters: Hyperparameters
     posterior: Posterior
@@ -91,6 +95,7 @@ def fit_langevin(
     trajectories: Trajectories,
     *,
     diffusion: float | None = None,
+    refine: Refinement | None = AS_FINE_AS_ASKED,
 ) -> LangevinFit:
     r"""Fit the force, and the diffusion coefficient, to stochastic paths.
 
@@ -106,6 +111,8 @@ def fit_langevin(
             environment is made of kernels, its mobility turns velocities into forces.
         trajectories: their channels are the positions.
         diffusion: $D$ [L² T⁻¹] where it is known; estimated unless given.
+        refine: when kernels turn out too coarse, and finer ones are laid; None keeps
+            them.
 
     Raises:
         InputError: the model is none of these, its environment is not linear in its
@@ -121,17 +128,23 @@ def fit_langevin(
     noise = None if diffusion is None else float(np.sqrt(2 * diffusion))
     with jax.enable_x64(new_val=True):
         exact = with_dtype(swimmer, jnp.float64)
-        free, theta = freed(exact, lambda m: m.environment.parameters)
-        quadratic = _regression(free, jnp.zeros_like(theta), increments)
-        environment: Any = exact.environment
-        weights = GaussianWeights(kernel_prior(environment))
-        found = weights.infer(quadratic, weights.start, noise)
-        chosen = found.hyperparameters
+        outcome = BayesOutcome.CONVERGED
+        while True:
+            free, quadratic, weights, found = _inferred(exact, increments, noise)
+            chosen, coarse = found.hyperparameters, exact.environment
+            if refine is None or not refine.wanted(coarse, chosen.shape):
+                break
+            finer = refine.finer(coarse, trajectories)
+            if finer is None:
+                outcome = BayesOutcome.COARSE
+                break
+            exact = eqx.tree_at(lambda m: m.environment, exact, finer)
         extra = weights.shape_covariance(quadratic, chosen, noise)
         posterior = Posterior(free, found.mean, found.covariance + extra)
         fitted = posterior.model
     return LangevinFit(
         model=fitted,
+        outcome=outcome,
         diffusion=_diffusion(quadratic, found, diffusion),
         hyperparameters=chosen,
         posterior=posterior,
@@ -139,6 +152,15 @@ def fit_langevin(
             quadratic, weights, noise, quadratic.num_free, quadratic.log_determinant
         ),
     )
+
+
+def _inferred(swimmer: OverdampedSwimmer, increments: "Increments", noise):
+    """The weights on the kernels as they are, and what they were inferred from."""
+    free, theta = freed(swimmer, lambda m: m.environment.parameters)
+    quadratic = _regression(free, jnp.zeros_like(theta), increments)
+    environment: Any = swimmer.environment
+    weights = GaussianWeights(kernel_prior(environment))
+    return free, quadratic, weights, weights.infer(quadratic, weights.start, noise)
 
 
 def _regression(free, theta, increments: Increments) -> Quadratic:

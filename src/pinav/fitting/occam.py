@@ -43,6 +43,7 @@ class LinearFit(eqx.Module):
         num_observed: number of residuals.
         flat_information: $\sum_j \log n_j$ over all unknowns with a flat prior; it
             takes the place of the determinant of what was integrated out.
+        teacher: the fit that chose the prior, where it was another.
     """
 
     quadratic: Quadratic
@@ -50,6 +51,7 @@ class LinearFit(eqx.Module):
     noise: float | None
     num_observed: int
     flat_information: float
+    teacher: "LinearFit | None" = None
 
 
 class ModelEvidence(eqx.Module):
@@ -75,6 +77,9 @@ def model_evidence(linear: LinearFit, chosen: Hyperparameters) -> ModelEvidence:
     Args:
         linear: the problem of the fit.
         chosen: its best hyperparameters.
+
+    The prior of a taught network is the process that its teacher chose, and costs what
+    it cost there.
     """
     quadratic = linear.quadratic
     flat = linear.num_observed - quadratic.num_free
@@ -86,6 +91,8 @@ def model_evidence(linear: LinearFit, chosen: Hyperparameters) -> ModelEvidence:
     weights = linear.weights
     if isinstance(weights, GaussianWeights):
         return ModelEvidence(float(best), _occam(linear, weights.prior, chosen))
+    if linear.teacher is not None:
+        return ModelEvidence(float(best), model_evidence(linear.teacher, chosen).occam)
     cost = _narrow_cost([[2.0 * quadratic.num_free]], [LOG_RANGE])
     return ModelEvidence(float(best), 0.0 if linear.noise else cost)
 

@@ -12,6 +12,18 @@ from pinav.fitting.lifting import FreeModel, sensitivities
 from pinav.solvers import FixedStep
 
 
+class Estimate(eqx.Module):
+    """A learned constant.
+
+    Attributes:
+        value: its best value.
+        sd: its standard deviation.
+    """
+
+    value: float
+    sd: float
+
+
 class Band(eqx.Module):
     """A rollout and its uncertainty.
 

@@ -17,19 +17,18 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree
 
 from pinav.errors import FitError, InputError
-from pinav.fitting.bayes import (
-    DEFECT_TOLERANCE,
-    BayesOutcome,
-    BayesProgress,
-    Estimate,
-    iterate,
-)
 from pinav.fitting.bayes_problem import Step, parameter_names
 from pinav.fitting.descent import AbstractLocal, ChordSteps, Move
 from pinav.fitting.evidence import Hyperparameters
 from pinav.fitting.inference import AbstractWeights, GaussianWeights, NoWeights
+from pinav.fitting.iteration import (
+    DEFECT_TOLERANCE,
+    BayesOutcome,
+    BayesProgress,
+    iterate,
+)
 from pinav.fitting.lifting import FreeModel, Prediction, freed
-from pinav.fitting.posterior import Posterior
+from pinav.fitting.posterior import Estimate, Posterior
 from pinav.fitting.priors import AbstractPrior
 from pinav.fitting.quadratics import Quadratic, joint_posterior, without_flat
 

@@ -33,6 +33,7 @@ from pinav.fitting.gauss_newton import low_rank
 from pinav.fitting.inference import AbstractWeights, Inference
 from pinav.fitting.lifting import FreeModel, freed
 from pinav.fitting.priors import AbstractPrior
+from pinav.fitting.refinement import SINGLE
 
 RANK = 256
 """Tangent directions kept."""
@@ -48,11 +49,13 @@ class Process(eqx.Module):
     """The prior of a kernel environment, by the forces of its directions.
 
     Attributes:
+        kernels: what the process is made of; their weights do not matter.
         directions: $B$; `directions @ directions.T` is the covariance of the forces.
         shapes: changes of the forces by one standard deviation of the prior's shape.
         chosen: noise, and shape and amplitude of the prior.
     """
 
+    kernels: SINGLE
     directions: Float[np.ndarray, "force direction"]
     shapes: Float[np.ndarray, "force shape"]
     chosen: Hyperparameters
@@ -78,7 +81,7 @@ class Process(eqx.Module):
         free, zero = freed(kernels, lambda force: force.parameters)
         slopes = np.asarray(_slopes(free, jnp.zeros_like(zero), places))
         columns = chosen.amplitude * root(prior.covariance(chosen.shape))
-        return cls(slopes @ columns, slopes @ shapes, chosen)
+        return cls(kernels, slopes @ columns, slopes @ shapes, chosen)
 
     def nearest(
         self, values: Float[np.ndarray, " force"]

@@ -19,6 +19,7 @@ from pinav.fitting.distil import Lesson, distilled, lesson
 from pinav.fitting.evidence import Data, Hyperparameters
 from pinav.fitting.kernels import kernel_environment
 from pinav.fitting.priors import kernel_prior
+from pinav.fitting.refinement import SINGLE
 from pinav.fitting.shape_uncertainty import shape_changes
 from pinav.fitting.tangent import Process, TangentWeights
 from pinav.learned import (
@@ -43,14 +44,14 @@ class Request(eqx.Module):
     Attributes:
         model: dynamics with a neural environment.
         trajectories: the data.
-        learn: picks the constants to learn.
+        learn: picks the constants to learn; None where all is known.
         noise: standard deviation of the observations, where it is known.
         solver: steps between samples.
     """
 
     model: Any
     trajectories: Trajectories
-    learn: Callable[[Any], PyTree]
+    learn: Callable[[Any], PyTree] | None
     noise: float | None
     solver: FixedStep
 
@@ -96,13 +97,16 @@ class Request(eqx.Module):
             wanted = np.asarray(places.forces).ravel()
             weights = TangentWeights.of(network, places, process, wanted)
         start = eqx.tree_at(lambda m: m.environment, teacher, network)
-        return self.problem(start, states=states, weights=weights)
+        return self.problem(
+            start, states=states, weights=weights, teacher=problem.linear_fit(step)
+        )
 
 
 def function_prior(
     request: Request,
     states: Float[np.ndarray, "trajectory time state"],
     chosen: Hyperparameters,
+    kernels: SINGLE | None = None,
 ) -> TangentWeights:
     """The prior with which a static network was fitted, but for its shape's changes.
 
@@ -110,8 +114,11 @@ def function_prior(
         request: the fit, with the fitted model.
         states: the smoothed states.
         chosen: hyperparameters of the fit.
+        kernels: of the process (`Process.kernels`); those with which every fit begins
+            unless given.
     """
-    kernels, network = request.kernels(), request.model.environment
+    kernels = request.kernels() if kernels is None else kernels
+    network = request.model.environment
     places: Lesson = lesson(
         network,
         request.trajectories,

@@ -25,7 +25,13 @@ from pinav.errors import FitError, InputError
 from pinav.evaluation import FieldMap, field_map
 from pinav.fitting import Hyperparameters
 from pinav.forces import LinearDrag, MagneticPropulsion
-from pinav.jobs.inference import MODEL_FILE, POSTERIOR_FILE, force_sd, read_posterior
+from pinav.jobs.inference import (
+    MODEL_FILE,
+    POSTERIOR_FILE,
+    force_sd,
+    process_kernels,
+    read_posterior,
+)
 from pinav.jobs.models import CONSTANTS, build_model, fit_constants
 from pinav.jobs.settings import AnalyseSettings, FitSettings
 from pinav.learned import AbstractLearnedForce, KernelPotential, NeuralPotential
@@ -297,6 +303,7 @@ def _influence(
         chosen,
         learn=fit_constants(settings),
         constants=constants,
+        kernels=process_kernels(settings.model, folder),
     )
 
 

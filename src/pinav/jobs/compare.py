@@ -1,5 +1,6 @@
 """`pinav compare`: several models of the same data, and their evidence."""
 
+from collections.abc import Callable
 from typing import Any
 
 import msgspec
@@ -10,7 +11,6 @@ from pinav.errors import FitError, InputError
 from pinav.evaluation import POSITION_CHANNELS
 from pinav.fitting import (
     BayesFit,
-    BayesOutcome,
     LangevinFit,
     fit_bayes,
     fit_langevin,
@@ -38,6 +38,7 @@ DECISIVE = 5.0
 Reference: Kass and Raftery, J. Am. Stat. Assoc. 90, 773 (1995)."""
 
 QUESTIONS = (
+    ("physics-only", "kernel-potential", "no environment", "an environment"),
     ("kernel-potential", "kernel-force", "a potential", "a free force"),
     ("kernel-potential", "kernel-mixture", "a potential", "a rotational part too"),
     ("kernel-potential", TIMED, "a static potential", "one that changes with time"),
@@ -46,14 +47,18 @@ QUESTIONS = (
 )
 """Pairs of models that answer a question, and what each of them stands for."""
 
+NETWORKS = ("neural-potential", "neural-force")
+"""Candidates whose prior is the process of the kernels that taught them."""
+
 KERNEL_POTENTIAL = ("first-order", "isotropic-drag", "anisotropic-drag")
 """Candidates whose environment is a kernel potential."""
 
-LEARNED = {
+LEARNED: dict[str, Callable[[Any], Any] | None] = {
+    "physics-only": None,
     "isotropic-drag": lambda model: model.drag.damping,
     "anisotropic-drag": lambda model: model.drag.tensor,
 }
-"""Constants that a candidate learns beside its environment."""
+"""What a candidate learns beside its environment; None where nothing is unknown."""
 
 
 def checked(settings: CompareSettings, data: Trajectories) -> Scenario:
@@ -71,6 +76,13 @@ def checked(settings: CompareSettings, data: Trajectories) -> Scenario:
             "--models first-order: expected physics with inertia and positions alone, "
             f"got {', '.join(data.channels)}; drop it or the velocities"
         )
+    stochastic = isinstance(known.truth, BrownianSwimmer)
+    for name in {*NETWORKS, "physics-only"} & set(settings.models):
+        if stochastic:
+            raise InputError(
+                f"--models {name}: paths with thermal noise are fitted by kernels "
+                "alone; drop it"
+            )
     for name in {"isotropic-drag", "anisotropic-drag"} & set(settings.models):
         if not inert:
             raise InputError(f"--models {name}: expected physics with inertia; drop it")
@@ -105,10 +117,9 @@ def _row(name, settings, known: Scenario, data, folder) -> dict[str, Any]:
     except FitError as error:
         return {"outcome": "failed", "reason": str(error), "log_evidence": None}
     evidence = model_evidence(found.linear, found.hyperparameters)
-    outcome = getattr(found, "outcome", BayesOutcome.CONVERGED)
     estimates = parts(found, data)
     return {
-        "outcome": outcome.name.lower(),
+        "outcome": found.outcome.name.lower(),
         "noise": found.hyperparameters.noise,
         "weights": int(len(found.posterior.mean)),
         "best": evidence.best,

@@ -8,16 +8,17 @@ import numpy as np
 from pinav.evaluation import FieldMap, field_map
 from pinav.fitting import (
     BayesFit,
-    BayesOutcome,
     Estimate,
     LangevinFit,
     Posterior,
     fit_bayes,
     fit_langevin,
     freed,
+    kernels_on,
     principal_drags,
     rotational_fraction,
 )
+from pinav.fitting.tangent import TangentWeights
 from pinav.jobs.models import (
     CONSTANTS,
     build_model,
@@ -30,6 +31,7 @@ from pinav.jobs.models import (
 from pinav.jobs.progress import BayesReporter
 from pinav.jobs.settings import FitSettings
 from pinav.kernel_fields import KernelMixture
+from pinav.learned import KernelForce, KernelPotential
 from pinav.runs import RunFolder
 from pinav.scenarios import Scenario
 from pinav.trajectories import Trajectories
@@ -71,7 +73,7 @@ def _infer_langevin(settings, known, data, summary, folder: RunFolder) -> None:
     found = fit_langevin(fit_model(settings, known.swimmer, summary), data)
     arrays = {
         "iterations": np.array(1),
-        "outcome": np.array(BayesOutcome.CONVERGED.name.lower()),
+        "outcome": np.array(found.outcome.name.lower()),
         "states": data.states,
     }
     estimates = {"diffusion": found.diffusion} | parts(found, data)
@@ -95,6 +97,7 @@ def _write(settings, known, summary, results, folder: RunFolder) -> None:
             "noise": np.array(chosen.noise),
             "log_evidence": np.array(chosen.log_evidence),
             **arrays,
+            **_process_kernels(found),
             **constants,
         },
     )
@@ -106,6 +109,34 @@ def _write(settings, known, summary, results, folder: RunFolder) -> None:
         "dtype": "float64",
     }
     folder.write_model(MODEL_FILE, header, found.model)
+
+
+def _process_kernels(found) -> dict[str, np.ndarray]:
+    """What the prior of a network is made of; nothing for other models."""
+    weights = found.linear.weights
+    if not isinstance(weights, TangentWeights):
+        return {}
+    kernels = weights.process.kernels
+    return {
+        "process/centers": np.asarray(kernels.centers),
+        "process/width": np.asarray(kernels.width),
+    }
+
+
+def process_kernels(
+    model: str, folder: RunFolder
+) -> KernelForce | KernelPotential | None:
+    """The kernels of the process that is the prior of a run's network, if it has one.
+
+    Args:
+        model: the network's name in `pinav fit`.
+        folder: of the run.
+    """
+    stored = folder.read_arrays(POSTERIOR_FILE)
+    if "process/centers" not in stored:
+        return None
+    kind = KernelForce if model == "neural-force" else KernelPotential
+    return kernels_on(kind, stored["process/centers"], float(stored["process/width"]))
 
 
 def _constants(settings, found: BayesFit) -> dict[str, Estimate]:

@@ -125,7 +125,7 @@ def _track(
     try:
         ladder = climb(track, share=share, residuals=residuals, baselines=baselines)
         whole = fit_track(track, ladder.best.rung, start=ladder.best)
-        delays = delay_findings(track, whole) if track.commanded else None
+        delays = delay_findings(track, whole) if ladder.train.commanded else None
     except (InputError, FitError) as error:
         return {"reason": str(error), "rows": []}, {}
     estimates = whole.estimates()

@@ -216,6 +216,9 @@ Candidate = Literal[
     "first-order",
     "isotropic-drag",
     "anisotropic-drag",
+    "neural-potential",
+    "neural-force",
+    "physics-only",
 ]
 
 
@@ -225,9 +228,10 @@ class CompareSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     models: Annotated[
         tuple[Candidate, ...],
         tyro.conf.arg(
-            help="Models to compare. kernel-: as in pinav fit; first-order: a kernel "
-            "potential without inertia (positions alone); isotropic-drag, "
-            "anisotropic-drag: a kernel potential, with the drag learned too."
+            help="Models to compare. kernel-, neural-: as in pinav fit; physics-only: "
+            "no environment; first-order: a kernel potential without inertia "
+            "(positions alone); isotropic-drag, anisotropic-drag: a kernel potential, "
+            "with the drag learned too."
         ),
     ] = ("kernel-potential", "kernel-force", "kernel-mixture")
     noise: Annotated[

@@ -44,8 +44,10 @@ class Track(eqx.Module):
 
     @property
     def commanded(self) -> bool:
-        """Whether frequency and heading were recorded."""
-        return {"frequency", "heading"} <= set(self.pieces[0].commands)
+        """Whether frequency and heading were recorded, and ever asked for motion."""
+        if not {"frequency", "heading"} <= set(self.pieces[0].commands):
+            return False
+        return any(np.any(piece.commands["frequency"] != 0) for piece in self.pieces)
 
     @property
     def span(self) -> tuple[float, float]:

@@ -129,9 +129,9 @@ def sentences(climb: Climb, estimates: dict[str, Estimate], delays) -> list[str]
     """
     found = [f"The evidence chooses: {climb.chosen}."]
     if delays is None:
-        found.append(
-            "No commands were recorded: gain, delay and heading cannot be known."
-        )
+        recorded = "frequency" in climb.train.pieces[0].commands
+        idle = "The commands ask for no motion" if recorded else "No commands recorded"
+        found.append(f"{idle}: gain, delay and heading cannot be known.")
     else:
         found += [_propulsion(climb), _response(climb, estimates), _delay(delays)]
         found.append(_gain(climb, "lag", "a lag of the heading"))

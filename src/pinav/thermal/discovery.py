@@ -14,7 +14,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.actuation import Scalar
-from pinav.fitting.bayes import BayesOutcome, Estimate
+from pinav.fitting.iteration import BayesOutcome
+from pinav.fitting.posterior import Estimate
 from pinav.fitting.regression import fit_regression
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.learning import PerfusionCurve, learn
