@@ -9,6 +9,7 @@ import abc
 import math
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -226,22 +227,14 @@ class HeldProgramme(AbstractProgramme):
 
     def _followed(self, commands, lag):
         """What a follower has reached when each command is given."""
-        back = jnp.arange(1, MEMORY + 1)[None]
-        place = jnp.arange(commands.shape[0])[:, None] - back
-        known = place >= 0
-        place = jnp.maximum(place, 0)
-        begun = self.times[place]
-        ended = self.times[jnp.minimum(place + 1, commands.shape[0] - 1)]
-        now = self.times[:, None]
-        weight = jnp.exp(-(now - ended) / lag) - jnp.exp(-(now - begun) / lag)
-        weight = jnp.where(known, weight, 0.0)
-        rest = 1 - jnp.sum(weight, axis=1)
-        followed = jnp.sum(weight[..., None] * commands[place], axis=1)
-        return followed + rest[:, None] * commands[:1]
+        kept = jnp.exp(-jnp.diff(self.times) / lag)[:, None]
+        kept = jnp.concatenate([jnp.zeros_like(kept[:1]), kept])
+        gained = jnp.concatenate([commands[:1], (1 - kept[1:]) * commands[:-1]])
 
+        def after(first, second):
+            return first[0] * second[0], second[0] * first[1] + second[1]
 
-MEMORY = 40
-"""Commands that a lagging follower still feels; older ones count as the first."""
+        return jax.lax.associative_scan(after, (kept, gained))[1]
 
 
 class LinearProgramme(AbstractProgramme):

@@ -8,11 +8,18 @@ import pytest
 
 from pinav.analysis import influence
 from pinav.errors import InputError
-from pinav.fitting import BayesOutcome, fit_bayes, neural_environment
+from pinav.fitting import (
+    BayesOutcome,
+    fit_bayes,
+    kernel_environment,
+    model_evidence,
+    neural_environment,
+)
 from pinav.fitting.distil import distilled, lesson
 from pinav.fitting.teaching import Request, function_prior
 from pinav.forces import AbstractForce
 from pinav.learned import (
+    KernelPotential,
     NeuralForce,
     NeuralPotential,
     PositionTimeFeatures,
@@ -175,7 +182,9 @@ def test_the_bands_of_a_network_are_as_wide_as_its_errors(fitted, scenario, data
 def test_the_prior_is_made_again_from_what_a_run_keeps(fitted, data):
     used = fitted.linear.weights
     request = Request(fitted.model, data, damping_of, None, FixedStep())
-    again = function_prior(request, fitted.states, fitted.hyperparameters)
+    again = function_prior(
+        request, fitted.states, fitted.hyperparameters, used.process.kernels
+    )
     before = used.process.directions  # at the states from which the fit began
     np.testing.assert_allclose(
         again.process.directions, before, atol=0.01 * np.abs(before).max()
@@ -189,8 +198,24 @@ def test_the_prior_is_made_again_from_what_a_run_keeps(fitted, data):
         fitted.hyperparameters,
         learn=damping_of,
         constants={"damping": damping_of},
+        kernels=used.process.kernels,
     )
     assert np.all(np.isfinite(left_out.removals))
+
+
+def test_a_taught_network_costs_what_its_prior_cost_its_teacher(fitted, scenario, data):
+    kernels = kernel_environment(KernelPotential, data)
+    model = eqx.tree_at(
+        lambda m: (m.environment, m.drag.damping), scenario.truth, (kernels, 0.3)
+    )
+    taught = fit_bayes(model, data, learn=damping_of)
+    theirs, ours = (
+        model_evidence(found.linear, found.hyperparameters)
+        for found in (taught, fitted)
+    )
+    assert ours.occam == pytest.approx(theirs.occam, rel=1e-3)
+    assert ours.occam > 1
+    assert ours.log_evidence == pytest.approx(theirs.log_evidence, abs=10)
 
 
 def test_a_network_that_sees_the_time_has_independent_weights(scenario, data):

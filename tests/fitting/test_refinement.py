@@ -16,11 +16,12 @@ from pinav.fitting import (
     changing_environment,
     fit_bayes,
     kernel_environment,
+    neural_environment,
 )
 from pinav.fitting.refinement import length_scales
 from pinav.forces import AbstractForce, ZeroForce
 from pinav.kernel_fields import KernelMixture, KernelStream
-from pinav.learned import KernelForce, KernelPotential
+from pinav.learned import KernelForce, KernelPotential, NeuralForce
 from pinav.solvers import FixedStep
 from pinav.trajectories import Trajectories
 
@@ -107,6 +108,22 @@ def test_the_result_is_that_of_a_fit_on_the_finer_grid(rough, refined):
     direct = fit_bayes(untrained(*rough, KernelGrid(across=across)), rough[1])
     np.testing.assert_allclose(direct.posterior.mean, refined.posterior.mean)
     assert direct.iterations == refined.iterations
+
+
+def test_a_network_is_taught_by_kernels_as_fine_as_asked(rough, refined):
+    truth, data = rough
+    network = neural_environment(
+        NeuralForce, data, key=jax.random.key(0), width=4, depth=1, dim=1
+    )
+    model = eqx.tree_at(lambda m: m.environment, truth, network)
+    found, coarse = (
+        fit_bayes(model, data, refine=r, max_iterations=1, throw=False).linear.weights
+        for r in (Refinement(factor=2.0), None)
+    )
+    assert found.process.kernels.width < coarse.process.kernels.width / 1.8
+    noise = found.process.chosen.noise
+    assert noise == pytest.approx(refined.hyperparameters.noise, rel=0.05)
+    assert coarse.process.chosen.noise > 1.5 * noise
 
 
 def test_wide_bumps_keep_their_kernels():

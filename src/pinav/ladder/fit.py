@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 from scipy.optimize import minimize
 
 from pinav.actuation import HeldProgramme
@@ -249,36 +249,8 @@ DIFFERENCE, ACROSS_KINKS = 0.02, 0.25
 
 
 def _estimates(fit: TrackFit) -> dict[str, Estimate]:
-    learned = fit.rung.learned
-    count = len(learned)
-    matrices = jnp.asarray(fit.rung.matrices())
-    velocities = jnp.asarray(fit.rung.velocities())
-
-    def quantities(unknown):
-        values = dict(zip(learned, unknown[:count], strict=True))
-        found = {}
-        if fit.rung.gains:
-            gain = jnp.einsum("g,gab->ab", unknown[count : count + 4], matrices)
-            found["gain"] = mean_gain(gain)
-            found["gain x/y"] = jnp.linalg.norm(gain[0]) / jnp.linalg.norm(gain[1])
-            found["heading offset"] = heading_offset(gain)
-        if fit.rung.drifts:
-            drift = unknown[count + 4 :] @ velocities
-            found["drift x"], found["drift y"] = drift[0], drift[1]
-        for name, value in values.items():
-            if name.startswith("log_"):
-                found[name.removeprefix("log_").replace("_", " ")] = jnp.exp(value)
-            elif name == "logit_residual":
-                found["residual"] = jax.nn.sigmoid(value)
-            else:
-                found[name] = value
-        return found
-
-    places = [fit.parameter(name) for name in learned]
     with jax.enable_x64(new_val=True):
-        unknown = jnp.asarray(np.concatenate([places, fit.coefficients]))
-        values = quantities(unknown)
-        slopes = jax.jacrev(quantities)(unknown)
+        values, slopes = _quantities_about(fit.rung, _unknown(fit))
     found = {}
     for name, value in values.items():
         slope = np.asarray(slopes[name])
@@ -287,23 +259,69 @@ def _estimates(fit: TrackFit) -> dict[str, Estimate]:
     return found
 
 
+def _unknown(fit: TrackFit) -> Float[Array, " unknown"]:
+    """What was learned, then all coefficients."""
+    learned = [fit.parameter(name) for name in fit.rung.learned]
+    return jnp.asarray(np.concatenate([learned, fit.coefficients]))
+
+
+@eqx.filter_jit
+def _quantities_about(rung: Rung, unknown: Float[Array, " unknown"]):
+    """Quantities with a meaning, and their derivatives."""
+
+    def quantities(unknown):
+        return _quantities(rung, unknown)
+
+    return quantities(unknown), jax.jacrev(quantities)(unknown)
+
+
+def _quantities(rung: Rung, unknown) -> dict[str, Float[Array, ""]]:
+    count = len(rung.learned)
+    matrices, velocities = jnp.asarray(rung.matrices()), jnp.asarray(rung.velocities())
+    found = {}
+    if rung.gains:
+        gain = jnp.einsum("g,gab->ab", unknown[count : count + 4], matrices)
+        found["gain"] = mean_gain(gain)
+        found["gain x/y"] = jnp.linalg.norm(gain[0]) / jnp.linalg.norm(gain[1])
+        found["heading offset"] = heading_offset(gain)
+    if rung.drifts:
+        drift = unknown[count + 4 :] @ velocities
+        found["drift x"], found["drift y"] = drift[0], drift[1]
+    for index, name in enumerate(rung.learned):
+        value = unknown[index]
+        if name.startswith("log_"):
+            found[name.removeprefix("log_").replace("_", " ")] = jnp.exp(value)
+        elif name == "logit_residual":
+            found["residual"] = jax.nn.sigmoid(value)
+        else:
+            found[name] = value
+    return found
+
+
 def _speed(fit: TrackFit, frequency):
-    learned = fit.rung.learned
-    matrices = jnp.asarray(fit.rung.matrices())
+    held = [fit.parameter(name) for name in ("log_corner", "logit_residual")]
+    with jax.enable_x64(new_val=True):
+        values, slopes = _speed_about(
+            fit.rung, _unknown(fit), jnp.asarray(held), jnp.asarray(frequency)
+        )
+    slopes = np.asarray(slopes)
+    variance = np.einsum("fp,pq,fq->f", slopes, fit.covariance, slopes)
+    return np.asarray(values), np.sqrt(np.maximum(variance, 0.0))
+
+
+@eqx.filter_jit
+def _speed_about(rung: Rung, unknown, held, frequency):
+    """Speed by frequency, and its derivative; what is not learned is held."""
+    learned, matrices = rung.learned, jnp.asarray(rung.matrices())
 
     def law(unknown):
         values = dict(zip(learned, unknown[: len(learned)], strict=True))
-        corner = values.get("log_corner", fit.parameter("log_corner"))
-        residual = values.get("logit_residual", fit.parameter("logit_residual"))
+        corner = values.get("log_corner", held[0])
+        residual = values.get("logit_residual", held[1])
         gain = jnp.einsum(
             "g,gab->ab", unknown[len(learned) : len(learned) + 4], matrices
         )
-        response = response_of(fit.rung.response, corner, residual)
-        return mean_gain(gain) * response(jnp.asarray(frequency))
+        response = response_of(rung.response, corner, residual)
+        return mean_gain(gain) * response(frequency)
 
-    places = [fit.parameter(name) for name in learned]
-    with jax.enable_x64(new_val=True):
-        unknown = jnp.asarray(np.concatenate([places, fit.coefficients]))
-        values, slopes = np.asarray(law(unknown)), np.asarray(jax.jacrev(law)(unknown))
-    variance = np.einsum("fp,pq,fq->f", slopes, fit.covariance, slopes)
-    return values, np.sqrt(np.maximum(variance, 0.0))
+    return law(unknown), jax.jacrev(law)(unknown)

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -10,8 +11,8 @@ from jaxtyping import Bool, Float, Int
 from pinav.actuation import HeldProgramme
 from pinav.ladder.filtering import Disturbance, transitions
 from pinav.ladder.fit import TrackFit
-from pinav.ladder.rungs import NAMES, response_of
-from pinav.ladder.tracks import Track
+from pinav.ladder.rungs import NAMES, RESPONSES, SwitchedResponse
+from pinav.ladder.tracks import Track, padded_to
 from pinav.samples import Trajectory
 
 HORIZONS = (1.0, 5.0, 10.0, 30.0)
@@ -102,20 +103,38 @@ def _cumulated_length(positions):
 
 
 def programme_of(piece: Trajectory) -> HeldProgramme:
-    """The commands of a segment; none count as a frequency of 0."""
+    """The commands of a segment; none count as a frequency of 0.
+
+    The last one is held for as many times more as make the number of times round, so
+    that what is compiled for one segment serves others.
+    """
     nothing = np.zeros_like(piece.times)
-    names = ("frequency", "heading")
-    values = [jnp.asarray(piece.commands.get(name, nothing)) for name in names]
-    return HeldProgramme(jnp.asarray(piece.times), *values)
+    more = padded_to(len(nothing), LEAST_SIZE) - len(nothing)
+    later = piece.times[-1] + 1.0 + np.arange(more)
+    values = [piece.commands.get(name, nothing) for name in ("frequency", "heading")]
+    held = [jnp.asarray(np.pad(value, (0, more), "edge")) for value in values]
+    return HeldProgramme(jnp.asarray(np.concatenate([piece.times, later])), *held)
+
+
+LEAST_SIZE = 2048
+"""Samples, of which a multiple is compiled for."""
 
 
 def cycles(fit: TrackFit, piece: Trajectory) -> Float[np.ndarray, "time 2"]:
     """Integral of the delayed response along the heading."""
-    corner, residual, delay, lag = (fit.theta[NAMES.index(n)] for n in NAMES[:4])
-    response = response_of(fit.rung.response, corner, residual)
-    times = jnp.asarray(piece.times - delay)
-    lag = jnp.exp(jnp.asarray(lag))
-    return np.asarray(programme_of(piece).lagged_integral(response, times, lag))
+    index = RESPONSES.index(fit.rung.response)
+    with jax.enable_x64(new_val=True):
+        programme, drive = programme_of(piece), jnp.asarray(fit.theta[:4])
+        found = _cycles(programme, jnp.asarray(index), drive)
+    return np.asarray(found)[: len(piece.times)]
+
+
+@eqx.filter_jit
+def _cycles(programme: HeldProgramme, index, drive):
+    corner, residual, delay, lag = drive
+    response = SwitchedResponse(index, corner, residual)
+    times = programme.times - delay
+    return programme.lagged_integral(response, times, jnp.exp(lag))
 
 
 def path_of(fit: TrackFit) -> Displacement:
@@ -239,14 +258,26 @@ class Forecast(eqx.Module):
         frequency = self.piece.commands.get(
             "frequency", np.zeros_like(self.frame[:, 0])
         )
-        strength = self.disturbance.strength(jnp.asarray(frequency[own][:-1]))
-        steps = transitions(jnp.asarray(np.diff(times)), strength, self.disturbance)
+        intervals = np.diff(times)
+        more = (0, padded_to(len(intervals), LEAST_SIZE) - len(intervals))
+        with jax.enable_x64(new_val=True):
+            steps = _transitions(
+                jnp.asarray(np.pad(intervals, more, constant_values=1.0)),
+                jnp.asarray(np.pad(frequency[own][:-1], more)),
+                self.disturbance,
+            )
         matrices, noises = np.asarray(steps.matrix), np.asarray(steps.noise)
         spread, variances = np.diag([0.0, 1.0, 1.0]), [0.0]
-        for matrix, noise in zip(matrices, noises, strict=True):
+        count = len(intervals)
+        for matrix, noise in zip(matrices[:count], noises[:count], strict=True):
             spread = matrix @ spread @ matrix.T + noise
             variances.append(spread[0, 0])
         return np.array(variances)
+
+
+@eqx.filter_jit
+def _transitions(intervals, frequency, disturbance: Disturbance):
+    return transitions(intervals, disturbance.strength(frequency), disturbance)
 
 
 def _slopes(piece, fit, path):

@@ -85,13 +85,18 @@ def tracks(recording: Trajectories, *, pooled: bool = False) -> list[Track]:
         seen = _observed(piece)
         if len(seen.times) >= LEAST_SAMPLES:
             groups.setdefault(name, []).append(seen)
-    found = [_track(name, pieces) for name, pieces in groups.items()]
-    if not found:
+    if not groups:
         raise InputError(
             f"recording: expected a trajectory of {LEAST_SAMPLES} samples or more, got "
             f"{int(recording.lengths.max())} at most; check how tracks are linked"
         )
-    return found
+    widths = [_block_width(pieces) for pieces in groups.values()]
+    counts = [_counts(p, w) for p, w in zip(groups.values(), widths, strict=True)]
+    rows = zip(groups.items(), widths, shared_sizes(counts), strict=True)
+    return [
+        Track(name, tuple(sorted(pieces, key=lambda p: p.times[0])), width, sizes)
+        for (name, pieces), width, sizes in rows
+    ]
 
 
 def _labels(recording: Trajectories) -> list[dict[str, Any]]:
@@ -105,14 +110,62 @@ LEAST_SAMPLES = 8
 """Segments with fewer samples say nothing of what is fitted here."""
 
 
-def _track(name: str, pieces: Sequence[Trajectory]) -> Track:
+def _block_width(pieces: Sequence[Trajectory]) -> float:
     duration = float(sum(piece.times[-1] - piece.times[0] for piece in pieces))
-    width = min(BLOCK, duration / BLOCKS_AT_LEAST)
+    return min(BLOCK, duration / BLOCKS_AT_LEAST)
+
+
+def _counts(pieces: Sequence[Trajectory], width: float) -> tuple[int, int]:
+    """Samples and blocks."""
     blocks = sum(int(_block_indices(piece.times, width)[-1]) + 1 for piece in pieces)
-    samples = sum(len(piece.times) for piece in pieces)
-    ordered = sorted(pieces, key=lambda piece: piece.times[0])
-    sizes = _rounded(samples, 512), _rounded(blocks, 64)
-    return Track(name, tuple(ordered), width, sizes)
+    return sum(len(piece.times) for piece in pieces), blocks
+
+
+COMPILATION, PER_SAMPLE, PER_BLOCK = 7.0, 1.5e-4, 3.6e-3
+"""Rough seconds: to compile a likelihood for a size, and to fit all rungs for each
+sample and block of it. Only how tracks share sizes hangs on them, no result."""
+
+
+def shared_sizes(counts: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Samples and blocks to pad each track to: as few sizes as pay for themselves.
+
+    A size is compiled once, in seconds, and then serves all tracks that are padded to
+    it; but padding is computed with. Tracks ordered by length are cut into groups of
+    least total time, by dynamic programming.
+
+    Args:
+        counts: samples and blocks of each track.
+    """
+    order = sorted(range(len(counts)), key=lambda i: counts[i][::-1])
+    best: list[float] = [0.0]
+    cuts: list[int] = []
+    for end in range(1, len(order) + 1):
+        totals = []
+        for begin in range(end):
+            samples, blocks = _enclosing([counts[i] for i in order[begin:end]])
+            each = PER_SAMPLE * samples + PER_BLOCK * blocks
+            totals.append(best[begin] + COMPILATION + (end - begin) * each)
+        cuts.append(int(np.argmin(totals)))
+        best.append(min(totals))
+    sizes, end = [(0, 0)] * len(counts), len(order)
+    while end:
+        begin = cuts[end - 1]
+        group = order[begin:end]
+        for index in group:
+            sizes[index] = _enclosing([counts[i] for i in group])
+        end = begin
+    return sizes
+
+
+def _enclosing(counts: Sequence[tuple[int, int]]) -> tuple[int, int]:
+    """The size of the largest, in round numbers."""
+    samples, blocks = (max(column) for column in zip(*counts, strict=True))
+    return padded_to(samples, 256), padded_to(blocks, 32)
+
+
+def padded_to(count: int, step: int) -> int:
+    """The next multiple of `step`, one at least."""
+    return step * max(1, -(-count // step))
 
 
 def _observed(piece: Trajectory) -> Trajectory:
@@ -212,11 +265,3 @@ def _block_indices(times: np.ndarray, width: float) -> np.ndarray:
     """Number of the block of each sample; empty blocks are left out."""
     raw = np.floor((times - times[0]) / width + 1e-9).astype(np.int64)
     return np.unique(raw, return_inverse=True)[1]
-
-
-def _rounded(count: int, least: int) -> int:
-    """The next size: four times the one before it, and twice where that is large."""
-    size = least
-    while size < count:
-        size *= 4 if size < 8 * least else 2
-    return size
