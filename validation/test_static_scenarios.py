@@ -57,8 +57,6 @@ FOUND = (
 POROUS, FIBRES = ("porous", "kernel-potential"), ("fibres", "kernel-potential")
 """The scenarios whose force does not change and whose fluid rests."""
 
-SLOW = pytest.mark.xfail(reason="kernels of 1348 weights; docs/evaluation.md")
-
 KINDS = {"kernel-potential": KernelPotential, "kernel-mixture": KernelMixture}
 
 DRAWS = {"barrier-crossings": 5, "swirl": 5, "anisotropic-drag": 5, "porous": 10}
@@ -96,9 +94,7 @@ def covered(name, kind, seed):
     )
 
 
-@pytest.mark.parametrize(
-    ("name", "model"), [*FOUND, POROUS, pytest.param(*FIBRES, marks=SLOW)]
-)
+@pytest.mark.parametrize(("name", "model"), [*FOUND, POROUS, FIBRES])
 def test_a_fit_takes_three_minutes_at_most(name, model, evaluated):
     assert evaluated(name, model)[1] < SECONDS
 
