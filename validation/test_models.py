@@ -71,6 +71,19 @@ def test_crossings_prefer_a_potential(tmp_path):
     assert max(differences("barrier-crossings", FORCES, tmp_path)) < 0
 
 
+def test_crossings_need_an_environment_and_networks_cost_no_more_than_kernels(tmp_path):
+    settings = CompareSettings(
+        models=("physics-only", "kernel-potential", "neural-potential", "neural-force")
+    )
+    folder = RunFolder.create(tmp_path / "run", {"job": "compare"}, overwrite=False)
+    rows = compare(settings, observed("barrier-crossings")[1], folder)["models"]
+    values = {name: row["log_evidence"] for name, row in rows.items()}
+    print(values)
+    assert values["kernel-potential"] > values["physics-only"] + 1000
+    assert values["kernel-potential"] - values["neural-potential"] < 100
+    assert values["neural-potential"] > values["neural-force"]
+
+
 @pytest.mark.parametrize(
     ("name", "moves"), [("moving-barrier", True), ("barrier-crossings", False)]
 )

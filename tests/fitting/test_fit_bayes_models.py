@@ -135,7 +135,7 @@ def test_a_known_model_has_the_evidence_of_its_noise_and_starts(drifts):
     free = residuals.size - starts.size
     noise = np.sqrt(np.sum(residuals**2) / free)
     assert found.hyperparameters.noise == pytest.approx(noise)
-    samples = data.states.shape[1]
+    samples = data.states[0].size
     evidence = model_evidence(found.linear, found.hyperparameters)
     assert evidence.best == pytest.approx(
         -0.5 * residuals.size * np.log(2 * np.pi * noise**2)

@@ -116,14 +116,14 @@ def test_a_network_is_taught_by_kernels_as_fine_as_asked(rough, refined):
         NeuralForce, data, key=jax.random.key(0), width=4, depth=1, dim=1
     )
     model = eqx.tree_at(lambda m: m.environment, truth, network)
-    found, coarse = (
-        fit_bayes(model, data, refine=r, max_iterations=1, throw=False).linear.weights
-        for r in (Refinement(factor=2.0), None)
+    found = fit_bayes(
+        model, data, refine=Refinement(factor=2.0), max_iterations=1, throw=False
     )
-    assert found.process.kernels.width < coarse.process.kernels.width / 1.8
-    noise = found.process.chosen.noise
-    assert noise == pytest.approx(refined.hyperparameters.noise, rel=0.05)
-    assert coarse.process.chosen.noise > 1.5 * noise
+    process = found.linear.weights.process
+    begun = kernel_environment(KernelForce, data, dim=1)
+    assert process.kernels.width < begun.width / 1.8
+    noise = refined.hyperparameters.noise
+    assert process.chosen.noise == pytest.approx(noise, rel=0.05)
 
 
 def test_wide_bumps_keep_their_kernels():

@@ -109,8 +109,9 @@ def idle():
 def test_a_recording_whose_commands_ask_for_nothing_only_drifts(tmp_path, capsys):
     save(idle(), tmp_path / "idle.csv")
     out = tmp_path / "run"
+    words = ["fit", str(tmp_path / "idle.csv"), "--ladder", "--tracks", "0"]
     with standard_promotion():
-        assert cli.run(["fit", str(tmp_path / "idle.csv"), "--out", str(out)]) == 0
+        assert cli.run([*words, "--out", str(out)]) == 0
     assert "The commands ask for no motion: gain" in capsys.readouterr().out
     (track,) = json.loads((out / "metrics.json").read_text())["tracks"].values()
     assert track["gain"] is None
