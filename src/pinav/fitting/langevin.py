@@ -131,7 +131,8 @@ def fit_langevin(
         outcome = BayesOutcome.CONVERGED
         while True:
             free, quadratic, weights, found = _inferred(exact, increments, noise)
-            chosen, coarse = found.hyperparameters, exact.environment
+            chosen = found.hyperparameters
+            coarse: Any = exact.environment
             if refine is None or not refine.wanted(coarse, chosen.shape):
                 break
             finer = refine.finer(coarse, trajectories)

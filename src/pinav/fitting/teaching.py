@@ -117,17 +117,17 @@ def function_prior(
         kernels: of the process (`Process.kernels`); those with which every fit begins
             unless given.
     """
-    kernels = request.kernels() if kernels is None else kernels
+    made: Any = request.kernels() if kernels is None else kernels
     network = request.model.environment
     places: Lesson = lesson(
         network,
         request.trajectories,
         states,
         dim=request.dim,
-        width=float(kernels.width),
+        width=float(made.width),
     )
-    prior = kernel_prior(kernels)
+    prior = kernel_prior(made)
     none = np.zeros((len(prior.covariance(chosen.shape)), 0))
-    process = Process.of(kernels, prior, chosen, places, none)
+    process = Process.of(made, prior, chosen, places, none)
     wanted = process.nearest(np.asarray(places.forces).ravel())
     return TangentWeights.of(network, places, process, wanted)

@@ -6,6 +6,7 @@ differential equation.
 """
 
 import importlib
+import threading
 import time
 import warnings
 from collections.abc import Callable
@@ -23,6 +24,9 @@ from pinav.ladder.forecast import Displacement
 from pinav.ladder.tracks import Track
 from pinav.learned import tanh_network
 from pinav.samples import Trajectory
+
+QUIET = threading.Lock()
+"""Filters of warnings belong to all threads: one at a time may set them."""
 
 WINDOW = 1.0
 """Velocities are central differences over this time [s]."""
@@ -165,7 +169,7 @@ def gaussian_process(
         process = processes_of.GaussianProcessRegressor(
             kernel=kernel, n_restarts_optimizer=restarts, random_state=0
         )
-        with warnings.catch_warnings():  # a hyperparameter at its published bound
+        with QUIET, warnings.catch_warnings():  # of a number at its published bound
             warnings.simplefilter("ignore")
             processes.append(process.fit(inputs[kept], disturbance[kept, axis]))
 
