@@ -51,8 +51,8 @@ def _overview(folder, metrics) -> list[Paragraph | Table | Image]:
         "tracks",
         "log evidence",
         "velocity R²",
-        *(f"error at {h:g} s" for h in HORIZONS),
-        f"error at 10 s ({unit})",
+        *(f"{h:g} s" for h in HORIZONS),
+        f"10 s ({unit})",
         "fit (s)",
     )
     keys = ("tracks", "log_evidence", "velocity_r2")
@@ -75,8 +75,8 @@ def _overview(folder, metrics) -> list[Paragraph | Table | Image]:
             header,
             rows,
             "Held-out part of each track: medians over tracks of the end-point error "
-            "of open-loop rollouts from observed positions, as a fraction of the path "
-            "length. The log evidence is that of the training parts, summed.",
+            "of open-loop rollouts of 1 to 30 s from observed positions, as a fraction "
+            f"of the path length, and in {unit} for 10 s. The log evidence is that of the training parts, summed.",
         ),
         Image(
             files.svg,

@@ -293,7 +293,9 @@ table {
 }
 caption {
   text-align: left; padding-bottom: 0.5rem; color: var(--soft);
+  position: sticky; left: 0; max-width: 46rem;
 }
+td:first-child { min-width: 8rem; }
 th, td { padding: 0.35rem 1.25rem 0.35rem 0.25rem; text-align: left; }
 th { font-weight: 600; vertical-align: bottom; }
 thead tr { border-bottom: 1px solid var(--ink); }
