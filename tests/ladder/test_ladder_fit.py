@@ -24,7 +24,15 @@ from pinav.ladder import (
 from pinav.ladder.forecast import programme_of
 from pinav.ladder.likelihood import Design, negative_log_evidence
 from pinav.ladder.rungs import MATRIX
-from pinav.ladder.tracks import after, before
+from pinav.ladder.tracks import (
+    COMPILATION,
+    PER_BLOCK,
+    PER_SAMPLE,
+    after,
+    before,
+    shared_sizes,
+)
+from pinav.ladder.verdict import extrapolation
 from pinav.solvers import Adaptive
 
 RUNG = with_free(with_response(MATRIX, "saturating"), "delay", "delay")
@@ -171,3 +179,53 @@ def test_blocks_are_means_of_their_samples(track):
     index = blocks.block[blocks.real]
     means = np.bincount(index, blocks.times[blocks.real]) / np.bincount(index)
     np.testing.assert_allclose(np.diff(means), track.width, atol=0.06)
+
+
+def faster(part, factor):
+    """The part of a track, driven at a multiple of its frequency."""
+    pieces = tuple(
+        eqx.tree_at(
+            lambda p: p.commands["frequency"],
+            piece,
+            factor * piece.commands["frequency"],
+        )
+        for piece in part.pieces
+    )
+    return eqx.tree_at(lambda t: t.pieces, part, pieces)
+
+
+def test_frequencies_that_did_not_train_are_told(track):
+    assert extrapolation(track, track) == ""
+    assert extrapolation(track, faster(track, 0.5)) == ""
+    highest = max(piece.commands["frequency"].max() for piece in track.pieces)
+    told = extrapolation(track, faster(track, 3.0))
+    assert (
+        f"up to {3 * highest:.3g} Hz, the training part at up to {highest:.3g}" in told
+    )
+
+
+def test_a_track_whose_commands_ask_for_nothing_is_not_commanded(track):
+    assert track.commanded
+    assert not faster(track, 0.0).commanded
+
+
+def seconds(counts, sizes):
+    """What the sizes cost: compilations, and padded samples and blocks."""
+    work = sum(PER_SAMPLE * samples + PER_BLOCK * blocks for samples, blocks in sizes)
+    return COMPILATION * len(set(sizes)) + work
+
+
+def test_tracks_of_like_length_share_a_size_that_encloses_them():
+    rng = np.random.default_rng(0)
+    short = [(int(n), int(n) // 9) for n in rng.integers(300, 700, 40)]
+    long = [(int(n), int(n) // 9) for n in rng.integers(5000, 6000, 12)]
+    counts = [*short, *long]
+    sizes = shared_sizes(counts)
+    assert len(set(sizes)) == 2
+    for (samples, blocks), size in zip(counts, sizes, strict=True):
+        assert size[0] >= samples
+        assert size[1] >= blocks
+    one = [max(sizes)] * len(counts)
+    own = [shared_sizes([count])[0] for count in counts]
+    assert seconds(counts, sizes) < min(seconds(counts, one), seconds(counts, own))
+    assert shared_sizes(counts[::-1]) == sizes[::-1]

@@ -76,7 +76,8 @@ def _overview(folder, metrics) -> list[Paragraph | Table | Image]:
             rows,
             "Held-out part of each track: medians over tracks of the end-point error "
             "of open-loop rollouts of 1 to 30 s from observed positions, as a fraction "
-            f"of the path length, and in {unit} for 10 s. The log evidence is that of the training parts, summed.",
+            f"of the path length, and in {unit} for 10 s. The log evidence is that of "
+            "the training parts, summed.",
         ),
         Image(
             files.svg,

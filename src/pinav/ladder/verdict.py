@@ -135,12 +135,36 @@ def sentences(climb: Climb, estimates: dict[str, Estimate], delays) -> list[str]
     else:
         found += [_propulsion(climb), _response(climb, estimates), _delay(delays)]
         found.append(_gain(climb, "lag", "a lag of the heading"))
+        found.append(extrapolation(climb.train, climb.held_out))
     found.append(_gain(climb, "time-dependent drift", "a drift that changes"))
     found += [
         _gain(climb, name, f"a velocity that depends on position ({name})")
         for name in ("Gaussian process", "potential")
     ]
     return [sentence for sentence in found if sentence]
+
+
+def extrapolation(train: Track, held_out: Track) -> str:
+    """What is said where the test part is faster than all that trained, or nothing.
+
+    Args:
+        train: the training part of a track.
+        held_out: its test part.
+    """
+    seen, asked = (
+        max(float(piece.commands["frequency"].max()) for piece in part.pieces)
+        for part in (train, held_out)
+    )
+    if asked <= BEYOND * seen:
+        return ""
+    return (
+        f"The held-out part is driven at up to {asked:.3g} Hz, the training part at up "
+        f"to {seen:.3g} Hz: errors and bands there hang on how the response goes on."
+    )
+
+
+BEYOND = 1.05
+"""Ratio of frequencies above which a prediction extrapolates."""
 
 
 def _difference(climb: Climb, name: str) -> float:
