@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from pinav.actuation import Scalar
 from pinav.errors import InputError
 from pinav.forces import AbstractForce, GaussianBarrier
-from pinav.tensors import as_point
+from pinav.tensors import as_point, check_positive
 
 
 class GaussianRidge(AbstractForce):
@@ -41,10 +41,7 @@ class GaussianRidge(AbstractForce):
     angle: Scalar
 
     def __check_init__(self):
-        for name in ("length", "width"):
-            value = getattr(self, name)
-            if isinstance(value, float | int) and value <= 0:
-                raise InputError(f"GaussianRidge.{name}: expected > 0, got {value}")
+        check_positive(self, "length", "width")
 
     def potential(self, x: Float[Array, "2"]) -> Float[Array, ""]:
         """Potential energy per mass $U(x)$ [L² T⁻²]."""
@@ -81,8 +78,7 @@ class GaussianSwirl(AbstractForce):
     width: Scalar
 
     def __check_init__(self):
-        if isinstance(self.width, float | int) and self.width <= 0:
-            raise InputError(f"GaussianSwirl.width: expected > 0, got {self.width}")
+        check_positive(self, "width")
 
     def stream(self, x: Float[Array, "2"]) -> Float[Array, ""]:
         r"""Stream function $\psi(x)$ [L² T⁻²]."""

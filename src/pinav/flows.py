@@ -7,8 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from pinav.actuation import Scalar
-from pinav.errors import InputError
-from pinav.tensors import as_point
+from pinav.tensors import as_point, check_positive
 
 
 class AbstractFlow(eqx.Module):
@@ -61,10 +60,7 @@ class PoiseuilleFlow(AbstractFlow):
     half_width: Scalar
 
     def __check_init__(self):
-        if isinstance(self.half_width, float | int) and self.half_width <= 0:
-            raise InputError(
-                f"PoiseuilleFlow.half_width: expected > 0, got {self.half_width}"
-            )
+        check_positive(self, "half_width")
 
     def __call__(self, t, x):
         profile = 1 - ((x[1] - self.middle) / self.half_width) ** 2
@@ -90,8 +86,7 @@ class VortexFlow(AbstractFlow):
     width: Scalar
 
     def __check_init__(self):
-        if isinstance(self.width, float | int) and self.width <= 0:
-            raise InputError(f"VortexFlow.width: expected > 0, got {self.width}")
+        check_positive(self, "width")
 
     def __call__(self, t, x):
         offset = x - self.center

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from pinav.actuation import AbstractField, Scalar
 from pinav.errors import InputError
 from pinav.flows import AbstractFlow
-from pinav.tensors import AbstractTensorField, as_point
+from pinav.tensors import AbstractTensorField, as_point, check_positive
 
 
 class AbstractForce(eqx.Module):
@@ -143,8 +143,7 @@ class GaussianBarrier(AbstractForce):
     width: Scalar
 
     def __check_init__(self):
-        if isinstance(self.width, float | int) and self.width <= 0:
-            raise InputError(f"GaussianBarrier.width: expected > 0, got {self.width}")
+        check_positive(self, "width")
 
     def potential(self, x: Float[Array, " dim"]) -> Float[Array, ""]:
         """Potential energy per mass $U(x)$ [L² T⁻²]."""
