@@ -4,10 +4,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Bool, Float
 
-from pinav.dynamics import Swimmer, with_dtype
 from pinav.errors import FitError, InputError
 from pinav.fitting.descent import (
     AbstractDescent,
@@ -24,7 +22,7 @@ from pinav.fitting.inference import (
     Inference,
     NoWeights,
 )
-from pinav.fitting.lifting import FreeModel, Linearisation, freed, linearise
+from pinav.fitting.lifting import FreeModel, Linearisation, linearise
 from pinav.fitting.networks import IsotropicPrior
 from pinav.fitting.objectives import Observations
 from pinav.fitting.occam import LinearFit
@@ -37,23 +35,19 @@ from pinav.fitting.quadratics import (
     without_flat,
 )
 from pinav.fitting.smoother import smoothed_states
-from pinav.kernel_fields import (
-    ChangingPotential,
-    KernelMixture,
-    KernelStream,
-    TimedKernelPotential,
+from pinav.fitting.unknowns import (
+    KERNELS,
+    check_learned,
+    is_weight,
+    num_positions,
+    parameter_names,
+    unknowns,
 )
 from pinav.learned import (
-    AbstractLearnedForce,
-    KernelForce,
-    KernelPotential,
     NeuralForce,
     NeuralPotential,
-    PositionFeatures,
-    PositionTimeFeatures,
 )
 from pinav.solvers import FixedStep
-from pinav.trajectories import Trajectories
 
 
 class Step(eqx.Module):
@@ -126,9 +120,9 @@ class BayesProblem(eqx.Module):
         weights=None,
         teacher=None,
     ):
-        free, theta = _unknowns(model, learn)
-        names, flat = parameter_names(free, theta), ~_is_weight(free, theta)
-        _check_learned(model, names, flat)
+        free, theta = unknowns(model, learn)
+        names, flat = parameter_names(free, theta), ~is_weight(free, theta)
+        check_learned(model, names, flat)
         dim = num_positions(model, trajectories)
         states = smoothed_states(trajectories, dim) if states is None else states
         num_free = trajectories.num_observed - states[:, 0].size
@@ -238,25 +232,6 @@ class BayesProblem(eqx.Module):
         return Posterior(self.free, step.move.theta, covariance)
 
 
-def _unknowns(model, learn) -> tuple[FreeModel, Float[jax.Array, " parameter"]]:
-    """The model as a function of what is learned, if anything is, and its start."""
-    exact = with_dtype(model, jnp.float64)
-    if learn is None:
-        nothing, known = eqx.partition(exact, lambda _: False)
-        return FreeModel(known, ravel_pytree(nothing)[1]), jnp.zeros(0)
-    _check_selection(model, learn)
-    return freed(exact, _trainable(learn))
-
-
-def _weights(model) -> tuple:
-    """The leaves that have a Gaussian prior; none in a parametric environment."""
-    environment = model.environment
-    if isinstance(environment, AbstractLearnedForce):
-        parameters = environment.parameters
-        return parameters if isinstance(parameters, tuple) else (parameters,)
-    return ()
-
-
 def _method(
     model, weights: AbstractWeights | None
 ) -> tuple[AbstractWeights, AbstractDescent, float]:
@@ -273,85 +248,9 @@ def _method(
     return NoWeights(), ChordSteps(damping=1e-2), TOLERANCE
 
 
-SINGLE_KERNELS = KernelForce | KernelPotential | KernelStream | TimedKernelPotential
-"""Environments of kernels on one grid."""
-
-KERNELS = SINGLE_KERNELS | KernelMixture | ChangingPotential
-"""Environments that are linear in their weights."""
-
 TOLERANCE, NETWORK_TOLERANCE = 1e-2, 2.0
 """Change of the log evidence at which a fit ends. That of a network goes on to creep
 while weights shrink on which the data do not depend."""
-
-
-def _trainable(learn):
-    def select(model):
-        constants = learn(model)
-        several = constants if isinstance(constants, tuple | list) else (constants,)
-        return *_weights(model), *several
-
-    return select
-
-
-def _is_weight(free: FreeModel, theta) -> Bool[np.ndarray, " parameter"]:
-    """Which entries of the parameter vector are weights of the environment."""
-    marks = free.unravel(jnp.zeros_like(theta))
-    if jax.tree.leaves(_weights(marks)):
-        marks = eqx.tree_at(
-            _weights, marks, jax.tree.map(jnp.ones_like, _weights(marks))
-        )
-    return np.asarray(ravel_pytree(marks)[0]) > 0
-
-
-def num_positions(model, trajectories: Trajectories) -> int:
-    """How many channels are positions; what follows them are velocities.
-
-    Raises:
-        InputError: the trajectories have other channels than the model has states.
-    """
-    count = len(trajectories.channels)
-    dim = dimension(model.environment)
-    if isinstance(model, Swimmer):
-        dim = count // 2 if dim is None else dim
-        fits, expected = count == 2 * dim, f"{2 * dim} channels, positions and"
-        expected += " velocities"
-    else:
-        dim = count if dim is None else dim
-        fits, expected = count in (dim, 2 * dim), f"{dim} or {2 * dim} channels"
-    if not fits:
-        raise InputError(
-            f"fit_bayes trajectories: expected {expected}, got "
-            f"{', '.join(trajectories.channels)}"
-        )
-    return dim
-
-
-def dimension(environment) -> int | None:
-    """Dimension of the space in which a learned environment acts."""
-    if isinstance(environment, KernelMixture):
-        environment = environment.gradient
-    if isinstance(environment, ChangingPotential):
-        environment = environment.static
-    if isinstance(environment, SINGLE_KERNELS):
-        return environment.centers.shape[1]
-    if isinstance(environment, NeuralForce | NeuralPotential):
-        features = environment.features
-        if isinstance(features, PositionFeatures):
-            return len(features.center)
-        if isinstance(features, PositionTimeFeatures):
-            return len(features.center) - 1
-    return None
-
-
-def parameter_names(free: FreeModel, theta) -> tuple[str, ...]:
-    """A name for every entry of the parameter vector: the path of its leaf."""
-    leaves, _ = jax.tree_util.tree_flatten_with_path(free.unravel(theta))
-    names = []
-    for path, leaf in leaves:
-        name = jax.tree_util.keystr(path).lstrip(".")
-        indices = np.ndindex(*leaf.shape) if leaf.ndim else [None]
-        names += [name if i is None else f"{name}{list(i)}" for i in indices]
-    return tuple(names)
 
 
 def _spread(states, lengths):
@@ -373,25 +272,3 @@ def _check_starts(linear: Linearisation) -> None:
                 f"the fit is singular: the observations of trajectory {index} do not "
                 "determine its start; drop the trajectory"
             )
-
-
-def _check_learned(model, names, flat):
-    """Of an environment with weights these alone are learned."""
-    if not isinstance(model.environment, AbstractLearnedForce):
-        return
-    for name in np.array(names)[flat]:
-        if name.startswith("environment."):
-            raise InputError(
-                f"fit_bayes learn: {name} belongs to the environment, whose "
-                "weights alone are learned; pick constants of other forces"
-            )
-
-
-def _check_selection(model, learn):
-    leaves = jax.tree.leaves(_trainable(learn)(model))
-    if not any(isinstance(x, float) or eqx.is_inexact_array(x) for x in leaves):
-        raise InputError(
-            f"fit_bayes learn: {type(model.environment).__name__} has no weights; "
-            "make an environment by kernel_environment, or pick numbers to learn, "
-            "such as learn=lambda m: m.environment"
-        )

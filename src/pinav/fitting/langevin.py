@@ -17,7 +17,6 @@ from jaxtyping import Float
 from pinav.brownian import BrownianSwimmer
 from pinav.dynamics import AbstractDynamics, OverdampedSwimmer, with_dtype
 from pinav.errors import InputError
-from pinav.fitting.bayes_problem import KERNELS, dimension
 from pinav.fitting.evidence import Hyperparameters
 from pinav.fitting.inference import GaussianWeights
 from pinav.fitting.iteration import BayesOutcome
@@ -27,6 +26,7 @@ from pinav.fitting.posterior import Estimate, Posterior
 from pinav.fitting.priors import kernel_prior
 from pinav.fitting.quadratics import Quadratic
 from pinav.fitting.refinement import AS_FINE_AS_ASKED, Refinement
+from pinav.fitting.unknowns import KERNELS, dimension
 from pinav.trajectories import Trajectories
 
 

@@ -17,7 +17,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree
 
 from pinav.errors import FitError, InputError
-from pinav.fitting.bayes_problem import Step, parameter_names
+from pinav.fitting.bayes_problem import Step
 from pinav.fitting.descent import AbstractLocal, ChordSteps, Move
 from pinav.fitting.evidence import Hyperparameters
 from pinav.fitting.inference import AbstractWeights, GaussianWeights, NoWeights
@@ -31,6 +31,7 @@ from pinav.fitting.lifting import FreeModel, Prediction, freed
 from pinav.fitting.posterior import Estimate, Posterior
 from pinav.fitting.priors import AbstractPrior
 from pinav.fitting.quadratics import Quadratic, joint_posterior, without_flat
+from pinav.fitting.unknowns import parameter_names
 
 SMALL_CHANGE, SMALLEST = 0.02, 1e-9
 """Change of a prediction that ends a fit: in standard deviations of the noise, or as a

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, PyTree
 
-from pinav.fitting.bayes_problem import BayesProblem, Step, num_positions
+from pinav.fitting.bayes_problem import BayesProblem, Step
 from pinav.fitting.distil import Lesson, distilled, lesson
 from pinav.fitting.evidence import Data, Hyperparameters
 from pinav.fitting.kernels import kernel_environment
@@ -22,6 +22,7 @@ from pinav.fitting.priors import kernel_prior
 from pinav.fitting.refinement import SINGLE
 from pinav.fitting.shape_uncertainty import shape_changes
 from pinav.fitting.tangent import Process, TangentWeights
+from pinav.fitting.unknowns import num_positions
 from pinav.learned import (
     KernelForce,
     KernelPotential,
