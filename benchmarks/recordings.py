@@ -1,8 +1,9 @@
 """Every recording of a folder through `pinav inspect` and `pinav fit`, cold.
 
-Run with `pinav bench recordings`. Each command is a process of its own, so that import
-and compilation count. Nothing is set by hand but what a file cannot know: the scale
-and frame rate of files in pixels and frames, where their notes give them.
+Run with `pinav bench recordings`. Each command is a process of its own without a store
+of compiled code, so that import and compilation count. Nothing is set by hand but what
+a file cannot know: the scale and frame rate of files in pixels and frames, where their
+notes give them.
 """
 
 import json
@@ -25,6 +26,9 @@ KNOWN = {
     "ecoli_pillars_trackmate": ("--fps", "20", "--mpp", "0.656"),
 }
 """Options for the files of a folder, from the notes of the recordings."""
+
+COLD = {"JAX_ENABLE_COMPILATION_CACHE": "false"}
+"""Of a first run: nothing was compiled before."""
 
 ENDINGS = (".csv", ".csv.gz", ".xlsx")
 
@@ -98,7 +102,11 @@ def _run(command: str, file: Path, out: Path, words: Sequence[str]) -> dict[str,
     call = [str(program), command, str(file), "--out", str(out)]
     begin = time.perf_counter()
     done = subprocess.run(
-        [*call, "--overwrite", *words], capture_output=True, text=True, check=False
+        [*call, "--overwrite", *words],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | COLD,
     )
     seconds = time.perf_counter() - begin
     reason = done.stderr.strip().splitlines()[-1] if done.returncode else ""

@@ -1,12 +1,15 @@
 """Slow reproductions of published numbers; run with `make validate`."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import jax
 import pytest
+
+COLD = {"JAX_ENABLE_COMPILATION_CACHE": "false"}
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -16,9 +19,10 @@ def double_precision():
 
 
 def pinav(*words: str, **options) -> subprocess.CompletedProcess:
-    """Run the command line in a process of its own."""
+    """Run the command line in a process of its own, with nothing compiled yet."""
     code = "from pinav.cli import main; main()"
     command = [sys.executable, "-c", code, *words]
+    options = {"env": os.environ | COLD} | options
     return subprocess.run(command, text=True, capture_output=True, **options)
 
 
