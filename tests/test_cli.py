@@ -200,6 +200,7 @@ def test_simulate_writes_what_load_reads(tmp_path, capsys):
     assert cli.run(["simulate", "paper", "--out", str(path), "--overwrite"]) == 0
 
 
+@pytest.mark.slow
 def test_json_output_is_json_alone(tiny_fit, capsys):
     run, data = tiny_fit
     assert cli.run(["evaluate", str(run), str(data), "--json"]) == 0

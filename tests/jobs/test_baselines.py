@@ -68,6 +68,7 @@ def test_a_coarse_fit_says_so():
     assert COARSE not in text(metrics | {"outcome": "converged"})
 
 
+@pytest.mark.slow
 def test_an_evaluation_has_physics_alone_beside_its_models(tiny_fit):
     run, data = tiny_fit
     with jax.numpy_dtype_promotion("standard"):

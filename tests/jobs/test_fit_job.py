@@ -28,6 +28,7 @@ def test_fit_learns_and_reports_what_was_asked(tiny_fit):
     assert metrics["learned"]["damping"]["sd"] is None
 
 
+@pytest.mark.slow
 def test_evaluate_scores_the_stored_model(tiny_fit, capsys):
     run, data = tiny_fit
     capsys.readouterr()
@@ -149,6 +150,7 @@ def test_an_inferred_run_is_resumed_without_fitting_again(inferred, capsys):
     assert (inferred / "metrics.json").read_bytes() == before
 
 
+@pytest.mark.slow
 def test_evaluation_shows_the_force_error_where_the_truth_is_known(tmp_path, capsys):
     data = tmp_path / "data.npz"
     assert cli.run(["simulate", "barrier-crossings", "--out", str(data)]) == 0

@@ -42,6 +42,7 @@ def run(*argv):
         return cli.run(["heat", *map(str, argv)])
 
 
+@pytest.mark.slow
 def test_simulate_leaves_metrics_figures_and_a_report(tmp_path, capsys):
     case, out = small("tumour", tmp_path), tmp_path / "run"
     assert run("simulate", case, "--out", out) == 0
@@ -65,6 +66,7 @@ def test_simulate_leaves_metrics_figures_and_a_report(tmp_path, capsys):
     assert cli.run(["report", str(out)]) == 0
 
 
+@pytest.mark.slow
 def test_simulate_in_the_plane_with_particles(tmp_path, capsys):
     case = small(
         "tumour",
@@ -91,6 +93,7 @@ def test_simulate_in_the_plane_with_particles(tmp_path, capsys):
     assert metrics["Hf"] == pytest.approx(1e9)
 
 
+@pytest.mark.slow
 def test_learn_compares_with_constant_perfusion(tmp_path, capsys):
     case, out = small("learn", tmp_path), tmp_path / "run"
     assert run("learn", case, "--out", out) == 0
@@ -111,6 +114,7 @@ def test_learn_reads_probes_beside_the_case(tmp_path, capsys):
     assert "absent.csv: cannot be read" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_optimise_names_what_binds(tmp_path, capsys):
     times = [0, 450, 900, 1350, 1800]
     case = small("optimise", tmp_path, field={"times": times, "amplitudes": [1e4] * 4})

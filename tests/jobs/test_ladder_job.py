@@ -60,6 +60,7 @@ def run(tmp_path_factory):
     return out
 
 
+@pytest.mark.slow
 def test_the_table_has_every_rung_and_baseline(run):
     metrics = json.loads((run / "metrics.json").read_text())
     (track,) = metrics["tracks"].values()
@@ -77,6 +78,7 @@ def test_the_table_has_every_rung_and_baseline(run):
     assert any("Propulsion by the command: supported" in s for s in track["verdict"])
 
 
+@pytest.mark.slow
 def test_the_page_says_what_it_is_about(run):
     page = (run / "report.html").read_text(encoding="utf-8")
     assert "nothing here is a claim about tissue" in page
@@ -85,6 +87,7 @@ def test_the_page_says_what_it_is_about(run):
     assert (run / "figures" / "track-0.svg").is_file()
 
 
+@pytest.mark.slow
 def test_resuming_a_finished_run_changes_nothing(run, capsys):
     before = (run / "metrics.json").read_text()
     words = ["fit", str(run.parent / "robot.csv"), "--ladder", "--resume"]

@@ -150,6 +150,7 @@ def test_no_noise_stands_left_of_all_noise():
     assert any("none" in str(each.get_label()) for each in left.get_lines())
 
 
+@pytest.mark.slow
 def test_the_papers_weakness_stands_beside_what_several_trajectories_give(
     tmp_path, monkeypatch, capsys
 ):
