@@ -22,8 +22,10 @@ def pinav(*words: str, **options) -> subprocess.CompletedProcess:
     """Run the command line in a process of its own, with nothing compiled yet."""
     code = "from pinav.cli import main; main()"
     command = [sys.executable, "-c", code, *words]
-    options = {"env": os.environ | COLD} | options
-    return subprocess.run(command, text=True, capture_output=True, **options)
+    environ = os.environ | COLD
+    return subprocess.run(
+        command, text=True, capture_output=True, env=environ, **options
+    )
 
 
 @pytest.fixture(scope="session")
