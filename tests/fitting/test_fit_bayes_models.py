@@ -144,6 +144,17 @@ def test_a_known_model_has_the_evidence_of_its_noise_and_starts(drifts):
     )
 
 
+def test_known_kernels_stay_as_they_are(drifts):
+    truth, data = drifts
+    kernels = kernel_environment(KernelPotential, data, dim=2)
+    known = eqx.tree_at(lambda m: m.environment, truth, kernels)
+    found = fit_bayes(known, data, learn=None)
+    nothing = eqx.tree_at(lambda m: m.environment, truth, ZeroForce())
+    expected = fit_bayes(nothing, data, learn=None)  # untrained kernels are no force
+    np.testing.assert_allclose(found.states, expected.states, atol=1e-9)
+    assert found.model.environment.weights.shape == kernels.weights.shape
+
+
 @pytest.mark.parametrize("kind", [KernelForce, KernelPotential])
 def test_kernels_are_fitted_to_dynamics_of_first_order(drifts, kind):
     truth, data = drifts

@@ -53,13 +53,14 @@ class Refinement(eqx.Module):
                 )
 
     def wanted(self, environment: Any, shape: Float[np.ndarray, " shape"]) -> bool:
-        """Whether the kernels are too coarse; never for what has no grid of kernels.
+        """Whether the kernels are too coarse; never without a grid of kernels to learn.
 
         Args:
             environment: what was fitted.
-            shape: of its prior (`kernel_prior`), as the evidence chose it.
+            shape: of its prior (`kernel_prior`), as the evidence chose it; empty where
+                its weights were known.
         """
-        if not isinstance(environment, Gridded):
+        if not isinstance(environment, Gridded) or not len(shape):
             return False
         return min(length_scales(environment, shape)) < self.shortest
 
