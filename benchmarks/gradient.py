@@ -20,12 +20,18 @@ import numpy as np
 import tyro
 from jax.flatten_util import ravel_pytree
 
-from pinav.dynamics import with_dtype
-from pinav.fitting.fit import split_trainable
-from pinav.jobs.models import paper_ude, residual
-from pinav.options import parse
+from pinav.commands.models import paper_ude, residual
+from pinav.commands.parsing import parse
+from pinav.dynamics import (
+    RK4,
+    AbstractSolver,
+    Adaptive,
+    FixedStep,
+    InterpolatingAdjoint,
+    with_dtype,
+)
+from pinav.fitting.matching.fit import split_trainable
 from pinav.scenarios import paper
-from pinav.solvers import RK4, AbstractSolver, Adaptive, FixedStep, InterpolatingAdjoint
 from pinav.trajectories import simulate
 
 

@@ -20,16 +20,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter, ScalarFormatter
 
+from pinav.commands.fit.settings import FitSettings
+from pinav.commands.models import data_summary, default_ude, fit_model, residual
+from pinav.commands.parsing import parse
+from pinav.dynamics import FixedStep
 from pinav.errors import InputError
-from pinav.files import write_text
-from pinav.fitting import GaussNewton, Problem, TrajectoryLoss, curriculum, fit_many
-from pinav.fitting.fit import split_trainable
-from pinav.fitting.objectives import Observations
-from pinav.jobs.models import data_summary, default_ude, fit_model, residual
-from pinav.jobs.settings import FitSettings
-from pinav.options import parse
-from pinav.report.files import save_figure
-from pinav.report.style import (
+from pinav.figures.files import save_figure
+from pinav.figures.style import (
     BLUE,
     GREY,
     SMALL,
@@ -38,8 +35,11 @@ from pinav.report.style import (
     new_figure,
     prepared,
 )
+from pinav.files import write_text
+from pinav.fitting import GaussNewton, Problem, TrajectoryLoss, curriculum, fit_many
+from pinav.fitting.matching.fit import split_trainable
+from pinav.fitting.matching.objectives import Observations
 from pinav.scenarios import barrier_crossings, paper
-from pinav.solvers import FixedStep
 from pinav.trajectories import Trajectories, concatenate, simulate
 
 

@@ -23,16 +23,16 @@ import numpy as np
 import tyro
 
 from benchmarks.fit.child import peak_memory
+from pinav.commands.parsing import parse
 from pinav.errors import InputError
-from pinav.options import parse
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.boundaries import Dirichlet, around, outer
 from pinav.thermal.grids import AbstractGrid, CartesianGrid, RadialGrid
 from pinav.thermal.perfusion import MixedPerfusion, lang
 from pinav.thermal.protocols import Piecewise
+from pinav.thermal.schedule import timetable
 from pinav.thermal.solve import State, default_stepper, run
 from pinav.thermal.sources import PowerSource
-from pinav.thermal.timetable import timetable
 from pinav.thermal.tissues import Blood, Tissue, mixed
 
 ROOT = Path(__file__).parents[1]

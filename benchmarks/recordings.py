@@ -18,9 +18,9 @@ from typing import Annotated, Any
 import msgspec
 import tyro
 
+from pinav.commands.parsing import parse
 from pinav.errors import InputError
 from pinav.files import write_text
-from pinav.options import parse
 
 KNOWN = {
     "ecoli_pillars_trackmate": ("--fps", "20", "--mpp", "0.656"),

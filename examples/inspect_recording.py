@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pinav.recordings import labels, read_recording
-from pinav.recordings.quality import quality
+from pinav.recordings.quality.report import quality
 
 MPP, DELAY, GAIN = 0.345, 0.2, 4.0  # um/px, s, um/s/Hz
 

@@ -20,20 +20,20 @@ import numpy as np
 
 jax.config.update("jax_enable_x64", val=True)
 
+from pinav.figures.files import save_figure
+from pinav.figures.navigation import Course, plan_map
 from pinav.fitting import fit_bayes, kernel_environment
-from pinav.learned import KernelPotential
-from pinav.navigation.baselines import StraightLine, steered
-from pinav.navigation.closed_loop import run_many
-from pinav.navigation.default import controller
-from pinav.navigation.doubt import Unknown, doubt
-from pinav.navigation.experiments import Experiment
-from pinav.navigation.information import suggest
-from pinav.navigation.metrics import regret, summary
-from pinav.navigation.plan import time_to_go
-from pinav.navigation.tasks import task, training
-from pinav.navigation.zones import Rectangle
-from pinav.report.files import save_figure
-from pinav.report.navigation import Course, plan_map
+from pinav.forces import KernelPotential
+from pinav.navigation.control.default import controller
+from pinav.navigation.control.simple import StraightLine, steered
+from pinav.navigation.design.candidates import Experiment
+from pinav.navigation.design.information import suggest
+from pinav.navigation.design.prior import Unknown, doubt
+from pinav.navigation.planning.plan import time_to_go
+from pinav.navigation.task.catalogue import task, training
+from pinav.navigation.task.zones import Rectangle
+from pinav.navigation.trials.closed_loop import run_many
+from pinav.navigation.trials.metrics import regret, summary
 
 # %% [markdown]
 # ## Data and fit

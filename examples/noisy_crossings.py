@@ -16,7 +16,7 @@ import numpy as np
 jax.config.update("jax_enable_x64", val=True)
 
 from pinav.fitting import fit_bayes, kernel_environment
-from pinav.learned import KernelPotential
+from pinav.forces import KernelPotential
 from pinav.scenarios import barrier_crossings
 from pinav.trajectories import Trajectories, simulate
 

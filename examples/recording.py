@@ -13,8 +13,8 @@ import numpy as np
 
 jax.config.update("jax_enable_x64", val=True)
 
-from pinav.ladder import Rollouts, errors, fit_track, path_of, split, tracks
-from pinav.ladder.rungs import MATRIX, with_free, with_response
+from pinav.identification import Rollouts, errors, fit_track, path_of, split, tracks
+from pinav.identification.models import MATRIX, with_free, with_response
 from pinav.trajectories import Trajectories
 
 random = np.random.default_rng(0)

@@ -29,9 +29,9 @@ from pinav.analysis import (
     stretch_map,
 )
 from pinav.evaluation import field_map
+from pinav.figures import helmholtz_figure, save_figure
 from pinav.fitting import KernelGrid, fit_bayes, kernel_environment
-from pinav.learned import KernelForce
-from pinav.report import helmholtz_figure, save_figure
+from pinav.forces import KernelForce
 from pinav.scenarios import barrier_crossings
 from pinav.trajectories import simulate
 

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from pinav import __version__, cli, commands
+from pinav import __version__, cli
+from pinav.commands import dispatch as commands
+from pinav.commands.parsing import FitOptions, ReproduceOptions, parse
 from pinav.errors import InputError
-from pinav.options import FitOptions, ReproduceOptions, parse
 
 
 def fails(capsys, *argv: str) -> str:
@@ -193,7 +194,7 @@ def test_simulate_writes_what_load_reads(tmp_path, capsys):
     path = tmp_path / "data.csv"
     assert cli.run(["simulate", "paper", "--out", str(path), "--noise", "0.1"]) == 0
     assert capsys.readouterr().out == f"{path}: 1 trajectory, 501 samples\n"
-    from pinav.trajectory_files import load
+    from pinav.trajectories import load
 
     assert load(path).provenance["scenario"] == "paper"
     assert "exists" in fails(capsys, "simulate", "paper", "--out", str(path))

@@ -12,35 +12,22 @@ import pinav
 ORDER = [
     "errors",
     "files",
+    "arguments",
     "actuation",
-    "tensors",
-    "flows",
     "forces",
-    "rolling",
-    "environments",
-    "learned",
-    "kernel_fields",
-    "solvers",
     "dynamics",
-    "brownian",
     "scenarios",
-    "samples",
     "trajectories",
-    "degradation",
-    "trajectory_files",
     "recordings",
     "fitting",
     "evaluation",
-    "ladder",
+    "identification",
     "analysis",
     "navigation",
     "thermal",
+    "figures",
     "report",
     "runs",
-    "jobs",
-    "recording_commands",
-    "navigation_commands",
-    "options",
     "commands",
     "cli",
 ]
@@ -81,7 +68,7 @@ def test_module_imports_only_what_stands_above_it(path):
 def test_import_reader_sees_every_form():
     source = (
         "import pinav.cli\nfrom pinav import runs, __version__\nimport numpy\n"
-        "def f():\n    from pinav.fitting.phases import Adam\n"
+        "def f():\n    from pinav.fitting.matching.phases import Adam\n"
     )
     assert sorted(imported_components(source)) == ["cli", "fitting", "runs"]
 

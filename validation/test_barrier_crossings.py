@@ -9,14 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from pinav.dynamics import FixedStep
 from pinav.evaluation import field_map, force_errors
 from pinav.fitting import BayesOutcome, fit_bayes, kernel_environment
-from pinav.fitting.lifting import freed, linearise
-from pinav.fitting.objectives import Observations
-from pinav.forces import GaussianBarrier
-from pinav.learned import KernelForce, KernelPotential
+from pinav.fitting.bayes.multiple_shooting import freed, linearise
+from pinav.fitting.matching.objectives import Observations
+from pinav.forces import GaussianBarrier, KernelForce, KernelPotential
 from pinav.scenarios import barrier_crossings
-from pinav.solvers import FixedStep
 from pinav.trajectories import Trajectories, simulate
 
 LIMITS = (-2.0, 12.0, -2.0, 12.0)

@@ -9,23 +9,15 @@ import numpy as np
 import pytest
 
 from pinav.analysis import Verdict, discover
-from pinav.analysis.baseline import laplace_posterior
-from pinav.analysis.laws import LawForce
-from pinav.analysis.potentials import GAUSSIAN
-from pinav.analysis.rotations import ROTATIONS
-from pinav.dynamics import Swimmer
-from pinav.fitting import (
-    TrajectoryLoss,
-    curriculum,
-    fit,
-    fit_bayes,
-    kernel_environment,
-)
-from pinav.fitting.kernels import WITHOUT_PRIOR
-from pinav.forces import AbstractForce, GaussianBarrier
-from pinav.learned import KernelForce, KernelPotential
+from pinav.analysis.discovery.laws import LawForce
+from pinav.analysis.discovery.learned_fit import laplace_posterior
+from pinav.analysis.discovery.potentials import GAUSSIAN
+from pinav.analysis.discovery.rotations import ROTATIONS
+from pinav.dynamics import FixedStep, Swimmer
+from pinav.fitting import TrajectoryLoss, curriculum, fit, fit_bayes, kernel_environment
+from pinav.fitting.environments.kernels import WITHOUT_PRIOR
+from pinav.forces import AbstractForce, GaussianBarrier, KernelForce, KernelPotential
 from pinav.scenarios import barrier_crossings, paper
-from pinav.solvers import FixedStep
 from pinav.trajectories import Trajectories, simulate
 
 TRUTH = np.array([5.25, 5.0, 5.0, 2.9])

@@ -15,19 +15,13 @@ import pytest
 
 from pinav.actuation import LinearResponse
 from pinav.fitting import fit_bayes, kernel_environment
-from pinav.forces import ZeroForce
-from pinav.learned import KernelPotential
-from pinav.navigation.doubt import Unknown, doubt
-from pinav.navigation.experiments import Experiment, Shots, begins, in_sequence
-from pinav.navigation.information import inside, suggest
-from pinav.navigation.steering import CommandLimits, RollingActuator
-from pinav.navigation.zones import Rectangle
-from pinav.scenarios import (
-    DIMENSIONLESS,
-    PLANAR_CHANNELS,
-    Scenario,
-    many_barriers,
-)
+from pinav.forces import KernelPotential, ZeroForce
+from pinav.navigation.design.candidates import Experiment, Shots, begins, in_sequence
+from pinav.navigation.design.information import inside, suggest
+from pinav.navigation.design.prior import Unknown, doubt
+from pinav.navigation.task.steering import CommandLimits, RollingActuator
+from pinav.navigation.task.zones import Rectangle
+from pinav.scenarios import DIMENSIONLESS, PLANAR_CHANNELS, Scenario, many_barriers
 from pinav.trajectories import concatenate, simulate
 
 ARENA = Rectangle([0.0, 0.0], [20.0, 20.0])

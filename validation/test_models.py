@@ -7,6 +7,9 @@ import jax
 import numpy as np
 import pytest
 
+from pinav.commands.compare.job import compare
+from pinav.commands.compare.settings import CompareSettings
+from pinav.commands.models import model_summary, with_tensor_drag
 from pinav.errors import FitError
 from pinav.evaluation import VISITED, field_map, force_errors
 from pinav.fitting import (
@@ -16,11 +19,7 @@ from pinav.fitting import (
     principal_drags,
     rotational_fraction,
 )
-from pinav.jobs.compare import compare
-from pinav.jobs.models import model_summary, with_tensor_drag
-from pinav.jobs.settings import CompareSettings
-from pinav.kernel_fields import KernelMixture
-from pinav.learned import KernelPotential
+from pinav.forces import KernelMixture, KernelPotential
 from pinav.runs import RunFolder
 from pinav.scenarios import scenario
 from pinav.trajectories import simulate

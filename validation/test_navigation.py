@@ -6,8 +6,8 @@ import jax
 import pytest
 
 from conftest import pinav
-from pinav.navigation.tasks import task
-from pinav.navigation.zermelo import quickest_of_task
+from pinav.navigation.reference.zermelo import quickest_of_task
+from pinav.navigation.task.catalogue import task
 
 
 @pytest.fixture(scope="module")

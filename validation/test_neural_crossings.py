@@ -9,7 +9,7 @@ import pytest
 
 from pinav.evaluation import field_map, force_errors
 from pinav.fitting import BayesOutcome, fit_bayes, neural_environment
-from pinav.learned import NeuralForce, NeuralPotential
+from pinav.forces import NeuralForce, NeuralPotential
 from pinav.scenarios import barrier_crossings
 from pinav.trajectories import Trajectories, simulate
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pinav.ladder import (
+from pinav.identification import (
     Rollouts,
     Wobble,
     climb,
@@ -28,9 +28,9 @@ from pinav.ladder import (
     with_free,
     with_response,
 )
-from pinav.ladder.forecast import errors
-from pinav.ladder.rungs import DRIFT_ONLY, MATRIX, SLOW
-from pinav.ladder.verdict import interval, positive_interval
+from pinav.identification.findings import interval, positive_interval
+from pinav.identification.forecast import errors
+from pinav.identification.models import DRIFT_ONLY, MATRIX, SLOW
 from pinav.recordings import read_recording
 from pinav.trajectories import Trajectories
 

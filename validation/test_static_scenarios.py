@@ -11,8 +11,7 @@ import pytest
 from conftest import pinav
 from pinav.evaluation import default_regions, field_map
 from pinav.fitting import fit_bayes, kernel_environment
-from pinav.kernel_fields import KernelMixture
-from pinav.learned import KernelPotential
+from pinav.forces import KernelMixture, KernelPotential
 from pinav.scenarios import scenario
 from pinav.trajectories import simulate
 

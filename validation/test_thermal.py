@@ -13,8 +13,8 @@ import tomli_w
 from benchmarks.heat import CASES, in_own_process, tumour
 
 from conftest import pinav
-from pinav.jobs.heat_cases import read_case
-from pinav.jobs.heat_models import built
+from pinav.commands.heat.build import built
+from pinav.commands.heat.case import read_case
 from pinav.thermal import exact
 from pinav.thermal.dose import exceeded_by
 from pinav.thermal.exact import SET_S
@@ -22,7 +22,7 @@ from pinav.thermal.grids import CartesianGrid, RadialGrid
 from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion
 from pinav.thermal.protocols import Piecewise
 from pinav.thermal.solve import solve
-from pinav.thermal.validation import powers, reference_model, validate
+from pinav.thermal.verification import powers, reference_model, validate
 
 EXAMPLES = Path(__file__).parents[1] / "examples" / "heat"
 

@@ -17,9 +17,9 @@ import tyro
 from benchmarks.fit import table
 from benchmarks.fit.contestants import BY_NAME, CONTESTANTS, Contestant, Effort
 from benchmarks.fit.problem import physics_file
+from pinav.commands.parsing import parse
 from pinav.errors import InputError
 from pinav.files import write_text, write_whole
-from pinav.options import parse
 
 ROOT = Path(__file__).parents[2]
 
@@ -154,8 +154,7 @@ def problem_file(name: str, seed: int, folder: Path) -> Path:
     if physics_file(file).exists():
         return file.resolve()
     from pinav.scenarios import scenario
-    from pinav.trajectories import simulate
-    from pinav.trajectory_files import save
+    from pinav.trajectories import save, simulate
 
     chosen = scenario(name)
     known = chosen.swimmer
@@ -196,7 +195,7 @@ def _write(options: Options, found, rows) -> None:
 def _draw(options: Options, found) -> None:
     """The figure, where there is a curve to show."""
     from benchmarks.fit.convergence import figure
-    from pinav.report.files import save_figure
+    from pinav.figures.files import save_figure
 
     curves = {}
     for name, measurements in found.items():

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
 from benchmarks.fit.contestants import BY_NAME
-from pinav.report.style import (
+from pinav.figures.style import (
     BLUE,
     GREEN,
     GREY,

@@ -10,6 +10,14 @@ import numpy as np
 
 from benchmarks.fit.contestants import Effort
 from benchmarks.fit.problem import Problem, Trained, network_arrays
+from pinav.commands.models import (
+    data_summary,
+    default_kernel,
+    default_ude,
+    paper_ude,
+    residual,
+)
+from pinav.dynamics import FixedStep
 from pinav.fitting import (
     Fit,
     FitProgress,
@@ -20,18 +28,9 @@ from pinav.fitting import (
     kernel_environment,
     paper_recipe,
 )
-from pinav.jobs.models import (
-    data_summary,
-    default_kernel,
-    default_ude,
-    paper_ude,
-    residual,
-)
-from pinav.learned import KernelPotential
+from pinav.forces import KernelPotential
 from pinav.scenarios import scenario
-from pinav.solvers import FixedStep
-from pinav.trajectories import Trajectories
-from pinav.trajectory_files import load
+from pinav.trajectories import Trajectories, load
 
 
 def _data(problem: Problem) -> tuple[Trajectories, Any]:

@@ -10,9 +10,9 @@ import numpy as np
 
 from pinav.dynamics import Swimmer
 from pinav.evaluation import field_map, force_errors, predict, score
-from pinav.forces import MagneticPropulsion
-from pinav.learned import (
+from pinav.forces import (
     KernelPotential,
+    MagneticPropulsion,
     NeuralForce,
     PositionTimeFeatures,
     tanh_network,

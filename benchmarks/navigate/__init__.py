@@ -15,11 +15,11 @@ import tyro
 
 from benchmarks.navigate.contest import CONTROLLERS, Contest, contest
 from benchmarks.navigate.tables import outcome_table, text, tracking_table
+from pinav.commands.parsing import parse
 from pinav.errors import InputError
-from pinav.navigation.tasks import TASKS
-from pinav.options import parse
-from pinav.report import save_figure
-from pinav.report.navigation import outcome_bars
+from pinav.figures import save_figure
+from pinav.figures.navigation import outcome_bars
+from pinav.navigation.task.catalogue import TASKS
 from pinav.runs import RunFolder
 
 

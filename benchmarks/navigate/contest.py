@@ -7,27 +7,27 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from pinav.commands.fit import job as fit_job
+from pinav.commands.fit.bayes import MODEL_FILE, read_posterior
+from pinav.commands.fit.settings import FitSettings, ModelName
+from pinav.commands.models import build_model
+from pinav.commands.navigate.tables import controller_row, interval
 from pinav.errors import InputError
-from pinav.jobs import fit as fit_job
-from pinav.jobs.inference import MODEL_FILE, read_posterior
-from pinav.jobs.models import build_model
-from pinav.jobs.navigate_tables import controller_row, interval
-from pinav.jobs.settings import FitSettings, ModelName
-from pinav.navigation.baselines import (
+from pinav.navigation.control.controller import AbstractController
+from pinav.navigation.control.default import controller
+from pinav.navigation.control.simple import (
     LineOfSight,
     StraightLine,
     physics_only,
     steered,
 )
-from pinav.navigation.closed_loop import Episodes, joined, run, run_many
-from pinav.navigation.controllers import AbstractController
-from pinav.navigation.default import controller
-from pinav.navigation.gaussian_process import gaussian_process
-from pinav.navigation.metrics import regret, summary, wilson
-from pinav.navigation.objectives import Follow
-from pinav.navigation.steering import SteeredSwimmer
-from pinav.navigation.task import Task
-from pinav.navigation.tasks import TASKS, task, training
+from pinav.navigation.reference.gaussian_process import gaussian_process
+from pinav.navigation.task.catalogue import TASKS, task, training
+from pinav.navigation.task.objectives import Follow
+from pinav.navigation.task.steering import SteeredSwimmer
+from pinav.navigation.task.task import Task
+from pinav.navigation.trials.closed_loop import Episodes, joined, run, run_many
+from pinav.navigation.trials.metrics import regret, summary, wilson
 from pinav.runs import RunFolder
 
 MODELS: dict[str, ModelName] = {

@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from pinav.jobs.navigate_tables import controller_table
-from pinav.jobs.terminal import as_text
+from pinav.commands.navigate.tables import controller_table
 from pinav.report import Table, number
+from pinav.report.text import as_text
 
 
 def text(name: str, result: dict[str, Any]) -> str:

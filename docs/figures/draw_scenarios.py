@@ -15,12 +15,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
-from pinav.brownian import BrownianSwimmer, sample_path
-from pinav.dynamics import rollout
-from pinav.forces import InFlow, TensorDrag
+from pinav.dynamics import BrownianSwimmer, FixedStep, rollout, sample_path
+from pinav.forces import BrinkmanTensor, InFlow, TensorDrag, UniaxialTensor
 from pinav.scenarios import SCENARIOS, Scenario, scenario
-from pinav.solvers import FixedStep
-from pinav.tensors import BrinkmanTensor, UniaxialTensor
 
 
 def paths(shown: Scenario) -> np.ndarray:

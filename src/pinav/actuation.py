@@ -13,10 +13,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from pinav.arguments import Scalar
 from pinav.errors import InputError
-
-Scalar = float | int | Float[Array, ""]
-"""One real number: plain, NumPy's float64, or a JAX array without axes."""
 
 
 class AbstractField(eqx.Module):

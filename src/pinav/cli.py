@@ -59,7 +59,7 @@ def run(argv: Sequence[str]) -> int:
         os.environ.update(compiler_flags(os.environ, metadata.version("jaxlib")))
     if argv[0] != "bench":  # which measures cold processes
         os.environ.update(compilation_cache(os.environ))
-    from pinav import commands
+    from pinav.commands import dispatch as commands
     from pinav.errors import FitError, InputError
 
     try:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from pinav.dynamics import paper_black_box, rollout
+from pinav.dynamics import FixedStep, paper_black_box, rollout
 from pinav.errors import InputError
 from pinav.evaluation import (
     StartOutcome,
@@ -15,7 +15,6 @@ from pinav.evaluation import (
     without_first,
 )
 from pinav.scenarios import barrier_crossings
-from pinav.solvers import FixedStep
 from pinav.trajectories import Trajectories, simulate
 
 

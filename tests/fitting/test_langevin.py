@@ -5,12 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pinav.brownian import BrownianSwimmer
-from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.dynamics import BrownianSwimmer, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.fitting import (
     Posterior,
-    derived,
     fit_langevin,
     freed,
     kernel_environment,
@@ -18,14 +16,19 @@ from pinav.fitting import (
     principal_drags,
     rotational_fraction,
 )
+from pinav.fitting.bayes import derived
 from pinav.fitting.langevin import Increments
-from pinav.forces import HarmonicTrap, LinearDrag, TensorDrag, ZeroForce
-from pinav.kernel_fields import KernelMixture, KernelStream
-from pinav.learned import KernelPotential
-from pinav.tensors import (
+from pinav.forces import (
     CholeskyTensor,
     ConstantDirector,
+    HarmonicTrap,
+    KernelMixture,
+    KernelPotential,
+    KernelStream,
+    LinearDrag,
+    TensorDrag,
     UniaxialTensor,
+    ZeroForce,
     tensor_matrix,
 )
 from pinav.trajectories import Trajectories

@@ -9,11 +9,15 @@ from jaxtyping import Array, Float
 from pinav.actuation import LinearResponse
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.forces import LinearDrag, ZeroForce
-from pinav.navigation.controllers import AbstractController
-from pinav.navigation.objectives import Reach
-from pinav.navigation.steering import CommandLimits, RollingActuator, SteeredSwimmer
-from pinav.navigation.task import Task
-from pinav.navigation.zones import Rectangle
+from pinav.navigation.control.controller import AbstractController
+from pinav.navigation.task.objectives import Reach
+from pinav.navigation.task.steering import (
+    CommandLimits,
+    RollingActuator,
+    SteeredSwimmer,
+)
+from pinav.navigation.task.task import Task
+from pinav.navigation.task.zones import Rectangle
 
 DRAG = 0.5
 

@@ -3,9 +3,9 @@
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.recordings.test_deeplabcut import LINES
+from tests.recordings.formats.test_deeplabcut import LINES
+from tests.recordings.formats.test_trackmate import GOOD
 from tests.recordings.test_text_damage import SAMPLES
-from tests.recordings.test_trackmate import GOOD
 
 from pinav.errors import InputError
 from pinav.recordings import read_recording

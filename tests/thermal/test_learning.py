@@ -9,11 +9,11 @@ import pytest
 from pinav.errors import InputError
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.boundaries import Dirichlet, outer
-from pinav.thermal.discovery import CANDIDATES, rank_laws
 from pinav.thermal.grids import RadialGrid
 from pinav.thermal.learned_perfusion import kernel_perfusion, neural_perfusion
 from pinav.thermal.learning import learn, perfusion_curve, visited_range
 from pinav.thermal.perfusion import lang
+from pinav.thermal.perfusion_laws import CANDIDATES, rank_laws
 from pinav.thermal.probes import ProbeData, load_probes, save_probes, simulate_probes
 from pinav.thermal.protocols import Piecewise
 from pinav.thermal.rosenbrock import Rosenbrock

@@ -9,7 +9,7 @@ from pinav.errors import FitError, InputError
 from pinav.thermal import exact
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.boundaries import Dirichlet, Insulated, Sides, outer
-from pinav.thermal.freedoms import (
+from pinav.thermal.design_variables import (
     FreeAmplitudes,
     FreeFrequency,
     FreePlacement,
@@ -17,8 +17,8 @@ from pinav.thermal.freedoms import (
     Treated,
     shells,
 )
+from pinav.thermal.exposure_limits import HfLimit
 from pinav.thermal.grids import RadialGrid
-from pinav.thermal.limits import HfLimit
 from pinav.thermal.magnetics import LinearResponse
 from pinav.thermal.optimise import (
     AtMost,

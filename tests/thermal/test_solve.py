@@ -16,10 +16,10 @@ from pinav.thermal.grids import CartesianGrid, RadialGrid, scaled_to
 from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion, lang
 from pinav.thermal.protocols import Piecewise
 from pinav.thermal.rosenbrock import Rosenbrock
+from pinav.thermal.schedule import timetable
 from pinav.thermal.solve import Probes, State, default_stepper, probes_at, run, solve
 from pinav.thermal.sources import EddySource, PowerSource
 from pinav.thermal.steppers import RKL2
-from pinav.thermal.timetable import timetable
 from pinav.thermal.tissues import Blood, Tissue, mixed
 
 

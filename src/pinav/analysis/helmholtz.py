@@ -26,7 +26,7 @@ from jaxtyping import Bool, Float, PRNGKeyArray
 from pinav.errors import InputError
 from pinav.evaluation import FieldMap
 from pinav.fitting import Posterior
-from pinav.learned import kernel_centers
+from pinav.forces import kernel_centers
 
 ACROSS, WIDTH, MARGIN = 18, 1.5, 2.0
 """Gaussians along the map, no closer than two grid points; their width, and how far

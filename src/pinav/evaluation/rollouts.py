@@ -11,10 +11,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from pinav.errors import InputError
-from pinav.evaluation.fields import extent
+from pinav.evaluation.force_fields import extent
 from pinav.evaluation.scores import POSITION_CHANNELS
-from pinav.fitting.smoother import local_polynomial
-from pinav.trajectories import Trajectories
+from pinav.trajectories import Trajectories, local_polynomial
 
 MEDIAN, HIGH = 0.5, 0.9
 BINS = 60

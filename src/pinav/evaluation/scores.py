@@ -10,9 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from pinav.dynamics import AbstractDynamics, Outcome, rollout, with_dtype
+from pinav.dynamics import (
+    AbstractDynamics,
+    AbstractSolver,
+    Adaptive,
+    Outcome,
+    rollout,
+    with_dtype,
+)
 from pinav.errors import InputError
-from pinav.solvers import AbstractSolver, Adaptive
 from pinav.trajectories import Trajectories
 
 POSITION_CHANNELS = ("x", "y", "z")

@@ -16,14 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from pinav.dynamics import AbstractDynamics, with_dtype
+from pinav.dynamics import AbstractDynamics, FixedStep, with_dtype
 from pinav.errors import InputError
 from pinav.evaluation.scores import POSITION_CHANNELS, require_x64
-from pinav.fitting.lifting import FreeModel, advanced, linearise
-from pinav.fitting.objectives import Observations
-from pinav.fitting.smoother import smoothed_states
-from pinav.solvers import FixedStep
-from pinav.trajectories import Trajectories
+from pinav.fitting.bayes.multiple_shooting import FreeModel, advanced, linearise
+from pinav.fitting.matching.objectives import Observations
+from pinav.trajectories import Trajectories, smoothed_states
 
 START_SAMPLES = 20
 """Samples from which a start is estimated."""

@@ -14,19 +14,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from pinav.brownian import BrownianSwimmer
-from pinav.dynamics import AbstractDynamics, OverdampedSwimmer, with_dtype
+from pinav.dynamics import (
+    AbstractDynamics,
+    BrownianSwimmer,
+    OverdampedSwimmer,
+    with_dtype,
+)
 from pinav.errors import InputError
-from pinav.fitting.evidence import Hyperparameters
-from pinav.fitting.inference import GaussianWeights
-from pinav.fitting.iteration import BayesOutcome
-from pinav.fitting.lifting import freed
-from pinav.fitting.occam import LinearFit
-from pinav.fitting.posterior import Estimate, Posterior
-from pinav.fitting.priors import kernel_prior
-from pinav.fitting.quadratics import Quadratic
-from pinav.fitting.refinement import AS_FINE_AS_ASKED, Refinement
-from pinav.fitting.unknowns import KERNELS, dimension
+from pinav.fitting.bayes.iterate import BayesOutcome
+from pinav.fitting.bayes.multiple_shooting import freed
+from pinav.fitting.bayes.parameters import KERNELS, dimension
+from pinav.fitting.bayes.posterior import Estimate, Posterior
+from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED, Refinement
+from pinav.fitting.evidence.evidence import Hyperparameters
+from pinav.fitting.evidence.model_evidence import LinearFit
+from pinav.fitting.evidence.priors import kernel_prior
+from pinav.fitting.evidence.quadratic import Quadratic
+from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.trajectories import Trajectories
 
 

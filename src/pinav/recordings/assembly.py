@@ -9,15 +9,9 @@ from jaxtyping import Bool, Float64
 from pinav import __version__
 from pinav.errors import InputError
 from pinav.recordings.particles import Particle, particles, time_unit
+from pinav.recordings.rows import COMMAND_UNITS, FRAMES, Reading, Tracks, in_known_units
 from pinav.recordings.segments import JUMPS, segments
-from pinav.recordings.sources import Source
-from pinav.recordings.tracks import (
-    COMMAND_UNITS,
-    FRAMES,
-    Reading,
-    Tracks,
-    in_known_units,
-)
+from pinav.recordings.source import Source
 from pinav.trajectories import Trajectories
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from pinav.errors import InputError
-from pinav.recordings.tracks import FRAMES, Reading, Tracks
+from pinav.recordings.rows import FRAMES, Reading, Tracks
 
 Name = tuple[str, str, str]
 """Run, kind and particle."""

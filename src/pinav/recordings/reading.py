@@ -5,18 +5,18 @@ from collections.abc import Mapping
 
 from pinav.errors import InputError
 from pinav.recordings.assembly import assembled
-from pinav.recordings.column_map import MappedTable
-from pinav.recordings.deeplabcut import DeepLabCut
-from pinav.recordings.forms import AbstractForm
-from pinav.recordings.imagej import ImageJ
-from pinav.recordings.magscope import MagScope
-from pinav.recordings.matlab import Matlab
-from pinav.recordings.sfi import SFI
-from pinav.recordings.sources import DataFrame, Source
-from pinav.recordings.tidy import Tidy
-from pinav.recordings.trackmate import TrackMateCSV, TrackMateXML
-from pinav.recordings.trackpy import Trackpy
-from pinav.recordings.tracks import Reading
+from pinav.recordings.formats.column_map import MappedTable
+from pinav.recordings.formats.deeplabcut import DeepLabCut
+from pinav.recordings.formats.format import AbstractForm
+from pinav.recordings.formats.imagej import ImageJ
+from pinav.recordings.formats.magscope import MagScope
+from pinav.recordings.formats.matlab import Matlab
+from pinav.recordings.formats.sfi import SFI
+from pinav.recordings.formats.tidy import Tidy
+from pinav.recordings.formats.trackmate import TrackMateCSV, TrackMateXML
+from pinav.recordings.formats.trackpy import Trackpy
+from pinav.recordings.rows import Reading
+from pinav.recordings.source import DataFrame, Source
 from pinav.trajectories import Trajectories
 
 FORMS: tuple[AbstractForm, ...] = (

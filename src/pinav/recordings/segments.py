@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from pinav.recordings.particles import Particle
-from pinav.recordings.tracks import Tracks
+from pinav.recordings.rows import Tracks
 
 JUMPS: Mapping[str, float] = {"px": 40.0, "um": 15.0}
 """Displacement from one row to the next that no swimmer makes, by unit of length.

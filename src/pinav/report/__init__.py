@@ -1,29 +1,5 @@
-"""Figures of results, and one self-contained HTML page that holds them."""
+"""One self-contained HTML page of sections, tables and figures."""
 
-from pinav.report.analysis_maps import constants_figure as constants_figure
-from pinav.report.analysis_maps import helmholtz_figure as helmholtz_figure
-from pinav.report.analysis_maps import influence_figure as influence_figure
-from pinav.report.analysis_maps import potential_map as potential_map
-from pinav.report.analysis_maps import sobol_figure as sobol_figure
-from pinav.report.analysis_maps import stretch_figure as stretch_figure
-from pinav.report.analysis_maps import trust_map as trust_map
-from pinav.report.evidence import evidence_bars as evidence_bars
-from pinav.report.figures import acceleration_figure as acceleration_figure
-from pinav.report.figures import decomposition as decomposition
-from pinav.report.figures import figure1 as figure1
-from pinav.report.figures import loss_curve as loss_curve
-from pinav.report.figures import trajectory as trajectory
-from pinav.report.figures import velocity as velocity
-from pinav.report.files import FigureFiles as FigureFiles
-from pinav.report.files import save_figure as save_figure
-from pinav.report.laws import law_agreement as law_agreement
-from pinav.report.laws import law_figure as law_figure
-from pinav.report.laws import law_ranking as law_ranking
-from pinav.report.maps import force_comparison as force_comparison
-from pinav.report.maps import force_error_map as force_error_map
-from pinav.report.maps import force_map as force_map
-from pinav.report.maps import force_sd_map as force_sd_map
-from pinav.report.observations import observed_paths as observed_paths
 from pinav.report.page import Code as Code
 from pinav.report.page import Image as Image
 from pinav.report.page import Paragraph as Paragraph
@@ -31,5 +7,3 @@ from pinav.report.page import Section as Section
 from pinav.report.page import Table as Table
 from pinav.report.page import number as number
 from pinav.report.page import render as render
-from pinav.report.recordings import overlay as overlay
-from pinav.report.recordings import recording_figure as recording_figure

@@ -3,20 +3,14 @@
 from jaxtyping import PRNGKeyArray
 
 from pinav.errors import InputError
-from pinav.scenarios.crossings import (
-    barrier_crossings,
-    moving_barrier,
-    paper,
-    swirl,
-)
+from pinav.scenarios.brownian import brownian
+from pinav.scenarios.crossings import barrier_crossings, moving_barrier, paper, swirl
 from pinav.scenarios.currents import (
     channel_current,
     drift_current,
     shear_current,
     vortex_current,
 )
-from pinav.scenarios.definition import DIMENSIONLESS, PLANAR_CHANNELS, Scenario
-from pinav.scenarios.fields import fibres, many_barriers
 from pinav.scenarios.media import (
     anisotropic_drag,
     poiseuille,
@@ -25,7 +19,8 @@ from pinav.scenarios.media import (
     varying_director,
 )
 from pinav.scenarios.paths import true_paths
-from pinav.scenarios.thermal import brownian
+from pinav.scenarios.random_fields import fibres, many_barriers
+from pinav.scenarios.scenario import DIMENSIONLESS, PLANAR_CHANNELS, Scenario
 
 __all__ = [
     "DIMENSIONLESS",

@@ -6,16 +6,18 @@ from jaxtyping import PRNGKeyArray
 
 from pinav.actuation import RotatingField
 from pinav.dynamics import Swimmer
-from pinav.environments import CircularMotion, GaussianSwirl, Moving
 from pinav.errors import InputError
 from pinav.forces import (
     AbstractForce,
+    CircularMotion,
     GaussianBarrier,
+    GaussianSwirl,
     LinearDrag,
     MagneticPropulsion,
+    Moving,
     SumForce,
 )
-from pinav.scenarios.definition import (
+from pinav.scenarios.scenario import (
     DIMENSIONLESS,
     PLANAR_CHANNELS,
     Scenario,

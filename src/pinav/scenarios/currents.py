@@ -11,11 +11,19 @@ from jaxtyping import PRNGKeyArray
 
 from pinav.actuation import LinearProgramme, LinearResponse
 from pinav.dynamics import OverdampedSwimmer
-from pinav.environments import Domain, GaussianSwirl
-from pinav.flows import PoiseuilleFlow, ShearFlow, UniformFlow, VortexFlow
-from pinav.forces import AbstractForce, Advection, SumForce
-from pinav.rolling import RollingPropulsion
-from pinav.scenarios.definition import Scenario, uniform_starts
+from pinav.forces import (
+    AbstractForce,
+    Advection,
+    Domain,
+    GaussianSwirl,
+    PoiseuilleFlow,
+    RollingPropulsion,
+    ShearFlow,
+    SumForce,
+    UniformFlow,
+    VortexFlow,
+)
+from pinav.scenarios.scenario import Scenario, uniform_starts
 
 BASIN = Domain((0.0, 0.0), (10.0, 10.0))
 """Where swimmers start."""

@@ -4,17 +4,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PRNGKeyArray
 
-from pinav.flows import AbstractFlow, PoiseuilleFlow, ShearFlow
-from pinav.forces import InFlow, LinearDrag, TensorDrag
-from pinav.scenarios.crossings import DAMPING, paper_swimmer
-from pinav.scenarios.definition import Scenario, planar_scenario, ring_starts
-from pinav.tensors import (
+from pinav.forces import (
+    AbstractFlow,
     AbstractTensorField,
     BrinkmanTensor,
     ConstantDirector,
+    InFlow,
+    LinearDrag,
+    PoiseuilleFlow,
+    ShearFlow,
+    TensorDrag,
     UniaxialTensor,
     WavyDirector,
 )
+from pinav.scenarios.crossings import DAMPING, paper_swimmer
+from pinav.scenarios.scenario import Scenario, planar_scenario, ring_starts
 
 
 def anisotropic_drag(

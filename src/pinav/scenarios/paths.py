@@ -8,11 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float64, PRNGKeyArray
 
-from pinav.brownian import BrownianSwimmer, sample_path
-from pinav.dynamics import rollout
+from pinav.dynamics import Adaptive, BrownianSwimmer, rollout, sample_path
 from pinav.errors import InputError
-from pinav.scenarios.definition import Scenario
-from pinav.solvers import Adaptive
+from pinav.scenarios.scenario import Scenario
 
 SUBSTEPS = 8
 """Steps of a stochastic truth between two observations."""

@@ -11,7 +11,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from pinav.actuation import Scalar
+from pinav.arguments import Scalar
 from pinav.errors import InputError
 from pinav.thermal.grids import AbstractGrid
 

@@ -14,18 +14,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
-from pinav.fitting import derived
-from pinav.fitting.networks import IsotropicPrior
-from pinav.fitting.posterior import Posterior
-from pinav.fitting.regression import RegressionFit, fit_regression
+from pinav.fitting.bayes.derived import derived
+from pinav.fitting.bayes.posterior import Posterior
+from pinav.fitting.environments.networks import IsotropicPrior
+from pinav.fitting.least_squares import RegressionFit, fit_regression
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.learned_perfusion import AbstractLearnedPerfusion
 from pinav.thermal.probes import ProbeData
 from pinav.thermal.protocols import AbstractProtocol
 from pinav.thermal.quantities import Number, Numbers
+from pinav.thermal.schedule import Timetable, timetable
 from pinav.thermal.solve import Probes, State, default_stepper, run, solve
 from pinav.thermal.steppers import AbstractStepper
-from pinav.thermal.timetable import Timetable, timetable
 
 Laws = Callable[[Any], tuple[AbstractLearnedPerfusion, ...]]
 """Picks the laws to be learned from a model."""

@@ -17,13 +17,13 @@ import scipy.optimize
 from jaxtyping import Array, Float
 
 from pinav.errors import FitError, InputError
+from pinav.thermal.design_variables import AbstractFreedom, Treated
 from pinav.thermal.dose import exceeded_by
-from pinav.thermal.freedoms import AbstractFreedom, Treated
-from pinav.thermal.limits import AbstractLimit
+from pinav.thermal.exposure_limits import AbstractLimit
 from pinav.thermal.quantities import Number
+from pinav.thermal.schedule import Timetable, timetable
 from pinav.thermal.solve import Solution, State, default_stepper, run
 from pinav.thermal.steppers import AbstractStepper
-from pinav.thermal.timetable import Timetable, timetable
 
 LEAST_DOSE = 1e-9
 """Added [min] to a dose before its logarithm is taken."""

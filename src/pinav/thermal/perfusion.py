@@ -14,7 +14,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from pinav.actuation import Scalar
+from pinav.arguments import Scalar
 from pinav.errors import InputError
 from pinav.thermal.tissues import Blood, Property, Tissue, least_known
 

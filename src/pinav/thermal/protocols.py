@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from pinav.actuation import Scalar
+from pinav.arguments import Scalar
 from pinav.errors import InputError
 from pinav.thermal.quantities import Number, Numbers
 

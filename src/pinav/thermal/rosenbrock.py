@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.actuation import Scalar
+from pinav.arguments import Scalar
 from pinav.errors import InputError
 from pinav.thermal.bioheat import HeatBalance, Rates
 from pinav.thermal.quantities import Number

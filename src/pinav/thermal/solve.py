@@ -14,8 +14,8 @@ from pinav.thermal.dose import cem43_segment
 from pinav.thermal.protocols import AbstractProtocol
 from pinav.thermal.quantities import Number, Numbers
 from pinav.thermal.rosenbrock import Rosenbrock
+from pinav.thermal.schedule import Timetable, timetable
 from pinav.thermal.steppers import RKL2, AbstractStepper
-from pinav.thermal.timetable import Timetable, timetable
 
 Field = Float[Array, "..."]
 

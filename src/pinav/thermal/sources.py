@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.actuation import Scalar
+from pinav.arguments import Scalar
 from pinav.thermal.grids import AbstractGrid
 from pinav.thermal.magnetics import VACUUM_PERMEABILITY, AbstractHeating
 

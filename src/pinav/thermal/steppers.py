@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
-from pinav.actuation import Scalar
+from pinav.arguments import Scalar
 from pinav.errors import InputError
 from pinav.thermal.bioheat import Bioheat, HeatBalance, Rates, fastest_rate
 from pinav.thermal.quantities import Number

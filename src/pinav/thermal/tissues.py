@@ -13,7 +13,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from pinav.actuation import Scalar
+from pinav.arguments import Scalar
 from pinav.errors import InputError
 
 Property = Scalar | Float[Array, "..."]

@@ -14,9 +14,7 @@ from pinav.thermal.exact.lumped import ramp_dose as ramp_dose
 from pinav.thermal.exact.lumped import saturate_and_ride as saturate_and_ride
 from pinav.thermal.exact.media import SET_S as SET_S
 from pinav.thermal.exact.media import Medium as Medium
-from pinav.thermal.exact.slabs import (
-    discrete_eigenmode_rate as discrete_eigenmode_rate,
-)
+from pinav.thermal.exact.slabs import discrete_eigenmode_rate as discrete_eigenmode_rate
 from pinav.thermal.exact.slabs import eigenmode_rate as eigenmode_rate
 from pinav.thermal.exact.slabs import perfused_ball as perfused_ball
 from pinav.thermal.exact.slabs import perfused_cylinder as perfused_cylinder

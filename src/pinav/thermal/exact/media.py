@@ -3,7 +3,7 @@ r"""The uniform medium in which the exact solutions live."""
 import dataclasses
 import math
 
-from pinav.thermal.quantities import Number as Number
+from pinav.thermal.quantities import Number
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""Discovery of the law behind a learned force."""

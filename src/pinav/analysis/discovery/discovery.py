@@ -1,0 +1,311 @@
+r"""`discover`: which law is behind a learned force, and how well it is known.
+
+Candidate laws are fitted to the learned force, weighted by the covariance of its
+errors; the best of them are refitted through the equations of motion and ranked there.
+"""
+
+import enum
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from pinav.analysis.discovery.force_sample import (
+    CentralTest,
+    ForceSample,
+    central_test,
+    force_sample,
+)
+from pinav.analysis.discovery.law_regression import (
+    FieldFit,
+    fit_law,
+    fit_sum,
+    fit_two_gaussians,
+)
+from pinav.analysis.discovery.laws import (
+    AbstractLaw,
+    LawForce,
+    Role,
+    SumLaw,
+    latex,
+    sympy_text,
+)
+from pinav.analysis.discovery.learned_fit import Learned
+from pinav.analysis.discovery.potentials import GAUSSIAN, POTENTIALS
+from pinav.analysis.discovery.refit import Refit, RefitOutcome, refit
+from pinav.analysis.discovery.rotations import ROTATIONS
+from pinav.dynamics import FixedStep, Swimmer
+from pinav.errors import InputError
+from pinav.fitting import Posterior
+from pinav.trajectories import Trajectories
+
+CLOSE = 6.0
+"""Laws whose BIC is within this of the best are not told apart."""
+
+
+class EstimatedConstant(eqx.Module):
+    """A constant of a law, as the trajectories determine it.
+
+    Attributes:
+        name: in words.
+        symbol: in LaTeX.
+        unit: dimension in length L and time T; "1" means dimensionless.
+        value: best value.
+        sd: standard deviation; infinite where the data say nothing.
+        low: lower end of the 95 % interval.
+        high: upper end.
+        identifiable: whether the interval is short enough to mean anything.
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    value: float
+    sd: float
+    low: float
+    high: float
+    identifiable: bool
+
+
+class Candidate(eqx.Module):
+    """A law in the ranking.
+
+    Attributes:
+        name: of the law.
+        law: the formula.
+        constants: their values and intervals.
+        force: the law with these values.
+        bic: Bayesian information criterion on the trajectories.
+        delta_bic: that of this law less that of the best one.
+        field_bic: the criterion on the learned force, by which the laws to be refitted
+            were chosen.
+        noise: standard deviation of the observations that the law needs.
+        outcome: how the refit ended.
+        fits: whether the law explains the data as well as the learned force does.
+        latex: the formula in LaTeX.
+        sympy: both components of the force as SymPy prints and parses them.
+    """
+
+    name: str
+    law: AbstractLaw = eqx.field(static=True)
+    constants: tuple[EstimatedConstant, ...]
+    force: LawForce
+    bic: float
+    delta_bic: float
+    field_bic: float
+    noise: float
+    outcome: RefitOutcome = eqx.field(static=True)
+    fits: bool
+    latex: str
+    sympy: str
+
+
+class Verdict(enum.Enum):
+    """What a discovery says of the law."""
+
+    IDENTIFIED = "identified"
+    NOT_IDENTIFIABLE = "not identifiable"
+    NO_LAW_FITS = "no law fits"
+
+
+class Discovery(eqx.Module):
+    """The laws that may be behind a learned force.
+
+    Attributes:
+        candidates: laws refitted on the trajectories, the best one first.
+        screened: all laws by their criterion on the learned force, the best one first;
+            pairs of a name and that criterion.
+        verdict: identified, not identifiable (several laws are within `CLOSE` of the
+            best one, or one of its constants is not determined), or no law fits.
+        central: whether the force is central at all.
+        learned_noise: standard deviation of the observations about the learned force.
+        num_effective: independent numbers that the data tell about the force.
+        sample: the learned force that the candidates were fitted to first.
+    """
+
+    candidates: tuple[Candidate, ...]
+    screened: tuple[tuple[str, float], ...] = eqx.field(static=True)
+    verdict: Verdict = eqx.field(static=True)
+    central: CentralTest
+    learned_noise: float
+    num_effective: float
+    sample: ForceSample
+
+    @property
+    def best(self) -> Candidate:
+        """The law of the lowest criterion."""
+        return self.candidates[0]
+
+    @property
+    def close(self) -> tuple[Candidate, ...]:
+        """The laws within `CLOSE` of the best one, itself included."""
+        return tuple(c for c in self.candidates if c.delta_bic < CLOSE)
+
+
+def discover(
+    posterior: Posterior,
+    trajectories: Trajectories,
+    *,
+    potentials: Sequence[AbstractLaw] = POTENTIALS,
+    rotations: Sequence[AbstractLaw] = ROTATIONS,
+    refits: int = 5,
+    solver: FixedStep | None = None,
+) -> Discovery:
+    """Rank candidate laws of a learned force, with intervals for their constants.
+
+    A learned potential cannot show a rotational force: where there may be one, learn
+    a free force.
+
+    Args:
+        posterior: of a fit, as `fit_bayes` returns it.
+        trajectories: those that the model was fitted to; planar.
+        potentials: conservative candidates.
+        rotations: candidates without a potential, tried alone and beside the best
+            potentials.
+        refits: number of laws refitted through the equations of motion.
+        solver: steps between samples; `FixedStep()` unless given.
+
+    Raises:
+        InputError: there are no candidates, `refits` is not positive, or the
+            trajectories are not planar or too short.
+        FitError: the learned force does not explain the trajectories.
+    """
+    if refits < 1 or not (potentials or rotations):
+        raise InputError(
+            "discover: expected one or more candidates and refits, got "
+            f"{len(potentials) + len(rotations)} and {refits}"
+        )
+    solver = FixedStep() if solver is None else solver
+    model = posterior.model
+    if not isinstance(model, Swimmer):
+        raise InputError(
+            "discover posterior: expected that of a Swimmer with a learned "
+            f"environment, got {type(model).__name__}"
+        )
+    learned = Learned.of(posterior, trajectories, solver)
+    sample = force_sample(posterior, trajectories, learned.num_effective)
+    screened = screen(sample, potentials, rotations)
+    refitted = _refitted(screened, model, learned, refits)
+    candidates = _ranked(refitted, learned)
+    return Discovery(
+        candidates=candidates,
+        screened=tuple((fit.law.name, fit.bic) for fit in screened),
+        verdict=_verdict(candidates),
+        central=central_test(sample),
+        learned_noise=learned.noise,
+        num_effective=learned.num_effective,
+        sample=sample,
+    )
+
+
+def screen(
+    sample: ForceSample,
+    potentials: Sequence[AbstractLaw] = POTENTIALS,
+    rotations: Sequence[AbstractLaw] = ROTATIONS,
+) -> list[FieldFit]:
+    """All candidates fitted to a sampled force, the lowest criterion first.
+
+    Args:
+        sample: the force, with the covariance of its errors.
+        potentials: conservative candidates; where a Gaussian is among them, the sum of
+            two is one as well.
+        rotations: tried alone and beside the best three potentials.
+    """
+    conservative = [fit_law(law, sample) for law in potentials]
+    single = [fit for fit in conservative if fit.law is GAUSSIAN]
+    pairs = [fit_two_gaussians(fit, sample) for fit in single]
+    leaders = sorted(conservative, key=lambda fit: fit.bic)[:3]
+    alone = [fit_law(law, sample) for law in rotations]
+    sums = [fit_sum(fit, law, sample) for fit in leaders for law in rotations]
+    return sorted([*conservative, *pairs, *alone, *sums], key=lambda fit: fit.bic)
+
+
+def _refitted(screened, model, learned, refits):
+    """The most promising laws, refitted; sums first where they gained on their terms.
+
+    Where none of them explains the data, the best sums that were left out come too.
+    """
+    alone = {fit.law: fit.bic for fit in screened}
+
+    def gains(fit):
+        terms = fit.law.terms if isinstance(fit.law, SumLaw) else ()
+        return all(fit.bic < alone.get(term, np.inf) for term in terms)
+
+    def through_the_dynamics(fits):
+        return [
+            (fit, refit(fit.law, fit.constants, model, learned.problem)) for fit in fits
+        ]
+
+    chosen = [fit for fit in screened if gains(fit)][:refits]
+    results = through_the_dynamics(chosen)
+    if not any(learned.explained_by(result) for _, result in results):
+        rest = [f for f in screened if isinstance(f.law, SumLaw) and f not in chosen]
+        results += through_the_dynamics(rest[:3])
+    return results
+
+
+def _ranked(refitted, learned):
+    """Candidates in the order of their criterion on the trajectories."""
+    pairs = sorted(refitted, key=lambda pair: pair[1].bic)
+    least = pairs[0][1].bic
+    return tuple(
+        Candidate(
+            name=result.law.name,
+            law=result.law,
+            constants=estimates(result, learned.problem.extent),
+            force=LawForce(result.law, jnp.asarray(result.constants)),
+            bic=result.bic,
+            delta_bic=result.bic - least if np.isfinite(result.bic) else np.inf,
+            field_bic=field.bic,
+            noise=result.noise,
+            outcome=result.outcome,
+            fits=learned.explained_by(result),
+            latex=latex(result.law),
+            sympy=sympy_text(result.law, result.constants),
+        )
+        for field, result in pairs
+    )
+
+
+def _verdict(candidates):
+    best = candidates[0]
+    rivals = sum(candidate.delta_bic < CLOSE for candidate in candidates)
+    if not best.fits:
+        return Verdict.NO_LAW_FITS
+    if rivals > 1 or not all(own.identifiable for own in best.constants):
+        return Verdict.NOT_IDENTIFIABLE
+    return Verdict.IDENTIFIED
+
+
+def estimates(result: Refit, extent: float) -> tuple[EstimatedConstant, ...]:
+    """The constants of a refit with their 95 % intervals.
+
+    A constant is not identifiable where its interval is wider than: zero to twice its
+    value for amplitudes and scales, the extent of the data for positions, a right
+    angle for angles.
+
+    Args:
+        result: of a law.
+        extent: of the data [L].
+    """
+    sd = np.sqrt(np.diag(result.covariance))
+    found = []
+    for own, value, spread in zip(
+        result.law.constants, result.constants, sd, strict=True
+    ):
+        reach = {Role.POSITION: 0.5 * extent, Role.ANGLE: 0.25 * np.pi}
+        half = 1.96 * float(spread)
+        found.append(
+            EstimatedConstant(
+                name=own.name,
+                symbol=own.symbol,
+                unit=own.unit,
+                value=float(value),
+                sd=float(spread),
+                low=float(value) - half,
+                high=float(value) + half,
+                identifiable=bool(half < reach.get(own.role, abs(float(value)))),
+            )
+        )
+    return tuple(found)

@@ -1,0 +1,295 @@
+"""The learned force on visited ground, how well it is known, and whether it is central.
+
+Neighbouring values of a learned field share their errors, so points are never counted
+as independent: everything is weighted by the joint covariance of the force.
+"""
+
+import enum
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.optimize
+import scipy.stats
+from jaxtyping import Float
+
+from pinav.analysis.discovery.laws import Landscape
+from pinav.errors import InputError
+from pinav.fitting import Posterior
+from pinav.trajectories import Trajectories
+
+FLOOR = 0.01
+"""Error of any learned field in each direction, relative to its root mean square.
+
+A finite basis and its prior bend every law by about this much, whatever the noise."""
+
+MAX_POINTS = 120
+"""More points on visited ground say nothing new about a smooth field."""
+
+
+class ForceSample(eqx.Module):
+    """A planar force at points, with the joint covariance of its errors.
+
+    Attributes:
+        positions: where [L].
+        force: its value there [L T⁻²].
+        covariance: of the force, flattened point by point.
+        num_effective: number of independent numbers that the data tell about it.
+
+    Raises:
+        InputError: the shapes do not fit together, or there are under four points.
+    """
+
+    positions: Float[np.ndarray, "point dim"]
+    force: Float[np.ndarray, "point dim"]
+    covariance: Float[np.ndarray, "component component"]
+    num_effective: float
+
+    def __check_init__(self):
+        points, size = len(self.positions), self.force.size
+        if (
+            points < 4
+            or self.positions.shape != (points, 2)
+            or self.force.shape != (points, 2)
+            or self.covariance.shape != (size, size)
+        ):
+            raise InputError(
+                "ForceSample: expected four or more planar positions, as many forces "
+                f"and a covariance of twice that size, got {self.positions.shape}, "
+                f"{self.force.shape} and {self.covariance.shape}"
+            )
+
+    @property
+    def strength(self) -> float:
+        """Root-mean-square magnitude [L T⁻²]."""
+        return float(np.sqrt(np.mean(np.sum(self.force**2, axis=1))))
+
+    @property
+    def total_covariance(self) -> Float[np.ndarray, "component component"]:
+        """The covariance with the error of `FLOOR` in every direction."""
+        floor = max(FLOOR * self.strength, np.finfo(float).tiny ** 0.25)
+        return self.covariance + floor**2 * np.eye(self.force.size)
+
+    @property
+    def whitener(self) -> Float[np.ndarray, "component component"]:
+        """Rows that make the errors of the force independent, of unit variance."""
+        values, vectors = np.linalg.eigh(self.total_covariance)
+        floor = np.finfo(float).eps * values[-1]
+        return vectors.T / np.sqrt(np.maximum(values, floor))[:, None]
+
+    @property
+    def extent(self) -> float:
+        """Longest side of the box around the points [L]."""
+        return float(np.ptp(self.positions, axis=0).max())
+
+    def less(self, force: Float[np.ndarray, "point dim"]) -> "ForceSample":
+        """What remains when a known force is taken off."""
+        return eqx.tree_at(lambda s: s.force, self, self.force - force)
+
+
+def force_sample(
+    posterior: Posterior, trajectories: Trajectories, num_effective: float
+) -> ForceSample:
+    """The learned force at points spread over visited ground, at their times.
+
+    Args:
+        posterior: of a fit.
+        trajectories: their observed positions are the visited ground.
+        num_effective: independent numbers that the data tell about the force.
+
+    Raises:
+        InputError: the trajectories are not planar, or visit fewer than four points.
+    """
+    positions, times = _visited(trajectories)
+    chosen = spread_points(positions, MAX_POINTS)
+    with jax.enable_x64(new_val=True):
+        force, jacobians = _force_and_jacobian(
+            posterior.free,
+            jnp.asarray(posterior.mean),
+            jnp.asarray(positions[chosen]),
+            jnp.asarray(times[chosen]),
+        )
+    rows = np.asarray(jacobians).reshape(-1, len(posterior.mean))
+    return ForceSample(
+        positions=positions[chosen],
+        force=np.asarray(force),
+        covariance=rows @ posterior.covariance @ rows.T,
+        num_effective=num_effective,
+    )
+
+
+@eqx.filter_jit
+def _force_and_jacobian(free, theta, points, times):
+    def force(theta, x, t):
+        return free(theta).environment(t, x, jnp.zeros_like(x))
+
+    axes = (None, 0, 0)
+    values = jax.vmap(force, axes)(theta, points, times)
+    return values, jax.vmap(jax.jacrev(force), axes)(theta, points, times)
+
+
+def _visited(trajectories):
+    """Observed positions, and when."""
+    if len(trajectories.channels) not in (2, 4):
+        raise InputError(
+            "law discovery: expected planar trajectories, got the channels "
+            f"{', '.join(trajectories.channels)}"
+        )
+    seen = trajectories.observed[..., :2].all(axis=-1)
+    return trajectories.states[..., :2][seen], trajectories.times[seen]
+
+
+def spread_points(positions: Float[np.ndarray, "point dim"], count: int) -> np.ndarray:
+    """Indices of at most `count` points, each the farthest from those before it."""
+    chosen = [0]
+    distance = np.linalg.norm(positions - positions[0], axis=1)
+    while len(chosen) < count and distance.max() > 0:
+        chosen.append(int(np.argmax(distance)))
+        new = np.linalg.norm(positions - positions[chosen[-1]], axis=1)
+        distance = np.minimum(distance, new)
+    return np.array(chosen)
+
+
+class Centrality(enum.Enum):
+    """What the central-force test finds."""
+
+    CENTRAL = "central"
+    NOT_CENTRAL = "not central"
+    UNDECIDED = "not identifiable"
+
+
+class CentralTest(eqx.Module):
+    r"""Whether a force points to or from one place, $F \times (x - c) = 0$.
+
+    Attributes:
+        center: $c$ [L], where the condition is fulfilled best.
+        center_sd: its standard deviations [L].
+        ratio: root-mean-square tangential force over the radial one.
+        noise_ratio: what the uncertainty of a central force makes of it on average.
+        p_value: probability of a ratio this large if the force is central.
+        extent: of the points [L].
+    """
+
+    center: tuple[float, float]
+    center_sd: tuple[float, float]
+    ratio: float
+    noise_ratio: float
+    p_value: float
+    extent: float
+
+    @property
+    def verdict(self) -> Centrality:
+        """Not central where p < 0.01.
+
+        Undecided where noise hides a ratio of 0.3, or the centre is less certain than
+        the points are far apart.
+        """
+        if self.p_value < 0.01:
+            return Centrality.NOT_CENTRAL
+        if not (self.noise_ratio < 0.3 and max(self.center_sd) < self.extent):
+            return Centrality.UNDECIDED
+        return Centrality.CENTRAL
+
+
+def central_test(sample: ForceSample) -> CentralTest:
+    """Test a force for a centre, found by weighted linear least squares.
+
+    The tangential force is compared with its own uncertainty: the sum of its squares
+    is a sum of weighted chi-squares, whose first two moments set those of one.
+
+    References:
+        Satterthwaite, Biometrics Bulletin 2, 110 (1946).
+    """
+    center, spread = _center(sample)
+    offsets = sample.positions - center
+    distance = np.maximum(np.linalg.norm(offsets, axis=1), 1e-12)
+    outward = offsets / distance[:, None]
+    tangents = np.stack([-outward[:, 1], outward[:, 0]], axis=1)
+    tangential = np.sum(tangents * sample.force, axis=1)
+    radial = np.sum(outward * sample.force, axis=1)
+    covariance = projected(sample.total_covariance, tangents)
+    mean, variance = np.trace(covariance), 2 * np.sum(covariance**2)
+    statistic = float(np.sum(tangential**2))
+    p_value = scipy.stats.chi2.sf(
+        2 * mean * statistic / variance, 2 * mean**2 / variance
+    )
+    strength = max(float(np.sqrt(np.sum(radial**2))), np.finfo(float).tiny)
+    return CentralTest(
+        center=(float(center[0]), float(center[1])),
+        center_sd=(float(spread[0]), float(spread[1])),
+        ratio=float(np.sqrt(statistic)) / strength,
+        noise_ratio=float(np.sqrt(mean)) / strength,
+        p_value=float(p_value),
+        extent=sample.extent,
+    )
+
+
+def _conditions(sample):
+    """F × (x − c) = 0 as rows and targets of a linear problem for c."""
+    (x, y), (fx, fy) = sample.positions.T, sample.force.T
+    return np.stack([-fy, fx], axis=1), fx * y - fy * x
+
+
+def _linear_center(sample):
+    """Where the conditions are fulfilled best, all weighted alike."""
+    return np.linalg.lstsq(*_conditions(sample), rcond=1e-12)[0]
+
+
+def _center(sample):
+    """The centre and its standard deviations.
+
+    Linear least squares first. Errors of the force pull that towards the data, so the
+    weights then follow the centre: each condition has the variance of F × (x − c).
+    """
+    rows, targets = _conditions(sample)
+
+    def factor(center):
+        offsets = sample.positions - center
+        arms = np.stack([offsets[:, 1], -offsets[:, 0]], axis=1)
+        covariance = projected(sample.total_covariance, arms)
+        ridge = 1e-9 * np.trace(covariance) / len(rows) + np.finfo(float).tiny
+        return np.linalg.cholesky(covariance + ridge * np.eye(len(rows)))
+
+    def misfit(center):
+        white = np.linalg.solve(factor(center), rows @ center - targets)
+        return float(white @ white)
+
+    start = _linear_center(sample)
+    options = {"xatol": 1e-9 * sample.extent, "fatol": 1e-9, "maxiter": 200}
+    center = scipy.optimize.minimize(
+        misfit, start, method="Nelder-Mead", options=options
+    ).x
+    white = np.linalg.solve(factor(center), rows)
+    normal = np.linalg.pinv(white.T @ white, rcond=1e-12, hermitian=True)
+    return center, np.sqrt(np.diag(normal))
+
+
+def projected(
+    covariance: Float[np.ndarray, "component component"],
+    directions: Float[np.ndarray, "point dim"],
+) -> Float[np.ndarray, "point point"]:
+    """Covariance of each point's force along its own direction."""
+    points = len(directions)
+    blocks = covariance.reshape(points, 2, points, 2)
+    return np.einsum("id,idje,je->ij", directions, blocks, directions)
+
+
+def landscape(sample: ForceSample) -> Landscape:
+    """Centre, lengths and main direction of a sampled force."""
+    positions, force = sample.positions, sample.force
+    low, high = positions.min(axis=0), positions.max(axis=0)
+    margin = 0.5 * sample.extent
+    size = np.linalg.norm(force, axis=1)
+    central = np.clip(_linear_center(sample), low - margin, high + margin)
+    weighted = (size @ positions) / max(size.sum(), np.finfo(float).tiny)
+    strong = size >= np.quantile(size, 0.9)
+    reach = np.median(np.linalg.norm(positions[strong] - central, axis=1))
+    reach = max(float(reach), 0.05 * sample.extent)
+    axis = np.linalg.eigh(force.T @ force)[1][:, -1]
+    return Landscape(
+        centers=tuple((float(c[0]), float(c[1])) for c in (central, weighted)),
+        lengths=(0.5 * reach, reach, 2 * reach),
+        direction=float(np.arctan2(axis[1], axis[0])),
+        extent=sample.extent,
+    )

@@ -1,0 +1,170 @@
+"""Laws fitted to a sampled force, weighted by the covariance of its errors."""
+
+from typing import Any, cast
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.optimize
+from jaxtyping import Array, Float
+
+from pinav.analysis.discovery.force_sample import ForceSample, landscape
+from pinav.analysis.discovery.laws import AbstractLaw, LawForce, Role
+from pinav.analysis.discovery.potentials import GAUSSIAN, TWO_GAUSSIANS
+
+STARTS = 3
+"""Best starts from which a fit is run to its end."""
+
+
+class FieldFit(eqx.Module):
+    """A law fitted to a sampled force.
+
+    Attributes:
+        law: the formula.
+        constants: its best constants.
+        squares: sum of squared, independent residuals of unit variance.
+        bic: the squares, plus log of the effective sample size for each constant.
+    """
+
+    law: AbstractLaw = eqx.field(static=True)
+    constants: Float[np.ndarray, " constant"]
+    squares: float
+    bic: float
+
+
+def fit_law(
+    law: AbstractLaw,
+    sample: ForceSample,
+    starts: Float[np.ndarray, "start constant"] | None = None,
+) -> FieldFit:
+    """Weighted nonlinear least squares from the best of several starts.
+
+    Args:
+        law: the formula.
+        sample: the force, with the covariance of its errors.
+        starts: constants to start from, whatever their amplitudes; those that the
+            force itself suggests unless given.
+    """
+    if starts is None:
+        starts = np.array(law.shapes(landscape(sample)), float)
+    with jax.enable_x64(new_val=True):
+        problem = _Regression(
+            law,
+            jnp.asarray(sample.positions),
+            jnp.asarray(sample.force),
+            jnp.asarray(sample.whitener),
+        )
+        low, high = _bounds(law, sample)
+        scaled = [problem.with_best_amplitudes(np.clip(s, low, high)) for s in starts]
+        scaled = [np.clip(start, low, high) for start in scaled]
+        costs = [float(np.sum(problem.residuals(start) ** 2)) for start in scaled]
+        fits = [problem.fit(scaled[i], (low, high)) for i in np.argsort(costs)[:STARTS]]
+    best = min(fits, key=lambda fit: fit.cost)
+    squares = 2 * float(best.cost)
+    penalty = len(law.constants) * np.log(max(sample.num_effective, np.e))
+    return FieldFit(law, best.x, squares, squares + float(penalty))
+
+
+def fit_sum(first: FieldFit, term: AbstractLaw, sample: ForceSample) -> FieldFit:
+    """A fitted law plus a term, which starts from the force that the law leaves."""
+    rest = sample.less(law_force(first.law, first.constants, sample.positions))
+    second = fit_law(term, rest)
+    start = np.concatenate([first.constants, second.constants])
+    return fit_law(first.law + term, sample, start[None])
+
+
+def fit_two_gaussians(single: FieldFit, sample: ForceSample) -> FieldFit:
+    """Two Gaussians: one beside the first, or the first one split in two."""
+    height, x, y, width = single.constants
+    split = [
+        (0.6 * height, x + dx, y + dy, 0.8 * width, 0.6 * height)
+        + (x - dx, y - dy, 0.8 * width)
+        for angle in (0.0, 0.25 * np.pi, 0.5 * np.pi, 0.75 * np.pi)
+        for dx, dy in [(0.7 * width * np.cos(angle), 0.7 * width * np.sin(angle))]
+    ]
+    fits = (
+        fit_sum(single, GAUSSIAN, sample),
+        fit_law(TWO_GAUSSIANS, sample, np.array(split)),
+    )
+    return min(fits, key=lambda fit: fit.squares)
+
+
+def law_force(
+    law: AbstractLaw,
+    constants: Float[np.ndarray, " constant"],
+    positions: Float[np.ndarray, "point dim"],
+) -> Float[np.ndarray, "point dim"]:
+    """The force of a law at points [L T⁻²]."""
+    with jax.enable_x64(new_val=True):
+        values = _force(law, jnp.asarray(constants), jnp.asarray(positions))
+        return np.asarray(values)
+
+
+@eqx.filter_jit
+def _force(law, constants, positions):
+    force = LawForce(law, constants)
+    return jax.vmap(lambda x: force(0.0, x, jnp.zeros_like(x)))(positions)
+
+
+@eqx.filter_jit
+def _residuals(problem, constants):
+    force = _force(problem.law, constants, problem.positions)
+    return problem.whitener @ (force - problem.force).reshape(-1)
+
+
+@eqx.filter_jit
+def _jacobian(problem, constants):
+    return jax.jacfwd(lambda c: _residuals(problem, c))(constants)
+
+
+class _Regression(eqx.Module):
+    """Residuals of a law, as a function of its constants."""
+
+    law: AbstractLaw = eqx.field(static=True)
+    positions: Float[Array, "point dim"]
+    force: Float[Array, "point dim"]
+    whitener: Float[Array, "component component"]
+
+    def residuals(self, constants):
+        return np.asarray(_residuals(self, jnp.asarray(constants)))
+
+    def jacobian(self, constants):
+        return np.asarray(_jacobian(self, jnp.asarray(constants)))
+
+    def with_best_amplitudes(self, constants):
+        """The constants with the amplitudes, which are linear, at their best."""
+        chosen = self.law.indices(Role.AMPLITUDE)
+        values = np.array(constants, float)
+        values[chosen] = 0.0
+        rest = self.residuals(values)
+        columns = self.jacobian(values)[:, chosen]
+        values[chosen] = np.linalg.lstsq(columns, -rest, rcond=1e-10)[0]
+        return values
+
+    def fit(self, start, bounds):
+        return scipy.optimize.least_squares(
+            self.residuals,
+            start,
+            cast(Any, self.jacobian),
+            bounds=bounds,
+            x_scale="jac",
+            max_nfev=200,
+        )
+
+
+def _bounds(law, sample):
+    """Between which each constant is sought: wide, but finite numbers throughout."""
+    low, high = sample.positions.min(axis=0), sample.positions.max(axis=0)
+    reach, middle = 5 * sample.extent, (low + high) / 2
+    corner = float(np.abs(middle).max())
+    limits = []
+    for own in law.constants:
+        if own.role is Role.SCALE:
+            unit = sample.extent if own.unit == "L" else 1.0
+            limits.append((5e-3 * unit, 50 * unit))
+        elif own.role is Role.POSITION:
+            limits.append((-corner - reach, corner + reach))
+        else:
+            limits.append((-np.inf, np.inf))
+    return np.array(limits).T

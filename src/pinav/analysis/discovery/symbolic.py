@@ -1,0 +1,118 @@
+"""Open-form search for the radial law of a central force (extra `symbolic`).
+
+Where no candidate of the library fits, a formula may still be found from nothing: the
+force along the radius is a function of one variable, and genetic programming finds it.
+The front of short and exact formulas is ranked again by the covariance of the force.
+"""
+
+import importlib
+import re
+
+import equinox as eqx
+import numpy as np
+
+from pinav.analysis.discovery.force_sample import (
+    Centrality,
+    CentralTest,
+    ForceSample,
+    central_test,
+    projected,
+)
+from pinav.errors import InputError
+
+SYMBOLS = "add,sub,mul,div,exp,square,sqrt,constant,variable"
+"""What a formula may be made of."""
+
+_NUMBER = re.compile(r"\d+\.\d+")
+
+
+class OpenForm(eqx.Module):
+    """A formula of the radial force.
+
+    Attributes:
+        formula: of the force along the radius [L T⁻²], `r` [L] the distance from the
+            centre.
+        length: number of its symbols.
+        squares: sum of squared, independent residuals of unit variance.
+        bic: the squares, plus log of the effective sample size for each number in it.
+    """
+
+    formula: str = eqx.field(static=True)
+    length: int
+    squares: float
+    bic: float
+
+
+def search_radial_law(
+    sample: ForceSample, *, seconds: int = 5, max_length: int = 20, seed: int = 0
+) -> tuple[CentralTest, tuple[OpenForm, ...]]:
+    """Formulas of the radial force of a central field, the best one first.
+
+    Args:
+        sample: the force, with the covariance of its errors.
+        seconds: how long to search at most.
+        max_length: number of symbols of a formula at most.
+        seed: of the search.
+
+    Returns:
+        The test for a centre, and the formulas.
+
+    Raises:
+        InputError: the force is not central, pyoperon is not installed, or a setting
+            is not positive.
+
+    References:
+        Burlacu, Kronberger and Kommenda, Operon C++, GECCO 2020 companion, 1562.
+    """
+    if seconds < 1 or max_length < 1:
+        raise InputError(
+            "search_radial_law: expected one or more seconds and symbols, got "
+            f"{seconds} and {max_length}"
+        )
+    central = central_test(sample)
+    if central.verdict is not Centrality.CENTRAL:
+        raise InputError(
+            f"search_radial_law: the force is {central.verdict.value} as a central "
+            "one; only a central force has a radial law"
+        )
+    offsets = sample.positions - np.array(central.center)
+    radius = np.linalg.norm(offsets, axis=1)
+    outward = offsets / np.maximum(radius, 1e-12)[:, None]
+    force = np.sum(outward * sample.force, axis=1)
+    inverse = np.linalg.inv(projected(sample.total_covariance, outward))
+    regressor = _regressor(seconds, max_length, seed).fit(radius[:, None], force)
+    forms = {}
+    for member in regressor.pareto_front_:
+        predicted = regressor.evaluate_model(member["tree"], radius[:, None])
+        text = regressor.get_model_string(member["tree"], 6)
+        residual = np.asarray(predicted, float).reshape(-1) - force
+        if np.all(np.isfinite(residual)):
+            squares = float(residual @ inverse @ residual)
+            count = len(_NUMBER.findall(text))
+            penalty = count * np.log(max(sample.num_effective, np.e))
+            formula = text.replace("X1", "r")
+            forms[formula] = OpenForm(
+                formula, int(member["length"]), squares, squares + float(penalty)
+            )
+    return central, tuple(sorted(forms.values(), key=lambda form: form.bic))
+
+
+def _regressor(seconds, max_length, seed):
+    try:
+        regression = importlib.import_module("pyoperon.sklearn")
+    except ImportError as error:
+        raise InputError(
+            "search_radial_law needs pyoperon: install pinav[symbolic] "
+            f"(Linux x86-64 and macOS arm64 only): {error}"
+        ) from error
+    return regression.SymbolicRegressor(
+        allowed_symbols=SYMBOLS,
+        objectives=["mse", "length"],
+        max_length=max_length,
+        optimizer_iterations=10,
+        max_time=seconds,
+        n_threads=1,
+        random_state=seed,
+        population_size=500,
+        pool_size=500,
+    )

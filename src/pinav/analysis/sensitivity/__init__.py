@@ -1,0 +1,1 @@
+"""Dependence of a fit and its rollouts on data and parameters."""

@@ -1,0 +1,296 @@
+r"""What each trajectory and each known constant does to a Bayesian fit.
+
+At the solution the sum of squares of every trajectory $i$, its start eliminated, is a
+quadratic with $H_i = R_i^\top R_i$ and gradient $R_i^\top r_i$. With the covariance
+$C$ of the parameters, the hyperparameters held, and $h_i = R_i C R_i^\top/\sigma^2$,
+
+$$\Delta_i\theta = C R_i^\top (I - h_i)^{-1} r_i / \sigma^2$$
+
+is the change that leaving trajectory $i$ out makes, exact where the model is linear;
+without $h_i$ it is the infinitesimal jackknife. A constant $c$ that the fit was given
+moves the parameters by $d\theta/dc = -C H_{\theta c}/\sigma^2$ (implicit function
+theorem); one that it learned by the regression $C_{\theta c}/C_{cc}$.
+
+References:
+    Cook, Technometrics 19, 15 (1977); Pregibon, Ann. Stat. 9, 705 (1981); Giordano et
+    al., AISTATS 2019, "A Swiss Army infinitesimal jackknife".
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import ArrayLike, Bool, Float, PyTree
+
+from pinav.dynamics import FixedStep
+from pinav.errors import FitError, InputError
+from pinav.fitting import FreeModel, Hyperparameters, freed
+from pinav.fitting.bayes.multiple_shooting import linearise, sensitivities
+from pinav.fitting.bayes.neural import NEURAL, Request, function_prior
+from pinav.fitting.bayes.problem import BayesProblem
+from pinav.fitting.evidence.quadratic import Quadratic, joint_posterior, without_flat
+from pinav.forces import AbstractLearnedForce, KernelForce, KernelPotential
+from pinav.trajectories import Trajectories
+
+Pick = Callable[[Any], PyTree]
+"""Picks a number of a model, or several."""
+
+
+class Influence(eqx.Module):
+    r"""Changes of the parameters, to be followed to a force or to a rollout.
+
+    Parameters are those that the fit learned, and the constants it was given.
+
+    Attributes:
+        free: the model as a function of them.
+        theta: their values.
+        removals: change of them where one trajectory is left out.
+        first_order: the same by the infinitesimal jackknife.
+        constants: change of them per unit of each constant, the data fitted anew.
+        leverages: $\mathrm{tr}\,h_i$, how many parameters a trajectory determines.
+        distances: Cook's $\Delta_i^\top C^{-1} \Delta_i$ over the sum of all leverages.
+    """
+
+    free: FreeModel
+    theta: Float[np.ndarray, " parameter"]
+    removals: Float[np.ndarray, "trajectory parameter"]
+    first_order: Float[np.ndarray, "trajectory parameter"]
+    constants: dict[str, Float[np.ndarray, " parameter"]]
+    leverages: Float[np.ndarray, " trajectory"]
+    distances: Float[np.ndarray, " trajectory"]
+
+    def force_changes(
+        self,
+        points: ArrayLike,
+        changes: Float[np.ndarray, "change parameter"],
+        time: float = 0.0,
+    ) -> Float[np.ndarray, "change point dim"]:
+        """First-order change of the environment's force [L T⁻²] on a swimmer at rest.
+
+        Args:
+            points: where, one a row [L].
+            changes: of the parameters, such as `removals`.
+            time: at which the force acts [T].
+        """
+        with jax.enable_x64(new_val=True):
+            return np.asarray(
+                _force_changes(
+                    self.free,
+                    jnp.asarray(self.theta),
+                    jnp.asarray(points, jnp.float64),
+                    jnp.asarray(changes),
+                    jnp.asarray(time, jnp.float64),
+                )
+            )
+
+    def final_changes(
+        self,
+        y0: ArrayLike,
+        ts: ArrayLike,
+        changes: Float[np.ndarray, "change parameter"],
+        *,
+        solver: FixedStep | None = None,
+    ) -> Float[np.ndarray, "change state"]:
+        """First-order change of the last state of a rollout.
+
+        Args:
+            y0: its start, which does not change.
+            ts: its times [T], increasing.
+            changes: of the parameters, such as `removals`.
+            solver: how to integrate; `FixedStep()` unless given.
+        """
+        solver = FixedStep() if solver is None else solver
+        with jax.enable_x64(new_val=True):
+            columns = _final_columns(
+                self.free,
+                jnp.asarray(self.theta),
+                jnp.asarray(y0, jnp.float64),
+                jnp.asarray(ts, jnp.float64),
+                solver,
+            )
+        return changes @ np.asarray(columns)[:, : len(self.theta)].T
+
+
+def influence(
+    model: Any,
+    trajectories: Trajectories,
+    states: Float[np.ndarray, "trajectory time state"],
+    hyperparameters: Hyperparameters,
+    *,
+    learn: Pick = lambda _: (),
+    constants: Mapping[str, Pick] | None = None,
+    kernels: KernelForce | KernelPotential | None = None,
+    solver: FixedStep | None = None,
+) -> Influence:
+    """What each trajectory, and each constant, does to a fit of `fit_bayes`.
+
+    Hyperparameters are held: they would change a little, too.
+
+    Args:
+        model: the fitted model.
+        trajectories: what it was fitted to.
+        states: the smoothed states of the fit.
+        hyperparameters: of the fit.
+        learn: as given to the fit.
+        constants: numbers of the model by name, learned or not.
+        kernels: of the process that is the prior of a network, from
+            `fit.linear.weights.process`; those with which fits begin unless given.
+        solver: as given to the fit.
+
+    Raises:
+        InputError: there is one trajectory, or a constant is not a single number.
+        FitError: a trajectory alone determines some parameter.
+    """
+    if len(trajectories) < 2:
+        raise InputError(
+            "influence trajectories: expected two or more, got 1; there is none to "
+            "leave out"
+        )
+    with jax.enable_x64(new_val=True):
+        solver = FixedStep() if solver is None else solver
+        request = Request(model, trajectories, learn, None, solver)
+        weights = None
+        if isinstance(model.environment, NEURAL) and len(hyperparameters.shape):
+            weights = function_prior(request, states, hyperparameters, kernels)
+        problem = request.problem(model, states=states, weights=weights)
+        return _influence(problem, model, hyperparameters, learn, dict(constants or {}))
+
+
+def _influence(problem, model, chosen, learn, constants) -> Influence:
+    picked = tuple(constants.values())
+    free, theta = freed(
+        model, lambda m: (*_selected(m, learn), *(pick(m) for pick in picked))
+    )
+    learned = _positions(free, theta, lambda m: _selected(m, learn))
+    places = {name: _place(name, free, theta, constants[name]) for name in constants}
+    each = _linearised(problem, free, theta)
+    hessian = np.sum([hessian for hessian, _ in each], axis=0)
+    covariance = np.zeros_like(hessian)
+    covariance[np.ix_(learned, learned)] = _covariance(
+        problem, hessian[np.ix_(learned, learned)], chosen
+    )
+    removed = [
+        _removal(own, gradient, covariance, chosen.noise, index)
+        for index, (own, gradient) in enumerate(each)
+    ]
+    leverages = np.array([one.leverage for one in removed])
+    slopes = {
+        name: _slope(covariance, hessian, place, chosen.noise, known=not learned[place])
+        for name, place in places.items()
+    }
+    return Influence(
+        free=free,
+        theta=np.asarray(theta),
+        removals=np.stack([one.change for one in removed]),
+        first_order=np.stack([one.first_order for one in removed]),
+        constants=slopes,
+        leverages=leverages,
+        distances=np.array([one.distance for one in removed]) / leverages.sum(),
+    )
+
+
+def _selected(model, learn):
+    """What the fit learned: weights of the environment, and what `learn` picks."""
+    environment, picked = model.environment, learn(model)
+    learned = isinstance(environment, AbstractLearnedForce)
+    weights = (environment.parameters,) if learned else ()
+    return *weights, *(picked if isinstance(picked, tuple | list) else (picked,))
+
+
+def _positions(free: FreeModel, theta, pick) -> Bool[np.ndarray, " parameter"]:
+    """Which entries of the parameter vector are among those picked."""
+    marks = free.unravel(jnp.zeros_like(theta))
+    if jax.tree.leaves(pick(marks)):
+        marks = eqx.tree_at(pick, marks, jax.tree.map(jnp.ones_like, pick(marks)))
+    return np.asarray(ravel_pytree(marks)[0]) > 0
+
+
+def _place(name, free: FreeModel, theta, pick) -> int:
+    """Where a constant stands in the parameter vector."""
+    places = np.flatnonzero(_positions(free, theta, pick))
+    if len(places) != 1:
+        raise InputError(
+            f"influence constants: {name} is {len(places)} numbers; expected one"
+        )
+    return int(places[0])
+
+
+def _linearised(problem: BayesProblem, free, theta):
+    """Normal matrix and gradient of each trajectory."""
+    each = []
+    for index in range(problem.states.shape[0]):
+        own = slice(index, index + 1)
+        data = jax.tree.map(lambda array, own=own: array[own], problem.observations)
+        linear = linearise(free, theta, problem.states[own], data, problem.solver)
+        each.append((np.asarray(linear.hessian), np.asarray(linear.gradient)))
+    return each
+
+
+def _covariance(problem: BayesProblem, hessian, chosen: Hyperparameters):
+    """Covariance of what was learned, given the hyperparameters."""
+    nothing = np.zeros(len(hessian))
+    whole = Quadratic(problem.theta, hessian, nothing, 0.0, problem.num_free, 0.0)
+    quadratic, block = without_flat(whole, problem.flat)
+    mean, covariance = problem.weights.posterior(quadratic, chosen)
+    return joint_posterior(block, mean, covariance, chosen.noise)[1]
+
+
+class _Removal(eqx.Module):
+    """What leaving out one trajectory does."""
+
+    change: Float[np.ndarray, " parameter"]
+    first_order: Float[np.ndarray, " parameter"]
+    leverage: float
+    distance: float
+
+
+def _removal(hessian, gradient, covariance, noise, index) -> _Removal:
+    values, vectors = np.linalg.eigh(hessian)
+    kept = values > 1e-14 * values[-1]
+    roots, vectors = np.sqrt(values[kept]), vectors[:, kept]
+    rows = roots[:, None] * vectors.T / noise
+    residuals = vectors.T @ gradient / roots / noise
+    gain = covariance @ rows.T
+    own = rows @ gain
+    left = np.eye(len(own)) - own
+    if np.linalg.eigvalsh(left)[0] < 1e-8:
+        raise FitError(
+            f"influence: without trajectory {index} the data do not determine all "
+            "parameters; learn fewer constants"
+        )
+    pulled = np.linalg.solve(left, residuals)
+    return _Removal(
+        change=gain @ pulled,
+        first_order=gain @ residuals,
+        leverage=float(np.trace(own)),
+        distance=float(pulled @ own @ pulled),
+    )
+
+
+def _slope(covariance, hessian, place, noise, *, known):
+    """Change of all parameters per unit of the one at `place`."""
+    if not known:
+        return covariance[:, place] / covariance[place, place]
+    slope = -covariance @ hessian[:, place] / noise**2
+    slope[place] = 1.0
+    return slope
+
+
+@eqx.filter_jit
+def _force_changes(free, theta, points, changes, time):
+    def forces(theta):
+        force = free(theta).environment
+        return jax.vmap(lambda x: force(time, x, jnp.zeros_like(x)))(points)
+
+    _, slope = jax.linearize(forces, theta)
+    return jax.vmap(slope)(changes)
+
+
+@eqx.filter_jit
+def _final_columns(free, theta, y0, ts, solver):
+    ys, _ = solver.solve(free(theta), y0, ts)
+    return sensitivities(free, theta, ys, ts, solver).columns[-1]

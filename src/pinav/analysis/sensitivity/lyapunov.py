@@ -1,0 +1,144 @@
+r"""How the end of a rollout depends on its start.
+
+$\Phi(T) = \partial y(T)/\partial y(0)$ follows from the Jacobians of all steps. Its
+block of positions says how far apart two swimmers end that start side by side with the
+same velocity: its largest singular value $s$ is the stretch, and
+$\lambda = \ln s / T$ the finite-time Lyapunov exponent. Ridges of a map of $s$ separate
+starts with different fates.
+
+References:
+    Shadden, Lekien and Marsden, Physica D 212, 271 (2005).
+"""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import ArrayLike, Float
+
+from pinav.dynamics import AbstractDynamics, FixedStep, linear_recursion, with_dtype
+from pinav.errors import InputError
+
+
+def start_jacobians(
+    dynamics: AbstractDynamics,
+    starts: ArrayLike,
+    ts: ArrayLike,
+    *,
+    solver: FixedStep | None = None,
+) -> tuple[
+    Float[np.ndarray, "start state"],
+    Float[np.ndarray, "start state state"],
+]:
+    r"""Last states of rollouts and their derivatives $\Phi$ by the starts.
+
+    Args:
+        dynamics: the system; computed in float64.
+        starts: initial states, one a row.
+        ts: times [T], increasing.
+        solver: how to integrate; `FixedStep()` unless given.
+
+    Raises:
+        InputError: the starts are not rows of states, or the times fewer than two.
+    """
+    starts, ts = np.asarray(starts, float), np.asarray(ts, float)
+    if starts.ndim != 2:
+        raise InputError(
+            "start_jacobians starts: expected one state a row, got shape "
+            f"{starts.shape}"
+        )
+    if ts.ndim != 1 or len(ts) < 2:
+        raise InputError(
+            f"start_jacobians ts: expected two or more times, got shape {ts.shape}"
+        )
+    solver = FixedStep() if solver is None else solver
+    with jax.enable_x64(new_val=True):
+        exact = with_dtype(dynamics, jnp.float64)
+        ends, slopes = _jacobians(exact, jnp.asarray(starts), jnp.asarray(ts), solver)
+    return np.asarray(ends), np.asarray(slopes)
+
+
+@eqx.filter_jit
+def _jacobians(dynamics, starts, ts, solver):
+    def one(y0):
+        ys, _ = solver.solve(dynamics, y0, ts)
+
+        def slope(y, t0, t1):
+            return jax.jacfwd(lambda y: solver.looped_step(dynamics, y, t0, t1))(y)
+
+        steps = jax.vmap(slope)(ys[:-1], ts[:-1], ts[1:])
+        nothing = jnp.zeros((steps.shape[0], y0.shape[0]))
+        columns = [
+            linear_recursion(unit, steps, nothing)[-1] for unit in jnp.eye(y0.shape[0])
+        ]
+        return ys[-1], jnp.stack(columns, axis=1)
+
+    return jax.lax.map(one, starts, batch_size=64)
+
+
+class StretchMap(eqx.Module):
+    r"""Stretch of the final position over a grid of starts.
+
+    Attributes:
+        x: grid coordinates along x [L].
+        y: grid coordinates along y [L].
+        stretch: largest singular value of $\partial x(T)/\partial x(0)$; NaN where the
+            rollout is not finite.
+        final: final positions [L].
+        horizon: $T$ [T].
+    """
+
+    x: Float[np.ndarray, " columns"]
+    y: Float[np.ndarray, " rows"]
+    stretch: Float[np.ndarray, "rows columns"]
+    final: Float[np.ndarray, "rows columns 2"]
+    horizon: float
+
+    @property
+    def exponent(self) -> Float[np.ndarray, "rows columns"]:
+        """Finite-time Lyapunov exponent [T⁻¹] of separations in position."""
+        with np.errstate(divide="ignore"):
+            return np.log(self.stretch) / self.horizon
+
+
+def stretch_map(
+    dynamics: AbstractDynamics,
+    x: Float[np.ndarray, " columns"],
+    y: Float[np.ndarray, " rows"],
+    ts: ArrayLike,
+    *,
+    velocity: Callable[[Float[np.ndarray, " dim"]], ArrayLike] | None = None,
+    solver: FixedStep | None = None,
+) -> StretchMap:
+    """Stretch of the final position over starts on a grid.
+
+    Args:
+        dynamics: the system, planar.
+        x: starts along x [L].
+        y: starts along y [L].
+        ts: times [T], increasing.
+        velocity: initial velocity [L T⁻¹] as a function of the starting position. None
+            means that the position is the whole state.
+        solver: how to integrate; `FixedStep()` unless given.
+    """
+    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    starts = points
+    if velocity is not None:
+        own = [np.asarray(velocity(point), float) for point in points]
+        starts = np.concatenate([points, np.stack(own)], axis=1)
+    ends, slopes = start_jacobians(dynamics, starts, ts, solver=solver)
+    finite = np.asarray(
+        np.isfinite(slopes).all(axis=(1, 2)) & np.isfinite(ends).all(axis=1)
+    )
+    block = np.where(finite[:, None, None], slopes[:, :2, :2], 0.0)
+    stretch = np.linalg.svd(block, compute_uv=False)[:, 0]
+    times = np.asarray(ts, float)
+    return StretchMap(
+        x=np.asarray(x),
+        y=np.asarray(y),
+        stretch=np.where(finite, stretch, np.nan).reshape(len(y), len(x)),
+        final=ends[:, :2].reshape(len(y), len(x), 2),
+        horizon=float(times[-1] - times[0]),
+    )

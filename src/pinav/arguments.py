@@ -1,0 +1,35 @@
+"""Checks and conversions of arguments that several packages share."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from pinav.errors import InputError
+
+Scalar = float | int | Float[Array, ""]
+"""One real number: plain, NumPy's float64, or a JAX array without axes."""
+
+
+def as_point(name: str, value, dim: int | None = None) -> Float[Array, " dim"]:
+    """Array of a point given as list, tuple or array; `dim` components if given.
+
+    Raises:
+        InputError: it is no point; the message calls it `name`.
+    """
+    shape = np.shape(value)
+    if len(shape) != 1 or (dim is not None and shape != (dim,)):
+        expected = "(dim,)" if dim is None else f"({dim},)"
+        raise InputError(f"{name}: expected a point of shape {expected}, got {shape}")
+    return value if isinstance(value, jax.Array) else jnp.asarray(value, float)
+
+
+def check_positive(module: eqx.Module, *names: str) -> None:
+    """Raise `InputError` where a field of a module is a number <= 0."""
+    for name in names:
+        value = getattr(module, name)
+        if isinstance(value, float | int) and value <= 0:
+            raise InputError(
+                f"{type(module).__name__}.{name}: expected > 0, got {value}"
+            )

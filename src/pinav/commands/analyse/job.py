@@ -1,0 +1,378 @@
+"""`pinav analyse`: maps, parts and sensitivities of what a run has learned."""
+
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import msgspec
+import numpy as np
+from tqdm import tqdm
+
+from pinav.analysis import (
+    Influence,
+    RolloutStudy,
+    SobolIndices,
+    helmholtz_split,
+    influence,
+    rotational_fractions,
+    sampled_forces,
+    stretch_map,
+)
+from pinav.commands.analyse.settings import AnalyseSettings
+from pinav.commands.fit.bayes import (
+    MODEL_FILE,
+    POSTERIOR_FILE,
+    force_sd,
+    process_kernels,
+    read_posterior,
+)
+from pinav.commands.fit.settings import FitSettings
+from pinav.commands.models import CONSTANTS, build_model, fit_constants
+from pinav.dynamics import Swimmer
+from pinav.errors import FitError, InputError
+from pinav.evaluation import FieldMap, field_map
+from pinav.fitting import Hyperparameters
+from pinav.forces import (
+    AbstractLearnedForce,
+    KernelPotential,
+    LinearDrag,
+    MagneticPropulsion,
+    NeuralPotential,
+)
+from pinav.runs import RunFolder
+from pinav.trajectories import Trajectories, load
+
+ANALYSIS_FILE, ARRAYS_FILE = "analysis.json", "analysis.npz"
+
+STRETCH_POINTS = 25
+"""Starts along each side of the map of stretch."""
+
+
+def analyse(settings: AnalyseSettings, run: Path) -> dict[str, Any]:
+    """Analyse a run of `pinav fit` and write the results into its folder.
+
+    Returns:
+        The content of `analysis.json`.
+
+    Raises:
+        InputError: the folder holds no finished fit of a force, or there is no
+            trajectory of the number that was asked for.
+    """
+    settings.check()
+    folder = RunFolder.open(run)
+    work = _Analysis(settings, folder)
+    steps = (work.maps, work.parts, work.trust, work.influences, work.rollouts)
+    with tqdm(steps, desc="analyse", unit="part") as bar:
+        for step in bar:
+            bar.set_postfix_str(step.__name__, refresh=True)
+            step()
+    return work.write()
+
+
+class _Analysis:
+    """The parts of one analysis, in their order, and what they found so far."""
+
+    def __init__(self, settings: AnalyseSettings, folder: RunFolder):
+        self.settings, self.folder = settings, folder
+        self.fit_settings = _fit_settings(folder)
+        self.model = _model(folder)
+        self.data = load(folder.path / "data.npz")
+        if settings.reference >= len(self.data):
+            raise InputError(
+                f"--reference: expected 0 to {len(self.data) - 1}, a trajectory of "
+                f"{folder.path}, got {settings.reference}"
+            )
+        self.bayes = folder.has(POSTERIOR_FILE)
+        self.found: dict[str, Any] = {
+            "model": self.fit_settings.model,
+            "posterior": self.bayes,
+            "settings": msgspec.to_builtins(settings),
+            "left_out": [],
+        }
+        self.arrays: dict[str, np.ndarray] = {}
+
+    def write(self) -> dict[str, Any]:
+        """Write everything; `analysis.json` last, when all else is there."""
+        self.folder.write_arrays(ARRAYS_FILE, self.arrays)
+        _write_tables(self.found, self.folder)
+        self.folder.write_json(ANALYSIS_FILE, self.found)
+        return self.found
+
+    def leave_out(self, what: str, why: str) -> None:
+        self.found["left_out"].append(f"{what}: {why}")
+
+    def maps(self) -> None:
+        """The force on a grid."""
+        force = self.model.environment
+        self.field = field_map(force, self.data, points=self.settings.points)
+        self.arrays |= {
+            name: getattr(self.field, name) for name in ("x", "y", "force", "distance")
+        }
+
+    def parts(self) -> None:
+        """Gradient and rotational part, with the potential."""
+        split = helmholtz_split(self.field)
+        self.found["helmholtz"] = {
+            "reach": self.field.regions.near,
+            "rotational": split.rotational_fraction,
+            "gradient": split.gradient_fraction,
+            "least": split.least_fraction,
+            "greatest": split.greatest_fraction,
+            "misfit": split.misfit,
+        }
+        for name in ("gradient", "rotational", "stream", "ground"):
+            self.arrays[f"split/{name}"] = getattr(split, name)
+        self.arrays["split/potential"] = split.potential
+        force = self.model.environment
+        direct = isinstance(force, KernelPotential | NeuralPotential)
+        self.arrays["potential"] = (
+            _potential(force, self.field) if direct else split.potential
+        )
+        self.found["potential"] = "learned" if direct else "of the gradient part"
+
+    def trust(self) -> None:
+        """What the posterior says of the force and of its parts."""
+        if not self.bayes:
+            self.leave_out("standard deviations", NO_POSTERIOR)
+            return
+        sd = force_sd(self.fit_settings, self.field, self.folder)
+        size = np.linalg.norm(self.field.force, axis=-1)
+        sure = size > 2.0 * np.linalg.norm(sd, axis=-1)
+        share = {
+            name: float(sure[ground].mean())
+            for name, ground in self.field.regions.masks(self.field.distance).items()
+            if name != "unvisited"
+        }
+        self.arrays["sd"], self.found["above_two_sd"] = sd, share
+        posterior = read_posterior(self.fit_settings, self.folder)
+        key = jax.random.key(self.settings.seed)
+        forces = sampled_forces(posterior, self.field, self.settings.draws, key=key)
+        fractions = rotational_fractions(self.field, forces)
+        self.found["helmholtz"]["sd"] = float(fractions.std())
+
+    def influences(self) -> None:
+        """What each trajectory and each constant does."""
+        if not self.bayes:
+            self.leave_out("influence of trajectories and constants", NO_POSTERIOR)
+            return
+        try:
+            found = _influence(self.fit_settings, self.model, self.data, self.folder)
+        except (InputError, FitError) as error:
+            self.leave_out("influence of trajectories and constants", str(error))
+            return
+        grid = np.stack(np.meshgrid(self.field.x, self.field.y), axis=-1)
+        points, shape = grid.reshape(-1, 2), self.field.force.shape
+        start, times = self._reference()
+        moved = found.force_changes(points, found.removals).reshape(-1, *shape)
+        final = found.final_changes(start, times, found.removals)[:, :2]
+        self.arrays["influence"] = moved
+        near = self.field.distance <= self.field.regions.near
+        size = _rms(self.field.force[near])
+        self.found["influence"] = [
+            {
+                "trajectory": index,
+                "leverage": float(found.leverages[index]),
+                "cook": float(found.distances[index]),
+                "force": _rms(moved[index][near]) / size,
+                "final": float(np.linalg.norm(final[index])),
+            }
+            for index in range(len(moved))
+        ]
+        self._constants(found, points, start, times)
+
+    def _constants(self, found: Influence, points, start, times) -> None:
+        """How force and final position follow the constants, per percent of each."""
+        if not found.constants:
+            self.leave_out("influence of constants", "the physics has none")
+            return
+        near, rows = self.field.distance <= self.field.regions.near, []
+        size = _rms(self.field.force[near])
+        for name, change in found.constants.items():
+            value = float(attrgetter(CONSTANTS[name])(self.model))
+            percent = 0.01 * value * change[None]
+            moved = found.force_changes(points, percent)[0]
+            moved = moved.reshape(self.field.force.shape)
+            final = found.final_changes(start, times, percent)[0, :2]
+            self.arrays[f"constant/{name}"] = moved
+            rows.append(
+                {
+                    "constant": name,
+                    "value": value,
+                    "learned": name in self.fit_settings.learn,
+                    "force": _rms(moved[near]) / size,
+                    "final": float(np.linalg.norm(final)),
+                }
+            )
+        self.found["constants"] = rows
+
+    def rollouts(self) -> None:
+        """How the reference rollout depends on its start, and on everything."""
+        start, times = self._reference()
+        self._stretch(start, times)
+        potential = np.where(
+            self.field.distance <= self.field.regions.near,
+            self.arrays["potential"],
+            -np.inf,
+        )
+        row, column = np.unravel_index(potential.argmax(), potential.shape)
+        landmark = np.array([self.field.x[column], self.field.y[row]])
+        study = RolloutStudy(
+            self.model, start, times, landmark, self.field.regions.visited
+        )
+        factors = study.factors(
+            relative=self.settings.relative, shift=self.settings.shift
+        )
+        options = {"samples": self.settings.samples, "seed": self.settings.seed}
+        try:
+            indices = study.indices(factors, **options)
+        except InputError as error:
+            self.leave_out("Sobol' indices", str(error))
+            return
+        self.found["sobol"] = _sobol_rows(indices)
+        self.found["landmark"] = landmark.tolist()
+
+    def _stretch(self, start, times) -> None:
+        x, y = (
+            np.linspace(axis[0], axis[-1], STRETCH_POINTS)
+            for axis in (self.field.x, self.field.y)
+        )
+        found = stretch_map(self.model, x, y, times, velocity=lambda _: start[2:])
+        for name in ("x", "y", "stretch", "final"):
+            self.arrays[f"stretch/{name}"] = getattr(found, name)
+        self.found["stretch"] = {
+            "horizon": found.horizon,
+            "median": float(np.nanmedian(found.stretch)),
+            "greatest": float(np.nanmax(found.stretch)),
+            "exponent": float(np.nanmedian(found.exponent)),
+        }
+
+    def _reference(self) -> tuple[np.ndarray, np.ndarray]:
+        """Start and times of the reference trajectory."""
+        index = self.settings.reference
+        times = self.data.times[index][: self.data.lengths[index]]
+        if not self.bayes:
+            return self.data.states[index, 0], times
+        return self.folder.read_arrays(POSTERIOR_FILE)["states"][index, 0], times
+
+
+NO_POSTERIOR = "the run has no posterior; fit with --recipe bayes"
+
+
+def _fit_settings(folder: RunFolder) -> FitSettings:
+    config = folder.config()
+    if config.get("job") != "fit" or not folder.has("metrics.json"):
+        raise InputError(
+            f"{folder.path} holds no finished fit; give the folder that was the --out "
+            "of pinav fit"
+        )
+    content = {k: v for k, v in config.items() if k not in ("job", "data")}
+    try:
+        return msgspec.convert(content, FitSettings)
+    except msgspec.ValidationError as error:
+        raise InputError(f"{folder.path}/config.toml: {error}") from error
+
+
+def _model(folder: RunFolder) -> Swimmer:
+    model = folder.read_model(MODEL_FILE, build_model)
+    if not isinstance(model, Swimmer) or not isinstance(
+        model.environment, AbstractLearnedForce
+    ):
+        raise InputError(
+            f"{folder.path}: its model has no learned force of the environment; fit a "
+            "kernel or neural model"
+        )
+    return model
+
+
+def _influence(
+    settings: FitSettings, model: Swimmer, data: Trajectories, folder: RunFolder
+) -> Influence:
+    stored = folder.read_arrays(POSTERIOR_FILE)
+    chosen = Hyperparameters(
+        shape=stored["shape"],
+        amplitude=float(stored["amplitude"]),
+        noise=float(stored["noise"]),
+        log_evidence=float(stored["log_evidence"]),
+    )
+    has = {
+        "damping": isinstance(model.drag, LinearDrag),
+        "gain": isinstance(model.propulsion, MagneticPropulsion),
+    }
+    constants = {n: attrgetter(path) for n, path in CONSTANTS.items() if has.get(n)}
+    return influence(
+        model,
+        data,
+        stored["states"],
+        chosen,
+        learn=fit_constants(settings),
+        constants=constants,
+        kernels=process_kernels(settings.model, folder),
+    )
+
+
+def _potential(force: KernelPotential | NeuralPotential, field: FieldMap) -> np.ndarray:
+    points = np.stack(np.meshgrid(field.x, field.y), axis=-1).reshape(-1, 2)
+    at = jax.vmap(lambda x: force.potential(0.0, x))
+    return np.asarray(at(jnp.asarray(points)), float).reshape(field.distance.shape)
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.sum(values**2, axis=-1))))
+
+
+def _sobol_rows(indices: SobolIndices) -> list[dict[str, Any]]:
+    return [
+        {
+            "outcome": outcome,
+            "factor": factor,
+            "first": float(indices.first[i, j]),
+            "first_low": float(indices.first_interval[i, j, 0]),
+            "first_high": float(indices.first_interval[i, j, 1]),
+            "total": float(indices.total[i, j]),
+            "total_low": float(indices.total_interval[i, j, 0]),
+            "total_high": float(indices.total_interval[i, j, 1]),
+            "variance": float(indices.variance[i]),
+        }
+        for i, outcome in enumerate(indices.outcomes)
+        for j, factor in enumerate(indices.factors)
+    ]
+
+
+def _write_tables(found: dict[str, Any], folder: RunFolder) -> None:
+    for name in ("influence", "constants", "sobol"):
+        if rows := found.get(name):
+            values = [list(row.values()) for row in rows]
+            folder.write_table(f"analysis-{name}.csv", list(rows[0]), values)
+
+
+def text(found: dict[str, Any]) -> str:
+    """The findings for a terminal."""
+    parts, stretch = found["helmholtz"], found["stretch"]
+    spread = f" ± {parts['sd']:.2%} (sd)" if "sd" in parts else ""
+    lines = [
+        f"rotational part: {parts['rotational']:.2%}{spread} of the squared force "
+        f"within {parts['reach']:g} of the data; between {parts['least']:.2%} and "
+        f"{parts['greatest']:.2%}, whatever harmonic fields count as",
+    ]
+    if "above_two_sd" in found:
+        share = ", ".join(f"{k} {v:.0%}" for k, v in found["above_two_sd"].items())
+        lines.append(f"force above two standard deviations: {share} of the ground")
+    if "influence" in found:
+        most = max(found["influence"], key=lambda row: row["force"])
+        lines.append(
+            f"most influential: trajectory {most['trajectory']}; without it the force "
+            f"changes by {most['force']:.2%}"
+        )
+    for row in found.get("constants", ()):
+        lines.append(
+            f"{row['constant']} one percent larger: force {row['force']:.2%}, final "
+            f"position {row['final']:.3g}"
+        )
+    lines.append(
+        f"stretch of the final position by the start: median {stretch['median']:.3g}, "
+        f"greatest {stretch['greatest']:.3g}"
+    )
+    lines += [f"left out: {line}" for line in found["left_out"]]
+    return "\n".join(lines)

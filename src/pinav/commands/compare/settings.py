@@ -1,0 +1,59 @@
+"""Settings of `pinav compare`."""
+
+from typing import Annotated, Literal
+
+import msgspec
+import tyro
+
+from pinav.commands.settings import _check_counts
+from pinav.errors import InputError
+
+Candidate = Literal[
+    "kernel-potential",
+    "kernel-force",
+    "kernel-mixture",
+    "kernel-potential-time",
+    "first-order",
+    "isotropic-drag",
+    "anisotropic-drag",
+    "neural-potential",
+    "neural-force",
+    "physics-only",
+]
+
+
+class CompareSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Settings of `pinav compare`."""
+
+    models: Annotated[
+        tuple[Candidate, ...],
+        tyro.conf.arg(
+            help="Models to compare. kernel-, neural-: as in pinav fit; physics-only: "
+            "no environment; first-order: a kernel potential without inertia "
+            "(positions alone); isotropic-drag, anisotropic-drag: a kernel potential, "
+            "with the drag learned too."
+        ),
+    ] = ("kernel-potential", "kernel-force", "kernel-mixture")
+    noise: Annotated[
+        float | None,
+        tyro.conf.arg(
+            help="Standard deviation of the observations; estimated unless given."
+        ),
+    ] = None
+    physics: Annotated[
+        str | None,
+        tyro.conf.arg(
+            help="Scenario that supplies propulsion and drag; the one that the data "
+            "were simulated from unless given."
+        ),
+    ] = None
+    max_steps: Annotated[int, tyro.conf.arg(help="Steps of each fit at most.")] = 20
+
+    def check(self) -> None:
+        """Raise `InputError` where a setting makes no sense."""
+        _check_counts(self, "max_steps")
+        if len(set(self.models)) < 2:
+            raise InputError(
+                "--models: expected two or more different ones, such as --models "
+                "kernel-potential kernel-force"
+            )

@@ -1,0 +1,251 @@
+"""`pinav reproduce`: the paper's experiment, from nothing to its table and figures."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+
+from pinav.commands.fit.job import write_losses
+from pinav.commands.fit.matching import matching
+from pinav.commands.models import (
+    REPRODUCED,
+    SEEDLESS,
+    build_model,
+    data_summary,
+    residual,
+)
+from pinav.commands.progress import FitReporter
+from pinav.commands.reproduce.settings import ReproduceSettings
+from pinav.commands.reproduce.table2 import (
+    HEADER,
+    PAPER,
+    PAPER_LOSS,
+    ROWS,
+    Row,
+    improvements,
+    summary,
+)
+from pinav.dynamics import AbstractDynamics, FixedStep, Swimmer
+from pinav.evaluation import (
+    FieldMap,
+    decompose,
+    field_map,
+    force_errors,
+    predict,
+    score,
+)
+from pinav.fitting import fit_many
+from pinav.forces import ZeroForce
+from pinav.runs import RunFolder
+from pinav.scenarios import Scenario, scenario
+from pinav.trajectories import Trajectories, load, save, simulate
+
+
+@dataclasses.dataclass(frozen=True)
+class Entry:
+    """One kind of model that is trained, for all its seeds.
+
+    Attributes:
+        name: name of its row.
+        seeds: seeds of its network; (None,) where there is nothing random.
+        build: untrained model from known physics, seed and summary of the data.
+    """
+
+    name: str
+    seeds: tuple[int | None, ...]
+    build: Callable[..., Any]
+
+    def labels(self) -> list[str]:
+        """Name and seed of each member, as files and arrays are called."""
+        return [key_of(self.name, seed) for seed in self.seeds]
+
+
+def entries(settings: ReproduceSettings) -> list[Entry]:
+    """What the recipe trains."""
+    return [
+        Entry(name, (None,) if name in SEEDLESS else settings.seeds, build)
+        for name, build in REPRODUCED[settings.recipe].items()
+    ]
+
+
+def reproduce(settings: ReproduceSettings, folder: RunFolder) -> list[Row]:
+    """Simulate the benchmark, train the models, score, and write the results.
+
+    Whatever the folder already holds is not computed again.
+
+    Args:
+        settings: recipe and seeds.
+        folder: the run.
+
+    Returns:
+        The rows of Table 2.
+    """
+    benchmark = scenario("paper")
+    data = _data(benchmark, folder)
+    chosen = entries(settings)
+    for entry in chosen:
+        if not all(folder.has(model_file(label)) for label in entry.labels()):
+            _write_fits(entry, settings, data, folder)
+    rows, arrays = _evaluate(benchmark, data, chosen, folder)
+    folder.write_table("table2.csv", HEADER, [row.cells for row in rows])
+    folder.write_arrays("results.npz", arrays)
+    folder.write_json("metrics.json", _metrics(settings, rows, arrays, folder))
+    return rows
+
+
+def _data(benchmark: Scenario, folder: RunFolder) -> Trajectories:
+    if not folder.has("data.npz"):
+        save(simulate(benchmark), folder.path / "data.npz")
+    return load(folder.path / "data.npz")
+
+
+def model_file(label: str) -> str:
+    """Name of the file that holds a trained model."""
+    return f"model-{label}.eqx"
+
+
+def _write_fits(entry: Entry, settings, data, folder: RunFolder) -> None:
+    """Train, and write losses first: a model file says that all of its fit is there."""
+    known, summary = scenario("paper").swimmer, data_summary(data)
+    method = matching(settings, data)
+    models = [entry.build(known, seed, summary) for seed in entry.seeds]
+    with FitReporter(folder, entry.name) as report:
+        fits = fit_many(
+            models,
+            data,
+            method.recipe,
+            trainable=residual,
+            **method.options(),
+            checkpoint=folder.checkpoint(entry.name),
+            on_chunk=report,
+        )
+    write_losses(entry.name, fits, folder)
+    for seed, label, fit in zip(entry.seeds, entry.labels(), fits, strict=True):
+        header = {
+            "kind": settings.recipe,
+            "name": entry.name,
+            "seed": seed,
+            "physics": "paper",
+            "dtype": method.precision,
+            "data": summary,
+        }
+        folder.write_model(model_file(label), header, fit.model)
+
+
+def _evaluate(benchmark, data, chosen: Sequence[Entry], folder: RunFolder):
+    """Score every model; return the rows and the arrays behind the figures."""
+    arrays = {"times": data.times[0], "truth": data.states[0]}
+    arrays |= _true_arrays(benchmark.swimmer, data)
+    summary = data_summary(data)
+
+    def scored(model: str, seed: int | None, dynamics: AbstractDynamics) -> Row:
+        predictions, outcomes = predict(dynamics, data)
+        arrays[key_of(model, seed)] = predictions[0]
+        return Row(model, seed, score(predictions, outcomes, data))
+
+    rows = [scored("physics-only", None, _without_environment(benchmark.swimmer))]
+    for entry in chosen:
+        for seed, label in zip(entry.seeds, entry.labels(), strict=True):
+            before = entry.build(benchmark.swimmer, seed, summary)
+            trained = folder.read_model(model_file(label), build_model)
+            rows.append(scored(f"{entry.name}-untrained", seed, before))
+            rows.append(scored(entry.name, seed, trained))
+            own, _ = predict(trained, data, solver=FixedStep())
+            arrays[f"{label}/own"] = own[0]
+            if isinstance(trained, Swimmer):
+                arrays |= _force_arrays(trained, label, data)
+    order = list(ROWS)
+    listed = [row for row in rows if row.model in order]
+    return sorted(listed, key=lambda row: order.index(row.model)), arrays
+
+
+def _without_environment(truth: Swimmer) -> Swimmer:
+    return eqx.tree_at(lambda swimmer: swimmer.environment, truth, ZeroForce())
+
+
+def _true_arrays(truth: Swimmer, data: Trajectories) -> dict[str, np.ndarray]:
+    """The true force on the grid and along the trajectory."""
+    true = field_map(truth.environment, data)
+    parts = decompose(truth, data.times[0], data.states[0])
+    return {
+        "field/x": true.x,
+        "field/y": true.y,
+        "field/distance": true.distance,
+        "field/true": true.force,
+        "parts/true": parts.terms["environment"],
+    }
+
+
+def _force_arrays(swimmer: Swimmer, label: str, data: Trajectories):
+    """The learned force on the grid, and the parts of the acceleration."""
+    learned = field_map(swimmer.environment, data)
+    parts = decompose(swimmer, data.times[0], data.states[0])
+    arrays = {f"parts/{label}/{name}": terms for name, terms in parts.terms.items()}
+    return arrays | {f"field/{label}": learned.force}
+
+
+def key_of(model: str, seed: int | None) -> str:
+    """Name and seed of a model, as files and arrays are called."""
+    return model if seed is None else f"{model}-{seed}"
+
+
+def _metrics(settings, rows, arrays, folder) -> dict[str, Any]:
+    """Everything that a script would ask for; nothing that varies with the clock."""
+    chosen = entries(settings)
+    labels = [label for entry in chosen for label in entry.labels()]
+    with_force = [label for label in labels if f"field/{label}" in arrays]
+    true = stored_field(arrays, "true")
+    return {
+        "recipe": settings.recipe,
+        "seeds": list(settings.seeds),
+        "table2": [
+            {"model": row.model, "seed": row.seed}
+            | dict(zip(HEADER[2:], row.errors, strict=True))
+            for row in rows
+        ],
+        "paper_table2": {
+            k: dict(zip(HEADER[2:], v, strict=True)) for k, v in PAPER.items()
+        },
+        "summary_total": summary(rows),
+        "improvement": improvements(rows),
+        "loss": {entry.name: _losses(entry, folder) for entry in chosen},
+        "paper_loss": PAPER_LOSS,
+        "own_integrator_total": {label: _own_total(arrays, label) for label in labels},
+        "force_error": {
+            label: force_errors(stored_field(arrays, label), true)
+            for label in with_force
+        },
+    }
+
+
+def _losses(entry: Entry, folder: RunFolder) -> dict[str, dict[str, Any]]:
+    stored = folder.read_arrays(f"losses-{entry.name}.npz")
+    curves = zip(entry.seeds, stored["losses"], stored["outcomes"], strict=True)
+    return {
+        "-" if seed is None else str(seed): {
+            "start": float(losses[0]),
+            "end": float(losses[-1]),
+            "decades": float(np.log10(losses[0] / losses[-1])),
+            "iterations": int(losses.size - 1),
+            "outcome": str(outcome),
+        }
+        for seed, losses, outcome in curves
+    }
+
+
+def _own_total(arrays, label: str) -> float:
+    """Total error as one step per sample of the plain integrator sees it."""
+    difference = arrays[f"{label}/own"] - arrays["truth"]
+    return float(np.sqrt(np.mean(difference**2)))
+
+
+def stored_field(arrays: dict[str, np.ndarray], name: str) -> FieldMap:
+    """The field map of that name in `results.npz`."""
+    return FieldMap(
+        arrays["field/x"],
+        arrays["field/y"],
+        arrays[f"field/{name}"],
+        arrays["field/distance"],
+    )

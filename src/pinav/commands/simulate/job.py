@@ -1,0 +1,55 @@
+"""`pinav simulate`: trajectories of a named scenario, in a file."""
+
+from pathlib import Path
+
+import equinox as eqx
+import jax
+
+from pinav.commands.simulate.settings import SimulateSettings
+from pinav.scenarios import scenario
+from pinav.trajectories import (
+    AbstractDegradation,
+    FrameLoss,
+    Trajectories,
+    Unobserved,
+    degrade,
+    save,
+)
+from pinav.trajectories import simulate as simulate_scenario
+
+VELOCITY_CHANNELS = ("vx", "vy", "vz")
+
+
+def simulate(
+    name: str, settings: SimulateSettings, out: Path, *, overwrite: bool
+) -> Trajectories:
+    """Simulate a scenario and save its trajectories.
+
+    Raises:
+        InputError: the scenario is unknown, a setting makes no sense, or the file is
+            there.
+    """
+    settings.check()
+    starts_key, noise_key = jax.random.split(jax.random.key(settings.seed))
+    chosen = scenario(name, starts_key, count=settings.count)
+    if settings.noise is not None:
+        chosen = eqx.tree_at(lambda s: s.noise, chosen, settings.noise)
+    trajectories = simulate_scenario(chosen, key=noise_key)
+    steps = _degradations(settings, trajectories.channels)
+    if steps:
+        loss_key = jax.random.fold_in(noise_key, 2)
+        trajectories = degrade(trajectories, steps, key=loss_key)
+    save(trajectories, out, overwrite=overwrite)
+    return trajectories
+
+
+def _degradations(
+    settings: SimulateSettings, channels: tuple[str, ...]
+) -> list[AbstractDegradation]:
+    steps: list[AbstractDegradation] = []
+    if settings.frame_loss > 0:
+        steps.append(FrameLoss(settings.frame_loss))
+    velocities = tuple(name for name in channels if name in VELOCITY_CHANNELS)
+    if settings.positions_only and velocities:
+        steps.append(Unobserved(velocities))
+    return steps

@@ -1,0 +1,274 @@
+"""`pinav study`: how models fare with more data, and with more noise.
+
+Every cell of a study is one fit, made as `pinav fit` would, and scored on clean
+trajectories from starts that no fit has seen. A cell that is done is not done again.
+"""
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import equinox as eqx
+import jax
+from tqdm import tqdm
+
+from pinav.commands.fit.matching import matching
+from pinav.commands.fit.settings import FitSettings
+from pinav.commands.fitted_run import as_cell
+from pinav.commands.held_out import held_out
+from pinav.commands.models import (
+    KnownSwimmer,
+    data_summary,
+    fit_model,
+    fit_trainable,
+    model_summary,
+)
+from pinav.commands.study.settings import StudyModel, StudySettings
+from pinav.commands.study.stochastic_force_inference import infer_force
+from pinav.dynamics import AbstractDynamics, BrownianSwimmer
+from pinav.errors import FitError, InputError
+from pinav.evaluation import (
+    default_regions,
+    extent,
+    field_map,
+    force_agreement,
+    position_errors,
+    predict,
+    square,
+    summarise,
+)
+from pinav.fitting import BayesOutcome, FitOutcome, fit, fit_bayes
+from pinav.forces import ZeroForce
+from pinav.runs import RunFolder
+from pinav.scenarios import Scenario, scenario
+from pinav.trajectories import GaussianNoise, Trajectories, degrade, simulate
+
+ROWS = "rows.json"
+
+HEADER = (
+    "model",
+    "seed",
+    "trajectories",
+    "sigma",
+    "outcome",
+    "force visited",
+    "force near",
+    "force unvisited",
+    "cosine visited",
+    "rollouts median",
+    "rollouts 90 %",
+    "rollouts diverged",
+)
+"""Columns of the table of a study; a cell that failed has no numbers."""
+
+
+class Cell(eqx.Module):
+    """One fit of a study.
+
+    Attributes:
+        model: name of the model.
+        seed: of starts, noise and network.
+        count: number of trajectories.
+        sigma: standard deviation of the observations.
+    """
+
+    model: StudyModel
+    seed: int
+    count: int
+    sigma: float
+
+    @property
+    def label(self) -> str:
+        """What tells it from the other cells."""
+        return f"{self.model}, {self.count} x {self.sigma:g}, seed {self.seed}"
+
+
+def cells(name: str, settings: StudySettings) -> Iterator[Cell]:
+    """The fits of a study, small ones first."""
+    grid = [(count, settings.sigma) for count in settings.counts]
+    if name == "noise":
+        grid = [(settings.count, sigma) for sigma in settings.sigmas]
+    for count, sigma in grid:
+        for model in settings.models:
+            for seed in settings.seeds:
+                yield Cell(model, seed, count, sigma)
+
+
+def study(
+    name: str, world: str, settings: StudySettings, folder: RunFolder
+) -> list[dict[str, Any]]:
+    """Fit and score every cell, and write the table.
+
+    Args:
+        name: `data-efficiency` or `noise`.
+        world: name of the scenario.
+        settings: which models, seeds and data.
+        folder: the run; what it holds is not done again.
+
+    Returns:
+        The rows of the table, by the names of `HEADER`.
+
+    Raises:
+        InputError: the scenario is unknown, or of a kind that `pinav fit` cannot use.
+    """
+    known = scenario(world)
+    rows = folder.read_json(ROWS) if folder.has(ROWS) else {}
+    clean = held_out(world, count=settings.held_out)
+    chosen = list(cells(name, settings))
+    most = max(cell.count for cell in chosen)
+    several = {seed: clean_data(world, seed, most) for seed in settings.seeds}
+    with tqdm(chosen, desc=name, unit="fit", dynamic_ncols=True) as bar:
+        for cell in bar:
+            bar.set_postfix_str(cell.label)
+            if cell.label not in rows:
+                began = time.perf_counter()
+                rows[cell.label] = _row(
+                    cell, known, several[cell.seed], clean, settings
+                )
+                folder.write_json(ROWS, rows)
+                seconds = round(time.perf_counter() - began, 2)
+                folder.append_record({"model": cell.label, "seconds": seconds})
+    table = [rows[cell.label] for cell in chosen]
+    folder.write_table(
+        "study.csv",
+        HEADER,
+        [["" if v is None else v for v in r.values()] for r in table],
+    )
+    folder.write_json("metrics.json", {"study": name, "scenario": world, "rows": table})
+    return table
+
+
+def check(name: str, world: str, settings: StudySettings) -> None:
+    """Refuse a study before a folder is made for it.
+
+    Raises:
+        InputError: the scenario is unknown, stochastic or has too few starts.
+    """
+    if name == "paper-weakness":
+        return
+    for cell in cells(name, settings):
+        chosen = scenario(world, count=cell.count)
+        if isinstance(chosen.truth, BrownianSwimmer):
+            raise InputError(
+                f"study: scenario {world!r} is stochastic, so that clean trajectories "
+                f"to score against do not exist; choose another scenario"
+            )
+
+
+def clean_data(world: str, seed: int, count: int) -> Trajectories:
+    """Noise-free trajectories, from the starts of `pinav simulate --seed`.
+
+    Args:
+        world: name of the scenario.
+        seed: of the starts.
+        count: how many; more of a seed begin with the same ones.
+    """
+    starts_key, _ = jax.random.split(jax.random.key(seed))
+    chosen = scenario(world, starts_key, count=count)
+    return simulate(eqx.tree_at(lambda s: s.noise, chosen, 0.0))
+
+
+def with_noise(clean: Trajectories, sigma: float, seed: int) -> Trajectories:
+    """The trajectories as observed; more noise of a seed is the same noise, stronger.
+
+    Args:
+        clean: without noise.
+        sigma: standard deviation of the noise, in every state.
+        seed: of the noise.
+    """
+    _, noise_key = jax.random.split(jax.random.key(seed))
+    return degrade(clean, [GaussianNoise(sigma)], key=noise_key) if sigma else clean
+
+
+def _row(
+    cell: Cell,
+    known: Scenario,
+    several: Trajectories,
+    held: Trajectories,
+    settings: StudySettings,
+) -> dict[str, Any]:
+    clean = several.select(range(cell.count))
+    data = with_noise(clean, cell.sigma, cell.seed)
+    row: dict[str, Any] = dict.fromkeys(HEADER)
+    row |= {"model": cell.model, "seed": cell.seed}
+    row |= {"trajectories": cell.count, "sigma": cell.sigma}
+    try:
+        model, row["outcome"] = _fitted(cell, settings, known, data)
+    except FitError as error:
+        return row | {"outcome": f"failed: {error}"}
+    return row | scores(model, known, clean, held)
+
+
+def _fitted(cell: Cell, settings: StudySettings, known: Scenario, data: Trajectories):
+    if cell.model == "sfi":
+        found = infer_force(known.swimmer, data, cell.sigma)
+        return found, "functions selected by PASTIS"
+    own = FitSettings(model=cell.model, seed=cell.seed, max_steps=settings.max_steps)
+    return fitted(own, known.swimmer, data)
+
+
+def fitted(
+    settings: FitSettings, known: KnownSwimmer, data: Trajectories
+) -> tuple[AbstractDynamics, str]:
+    """A model as `pinav fit` fits it, and how the fit ended.
+
+    Physics alone has nothing to fit. A fit whose steps ran out is used as it stands.
+
+    Raises:
+        FitError: the fit failed.
+    """
+    if settings.model == "physics-only":
+        alone = eqx.tree_at(lambda m: m.environment, known, ZeroForce())
+        return alone, "nothing to fit"
+    if settings.method == "bayes":
+        start = fit_model(settings, known, model_summary(settings.model, data))
+        found = fit_bayes(start, data, max_iterations=settings.max_steps, throw=False)
+        if found.outcome is BayesOutcome.DIVERGED:
+            raise FitError("the fit diverged")
+        return found.model, found.outcome.name.lower()
+    method = matching(settings, data)
+    start = fit_model(settings, known, data_summary(data))
+    matched = fit(
+        start,
+        data,
+        method.recipe,
+        trainable=fit_trainable(settings),
+        throw=False,
+        **method.options(),
+    )
+    if matched.outcome is FitOutcome.DIVERGED:
+        raise FitError("the fit diverged")
+    return matched.model, matched.outcome.name.lower()
+
+
+def scores(
+    model: AbstractDynamics,
+    known: Scenario,
+    training: Trajectories,
+    held: Trajectories,
+) -> dict[str, Any]:
+    """Force by region, and rollouts, as columns of the table.
+
+    Args:
+        model: a fitted one.
+        known: the scenario, whose force is the truth.
+        training: what the model was fitted to, without noise: the regions are the same
+            for every noise.
+        held: clean trajectories to predict; the grid is the square around them.
+    """
+    ys, _ = predict(model, held)
+    whole = summarise(position_errors(ys, held, domain=extent(held)))
+    row = {
+        "rollouts median": as_cell(whole.median),
+        "rollouts 90 %": as_cell(whole.high),
+        "rollouts diverged": whole.diverged,
+    }
+    if not isinstance(model, KnownSwimmer):
+        return row
+    limits = square(held)
+    learned = field_map(model.environment, training, limits=limits)
+    true = field_map(known.swimmer.environment, training, limits=limits)
+    found = force_agreement(learned, true, default_regions(training))
+    for region in ("visited", "near", "unvisited"):
+        row[f"force {region}"] = as_cell(found[region].error)
+    return row | {"cosine visited": as_cell(found["visited"].cosine)}

@@ -1,0 +1,305 @@
+"""Figures of what was learned: potential, parts, trust, influence and sensitivity."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.figure import Figure
+
+from pinav.analysis import HelmholtzSplit, SobolIndices, StretchMap
+from pinav.evaluation import FieldMap
+from pinav.figures.force_maps import (
+    draw_arrows,
+    force_map,
+    heat_map,
+    largest_near,
+    overlay,
+)
+from pinav.figures.style import (
+    BLACK,
+    BLUE,
+    DIMENSIONLESS,
+    ORANGE,
+    SMALL,
+    TEXT,
+    VERMILLION,
+    add_legend,
+    force_unit,
+    label_axes,
+    new_figure,
+    prepared,
+    title_panel,
+    with_unit,
+)
+
+Path = Float[np.ndarray, "time 2"]
+
+
+def potential_map(
+    potential: Float[np.ndarray, "rows columns"],
+    field: FieldMap,
+    *,
+    path: Path | None = None,
+    units: Mapping[str, str] = DIMENSIONLESS,
+    ax: Axes | None = None,
+) -> Axes:
+    """A potential, up to a constant: its least value near the data is zero.
+
+    Args:
+        potential: on the grid of the map [L² T⁻²].
+        field: the map, whose distances say where there was data.
+        path: positions to overlay [L]; a row of NaN separates two trajectories.
+        units: unit of each channel; "1" means dimensionless.
+        ax: where to draw; a new figure unless given.
+    """
+    near = (field.distance <= field.regions.near) & np.isfinite(potential)
+    near = near if near.any() else np.isfinite(potential)
+    lifted = potential - potential[near].min()
+    top = float(lifted[near].max()) or 1.0
+    label = with_unit("$U$ above its least value", energy_unit(units))
+    look = ("viridis", label)
+    ax = heat_map(lifted, field, Normalize(0.0, top), look, units=units, ax=ax)
+    levels = np.linspace(0.0, top, 9)[1:-1]
+    ax.contour(field.x, field.y, lifted, levels, colors="white", linewidths=0.5)
+    overlay(ax, field, path, units, shade=True)
+    return ax
+
+
+def energy_unit(units: Mapping[str, str]) -> str:
+    """Unit of a mass-specific energy, from those of position and time."""
+    length, time = units.get("x", "1"), units.get("t", "1")
+    parts = ("" if length == "1" else f"{length}²", "" if time == "1" else f"{time}⁻²")
+    return " ".join(part for part in parts if part) or "1"
+
+
+def trust_map(
+    field: FieldMap,
+    sd: Float[np.ndarray, "rows columns 2"],
+    *,
+    path: Path | None = None,
+    units: Mapping[str, str] = DIMENSIONLESS,
+    ax: Axes | None = None,
+) -> Axes:
+    """Signal to noise: size of a learned force over its standard deviation.
+
+    A line surrounds ground where the force is known to less than half of its size.
+
+    Args:
+        field: the learned force.
+        sd: standard deviation of each component [L T⁻²].
+        path: as for `potential_map`.
+        units: unit of each channel; "1" means dimensionless.
+        ax: where to draw; a new figure unless given.
+    """
+    size = np.linalg.norm(field.force, axis=-1)
+    ratio = size / np.maximum(np.linalg.norm(sd, axis=-1), 1e-300)
+    norm = LogNorm(0.1, max(10.0, float(np.nanmax(ratio))))
+    look = ("cividis", r"$|F| / \mathrm{sd}(F)$")
+    ax = heat_map(ratio, field, norm, look, units=units, ax=ax)
+    if ratio.min() < DOUBT < ratio.max():
+        line = {"colors": VERMILLION, "linewidths": 1.2}
+        drawn = ax.contour(field.x, field.y, ratio, [DOUBT], **line)
+        ax.clabel(drawn, fmt={DOUBT: f"{DOUBT:g}"}, fontsize=SMALL)
+    overlay(ax, field, path, units, shade=False)
+    return ax
+
+
+DOUBT = 2.0
+"""Below this ratio of size to standard deviation a force may as well be zero."""
+
+
+def helmholtz_figure(
+    split: HelmholtzSplit,
+    field: FieldMap,
+    *,
+    spread: float | None = None,
+    path: Path | None = None,
+    units: Mapping[str, str] = DIMENSIONLESS,
+) -> Figure:
+    """Gradient part, rotational part and potential of a force, with their fractions.
+
+    Args:
+        split: of the force.
+        field: the force that was split.
+        spread: standard deviation of the fraction over posterior samples.
+        path: as for `potential_map`.
+        units: unit of each channel; "1" means dimensionless.
+    """
+    figure = new_figure(7.5, 3.9)
+    axes = figure.subplots(1, 3)
+    top = largest_near(np.linalg.norm(field.force, axis=-1), field)
+    plus = "" if spread is None else f" ± {spread:.1%}"
+    for ax, part, title in (
+        (axes[0], split.gradient, f"(a) gradient: {split.gradient_fraction:.1%}"),
+        (axes[1], split.rotational, f"(b) rotational: {split.rotational_fraction:.1%}"),
+    ):
+        shown = field.showing(part)
+        force_map(shown, path=path, limit=top, units=units, ax=ax)
+        title_panel(ax, title + plus)
+    potential_map(split.potential, field, path=path, units=units, ax=axes[2])
+    title_panel(axes[2], "(c) potential of (a)")
+    _one_legend(figure, axes)
+    return figure
+
+
+def influence_figure(
+    changes: Float[np.ndarray, "trajectory rows columns 2"],
+    field: FieldMap,
+    paths: Sequence[Path],
+    *,
+    most: int = 6,
+    units: Mapping[str, str] = DIMENSIONLESS,
+) -> Figure:
+    """How the force would change without each of the most influential trajectories.
+
+    Args:
+        changes: of the force, where one trajectory is left out [L T⁻²].
+        field: the force, for the grid and its distances.
+        paths: observed positions of each trajectory [L].
+        most: how many trajectories are shown.
+        units: unit of each channel; "1" means dimensionless.
+    """
+    near = field.distance <= field.regions.near
+    sizes = np.linalg.norm(changes, axis=-1)
+    order = np.argsort(-(sizes[:, near] ** 2).sum(axis=1))[:most]
+    top = float(sizes[order][:, near].max()) or 1.0
+    columns = min(3, len(order))
+    rows = -(-len(order) // columns)
+    figure = new_figure(2.5 * max(columns, 2), 3.2 * rows)
+    axes = np.ravel(figure.subplots(rows, columns))
+    label = with_unit(r"$|\Delta F|$", force_unit(units))
+    for ax, index in zip(axes, order, strict=False):
+        shown = field.showing(changes[index])
+        norm = Normalize(0.0, top)
+        heat_map(sizes[index], field, norm, ("magma", label), units=units, ax=ax)
+        draw_arrows(ax, shown, top)
+        overlay(ax, field, paths[index], units, shade=True)
+        title_panel(ax, f"without trajectory {index}")
+    for ax in axes[len(order) :]:
+        ax.set_visible(False)
+    _one_legend(figure, axes)
+    return figure
+
+
+def constants_figure(
+    slopes: Mapping[str, Float[np.ndarray, "rows columns 2"]],
+    field: FieldMap,
+    *,
+    path: Path | None = None,
+    units: Mapping[str, str] = DIMENSIONLESS,
+) -> Figure:
+    """How the force changes where a constant is one percent larger.
+
+    Args:
+        slopes: change of the force per percent of each constant [L T⁻²].
+        field: the force, for the grid and its distances.
+        path: as for `potential_map`.
+        units: unit of each channel; "1" means dimensionless.
+    """
+    figure = new_figure(max(2.7 * len(slopes), 4.0), 3.9)
+    axes = np.ravel(figure.subplots(1, len(slopes)))
+    label = with_unit(r"$|\Delta F|$ per percent", force_unit(units))
+    for ax, (name, change) in zip(axes, slopes.items(), strict=True):
+        size = np.linalg.norm(change, axis=-1)
+        top = largest_near(size, field)
+        look = ("magma", label)
+        heat_map(size, field, Normalize(0.0, top), look, units=units, ax=ax)
+        draw_arrows(ax, field.showing(change), top)
+        overlay(ax, field, path, units, shade=True)
+        title_panel(ax, f"{name} one percent larger")
+    _one_legend(figure, axes)
+    return figure
+
+
+def stretch_figure(
+    stretch: StretchMap,
+    *,
+    path: Path | None = None,
+    units: Mapping[str, str] = DIMENSIONLESS,
+) -> Figure:
+    """Stretch of the final position over the starts, on a logarithmic scale.
+
+    Args:
+        stretch: the map.
+        path: as for `potential_map`.
+        units: unit of each channel; "1" means dimensionless.
+    """
+    figure = new_figure(4.2, 4.6)
+    ax = figure.subplots()
+    values = np.where(stretch.stretch > 0, stretch.stretch, np.nan)
+    low, high = (float(f(values)) for f in (np.nanmin, np.nanmax))
+    norm = LogNorm(min(low, 0.9 * high), max(high, 1.1 * low))
+    label = r"stretch $\sigma_{\max}(\partial x(T)/\partial x(0))$"
+    heat_map(values, stretch, norm, ("cividis", label), units=units, ax=ax)
+    if path is not None:
+        ax.plot(*path.T, color=VERMILLION, lw=1.2, label="reference trajectory")
+        ax.plot(*path[0], "o", color=VERMILLION, ms=4, mec=BLACK, mew=0.5)
+        add_legend(ax, loc="upper left")
+    ax.set(xlim=stretch.x[[0, -1]], ylim=stretch.y[[0, -1]])
+    horizon = with_unit(f"$T$ = {stretch.horizon:.4g}", units.get("t", "1"))
+    title_panel(ax, f"by the start, {horizon}")
+    return figure
+
+
+def sobol_figure(indices: SobolIndices) -> Figure:
+    """First-order and total Sobol' indices with intervals, one panel per outcome.
+
+    Args:
+        indices: of all outcomes; those that do not vary are left out.
+    """
+    varying = np.flatnonzero(np.isfinite(indices.total).all(axis=1))
+    count = max(len(varying), 1)
+    height = 1.2 + 0.34 * len(indices.factors)
+    columns = min(count, 3)
+    rows = -(-count // columns)
+    figure = new_figure(2.5 * max(columns, 2), height * rows)
+    axes = np.ravel(figure.subplots(rows, columns, sharey=True))
+    for ax, outcome in zip(axes, varying, strict=False):
+        _bars(prepared(ax), indices, int(outcome))
+    for ax in axes[len(varying) :]:
+        ax.set_visible(False)
+    handles, labels = axes[0].get_legend_handles_labels()
+    place = {"loc": "outside lower center", "ncols": 2, "fontsize": SMALL}
+    figure.legend(handles, labels, frameon=False, **place)
+    return figure
+
+
+def _bars(ax: Axes, indices: SobolIndices, outcome: int) -> None:
+    places = np.arange(len(indices.factors))
+    for shift, name, color, values, interval in (
+        (-0.2, "first order", BLUE, indices.first, indices.first_interval),
+        (0.2, "total", ORANGE, indices.total, indices.total_interval),
+    ):
+        own, (low, high) = values[outcome], interval[outcome].T
+        error = np.maximum([own - low, high - own], 0.0)
+        ax.barh(
+            places + shift,
+            own,
+            0.36,
+            xerr=error,
+            color=color,
+            label=f"{name}, with {indices.confidence:.0%} interval",
+            error_kw={"lw": 0.9, "capsize": 2.0, "ecolor": BLACK},
+        )
+    ax.set_yticks(places, indices.factors, fontsize=TEXT)
+    ax.set_ylim(len(places) - 0.5, -0.5)
+    ax.axvline(0.0, color=BLACK, lw=0.6)
+    label_axes(ax, "share of the variance", "")
+    title_panel(ax, indices.outcomes[outcome])
+
+
+def _one_legend(figure: Figure, axes: Sequence[Axes] | np.ndarray) -> None:
+    """The legend of the first panel, once, below all of them."""
+    legends = [legend for ax in axes if (legend := ax.get_legend()) is not None]
+    handles = [handle for handle in legends[0].legend_handles if handle is not None]
+    labels = [text.get_text() for text in legends[0].get_texts()]
+    for legend in legends:
+        legend.remove()
+    left = min(ax.get_position().x0 for ax in axes)
+    for ax in axes:
+        if ax.get_position().x0 > left + 1e-6:
+            ax.set_ylabel("")
+    place = {"loc": "outside lower center", "ncols": 2, "fontsize": SMALL}
+    figure.legend(handles, labels, frameon=False, **place)

@@ -1,0 +1,149 @@
+"""An animation of closed-loop runs, as one GIF file."""
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from PIL import Image
+
+from pinav.figures.navigation import COLORS, Course, field_of, paths_map
+from pinav.figures.style import (
+    BLACK,
+    DIMENSIONLESS,
+    GREY,
+    SMALL,
+    new_figure,
+    title_panel,
+)
+from pinav.files import atomic_write
+
+FRAMES, DOTS = 60, 90
+"""Frames of an animation at most, and dots per inch."""
+
+FRAME_TIME, LAST_FRAME = 80, 1500
+"""How long a frame is shown, and how long the last one [ms]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Trails:
+    """Paths of controllers that move together.
+
+    Attributes:
+        paths: positions of one run of each controller, its last one repeated [L].
+        step: time between two of them [T].
+    """
+
+    paths: Mapping[str, Float[np.ndarray, "_ 2"]]
+    step: float
+
+    @property
+    def steps(self) -> int:
+        """Steps until nothing moves any more."""
+        moving = [
+            np.flatnonzero(np.any(np.diff(path, axis=0) != 0, axis=1))
+            for path in self.paths.values()
+        ]
+        return max((int(own[-1]) + 1 for own in moving if own.size), default=0)
+
+
+def save_animation(
+    arrays: Mapping[str, np.ndarray],
+    trails: Trails,
+    path: Path,
+    *,
+    units: Mapping[str, str] = DIMENSIONLESS,
+) -> Path:
+    """Write runs over the true and the learned force as a GIF that repeats.
+
+    The file appears whole or not at all; the same runs give the same bytes.
+
+    Args:
+        arrays: results of a run of `pinav navigate`.
+        trails: what moves.
+        path: of the file; its folder is made.
+        units: unit of each channel; "1" means dimensionless.
+    """
+    figure, axes = _stage(arrays, trails, units)
+    canvas = FigureCanvasAgg(figure)
+    figure.set_dpi(DOTS)
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
+    moving = [_actors(ax, trails) for ax in axes]
+    clock = figure.text(0.99, 0.99, "", fontsize=SMALL, ha="right", va="top")
+    frames = []
+    for step in _shown(trails.steps):
+        clock.set_text(f"t = {step * trails.step:.2f}")
+        for actors in moving:
+            _move(actors, trails, step)
+        canvas.draw()
+        image = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+        frames.append(image.quantize(64, method=Image.Quantize.FASTOCTREE))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    times = [FRAME_TIME] * (len(frames) - 1) + [LAST_FRAME]
+    options = {"save_all": True, "append_images": frames[1:], "loop": 0}
+    atomic_write(
+        path,
+        lambda file: frames[0].save(
+            file, format="GIF", duration=times, optimize=False, **options
+        ),
+        overwrite=True,
+    )
+    return path
+
+
+def _stage(arrays, trails, units) -> tuple[Figure, list[Axes]]:
+    """The maps on which the runs are shown."""
+    names = [name for name in ("true", "learned") if f"field/{name}" in arrays]
+    figure = new_figure(3.2 * len(names), 4.0)
+    axes = list(np.ravel(figure.subplots(1, len(names))))
+    top = max(float(np.linalg.norm(arrays[f"field/{n}"], axis=-1).max()) for n in names)
+    for ax, name in zip(axes, names, strict=True):
+        field = field_of(arrays, f"field/{name}")
+        options = {"limit": max(top, 1e-12), "units": units, "ax": ax}
+        paths_map(field, Course(arrays), {}, **options)
+        title_panel(ax, f"{name} force")
+    keys = [
+        ax_line
+        for ax_line in (
+            axes[0].plot([], [], color=COLORS.get(n, GREY), lw=1.5, label=n)[0]
+            for n in trails.paths
+        )
+    ]
+    figure.legend(
+        handles=keys,
+        loc="outside lower center",
+        ncols=len(keys),
+        fontsize=SMALL,
+        frameon=False,
+    )
+    return figure, axes
+
+
+def _actors(ax: Axes, trails: Trails) -> dict:
+    """A line and a dot for each controller; the oracle below and wide."""
+    actors = {}
+    for name in sorted(trails.paths, key=lambda name: name != "oracle"):
+        color, below = COLORS.get(name, GREY), name == "oracle"
+        line = ax.plot([], [], color=color, lw=3.0 if below else 1.3)[0]
+        size = 8 if below else 5
+        dot = ax.plot([], [], "o", mfc=color, mec=BLACK, ms=size)[0]
+        actors[name] = (line, dot)
+    return actors
+
+
+def _move(actors: dict, trails: Trails, step: int) -> None:
+    for name, (line, dot) in actors.items():
+        seen = trails.paths[name][: step + 1]
+        line.set_data(*seen.T)
+        dot.set_data(*seen[-1:].T)
+
+
+def _shown(steps: int) -> list[int]:
+    """Steps of which there is a frame."""
+    count = min(FRAMES, steps + 1)
+    return sorted(set(np.linspace(0, steps, count).round().astype(int).tolist()))

@@ -1,0 +1,229 @@
+"""Figures of errors: over time, by region, over data or noise, and of residuals."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from pinav.evaluation import ErrorCurve
+from pinav.figures.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY,
+    SMALL,
+    THIN,
+    VERMILLION,
+    LineStyle,
+    add_legend,
+    finite,
+    label_axes,
+    new_figure,
+    prepared,
+    title_panel,
+)
+
+MODEL_STYLES = {
+    "kernel-potential": LineStyle("kernel potential", BLUE),
+    "kernel-force": LineStyle("kernel force", SKY, "--"),
+    "neural-potential": LineStyle("neural potential", GREEN),
+    "neural-force": LineStyle("neural force", ORANGE, "--"),
+    "ude": LineStyle("UDE with time", VERMILLION),
+    "physics-only": LineStyle("physics only", GREY, ":"),
+    "nn-only": LineStyle("NN only", PURPLE, "-."),
+}
+MARKERS = "os^vDxP"
+
+
+def style_of_model(name: str) -> LineStyle:
+    """Colour and dash of a model of `pinav fit`; any other is black."""
+    return MODEL_STYLES.get(name) or LineStyle(name, BLACK)
+
+
+def error_over_time(
+    curves: Mapping[str, ErrorCurve],
+    *,
+    styles: Mapping[str, LineStyle] | None = None,
+    horizon: float | None = None,
+    unit: str = "1",
+    ax: Axes | None = None,
+) -> Axes:
+    """Median position error over time, with the 90th percentile above it.
+
+    What diverged leaves the frame: a line ends where half, or a tenth, of the
+    trajectories have diverged.
+
+    Args:
+        curves: by the name of the legend.
+        styles: how each is drawn; by the order of the spare colours unless given.
+        horizon: longest time in the training data [T], marked unless None.
+        unit: of length; "1" means dimensionless.
+        ax: where to draw; a new figure unless given.
+    """
+    ax = prepared(ax)
+    spare = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, GREY)
+    for index, (name, curve) in enumerate(curves.items()):
+        color, dash = spare[index % len(spare)], "-"
+        if styles and name in styles:
+            color, dash = styles[name].color, styles[name].dash
+        median, high = _positive(curve.median), _positive(curve.high)
+        ax.fill_between(curve.elapsed, median, high, color=color, alpha=0.15, lw=0)
+        ax.plot(curve.elapsed, median, dash, color=color, lw=THIN, label=name)
+        ax.plot(curve.elapsed, high, ":", color=color, lw=0.8)
+    _set_log_if_positive(ax, [c.high for c in curves.values()])
+    if horizon is not None:
+        ax.axvline(horizon, color=GREY, lw=0.8, ls=(0, (4, 2)), zorder=1)
+    suffix = "" if unit in ("1", "?") else f" [{unit.replace('um', 'µm')}]"
+    label_axes(ax, "time since the start", f"position error{suffix}")
+    add_legend(ax)
+    return ax
+
+
+def _set_log_if_positive(ax: Axes, groups: Sequence) -> None:
+    """A log scale needs one number to begin at; without any the axis stays empty."""
+    values = [finite(np.asarray(group, float)) for group in groups]
+    if any((group > 0).any() for group in values):
+        ax.set_yscale("log")
+        ax.tick_params(which="both", labelsize=SMALL)
+
+
+def _positive(values) -> np.ndarray:
+    values = finite(values)
+    return np.where(values > 0, values, np.nan)
+
+
+def residual_autocorrelation(
+    autocorrelation: Float[np.ndarray, "channel lag"],
+    counts: Sequence[int],
+    channels: Sequence[str],
+    *,
+    ax: Axes | None = None,
+) -> Axes:
+    r"""Autocorrelation at each lag, with the band $\pm 1.96/\sqrt n$ of white noise.
+
+    Args:
+        autocorrelation: at lags 1, 2, ...
+        counts: residuals of each channel; a channel without any is left out.
+        channels: their names.
+        ax: where to draw; a new figure unless given.
+    """
+    ax = prepared(ax)
+    lags = np.arange(1, autocorrelation.shape[1] + 1)
+    used = [i for i, count in enumerate(counts) if count]
+    colors = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
+    for place, i in enumerate(used):
+        shift = 0.12 * (place - (len(used) - 1) / 2)
+        values, color = finite(autocorrelation[i]), colors[i % len(colors)]
+        ax.vlines(lags + shift, 0.0, values, color=color, lw=THIN)
+        ax.plot(
+            lags + shift, values, MARKERS[i], color=color, ms=3.5, label=channels[i]
+        )
+    bound = 1.96 / np.sqrt(min(counts[i] for i in used))
+    ax.axhspan(-bound, bound, color="0.9", zorder=0, label="95 % of white noise")
+    ax.axhline(0.0, color=GREY, lw=0.6)
+    label_axes(ax, "lag [samples]", "autocorrelation of residuals")
+    add_legend(ax, columns=2)
+    return ax
+
+
+def errors_by_region(
+    errors: Mapping[str, Mapping[str, float | str | None]],
+    *,
+    styles: Mapping[str, LineStyle] | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Bars of the relative force error in each region, one colour for each model.
+
+    Args:
+        errors: relative errors by region, by model; what is no number has no bar.
+        styles: how each model is drawn.
+        ax: where to draw; a new figure unless given.
+    """
+    ax = prepared(ax)
+    spare = (BLUE, VERMILLION, GREEN, PURPLE)
+    regions = list(next(iter(errors.values())))
+    width = 0.8 / len(errors)
+    for index, (name, values) in enumerate(errors.items()):
+        color = spare[index % len(spare)]
+        if styles and name in styles:
+            color = styles[name].color
+        x = np.arange(len(regions)) + width * (index - (len(errors) - 1) / 2)
+        heights = np.array([_percent(values[region]) for region in regions])
+        ax.bar(x, heights, 0.92 * width, color=color, label=name)
+        for at, height in zip(x, heights, strict=True):
+            if np.isfinite(height):
+                label = f"{height:.2g}" if height < 100 else f"{height:.0f}"
+                ax.text(at, height, label, ha="center", va="bottom", fontsize=SMALL)
+    percent = [[_percent(v) for v in row.values()] for row in errors.values()]
+    _set_log_if_positive(ax, percent)
+    ax.set_xticks(np.arange(len(regions)), regions)
+    label_axes(ax, "ground", "relative force error (%)")
+    low, high = ax.get_ylim()
+    ax.set_ylim(low, high * 30 ** (ax.get_yscale() == "log"))  # room for the legend
+    add_legend(ax, loc="upper left")
+    return ax
+
+
+def _percent(value: object) -> float:
+    return 100.0 * value if isinstance(value, float) else float("nan")
+
+
+Series = Mapping[str, Sequence[tuple[float, float]]]
+"""Points (x, y) by model; several at one x are several seeds."""
+
+
+def scaling_figure(
+    force: Series, rollouts: Series, *, quantity: str, unit: str = "1"
+) -> Figure:
+    """Force error and rollout error over the size or the noise of the data, log-log.
+
+    A zero on the x axis stands left of all others, and is labelled so.
+
+    Args:
+        force: relative force error on visited ground.
+        rollouts: median position error of held-out rollouts.
+        quantity: label of the x axis.
+        unit: of length; "1" means dimensionless.
+    """
+    figure = new_figure(7.5, 3.6)
+    left, right = figure.subplots(1, 2)
+    percent = {m: [(x, 100 * y) for x, y in points] for m, points in force.items()}
+    _scaling(left, percent, quantity, "force error on visited ground (%)")
+    suffix = "" if unit in ("1", "?") else f" [{unit.replace('um', 'µm')}]"
+    _scaling(right, rollouts, quantity, f"held-out median position error{suffix}")
+    title_panel(left, "(a) force")
+    title_panel(right, "(b) rollouts from held-out starts")
+    add_legend(right)
+    return figure
+
+
+def _scaling(ax: Axes, series: Series, quantity: str, label: str) -> None:
+    ax = prepared(ax)
+    ticks = sorted({x for points in series.values() for x, _ in points})
+    place = _places(ticks)
+    for index, (name, points) in enumerate(series.items()):
+        style, marker = style_of_model(name), MARKERS[index % len(MARKERS)]
+        shown = [(place[x], y) for x, y in points if np.isfinite(y) and y > 0]
+        if not shown:
+            ax.plot([], [], style.dash, color=style.color, label=f"{style.label}: none")
+            continue
+        at = sorted({x for x, _ in shown})
+        middle = [np.median([y for other, y in shown if other == x]) for x in at]
+        ax.plot(at, middle, style.dash, color=style.color, lw=THIN, label=style.label)
+        ax.plot(*zip(*shown, strict=True), marker, color=style.color, ms=4)
+    ax.set_xscale("log")
+    _set_log_if_positive(ax, [[y for _, y in points] for points in series.values()])
+    ax.minorticks_off()
+    ax.set_xticks([place[x] for x in ticks], [f"{x:g}" for x in ticks])
+    label_axes(ax, quantity, label)
+
+
+def _places(ticks: Sequence[float]) -> dict[float, float]:
+    """Where each value stands on a log axis; zero half-way below the smallest."""
+    positive = [x for x in ticks if x > 0]
+    return {x: x if x > 0 else min(positive, default=1.0) / 2 for x in ticks}

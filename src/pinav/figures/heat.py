@@ -1,0 +1,233 @@
+"""Figures of bioheat: temperature, dose, probes, protocol and learned perfusion."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
+
+from pinav.figures.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY,
+    SMALL,
+    THIN,
+    VERMILLION,
+    WIDE,
+    add_legend,
+    label_axes,
+    new_figure,
+    prepared,
+    title_panel,
+)
+
+COLORS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, GREY, BLACK)
+ISOTHERMS = (39.0, 41.0, 43.0, 45.0, 47.0)
+"""Temperatures [°C] that are marked."""
+
+DOSES = (1.0, 10.0, 60.0, 240.0)
+"""Doses [CEM43 min] that are marked."""
+
+
+def profiles(
+    radius: Float[np.ndarray, " cell"],
+    temperatures: Mapping[str, Float[np.ndarray, " cell"]],
+    *,
+    edge: float | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Temperature along the radius, one line for each time.
+
+    Args:
+        radius: centres of the cells [m].
+        temperatures: [°C], by what the legend says.
+        edge: radius of the tumour [m], marked unless None.
+        ax: where to draw; a new figure unless given.
+    """
+    ax = prepared(ax)
+    shades = colormaps["viridis"](np.linspace(0.0, 0.85, len(temperatures)))
+    for shade, (name, values) in zip(shades, temperatures.items(), strict=True):
+        ax.plot(1e3 * radius, values, color=shade, lw=THIN, label=name)
+    _mark_edge(ax, edge)
+    label_axes(ax, "radius [mm]", "temperature [°C]")
+    add_legend(ax)
+    return ax
+
+
+def dose_profile(
+    radius: Float[np.ndarray, " cell"],
+    dose: Float[np.ndarray, " cell"],
+    *,
+    edge: float | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Dose along the radius on a logarithmic scale.
+
+    Args:
+        radius: centres of the cells [m].
+        dose: CEM43 [min]; what is below a thousandth is left out.
+        edge: radius of the tumour [m], marked unless None.
+        ax: where to draw; a new figure unless given.
+    """
+    ax = prepared(ax)
+    ax.plot(1e3 * radius, np.where(dose > 1e-3, dose, np.nan), color=BLUE, lw=THIN)
+    if np.any(dose > 1e-3):
+        ax.set_yscale("log")
+        ax.tick_params(which="both", labelsize=SMALL)
+    _mark_edge(ax, edge)
+    label_axes(ax, "radius [mm]", "dose [CEM43 min]")
+    return ax
+
+
+def _mark_edge(ax, edge):
+    if edge is not None:
+        ax.axvline(1e3 * edge, color=GREY, lw=0.8, ls=(0, (4, 2)), zorder=1)
+
+
+def plane_map(
+    values: Float[np.ndarray, "row column"],
+    spacing: tuple[float, float],
+    *,
+    levels: Sequence[float],
+    label: str,
+    logarithmic: bool = False,
+    ax: Axes | None = None,
+) -> Axes:
+    """A field in a plane with contours.
+
+    Args:
+        values: along x in rows, along y in columns.
+        spacing: of the cells [m].
+        levels: of the contours.
+        label: of the colour bar.
+        logarithmic: colour the logarithm; values below a thousandth as that.
+        ax: where to draw; a new figure unless given.
+    """
+    ax = prepared(ax)
+    shown = np.log10(np.maximum(values, 1e-3)) if logarithmic else values
+    extent = [1e3 * n * h for n, h in zip(values.shape, spacing, strict=True)]
+    image = ax.imshow(
+        shown.T, origin="lower", extent=(0.0, extent[0], 0.0, extent[1]), cmap="inferno"
+    )
+    at = np.log10(levels) if logarithmic else np.asarray(levels)
+    within = [(a, v) for a, v in zip(at, levels, strict=True)]
+    within = [(a, v) for a, v in within if shown.min() < a < shown.max()]
+    if within:
+        centers = [
+            1e3 * h * (np.arange(n) + 0.5)
+            for n, h in zip(values.shape, spacing, strict=True)
+        ]
+        lines = ax.contour(
+            *centers, shown.T, [a for a, _ in within], colors="white", linewidths=0.8
+        )
+        ax.clabel(lines, fmt={a: f"{v:g}" for a, v in within}, fontsize=SMALL)
+    figure = ax.figure
+    bar = figure.colorbar(image, ax=ax, shrink=0.85)
+    bar.set_label(f"log10 of {label}" if logarithmic else label, fontsize=SMALL)
+    bar.ax.tick_params(labelsize=SMALL)
+    label_axes(ax, "x [mm]", "y [mm]")
+    return ax
+
+
+def probe_curves(
+    times: Float[np.ndarray, " time"],
+    predicted: Float[np.ndarray, "time probe"],
+    names: Sequence[str],
+    *,
+    readings: tuple[np.ndarray, np.ndarray] | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Temperature of each probe over time, readings as dots.
+
+    Args:
+        times: [s].
+        predicted: [°C].
+        names: of the probes.
+        readings: their times [s], and values [°C] of the same probes.
+        ax: where to draw; a new figure unless given.
+    """
+    ax = prepared(ax)
+    for index, name in enumerate(names):
+        color = COLORS[index % len(COLORS)]
+        if readings is not None:
+            at, values = readings
+            ax.plot(at / 60, values[:, index], ".", color=color, ms=2, alpha=0.5)
+        ax.plot(times / 60, predicted[:, index], color=color, lw=THIN, label=name)
+    label_axes(ax, "time [min]", "temperature [°C]")
+    add_legend(ax, columns=2)
+    return ax
+
+
+def protocol_figure(
+    edges: Sequence[float],
+    starts: Float[np.ndarray, " interval"],
+    ends: Float[np.ndarray, " interval"],
+    hottest: tuple[np.ndarray, np.ndarray],
+    *,
+    bound: float | None = None,
+) -> Figure:
+    """The amplitude over time, and the highest temperature below it.
+
+    Args:
+        edges: of the intervals [s].
+        starts: amplitude at the begin of each [A m⁻¹].
+        ends: at its end.
+        hottest: times [s], and highest temperature [°C] then.
+        bound: on that temperature, marked unless None.
+    """
+    figure = new_figure(4.6, 4.2)
+    above, below = figure.subplots(2, 1, sharex=True)
+    for ax in (above, below):
+        prepared(ax)
+    at = np.repeat(np.asarray(edges) / 60, 2)[1:-1]
+    values = np.stack([starts, ends], axis=1).reshape(-1)
+    above.plot(at, values / 1e3, color=BLUE, lw=THIN)
+    above.set_ylim(bottom=0.0)
+    label_axes(above, "", "amplitude H [kA/m]")
+    below.plot(hottest[0] / 60, hottest[1], color=VERMILLION, lw=THIN)
+    if bound is not None:
+        below.axhline(bound, color=GREY, lw=0.8, ls=(0, (4, 2)))
+    label_axes(below, "time [min]", "highest temperature [°C]")
+    title_panel(above, "(a) field")
+    title_panel(below, "(b) hottest cell")
+    return figure
+
+
+def perfusion_figure(laws: Mapping[str, Mapping[str, Any]]) -> Figure:
+    """Learned perfusion with its 95 % band; pale where the tissue was not.
+
+    Args:
+        laws: by tissue: `temperatures` [°C], `values`, `low`, `high` and, where it is
+            known, `true` [kg m⁻³ s⁻¹] there, and which of them were `visited`.
+    """
+    figure = new_figure(3.8 * len(laws), 3.2)
+    panels = figure.subplots(1, len(laws), squeeze=False)[0]
+    for ax, (name, law) in zip(panels, laws.items(), strict=True):
+        prepared(ax)
+        temperatures = law["temperatures"]
+        visited: Bool[np.ndarray, " temperature"] = np.asarray(law["visited"], bool)
+        if law.get("true") is not None:
+            ax.plot(temperatures, law["true"], color=BLACK, lw=WIDE, label="truth")
+        ax.fill_between(
+            temperatures, law["low"], law["high"], color=BLUE, alpha=0.2, lw=0
+        )
+        known = np.where(visited, law["values"], np.nan)
+        ax.plot(temperatures, law["values"], ":", color=BLUE, lw=THIN)
+        ax.plot(temperatures, known, color=BLUE, lw=THIN, label="learned, 95 % band")
+        ax.set_yscale("log")
+        plain = LogFormatter(minor_thresholds=(2.0, 0.5))
+        ax.yaxis.set_major_formatter(plain)
+        ax.yaxis.set_minor_formatter(plain)
+        ax.tick_params(which="both", labelsize=SMALL)
+        label_axes(ax, "temperature [°C]", "perfusion [kg/(m³ s)]")
+        title_panel(ax, name)
+    add_legend(panels[0])
+    return figure

@@ -1,0 +1,127 @@
+"""Candidate laws of a learned force: their ranking, and the best one against it."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from pinav.figures.style import (
+    BLUE,
+    GREY,
+    ORANGE,
+    SMALL,
+    TEXT,
+    VERMILLION,
+    add_legend,
+    label_axes,
+    new_figure,
+    prepared,
+    title_panel,
+    with_unit,
+)
+
+CLOSE, FLOOR = 6.0, 0.5
+"""Difference up to which laws are not told apart, and the shortest bar."""
+
+
+def law_ranking(
+    names: Sequence[str],
+    differences: Sequence[float],
+    *,
+    ax: Axes | None = None,
+) -> Axes:
+    """Bars of the difference in BIC to the best law, on a logarithmic scale.
+
+    Args:
+        names: of the laws, the best one first.
+        differences: of their BIC to that of the best one; what is not finite is left
+            out.
+        ax: where to draw; a new figure unless given.
+    """
+    ax = prepared(ax)
+    shown = [
+        (n, max(d, FLOOR))
+        for n, d in zip(names, differences, strict=True)
+        if np.isfinite(d)
+    ]
+    labels, lengths = [n for n, _ in shown], [d for _, d in shown]
+    colors = [BLUE if length < CLOSE else GREY for length in lengths]
+    ax.barh(labels, [n - 0.9 * FLOOR for n in lengths], 0.6, 0.9 * FLOOR, color=colors)
+    ax.axvline(CLOSE, color=VERMILLION, lw=0.8, ls="--")
+    ax.set_xscale("log")
+    ax.set_xlim(0.9 * FLOOR, 2.0 * max(*lengths, 2 * CLOSE))
+    ax.invert_yaxis()
+    label_axes(ax, r"$\Delta$BIC (dashed: 6)", "")
+    ax.tick_params(axis="y", length=0)
+    return ax
+
+
+def law_agreement(
+    learned: Float[np.ndarray, "point 2"],
+    sd: Float[np.ndarray, "point 2"],
+    law: Float[np.ndarray, "point 2"],
+    *,
+    unit: str = "1",
+    ax: Axes | None = None,
+) -> Axes:
+    """The learned force against that of a law, both components, at the same points.
+
+    Args:
+        learned: force at points on visited ground.
+        sd: its standard deviation; bars show 1.96 of them.
+        law: force of the law there.
+        unit: of a force; "1" means dimensionless.
+        ax: where to draw; a new figure unless given.
+    """
+    ax = prepared(ax)
+    for column, (label, color) in enumerate((("$F_x$", BLUE), ("$F_y$", ORANGE))):
+        ax.errorbar(
+            law[:, column],
+            learned[:, column],
+            1.96 * sd[:, column],
+            fmt="o",
+            ms=2.5,
+            lw=0.6,
+            color=color,
+            label=label,
+        )
+    span = (min(law.min(), learned.min()), max(law.max(), learned.max()))
+    ax.plot(span, span, "-", color=GREY, lw=0.8, zorder=0)
+    label_axes(ax, with_unit("force of the law", unit), with_unit("learned", unit))
+    add_legend(ax, loc="upper left")
+    return ax
+
+
+def law_figure(
+    names: Sequence[str],
+    differences: Sequence[float],
+    learned: Float[np.ndarray, "point 2"],
+    sd: Float[np.ndarray, "point 2"],
+    law: Float[np.ndarray, "point 2"],
+    *,
+    formula: str = "",
+    unit: str = "1",
+) -> Figure:
+    """Ranking of the laws beside the best one's agreement with the learned force.
+
+    Args:
+        names: as for `law_ranking`.
+        differences: as for `law_ranking`.
+        learned: as for `law_agreement`.
+        sd: as for `law_agreement`.
+        law: as for `law_agreement`.
+        formula: of the best law, in LaTeX.
+        unit: as for `law_agreement`.
+    """
+    figure = new_figure(7.5, 3.0)
+    left, right = figure.subplots(1, 2)
+    law_ranking(names, differences, ax=left)
+    law_agreement(learned, sd, law, unit=unit, ax=right)
+    title_panel(left, "(a) candidate laws")
+    title_panel(right, f"(b) {names[0]} on visited ground")
+    if formula and "matrix" not in formula:
+        figure.supxlabel(f"${formula}$", fontsize=TEXT + 1)
+    left.tick_params(axis="y", labelsize=SMALL)
+    return figure

@@ -1,0 +1,353 @@
+"""Figures of navigation: the plan, routes over the force, and how runs ended."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Rectangle
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import MaxNLocator
+
+from pinav.evaluation import FieldMap
+from pinav.figures.force_maps import draw_arrows, heat_map
+from pinav.figures.style import (
+    BLACK,
+    BLUE,
+    DIMENSIONLESS,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY,
+    SMALL,
+    THIN,
+    VERMILLION,
+    WIDE,
+    add_legend,
+    file_settings,
+    force_unit,
+    label_axes,
+    new_figure,
+    prepared,
+    title_panel,
+    with_unit,
+)
+
+COLORS = {
+    "learned": BLUE,
+    "oracle": GREEN,
+    "physics only": PURPLE,
+    "straight line": ORANGE,
+    "line of sight": VERMILLION,
+    "Gaussian process": SKY,
+}
+"""Of controllers, in every figure alike."""
+
+
+class Course:
+    """What all maps of one task show: start, goal, obstacles and the arena.
+
+    Attributes:
+        start: [L].
+        goal: [L].
+        tolerance: radius of the goal [L].
+        arena: lower and upper corner [L].
+        discs: centre and radius of each disc that must not be entered [L].
+    """
+
+    def __init__(self, arrays: Mapping[str, np.ndarray]):
+        self.start, self.goal = arrays["start"], arrays["goal"]
+        self.tolerance = float(arrays["tolerance"])
+        self.arena = arrays["arena"]
+        self.discs = arrays["discs"].reshape(-1, 3)
+
+    def draw(self, ax: Axes) -> None:
+        """Draw it over a map."""
+        (x0, y0), (x1, y1) = self.arena
+        frame = Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, ec=GREY, lw=0.8)
+        ax.add_patch(frame)
+        for x, y, radius in self.discs:
+            ax.add_patch(Circle((x, y), radius, fc="0.25", ec=BLACK, lw=0.8))
+        halo = [withStroke(linewidth=2.5, foreground="white")]
+        ax.add_patch(
+            Circle(
+                (float(self.goal[0]), float(self.goal[1])),
+                self.tolerance,
+                fill=False,
+                ec=BLACK,
+                lw=1.2,
+                zorder=5,
+            )
+        )
+        ax.plot(*self.goal, "x", color=BLACK, ms=5, zorder=6, path_effects=halo)
+        ax.plot(*self.start, "o", mfc="white", mec=BLACK, ms=5, zorder=6)
+        margin = 0.02 * float(max(x1 - x0, y1 - y0))
+        ax.set(xlim=(x0 - margin, x1 + margin), ylim=(y0 - margin, y1 + margin))
+
+
+def plan_grid(arena: Float[np.ndarray, "2 2"], shape: tuple[int, ...]) -> FieldMap:
+    """Equally spaced points of an arena as a map without a force.
+
+    Args:
+        arena: lower and upper corner [L].
+        shape: points along x and y.
+    """
+    (x0, y0), (x1, y1) = arena
+    x, y = np.linspace(x0, x1, shape[0]), np.linspace(y0, y1, shape[1])
+    nothing = np.zeros((shape[1], shape[0]))
+    return FieldMap(x, y, np.stack([nothing, nothing], axis=-1), nothing)
+
+
+def plan_map(
+    time: Float[np.ndarray, "x y"],
+    course: Course,
+    *,
+    route: Float[np.ndarray, "_ 2"] | None = None,
+    units: Mapping[str, str] = DIMENSIONLESS,
+    ax: Axes | None = None,
+) -> Axes:
+    """Time-to-go from rest in colour, with contours; hatched where there is no way.
+
+    Args:
+        time: time-to-go at equally spaced points of the arena [T]; infinite where the
+            goal cannot be reached.
+        course: start, goal and obstacles.
+        route: the planned way [L].
+        units: unit of each channel; "1" means dimensionless.
+        ax: where to draw; a new figure unless given.
+    """
+    grid, values = plan_grid(course.arena, time.shape), time.T
+    known = values[np.isfinite(values)]
+    top = float(np.quantile(known, 0.98)) if known.size else 1.0
+    label = with_unit("time to go from rest", units.get("t", "1"))
+    ax = heat_map(
+        values, grid, Normalize(0.0, top), ("viridis_r", label), units=units, ax=ax
+    )
+    levels = np.linspace(0.0, top, 11)[1:-1]
+    shown = np.ma.masked_invalid(values)
+    ax.contour(grid.x, grid.y, shown, levels, colors="white", linewidths=0.5)
+    hatch_where(ax, grid, ~np.isfinite(values))
+    if route is not None:
+        halo = [withStroke(linewidth=2.6, foreground="white")]
+        ax.plot(*route.T, color=BLACK, lw=1.2, path_effects=halo, zorder=4)
+    course.draw(ax)
+    return ax
+
+
+def hatch_where(ax: Axes, grid: FieldMap, ground: Bool[np.ndarray, "y x"]) -> None:
+    """Hatch a part of a map, if there is any.
+
+    Args:
+        ax: the map.
+        grid: its points.
+        ground: what is hatched.
+    """
+    if not ground.any():
+        return
+    with file_settings():
+        filled = ground.astype(float)
+        ax.contourf(grid.x, grid.y, filled, [0.5, 1.5], colors=["0.85"], alpha=0.9)
+        ax.contourf(grid.x, grid.y, filled, [0.5, 1.5], colors="none", hatches=["///"])
+
+
+def paths_map(
+    field: FieldMap,
+    course: Course,
+    paths: Mapping[str, Sequence[Float[np.ndarray, "_ 2"]]],
+    *,
+    limit: float,
+    units: Mapping[str, str] = DIMENSIONLESS,
+    ax: Axes | None = None,
+) -> Axes:
+    """Closed-loop paths of controllers over a force.
+
+    Args:
+        field: the force.
+        course: start, goal and obstacles.
+        paths: positions of the runs of each controller [L].
+        limit: top of the colour scale [L T⁻²].
+        units: unit of each channel; "1" means dimensionless.
+        ax: where to draw; a new figure unless given.
+    """
+    size = np.linalg.norm(field.force, axis=-1)
+    look = ("Greys", with_unit("$|F|$", force_unit(units)))
+    ax = heat_map(size, field, Normalize(0.0, 1.6 * limit), look, units=units, ax=ax)
+    draw_arrows(ax, field, limit)
+    for name, runs in paths.items():
+        first = name == "oracle"
+        width, order = (WIDE, 2.1) if first else (THIN, 2.2)
+        for path in runs:
+            (line,) = ax.plot(*path.T, color=COLORS.get(name, GREY), alpha=0.75)
+            line.set(linewidth=width, zorder=order)
+    course.draw(ax)
+    return ax
+
+
+def spread_map(
+    field: FieldMap,
+    sd: Float[np.ndarray, "y x 2"],
+    course: Course,
+    *,
+    thrust: float,
+    route: Float[np.ndarray, "_ 2"],
+    suggestion: Float[np.ndarray, "_ 2"] | None = None,
+    units: Mapping[str, str] = DIMENSIONLESS,
+    ax: Axes | None = None,
+) -> Axes:
+    """Standard deviation of the learned force, with the route and what to record next.
+
+    Args:
+        field: the learned force.
+        sd: standard deviation of each component [L T⁻²].
+        course: start, goal and obstacles.
+        thrust: top of the colour scale: greatest thrust of the swimmer [L T⁻²].
+        route: the planned way [L].
+        suggestion: predicted path of the suggested trajectory [L].
+        units: unit of each channel; "1" means dimensionless.
+        ax: where to draw; a new figure unless given.
+    """
+    size = np.linalg.norm(sd, axis=-1)
+    top = min(thrust, max(float(np.nanmax(size)), 1e-12))
+    look = ("cividis", with_unit(r"$\mathrm{sd}(F)$", force_unit(units)))
+    ax = heat_map(size, field, Normalize(0.0, top), look, units=units, ax=ax)
+    halo = [withStroke(linewidth=2.4, foreground=BLACK)]
+    ax.plot(*route.T, color="white", lw=1.2, path_effects=halo, label="planned route")
+    if suggestion is not None:
+        line = {"color": ORANGE, "lw": 1.2, "ls": "--", "path_effects": halo}
+        ax.plot(*suggestion.T, label="trajectory to record next", **line)
+    course.draw(ax)
+    return ax
+
+
+def closed_loop_figure(
+    arrays: Mapping[str, np.ndarray],
+    paths: Mapping[str, Sequence[Float[np.ndarray, "_ 2"]]],
+    *,
+    thrust: float,
+    units: Mapping[str, str] = DIMENSIONLESS,
+) -> Figure:
+    """Paths over the true and the learned force, and what is known of it.
+
+    Args:
+        arrays: results of a run of `pinav navigate`.
+        paths: positions of the runs of each controller [L].
+        thrust: greatest thrust of the swimmer [L T⁻²].
+        units: unit of each channel; "1" means dimensionless.
+    """
+    course, learned = Course(arrays), field_of(arrays, "field/learned")
+    panels = 1 + ("field/true" in arrays) + ("field/sd" in arrays)
+    figure = new_figure(2.7 * max(panels, 2), 3.7)
+    axes = iter(np.ravel(figure.subplots(1, panels)))
+    letters = iter("abc")
+    truth = arrays.get("field/true", arrays["field/learned"])
+    limit = max(float(np.linalg.norm(truth, axis=-1).max()), 1e-12)
+    shared = {"limit": limit, "units": units}
+    if "field/true" in arrays:
+        ax = next(axes)
+        paths_map(field_of(arrays, "field/true"), course, paths, ax=ax, **shared)
+        title_panel(ax, f"({next(letters)}) true force")
+    ax = next(axes)
+    paths_map(learned, course, paths, ax=ax, **shared)
+    title_panel(ax, f"({next(letters)}) learned force")
+    if "field/sd" in arrays:
+        ax = next(axes)
+        options = {"thrust": thrust, "route": arrays["route"], "units": units}
+        suggestion = arrays.get("suggestion")
+        sd = arrays["field/sd"]
+        spread_map(learned, sd, course, suggestion=suggestion, ax=ax, **options)
+        title_panel(ax, f"({next(letters)}) its standard deviation")
+    keys = [Line2D([], [], color=COLORS.get(n, GREY), lw=1.5, label=n) for n in paths]
+    keys += figure.axes[panels - 1].get_legend_handles_labels()[0]
+    figure.legend(
+        handles=keys,
+        loc="outside lower center",
+        ncols=min(max(len(keys), 1), 2 * panels),
+        fontsize=SMALL,
+        frameon=False,
+    )
+    return figure
+
+
+def field_of(arrays: Mapping[str, np.ndarray], name: str) -> FieldMap:
+    """A force of a run of `pinav navigate` as a map.
+
+    Args:
+        arrays: its results.
+        name: of the force.
+    """
+    force = arrays[name]
+    distance = arrays.get("field/distance", np.zeros(force.shape[:2]))
+    return FieldMap(arrays["field/x"], arrays["field/y"], force, distance)
+
+
+def outcome_bars(
+    rows: Mapping[str, Mapping[str, Any]], regrets: Mapping[str, Mapping[str, Any]]
+) -> Figure:
+    """Success of each controller, and its regret, with 95 % intervals.
+
+    Args:
+        rows: `success` of each controller, with `value`, `lower` and `upper`.
+        regrets: the same of its regret; None stands for infinity.
+    """
+    names = list(rows)
+    figure = new_figure(6.4, 0.9 + 0.32 * len(names))
+    left, right = figure.subplots(1, 2, sharey=True)
+    for ax in (left, right):
+        prepared(ax)
+    places = list(reversed(range(len(names))))
+    for place, name in zip(places, names, strict=True):
+        color = COLORS.get(name, GREY)
+        found = rows[name]["success"]
+        left.barh(place, 100 * found["value"], color=color, height=0.6)
+        left.hlines(place, 100 * found["lower"], 100 * found["upper"], color=BLACK)
+        _draw_regret(right, place, regrets.get(name), color)
+    left.set_yticks(places, names, fontsize=SMALL)
+    left.set_xlim(0, 100)
+    right.axvline(1.0, color=GREY, lw=0.8, ls="--")
+    low, high = right.get_xlim()
+    right.set_xlim(min(low, 0.95), max(high, 1.15))
+    right.xaxis.set_major_locator(MaxNLocator(5))
+    label_axes(left, "success [%]", "")
+    label_axes(right, "arrival time / that with the truth", "")
+    return figure
+
+
+def _draw_regret(ax: Axes, place: int, found: Mapping[str, Any] | None, color: str):
+    if found is None:
+        return
+    if found["value"] is None:
+        beside = ax.get_yaxis_transform()
+        ax.text(0.97, place, "∞", transform=beside, ha="right", va="center", c=color)
+        return
+    ax.plot(found["value"], place, "o", color=color, ms=5)
+    if found["upper"] is not None:
+        ax.hlines(place, found["lower"], found["upper"], color=BLACK)
+
+
+def learning_curve(
+    errors: Mapping[str, Float[np.ndarray, "seed count"]],
+    counts: Sequence[int],
+    *,
+    ax: Axes | None = None,
+) -> Axes:
+    """Force error along a route over the number of trajectories: median and seeds.
+
+    Args:
+        errors: relative error of each seed, by how trajectories were chosen.
+        counts: of trajectories.
+        ax: where to draw; a new figure unless given.
+    """
+    ax = prepared(ax)
+    for color, (name, values) in zip((BLUE, VERMILLION), errors.items(), strict=False):
+        ax.plot(counts, values.T, color=color, lw=0.6, alpha=0.35)
+        ax.plot(counts, np.median(values, axis=0), color=color, lw=2, label=name)
+    ax.set_xticks(list(counts))
+    ax.set_ylim(0.0, None)
+    label_axes(ax, "trajectories", "relative force error along the route")
+    add_legend(ax)
+    return ax

@@ -1,0 +1,60 @@
+"""What was observed beside what a model makes of it, all trajectories together."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+
+from pinav.figures.style import (
+    BLACK,
+    BLUE,
+    DIMENSIONLESS,
+    THIN,
+    add_legend,
+    channel_label,
+    label_axes,
+    prepared,
+    round_ticks,
+)
+
+
+def observed_paths(
+    observed: Sequence[Float[np.ndarray, "_ 2"]],
+    predicted: Sequence[Float[np.ndarray, "_ 2"]],
+    *,
+    units: Mapping[str, str] = DIMENSIONLESS,
+    ax: Axes | None = None,
+) -> Axes:
+    """Observed positions as dots, rollouts of the model as lines, starts marked.
+
+    Args:
+        observed: positions of each trajectory [L]; NaN where not observed.
+        predicted: positions of its rollout [L].
+        units: unit of each channel; "1" means dimensionless.
+        ax: where to draw; a new figure unless given.
+    """
+    ax = prepared(ax)
+    dots = {"color": "0.6", "markersize": 2.0, "label": "observed"}
+    line = {"color": BLUE, "lw": THIN, "label": "model"}
+    for seen, path in zip(observed, predicted, strict=True):
+        ax.plot(*seen.T, ".", **dots)
+        ax.plot(*path.T, **line)
+        dots["label"] = line["label"] = "_"
+    starts = np.array([path[0] for path in predicted])
+    ax.plot(*starts.T, "o", mfc="white", mec=BLACK, markersize=4, label="start")
+    low, high = _limits(observed)
+    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    ax.set_aspect("equal", adjustable="box")
+    round_ticks(ax)
+    label_axes(ax, channel_label("x", units), channel_label("y", units))
+    add_legend(ax)
+    return ax
+
+
+def _limits(observed):
+    """A frame about the observed positions, with a margin of a twentieth."""
+    points = np.concatenate(observed)
+    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+    margin = 0.05 * max(float(np.max(high - low)), 1e-300)
+    return low - margin, high + margin

@@ -1,0 +1,234 @@
+"""A recording at a glance: paths, speed against frequency, clock, commands."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
+
+from pinav.figures.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY,
+    SMALL,
+    VERMILLION,
+    add_legend,
+    channel_label,
+    label_axes,
+    new_figure,
+    prepared,
+    round_ticks,
+    title_panel,
+    with_unit,
+)
+from pinav.recordings import image_positions, labels
+from pinav.recordings.quality.commands import vector
+from pinav.recordings.quality.report import Quality, positions
+from pinav.trajectories import Trajectories
+
+_COLORS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK)
+_MARKS = ("o", "s", "^", "D", "v", "P", "X")
+"""Runs differ in mark as well as in colour; more runs than these are drawn alike."""
+
+_DOTS = 4000
+
+
+def recording_figure(recording: Trajectories, found: Quality) -> Figure:
+    """Four panels; those of the commands give way where there are none.
+
+    Args:
+        recording: what was read.
+        found: its quality report.
+    """
+    figure = new_figure(7.5, 6.6)
+    axes = [prepared(ax) for ax in np.ravel(figure.subplots(2, 2))]
+    paths(recording, found, axes[0])
+    driven = any(run.speeds for run in found.runs)
+    second, fourth = (
+        (speeds, commands) if driven else (speeds_of_tracks, errors_of_tracks)
+    )
+    second(recording, found, axes[1])
+    intervals(recording, found, axes[2])
+    fourth(recording, found, axes[3])
+    for ax, letter, title in zip(
+        axes,
+        "abcd",
+        (
+            "paths",
+            "speed against frequency" if driven else "speed of each particle",
+            "intervals between rows",
+            "commands" if driven else "scatter of each particle",
+        ),
+        strict=True,
+    ):
+        title_panel(ax, f"({letter}) {title}")
+    _name_runs(figure, [run.name for run in found.runs])
+    return figure
+
+
+def paths(recording: Trajectories, found: Quality, ax: Axes) -> Axes:
+    """Every segment as a line, its first position as a dot; y up."""
+    names = [run.name for run in found.runs]
+    for label, segment in zip(labels(recording), recording, strict=True):
+        color, mark = _look(names, label["run"])
+        way = positions(segment)
+        ax.plot(*way.T, color=color, lw=0.7, alpha=0.8)
+        ax.plot(*way[:1].T, mark, ms=2.5, color=color)
+    ax.set_aspect("equal", adjustable="datalim")
+    round_ticks(ax)
+    units = recording.units
+    label_axes(ax, channel_label("x", units), channel_label("y", units))
+    return ax
+
+
+def overlay(recording: Trajectories, image: np.ndarray, ax: Axes | None = None) -> Axes:
+    """The segments over a still image of the film, in its pixels, y down.
+
+    Args:
+        recording: read from pixels.
+        image: grey (row, column) or coloured (row, column, channel).
+        ax: where to draw; a new figure unless given.
+
+    Raises:
+        InputError: the recording was not read from pixels.
+    """
+    ax = prepared(ax, width=6.0, height=5.0)
+    ax.imshow(image, cmap="gray", origin="upper")
+    for segment in recording:
+        way = image_positions(recording, positions(segment))
+        ax.plot(*way.T, color=ORANGE, lw=1.0)
+        ax.plot(*way[:1].T, "o", ms=4, mfc="none", mec=SKY, mew=1.2)
+    label_axes(ax, channel_label("x", {"x": "px"}), channel_label("y", {"y": "px"}))
+    return ax
+
+
+def speeds(recording: Trajectories, found: Quality, ax: Axes) -> Axes:
+    """Median speed at each frequency, and 80 % of the windows of a single run."""
+    names = [run.name for run in found.runs]
+    for run in found.runs:
+        color, mark = _look(names, run.name)
+        table = np.array([(s.frequency, s.median, s.low, s.high) for s in run.speeds])
+        if not len(table):
+            continue
+        frequency, middle, low, high = table.T
+        alike = len(names) > len(_COLORS)
+        ax.plot(frequency, middle, "-" if alike else f"-{mark}", **_line(color))
+        if len(names) == 1:
+            ax.fill_between(frequency, low, high, color=color, alpha=0.2, lw=0)
+    ax.set_ylim(bottom=0)
+    label_axes(ax, "frequency [Hz]", with_unit("speed", _speed_unit(recording)))
+    return ax
+
+
+def intervals(recording: Trajectories, found: Quality, ax: Axes) -> Axes:
+    """How often which interval between rows occurs, within segments."""
+    steps = np.concatenate([np.diff(segment.times) for segment in recording])
+    middle = float(np.median(steps))
+    ax.hist(steps, bins=60, range=(0.0, max(2 * middle, steps.max())), color=GREY)
+    ax.set_yscale("log")
+    ax.set_ylim(bottom=0.5)
+    ax.axvline(middle, color=BLACK, lw=0.8, ls="--", label="median")
+    label_axes(ax, with_unit("interval", recording.units["t"]), "rows")
+    add_legend(ax, loc="upper right")
+    return ax
+
+
+def commands(recording: Trajectories, found: Quality, ax: Axes) -> Axes:
+    """The drive, as points in the plane: frequency outwards, heading around."""
+    names = [run.name for run in found.runs]
+    every = max(1, int(recording.lengths.sum()) // _DOTS)
+    for label, segment in zip(labels(recording), recording, strict=True):
+        color, mark = _look(names, label["run"])
+        drives = vector(segment)[::every]
+        ax.plot(*drives.T, mark, ms=1.6, mew=0, color=color, alpha=0.6)
+    ax.set_aspect("equal", adjustable="datalim")
+    round_ticks(ax)
+    label_axes(ax, "f cos(heading) [Hz]", "f sin(heading) [Hz]")
+    return ax
+
+
+def speeds_of_tracks(recording: Trajectories, found: Quality, ax: Axes) -> Axes:
+    """Median speed of each particle, in the order of the file."""
+    values = [np.nan if t.speed is None else t.speed for t in found.tracks]
+    ax.plot(np.arange(1, len(values) + 1), values, "o", ms=3, color=BLUE)
+    ax.set_ylim(bottom=0)
+    _count(ax)
+    label_axes(ax, "particle", with_unit("speed", _speed_unit(recording)))
+    return ax
+
+
+def errors_of_tracks(recording: Trajectories, found: Quality, ax: Axes) -> Axes:
+    """Scatter and localisation error of each particle, the latter with its error."""
+    rows = [
+        (number, own.scatter, own.deviation, own.error)
+        for number, track in enumerate(found.tracks, start=1)
+        if (own := track.localisation) is not None
+    ]
+    if rows:
+        number, scatter, deviation, error = np.array(rows).T
+        ax.plot(number, scatter, "x", ms=4, color=GREY, label="from all causes")
+        ax.errorbar(
+            number,
+            deviation,
+            error,
+            fmt="o",
+            ms=3,
+            color=BLUE,
+            elinewidth=0.8,
+            label="independent",
+        )
+        add_legend(ax)
+    ax.set_ylim(bottom=0)
+    _count(ax)
+    label_axes(ax, "particle", with_unit("deviation", recording.units["x"]))
+    return ax
+
+
+def _count(ax: Axes) -> None:
+    """Whole numbers along the horizontal axis."""
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+
+
+def _line(color: str) -> dict[str, Any]:
+    return {"color": color, "lw": 0.8, "ms": 3}
+
+
+def _look(names: Sequence[str], name: str) -> tuple[str, str]:
+    """Colour and mark of a run."""
+    if len(names) > len(_COLORS):
+        return BLUE, "o"
+    index = list(names).index(name)
+    return _COLORS[index], _MARKS[index]
+
+
+def _name_runs(figure: Figure, names: Sequence[str]) -> None:
+    """Runs by mark and colour below the panels, where they are told apart."""
+    if not 1 < len(names) <= len(_COLORS):
+        return
+    handles = [
+        Line2D([], [], color=color, marker=mark, lw=0.8, ms=3, label=_short(name))
+        for name in names
+        for color, mark in [_look(names, name)]
+    ]
+    figure.legend(
+        handles=handles,
+        loc="outside lower center",
+        ncols=4,
+        fontsize=SMALL,
+        edgecolor="none",
+    )
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= 24 else f"{name[:12]}…{name[-10:]}"
+
+
+def _speed_unit(recording: Trajectories) -> str:
+    return f"{recording.units['x']}/{recording.units['t']}"

@@ -1,0 +1,1 @@
+"""Bayesian fits: linearise, maximise the evidence, step."""

@@ -1,0 +1,129 @@
+r"""A network taught by another force, by Gauss-Newton regression.
+
+From random weights a network fits noisy trajectories badly: its steps creep. Taught the
+force of a kernel fit first, it is a few steps from its own best fit.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from pinav.fitting.bayes.multiple_shooting import FreeModel, freed
+from pinav.fitting.matching.gauss_newton import chord, low_rank
+from pinav.forces import AbstractForce, kernel_centers
+from pinav.trajectories import Trajectories
+
+STEPS, RANK, CHORD_STEPS, NUM_DAMPINGS = 16, 256, 5, 5
+"""Gauss-Newton steps, and the size of each."""
+
+DAMPING = 1e3
+"""Of the first step: with less, a third of the networks saturate and teach no more."""
+
+SPACING, MARGIN = 0.7, 4.0
+"""Of the grid on which is taught, in widths."""
+
+NUM_SAMPLES, NUM_POINTS = 400, 1200
+"""Samples, and points of the grid, at most."""
+
+
+class Lesson(eqx.Module):
+    """A force at several places and times.
+
+    Attributes:
+        times: of each [T].
+        positions: of each [L].
+        forces: there, on a swimmer at rest [L T⁻²].
+    """
+
+    times: Float[Array, " point"]
+    positions: Float[Array, "point dim"]
+    forces: Float[Array, "point dim"]
+
+
+def lesson(
+    teacher: AbstractForce,
+    trajectories: Trajectories,
+    states: Float[np.ndarray, "trajectory time state"],
+    *,
+    dim: int,
+    width: float,
+) -> Lesson:
+    """The force of `teacher` at the samples, and on a grid around them.
+
+    Args:
+        teacher: the force.
+        trajectories: when it was sampled.
+        states: at those times, smoothed.
+        dim: how many of the states are positions.
+        width: over which the force varies [L]; the grid is finer, and reaches
+            `MARGIN` of them beyond the samples.
+    """
+    real = np.arange(states.shape[1]) < trajectories.lengths[:, None]
+    times, samples = trajectories.times[real], states[real][:, :dim]
+    grid = kernel_centers(samples, spacing=SPACING * width, margin=MARGIN * width)
+    rng = np.random.default_rng(0)
+    if len(grid) > NUM_POINTS:
+        grid = grid[rng.choice(len(grid), NUM_POINTS, replace=False)]
+    stride = -(-len(times) // NUM_SAMPLES)
+    when = np.concatenate([times[::stride], rng.choice(times, len(grid))])
+    where = np.concatenate([samples[::stride], grid])
+    when, where = jnp.asarray(when), jnp.asarray(where)
+    return Lesson(when, where, forces(teacher, when, where))
+
+
+def distilled(network: Any, taught: Lesson) -> Any:
+    """The neural force after a regression on what it is taught."""
+    free, theta = freed(network, lambda force: force.parameters)
+    damping = jnp.asarray(DAMPING)
+    for _ in range(STEPS):
+        theta, damping = _step(free, theta, damping, taught)
+    return free(theta)
+
+
+@eqx.filter_jit
+def forces(
+    force: Any, times: Float[Array, " point"], positions: Float[Array, "point dim"]
+) -> Float[Array, "point dim"]:
+    """Force on a swimmer at rest, at several places and times [L T⁻²]."""
+    return jax.vmap(lambda t, x: force(t, x, jnp.zeros_like(x)))(times, positions)
+
+
+@eqx.filter_jit
+def _step(free: FreeModel, theta, damping, taught: Lesson):
+    """The best of several damped chord steps, and its damping."""
+    size = jnp.sqrt(jnp.mean(taught.forces**2))
+    size = jnp.where(size > 0, size, 1.0)
+
+    def force(theta, t, x):
+        return free(theta)(t, x, jnp.zeros_like(x)) / size
+
+    def residuals(theta):
+        axes = (None, 0, 0)
+        found = jax.vmap(force, axes)(theta, taught.times, taught.positions)
+        return (found - taught.forces / size).reshape(-1)
+
+    jacobian = jax.vmap(jax.jacrev(force), (None, 0, 0))(
+        theta, taught.times, taught.positions
+    ).reshape(-1, theta.shape[0])
+    left, scale, right = low_rank(jacobian, RANK)
+    before = residuals(theta)
+    dampings = damping * 10.0 ** (jnp.arange(float(NUM_DAMPINGS)) - (NUM_DAMPINGS - 2))
+
+    def attempt(damping):
+        return chord(
+            lambda z: residuals(theta + right @ z),
+            (before, left, scale),
+            damping,
+            CHORD_STEPS,
+        )
+
+    moves, costs = jax.vmap(attempt)(dampings)
+    costs = jnp.where(jnp.isfinite(costs), costs, jnp.inf)
+    best = jnp.argmin(costs)
+    lower = costs[best] < before @ before
+    moved = jnp.where(lower, theta + right @ moves[best], theta)
+    return moved, jnp.where(lower, dampings[best], 100.0 * damping)

@@ -1,0 +1,120 @@
+"""Steps of a fit with the evidence, and how they end."""
+
+import enum
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+
+from pinav.errors import FitError
+from pinav.fitting.bayes.problem import Step
+from pinav.fitting.bayes.steps import Move
+
+DEFECT_TOLERANCE = 1e-4
+"""Converged: defects relative to the states' spread."""
+
+ROUNDING = 1e-9
+"""Defects at which another step changes nothing but the last digits of the evidence."""
+
+
+class BayesOutcome(enum.IntEnum):
+    """How a Bayesian fit ended; coarse: converged, but finer kernels had no room."""
+
+    CONVERGED = 0
+    STALLED = 1
+    DIVERGED = 2
+    COARSE = 3
+
+
+class BayesProgress(eqx.Module):
+    """What a progress bar shows after each step.
+
+    Attributes:
+        done: steps done, on the kernels as they are now.
+        total: steps at most.
+        unknowns: number of weights and constants.
+        defect: by which the states miss the dynamics, relative to their spread.
+        noise: standard deviation of the observations.
+        log_evidence: of the hyperparameters chosen.
+    """
+
+    done: int
+    total: int
+    unknowns: int
+    defect: float
+    noise: float
+    log_evidence: float
+
+
+PROBES = 2
+"""Steps after which the evidence is asked whether the kernels are too coarse."""
+
+
+def iterate(
+    problem: Any,
+    max_iterations: int,
+    on_step: Callable[[BayesProgress], None] | None = None,
+    enough: Callable[[Step], bool] = lambda _: False,
+) -> tuple[BayesOutcome, list[Step]]:
+    """Steps until they converge, diverge, run out, or are not worth going on with.
+
+    Args:
+        problem: a `BayesProblem`, or what steps as it does.
+        max_iterations: steps at most.
+        on_step: called after each step.
+        enough: whether another problem is better, after `PROBES` steps or more.
+    """
+    move = Move(problem.theta, problem.states, problem.descent)
+    shape = problem.weights.start
+    steps: list[Step] = []
+    while len(steps) < max_iterations:
+        step = _attempt(problem, move, shape, begun=bool(steps))
+        if step is None:
+            return BayesOutcome.DIVERGED, steps
+        move, shape = step.move, step.inference.hyperparameters.shape
+        steps.append(step)
+        if on_step:
+            on_step(_progress(steps, max_iterations))
+        outcome = _outcome(steps, problem.tolerance)
+        if outcome is not BayesOutcome.STALLED:
+            return outcome, steps
+        if len(steps) >= PROBES and enough(step):
+            return outcome, steps
+    return BayesOutcome.STALLED, steps
+
+
+def _attempt(problem, move, shape, *, begun: bool) -> Step | None:
+    """One step; None where it leads nowhere, after others that did."""
+    try:
+        return problem.step(move, shape)
+    except FitError:
+        if begun:
+            return None
+        raise
+
+
+def _progress(steps: list[Step], total: int) -> BayesProgress:
+    chosen, defect = steps[-1].inference.hyperparameters, steps[-1].defect
+    return BayesProgress(
+        done=len(steps),
+        total=total,
+        unknowns=len(steps[-1].covariance),
+        defect=defect,
+        noise=chosen.noise,
+        log_evidence=chosen.log_evidence,
+    )
+
+
+def _outcome(steps: list[Step], tolerance: float) -> BayesOutcome:
+    """Converged, or not yet; defects that grow without bound count as diverged."""
+    last = steps[-1]
+    if len(steps) > 1:
+        before = steps[-2].inference.hyperparameters.log_evidence
+        change = abs(last.inference.hyperparameters.log_evidence - before)
+        if change < tolerance and last.defect < DEFECT_TOLERANCE:
+            return BayesOutcome.CONVERGED
+    if last.defect < ROUNDING:
+        return BayesOutcome.CONVERGED
+    if last.defect > 100 * max(steps[0].defect, 1.0):
+        return BayesOutcome.DIVERGED
+    return BayesOutcome.STALLED

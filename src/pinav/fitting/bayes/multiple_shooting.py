@@ -1,0 +1,281 @@
+r"""Lifted least squares: every sample state is a point of linearisation.
+
+A rollout that depends on its start sensitively is a hard function to linearise. So it
+is not rolled out: with one state $u_k$ per sample and the step $F_k$ from one sample to
+the next, the constraint $u_{k+1} = F_k(u_k, \theta)$ is linearised about states that
+need not fulfil it. Its solution is $u + J\,\delta\theta + \Phi\,\delta s + c$, with a
+change $\delta s$ of the start and $c$ the response to the defects
+$d_k = F_k(u_k) - u_{k+1}$; all three follow from one linear recursion.
+
+References:
+    Bock, Randwertproblemmethoden zur Parameteridentifizierung (1987), condensing;
+    Albersmeyer and Diehl, SIAM J. Optim. 20, 1655 (2010), the lifted Newton method.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float, PyTree
+
+from pinav.dynamics import FixedStep, linear_recursion
+from pinav.fitting.matching.fit import Trainable, split_trainable
+from pinav.fitting.matching.objectives import Observations
+
+
+class FreeModel(eqx.Module):
+    """A model as a function of the vector of its free parameters.
+
+    Attributes:
+        static: the model without the leaves that are free.
+        unravel: from the vector to those leaves.
+    """
+
+    static: PyTree
+    unravel: Callable[[Float[Array, " parameter"]], PyTree] = eqx.field(static=True)
+
+    def __call__(self, theta: Float[Array, " parameter"]) -> Any:
+        """The model with these parameters."""
+        return eqx.combine(self.unravel(theta), self.static)
+
+
+def freed(
+    model: Any, trainable: Trainable
+) -> tuple[FreeModel, Float[Array, " parameter"]]:
+    """The model as a function of the selected leaves, and their values, in float64.
+
+    Raises:
+        InputError: the selection holds no number that could be free.
+    """
+    free, static = split_trainable(model, trainable, jnp.float64)
+    theta, unravel = ravel_pytree(free)
+    return FreeModel(static, unravel), theta
+
+
+class Sensitivities(eqx.Module):
+    r"""Linearised solution along one trajectory of states.
+
+    Attributes:
+        columns: $J$, $\Phi$ and $c$ side by side.
+        defects: $d_k$, by which each step misses the next state.
+    """
+
+    columns: Float[Array, "time state column"]
+    defects: Float[Array, "step state"]
+
+
+def sensitivities(
+    free: FreeModel,
+    theta: Float[Array, " parameter"],
+    states: Float[Array, "time state"],
+    times: Float[Array, " time"],
+    solver: FixedStep,
+) -> Sensitivities:
+    r"""Linearise the dynamics about `states`, whether or not they are a solution.
+
+    With $A_k = \partial F_k/\partial u$ and $B_k = \partial F_k/\partial\theta$, all
+    at once, $E_{k+1} = A_k E_k + [B_k, 0, d_k]$ from $E_0 = [0, I, 0]$.
+    """
+    by_parameter = jax.vmap(jax.jacrev(_step_of(free, solver)), (None, 0, 0, 0))(
+        theta, states[:-1], times[:-1], times[1:]
+    )
+    return _propagated(free, theta, states, times, solver, by_parameter)
+
+
+def _step_of(free, solver):
+    """The step from one sample to the next, as a function of the parameters."""
+
+    def step(theta, y, t0, t1):
+        return solver.looped_step(free(theta), y, t0, t1)
+
+    return step
+
+
+def _propagated(free, theta, states, times, solver, by_parameter):
+    """Sensitivities to the parameters whose effect on each step is given."""
+    step, axes = _step_of(free, solver), (None, 0, 0, 0)
+    inputs = (theta, states[:-1], times[:-1], times[1:])
+    by_state = jax.vmap(jax.jacfwd(step, argnums=1), axes)(*inputs)
+    defects = jax.vmap(step, axes)(*inputs) - states[1:]
+    steps, state = defects.shape
+    nothing = jnp.zeros((steps, state, state))
+    sources = jnp.concatenate([by_parameter, nothing, defects[..., None]], axis=2)
+    start = jnp.eye(state, sources.shape[2], k=by_parameter.shape[2])
+    recursion = jax.vmap(linear_recursion, (1, None, 2), 2)
+    return Sensitivities(recursion(start, by_state, sources), defects)
+
+
+class Linearisation(eqx.Module):
+    r"""Sum of squared residuals as a quadratic, the starts eliminated.
+
+    $\sum r^2 = q + 2\,g\cdot\delta\theta + \delta\theta\cdot H\,\delta\theta$, minimal
+    over the changes of all starts.
+
+    Attributes:
+        hessian: $H$.
+        gradient: $g$.
+        squares: $q$.
+        columns: see `Sensitivities`.
+        start_factor: R, where $R^\top R = \Phi^\top\Phi$ over the observed entries.
+        start_rows: $\delta s = -$ (these rows applied to $(\delta\theta, 1)$).
+        defects: the largest defect of each channel.
+    """
+
+    hessian: Float[Array, "parameter parameter"]
+    gradient: Float[Array, " parameter"]
+    squares: Float[Array, ""]
+    columns: Float[Array, "trajectory time state column"]
+    start_factor: Float[Array, "trajectory state state"]
+    start_rows: Float[Array, "trajectory state row"]
+    defects: Float[Array, " state"]
+
+
+@eqx.filter_jit
+def linearise(
+    free: FreeModel,
+    theta: Float[Array, " parameter"],
+    states: Float[Array, "trajectory time state"],
+    observations: Observations,
+    solver: FixedStep,
+) -> Linearisation:
+    """Linearise all trajectories about `states` and eliminate their starts.
+
+    Padding, which repeats the last time and state, adds nothing. One trajectory after
+    the other: what a step leaves behind for its derivative would take many times the
+    memory of the result.
+    """
+
+    def one(total, inputs):
+        states, times, data, observed = inputs
+        local = sensitivities(free, theta, states, times, solver)
+        reach = local.columns
+        residuals = states + reach[..., -1] - data
+        rows = jnp.concatenate([reach[..., :-1], residuals[..., None]], axis=2)
+        rows = jnp.where(observed[..., None], rows, 0.0).reshape(-1, rows.shape[2])
+        rest, factor, start_rows = eliminate(rows, theta.shape[0], states.shape[1])
+        return total + rest.T @ rest, (factor, start_rows, reach, local.defects)
+
+    nothing = jnp.zeros((theta.shape[0] + 1,) * 2, states.dtype)
+    inputs = (states, observations.times, observations.states, observations.observed)
+    total, (factors, start_rows, columns, defects) = jax.lax.scan(one, nothing, inputs)
+    return Linearisation(
+        hessian=total[:-1, :-1],
+        gradient=total[:-1, -1],
+        squares=total[-1, -1],
+        columns=columns,
+        start_factor=factors,
+        start_rows=start_rows,
+        defects=jnp.abs(defects).max(axis=(0, 1)),
+    )
+
+
+def eliminate(
+    rows: Float[Array, "row all"], first: int, count: int
+) -> tuple[
+    Float[Array, "left rest"],
+    Float[Array, "count count"],
+    Float[Array, "count rest"],
+]:
+    """Minimise a sum of squares over `count` of its unknowns, from column `first` on.
+
+    By an orthogonal factorisation: a normal matrix would have the square of its
+    condition, and an unstable path makes that of a start as bad as 1e8.
+
+    Returns:
+        What is left of the other columns, the triangular factor of the eliminated ones,
+        and the rows that give their unknowns, up to sign, from the rest.
+    """
+    chosen = rows[:, first : first + count]
+    others = jnp.concatenate([rows[:, :first], rows[:, first + count :]], axis=1)
+    if rows.shape[0] < count:
+        padding = ((0, count - rows.shape[0]), (0, 0))
+        chosen, others = jnp.pad(chosen, padding), jnp.pad(others, padding)
+    basis, factor = jnp.linalg.qr(chosen)
+    along = basis.T @ others
+    start_rows = jax.scipy.linalg.solve_triangular(factor, along)
+    return others - basis @ along, factor, start_rows
+
+
+@eqx.filter_jit
+def advanced(
+    states: Float[Array, "trajectory time state"],
+    linearisation: Linearisation,
+    change: Float[Array, " parameter"],
+) -> Float[Array, "trajectory time state"]:
+    r"""The states after the step $\delta\theta$, each start at its best."""
+
+    def one(states, columns, start_rows):
+        starts = -start_rows @ jnp.append(change, 1.0)
+        return states + columns @ jnp.concatenate([change, starts, jnp.ones(1)])
+
+    return jax.vmap(one)(states, linearisation.columns, linearisation.start_rows)
+
+
+class Prediction(eqx.Module):
+    """What a parameter vector explains, the states linearised, each start at its best.
+
+    Attributes:
+        residuals: of the observed entries; zero where nothing was observed.
+        states: the linearised solution.
+    """
+
+    residuals: Float[Array, "trajectory time state"]
+    states: Float[Array, "trajectory time state"]
+
+
+@eqx.filter_jit
+def predict(
+    free: FreeModel,
+    theta: Float[Array, " parameter"],
+    states: Float[Array, "trajectory time state"],
+    observations: Observations,
+    solver: FixedStep,
+) -> Prediction:
+    """Linearise in the states alone: the parameters count in full.
+
+    Costs a small part of `linearise`, because no derivative by a parameter is taken.
+    """
+
+    def one(states, times, data, observed):
+        steps, state = len(times) - 1, states.shape[1]
+        no_parameter = jnp.zeros((steps, state, 0))
+        columns = _propagated(free, theta, states, times, solver, no_parameter).columns
+        seen = observed[..., None]
+        by_start = jnp.where(seen, columns[..., :-1], 0.0).reshape(-1, state)
+        residuals = jnp.where(observed, states + columns[..., -1] - data, 0.0)
+        rows = jnp.concatenate([by_start, residuals.reshape(-1, 1)], axis=1)
+        start = -eliminate(rows, 0, state)[2][:, 0]
+        change = columns @ jnp.append(start, 1.0)
+        moved = states + change
+        return jnp.where(observed, moved - data, 0.0), moved
+
+    return Prediction(
+        *jax.vmap(one)(
+            states, observations.times, observations.states, observations.observed
+        )
+    )
+
+
+@eqx.filter_jit
+def pull_back(
+    linearisation: Linearisation,
+    residuals: Float[Array, "trajectory time state"],
+) -> Float[Array, " parameter"]:
+    r"""$J^\top r$ with the starts eliminated from $J$.
+
+    Args:
+        linearisation: about the point where $J$ was taken.
+        residuals: $r$, zero where nothing was observed.
+    """
+    state = residuals.shape[-1]
+
+    def one(columns, start_rows, residuals):
+        flat = columns.reshape(-1, columns.shape[-1])[:, :-1].T @ residuals.reshape(-1)
+        count = flat.shape[0] - state
+        return flat[:count] - start_rows[:, :count].T @ flat[count:]
+
+    rows = (linearisation.columns, linearisation.start_rows, residuals)
+    return jax.vmap(one)(*rows).sum(axis=0)

@@ -1,0 +1,138 @@
+"""The Laplace posterior of a fit: models drawn from it, and bands."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import ArrayLike, Float, PRNGKeyArray
+
+from pinav.dynamics import FixedStep
+from pinav.fitting.bayes.multiple_shooting import FreeModel, sensitivities
+
+
+class Estimate(eqx.Module):
+    """A learned constant.
+
+    Attributes:
+        value: its best value.
+        sd: its standard deviation.
+    """
+
+    value: float
+    sd: float
+
+
+class Band(eqx.Module):
+    """A rollout and its uncertainty.
+
+    Attributes:
+        ts: times [T].
+        ys: states of the mean model at those times.
+        sd: standard deviation of each state.
+    """
+
+    ts: Float[np.ndarray, " time"]
+    ys: Float[np.ndarray, "time state"]
+    sd: Float[np.ndarray, "time state"]
+
+
+class Posterior(eqx.Module):
+    """Normal distribution of the free parameters about their best values.
+
+    Attributes:
+        free: the model as a function of them.
+        mean: their best values.
+        covariance: their covariance, given the chosen hyperparameters.
+    """
+
+    free: FreeModel
+    mean: Float[np.ndarray, " parameter"]
+    covariance: Float[np.ndarray, "parameter parameter"]
+
+    @property
+    def model(self) -> Any:
+        """The model with the best parameters."""
+        with jax.enable_x64(new_val=True):
+            return self.free(jnp.asarray(self.mean))
+
+    def samples(self, count: int, *, key: PRNGKeyArray) -> list[Any]:
+        """Models drawn from the posterior."""
+        eigenvalues, vectors = np.linalg.eigh(self.covariance)
+        root = vectors * np.sqrt(np.maximum(eigenvalues, 0.0))
+        with jax.enable_x64(new_val=True):
+            normal = jax.random.normal(key, (count, len(self.mean)), jnp.float64)
+            draws = jnp.asarray(self.mean)[None] + normal @ jnp.asarray(root).T
+            return [self.free(theta) for theta in draws]
+
+    def force_sd(
+        self, positions: ArrayLike, time: float = 0.0
+    ) -> Float[np.ndarray, "point dim"]:
+        """Standard deviation of the environment's force [L T⁻²] on a swimmer at rest.
+
+        A band of 1.96 of them has a nominal probability of 95 %.
+
+        Args:
+            positions: points, one a row [L].
+            time: at which the force acts [T].
+        """
+        with jax.enable_x64(new_val=True):
+            points = jnp.asarray(positions, jnp.float64)
+            jacobians = _force_jacobians(
+                self.free, jnp.asarray(self.mean), points, jnp.asarray(time)
+            )
+        return _spread(np.asarray(jacobians), self.covariance)
+
+    def rollout_band(
+        self,
+        y0: ArrayLike,
+        ts: ArrayLike,
+        *,
+        start_sd: ArrayLike = 0.0,
+        solver: FixedStep | None = None,
+    ) -> Band:
+        """A rollout of the best model, with its uncertainty to first order.
+
+        Where a rollout depends on its start so strongly that the band is as wide as
+        the field is varied, roll out `samples` instead.
+
+        Args:
+            y0: start.
+            ts: times [T], increasing.
+            start_sd: standard deviation of the start, a number or one per state.
+            solver: how to integrate; `FixedStep()` unless given.
+        """
+        solver = FixedStep() if solver is None else solver
+        with jax.enable_x64(new_val=True):
+            times = jnp.asarray(ts, jnp.float64)
+            start = jnp.asarray(y0, jnp.float64)
+            theta = jnp.asarray(self.mean)
+            ys, columns = _linear_rollout(self.free, theta, start, times, solver)
+        states = np.shape(start)[0]
+        start_variance = np.broadcast_to(np.asarray(start_sd, float) ** 2, (states,))
+        total = np.zeros((len(self.mean) + states,) * 2)
+        total[: len(self.mean), : len(self.mean)] = self.covariance
+        total[len(self.mean) :, len(self.mean) :] = np.diag(start_variance)
+        spread = _spread(np.asarray(columns)[..., :-1], total)
+        return Band(np.asarray(times), np.asarray(ys), spread)
+
+
+@eqx.filter_jit
+def _force_jacobians(free, theta, points, time):
+    def force(theta, x):
+        return free(theta).environment(time, x, jnp.zeros_like(x))
+
+    return jax.vmap(jax.jacrev(force), (None, 0))(theta, points)
+
+
+@eqx.filter_jit
+def _linear_rollout(free, theta, y0, ts, solver):
+    ys, _ = solver.solve(free(theta), y0, ts)
+    return ys, sensitivities(free, theta, ys, ts, solver).columns
+
+
+def _spread(jacobians, covariance):
+    """Standard deviations of linear functions of the parameters."""
+    variance = np.sum((jacobians @ covariance) * jacobians, axis=-1)
+    return np.sqrt(np.maximum(variance, 0.0))

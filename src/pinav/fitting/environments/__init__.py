@@ -1,0 +1,1 @@
+"""What stands for the unknown force, laid around the data."""

@@ -1,0 +1,189 @@
+"""Kernel environments made from data, and the Gaussian-process prior of their weights.
+
+A grid of radial basis functions of width b, whose weights have a squared-exponential
+covariance, is a Gaussian process: the basis filters the weights.
+"""
+
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from pinav.errors import InputError
+from pinav.forces import (
+    ChangingPotential,
+    KernelForce,
+    KernelMixture,
+    KernelPotential,
+    KernelStream,
+    TimedKernelPotential,
+    kernel_centers,
+)
+from pinav.trajectories import Trajectories
+
+Kernel = TypeVar("Kernel", KernelForce, KernelPotential, KernelStream, KernelMixture)
+
+
+class KernelGrid(eqx.Module):
+    """How kernels are laid around the data.
+
+    Attributes:
+        across: grid intervals along the longest extent of the data.
+        width: of a kernel, in intervals.
+        margin: in which there are kernels beyond the data, in intervals.
+
+    Raises:
+        InputError: a number is not positive.
+    """
+
+    across: int = 12
+    width: float = 1.0
+    margin: float = 4.0
+
+    def __check_init__(self):
+        for name in ("across", "width", "margin"):
+            if not getattr(self, name) > 0:
+                raise InputError(
+                    f"KernelGrid.{name}: expected > 0, got {getattr(self, name)}"
+                )
+
+
+WITHOUT_PRIOR = KernelGrid(across=10, width=1.5, margin=2.0)
+"""Wide kernels close to the data: where no prior makes the field smooth."""
+
+IN_TIME = KernelGrid(across=9, margin=2.0)
+"""Fewer kernels: each of them has a weight for every spline in time."""
+
+
+def kernel_environment(
+    kind: type[Kernel],
+    trajectories: Trajectories,
+    grid: KernelGrid | None = None,
+    *,
+    dim: int | None = None,
+) -> Kernel:
+    """An untrained kernel environment on a grid around the data: no force at all.
+
+    Unless given, the grid is as fine as a twelfth of the longer side of the data, the
+    kernels are as wide as the grid is fine, and they reach four intervals beyond the
+    samples: a prior must not end within its own length scale. That is where `fit_bayes`
+    begins; it lays finer ones where the evidence asks for them (`Refinement`).
+
+    Args:
+        kind: `KernelForce`, `KernelPotential`, `KernelStream` or `KernelMixture`.
+        trajectories: their channels are positions, then as many velocities.
+        grid: its fineness; `KernelGrid()` unless given.
+        dim: how many of their channels are positions, where that is not half of them:
+            all, where the state of the dynamics is the position.
+
+    Raises:
+        InputError: the observed positions are fewer than two, or all the same, or
+            there are no `dim` channels.
+    """
+    centers, width = _laid(trajectories, grid, dim)
+    return kernels_on(kind, centers, width)
+
+
+def timed_kernel_environment(
+    trajectories: Trajectories,
+    *,
+    grid: KernelGrid | None = None,
+    intervals: int = 6,
+    max_weights: int = 1500,
+    dim: int | None = None,
+) -> TimedKernelPotential:
+    """An untrained potential that may change with time, on a grid around the data.
+
+    The splines reach from the first time to the last. Where the weights would be too
+    many, the grid in space is made coarser: a step costs the square of their number.
+
+    Args:
+        trajectories: their channels are positions, then as many velocities.
+        grid: its fineness at most; `IN_TIME` unless given.
+        intervals: of the splines in time, positive.
+        max_weights: weights at most.
+        dim: see `kernel_environment`.
+
+    Raises:
+        InputError: `intervals` is not positive, `max_weights` is less than 100 for
+            each spline, or as `kernel_environment` does.
+    """
+    grid = IN_TIME if grid is None else grid
+    splines = intervals + 3
+    if intervals < 1 or max_weights < 100 * splines:
+        raise InputError(
+            "timed_kernel_environment: expected one or more intervals and 100 weights "
+            f"for each of 3 splines more, got {intervals} and {max_weights}"
+        )
+    centers, width = _laid(trajectories, grid, dim)
+    while len(centers) * splines > max_weights:
+        grid = KernelGrid(grid.across - 1, grid.width, grid.margin)
+        centers, width = _laid(trajectories, grid, dim)
+    return TimedKernelPotential(
+        jnp.zeros((len(centers), splines)),
+        jnp.asarray(centers),
+        width,
+        float(trajectories.times.min()),
+        float(trajectories.times.max()),
+    )
+
+
+def changing_environment(
+    trajectories: Trajectories, *, intervals: int = 6, dim: int | None = None
+) -> ChangingPotential:
+    """An untrained potential with a static part, and a part that changes with time.
+
+    Args:
+        trajectories: their channels are positions, then as many velocities.
+        intervals: of the splines in time, positive.
+        dim: see `kernel_environment`.
+
+    Raises:
+        InputError: see `timed_kernel_environment`.
+    """
+    static = kernel_environment(KernelPotential, trajectories, dim=dim)
+    change = timed_kernel_environment(
+        trajectories, intervals=intervals, max_weights=MOST_IN_TIME, dim=dim
+    )
+    return ChangingPotential(static, change)
+
+
+MOST_IN_TIME = 1200
+"""Weights of the part that changes, beside some 300 of the static one."""
+
+
+def kernels_on(
+    kind: Any, centers: Float[np.ndarray, "kernel dim"], width: float
+) -> Any:
+    """Kernels of a kind at given places, with weights of zero."""
+    places, scalar = jnp.asarray(centers), jnp.zeros(len(centers))
+    if kind is KernelMixture:
+        gradient = KernelPotential(scalar, places, width)
+        return KernelMixture(gradient, KernelStream(scalar, places, width))
+    return kind(
+        jnp.zeros_like(places) if kind is KernelForce else scalar, places, width
+    )
+
+
+def _laid(trajectories, grid, dim):
+    """Centres and width of kernels on a grid around the data."""
+    grid = KernelGrid() if grid is None else grid
+    count = len(trajectories.channels)
+    dim = count // 2 if dim is None else dim
+    if not 0 < dim <= count:
+        raise InputError(
+            f"kernel_environment dim: expected 1 to {count}, as many as there are "
+            f"channels, got {dim}"
+        )
+    seen = trajectories.observed[..., :dim].all(axis=-1)
+    positions = trajectories.states[..., :dim][seen]
+    extent = float(np.ptp(positions, axis=0).max()) if len(positions) > 1 else 0.0
+    if not extent > 0:
+        raise InputError(
+            "kernel_environment: expected two or more different observed positions"
+        )
+    spacing = extent / grid.across
+    centers = kernel_centers(positions, spacing=spacing, margin=grid.margin * spacing)
+    return centers, grid.width * spacing

@@ -1,0 +1,1 @@
+"""Evidence of linearised observations under Gaussian priors."""

@@ -1,0 +1,163 @@
+r"""Evidence that can be compared between models: what its free choices cost.
+
+A fit reports $\log Z$ at its best hyperparameters and with improper flat priors of
+starts and constants. Two corrections make it comparable.
+
+1. A hyperparameter $h$, uniform over the range in which it is sought, is integrated
+   out: $\log \int Z(h)\, dh / |h|$, by Laplace's method where $Z$ is narrow, by a sum
+   over the range where it is broad. A choice on which nothing depends is free.
+2. A start or constant with a flat prior gets that of unit information, as in the
+   Bayesian information criterion: $\tfrac12 \log n$ each, with $n$ the observations
+   that see it. It does not depend on how the constant is written.
+
+References:
+    MacKay, Neural Computation 11, 1035 (1999); Kass and Wasserman, J. Am. Stat. Assoc.
+    90, 928 (1995), the prior of unit information.
+"""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from pinav.fitting.evidence.evidence import Data, Hyperparameters, log_evidence
+from pinav.fitting.evidence.priors import AbstractPrior
+from pinav.fitting.evidence.quadratic import Quadratic
+from pinav.fitting.evidence.weights import AbstractWeights, GaussianWeights
+
+LOG_RANGE = 8.0
+"""Range of the logarithms of amplitude and noise: a factor of 3000."""
+
+STEP, POINTS, BROAD = 2e-3, 25, 0.1
+"""Difference step; points over a range; share of the range that counts as broad."""
+
+
+class LinearFit(eqx.Module):
+    r"""The linear problem in which a fit ended.
+
+    Attributes:
+        quadratic: sum of squares as a function of the weights.
+        weights: their prior.
+        noise: standard deviation of the residuals, where it was given.
+        num_observed: number of residuals.
+        flat_information: $\sum_j \log n_j$ over all unknowns with a flat prior; it
+            takes the place of the determinant of what was integrated out.
+        teacher: the fit that chose the prior, where it was another.
+    """
+
+    quadratic: Quadratic
+    weights: AbstractWeights
+    noise: float | None
+    num_observed: int
+    flat_information: float
+    teacher: "LinearFit | None" = None
+
+
+class ModelEvidence(eqx.Module):
+    """The evidence of a model, and what it is made of [nats].
+
+    Attributes:
+        best: log evidence at the best hyperparameters, all flat priors proper.
+        occam: what the hyperparameters cost, not negative.
+    """
+
+    best: float
+    occam: float
+
+    @property
+    def log_evidence(self) -> float:
+        """Log evidence of the model."""
+        return self.best - self.occam
+
+
+def model_evidence(linear: LinearFit, chosen: Hyperparameters) -> ModelEvidence:
+    """Evidence for comparing models of the same data.
+
+    Args:
+        linear: the problem of the fit.
+        chosen: its best hyperparameters.
+
+    The prior of a taught network is the process that its teacher chose, and costs what
+    it cost there.
+    """
+    quadratic = linear.quadratic
+    flat = linear.num_observed - quadratic.num_free
+    best = chosen.log_evidence + 0.5 * (
+        quadratic.log_determinant
+        - flat * np.log(2 * np.pi * chosen.noise**2)
+        - linear.flat_information
+    )
+    weights = linear.weights
+    if isinstance(weights, GaussianWeights):
+        return ModelEvidence(float(best), _occam(linear, weights.prior, chosen))
+    if linear.teacher is not None:
+        return ModelEvidence(float(best), model_evidence(linear.teacher, chosen).occam)
+    cost = _narrow_cost([[2.0 * quadratic.num_free]], [LOG_RANGE])
+    return ModelEvidence(float(best), 0.0 if linear.noise else cost)
+
+
+def _occam(linear: LinearFit, prior: AbstractPrior, chosen: Hyperparameters) -> float:
+    """Minus the logarithm of the share of the hyperparameters that explain the data."""
+    data = Data.of(linear.quadratic)
+    known = linear.noise is not None
+    start = np.append(chosen.shape, np.log([chosen.amplitude, chosen.noise]))
+    ranges = np.append(np.ptp(prior.bounds, axis=1), [LOG_RANGE, LOG_RANGE])
+    if known:
+        start, ranges = start[:-1], ranges[:-1]
+
+    def value(point):
+        covariance = prior.covariance(point[: len(chosen.shape)])
+        amplitude = float(np.exp(point[len(chosen.shape)]))
+        noise = float(np.exp(point[-1])) if linear.noise is None else linear.noise
+        return log_evidence(data, covariance, amplitude, noise)
+
+    bend = curvature(value, start, STEP)
+    wide = np.diag(bend) < (BROAD * ranges) ** -2
+    lower = np.append(prior.bounds[:, 0], start[len(chosen.shape) :] - LOG_RANGE / 2)
+    cost = sum(
+        _broad_cost(value, start, i, lower[i], ranges[i]) for i in np.flatnonzero(wide)
+    )
+    narrow = ~wide
+    return cost + _narrow_cost(bend[np.ix_(narrow, narrow)], ranges[narrow])
+
+
+def curvature(
+    value: Callable[[Float[np.ndarray, " n"]], float],
+    point: Float[np.ndarray, " n"],
+    step: float,
+) -> Float[np.ndarray, "n n"]:
+    """Hessian of minus a function, by central differences.
+
+    Args:
+        value: the function; it is called n (n + 1) + 1 times.
+        point: where.
+        step: of the differences.
+    """
+    steps = step * np.eye(len(point))
+    middle = value(point)
+    sums = np.array([value(point + s) + value(point - s) - 2 * middle for s in steps])
+    hessian = np.diag(sums)
+    for i, j in zip(*np.triu_indices(len(point), 1), strict=True):
+        both = value(point + steps[i] + steps[j]) + value(point - steps[i] - steps[j])
+        mixed = 0.5 * (both - 2 * middle - sums[i] - sums[j])
+        hessian[i, j] = hessian[j, i] = mixed
+    return -hessian / step**2
+
+
+def _narrow_cost(bend, ranges) -> float:
+    """By Laplace's method: a normal prior as high as the uniform one."""
+    widths = np.asarray(ranges) / np.sqrt(2 * np.pi)
+    values = np.linalg.eigvalsh(np.asarray(bend) * np.outer(widths, widths))
+    return float(0.5 * np.log(np.maximum(values, 1.0)).sum())
+
+
+def _broad_cost(value, point, index, lower, extent) -> float:
+    """By a sum over the range, the other hyperparameters held."""
+    values = []
+    for place in lower + extent * (np.arange(POINTS) + 0.5) / POINTS:
+        moved = point.copy()
+        moved[index] = place
+        values.append(value(moved))
+    share = np.mean(np.exp(np.minimum(np.array(values) - value(point), 0.0)))
+    return float(-np.log(max(share, 1 / POINTS)))

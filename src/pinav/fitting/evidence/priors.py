@@ -1,0 +1,241 @@
+r"""Gaussian-process priors of the weights of kernel environments.
+
+Each has a shape, which the evidence chooses: length scales, envelopes, relative
+amplitudes. The amplitude common to all weights is not part of it.
+"""
+
+import abc
+
+import equinox as eqx
+import numpy as np
+import scipy.linalg
+from jaxtyping import Float
+
+from pinav.forces import (
+    ChangingPotential,
+    KernelForce,
+    KernelMixture,
+    KernelPotential,
+    KernelStream,
+    TimedKernelPotential,
+)
+
+
+class AbstractPrior(eqx.Module):
+    """A normal distribution of weights, of unit amplitude, that depends on a shape."""
+
+    @property
+    @abc.abstractmethod
+    def start(self) -> Float[np.ndarray, " shape"]:
+        """Shape at which the search begins."""
+
+    @property
+    @abc.abstractmethod
+    def bounds(self) -> Float[np.ndarray, "shape 2"]:
+        """Between which the shape is sought."""
+
+    @abc.abstractmethod
+    def covariance(
+        self, shape: Float[np.ndarray, " shape"]
+    ) -> Float[np.ndarray, "weight weight"]:
+        """Covariance of the weights, flattened as they are."""
+
+    @abc.abstractmethod
+    def slopes(
+        self, shape: Float[np.ndarray, " shape"]
+    ) -> Float[np.ndarray, "shape weight weight"]:
+        """Derivative of the covariance by each entry of the shape."""
+
+
+class WeightPrior(AbstractPrior):
+    r"""Gaussian-process prior of the weights of one environment, of unit amplitude.
+
+    $K_{ij} = D_i D_j \exp(-|c_i - c_j|^2 / 2\ell^2)$ with the envelope
+    $D_i = \exp(-|c_i - m|^2 / 2 R^2)$: a field of length scale $\ell$ that may fade
+    away from a place. Where nothing fades the evidence makes R large, and the prior is
+    stationary. The envelope is what separates an obstacle from a constant force: a
+    stationary prior takes a slope over the whole domain for an obstacle.
+
+    Its shape is $\log \ell$, $\log R$, and $m$ from the middle, all in widths; a search
+    begins with a wide envelope about the middle of the kernels.
+
+    Attributes:
+        environment: the kernels.
+    """
+
+    environment: KernelForce | KernelPotential | KernelStream
+
+    @property
+    def start(self):
+        return np.append([0.5, np.log(0.5 * self._extent)], np.zeros(self._dim))
+
+    @property
+    def bounds(self):
+        extent = self._extent
+        half = 0.5 * extent
+        scales = [(-1.2, np.log(10 * extent)), (0.0, np.log(10 * extent))]
+        return np.array(scales + [(-half, half)] * self._dim)
+
+    def covariance(self, shape):
+        return self._per_component(self._scalar(shape))
+
+    def slopes(self, shape):
+        length_scale, reach = np.exp(shape[:2])
+        from_middle = self._scaled_centers - shape[2:]
+        squares = (from_middle**2).sum(axis=-1)
+        factors = [
+            self._squares / length_scale**2,
+            (squares[:, None] + squares[None]) / reach**2,
+            *(from_middle.T[:, :, None] + from_middle.T[:, None]) / reach**2,
+        ]
+        scalar = self._scalar(shape)
+        return np.stack([self._per_component(scalar * factor) for factor in factors])
+
+    def _scalar(self, shape):
+        """Covariance of one component."""
+        length_scale, reach = np.exp(shape[:2])
+        from_middle = self._scaled_centers - shape[2:]
+        envelope = np.exp(-0.5 * (from_middle**2).sum(axis=-1) / reach**2)
+        covariance = np.exp(-0.5 * self._squares / length_scale**2)
+        return covariance * np.outer(envelope, envelope)
+
+    def _per_component(self, scalar):
+        if isinstance(self.environment, KernelForce):
+            return np.kron(scalar, np.eye(self._dim))
+        return scalar
+
+    @property
+    def _squares(self):
+        centers = self._scaled_centers
+        return ((centers[:, None] - centers[None]) ** 2).sum(axis=-1)
+
+    @property
+    def _scaled_centers(self):
+        centers = np.asarray(self.environment.centers, float)
+        middle = (centers.min(axis=0) + centers.max(axis=0)) / 2
+        return (centers - middle) / float(self.environment.width)
+
+    @property
+    def _extent(self):
+        return float(max(np.ptp(self._scaled_centers, axis=0).max(), 1.0))
+
+    @property
+    def _dim(self):
+        return np.shape(self.environment.centers)[1]
+
+
+class MixturePrior(AbstractPrior):
+    r"""Prior of two parts of a force, independent of each other.
+
+    Each part has a length scale and an envelope of its own. The last entry of the shape
+    is the logarithm of the amplitude of the second relative to that of the first: where
+    it is low the first part is all there is.
+
+    Attributes:
+        first: prior of the first part.
+        second: prior of the second part.
+    """
+
+    first: AbstractPrior
+    second: AbstractPrior
+
+    @property
+    def start(self):
+        return np.concatenate([self.first.start, self.second.start, [0.0]])
+
+    @property
+    def bounds(self):
+        ratio = [[-LOG_RATIO, LOG_RATIO]]
+        return np.concatenate([self.first.bounds, self.second.bounds, ratio])
+
+    def covariance(self, shape):
+        half = len(self.first.start)
+        return _blocks(
+            self.first.covariance(shape[:half]),
+            np.exp(2 * shape[-1]) * self.second.covariance(shape[half:-1]),
+        )
+
+    def slopes(self, shape):
+        half, ratio = len(self.first.start), np.exp(2 * shape[-1])
+        own, other = self.first.slopes(shape[:half]), self.second.slopes(shape[half:-1])
+        covariance = ratio * self.second.covariance(shape[half:-1])
+        nothing, absent = np.zeros_like(own[0]), np.zeros_like(covariance)
+        slopes: list[np.ndarray] = [_blocks(slope, absent) for slope in own]
+        slopes += [_blocks(nothing, ratio * slope) for slope in other]
+        return np.stack([*slopes, _blocks(nothing, 2 * covariance)])
+
+
+def _blocks(first, second) -> np.ndarray:
+    return np.asarray(scipy.linalg.block_diag(first, second))
+
+
+LOG_RATIO = 8.0
+"""Largest logarithm of the ratio of two amplitudes: one part then is nothing."""
+
+
+class TimedPrior(AbstractPrior):
+    r"""Prior of a potential that changes with time.
+
+    The product of a `WeightPrior` in space and $\exp(-(k - k')^2 / 2\tau^2)$ between
+    splines. The last entry of the shape is $\log\tau$, in intervals. As $\tau$ grows
+    the prior becomes that of a static potential.
+
+    Attributes:
+        environment: the kernels.
+    """
+
+    environment: TimedKernelPotential
+
+    @property
+    def start(self):
+        return np.append(self._space.start, 1.0)
+
+    @property
+    def bounds(self):
+        return np.concatenate([self._space.bounds, [[-0.5, LOG_STATIC]]])
+
+    def covariance(self, shape):
+        space = self._space.covariance(shape[:-1])
+        return np.kron(space, np.exp(-0.5 * self._gaps(shape)))
+
+    def slopes(self, shape):
+        gaps = self._gaps(shape)
+        time = np.exp(-0.5 * gaps)
+        slopes = [np.kron(s, time) for s in self._space.slopes(shape[:-1])]
+        space = self._space.covariance(shape[:-1])
+        return np.stack([*slopes, np.kron(space, gaps * time)])
+
+    def _gaps(self, shape):
+        """Squared distances in time, in correlation times."""
+        index = np.arange(self.environment.weights.shape[1])
+        return ((index[:, None] - index[None]) / np.exp(shape[-1])) ** 2
+
+    @property
+    def _space(self):
+        kernels = self.environment
+        still = KernelPotential(kernels.weights[:, 0], kernels.centers, kernels.width)
+        return WeightPrior(still)
+
+
+LOG_STATIC = 12.0
+r"""$\log\tau$ at which a change in time is too slow for any data to show."""
+
+
+def kernel_prior(
+    environment: KernelForce
+    | KernelPotential
+    | KernelStream
+    | KernelMixture
+    | TimedKernelPotential
+    | ChangingPotential,
+) -> AbstractPrior:
+    """The Gaussian-process prior of a kernel environment."""
+    if isinstance(environment, KernelMixture):
+        first, second = environment.gradient, environment.rotation
+        return MixturePrior(kernel_prior(first), kernel_prior(second))
+    if isinstance(environment, ChangingPotential):
+        first, second = environment.static, environment.change
+        return MixturePrior(kernel_prior(first), kernel_prior(second))
+    if isinstance(environment, TimedKernelPotential):
+        return TimedPrior(environment)
+    return WeightPrior(environment)

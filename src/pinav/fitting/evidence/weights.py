@@ -1,0 +1,160 @@
+r"""What a linearised fit says of the parameters, for each prior of its weights.
+
+Weights with a Gaussian prior, whose covariance is that of a kernel field
+(`fitting.priors`) or a multiple of one (`IsotropicPrior`), or no weights at all.
+"""
+
+import abc
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from pinav.fitting.evidence.evidence import (
+    Data,
+    Hyperparameters,
+    best_hyperparameters,
+    weight_posterior,
+)
+from pinav.fitting.evidence.hyperparameter_uncertainty import shape_covariance
+from pinav.fitting.evidence.priors import AbstractPrior
+from pinav.fitting.evidence.quadratic import Quadratic
+
+
+class Inference(eqx.Module):
+    """Hyperparameters and, given them, the weights.
+
+    Attributes:
+        hyperparameters: the chosen ones.
+        mean: of the weights.
+        covariance: of the weights.
+    """
+
+    hyperparameters: Hyperparameters
+    mean: Float[np.ndarray, " weight"]
+    covariance: Float[np.ndarray, "weight weight"]
+
+
+class AbstractWeights(eqx.Module):
+    """What is known of the weights before the data."""
+
+    @property
+    @abc.abstractmethod
+    def start(self) -> Float[np.ndarray, " shape"]:
+        """Shape of the prior at which a fit begins."""
+
+    @abc.abstractmethod
+    def about(self, weights: Float[np.ndarray, " weight"]) -> "AbstractWeights":
+        """The same where it depends on the point of linearisation."""
+
+    @abc.abstractmethod
+    def ridge(self, chosen: Hyperparameters) -> float:
+        """Precision of each weight on its own; zero where `energy` tells more."""
+
+    @abc.abstractmethod
+    def energy(self, weights: Float[np.ndarray, " weight"]) -> float:
+        """Twice the negative logarithm of the prior, less that of the ridge."""
+
+    @abc.abstractmethod
+    def posterior(
+        self, quadratic: Quadratic, chosen: Hyperparameters
+    ) -> tuple[Float[np.ndarray, " weight"], Float[np.ndarray, "weight weight"]]:
+        """Mean and covariance of the weights for these hyperparameters."""
+
+    @abc.abstractmethod
+    def infer(
+        self,
+        quadratic: Quadratic,
+        shape: Float[np.ndarray, " shape"],
+        noise: float | None,
+    ) -> Inference:
+        """Hyperparameters of highest evidence, sought from `shape`, and the weights."""
+
+    @abc.abstractmethod
+    def shape_covariance(
+        self, quadratic: Quadratic, chosen: Hyperparameters, noise: float | None
+    ) -> Float[np.ndarray, "weight weight"]:
+        """What the uncertainty of the prior's shape adds to the covariance."""
+
+
+class GaussianWeights(AbstractWeights):
+    """Weights with a Gaussian prior, chosen by the evidence.
+
+    Attributes:
+        prior: its covariance.
+    """
+
+    prior: AbstractPrior
+
+    @property
+    def start(self):
+        return self.prior.start
+
+    def about(self, weights):
+        return self
+
+    def ridge(self, chosen):
+        return chosen.amplitude**-2
+
+    def energy(self, weights):
+        return 0.0
+
+    def posterior(self, quadratic, chosen):
+        prior = self.prior.covariance(chosen.shape)
+        return weight_posterior(Data.of(quadratic), prior, chosen)
+
+    def infer(self, quadratic, shape, noise):
+        data, covariance = Data.of(quadratic), self.prior.covariance
+        chosen = best_hyperparameters(
+            data, covariance, shape, self.prior.bounds, noise, self.prior.slopes
+        )
+        weights = weight_posterior(data, covariance(chosen.shape), chosen)
+        return Inference(chosen, *weights)
+
+    def shape_covariance(self, quadratic, chosen, noise):
+        data = Data.of(quadratic)
+        return shape_covariance(data, self.prior, chosen, noise)
+
+
+class NoWeights(AbstractWeights):
+    r"""No weights: every parameter has a flat prior.
+
+    The evidence is then that of the noise alone,
+    $-2 \log Z = n \log 2\pi\sigma^2 + q/\sigma^2 + \log\det$, with $n$ the residuals
+    less the parameters and $q$ the least sum of squares.
+    """
+
+    @property
+    def start(self):
+        return np.zeros(0)
+
+    def about(self, weights):
+        return self
+
+    def ridge(self, chosen):
+        return 0.0
+
+    def energy(self, weights):
+        return 0.0
+
+    def posterior(self, quadratic, chosen):
+        return np.zeros(0), np.zeros((0, 0))
+
+    def infer(self, quadratic, shape, noise):
+        squares = max(quadratic.squares, np.finfo(float).tiny)
+        variance = squares / quadratic.num_free if noise is None else noise**2
+        log_evidence = -0.5 * (
+            quadratic.num_free * np.log(2 * np.pi * variance)
+            + squares / variance
+            + quadratic.log_determinant
+        )
+        chosen = Hyperparameters(
+            shape=np.zeros(0),
+            amplitude=0.0,
+            noise=float(np.sqrt(variance)),
+            log_evidence=float(log_evidence),
+        )
+        return Inference(chosen, np.zeros(0), np.zeros((0, 0)))
+
+    def shape_covariance(self, quadratic, chosen, noise):
+        return np.zeros((0, 0))

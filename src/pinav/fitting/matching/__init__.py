@@ -1,0 +1,1 @@
+"""Trajectory matching: minimise a loss by phases of gradient steps."""

@@ -1,0 +1,291 @@
+"""Phases of a fit as values: each minimises a loss for a number of steps.
+
+A phase works on one model. `fit` batches it over many and runs it in chunks.
+"""
+
+import abc
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Bool, Float, Int, PyTree
+
+from pinav.errors import InputError
+from pinav.fitting.matching.state import FitOutcome
+
+Loss = Callable[[PyTree], Float[Array, ""]]
+"""Loss of the parameters; a `Problem` is one, and tells a phase more if it asks."""
+
+
+class AbstractPhase(eqx.Module):
+    """An iterative minimiser written as a start, a step and an end."""
+
+    @property
+    @abc.abstractmethod
+    def name(self) -> str:
+        """What progress bars and reports call the phase."""
+
+    @property
+    @abc.abstractmethod
+    def num_steps(self) -> int:
+        """Number of steps."""
+
+    @abc.abstractmethod
+    def init(self, loss: Loss, params: PyTree, value: Float[Array, ""]) -> PyTree:
+        """State of the minimiser before its first step; `value` is the loss there."""
+
+    @abc.abstractmethod
+    def step(
+        self, loss: Loss, params: PyTree, state: PyTree
+    ) -> tuple[PyTree, PyTree, Float[Array, ""]]:
+        """Next parameters, next state, and the loss at the *given* parameters."""
+
+    @abc.abstractmethod
+    def finish(self, loss: Loss, params: PyTree, state: PyTree) -> PyTree:
+        """Parameters that the phase hands on."""
+
+    @abc.abstractmethod
+    def is_done(self, state: PyTree) -> Bool[Array, ""]:
+        """Whether further steps are pointless; a done phase no longer moves."""
+
+    @abc.abstractmethod
+    def outcome(self, state: PyTree) -> Int[Array, ""]:
+        """The `FitOutcome` of a phase that ended in this state."""
+
+    @property
+    @abc.abstractmethod
+    def chunk_steps(self) -> int:
+        """Steps between two checkpoints: about a second of work."""
+
+    @property
+    @abc.abstractmethod
+    def side_by_side(self) -> bool:
+        """Whether a CPU is quicker with many fits side by side than one by one.
+
+        Many small steps are; large ones are not, and a fit that is done then costs as
+        much as one that is not.
+        """
+
+
+class Adam(AbstractPhase):
+    """Adam at a constant learning rate.
+
+    Attributes:
+        learning_rate: step size, positive.
+        steps: number of steps.
+
+    Raises:
+        InputError: `learning_rate` or `steps` is not positive.
+
+    References:
+        Kingma and Ba, ICLR 2015; PI-NAV paper, Table 1.
+    """
+
+    learning_rate: float = eqx.field(static=True)
+    steps: int = eqx.field(static=True)
+
+    def __check_init__(self):
+        _check_positive("Adam.learning_rate", self.learning_rate)
+        _check_positive("Adam.steps", self.steps)
+
+    @property
+    def name(self):
+        return "Adam"
+
+    @property
+    def num_steps(self):
+        return self.steps
+
+    def init(self, loss, params, value):
+        return optax.adam(self.learning_rate).init(params)
+
+    def step(self, loss, params, state):
+        value, gradient = jax.value_and_grad(loss)(params)
+        updates, state = optax.adam(self.learning_rate).update(gradient, state)
+        return eqx.apply_updates(params, updates), state, value
+
+    def finish(self, loss, params, state):
+        return params
+
+    def is_done(self, state):
+        return jnp.zeros((), bool)
+
+    def outcome(self, state):
+        return jnp.asarray(FitOutcome.COMPLETED)
+
+    @property
+    def chunk_steps(self):
+        return 250
+
+    @property
+    def side_by_side(self):
+        return True
+
+
+class LBFGS(AbstractPhase):
+    """Limited-memory BFGS with a weak Wolfe line search by bisection.
+
+    The line search is ours because it must evaluate the loss at one place in the
+    program: optax's zoom search does so at five, and each would be compiled.
+
+    Attributes:
+        steps: number of steps.
+        memory: number of past steps that shape the curvature.
+        max_evaluations: loss gradients per step at most.
+
+    Raises:
+        InputError: `steps`, `memory` or `max_evaluations` is not positive.
+
+    References:
+        Liu and Nocedal, Math. Program. 45, 1989; line search: Lewis and Overton,
+        Math. Program. 141, 2013; PI-NAV paper, Table 1.
+    """
+
+    steps: int = eqx.field(static=True)
+    memory: int = eqx.field(static=True, default=10)
+    max_evaluations: int = eqx.field(static=True, default=20)
+
+    def __check_init__(self):
+        for name in ("steps", "memory", "max_evaluations"):
+            _check_positive(f"LBFGS.{name}", getattr(self, name))
+
+    @property
+    def name(self):
+        return "L-BFGS"
+
+    @property
+    def num_steps(self):
+        return self.steps
+
+    def init(self, loss, params, value):
+        gradient = jax.grad(loss)(params)
+        return optax.scale_by_lbfgs(self.memory).init(params), value, gradient
+
+    def step(self, loss, params, state):
+        curvature, value, gradient = state
+        ascent, curvature = optax.scale_by_lbfgs(self.memory).update(
+            gradient, curvature, params
+        )
+        direction = jax.tree.map(jnp.negative, ascent)
+        found = _weak_wolfe_search(
+            jax.value_and_grad(loss),
+            (params, value, gradient),
+            direction,
+            self.max_evaluations,
+        )
+        params, next_value, next_gradient = found
+        return params, (curvature, next_value, next_gradient), value
+
+    def finish(self, loss, params, state):
+        return params
+
+    def is_done(self, state):
+        return jnp.zeros((), bool)
+
+    def outcome(self, state):
+        return jnp.asarray(FitOutcome.COMPLETED)
+
+    @property
+    def chunk_steps(self):
+        return 25
+
+    @property
+    def side_by_side(self):
+        return True
+
+
+class BestSoFar(AbstractPhase):
+    """Hands on the best parameters that another phase visited, not its last ones.
+
+    Attributes:
+        phase: the phase that is wrapped.
+    """
+
+    phase: AbstractPhase
+
+    @property
+    def name(self):
+        return self.phase.name
+
+    @property
+    def num_steps(self):
+        return self.phase.num_steps
+
+    def init(self, loss, params, value):
+        inner = self.phase.init(loss, params, value)
+        return inner, params, jnp.full_like(value, jnp.inf)
+
+    def step(self, loss, params, state):
+        inner, best, best_value = state
+        next_params, inner, value = self.phase.step(loss, params, inner)
+        best, best_value = _better(params, value, best, best_value)
+        return next_params, (inner, best, best_value), value
+
+    def finish(self, loss, params, state):
+        inner, best, best_value = state
+        params = self.phase.finish(loss, params, inner)
+        best, _ = _better(params, loss(params), best, best_value)
+        return best
+
+    def is_done(self, state):
+        return self.phase.is_done(state[0])
+
+    def outcome(self, state):
+        return self.phase.outcome(state[0])
+
+    @property
+    def chunk_steps(self):
+        return self.phase.chunk_steps
+
+    @property
+    def side_by_side(self):
+        return self.phase.side_by_side
+
+
+def _weak_wolfe_search(value_and_grad, start, direction, max_evaluations):
+    """Point along `direction` with enough decrease and a flatter slope.
+
+    Bisects between a step too long (no decrease: Armijo, 1e-4) and one too short
+    (still as steep: curvature, 0.9), doubling while no step was too long. Returns
+    (point, value, gradient); the start itself where nothing lower was found.
+    """
+    params, value, gradient = start
+    slope = jnp.asarray(optax.tree.vdot(gradient, direction))
+
+    def unfinished(state):
+        _, _, _, _, evaluations, done = state
+        return ~done & (evaluations < max_evaluations)
+
+    def evaluate(state):
+        low, high, length, best, evaluations, _ = state
+        point = optax.tree.add_scale(params, length, direction)
+        point_value, point_gradient = value_and_grad(point)
+        enough = point_value <= value + 1e-4 * length * slope
+        flat = jnp.asarray(optax.tree.vdot(point_gradient, direction)) >= 0.9 * slope
+        candidate = (point, point_value, point_gradient)
+        best = _where(enough & (point_value <= best[1]), candidate, best)
+        low, high = jnp.where(enough, length, low), jnp.where(enough, high, length)
+        length = jnp.where(jnp.isinf(high), 2.0 * low, 0.5 * (low + high))
+        return low, high, length, best, evaluations + 1, enough & flat
+
+    zero, one = jnp.zeros_like(value), jnp.ones_like(value)
+    state = (zero, one * jnp.inf, one, start, jnp.asarray(0), jnp.zeros((), bool))
+    return jax.lax.while_loop(unfinished, evaluate, state)[3]
+
+
+def _where(condition, chosen, otherwise):
+    """Leafwise choice between two trees of the same shape."""
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), chosen, otherwise)
+
+
+def _better(params, value, best, best_value):
+    """The one of two candidates with the smaller loss; NaN never wins."""
+    wins = value < best_value
+    return _where(wins, params, best), jnp.where(wins, value, best_value)
+
+
+def _check_positive(name, value):
+    if not value > 0:
+        raise InputError(f"{name}: expected > 0, got {value}")

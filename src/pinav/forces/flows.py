@@ -1,0 +1,108 @@
+"""Background flows that carry a swimmer."""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from pinav.arguments import Scalar, as_point, check_positive
+
+
+class AbstractFlow(eqx.Module):
+    """Velocity of the fluid where the swimmer is. No batch axis."""
+
+    @abc.abstractmethod
+    def __call__(self, t: Scalar, x: Float[Array, " dim"]) -> Float[Array, " dim"]:
+        """Velocity [L T⁻¹] at time `t` [T] and position `x` [L]."""
+
+
+class ZeroFlow(AbstractFlow):
+    """A fluid at rest."""
+
+    def __call__(self, t, x):
+        return jnp.zeros_like(x)
+
+
+class ShearFlow(AbstractFlow):
+    r"""Simple shear $u = (\dot\gamma (y - y_0), 0)$ in the plane.
+
+    Attributes:
+        rate: $\dot\gamma$ [T⁻¹].
+        origin: $y_0$, where the fluid is at rest [L].
+    """
+
+    rate: Scalar
+    origin: Scalar = 0.0
+
+    def __call__(self, t, x):
+        return jnp.stack([self.rate * (x[1] - self.origin), jnp.zeros_like(x[0])])
+
+
+class PoiseuilleFlow(AbstractFlow):
+    r"""Flow $u = (u_m (1 - (y - y_0)^2 / R^2), 0)$ between two walls in the plane.
+
+    Beyond the walls, where it would run backwards, the fluid is at rest; the walls
+    themselves hold nothing back.
+
+    Attributes:
+        peak: $u_m$ in the middle [L T⁻¹].
+        middle: $y_0$ [L].
+        half_width: $R$, from the middle to a wall [L], positive.
+
+    Raises:
+        InputError: `half_width` is a number <= 0.
+    """
+
+    peak: Scalar
+    middle: Scalar
+    half_width: Scalar
+
+    def __check_init__(self):
+        check_positive(self, "half_width")
+
+    def __call__(self, t, x):
+        profile = 1 - ((x[1] - self.middle) / self.half_width) ** 2
+        return jnp.stack([self.peak * jnp.maximum(profile, 0), jnp.zeros_like(x[0])])
+
+
+class VortexFlow(AbstractFlow):
+    r"""Gaussian vortex $u = \Omega \exp(-|x - c|^2 / 2w^2)\, \hat z \times (x - c)$.
+
+    Attributes:
+        rate: $\Omega$ of the rotation in the middle [rad T⁻¹]; counter-clockwise.
+        center: $c$ [L].
+        width: $w$ [L], positive.
+
+    Raises:
+        InputError: `center` is not a point in the plane, or `width` a number <= 0.
+    """
+
+    rate: Scalar
+    center: Float[Array, "2"] = eqx.field(
+        converter=lambda value: as_point("VortexFlow.center", value, 2)
+    )
+    width: Scalar
+
+    def __check_init__(self):
+        check_positive(self, "width")
+
+    def __call__(self, t, x):
+        offset = x - self.center
+        fading = jnp.exp(-0.5 * (offset @ offset) / self.width**2)
+        return self.rate * fading * jnp.stack([-offset[1], offset[0]])
+
+
+class UniformFlow(AbstractFlow):
+    """The same velocity everywhere, at all times: a drift.
+
+    Attributes:
+        velocity: of the fluid [L T⁻¹].
+    """
+
+    velocity: Float[Array, " dim"] = eqx.field(
+        converter=lambda value: as_point("UniformFlow.velocity", value)
+    )
+
+    def __call__(self, t, x):
+        return self.velocity.astype(x.dtype)

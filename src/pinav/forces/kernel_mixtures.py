@@ -1,0 +1,179 @@
+"""Kernel environments that are not the gradient of a static potential.
+
+A stream function makes the rotational part of a planar force, a mixture holds it beside
+a potential, and splines in time let a potential change.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from pinav.arguments import Scalar
+from pinav.errors import InputError
+from pinav.forces.force import AbstractLearnedForce
+from pinav.forces.kernels import KernelPotential, check_kernels, kernel_values
+
+
+class KernelStream(AbstractLearnedForce):
+    r"""Rotational force $(\partial_y \psi, -\partial_x \psi)$ in the plane.
+
+    With $\psi(x) = \sum_j w_j \exp(-|x - c_j|^2 / 2 b^2)$: it has no divergence, and no
+    potential.
+
+    Attributes:
+        weights: $w_j$ [L² T⁻²], what trains.
+        centers: $c_j$ [L]; fixed.
+        width: $b$ [L], positive; fixed.
+
+    Raises:
+        InputError: shapes disagree, the space is not a plane, or `width` is a
+            number <= 0.
+    """
+
+    weights: Float[Array, " kernel"]
+    centers: Float[Array, "kernel dim"]
+    width: Scalar
+
+    def __check_init__(self):
+        check_kernels(self, np.shape(self.centers)[:1])
+        if np.shape(self.centers)[1:] != (2,):
+            raise InputError(
+                "KernelStream.centers: expected points in the plane, shape (n, 2), got "
+                f"{np.shape(self.centers)}; choose a KernelForce"
+            )
+
+    @property
+    def parameters(self):
+        return self.weights
+
+    def stream(self, x: Float[Array, "2"]) -> Float[Array, ""]:
+        r"""Stream function $\psi(x)$ [L² T⁻²]; positive turns counter-clockwise."""
+        return self.weights @ kernel_values(x, self.centers, self.width)
+
+    def __call__(self, t, x, v):
+        strengths = self.weights * kernel_values(x, self.centers, self.width)
+        offset = strengths @ (x[None] - self.centers) / self.width**2
+        return jnp.stack([-offset[1], offset[0]])
+
+
+class KernelMixture(AbstractLearnedForce):
+    r"""Force with a gradient and a rotational part, $-\nabla U + \nabla^\perp \psi$.
+
+    Every planar force is such a sum (Helmholtz). A harmonic field has both forms: on a
+    bounded ground the split is that of the smallest weights.
+
+    Attributes:
+        gradient: the part with a potential $U$.
+        rotation: the part with a stream function $\psi$.
+
+    References:
+        Helmholtz, J. reine angew. Math. 55, 25 (1858).
+    """
+
+    gradient: KernelPotential
+    rotation: KernelStream
+
+    @property
+    def parameters(self):
+        return self.gradient.weights, self.rotation.weights
+
+    def __call__(self, t, x, v):
+        return self.gradient(t, x, v) + self.rotation(t, x, v)
+
+
+class TimedKernelPotential(AbstractLearnedForce):
+    r"""Force $-\nabla U$ from a potential that changes with time.
+
+    $U(t, x) = \sum_{jk} w_{jk}\, \phi_j(x)\, B_k(t)$ with Gaussians $\phi_j$ in space
+    and uniform cubic B-splines in time. Their sum is one: weights that do not depend on
+    $k$ make a static `KernelPotential`. Before the first time and after the last the
+    potential is that of these times.
+
+    Attributes:
+        weights: $w_{jk}$ [L² T⁻²], what trains; three splines more than intervals.
+        centers: $c_j$ [L]; fixed.
+        width: $b$ [L], positive; fixed.
+        first: time [T] at which the splines begin; fixed.
+        last: time [T] at which they end; fixed.
+
+    Raises:
+        InputError: shapes disagree, `width` is a number <= 0, or `last` is not after
+            `first`.
+
+    References:
+        de Boor, A Practical Guide to Splines (1978).
+    """
+
+    weights: Float[Array, "kernel spline"]
+    centers: Float[Array, "kernel dim"]
+    width: Scalar
+    first: Scalar
+    last: Scalar
+
+    def __check_init__(self):
+        count = max(np.shape(self.weights)[-1], 4)
+        check_kernels(self, (*np.shape(self.centers)[:1], count))
+        times = self.first, self.last
+        if all(isinstance(t, float | int) for t in times) and not times[0] < times[1]:
+            raise InputError(
+                f"TimedKernelPotential: expected last > first, got {self.last} and "
+                f"{self.first}"
+            )
+
+    @property
+    def parameters(self):
+        return self.weights
+
+    def splines(self, t: Scalar) -> Float[Array, " spline"]:
+        """Value of each spline at time `t` [T]."""
+        count = self.weights.shape[1]
+        dtype = self.weights.dtype
+        share = (jnp.asarray(t, dtype) - self.first) / (self.last - self.first)
+        place = jnp.clip(share, 0.0, 1.0) * (count - 3)
+        return cubic_spline(place - jnp.arange(-1, count - 1, dtype=dtype))
+
+    def potential(self, t: Scalar, x: Float[Array, " dim"]) -> Float[Array, ""]:
+        """Potential energy per mass $U(t, x)$ [L² T⁻²]."""
+        values = kernel_values(x, self.centers, self.width)
+        return values @ self.weights @ self.splines(t)
+
+    def at(self, t: Scalar) -> KernelPotential:
+        """The static potential that it is at time `t` [T]."""
+        return KernelPotential(self.weights @ self.splines(t), self.centers, self.width)
+
+    def __call__(self, t, x, v):
+        return self.at(t)(t, x, v)
+
+
+class ChangingPotential(AbstractLearnedForce):
+    r"""Force $-\nabla (U_0(x) + U_1(t, x))$: what stays, and what changes.
+
+    Where nothing changes $U_1 = 0$ leaves a `KernelPotential` on a grid as fine as it
+    needs, while that of the change, which has many more weights, may be coarser.
+
+    Attributes:
+        static: the part $U_0$ that does not depend on time.
+        change: the part $U_1$ that does.
+    """
+
+    static: KernelPotential
+    change: TimedKernelPotential
+
+    @property
+    def parameters(self):
+        return self.static.weights, self.change.weights
+
+    def potential(self, t: Scalar, x: Float[Array, " dim"]) -> Float[Array, ""]:
+        """Potential energy per mass $U(t, x)$ [L² T⁻²]."""
+        return self.static.potential(t, x) + self.change.potential(t, x)
+
+    def __call__(self, t, x, v):
+        return self.static(t, x, v) + self.change(t, x, v)
+
+
+def cubic_spline(offsets: Float[Array, " spline"]) -> Float[Array, " spline"]:
+    """The uniform cubic B-spline about zero, with knots at the integers -2 to 2."""
+    far = jnp.abs(offsets)
+    inner = 2 / 3 - far**2 + far**3 / 2
+    outer = jnp.maximum(2 - far, 0.0) ** 3 / 6
+    return jnp.where(far < 1, inner, outer)

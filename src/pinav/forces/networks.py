@@ -1,0 +1,155 @@
+"""Learned forces: what may stand where the unknown environment's force would be.
+
+All are forces of equal rank. Each names the leaves that train; the centre and scale of
+its inputs and outputs, and the centres of a kernel, are fixed.
+"""
+
+import abc
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from pinav.arguments import Scalar
+from pinav.errors import InputError
+from pinav.forces.force import AbstractLearnedForce
+
+
+class AbstractFeatures(eqx.Module):
+    """What a learned force sees of (t, x, v), centred and scaled to order one."""
+
+    center: eqx.AbstractVar[tuple[float, ...]]
+    scale: eqx.AbstractVar[tuple[float, ...]]
+
+    @abc.abstractmethod
+    def __call__(
+        self, t: Scalar, x: Float[Array, " dim"], v: Float[Array, " dim"]
+    ) -> Float[Array, " features"]:
+        """Dimensionless inputs of the network."""
+
+
+class PositionFeatures(AbstractFeatures):
+    """Position alone: a static environment.
+
+    Attributes:
+        center: subtracted from x [L]; fixed, never trained.
+        scale: divides the difference [L]; fixed, never trained.
+    """
+
+    center: tuple[float, ...] = eqx.field(static=True)
+    scale: tuple[float, ...] = eqx.field(static=True)
+
+    def __call__(self, t, x, v):
+        return (x - jnp.asarray(self.center, x.dtype)) / jnp.asarray(
+            self.scale, x.dtype
+        )
+
+
+class PositionTimeFeatures(AbstractFeatures):
+    """Position and time, as in the paper's network.
+
+    Attributes:
+        center: subtracted from (x, t) [L, T]; fixed, never trained.
+        scale: divides the difference [L, T]; fixed, never trained.
+    """
+
+    center: tuple[float, ...] = eqx.field(static=True)
+    scale: tuple[float, ...] = eqx.field(static=True)
+
+    def __call__(self, t, x, v):
+        inputs = jnp.append(x, jnp.asarray(t, x.dtype))
+        return (inputs - jnp.asarray(self.center, x.dtype)) / jnp.asarray(
+            self.scale, x.dtype
+        )
+
+
+class NeuralForce(AbstractLearnedForce):
+    r"""Free force field $F(t, x) = f_0\,\mathrm{NN}_\theta(\text{features})$.
+
+    It need not be the gradient of anything. Where no trajectory went its values
+    are those of an untrained network.
+
+    Attributes:
+        network: the multilayer perceptron; its weights are what trains.
+        features: what the network sees.
+        scale: $f_0$ [L T⁻²], size of one unit of output; fixed, never trained.
+    """
+
+    network: eqx.nn.MLP
+    features: AbstractFeatures
+    scale: float = eqx.field(static=True, default=1.0)
+
+    @property
+    def parameters(self):
+        return self.network
+
+    def __call__(self, t, x, v):
+        return self.scale * self.network(self.features(t, x, v))
+
+
+class NeuralPotential(AbstractLearnedForce):
+    r"""Conservative force $-\nabla U$, $U = f_0\,\mathrm{NN}_\theta(\text{features})$.
+
+    Attributes:
+        network: the multilayer perceptron, one output; its weights are what trains.
+        features: what the network sees.
+        scale: $f_0$ [L² T⁻²], size of one unit of potential; fixed, never trained.
+    """
+
+    network: eqx.nn.MLP
+    features: AbstractFeatures
+    scale: float = eqx.field(static=True, default=1.0)
+
+    @property
+    def parameters(self):
+        return self.network
+
+    def potential(self, t: Scalar, x: Float[Array, " dim"]) -> Float[Array, ""]:
+        """Potential energy per mass $U(t, x)$ [L² T⁻²]."""
+        features = self.features(t, x, jnp.zeros_like(x))
+        return self.scale * self.network(features)[0]
+
+    def __call__(self, t, x, v):
+        return -jax.grad(self.potential, argnums=1)(t, x)
+
+
+def tanh_network(
+    in_size: int, out_size: int, *, width: int, depth: int, key: PRNGKeyArray
+) -> eqx.nn.MLP:
+    """A multilayer perceptron with tanh between its layers and a linear output.
+
+    Args:
+        in_size: number of inputs.
+        out_size: number of outputs.
+        width: neurons of each hidden layer, positive.
+        depth: number of hidden layers, positive.
+        key: random key of the weights.
+
+    Raises:
+        InputError: `width` or `depth` is not positive.
+    """
+    for name, value in (("width", width), ("depth", depth)):
+        if value < 1:
+            raise InputError(
+                f"network {name}: expected a positive integer, got {value}"
+            )
+    return eqx.nn.MLP(in_size, out_size, width, depth, activation=jnp.tanh, key=key)
+
+
+def spread_weights(network: eqx.nn.MLP) -> eqx.nn.MLP:
+    r"""The network with all weights and biases times $\sqrt 3$.
+
+    Equinox draws them uniformly with variance 1/(3 n) for n inputs; after this it is
+    1/n, which keeps standardised signals of order one through the layers. Gauss-Newton
+    reaches a far lower error from there (docs/fitting.md).
+    """
+    return jax.tree.map(
+        lambda leaf: 3**0.5 * leaf if eqx.is_inexact_array(leaf) else leaf, network
+    )
+
+
+def paper_force(key: PRNGKeyArray) -> NeuralForce:
+    """The paper's residual: 3-32-32-2 tanh network on raw (x, y, t) (Table 1)."""
+    features = PositionTimeFeatures(center=(0.0, 0.0, 0.0), scale=(1.0, 1.0, 1.0))
+    return NeuralForce(tanh_network(3, 2, width=32, depth=2, key=key), features)

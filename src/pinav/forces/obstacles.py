@@ -1,0 +1,168 @@
+"""Forces of an environment: fibres, rotation, motion, and random fields of them."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from pinav.arguments import Scalar, as_point, check_positive
+from pinav.forces.force import AbstractForce
+
+
+class GaussianRidge(AbstractForce):
+    r"""Repulsion $-\nabla U$ from an elongated Gaussian in the plane: a fibre.
+
+    $U(x) = U_0 \exp(-\tfrac12 (a^2 / l^2 + b^2 / w^2))$, with the coordinates $a$ along
+    and $b$ across the ridge. With $l = w$ it is a `GaussianBarrier`.
+
+    Attributes:
+        height: $U_0$ [L² T⁻²].
+        center: $c$ [L].
+        length: $l$ along the ridge [L], positive.
+        width: $w$ across it [L], positive.
+        angle: of the ridge to the x axis [rad].
+
+    Raises:
+        InputError: `center` is not a point in the plane, or `length` or `width` is a
+            number <= 0.
+    """
+
+    height: Scalar
+    center: Float[Array, "2"] = eqx.field(
+        converter=lambda value: as_point("GaussianRidge.center", value, 2)
+    )
+    length: Scalar
+    width: Scalar
+    angle: Scalar
+
+    def __check_init__(self):
+        check_positive(self, "length", "width")
+
+    def potential(self, x: Float[Array, "2"]) -> Float[Array, ""]:
+        """Potential energy per mass $U(x)$ [L² T⁻²]."""
+        offset = x - self.center
+        cos, sin = jnp.cos(self.angle), jnp.sin(self.angle)
+        along = (cos * offset[0] + sin * offset[1]) / self.length
+        across = (cos * offset[1] - sin * offset[0]) / self.width
+        return self.height * jnp.exp(-0.5 * (along**2 + across**2))
+
+    def __call__(self, t, x, v):
+        return -jax.grad(self.potential)(x)
+
+
+class GaussianSwirl(AbstractForce):
+    r"""Rotational force $(\partial_y \psi, -\partial_x \psi)$ in the plane.
+
+    With $\psi(x) = S \exp(-|x - c|^2 / 2w^2)$: it has no potential and no divergence.
+    Over the whole plane $\int |F|^2 = \pi S^2$, as it is $\pi U_0^2$ for a
+    `GaussianBarrier`, whatever the widths; the two are orthogonal there.
+
+    Attributes:
+        strength: $S$ [L² T⁻²]; positive pushes counter-clockwise.
+        center: $c$ [L].
+        width: $w$ [L], positive.
+
+    Raises:
+        InputError: `center` is not a point in the plane, or `width` a number <= 0.
+    """
+
+    strength: Scalar
+    center: Float[Array, "2"] = eqx.field(
+        converter=lambda value: as_point("GaussianSwirl.center", value, 2)
+    )
+    width: Scalar
+
+    def __check_init__(self):
+        check_positive(self, "width")
+
+    def stream(self, x: Float[Array, "2"]) -> Float[Array, ""]:
+        r"""Stream function $\psi(x)$ [L² T⁻²]."""
+        offset = (x - self.center) / self.width
+        return self.strength * jnp.exp(-0.5 * offset @ offset)
+
+    def __call__(self, t, x, v):
+        offset = (x - self.center) / self.width**2
+        return self.stream(x) * jnp.stack([-offset[1], offset[0]])
+
+
+class Superposition(AbstractForce):
+    """Sum of many forces of one kind: quicker to compile than a `SumForce`.
+
+    Attributes:
+        stacked: a force whose arrays have one more axis, the first, such as
+            `eqx.filter_vmap(GaussianBarrier)` makes; plain numbers are common to all.
+    """
+
+    stacked: AbstractForce
+
+    @property
+    def terms(self) -> tuple[AbstractForce, ...]:
+        """The forces one by one."""
+        arrays, common = eqx.partition(self.stacked, eqx.is_array)
+        count = jax.tree.leaves(arrays)[0].shape[0]
+        return tuple(
+            eqx.combine(jax.tree.map(lambda a, i=i: a[i], arrays), common)
+            for i in range(count)
+        )
+
+    def __call__(self, t, x, v):
+        one = eqx.filter_vmap(lambda f: f(t, x, v), in_axes=(eqx.if_array(0),))
+        return jnp.sum(one(self.stacked), axis=0)
+
+
+class GaussianBarrier(AbstractForce):
+    r"""Repulsion $-\nabla U$ from $U(x) = U_0 \exp(-|x - c|^2 / 2\sigma^2)$.
+
+    Attributes:
+        height: $U_0$ [L² T⁻²]; negative makes a trap.
+        center: $c$ [L].
+        width: $\sigma$ [L], positive.
+
+    Raises:
+        InputError: `center` is not a point, or `width` is a number <= 0.
+
+    References:
+        PI-NAV paper, eq. (1); its centre is (5, 5).
+    """
+
+    height: Scalar
+    center: Float[Array, " dim"] = eqx.field(
+        converter=lambda value: as_point("GaussianBarrier.center", value)
+    )
+    width: Scalar
+
+    def __check_init__(self):
+        check_positive(self, "width")
+
+    def potential(self, x: Float[Array, " dim"]) -> Float[Array, ""]:
+        """Potential energy per mass $U(x)$ [L² T⁻²]."""
+        offset = (x - self.center) / self.width
+        return self.height * jnp.exp(-0.5 * offset @ offset)
+
+    def __call__(self, t, x, v):
+        return self.potential(x) * (x - self.center) / self.width**2
+
+
+class HarmonicTrap(AbstractForce):
+    r"""Pull $-\nabla U$ from $U(x) = k |x - c|^2 / 2$, as of an optical tweezer.
+
+    Attributes:
+        stiffness: $k$ [T⁻²]; negative pushes away.
+        center: $c$ [L].
+
+    Raises:
+        InputError: `center` is not a point.
+    """
+
+    stiffness: Scalar
+    center: Float[Array, " dim"] = eqx.field(
+        converter=lambda value: as_point("HarmonicTrap.center", value)
+    )
+
+    def potential(self, x: Float[Array, " dim"]) -> Float[Array, ""]:
+        """Potential energy per mass $U(x)$ [L² T⁻²]."""
+        offset = x - self.center
+        return 0.5 * self.stiffness * (offset @ offset)
+
+    def __call__(self, t, x, v):
+        return -self.stiffness * (x - self.center)

@@ -1,0 +1,234 @@
+"""Positive tensors that vary in space: mobilities and drags.
+
+A tensor is a linear map, so that an isotropic one needs no matrix and serves any
+dimension. Where it has a director, the plane is meant.
+"""
+
+import abc
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from pinav.arguments import Scalar, as_point, check_positive
+from pinav.errors import InputError
+
+
+class AbstractTensorField(eqx.Module):
+    """A symmetric positive tensor at each position. No batch axis."""
+
+    @abc.abstractmethod
+    def __call__(
+        self, x: Float[Array, " dim"], vector: Float[Array, " dim"]
+    ) -> Float[Array, " dim"]:
+        """The tensor at position `x` [L] applied to a vector."""
+
+    @abc.abstractmethod
+    def factor(
+        self, x: Float[Array, " dim"], vector: Float[Array, " dim"]
+    ) -> Float[Array, " dim"]:
+        r"""A factor $L$ with $L L^\top$ = the tensor at `x`, applied to a vector."""
+
+
+class IsotropicTensor(AbstractTensorField):
+    """A multiple of the identity, the same everywhere.
+
+    Attributes:
+        value: the factor, positive.
+
+    Raises:
+        InputError: `value` is a number <= 0.
+    """
+
+    value: Scalar
+
+    def __check_init__(self):
+        check_positive(self, "value")
+
+    def __call__(self, x, vector):
+        return self.value * vector
+
+    def factor(self, x, vector):
+        return jnp.sqrt(self.value) * vector
+
+
+class AbstractDirector(eqx.Module):
+    """Direction of the fibres of a medium in the plane; its sign is without effect."""
+
+    @abc.abstractmethod
+    def __call__(self, x: Float[Array, "2"]) -> Float[Array, ""]:
+        """Angle to the x axis [rad] at position `x` [L]."""
+
+
+class ConstantDirector(AbstractDirector):
+    """The same direction everywhere.
+
+    Attributes:
+        angle: angle to the x axis [rad].
+    """
+
+    angle: Scalar
+
+    def __call__(self, x):
+        return jnp.asarray(self.angle, x.dtype)
+
+
+class WavyDirector(AbstractDirector):
+    r"""Direction that sways, $\varphi(x) = \varphi_0 + A \sin(k \cdot x)$.
+
+    Attributes:
+        angle: mean angle $\varphi_0$ [rad].
+        amplitude: $A$ [rad]; zero is a `ConstantDirector`.
+        wavevector: $k$ [rad L⁻¹].
+
+    Raises:
+        InputError: `wavevector` has not two components.
+    """
+
+    angle: Scalar
+    amplitude: Scalar
+    wavevector: Float[Array, "2"] = eqx.field(
+        converter=lambda value: as_point("WavyDirector.wavevector", value, 2)
+    )
+
+    def __call__(self, x):
+        return self.angle + self.amplitude * jnp.sin(self.wavevector @ x)
+
+
+class UniaxialTensor(AbstractTensorField):
+    r"""Tensor $c_\parallel n n^\top + c_\perp (I - n n^\top)$ in the plane.
+
+    Attributes:
+        along: $c_\parallel$, its value along the director, positive.
+        across: $c_\perp$, its value across the director, positive.
+        director: direction $n(x)$ of the fibres.
+
+    Raises:
+        InputError: a principal value is a number <= 0.
+
+    References:
+        Happel and Brenner, Low Reynolds Number Hydrodynamics.
+    """
+
+    along: Scalar
+    across: Scalar
+    director: AbstractDirector
+
+    def __check_init__(self):
+        check_positive(self, "along", "across")
+
+    def __call__(self, x, vector):
+        return self._with(self.along, self.across, x, vector)
+
+    def factor(self, x, vector):
+        return self._with(jnp.sqrt(self.along), jnp.sqrt(self.across), x, vector)
+
+    def _with(self, along, across, x, vector):
+        angle = self.director(x)
+        axis = jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+        return across * vector + (along - across) * (axis @ vector) * axis
+
+
+class CholeskyTensor(AbstractTensorField):
+    r"""Tensor $L L^\top$, the same everywhere: positive whatever its numbers are.
+
+    The parametrisation to train: unlike principal values and an angle it has no
+    singular point where the tensor is isotropic.
+
+    Attributes:
+        log_diagonal: logarithms of the diagonal of $L$.
+        below: entries of $L$ below its diagonal, row by row.
+    """
+
+    log_diagonal: Float[Array, " dim"]
+    below: Float[Array, " pair"]
+
+    @classmethod
+    def of(cls, matrix: Float[Array, "dim dim"]) -> "CholeskyTensor":
+        """The tensor of a matrix.
+
+        Raises:
+            InputError: the matrix is not symmetric and positive.
+        """
+        values = np.asarray(matrix)
+        if not np.allclose(values, values.T) or np.linalg.eigvalsh(values)[0] <= 0:
+            raise InputError(
+                "CholeskyTensor.of: expected a symmetric positive matrix, got "
+                f"{values.tolist()}"
+            )
+        lower = jnp.linalg.cholesky(matrix)
+        rows, columns = np.tril_indices(len(values), -1)
+        return cls(jnp.log(jnp.diagonal(lower)), lower[rows, columns])
+
+    def lower(self) -> Float[Array, "dim dim"]:
+        """$L$."""
+        rows, columns = np.tril_indices(self.log_diagonal.shape[0], -1)
+        return jnp.diag(jnp.exp(self.log_diagonal)).at[rows, columns].set(self.below)
+
+    def __call__(self, x, vector):
+        return self.lower() @ (self.lower().T @ vector)
+
+    def factor(self, x, vector):
+        return self.lower() @ vector
+
+
+class BrinkmanTensor(AbstractTensorField):
+    r"""Isotropic drag of a sphere in a porous medium that varies in space.
+
+    $\eta(x) = \eta_0 (1 + \kappa a + (\kappa a)^2 / 9)$ with the inverse screening
+    length $\kappa(x) = \sum_j \kappa_j \exp(-|x - c_j|^2 / 2 w^2)$; the permeability
+    is $\kappa^{-2}$, so that the fluid is free where $\kappa = 0$.
+
+    Attributes:
+        clear: $\eta_0$ in the free fluid, positive.
+        radius: $a$ of the swimmer [L].
+        screening: $\kappa_j$ [L⁻¹], not negative.
+        centers: $c_j$ of the dense regions [L].
+        width: $w$ of the dense regions [L], positive.
+
+    Raises:
+        InputError: `clear` or `width` is a number <= 0.
+
+    References:
+        Brinkman, Appl. Sci. Res. 1, 27 (1949).
+    """
+
+    clear: Scalar
+    radius: Scalar
+    screening: Float[Array, " region"]
+    centers: Float[Array, "region dim"]
+    width: Scalar
+
+    def __check_init__(self):
+        check_positive(self, "clear", "width")
+
+    def value(self, x: Float[Array, " dim"]) -> Float[Array, ""]:
+        r"""$\eta(x)$."""
+        offsets = (x[None] - self.centers) / self.width
+        bumps = jnp.exp(-0.5 * jnp.sum(offsets**2, axis=1))
+        thickness = self.radius * (self.screening @ bumps)
+        return self.clear * (1 + thickness + thickness**2 / 9)
+
+    def __call__(self, x, vector):
+        return self.value(x) * vector
+
+    def factor(self, x, vector):
+        return jnp.sqrt(self.value(x)) * vector
+
+
+def tensor_matrix(
+    tensor: AbstractTensorField, x: Float[Array, " dim"]
+) -> Float[Array, "dim dim"]:
+    """The matrix of a tensor at position `x` [L]."""
+    return jax.vmap(lambda unit: tensor(x, unit), out_axes=1)(
+        jnp.eye(x.shape[0], dtype=x.dtype)
+    )
+
+
+def as_tensor(value: AbstractTensorField | Scalar) -> AbstractTensorField:
+    """A number as an isotropic tensor; a tensor as it is."""
+    if isinstance(value, AbstractTensorField):
+        return value
+    return IsotropicTensor(value)

@@ -1,0 +1,34 @@
+"""Identification: which response to the commands a recording supports."""
+
+from pinav.identification.baselines import Baseline as Baseline
+from pinav.identification.baselines import black_box as black_box
+from pinav.identification.baselines import gaussian_process as gaussian_process
+from pinav.identification.baselines import least_squares as least_squares
+from pinav.identification.findings import delay_findings as delay_findings
+from pinav.identification.findings import interval as interval
+from pinav.identification.findings import positive_interval as positive_interval
+from pinav.identification.findings import sentences as sentences
+from pinav.identification.fit import TrackFit as TrackFit
+from pinav.identification.fit import fit_track as fit_track
+from pinav.identification.forecast import Coverage as Coverage
+from pinav.identification.forecast import Errors as Errors
+from pinav.identification.forecast import Forecast as Forecast
+from pinav.identification.forecast import Rollouts as Rollouts
+from pinav.identification.forecast import Wobble as Wobble
+from pinav.identification.forecast import coverage as coverage
+from pinav.identification.forecast import errors as errors
+from pinav.identification.forecast import path_of as path_of
+from pinav.identification.models import Rung as Rung
+from pinav.identification.models import with_free as with_free
+from pinav.identification.models import with_response as with_response
+from pinav.identification.residual_field import ResidualFit as ResidualFit
+from pinav.identification.residual_field import fit_residual as fit_residual
+from pinav.identification.selection import Climb as Climb
+from pinav.identification.selection import Row as Row
+from pinav.identification.selection import climb as climb
+from pinav.identification.selection import split as split
+from pinav.identification.tracks import Blocks as Blocks
+from pinav.identification.tracks import Track as Track
+from pinav.identification.tracks import tracks as tracks
+from pinav.identification.wandering_velocity import DriftOverTime as DriftOverTime
+from pinav.identification.wandering_velocity import drift_over_time as drift_over_time

@@ -1,0 +1,248 @@
+"""What a recording supports and what it does not, in words with their numbers."""
+
+import math
+
+import equinox as eqx
+import numpy as np
+
+from pinav.fitting import Estimate
+from pinav.identification.fit import TrackFit, fit_track
+from pinav.identification.models import (
+    BOTH,
+    DIAGONAL,
+    DRIFT_ONLY,
+    MATRIX,
+    SCALAR,
+    Rung,
+    with_free,
+    with_response,
+)
+from pinav.identification.selection import DECISIVE, Climb
+from pinav.identification.tracks import Track
+
+NORMAL_95 = 1.96
+"""Half width of an interval of 95 % in standard deviations."""
+
+TURNING_WINDOW = 2.0
+"""Turning rates are taken over this time [s]."""
+
+CONSTANT_TURNING = 0.1
+"""Relative spread of the turning rate below which it counts as constant."""
+
+ALIGNED = math.radians(30.0)
+"""Heading offsets up to this are taken for zero where a delay is sought."""
+
+
+def interval(estimate: Estimate) -> tuple[float, float]:
+    """Interval of 95 %."""
+    half = NORMAL_95 * estimate.sd
+    return estimate.value - half, estimate.value + half
+
+
+def positive_interval(estimate: Estimate) -> tuple[float, float]:
+    """Interval of 95 % of a number that is positive, such as a corner frequency.
+
+    Its logarithm is what was fitted; the interval is symmetric there.
+    """
+    factor = math.exp(min(NORMAL_95 * estimate.sd / estimate.value, 50.0))
+    return estimate.value / factor, estimate.value * factor
+
+
+def turning_rate(track: Track) -> tuple[float, float]:
+    """Median turning rate of the commanded heading [rad/s] and its relative spread.
+
+    The spread is that of the central 80 %; infinite where the median is zero.
+    """
+    rates = []
+    for piece in track.pieces:
+        turned = np.unwrap(piece.commands["heading"])
+        later = np.searchsorted(piece.times, piece.times + TURNING_WINDOW)
+        index = np.flatnonzero(later < len(turned))
+        index = index[piece.commands["frequency"][index] > 0]
+        later = later[index]
+        interval = piece.times[later] - piece.times[index]
+        rates.append((turned[later] - turned[index]) / interval)
+    values = np.concatenate(rates)
+    if not len(values):
+        return 0.0, math.inf
+    low, middle, high = np.quantile(values, [0.1, 0.5, 0.9])
+    if abs(middle) < 1e-3:
+        return float(middle), math.inf
+    return float(middle), float((high - low) / 2 / abs(middle))
+
+
+class DelayFindings(eqx.Module):
+    """What a track says of delay and heading offset.
+
+    Attributes:
+        free: the delay beside any gain matrix [s].
+        offset: the heading offset that belongs to it [rad].
+        offset_without_delay: the heading offset without a delay [rad].
+        zero_offset: the delay with a gain for each axis and no turn [s]; None where
+            the offset without delay is not small.
+        turning_rate: median of the commanded heading [rad/s].
+        confounded: whether that rate is constant, so that delay and offset are one
+            number.
+    """
+
+    free: Estimate
+    offset: Estimate
+    offset_without_delay: Estimate
+    zero_offset: Estimate | None
+    turning_rate: float
+    confounded: bool
+
+
+def delay_findings(track: Track, fit: TrackFit) -> DelayFindings:
+    """The delay with the heading offset fixed at zero, and with both free.
+
+    Args:
+        track: all of it.
+        fit: a rung of it with a gain; its response is kept.
+    """
+    rung = with_response(MATRIX, fit.rung.response)
+    without = fit_track(track, rung, start=fit).estimates()["heading offset"]
+    both = fit_track(track, with_free(rung, "delay", "delay"), start=fit).estimates()
+    rate, spread = turning_rate(track)
+    zero_offset = None
+    if abs(without.value) < ALIGNED:
+        plain = with_response(Rung("gains", DIAGONAL, BOTH), fit.rung.response)
+        aligned = fit_track(track, with_free(plain, "delay", "delay"), start=fit)
+        zero_offset = aligned.estimates()["delay"]
+    return DelayFindings(
+        free=both["delay"],
+        offset=both["heading offset"],
+        offset_without_delay=without,
+        zero_offset=zero_offset,
+        turning_rate=rate,
+        confounded=spread < CONSTANT_TURNING,
+    )
+
+
+def sentences(climb: Climb, estimates: dict[str, Estimate], delays) -> list[str]:
+    """The verdict on one track.
+
+    Args:
+        climb: its ladder.
+        estimates: of the chosen rung.
+        delays: from `delay_findings`; None where nothing was commanded.
+    """
+    found = [f"The evidence chooses: {climb.chosen}."]
+    if delays is None:
+        recorded = "frequency" in climb.train.pieces[0].commands
+        idle = "The commands ask for no motion" if recorded else "No commands recorded"
+        found.append(f"{idle}: gain, delay and heading cannot be known.")
+    else:
+        found += [_propulsion(climb), _response(climb, estimates), _delay(delays)]
+        found.append(_gain(climb, "lag", "a lag of the heading"))
+        found.append(extrapolation(climb.train, climb.held_out))
+    found.append(_gain(climb, "time-dependent drift", "a drift that changes"))
+    found += [
+        _gain(climb, name, f"a velocity that depends on position ({name})")
+        for name in ("Gaussian process", "potential")
+    ]
+    return [sentence for sentence in found if sentence]
+
+
+def extrapolation(train: Track, held_out: Track) -> str:
+    """What is said where the test part is faster than all that trained, or nothing.
+
+    Args:
+        train: the training part of a track.
+        held_out: its test part.
+    """
+    seen, asked = (
+        max(float(piece.commands["frequency"].max()) for piece in part.pieces)
+        for part in (train, held_out)
+    )
+    if asked <= BEYOND * seen:
+        return ""
+    return (
+        f"The held-out part is driven at up to {asked:.3g} Hz, the training part at up "
+        f"to {seen:.3g} Hz: errors and bands there hang on how the response goes on."
+    )
+
+
+BEYOND = 1.05
+"""Ratio of frequencies above which a prediction extrapolates."""
+
+
+def _difference(climb: Climb, name: str) -> float:
+    """Evidence of a rung over the one that it extends."""
+    row = climb.row(name)
+    below = max(
+        (r for r in climb.rows if name.startswith(f"{r.name} + ")),
+        key=lambda r: len(r.name),
+    )
+    return row.log_evidence - below.log_evidence
+
+
+def _propulsion(climb: Climb) -> str:
+    gain = climb.row(MATRIX.name).log_evidence - climb.row(DRIFT_ONLY.name).log_evidence
+    matrix = climb.row(MATRIX.name).log_evidence - climb.row(SCALAR.name).log_evidence
+    return (
+        f"Propulsion by the command: {_words(gain)}. A gain matrix with drift, over "
+        f"one number and the heading as recorded: {_words(matrix)}."
+    )
+
+
+def _response(climb: Climb, estimates) -> str:
+    linear = climb.row(MATRIX.name).log_evidence
+    chosen = climb.best.rung.response
+    if chosen == "linear":
+        return "Saturation in frequency: not supported; the speed is linear in it."
+    row = climb.row(with_response(MATRIX, chosen).name)
+    text = (
+        f"Loss of gain with frequency ({chosen}): {_words(row.log_evidence - linear)}"
+    )
+    if "corner" in estimates:
+        corner = estimates["corner"]
+        low, high = positive_interval(corner)
+        text += f", corner {corner.value:.3g} Hz ({low:.2g} to {high:.2g})"
+    if "residual" in estimates:
+        text += f", residual gain {_plus_minus(estimates['residual'])}"
+    return text + "."
+
+
+def _delay(delays) -> str:
+    if delays.confounded:
+        offset, rate = delays.offset_without_delay, delays.turning_rate
+        text = (
+            "Delay and heading offset are confounded, because the heading turns at a "
+            f"constant rate ({math.degrees(rate):.0f} degrees/s): without delay the "
+            f"offset is {math.degrees(offset.value):.1f} degrees, and every 0.1 s of "
+            f"delay turns it by {math.degrees(0.1 * rate):.1f}."
+        )
+    else:
+        text = (
+            f"Delay {_plus_minus(delays.free)} s with the heading offset free "
+            f"({math.degrees(delays.offset.value):.1f} degrees)."
+        )
+    if delays.zero_offset is not None:
+        text += (
+            f" With the heading offset fixed at zero the delay is "
+            f"{_plus_minus(delays.zero_offset)} s."
+        )
+    return text
+
+
+def _gain(climb: Climb, label: str, meaning: str) -> str:
+    names = [r.name for r in climb.rows if r.name.endswith(f"+ {label}")]
+    if not names:
+        return ""
+    if climb.row(names[0]).reason:
+        return f"{meaning.capitalize()}: not fitted, {climb.row(names[0]).reason}."
+    difference = _difference(climb, names[0])
+    return f"{meaning[0].upper()}{meaning[1:]}: {_words(difference)}."
+
+
+def _words(difference: float) -> str:
+    if difference >= DECISIVE:
+        return f"supported, by {difference:.1f} nats"
+    if difference <= -DECISIVE:
+        return f"not supported, {-difference:.1f} nats against it"
+    return f"undecided ({difference:+.1f} nats)"
+
+
+def _plus_minus(estimate: Estimate) -> str:
+    return f"{estimate.value:.3g} ± {NORMAL_95 * estimate.sd:.2g}"

@@ -1,0 +1,331 @@
+"""`fit_track`: one rung on one track, with evidence and intervals."""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.optimize import minimize
+
+from pinav.actuation import HeldProgramme
+from pinav.dynamics import OverdampedSwimmer
+from pinav.errors import FitError
+from pinav.fitting import Estimate
+from pinav.forces import (
+    RollingPropulsion,
+    UniformFlow,
+    ZeroForce,
+    heading_offset,
+    mean_gain,
+)
+from pinav.identification.kalman import Disturbance
+from pinav.identification.likelihood import (
+    Design,
+    Prior,
+    compiled_whitened,
+    disturbance_of,
+    value_and_slope,
+)
+from pinav.identification.models import ABSENT, NAMES, Rung, response_of
+from pinav.identification.tracks import Blocks, Track
+
+
+class TrackFit(eqx.Module):
+    r"""A rung fitted to a track.
+
+    Attributes:
+        rung: what was free.
+        theta: all nonlinear parameters, in the order of `NAMES`.
+        coefficients: of the gain matrices and drifts of the rung; absent ones are 0.
+        covariance: joint, of `rung.learned` and then of all coefficients.
+        log_evidence: the nonlinear parameters integrated out by Laplace's method.
+        evaluations: of the likelihood.
+    """
+
+    rung: Rung
+    theta: Float[np.ndarray, " parameter"]
+    coefficients: Float[np.ndarray, " coefficient"]
+    covariance: Float[np.ndarray, "unknown unknown"]
+    log_evidence: float
+    evaluations: int
+
+    @property
+    def gain(self) -> Float[np.ndarray, "2 2"]:
+        """Gain matrix [L per cycle]."""
+        return np.einsum("g,gab->ab", self.coefficients[:4], self.rung.matrices())
+
+    @property
+    def drift(self) -> Float[np.ndarray, "2"]:
+        """Drift [L T⁻¹]."""
+        return self.coefficients[4:] @ self.rung.velocities()
+
+    @property
+    def disturbance(self) -> Disturbance:
+        """The noise."""
+        return disturbance_of(jnp.asarray(self.theta))
+
+    def parameter(self, name: str) -> float:
+        """A nonlinear parameter by its name."""
+        return float(self.theta[NAMES.index(name)])
+
+    def swimmer(self, programme: HeldProgramme) -> OverdampedSwimmer:
+        """The first-order swimmer under a programme; a lag is not part of it."""
+        corner, residual = map(self.parameter, ("log_corner", "logit_residual"))
+        propulsion = RollingPropulsion(
+            gain=jnp.asarray(self.gain),
+            response=response_of(self.rung.response, corner, residual),
+            programme=programme,
+            delay=self.parameter("delay"),
+        )
+        return OverdampedSwimmer(
+            propulsion, ZeroForce(), 1.0, UniformFlow(jnp.asarray(self.drift))
+        )
+
+    def speed(
+        self, frequency: Float[np.ndarray, " place"]
+    ) -> tuple[Float[np.ndarray, " place"], Float[np.ndarray, " place"]]:
+        """Speed along the command by frequency [Hz], with its standard deviation."""
+        return _speed(self, frequency)
+
+    def estimates(self) -> dict[str, Estimate]:
+        """Quantities with a meaning, by name, with their standard deviations."""
+        return _estimates(self)
+
+
+def fit_track(
+    track: Track,
+    rung: Rung,
+    *,
+    prior: Prior | None = None,
+    start: TrackFit | None = None,
+) -> TrackFit:
+    """Maximise the posterior of a rung and integrate it.
+
+    Args:
+        track: what is fitted.
+        rung: what is free.
+        prior: of the nonlinear parameters; `Prior.of(track)` unless given.
+        start: a simpler rung of the same track, from whose parameters to begin too.
+
+    Raises:
+        FitError: the likelihood is not finite at any start.
+    """
+    prior = Prior.of(track) if prior is None else prior
+    with jax.enable_x64(new_val=True):
+        search = _Search(Design.of(rung, Blocks.of(track)), rung, prior)
+        begins = np.unique([search.begin(start, delay) for delay in STARTS], axis=0)
+        found = [search.descend(begin) for begin in begins]
+        best = min(found, key=lambda pair: pair[1])
+        if not math.isfinite(best[1]):
+            raise FitError(
+                f"track {track.name}: the likelihood of {rung.name} is not finite; "
+                "check the times and units of the recording"
+            )
+        return search.result(*best)
+
+
+STARTS = (0.1, 0.4)
+"""Delays from which a search begins where no simpler rung had one [s]."""
+
+
+class _Search:
+    """The posterior of a rung as a function of what is learned."""
+
+    def __init__(self, design: Design, rung: Rung, prior: Prior):
+        self.design, self.rung, self.prior = design, rung, prior
+        self.places = np.array([NAMES.index(name) for name in rung.learned])
+        fixed = {**ABSENT, **rung.fixed}
+        self.base = np.array([fixed.get(name, 0.0) for name in NAMES])
+        self.evaluations = 0
+
+    def begin(self, start: TrackFit | None, delay: float):
+        """Where a search begins: at the prior, or where a simpler rung ended."""
+        theta = self.base.copy()
+        theta[self.places] = self.prior.mean[self.places]
+        if start is not None:
+            shared = [i for i in self.places if NAMES[i] in start.rung.learned]
+            theta[shared] = start.theta[shared]
+        if "delay" in self.rung.free and (
+            start is None or "delay" not in start.rung.free
+        ):
+            theta[NAMES.index("delay")] = delay
+        return theta[self.places]
+
+    def __call__(self, learned):
+        """Negative log posterior density and its gradient."""
+        self.evaluations += 1
+        theta = self.base.copy()
+        theta[self.places] = learned
+        value, slope = value_and_slope(jnp.asarray(theta), self.design)
+        mean, sd = self.prior.mean[self.places], self.prior.sd[self.places]
+        offset = (learned - mean) / sd
+        value = float(value) + 0.5 * float(offset @ offset)
+        value += float(np.log(sd).sum()) + 0.5 * len(sd) * math.log(2 * math.pi)
+        slope = np.asarray(slope)[self.places] + offset / sd
+        if not (math.isfinite(value) and np.isfinite(slope).all()):
+            return 1e30, np.zeros_like(offset)
+        return value, slope
+
+    def descend(self, begin):
+        """The nearest maximum of the posterior."""
+        bounds = self.prior.bounds()[self.places]
+        low, high = bounds.T
+        found = minimize(
+            self,
+            np.clip(begin, low, high),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=bounds,
+            options={"maxiter": 100, "ftol": 1e-9, "gtol": 1e-4},
+        )
+        return found.x, float(found.fun) if found.fun < 1e29 else math.inf
+
+    def result(self, learned, value) -> TrackFit:
+        """Evidence and posterior about the maximum."""
+        hessian = self._hessian(learned)
+        values, vectors = np.linalg.eigh(hessian)
+        values = np.maximum(values, 1e-8)
+        spread = vectors / values @ vectors.T
+        log_evidence = -value + 0.5 * (
+            len(values) * math.log(2 * math.pi) - np.log(values).sum()
+        )
+        coefficients, covariance = self._joint(learned, spread)
+        theta = self.base.copy()
+        theta[self.places] = learned
+        return TrackFit(
+            rung=self.rung,
+            theta=theta,
+            coefficients=coefficients,
+            covariance=covariance,
+            log_evidence=float(log_evidence),
+            evaluations=self.evaluations,
+        )
+
+    def _hessian(self, learned):
+        """By central differences of the gradient, a hundredth of the prior apart."""
+        steps = self._steps()
+        rows = [
+            (self(learned + s)[1] - self(learned - s)[1]) / (2 * s.max()) for s in steps
+        ]
+        return (np.array(rows) + np.array(rows).T) / 2
+
+    def _steps(self):
+        """Differences, a fraction of the prior; held commands make kinks in delays."""
+        wide = np.array([NAMES[i] in ("delay", "log_lag") for i in self.places])
+        share = np.where(wide, ACROSS_KINKS, DIFFERENCE)
+        return np.diag(share * self.prior.sd[self.places])
+
+    def _coefficients(self, learned):
+        theta = self.base.copy()
+        theta[self.places] = learned
+        problem = compiled_whitened(jnp.asarray(theta), self.design)
+        best, information = problem.coefficients()
+        return np.asarray(best), np.asarray(information)
+
+    def _joint(self, learned, spread):
+        """Coefficients, and the joint covariance with what is learned."""
+        best, information = self._coefficients(learned)
+        steps = self._steps()
+        slopes = np.stack(
+            [
+                (
+                    self._coefficients(learned + s)[0]
+                    - self._coefficients(learned - s)[0]
+                )
+                / (2 * s.max())
+                for s in steps
+            ],
+            axis=1,
+        )
+        own = np.linalg.inv(information)
+        present = np.concatenate(
+            [np.any(self.rung.matrices(), axis=(1, 2)), self.rung.velocities().any(1)]
+        )
+        own = own * np.outer(present, present) + slopes @ spread @ slopes.T
+        cross = slopes @ spread
+        return best, np.block([[spread, cross.T], [cross, own]])
+
+
+DIFFERENCE, ACROSS_KINKS = 0.02, 0.25
+"""Steps of central differences, in standard deviations of the prior."""
+
+
+def _estimates(fit: TrackFit) -> dict[str, Estimate]:
+    with jax.enable_x64(new_val=True):
+        values, slopes = _quantities_about(fit.rung, _unknown(fit))
+    found = {}
+    for name, value in values.items():
+        slope = np.asarray(slopes[name])
+        variance = max(float(slope @ fit.covariance @ slope), 0.0)
+        found[name] = Estimate(float(value), math.sqrt(variance))
+    return found
+
+
+def _unknown(fit: TrackFit) -> Float[Array, " unknown"]:
+    """What was learned, then all coefficients."""
+    learned = [fit.parameter(name) for name in fit.rung.learned]
+    return jnp.asarray(np.concatenate([learned, fit.coefficients]))
+
+
+@eqx.filter_jit
+def _quantities_about(rung: Rung, unknown: Float[Array, " unknown"]):
+    """Quantities with a meaning, and their derivatives."""
+
+    def quantities(unknown):
+        return _quantities(rung, unknown)
+
+    return quantities(unknown), jax.jacrev(quantities)(unknown)
+
+
+def _quantities(rung: Rung, unknown) -> dict[str, Float[Array, ""]]:
+    count = len(rung.learned)
+    matrices, velocities = jnp.asarray(rung.matrices()), jnp.asarray(rung.velocities())
+    found = {}
+    if rung.gains:
+        gain = jnp.einsum("g,gab->ab", unknown[count : count + 4], matrices)
+        found["gain"] = mean_gain(gain)
+        found["gain x/y"] = jnp.linalg.norm(gain[0]) / jnp.linalg.norm(gain[1])
+        found["heading offset"] = heading_offset(gain)
+    if rung.drifts:
+        drift = unknown[count + 4 :] @ velocities
+        found["drift x"], found["drift y"] = drift[0], drift[1]
+    for index, name in enumerate(rung.learned):
+        value = unknown[index]
+        if name.startswith("log_"):
+            found[name.removeprefix("log_").replace("_", " ")] = jnp.exp(value)
+        elif name == "logit_residual":
+            found["residual"] = jax.nn.sigmoid(value)
+        else:
+            found[name] = value
+    return found
+
+
+def _speed(fit: TrackFit, frequency):
+    held = [fit.parameter(name) for name in ("log_corner", "logit_residual")]
+    with jax.enable_x64(new_val=True):
+        values, slopes = _speed_about(
+            fit.rung, _unknown(fit), jnp.asarray(held), jnp.asarray(frequency)
+        )
+    slopes = np.asarray(slopes)
+    variance = np.einsum("fp,pq,fq->f", slopes, fit.covariance, slopes)
+    return np.asarray(values), np.sqrt(np.maximum(variance, 0.0))
+
+
+@eqx.filter_jit
+def _speed_about(rung: Rung, unknown, held, frequency):
+    """Speed by frequency, and its derivative; what is not learned is held."""
+    learned, matrices = rung.learned, jnp.asarray(rung.matrices())
+
+    def law(unknown):
+        values = dict(zip(learned, unknown[: len(learned)], strict=True))
+        corner = values.get("log_corner", held[0])
+        residual = values.get("logit_residual", held[1])
+        gain = jnp.einsum(
+            "g,gab->ab", unknown[len(learned) : len(learned) + 4], matrices
+        )
+        response = response_of(rung.response, corner, residual)
+        return mean_gain(gain) * response(frequency)
+
+    return law(unknown), jax.jacrev(law)(unknown)

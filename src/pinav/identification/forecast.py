@@ -1,0 +1,340 @@
+"""Open-loop rollouts on the held-out part of a track: errors and bands."""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from pinav.actuation import HeldProgramme
+from pinav.identification.fit import TrackFit
+from pinav.identification.kalman import Disturbance, transitions
+from pinav.identification.models import NAMES, RESPONSES, SwitchedResponse
+from pinav.identification.tracks import Track, padded_to
+from pinav.trajectories import Trajectory
+
+HORIZONS = (1.0, 5.0, 10.0, 30.0)
+"""Seconds over which errors are reported."""
+
+STRIDE = 5.0
+"""Seconds between the starts of two rollouts."""
+
+Displacement = Callable[[Trajectory], Float[np.ndarray, "time 2"]]
+"""Predicted path of a segment, up to a constant [L]."""
+
+
+class Rollouts(eqx.Module):
+    """Rollouts of one horizon over a track, each from an observed position.
+
+    Attributes:
+        piece: in which segment each starts.
+        first: sample at which it starts.
+        last: sample at which it ends.
+    """
+
+    piece: Int[np.ndarray, " rollout"]
+    first: Int[np.ndarray, " rollout"]
+    last: Int[np.ndarray, " rollout"]
+
+    @classmethod
+    def of(cls, track: Track, horizon: float) -> "Rollouts":
+        """Starts every `STRIDE` seconds of each segment, where the horizon fits."""
+        found = []
+        for index, piece in enumerate(track.pieces):
+            times = piece.times
+            starts = np.arange(times[0], times[-1] - horizon + 1e-9, STRIDE)
+            first = np.searchsorted(times, starts - 1e-9)
+            last = np.searchsorted(times, times[first] + horizon - 1e-9)
+            fits = (last < len(times)) & (first < last)
+            found += [
+                (index, a, b) for a, b in zip(first[fits], last[fits], strict=True)
+            ]
+        rows = np.array(found, np.int64).reshape(-1, 3)
+        return cls(*rows.T)
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+
+class Errors(eqx.Module):
+    """End-point errors of rollouts.
+
+    Attributes:
+        distance: between predicted and observed end [L].
+        path: length of the observed path [L].
+    """
+
+    distance: Float[np.ndarray, " rollout"]
+    path: Float[np.ndarray, " rollout"]
+
+    @property
+    def relative(self) -> float:
+        """Median distance over path length; NaN without rollouts."""
+        ratio = self.distance / np.maximum(self.path, 1e-12)
+        return float(np.median(ratio)) if len(ratio) else float("nan")
+
+    @property
+    def median(self) -> float:
+        """Median distance [L]; NaN without rollouts."""
+        return float(np.median(self.distance)) if len(self.distance) else float("nan")
+
+
+def errors(track: Track, rollouts: Rollouts, displacement: Displacement) -> Errors:
+    """Errors of a model that predicts displacements, whatever the start.
+
+    The path is the polygon of the observed positions, frame by frame.
+    """
+    paths = [displacement(piece) for piece in track.pieces]
+    lengths = [_cumulated_length(piece.states) for piece in track.pieces]
+    distance, path = [], []
+    for index, a, b in zip(rollouts.piece, rollouts.first, rollouts.last, strict=True):
+        seen = track.pieces[index].states
+        miss = seen[b] - seen[a] - (paths[index][b] - paths[index][a])
+        distance.append(np.hypot(*miss))
+        path.append(lengths[index][b] - lengths[index][a])
+    return Errors(np.array(distance), np.array(path))
+
+
+def _cumulated_length(positions):
+    steps = np.hypot(*np.diff(positions, axis=0).T)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def programme_of(piece: Trajectory) -> HeldProgramme:
+    """The commands of a segment; none count as a frequency of 0.
+
+    The last one is held for as many times more as make the number of times round, so
+    that what is compiled for one segment serves others.
+    """
+    nothing = np.zeros_like(piece.times)
+    more = padded_to(len(nothing), LEAST_SIZE) - len(nothing)
+    later = piece.times[-1] + 1.0 + np.arange(more)
+    values = [piece.commands.get(name, nothing) for name in ("frequency", "heading")]
+    held = [jnp.asarray(np.pad(value, (0, more), "edge")) for value in values]
+    return HeldProgramme(jnp.asarray(np.concatenate([piece.times, later])), *held)
+
+
+LEAST_SIZE = 2048
+"""Samples, of which a multiple is compiled for."""
+
+
+def cycles(fit: TrackFit, piece: Trajectory) -> Float[np.ndarray, "time 2"]:
+    """Integral of the delayed response along the heading."""
+    index = RESPONSES.index(fit.rung.response)
+    with jax.enable_x64(new_val=True):
+        programme, drive = programme_of(piece), jnp.asarray(fit.theta[:4])
+        found = _cycles(programme, jnp.asarray(index), drive)
+    return np.asarray(found)[: len(piece.times)]
+
+
+@eqx.filter_jit
+def _cycles(programme: HeldProgramme, index, drive):
+    corner, residual, delay, lag = drive
+    response = SwitchedResponse(index, corner, residual)
+    times = programme.times - delay
+    return programme.lagged_integral(response, times, jnp.exp(lag))
+
+
+def path_of(fit: TrackFit) -> Displacement:
+    """Displacements by gain and drift alone."""
+
+    def displacement(piece: Trajectory) -> Float[np.ndarray, "time 2"]:
+        along = cycles(fit, piece) @ fit.gain.T
+        return along + np.outer(piece.times - piece.times[0], fit.drift)
+
+    return displacement
+
+
+def remembered(displacement: Displacement) -> Displacement:
+    """The same displacement, computed once for each segment that lives as long."""
+    known: dict[int, Float[np.ndarray, "time 2"]] = {}
+
+    def path(piece: Trajectory) -> Float[np.ndarray, "time 2"]:
+        if id(piece) not in known:
+            known[id(piece)] = displacement(piece)
+        return known[id(piece)]
+
+    return path
+
+
+class Wobble(eqx.Module):
+    """Scatter of single frames about the mean path, along and across the heading.
+
+    Attributes:
+        driven: variances along and across while rolling [L²].
+        still: variance at rest, along any axis [L²].
+    """
+
+    driven: Float[np.ndarray, "2"]
+    still: float
+
+    @classmethod
+    def of(cls, track: Track, displacement: Displacement) -> "Wobble":
+        """From what a model leaves, about its running mean over a block."""
+        along, across, rest = [], [], []
+        for piece in track.pieces:
+            left = piece.states - displacement(piece)
+            scatter = left - _running_mean(piece.times, left, track.width)
+            on = _rolling(piece)
+            heading = piece.commands.get("heading", np.zeros_like(piece.times))
+            cosine, sine = np.cos(heading), np.sin(heading)
+            along.append((scatter[:, 0] * cosine + scatter[:, 1] * sine)[on])
+            across.append((scatter[:, 1] * cosine - scatter[:, 0] * sine)[on])
+            rest.append(scatter[~on].ravel())
+        variances = [_mean_square(np.concatenate(v)) for v in (along, across, rest)]
+        driven = np.array(variances[:2])
+        still = variances[2] if sum(map(len, rest)) else float(driven.min())
+        return cls(driven if driven.any() else np.full(2, still), still)
+
+    def variance(self, piece: Trajectory) -> Float[np.ndarray, "time 2"]:
+        """Variance of each coordinate at each sample."""
+        heading = piece.commands.get("heading", np.zeros_like(piece.times))
+        squares = np.stack([np.cos(heading), np.sin(heading)], axis=1) ** 2
+        along, across = self.driven
+        rolling = along * squares + across * (1 - squares)
+        return np.where(_rolling(piece)[:, None], rolling, self.still)
+
+
+def _rolling(piece) -> Bool[np.ndarray, " time"]:
+    return piece.commands.get("frequency", np.zeros_like(piece.times)) > 0
+
+
+def _mean_square(values) -> float:
+    return float(np.mean(values**2)) if len(values) else 0.0
+
+
+def _running_mean(times, values, width):
+    total = np.concatenate([np.zeros((1, 2)), np.cumsum(values, axis=0)])
+    low = np.searchsorted(times, times - width / 2)
+    high = np.searchsorted(times, times + width / 2, side="right")
+    return (total[high] - total[low]) / (high - low)[:, None]
+
+
+class Forecast(eqx.Module):
+    """A model's path through a segment, with what is uncertain about it.
+
+    Attributes:
+        piece: the segment.
+        path: displacement from its first sample [L].
+        slopes: of the displacement, by the unknowns of gain, drift and drive.
+        covariance: of those unknowns.
+        frame: variance of a single frame about the mean path [L²].
+        disturbance: the noise.
+    """
+
+    piece: Trajectory
+    path: Float[np.ndarray, "time 2"]
+    slopes: Float[np.ndarray, "time 2 unknown"]
+    covariance: Float[np.ndarray, "unknown unknown"]
+    frame: Float[np.ndarray, "time 2"]
+    disturbance: Disturbance
+
+    @classmethod
+    def of(cls, piece: Trajectory, fit: TrackFit, wobble: Wobble) -> "Forecast":
+        """The forecast of a fit, computed once for all rollouts of a segment."""
+        path = path_of(fit)(piece)
+        slopes, covariance = _slopes(piece, fit, path)
+        frame = wobble.variance(piece)
+        return cls(piece, path, slopes, covariance, frame, fit.disturbance)
+
+    def rollout(self, first: int, last: int) -> Float[np.ndarray, "sample 2"]:
+        """Positions from the observed one at sample `first` on [L]."""
+        path = self.path[first : last + 1]
+        return self.piece.states[first] + path - path[0]
+
+    def variance(self, first: int, last: int) -> Float[np.ndarray, "sample 2"]:
+        """Of a rollout: disturbance, unknowns, wobble at start and end [L²]."""
+        own = slice(first, last + 1)
+        slopes = self.slopes[own] - self.slopes[first]
+        unknown = np.einsum("tap,pq,taq->ta", slopes, self.covariance, slopes)
+        frame = self.frame[own]
+        return self._wandering(own)[:, None] + unknown + frame + frame[:1]
+
+    def _wandering(self, own) -> Float[np.ndarray, " sample"]:
+        """What the disturbance adds from a start without knowledge of it."""
+        times = self.piece.times[own]
+        frequency = self.piece.commands.get(
+            "frequency", np.zeros_like(self.frame[:, 0])
+        )
+        intervals = np.diff(times)
+        more = (0, padded_to(len(intervals), LEAST_SIZE) - len(intervals))
+        with jax.enable_x64(new_val=True):
+            steps = _transitions(
+                jnp.asarray(np.pad(intervals, more, constant_values=1.0)),
+                jnp.asarray(np.pad(frequency[own][:-1], more)),
+                self.disturbance,
+            )
+        matrices, noises = np.asarray(steps.matrix), np.asarray(steps.noise)
+        spread, variances = np.diag([0.0, 1.0, 1.0]), [0.0]
+        count = len(intervals)
+        for matrix, noise in zip(matrices[:count], noises[:count], strict=True):
+            spread = matrix @ spread @ matrix.T + noise
+            variances.append(spread[0, 0])
+        return np.array(variances)
+
+
+@eqx.filter_jit
+def _transitions(intervals, frequency, disturbance: Disturbance):
+    return transitions(intervals, disturbance.strength(frequency), disturbance)
+
+
+def _slopes(piece, fit, path):
+    """Of a displacement by each unknown, and the covariance of the unknowns."""
+    learned = fit.rung.learned
+    drive = [name for name in NAMES[:4] if name in learned]
+    elapsed = piece.times - piece.times[0]
+    gains = np.einsum("gab,tb->tag", fit.rung.matrices(), cycles(fit, piece))
+    drifts = np.einsum("ga,t->tag", fit.rung.velocities(), elapsed)
+    columns = [_drive_slope(piece, fit, path, name)[:, :, None] for name in drive]
+    places = [learned.index(name) for name in drive]
+    places += list(range(len(learned), len(fit.covariance)))
+    slopes = np.concatenate([*columns, gains, drifts], axis=2)
+    return slopes, fit.covariance[np.ix_(places, places)]
+
+
+def _drive_slope(piece, fit, path, name):
+    step = 1e-3
+    theta = np.array(fit.theta)
+    theta[NAMES.index(name)] += step
+    moved = path_of(eqx.tree_at(lambda f: f.theta, fit, theta))(piece)
+    return (moved - path) / step
+
+
+class Coverage(eqx.Module):
+    """How often rollouts stayed within their nominal band.
+
+    Attributes:
+        inside: share of all coordinates at all samples after the start.
+        at_end: the same at the last sample alone.
+        count: number of rollouts.
+    """
+
+    inside: float
+    at_end: float
+    count: int
+
+
+NORMAL_90 = 1.6448536269514722
+"""Half width of a band of 90 % in standard deviations."""
+
+
+def coverage(
+    track: Track, rollouts: Rollouts, fit: TrackFit, wobble: Wobble
+) -> Coverage:
+    """Coverage of nominal bands of 90 % along each axis."""
+    forecasts = [Forecast.of(piece, fit, wobble) for piece in track.pieces]
+    inside, ends = [], []
+    for index, a, b in zip(rollouts.piece, rollouts.first, rollouts.last, strict=True):
+        forecast = forecasts[index]
+        miss = track.pieces[index].states[a : b + 1] - forecast.rollout(int(a), int(b))
+        sd = np.sqrt(forecast.variance(int(a), int(b)))
+        within = np.abs(miss[1:]) <= NORMAL_90 * sd[1:]
+        inside.append(within.ravel())
+        ends.append(within[-1])
+    if not inside:
+        return Coverage(float("nan"), float("nan"), 0)
+    return Coverage(
+        float(np.mean(np.concatenate(inside))), float(np.mean(ends)), len(ends)
+    )

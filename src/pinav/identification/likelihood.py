@@ -1,0 +1,282 @@
+r"""Evidence of a rung: the filter's likelihood with gain and drift profiled.
+
+$$-\log Z(\theta) = \tfrac12 |r|^2 + \sum \log S + n \log 2\pi + \tfrac{k}{2} \log 2n$$
+
+with r the whitened residuals of both axes after least squares, S the variances of the
+n innovations, k coefficients whose priors hold the information of one observation, and
+normal priors of the nonlinear parameters $\theta$.
+"""
+
+import math
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from pinav.actuation import HeldProgramme
+from pinav.identification.kalman import Disturbance, innovations, transitions
+from pinav.identification.models import DRIVE, NAMES, RESPONSES, Rung, SwitchedResponse
+from pinav.identification.tracks import Blocks, Track
+
+
+class Prior(eqx.Module):
+    """Normal priors of the nonlinear parameters, in the order of `NAMES`.
+
+    Attributes:
+        mean: their centres.
+        sd: their standard deviations.
+    """
+
+    mean: Float[np.ndarray, " parameter"]
+    sd: Float[np.ndarray, " parameter"]
+
+    @classmethod
+    def of(cls, track: Track) -> "Prior":
+        """Wide priors about the scales of a track.
+
+        Speeds about a tenth of the track's, within a factor of 20 (two sd); the
+        corner about the geometric mean of the commanded frequencies, within a factor
+        of 20; delays of a camera and its computer, 0.2 ± 0.2 s; lags about 0.1 s.
+        """
+        speed = _typical_speed(track)
+        wobble = math.log(0.2 * speed * track.width)
+        quick = math.log(0.1 * speed)
+        table = {
+            "log_corner": (math.log(_typical_frequency(track)), 1.5),
+            "logit_residual": (0.0, 1.5),
+            "delay": (0.2, 0.2),
+            "log_lag": (math.log(0.1), 1.0),
+            "log_still": (quick - 1.0, 1.5),
+            "log_driven": (quick, 1.5),
+            "log_memory": (math.log(2.0 * track.width), 1.0),
+            "log_noise": (wobble, 1.5),
+            "log_slow": (quick, 1.5),
+            "log_slow_memory": (math.log(30.0 * track.width), 1.0),
+        }
+        mean, sd = np.array([table[name] for name in NAMES]).T
+        return cls(mean, sd)
+
+    def bounds(self) -> Float[np.ndarray, "parameter 2"]:
+        """Five standard deviations either way; a delay is not negative."""
+        reach = 5 * self.sd
+        found = np.stack([self.mean - reach, self.mean + reach], axis=1)
+        found[NAMES.index("delay"), 0] = 0.0
+        return found
+
+
+def _typical_speed(track: Track) -> float:
+    """Median speed over blocks."""
+    speeds = []
+    for piece in track.pieces:
+        index = np.arange(0, len(piece.times))
+        later = np.searchsorted(piece.times, piece.times + track.width)
+        fits = later < len(index)
+        step = piece.states[later[fits]] - piece.states[index[fits]]
+        interval = piece.times[later[fits]] - piece.times[index[fits]]
+        speeds.append(np.hypot(*step.T) / interval)
+    values = np.concatenate(speeds)
+    return max(float(np.sqrt(np.mean(values**2))) if len(values) else 0.0, 1e-6)
+
+
+def _typical_frequency(track: Track) -> float:
+    if not track.commanded:
+        return 1.0
+    values = np.concatenate([p.commands["frequency"] for p in track.pieces])
+    values = values[values > 0]
+    return float(np.exp(np.log(values).mean())) if len(values) else 1.0
+
+
+class Design(eqx.Module):
+    """What a rung makes of a track, as arrays.
+
+    Attributes:
+        blocks: the track.
+        gains: gain matrices, zero where absent.
+        drifts: drift velocities, zero where absent.
+        response: place in `RESPONSES`.
+    """
+
+    blocks: Blocks
+    gains: Float[Array, "4 2 2"]
+    drifts: Float[Array, "2 2"]
+    response: Int[Array, ""]
+
+    @classmethod
+    def of(cls, rung: Rung, blocks: Blocks) -> "Design":
+        """The design of a rung."""
+        return cls(
+            jax.tree.map(jnp.asarray, blocks),
+            jnp.asarray(rung.matrices()),
+            jnp.asarray(rung.velocities()),
+            jnp.asarray(RESPONSES.index(rung.response)),
+        )
+
+
+class Whitened(eqx.Module):
+    """The least-squares problem that the filter leaves.
+
+    Attributes:
+        rows: of the coefficients, gains before drifts; zero columns where absent.
+        target: of the observed positions, x above y.
+        log_variance: sum over the innovations of one axis.
+        count: number of innovations of one axis.
+    """
+
+    rows: Float[Array, "row coefficient"]
+    target: Float[Array, " row"]
+    log_variance: Float[Array, ""]
+    count: Float[Array, ""]
+
+    def coefficients(self) -> tuple[Float[Array, " coefficient"], Float[Array, "k k"]]:
+        """Best coefficients and their information; 1 on the diagonal where absent."""
+        information = self.rows.T @ self.rows
+        absent = jnp.diagonal(information) == 0
+        information = information + jnp.diag(absent.astype(information.dtype))
+        return jnp.linalg.solve(information, self.rows.T @ self.target), information
+
+
+def disturbance_of(theta: Float[Array, " parameter"]) -> Disturbance:
+    """The noise that the parameters describe."""
+    names = ("still", "driven", "memory", "slow", "slow_memory", "noise")
+    values = [jnp.exp(theta[NAMES.index(f"log_{name}")]) for name in names]
+    return Disturbance(*values)
+
+
+def displacements(theta, design: Design) -> Float[Array, "sample 2"]:
+    """Integral of the response along the heading, delayed and lagged [cycles]."""
+    return _displacements(theta[: len(DRIVE)], design)
+
+
+@eqx.filter_custom_vjp
+def _displacements(drive, design):
+    return jax.lax.cond(_lags(drive), _lagged, _prompt, drive, design)
+
+
+@_displacements.def_fwd
+def _displacements_forward(perturbed, drive, design):
+    del perturbed
+    return _displacements(drive, design), None
+
+
+@_displacements.def_bwd
+def _displacements_reverse(residuals, cotangent, perturbed, drive, design):
+    """Differentiates the branch that was taken, without room for the other one.
+
+    Without a lag in forward mode: few parameters stand before thousands of samples.
+    """
+    del residuals, perturbed
+
+    def lagged(drive, cotangent):
+        return jax.vjp(lambda d: _lagged(d, design), drive)[1](cotangent)[0]
+
+    def prompt(drive, cotangent):
+        jacobian = jax.jacfwd(lambda d: _prompt(d, design))(drive)
+        return jnp.einsum("sa,sad->d", cotangent, jacobian)
+
+    return jax.lax.cond(_lags(drive), lagged, prompt, drive, cotangent)
+
+
+def _lags(drive):
+    return jnp.exp(drive[3]) > 2e-4
+
+
+def _lagged(drive, design):
+    programme, response, ts = _driven(drive, design)
+    return programme.lagged_integral(response, ts, jnp.exp(drive[3]))
+
+
+def _prompt(drive, design):
+    programme, response, ts = _driven(drive, design)
+    return programme.integral(response, ts)
+
+
+def _driven(drive, design):
+    blocks: Any = design.blocks  # as JAX arrays
+    programme = HeldProgramme(blocks.times, blocks.frequency, blocks.heading)
+    response = SwitchedResponse(design.response, drive[0], drive[1])
+    return programme, response, blocks.times - drive[2]
+
+
+def block_means(values, blocks: Blocks):
+    """Means over the samples of each block; zero in padding."""
+    total = jnp.zeros((blocks.counts.shape[0], values.shape[1]))
+    total = total.at[blocks.block].add(jnp.where(blocks.real[:, None], values, 0.0))
+    return total / jnp.maximum(blocks.counts, 1.0)[:, None]
+
+
+def whitened(theta: Float[Array, " parameter"], design: Design) -> Whitened:
+    """Filter observations and regressors of a rung."""
+    blocks = design.blocks
+    along = displacements(theta, design)
+    rest = jnp.stack([blocks.times - blocks.times[0], blocks.frequency], axis=-1)
+    columns = block_means(
+        jnp.concatenate([blocks.positions, along, rest], axis=-1), blocks
+    )
+    filtered = filtered_columns(theta, columns[..., :5], columns[..., 5], blocks)
+    x, y, along_x, along_y, time = jnp.moveaxis(filtered.columns, -1, 0)
+    along = jnp.stack([along_x, along_y])
+    gains = jnp.einsum("gab,br->gar", design.gains, along)
+    drifts = design.drifts[:, :, None] * time[None, None]
+    return Whitened(
+        rows=jnp.concatenate([gains, drifts]).reshape(6, -1).T,
+        target=jnp.concatenate([x, y]),
+        log_variance=jnp.sum(filtered.log_variance),
+        count=jnp.sum(_steps(blocks)),
+    )
+
+
+def filtered_columns(theta, columns, frequency, blocks: Any):
+    """Innovations of columns given at each block; the fifth column is the time."""
+    disturbance = disturbance_of(theta)
+    present = (blocks.counts > 0).astype(columns.dtype)
+    steps = jnp.where(_steps(blocks) > 0, jnp.diff(columns[:, 4]), 1.0)
+    strength = disturbance.strength(rolling_about(frequency))
+    transition = transitions(steps, strength, disturbance)
+    return innovations(columns, present, blocks.begins, transition, disturbance.noise)
+
+
+def _steps(blocks: Any) -> Float[Array, " step"]:
+    """1 for each step within a segment."""
+    present = (blocks.counts[1:] > 0).astype(blocks.counts.dtype)
+    return present * (1 - blocks.begins[1:])
+
+
+def rolling_about(frequency: Float[Array, " block"]) -> Float[Array, " step"]:
+    """Highest frequency from one block before each step to one block after it.
+
+    When a robot starts or stops it does so within a delay that the logs do not fix; a
+    disturbance as small as at rest would make that moment the most exact of data.
+    """
+    padded = jnp.concatenate([frequency[:1], frequency, frequency[-1:]])
+    later = padded[1:], padded[2:], padded[3:]
+    steps = frequency.shape[0] - 1
+    found = padded[:steps]
+    for shifted in later:
+        found = jnp.maximum(found, shifted[:steps])
+    return found
+
+
+def negative_log_evidence(
+    theta: Float[Array, " parameter"], design: Design
+) -> Float[Array, ""]:
+    """Without the priors of the nonlinear parameters."""
+    problem = whitened(theta, design)
+    best, _ = problem.coefficients()
+    residuals = problem.target - problem.rows @ best
+    present = jnp.sum(jnp.any(problem.rows != 0, axis=0).astype(theta.dtype))
+    return (
+        0.5 * residuals @ residuals
+        + problem.log_variance
+        + problem.count * jnp.log(2 * jnp.pi)
+        + 0.5 * present * jnp.log(2 * problem.count)
+    )
+
+
+value_and_slope = eqx.filter_jit(eqx.filter_value_and_grad(negative_log_evidence))
+"""The negative log evidence and its gradient, compiled once for each size of track."""
+
+compiled_whitened = eqx.filter_jit(whitened)
+"""The least-squares problem, compiled."""

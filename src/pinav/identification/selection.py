@@ -1,0 +1,309 @@
+"""`climb`: all rungs and baselines on one track, scored on what they did not see."""
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from pinav.errors import FitError, InputError
+from pinav.fitting import KernelGrid, kernel_environment, neural_environment
+from pinav.forces import KernelForce, KernelPotential, NeuralForce
+from pinav.identification.baselines import (
+    Baseline,
+    black_box,
+    gaussian_process,
+    least_squares,
+    stochastic_force_inference,
+)
+from pinav.identification.fit import TrackFit, fit_track
+from pinav.identification.forecast import (
+    HORIZONS,
+    Displacement,
+    Errors,
+    Rollouts,
+    errors,
+    path_of,
+    remembered,
+)
+from pinav.identification.likelihood import Prior
+from pinav.identification.models import (
+    DRIFT_ONLY,
+    MATRIX,
+    RESPONSES,
+    SCALAR,
+    SLOW,
+    Rung,
+    with_free,
+    with_response,
+)
+from pinav.identification.residual_field import (
+    ResidualFit,
+    fit_residual,
+    positions_of,
+    residual_errors,
+)
+from pinav.identification.tracks import Track, after, before
+
+DECISIVE = 5.0
+"""Nats from which a richer rung is taken; see `pinav compare`."""
+
+ENCLOSING = "slipping"
+"""The response kept where the evidence is not decisive: it contains the others."""
+
+
+class Row(eqx.Module):
+    """One line of the table.
+
+    Attributes:
+        name: of the rung or baseline.
+        log_evidence: of the training part; NaN for baselines.
+        seconds: that the fit took, compilation included.
+        errors: by horizon, on the held-out part.
+        velocity_r2: share of the held-out velocity's variance that is explained.
+        reason: why there are no results, where there are none.
+    """
+
+    name: str = eqx.field(static=True)
+    log_evidence: float
+    seconds: float
+    errors: dict[float, Errors]
+    velocity_r2: float
+    reason: str = eqx.field(static=True, default="")
+
+
+class Climb(eqx.Module):
+    """The ladder on one track.
+
+    Attributes:
+        track: all of it.
+        train: its training part.
+        held_out: its test part.
+        rows: the table.
+        fits: rungs by name, without residuals.
+        chosen: name of the rung that the evidence chose among `fits`.
+    """
+
+    track: Track
+    train: Track
+    held_out: Track
+    rows: list[Row]
+    fits: dict[str, TrackFit]
+    chosen: str = eqx.field(static=True)
+
+    @property
+    def best(self) -> TrackFit:
+        """The chosen rung, fitted to the training part."""
+        return self.fits[self.chosen]
+
+    def row(self, name: str) -> Row:
+        """A line of the table by its name."""
+        return next(row for row in self.rows if row.name == name)
+
+
+def split(track: Track, share: float) -> tuple[Track, Track]:
+    """The first part of a track by time, to train on, and the rest.
+
+    Raises:
+        InputError: `share` is not between 0 and 1, or a part is too short.
+    """
+    if not 0 < share < 1:
+        raise InputError(f"split share: expected between 0 and 1, got {share}")
+    first, last = track.span
+    moment = first + share * (last - first)
+    return before(track, moment), after(track, moment)
+
+
+def climb(
+    track: Track,
+    *,
+    share: float = 0.7,
+    residuals: Sequence[str] = (),
+    baselines: Sequence[str] = ("least squares",),
+    on_row: Callable[[Row], None] | None = None,
+) -> Climb:
+    """Fit every rung to the first part of a track and roll it out on the rest.
+
+    Args:
+        track: one robot of one run.
+        share: of its time that trains.
+        residuals: names in `RESIDUALS`, position-dependent residuals on the best rung.
+        baselines: names in `BASELINES`.
+        on_row: called after each line of the table.
+
+    Raises:
+        InputError: a part of the track is too short.
+    """
+    train, held_out = split(track, share)
+    ladder = _Ladder(train, held_out, on_row)
+    ladder.climb()
+    for name in residuals:
+        ladder.residual(name)
+    for name in baselines:
+        ladder.baseline(name)
+    return Climb(track, train, held_out, ladder.rows, ladder.fits, ladder.chosen)
+
+
+class _Ladder:
+    """The climb so far."""
+
+    def __init__(self, train: Track, held_out: Track, on_row):
+        self.train, self.held_out, self.on_row = train, held_out, on_row
+        self.prior = Prior.of(train)
+        self.rows: list[Row] = []
+        self.fits: dict[str, TrackFit] = {}
+        self.chosen = ""
+
+    def climb(self) -> None:
+        """All rungs that are lines and slopes."""
+        self._fit(DRIFT_ONLY, None)
+        self.chosen = DRIFT_ONLY.name
+        if self.train.commanded:
+            self._fit(SCALAR, DRIFT_ONLY.name)
+            self._fit(MATRIX, SCALAR.name)
+            for response in RESPONSES[1:]:
+                self._fit(with_response(MATRIX, response), MATRIX.name)
+            self.chosen = self._response()
+            self._extend("delay", "delay")
+            self._extend("lag", "log_lag")
+        self._extend("time-dependent drift", *SLOW)
+
+    def _fit(self, rung: Rung, start: str | None) -> TrackFit:
+        begin = time.perf_counter()
+        earlier = self.fits[start] if start else None
+        fit = fit_track(self.train, rung, prior=self.prior, start=earlier)
+        seconds = time.perf_counter() - begin
+        self.fits[rung.name] = fit
+        self._add(rung.name, fit.log_evidence, seconds, path_of(fit))
+        return fit
+
+    def _response(self) -> str:
+        """The response of highest evidence, if decisive; else the enclosing one."""
+        names = [MATRIX.name] + [with_response(MATRIX, r).name for r in RESPONSES[1:]]
+        values = {name: self.fits[name].log_evidence for name in names}
+        kept = with_response(MATRIX, ENCLOSING).name
+        best = max(values, key=lambda name: values[name])
+        return best if values[best] > values[kept] + DECISIVE else kept
+
+    def _extend(self, label: str, *names: str) -> None:
+        """A further rung on the chosen one; chosen itself if it is decisive."""
+        before = self.fits[self.chosen]
+        fit = self._fit(with_free(before.rung, label, *names), self.chosen)
+        needed = 0.0 if label == "delay" else DECISIVE
+        if fit.log_evidence > before.log_evidence + needed:
+            self.chosen = fit.rung.name
+
+    def residual(self, name: str) -> None:
+        """A position-dependent residual on the chosen rung."""
+        begin = time.perf_counter()
+        label = f"{self.chosen} + {name}"
+        try:
+            environment = RESIDUALS[name](self.train)
+            fit = fit_residual(self.train, self.fits[self.chosen], environment)
+        except (FitError, InputError) as error:
+            self._refuse(label, str(error))
+            return
+        seconds = time.perf_counter() - begin
+        found = {
+            horizon: residual_errors(self.held_out, self._rollouts(horizon), fit)
+            for horizon in HORIZONS
+        }
+        r2 = self._r2_of_residual(fit)
+        self._append(Row(label, fit.log_evidence, seconds, found, r2))
+
+    def _r2_of_residual(self, fit: ResidualFit) -> float:
+        path = path_of(fit.corrected)
+
+        def displacement(piece):
+            at = jax.vmap(lambda x: fit.environment(0.0, x, 0 * x))
+            velocity = np.asarray(at(jax.numpy.asarray(piece.states)))[:-1]
+            steps = velocity * np.diff(piece.times)[:, None]
+            return path(piece) + np.concatenate(
+                [np.zeros((1, 2)), np.cumsum(steps, axis=0)]
+            )
+
+        return velocity_r2(self.held_out, displacement)
+
+    def baseline(self, name: str) -> None:
+        """A baseline."""
+        try:
+            found = BASELINES[name](self.train)
+        except InputError as error:
+            self._refuse(name, str(error))
+            return
+        self._add(name, float("nan"), found.seconds, found.displacement())
+
+    def _rollouts(self, horizon):
+        return Rollouts.of(self.held_out, horizon)
+
+    def _add(self, name, log_evidence, seconds, displacement: Displacement) -> None:
+        displacement = remembered(displacement)
+        found = {
+            horizon: errors(self.held_out, self._rollouts(horizon), displacement)
+            for horizon in HORIZONS
+        }
+        r2 = velocity_r2(self.held_out, displacement)
+        self._append(Row(name, log_evidence, seconds, found, r2))
+
+    def _refuse(self, name, reason) -> None:
+        self._append(Row(name, float("nan"), float("nan"), {}, float("nan"), reason))
+
+    def _append(self, row: Row) -> None:
+        self.rows.append(row)
+        if self.on_row:
+            self.on_row(row)
+
+
+def velocity_r2(track: Track, displacement: Displacement) -> float:
+    """Explained share of the velocity over two blocks, both components pooled."""
+    seen, predicted = [], []
+    for piece in track.pieces:
+        path = displacement(piece)
+        later = np.searchsorted(piece.times, piece.times + 2 * track.width)
+        index = np.flatnonzero(later < len(piece.times))
+        later = later[index]
+        interval = (piece.times[later] - piece.times[index])[:, None]
+        seen.append((piece.states[later] - piece.states[index]) / interval)
+        predicted.append((path[later] - path[index]) / interval)
+    return _r2(np.concatenate(seen), np.concatenate(predicted))
+
+
+def _r2(seen: Float[np.ndarray, "n 2"], predicted: Float[np.ndarray, "n 2"]) -> float:
+    if len(seen) < 2:
+        return float("nan")
+    spread = float(((seen - seen.mean(axis=0)) ** 2).sum())
+    return 1 - float(((seen - predicted) ** 2).sum()) / max(spread, 1e-30)
+
+
+GRID = KernelGrid(across=6, margin=2.0)
+"""Of kernels: coarse, because a residual by position is a question, not a map."""
+
+
+def _kernels(kind: Any) -> Callable[[Track], Any]:
+    return lambda track: kernel_environment(kind, positions_of(track), GRID, dim=2)
+
+
+def _network(track: Track) -> NeuralForce:
+    return neural_environment(
+        NeuralForce, positions_of(track), key=jax.random.key(0), width=8, dim=2
+    )
+
+
+RESIDUALS: dict[str, Callable[[Track], Any]] = {
+    "Gaussian process": _kernels(KernelForce),
+    "potential": _kernels(KernelPotential),
+    "network": _network,
+}
+"""Position-dependent residuals: kernels with a prior, and a network."""
+
+
+BASELINES: dict[str, Callable[[Track], Baseline]] = {
+    "least squares": least_squares,
+    "Gaussian-process disturbance": gaussian_process,
+    "neural ODE": black_box,
+    "StochasticForceInference": stochastic_force_inference,
+}
+"""Baselines by name."""

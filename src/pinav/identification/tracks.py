@@ -1,0 +1,266 @@
+"""Tracks: one robot of one run, its segments padded and cut into blocks.
+
+A rolling robot wobbles at its rolling frequency, by micrometres, and cameras alias
+that. What is predicted here are seconds, not frames: likelihoods see the mean position
+of each block of time, in which the wobble averages out.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from pinav.errors import InputError
+from pinav.recordings import labels
+from pinav.trajectories import Trajectories, Trajectory
+
+BLOCK = 0.5
+"""Length of a block at most [s]: long against frames, short against what is predicted.
+
+At 0.3 s wobble leaks into the likelihood, at 1 s delays are lost (docs)."""
+
+BLOCKS_AT_LEAST = 60
+"""Shorter recordings are cut into shorter blocks, so that there are about as many."""
+
+
+class Track(eqx.Module):
+    """One robot of one run; never integrated across its segments.
+
+    Attributes:
+        name: run and particle.
+        pieces: the segments, without padding.
+        width: length of a block [s].
+        sizes: samples and blocks to pad to; parts of a track keep them, so that a
+            likelihood is compiled once.
+    """
+
+    name: str = eqx.field(static=True)
+    pieces: tuple[Trajectory, ...]
+    width: float = eqx.field(static=True)
+    sizes: tuple[int, int] = eqx.field(static=True)
+
+    @property
+    def commanded(self) -> bool:
+        """Whether frequency and heading were recorded, and ever asked for motion."""
+        if not {"frequency", "heading"} <= set(self.pieces[0].commands):
+            return False
+        return any(np.any(piece.commands["frequency"] != 0) for piece in self.pieces)
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last time [s]."""
+        first = min(piece.times[0] for piece in self.pieces)
+        return float(first), float(max(piece.times[-1] for piece in self.pieces))
+
+    @property
+    def duration(self) -> float:
+        """Observed time, gaps between segments left out [s]."""
+        return float(sum(piece.times[-1] - piece.times[0] for piece in self.pieces))
+
+
+def tracks(recording: Trajectories, *, pooled: bool = False) -> list[Track]:
+    """The tracks of a recording, in the order in which they begin.
+
+    Args:
+        recording: positions `x`, `y` and, where it was driven, commands `frequency`
+            and `heading`; its provenance names run and particle of each trajectory.
+        pooled: all particles of a run that are of one kind as one track, as of
+            bacteria, which share their physics.
+
+    Raises:
+        InputError: the channels are not x and y, or nothing is long enough to fit.
+    """
+    if recording.channels != ("x", "y"):
+        raise InputError(
+            f"recording: expected the channels x and y, got "
+            f"{', '.join(recording.channels)}"
+        )
+    groups: dict[str, list[Trajectory]] = {}
+    for label, piece in zip(_labels(recording), recording, strict=True):
+        own = [label["run"], label.get("kind") if pooled else label["particle"]]
+        name = "/".join(str(part) for part in own if part is not None)
+        seen = _observed(piece)
+        if len(seen.times) >= LEAST_SAMPLES:
+            groups.setdefault(name, []).append(seen)
+    if not groups:
+        raise InputError(
+            f"recording: expected a trajectory of {LEAST_SAMPLES} samples or more, got "
+            f"{int(recording.lengths.max())} at most; check how tracks are linked"
+        )
+    widths = [_block_width(pieces) for pieces in groups.values()]
+    counts = [_counts(p, w) for p, w in zip(groups.values(), widths, strict=True)]
+    rows = zip(groups.items(), widths, shared_sizes(counts), strict=True)
+    return [
+        Track(name, tuple(sorted(pieces, key=lambda p: p.times[0])), width, sizes)
+        for (name, pieces), width, sizes in rows
+    ]
+
+
+def _labels(recording: Trajectories) -> list[dict[str, Any]]:
+    """Run and particle of each trajectory; numbers where nothing is known of them."""
+    if "trajectories" in recording.provenance or "concatenated" in recording.provenance:
+        return labels(recording)
+    return [{"run": "run", "particle": index} for index in range(len(recording))]
+
+
+LEAST_SAMPLES = 8
+"""Segments with fewer samples say nothing of what is fitted here."""
+
+
+def _block_width(pieces: Sequence[Trajectory]) -> float:
+    duration = float(sum(piece.times[-1] - piece.times[0] for piece in pieces))
+    return min(BLOCK, duration / BLOCKS_AT_LEAST)
+
+
+def _counts(pieces: Sequence[Trajectory], width: float) -> tuple[int, int]:
+    """Samples and blocks."""
+    blocks = sum(int(_block_indices(piece.times, width)[-1]) + 1 for piece in pieces)
+    return sum(len(piece.times) for piece in pieces), blocks
+
+
+COMPILATION, PER_SAMPLE, PER_BLOCK = 7.0, 1.5e-4, 3.6e-3
+"""Rough seconds: to compile a likelihood for a size, and to fit all rungs for each
+sample and block of it. Only how tracks share sizes hangs on them, no result."""
+
+
+def shared_sizes(counts: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Samples and blocks to pad each track to: as few sizes as pay for themselves.
+
+    A size is compiled once, in seconds, and then serves all tracks that are padded to
+    it; but padding is computed with. Tracks ordered by length are cut into groups of
+    least total time, by dynamic programming.
+
+    Args:
+        counts: samples and blocks of each track.
+    """
+    order = sorted(range(len(counts)), key=lambda i: counts[i][::-1])
+    best: list[float] = [0.0]
+    cuts: list[int] = []
+    for end in range(1, len(order) + 1):
+        totals = []
+        for begin in range(end):
+            samples, blocks = _enclosing([counts[i] for i in order[begin:end]])
+            each = PER_SAMPLE * samples + PER_BLOCK * blocks
+            totals.append(best[begin] + COMPILATION + (end - begin) * each)
+        cuts.append(int(np.argmin(totals)))
+        best.append(min(totals))
+    sizes, end = [(0, 0)] * len(counts), len(order)
+    while end:
+        begin = cuts[end - 1]
+        group = order[begin:end]
+        for index in group:
+            sizes[index] = _enclosing([counts[i] for i in group])
+        end = begin
+    return sizes
+
+
+def _enclosing(counts: Sequence[tuple[int, int]]) -> tuple[int, int]:
+    """The size of the largest, in round numbers."""
+    samples, blocks = (max(column) for column in zip(*counts, strict=True))
+    return padded_to(samples, 256), padded_to(blocks, 32)
+
+
+def padded_to(count: int, step: int) -> int:
+    """The next multiple of `step`, one at least."""
+    return step * max(1, -(-count // step))
+
+
+def _observed(piece: Trajectory) -> Trajectory:
+    """The samples at which both coordinates were seen."""
+    return _cut(piece, piece.observed.all(axis=1))
+
+
+def _cut(piece: Trajectory, kept: Any) -> Trajectory:
+    return Trajectory(
+        times=piece.times[kept],
+        states=piece.states[kept],
+        observed=piece.observed[kept],
+        commands={name: values[kept] for name, values in piece.commands.items()},
+    )
+
+
+def before(track: Track, time: float) -> Track:
+    """The part of a track before a time; blocks keep their length."""
+    cut = [_cut(piece, np.less(piece.times, time)) for piece in track.pieces]
+    return _shortened(track, cut)
+
+
+def after(track: Track, time: float) -> Track:
+    """The part of a track from a time on; blocks keep their length."""
+    cut = [_cut(piece, np.greater_equal(piece.times, time)) for piece in track.pieces]
+    return _shortened(track, cut)
+
+
+def _shortened(track: Track, pieces: Sequence[Trajectory]) -> Track:
+    long = tuple(piece for piece in pieces if len(piece.times) >= LEAST_SAMPLES)
+    if not long:
+        raise InputError(
+            f"track {track.name}: expected {LEAST_SAMPLES} samples or more on both "
+            "sides of the split, got fewer; move it, or leave the track out"
+        )
+    return Track(track.name, long, track.width, track.sizes)
+
+
+class Blocks(eqx.Module):
+    """A track as padded arrays, one segment after the other.
+
+    Attributes:
+        times: of each sample [s]; padding goes on increasing.
+        positions: of each sample [L].
+        frequency: commanded [Hz]; 0 where nothing was recorded.
+        heading: commanded [rad].
+        real: which samples are no padding.
+        block: to which block each sample belongs.
+        counts: samples in each block; 0 in padding.
+        begins: 1 where a segment begins with the block.
+    """
+
+    times: Float[np.ndarray, " sample"]
+    positions: Float[np.ndarray, "sample 2"]
+    frequency: Float[np.ndarray, " sample"]
+    heading: Float[np.ndarray, " sample"]
+    real: Bool[np.ndarray, " sample"]
+    block: Int[np.ndarray, " sample"]
+    counts: Float[np.ndarray, " block"]
+    begins: Float[np.ndarray, " block"]
+
+    @classmethod
+    def of(cls, track: Track) -> "Blocks":
+        """The blocks of a track; sizes are rounded up, to compile seldom."""
+        own = [_block_indices(piece.times, track.width) for piece in track.pieces]
+        samples, blocks = track.sizes
+        first = np.cumsum([0, *(int(index[-1]) + 1 for index in own)])
+        index = np.concatenate([i + f for i, f in zip(own, first[:-1], strict=True)])
+        length = len(index)
+        begins, counts = np.zeros((2, blocks))
+        begins[first[:-1]] = 1.0
+        counts[: first[-1]] = np.bincount(index)
+
+        def padded(name: str) -> np.ndarray:
+            values = [
+                piece.commands.get(name, np.zeros_like(piece.times))
+                for piece in track.pieces
+            ]
+            return np.pad(np.concatenate(values), (0, samples - length))
+
+        times = np.concatenate([piece.times for piece in track.pieces])
+        later = times.max() + 1.0 + np.arange(samples - length)
+        states = np.concatenate([piece.states for piece in track.pieces])
+        return cls(
+            times=np.concatenate([times, later]),
+            positions=np.pad(states, ((0, samples - length), (0, 0))),
+            frequency=padded("frequency"),
+            heading=padded("heading"),
+            real=np.arange(samples) < length,
+            block=np.pad(index, (0, samples - length)),
+            counts=counts,
+            begins=begins,
+        )
+
+
+def _block_indices(times: np.ndarray, width: float) -> np.ndarray:
+    """Number of the block of each sample; empty blocks are left out."""
+    raw = np.floor((times - times[0]) / width + 1e-9).astype(np.int64)
+    return np.unique(raw, return_inverse=True)[1]

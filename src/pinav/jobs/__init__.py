@@ -1,1 +1,0 @@
-"""Jobs: the units of work behind the commands, each resumable in a run folder."""

@@ -1,0 +1,1 @@
+"""Controllers and what they need: predictions, costs, delay compensation."""

@@ -1,0 +1,199 @@
+r"""Controllers around a controller: for delays, noisy sensors and unknown drift.
+
+Each gives the controller inside a better observation: the state when the command will
+come into force, or the state and the drift that explain what was seen.
+"""
+
+import math
+from typing import Generic, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PyTree
+
+from pinav.navigation.control.controller import AbstractController, Observation
+from pinav.navigation.model.predictors import AbstractPredictor
+
+Inner = TypeVar("Inner", bound=PyTree)
+
+
+class Timing(eqx.Module):
+    """When commands come into force.
+
+    Attributes:
+        step: how long a command holds [T].
+        delay: from a command until it is in force [T].
+    """
+
+    step: float = eqx.field(static=True)
+    delay: float = eqx.field(static=True)
+
+    @property
+    def remainder(self) -> float:
+        """How long the oldest pending command stays in force [T]."""
+        whole = max(math.ceil(self.delay / self.step - 1e-9), 1)
+        return max(self.delay - (whole - 1) * self.step, 0.0)
+
+    @property
+    def rest(self) -> float:
+        """What is left of a control step when the oldest one has passed [T]."""
+        rest = self.step - self.remainder
+        return rest if rest > 1e-9 * self.step else 0.0
+
+    def predicted(
+        self, predictor: AbstractPredictor, observation: Observation
+    ) -> Observation:
+        """The observation when the next command comes into force."""
+        pending = observation.pending
+        durations = jnp.full(pending.shape[0], self.step).at[0].set(self.remainder)
+
+        def move(carry, inputs):
+            t, y = carry
+            command, duration = inputs
+            return (t + duration, predictor.step(t, y, command, duration)), None
+
+        time = jnp.asarray(observation.time, observation.state.dtype)
+        begin = (time, observation.state)
+        (t, y), _ = jax.lax.scan(move, begin, (pending, durations))
+        return Observation(t, y, pending[-1:])
+
+
+class DelayCompensation(AbstractController[Inner], Generic[Inner]):
+    """Lets a controller decide for the moment when its command comes into force.
+
+    Until then the swimmer does what was commanded before: a model says where it will
+    be. Without noise, and with a true model, the delay then costs nothing but its first
+    moments.
+
+    Attributes:
+        controller: decides as if there were no delay.
+        predictor: the model.
+        timing: when commands come into force.
+    """
+
+    controller: AbstractController[Inner]
+    predictor: AbstractPredictor
+    timing: Timing
+
+    def start(self, observation):
+        return self.controller.start(self.timing.predicted(self.predictor, observation))
+
+    def __call__(self, observation, memory, *, key):
+        ahead = self.timing.predicted(self.predictor, observation)
+        return self.controller(ahead, memory, key=key)
+
+
+class Belief(eqx.Module, Generic[Inner]):
+    """What a filter remembers.
+
+    Attributes:
+        mean: of state and drift after the last observation.
+        covariance: of both.
+        command: the one in force when they were observed.
+        time: of the last observation [T].
+        inner: memory of the controller inside.
+    """
+
+    mean: Float[Array, " all"]
+    covariance: Float[Array, "all all"]
+    command: Float[Array, "2"]
+    time: Float[Array, ""]
+    inner: Inner
+
+
+class DriftEstimation(AbstractController[Belief[Inner]], Generic[Inner]):
+    r"""Estimates a constant drift and the state, by an extended Kalman filter.
+
+    The controller inside observes the state followed by the drift, as `Drifting`
+    predictors take it. The drift is a rate that the model does not know: of the
+    velocity where there is inertia, else of the position; it starts at zero, with the
+    standard deviation `prior`, and may wander.
+
+    Attributes:
+        controller: decides by state and drift.
+        predictor: the model, of state and drift.
+        timing: when commands come into force.
+        noise: strength of the white noise, as in `Task`.
+        sensor_noise: standard deviation of each observed component.
+        prior: standard deviation of the drift at first.
+        wandering: of the drift, the standard deviation of its change in a unit of time.
+
+    References:
+        Jazwinski, Stochastic Processes and Filtering Theory (1970), ch. 8.
+    """
+
+    controller: AbstractController[Inner]
+    predictor: AbstractPredictor
+    timing: Timing
+    noise: float
+    sensor_noise: float
+    prior: float
+    wandering: float = 0.0
+
+    def start(self, observation):
+        state = observation.state
+        mean = jnp.concatenate([state, jnp.zeros(2, state.dtype)])
+        known = jnp.full(state.shape[0], self.sensor_noise**2 + LEAST, state.dtype)
+        spread = jnp.full(2, self.prior**2, state.dtype)
+        covariance = jnp.diag(jnp.concatenate([known, spread]))
+        time = jnp.asarray(observation.time, state.dtype)
+        inner = self.controller.start(Observation(time, mean, observation.pending))
+        return Belief(mean, covariance, observation.pending[0], time, inner)
+
+    def __call__(self, observation, memory, *, key):
+        mean, covariance = self._updated(observation, memory)
+        seen = Observation(observation.time, mean, observation.pending)
+        command, inner = self.controller(seen, memory.inner, key=key)
+        time = jnp.asarray(observation.time, mean.dtype)
+        belief = Belief(mean, covariance, observation.pending[0], time, inner)
+        return command, belief
+
+    def _updated(self, observation, memory):
+        """Mean and covariance after an observation; as they were at the first one."""
+        elapsed = observation.time - memory.time
+        mean, covariance = self._predicted(observation, memory)
+        gain = self._gain(covariance)
+        known = observation.state.shape[0]
+        new = mean + gain @ (observation.state - mean[:known])
+        spread = covariance - gain @ covariance[:known]
+        spread = (spread + spread.T) / 2
+        first = elapsed <= 0
+        return (
+            jnp.where(first, memory.mean, new),
+            jnp.where(first, memory.covariance, spread),
+        )
+
+    def _predicted(self, observation, memory):
+        """Mean and covariance one step on, under the commands that were in force."""
+        first, second = self.timing.remainder, self.timing.rest
+
+        def onward(mean):
+            t, moved = memory.time, mean
+            if first > 0:
+                moved = self.predictor.step(t, moved, memory.command, first)
+            if second > 0:
+                command = observation.pending[0]
+                moved = self.predictor.step(t + first, moved, command, second)
+            return moved, moved
+
+        slope, mean = jax.jacfwd(onward, has_aux=True)(memory.mean)
+        return mean, slope @ memory.covariance @ slope.T + self._diffused(mean)
+
+    def _diffused(self, mean):
+        """What a step adds to the covariance."""
+        size, step = mean.shape[0], self.timing.step
+        variances = jnp.full(size, LEAST, mean.dtype)
+        variances = variances.at[-4:-2].add(self.noise**2 * step)
+        variances = variances.at[-2:].add(self.wandering**2 * step)
+        return jnp.diag(variances)
+
+    def _gain(self, covariance):
+        known = covariance.shape[0] - 2
+        seen = covariance[:known, :known]
+        error = (self.sensor_noise**2 + LEAST) * jnp.eye(known, dtype=seen.dtype)
+        return jnp.linalg.solve(seen + error, covariance[:known]).T
+
+
+LEAST = 1e-10
+"""Variance that everything has, so that matrices can be inverted."""

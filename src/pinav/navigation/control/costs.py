@@ -1,0 +1,89 @@
+"""What a predicted course costs."""
+
+import abc
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from pinav.navigation.model.time_cost import Surroundings, entry
+from pinav.navigation.planning.plan import TimeToGo
+from pinav.navigation.task.objectives import AbstractObjective
+
+
+class AbstractCost(eqx.Module):
+    """The cost of a course of states; no batch axis."""
+
+    @abc.abstractmethod
+    def __call__(
+        self,
+        ts: Float[Array, " time"],
+        ys: Float[Array, "time state"],
+        shares: Float[Array, "step 2"],
+    ) -> Float[Array, ""]:
+        """Cost of a course.
+
+        Args:
+            ts: times, the first of which is now [T].
+            ys: states then.
+            shares: thrust in each step, in units of the greatest.
+        """
+
+
+class ArrivalCost(AbstractCost):
+    """Time until the goal is reached; after the last state that of the plan [T].
+
+    Each unit of time costs what the surroundings say, and each step into a wall the
+    time limit of the task.
+
+    Attributes:
+        plan: time-to-go, goal and walls.
+    """
+
+    plan: TimeToGo
+
+    def __call__(self, ts, ys, shares):
+        plan, ways = self.plan, jnp.diff(ys[:, :2], axis=0)
+        share = jax.vmap(entry, (0, 0, None, None))(
+            ys[:-1, :2], ways, plan.goal, plan.tolerance
+        )
+        away = jnp.cumprod(jnp.isinf(share).astype(ys.dtype))
+        before = jnp.concatenate([jnp.ones_like(away[:1]), away[:-1]])
+        surroundings = plan.terrain.surroundings
+        pace = jax.vmap(surroundings.pace)(ts[1:], ys[1:, :2])
+        pace = pace + _collisions(surroundings, ys) * plan.horizon
+        running = before * jnp.minimum(share, 1.0) * jnp.diff(ts) * pace
+        return jnp.sum(running) + away[-1] * plan.at(ys[-1], ts[-1])
+
+
+class TrackingCost(AbstractCost):
+    r"""Mean square distance from the target, $\int |x - r(t)|^2 dt$ [L² T].
+
+    Attributes:
+        objective: the target r.
+        surroundings: walls; what time costs more near them is added.
+        effort: weight of the squared change of the thrust share from step to step.
+    """
+
+    objective: AbstractObjective
+    surroundings: Surroundings
+    effort: float = 0.0
+
+    def __call__(self, ts, ys, shares):
+        targets = jax.vmap(self.objective.target)(ts[1:])
+        error = jnp.sum((ys[1:, :2] - targets) ** 2, axis=1)
+        pace = jax.vmap(self.surroundings.pace)(ts[1:], ys[1:, :2]) - 1
+        walls = pace + COLLISION * _collisions(self.surroundings, ys)
+        change = jnp.sum(jnp.diff(shares, axis=0) ** 2)
+        return jnp.sum((error + walls) * jnp.diff(ts)) + self.effort * change
+
+
+COLLISION = 1e3
+"""Cost of a unit of time in a wall, where a path is followed [L²]."""
+
+
+def _collisions(surroundings, ys):
+    """One for each later state in a wall."""
+    clearance = jax.vmap(surroundings.clearance)(ys[1:, :2])
+    return (clearance < 0).astype(ys.dtype)

@@ -1,0 +1,99 @@
+r"""Model-predictive control by shooting: descent on the gradient through the model.
+
+References:
+    Kingma and Ba, ICLR 2015, for the steps.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float
+
+from pinav.errors import InputError
+from pinav.navigation.control.controller import AbstractController
+from pinav.navigation.control.costs import AbstractCost
+from pinav.navigation.control.prediction import AbstractGuide, Courses
+from pinav.navigation.model.predictors import within_disc
+from pinav.navigation.task.steering import direction
+
+
+class Shooting(AbstractController[Float[Array, "step 2"]]):
+    r"""Improves sequences of thrusts by steps along the gradient of their cost.
+
+    Each sequence that is kept, and that of the guide, takes Adam's steps whose length
+    falls to nothing, is brought back to the allowed thrust after each, and the best one
+    met is the answer. Kept sequences are moved on by one from step to step.
+
+    Attributes:
+        courses: what follows from a sequence, and the steps it has.
+        cost: of a course; differentiable almost everywhere.
+        guide: proposes a further sequence in each step, or None.
+        iterations: steps of descent, positive.
+        rate: length of the first step, where 1 is the greatest thrust, positive.
+
+    Raises:
+        InputError: `iterations` or `rate` is not positive.
+    """
+
+    courses: Courses
+    cost: AbstractCost
+    guide: AbstractGuide | None = None
+    iterations: int = eqx.field(static=True, default=20)
+    rate: float = 0.15
+
+    def __check_init__(self):
+        for name in ("iterations", "rate"):
+            value = getattr(self, name)
+            if not value > 0:
+                raise InputError(f"Shooting.{name}: expected > 0, got {value}")
+
+    def start(self, observation):
+        ahead = SMALL * direction(observation.pending[-1, 1])
+        return jnp.tile(ahead.astype(observation.state.dtype), (self.courses.steps, 1))
+
+    def __call__(self, observation, memory, *, key):
+        del key
+        begun = jnp.concatenate([memory[1:], memory[-1:]])[None]
+        if self.guide is not None:
+            guided = self.guide(observation, self.courses)
+            begun = jnp.concatenate([begun, guided[None]])
+        found, costs = jax.vmap(lambda one: self._descended(observation, one))(begun)
+        best = found[jnp.argmin(costs)]
+        return self.courses.command(observation, best[0]), best
+
+    def _descended(self, observation, shares):
+        """The best sequence met on the way down, and its cost."""
+
+        def cost(shares):
+            value = self.cost(*self.courses(observation, shares), shares)
+            return jnp.where(jnp.isfinite(value), value, jnp.inf)
+
+        method = optax.scale_by_adam()
+
+        def descend(carry, length):
+            shares, progress, best, least = carry
+            value, slope = jax.value_and_grad(cost)(shares)
+            better = value < least
+            best = jnp.where(better, shares, best)
+            least = jnp.where(better, value, least)
+            slope = jnp.where(jnp.isfinite(slope), slope, 0.0)
+            with jax.numpy_dtype_promotion("standard"):  # as optax expects
+                change, progress = method.update(slope, progress)
+            shares = within_disc(shares - length * change)
+            return (shares, progress, best, least), None
+
+        least = jnp.asarray(jnp.inf, shares.dtype)
+        begin = (shares, method.init(shares), shares, least)
+        (last, _, best, least), _ = jax.lax.scan(descend, begin, self._lengths(shares))
+        final = cost(last)
+        return jnp.where(final < least, last, best), jnp.minimum(final, least)
+
+    def _lengths(self, shares):
+        """Of the steps of descent: half a period of a cosine, from the rate to zero."""
+        done = jnp.arange(self.iterations, dtype=shares.dtype) / self.iterations
+        return self.rate * (1 + jnp.cos(jnp.pi * done)) / 2
+
+
+SMALL = 0.1
+"""Thrust share of the first sequence: the heading of no thrust has no derivative."""

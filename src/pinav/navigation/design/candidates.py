@@ -1,0 +1,187 @@
+r"""What could be recorded next: starts and drive programmes within the limits."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from pinav.actuation import AbstractProgramme, LinearProgramme
+from pinav.errors import InputError
+from pinav.forces import AbstractForce
+from pinav.navigation.task.steering import AbstractActuator, CommandLimits
+from pinav.navigation.task.zones import Rectangle
+
+
+class CommandedThrust(AbstractForce):
+    """What an actuator makes of a programme of commands.
+
+    Attributes:
+        programme: frequency and heading over time.
+        actuator: what a command does to the swimmer.
+    """
+
+    programme: AbstractProgramme
+    actuator: AbstractActuator
+
+    def __call__(self, t, x, v):
+        return self.actuator(jnp.stack(self.programme(t))).astype(x.dtype)
+
+
+class Shots(eqx.Module):
+    """Trajectories that could be recorded, as a batch.
+
+    Attributes:
+        starts: first states.
+        frequency: commanded at each knot [cycles T⁻¹].
+        heading: commanded at each knot [rad].
+    """
+
+    starts: Float[Array, "*shot state"]
+    frequency: Float[Array, "*shot knot"]
+    heading: Float[Array, "*shot knot"]
+
+    def __getitem__(self, index) -> "Shots":
+        """One shot, or some of them."""
+        return jax.tree.map(lambda leaf: leaf[index], self)
+
+
+class Experiment(eqx.Module):
+    r"""How trajectories are recorded, and within which limits.
+
+    Commands are given at knots and go linearly from one to the next, so that the
+    heading never jumps. Shots are random: the first heading is uniform, later ones
+    follow a random walk; frequencies are uniform up to their limit.
+
+    Attributes:
+        actuator: what a command does.
+        limits: what may be commanded.
+        region: where swimmers are released.
+        duration: of a trajectory [T], positive.
+        interval: between two samples [T], positive.
+        knot: between two commands [T], positive.
+        noise: standard deviation of what is observed of each component of the state;
+            infinite where nothing is.
+        turning: standard deviation of the change of heading in unit time
+            [rad T^-1/2], positive.
+
+    Raises:
+        InputError: a time or `turning` is not positive, or `noise` is not.
+    """
+
+    actuator: AbstractActuator
+    limits: CommandLimits
+    region: Rectangle
+    noise: Float[np.ndarray, " state"] = eqx.field(
+        converter=lambda value: np.asarray(value, float)
+    )
+    duration: float = eqx.field(static=True)
+    interval: float = eqx.field(static=True, default=0.1)
+    knot: float = eqx.field(static=True, default=1.0)
+    turning: float = eqx.field(static=True, default=0.6)
+
+    def __check_init__(self):
+        for name in ("duration", "interval", "knot", "turning"):
+            if not getattr(self, name) > 0:
+                raise InputError(
+                    f"Experiment.{name}: expected > 0, got {getattr(self, name)}"
+                )
+        if isinstance(self.noise, np.ndarray) and not np.all(self.noise > 0):
+            raise InputError(
+                f"Experiment.noise: expected numbers > 0, got {self.noise.tolist()}; "
+                "give infinity for what is not observed"
+            )
+
+    @property
+    def times(self) -> Float[Array, " time"]:
+        """When a trajectory is observed, from its start [T]."""
+        count = round(self.duration / self.interval)
+        return jnp.linspace(0.0, self.duration, count + 1)
+
+    @property
+    def knots(self) -> Float[Array, " knot"]:
+        """When commands are given, from the start [T]."""
+        count = max(round(self.duration / self.knot), 1)
+        return jnp.linspace(0.0, self.duration, count + 1)
+
+    def thrust(self, shot: Shots, begin: float = 0.0) -> CommandedThrust:
+        """Propulsion of one shot that begins at a time [T]."""
+        programme = LinearProgramme(self.knots + begin, shot.frequency, shot.heading)
+        return CommandedThrust(programme, self.actuator)
+
+    def draw(self, count: int, *, key: PRNGKeyArray) -> Shots:
+        """Random shots: released at rest, uniformly in the region.
+
+        Args:
+            count: how many.
+            key: random key.
+        """
+        place_key, first_key, turn_key, frequency_key = jax.random.split(key, 4)
+        lower, upper = self.region.lower, self.region.upper
+        share = jax.random.uniform(place_key, (count, 2))
+        places = lower[None] + share * (upper - lower)[None]
+        rest = jnp.zeros((count, len(self.noise) - 2))
+        first = jax.random.uniform(first_key, (count, 1), maxval=2 * np.pi)
+        steps = len(self.knots) - 1
+        turns = jax.random.normal(turn_key, (count, steps)) * self._turn
+        walk = jnp.cumsum(self._limited(turns), axis=1)
+        return Shots(
+            starts=jnp.concatenate([places, rest], axis=1),
+            frequency=jax.random.uniform(
+                frequency_key, (count, steps + 1), maxval=self.limits.max_frequency
+            ),
+            heading=jnp.concatenate([first, first + walk], axis=1),
+        )
+
+    def vary(
+        self, shot: Shots, count: int, *, key: PRNGKeyArray, spread: float = 0.3
+    ) -> Shots:
+        """Shots like a given one, within the same limits, from the same start.
+
+        Args:
+            shot: a single one.
+            count: how many.
+            key: random key.
+            spread: of the changes, relative to those between random shots.
+        """
+        first_key, turn_key, frequency_key = jax.random.split(key, 3)
+        turns = jnp.diff(shot.heading)
+        changes = jax.random.normal(turn_key, (count, len(turns))) * self._turn
+        first = jax.random.normal(first_key, (count, 1)) * np.pi * spread
+        walk = jnp.cumsum(self._limited(turns[None] + spread * changes), axis=1)
+        heading = shot.heading[0] + first
+        scatter = jax.random.normal(frequency_key, (count, len(turns) + 1))
+        most = self.limits.max_frequency
+        frequency = shot.frequency[None] + spread * most * scatter
+        return Shots(
+            starts=jnp.broadcast_to(shot.starts, (count, *shot.starts.shape)),
+            frequency=jnp.clip(frequency, 0.0, most),
+            heading=jnp.concatenate([heading, heading + walk], axis=1),
+        )
+
+    @property
+    def _turn(self) -> float:
+        """Standard deviation of the change of heading between two knots [rad]."""
+        return self.turning * self.knot**0.5
+
+    def _limited(self, turns):
+        """Changes of heading that the coils can follow, less than half a turn."""
+        most = min(self.limits.max_turning_rate * self.knot, 0.99 * np.pi)
+        return jnp.clip(turns, -most, most)
+
+
+def in_sequence(experiment: Experiment, shots: Shots) -> CommandedThrust:
+    """One propulsion for all shots, of which each begins at its time: see `begins`.
+
+    A fit knows a single propulsion for all trajectories, so that each has its own span
+    of the operator's clock.
+    """
+    count = shots.starts.shape[0]
+    knots = experiment.knots[None] + jnp.asarray(begins(experiment, count))[:, None]
+    flat = (a.reshape(-1) for a in (knots, shots.frequency, shots.heading))
+    return CommandedThrust(LinearProgramme(*flat), experiment.actuator)
+
+
+def begins(experiment: Experiment, count: int) -> Float[np.ndarray, " shot"]:
+    """When each of several shots begins on the operator's clock [T]."""
+    return np.arange(count) * (experiment.duration + experiment.knot)

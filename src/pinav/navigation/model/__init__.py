@@ -1,0 +1,1 @@
+"""Models of the surroundings that planning and control evaluate."""

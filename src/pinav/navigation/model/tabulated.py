@@ -1,0 +1,108 @@
+r"""A model on a task's arena, as tables: what plan and controllers work with."""
+
+import math
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from pinav.dynamics import Swimmer
+from pinav.navigation.model.predictors import Drive, InertialTable, OverdampedTable
+from pinav.navigation.model.tables import (
+    FieldTable,
+    Grid,
+    force_spread,
+    sample_times,
+    tabulate,
+)
+from pinav.navigation.model.time_cost import Surroundings
+from pinav.navigation.task.steering import SteeredSwimmer
+from pinav.navigation.task.task import Task
+
+HEADINGS = 24
+"""Directions in which the greatest thrust is looked for."""
+
+
+class Terrain(eqx.Module):
+    """A model of the swimmer on a task's arena, as tables.
+
+    Attributes:
+        table: of the model.
+        predictor: of the table.
+        drive: commands as shares of the greatest thrust.
+        surroundings: walls, and what time costs.
+    """
+
+    table: FieldTable
+    predictor: InertialTable | OverdampedTable
+    drive: Drive
+    surroundings: Surroundings
+
+
+def terrain(
+    task: Task,
+    model: SteeredSwimmer,
+    *,
+    samples: Sequence[SteeredSwimmer] = (),
+    aversion: float = 4.0,
+    margin: float | None = None,
+    points: int = 81,
+    times: int = 41,
+) -> Terrain:
+    r"""Tables of a model on a task's arena.
+
+    Args:
+        task: the arena, the walls, the limits; its truth is not used.
+        model: what is believed.
+        samples: of the posterior of the model, none or at least two: their spread makes
+            unknown ground cost more.
+        aversion: cost of time where that spread is as great as the thrust.
+        margin: from walls, over which time costs more [L]; half the tolerance or what
+            the noise asks for unless given.
+        points: of the tables, along the longer side.
+        times: of the tables of a model that changes in time.
+
+    Raises:
+        InputError: the model is not finite on the arena; fewer than two samples.
+    """
+    grid = Grid.over(task.arena, points, margin=2)
+    moments = sample_times(model, grid, task.time_limit, times)
+    table = tabulate(model, grid, moments)
+    inertial = isinstance(model.dynamics, Swimmer)
+    predictor = (InertialTable if inertial else OverdampedTable)(table, model.actuator)
+    drive = Drive.of(model.actuator, task.limits)
+    spread = None
+    if samples:
+        spread = force_spread([tabulate(one, grid, moments) for one in samples])
+        thrust = _greatest_rate(table, drive, inertial=inertial)
+        spread = eqx.tree_at(lambda s: s.values, spread, spread.values / thrust)
+    surroundings = Surroundings(
+        task.keep_out,
+        task.arena,
+        noise_margin(task) if margin is None else margin,
+        4.0,
+        spread,
+        aversion,
+    )
+    return Terrain(table, predictor, drive, surroundings)
+
+
+def noise_margin(task: Task) -> float:
+    """Distance from walls that the noise of a task asks for [L].
+
+    Three standard deviations of where it takes a swimmer during one time unit or, where
+    the position itself is noisy, five control steps; and of the sensor.
+    """
+    inertial = task.start.shape[0] == 4
+    reaction = 5 * task.step + task.delay
+    noise = math.sqrt(reaction**3 / 3 if inertial else reaction)
+    return 3 * math.hypot(task.noise * noise, task.sensor_noise) + 0.1
+
+
+def _greatest_rate(table, drive, *, inertial):
+    """Greatest acceleration, or velocity, that thrust gives."""
+    thrusts = drive.thrusts(HEADINGS)
+    if not inertial:
+        mobility = table.values[0, ..., 2:].reshape(*table.grid.shape, 2, 2)
+        thrusts = jnp.einsum("xyab,hb->xyha", mobility, thrusts)
+    return jnp.max(jnp.linalg.norm(thrusts, axis=-1))

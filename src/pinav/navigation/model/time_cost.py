@@ -1,0 +1,74 @@
+r"""Where a swimmer may be, and what it costs there: walls, margins, unknown ground."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from pinav.arguments import Scalar
+from pinav.navigation.model.tables import FieldTable
+from pinav.navigation.task.zones import AbstractZone, Rectangle, clearance
+
+
+class Surroundings(eqx.Module):
+    r"""Cost of a unit of time at a place: 1, and more near walls and on unknown ground.
+
+    $$p(t, x) = 1 + k \max(0, 1 - c(x) / m)^2 + \rho\, (s(t, x) / u)^2,$$
+
+    with the clearance c, the standard deviation s of the model's rate and the rate u
+    that the greatest thrust gives.
+
+    Attributes:
+        keep_out: what must not be entered.
+        arena: what must not be left.
+        margin: m, from a wall, over which time costs more [L], positive.
+        steepness: k.
+        spread: s / u, dimensionless; None where the model is taken for true.
+        aversion: $\rho$ to what is not known.
+    """
+
+    keep_out: tuple[AbstractZone, ...]
+    arena: Rectangle
+    margin: Scalar
+    steepness: float
+    spread: FieldTable | None = None
+    aversion: float = 0.0
+
+    def clearance(self, x: Float[Array, "2"]) -> Float[Array, ""]:
+        """Distance from the nearest forbidden place [L]."""
+        return clearance(x, self.keep_out, self.arena)
+
+    def pace(self, t: Scalar, x: Float[Array, "2"]) -> Float[Array, ""]:
+        """Cost of a unit of time, at time `t` [T] and position `x` [L]."""
+        lack = jnp.maximum(0.0, 1 - self.clearance(x) / self.margin)
+        return 1 + self.steepness * lack**2 + self._risk(t, x)
+
+    def _risk(self, t, x):
+        if self.spread is None or self.aversion == 0:
+            return jnp.zeros((), x.dtype)
+        return self.aversion * self.spread(t, x)[0] ** 2
+
+
+def entry(
+    x: Float[Array, "2"],
+    displacement: Float[Array, "2"],
+    goal: Float[Array, "2"],
+    tolerance: Scalar,
+) -> Float[Array, ""]:
+    """Share of a straight step after which it enters a disc; infinite if it does not.
+
+    Args:
+        x: where the step begins [L].
+        displacement: the whole step [L].
+        goal: middle of the disc [L].
+        tolerance: its radius [L].
+    """
+    offset = x - goal
+    beyond = offset @ offset - jnp.asarray(tolerance, x.dtype) ** 2
+    square = displacement @ displacement
+    approach = -(offset @ displacement)
+    inner = approach**2 - square * beyond
+    meets = (inner > 0) & (approach > 0)
+    root = jnp.sqrt(jnp.where(meets, inner, 1.0))
+    share = (approach - root) / jnp.where(meets, square, 1.0)
+    share = jnp.where(meets & (share <= 1), share, jnp.inf)
+    return jnp.where(beyond <= 0, 0.0, share)

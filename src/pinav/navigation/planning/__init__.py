@@ -1,0 +1,1 @@
+"""Plans: time-to-go by value iteration."""

@@ -1,0 +1,359 @@
+r"""The global plan: how long it takes to the goal from anywhere, and the way there."""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from pinav.arguments import Scalar
+from pinav.errors import InputError
+from pinav.navigation.model.predictors import AbstractPredictor, InertialTable
+from pinav.navigation.model.tables import Grid
+from pinav.navigation.model.tabulated import Terrain, terrain
+from pinav.navigation.model.time_cost import entry
+from pinav.navigation.planning.value_iteration import (
+    Arrival,
+    converged,
+    phase_sweep,
+    position_sweep,
+    swept_back,
+)
+from pinav.navigation.task.objectives import Reach
+from pinav.navigation.task.steering import SteeredSwimmer
+from pinav.navigation.task.task import Task
+
+HEADINGS = 24
+"""Directions of the thrust that are tried at each position, and by the policy."""
+
+PHASE_HEADINGS = 16
+"""The same where there is inertia, and four dimensions."""
+
+CELLS = 1.5
+"""How many cells a step of the plan crosses, at most."""
+
+
+class Route(eqx.Module):
+    """The way along which the time-to-go falls fastest.
+
+    Attributes:
+        ts: times [T].
+        ys: states; the last one repeats once the goal is reached.
+        arrival_time: when the goal is reached [T]; infinite if it is not.
+    """
+
+    ts: Float[Array, " time"]
+    ys: Float[Array, "time state"]
+    arrival_time: Float[Array, ""]
+
+
+class TimeToGo(eqx.Module):
+    r"""Time-to-go $T(t, y)$ on a lattice of states, of a model and a task.
+
+    The lattice is over positions, or velocities and positions where there is inertia.
+    Kept is $U = e^{-T/\tau}$, interpolated linearly; beyond the lattice it
+    is that of its edge.
+
+    Attributes:
+        values: U; one time where the model does not change.
+        lower: first point of the lattice.
+        spacing: of the lattice.
+        scale: $\tau$ [T].
+        interval: between the times [T].
+        horizon: what takes longer counts as out of reach [T].
+        step: of the plan [T]; the policy looks as far ahead.
+        terrain: the model, the drive, the walls.
+        goal: middle of the goal [L].
+        tolerance: its radius [L].
+    """
+
+    values: Float[Array, "moment ..."]
+    lower: Float[Array, " state"]
+    spacing: Float[Array, " state"]
+    scale: Float[Array, ""]
+    interval: float
+    horizon: float = eqx.field(static=True)
+    step: float = eqx.field(static=True)
+    terrain: Terrain
+    goal: Float[Array, "2"]
+    tolerance: Float[Array, ""]
+
+    def at(self, y: Float[Array, " state"], t: Scalar = 0.0) -> Float[Array, ""]:
+        """Cost-to-go [T] from the state `y` at time `t` [T]: great out of reach.
+
+        It is the time-to-go where walls are far and the model is certain. A state may
+        have more components than the lattice has axes.
+        """
+        state = jnp.roll(y[:4], 2) if self.lower.shape[0] == 4 else y[:2]
+        place = (state - self.lower.astype(y.dtype)) / self.spacing.astype(y.dtype)
+        if self.values.shape[0] > 1:
+            moment = jnp.asarray(t, y.dtype) / self.interval
+            place = jnp.concatenate([moment[None], place])
+        values = self.values if self.values.shape[0] > 1 else self.values[0]
+        value = _interpolated(values, place).astype(y.dtype)
+        return -self.scale.astype(y.dtype) * jnp.log(jnp.maximum(value, FLOOR))
+
+    @property
+    def map(self) -> Float[np.ndarray, "x y"]:
+        """Cost-to-go at the points of the plan's grid, from rest, at first [T]."""
+        values = np.asarray(self.values[0])
+        if values.ndim == 4:
+            middle = values.shape[0] // 2
+            values = values[middle, middle]
+        return -float(self.scale) * np.log(np.maximum(values, FLOOR))
+
+    @property
+    def unreachable(self) -> Bool[np.ndarray, "x y"]:
+        """Where the goal cannot be reached from rest within the time limit."""
+        return self.map > self.horizon
+
+    def share(
+        self,
+        t: Scalar,
+        y: Float[Array, " state"],
+        previous: Float[Array, "2"],
+        predictor: AbstractPredictor,
+    ) -> Float[Array, "2"]:
+        """Direction of the greatest thrust after which the goal is nearest in time.
+
+        Args:
+            t: now [T].
+            y: the state, as the predictor takes it.
+            previous: the command before.
+            predictor: says what comes of a thrust.
+        """
+        shares = self.terrain.drive.shares(HEADINGS)
+
+        def after(share):
+            command = self.terrain.drive.command(share, previous, self.step)
+            ahead = predictor.step(t, y, command, self.step)
+            return self.at(ahead, jnp.asarray(t) + self.step)
+
+        return shares[jnp.argmin(jax.vmap(after)(shares))]
+
+    def route(self, start: Float[Array, " state"], step: float = 0.1) -> Route:
+        """The way from a state on the model, without noise and delay.
+
+        Args:
+            start: first state.
+            step: how long a command holds [T].
+        """
+        return _route(self, jnp.asarray(start), step, math.ceil(self.horizon / step))
+
+
+FLOOR = 1e-30
+"""Least value: about seventy scales of time."""
+
+
+def _interpolated(values, place):
+    """Linear in every coordinate, counted in cells; constant beyond the lattice."""
+    most = jnp.asarray(values.shape, place.dtype)
+    place = jnp.clip(place, 0.0, most - 1)
+    cell = jnp.minimum(jnp.floor(place), most - 2)
+    block = jax.lax.dynamic_slice(values, tuple(cell.astype(int)), (2,) * values.ndim)
+    for share in (place - cell).astype(values.dtype):
+        block = block[0] + share * (block[1] - block[0])
+    return block
+
+
+@eqx.filter_jit
+def _route(plan, start, step, count):
+    terrain = plan.terrain
+
+    def move(state, t):
+        y, previous, arrived = state
+        share = plan.share(t, y, previous, terrain.predictor)
+        command = terrain.drive.command(share, previous, step)
+        ahead = terrain.predictor.step(t, y, command, step)
+        when = t + step * entry(y[:2], ahead[:2] - y[:2], plan.goal, plan.tolerance)
+        y = jnp.where(jnp.isfinite(arrived), y, ahead)
+        return (y, command, jnp.minimum(arrived, when)), y
+
+    ts = step * jnp.arange(count + 1, dtype=start.dtype)
+    begin = (start, jnp.zeros(2), jnp.asarray(jnp.inf))
+    (_, _, arrived), ys = jax.lax.scan(move, begin, ts[:-1])
+    return Route(ts, jnp.concatenate([start[None], ys]), arrived)
+
+
+def time_to_go(
+    task: Task,
+    model: SteeredSwimmer,
+    *,
+    ground: Terrain | None = None,
+    points: int | None = None,
+    speeds: int = 21,
+) -> TimeToGo:
+    """Plan a task with a model.
+
+    Args:
+        task: whose objective is to reach a place; its truth is not used.
+        model: what is believed.
+        ground: tables of the model; `terrain(task, model)` unless given.
+        points: of the plan, along the longer side of the arena; 101 for positions, 41
+            for positions and velocities unless given.
+        speeds: points of the plan along either axis of the velocity.
+
+    Raises:
+        InputError: the task is to follow a path; start or goal are in a wall or outside
+            the arena; the model is not finite; the goal cannot be reached.
+    """
+    if not isinstance(task.objective, Reach):
+        raise InputError(
+            f"task {task.name!r}: expected a place to reach, got "
+            f"{type(task.objective).__name__}; a path needs no plan"
+        )
+    ground = terrain(task, model) if ground is None else ground
+    check_places(task)
+    inertial = isinstance(ground.predictor, InertialTable)
+    count = (41 if inertial else 101) if points is None else points
+    grid = Grid.over(task.arena, count)
+    arrival = _arrival(task, ground, grid, PHASE_HEADINGS if inertial else HEADINGS)
+    if inertial:
+        plan = _phase_plan(task, ground, arrival, grid, speeds)
+    else:
+        plan = _position_plan(task, ground, arrival, grid)
+    check_reachable(task, plan)
+    return plan
+
+
+def check_places(task: Task) -> None:
+    """Refuse a start or goal that is in a wall or outside the arena.
+
+    Raises:
+        InputError: it is.
+    """
+    places = {"start": task.start[:2]}
+    if isinstance(task.objective, Reach):
+        places["goal"] = task.objective.goal
+    for name, x in places.items():
+        where = f"({float(x[0]):.3g}, {float(x[1]):.3g})"
+        if not float(task.arena.distance(x)) <= 0:
+            raise InputError(f"{name}: expected a place in the arena, got {where}")
+        if any(float(zone.distance(x)) < 0 for zone in task.keep_out):
+            raise InputError(f"{name}: expected a free place, got {where} in a wall")
+
+
+def check_reachable(task: Task, plan: TimeToGo) -> None:
+    """Refuse a goal that cannot be reached from the start.
+
+    Raises:
+        InputError: it cannot.
+    """
+    if float(plan.at(task.start)) > plan.horizon:
+        goal, start = plan.goal, task.start
+        raise InputError(
+            f"goal: expected a place that can be reached within {plan.horizon:g}, got "
+            f"({float(goal[0]):.3g}, {float(goal[1]):.3g}) from "
+            f"({float(start[0]):.3g}, {float(start[1]):.3g}); walls or drift are "
+            "stronger than this thrust"
+        )
+
+
+def _arrival(task, ground, grid, headings):
+    """The goal: not smaller than the grid can show."""
+    tolerance = max(float(task.objective.tolerance), float(jnp.max(grid.spacing)) / 4)
+    return Arrival(
+        task.objective.goal,
+        jnp.asarray(tolerance),
+        ground.surroundings,
+        ground.drive.thrusts(headings),
+        jnp.asarray(task.time_limit / 2),
+    )
+
+
+def _position_plan(task, ground, arrival, grid):
+    speeds = _speeds(ground.table, arrival.thrusts, grid)
+    speeds = jnp.maximum(speeds, SLOWEST * jnp.max(speeds))
+    steps = CELLS * float(jnp.min(grid.spacing)) / speeds
+    times = None
+    if ground.table.values.shape[0] > 1:
+        steps = jnp.full_like(steps, jnp.min(steps))
+        times = jnp.arange(0.0, task.time_limit, float(jnp.min(steps)))
+    values = _positions(ground.table, arrival, grid, steps, times)
+    lattice = (grid.lower, grid.spacing)
+    return _assembled(task, ground, arrival, values, lattice, float(jnp.min(steps)))
+
+
+@eqx.filter_jit
+def _positions(table, arrival, grid, steps, times):
+    if times is None:
+        sweep = position_sweep(table, arrival, grid, 0.0, steps)
+        return converged(sweep, grid.shape, 20 * max(grid.shape), SETTLED)[None]
+    return swept_back(
+        lambda t: position_sweep(table, arrival, grid, t, steps), times, grid.shape
+    )
+
+
+SETTLED = 1e-5
+"""Change of U by a sweep, below which the values of a plan have settled."""
+
+
+SLOWEST = 0.2
+"""Least speed for which a step of the plan is made longer, of the greatest one."""
+
+
+@eqx.filter_jit
+def _speeds(table, thrusts, grid):
+    """Speed at each point of a grid in each direction of the thrust [L T⁻¹]."""
+
+    def fast(x):
+        rates = table(0.0, x)
+        velocities = rates[None, :2] + thrusts @ rates[2:].reshape(2, 2).T
+        return jnp.linalg.norm(velocities, axis=1)
+
+    return jax.vmap(jax.vmap(fast))(grid.points)
+
+
+def _phase_plan(task, ground, arrival, grid, speeds):
+    top = _top_speed(task, ground, arrival)
+    velocities = jnp.linspace(-top, top, speeds)
+    width = float(velocities[1] - velocities[0])
+    step = 0.7 * width / float(jnp.max(jnp.linalg.norm(arrival.thrusts, axis=1)))
+    times = None
+    if ground.table.values.shape[0] > 1:
+        times = jnp.arange(0.0, task.time_limit, step)
+    most = math.ceil(task.time_limit / step)  # as many steps as there is time for
+    values = _phases(ground.table, arrival, grid, velocities, (step, most), times)
+    spacing = jnp.concatenate([jnp.full(2, width), grid.spacing])
+    lattice = (jnp.concatenate([jnp.full(2, -top), grid.lower]), spacing)
+    return _assembled(task, ground, arrival, values, lattice, step)
+
+
+@eqx.filter_jit
+def _phases(table, arrival, grid, velocities, steps, times):
+    step, most = steps
+    shape = (velocities.shape[0], velocities.shape[0], *grid.shape)
+    if times is None:
+        sweep = phase_sweep(table, arrival, grid, 0.0, velocities, step)
+        return converged(sweep, shape, most, SETTLED)[None]
+    return swept_back(
+        lambda t: phase_sweep(table, arrival, grid, t, velocities, step), times, shape
+    )
+
+
+def _top_speed(task, ground, arrival):
+    """Speed that the plan has to know: where thrust and mean force meet the drag."""
+    values = ground.table.values
+    thrust = float(jnp.max(jnp.linalg.norm(arrival.thrusts, axis=1)))
+    force = float(jnp.mean(jnp.linalg.norm(values[..., :2], axis=-1)))
+    drag = float(jnp.mean(values[..., 2] + values[..., 5])) / 2
+    extent = float(jnp.linalg.norm(task.arena.upper - task.arena.lower))
+    longest = math.sqrt(2 * (thrust + force) * extent)
+    terminal = (thrust + force) / drag if drag > 0 else longest
+    return max(min(terminal, longest), float(jnp.linalg.norm(task.start[2:4])))
+
+
+def _assembled(task, ground, arrival, values, lattice, step):
+    return TimeToGo(
+        values,
+        *lattice,
+        scale=arrival.scale,
+        interval=step,
+        horizon=float(task.time_limit),
+        step=step,
+        terrain=ground,
+        goal=arrival.goal,
+        tolerance=arrival.tolerance,
+    )

@@ -1,0 +1,1 @@
+"""Independent references: optimal paths and a Gaussian process."""

@@ -1,0 +1,1 @@
+"""Navigation problems: start, goal, zones, limits of the commands."""

@@ -1,0 +1,176 @@
+"""What a swimmer is asked to do: reach a place, or follow a path."""
+
+import abc
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from pinav.arguments import Scalar, as_point, check_positive
+
+
+class AbstractPath(eqx.Module):
+    """A curve that is to be followed at a speed, as a point that moves along it."""
+
+    @abc.abstractmethod
+    def __call__(self, t: Scalar) -> Float[Array, "2"]:
+        """Where the swimmer should be at time `t` [L]."""
+
+
+class LinePath(AbstractPath):
+    """Along a straight line, from end to end at constant speed; then at rest.
+
+    Attributes:
+        start: [L].
+        end: [L].
+        duration: from start to end [T], positive.
+    """
+
+    start: Float[Array, "2"] = eqx.field(
+        converter=lambda value: as_point("LinePath.start", value, 2)
+    )
+    end: Float[Array, "2"] = eqx.field(
+        converter=lambda value: as_point("LinePath.end", value, 2)
+    )
+    duration: Scalar
+
+    def __check_init__(self):
+        check_positive(self, "duration")
+
+    def __call__(self, t):
+        share = jnp.clip(jnp.asarray(t) / self.duration, 0.0, 1.0)
+        return self.start + share * (self.end - self.start)
+
+
+class CirclePath(AbstractPath):
+    r"""$c + r (\cos\phi, \sin\phi)$, $\phi = \phi_0 + 2\pi t / T$.
+
+    Attributes:
+        center: $c$ [L].
+        radius: $r$ [L], positive.
+        period: $T$ [T], positive: counter-clockwise.
+        phase: $\phi_0$ [rad].
+    """
+
+    center: Float[Array, "2"] = eqx.field(
+        converter=lambda value: as_point("CirclePath.center", value, 2)
+    )
+    radius: Scalar
+    period: Scalar
+    phase: Scalar = 0.0
+
+    def __check_init__(self):
+        check_positive(self, "radius", "period")
+
+    def __call__(self, t):
+        angle = self.phase + 2 * math.pi * jnp.asarray(t) / self.period
+        return self.center + self.radius * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+
+
+class FigureEightPath(AbstractPath):
+    r"""Gerono's lemniscate $c + r (\sin\phi, \sin\phi\cos\phi)$, $\phi = 2\pi t / T$.
+
+    Attributes:
+        center: $c$, where it crosses itself [L].
+        radius: $r$, half its length [L], positive.
+        period: $T$ [T], positive.
+    """
+
+    center: Float[Array, "2"] = eqx.field(
+        converter=lambda value: as_point("FigureEightPath.center", value, 2)
+    )
+    radius: Scalar
+    period: Scalar
+
+    def __check_init__(self):
+        check_positive(self, "radius", "period")
+
+    def __call__(self, t):
+        angle = 2 * math.pi * jnp.asarray(t) / self.period
+        across = jnp.sin(angle) * jnp.cos(angle)
+        return self.center + self.radius * jnp.stack([jnp.sin(angle), across])
+
+
+CATCH_UP = 0.5
+"""Time in which guidance makes up for an offset from a path [T]."""
+
+
+class AbstractObjective(eqx.Module):
+    """What is to be done, and when it is done."""
+
+    @abc.abstractmethod
+    def target(self, t: Scalar) -> Float[Array, "2"]:
+        """Where the swimmer should be, or go to, at time `t` [L]."""
+
+    @abc.abstractmethod
+    def guidance(
+        self, t: Scalar, x: Float[Array, "2"], speed: Scalar
+    ) -> Float[Array, "2"]:
+        """Velocity that leads there along the line of sight [L T⁻¹].
+
+        Args:
+            t: now [T].
+            x: position [L].
+            speed: of a swimmer in a hurry [L T⁻¹].
+        """
+
+    @abc.abstractmethod
+    def distance(self, x: Float[Array, "2"]) -> Float[Array, ""]:
+        """From position `x` to where the task ends [L]: not positive there."""
+
+    def is_reached(self, x: Float[Array, "2"]) -> Bool[Array, ""]:
+        """Whether the task ends at position `x` [L]."""
+        return self.distance(x) <= 0
+
+
+class Reach(AbstractObjective):
+    """Come to a place, as soon as possible.
+
+    Attributes:
+        goal: its middle [L].
+        tolerance: how near is there [L], positive.
+
+    Raises:
+        InputError: `goal` is not a point in the plane, or `tolerance` is not positive.
+    """
+
+    goal: Float[Array, "2"] = eqx.field(
+        converter=lambda value: as_point("Reach.goal", value, 2)
+    )
+    tolerance: Scalar
+
+    def __check_init__(self):
+        check_positive(self, "tolerance")
+
+    def target(self, t):
+        return self.goal
+
+    def guidance(self, t, x, speed):
+        offset = self.goal - x
+        return speed * offset / jnp.maximum(jnp.linalg.norm(offset), 1e-12)
+
+    def distance(self, x):
+        return jnp.linalg.norm(x - self.goal) - self.tolerance
+
+
+class Follow(AbstractObjective):
+    """Stay on a point that moves along a path, until time is up.
+
+    Attributes:
+        path: the moving point.
+    """
+
+    path: AbstractPath
+
+    def target(self, t):
+        return self.path(t)
+
+    def guidance(self, t, x, speed):
+        t = jnp.asarray(t, x.dtype)
+        target, velocity = jax.jvp(self.path, (t,), (jnp.ones_like(t),))
+        return velocity + (target - x) / CATCH_UP
+
+    def distance(self, x):
+        return jnp.full((), math.inf, x.dtype)

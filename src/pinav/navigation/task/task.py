@@ -1,0 +1,45 @@
+"""What a navigation task is."""
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from pinav.navigation.task.objectives import AbstractObjective
+from pinav.navigation.task.steering import CommandLimits, SteeredSwimmer
+from pinav.navigation.task.zones import AbstractZone, Rectangle
+
+
+class Task(eqx.Module):
+    """A true swimmer in a true environment, and what it is asked to do.
+
+    The controller knows all of this but `truth`, of which it has a model.
+
+    Attributes:
+        name: what the command line calls it.
+        truth: the swimmer and its surroundings.
+        start: its first state.
+        objective: what is to be done.
+        limits: what may be commanded.
+        arena: what must not be left.
+        keep_out: what must not be entered.
+        step: how long a command holds [T].
+        time_limit: when the task is over [T].
+        noise: strength of the white noise: of the acceleration [L T^-3/2] where the
+            state has a velocity, else of the velocity [L T^-1/2]. Over the time dt it
+            adds a normal number of standard deviation noise * sqrt(dt).
+        sensor_noise: standard deviation of what the controller is told of each
+            component of the state.
+        delay: from command to thrust [T].
+    """
+
+    name: str = eqx.field(static=True)
+    truth: SteeredSwimmer
+    start: Float[Array, " state"]
+    objective: AbstractObjective
+    limits: CommandLimits
+    arena: Rectangle
+    keep_out: tuple[AbstractZone, ...]
+    step: float = eqx.field(static=True)
+    time_limit: float = eqx.field(static=True)
+    noise: float = 0.0
+    sensor_noise: float = 0.0
+    delay: float = eqx.field(static=True, default=0.0)

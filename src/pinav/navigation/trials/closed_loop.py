@@ -1,0 +1,373 @@
+r"""A controller steers the true swimmer: one episode, or many at once.
+
+At every control step the controller is told the state, with the error of the sensor,
+and gives a command, which comes into force after the delay and holds for one step. The
+true swimmer takes Runge-Kutta steps of at most `LONGEST`; after each the white noise
+adds a normal number of standard deviation $\sigma \sqrt{dt}$ to its velocity (or to its
+position where it has no inertia). An episode ends where the task is done, where a
+forbidden place is entered, and when time is up.
+"""
+
+import math
+import time
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
+
+from pinav.arguments import Scalar
+from pinav.dynamics import RK4, FixedStep
+from pinav.navigation.control.controller import AbstractController, Observation
+from pinav.navigation.task.steering import SteeredSwimmer
+from pinav.navigation.task.task import Task
+from pinav.navigation.task.zones import clearance
+
+LONGEST = 0.025
+"""Longest step of the true swimmer [T]."""
+
+
+class Situation(eqx.Module):
+    """Where an episode stands.
+
+    Attributes:
+        step: control steps taken.
+        state: the true state.
+        pending: as in `Observation`.
+        reached: whether the task is done.
+        violated: whether a forbidden place was entered, or the state is lost.
+        arrival_time: when it was done [T]; infinite until then.
+        clearance: least distance from forbidden places so far [L].
+    """
+
+    step: Int[Array, ""]
+    state: Float[Array, " state"]
+    pending: Float[Array, "command 2"]
+    reached: Bool[Array, ""]
+    violated: Bool[Array, ""]
+    arrival_time: Float[Array, ""]
+    clearance: Float[Array, ""]
+
+    def ended(self, task: Task) -> Bool[Array, ""]:
+        """Whether the episode is over."""
+        return self.reached | self.violated | (self.step >= control_steps(task))
+
+
+class Episode(eqx.Module):
+    """What happened in one run; after its end the last state stays.
+
+    Attributes:
+        ts: times of the control steps [T].
+        states: true states then.
+        commands: what was commanded from each of them on, within the limits.
+        steps: control steps until it ended.
+        reached: whether the task was done, without a violation before.
+        violated: whether it ended in a forbidden place.
+        arrival_time: when the task was done [T]; else infinite.
+        clearance: least distance from forbidden places [L].
+        compute: time that each command took to compute [s]; the first one includes
+            the compilation, unless the controller was compiled before.
+    """
+
+    ts: Float[np.ndarray, " time"]
+    states: Float[np.ndarray, "time state"]
+    commands: Float[np.ndarray, "control 2"]
+    steps: int
+    reached: bool
+    violated: bool
+    arrival_time: float
+    clearance: float
+    compute: Float[np.ndarray, " control"]
+
+
+class Episodes(eqx.Module):
+    """The same of many runs, one a key.
+
+    Attributes:
+        ts: times of the control steps [T].
+        states: true states then.
+        commands: what was commanded.
+        steps: control steps until it ended.
+        reached: whether the task was done.
+        violated: whether it ended in a forbidden place.
+        arrival_time: when the task was done [T]; else infinite.
+        clearance: least distance from forbidden places [L].
+    """
+
+    ts: Float[np.ndarray, " time"]
+    states: Float[np.ndarray, "episode time state"]
+    commands: Float[np.ndarray, "episode control 2"]
+    steps: Int[np.ndarray, " episode"]
+    reached: Bool[np.ndarray, " episode"]
+    violated: Bool[np.ndarray, " episode"]
+    arrival_time: Float[np.ndarray, " episode"]
+    clearance: Float[np.ndarray, " episode"]
+
+
+def joined(parts: Sequence[Episodes]) -> Episodes:
+    """Episodes of one task, one part after the other."""
+    own = {name: [getattr(part, name) for part in parts] for name in vars(parts[0])}
+    times = own.pop("ts")[0]
+    return Episodes(ts=times, **{name: np.concatenate(a) for name, a in own.items()})
+
+
+def control_steps(task: Task) -> int:
+    """Control steps until the time is up."""
+    return math.ceil(task.time_limit / task.step - 1e-9)
+
+
+def begin(task: Task) -> Situation:
+    """The start of an episode: at rest, with the heading to the first target."""
+    toward = task.objective.target(task.step) - task.start[:2]
+    heading = jnp.arctan2(toward[1], toward[0])
+    idle = jnp.stack([jnp.zeros_like(heading), heading])
+    whole, part = _delay(task)
+    return Situation(
+        step=jnp.zeros((), int),
+        state=task.start,
+        pending=jnp.tile(idle[None], (max(whole + (part > 0), 1), 1)),
+        reached=jnp.zeros((), bool),
+        violated=jnp.zeros((), bool),
+        arrival_time=jnp.full((), jnp.inf, task.start.dtype),
+        clearance=clearance(task.start[:2], task.keep_out, task.arena),
+    )
+
+
+def observe(task: Task, situation: Situation, key: PRNGKeyArray) -> Observation:
+    """What the controller is told, with the error of the sensor."""
+    state = situation.state
+    error = task.sensor_noise * jax.random.normal(key, state.shape, state.dtype)
+    now = task.step * situation.step.astype(state.dtype)
+    return Observation(now, state + error, situation.pending)
+
+
+def advance(
+    task: Task,
+    truth: SteeredSwimmer,
+    situation: Situation,
+    command: Float[Array, "2"],
+    key: PRNGKeyArray,
+) -> tuple[Situation, Float[Array, "2"]]:
+    """One control step of the true swimmer.
+
+    Args:
+        task: what is to be done.
+        truth: the true swimmer.
+        situation: before the step.
+        command: what the controller wants, within the limits or not.
+        key: of the white noise.
+
+    Returns:
+        The situation after it, and the command within the limits.
+    """
+    allowed = task.limits.clipped(command, situation.pending[-1], task.step)
+    queue = jnp.concatenate([situation.pending, allowed[None]])
+    rows, durations = _parts(task)
+    state = situation.state
+    start = task.step * situation.step.astype(state.dtype)
+    durations = durations.astype(state.dtype)
+    times = start + jnp.cumsum(durations) - durations
+    kicks = _kicks(task, durations, key, state)
+
+    def substep(now, inputs):
+        row, t, duration, kick = inputs
+        held = truth.commanded(queue[row])
+        later = FixedStep(RK4).step(held, now.state, t, t + duration) + kick
+        return _judged(task, now, later, t, duration), None
+
+    inputs = (rows, times, durations, kicks)
+    later, _ = jax.lax.scan(substep, situation, inputs)
+    later = eqx.tree_at(
+        lambda s: (s.step, s.pending), later, (situation.step + 1, queue[1:])
+    )
+    return later, allowed
+
+
+def run(
+    task: Task,
+    controller: AbstractController,
+    *,
+    key: PRNGKeyArray,
+    truth: SteeredSwimmer | None = None,
+) -> Episode:
+    """One episode, step by step, with the time that each command takes.
+
+    Args:
+        task: what is to be done.
+        controller: what decides.
+        key: random key of noise, sensor and controller.
+        truth: another true swimmer than that of the task.
+    """
+    truth = task.truth if truth is None else truth
+    now, ended = begin(task), eqx.filter_jit(Situation.ended)
+    states, commands, compute = [now.state], [], []
+    memory: Any = None
+    while not ended(now, task):
+        sensing, deciding, moving = _step_keys(key, now.step)
+        seen = _observe(task, now, sensing)
+        if memory is None:
+            memory = controller.start(seen)
+        began = time.perf_counter()
+        command, memory = jax.block_until_ready(
+            _decide(controller, seen, memory, deciding)
+        )
+        compute.append(time.perf_counter() - began)
+        now, allowed = _advance(task, truth, now, command, moving)
+        states.append(now.state)
+        commands.append(allowed)
+    return Episode(
+        ts=task.step * np.arange(len(states), dtype=float),
+        states=np.stack(states).astype(float),
+        commands=np.asarray(commands, float).reshape(-1, 2),
+        steps=int(now.step),
+        reached=bool(now.reached),
+        violated=bool(now.violated),
+        arrival_time=float(now.arrival_time),
+        clearance=float(now.clearance),
+        compute=np.asarray(compute, float),
+    )
+
+
+def run_many(
+    task: Task,
+    controller: AbstractController,
+    keys: Shaped[PRNGKeyArray, " episode"],
+    *,
+    truth: SteeredSwimmer | None = None,
+) -> Episodes:
+    """One episode a key, in one compiled call.
+
+    The noise belongs to its key, whatever the controller: episodes of two controllers
+    with the same keys are pairs. Each ends by itself, so that early ones cost less.
+
+    Args:
+        task: what is to be done.
+        controller: what decides.
+        keys: random keys.
+        truth: another true swimmer than that of the task.
+    """
+    truth = task.truth if truth is None else truth
+    last, states, commands = jax.block_until_ready(
+        _episodes(task, controller, truth, keys)
+    )
+    return Episodes(
+        ts=task.step * np.arange(states.shape[1], dtype=float),
+        states=np.asarray(states, float),
+        commands=np.asarray(commands, float),
+        steps=np.asarray(last.step),
+        reached=np.asarray(last.reached),
+        violated=np.asarray(last.violated),
+        arrival_time=np.asarray(last.arrival_time, float),
+        clearance=np.asarray(last.clearance, float),
+    )
+
+
+@eqx.filter_jit
+def _decide(controller, observation, memory, key):
+    return controller(observation, memory, key=key)
+
+
+_observe = eqx.filter_jit(observe)
+_advance = eqx.filter_jit(advance)
+
+
+@eqx.filter_jit
+def _episodes(task, controller, truth, keys):
+    return jax.lax.map(partial(_episode, task, controller, truth), keys)
+
+
+def _episode(task, controller, truth, key):
+    """Last situation, states and commands of one run."""
+    count, first = control_steps(task), begin(task)
+    seen = observe(task, first, _step_keys(key, first.step)[0])
+    memory = jax.tree.map(jnp.asarray, controller.start(seen))
+    states = jnp.tile(first.state[None], (count + 1, 1))
+    commands = jnp.tile(first.pending[-1:], (count, 1))
+
+    def goes_on(carry):
+        return ~carry[0].ended(task)
+
+    def step(carry):
+        now, memory, states, commands = carry
+        sensing, deciding, moving = _step_keys(key, now.step)
+        seen = observe(task, now, sensing)
+        command, memory = controller(seen, memory, key=deciding)
+        later, allowed = advance(task, truth, now, command, moving)
+        states = states.at[later.step].set(later.state)
+        commands = commands.at[now.step].set(allowed)
+        return later, memory, states, commands
+
+    carry = first, memory, states, commands
+    last, _, states, commands = jax.lax.while_loop(goes_on, step, carry)
+    after = jnp.arange(count + 1)[:, None] > last.step
+    return last, jnp.where(after, last.state[None], states), commands
+
+
+def _judged(
+    task: Task,
+    now: Situation,
+    state: Float[Array, " state"],
+    t: Scalar,
+    duration: Scalar,
+) -> Situation:
+    """The situation with a new state; nothing changes once an episode has ended."""
+    over = now.reached | now.violated
+    near = clearance(state[:2], task.keep_out, task.arena)
+    violated = ~(near >= 0)  # so that a lost state ends the episode, too
+    reached = task.objective.is_reached(state[:2]) & ~violated
+    share = _share(task.objective.distance(now.state[:2]), task, state)
+    arrival = jnp.where(reached, t + share * duration, now.arrival_time)
+    later = Situation(
+        now.step,
+        state,
+        now.pending,
+        reached,
+        violated,
+        arrival,
+        jnp.minimum(now.clearance, near),
+    )
+    return jax.tree.map(lambda old, new: jnp.where(over, old, new), now, later)
+
+
+def _share(before, task, state):
+    """Share of a short step after which the task was done."""
+    gain = before - task.objective.distance(state[:2])
+    crossing = before / jnp.where(gain > 0, gain, 1.0)
+    return jnp.where(gain > 0, jnp.clip(crossing, 0.0, 1.0), 1.0)
+
+
+def _kicks(task, durations, key, state):
+    """White noise of every short step: of the velocity where there is inertia."""
+    numbers = jax.random.normal(key, (durations.shape[0], state.shape[0]), state.dtype)
+    moved = jnp.arange(state.shape[0]) >= state.shape[0] - 2
+    strength = task.noise * jnp.sqrt(durations)[:, None]
+    return jnp.where(moved[None], strength * numbers, 0.0)
+
+
+def _delay(task: Task) -> tuple[int, float]:
+    """Whole control steps of the delay, and what is left of it [T]."""
+    whole = math.floor(task.delay / task.step + 1e-9)
+    part = task.delay - whole * task.step
+    return whole, part if part > 1e-9 * task.step else 0.0
+
+
+def _parts(task: Task) -> tuple[Int[Array, " part"], Float[Array, " part"]]:
+    """Short steps within a control step: which command is in force, and how long."""
+    whole, part = _delay(task)
+    spans = [(0, part), (1, task.step - part)]
+    if part == 0:
+        spans = [(0 if whole else 1, task.step)]
+    rows, durations = [], []
+    for row, span in spans:
+        count = math.ceil(span / LONGEST - 1e-9)
+        rows += [row] * count
+        durations += [span / count] * count
+    return jnp.asarray(rows), jnp.asarray(durations, float)
+
+
+def _step_keys(key, step):
+    return jax.random.split(jax.random.fold_in(key, step), 3)

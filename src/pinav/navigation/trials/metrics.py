@@ -1,0 +1,203 @@
+"""How well episodes went, with intervals."""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import binom, norm
+
+from pinav.errors import InputError
+from pinav.navigation.task.objectives import Follow
+from pinav.navigation.task.task import Task
+from pinav.navigation.trials.closed_loop import Episodes
+
+
+class Interval(eqx.Module):
+    """A value with its 95 % confidence interval.
+
+    Attributes:
+        value: the estimate.
+        lower: end of the interval.
+        upper: end of the interval.
+    """
+
+    value: float
+    lower: float
+    upper: float
+
+
+class Summary(eqx.Module):
+    """Metrics of the episodes of a task.
+
+    Quantiles do not interpolate. What nobody achieved is not a number.
+
+    Attributes:
+        count: number of episodes.
+        success: share that did the task: reached the goal, or followed the path until
+            the time was up, without a violation.
+        violation: share that entered a forbidden place.
+        arrival: 5, 50 and 95 % quantile of the arrival time of those that arrived [T].
+        efficiency: straight distance / length of the way, mean of those that arrived.
+        tracking: mean distance from the target, averaged over episodes [L]; of paths.
+        tracking_rms: root mean square of that distance [L].
+        clearance: least of all episodes [L].
+        effort: mean of the integral of the squared frequency [cycles² T⁻¹].
+        turning: mean sum of the changes of heading [rad].
+    """
+
+    count: int
+    success: Interval
+    violation: Interval
+    arrival: tuple[float, float, float]
+    efficiency: float
+    tracking: float
+    tracking_rms: float
+    clearance: float
+    effort: float
+    turning: float
+
+
+def summary(episodes: Episodes, task: Task) -> Summary:
+    """Metrics of the episodes of a task."""
+    count = len(episodes.steps)
+    follows = isinstance(task.objective, Follow)
+    done = ~episodes.violated if follows else episodes.reached
+    arrived = episodes.arrival_time[episodes.reached]
+    tracking = tracking_errors(episodes, task) if follows else np.full(count, np.nan)
+    squares = (
+        tracking_errors(episodes, task, power=2) if follows else np.full(count, np.nan)
+    )
+    return Summary(
+        count=count,
+        success=wilson(int(done.sum()), count),
+        violation=wilson(int(episodes.violated.sum()), count),
+        arrival=_quantiles(arrived),
+        efficiency=_mean(_efficiencies(episodes, task)[episodes.reached]),
+        tracking=float(np.mean(tracking)),
+        tracking_rms=float(np.sqrt(np.mean(squares))),
+        clearance=float(np.min(episodes.clearance)),
+        effort=float(np.mean(_efforts(episodes, task))),
+        turning=float(np.mean(_turnings(episodes))),
+    )
+
+
+def wilson(successes: int, count: int) -> Interval:
+    r"""A share with Wilson's 95 % score interval.
+
+    $$\frac{p + z^2 / 2n \pm z \sqrt{p (1 - p) / n + z^2 / 4 n^2}}{1 + z^2 / n}.$$
+
+    Args:
+        successes: how often, at most `count`.
+        count: n, positive.
+
+    Raises:
+        InputError: the numbers are not those of a share.
+
+    References:
+        Wilson, J. Am. Stat. Assoc. 22, 209 (1927).
+    """
+    if not 0 <= successes <= count or count < 1:
+        raise InputError(
+            "wilson: expected 0 <= successes <= count and count >= 1, got "
+            f"{successes} of {count}"
+        )
+    z = float(norm.ppf(0.975))
+    share, scale = successes / count, 1 + z**2 / count
+    middle = (share + z**2 / (2 * count)) / scale
+    spread = math.sqrt(share * (1 - share) / count + (z / (2 * count)) ** 2)
+    half = z * spread / scale
+    return Interval(share, max(0.0, middle - half), min(1.0, middle + half))
+
+
+def regret(learned: Episodes, oracle: Episodes) -> Interval:
+    """Median of arrival time with the learned model / with the true one, in pairs.
+
+    A learned model that does not arrive has an infinite ratio: failures are not left
+    out. Pairs in which the oracle does not arrive are. The interval is between order
+    statistics, right whatever the distribution.
+
+    Args:
+        learned: episodes with the learned model.
+        oracle: with the true one, of the same keys.
+
+    Raises:
+        InputError: the numbers of episodes differ, or the oracle never arrived.
+    """
+    if len(learned.steps) != len(oracle.steps):
+        raise InputError(
+            f"regret: expected as many episodes of both, got {len(learned.steps)} and "
+            f"{len(oracle.steps)}; run both with the same keys"
+        )
+    pairs = oracle.reached
+    if not pairs.any():
+        raise InputError(
+            "regret: the oracle never arrived, so that there is no time to compare "
+            "with; give the task more time"
+        )
+    return median(learned.arrival_time[pairs] / oracle.arrival_time[pairs])
+
+
+def median(values: Float[np.ndarray, " value"]) -> Interval:
+    """Median, and an interval between order statistics that holds it with 95 %."""
+    ordered, count = np.sort(values), len(values)
+    below = int(binom.ppf(0.025, count, 0.5))
+    ends = max(below - 1, 0), min(count - below, count - 1)
+    middle = float(np.quantile(ordered, 0.5, method="inverted_cdf"))
+    return Interval(middle, float(ordered[ends[0]]), float(ordered[ends[1]]))
+
+
+def tracking_errors(
+    episodes: Episodes, task: Task, *, power: int = 1
+) -> Float[np.ndarray, " episode"]:
+    """Mean of the distance from the target [L], to a power, of each episode.
+
+    Args:
+        episodes: of a path that is followed.
+        task: theirs.
+        power: of the distance.
+    """
+    targets = np.asarray(jax.vmap(task.objective.target)(jnp.asarray(episodes.ts)))
+    distances = np.linalg.norm(episodes.states[..., :2] - targets[None], axis=-1)
+    during = _during(episodes, len(episodes.ts), offset=1)
+    return np.mean(distances**power, axis=1, where=during)
+
+
+def _efficiencies(episodes, task):
+    """Straight distance over the length of the way."""
+    steps = np.diff(episodes.states[..., :2], axis=1)
+    lengths = np.sum(np.linalg.norm(steps, axis=-1), axis=1)
+    straight = np.linalg.norm(
+        episodes.states[:, -1, :2] - np.asarray(task.start[:2])[None], axis=1
+    )
+    return straight / np.maximum(lengths, np.finfo(float).tiny)
+
+
+def _efforts(episodes, task):
+    during = _during(episodes, episodes.commands.shape[1])
+    squares = np.where(during, episodes.commands[..., 0] ** 2, 0.0)
+    return task.step * np.sum(squares, axis=1)
+
+
+def _turnings(episodes):
+    turns = np.abs(np.diff(episodes.commands[..., 1], axis=1))
+    during = _during(episodes, turns.shape[1], offset=-1)
+    return np.sum(np.where(during, turns, 0.0), axis=1)
+
+
+def _during(episodes, count, offset=0):
+    """Which entries belong to the episode, before its end."""
+    return np.arange(count)[None] < episodes.steps[:, None] + offset
+
+
+def _quantiles(values) -> tuple[float, float, float]:
+    if not len(values):
+        return math.nan, math.nan, math.nan
+    low, middle, high = np.quantile(values, [0.05, 0.5, 0.95], method="inverted_cdf")
+    return float(low), float(middle), float(high)
+
+
+def _mean(values) -> float:
+    return float(np.mean(values)) if len(values) else math.nan

@@ -1,0 +1,1 @@
+"""Readers of trackers' files, one module for each format."""

@@ -1,0 +1,225 @@
+"""DeepLabCut: x, y and likelihood of every body part, as CSV or HDF5."""
+
+import csv
+import pickletools
+from collections.abc import Sequence
+from typing import Any, final
+
+import numpy as np
+
+from pinav.errors import InputError
+from pinav.recordings.formats.format import AbstractForm
+from pinav.recordings.formats.hdf5 import opened
+from pinav.recordings.rows import Reading, Tracks
+from pinav.recordings.source import Source
+from pinav.recordings.table import Table, read_delimited
+
+_LEVELS = ("scorer", "individuals", "bodyparts", "coords")
+_COORDS = ("x", "y", "likelihood")
+
+
+@final
+class DeepLabCut(AbstractForm):
+    """Header rows `scorer`, (`individuals`,) `bodyparts`, `coords`; pixels, y down.
+
+    Each body part of each individual is a particle. Where the likelihood is below that
+    of the reading, the position counts as lost.
+    """
+
+    name = "deeplabcut"
+
+    def suits(self, source: Source) -> bool:
+        if source.kind == "hdf5":
+            return not source.content.startswith(b"MATLAB")
+        first = [line.split(",")[0] for line in source.first_lines[:3]]
+        return first[:1] == ["scorer"] or "bodyparts" in first
+
+    def tracks(self, source: Source, reading: Reading) -> Tracks:
+        read = _from_hdf5 if source.kind == "hdf5" else _from_csv
+        frame, parts = read(source)
+        rows = range(len(frame))
+        places = [parts[name].row(row) for name in parts for row in rows]
+        tables = list(parts.values())
+        seen = np.concatenate([_seen(t, reading.likelihood) for t in tables])
+        x, y = (np.concatenate([t.numbers(c, lost=True) for t in tables]) for c in "xy")
+        lost = int((~seen).sum())
+        return Tracks(
+            x=np.where(seen, x, np.nan),
+            y=np.where(seen, y, np.nan),
+            place=places.__getitem__,
+            particle=[name for name in parts for _ in rows],
+            frame=np.tile(frame, len(parts)),
+            notes=(f"{lost} positions of likelihood < {reading.likelihood:g} are lost",)
+            * (lost > 0),
+            facts={"likelihood": reading.likelihood},
+        )
+
+
+def _seen(table: Table, threshold: float) -> np.ndarray:
+    """Where the likelihood is high enough; it must be one."""
+    values = table.numbers("likelihood", lost=True)
+    wrong = (values < 0) | (values > 1)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise InputError(
+            f"{table.where(row, 'likelihood')}: expected from 0 to 1, got "
+            f"{values[row]:g}; are the columns in order?"
+        )
+    return np.nan_to_num(values) >= threshold
+
+
+def _from_csv(source: Source) -> tuple[np.ndarray, dict[str, Table]]:
+    lines = source.text.splitlines()
+    head = list(csv.reader(lines[: len(_LEVELS)]))
+    levels = {row[0].strip(): row[1:] for row in head if row and row[0] in _LEVELS}
+    for level in ("scorer", "bodyparts", "coords"):
+        if level not in levels:
+            raise InputError(
+                f"line {1 + _LEVELS.index(level) - (level != 'scorer')}: expected the "
+                f"header row {level!r}, got {_first(head, level)!r}; export it again"
+            )
+    names = _names(levels)
+    width = len(levels["coords"])
+    if len(names) != width:
+        raise InputError(
+            f"line {len(levels)}: expected {len(names)} cells, got {width}; is the "
+            "header cut short?"
+        )
+    unique = [f"c{index}" for index in range(width)]
+    table = read_delimited(source.text, skip=len(levels) - 1, names=["frame", *unique])
+    columns = [table.columns[name] for name in unique]
+    return table.whole_numbers("frame", least=0), _parts(names, columns, table)
+
+
+def _first(head: list[list[str]], level: str) -> str:
+    index = _LEVELS.index(level) - (level != "scorer")
+    return head[index][0] if index < len(head) and head[index] else ""
+
+
+def _names(levels: dict[str, list[str]]) -> list[tuple[str, str]]:
+    """Particle and coordinate of each column."""
+    parts = levels["bodyparts"]
+    owners = levels.get("individuals", [""] * len(parts))
+    return [
+        (f"{owner} {part}".strip(), coord.strip())
+        for owner, part, coord in zip(owners, parts, levels["coords"], strict=False)
+    ]
+
+
+def _parts(
+    names: Sequence[tuple[str, str]], columns: Sequence[Any], table: Table
+) -> dict[str, Table]:
+    """A table of x, y and likelihood for each particle."""
+    found: dict[str, dict[str, Any]] = {}
+    for (name, coord), cells in zip(names, columns, strict=True):
+        if coord in found.setdefault(name, {}):
+            raise InputError(f"header: {name!r} has {coord!r} twice; delete one")
+        found[name][coord] = cells
+    for name, own in found.items():
+        for coord in _COORDS:
+            if coord not in own:
+                raise InputError(
+                    f"header: column {coord!r} of {name!r} is missing; got "
+                    f"{', '.join(own)}; export the file again"
+                )
+    return {
+        name: Table(own, table.rows, f"{name!r}, {table.place}")
+        for name, own in found.items()
+    }
+
+
+def _from_hdf5(source: Source) -> tuple[np.ndarray, dict[str, Table]]:
+    """A table of pandas, read as arrays: `table` (of DeepLabCut) or fixed format."""
+    with opened(source.content) as file:
+        groups = [g for g in file.values() if "pandas_type" in getattr(g, "attrs", {})]
+        if len(groups) != 1 or "table" not in groups[0]:
+            raise InputError(
+                f"keys {', '.join(file) or 'none'}: expected one table of pandas, as "
+                "DeepLabCut writes it; export it as CSV"
+            )
+        table = groups[0]["table"]
+        block = [n for n in table.dtype.names or () if n.startswith("values_block_")]
+        if len(block) != 1 or not len(table):
+            raise InputError(
+                f"table: expected one block of numbers with rows, got {len(block)} "
+                f"blocks and {len(table)} rows; export it as CSV"
+            )
+        values = np.asarray(table[block[0]], np.float64)
+        frame = np.asarray(table["index"])
+        named = table.attrs[f"{block[0]}_kind"]
+    columns = _column_names(bytes(named))
+    if len(columns) != values.shape[1]:
+        raise InputError(
+            f"table: {len(columns)} names for {values.shape[1]} columns; export as CSV"
+        )
+    own = Table({"frame": frame}, np.arange(len(frame)), "row")
+    names = [(" ".join(words[1:-1]), words[-1]) for words in columns]
+    return own.whole_numbers("frame", least=0), _parts(names, list(values.T), own)
+
+
+def _column_names(content: bytes) -> list[tuple[str, ...]]:
+    """The list of tuples of words that pandas keeps as a serialised object.
+
+    Its instructions are read one by one, and only those that make words, tuples and
+    lists are obeyed; anything else, such as a call, is refused.
+    """
+    stack: list[Any] = []
+    memo: dict[int, Any] = {}
+    try:
+        for code, argument, _ in pickletools.genops(content):
+            _obey(code.name, argument, stack, memo)
+    except (ValueError, IndexError, KeyError) as error:
+        raise InputError(
+            f"table: its names of columns cannot be read ({error}); export it as CSV"
+        ) from error
+    names = stack[-1] if stack else None
+    if not isinstance(names, list) or not all(
+        isinstance(words, tuple) and len(words) in (3, 4) for words in names
+    ):
+        raise InputError(
+            "table: expected columns named by scorer, body part and coordinate; "
+            "export it as CSV"
+        )
+    return names
+
+
+_MARK = object()
+_WORDS = ("UNICODE", "BINUNICODE", "SHORT_BINUNICODE", "STRING", "BINSTRING")
+
+
+def _obey(name: str, argument: Any, stack: list[Any], memo: dict[int, Any]) -> None:
+    """One instruction that makes words, tuples or lists.
+
+    Raises:
+        ValueError: it is another.
+    """
+    if name in _WORDS:
+        stack.append(argument)
+    elif name in ("MARK", "EMPTY_LIST"):
+        stack.append(_MARK if name == "MARK" else [])
+    elif name in ("LIST", "TUPLE"):
+        items = _since_mark(stack)
+        stack.append(items if name == "LIST" else tuple(items))
+    elif name == "TUPLE3":
+        stack[-3:] = [tuple(stack[-3:])]
+    elif name == "APPEND":
+        item = stack.pop()
+        stack[-1].append(item)
+    elif name == "APPENDS":
+        items = _since_mark(stack)
+        stack[-1].extend(items)
+    elif name in ("PUT", "BINPUT", "LONG_BINPUT"):
+        memo[argument] = stack[-1]
+    elif name == "MEMOIZE":
+        memo[len(memo)] = stack[-1]
+    elif name in ("GET", "BINGET", "LONG_BINGET"):
+        stack.append(memo[argument])
+    elif name not in ("PROTO", "FRAME", "STOP"):
+        raise ValueError(f"unexpected instruction {name}")
+
+
+def _since_mark(stack: list[Any]) -> list[Any]:
+    items: list[Any] = []
+    while (item := stack.pop()) is not _MARK:
+        items.insert(0, item)
+    return items

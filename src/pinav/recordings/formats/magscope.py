@@ -1,0 +1,253 @@
+"""Workbooks of MagScope: what the coils did in one sheet, each robot in another."""
+
+import io
+import re
+import zipfile
+from collections.abc import Iterator
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Float64
+
+from pinav.errors import InputError
+from pinav.recordings import units
+from pinav.recordings.formats.format import AbstractForm
+from pinav.recordings.rows import COMMAND_UNITS, Reading, Tracks
+from pinav.recordings.source import Source
+from pinav.recordings.table import Table
+
+ACTIONS = "Magnetic Field Actions"
+_ROBOT = re.compile(r"Robot (\d+)$")
+_UNIT = re.compile(r"\s*\(([^)]*)\)$")
+_COMMANDS = {
+    "Rolling Frequency": "frequency",
+    "Alpha": "heading",
+    "Gamma": "gamma",
+    "Psi": "psi",
+    "Bx": "field_x",
+    "By": "field_y",
+    "Bz": "field_z",
+    "Acoustic Frequency": "acoustic_frequency",
+}
+
+
+@final
+class MagScope(AbstractForm):
+    """The three dialects of the recorder, told apart by the units in their headers.
+
+    2024: `Times` is the interval of each frame, positions in px. 2024-12 and 2025:
+    `Time(s)` is the time, positions in px or in um. Commands are joined on the frame
+    number, because either sheet may repeat and drop rows; a frame without one keeps
+    the last. Logged velocities are filtered online and change their unit from version
+    to version: they are not read. Nor are the sensor columns, which hold placeholders.
+    """
+
+    name = "magscope"
+
+    def suits(self, source: Source) -> bool:
+        return source.kind == "zip" and b"xl/workbook.xml" in source.content
+
+    def tracks(self, source: Source, reading: Reading) -> Tracks:
+        sheets = _sheets(source.content)
+        robots = {
+            match[1]: _robot(table)
+            for name, table in sheets.items()
+            if (match := _ROBOT.match(name))
+        }
+        if not robots:
+            raise InputError(
+                f"sheets {', '.join(sheets)}: expected 'Robot 1' and so on; is it a "
+                "MagScope workbook?"
+            )
+        tables = list(robots.values())
+        frame = np.concatenate([t.whole_numbers("Frame", least=0) for t in tables])
+        times, positions = [], []
+        unit = _length_unit(tables)
+        for table in tables:
+            times.append(_times(table))
+            positions.append(
+                [table.numbers(_named(table, n), lost=True) for n in ("Pos X", "Pos Y")]
+            )
+        x, y = np.concatenate(positions, axis=1)
+        scale, scale_notes = _scale(tables, unit, reading)
+        places = [table.row(row) for table in tables for row in range(len(table))]
+        commands, notes = _commands(sheets, frame)
+        return Tracks(
+            x=scale * x,
+            y=scale * y,
+            place=places.__getitem__,
+            particle=[number for number, t in robots.items() for _ in range(len(t))],
+            frame=frame,
+            time=np.concatenate(times),
+            commands=commands,
+            length_unit="um" if scale_notes else unit,
+            columns={"frame": "Frame", "time": _named(tables[0], "Time", "Times")},
+            notes=(*notes, *scale_notes),
+        )
+
+
+def _sheets(content: bytes) -> dict[str, Table]:
+    """The sheets of a workbook as tables; cells are values, nothing is computed."""
+    import openpyxl
+    from openpyxl.utils.exceptions import InvalidFileException
+
+    damaged = (
+        zipfile.BadZipFile,
+        InvalidFileException,
+        EOFError,
+        KeyError,
+        OSError,
+        SyntaxError,  # what a parser of XML raises
+        TypeError,
+        ValueError,
+    )
+    try:
+        book = openpyxl.load_workbook(
+            io.BytesIO(content), read_only=True, data_only=True, keep_links=False
+        )
+        cells = {sheet.title: list(_cells(sheet)) for sheet in book.worksheets}
+    except damaged as error:
+        reason = str(error).partition("\n")[0] or type(error).__name__
+        raise InputError(
+            f"damaged workbook: {reason}; copy it from its origin again"
+        ) from error
+    return {
+        name: _table(name, rows)
+        for name, rows in cells.items()
+        if name == ACTIONS or _ROBOT.match(name)
+    }
+
+
+def _cells(sheet: Any) -> Iterator[tuple[Any, ...]]:
+    sheet.reset_dimensions()  # which some writers state wrongly
+    yield from sheet.iter_rows(values_only=True)
+
+
+def _table(name: str, rows: list[tuple[Any, ...]]) -> Table:
+    """One sheet; rows that hold no frame, but the path that was drawn, are skipped."""
+    place = f"sheet {name!r}"
+    header = [str(cell or "").strip() for cell in rows[0]] if rows else []
+    names = [_UNIT.sub("", cell) for cell in header]
+    if "Frame" not in names:
+        raise InputError(
+            f"{place}, row 1: column 'Frame' is missing; got "
+            f"{', '.join(filter(None, header)) or 'nothing'}; is it a MagScope "
+            "workbook?"
+        )
+    for column in filter(None, names):
+        if names.count(column) > 1:
+            raise InputError(
+                f"{place}, row 1: column {column!r} stands twice; delete one"
+            )
+    width = len(header)
+    body = [(i, (*row, *[None] * width)[:width]) for i, row in enumerate(rows[1:], 2)]
+    drawn = [names.index(n) for n in names if n.startswith("Path ")]
+    body = [
+        (i, row)
+        for i, row in body
+        if any(c is not None for k, c in enumerate(row) if k not in drawn)
+    ]
+    if not body:
+        raise InputError(f"{place}: no rows below the header; record it again")
+    columns = zip(*(row for _, row in body), strict=True)
+    named = {h: c for h, c in zip(header, columns, strict=True) if h}
+    return Table(named, np.array([i for i, _ in body], np.int64), f"{place}, row")
+
+
+def _named(table: Table, *names: str) -> str:
+    """The first column of these names, whatever unit follows in brackets.
+
+    Raises:
+        InputError: there is none of them.
+    """
+    bare = {_UNIT.sub("", column): column for column in table.columns}
+    for name in names:
+        if name in bare:
+            return bare[name]
+    table.column(names[0])  # raises
+    raise AssertionError(names)
+
+
+def _unit_of(column: str) -> str:
+    match = _UNIT.search(column)
+    return match[1] if match else ""
+
+
+def _robot(table: Table) -> Table:
+    """A robot's sheet without exact repeats of a row."""
+    cells = list(zip(*(table.columns[n] for n in _kept(table)), strict=True))
+    again = [i > 0 and row == cells[i - 1] for i, row in enumerate(cells)]
+    return table.taken(~np.array(again))
+
+
+def _kept(table: Table) -> list[str]:
+    return [_named(table, n) for n in ("Frame", "Pos X", "Pos Y")]
+
+
+def _length_unit(tables: list[Table]) -> str:
+    """Unit of the positions, which all sheets share; px where none is written."""
+    found = {_unit_of(_named(table, "Pos X")) for table in tables}
+    if len(found) > 1:
+        raise InputError(
+            f"sheets 'Robot ...': positions in {' and '.join(sorted(found))}; bring "
+            "them to one unit"
+        )
+    word = found.pop()
+    return units.length(word)[1] if word else "px"
+
+
+def _scale(
+    tables: list[Table], unit: str, reading: Reading
+) -> tuple[float, tuple[str, ...]]:
+    """Factor to um from the column that some versions log, and a note of it."""
+    known = [t.numbers("pix2metric") for t in tables if "pix2metric" in t.columns]
+    if unit != "px" or reading.mpp is not None or not known:
+        return 1.0, ()
+    per_um = np.unique(np.concatenate(known))
+    if len(per_um) != 1 or per_um[0] <= 0:
+        raise InputError(
+            f"{tables[0].header}, column 'pix2metric': expected one number > 0, got "
+            f"{per_um.tolist()}; give mpp"
+        )
+    scale = 1.0 / float(per_um[0])
+    return scale, (f"scale {scale:.4g} um/px from the column pix2metric",)
+
+
+def _times(table: Table) -> Float64[np.ndarray, " row"]:
+    """Times of a robot's rows [s]: as they are, or from the intervals of the frames."""
+    column = _named(table, "Time", "Times")
+    values = table.numbers(column)
+    if column != "Times":
+        return values
+    if (values < 0).any():
+        row = int(np.argmax(values < 0))
+        raise InputError(
+            f"{table.where(row, column)}: expected the interval of a frame >= 0, got "
+            f"{values[row]:g}; correct the cell"
+        )
+    return np.cumsum(values) - values[0]
+
+
+def _commands(
+    sheets: dict[str, Table], frame: np.ndarray
+) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+    """What was commanded at each frame, NaN where the log says nothing."""
+    if ACTIONS not in sheets:
+        return {}, (f"no sheet {ACTIONS!r}: the recording has no commands",)
+    table = sheets[ACTIONS]
+    logged = table.whole_numbers("Frame", least=0)
+    order = np.argsort(logged, kind="stable")
+    index = np.searchsorted(logged[order], frame, "right") - 1
+    row = order[np.maximum(index, 0)]
+    known = (index >= 0) & (logged[row] == frame)
+    found = {}
+    for column in table.columns:
+        name = _COMMANDS.get(_UNIT.sub("", column))
+        if name is not None:
+            target = COMMAND_UNITS[name]
+            factor = units.command(name, target, _unit_of(column) or target)
+            values = factor * table.numbers(column, lost=True)
+            found[name] = np.where(known, values[row], np.nan)
+    missing = int((~known).sum())
+    notes = (f"{missing} rows without an action of their frame keep the last one",)
+    return found, notes if missing else ()

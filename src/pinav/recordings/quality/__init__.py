@@ -1,0 +1,1 @@
+"""Quality of a recording: frames, localisation, speeds, commands."""

@@ -1,0 +1,132 @@
+r"""What the commands of a recording cover, and what a fit can hence tell apart.
+
+The drive of an actuated swimmer is $c = f\,(\cos\alpha, \sin\alpha)$ with the frequency
+$f$ and the heading $\alpha$; its velocity is about $G\,c(t - \tau) + d$ with a gain
+matrix $G$, a delay $\tau$ and a drift $d$.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+
+from pinav.trajectories import Trajectory
+
+SECTORS = 12
+LAG = 0.2
+"""Delay whose effect is compared with that of the gains [s]; such rigs have about that.
+"""
+
+LEAST_SECTORS, LEAST_SHARE, WORST_CONDITION = 3, 0.2, 10.0
+"""Beyond these, a fit cannot tell apart what `WARNINGS` names."""
+
+WARNINGS = {
+    "off": "the drive is off throughout: no gain can be found",
+    "frequency": "a single frequency: saturation and step-out cannot be found",
+    "heading": "the heading hardly varies: neither the gain matrix nor the heading "
+    "offset can be found",
+    "drift": "gain and drift are confounded: vary the heading, or leave the drive off "
+    "for a while",
+    "delay": "delay and heading offset are confounded, because the turning rate is "
+    "nearly constant: fix one of the two",
+}
+
+
+@final
+@dataclasses.dataclass(frozen=True)
+class Drive:
+    r"""Coverage of the commands of one run.
+
+    Attributes:
+        frequency: least and greatest [Hz].
+        levels: distinct frequencies, rounded to 0.01 Hz.
+        off: share of the time with the frequency 0.
+        sectors: how many of 12 sectors of headings occurred, the drive being on.
+        condition: condition number of the columns $c_x$, $c_y$ and 1, each of unit
+            length: what gains and drift cost each other in certainty.
+        delay: share of the change of $c$ within 0.2 s that no other gain matrix and
+            drift bring about; where it is small, delay and heading offset are
+            confounded.
+    """
+
+    frequency: tuple[float, float]
+    levels: int
+    off: float
+    sectors: int
+    condition: float
+    delay: float
+
+    def warnings(self) -> list[str]:
+        """What a fit to this run cannot tell, in words."""
+        if self.frequency[1] == 0:
+            return [WARNINGS["off"]]
+        found = {
+            "frequency": self.levels == 1 and self.off == 0,
+            "heading": self.sectors < LEAST_SECTORS,
+            "drift": self.condition > WORST_CONDITION,
+            "delay": self.delay < LEAST_SHARE,
+        }
+        return [WARNINGS[name] for name, true in found.items() if true]
+
+
+def drive(segments: Sequence[Trajectory]) -> Drive | None:
+    """Coverage of the commands of a run; None where it has no frequency or heading.
+
+    Args:
+        segments: the trajectories of the run.
+    """
+    if not {"frequency", "heading"} <= set(segments[0].commands):
+        return None
+    frequency = np.concatenate([s.commands["frequency"] for s in segments])
+    heading = np.concatenate([s.commands["heading"] for s in segments])
+    turn = heading[frequency != 0] / (2 * np.pi) % 1.0
+    return Drive(
+        frequency=(float(frequency.min()), float(frequency.max())),
+        levels=len(np.unique(np.round(frequency[frequency != 0], 2))),
+        off=float(np.mean(frequency == 0)),
+        sectors=len(np.unique((turn * SECTORS).astype(int))),
+        condition=_condition(np.concatenate([vector(s) for s in segments])),
+        delay=_share_of_delay(segments),
+    )
+
+
+def vector(segment: Trajectory) -> Float[np.ndarray, "time 2"]:
+    """The drive $c$ at each sample [Hz]."""
+    frequency, heading = (segment.commands[n] for n in ("frequency", "heading"))
+    return np.stack([frequency * np.cos(heading), frequency * np.sin(heading)], axis=1)
+
+
+def _with_one(drives: Float[np.ndarray, "time 2"]) -> Float[np.ndarray, "time 3"]:
+    return np.concatenate([drives, np.ones((len(drives), 1))], axis=1)
+
+
+def _condition(drives: Float[np.ndarray, "time 2"]) -> float:
+    columns = _with_one(drives)
+    lengths = np.linalg.norm(columns, axis=0)
+    if not (lengths > 0).all():
+        return np.inf
+    values = np.linalg.svd(columns / lengths, compute_uv=False)
+    return float(values[0] / values[-1]) if values[-1] > 0 else np.inf
+
+
+def _share_of_delay(segments: Sequence[Trajectory]) -> float:
+    """Part of the change within the lag that is no linear function of the drive.
+
+    A change of frequency tells the delay as well as a change of the turning rate does,
+    but only for the moment that it takes.
+    """
+    now, change = [], []
+    for segment in segments:
+        times, drives = segment.times, vector(segment)
+        known = times - LAG >= times[0]
+        before = [np.interp(times[known] - LAG, times, part) for part in drives.T]
+        now.append(drives[known])
+        change.append(drives[known] - np.stack(before, axis=1))
+    columns, changes = _with_one(np.concatenate(now)), np.concatenate(change)
+    total = float((changes**2).sum())
+    if total == 0:
+        return 0.0
+    rest = changes - columns @ np.linalg.lstsq(columns, changes)[0]
+    return float((rest**2).sum()) / total

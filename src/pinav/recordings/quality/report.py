@@ -1,0 +1,258 @@
+"""What a recording holds and how good it is, before anything is fitted to it."""
+
+import dataclasses
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Float
+
+from pinav.recordings.labels import groups
+from pinav.recordings.quality.commands import Drive, drive
+from pinav.recordings.quality.localisation import Localisation, localisation
+from pinav.recordings.quality.speeds import (
+    Speed,
+    path_length,
+    speeds_by_frequency,
+    window_speeds,
+)
+from pinav.trajectories import UNKNOWN_UNIT, Trajectories, Trajectory
+
+
+@final
+@dataclasses.dataclass(frozen=True)
+class Track:
+    """One particle of one run.
+
+    Attributes:
+        run: name of its run.
+        particle: its name.
+        segments: stretches between jumps and gaps.
+        samples: rows with a position.
+        lost: rows without.
+        duration: of all segments together [T].
+        path: length of the way, in steps of half a second [L].
+        speed: median over half a second [L T⁻¹]; None where all are shorter.
+        localisation: error and diffusion; None where there are too few samples.
+    """
+
+    run: str
+    particle: str
+    segments: int
+    samples: int
+    lost: int
+    duration: float
+    path: float
+    speed: float | None
+    localisation: Localisation | None
+
+
+@final
+@dataclasses.dataclass(frozen=True)
+class Clock:
+    """Intervals between rows, within segments.
+
+    Attributes:
+        interval: their median [T].
+        rate: rows per unit of time, 1 / `interval`.
+        jitter: half the range of the middle 68 %, over the median.
+        longest: the longest interval [T].
+        gaps: how many exceed one and a half medians.
+    """
+
+    interval: float
+    rate: float
+    jitter: float
+    longest: float
+    gaps: int
+
+
+@final
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """One run: particles under one command.
+
+    Attributes:
+        name: of the run.
+        particles: how many there are.
+        segments: of all particles.
+        samples: rows with a position, of all particles.
+        duration: from the first time to the last [T].
+        clock: intervals between rows.
+        scatter: median over particles of that of a row, from all causes [L].
+        deviation: median over particles of the localisation error [L].
+        drive: coverage of the commands; None where there are none.
+        speeds: speed against frequency; empty without commands.
+        warnings: what a fit to this run cannot tell.
+    """
+
+    name: str
+    particles: int
+    segments: int
+    samples: int
+    duration: float
+    clock: Clock
+    scatter: float | None
+    deviation: float | None
+    drive: Drive | None
+    speeds: list[Speed]
+    warnings: list[str]
+
+
+@final
+@dataclasses.dataclass(frozen=True)
+class Quality:
+    """The quality report of a recording.
+
+    Attributes:
+        source: name of the file.
+        form: its format.
+        units: of lengths and times.
+        runs: in the order of the file.
+        tracks: every particle of every run.
+        notes: what reading the file brought up.
+        warnings: what cannot be found from any of its runs.
+        provenance: what was done to read it.
+    """
+
+    source: str
+    form: str
+    units: dict[str, str]
+    runs: list[Run]
+    tracks: list[Track]
+    notes: list[str]
+    warnings: list[str]
+    provenance: dict[str, Any]
+
+    def as_json(self) -> dict[str, Any]:
+        """All of it, as JSON values; a number that is not finite is null."""
+        return _finite(dataclasses.asdict(self))
+
+
+def quality(recording: Trajectories) -> Quality:
+    """The quality report of a recording.
+
+    Args:
+        recording: what `read_recording` gives, whole or selected.
+
+    Raises:
+        InputError: the trajectories are of no recording.
+    """
+    tracks = [
+        _track(str(run), str(particle), [recording.trajectory(i) for i in own])
+        for (run, particle), own in groups(recording).items()
+    ]
+    runs = [
+        _run(str(name), [recording.trajectory(i) for i in own], tracks)
+        for (name,), own in groups(recording, "run").items()
+    ]
+    provenance = recording.provenance
+    return Quality(
+        source=str(provenance.get("source", "")),
+        form=str(provenance.get("form", "")),
+        units=dict(recording.units),
+        runs=runs,
+        tracks=tracks,
+        notes=[*provenance.get("notes", []), *_counts(provenance)],
+        warnings=_warnings(recording),
+        provenance={k: v for k, v in provenance.items() if k != "trajectories"},
+    )
+
+
+def _warnings(recording: Trajectories) -> list[str]:
+    """What holds for every run."""
+    found = []
+    if not {"frequency", "heading"} <= set(recording.commands):
+        found.append(
+            "no commands of frequency and heading: a drift and an environment can be "
+            "found, a gain cannot"
+        )
+    if recording.units["t"] == "frame":
+        found.append("times are numbers of frames: give fps to have seconds")
+    elif recording.units["t"] == UNKNOWN_UNIT:
+        found.append("the unit of time is unknown: state it by units, such as t=s")
+    if recording.units["x"] == "px":
+        found.append("positions are in pixels: give mpp to have micrometres")
+    elif recording.units["x"] == UNKNOWN_UNIT:
+        found.append(
+            "the unit of length is unknown: state it by units, such as x=um, or give "
+            "mpp where it is the pixel"
+        )
+    return found
+
+
+def _counts(provenance: dict[str, Any]) -> list[str]:
+    """What was left out, in words."""
+    found = []
+    for key in ("repeated times left out", "rows without a command"):
+        if provenance.get(key):
+            found.append(f"{provenance[key]} {key}")
+    if left_out := provenance.get("segments left out"):
+        found.append(f"{len(left_out)} segments of a single row left out")
+    return found
+
+
+def positions(segment: Trajectory) -> Float[np.ndarray, "time 2"]:
+    """Positions, NaN where the particle was lost."""
+    return np.where(segment.observed[:, :2], segment.states[:, :2], np.nan)
+
+
+def _track(run: str, particle: str, segments: list[Trajectory]) -> Track:
+    paths = [positions(segment) for segment in segments]
+    seen = int(sum(np.isfinite(path).all(axis=1).sum() for path in paths))
+    speeds = np.concatenate([window_speeds(s)[0] for s in segments])
+    return Track(
+        run=run,
+        particle=particle,
+        segments=len(segments),
+        samples=seen,
+        lost=int(sum(map(len, paths))) - seen,
+        duration=float(sum(s.times[-1] - s.times[0] for s in segments)),
+        path=float(sum(path_length(segment) for segment in segments)),
+        speed=float(np.median(speeds)) if len(speeds) else None,
+        localisation=localisation([s.times for s in segments], paths),
+    )
+
+
+def _run(name: str, segments: list[Trajectory], tracks: list[Track]) -> Run:
+    own = [track for track in tracks if track.run == name]
+    known = [t.localisation for t in own if t.localisation is not None]
+    covered = drive(segments)
+    ends = [time for segment in segments for time in segment.times[[0, -1]]]
+    return Run(
+        name=name,
+        particles=len(own),
+        segments=len(segments),
+        samples=sum(track.samples for track in own),
+        duration=float(max(ends) - min(ends)),
+        clock=_clock(segments),
+        scatter=_median([one.scatter for one in known]),
+        deviation=_median([one.deviation for one in known]),
+        drive=covered,
+        speeds=[] if covered is None else speeds_by_frequency(segments),
+        warnings=[] if covered is None else covered.warnings(),
+    )
+
+
+def _median(values: list[float]) -> float | None:
+    return float(np.median(values)) if values else None
+
+
+def _clock(segments: list[Trajectory]) -> Clock:
+    steps = np.concatenate([np.diff(segment.times) for segment in segments])
+    low, middle, high = np.quantile(steps, [0.16, 0.5, 0.84]).tolist()
+    return Clock(
+        interval=middle,
+        rate=1.0 / middle,
+        jitter=0.5 * (high - low) / middle,
+        longest=float(steps.max()),
+        gaps=int((steps > 1.5 * middle).sum()),
+    )
+
+
+def _finite(value: Any) -> Any:
+    """The value with null in place of numbers that JSON does not have."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -1,0 +1,194 @@
+"""A tracker's file before its format is known: its bytes, and what kind they are."""
+
+import csv
+import dataclasses
+import gzip
+import io
+import os
+import re
+import zlib
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal, Protocol, final, runtime_checkable
+
+import numpy as np
+
+from pinav.errors import InputError
+from pinav.recordings.table import DELIMITERS, Table, read_delimited
+
+Kind = Literal["text", "xml", "zip", "hdf5", "parquet", "matlab", "frame"]
+
+_MAGIC: tuple[tuple[bytes, Kind], ...] = (
+    (b"PK\x03\x04", "zip"),
+    (b"\x89HDF\r\n\x1a\n", "hdf5"),
+    (b"PAR1", "parquet"),
+)
+_ENDINGS = re.compile(
+    r"(\.(csv|tsv|txt|xls|xlsx|xml|mat|h5|hdf5|parquet|npz|gz))+$", re.IGNORECASE
+)
+_MATLAB_HDF5 = 512
+"""Bytes that MATLAB 7.3 puts in front of HDF5."""
+
+
+@runtime_checkable
+class DataFrame(Protocol):
+    """A table of pandas or polars."""
+
+    @property
+    def columns(self) -> Any:
+        """Names of the columns."""
+
+    def __getitem__(self, name: Any, /) -> Any:
+        """The column of a name."""
+
+
+@final
+@dataclasses.dataclass(frozen=True)
+class Source:
+    """A file in memory, or a table that was in memory already.
+
+    Attributes:
+        path: where it was read from.
+        content: its bytes, decompressed where it was gzip.
+        frame: the columns of a DataFrame, which has no bytes.
+    """
+
+    path: Path
+    content: bytes
+    frame: Mapping[str, np.ndarray] | None = None
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> "Source":
+        """The file at `path`, decompressed where it is gzip.
+
+        Raises:
+            InputError: it cannot be read, or holds nothing.
+        """
+        path = Path(path)
+        try:
+            content = path.read_bytes()
+            if content.startswith(b"\x1f\x8b"):
+                content = gzip.decompress(content)
+        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+            raise InputError(
+                f"damaged gzip file: {error}; copy it from its origin again"
+            ) from error
+        except OSError as error:
+            raise InputError(f"cannot read: {error.strerror or error}") from error
+        if not content.strip(b"\0 \r\n\t"):
+            raise InputError("the file is empty; copy it from its origin again")
+        return cls(path, content)
+
+    @classmethod
+    def of_frame(cls, frame: DataFrame) -> "Source":
+        """The columns of a DataFrame."""
+        columns = {str(name): np.asarray(frame[name]) for name in frame.columns}
+        return cls(Path("DataFrame"), b"", columns)
+
+    @property
+    def stem(self) -> str:
+        """The name without its endings, such as `.csv.gz`."""
+        return _ENDINGS.sub("", self.path.name)
+
+    @cached_property
+    def kind(self) -> Kind:
+        """What the first bytes say the file is."""
+        if self.frame is not None:
+            return "frame"
+        for magic, kind in _MAGIC:
+            if self.content.startswith(magic):
+                return kind
+        if self.content.startswith(b"MATLAB"):
+            rest = self.content[_MATLAB_HDF5:]
+            return "hdf5" if rest.startswith(b"\x89HDF") else "matlab"
+        start = self.content[:200].lstrip(b"\xef\xbb\xbf \r\n\t")
+        return "xml" if start.startswith(b"<") else "text"
+
+    @cached_property
+    def text(self) -> str:
+        """The content as text.
+
+        Raises:
+            InputError: a byte is not UTF-8; the message names its line.
+        """
+        try:
+            text = self.content.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            text = self._latin(error)
+        if "\0" in text:
+            line = text[: text.index("\0")].count("\n") + 1
+            raise InputError(
+                f"line {line}: expected text, got binary data; export it as CSV"
+            )
+        return text
+
+    def _latin(self, error: UnicodeDecodeError) -> str:
+        """Text of an older Windows program, where every odd byte is a sign of it."""
+        text = self.content.decode("latin-1")
+        odd = {c for c in text if ord(c) > 127}
+        if odd <= set("µ°²³±×äöüÄÖÜßéèàçñ"):
+            return text
+        line = self.content[: error.start].count(b"\n") + 1
+        raise InputError(
+            f"line {line}: expected UTF-8 text, got the byte "
+            f"0x{self.content[error.start]:02x}; save the file as UTF-8"
+        ) from error
+
+    @cached_property
+    def first_lines(self) -> list[str]:
+        """The first few lines of a text file; none of another."""
+        if self.kind != "text":
+            return []
+        return self.text[:20_000].splitlines()[:6]
+
+    @cached_property
+    def column_names(self) -> list[str]:
+        """Names of the columns of a table, as far as they can be told cheaply."""
+        if self.kind in ("frame", "parquet"):
+            return list(self.table().columns)
+        if not self.first_lines:
+            return []
+        header = self.first_lines[0]
+        delimiter = max(DELIMITERS, key=header.count)
+        return [
+            name.strip() for name in next(csv.reader([header], delimiter=delimiter))
+        ]
+
+    def table(self) -> Table:
+        """The table that a text file, a parquet file or a DataFrame is.
+
+        Raises:
+            InputError: it is none, or damaged; the message names the place.
+        """
+        if self.frame is not None:
+            return _numbered(self.frame)
+        if self.kind == "parquet":
+            return _numbered(_parquet(self.content))
+        if self.kind == "text":
+            return read_delimited(self.text)
+        raise InputError(
+            f"expected a table as text or parquet, got {self.kind}; export it as CSV"
+        )
+
+
+def _numbered(columns: Mapping[str, Any]) -> Table:
+    """A table whose rows are counted from 0, as DataFrames count them."""
+    count = max(map(len, columns.values()), default=0)
+    if count == 0:
+        raise InputError("the table has no rows; expected two or more of a particle")
+    return Table(dict(columns), np.arange(count), "row")
+
+
+def _parquet(content: bytes) -> dict[str, Any]:
+    import pyarrow
+    import pyarrow.parquet
+
+    try:
+        table = pyarrow.parquet.read_table(io.BytesIO(content))
+    except (pyarrow.ArrowException, OSError) as error:
+        reason = str(error).partition(".")[0]
+        raise InputError(
+            f"damaged parquet file: {reason}; copy it from its origin again"
+        ) from error
+    return {name: table.column(name).to_pylist() for name in table.column_names}

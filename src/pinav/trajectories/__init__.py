@@ -1,0 +1,29 @@
+"""Observed and simulated trajectories, and their files."""
+
+from pinav.trajectories.degradation import AbstractDegradation as AbstractDegradation
+from pinav.trajectories.degradation import FrameLoss as FrameLoss
+from pinav.trajectories.degradation import GaussianNoise as GaussianNoise
+from pinav.trajectories.degradation import MotionBlur as MotionBlur
+from pinav.trajectories.degradation import Subsample as Subsample
+from pinav.trajectories.degradation import Unobserved as Unobserved
+from pinav.trajectories.degradation import degrade as degrade
+from pinav.trajectories.files import FORMAT as FORMAT
+from pinav.trajectories.files import PREFIX as PREFIX
+from pinav.trajectories.files import is_trajectories as is_trajectories
+from pinav.trajectories.files import load as load
+from pinav.trajectories.files import save as save
+from pinav.trajectories.simulation import simulate as simulate
+from pinav.trajectories.smoothing import local_polynomial as local_polynomial
+from pinav.trajectories.smoothing import smoothed_states as smoothed_states
+from pinav.trajectories.trajectories import UNKNOWN_UNIT as UNKNOWN_UNIT
+from pinav.trajectories.trajectories import Split as Split
+from pinav.trajectories.trajectories import Trajectories as Trajectories
+from pinav.trajectories.trajectories import bootstrap as bootstrap
+from pinav.trajectories.trajectories import concatenate as concatenate
+from pinav.trajectories.trajectories import split as split
+from pinav.trajectories.trajectories import with_unobserved as with_unobserved
+from pinav.trajectories.trajectory import Ragged as Ragged
+from pinav.trajectories.trajectory import Trajectory as Trajectory
+from pinav.trajectories.trajectory import arrays_per_trajectory as arrays_per_trajectory
+from pinav.trajectories.trajectory import check_increasing as check_increasing
+from pinav.trajectories.trajectory import checked_trajectory as checked_trajectory

@@ -1,0 +1,252 @@
+"""What a camera and its tracking do to trajectories, as values applied in sequence.
+
+Each leaves its input untouched and notes itself in the provenance.
+"""
+
+import abc
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Float64, PRNGKeyArray
+
+from pinav.errors import InputError
+from pinav.trajectories.trajectories import Trajectories
+from pinav.trajectories.trajectory import Trajectory
+
+
+class AbstractDegradation(eqx.Module):
+    """One step from the truth to what is observed."""
+
+    @abc.abstractmethod
+    def __call__(
+        self,
+        trajectory: Trajectory,
+        channels: tuple[str, ...],
+        random: np.random.Generator,
+    ) -> Trajectory:
+        """The trajectory after this step.
+
+        Args:
+            trajectory: what was observed so far.
+            channels: names of the components of its states.
+            random: source of all randomness.
+
+        Raises:
+            InputError: the step cannot be applied to this trajectory.
+        """
+
+
+class GaussianNoise(AbstractDegradation):
+    r"""Localisation error: independent normal noise in every observed state.
+
+    Attributes:
+        deviation: standard deviation, in the units of the channels, not negative.
+        channels: those that are noisy; all of them unless given.
+
+    Raises:
+        InputError: `deviation` is negative.
+    """
+
+    deviation: float = eqx.field(static=True)
+    channels: tuple[str, ...] | None = eqx.field(static=True, default=None)
+
+    def __check_init__(self):
+        _check_range(self, "deviation", 0.0, np.inf)
+
+    def __call__(self, trajectory, channels, random):
+        noisy = _chosen(self, self.channels or channels, channels)
+        noise = self.deviation * random.standard_normal(trajectory.states.shape)
+        noise = np.where(trajectory.observed & noisy[None], noise, 0.0)
+        return _with(trajectory, states=trajectory.states + noise)
+
+
+class FrameLoss(AbstractDegradation):
+    """Frames in which the swimmer was not found: nothing of them is observed.
+
+    The first and the last frame stay, so that a trajectory keeps its start and length.
+
+    Attributes:
+        probability: that a frame is lost, from 0 to below 1.
+
+    Raises:
+        InputError: `probability` is outside of that.
+    """
+
+    probability: float = eqx.field(static=True)
+
+    def __check_init__(self):
+        _check_range(self, "probability", 0.0, 1.0)
+
+    def __call__(self, trajectory, channels, random):
+        lost = random.random(len(trajectory.times)) < self.probability
+        lost[[0, -1]] = False
+        return _masked(trajectory, lost[:, None])
+
+
+class Unobserved(AbstractDegradation):
+    """Channels that nobody measures, such as the velocities.
+
+    Attributes:
+        channels: their names.
+        keep_first: leave the first sample as it is, where a rollout starts.
+    """
+
+    channels: tuple[str, ...] = eqx.field(static=True)
+    keep_first: bool = eqx.field(static=True, default=False)
+
+    def __call__(self, trajectory, channels, random):
+        hidden = np.tile(
+            _chosen(self, self.channels, channels), (len(trajectory.times), 1)
+        )
+        hidden[0] &= not self.keep_first
+        return _masked(trajectory, hidden)
+
+
+class MotionBlur(AbstractDegradation):
+    r"""Average over the exposure, $\frac1\tau\int_{t-\tau/2}^{t+\tau/2} y(s)\,ds$.
+
+    Between samples the states count as linear in time; at either end the exposure is
+    cut to what was observed. It comes before noise and losses.
+
+    Attributes:
+        exposure: $\tau$ [T], positive.
+
+    Raises:
+        InputError: `exposure` is not positive.
+    """
+
+    exposure: float = eqx.field(static=True)
+
+    def __check_init__(self):
+        if not self.exposure > 0:
+            raise InputError(f"MotionBlur.exposure: expected > 0, got {self.exposure}")
+
+    def __call__(self, trajectory, channels, random):
+        if not trajectory.observed.all():
+            raise InputError(
+                "MotionBlur: expected complete samples; apply it before FrameLoss and "
+                "Unobserved"
+            )
+        times = trajectory.times
+        opened = np.maximum(times - self.exposure / 2, times[0])
+        closed = np.minimum(times + self.exposure / 2, times[-1])
+        columns = [
+            (_integral(times, y, closed) - _integral(times, y, opened))
+            / (closed - opened)
+            for y in trajectory.states.T
+        ]
+        return _with(trajectory, states=np.stack(columns, axis=1))
+
+
+class Subsample(AbstractDegradation):
+    """A slower camera: every so many samples one is kept, from the first on.
+
+    Attributes:
+        every: at least 1.
+
+    Raises:
+        InputError: `every` is not positive, or would leave a single sample.
+    """
+
+    every: int = eqx.field(static=True)
+
+    def __check_init__(self):
+        if self.every < 1:
+            raise InputError(f"Subsample.every: expected 1 or more, got {self.every}")
+
+    def __call__(self, trajectory, channels, random):
+        if len(trajectory.times) <= self.every:
+            raise InputError(
+                f"Subsample: {len(trajectory.times)} samples leave a single one; "
+                f"expected every < {len(trajectory.times)}, got {self.every}"
+            )
+        return jax.tree.map(lambda array: array[:: self.every], trajectory)
+
+
+def degrade(
+    trajectories: Trajectories,
+    steps: Sequence[AbstractDegradation],
+    *,
+    key: PRNGKeyArray,
+) -> Trajectories:
+    """Apply steps in sequence to every trajectory.
+
+    Args:
+        trajectories: left as they are.
+        steps: such as `[MotionBlur(0.03), GaussianNoise(0.05), FrameLoss(0.1)]`.
+        key: random key; each trajectory has its own numbers, whatever the others are.
+
+    Raises:
+        InputError: a step cannot be applied; the message says why.
+    """
+    words = jax.random.key_data(key).ravel().tolist()
+    pieces = list(trajectories)
+    for index, piece in enumerate(pieces):
+        random = np.random.default_rng([*words, index])
+        for step in steps:
+            piece = step(piece, trajectories.channels, random)
+        pieces[index] = piece
+    before = trajectories.provenance.get("degradation", [])
+    notes = [{"step": type(step).__name__, **_fields(step)} for step in steps]
+    return Trajectories.from_arrays(
+        [piece.times for piece in pieces],
+        [piece.states for piece in pieces],
+        observed=[piece.observed for piece in pieces],
+        commands={
+            name: [piece.commands[name] for piece in pieces]
+            for name in trajectories.commands
+        },
+        channels=trajectories.channels,
+        units=trajectories.units,
+        provenance=trajectories.provenance
+        | {"degradation": [*before, *notes], "degradation key": words},
+    )
+
+
+def _integral(
+    times: Float64[np.ndarray, " time"],
+    values: Float64[np.ndarray, " time"],
+    ends: Float64[np.ndarray, " end"],
+) -> Float64[np.ndarray, " end"]:
+    """Integral of the piecewise linear function from the first time to each end."""
+    areas = 0.5 * (values[1:] + values[:-1]) * np.diff(times)
+    whole = np.concatenate([[0.0], np.cumsum(areas)])
+    index = np.clip(np.searchsorted(times, ends, "right") - 1, 0, len(times) - 2)
+    at_end = np.interp(ends, times, values)
+    return whole[index] + 0.5 * (values[index] + at_end) * (ends - times[index])
+
+
+def _with(trajectory: Trajectory, states: np.ndarray) -> Trajectory:
+    return eqx.tree_at(lambda t: t.states, trajectory, states)
+
+
+def _masked(trajectory: Trajectory, hidden: np.ndarray) -> Trajectory:
+    observed = trajectory.observed & ~hidden
+    return eqx.tree_at(lambda t: t.observed, trajectory, observed)
+
+
+def _chosen(
+    step: AbstractDegradation, names: Sequence[str], channels: tuple[str, ...]
+) -> np.ndarray:
+    """Which channels are meant."""
+    for name in names:
+        if name not in channels:
+            raise InputError(
+                f"{type(step).__name__}.channels: {name!r} is no channel; expected "
+                f"some of {', '.join(channels)}"
+            )
+    return np.array([channel in names for channel in channels])
+
+
+def _fields(step: AbstractDegradation) -> dict[str, Any]:
+    return {name: value for name, value in vars(step).items() if value is not None}
+
+
+def _check_range(step: AbstractDegradation, name: str, low: float, high: float) -> None:
+    value = getattr(step, name)
+    if not low <= value < high:
+        limit = ">= 0" if high == np.inf else f"from {low:g} to below {high:g}"
+        raise InputError(f"{type(step).__name__}.{name}: expected {limit}, got {value}")

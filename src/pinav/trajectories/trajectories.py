@@ -1,0 +1,336 @@
+"""`Trajectories`: what was observed of one or more swimmers, and when.
+
+The one data type of the package. Simulated scenarios and recordings become
+`Trajectories`; fits, evaluation and reports take nothing else.
+"""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Bool, Float64, Int64, PRNGKeyArray
+
+from pinav.errors import InputError
+from pinav.trajectories.trajectory import (
+    Ragged,
+    Trajectory,
+    arrays_per_trajectory,
+    checked_trajectory,
+)
+
+UNKNOWN_UNIT = "?"
+"""Unit of a channel whose unit nobody stated; "1" means dimensionless."""
+
+
+class Trajectories(eqx.Module):
+    """Observed trajectories of different lengths, as padded host arrays.
+
+    Build it with `from_arrays`, which checks; all arrays are read-only NumPy arrays
+    in float64 whatever the mode of JAX. Padding stands at the end: the last time, the
+    last state and the last command repeat, and nothing is observed.
+
+    Attributes:
+        times: increasing within a trajectory [T].
+        states: 0 where not observed, never NaN.
+        observed: which entries of `states` were observed.
+        lengths: samples of each trajectory before its padding.
+        commands: what the operator commanded, by name, at each time.
+        channels: names of the components of the state.
+        units: unit of each channel, of each command and of time `t`.
+        provenance: where the data came from; JSON values.
+    """
+
+    times: Float64[np.ndarray, "trajectory time"]
+    states: Float64[np.ndarray, "trajectory time state"]
+    observed: Bool[np.ndarray, "trajectory time state"]
+    lengths: Int64[np.ndarray, " trajectory"]
+    commands: dict[str, Float64[np.ndarray, "trajectory time"]]
+    channels: tuple[str, ...] = eqx.field(static=True)
+    units: dict[str, str]
+    provenance: dict[str, Any]
+
+    @classmethod
+    def from_arrays(
+        cls,
+        times: Ragged,
+        states: Ragged,
+        *,
+        channels: Sequence[str],
+        observed: Ragged | None = None,
+        commands: Mapping[str, Ragged] | None = None,
+        units: Mapping[str, str] | None = None,
+        provenance: Mapping[str, Any] | None = None,
+    ) -> "Trajectories":
+        """Trajectories from the arrays of one, or from a sequence with those of each.
+
+        Args:
+            times: a vector for each trajectory, or one vector that all share [T].
+            states: a table (time, state) for each trajectory.
+            channels: names of the components of the state.
+            observed: booleans shaped as `states`; all true unless given. What is not
+                observed may hold anything, NaN too.
+            commands: vectors of numbers by name, shaped as `times`.
+            units: unit of any channel, command or `t`; "?" where not stated.
+            provenance: where the data came from; JSON values.
+
+        Raises:
+            InputError: the arrays do not fit together, are not finite, or a time does
+                not come after the one before it.
+        """
+        commands = dict(commands or {})
+        channels = _checked_names(channels, commands)
+        tables = arrays_per_trajectory("states", states, 2)
+        vectors = arrays_per_trajectory("times", times, 1, len(tables))
+        masks = [None] * len(tables)
+        if observed is not None:
+            masks = arrays_per_trajectory("observed", observed, 2, len(tables), bool)
+        named = {
+            name: arrays_per_trajectory(f"command {name!r}", values, 1, len(tables))
+            for name, values in commands.items()
+        }
+        pieces = [
+            checked_trajectory(
+                f"trajectory {i}",
+                channels,
+                (vectors[i], tables[i], masks[i]),
+                {name: values[i] for name, values in named.items()},
+            )
+            for i in range(len(tables))
+        ]
+        units = _all_units(units or {}, (*channels, "t", *commands))
+        return _padded(pieces, channels, units, provenance or {})
+
+    def __len__(self) -> int:
+        """Number of trajectories."""
+        return len(self.lengths)
+
+    def __iter__(self) -> Iterator[Trajectory]:
+        """Each trajectory without its padding."""
+        return map(self.trajectory, range(len(self)))
+
+    @property
+    def num_observed(self) -> int:
+        """Number of observed values, all trajectories and channels together."""
+        return int(self.observed.sum())
+
+    def trajectory(self, index: int) -> Trajectory:
+        """The trajectory at `index` without its padding; a view, not a copy."""
+        index = _checked_indices([index], len(self))[0]
+        own = slice(self.lengths[index])
+        return Trajectory(
+            times=self.times[index, own],
+            states=self.states[index, own],
+            observed=self.observed[index, own],
+            commands={name: c[index, own] for name, c in self.commands.items()},
+        )
+
+    def select(self, indices: Sequence[int] | np.ndarray) -> "Trajectories":
+        """The trajectories at `indices`, in that order, padded no more than needed.
+
+        The provenance remembers, as `selection`, where each of them stood at first.
+        """
+        chosen = _checked_indices(indices, len(self))
+        before = self.provenance.get("selection", range(len(self)))
+        selection = [before[i] for i in chosen]
+        provenance = self.provenance | {"selection": selection}
+        pieces = [self.trajectory(i) for i in chosen]
+        return _padded(pieces, self.channels, self.units, provenance)
+
+
+def with_unobserved(
+    trajectories: Trajectories, units: Mapping[str, str]
+) -> Trajectories:
+    """The trajectories with more channels, of which nothing was observed.
+
+    A tracker gives positions; a swimmer with inertia has velocities too.
+
+    Args:
+        trajectories: what was observed.
+        units: unit of each new channel, by its name.
+    """
+    extra = len(units)
+
+    def widened(piece: Trajectory) -> Trajectory:
+        blank = np.zeros((len(piece.times), extra))
+        return Trajectory(
+            times=piece.times,
+            states=np.concatenate([piece.states, blank], axis=1),
+            observed=np.concatenate([piece.observed, blank > 0], axis=1),
+            commands=piece.commands,
+        )
+
+    channels = _checked_names((*trajectories.channels, *units), trajectories.commands)
+    return _padded(
+        [widened(piece) for piece in trajectories],
+        channels,
+        {**trajectories.units, **units},
+        trajectories.provenance,
+    )
+
+
+class Split(NamedTuple):
+    """Trajectories for training, and those kept for testing."""
+
+    train: Trajectories
+    held_out: Trajectories
+
+
+def split(trajectories: Trajectories, fraction: float, *, key: PRNGKeyArray) -> Split:
+    """Split by whole trajectories, at random.
+
+    Args:
+        trajectories: at least two.
+        fraction: share of them to train on, between 0 and 1; rounded so that
+            neither part is empty.
+        key: random key of the choice.
+
+    Raises:
+        InputError: there is one trajectory, or `fraction` is not between 0 and 1.
+    """
+    count = len(trajectories)
+    if not 0.0 < fraction < 1.0:
+        raise InputError(f"split fraction: expected between 0 and 1, got {fraction}")
+    if count < 2:
+        raise InputError("split: expected two or more trajectories, got 1")
+    num_train = min(max(round(fraction * count), 1), count - 1)
+    order = np.asarray(jax.random.permutation(key, count))
+    train, held_out = np.sort(order[:num_train]), np.sort(order[num_train:])
+    return Split(trajectories.select(train), trajectories.select(held_out))
+
+
+def bootstrap(
+    trajectories: Trajectories, count: int, *, key: PRNGKeyArray
+) -> list[Trajectories]:
+    """Resamples of whole trajectories, with replacement, for intervals.
+
+    Args:
+        trajectories: at least two.
+        count: number of resamples, each of as many trajectories.
+        key: random key of the choice.
+
+    Raises:
+        InputError: there is one trajectory, or `count` is not positive.
+
+    References:
+        Efron and Tibshirani, An Introduction to the Bootstrap (1993).
+    """
+    if len(trajectories) < 2:
+        raise InputError("bootstrap: expected two or more trajectories, got 1")
+    if count < 1:
+        raise InputError(f"bootstrap count: expected 1 or more, got {count}")
+    shape = (count, len(trajectories))
+    chosen = jax.random.randint(key, shape, 0, len(trajectories))
+    return [trajectories.select(np.asarray(own)) for own in chosen]
+
+
+def concatenate(several: Sequence[Trajectories]) -> Trajectories:
+    """The trajectories of all, in order; provenances are kept side by side.
+
+    Raises:
+        InputError: there is nothing to join, or channels, commands or units differ.
+    """
+    if not several:
+        raise InputError("concatenate: expected one or more Trajectories, got none")
+    first = several[0]
+    for other in several[1:]:
+        for name in ("channels", "units"):
+            expected, got = getattr(first, name), getattr(other, name)
+            if expected != got:
+                raise InputError(
+                    f"concatenate: {name} differ, {expected} and {got}; "
+                    "bring them to one form first"
+                )
+    provenance = {"concatenated": [part.provenance for part in several]}
+    pieces = [piece for part in several for piece in part]
+    return _padded(pieces, first.channels, first.units, provenance)
+
+
+def _checked_names(
+    channels: Sequence[str], commands: Mapping[str, Any]
+) -> tuple[str, ...]:
+    """The channels, when they and the commands can be the columns of a table."""
+    if isinstance(channels, str) or not channels:
+        raise InputError(
+            f"channels: expected names such as ('x', 'y'), got {channels!r}"
+        )
+    names = (*channels, *commands)
+    for name in names:
+        if not (isinstance(name, str) and name and name.isprintable()):
+            raise InputError(f"channels: expected printable names, got {name!r}")
+        if name != name.strip() or name[0] == "#" or name in ("t", "trajectory"):
+            raise InputError(
+                f"channel {name!r}: expected no space or # at its ends and neither "
+                "'t' nor 'trajectory', which name other columns; rename it"
+            )
+        if names.count(name) > 1:
+            raise InputError(f"channel {name!r}: stands twice in {names}; rename one")
+    return tuple(channels)
+
+
+def _all_units(units: Mapping[str, str], names: Sequence[str]) -> dict[str, str]:
+    for name in units:
+        if name not in names:
+            raise InputError(
+                f"units: {name!r} is no channel; expected some of {', '.join(names)}"
+            )
+    return {name: str(units.get(name, UNKNOWN_UNIT)) for name in names}
+
+
+def _checked_indices(indices: Sequence[int] | np.ndarray, count: int) -> list[int]:
+    """The indices as integers from 0, negative ones counted from the end."""
+    chosen = np.asarray(indices)
+    if chosen.ndim != 1 or chosen.size == 0 or chosen.dtype.kind not in "iu":
+        raise InputError(
+            f"trajectories: expected one or more whole numbers, got {indices!r}"
+        )
+    for index in chosen:
+        if not -count <= index < count:
+            raise InputError(f"trajectory {index}: there are {count}, counted from 0")
+    return (chosen % count).tolist()
+
+
+def _padded(
+    pieces: Sequence[Trajectory],
+    channels: tuple[str, ...],
+    units: Mapping[str, str],
+    provenance: Mapping[str, Any],
+) -> Trajectories:
+    return Trajectories(
+        times=_pad([piece.times for piece in pieces]),
+        states=_pad([piece.states for piece in pieces]),
+        observed=_pad([piece.observed for piece in pieces], mode="constant"),
+        lengths=_read_only(np.array([len(p.times) for p in pieces], np.int64)),
+        commands={
+            name: _pad([piece.commands[name] for piece in pieces])
+            for name in pieces[0].commands
+        },
+        channels=channels,
+        units=dict(units),
+        provenance=_as_json(provenance),
+    )
+
+
+def _pad(arrays: Sequence[np.ndarray], mode: Literal["edge", "constant"] = "edge"):
+    """The arrays stacked; short ones repeat their last row, or get zeros."""
+    longest = max(map(len, arrays))
+    padded = [
+        np.pad(a, [(0, longest - len(a))] + [(0, 0)] * (a.ndim - 1), mode)
+        for a in arrays
+    ]
+    return _read_only(np.stack(padded))
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    array.setflags(write=False)
+    return array
+
+
+def _as_json(provenance: Mapping[str, Any]) -> dict[str, Any]:
+    """What a JSON file would give back; a copy."""
+    try:
+        return json.loads(json.dumps(dict(provenance), allow_nan=False))
+    except (TypeError, ValueError) as error:
+        raise InputError(f"provenance: expected JSON values: {error}") from error

@@ -1,0 +1,173 @@
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.analysis import Verdict, discover
+from pinav.analysis.discovery.discovery import estimates
+from pinav.analysis.discovery.laws import LawForce
+from pinav.analysis.discovery.learned_fit import laplace_posterior
+from pinav.analysis.discovery.potentials import (
+    GAUSSIAN,
+    ConstantForce,
+    Harmonic,
+    Lorentzian,
+)
+from pinav.analysis.discovery.refit import Refit, RefitOutcome, RefitProblem, refit
+from pinav.dynamics import Adaptive, FixedStep, NeuralDynamics, rollout
+from pinav.errors import FitError, InputError
+from pinav.fitting import Posterior
+from pinav.forces import GaussianBarrier
+from pinav.scenarios import barrier_crossings
+from pinav.trajectories import Trajectories, simulate, smoothed_states
+
+TRUTH = np.array([5.25, 5.0, 5.0, 2.9])
+LORENTZIAN = Lorentzian()
+
+
+def environment(model):
+    return model.environment
+
+
+@pytest.fixture(scope="module")
+def crossings():
+    """Four short noisy crossings of which the positions are seen, and the truth."""
+    scenario = barrier_crossings()
+    scenario = eqx.tree_at(
+        lambda s: (s.starts, s.times, s.noise),
+        scenario,
+        (scenario.starts[:4], scenario.times[:61], 0.01),
+    )
+    data = simulate(scenario, key=jax.random.key(1))
+    observed = np.broadcast_to(np.arange(4) < 2, data.states.shape)
+    return scenario.truth, Trajectories.from_arrays(
+        list(data.times), list(data.states), channels=data.channels, observed=observed
+    )
+
+
+@pytest.fixture(scope="module")
+def found(crossings):
+    truth, data = crossings
+    posterior = laplace_posterior(truth, data, environment)
+    candidates = (GAUSSIAN, LORENTZIAN, Harmonic())
+    return discover(posterior, data, potentials=candidates, rotations=(), refits=2)
+
+
+def test_the_true_law_comes_first_with_intervals(found):
+    assert found.verdict is Verdict.IDENTIFIED
+    assert found.best.law is GAUSSIAN
+    assert found.close == (found.best,)
+    for own, true in zip(found.best.constants, TRUTH, strict=True):
+        assert own.low < own.value < own.high
+        assert abs(own.value - true) < 4 * own.sd
+        assert own.identifiable
+    assert found.best.noise == pytest.approx(0.01, rel=0.2)
+
+
+def test_a_wrong_law_does_not_fit(found):
+    other = found.candidates[1]
+    assert other.delta_bic > 6.0
+    assert not other.fits
+
+
+def test_ranking_is_sorted(found):
+    ranking = [candidate.delta_bic for candidate in found.candidates]
+    assert ranking == sorted(ranking)
+    assert ranking[0] == 0.0
+    criteria = [bic for _, bic in found.screened]
+    assert criteria == sorted(criteria)
+
+
+def test_no_law_fits_where_none_can(crossings):
+    truth, data = crossings
+    posterior = laplace_posterior(truth, data, environment)
+    found = discover(posterior, data, potentials=(ConstantForce(),), rotations=())
+    assert found.verdict is Verdict.NO_LAW_FITS
+
+
+def test_refit_is_the_least_squares_of_rollouts(crossings, found):
+    """Independent check: no neighbouring rollouts have a smaller sum of squares."""
+    truth, data = crossings
+    problem = RefitProblem.of(data, smoothed_states(data), FixedStep())
+    result = refit(GAUSSIAN, TRUTH * 1.05, truth, problem)
+    assert result.outcome is RefitOutcome.CONVERGED
+    best = [own.value for own in found.best.constants]
+    sd = np.array([own.sd for own in found.best.constants])
+    assert np.all(np.abs(result.constants - best) < 0.05 * sd)
+
+    def residuals(constants, starts):
+        model = eqx.tree_at(environment, truth, LawForce(GAUSSIAN, constants))
+
+        def solve(y0, ts):
+            return rollout(model, y0, ts, solver=Adaptive()).ys
+
+        return (jax.vmap(solve)(starts, data.times) - data.states)[..., :2].ravel()
+
+    import scipy.optimize
+
+    split = len(best)
+    function = eqx.filter_jit(lambda p: residuals(p[:split], p[split:].reshape(-1, 4)))
+    start = np.concatenate([result.constants, simulate_starts(data)])
+    oracle = scipy.optimize.least_squares(
+        lambda p: np.asarray(function(jnp.asarray(p))), start, x_scale="jac"
+    )
+    assert 2 * oracle.cost == pytest.approx(result.squares, rel=1e-5)
+    inverse = np.linalg.inv(oracle.jac.T @ oracle.jac)[:split, :split]
+    expected = np.sqrt(np.diag(inverse) * result.noise**2)
+    np.testing.assert_allclose(np.sqrt(np.diag(result.covariance)), expected, rtol=0.02)
+
+
+def simulate_starts(data):
+    return smoothed_states(data)[:, 0].ravel()
+
+
+def refit_with(constants, sd):
+    return Refit(
+        law=GAUSSIAN,
+        constants=np.asarray(constants, float),
+        covariance=np.diag(np.square(sd)),
+        squares=1.0,
+        noise=1.0,
+        num_residuals=10,
+        outcome=RefitOutcome.CONVERGED,
+    )
+
+
+def test_wide_intervals_are_not_identifiable():
+    rows = estimates(refit_with(TRUTH, [3.0, 0.1, np.inf, 0.1]), extent=10.0)
+    assert [own.identifiable for own in rows] == [False, True, False, True]
+    assert rows[1].low == pytest.approx(5.0 - 0.196)
+
+
+def test_singular_directions_have_infinite_intervals(crossings):
+    """Far from the data a barrier is felt as nothing: none of it is determined."""
+    truth, data = crossings
+    problem = RefitProblem.of(data, smoothed_states(data), FixedStep())
+    far = np.array([1e-3, 90.0, 90.0, 1.0])
+    result = refit(GAUSSIAN, far, truth, problem)
+    assert not any(own.identifiable for own in estimates(result, problem.extent)[1:])
+
+
+def test_bic_counts_constants():
+    result = refit_with(TRUTH, np.ones(4))
+    expected = 10 * np.log(0.1) + 4 * np.log(10)
+    assert result.bic == pytest.approx(expected)
+    diverged = eqx.tree_at(lambda r: r.squares, result, 0.0)
+    assert diverged.bic == np.inf
+
+
+def test_messages(crossings):
+    truth, data = crossings
+    posterior = laplace_posterior(truth, data, environment)
+    with pytest.raises(InputError, match="one or more candidates and refits"):
+        discover(posterior, data, refits=0)
+    network = eqx.nn.MLP(5, 4, 2, 1, key=jax.random.key(0))
+    black_box = NeuralDynamics(network, (0.0,) * 5, (1.0,) * 5)
+    wrong = eqx.tree_at(lambda p: p.free, posterior, lambda theta: black_box)
+    with pytest.raises(InputError, match="expected that of a Swimmer"):
+        discover(wrong, data)
+    cliff = GaussianBarrier(height=np.inf, center=[5.0, 5.0], width=0.1)
+    with pytest.raises(FitError, match="does not explain the trajectories"):
+        laplace_posterior(eqx.tree_at(environment, truth, cliff), data, environment)
+    assert isinstance(posterior, Posterior)

@@ -1,0 +1,106 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import sympy
+
+from pinav.analysis.discovery.laws import (
+    LawForce,
+    Role,
+    SumLaw,
+    expressions,
+    latex,
+    sympy_text,
+)
+from pinav.analysis.discovery.potentials import GAUSSIAN, POTENTIALS, TWO_GAUSSIANS
+from pinav.analysis.discovery.rotations import ROTATIONS
+from pinav.errors import InputError
+from pinav.forces import GaussianBarrier
+
+SWIRL = ROTATIONS[0]
+LAWS = (*POTENTIALS, *ROTATIONS, TWO_GAUSSIANS, GAUSSIAN + SWIRL)
+IDS = [law.name for law in LAWS]
+POINTS = jnp.array([[0.3, -0.7], [1.9, 2.2], [-1.1, 0.4]])
+
+
+def constants_of(law):
+    """Values that no symmetry makes special."""
+    return jnp.linspace(0.7, 1.9, len(law.constants))
+
+
+def force_at(law, constants, x):
+    return LawForce(law, constants)(0.0, x, jnp.zeros(2))
+
+
+@pytest.mark.parametrize("law", LAWS, ids=IDS)
+def test_formula_and_force_agree(law):
+    constants = constants_of(law)
+    formula = sympy.sympify(sympy_text(law, np.asarray(constants)))
+    x, y = sympy.symbols("x y")
+    for point in POINTS:
+        at = {x: float(point[0]), y: float(point[1])}
+        expected = [float(part.subs(at)) for part in formula]
+        np.testing.assert_allclose(
+            force_at(law, constants, point), expected, rtol=1e-6, atol=1e-7
+        )
+
+
+@pytest.mark.parametrize("law", LAWS, ids=IDS)
+def test_latex_names_every_constant(law):
+    formulas = expressions(law)
+    text = latex(law)
+    assert {*formulas.symbols} == {"x", "y", *(own.name for own in law.constants)}
+    for own in law.constants:
+        assert sympy.latex(formulas.symbols[own.name]) in text
+
+
+@pytest.mark.parametrize("law", POTENTIALS, ids=lambda law: law.name)
+def test_potentials_have_no_curl(law):
+    jacobian = jax.jacfwd(lambda x: force_at(law, constants_of(law), x))(POINTS[1])
+    np.testing.assert_allclose(jacobian[0, 1], jacobian[1, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize("law", ROTATIONS, ids=lambda law: law.name)
+def test_rotations_have_curl_and_no_divergence_of_their_own_centre(law):
+    jacobian = jax.jacfwd(lambda x: force_at(law, constants_of(law), x))(POINTS[1])
+    assert abs(jacobian[1, 0] - jacobian[0, 1]) > 1e-3
+    np.testing.assert_allclose(jnp.trace(jacobian), 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("law", LAWS, ids=IDS)
+def test_amplitudes_are_linear(law):
+    chosen = np.array(law.indices(Role.AMPLITUDE))
+    constants = constants_of(law)
+    doubled = constants.at[chosen].multiply(2.0)
+    np.testing.assert_allclose(
+        force_at(law, doubled, POINTS[0]),
+        2.0 * force_at(law, constants, POINTS[0]),
+        rtol=1e-12,
+    )
+
+
+def test_gaussian_law_is_the_barrier():
+    barrier = GaussianBarrier(height=5.25, center=[5.0, 4.0], width=2.9)
+    law = LawForce(GAUSSIAN, jnp.array([5.25, 5.0, 4.0, 2.9]))
+    x = jnp.array([3.0, 6.0])
+    np.testing.assert_allclose(law(0.0, x, x), barrier(0.0, x, x), rtol=1e-12)
+
+
+def test_sum_adds_forces_and_numbers_shared_names():
+    law = GAUSSIAN + SWIRL
+    a, b = constants_of(GAUSSIAN), constants_of(SWIRL)
+    np.testing.assert_allclose(
+        force_at(law, jnp.concatenate([a, b]), POINTS[0]),
+        force_at(GAUSSIAN, a, POINTS[0]) + force_at(SWIRL, b, POINTS[0]),
+        rtol=1e-12,
+    )
+    names = [own.name for own in law.constants]
+    assert names[:3] == ["height", "center_x_1", "center_y_1"]
+    assert "rate" in names
+    assert len(set(names)) == len(names)
+    assert law == SumLaw((GAUSSIAN, SWIRL))
+
+
+def test_wrong_number_of_constants_is_refused():
+    with pytest.raises(InputError, match=r"Gaussian expects shape \(4,\), got \(3,\)"):
+        LawForce(GAUSSIAN, jnp.ones(3))

@@ -1,0 +1,212 @@
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.analysis import influence
+from pinav.dynamics import FixedStep
+from pinav.errors import FitError, InputError
+from pinav.fitting import fit_bayes, kernel_environment
+from pinav.fitting.bayes.multiple_shooting import linearise
+from pinav.fitting.bayes.problem import BayesProblem
+from pinav.fitting.evidence.evidence import Data, weight_posterior
+from pinav.fitting.evidence.quadratic import Quadratic, joint_posterior, without_flat
+from pinav.forces import KernelPotential
+from pinav.scenarios import barrier_crossings
+from pinav.trajectories import Trajectories, simulate
+
+CONSTANTS = {
+    "damping": lambda m: m.drag.damping,
+    "gain": lambda m: m.propulsion.gain,
+}
+
+
+def crossings(count, samples=61):
+    short = eqx.tree_at(
+        lambda s: (s.starts, s.times),
+        barrier_crossings(),
+        replace_fn=lambda a: a[:count] if a.ndim == 2 else a[:samples],
+    )
+    return simulate(short, key=jax.random.key(5))
+
+
+def without(data, index):
+    kept = [i for i in range(len(data)) if i != index]
+    return Trajectories.from_arrays(
+        [data.times[i] for i in kept],
+        [data.states[i] for i in kept],
+        channels=data.channels,
+    )
+
+
+def with_arrays(swimmer):
+    """Constants as arrays: another value is then no other compilation."""
+    picks = tuple(CONSTANTS.values())
+    return eqx.tree_at(
+        lambda m: tuple(pick(m) for pick in picks), swimmer, replace_fn=jnp.asarray
+    )
+
+
+def barrier(model):
+    return model.environment
+
+
+@pytest.fixture(scope="module")
+def parametric():
+    """The barrier's four numbers, flat priors: a fit that is cheap to repeat."""
+    data, swimmer = crossings(4), with_arrays(barrier_crossings().truth)
+    fitted = fit_bayes(swimmer, data, learn=barrier, noise=0.02)
+    found = influence(
+        fitted.model,
+        data,
+        fitted.states,
+        fitted.hyperparameters,
+        learn=barrier,
+        constants=CONSTANTS,
+    )
+    return data, swimmer, fitted, found
+
+
+def environment_of(found, vector):
+    return np.asarray(
+        jax.flatten_util.ravel_pytree(found.free.unravel(vector).environment)[0]
+    )
+
+
+def numbers(model):
+    leaves = [jnp.ravel(leaf) for leaf in jax.tree.leaves(model.environment)]
+    return np.concatenate([np.asarray(leaf) for leaf in leaves])
+
+
+@pytest.mark.parametrize("index", [0, 2])
+def test_removals_are_those_of_real_refits(parametric, index):
+    data, _, fitted, found = parametric
+    refit = fit_bayes(fitted.model, without(data, index), learn=barrier, noise=0.02)
+    change = numbers(refit.model) - numbers(fitted.model)
+    predicted = environment_of(found, jnp.asarray(found.removals[index]))
+    assert np.linalg.norm(predicted - change) < 0.05 * np.linalg.norm(change)
+    jackknife = environment_of(found, jnp.asarray(found.first_order[index]))
+    assert np.linalg.norm(jackknife - change) < np.linalg.norm(change)
+    point = np.array([[4.0, 3.0]])
+
+    def force(model):
+        return np.asarray(model.environment(0.0, jnp.asarray(point[0]), jnp.zeros(2)))
+
+    moved = found.force_changes(point, found.removals)[index, 0]
+    true = force(refit.model) - force(fitted.model)
+    assert np.allclose(moved, true, atol=0.06 * np.linalg.norm(true))
+
+
+@pytest.mark.parametrize("name", CONSTANTS)
+def test_slopes_by_constants_are_those_of_real_refits(parametric, name):
+    data, _, fitted, found = parametric
+    step, pick = 1e-3, CONSTANTS[name]
+    value = float(pick(fitted.model))
+    ends = []
+    for sign in (1, -1):
+        other = eqx.tree_at(pick, fitted.model, jnp.asarray(value + sign * step))
+        ends.append(fit_bayes(other, data, learn=barrier, noise=0.02).model)
+    change = (numbers(ends[0]) - numbers(ends[1])) / (2 * step)
+    predicted = environment_of(found, jnp.asarray(found.constants[name]))
+    assert np.linalg.norm(predicted - change) < 0.02 * np.linalg.norm(change)
+
+
+def test_final_position_follows_parameters_and_constants(parametric):
+    data, _, fitted, found = parametric
+    y0, ts = fitted.states[0, 0], data.times[0][:31]
+    changes = np.stack([found.constants["damping"], found.removals[1]])
+    slopes = found.final_changes(y0, ts, changes)
+
+    def end(theta):
+        model = found.free(jnp.asarray(theta))
+        return np.asarray(FixedStep().solve(model, jnp.asarray(y0), ts)[0][-1])
+
+    for change, slope in zip(changes, slopes, strict=True):
+        step = 1e-4 / np.abs(change).max()
+        ahead, behind = (end(found.theta + s * step * change) for s in (1, -1))
+        assert np.allclose((ahead - behind) / (2 * step), slope, rtol=1e-4, atol=1e-7)
+
+
+def test_leverages_count_the_parameters(parametric):
+    _, _, _, found = parametric
+    assert found.leverages.sum() == pytest.approx(4.0, rel=1e-6)
+    assert np.all(found.distances > 0)
+
+
+def test_a_kernel_fit_without_a_trajectory_solves_its_normal_equations():
+    """Exact for the linear model: compared with a solve that leaves the rows out."""
+    data = crossings(3, samples=21)
+    swimmer = eqx.tree_at(
+        lambda s: s.environment,
+        barrier_crossings().truth,
+        kernel_environment(KernelPotential, data),
+    )
+
+    def damping(m):
+        return m.drag.damping
+
+    fitted = fit_bayes(swimmer, data, learn=damping, noise=0.02, throw=False)
+    chosen = fitted.hyperparameters
+    found = influence(
+        fitted.model,
+        data,
+        fitted.states,
+        chosen,
+        learn=damping,
+        constants={"damping": damping},
+    )
+    problem = BayesProblem.of(
+        fitted.model, data, damping, 0.02, FixedStep(), states=fitted.states
+    )
+    theta, each = problem.theta, []
+    for index in range(3):
+        own = jax.tree.map(lambda a, i=index: a[i : i + 1], problem.observations)
+        states = problem.states[index : index + 1]
+        linear = linearise(
+            problem.free, jnp.asarray(theta), states, own, problem.solver
+        )
+        each.append((np.asarray(linear.hessian), np.asarray(linear.gradient)))
+
+    def solved(kept):
+        hessian, gradient = (sum(each[i][part] for i in kept) for part in (0, 1))
+        whole = Quadratic(theta, hessian, gradient, 0.0, problem.num_free, 0.0)
+        quadratic, block = without_flat(whole, problem.flat)
+        prior = problem.weights.prior.covariance(chosen.shape)
+        weights = weight_posterior(Data.of(quadratic), prior, chosen)
+        return joint_posterior(block, *weights, chosen.noise)[0]
+
+    points = np.array([[4.0, 3.0], [6.0, 6.0], [2.0, 7.0]])
+    change = (solved([0, 2]) - solved([0, 1, 2]))[None]
+    expected = found.force_changes(points, change)
+    got = found.force_changes(points, found.removals[1:2])
+    assert np.allclose(got, expected, atol=1e-3 * np.abs(expected).max())
+    assert found.constants["damping"][~problem.flat].any()
+    assert found.constants["damping"][problem.flat] == pytest.approx(1.0)
+
+
+def test_what_cannot_be_left_out_is_refused(parametric):
+    data, _, fitted, _ = parametric
+
+    def moment(model):
+        return model.propulsion.moment
+
+    arguments = (fitted.model, data, fitted.states, fitted.hyperparameters)
+    with pytest.raises(InputError, match="moment is 3 numbers; expected one"):
+        influence(*arguments, learn=barrier, constants={"moment": moment})
+    alone = without(without(without(data, 3), 2), 1)
+    with pytest.raises(InputError, match="expected two or more, got 1"):
+        influence(fitted.model, alone, fitted.states[:1], fitted.hyperparameters)
+
+
+def test_a_trajectory_that_alone_determines_a_parameter_is_named(parametric):
+    data, _, fitted, _ = parametric
+    far = data.states[:2, :21].copy()
+    far[1, :, :2] += 400.0  # no barrier there
+    apart = Trajectories.from_arrays(
+        list(data.times[:2, :21]), list(far), channels=data.channels
+    )
+    states = np.asarray(fitted.states[:2, :21]).copy()
+    states[1, :, :2] += 400.0
+    with pytest.raises(FitError, match="without trajectory 0 the data do not"):
+        influence(fitted.model, apart, states, fitted.hyperparameters, learn=barrier)

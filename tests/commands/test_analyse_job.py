@@ -1,0 +1,141 @@
+import csv
+import json
+import shutil
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+
+from pinav import cli
+from pinav.commands.analyse import job as analyse
+from pinav.commands.analyse.settings import AnalyseSettings
+from pinav.errors import InputError
+from pinav.runs import RunFolder
+from pinav.scenarios import barrier_crossings
+from pinav.trajectories import save, simulate
+
+SMALL = ["--points", "21", "--draws", "4", "--samples", "8"]
+
+
+@pytest.fixture(autouse=True, scope="module")
+def few_starts():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(analyse, "STRETCH_POINTS", 5)
+        yield
+
+
+@pytest.fixture(scope="module")
+def inferred(tmp_path_factory):
+    """A run with a posterior, damping learned with the force."""
+    folder = tmp_path_factory.mktemp("analyse")
+    short = eqx.tree_at(
+        lambda s: (s.starts, s.times),
+        barrier_crossings(),
+        replace_fn=lambda a: a[:3] if a.ndim == 2 else a[:31],
+    )
+    save(simulate(short, key=jax.random.key(3)), folder / "data.npz")
+    argv = ["fit", str(folder / "data.npz"), "--out", str(folder / "run")]
+    assert cli.run([*argv, "--learn", "damping", "--noise", "0.02"]) == 0
+    assert cli.run(["analyse", str(folder / "run"), *SMALL]) == 0
+    return folder / "run"
+
+
+@pytest.mark.slow
+def test_the_analysis_of_a_posterior_is_whole(inferred):
+    found = RunFolder.open(inferred).read_json("analysis.json")
+    assert found["left_out"] == []
+    parts = found["helmholtz"]
+    assert parts["least"] <= parts["rotational"] <= parts["greatest"]
+    assert parts["least"] < 0.01  # a potential was learned
+    assert parts["rotational"] + parts["gradient"] == pytest.approx(1.0)
+    assert found["potential"] == "learned"
+    assert [row["trajectory"] for row in found["influence"]] == [0, 1, 2]
+    assert all(row["leverage"] > 0 for row in found["influence"])
+    learned = {row["constant"]: row["learned"] for row in found["constants"]}
+    assert learned == {"damping": True, "gain": False}
+    outcomes = {row["outcome"] for row in found["sobol"]}
+    assert {"final x", "final y", "least distance"} <= outcomes
+    assert found["stretch"]["horizon"] == pytest.approx(3.0)
+
+
+@pytest.mark.slow
+def test_tables_say_what_the_json_says(inferred):
+    found = RunFolder.open(inferred).read_json("analysis.json")
+    for name in ("influence", "constants", "sobol"):
+        with open(inferred / f"analysis-{name}.csv", newline="") as file:
+            rows = list(csv.DictReader(file))
+        assert len(rows) == len(found[name])
+        assert list(rows[0]) == list(found[name][0])
+
+
+@pytest.mark.slow
+def test_the_report_has_the_figures(inferred):
+    page = (inferred / "report.html").read_text(encoding="utf-8")
+    for title in (
+        "What was learned",
+        "What the force depends on",
+        "What a rollout depends on",
+    ):
+        assert title in page
+    names = ("helmholtz", "potential", "influence", "constants", "stretch", "sobol")
+    for name in names:
+        assert (inferred / "figures" / f"analysis-{name}.png").stat().st_size > 0
+
+
+@pytest.mark.slow
+def test_without_a_posterior_the_rest_is_done_and_said(tiny_fit, tmp_path, capsys):
+    copy = tmp_path / "run"
+    shutil.copytree(tiny_fit[0], copy)
+    assert cli.run(["analyse", str(copy), *SMALL, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert not found["posterior"]
+    assert len(found["left_out"]) == 2
+    assert "the run has no posterior; fit with --recipe bayes" in found["left_out"][0]
+    assert "influence" not in found
+    assert np.isfinite(found["helmholtz"]["rotational"])
+    page = (copy / "report.html").read_text(encoding="utf-8")
+    assert "Left out of the analysis" in page
+    assert "left out: standard deviations" in analyse.text(found)
+
+
+def test_what_cannot_be_analysed_is_refused(tiny_fit, tmp_path, capsys):
+    run = str(tiny_fit[0])
+    assert cli.run(["analyse", run, "--reference", "1"]) == cli.USAGE_ERROR
+    assert "--reference: expected 0 to 0" in capsys.readouterr().err
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "config.toml").write_text('job = "reproduce"\n')
+    assert cli.run(["analyse", str(other)]) == cli.USAGE_ERROR
+    assert "holds no finished fit" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"points": 4}, "--points: expected 5 or more"),
+        ({"draws": 1}, "--draws: expected 2 or more"),
+        ({"reference": -1}, "--reference: expected 0 or more"),
+        ({"samples": 100}, "--samples: expected a power of two"),
+        ({"relative": 1.5}, "--relative: expected between 0 and 1"),
+        ({"shift": 0.0}, "--shift: expected a length > 0"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(change, message):
+    with pytest.raises(InputError, match=message):
+        AnalyseSettings(**change).check()
+
+
+@pytest.mark.slow
+def test_a_model_without_a_learned_force_is_refused(tmp_path, capsys):
+    data, run = tmp_path / "data.npz", tmp_path / "run"
+    short = eqx.tree_at(
+        lambda s: (s.starts, s.times),
+        barrier_crossings(),
+        replace_fn=lambda a: a[:2] if a.ndim == 2 else a[:11],
+    )
+    save(simulate(short, key=jax.random.key(3)), data)
+    argv = ["fit", str(data), "--out", str(run), "--model", "physics-only"]
+    assert cli.run([*argv, "--learn", "damping"]) == 0
+    assert cli.run(["analyse", str(run)]) == cli.USAGE_ERROR
+    assert "has no learned force of the environment" in capsys.readouterr().err

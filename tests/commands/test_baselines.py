@@ -1,0 +1,109 @@
+"""Baselines in the tables, and runs whose kernels were refined."""
+
+import importlib.util
+
+import jax
+import msgspec
+import numpy as np
+import pytest
+
+from pinav.commands.evaluate.job import evaluate
+from pinav.commands.fit.job import COARSE, text
+from pinav.commands.fit.settings import FitSettings
+from pinav.commands.models import build_model, fit_model, fitted_summary, model_summary
+from pinav.commands.study.job import study
+from pinav.commands.study.settings import StudySettings
+from pinav.commands.study.stochastic_force_inference import infer_force
+from pinav.errors import FitError
+from pinav.fitting import Refinement
+from pinav.runs import RunFolder
+from pinav.scenarios import scenario
+from pinav.trajectories import simulate
+
+MODELS = ("kernel-potential", "kernel-force", "kernel-mixture", "kernel-potential-time")
+
+
+@pytest.fixture(scope="module")
+def crossings():
+    made = scenario("barrier-crossings")
+    return made, simulate(made, key=jax.random.key(0))
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_model_file_says_where_the_finer_kernels_are(name, crossings):
+    known, data = crossings
+    settings, summary = FitSettings(model=name), model_summary(name, data)
+    start = fit_model(settings, known.swimmer, summary).environment
+    finer = Refinement(factor=2.0, max_weights=10**5).finer(start, data)
+    header = {
+        "kind": "fit",
+        "settings": msgspec.to_builtins(settings),
+        "physics": known.name,
+        "data": fitted_summary(summary, finer),
+        "dtype": "float64",
+    }
+    built = jax.tree.leaves(build_model(header).environment)
+    for own, expected in zip(built, jax.tree.leaves(finer), strict=True):
+        np.testing.assert_allclose(own, expected)
+
+
+def test_models_without_kernels_keep_their_summary(crossings):
+    known, data = crossings
+    summary = model_summary("neural-force", data)
+    settings = FitSettings(model="neural-force")
+    network = fit_model(settings, known.swimmer, summary).environment
+    assert fitted_summary(summary, network) is summary
+
+
+def test_a_coarse_fit_says_so():
+    metrics = {
+        "noise": 0.02,
+        "log_evidence": 1.0,
+        "iterations": 4,
+        "outcome": "coarse",
+        "learned": {},
+        "rmse": {"total": 0.1},
+    }
+    assert COARSE in text(metrics)
+    assert COARSE not in text(metrics | {"outcome": "converged"})
+
+
+@pytest.mark.slow
+def test_an_evaluation_has_physics_alone_beside_its_models(tiny_fit):
+    run, data = tiny_fit
+    with jax.numpy_dtype_promotion("standard"):
+        metrics = evaluate(run, data)
+    for table in ("rmse", "rollouts", "force"):
+        assert list(metrics[table]) == ["model", "physics-only"]
+    for region in metrics["force"]["physics-only"].values():
+        assert region["error"] == pytest.approx(1.0)
+        assert region["cosine"] is None
+
+
+def without_sfi(monkeypatch):
+    find = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda n, *a: None if n == "SFI" else find(n, *a)
+    )
+
+
+def test_a_study_says_why_another_tool_has_no_row(monkeypatch, tmp_path):
+    without_sfi(monkeypatch)
+    folder = RunFolder.create(tmp_path / "run", {"job": "study"}, overwrite=False)
+    settings = StudySettings(models=("sfi",), counts=(1,), held_out=2)
+    (row,) = study("data-efficiency", "barrier-crossings", settings, folder)
+    assert row["outcome"] == (
+        "failed: StochasticForceInference is not installed; pip install 'pinav[bench]'"
+    )
+    assert row["rollouts median"] is None
+
+
+def test_another_tool_that_is_not_installed_is_named(monkeypatch, crossings):
+    without_sfi(monkeypatch)
+    with pytest.raises(FitError, match="StochasticForceInference is not installed"):
+        infer_force(crossings[0].swimmer, crossings[1], 0.02)
+
+
+def test_another_tool_is_asked_for_swimmers_with_inertia(crossings):
+    with pytest.raises(FitError, match="asked for swimmers with inertia"):
+        infer_force(scenario("brownian").swimmer, crossings[1], 0.02)

@@ -1,0 +1,145 @@
+"""`pinav compare`: rows, verdicts, and what it refuses."""
+
+import json
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav import cli
+from pinav.commands.compare.job import checked, positions_alone, table, text, verdicts
+from pinav.commands.compare.settings import CompareSettings
+from pinav.commands.fit.settings import FitSettings
+from pinav.commands.models import (
+    build_model,
+    fit_model,
+    mean_drag,
+    model_summary,
+    with_tensor_drag,
+)
+from pinav.errors import InputError
+from pinav.forces import tensor_matrix
+from pinav.runs import RunFolder
+from pinav.scenarios import scenario
+from pinav.trajectories import Trajectories
+
+
+def row(value, outcome="converged"):
+    return {"log_evidence": value, "occam": 1.0, "outcome": outcome, "reason": "no"}
+
+
+def test_a_verdict_names_the_model_of_higher_evidence_and_by_how_much():
+    rows = {"kernel-potential": row(100.0), "kernel-force": row(112.3)}
+    (verdict,) = verdicts(rows)
+    assert verdict["difference"] == pytest.approx(12.3)
+    assert verdict["text"] == (
+        "The evidence prefers a free force to a potential by 12.3 nats: decisive."
+    )
+    rows["kernel-force"] = row(98.0, "diverged")
+    (verdict,) = verdicts(rows)
+    assert (
+        "prefers a potential to a free force by 2.0 nats: not decisive"
+        in verdict["text"]
+    )
+    assert "Caution: the fit of kernel-force diverged" in verdict["text"]
+
+
+def test_a_model_without_evidence_gets_no_verdict_but_a_row():
+    rows = {"isotropic-drag": row(None, "failed"), "anisotropic-drag": row(5.0)}
+    (verdict,) = verdicts(rows)
+    assert verdict["difference"] is None
+    assert "No verdict on isotropic drag or anisotropic drag" in verdict["text"]
+    assert [name for name, _ in table(rows)] == ["anisotropic-drag", "isotropic-drag"]
+    assert "no" in text({"models": rows, "verdicts": [verdict]})
+
+
+def positions(name, channels=("x", "y")):
+    return Trajectories.from_arrays(
+        np.arange(4.0),
+        np.arange(4.0 * len(channels)).reshape(4, -1),
+        channels=channels,
+        provenance={"scenario": name},
+    )
+
+
+@pytest.mark.parametrize(
+    ("models", "name", "channels", "message"),
+    [
+        (("first-order", "kernel-potential"), "paper", 4, "positions alone, got x, y"),
+        (("first-order", "kernel-potential"), "brownian", 2, "physics with inertia"),
+        (("isotropic-drag", "anisotropic-drag"), "brownian", 2, "physics with inertia"),
+        (("physics-only", "kernel-potential"), "brownian", 2, "fitted by kernels alo"),
+        (("neural-force", "kernel-potential"), "brownian", 2, "fitted by kernels alo"),
+        (("isotropic-drag", "anisotropic-drag"), "shear", 4, "fluid at rest, got InFl"),
+    ],
+)
+def test_candidates_that_cannot_be_had_are_refused(models, name, channels, message):
+    data = positions(name, ("x", "y", "vx", "vy")[:channels])
+    with pytest.raises(InputError, match=message):
+        checked(CompareSettings(models=models), data)
+
+
+def test_one_model_is_nothing_to_compare():
+    with pytest.raises(InputError, match="--models: expected two or more different"):
+        CompareSettings(models=("kernel-force",)).check()
+
+
+def test_settings_refuse_what_a_recipe_cannot_learn():
+    for settings, message in (
+        (FitSettings(recipe="langevin", learn=("gain",)), "no constant but diffusion"),
+        (FitSettings(recipe="langevin", model="ude"), "expected a kernel model"),
+        (FitSettings(learn=("drag", "damping")), "takes the place of damping"),
+        (FitSettings(recipe="paper", learn=("drag",)), "only the recipe bayes does"),
+    ):
+        with pytest.raises(InputError, match=message):
+            settings.check()
+
+
+@pytest.mark.parametrize("model", ["kernel-mixture", "kernel-potential-time"])
+def test_a_model_file_describes_its_kernels(model):
+    data = positions("paper", ("x", "y", "vx", "vy"))
+    summary = json.loads(json.dumps(model_summary(model, data)))
+    settings = FitSettings(model=model)
+    made = fit_model(settings, scenario("paper").swimmer, summary)
+    header = {"kind": "fit", "settings": {"model": model}, "physics": "paper"}
+    again = build_model(header | {"data": summary, "dtype": "float64"})
+    assert str(again) == str(made)
+
+
+def test_a_drag_to_learn_starts_isotropic_with_the_mean_of_the_known_one():
+    known = scenario("anisotropic-drag").swimmer
+    data = {"dim": 2, "mean": [5.0, 5.0]}
+    assert mean_drag(known, data) == pytest.approx(0.36)
+    tensor = with_tensor_drag(known, data).drag.tensor
+    matrix = tensor_matrix(tensor, jnp.zeros(2))
+    np.testing.assert_allclose(matrix, 0.36 * np.eye(2), atol=1e-15)
+
+
+@pytest.mark.slow
+def test_comparison_of_stochastic_paths_from_the_command_line(tmp_path, capsys):
+    data, run = tmp_path / "data.npz", tmp_path / "run"
+    argv = ["simulate", "brownian", "--count", "3", "--out", str(data)]
+    assert cli.run(argv) == 0
+    models = ["--models", "kernel-potential", "kernel-force"]
+    assert cli.run(["compare", str(data), "--out", str(run), *models]) == 0
+    printed = capsys.readouterr().out
+    assert "The evidence prefers" in printed
+    metrics = RunFolder.open(run).read_json("metrics.json")
+    assert metrics["models"].keys() == {"kernel-potential", "kernel-force"}
+    assert "nats" in (run / "report.html").read_text()
+    langevin = ["--recipe", "langevin", "--out", str(tmp_path / "fit")]
+    assert cli.run(["fit", str(data), *langevin]) == 0
+    learned = RunFolder.open(tmp_path / "fit").read_json("metrics.json")["learned"]
+    assert learned["diffusion"]["value"] == pytest.approx(0.245, rel=0.2)
+    assert (
+        cli.run(["fit", str(data), *langevin[:-1], str(run), "--physics", "paper"]) == 2
+    )
+    assert "expected physics without inertia" in capsys.readouterr().err
+
+
+def test_positions_alone_keep_everything_but_velocities():
+    data = positions("paper", ("x", "y", "vx", "vy"))
+    found = positions_alone(data)
+    assert found.channels == ("x", "y")
+    np.testing.assert_array_equal(found.states, data.states[..., :2])
+    np.testing.assert_array_equal(found.times, data.times)

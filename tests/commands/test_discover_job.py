@@ -1,0 +1,109 @@
+import numpy as np
+import pytest
+from matplotlib.mathtext import MathTextParser
+
+from pinav import cli
+from pinav.analysis.discovery.laws import latex
+from pinav.analysis.discovery.potentials import POTENTIALS, TWO_GAUSSIANS
+from pinav.commands.discover.job import LAWS_FILE, SAMPLE_FILE, text, verdict_lines
+from pinav.commands.discover.report import law_sections
+from pinav.runs import RunFolder
+
+
+def constant(name, value, sd):
+    return {
+        "name": name,
+        "symbol": name[0],
+        "unit": "1",
+        "value": value,
+        "sd": sd,
+        "low": None if sd is None else value - 1.96 * sd,
+        "high": None if sd is None else value + 1.96 * sd,
+        "identifiable": sd is not None,
+    }
+
+
+def law(name, delta, constants):
+    return {
+        "name": name,
+        "num_constants": len(constants),
+        "bic": None if delta is None else delta - 100.0,
+        "delta_bic": delta,
+        "noise": 0.02,
+        "outcome": "diverged" if delta is None else "converged",
+        "fits": delta is not None,
+        "latex": "U = U_0",
+        "sympy": "(0, 0)",
+        "constants": constants,
+    }
+
+
+METRICS = {
+    "verdict": "identified",
+    "laws": [
+        law("Gaussian", 0.0, [constant("height", 5.25, 0.01)]),
+        law("Yukawa", 3.0, [constant("core", 7.0, None)]),
+        law("soft disc", 800.0, [constant("edge", 1.0, 0.1)]),
+        law("double well", None, [constant("height", 1.0, 0.1)]),
+    ],
+    "screened": [],
+    "central": {
+        "verdict": "central",
+        "center": [5.0, 5.0],
+        "center_sd": [0.1, 0.1],
+        "ratio": 0.01,
+        "noise_ratio": 0.02,
+        "p_value": 0.7,
+    },
+    "noise": 0.02,
+    "num_effective": 9.0,
+}
+
+
+def test_text_lists_the_close_laws_with_their_intervals():
+    printed = text(METRICS)
+    assert "height = 5.25, 95 % from 5.2304 to 5.2696" in printed
+    assert "core = 7: not identifiable" in printed
+    assert "edge" not in printed
+    assert "p = 0.7" in printed
+
+
+@pytest.mark.parametrize(
+    ("verdict", "words"),
+    [
+        ("identified", "law: Gaussian, Yukawa"),
+        ("not identifiable", "not identifiable from these data (Gaussian, Yukawa)"),
+        ("no law fits", "no candidate explains the data"),
+    ],
+)
+def test_every_verdict_is_a_sentence(verdict, words):
+    assert words in verdict_lines(METRICS | {"verdict": verdict})[0]
+
+
+def test_report_section_holds_figure_and_tables(tmp_path):
+    folder = RunFolder.create(tmp_path / "run", {"job": "fit"}, overwrite=False)
+    assert law_sections(folder, {}) == []
+    folder.write_json(LAWS_FILE, METRICS)
+    force = np.linspace(-1.0, 1.0, 20).reshape(10, 2)
+    arrays = {"learned": force, "sd": 0.1 + 0.0 * force, "law": 1.1 * force}
+    folder.write_arrays(SAMPLE_FILE, arrays | {"positions": force})
+    (section,) = law_sections(folder, {"x": "um", "t": "s"})
+    assert section.heading == "The law behind the force"
+    assert (folder.path / "figures" / "laws.svg").is_file()
+
+
+def test_messages(tmp_path, capsys):
+    RunFolder.create(tmp_path / "run", {"job": "fit"}, overwrite=False)
+    for argv, words in (
+        ([str(tmp_path / "run")], "holds no fitted force"),
+        ([str(tmp_path)], "holds no run"),
+        ([str(tmp_path / "run"), "--refits", "0"], "--refits: expected 1 or more"),
+    ):
+        assert cli.run(["discover", *argv]) == cli.USAGE_ERROR
+        assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("law", [*POTENTIALS, TWO_GAUSSIANS], ids=lambda law: law.name)
+def test_every_formula_can_be_drawn(law):
+    parsed = MathTextParser("path").parse(f"${latex(law)}$")
+    assert parsed.width > 10

@@ -1,0 +1,176 @@
+import csv
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+
+from pinav import cli
+from pinav.commands.evaluate.job import evaluate
+from pinav.commands.evaluate.tables import tables
+from pinav.commands.held_out import held_out
+from pinav.errors import InputError
+from pinav.evaluation import Regions
+from pinav.report import Table
+from pinav.report.text import as_text
+from pinav.runs import RunFolder
+from pinav.scenarios import barrier_crossings
+from pinav.trajectories import Trajectories, save, simulate
+
+
+def short_shots(key, columns, samples=51):
+    """Noisy crossings; of the states only the first columns are written."""
+    shots = barrier_crossings(jax.random.key(key), 4)
+    shots = eqx.tree_at(lambda s: s.times, shots, shots.times[:samples])
+    data = simulate(shots, key=jax.random.key(key + 100))
+    if columns == 4:
+        return data
+    return Trajectories.from_arrays(
+        list(data.times),
+        [states[:, :columns] for states in data.states],
+        channels=data.channels[:columns],
+        units={name: "1" for name in ("x", "y", "t")},
+        provenance=data.provenance,
+    )
+
+
+@pytest.fixture(scope="module")
+def judged(tmp_path_factory):
+    """A Bayesian fit, evaluated on positions of other shots, and its bands there."""
+    folder = tmp_path_factory.mktemp("judged")
+    save(short_shots(1, 4), folder / "train.npz")
+    save(short_shots(2, 2, 61), folder / "test.csv")
+    save(short_shots(3, 2), folder / "calibration.npz")
+    run = folder / "run"
+    argv = ["fit", str(folder / "train.npz"), "--out", str(run), "--learn", "damping"]
+    assert cli.run(argv) == 0
+    argv = ["evaluate", str(run), str(folder / "test.csv")]
+    assert cli.run([*argv, "--calibrate", str(folder / "calibration.npz")]) == 0
+    return run
+
+
+@pytest.fixture(scope="module")
+def metrics(judged):
+    return RunFolder.open(judged).read_json("evaluation.json")
+
+
+@pytest.mark.slow
+def test_noisy_positions_get_estimated_starts(metrics):
+    assert metrics["starts"].startswith("estimated from the first 20 samples")
+    row = metrics["rmse"]["model"]
+    assert "vx" not in row
+    assert 0.015 < row["position"] < 0.2
+    assert row["diverged"] == 0
+
+
+@pytest.mark.slow
+def test_rollouts_are_told_apart_at_the_training_horizon(metrics):
+    assert metrics["horizon"] == pytest.approx(5.0)
+    sources = metrics["rollouts"]["model"]
+    assert sources.keys() == {"data", "clean starts"}
+    for parts in sources.values():
+        assert parts.keys() == {"within the training horizon", "beyond it"}
+    assert sources["clean starts"]["beyond it"]["trajectories"] == 64
+    inside = sources["data"]["within the training horizon"]
+    assert inside["median"] <= inside["high"]
+
+
+@pytest.mark.slow
+def test_the_force_is_judged_by_region(metrics):
+    force = metrics["force"]["model"]
+    assert force.keys() == {"visited", "near", "unvisited", "everywhere"}
+    assert force["visited"]["error"] < 0.15
+    assert force["visited"]["cosine"] > 0.99
+    near, far = force["near"]["points"], force["unvisited"]["points"]
+    assert near + far == force["everywhere"]["points"]
+    assert "within 0.35 of an observed position" in metrics["regions"]
+
+
+@pytest.mark.slow
+def test_bands_residuals_and_constants_are_judged(metrics):
+    coverage = metrics["coverage"]
+    assert coverage.keys() == {
+        "observations of the data",
+        "rollouts from clean starts",
+        "force",
+    }
+    assert coverage["observations of the data"]["visited"] > 0.85
+    assert coverage["force"]["visited"] > 0.7
+    white = metrics["whiteness"]
+    assert white.keys() == {"x", "y", "vx", "vy"}
+    assert white["x"]["residuals"] == 4 * 51
+    assert all(row["p_value"] > 1e-4 for row in white.values())
+    (damping,) = metrics["constants"]
+    assert (damping["name"], damping["true"]) == ("damping", 0.36)
+    expected = (damping["value"] - 0.36) / damping["sd"]
+    assert damping["z"] == pytest.approx(expected)
+    assert abs(expected) < 4
+
+
+@pytest.mark.slow
+def test_four_trajectories_are_too_few_for_a_conformal_band(metrics):
+    found = metrics["calibration"]
+    assert "4 calibration trajectories are too few" in found["says"]
+    assert (found["count"], found["covered"]) == (4, 1.0)
+
+
+@pytest.mark.slow
+def test_the_report_and_the_table_hold_the_evaluation(judged, metrics):
+    page = (judged / "report.html").read_text()
+    for words in (
+        "Evaluation",
+        "Ljung-Box Q",
+        "nominal 95 % bands",
+        "training horizon",
+    ):
+        assert words in page
+    assert (judged / "figures" / "evaluation-errors.svg").exists()
+    assert (judged / "figures" / "evaluation-residuals.svg").exists()
+    with open(judged / "evaluation.csv", newline="") as file:
+        stored = dict(csv.reader(file))
+    error = metrics["force"]["model"]["visited"]["error"]
+    assert float(stored["force/model/visited/error"]) == error
+    assert "relative L2 error (%)" in "\n".join(as_text(t) for t in tables(metrics))
+
+
+def test_a_fit_from_its_own_starts_says_so(tiny_fit, capsys):
+    run, data = tiny_fit
+    capsys.readouterr()
+    assert cli.run(["evaluate", str(run), str(data), "--regions", "1", "3"]) == 0
+    out = capsys.readouterr().out
+    assert "starts: the first sample of each trajectory" in out
+    assert "Visited: within 1 of an observed position" in out
+    stored = RunFolder.open(run).read_json("evaluation.json")
+    assert stored["constants"][0]["sd"] is None
+    assert stored["constants"][0]["z"] is None
+    assert "coverage" not in stored
+
+
+@pytest.mark.slow
+def test_data_of_other_channels_are_refused(judged, tmp_path):
+    path = tmp_path / "other.csv"
+    path.write_text("t,x\n0,0\n1,1\n")
+    with pytest.raises(InputError, match="expected the channels x, y, vx, vy of the"):
+        evaluate(judged, path)
+    with pytest.raises(InputError, match="expected 0 < visited < near"):
+        evaluate(judged, path, regions=Regions(2.0, 1.0))
+
+
+def test_held_out_starts_are_clean_and_their_own():
+    held = held_out("barrier-crossings", until=1.0, count=3)
+    assert held.times[0, -1] == pytest.approx(1.0)
+    assert held.provenance["noise"] == 0.0
+    shots = barrier_crossings(count=3).starts
+    assert np.abs(held.states[:, 0] - shots).min() > 1e-3
+    paper = held_out("paper", until=1.0, count=3)
+    np.testing.assert_array_equal(paper.states[:, 0], held.states[:, 0])
+
+
+def test_a_table_is_aligned_on_a_terminal():
+    text = as_text(Table(("what", "a"), [("one", 1.23456), ("eleven", None)], "Why."))
+    assert text.splitlines() == [
+        "what       a",
+        "one     1.23",
+        "eleven     –",
+        "(Why.)",
+    ]

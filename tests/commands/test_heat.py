@@ -1,0 +1,218 @@
+"""`pinav heat`: cases from files, their refusal, and what a run leaves behind."""
+
+import csv
+import json
+import re
+import tomllib
+from pathlib import Path
+
+import jax
+import pytest
+import tomli_w
+
+from pinav import cli
+from pinav.commands.heat.build import built
+from pinav.commands.heat.case import read_case
+from pinav.commands.heat.tables import validation_rows, validation_table
+from pinav.report.text import as_text
+from pinav.runs import RunFolder
+from pinav.thermal.verification import CASES, Check
+
+EXAMPLES = Path(__file__).parents[2] / "examples" / "heat"
+
+
+def small(name, folder, **changes):
+    """An example on a coarse grid, with tables changed: its file."""
+    content = tomllib.loads((EXAMPLES / f"{name}.toml").read_text())
+    content["grid"]["cells"] = 24
+    content["step"] = 20.0
+    for table, values in changes.items():
+        if isinstance(values, dict):
+            content.setdefault(table, {}).update(values)
+            content[table] = {k: v for k, v in content[table].items() if v is not None}
+        else:
+            content[table] = values
+    path = folder / f"{name}.toml"
+    path.write_text(tomli_w.dumps(content))
+    return path
+
+
+def run(*argv):
+    with jax.numpy_dtype_promotion("standard"):
+        return cli.run(["heat", *map(str, argv)])
+
+
+@pytest.mark.slow
+def test_simulate_leaves_metrics_figures_and_a_report(tmp_path, capsys):
+    case, out = small("tumour", tmp_path), tmp_path / "run"
+    assert run("simulate", case, "--out", out) == 0
+    printed = capsys.readouterr().out
+    assert "D90 of the tumour" in printed
+    assert "Synthetic data of a research code" in printed
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert metrics["imbalance"] < 1e-10
+    assert 44 < metrics["T_max"] < 48
+    assert metrics["T90"] < metrics["T50"] < metrics["T10"] <= metrics["T_max"]
+    page = (out / "report.html").read_text()
+    assert "nothing here is medical advice" in page
+    assert "heat-" not in page  # images are embedded
+    assert {p.stem for p in (out / "figures").glob("*.svg")} == {
+        "heat-fields",
+        "heat-protocol",
+        "heat-probes",
+    }
+    assert run("simulate", case, "--out", out) == cli.USAGE_ERROR
+    assert "already holds a run" in capsys.readouterr().err
+    assert cli.run(["report", str(out)]) == 0
+
+
+@pytest.mark.slow
+def test_simulate_in_the_plane_with_particles(tmp_path, capsys):
+    case = small(
+        "tumour",
+        tmp_path,
+        grid={"kind": "box", "cells": [16, 16], "size": 2.5e-3, "radius": None},
+        heating={
+            "kind": "particles",
+            "density": None,
+            "reference": None,
+            "concentration": 5.0,
+            "diameter": 16.0,
+            "bound": False,
+        },
+        probes={"points": [[0.02, 0.02]]},
+        eddy={"radius": 0.1, "conductivity": 0.4},
+        wall={"exchange": 20.0, "ambient": 25.0},
+        field={"times": [0, 120]},
+        step=5.0,
+    )
+    assert run("simulate", case, "--out", tmp_path / "run", "--json") == 0
+    metrics = json.loads(capsys.readouterr().out)
+    (doubt,) = metrics["doubts"]
+    assert "strained 2.81 times" in doubt
+    assert metrics["Hf"] == pytest.approx(1e9)
+
+
+@pytest.mark.slow
+def test_learn_compares_with_constant_perfusion(tmp_path, capsys):
+    case, out = small("learn", tmp_path), tmp_path / "run"
+    assert run("learn", case, "--out", out) == 0
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert metrics["residual"] < 0.7 * metrics["constant"]["residual"]
+    assert metrics["noise"] == pytest.approx(0.1, rel=0.1)
+    assert {row["power"] for row in metrics["held_out"]} == {1.3, 0.6}
+    assert "residual of the best constant perfusion" in capsys.readouterr().out
+    assert (out / "figures" / "heat-perfusion.svg").exists()
+
+
+def test_learn_reads_probes_beside_the_case(tmp_path, capsys):
+    with open(tmp_path / "probes.csv", "w", newline="") as file:
+        rows = [(60.0 * k, 0.0, 37.0 + 0.1 * k) for k in range(1, 9)]
+        csv.writer(file).writerows([("t", "r", "T"), *rows])
+    case = small("learn", tmp_path, learn={"data": "absent.csv"})
+    assert run("learn", case, "--out", tmp_path / "run") == cli.USAGE_ERROR
+    assert "absent.csv: cannot be read" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_optimise_names_what_binds(tmp_path, capsys):
+    times = [0, 450, 900, 1350, 1800]
+    case = small("optimise", tmp_path, field={"times": times, "amplitudes": [1e4] * 4})
+    out = tmp_path / "run"
+    assert run("optimise", case, "--out", out) == 0
+    metrics = json.loads((out / "metrics.json").read_text())
+    names = {own["name"]: own["active"] for own in metrics["constraints"]}
+    assert names == {"maximum temperature": True, "Hergt-Dutz limit": False}
+    assert metrics["D90"] > metrics["start_D90"]
+    assert "maximum temperature [°C]" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"limit": "atkinson-brezovich"}, "exceeds the Atkinson-Brezovich limit"),
+        ({"limit": "ieee"}, "field limit 'ieee' is unknown"),
+        ({"tissue": {"conductivity": -1.0}}, "Tissue.conductivity: expected > 0"),
+        ({"tissue": {"preset": "bone"}}, "tissue preset 'bone' is unknown"),
+        ({"tissue": {"colour": 1}}, "unknown field `colour`"),
+        (
+            {"tissue": {"perfusion": {"value": 0.5, "unit": "1/s"}}},
+            r"perfusion 0.5 1/s: expected within .* check the unit",
+        ),
+        (
+            {"tissue": {"perfusion": {"value": 0.5}}},
+            "perfusion: expected a law, or a value with its unit",
+        ),
+        ({"tissue": {"density": None}}, "tissue: expected a preset or density"),
+        ({"probes": {"points": [[0.2]]}}, "probe at 0.2 m: expected between 0 and"),
+        ({"field": {"frequency": 0.0}}, "field: expected amplitudes >= 0"),
+        ({"field": {"on": 5.0}}, "field: expected on and off together"),
+        ({"wall": {"exchange": 5.0}}, "wall: expected an ambient temperature"),
+        (
+            {
+                "grid": {
+                    "kind": "box",
+                    "cells": [24, 24],
+                    "size": 1e-3,
+                    "radius": None,
+                },
+                "probes": {"points": [[0.01, 0.01]]},
+                "step": 100.0,
+            },
+            "RKL2.longest: expected <= .* stable on this grid, got 100 s",
+        ),
+    ],
+)
+def test_bad_cases_are_refused_in_one_line(tmp_path, capsys, changes, message):
+    case = small("tumour", tmp_path, **changes)
+    assert run("simulate", case, "--out", tmp_path / "run") == cli.USAGE_ERROR
+    err = capsys.readouterr().err.strip()
+    assert len(err.splitlines()) == 1
+    assert re.search(message, err), err
+
+
+def test_tasks_say_what_they_need(tmp_path, capsys):
+    assert run("simulate", "--out", tmp_path / "a") == cli.USAGE_ERROR
+    assert "expected the TOML file of a case" in capsys.readouterr().err
+    case = small("tumour", tmp_path)
+    assert run("optimise", case, "--out", tmp_path / "b") == cli.USAGE_ERROR
+    assert "expected a table [optimise]" in capsys.readouterr().err
+    bare = tomllib.loads(case.read_text())
+    del bare["probes"]
+    case.write_text(tomli_w.dumps(bare))
+    assert run("learn", case, "--out", tmp_path / "c") == cli.USAGE_ERROR
+    assert "learn: expected data, a CSV file, or probes" in capsys.readouterr().err
+    assert run("simulate", tmp_path / "no.toml", "--out", tmp_path / "d") == 2
+    assert "cannot be read" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda p: p.name)
+def test_the_examples_are_cases(path):
+    case, _ = read_case(path)
+    own = built(case)
+    assert own.model.grid.shape == own.target.shape
+
+
+def test_validation_prints_its_table_and_fails_honestly(monkeypatch, capsys):
+    monkeypatch.setattr("pinav.thermal.verification.CASES", {"doses": CASES["doses"]})
+    assert run("validate") == 0
+    assert "dose of a ramp from 37 °C [min]" in capsys.readouterr().out
+    assert run("validate", "--json") == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert all(row["within"] for row in rows)
+    bad = Check("a case", 1.0, 2.0, 0.5, "K")
+    assert "NO" in as_text(validation_table([bad]))
+    assert validation_rows([bad])[0]["error"] == 1.0
+    monkeypatch.setattr(
+        "pinav.thermal.verification.CASES", {"bad": lambda: iter([bad])}
+    )
+    assert run("validate") == 1
+    assert "outside their tolerance: a case" in capsys.readouterr().err
+
+
+def test_a_run_records_its_case(tmp_path):
+    case, out = small("tumour", tmp_path), tmp_path / "run"
+    assert run("simulate", case, "--out", out) == 0
+    config = RunFolder.open(out).config()
+    assert config["job"] == "heat"
+    assert config["case"]["title"] == "A heated sphere"

@@ -1,0 +1,165 @@
+"""`pinav fit RECORDING`: from a file to a table, a verdict and a page."""
+
+import contextlib
+import json
+
+import jax
+import numpy as np
+import pytest
+
+from pinav import cli
+from pinav.commands.identify.job import label, summary, text
+from pinav.commands.identify.settings import LadderSettings
+from pinav.errors import InputError
+from pinav.identification.selection import RESIDUALS
+from pinav.trajectories import Trajectories, is_trajectories, save
+
+
+@contextlib.contextmanager
+def standard_promotion():
+    """As users have it, in all threads."""
+    jax.config.update("jax_numpy_dtype_promotion", "standard")
+    try:
+        yield
+    finally:
+        jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+
+def small(commanded):
+    """A robot that circles under constant commands, 40 s at 8 Hz; or its drift."""
+    random = np.random.default_rng(3)
+    times = np.arange(0, 40, 0.125)
+    heading = np.cumsum(random.normal(0, 0.2, len(times)))
+    frequency = np.where(times < 20, 1.0, 2.0)
+    velocity = 4 * frequency[:, None] * np.stack([np.cos(heading), np.sin(heading)], 1)
+    if not commanded:
+        velocity = np.full_like(velocity, 0.7)
+    path = np.concatenate([np.zeros((1, 2)), np.cumsum(0.125 * velocity[:-1], axis=0)])
+    wander = np.cumsum(0.02 * random.normal(size=path.shape), axis=0)
+    commands = {"frequency": [frequency], "heading": [heading]} if commanded else {}
+    return Trajectories.from_arrays(
+        [times],
+        [path + wander + 0.05 * random.normal(size=path.shape)],
+        channels=("x", "y"),
+        commands=commands,
+        units={"x": "um", "y": "um", "t": "s"},
+    )
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("ladder")
+    save(small(commanded=True), folder / "robot.csv")
+    out = folder / "run"
+    words = ["fit", str(folder / "robot.csv"), "--ladder", "--out", str(out)]
+    with pytest.MonkeyPatch.context() as patch, standard_promotion():
+        for name in ("Gaussian process", "potential"):  # tests/ladder has kernels
+            patch.delitem(RESIDUALS, name)
+        assert cli.run(words) == 0
+    return out
+
+
+@pytest.mark.slow
+def test_the_table_has_every_rung_and_baseline(run):
+    metrics = json.loads((run / "metrics.json").read_text())
+    (track,) = metrics["tracks"].values()
+    names = [label(row["name"]) for row in track["rows"]]
+    for name in ("drift only", "scalar gain", "gain matrix and drift", "+ slipping"):
+        assert name in names
+    for name in ("+ delay", "+ lag", "+ time-dependent drift", "+ network"):
+        assert name in names
+    for name in ("least squares", "neural ODE", "StochasticForceInference"):
+        assert name in names
+    ours = metrics["summary"]["chosen"]["relative 10"]
+    assert ours < 0.05
+    assert ours < metrics["summary"]["drift only"]["relative 10"]
+    assert abs(track["estimates"]["heading offset"]["value"]) < 0.1
+    assert any("Propulsion by the command: supported" in s for s in track["verdict"])
+
+
+@pytest.mark.slow
+def test_the_page_says_what_it_is_about(run):
+    page = (run / "report.html").read_text(encoding="utf-8")
+    assert "nothing here is a claim about tissue" in page
+    assert "µm" in page
+    assert (run / "ladder.csv").read_text().startswith("track,model,log_evidence")
+    assert (run / "figures" / "track-0.svg").is_file()
+
+
+@pytest.mark.slow
+def test_resuming_a_finished_run_changes_nothing(run, capsys):
+    before = (run / "metrics.json").read_text()
+    words = ["fit", str(run.parent / "robot.csv"), "--ladder", "--resume"]
+    assert cli.run([*words, "--out", str(run)]) == 0
+    assert (run / "metrics.json").read_text() == before
+    assert "The evidence chooses" in capsys.readouterr().out
+
+
+def idle():
+    """As `small`, with commands recorded that never asked for motion."""
+    drift = small(commanded=False)
+    nothing = [np.zeros_like(drift.times[0])]
+    return Trajectories.from_arrays(
+        [drift.times[0]],
+        [drift.states[0]],
+        channels=drift.channels,
+        commands={"frequency": nothing, "heading": nothing},
+        units=drift.units,
+    )
+
+
+def test_a_recording_whose_commands_ask_for_nothing_only_drifts(tmp_path, capsys):
+    save(idle(), tmp_path / "idle.csv")
+    out = tmp_path / "run"
+    words = ["fit", str(tmp_path / "idle.csv"), "--ladder", "--tracks", "0"]
+    with standard_promotion():
+        assert cli.run([*words, "--out", str(out)]) == 0
+    assert "The commands ask for no motion: gain" in capsys.readouterr().out
+    (track,) = json.loads((out / "metrics.json").read_text())["tracks"].values()
+    assert track["gain"] is None
+    assert track["rows"][0]["name"] == "drift only"
+    assert "delay" not in track
+
+
+def test_a_recording_without_commands(tmp_path, capsys):
+    save(small(commanded=False), tmp_path / "cell.npz")
+    words = ["fit", str(tmp_path / "cell.npz"), "--ladder", "--tracks", "0"]
+    with standard_promotion():
+        assert cli.run([*words, "--out", str(tmp_path / "run")]) == 0
+    assert "No commands recorded: gain" in capsys.readouterr().out
+
+
+def test_files_of_pinav_are_told_from_recordings(tmp_path):
+    table = tmp_path / "trackpy.csv"
+    table.write_text("frame,particle,x,y\n0,1,2,3\n")
+    assert not is_trajectories(table)
+    table.write_text("t,x,y\n0,1,2\n")
+    assert is_trajectories(table)
+    assert is_trajectories("missing.npz")
+    assert not is_trajectories("book.xlsx")
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"share": 1.0}, "--share: expected between 0 and 1, got 1.0"),
+        ({"tracks": -1}, "--tracks: expected 0 or more, got -1"),
+    ],
+)
+def test_settings_that_make_no_sense(settings, message):
+    with pytest.raises(InputError, match=message):
+        LadderSettings(**settings).check()
+
+
+def test_a_track_that_was_not_fitted_is_told():
+    metrics = {
+        "units": {"x": "um", "t": "s"},
+        "tracks": {"a/1": {"reason": "too short", "rows": []}},
+        "summary": summary([]),
+    }
+    assert "not fitted: too short" in text(metrics)
+
+
+def test_a_label_is_the_last_step():
+    assert label("gain matrix and drift + slipping + delay") == "+ delay"
+    assert label("drift only") == "drift only"

@@ -1,0 +1,155 @@
+"""`pinav navigate`: its settings, its words, and a run from end to end."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav import cli
+from pinav.commands.navigate.settings import NavigateSettings, numbers
+from pinav.commands.navigate.setup import prepared
+from pinav.commands.navigate.tables import text
+from pinav.errors import InputError
+from pinav.runs import RunFolder
+
+
+def settings(**changes):
+    return NavigateSettings(start="0.5,1", goal="9.5,9.5", **changes)
+
+
+def test_places_are_numbers_with_commas():
+    assert settings().places() == ((0.5, 1.0), (9.5, 9.5))
+    assert numbers("--keep-out", "-1, 2.5,0.3", 3) == (-1.0, 2.5, 0.3)
+    for bad in ("1", "1,2,3", "1,x", "nan,1", ""):
+        with pytest.raises(InputError, match="--from: expected 2 numbers with commas"):
+            NavigateSettings(start=bad, goal="1,2").check()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"thrust": 0.0}, "--thrust: expected a number > 0"),
+        ({"time_limit": -1.0}, "--time-limit: expected a number > 0"),
+        ({"delay": -0.1}, "--delay: expected a number >= 0"),
+        ({"seeds": 0}, "--seeds: expected 1 or more"),
+        ({"samples": 1}, "--samples: expected 0, or 2 and more"),
+        ({"keep_out": ("1,2",)}, "--keep-out: expected 3 numbers"),
+        ({"arena": "1,2,3"}, "--arena: expected 4 numbers"),
+    ],
+)
+def test_settings_without_sense_are_refused(change, message):
+    with pytest.raises(InputError, match=message):
+        settings(**change).check()
+
+
+def share(value):
+    return {"value": value, "lower": max(value - 0.1, 0), "upper": min(value + 0.1, 1)}
+
+
+def test_the_words_name_truth_regret_and_suggestion():
+    row = {
+        "runs": 20,
+        "success": share(0.95),
+        "violation": share(0.05),
+        "arrival": {"low": 5.0, "median": 6.0, "high": 7.0},
+        "efficiency": 0.9,
+        "clearance": 0.4,
+    }
+    metrics = {
+        "truth": "barrier-crossings",
+        "plan": {"time": 5.5, "route_time": 5.6, "unreachable": 0.25},
+        "controllers": {"learned": row, "physics only": row},
+        "regret": {"learned": {"value": 1.02, "lower": 1.0, "upper": None}},
+        "refused": {"oracle": "goal: expected a place that can be reached"},
+        "step": {"first": 2.0, "median": 0.003},
+        "suggestion": {"sd": 0.3, "sd_after": 0.1, "sd_after_random": 0.2},
+    }
+    found = text(metrics)
+    assert "95 % (85–100)" in found
+    assert "1.020 (1.000–∞)" in found
+    assert "the true environment of scenario barrier-crossings (synthetic)" in found
+    assert "from 0.3 to 0.1, a random one to 0.2" in found
+    assert "No run with the model oracle: goal: expected a place" in found
+    unknown = text(metrics | {"truth": None})
+    assert "the true one is not known" in unknown
+
+
+@pytest.mark.slow
+def test_a_run_from_data_to_report(tmp_path, capsys):
+    def ran(*words):
+        with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+            return cli.run(words)
+
+    data, fit, out = (str(tmp_path / name) for name in ("data.npz", "fit", "out"))
+    assert ran("simulate", "barrier-crossings", "--out", data) == 0
+    assert ran("fit", data, "--out", fit) == 0
+    ends = ("--from", "0.5,1", "--to", "9.5,9.5")
+    words = ("navigate", fit, *ends, "--out", out, "--seeds", "3")
+    capsys.readouterr()
+    assert ran(*words, "--json") == 0
+    metrics = json.loads(capsys.readouterr().out)
+    assert metrics["controllers"]["learned"]["success"]["value"] == 1.0
+    assert metrics["regret"]["learned"]["value"] < 1.3
+    assert 0 <= metrics["plan"]["unreachable"] < 1
+    found = metrics["suggestion"]
+    assert found["sd_after"] <= found["sd_after_random"] <= found["sd"]
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "data:image/gif;base64," in page
+    assert (tmp_path / "out" / "suggestion.csv").exists()
+    assert ran(*words) == cli.USAGE_ERROR
+    assert "already holds a run" in capsys.readouterr().err
+    blocked = ("navigate", fit, *ends, "--out", out, "--overwrite")
+    assert ran(*blocked, "--keep-out", "0.5,1,0.4") == cli.USAGE_ERROR
+    assert "start: expected a free place" in capsys.readouterr().err
+
+
+def test_a_folder_without_a_fit_is_refused(tmp_path, capsys):
+    words = ["--from", "0,0", "--to", "1,1", "--out", str(tmp_path / "out")]
+    assert cli.run(["navigate", str(tmp_path), *words]) == cli.USAGE_ERROR
+    assert "holds no run" in capsys.readouterr().err
+
+
+def recording(path, **track):
+    """The folder of a recording's fit, as far as navigation reads it."""
+    folder = RunFolder.create(path, {"job": "recording"}, overwrite=True)
+    folder.write_json(
+        "metrics.json",
+        {"units": {"x": "um", "t": "s"}, "tracks": {"1": {"duration": 9.0, **track}}},
+    )
+    return folder
+
+
+def test_a_recording_gives_a_rolling_robot_in_its_drift(tmp_path):
+    folder = recording(
+        tmp_path / "run",
+        gain=[[2.0, -0.5], [0.5, 2.0]],
+        response="saturating",
+        estimates={
+            "corner": {"value": 4.0, "sd": 0.1},
+            "drift x": {"value": 0.3, "sd": 0.1},
+        },
+    )
+    mission = prepared(settings(arena="-5,-5,15,15", keep_out=("4,4,1",)), folder)
+    command = jnp.array([3.0, np.pi / 2])
+    rate = mission.model(0.0, jnp.zeros(2), command)
+    effective = 3.0 / np.sqrt(1 + (3.0 / 4.0) ** 2)
+    np.testing.assert_allclose(rate, [0.3 - 0.5 * effective, 2.0 * effective])
+    assert mission.task.limits.max_frequency == 10.0
+    assert mission.units == {"x": "um", "t": "s"}
+    assert float(mission.task.keep_out[0].distance(jnp.array([4.0, 6.0]))) == 1.0
+
+
+def test_an_arena_that_is_not_given_holds_both_ends(tmp_path):
+    own = {"gain": [[1.0, 0.0], [0.0, 1.0]], "response": "linear", "estimates": {}}
+    folder = recording(tmp_path / "run", **own)
+    arena = prepared(settings(), folder).task.arena
+    for place in ([0.5, 1.0], [9.5, 9.5]):
+        assert float(arena.distance(jnp.array(place))) < -1.0
+
+
+def test_a_recording_without_propulsion_is_refused(tmp_path):
+    folder = recording(tmp_path / "run", gain=None)
+    with pytest.raises(InputError, match="no track has a fitted propulsion"):
+        prepared(settings(), folder)

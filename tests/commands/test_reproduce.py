@@ -1,0 +1,195 @@
+import csv
+import json
+import re
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from pinav import cli, files, report
+from pinav.commands.models import build_model
+from pinav.commands.reproduce import report as reproduction_report
+from pinav.commands.reproduce import table2
+from pinav.runs import RunFolder
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> RunFolder:
+    """A whole run of the command with a few steps, written once for this module."""
+    out = tmp_path_factory.mktemp("reproduce") / "run"
+    assert cli.run(words(out)) == 0
+    return RunFolder.open(out)
+
+
+def words(out, *more):
+    steps = ["--recipe", "paper", "--adam-steps", "12", "--lbfgs-steps", "3"]
+    return ["reproduce", "--seeds", "42", "1", *steps, "--out", str(out), *more]
+
+
+def results(folder: RunFolder) -> dict[str, bytes]:
+    names = ["metrics.json", "table2.csv", "model-ude-42.eqx", "model-nn-only-1.eqx"]
+    return {name: (folder.path / name).read_bytes() for name in names}
+
+
+def test_the_table_has_every_model_and_seed(run):
+    with open(run.path / "table2.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert tuple(rows[0]) == table2.HEADER
+    assert [(row["model"], row["seed"]) for row in rows] == [
+        ("physics-only", ""),
+        *((m, s) for m in ("nn-only", "ude-untrained", "ude") for s in ("42", "1")),
+    ]
+    for row in rows:
+        x, y, vx, vy = (float(row[name]) for name in ("x", "y", "vx", "vy"))
+        mean_square = (x**2 + y**2 + vx**2 + vy**2) / 4
+        assert float(row["total"]) == pytest.approx(mean_square**0.5)
+        assert float(row["position"]) == pytest.approx(((x**2 + y**2) / 2) ** 0.5)
+
+
+def test_the_physics_only_row_is_the_papers(run):
+    row = run.read_json("metrics.json")["table2"][0]
+    expected = (4.336, 2.460, 0.490, 0.389, 2.512)
+    measured = [row[name] for name in ("x", "y", "vx", "vy", "total")]
+    np.testing.assert_allclose(measured, expected, rtol=5e-3)
+
+
+def test_the_metrics_hold_what_the_table_needs(run):
+    metrics = run.read_json("metrics.json")
+    assert metrics["paper_table2"]["ude"]["total"] == 0.015
+    loss = metrics["loss"]["ude"]["42"]
+    assert loss["end"] < loss["start"]
+    assert loss["decades"] == pytest.approx(np.log10(loss["start"] / loss["end"]))
+    spread = metrics["summary_total"]["ude"]
+    assert spread["best"] <= spread["median"] <= spread["worst"]
+    factor = metrics["improvement"]["physics-only / ude"]
+    assert factor == pytest.approx(
+        metrics["summary_total"]["physics-only"]["median"] / spread["median"]
+    )
+    assert set(metrics["force_error"]["ude-42"]) == {"visited", "near", "everywhere"}
+    assert not re.search("time|seconds", json.dumps(metrics)), "nothing from the clock"
+
+
+def test_the_fits_own_integrator_agrees_with_the_score(run):
+    metrics = run.read_json("metrics.json")
+    totals = {f"{r['model']}-{r['seed']}": r["total"] for r in metrics["table2"]}
+    for name, own in metrics["own_integrator_total"].items():
+        assert own == pytest.approx(totals[name], rel=0.1)
+
+
+def test_a_stored_model_predicts_what_was_scored(run):
+    from pinav.evaluation import predict
+    from pinav.trajectories import load
+
+    model = run.read_model("model-ude-42.eqx", build_model)
+    predicted, _ = predict(model, load(run.path / "data.npz"))
+    stored = run.read_arrays("results.npz")["ude-42"]
+    np.testing.assert_array_equal(predicted[0], stored)
+
+
+def test_a_finished_run_is_not_done_again(run, capsys):
+    before = results(run)
+    stamps = {p: p.stat().st_mtime_ns for p in run.path.glob("model*.eqx")}
+    assert cli.run(words(run.path, "--resume")) == 0
+    assert results(run) == before
+    assert {p: p.stat().st_mtime_ns for p in run.path.glob("model*.eqx")} == stamps
+    assert "paper" in capsys.readouterr().out
+
+
+def test_a_run_is_not_overwritten_by_accident(run, capsys):
+    assert cli.run(words(run.path)) == cli.USAGE_ERROR
+    assert "already holds a run" in capsys.readouterr().err
+
+
+@pytest.fixture
+def plain_figures(monkeypatch):
+    """Every figure is written, but empty: drawing takes most of a resumed run."""
+
+    def save(_, folder, name):
+        return report.save_figure(Figure(), folder, name)
+
+    monkeypatch.setattr(reproduction_report, "save_figure", save)
+
+
+@pytest.mark.parametrize("writes", [0, 1, 2, 3, 5, 6, 8, 11])
+def test_a_run_broken_off_at_any_write_ends_with_the_same_numbers(
+    run, tmp_path, monkeypatch, plain_figures, writes
+):
+    """As `kill -9` between two files: the next write never happens."""
+    done = []
+    write = files.os.replace
+
+    def interrupted(*args):
+        if len(done) == writes:
+            raise KeyboardInterrupt
+        done.append(args)
+        write(*args)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(files.os, "replace", interrupted)
+        assert cli.run(words(tmp_path / "broken")) == cli.INTERRUPTED
+    assert cli.run(words(tmp_path / "broken", "--resume")) == 0
+    assert results(RunFolder.open(tmp_path / "broken")) == results(run)
+
+
+def test_json_prints_the_metrics(run, plain_figures, capsys):
+    capsys.readouterr()
+    assert cli.run(words(run.path, "--resume", "--json")) == 0
+    assert json.loads(capsys.readouterr().out) == run.read_json("metrics.json")
+
+
+def test_the_table_for_people_sets_the_paper_beside_ours(run, plain_figures, capsys):
+    capsys.readouterr()
+    assert cli.run(words(run.path, "--resume")) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split() == ["model", "seed", *table2.HEADER[2:]]
+    assert lines[1].split()[:3] == ["physics-only", "-", "4.34"]
+    assert lines[2].split() == ["paper", "4.34", "2.46", "0.49", "0.39", "2.52", "3.53"]
+    assert lines[-1] == f"report: {run.path / 'report.html'}"
+
+
+def test_a_diverged_rollout_is_printed_as_such():
+    assert table2.number(float("inf")) == "diverged"
+    assert table2.number(0.014999) == "0.015"
+
+
+@pytest.fixture(scope="module")
+def default_run(tmp_path_factory) -> RunFolder:
+    """The default recipe in full."""
+    out = tmp_path_factory.mktemp("default") / "run"
+    assert cli.run(["reproduce", "--seeds", "0", "--out", str(out)]) == 0
+    return RunFolder.open(out)
+
+
+@pytest.mark.slow
+def test_the_default_recipe_leaves_the_paper_behind(default_run):
+    metrics = default_run.read_json("metrics.json")
+    total = {row["model"]: row["total"] for row in metrics["table2"]}
+    assert total["ude"] <= 2e-3
+    assert total["ude-kernel"] <= 1e-5
+    assert total["nn-only"] < 0.015, "the black box too"
+    assert metrics["loss"]["ude-kernel"]["-"]["iterations"] <= 15
+    assert metrics["force_error"]["ude-kernel"]["visited"] < 0.01
+    assert "force-ude-kernel" in " ".join(map(str, default_run.path.rglob("*.svg")))
+
+
+@pytest.mark.slow
+def test_the_default_recipe_resumes_to_the_same_numbers(
+    default_run, tmp_path, plain_figures
+):
+    argv = ["reproduce", "--seeds", "0", "--out", str(tmp_path / "run")]
+    calls = []
+    write = files.os.replace
+
+    def interrupted(*args):
+        calls.append(args)
+        if len(calls) == 12:
+            raise KeyboardInterrupt
+        write(*args)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(files.os, "replace", interrupted)
+        assert cli.run(argv) == cli.INTERRUPTED
+    assert cli.run([*argv, "--resume"]) == 0
+    for name in ("metrics.json", "table2.csv", "model-ude-0.eqx"):
+        resumed = (tmp_path / "run" / name).read_bytes()
+        assert resumed == (default_run.path / name).read_bytes()

@@ -1,0 +1,174 @@
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+
+from pinav import cli
+from pinav.commands.fit.settings import FitSettings
+from pinav.commands.study import job
+from pinav.commands.study import paper_weakness as weakness_job
+from pinav.commands.study.job import cells, clean_data, fitted, with_noise
+from pinav.commands.study.settings import StudySettings
+from pinav.errors import FitError
+from pinav.figures.errors import scaling_figure
+from pinav.runs import RunFolder
+from pinav.scenarios import barrier_crossings
+from pinav.scenarios.crossings import paper_barrier, paper_swimmer
+from pinav.trajectories import load
+
+TINY = ("--models", "physics-only", "kernel-potential", "--held-out", "3")
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return clean_data("barrier-crossings", 3, 2)
+
+
+def test_more_noise_is_the_same_noise_and_no_noise_is_none(clean):
+    quiet, loud = (with_noise(clean, sigma, 3).states for sigma in (0.01, 0.05))
+    np.testing.assert_allclose(
+        (loud - clean.states) / 5, quiet - clean.states, atol=1e-14
+    )
+    assert np.std(loud - clean.states) == pytest.approx(0.05, rel=0.1)
+    assert with_noise(clean, 0.0, 3) is clean
+    one = with_noise(clean.select([0]), 0.05, 3).states[0]
+    np.testing.assert_array_equal(one, loud[0])
+
+
+def test_starts_are_those_of_simulate(clean, tmp_path):
+    path = tmp_path / "data.npz"
+    argv = ["simulate", "barrier-crossings", "--seed", "3", "--noise", "0"]
+    assert cli.run([*argv, "--count", "1", "--out", str(path)]) == 0
+    np.testing.assert_allclose(load(path).states[0], clean.states[0], atol=1e-9)
+
+
+def test_a_study_has_a_cell_for_every_model_seed_and_size():
+    settings = StudySettings(models=("ude", "nn-only"), seeds=(0, 1), counts=(1, 4))
+    found = list(cells("data-efficiency", settings))
+    assert len(found) == 8
+    assert {(c.count, c.sigma) for c in found} == {(1, 0.02), (4, 0.02)}
+    found = list(cells("noise", settings))
+    assert {c.count for c in found} == {8}
+    assert {c.sigma for c in found} == set(settings.sigmas)
+
+
+@pytest.fixture(scope="module")
+def noise_study(tmp_path_factory):
+    out = tmp_path_factory.mktemp("study") / "run"
+    argv = ["study", "noise", "--out", str(out), *TINY, "--count", "1"]
+    argv += ["--sigmas", "0.01", "0.1"]
+    assert cli.run(argv) == 0
+    return out, argv
+
+
+@pytest.mark.slow
+def test_a_study_ends_in_a_table_and_a_figure(noise_study, capsys):
+    out, argv = noise_study
+    rows = RunFolder.open(out).read_json("metrics.json")["rows"]
+    table = {(row["model"], row["sigma"]): row for row in rows}
+    assert len(table) == 4
+    for sigma in (0.01, 0.1):
+        assert table["physics-only", sigma]["force visited"] == pytest.approx(1.0)
+        assert table["physics-only", sigma]["outcome"] == "nothing to fit"
+    kernel = [
+        table["kernel-potential", sigma]["force visited"] for sigma in (0.01, 0.1)
+    ]
+    assert 0 < kernel[0] < kernel[1] < 0.5
+    assert (out / "figures" / "noise.svg").exists()
+    page = (out / "report.html").read_text()
+    assert "Noise on barrier-crossings" in page
+    assert (out / "study.csv").read_text().startswith("model,seed,trajectories,sigma,")
+
+
+@pytest.mark.slow
+def test_a_resumed_study_does_nothing_again(noise_study, capsys, monkeypatch):
+    out, argv = noise_study
+    before = (out / "metrics.json").read_bytes()
+    (out / "metrics.json").unlink()
+
+    def refuse(*_):
+        raise AssertionError("fitted again")
+
+    monkeypatch.setattr(job, "fitted", refuse)
+    assert cli.run([*argv, "--resume"]) == 0
+    assert (out / "metrics.json").read_bytes() == before
+
+
+def test_a_model_that_fails_is_a_row_that_says_so(tmp_path, monkeypatch, capsys):
+    def fail(*_):
+        raise FitError("the fit is singular")
+
+    monkeypatch.setattr(job, "fitted", fail)
+    argv = ["study", "data-efficiency", "swirl", "--out", str(tmp_path / "s"), *TINY]
+    assert cli.run([*argv, "--counts", "1"]) == 0
+    (row, _) = RunFolder.open(tmp_path / "s").read_json("metrics.json")["rows"]
+    assert row["outcome"] == "failed: the fit is singular"
+    assert row["force visited"] is None
+    assert "failed: the fit is singular" in capsys.readouterr().out
+
+
+def test_a_fit_of_a_study_that_diverged_is_an_error(clean):
+    known = barrier_crossings().swimmer
+    broken = eqx.tree_at(lambda m: m.drag.damping, known, jax.numpy.asarray(np.nan))
+    settings = FitSettings(model="kernel-potential", max_steps=2)
+    with pytest.raises(FitError, match="diverged"):
+        fitted(settings, broken, clean)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["noise", "nowhere"], "scenario 'nowhere' is unknown"),
+        (["noise", "brownian"], "scenario 'brownian' is stochastic"),
+        (["data-efficiency", "paper"], "has one fixed start"),
+        (["noise", "--sigmas", "-1"], "--sigmas: expected 0 or more, got -1.0"),
+        (["noise", "--count", "0"], "--count: expected 1 or more, got 0"),
+        (["noise", "--seeds", "1", "1"], "--seeds: 1 is given twice; drop one"),
+        (["noise", "--models"], "--models: expected at least one"),
+        (["growth"], "invalid choice 'growth'"),
+    ],
+)
+def test_mistakes_get_one_line_and_no_folder(words, message, tmp_path, capsys):
+    out = tmp_path / "run"
+    assert cli.run(["study", *words, "--out", str(out)]) == cli.USAGE_ERROR
+    assert message in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_no_noise_stands_left_of_all_noise():
+    points = [(0.0, 0.01), (0.01, 0.02), (0.1, 0.3)]
+    figure = scaling_figure(
+        {"ude": points, "nn-only": []}, {"ude": points}, quantity="noise"
+    )
+    left = figure.axes[0]
+    places, labels = left.get_xticks(), [t.get_text() for t in left.get_xticklabels()]
+    assert labels == ["0", "0.01", "0.1"]
+    assert 0 < places[0] < places[1] < places[2]
+    assert left.get_xscale() == left.get_yscale() == "log"
+    line = left.get_lines()[0]
+    np.testing.assert_allclose(line.get_ydata(), [1.0, 2.0, 30.0])
+    assert any("none" in str(each.get_label()) for each in left.get_lines())
+
+
+@pytest.mark.slow
+def test_the_papers_weakness_stands_beside_what_several_trajectories_give(
+    tmp_path, monkeypatch, capsys
+):
+    """The truth in place of one fit, a barrier of half the height of the other."""
+    half = eqx.tree_at(lambda force: force.height, paper_barrier(), 5.25 / 2)
+    models = {"model-ude.eqx": paper_swimmer(half), "model-kernel.eqx": paper_swimmer()}
+    monkeypatch.setattr(weakness_job, "_stored", lambda _, name, *rest: models[name])
+    out = tmp_path / "run"
+    argv = ["study", "paper-weakness", "--out", str(out), "--held-out", "3"]
+    assert cli.run([*argv, "--count", "1"]) == 0
+    found = RunFolder.open(out).read_json("metrics.json")["models"]
+    ude, kernel = found[weakness_job.UDE], found[weakness_job.KERNEL]
+    assert list(ude["force"].values()) == pytest.approx([0.5] * len(ude["force"]))
+    assert set(kernel["force"].values()) == {0.0}
+    assert kernel["rollouts"]["high"] < 1e-8 < ude["rollouts"]["median"]
+    physics = found[weakness_job.PHYSICS]["force"]
+    assert physics["unvisited"] == pytest.approx(1.0)
+    assert "UDE with time, one trajectory" in capsys.readouterr().out
+    page = (out / "report.html").read_text()
+    assert "The paper&#x27;s weakness in one figure" in page
+    assert "Gauss-Newton curriculum of pinav, not the paper&#x27;s optimiser" in page

@@ -1,0 +1,166 @@
+"""Laws of Brownian motion, each with the error that the sample allows."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.dynamics import (
+    BrownianSwimmer,
+    Outcome,
+    OverdampedSwimmer,
+    sample_path,
+    stokes_drag,
+    thermal_energy,
+)
+from pinav.errors import InputError
+from pinav.forces import (
+    AbstractForce,
+    BrinkmanTensor,
+    CholeskyTensor,
+    ConstantDirector,
+    GaussianBarrier,
+    HarmonicTrap,
+    ShearFlow,
+    UniaxialTensor,
+    WavyDirector,
+    ZeroForce,
+)
+
+KEY = jax.random.key(5)
+WATER = 1 / stokes_drag(1.0, 0.89)
+HEAT = thermal_energy(298.15)
+
+
+class Pull(AbstractForce):
+    """The same force everywhere."""
+
+    def __call__(self, t, x, v):
+        return jnp.array([0.02, -0.01])
+
+
+def brownian(force=None, mobility=WATER, heat=HEAT):
+    environment = ZeroForce() if force is None else force
+    return BrownianSwimmer(OverdampedSwimmer(ZeroForce(), environment, mobility), heat)
+
+
+@eqx.filter_jit
+def paths(swimmer, starts, ts, key, substeps=4):
+    keys = jax.random.split(key, starts.shape[0])
+    return jax.vmap(
+        lambda y0, key: sample_path(swimmer, y0, ts, key=key, substeps=substeps).ys
+    )(starts, keys)
+
+
+def test_a_bead_of_one_micrometre_in_water():
+    np.testing.assert_allclose(HEAT, 4.116e-3, rtol=1e-3)
+    np.testing.assert_allclose(1 / WATER, 1.7e-2, rtol=0.02)  # 1.7e-8 N s/m
+    diffusion = brownian().diffusion(jnp.zeros(2))
+    np.testing.assert_allclose(diffusion, 0.245 * np.eye(2), rtol=3e-3)
+
+
+def test_mean_squared_displacement_is_2_d_D_t():
+    ts = jnp.array([0.0, 0.3, 1.0, 2.5])
+    ends = paths(brownian(), jnp.zeros((20_000, 2)), ts, KEY, substeps=1)
+    squares = np.mean(np.sum(np.asarray(ends) ** 2, axis=2), axis=0)
+    # relative error of a mean of 20 000 squares in two dimensions: 1/sqrt(20 000)
+    expected = 4 * HEAT * WATER * np.asarray(ts)
+    np.testing.assert_allclose(squares, expected, rtol=4 / np.sqrt(20_000))
+
+
+def test_anisotropic_diffusion_is_thermal_energy_times_mobility():
+    tensor = UniaxialTensor(2 * WATER, WATER, ConstantDirector(0.5))
+    swimmer = brownian(mobility=tensor)
+    ends = paths(swimmer, jnp.zeros((20_000, 2)), jnp.array([0.0, 2.0]), KEY)[:, -1]
+    measured = np.cov(np.asarray(ends).T) / 4.0
+    expected = np.asarray(swimmer.diffusion(jnp.zeros(2)))
+    np.testing.assert_allclose(measured, expected, atol=4 * expected.max() / 141)
+
+
+def test_a_force_makes_a_drift():
+    ts = jnp.array([0.0, 1.0])
+    ends = paths(brownian(Pull()), jnp.zeros((4000, 2)), ts, KEY)[:, -1]
+    error = np.sqrt(2 * HEAT * WATER / 4000)
+    expected = WATER * np.array([0.02, -0.01])
+    np.testing.assert_allclose(np.mean(ends, axis=0), expected, atol=4 * error)
+
+
+def test_equipartition_in_a_trap():
+    stiffness, steps = 0.05, 20
+    ts = jnp.linspace(0.0, 2.0, 5)  # six relaxation times
+    swimmer = brownian(HarmonicTrap(stiffness, [0.0, 0.0]))
+    ends = np.asarray(paths(swimmer, jnp.zeros((10_000, 2)), ts, KEY, steps))[:, -1]
+    step = 0.5 / steps * WATER * stiffness
+    expected = HEAT / stiffness / (1 - step / 2)  # exact for this scheme
+    expected *= 1 - np.exp(-2 * WATER * stiffness * 2.0)
+    np.testing.assert_allclose(
+        np.var(ends, axis=0), expected, rtol=4 * np.sqrt(2 / 10_000)
+    )
+
+
+def test_boltzmanns_distribution_where_the_mobility_varies():
+    """Without its divergence, the swimmers would leave where the mobility is high."""
+    mobility = BrinkmanTensor(0.5, 1.0, jnp.array([3.0]), jnp.zeros((1, 1)), 0.7)
+    swimmer = brownian(HarmonicTrap(1.0, [0.0]), mobility, 1.0)
+    count = 3000
+    starts = jax.random.normal(jax.random.key(1), (count, 1))  # stationary already
+    ends = np.asarray(paths(swimmer, starts, jnp.array([0.0, 1.5]), KEY, 150))[:, -1, 0]
+    np.testing.assert_allclose(np.var(ends), 1.0, atol=4 * np.sqrt(2 / count))
+    inside = np.mean(np.abs(ends) < 0.5)  # 0.20 without the divergence
+    np.testing.assert_allclose(inside, 0.38292, atol=4 * np.sqrt(0.236 / count))
+
+
+@pytest.mark.parametrize(
+    "mobility",
+    [2.0, CholeskyTensor.of(jnp.array([[0.5, -0.2], [-0.2, 0.3]]))],
+    ids=["isotropic", "tensor"],
+)
+def test_the_drift_is_that_without_noise_where_the_mobility_is_constant(mobility):
+    swimmer = brownian(GaussianBarrier(0.3, [0.2, 0.1], 0.8), mobility)
+    x = jnp.array([0.4, -0.3])
+    np.testing.assert_allclose(swimmer(0.0, x), swimmer.swimmer(0.0, x), rtol=1e-13)
+
+
+def test_the_divergence_of_the_mobility_agrees_with_differences():
+    tensor = UniaxialTensor(2.0, 0.5, WavyDirector(0.4, 0.8, [0.5, -0.3]))
+    swimmer, x, h = brownian(mobility=tensor, heat=1.0), jnp.array([0.4, -0.3]), 1e-5
+    units = np.eye(2)
+    expected = sum(
+        (tensor(x + h * e, jnp.asarray(e)) - tensor(x - h * e, jnp.asarray(e)))
+        / (2 * h)
+        for e in units
+    )
+    np.testing.assert_allclose(swimmer(0.0, x), expected, rtol=1e-8)
+
+
+def test_a_path_belongs_to_its_key_and_converges_with_its_steps():
+    """The strong order is one where the mobility is constant."""
+    swimmer = brownian(GaussianBarrier(0.1, [0.3, 0.0], 0.7))
+    ts = jnp.array([0.0, 1.0])
+    starts = jnp.zeros((100, 2))
+    sampled = {n: paths(swimmer, starts, ts, KEY, n) for n in (8, 16, 128)}
+    errors = [float(jnp.abs(sampled[n] - sampled[128]).mean()) for n in (8, 16)]
+    assert 0.75 < np.log2(errors[0] / errors[1]) < 1.4
+    again = paths(swimmer, starts, ts, KEY, 8)
+    np.testing.assert_array_equal(again, sampled[8])
+    assert not np.allclose(paths(swimmer, starts, ts, jax.random.key(6), 8), again)
+
+
+def test_without_heat_the_path_is_the_flow():
+    resting = OverdampedSwimmer(ZeroForce(), ZeroForce(), 1.0, ShearFlow(0.5))
+    run = sample_path(
+        BrownianSwimmer(resting, 0.0),
+        jnp.array([0.0, 2.0]),
+        jnp.array([0.0, 0.1, 0.7]),
+        key=KEY,
+    )
+    np.testing.assert_allclose(run.ys[:, 0], [0.0, 0.1, 0.7], rtol=1e-12)
+    assert run.outcome == Outcome.SUCCESS
+
+
+def test_bad_arguments_are_named():
+    with pytest.raises(InputError, match="thermal_energy: expected >= 0, got -1.0"):
+        brownian(heat=-1.0)
+    with pytest.raises(InputError, match=r"sample_path: .* \(1,\) and 0 substeps"):
+        sample_path(brownian(), jnp.zeros(2), jnp.ones(1), key=KEY, substeps=0)

@@ -1,0 +1,96 @@
+"""First-order dynamics: closed forms, the limit of strong drag, order, trajectories."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.dynamics import RK4, Adaptive, FixedStep, OverdampedSwimmer, Swimmer, rollout
+from pinav.errors import InputError
+from pinav.forces import (
+    AbstractForce,
+    GaussianBarrier,
+    HarmonicTrap,
+    LinearDrag,
+    ZeroForce,
+)
+
+TS = jnp.linspace(0.0, 2.0, 21)
+Y0 = jnp.array([-1.5, 0.3])
+
+
+class ConstantPush(AbstractForce):
+    """The same force along x everywhere."""
+
+    size: float
+
+    def __call__(self, t, x, v):
+        return self.size * jnp.eye(1, x.shape[0], dtype=x.dtype)[0]
+
+
+def crossing(scale=1.0):
+    """Forces that grow with `scale` while the mobility shrinks."""
+    barrier = GaussianBarrier(scale * 0.8, [0.0, 0.0], 0.8)
+    return ConstantPush(scale * 1.0), barrier
+
+
+@pytest.fixture(scope="module")
+def solve():
+    return eqx.filter_jit(rollout)
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3])
+def test_a_trap_decays_exponentially(dim, solve):
+    center = jnp.arange(1.0, dim + 1.0)
+    swimmer = OverdampedSwimmer(ZeroForce(), HarmonicTrap(3.0, center), 0.5)
+    start = center + jnp.linspace(1.0, 2.0, dim)
+    run = solve(swimmer, start, TS)
+    decay = np.exp(-1.5 * np.asarray(TS))[:, None]
+    expected = np.asarray(center)[None] + np.asarray(start - center)[None] * decay
+    np.testing.assert_allclose(run.ys, expected, atol=1e-10)
+
+
+def test_drag_among_the_forces_is_without_effect():
+    push, barrier = crossing()
+    plain = OverdampedSwimmer(push, barrier, 1.0)
+    with_drag = OverdampedSwimmer(push, barrier + LinearDrag(5.0), 1.0)
+    np.testing.assert_array_equal(plain(0.0, Y0), with_drag(0.0, Y0))
+
+
+def test_it_is_the_limit_of_strong_drag(solve):
+    """The velocity lags by 1/eta, so the error halves where eta doubles."""
+    first = OverdampedSwimmer(*crossing(), mobility=1.0)
+    limit = np.asarray(solve(first, Y0, TS).ys)
+    start = jnp.concatenate([Y0, first(0.0, Y0)])
+
+    def error(eta):
+        push, barrier = crossing(eta)
+        second = Swimmer(push, LinearDrag(eta), barrier)
+        ys = solve(second, start, TS, solver=FixedStep(substeps=25)).ys
+        return np.abs(np.asarray(ys)[:, :2] - limit).max()
+
+    assert error(400.0) < 5e-3
+    np.testing.assert_allclose(error(200.0) / error(400.0), 2.0, rtol=0.1)
+
+
+def test_rk4_is_of_fourth_order_on_first_order_dynamics(solve):
+    swimmer = OverdampedSwimmer(*crossing(), mobility=1.0)
+    ts = TS[::2]
+    exact = solve(swimmer, Y0, ts, solver=Adaptive(1e-13, 1e-13)).ys
+
+    def error(substeps):
+        ys = solve(swimmer, Y0, ts, solver=FixedStep(RK4, substeps)).ys
+        return float(jnp.abs(ys - exact).max())
+
+    assert 3.8 < np.log2(error(4) / error(8)) < 4.2
+
+
+def test_a_mobility_is_positive():
+    with pytest.raises(InputError, match=r"IsotropicTensor.value: expected > 0, got 0"):
+        OverdampedSwimmer(ZeroForce(), ZeroForce(), 0.0)
+
+
+def test_mobility_is_a_leaf_that_can_be_replaced():
+    swimmer = OverdampedSwimmer(*crossing(), mobility=1.0)
+    double = eqx.tree_at(lambda s: s.mobility.value, swimmer, 2.0)
+    np.testing.assert_allclose(double(0.0, Y0), 2.0 * swimmer(0.0, Y0))

@@ -1,0 +1,130 @@
+import numpy as np
+import pytest
+
+from pinav import report
+from pinav.analysis import SobolIndices, StretchMap, helmholtz_split
+from pinav.evaluation import FieldMap
+from pinav.figures.analysis import energy_unit
+
+UNITS = {"x": "um", "y": "um", "t": "s", "vx": "um/s", "vy": "um/s"}
+AXIS = np.linspace(-3.0, 3.0, 21)
+GRID = np.stack(np.meshgrid(AXIS, AXIS), axis=-1)
+PATH = np.stack([np.linspace(-2.0, 2.0, 9), np.zeros(9)], axis=1)
+
+
+def field():
+    bump = np.exp(-0.5 * (GRID**2).sum(axis=-1))[..., None]
+    return FieldMap(AXIS, AXIS, bump * GRID, np.abs(GRID[..., 1]))
+
+
+def maps(figure):
+    """Axes that show a plane: neither colour bars nor hidden ones."""
+    return [ax for ax in figure.axes if ax.get_xlabel() == "$x$ [µm]"]
+
+
+def bars(figure):
+    labels = [ax.get_xlabel() for ax in figure.axes]
+    return [label for label in labels if label and label != "$x$ [µm]"]
+
+
+def potential():
+    return report.potential_map(GRID[..., 0], field(), path=PATH, units=UNITS).figure
+
+
+def trust():
+    sd = np.full((*GRID.shape[:2], 2), 0.1)
+    return report.trust_map(field(), sd, path=PATH, units=UNITS).figure
+
+
+def parts():
+    own = field()
+    split = helmholtz_split(own)
+    return report.helmholtz_figure(split, own, spread=0.01, path=PATH, units=UNITS)
+
+
+def influence():
+    changes = np.stack([k * field().force for k in (0.1, 0.3, 0.2)])
+    return report.influence_figure(changes, field(), [PATH] * 3, most=2, units=UNITS)
+
+
+def constants():
+    slopes = {"damping": field().force, "gain": -field().force}
+    return report.constants_figure(slopes, field(), path=PATH, units=UNITS)
+
+
+def stretch():
+    values = np.geomspace(0.5, 40.0, AXIS.size**2).reshape(AXIS.size, AXIS.size)
+    found = StretchMap(AXIS, AXIS, values, GRID, 20.0)
+    return report.stretch_figure(found, path=PATH, units=UNITS)
+
+
+FIGURES = {
+    "potential": (potential, 1, "$U$ above its least value [µm² s⁻²]"),
+    "trust": (trust, 1, r"$|F| / \mathrm{sd}(F)$"),
+    "parts": (parts, 3, "$|F|$ [µm s⁻²]"),
+    "influence": (influence, 2, r"$|\Delta F|$ [µm s⁻²]"),
+    "constants": (constants, 2, r"$|\Delta F|$ per percent [µm s⁻²]"),
+    "stretch": (stretch, 1, r"stretch $\sigma_{\max}(\partial x(T)/\partial x(0))$"),
+}
+
+
+@pytest.mark.parametrize(("draw", "count", "label"), FIGURES.values(), ids=FIGURES)
+def test_maps_have_equal_axes_and_units(draw, count, label):
+    figure = draw()
+    figure.canvas.draw()
+    drawn = maps(figure)
+    assert len(drawn) == count
+    assert all(ax.get_aspect() == 1.0 for ax in drawn)
+    assert drawn[0].get_ylabel() == "$y$ [µm]"
+    assert bars(figure)[0] == label
+
+
+def test_fractions_stand_in_the_titles():
+    titles = [ax.get_title(loc="left") for ax in maps(parts())]
+    split = helmholtz_split(field())
+    assert titles[0] == f"(a) gradient: {split.gradient_fraction:.1%} ± 1.0%"
+    assert titles[1] == f"(b) rotational: {split.rotational_fraction:.1%} ± 1.0%"
+
+
+def test_the_most_influential_trajectories_come_first():
+    titles = [ax.get_title(loc="left") for ax in maps(influence())]
+    assert titles == ["without trajectory 1", "without trajectory 2"]
+
+
+def test_stretch_is_on_a_logarithmic_scale_with_plain_labels():
+    figure = stretch()
+    figure.canvas.draw()
+    (bar,) = (ax for ax in figure.axes if ax.get_xlabel().startswith("stretch"))
+    assert bar.get_xscale() == "log"
+    labels = [text.get_text() for text in bar.get_xticklabels()]
+    assert {"1", "10"} <= set(labels)
+    assert maps(figure)[0].get_title(loc="left") == "by the start, $T$ = 20 [s]"
+
+
+def test_bars_have_intervals_and_leave_out_what_does_not_vary():
+    first = np.array([[0.5, 0.2], [np.nan, np.nan]])
+    interval = np.stack([first - 0.1, first + 0.1], axis=-1)
+    indices = SobolIndices(
+        factors=("damping", "gain"),
+        outcomes=("final x", "arrival"),
+        first=first,
+        first_interval=interval,
+        total=first + 0.1,
+        total_interval=interval + 0.1,
+        confidence=0.9,
+        variance=np.array([1.0, 0.0]),
+    )
+    figure = report.sobol_figure(indices)
+    shown = [ax for ax in figure.axes if ax.get_visible()]
+    assert [ax.get_title(loc="left") for ax in shown] == ["final x"]
+    widths = [bar.get_width() for bar in shown[0].patches]
+    assert np.allclose(widths, [0.5, 0.2, 0.6, 0.3])
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == [
+        "first order, with 90% interval",
+        "total, with 90% interval",
+    ]
+
+
+def test_energy_units():
+    assert energy_unit(UNITS) == "um² s⁻²"
+    assert energy_unit({}) == "1"

@@ -1,0 +1,366 @@
+import dataclasses
+import subprocess
+import sys
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+
+from pinav import report
+from pinav.evaluation import NEAR, VISITED, Decomposition, FieldMap, Regions
+from pinav.figures.style import BLACK, BLUE, VERMILLION, pale
+
+UNITS = {"x": "um", "y": "um", "t": "s", "vx": "um/s", "vy": "um/s"}
+PHASES = (("Adam", 0), ("L-BFGS", 75))
+TIMES = np.linspace(0.0, 5.0, 51)
+
+
+@pytest.fixture(autouse=True)
+def _untouched_settings():
+    before = dict(matplotlib.rcParams)
+    yield
+    assert dict(matplotlib.rcParams) == before
+
+
+def states(shift=0.0):
+    x, y = TIMES + shift, np.sin(TIMES) + shift
+    return np.stack([x, y, np.ones_like(TIMES), np.cos(TIMES) + shift], axis=1)
+
+
+def losses(seeds=1):
+    steps = np.arange(101.0)
+    return np.stack([(s + 1) * np.exp(-steps / 10) for s in range(seeds)])
+
+
+def field(strength=1.0, points=41):
+    axis = np.linspace(-3.0, 3.0, points)
+    grid = np.stack(np.meshgrid(axis, axis), axis=-1)
+    distance = np.hypot(grid[..., 1], np.maximum(np.abs(grid[..., 0]) - 1.0, 0.0))
+    return FieldMap(axis, axis, strength * grid, distance)
+
+
+def deviation():
+    return 0.1 + 0.01 * np.abs(field().force)
+
+
+def budget(strength=1.0):
+    wave = np.stack([np.sin(TIMES), np.cos(TIMES)], axis=1)
+    names = ("propulsion", "environment", "drag")
+    terms = {name: strength * k * wave for k, name in enumerate(names, start=1)}
+    return Decomposition(TIMES, terms)
+
+
+def paper_figure(**options):
+    parts = (TIMES, states(), states(0.5), states(0.01), losses(3), PHASES)
+    return report.figure1(*parts, barrier=([2.0, 0.0], 1.0), **options)
+
+
+PANELS = {
+    "trajectory": lambda ax=None: report.trajectory(
+        states()[:, :2], {"ude": states(0.1)[:, :2]}, units=UNITS, ax=ax
+    ),
+    "velocity": lambda ax=None: report.velocity(
+        TIMES, states()[:, 2:], {"ude": states(0.1)[:, 2:]}, units=UNITS, ax=ax
+    ),
+    "loss_curve": lambda ax=None: report.loss_curve(losses(), PHASES, ax=ax),
+    "force_map": lambda ax=None: report.force_map(field(), units=UNITS, ax=ax),
+    "force_error_map": lambda ax=None: report.force_error_map(
+        field(1.1), field(), units=UNITS, ax=ax
+    ),
+    "decomposition": lambda ax=None: report.decomposition(budget(), units=UNITS, ax=ax),
+}
+LABELS = {
+    "trajectory": ("$x$ [µm]", "$y$ [µm]"),
+    "velocity": ("$t$ [s]", "velocity [µm/s]"),
+    "loss_curve": ("step", "training loss"),
+    "force_map": ("$x$ [µm]", "$y$ [µm]"),
+    "force_error_map": ("$x$ [µm]", "$y$ [µm]"),
+    "decomposition": ("$t$ [s]", "$a_x$ [µm s⁻²]"),
+}
+FIGURES = {
+    "figure1": paper_figure,
+    "force_comparison": lambda: report.force_comparison(field(1.1), true=field()),
+    "force and deviation": lambda: report.force_comparison(field(), sd=deviation()),
+    "all of the force": lambda: report.force_comparison(
+        field(1.1), true=field(), sd=deviation()
+    ),
+    "acceleration": lambda: report.acceleration_figure(budget(1.1), true=budget()),
+}
+
+
+def legend_texts(ax):
+    return [text.get_text() for text in ax.get_legend().get_texts()]
+
+
+def line_labelled(ax, label):
+    (line,) = [line for line in ax.get_lines() if line.get_label() == label]
+    return line
+
+
+@pytest.mark.parametrize("name", PANELS)
+def test_every_panel_labels_its_axes_with_units(name):
+    ax = PANELS[name]()
+    assert (ax.get_xlabel(), ax.get_ylabel()) == LABELS[name]
+
+
+@pytest.mark.parametrize("name", PANELS)
+def test_every_panel_draws_where_it_is_told(name):
+    ax = Figure().add_subplot()
+    assert PANELS[name](ax) is ax
+
+
+@pytest.mark.parametrize("name", ["trajectory", "force_map", "force_error_map"])
+def test_maps_have_equal_axes(name):
+    assert PANELS[name]().get_aspect() == 1.0
+
+
+def test_dimensionless_channels_print_no_bracket():
+    path = states()[:, :2]
+    units = {"x": "1", "y": "1"}
+    ax = report.trajectory(path, {}, units=units)
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("$x$", "$y$")
+    assert report.decomposition(budget(), 1).get_ylabel() == "$a_y$"
+    bare_length = {"x": "1", "t": "s"}
+    assert report.decomposition(budget(), units=bare_length).get_ylabel() == (
+        "$a_x$ [s⁻²]"
+    )
+
+
+def test_trajectory_marks_start_end_and_barrier():
+    path = states()[:, :2]
+    ax = report.trajectory(path, {}, barrier=([1.0, 2.0], 0.5))
+    assert [text.get_text() for text in ax.texts] == ["start", "end"]
+    np.testing.assert_allclose(ax.texts[0].xy, path[0])
+    np.testing.assert_allclose(ax.texts[1].xy, path[-1])
+    (circle,) = ax.patches
+    assert tuple(circle.get_center()) == (1.0, 2.0)
+    assert circle.get_radius() == 0.5
+    assert "barrier (1σ)" in legend_texts(ax)
+
+
+def test_models_have_one_look_everywhere():
+    path = states()[:, :2]
+    ax = report.trajectory(path, {"ude": path, "ude-untrained": path, "mine": path})
+    assert legend_texts(ax) == ["truth", "trained UDE", "untrained UDE", "mine"]
+    assert line_labelled(ax, "truth").get_color() == BLACK
+    assert line_labelled(ax, "trained UDE").get_color() == BLUE
+    untrained = line_labelled(ax, "untrained UDE")
+    assert (untrained.get_color(), untrained.get_linestyle()) == (VERMILLION, "--")
+
+
+def test_velocity_tells_components_apart_by_lightness():
+    ax = PANELS["velocity"]()
+    for model, color in (("truth", BLACK), ("trained UDE", BLUE)):
+        assert line_labelled(ax, f"$v_x$ {model}").get_color() == color
+        assert line_labelled(ax, f"$v_y$ {model}").get_color() == pale(color)
+    np.testing.assert_allclose(
+        line_labelled(ax, "$v_y$ truth").get_ydata(), states()[:, 3]
+    )
+    assert sum(pale(BLUE)) > sum(to_rgb(BLUE))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_diverged_model_is_said_and_cut(bad):
+    model = states()
+    model[20:] = bad
+    ax = report.trajectory(states()[:, :2], {"ude": model[:, :2]})
+    assert "trained UDE\n(diverged)" in legend_texts(ax)
+    ax = report.velocity(TIMES, states()[:, 2:], {"ude": model[:, 2:]})
+    assert "$v_x$ trained UDE (diverged)" in legend_texts(ax)
+    ax.figure.draw_without_rendering()
+
+
+@pytest.mark.parametrize("far", [1e2, 1e30, 1e300])
+def test_far_model_does_not_shrink_the_truth(far):
+    path = states()[:, :2]
+    ax = report.trajectory(path, {"ude": path * far})
+    ax.figure.draw_without_rendering()
+    assert np.ptp(ax.get_xlim()) < 5.0 * np.ptp(path[:, 0])
+    assert any("ends at" in text for text in legend_texts(ax))
+    ax = report.velocity(TIMES, states()[:, 2:], {"ude": far * states()[:, 2:]})
+    assert np.ptp(ax.get_ylim()) < 5.0 * np.ptp(states()[:, 2:])
+
+
+def test_model_that_never_was_finite_leaves_the_truth():
+    path = states()[:, :2]
+    ax = report.trajectory(path, {"ude": np.full_like(path, np.nan)})
+    ax.figure.draw_without_rendering()
+    assert np.isfinite(ax.get_xlim()).all()
+
+
+def test_loss_is_logarithmic_with_the_phase_change_at_its_step():
+    ax = PANELS["loss_curve"]()
+    assert ax.get_yscale() == "log"
+    markers = [line.get_xdata()[0] for line in ax.get_lines()[1:]]
+    assert markers == [75]
+    (top,) = ax.child_axes
+    assert [tick.get_text() for tick in top.get_xticklabels()] == ["Adam", "L-BFGS"]
+    np.testing.assert_allclose(top.get_xticks(), [37.5, 87.5])
+
+
+def test_loss_of_several_seeds_is_one_bold_line_and_thin_ones():
+    ax = report.loss_curve(losses(4), PHASES)
+    bold, *thin = ax.get_lines()[:4]
+    np.testing.assert_allclose(bold.get_ydata(), losses(4)[0])
+    assert all(line.get_linewidth() < bold.get_linewidth() for line in thin)
+    assert legend_texts(ax) == ["first seed", "3 more"]
+
+
+def test_loss_leaves_a_gap_where_it_is_no_positive_number():
+    values = losses()[0]
+    values[[3, 4, 5]] = np.nan, np.inf, 0.0
+    ax = report.loss_curve(values, PHASES)
+    drawn = ax.get_lines()[0].get_ydata()
+    assert np.flatnonzero(np.isnan(drawn)).tolist() == [3, 4, 5]
+    ax.figure.draw_without_rendering()
+
+
+def test_loss_that_is_nowhere_finite_still_draws():
+    ax = report.loss_curve(np.full(5, np.nan), (("Adam", 0),))
+    ax.figure.draw_without_rendering()
+
+
+def test_force_map_marks_visited_ground_and_shades_the_unvisited():
+    ax = report.force_map(field(), path=np.zeros((2, 2)))
+    levels = [list(c.levels) for c in ax.collections if hasattr(c, "levels")]
+    furthest = field().distance.max()
+    assert levels == [[NEAR, furthest], [NEAR, furthest], [VISITED], [NEAR]]
+    assert legend_texts(ax)[0] == "trajectory"
+    assert "no data: extrapolation" in legend_texts(ax)
+    bare = report.force_map(field(), shade=False)
+    levels = [list(c.levels) for c in bare.collections if hasattr(c, "levels")]
+    assert levels == [[VISITED], [NEAR]]
+
+
+def test_force_map_draws_the_regions_of_its_unit():
+    regions = Regions(visited=0.2, near=0.9)
+    shown = dataclasses.replace(field(), regions=regions)
+    ax = report.force_map(shown, shade=False, units={"x": "um", "y": "um"})
+    levels = [list(c.levels) for c in ax.collections if hasattr(c, "levels")]
+    assert levels == [[0.2], [0.9]]
+    assert "visited (within 0.2 µm)" in legend_texts(ax)
+
+
+def test_force_map_scales_by_what_is_near_the_data():
+    spread = field()
+    magnitude = np.linalg.norm(spread.force, axis=-1)
+    near = magnitude[spread.distance <= NEAR].max()
+    assert report.force_map(spread).collections[0].get_clim() == (0.0, near)
+    shared = report.force_map(spread, limit=7.0)
+    assert shared.collections[0].get_clim() == (0.0, 7.0)
+
+
+def test_force_error_map_shows_the_size_of_the_difference():
+    ax = report.force_error_map(field(1.5), field())
+    values = ax.collections[0].get_array()
+    expected = 0.5 * np.linalg.norm(field().force, axis=-1)
+    np.testing.assert_allclose(np.ravel(values), np.ravel(expected))
+
+
+@pytest.mark.parametrize("value", [0.0, np.nan])
+def test_force_map_without_a_finite_force_still_draws(value):
+    flat = FieldMap(
+        field().x, field().y, np.full_like(field().force, value), field().distance
+    )
+    report.force_map(flat).figure.draw_without_rendering()
+
+
+@pytest.mark.parametrize(
+    ("name", "panels"),
+    [
+        ("force and deviation", ["learned", "standard deviation"]),
+        ("all of the force", ["true", "learned", "error", "standard deviation"]),
+    ],
+)
+def test_a_comparison_shows_what_is_known(name, panels):
+    figure = FIGURES[name]()
+    titles = [ax.get_title(loc="left") for ax in figure.axes]
+    titles = [title for title in titles if title]
+    assert [title.split(" ", 1)[1] for title in titles] == panels
+
+
+def test_observed_paths_leave_gaps_and_mark_every_start():
+    seen = states()[:, :2].copy()
+    seen[3] = np.nan
+    ax = report.observed_paths([seen, seen + 2.0], [states()[:, :2]] * 2, units=UNITS)
+    assert legend_texts(ax) == ["observed", "model", "start"]
+    assert ax.get_xlabel() == "$x$ [µm]"
+    dots, line, _, _, starts = ax.get_lines()
+    assert np.isnan(dots.get_xydata()[3]).all()
+    assert np.isfinite(line.get_xydata()).all()
+    assert len(starts.get_xydata()) == 2
+
+
+def test_comparison_shares_the_scale_of_the_true_force():
+    figure = FIGURES["force_comparison"]()
+    maps = [ax for ax in figure.axes if ax.get_title(loc="left")]
+    assert [ax.get_title(loc="left") for ax in maps] == [
+        "(a) true",
+        "(b) learned",
+        "(c) error",
+    ]
+    true, learned, _ = (ax.collections[0].get_clim() for ax in maps)
+    assert true == learned == (0.0, np.linalg.norm(field().force, axis=-1).max())
+
+
+def test_decomposition_adds_up():
+    ax = report.decomposition(budget(), 1, true=budget(2.0))
+    total = line_labelled(ax, "sum").get_ydata()
+    terms = ("propulsion", "environment, learned", "drag")
+    parts = [line_labelled(ax, name).get_ydata() for name in terms]
+    np.testing.assert_allclose(total, sum(parts))
+    np.testing.assert_allclose(
+        line_labelled(ax, "environment, true").get_ydata(), 2.0 * parts[1]
+    )
+
+
+def test_figure1_has_the_panels_of_the_paper():
+    titles = [ax.get_title(loc="left") for ax in paper_figure().axes]
+    assert sorted(titles) == [
+        "(a) truth and untrained UDE",
+        "(b) truth and trained UDE",
+        "(c) training loss",
+        "(d) truth and untrained UDE",
+        "(e) truth and trained UDE",
+    ]
+    other = [ax.get_title(loc="left") for ax in paper_figure(model="nn-only").axes]
+    assert "(b) truth and trained NN only" in other
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_saved_figures_are_whole_and_the_same_every_time(tmp_path, name):
+    first = report.save_figure(FIGURES[name](), tmp_path / "new" / "one", name)
+    second = report.save_figure(FIGURES[name](), tmp_path / "two", name)
+    assert first.svg.read_bytes() == second.svg.read_bytes()
+    assert first.png.read_bytes() == second.png.read_bytes()
+    assert first.png.read_bytes().startswith(b"\x89PNG")
+    text = first.svg.read_text(encoding="utf-8")
+    assert "</text>" in text
+    assert "<dc:date>" not in text
+    assert sorted(p.name for p in first.png.parent.iterdir()) == [
+        f"{name}.png",
+        f"{name}.svg",
+    ]
+
+
+def test_failed_write_keeps_the_old_file_and_leaves_no_part(tmp_path):
+    figure = Figure()
+    paths = report.save_figure(figure, tmp_path, "f")
+    before = paths.png.read_bytes()
+
+    def fail(to, **_):
+        to.write(b"half")
+        raise OSError("disk full")
+
+    figure.savefig = fail
+    with pytest.raises(OSError, match="disk full"):
+        report.save_figure(figure, tmp_path, "f")
+    assert paths.png.read_bytes() == before
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["f.png", "f.svg"]
+
+
+def test_import_leaves_pyplot_alone():
+    code = "import sys, pinav.report; assert 'matplotlib.pyplot' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -1,0 +1,309 @@
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.errors import FitError, InputError
+from pinav.fitting import BayesOutcome, fit_bayes, kernel_environment
+from pinav.fitting.evidence.priors import WeightPrior
+from pinav.forces import AbstractForce, GaussianBarrier, KernelForce, KernelPotential
+from pinav.scenarios import barrier_crossings
+from pinav.trajectories import Trajectories, simulate
+
+NOISE = 0.02
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    """Four of the crossings, for their first six time units."""
+    return eqx.tree_at(
+        lambda s: (s.starts, s.times),
+        barrier_crossings(),
+        replace_fn=lambda a: a[:4] if a.ndim == 2 else a[:61],
+    )
+
+
+@pytest.fixture(scope="module")
+def data(scenario):
+    return simulate(scenario, key=jax.random.key(1))
+
+
+@pytest.fixture(scope="module")
+def untrained(scenario, data):
+    environment = kernel_environment(KernelPotential, data)
+    return eqx.tree_at(lambda s: s.environment, scenario.truth, environment)
+
+
+@pytest.fixture(scope="module")
+def fitted(untrained, data):
+    return fit_bayes(untrained, data)
+
+
+def observing(data, observed):
+    return Trajectories.from_arrays(
+        [piece.times for piece in data],
+        [piece.states for piece in data],
+        channels=data.channels,
+        observed=[observed[i, :n] for i, n in enumerate(data.lengths)],
+    )
+
+
+def forces(force, points):
+    return np.asarray(
+        jax.vmap(lambda x: force(0.0, x, jnp.zeros_like(x)))(jnp.asarray(points))
+    )
+
+
+def error(fit, scenario, data):
+    """Relative error of the force at the observed positions."""
+    points = data.states[..., :2].reshape(-1, 2)
+    true = forces(scenario.truth.environment, points)
+    learned = forces(fit.model.environment, points)
+    return np.linalg.norm(learned - true) / np.linalg.norm(true)
+
+
+def test_a_kernel_potential_learns_the_force_from_noisy_crossings(
+    fitted, scenario, data
+):
+    assert fitted.outcome is BayesOutcome.CONVERGED
+    assert fitted.iterations <= 8
+    assert error(fitted, scenario, data) < 0.03
+    assert fitted.hyperparameters.noise == pytest.approx(NOISE, rel=0.1)
+
+
+def test_the_smoothed_states_are_a_rollout_nearer_to_the_truth(fitted, scenario, data):
+    solver = fitted_rollout(fitted, data)
+    np.testing.assert_allclose(fitted.states, solver, atol=1e-4)
+    truth = simulate(eqx.tree_at(lambda s: s.noise, scenario, 0.0)).states
+    smoothed = np.sqrt(np.mean((fitted.states - truth) ** 2))
+    assert smoothed < 0.5 * NOISE
+
+
+def fitted_rollout(fitted, data):
+    band = fitted.posterior.rollout_band
+    return np.stack(
+        [band(own[0], data.times[0]).ys for own in fitted.states], dtype=float
+    )
+
+
+def test_the_band_covers_the_true_force(fitted, scenario, data):
+    points = data.states[..., :2].reshape(-1, 2)
+    miss = forces(fitted.model.environment, points) - forces(
+        scenario.truth.environment, points
+    )
+    inside = np.abs(miss) < 1.96 * fitted.posterior.force_sd(points)
+    assert inside.mean() > 0.85
+
+
+def test_far_from_the_kernels_the_force_is_zero_and_certain(fitted):
+    assert np.all(fitted.posterior.force_sd(np.array([[100.0, 100.0]])) < 1e-12)
+
+
+def test_samples_spread_as_the_posterior_says(fitted):
+    points = np.array([[4.0, 5.0], [6.0, 7.0]])
+    models = fitted.posterior.samples(400, key=jax.random.key(0))
+    draws = np.stack([forces(model.environment, points) for model in models])
+    sd = fitted.posterior.force_sd(points)
+    np.testing.assert_allclose(draws.std(axis=0), sd, rtol=0.15)
+    mean = forces(fitted.model.environment, points)
+    assert np.all(np.abs(draws.mean(axis=0) - mean) < 0.25 * sd)
+
+
+def test_the_band_of_a_rollout_is_the_spread_of_sampled_rollouts(fitted, data):
+    times, start = data.times[0, :21], fitted.states[0, 0]
+    band = fitted.posterior.rollout_band(start, times, start_sd=0.01)
+    np.testing.assert_allclose(band.sd[0], 0.01)
+    fixed = fitted.posterior.rollout_band(start, times)
+    assert np.all(fixed.sd <= band.sd)
+    from pinav.dynamics import FixedStep
+
+    solve = eqx.filter_jit(lambda m: FixedStep().solve(m, jnp.asarray(start), times)[0])
+    models = fitted.posterior.samples(200, key=jax.random.key(1))
+    draws = np.stack([solve(model) for model in models])
+    np.testing.assert_allclose(draws[:, -1].std(axis=0), fixed.sd[-1], rtol=0.25)
+
+
+@pytest.mark.parametrize("missing", [[2, 3], [3]], ids=["velocities", "vy"])
+def test_positions_alone_suffice(untrained, scenario, data, missing):
+    observed = data.observed.copy()
+    observed[..., missing] = False
+    found = fit_bayes(untrained, observing(data, observed))
+    assert found.outcome is BayesOutcome.CONVERGED
+    assert error(found, scenario, data) < 0.12
+    assert found.hyperparameters.noise == pytest.approx(NOISE, rel=0.1)
+
+
+def test_damping_is_learned_within_its_interval(untrained, data):
+    start = eqx.tree_at(lambda m: m.drag.damping, untrained, 0.1)
+    found = fit_bayes(start, data, learn=lambda m: m.drag.damping)
+    (damping,) = found.constants.values()
+    assert list(found.constants) == ["drag.damping"]
+    assert abs(damping.value - 0.36) < 2.5 * damping.sd
+    assert damping.sd < 0.01
+    assert float(found.model.drag.damping) == pytest.approx(damping.value)
+
+
+def test_holes_and_trajectories_of_different_lengths_are_no_obstacle(
+    untrained, scenario, data
+):
+    rng = np.random.default_rng(0)
+    lengths = [61, 50, 61, 40]
+    keep = [np.sort(rng.permutation(n)[: n - 6]) for n in lengths]
+    keep[0] = np.arange(61)
+    holes = Trajectories.from_arrays(
+        [data.times[i][rows] for i, rows in enumerate(keep)],
+        [data.states[i][rows] for i, rows in enumerate(keep)],
+        channels=data.channels,
+        observed=[rng.uniform(size=(len(rows), 4)) > 0.2 for rows in keep],
+    )
+    found = fit_bayes(untrained, holes, noise=NOISE)
+    assert found.outcome is BayesOutcome.CONVERGED
+    assert found.hyperparameters.noise == NOISE
+    assert error(found, scenario, data) < 0.05
+
+
+def test_data_without_noise_converge_to_little_noise(untrained, scenario):
+    clean = simulate(eqx.tree_at(lambda s: s.noise, scenario, 0.0))
+    found = fit_bayes(untrained, clean, throw=False)
+    assert found.outcome is BayesOutcome.CONVERGED
+    assert found.hyperparameters.noise < 1e-3
+    assert error(found, scenario, clean) < 1e-3
+
+
+def test_iterations_that_run_out_are_a_stall(untrained, data):
+    with pytest.raises(FitError, match="stalled: its iterations ran out"):
+        fit_bayes(untrained, data, max_iterations=1)
+    found = fit_bayes(untrained, data, max_iterations=1, throw=False)
+    assert found.outcome is BayesOutcome.STALLED
+    assert np.all(np.isfinite(found.posterior.mean))
+
+
+def test_rates_that_are_not_finite_are_a_divergence(untrained, data):
+    broken = eqx.tree_at(lambda m: m.drag.damping, untrained, jnp.inf)
+    with pytest.raises(FitError, match="diverged at once: .* not finite"):
+        fit_bayes(broken, data, throw=False)
+
+
+class RootDrag(AbstractForce):
+    """Drag whose constant must not become negative."""
+
+    square: jax.Array
+
+    def __call__(self, t, x, v):
+        return -jnp.sqrt(self.square) * v
+
+
+def test_a_step_to_where_nothing_is_finite_is_a_divergence(untrained, data):
+    """From 1 the tangent of the root reaches 0.36 at -0.28."""
+    model = eqx.tree_at(lambda m: m.drag, untrained, RootDrag(jnp.asarray(1.0)))
+    with pytest.raises(FitError, match="the fit diverged: the states depart from"):
+        fit_bayes(model, data, learn=lambda m: m.drag.square)
+    found = fit_bayes(model, data, learn=lambda m: m.drag.square, throw=False)
+    assert found.outcome is BayesOutcome.DIVERGED
+    assert found.iterations == 1
+    assert found.constants["drag.square"].value < 0
+
+
+def test_two_constants_of_which_only_the_product_matters_are_singular(untrained, data):
+    with pytest.raises(FitError, match="do not determine the learned constants"):
+        fit_bayes(
+            untrained,
+            data,
+            learn=lambda m: (m.propulsion.gain, m.propulsion.field.amplitude),
+        )
+
+
+def test_a_constant_that_does_nothing_makes_the_fit_singular(untrained, data):
+    idle = eqx.tree_at(lambda m: m.propulsion.gain, untrained, 0.0)
+    with pytest.raises(FitError, match="do not determine the learned constants"):
+        fit_bayes(idle, data, learn=lambda m: m.propulsion.axis)
+
+
+def test_too_few_observations_are_refused(untrained, data):
+    observed = np.zeros_like(data.observed)
+    observed[:, [0, 30], :2] = True
+    with pytest.raises(InputError, match="channel 'vx'|16 observations are no more"):
+        fit_bayes(untrained, observing(data, observed))
+
+
+def test_a_channel_that_nobody_saw_is_refused(untrained, data):
+    observed = data.observed.copy()
+    observed[2, :, 0] = False
+    with pytest.raises(InputError, match="channel 'x' of trajectory 2: 0 obs"):
+        fit_bayes(untrained, observing(data, observed))
+    observed[..., 0] = False
+    with pytest.raises(InputError, match="channel 'x' of trajectory 0: 0 obs"):
+        fit_bayes(untrained, observing(data, observed))
+    with pytest.raises(InputError, match="two or more different observed positions"):
+        kernel_environment(KernelPotential, observing(data, observed))
+
+
+@pytest.mark.parametrize("noise", [0.0, -1.0, float("nan"), float("inf")])
+def test_noise_must_be_a_positive_number(untrained, data, noise):
+    with pytest.raises(InputError, match="noise: expected a finite number > 0"):
+        fit_bayes(untrained, data, noise=noise)
+
+
+def test_other_mistakes_are_named(untrained, data):
+    with pytest.raises(InputError, match="max_iterations: expected >= 1, got 0"):
+        fit_bayes(untrained, data, max_iterations=0)
+    with pytest.raises(InputError, match="environment.width belongs to the environ"):
+        fit_bayes(untrained, data, learn=lambda m: m.environment.width)
+    one_dim = Trajectories.from_arrays(
+        data.times[0], data.states[0][:, [0, 2]], channels=("x", "vx")
+    )
+    with pytest.raises(InputError, match="expected 4 channels"):
+        fit_bayes(untrained, one_dim)
+
+
+@pytest.mark.parametrize("kind", [KernelForce, KernelPotential])
+def test_an_environment_made_from_data_surrounds_them(data, kind):
+    made = kernel_environment(kind, data)
+    positions = data.states[..., :2].reshape(-1, 2)
+    offsets = positions[:, None] - np.asarray(made.centers)
+    distance = np.linalg.norm(offsets, axis=-1)
+    assert distance.min(axis=1).max() < made.width
+    assert distance.min(axis=0).max() < 4 * made.width
+    assert not np.any(forces(made, positions))
+    prior = WeightPrior(made)
+    assert np.all(prior.bounds[:, 0] <= prior.start)
+    assert np.all(prior.start <= prior.bounds[:, 1])
+    covariance = prior.covariance(prior.start)
+    assert covariance.shape == (made.weights.size,) * 2
+    assert np.linalg.eigvalsh(covariance)[0] > -1e-10
+
+
+def test_data_at_one_point_have_no_extent():
+    still = Trajectories.from_arrays(
+        [0.0, 1.0], np.zeros((2, 4)), channels=("x", "y", "vx", "vy")
+    )
+    with pytest.raises(InputError, match="two or more different observed positions"):
+        kernel_environment(KernelPotential, still)
+
+
+def test_a_wide_envelope_is_no_envelope_and_a_narrow_one_fades():
+    axis = np.arange(-10.0, 11.0)[:, None]
+    prior = WeightPrior(KernelPotential(jnp.zeros(21), jnp.asarray(axis), 2.0))
+    stationary = np.exp(-0.5 * ((axis - axis.T) / 3.0) ** 2)
+    wide = prior.covariance(np.array([np.log(1.5), np.log(1e4), 0.0]))
+    np.testing.assert_allclose(wide, stationary, rtol=1e-5)
+    narrow = prior.covariance(np.array([np.log(1.5), 0.0, 1.0]))
+    expected = np.exp(-(((axis[:, 0] - 2.0) / 2.0) ** 2))
+    np.testing.assert_allclose(np.diag(narrow), expected)
+
+
+def test_two_obstacles_are_learned_with_a_wide_envelope(scenario, untrained):
+    """Where the field does not fade away from one place the evidence notices."""
+    barriers = GaussianBarrier(4.0, [2.0, 3.0], 1.5) + GaussianBarrier(
+        -3.0, [8.0, 6.0], 2.0
+    )
+    two = eqx.tree_at(lambda s: s.truth.environment, scenario, barriers)
+    seen = simulate(two, key=jax.random.key(3))
+    model = eqx.tree_at(
+        lambda s: s.environment, untrained, kernel_environment(KernelPotential, seen)
+    )
+    found = fit_bayes(model, seen)
+    assert found.outcome is BayesOutcome.CONVERGED
+    assert error(found, two, seen) < 0.1
+    assert found.hyperparameters.shape[1] > 0.5

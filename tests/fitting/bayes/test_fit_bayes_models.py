@@ -1,0 +1,209 @@
+"""`fit_bayes` of parametric environments and of dynamics of first order."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxtyping import Array, Float
+
+from pinav.dynamics import AbstractDynamics, FixedStep, rollout
+from pinav.errors import InputError
+from pinav.fitting import BayesOutcome, fit_bayes, kernel_environment, model_evidence
+from pinav.forces import (
+    AbstractForce,
+    GaussianBarrier,
+    KernelForce,
+    KernelPotential,
+    ZeroForce,
+)
+from pinav.scenarios import barrier_crossings
+from pinav.trajectories import Trajectories, simulate
+
+NOISE = 0.02
+BARRIER = GaussianBarrier(2.0, [1.0, 0.5], 1.2)
+
+
+class Drifter(AbstractDynamics):
+    """Without inertia: the force is the velocity, as is the constant drift."""
+
+    drift: Float[Array, " dim"]
+    environment: AbstractForce
+
+    def __call__(self, t, y):
+        return self.drift + self.environment(t, y, jnp.zeros_like(y))
+
+
+@pytest.fixture(scope="module")
+def crossings():
+    """Three noisy crossings of the barrier, for their first five time units."""
+    scenario = eqx.tree_at(
+        lambda s: (s.starts, s.times),
+        barrier_crossings(),
+        replace_fn=lambda a: a[:3] if a.ndim == 2 else a[:51],
+    )
+    return scenario, simulate(scenario, key=jax.random.key(1))
+
+
+@pytest.fixture(scope="module")
+def drifts():
+    """Six noisy drifts past a barrier: positions are the whole state."""
+    truth = Drifter(jnp.array([1.0, 0.3]), BARRIER)
+    times, rng = np.linspace(0.0, 3.0, 31), np.random.default_rng(0)
+    starts = np.stack([np.full(6, -1.0), np.linspace(-2.0, 1.5, 6)], axis=1)
+    solver = FixedStep(substeps=4)
+    states = [rollout(truth, y0, times, solver=solver).ys for y0 in starts]
+    noisy = [np.asarray(y) + NOISE * rng.normal(size=y.shape) for y in states]
+    data = Trajectories.from_arrays(times, noisy, channels=("x", "y"))
+    return truth, data
+
+
+def guess(model):
+    """The same dynamics with a wrong barrier."""
+    offset = np.asarray(model.environment.center) + np.array([0.5, -0.4])
+    wrong = GaussianBarrier(
+        0.7 * model.environment.height, offset, 1.2 * model.environment.width
+    )
+    return eqx.tree_at(lambda m: m.environment, model, wrong)
+
+
+def values(barrier):
+    return np.array([barrier.height, *barrier.center, barrier.width])
+
+
+@pytest.fixture(scope="module", params=["second order", "first order"])
+def parametric(request, crossings, drifts):
+    if request.param == "first order":
+        truth, data = drifts
+    else:
+        truth, data = crossings[0].truth, crossings[1]
+    return truth, data, fit_bayes(guess(truth), data, learn=lambda m: m.environment)
+
+
+def test_a_parametric_environment_is_found_within_its_intervals(parametric):
+    truth, _, found = parametric
+    assert found.outcome is BayesOutcome.CONVERGED
+    assert list(found.constants) == [
+        "environment.height",
+        "environment.center[0]",
+        "environment.center[1]",
+        "environment.width",
+    ]
+    sd = np.array([estimate.sd for estimate in found.constants.values()])
+    learned = values(found.model.environment)
+    assert np.all(np.abs(learned - values(truth.environment)) < 4 * sd)
+    assert np.all(sd < 0.1 * np.abs(learned))
+    assert found.hyperparameters.noise == pytest.approx(NOISE, rel=0.15)
+    assert found.hyperparameters.shape.size == 0
+
+
+def test_the_intervals_are_those_of_least_squares_on_rollouts(parametric):
+    """Starts and parameters together, by an independent Jacobian."""
+    truth, data, found = parametric
+    times, solver = jnp.asarray(data.times[0]), FixedStep()
+
+    def rolled(parameters, starts):
+        force = GaussianBarrier(parameters[0], parameters[1:3], parameters[3])
+        model = eqx.tree_at(lambda m: m.environment, truth, force)
+        return jax.vmap(lambda y0: solver.solve(model, y0, times)[0])(starts).ravel()
+
+    best = jnp.asarray(values(found.model.environment))
+    starts = jnp.asarray(found.states[:, 0])
+    left, right = jax.jacfwd(rolled, (0, 1))(best, starts)
+    rows = np.concatenate([left, right.reshape(len(left), -1)], axis=1)
+    residuals = np.asarray(rolled(best, starts)) - data.states.ravel()
+    variance = residuals @ residuals / (len(rows) - rows.shape[1])
+    expected = np.sqrt(np.diag(variance * np.linalg.inv(rows.T @ rows)))[:4]
+    sd = np.array([estimate.sd for estimate in found.constants.values()])
+    np.testing.assert_allclose(sd, expected, rtol=0.02)
+    np.testing.assert_allclose(rows.T @ residuals, 0.0, atol=2.0 * NOISE)
+
+
+def test_a_known_model_has_the_evidence_of_its_noise_and_starts(drifts):
+    """Without a force each path is its start plus a line, and starts are means."""
+    truth, data = drifts
+    known = eqx.tree_at(lambda m: m.environment, truth, ZeroForce())
+    found = fit_bayes(known, data, learn=None)
+    assert found.outcome is BayesOutcome.CONVERGED
+    assert found.posterior.mean.size == 0
+    assert not found.constants
+    lines = data.times[..., None] * np.asarray(truth.drift)
+    starts = (data.states - lines).mean(axis=1, keepdims=True)
+    np.testing.assert_allclose(found.states, starts + lines, atol=1e-9)
+    residuals = data.states - found.states
+    free = residuals.size - starts.size
+    noise = np.sqrt(np.sum(residuals**2) / free)
+    assert found.hyperparameters.noise == pytest.approx(noise)
+    samples = data.states[0].size
+    evidence = model_evidence(found.linear, found.hyperparameters)
+    assert evidence.best == pytest.approx(
+        -0.5 * residuals.size * np.log(2 * np.pi * noise**2)
+        - 0.5 * np.sum(residuals**2) / noise**2
+        - 0.5 * starts.size * np.log(samples)
+    )
+
+
+def test_known_kernels_stay_as_they_are(drifts):
+    truth, data = drifts
+    kernels = kernel_environment(KernelPotential, data, dim=2)
+    known = eqx.tree_at(lambda m: m.environment, truth, kernels)
+    found = fit_bayes(known, data, learn=None)
+    nothing = eqx.tree_at(lambda m: m.environment, truth, ZeroForce())
+    expected = fit_bayes(nothing, data, learn=None)  # untrained kernels are no force
+    np.testing.assert_allclose(found.states, expected.states, atol=1e-9)
+    assert found.model.environment.weights.shape == kernels.weights.shape
+
+
+@pytest.mark.parametrize("kind", [KernelForce, KernelPotential])
+def test_kernels_are_fitted_to_dynamics_of_first_order(drifts, kind):
+    truth, data = drifts
+    environment = kernel_environment(kind, data, dim=2)
+    model = eqx.tree_at(lambda m: m.environment, truth, environment)
+    found = fit_bayes(model, data)
+    assert found.outcome is BayesOutcome.CONVERGED
+    assert found.hyperparameters.noise == pytest.approx(NOISE, rel=0.15)
+    points = jnp.asarray(data.states.reshape(-1, 2))
+
+    def forces(force):
+        return np.asarray(jax.vmap(lambda x: force(0.0, x, jnp.zeros(2)))(points))
+
+    miss = forces(found.model.environment) - forces(truth.environment)
+    assert np.linalg.norm(miss) < 0.1 * np.linalg.norm(forces(truth.environment))
+
+
+def test_positions_are_no_velocities_of_each_other(drifts):
+    truth, data = drifts
+    half = Trajectories.from_arrays(
+        data.times[0],
+        list(data.states),
+        channels=("x", "y"),
+        observed=[np.tile([True, False], (31, 1))] * 6,
+    )
+    with pytest.raises(InputError, match="channel 'y' of trajectory 0: 0 observ"):
+        fit_bayes(truth, half, learn=lambda m: m.environment)
+
+
+def test_models_with_nothing_to_learn_are_refused(crossings, drifts):
+    scenario, data = crossings
+    without = eqx.tree_at(lambda s: s.environment, scenario.truth, ZeroForce())
+    with pytest.raises(InputError, match="learn: ZeroForce has no weights"):
+        fit_bayes(without, data)
+    with pytest.raises(InputError, match="force called environment, got EmptyDyn"):
+        fit_bayes(EmptyDynamics(), data)
+    wrong = "expected 2 or 4 channels, got x, y, z"
+    three = Trajectories.from_arrays(
+        [0.0, 1.0], np.arange(6.0).reshape(2, 3), channels=("x", "y", "z")
+    )
+    kernels = kernel_environment(KernelPotential, drifts[1], dim=2)
+    drifting = eqx.tree_at(lambda m: m.environment, drifts[0], kernels)
+    with pytest.raises(InputError, match=wrong):
+        fit_bayes(drifting, three)
+    with pytest.raises(InputError, match="kernel_environment dim: expected 1 to 2"):
+        kernel_environment(KernelPotential, drifts[1], dim=3)
+
+
+class EmptyDynamics(AbstractDynamics):
+    """Nothing moves, nothing is unknown."""
+
+    def __call__(self, t, y):
+        return jnp.zeros_like(y)

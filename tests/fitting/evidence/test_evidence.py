@@ -1,0 +1,219 @@
+import numpy as np
+import pytest
+
+from pinav.errors import FitError
+from pinav.fitting.evidence.evidence import (
+    Data,
+    Whitened,
+    at_shape,
+    best_hyperparameters,
+    shape_slope,
+    weight_posterior,
+)
+from pinav.fitting.evidence.hyperparameter_uncertainty import SHAPE_SD, shape_covariance
+from pinav.fitting.evidence.priors import AbstractPrior
+from pinav.fitting.evidence.quadratic import (
+    Quadratic,
+    is_singular,
+    joint_posterior,
+    without_flat,
+)
+
+WEIGHTS, FLAT, ROWS = 4, 2, 30
+RNG = np.random.default_rng(1)
+DESIGN = RNG.normal(size=(ROWS, WEIGHTS + FLAT))
+TRUE = np.array([1.0, -0.5, 0.3, 0.8, 5.0, -3.0])
+DATA = DESIGN @ TRUE + 0.1 * RNG.normal(size=ROWS)
+MASK = np.arange(WEIGHTS + FLAT) >= WEIGHTS
+ABOUT = RNG.normal(size=WEIGHTS + FLAT)
+
+
+BOUNDS = np.array([[-1.0, 1.0]])
+
+
+def prior(shape):
+    length_scale = np.exp(shape[0])
+    distance = np.arange(WEIGHTS)[:, None] - np.arange(WEIGHTS)
+    return np.exp(-0.5 * (distance / length_scale) ** 2) + 1e-6 * np.eye(WEIGHTS)
+
+
+@pytest.fixture
+def quadratic():
+    """The sum of squares of the linear model, known about an arbitrary point."""
+    residuals = DESIGN @ ABOUT - DATA
+    return Quadratic(
+        ABOUT,
+        DESIGN.T @ DESIGN,
+        DESIGN.T @ residuals,
+        float(residuals @ residuals),
+        num_free=ROWS,
+        log_determinant=0.0,
+    )
+
+
+def restricted_likelihood(chosen, prior=prior):
+    """Log density of the data with the flat parameters integrated out, directly."""
+    weights, flat = DESIGN[:, ~MASK], DESIGN[:, MASK]
+    covariance = chosen.noise**2 * np.eye(ROWS)
+    covariance += chosen.amplitude**2 * weights @ prior(chosen.shape) @ weights.T
+    inverse = np.linalg.inv(covariance)
+    information = flat.T @ inverse @ flat
+    projected = inverse - inverse @ flat @ np.linalg.solve(
+        information, flat.T @ inverse
+    )
+    return -0.5 * (
+        (ROWS - FLAT) * np.log(2 * np.pi)
+        + np.linalg.slogdet(covariance)[1]
+        + np.linalg.slogdet(information)[1]
+        + DATA @ projected @ DATA
+    )
+
+
+@pytest.mark.parametrize("noise", [None, 0.1, 0.3])
+def test_evidence_is_the_normal_density_of_the_data(quadratic, noise):
+    reduced, _ = without_flat(quadratic, MASK)
+    chosen = best_hyperparameters(Data.of(reduced), prior, np.zeros(1), BOUNDS, noise)
+    expected = restricted_likelihood(chosen)
+    np.testing.assert_allclose(chosen.log_evidence, expected, rtol=1e-8)
+    assert noise is None or chosen.noise == noise
+
+
+def of_low_rank(shape):
+    """A prior under which all weights are made of two numbers."""
+    root = np.stack([np.ones(WEIGHTS), np.exp(shape[0]) * np.arange(WEIGHTS)], axis=1)
+    return root @ root.T
+
+
+def slopes_of_low_rank(shape):
+    count = np.arange(WEIGHTS)
+    return 2 * np.exp(2 * shape[0]) * np.outer(count, count)[None]
+
+
+@pytest.mark.parametrize("noise", [None, 0.1])
+def test_the_slope_of_the_evidence_holds_for_data_that_no_weights_reach(
+    quadratic, noise
+):
+    data, step = Data.of(without_flat(quadratic, MASK)[0]), 1e-4
+    shape = np.array([0.3])
+    upper, lower = (
+        at_shape(data, of_low_rank, shape + s, noise).log_evidence
+        for s in (step, -step)
+    )
+    chosen = at_shape(data, of_low_rank, shape, noise)
+    white = Whitened.of(data, of_low_rank(shape))
+    slope = shape_slope(data, white, chosen, slopes_of_low_rank)
+    np.testing.assert_allclose(slope, [(upper - lower) / (2 * step)], rtol=1e-5)
+
+
+class Correlated(AbstractPrior):
+    """The prior of `prior`; `idle` where the shape has no effect."""
+
+    idle: bool = False
+
+    @property
+    def start(self):
+        return np.zeros(1)
+
+    @property
+    def bounds(self):
+        return BOUNDS
+
+    def covariance(self, shape):
+        return prior(np.zeros(1)) if self.idle else prior(shape)
+
+    def slopes(self, shape):
+        distance = np.arange(WEIGHTS)[:, None] - np.arange(WEIGHTS)
+        squares = (distance / np.exp(shape[0])) ** 2
+        slope = squares * np.exp(-0.5 * squares)
+        return np.zeros_like(slope)[None] if self.idle else slope[None]
+
+
+def test_a_prior_of_low_rank_has_the_evidence_and_posterior_of_its_density(quadratic):
+    data = Data.of(without_flat(quadratic, MASK)[0])
+    chosen = at_shape(data, of_low_rank, np.zeros(1))
+    expected = restricted_likelihood(chosen, of_low_rank)
+    np.testing.assert_allclose(chosen.log_evidence, expected, rtol=1e-8)
+    covariance = of_low_rank(np.zeros(1))
+    mean, spread = weight_posterior(data, covariance, chosen)
+    prior_of_data = chosen.amplitude**2 * covariance @ data.rows.T
+    gain = prior_of_data @ np.linalg.inv(
+        data.rows @ prior_of_data + chosen.noise**2 * np.eye(len(data.targets))
+    )
+    np.testing.assert_allclose(mean, gain @ data.targets, rtol=1e-8)
+    exact = chosen.amplitude**2 * covariance - gain @ prior_of_data.T
+    np.testing.assert_allclose(spread, exact, rtol=1e-6, atol=1e-10)
+
+
+def test_noise_is_estimated_without_bias(quadratic):
+    reduced, _ = without_flat(quadratic, MASK)
+    chosen = best_hyperparameters(Data.of(reduced), prior, np.zeros(1), BOUNDS)
+    assert chosen.noise == pytest.approx(0.1, rel=0.3)
+
+
+def test_the_evidence_is_highest_where_the_search_ends(quadratic):
+    data = Data.of(without_flat(quadratic, MASK)[0])
+    chosen = best_hyperparameters(data, prior, np.zeros(1), BOUNDS)
+    for shape in np.linspace(-1, 1, 9)[:, None]:
+        assert at_shape(data, prior, shape).log_evidence < chosen.log_evidence + 1e-4
+
+
+def test_an_uncertain_shape_widens_the_posterior(quadratic):
+    data = Data.of(without_flat(quadratic, MASK)[0])
+    chosen = best_hyperparameters(data, prior, np.zeros(1), BOUNDS)
+    extra = shape_covariance(data, Correlated(), chosen)
+    values = np.linalg.eigvalsh(extra)
+    assert values[-1] > 0
+    np.testing.assert_allclose(values[:-1], 0, atol=1e-12)
+    idle = shape_covariance(data, Correlated(idle=True), chosen)
+    np.testing.assert_allclose(idle, 0, atol=1e-12)
+
+
+def test_what_a_shape_adds_follows_from_the_curvature_of_the_evidence(quadratic):
+    data, step = Data.of(without_flat(quadratic, MASK)[0]), 1e-3
+    chosen = best_hyperparameters(data, prior, np.zeros(1), BOUNDS)
+
+    def at(shape):
+        best = at_shape(data, prior, shape)
+        return best.log_evidence, weight_posterior(data, prior(shape), best)[0]
+
+    (upper, above), (middle, _), (lower, below) = (
+        at(chosen.shape + s * step) for s in (1, 0, -1)
+    )
+    precision = (2 * middle - upper - lower) / step**2 + 1 / SHAPE_SD**2
+    slope = (above - below) / (2 * step)
+    np.testing.assert_allclose(
+        shape_covariance(data, Correlated(), chosen),
+        np.outer(slope, slope) / precision,
+        rtol=1e-3,
+        atol=1e-9,
+    )
+
+
+def test_posterior_is_the_exact_one(quadratic):
+    reduced, block = without_flat(quadratic, MASK)
+    data = Data.of(reduced)
+    chosen = best_hyperparameters(data, prior, np.zeros(1), BOUNDS)
+    covariance = prior(chosen.shape)
+    weights = weight_posterior(data, covariance, chosen)
+    mean, joint = joint_posterior(block, *weights, chosen.noise)
+    precision = DESIGN.T @ DESIGN / chosen.noise**2
+    precision[:WEIGHTS, :WEIGHTS] += np.linalg.inv(covariance) / chosen.amplitude**2
+    exact = np.linalg.solve(precision, DESIGN.T @ DATA / chosen.noise**2)
+    np.testing.assert_allclose(mean, exact, rtol=1e-9)
+    np.testing.assert_allclose(joint, np.linalg.inv(precision), rtol=1e-8, atol=1e-12)
+
+
+def test_constants_that_the_data_leave_open_are_refused(quadratic):
+    hessian = quadratic.hessian.copy()
+    hessian[-1], hessian[:, -1] = hessian[-2], hessian[:, -2]
+    hessian[-1, -1] = hessian[-2, -2]
+    twins = Quadratic(ABOUT, hessian, quadratic.gradient, 1.0, ROWS, 0.0)
+    with pytest.raises(FitError, match="singular: the data do not determine the learn"):
+        without_flat(twins, MASK)
+
+
+def test_a_matrix_that_is_not_finite_or_has_a_zero_is_singular():
+    assert is_singular(np.diag([1.0, 0.0]))
+    assert is_singular(np.array([[np.nan]]))
+    assert not is_singular(np.diag([1.0, 1e-20]))
+    assert not is_singular(np.zeros((0, 0)))

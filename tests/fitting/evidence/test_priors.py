@@ -1,0 +1,210 @@
+"""Priors of kernel weights, their derivatives, and the evidence that they have."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.stats
+
+from pinav.errors import InputError
+from pinav.fitting import (
+    LinearFit,
+    kernels_on,
+    model_evidence,
+    timed_kernel_environment,
+)
+from pinav.fitting.evidence.evidence import (
+    Data,
+    Hyperparameters,
+    Whitened,
+    at_shape,
+    shape_slope,
+)
+from pinav.fitting.evidence.model_evidence import LOG_RANGE
+from pinav.fitting.evidence.priors import AbstractPrior, kernel_prior
+from pinav.fitting.evidence.quadratic import Quadratic, without_flat
+from pinav.fitting.evidence.weights import GaussianWeights, NoWeights
+from pinav.forces import (
+    ChangingPotential,
+    KernelForce,
+    KernelMixture,
+    KernelPotential,
+    KernelStream,
+    TimedKernelPotential,
+)
+from pinav.trajectories import Trajectories
+
+RNG = np.random.default_rng(0)
+CENTERS = RNG.uniform(-3, 3, size=(7, 2))
+ENVIRONMENTS = {
+    "potential": kernels_on(KernelPotential, CENTERS, 1.0),
+    "force": kernels_on(KernelForce, CENTERS, 1.0),
+    "stream": kernels_on(KernelStream, CENTERS, 1.0),
+    "mixture": kernels_on(KernelMixture, CENTERS, 1.0),
+    "in time": TimedKernelPotential(
+        jnp.zeros((7, 5)), jnp.asarray(CENTERS), 1.0, 0.0, 1.0
+    ),
+}
+ENVIRONMENTS["changing"] = ChangingPotential(
+    ENVIRONMENTS["potential"], ENVIRONMENTS["in time"]
+)
+every_prior = pytest.mark.parametrize(
+    "prior", [kernel_prior(e) for e in ENVIRONMENTS.values()], ids=list(ENVIRONMENTS)
+)
+
+
+def inside(prior):
+    return prior.start + RNG.uniform(-0.3, 0.3, size=len(prior.start))
+
+
+@every_prior
+def test_slopes_are_the_derivatives_of_a_covariance(prior):
+    shape, step = inside(prior), 1e-5
+    covariance = prior.covariance(shape)
+    assert np.linalg.eigvalsh(covariance)[0] > -1e-10
+    assert np.all(prior.bounds[:, 0] <= prior.start)
+    assert np.all(prior.start <= prior.bounds[:, 1])
+    for unit, slope in zip(np.eye(len(shape)), prior.slopes(shape), strict=True):
+        upper, lower = (prior.covariance(shape + s * step * unit) for s in (1, -1))
+        np.testing.assert_allclose(slope, (upper - lower) / (2 * step), atol=1e-8)
+
+
+def problem(count, rows=60):
+    """A random linear problem of so many weights."""
+    design, noise = RNG.normal(size=(rows, count)), 0.1 * RNG.normal(size=rows)
+    data = design @ RNG.normal(size=count) + noise
+    return design, data, quadratic_of(design, data)
+
+
+def quadratic_of(design, data):
+    return Quadratic(
+        point=np.zeros(design.shape[1]),
+        hessian=design.T @ design,
+        gradient=-design.T @ data,
+        squares=float(data @ data),
+        num_free=len(data),
+        log_determinant=0.0,
+    )
+
+
+@every_prior
+@pytest.mark.parametrize("noise", [None, 0.1])
+def test_the_slope_of_the_evidence_is_its_derivative(prior, noise):
+    shape, step = inside(prior), 1e-3
+    data = Data.of(problem(len(prior.covariance(prior.start)))[2])
+    chosen = at_shape(data, prior.covariance, shape, noise)
+    white = Whitened.of(data, prior.covariance(shape))
+    slope = shape_slope(data, white, chosen, prior.slopes)
+    units = step * np.eye(len(shape))
+    expected = [
+        at_shape(data, prior.covariance, shape + unit, noise).log_evidence
+        - at_shape(data, prior.covariance, shape - unit, noise).log_evidence
+        for unit in units
+    ]
+    np.testing.assert_allclose(
+        slope, np.array(expected) / (2 * step), rtol=1e-2, atol=1e-2
+    )
+
+
+def test_a_mixture_without_rotation_is_a_potential():
+    mixture = kernel_prior(ENVIRONMENTS["mixture"])
+    potential = kernel_prior(ENVIRONMENTS["potential"])
+    shape = inside(potential)
+    covariance = mixture.covariance(np.concatenate([shape, shape, [-30.0]]))
+    np.testing.assert_allclose(covariance[:7, :7], potential.covariance(shape))
+    np.testing.assert_allclose(covariance[7:], 0.0, atol=1e-20)
+
+
+def test_a_long_time_makes_a_static_potential():
+    timed, still = (kernel_prior(ENVIRONMENTS[k]) for k in ("in time", "potential"))
+    shape = inside(still)
+    covariance = timed.covariance(np.append(shape, timed.bounds[-1, 1]))
+    expected = np.kron(still.covariance(shape), np.ones((5, 5)))
+    np.testing.assert_allclose(covariance, expected, atol=1e-8)
+
+
+class Fixed(AbstractPrior):
+    """A prior on which its two shape parameters have no effect, or all of it."""
+
+    spread: float
+
+    @property
+    def start(self):
+        return np.zeros(1)
+
+    @property
+    def bounds(self):
+        return np.array([[-2.0, 2.0]])
+
+    def covariance(self, shape):
+        return np.exp(2 * self.spread * shape[0]) * np.eye(3)
+
+    def slopes(self, shape):
+        return 2 * self.spread * self.covariance(shape)[None]
+
+
+def test_evidence_compares_models_by_their_marginal_likelihood():
+    """Two priors of one data set: closed-form Gaussian marginal likelihoods."""
+    design, data, quadratic = problem(3)
+    wide, narrow = 1.0, 0.05
+    best, exact = [], []
+    for amplitude in (wide, narrow):
+        chosen = Hyperparameters(
+            shape=np.zeros(1),
+            amplitude=amplitude,
+            noise=0.1,
+            log_evidence=log_density(design, data, amplitude),
+        )
+        linear = LinearFit(quadratic, GaussianWeights(Fixed(0.0)), 0.1, len(data), 0.0)
+        best.append(model_evidence(linear, chosen).best)
+        exact.append(log_density(design, data, amplitude))
+        found = at_shape(Data.of(quadratic), Fixed(0.0).covariance, np.zeros(1), 0.1)
+        np.testing.assert_allclose(
+            found.log_evidence, log_density(design, data, found.amplitude), rtol=1e-9
+        )
+    np.testing.assert_allclose(np.subtract(*best), np.subtract(*exact), rtol=1e-10)
+
+
+def log_density(design, data, amplitude, noise=0.1):
+    covariance = amplitude**2 * design @ design.T + noise**2 * np.eye(len(data))
+    return scipy.stats.multivariate_normal(np.zeros(len(data)), covariance).logpdf(data)
+
+
+def test_hyperparameters_cost_the_logarithm_of_the_range_they_lose():
+    """Against the integral over amplitude, by quadrature; an idle shape is free."""
+    design, data, quadratic = problem(3)
+    prior = Fixed(0.0)
+    chosen = at_shape(Data.of(quadratic), prior.covariance, np.zeros(1), 0.1)
+    linear = LinearFit(quadratic, GaussianWeights(prior), 0.1, len(data), 0.0)
+    logs = np.log(chosen.amplitude) + np.linspace(-LOG_RANGE / 2, LOG_RANGE / 2, 401)
+    values = np.array([log_density(design, data, np.exp(v)) for v in logs])
+    exact = -np.log(np.mean(np.exp(values - chosen.log_evidence)))
+    assert model_evidence(linear, chosen).occam == pytest.approx(exact, abs=0.3)
+
+
+def test_a_flat_constant_costs_half_the_logarithm_of_the_data():
+    """Unit information: as the Bayesian information criterion, in any unit."""
+    rows = 40
+    column, data = RNG.normal(size=(rows, 1)), RNG.normal(size=rows)
+    costs = []
+    for unit in (1.0, 1e3):
+        quadratic, _ = without_flat(quadratic_of(unit * column, data), np.array([True]))
+        found = NoWeights().infer(quadratic, np.zeros(0), 1.0).hyperparameters
+        linear = LinearFit(quadratic, NoWeights(), 1.0, rows, float(np.log(rows)))
+        costs.append(model_evidence(linear, found).log_evidence)
+    residual = data - column[:, 0] * (column[:, 0] @ data) / (
+        column[:, 0] @ column[:, 0]
+    )
+    likelihood = scipy.stats.norm.logpdf(residual).sum()
+    np.testing.assert_allclose(costs, likelihood - 0.5 * np.log(rows), rtol=1e-10)
+
+
+def test_kernels_in_time_keep_their_number_small():
+    times = np.linspace(1.0, 9.0, 30)
+    states = np.stack([times, np.sin(times), times, times], axis=1)
+    data = Trajectories.from_arrays(times, states, channels=("x", "y", "vx", "vy"))
+    made = timed_kernel_environment(data, intervals=4, max_weights=700)
+    assert made.weights.shape[1] == 7
+    assert made.weights.size <= 700
+    assert (made.first, made.last) == (1.0, 9.0)
+    with pytest.raises(InputError, match="one or more intervals and 100 weights"):
+        timed_kernel_environment(data, intervals=0)

@@ -1,0 +1,325 @@
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.actuation import RotatingField
+from pinav.dynamics import RK4, Adaptive, FixedStep, Swimmer
+from pinav.errors import FitError, InputError
+from pinav.fitting import (
+    LBFGS,
+    AbstractCheckpoint,
+    AbstractPhase,
+    Adam,
+    BestSoFar,
+    FitOutcome,
+    FitState,
+    TrajectoryLoss,
+    curriculum,
+    fit,
+    fit_many,
+)
+from pinav.fitting.matching.objectives import Observations
+from pinav.forces import (
+    GaussianBarrier,
+    LinearDrag,
+    MagneticPropulsion,
+    NeuralForce,
+    PositionFeatures,
+    tanh_network,
+)
+from pinav.trajectories import Trajectories, bootstrap
+
+BARRIER = GaussianBarrier(height=2.0, center=[1.0, 0.2], width=0.8)
+TRUTH = Swimmer(
+    MagneticPropulsion(RotatingField(1.0, 2.0), [0.0, 0.0, 1.0], 0.3, [0.0, 1.0]),
+    LinearDrag(0.5),
+    BARRIER,
+)
+OBJECTIVE = TrajectoryLoss(FixedStep(RK4))
+
+
+def observe(starts, lengths) -> Trajectories:
+    times = [np.linspace(0.0, 0.1 * (n - 1), n) for n in lengths]
+    states = [
+        np.asarray(Adaptive().solve(TRUTH, jnp.asarray(y0), jnp.asarray(ts))[0])
+        for y0, ts in zip(starts, times, strict=True)
+    ]
+    return Trajectories.from_arrays(times, states, channels=("x", "y", "vx", "vy"))
+
+
+@pytest.fixture(scope="module")
+def data() -> Trajectories:
+    return observe([[-1.0, 0.0, 1.5, 0.1], [0.0, -1.0, 0.5, 1.0]], [25, 20])
+
+
+def network_swimmer(seed: int) -> Swimmer:
+    network = tanh_network(2, 2, width=8, depth=1, key=jax.random.key(seed))
+    environment = NeuralForce(network, PositionFeatures((0.0, 0.0), (1.0, 1.0)))
+    return eqx.tree_at(lambda s: s.environment, TRUTH, environment)
+
+
+def environment(model):
+    return model.environment
+
+
+RECIPE = (Adam(1e-2, 300), BestSoFar(LBFGS(40)))
+
+
+@pytest.fixture(scope="module")
+def fitted(data):
+    return fit(
+        network_swimmer(0), data, RECIPE, trainable=environment, objective=OBJECTIVE
+    )
+
+
+def test_a_network_learns_the_force(fitted, data):
+    assert fitted.outcome is FitOutcome.COMPLETED
+    assert fitted.losses[-1] < 1e-3 * fitted.losses[0]
+    final = OBJECTIVE(fitted.model, Observations.of(data, jnp.float32))
+    assert final == pytest.approx(fitted.losses[-1], rel=1e-5)
+    assert fitted.phases == (("Adam", 0), ("L-BFGS", 300))
+
+
+def test_only_the_selected_leaves_change(fitted):
+    before, after = fitted.initial_model, fitted.model
+    assert eqx.tree_equal(before.drag, after.drag)
+    assert eqx.tree_equal(before.propulsion, after.propulsion)
+    assert not eqx.tree_equal(before.environment, after.environment)
+    assert after.environment.network.layers[0].weight.dtype == jnp.float32
+
+
+def test_the_same_seed_gives_the_same_numbers(fitted, data):
+    again = fit(
+        network_swimmer(0), data, RECIPE, trainable=environment, objective=OBJECTIVE
+    )
+    np.testing.assert_array_equal(again.losses, fitted.losses)
+    assert eqx.tree_equal(again.model, fitted.model)
+
+
+def test_many_fits_are_the_single_fits(data):
+    recipe = (Adam(1e-2, 20),)
+    options = {"trainable": environment, "objective": OBJECTIVE, "dtype": jnp.float64}
+    models = [network_swimmer(seed) for seed in range(3)]
+    many = fit_many(models, data, recipe, **options)
+    alone = fit(models[1], data, recipe, **options)
+    np.testing.assert_allclose(many[1].losses, alone.losses, rtol=1e-7)
+    assert len({float(one.losses[-1]) for one in many}) == 3
+
+
+def test_fits_in_small_batches_are_the_fits_side_by_side(data):
+    models = [network_swimmer(seed) for seed in range(3)]
+    options = {"trainable": environment, "objective": OBJECTIVE, "dtype": jnp.float64}
+    together = fit_many(models, data, (Adam(1e-2, 20),), **options)
+    batched = fit_many(models, data, (Adam(1e-2, 20),), at_once=2, **options)
+    for one, other in zip(together, batched, strict=True):
+        np.testing.assert_allclose(other.losses, one.losses, rtol=1e-10)
+
+
+class Halving(AbstractPhase):
+    """Halves all parameters until they are small; says each time that it did."""
+
+    heard: Callable[[], None] = eqx.field(static=True)
+    side_by_side: bool = eqx.field(static=True, default=False)
+    name: str = eqx.field(static=True, default="halving")
+    num_steps: int = eqx.field(static=True, default=30)
+    chunk_steps: int = eqx.field(static=True, default=10)
+
+    def init(self, loss, params, value):
+        return jnp.zeros((), bool)
+
+    def step(self, loss, params, state):
+        def halved():
+            jax.debug.callback(self.heard)
+            return jax.tree.map(lambda leaf: 0.5 * leaf, params)
+
+        params = jax.lax.cond(state, lambda: params, halved)
+        size = sum(jnp.sum(leaf**2) for leaf in jax.tree.leaves(params))
+        return params, size < 1e-6, jnp.zeros((), size.dtype)
+
+    def finish(self, loss, params, state):
+        return params
+
+    def is_done(self, state):
+        return state
+
+    def outcome(self, state):
+        return jnp.zeros((), int)
+
+
+def halvings(models, data, **options):
+    """How often the fits of several models took a step in all."""
+    heard = []
+    recipe = (Halving(lambda: heard.append(1), **options),)
+    fit_many(models, data, recipe, trainable=environment, objective=OBJECTIVE)
+    jax.effects_barrier()
+    return len(heard)
+
+
+@pytest.mark.skipif(jax.default_backend() != "cpu", reason="about fits on a CPU")
+def test_a_fit_that_is_done_takes_no_steps_while_others_do(data):
+    large = network_swimmer(0)
+    weights = jax.tree.map(
+        lambda leaf: 1e-3 * leaf if eqx.is_array(leaf) else leaf, large.environment
+    )
+    small = eqx.tree_at(lambda m: m.environment, large, weights)
+    few = halvings([small, small], data, side_by_side=False)
+    many = halvings([large, large], data, side_by_side=False)
+    assert 0 < few < many - 10
+    both = halvings([large, small], data, side_by_side=False)
+    assert 2 * both == few + many
+    assert halvings([large, small], data, side_by_side=True) > both
+
+
+def test_gauss_newton_fits_of_many_are_the_single_fits(data):
+    models = [network_swimmer(seed) for seed in range(2)]
+    options = {"trainable": environment, "objective": OBJECTIVE, "dtype": jnp.float64}
+    recipe = curriculum(data, max_steps=4)
+    together = fit_many(models, data, recipe, at_once=2, **options)
+    in_turns = fit_many(models, data, recipe, **options)
+    for one, other in zip(together, in_turns, strict=True):
+        np.testing.assert_allclose(other.losses[-1], one.losses[-1], rtol=1e-3)
+
+
+@pytest.mark.parametrize("at_once", [None, 1])
+def test_each_model_may_have_data_of_its_own(data, at_once):
+    models = [network_swimmer(seed) for seed in range(2)]
+    own = [data, observe([[0.5, 0.0, 0.3, 0.8], [0.0, 1.0, 0.5, 0.1]], [15, 22])]
+    recipe = (Adam(1e-2, 20),)
+    options = {"trainable": environment, "objective": OBJECTIVE, "dtype": jnp.float64}
+    many = fit_many(models, own, recipe, at_once=at_once, **options)
+    for model, mine, found in zip(models, own, many, strict=True):
+        alone = fit(model, mine, recipe, **options)
+        np.testing.assert_allclose(found.losses, alone.losses, rtol=1e-9)
+
+
+def test_gauss_newton_runs_in_float32_and_on_resamples(data):
+    models = [network_swimmer(seed) for seed in range(2)]
+    draws = bootstrap(data, 2, key=jax.random.key(0))
+    options = {"trainable": environment, "objective": OBJECTIVE}
+    recipe = curriculum(data, max_steps=6)
+    single = fit_many(models, draws, recipe, dtype=jnp.float32, **options)
+    for found in single:
+        assert found.model.environment.network.layers[0].weight.dtype == jnp.float32
+        assert found.losses[-1] < 1e-4 * found.losses[0]
+
+
+def test_damping_and_gain_can_be_learned_with_the_barrier_known(data):
+    start = eqx.tree_at(
+        lambda s: (s.drag.damping, s.propulsion.gain), TRUTH, (0.2, 0.1)
+    )
+    found = fit(
+        start,
+        data,
+        (LBFGS(40),),
+        trainable=lambda s: (s.drag.damping, s.propulsion.gain),
+        objective=TrajectoryLoss(),
+        dtype=jnp.float64,
+    )
+    assert found.model.drag.damping == pytest.approx(0.5, rel=1e-5)
+    assert found.model.propulsion.gain == pytest.approx(0.3, rel=1e-5)
+
+
+def test_what_was_not_observed_does_not_count(data):
+    masked = data.observed.copy()
+    masked[:, 5:9, 2:] = False
+    states = np.where(masked, data.states, 0.0)
+    lengths = data.lengths
+    with_gaps = Trajectories.from_arrays(
+        [t[:n] for t, n in zip(data.times, lengths, strict=True)],
+        [s[:n] for s, n in zip(states, lengths, strict=True)],
+        observed=[m[:n] for m, n in zip(masked, lengths, strict=True)],
+        channels=data.channels,
+    )
+    loss = OBJECTIVE(TRUTH, Observations.of(with_gaps, jnp.float64))
+    assert loss < 1e-7
+    everything = OBJECTIVE(TRUTH, Observations.of(data, jnp.float64))
+    assert loss < everything
+
+
+class Memory(AbstractCheckpoint):
+    """Keeps states, and may break off like a killed process."""
+
+    def __init__(self, stop_after=None):
+        self.states, self.stop_after = [], stop_after
+
+    def load(self, like):
+        if not self.states:
+            return None
+        saved = self.states[-1]
+        shape = like(saved.phase)
+        assert jax.tree.structure(shape.params) == jax.tree.structure(saved.params)
+        return saved
+
+    def save(self, state: FitState):
+        self.states.append(state)
+        if self.stop_after and len(self.states) == self.stop_after:
+            raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("chunks", [1, 2, 3])
+def test_an_interrupted_fit_goes_on_to_the_same_numbers(fitted, data, chunks):
+    checkpoint = Memory(stop_after=chunks)
+    call = {"trainable": environment, "objective": OBJECTIVE, "checkpoint": checkpoint}
+    with pytest.raises(KeyboardInterrupt):
+        fit(network_swimmer(0), data, RECIPE, **call)
+    resumed = fit(network_swimmer(0), data, RECIPE, **call)
+    np.testing.assert_array_equal(resumed.losses, fitted.losses)
+    assert eqx.tree_equal(resumed.model, fitted.model)
+
+
+def test_progress_covers_every_step_once(data):
+    seen = []
+    fit(
+        network_swimmer(0),
+        data,
+        RECIPE,
+        trainable=environment,
+        objective=OBJECTIVE,
+        on_chunk=seen.append,
+    )
+    assert sum(p.losses.shape[1] for p in seen) == 340
+    assert [p.done for p in seen] == [250, 300, 325, 340]
+    assert {p.total for p in seen} == {340}
+    assert [p.phase for p in seen] == ["Adam", "Adam", "L-BFGS", "L-BFGS"]
+
+
+def test_a_diverging_fit_says_so(data):
+    wild = (Adam(1e30, 5),)
+    call = {"trainable": environment, "objective": OBJECTIVE}
+    with pytest.raises(FitError, match="the fit diverged: its loss is not finite; use"):
+        fit(network_swimmer(0), data, wild, **call)
+    result = fit(network_swimmer(0), data, wild, throw=False, **call)
+    assert result.outcome is FitOutcome.DIVERGED
+
+
+def test_bad_requests_are_refused(data):
+    call = {"trainable": environment, "objective": OBJECTIVE}
+    with pytest.raises(InputError, match="expected at least one model and one phase"):
+        fit(network_swimmer(0), data, (), **call)
+    nothing = {"trainable": lambda s: s.environment.network.activation}
+    with pytest.raises(InputError, match="the selection holds no floating-point array"):
+        fit(network_swimmer(0), data, RECIPE, **nothing)
+    observed = data.observed.copy()
+    observed[1, 0, 2] = False
+    late = Trajectories.from_arrays(
+        list(data.times[:, :20]),
+        list(np.where(observed, data.states, 0.0)[:, :20]),
+        observed=list(observed[:, :20]),
+        channels=data.channels,
+    )
+    with pytest.raises(
+        InputError, match="trajectory 1: its first sample must be fully"
+    ):
+        fit(network_swimmer(0), late, RECIPE, **call)
+    models = [network_swimmer(0), network_swimmer(1)]
+    options = {"trainable": environment, "objective": OBJECTIVE}
+    with pytest.raises(InputError, match="at_once: expected 1 or more, got 0"):
+        fit_many(models, data, RECIPE, at_once=0, **options)
+    with pytest.raises(InputError, match="one for each of the 2 models, got 3"):
+        fit_many(models, [data] * 3, RECIPE, **options)
+    with pytest.raises(InputError, match="as many trajectories and channels"):
+        fit_many(models, [data, data.select([0])], RECIPE, **options)

@@ -1,0 +1,232 @@
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.flatten_util import ravel_pytree
+
+from pinav.dynamics import Adaptive, FixedStep, NeuralDynamics, Swimmer
+from pinav.errors import InputError
+from pinav.fitting import (
+    WITHOUT_PRIOR,
+    FitOutcome,
+    GaussNewton,
+    Observations,
+    Problem,
+    TrajectoryLoss,
+    curriculum,
+    fit,
+    kernel_environment,
+)
+from pinav.fitting.matching.fit import _run_chunk, split_trainable
+from pinav.fitting.matching.gauss_newton import _Windows, low_rank
+from pinav.forces import (
+    GaussianBarrier,
+    KernelPotential,
+    LinearDrag,
+    NeuralForce,
+    PositionTimeFeatures,
+    ZeroForce,
+    tanh_network,
+)
+from pinav.trajectories import Trajectories
+
+KEY = jax.random.key(0)
+CHANNELS = ("x", "y", "vx", "vy")
+TRUTH = Swimmer(ZeroForce(), LinearDrag(0.5), GaussianBarrier(2.0, [1.0, 0.2], 0.8))
+
+
+def observe(*lengths, irregular=False) -> Trajectories:
+    rng = np.random.default_rng(3)
+    times, states = [], []
+    for length in lengths:
+        steps = rng.uniform(0.05, 0.15, length) if irregular else np.full(length, 0.1)
+        ts = np.cumsum(steps) - steps[0]
+        y0 = jnp.asarray([-1.0, rng.normal(0.0, 0.3), 1.5, 0.1])
+        times.append(ts)
+        states.append(np.asarray(Adaptive().solve(TRUTH, y0, jnp.asarray(ts))[0]))
+    return Trajectories.from_arrays(times, states, channels=CHANNELS)
+
+
+def with_gaps(data: Trajectories) -> Trajectories:
+    """The same without some samples, and some components of others."""
+    observed = [t.observed.copy() for t in data]
+    for mask in observed:
+        mask[5:8] = False
+        mask[10, 2:] = False
+    states = [np.where(m, t.states, 0.0) for m, t in zip(observed, data, strict=True)]
+    times = [t.times for t in data]
+    return Trajectories.from_arrays(times, states, observed=observed, channels=CHANNELS)
+
+
+def network_swimmer() -> Swimmer:
+    features = PositionTimeFeatures((0.0, 0.0, 1.0), (1.0, 1.0, 1.0))
+    force = NeuralForce(tanh_network(3, 2, width=4, depth=1, key=KEY), features)
+    return eqx.tree_at(lambda s: s.environment, TRUTH, force)
+
+
+def black_box() -> NeuralDynamics:
+    network = tanh_network(5, 4, width=4, depth=1, key=KEY)
+    return NeuralDynamics(network, (0.0,) * 5, (1.0,) * 5)
+
+
+MODELS = {
+    "network": (network_swimmer, lambda m: m.environment.parameters),
+    "network and damping": (
+        network_swimmer,
+        lambda m: (m.environment.parameters, m.drag.damping),
+    ),
+    "black box": (black_box, lambda m: m.parameters),
+    "barrier": (lambda: TRUTH, lambda m: (m.environment, m.drag.damping)),
+}
+
+
+def windows(data, name, window):
+    make, trainable = MODELS[name]
+    params, static = split_trainable(make(), trainable, jnp.float64)
+    observations = Observations.of(data, jnp.float64)
+    problem = Problem(static, observations, TrajectoryLoss(FixedStep()))
+    phase = GaussNewton(window=jnp.asarray(window), target=0.0)
+    return _Windows.of(problem, params, phase), ravel_pytree(params)[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "window"),
+    [("network", 1), ("network and damping", 100), ("black box", 4), ("barrier", 4)],
+)
+def test_the_jacobian_is_that_of_the_residuals(name, window):
+    data = with_gaps(observe(14, 18, irregular=True))
+    problem, theta = windows(data, name, window)
+
+    @jax.jit
+    def both(theta):
+        starts, residual, surrogate = problem.surrogate(theta)
+        exact = jax.jacrev(lambda theta: problem.surrogate(theta)[1])(theta)
+        return problem.jacobian(theta, starts), exact, residual, surrogate(theta)
+
+    ours, exact, residual, nearby = both(theta)
+    scale = np.abs(exact).max()
+    np.testing.assert_allclose(ours, exact, atol=1e-9 * scale, rtol=1e-9)
+    np.testing.assert_allclose(nearby, residual, atol=1e-13)
+
+
+def test_a_restart_waits_for_a_complete_sample():
+    data = with_gaps(observe(14))
+    problem, _ = windows(data, "network", 5)
+    # Samples 5 and 10 are incomplete, so only the first one restarts.
+    assert np.flatnonzero(problem.restart[0]).tolist() == [0]
+    problem, _ = windows(data, "network", 4)
+    assert np.flatnonzero(problem.restart[0]).tolist() == [0, 4, 8, 12]
+
+
+def test_the_projection_holds_a_matrix_of_low_rank():
+    rng = np.random.default_rng(0)
+    matrix = jnp.asarray(rng.normal(size=(200, 20)) @ rng.normal(size=(20, 150)))
+    left, scale, right = low_rank(matrix, 40)
+    np.testing.assert_allclose((left * scale[None]) @ right.T, matrix, atol=1e-6)
+    kept = right[:, :20]  # the rest are directions that the matrix does not have
+    np.testing.assert_allclose(kept.T @ kept, np.eye(20), atol=1e-8)
+    small = matrix[:, :10]
+    left, scale, right = low_rank(small, 40)
+    np.testing.assert_allclose((left * scale[None]) @ right.T, small, atol=1e-10)
+
+
+def kernel_swimmer(data: Trajectories) -> Swimmer:
+    force = kernel_environment(KernelPotential, data, WITHOUT_PRIOR)
+    return eqx.tree_at(lambda s: s.environment, TRUTH, force)
+
+
+def learn_environment(model, data, recipe, **options):
+    options |= {"objective": TrajectoryLoss(FixedStep()), "dtype": jnp.float64}
+    return fit(
+        model, data, recipe, trainable=lambda m: m.environment.parameters, **options
+    )
+
+
+@pytest.fixture(scope="module")
+def data():
+    return observe(31, 26)
+
+
+def test_the_curriculum_fits_kernels_and_compiles_once(data):
+    compiled = _run_chunk._cached._cache_size()
+    found = learn_environment(kernel_swimmer(data), data, curriculum(data))
+    assert found.losses[-1] < 1e-8 * found.losses[0]
+    assert len(found.losses) - 1 <= 20
+    assert [name for name, _ in found.phases] == [
+        "L = 1",
+        "L = 5",
+        "L = 25",
+        "L = 30",
+    ]
+    assert _run_chunk._cached._cache_size() == compiled + 1
+
+
+def test_barrier_and_damping_are_found_exactly(data):
+    start = eqx.tree_at(
+        lambda s: (s.environment.height, s.drag.damping), TRUTH, (1.0, 0.2)
+    )
+    found = fit(
+        start,
+        data,
+        curriculum(data, precision=1e-9),
+        trainable=lambda m: (m.environment, m.drag.damping),
+        objective=TrajectoryLoss(FixedStep(substeps=4)),
+        dtype=jnp.float64,
+    )
+    assert found.outcome is FitOutcome.CONVERGED
+    found = found.model
+    assert found.environment.height == pytest.approx(2.0, rel=1e-7)
+    np.testing.assert_allclose(found.environment.center, [1.0, 0.2], rtol=1e-6)
+    assert found.drag.damping == pytest.approx(0.5, rel=1e-7)
+
+
+def test_a_phase_that_is_done_stays_where_it_is(data):
+    reached = GaussNewton(window=jnp.asarray(30), target=1e9, steps=5)
+    found = learn_environment(kernel_swimmer(data), data, (reached,))
+    assert len(found.losses) == 2, "one step, then it saw that the target is met"
+
+
+def test_a_stalled_phase_ends(data):
+    phase = GaussNewton(window=jnp.asarray(1), target=0.0, steps=50)
+    found = learn_environment(kernel_swimmer(data), data, (phase,))
+    assert len(found.losses) < 40
+
+
+def test_windows_follow_the_longest_trajectory(data):
+    steps = [int(phase.window) for phase in curriculum(data)]
+    assert steps == [1, 5, 25, 30]
+    assert [int(phase.window) for phase in curriculum(observe(6))] == [1, 5]
+
+
+def test_bad_requests_are_refused(data):
+    with pytest.raises(InputError, match="GaussNewton.rank: expected 1 or more, got 0"):
+        GaussNewton(window=jnp.asarray(1), target=0.0, rank=0)
+    with pytest.raises(InputError, match="curriculum max_steps: expected >= 1, got 0"):
+        curriculum(data, max_steps=0)
+    with pytest.raises(InputError, match="expected an objective with a FixedStep"):
+        fit(
+            kernel_swimmer(data),
+            data,
+            curriculum(data),
+            trainable=lambda m: m.environment.parameters,
+            objective=TrajectoryLoss(Adaptive()),
+            dtype=jnp.float64,
+        )
+
+
+def test_outcomes_tell_converged_from_stalled(data):
+    full = jnp.asarray(10**6)
+    few = (GaussNewton(full, target=1e-12, steps=1),)
+    hasty = learn_environment(kernel_swimmer(data), data, few)
+    assert hasty.outcome is FitOutcome.STALLED
+    drag = fit(  # a constant that cannot explain the barrier: the best one is reached
+        eqx.tree_at(lambda s: s.environment, TRUTH, ZeroForce()),
+        data,
+        (GaussNewton(full, target=1e-9, patience=jnp.asarray(3)),),
+        trainable=lambda m: m.drag.damping,
+        objective=TrajectoryLoss(FixedStep()),
+        dtype=jnp.float64,
+    )
+    assert drag.losses[-1] > 1e-3
+    assert drag.outcome is FitOutcome.CONVERGED

@@ -1,0 +1,126 @@
+"""Least squares with priors: linear cases in closed form, and honest failures."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.errors import FitError, InputError
+from pinav.fitting.bayes.iterate import BayesOutcome
+from pinav.fitting.environments.networks import IsotropicPrior
+from pinav.fitting.least_squares import fit_regression
+
+
+class Line(eqx.Module):
+    """Two numbers, and weights that add features of no consequence elsewhere."""
+
+    offset: jax.Array
+    slope: jax.Array
+    weights: jax.Array
+
+
+class LineResiduals(eqx.Module):
+    """Of a line plus weighted sines, at some places."""
+
+    x: jax.Array
+    y: jax.Array
+
+    def __call__(self, model):
+        order = jnp.arange(1.0, model.weights.shape[0] + 1)
+        features = jnp.sin(order[None] * self.x[:, None])
+        return model.offset + model.slope * self.x + features @ model.weights - self.y
+
+
+def problem(count=60, noise=0.1):
+    rng = np.random.default_rng(0)
+    x = np.linspace(-1.0, 2.0, count)
+    y = 0.7 - 0.4 * x + noise * rng.normal(size=count)
+    return LineResiduals(jnp.asarray(x), jnp.asarray(y))
+
+
+def line(num_weights=0):
+    return Line(jnp.asarray(0.0), jnp.asarray(0.0), jnp.zeros(num_weights))
+
+
+def test_flat_constants_are_those_of_least_squares():
+    data = problem()
+    fit = fit_regression(line(), data, constants=lambda m: (m.offset, m.slope))
+    design = np.stack([np.ones(60), np.asarray(data.x)], axis=1)
+    best, squares, *_ = np.linalg.lstsq(design, np.asarray(data.y))
+    variance = float(squares[0]) / (60 - 2)
+    covariance = variance * np.linalg.inv(design.T @ design)
+    found = [fit.constants[name] for name in ("offset", "slope")]
+    assert [own.value for own in found] == pytest.approx(best, rel=1e-6)
+    assert [own.sd for own in found] == pytest.approx(
+        np.sqrt(np.diag(covariance)), rel=1e-6
+    )
+    assert fit.hyperparameters.noise == pytest.approx(np.sqrt(variance), rel=1e-6)
+    assert fit.outcome is BayesOutcome.CONVERGED
+
+
+def test_weights_with_a_prior_are_those_of_ridge_regression():
+    data = problem()
+    fit = fit_regression(
+        line(4),
+        data,
+        weights=lambda m: m.weights,
+        prior=IsotropicPrior(4),
+        constants=lambda m: (m.offset, m.slope),
+        noise=0.1,
+    )
+    amplitude = fit.hyperparameters.amplitude
+    x = np.asarray(data.x)
+    design = np.stack([np.ones(60), x, *(np.sin(k * x) for k in range(1, 5))], axis=1)
+    precision = np.diag([0, 0, 1, 1, 1, 1]) / amplitude**2
+    covariance = np.linalg.inv(design.T @ design / 0.01 + precision)
+    mean = covariance @ design.T @ np.asarray(data.y) / 0.01
+    order = [fit.posterior.free.unravel(jnp.arange(6.0))]  # where each leaf stands
+    place = [order[0].offset, order[0].slope, *order[0].weights]
+    place = np.array([int(p) for p in place])
+    assert fit.posterior.mean[place] == pytest.approx(mean, abs=1e-6)
+    own = fit.posterior.covariance[np.ix_(place, place)]
+    assert own == pytest.approx(covariance, rel=1e-5, abs=1e-12)
+
+
+class Decay(eqx.Module):
+    """One rate."""
+
+    rate: jax.Array
+
+
+class DecayResiduals(eqx.Module):
+    """Of exp(-rate t)."""
+
+    t: jax.Array
+    y: jax.Array
+
+    def __call__(self, model):
+        return jnp.exp(-model.rate * self.t) - self.y
+
+
+def test_a_nonlinear_constant_is_found_from_afar():
+    t = jnp.linspace(0.0, 3.0, 40)
+    data = DecayResiduals(t, jnp.exp(-1.3 * t))
+    fit = fit_regression(Decay(jnp.asarray(0.1)), data, constants=lambda m: m.rate)
+    assert fit.constants["rate"].value == pytest.approx(1.3, rel=1e-6)
+
+
+def test_honest_failures_and_mistakes():
+    data = problem()
+    with pytest.raises(InputError, match="nothing to learn"):
+        fit_regression(line(), data)
+    few = LineResiduals(data.x[:2], data.y[:2])
+    with pytest.raises(InputError, match="expected more than 2 residuals.*got 2"):
+        fit_regression(line(), few, constants=lambda m: (m.offset, m.slope))
+    bad = LineResiduals(data.x, data.y.at[3].set(jnp.nan))
+    with pytest.raises(FitError, match="diverged"):
+        fit_regression(line(), bad, constants=lambda m: m.offset)
+    blind = LineResiduals(jnp.zeros(9), data.y[:9])
+    with pytest.raises(FitError, match="do not determine the learned constants"):
+        fit_regression(line(), blind, constants=lambda m: (m.offset, m.slope))
+    t = jnp.linspace(0.0, 3.0, 40)
+    slow = DecayResiduals(t, jnp.exp(-1.3 * t))
+    start = Decay(jnp.asarray(0.1))
+    with pytest.raises(FitError, match="stalled after 1 steps"):
+        fit_regression(start, slow, constants=lambda m: m.rate, max_iterations=1)

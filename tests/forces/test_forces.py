@@ -1,0 +1,311 @@
+import types
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.actuation import RotatingField
+from pinav.errors import InputError
+from pinav.forces import (
+    BrinkmanTensor,
+    CholeskyTensor,
+    CircularMotion,
+    ConstantDirector,
+    Domain,
+    GaussianBarrier,
+    GaussianRidge,
+    GaussianSwirl,
+    HarmonicTrap,
+    InFlow,
+    KernelForce,
+    KernelPotential,
+    LinearDrag,
+    LinearMotion,
+    MagneticPropulsion,
+    Moving,
+    NeuralForce,
+    NeuralPotential,
+    PoiseuilleFlow,
+    PositionFeatures,
+    ShearFlow,
+    SumForce,
+    TensorDrag,
+    UniaxialTensor,
+    VortexFlow,
+    WavyDirector,
+    ZeroForce,
+    check_kernels,
+    kernel_centers,
+    paper_force,
+    random_barriers,
+    tanh_network,
+)
+
+KEY = jax.random.key(0)
+
+
+def propulsion(moment=(0.0, 0.0, 1.0), axis=(0.0, 1.0)):
+    field = RotatingField(amplitude=1.5, frequency=2.0)
+    return MagneticPropulsion(field, list(moment), gain=0.2, axis=list(axis))
+
+
+def barrier():
+    return GaussianBarrier(height=2.0, center=[5.0, 4.0], width=1.5)
+
+
+def position_force():
+    features = PositionFeatures(center=(5.0, 4.0), scale=(2.0, 3.0))
+    network = tanh_network(2, 2, width=3, depth=1, key=KEY)
+    return NeuralForce(network, features, scale=0.7)
+
+
+def neural_potential():
+    features = PositionFeatures(center=(5.0, 4.0), scale=(2.0, 3.0))
+    network = tanh_network(2, 1, width=3, depth=1, key=KEY)
+    return NeuralPotential(network, features, scale=0.7)
+
+
+def kernel_force():
+    centers = jnp.array([[4.0, 5.0], [5.0, 5.5], [4.5, 6.5]])
+    return KernelForce(jnp.array([[0.3, -0.2], [0.1, 0.5], [-0.4, 0.2]]), centers, 1.3)
+
+
+def kernel_potential():
+    return KernelPotential(jnp.array([0.3, -0.2, 0.5]), kernel_force().centers, 1.3)
+
+
+def ridge():
+    return GaussianRidge(2.0, [5.0, 4.0], length=3.0, width=0.8, angle=0.6)
+
+
+def swirl():
+    return GaussianSwirl(2.0, [5.0, 4.0], width=1.5)
+
+
+def porous():
+    centers = jnp.array([[4.0, 5.0], [5.0, 5.5]])
+    return TensorDrag(BrinkmanTensor(0.3, 0.5, jnp.array([3.0, 1.0]), centers, 1.2))
+
+
+DRAGS = {
+    "linear": lambda: LinearDrag(0.3),
+    "uniaxial": lambda: TensorDrag(UniaxialTensor(0.2, 0.5, ConstantDirector(0.4))),
+    "varying director": lambda: TensorDrag(
+        UniaxialTensor(0.2, 0.5, WavyDirector(0.4, 0.8, [0.5, -0.3]))
+    ),
+    "cholesky": lambda: TensorDrag(
+        CholeskyTensor.of(jnp.array([[0.5, -0.2], [-0.2, 0.3]]))
+    ),
+    "porous": porous,
+}
+
+FORCES = {
+    **DRAGS,
+    "ridge": ridge,
+    "swirl": swirl,
+    "random barriers": lambda: random_barriers(
+        Domain((3.0, 3.0), (7.0, 7.0)),
+        3,
+        heights=(1.0, 2.0),
+        widths=(1.0, 2.0),
+        key=KEY,
+    ),
+    "circling barrier": lambda: Moving(barrier(), CircularMotion(1.0, 0.7, 0.3)),
+    "moving trap": lambda: Moving(HarmonicTrap(0.7, [5.0, 4.0]), LinearMotion([1, 2])),
+    "drag in shear": lambda: InFlow(LinearDrag(0.3), ShearFlow(0.2, 1.0)),
+    "drag in a channel": lambda: InFlow(porous(), PoiseuilleFlow(0.8, 5.0, 6.0)),
+    "drag in a vortex": lambda: InFlow(LinearDrag(0.3), VortexFlow(0.4, [4, 4], 2.0)),
+    "zero": ZeroForce,
+    "barrier": barrier,
+    "trap": lambda: HarmonicTrap(0.7, [5.0, 4.0]),
+    "propulsion": propulsion,
+    "tilted propulsion": lambda: propulsion((1.0, 0.5, -0.3)),
+    "network of position": position_force,
+    "network of the paper": lambda: paper_force(KEY),
+    "neural potential": neural_potential,
+    "kernel force": kernel_force,
+    "kernel potential": kernel_potential,
+    "sum": lambda: LinearDrag(0.3) + barrier() + propulsion(),
+}
+every_force = pytest.mark.parametrize("make", FORCES.values(), ids=list(FORCES))
+
+T, X, V = 0.4, jnp.array([4.2, 5.5]), jnp.array([0.3, -0.1])
+
+
+@every_force
+def test_force_is_the_same_under_jit(make):
+    force = make()
+    expected = force(T, X, V)
+    assert expected.shape == X.shape
+    assert expected.dtype == X.dtype
+    np.testing.assert_allclose(
+        eqx.filter_jit(force)(jnp.asarray(T), X, V), expected, atol=1e-14
+    )
+
+
+@every_force
+def test_derivatives_agree_with_differences(make):
+    force, step = make(), 1e-6
+
+    def along(s):
+        return force(T + 0.3 * s, X + s * V, V - s * X)
+
+    slope = jax.jvp(along, (0.0,), (1.0,))[1]
+    difference = (along(step) - along(-step)) / (2 * step)
+    np.testing.assert_allclose(slope, difference, atol=1e-8)
+
+
+@every_force
+def test_vmap_equals_a_loop(make):
+    force = make()
+    ts, xs, vs = (
+        jnp.arange(3.0),
+        X[None] + jnp.ones((3, 1)),
+        V[None] * jnp.arange(3.0)[:, None],
+    )
+    looped = [force(t, x, v) for t, x, v in zip(ts, xs, vs, strict=True)]
+    np.testing.assert_allclose(
+        jax.vmap(force)(ts, xs, vs), jnp.stack(looped), atol=1e-14
+    )
+
+
+@every_force
+def test_sum_is_commutative_and_has_a_zero(make):
+    force, other = make(), barrier()
+    expected = force(T, X, V) + other(T, X, V)
+    for total in (force + other, other + force, force + ZeroForce() + other):
+        assert isinstance(total, SumForce)
+        np.testing.assert_allclose(total(T, X, V), expected, atol=1e-14)
+
+
+def test_sum_is_associative_and_flat():
+    a, b, c = LinearDrag(0.3), barrier(), propulsion()
+    left, right = (a + b) + c, a + (b + c)
+    assert len(left.terms) == len(right.terms) == 3
+    np.testing.assert_array_equal(left(T, X, V), right(T, X, V))
+
+
+def test_barrier_is_minus_the_gradient_of_its_potential():
+    hill = barrier()
+    np.testing.assert_allclose(hill(T, X, V), -jax.grad(hill.potential)(X), rtol=1e-13)
+    np.testing.assert_allclose(hill.potential(hill.center), 2.0)
+
+
+def test_barrier_pushes_out_and_a_trap_pulls_in():
+    outward = X - jnp.array([5.0, 4.0])
+    trap = GaussianBarrier(height=-2.0, center=[5.0, 4.0], width=1.5)
+    assert barrier()(T, X, V) @ outward > 0
+    assert trap(T, X, V) @ outward < 0
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3])
+def test_barrier_and_drag_take_any_dimension(dim):
+    force = GaussianBarrier(1.0, jnp.zeros(dim), 2.0) + LinearDrag(0.5)
+    assert force(T, jnp.ones(dim), jnp.ones(dim)).shape == (dim,)
+
+
+def test_paper_thrust_is_constant_along_y():
+    thrust = jax.vmap(lambda t: propulsion()(t, X, V))(jnp.linspace(0.0, 5.0, 23))
+    np.testing.assert_allclose(thrust, jnp.full((23, 2), 0.3) * jnp.array([[0, 1.0]]))
+
+
+def test_thrust_varies_where_the_moment_is_not_normal_to_the_field():
+    tilted = propulsion(moment=(1.0, 0.0, 0.0), axis=(0.6, 0.8))
+    ts = jnp.linspace(0.0, 5.0, 23)
+    thrust = jax.vmap(lambda t: tilted(t, X, V))(ts)
+    size = 0.2 * 1.5 * jnp.abs(jnp.sin(2.0 * ts))
+    expected = size[:, None] * jnp.array([[0.6, 0.8]])
+    np.testing.assert_allclose(thrust, expected, atol=1e-14)
+
+
+def test_network_sees_centred_and_scaled_inputs():
+    force = position_force()
+    inputs = jnp.array([(4.2 - 5.0) / 2.0, (5.5 - 4.0) / 3.0])
+    np.testing.assert_allclose(force(T, X, V), 0.7 * force.network(inputs))
+
+
+def test_paper_network_has_the_printed_shape_and_sees_time():
+    force = paper_force(KEY)
+    shapes = [layer.weight.shape for layer in force.network.layers]
+    assert shapes == [(32, 3), (32, 32), (2, 32)]
+    assert not jnp.allclose(force(0.0, X, V), force(1.0, X, V))
+    np.testing.assert_array_equal(force(T, X, V), force(T, X, 2 * V))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: LinearDrag(-0.1), r"LinearDrag.damping: expected >= 0, got -0.1"),
+        (lambda: GaussianBarrier(1.0, [0.0, 0.0], 0.0), r"width: expected > 0, got"),
+        (
+            lambda: GaussianBarrier(1.0, 3.0, 1.0),
+            r"GaussianBarrier.center: expected a point of shape \(dim,\), got \(\)",
+        ),
+        (lambda: GaussianBarrier(1.0, jnp.zeros((2, 2)), 1.0), r"got \(2, 2\)"),
+        (lambda: propulsion(moment=(0.0, 1.0)), r"moment: expected .*\(3,\), got \(2"),
+        (
+            lambda: tanh_network(2, 2, width=0, depth=1, key=KEY),
+            r"network width: expected a positive integer, got 0",
+        ),
+        (
+            lambda: tanh_network(2, 2, width=3, depth=-1, key=KEY),
+            r"network depth: expected a positive integer, got -1",
+        ),
+    ],
+)
+def test_bad_arguments_are_named(make, message):
+    with pytest.raises(InputError, match=message):
+        make()
+
+
+POTENTIALS = {
+    "neural": neural_potential,
+    "kernel": kernel_potential,
+}
+
+
+@pytest.mark.parametrize("make", POTENTIALS.values(), ids=list(POTENTIALS))
+def test_a_learned_potential_gives_minus_its_gradient(make):
+    force = make()
+    expected = -jax.grad(force.potential, argnums=1)(T, X)
+    np.testing.assert_allclose(force(T, X, V), expected, rtol=1e-12)
+    curl = jax.jacfwd(force, argnums=1)(T, X, V)
+    np.testing.assert_allclose(curl[0, 1], curl[1, 0], rtol=1e-10)  # no rotation
+
+
+def test_a_single_kernel_is_the_gaussian_barrier():
+    barrier = GaussianBarrier(height=2.0, center=[5.0, 4.0], width=1.5)
+    kernel = KernelPotential(jnp.array([2.0]), jnp.array([[5.0, 4.0]]), 1.5)
+    np.testing.assert_allclose(kernel(T, X, V), barrier(T, X, V), rtol=1e-13)
+
+
+def test_kernels_are_linear_and_vanish_far_away():
+    for force in (kernel_force(), kernel_potential()):
+        double = eqx.tree_at(lambda f: f.weights, force, 2 * force.weights)
+        np.testing.assert_allclose(double(T, X, V), 2 * force(T, X, V), rtol=1e-13)
+        np.testing.assert_allclose(force(T, X + 100.0, V), 0.0, atol=1e-300)
+
+
+def test_kernel_centers_surround_the_data():
+    rng = np.random.default_rng(0)
+    positions = rng.uniform(-3.0, 3.0, (40, 2))
+    centers = kernel_centers(positions, spacing=0.5, margin=1.0)
+    gaps = np.linalg.norm(positions[:, None] - centers[None], axis=-1)
+    assert gaps.min(axis=0).max() < 1.0, "no kernel far from the data"
+    assert gaps.min(axis=1).max() <= 0.5 / np.sqrt(2) + 1e-12, "none missing near it"
+
+
+def test_bad_kernels_are_refused():
+    centers = jnp.zeros((3, 2))
+    # Straight to the check: the tests' own type checker would object before it.
+    wrong = types.SimpleNamespace(weights=jnp.zeros(2), width=1.0)
+    with pytest.raises(
+        InputError, match=r"weights: expected shape \(3,\), as .* \(2,\)"
+    ):
+        check_kernels(wrong, (3,))
+    with pytest.raises(InputError, match="KernelPotential.width: expected > 0, got 0"):
+        KernelPotential(jnp.zeros(3), centers, 0.0)
+    with pytest.raises(InputError, match="kernel_centers spacing: expected > 0"):
+        kernel_centers(np.zeros((2, 2)), spacing=0.0, margin=1.0)

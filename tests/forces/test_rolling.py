@@ -1,0 +1,160 @@
+"""Commands, responses and the rolling propulsion."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.actuation import (
+    HeldProgramme,
+    LinearProgramme,
+    LinearResponse,
+    SaturatingResponse,
+    SlippingResponse,
+    StepOutResponse,
+)
+from pinav.dynamics import Adaptive, OverdampedSwimmer, rollout
+from pinav.errors import InputError
+from pinav.forces import (
+    RollingPropulsion,
+    UniformFlow,
+    ZeroForce,
+    heading_offset,
+    mean_gain,
+)
+
+RESPONSES = {
+    "linear": LinearResponse(),
+    "saturating": SaturatingResponse.of(3.0),
+    "slipping": SlippingResponse.of(3.0, 0.4),
+    "step-out": StepOutResponse.of(3.0),
+}
+TIMES = jnp.array([0.0, 0.5, 1.2, 2.0, 3.0])
+FREQUENCY = jnp.array([1.0, 2.0, 2.0, 0.5, 4.0])
+HEADING = jnp.array([0.2, 1.4, -2.0, 2.9, 3.3])
+
+
+@pytest.mark.parametrize("response", RESPONSES.values(), ids=RESPONSES)
+def test_a_response_starts_at_rest_with_slope_one(response):
+    assert abs(response(jnp.asarray(0.0))) < 1e-12
+    assert jax.grad(response)(1e-4) == pytest.approx(1.0, abs=1e-3)
+    places = jnp.linspace(0.0, 20.0, 200)
+    assert jnp.all(response(places) <= places + 1e-9)
+    assert jnp.all(response(places) >= -1e-9)
+
+
+def test_responses_at_high_frequency():
+    high = jnp.asarray(300.0)
+    assert RESPONSES["saturating"](high) == pytest.approx(3.0, rel=1e-3)
+    slipping = RESPONSES["slipping"](high)
+    assert slipping == pytest.approx(0.4 * 300 + 0.6 * 3, rel=1e-3)
+    # Adler: f - sqrt(f^2 - f_c^2), but for the rounded corner.
+    assert RESPONSES["step-out"](high) < 0.3
+
+
+def test_slipping_contains_the_others():
+    places = jnp.linspace(0.0, 9.0, 30)
+    nearly_linear = SlippingResponse(0.0, 40.0)(places)
+    np.testing.assert_allclose(nearly_linear, places, atol=1e-12)
+    nearly_full = SlippingResponse(jnp.log(3.0), -40.0)(places)
+    np.testing.assert_allclose(nearly_full, RESPONSES["saturating"](places), atol=1e-9)
+
+
+@pytest.mark.parametrize("make", [SaturatingResponse.of, StepOutResponse.of])
+def test_a_corner_is_positive(make):
+    with pytest.raises(
+        InputError, match="corner: expected a finite number > 0, got -1"
+    ):
+        make(-1.0)
+
+
+def test_a_residual_is_a_share():
+    with pytest.raises(InputError, match="residual: expected between 0 and 1, got 1.0"):
+        SlippingResponse.of(1.0, 1.0)
+
+
+def test_a_held_programme_holds():
+    programme = HeldProgramme(TIMES, FREQUENCY, HEADING)
+    for time, index in [(-1.0, 0), (0.49, 0), (0.5, 1), (1.9, 2), (9.0, 4)]:
+        frequency, heading = programme(time)
+        assert frequency == FREQUENCY[index]
+        assert heading == HEADING[index]
+
+
+def test_a_linear_programme_turns_the_short_way():
+    programme = LinearProgramme(
+        jnp.array([0.0, 1.0]), jnp.array([1.0, 3.0]), jnp.array([3.0, -3.0])
+    )
+    frequency, heading = programme(0.5)
+    assert frequency == 2.0
+    assert jnp.cos(heading) == pytest.approx(-1.0)
+
+
+KNOTS = jnp.linspace(0.0, 3.0, 61)
+PROGRAMMES = {
+    "held": HeldProgramme(TIMES, FREQUENCY, HEADING),
+    "linear": LinearProgramme(KNOTS, 1 + KNOTS, jnp.sin(KNOTS)),
+}
+
+
+@pytest.mark.parametrize("programme", PROGRAMMES.values(), ids=PROGRAMMES)
+def test_integrals_are_those_of_the_commands(programme):
+    response = RESPONSES["saturating"]
+    ts = jnp.array([-0.5, 0.3, 1.7, 3.5])
+    fine = jnp.linspace(-0.5, 3.5, 40_001)
+
+    def command(t):
+        frequency, heading = programme(t)
+        return response(frequency) * jnp.stack([jnp.cos(heading), jnp.sin(heading)])
+
+    values = jax.vmap(command)(fine)
+    found = programme.integral(response, ts)
+    for row, end in zip(found - found[:1], ts, strict=True):
+        own = (fine <= end).astype(fine.dtype)
+        expected = jnp.sum(values * own[:, None], axis=0) * (fine[1] - fine[0])
+        np.testing.assert_allclose(row, expected, atol=2e-3)
+
+
+def test_a_lag_follows_its_differential_equation():
+    programme = HeldProgramme(TIMES, FREQUENCY, HEADING)
+    response, lag = RESPONSES["linear"], jnp.asarray(0.4)
+    fine = np.linspace(0.0, 3.0, 30_001)
+    follower, path = np.asarray(programme.commands(response)[0]), [np.zeros(2)]
+    commands = np.asarray(programme.commands(response))
+    index = np.searchsorted(np.asarray(TIMES), fine, side="right") - 1
+    step = fine[1] - fine[0]
+    for place in index[:-1]:
+        path.append(path[-1] + step * follower)
+        follower = follower + step / 0.4 * (commands[place] - follower)
+    found = programme.lagged_integral(response, TIMES, lag)
+    expected = np.array(path)[np.searchsorted(fine, np.asarray(TIMES) - 1e-9)]
+    np.testing.assert_allclose(found, expected, atol=1e-3)
+    prompt = programme.lagged_integral(response, TIMES, jnp.asarray(1e-4))
+    np.testing.assert_allclose(prompt, programme.integral(response, TIMES), atol=2e-3)
+
+
+def test_a_rolling_robot_moves_by_gain_delay_and_drift():
+    gain = jnp.array([[2.0, 0.1], [-0.1, 3.0]])
+    programme = HeldProgramme(TIMES, FREQUENCY, HEADING)
+    propulsion = RollingPropulsion(gain, RESPONSES["slipping"], programme, 0.3)
+    drift = jnp.array([0.5, -0.2])
+    swimmer = OverdampedSwimmer(propulsion, ZeroForce(), 1.0, UniformFlow(drift))
+    run = rollout(swimmer, jnp.zeros(2), TIMES, solver=Adaptive(1e-7, 1e-7))
+    cycles = programme.integral(RESPONSES["slipping"], TIMES - 0.3)
+    expected = (cycles - cycles[:1]) @ gain.T + TIMES[:, None] * drift[None]
+    np.testing.assert_allclose(run.ys, expected, atol=1e-4)
+
+
+def test_a_gain_is_a_matrix():
+    programme = HeldProgramme(TIMES, FREQUENCY, HEADING)
+    with pytest.raises(InputError, match="RollingPropulsion.gain: expected a matrix"):
+        RollingPropulsion(jnp.eye(2)[:, :1], RESPONSES["linear"], programme)
+
+
+def test_gain_and_heading_offset_of_a_turned_gain():
+    angle = 0.4
+    turn = jnp.array(
+        [[jnp.cos(angle), -jnp.sin(angle)], [jnp.sin(angle), jnp.cos(angle)]]
+    )
+    assert heading_offset(3 * turn) == pytest.approx(angle)
+    assert mean_gain(3 * turn) == pytest.approx(3.0)

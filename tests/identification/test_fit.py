@@ -1,0 +1,230 @@
+"""Fits of synthetic robots: what is known comes back within its interval."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.dynamics import Adaptive, rollout
+from pinav.errors import InputError
+from pinav.identification import (
+    Blocks,
+    Rollouts,
+    Wobble,
+    coverage,
+    delay_findings,
+    errors,
+    fit_track,
+    path_of,
+    split,
+    tracks,
+    with_free,
+    with_response,
+)
+from pinav.identification.findings import extrapolation
+from pinav.identification.forecast import programme_of
+from pinav.identification.likelihood import Design, negative_log_evidence
+from pinav.identification.models import MATRIX
+from pinav.identification.tracks import (
+    COMPILATION,
+    PER_BLOCK,
+    PER_SAMPLE,
+    after,
+    before,
+    shared_sizes,
+)
+
+RUNG = with_free(with_response(MATRIX, "saturating"), "delay", "delay")
+
+
+@pytest.fixture(scope="module")
+def track(recording):
+    return tracks(recording)[0]
+
+
+@pytest.fixture(scope="module")
+def fit(track):
+    return fit_track(track, RUNG)
+
+
+def test_constants_come_back_within_their_intervals(fit, synthetic):
+    found = fit.estimates()
+    truth = {
+        "gain": synthetic.gain,
+        "corner": synthetic.corner,
+        "delay": synthetic.delay,
+        "heading offset": 0.0,
+    }
+    truth |= {
+        "drift x": synthetic.drift[0],
+        "drift y": synthetic.drift[1],
+        "gain x/y": 1.0,
+    }
+    for name, value in truth.items():
+        assert abs(found[name].value - value) < 3.5 * found[name].sd, name
+        assert found[name].sd < 0.15 * max(abs(value), 1.0), name
+
+
+def test_the_swimmer_of_a_fit_moves_as_its_path_says(track, fit):
+    piece = track.pieces[0]
+    programme = programme_of(piece)
+    ts = jnp.asarray(piece.times[20:50])
+    start = jnp.asarray(piece.states[20])
+    run = rollout(fit.swimmer(programme), start, ts, solver=Adaptive(1e-8, 1e-8))
+    path = path_of(fit)(piece)[20:50]
+    moved = np.asarray(run.ys)
+    np.testing.assert_allclose(moved - moved[0], path - path[0], atol=5e-3)
+
+
+def test_bands_hold_what_they_promise(track, fit, synthetic):
+    found = []
+    for seed in range(1, 4):
+        other = tracks(synthetic.as_recording(synthetic.robot(seed)))[0]
+        wobble = Wobble.of(track, path_of(fit))
+        own = coverage(other, Rollouts.of(other, 10.0), fit, wobble)
+        found.append(own.inside)
+    assert 0.8 < np.mean(found) < 0.97
+
+
+def test_open_loop_errors_are_those_of_the_disturbance(track, fit):
+    found = errors(track, Rollouts.of(track, 10.0), path_of(fit))
+    assert len(found.distance) == 16
+    assert found.median < 2.5  # um; 0.3 um/s over 10 s with a memory of 1 s
+    assert found.relative < 0.05
+
+
+def test_evidence_does_not_depend_on_the_place_or_on_padding(track, fit):
+    theta = jnp.asarray(fit.theta)
+    design = Design.of(RUNG, Blocks.of(track))
+    moved = moved_by(design, 1e3)
+    value = negative_log_evidence(theta, design)
+    np.testing.assert_allclose(value, negative_log_evidence(theta, moved), rtol=1e-8)
+
+
+def moved_by(design, distance):
+    return eqx.tree_at(
+        lambda d: d.blocks.positions, design, design.blocks.positions + distance
+    )
+
+
+def test_constant_turning_confounds_delay_and_offset(synthetic):
+    times, _, _ = synthetic.robot()
+    heading = 0.4 * times
+    frequency = np.full_like(times, 2.0)
+    angle = 0.4 * (times - synthetic.delay)
+    random = np.random.default_rng(0)
+    states = 20.0 * np.stack([np.sin(angle), -np.cos(angle)], axis=1)
+    states = states + 0.05 * random.normal(size=states.shape)
+    track = tracks(
+        synthetic.as_recording(
+            (times, states, {"frequency": frequency, "heading": heading})
+        )
+    )[0]
+    found = delay_findings(track, fit_track(track, MATRIX))
+    assert found.confounded
+    assert found.turning_rate == pytest.approx(0.4, rel=1e-6)
+    aligned = found.zero_offset
+    assert aligned is not None
+    held = 0.05  # a held command is half a step old already
+    assert abs(aligned.value - (synthetic.delay - held)) < 3.5 * aligned.sd + 0.01
+    assert aligned.sd < 0.05
+    assert found.free.sd > 3 * aligned.sd
+
+
+def test_random_headings_do_not_confound(track, fit, synthetic):
+    found = delay_findings(track, fit)
+    assert not found.confounded
+    assert abs(found.free.value - synthetic.delay) < 3.5 * found.free.sd
+
+
+def test_a_split_keeps_all_samples_and_their_order(track):
+    train, held_out = split(track, 0.7)
+    first, last = track.span
+    assert train.span[1] < first + 0.7 * (last - first) <= held_out.span[0]
+    assert len(train.pieces[0].times) + len(held_out.pieces[0].times) == len(
+        track.pieces[0].times
+    )
+    assert train.width == held_out.width == track.width
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0, -1.0])
+def test_split_refuses_a_share(track, share):
+    with pytest.raises(InputError, match="split share: expected between 0 and 1"):
+        split(track, share)
+
+
+def test_a_part_that_is_too_short_is_refused(track):
+    with pytest.raises(InputError, match="expected 8 samples or more on both"):
+        after(track, track.span[1] - 0.1)
+    assert before(track, track.span[1] - 0.1).duration > 80
+
+
+def test_tracks_want_positions_alone(paper_trajectories):
+    with pytest.raises(InputError, match="recording: expected the channels x and y"):
+        tracks(paper_trajectories)
+
+
+def test_tracks_want_samples(synthetic):
+    times, states, commands = synthetic.robot(duration=1.0)
+    few = (times[:5], states[:5], {k: v[:5] for k, v in commands.items()})
+    with pytest.raises(InputError, match="expected a trajectory of 8 samples"):
+        tracks(synthetic.as_recording(few))
+
+
+def test_blocks_are_means_of_their_samples(track):
+    blocks = Blocks.of(track)
+    assert blocks.counts.sum() == len(track.pieces[0].times)
+    assert np.all(np.diff(blocks.times) > 0)
+    index = blocks.block[blocks.real]
+    means = np.bincount(index, blocks.times[blocks.real]) / np.bincount(index)
+    np.testing.assert_allclose(np.diff(means), track.width, atol=0.06)
+
+
+def faster(part, factor):
+    """The part of a track, driven at a multiple of its frequency."""
+    pieces = tuple(
+        eqx.tree_at(
+            lambda p: p.commands["frequency"],
+            piece,
+            factor * piece.commands["frequency"],
+        )
+        for piece in part.pieces
+    )
+    return eqx.tree_at(lambda t: t.pieces, part, pieces)
+
+
+def test_frequencies_that_did_not_train_are_told(track):
+    assert extrapolation(track, track) == ""
+    assert extrapolation(track, faster(track, 0.5)) == ""
+    highest = max(piece.commands["frequency"].max() for piece in track.pieces)
+    told = extrapolation(track, faster(track, 3.0))
+    assert (
+        f"up to {3 * highest:.3g} Hz, the training part at up to {highest:.3g}" in told
+    )
+
+
+def test_a_track_whose_commands_ask_for_nothing_is_not_commanded(track):
+    assert track.commanded
+    assert not faster(track, 0.0).commanded
+
+
+def seconds(counts, sizes):
+    """What the sizes cost: compilations, and padded samples and blocks."""
+    work = sum(PER_SAMPLE * samples + PER_BLOCK * blocks for samples, blocks in sizes)
+    return COMPILATION * len(set(sizes)) + work
+
+
+def test_tracks_of_like_length_share_a_size_that_encloses_them():
+    rng = np.random.default_rng(0)
+    short = [(int(n), int(n) // 9) for n in rng.integers(300, 700, 40)]
+    long = [(int(n), int(n) // 9) for n in rng.integers(5000, 6000, 12)]
+    counts = [*short, *long]
+    sizes = shared_sizes(counts)
+    assert len(set(sizes)) == 2
+    for (samples, blocks), size in zip(counts, sizes, strict=True):
+        assert size[0] >= samples
+        assert size[1] >= blocks
+    one = [max(sizes)] * len(counts)
+    own = [shared_sizes([count])[0] for count in counts]
+    assert seconds(counts, sizes) < min(seconds(counts, one), seconds(counts, own))
+    assert shared_sizes(counts[::-1]) == sizes[::-1]

@@ -1,0 +1,120 @@
+"""The filter against dense Gaussian covariances, and laws of its transitions."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.stats
+
+from pinav.identification.kalman import (
+    Disturbance,
+    innovations,
+    smoothed_velocity,
+    transitions,
+)
+
+TIMES = jnp.array([0.0, 0.4, 1.0, 1.1, 2.5, 3.0, 4.2])
+FIRST = jnp.array([1.0, 0, 0, 0, 0, 0, 0])
+
+
+def disturbance(**changes):
+    values = {
+        "still": 0.4,
+        "driven": 0.9,
+        "memory": 1.3,
+        "slow": 0.3,
+        "slow_memory": 9.0,
+        "noise": 0.2,
+    }
+    return Disturbance(**{k: jnp.asarray(v) for k, v in (values | changes).items()})
+
+
+def integrated_covariance(times, memory):
+    """Covariance of the integral of an Ornstein-Uhlenbeck process of variance 1."""
+    a, b = times[:, None], times[None]
+    decays = np.exp(-a / memory) + np.exp(-b / memory) - np.exp(-abs(a - b) / memory)
+    return 2 * memory * np.minimum(a, b) + memory**2 * (decays - 1)
+
+
+def test_likelihood_is_that_of_the_dense_covariance():
+    known = disturbance()
+    strength = jnp.full(len(TIMES) - 1, 0.7)
+    steps = transitions(jnp.diff(TIMES), strength, known)
+    values = jnp.array([0.3, 0.1, 0.7, 0.4, 1.2, 0.2, -0.5])
+    found = innovations(
+        values[:, None], jnp.ones(len(TIMES)), FIRST, steps, known.noise
+    )
+    times = np.asarray(TIMES)
+    covariance = 0.7**2 * integrated_covariance(times, 1.3)
+    covariance += 0.3**2 * integrated_covariance(times, 9.0)
+    # The start is unknown: differences to the first observation are what is known.
+    difference = np.concatenate([-np.ones((6, 1)), np.eye(6)], axis=1)
+    dense = difference @ (covariance + 0.2**2 * np.eye(7)) @ difference.T
+    expected = scipy.stats.multivariate_normal(cov=dense).logpdf(
+        np.asarray(values[1:] - values[0])
+    )
+    whitened, log_variance = found.columns[:, 0], found.log_variance
+    value = -0.5 * (whitened @ whitened + log_variance.sum() + 6 * np.log(2 * np.pi))
+    np.testing.assert_allclose(value, expected, rtol=1e-9)
+
+
+def test_filter_is_linear_and_ignores_padding():
+    known = disturbance()
+    steps = transitions(jnp.diff(TIMES), jnp.full(6, 0.7), known)
+    columns = jax.random.normal(jax.random.key(0), (7, 2))
+    both = jnp.concatenate([columns, (2 * columns[:, :1] - columns[:, 1:])], axis=1)
+    found = innovations(both, jnp.ones(7), FIRST, steps, known.noise).columns
+    np.testing.assert_allclose(found[:, 2], 2 * found[:, 0] - found[:, 1], atol=1e-12)
+    present = jnp.array([1.0, 1, 1, 1, 1, 0, 0])
+    spoilt = both.at[5:].set(1e6)
+    short = innovations(spoilt, present, FIRST, steps, known.noise)
+    np.testing.assert_allclose(short.columns[:4], found[:4])
+    assert not short.columns[4:].any()
+    assert not short.log_variance[4:].any()
+
+
+def test_two_transitions_make_one():
+    known = disturbance()
+    halves = transitions(jnp.array([0.5, 0.7]), jnp.full(2, 0.8), known)
+    whole = transitions(jnp.array([1.2]), jnp.full(1, 0.8), known)
+    first, second = halves.matrix
+    np.testing.assert_allclose(second @ first, whole.matrix[0], rtol=1e-12)
+    noise = second @ halves.noise[0] @ second.T + halves.noise[1]
+    np.testing.assert_allclose(noise, whole.noise[0], rtol=1e-9, atol=1e-12)
+
+
+def test_short_intervals_do_not_cancel():
+    known = disturbance(memory=1e5, slow=0.0)
+    steps = transitions(jnp.array([1e-3]), jnp.ones(1), known)
+    np.testing.assert_allclose(steps.noise[0, 0, 0], 2 / 3 * 1e-9 / 1e5, rtol=1e-2)
+
+
+@pytest.mark.parametrize("quiet", ["still", "driven"])
+def test_strength_grows_with_the_drive(quiet):
+    strength = disturbance(**{quiet: 0.0}).strength(jnp.array([0.0, 1.0, 16.0]))
+    expected = [0, 0.9, 1.8] if quiet == "still" else [0.4, 0.4, 0.4]
+    np.testing.assert_allclose(strength, expected, atol=1e-12)
+
+
+def test_smoothed_velocity_of_a_steady_motion_is_its_speed():
+    times = jnp.arange(60.0)
+    known = disturbance(slow=2.0, slow_memory=1e3, noise=0.01, still=0.05)
+    steps = transitions(jnp.diff(times), jnp.full(59, 0.05), known)
+    positions = jnp.stack([1.5 * times, -0.5 * times], axis=1)
+    velocity, slow, sd = smoothed_velocity(positions, jnp.full(60, 0.05), steps, known)
+    np.testing.assert_allclose(velocity[30], [1.5, -0.5], atol=0.01)
+    np.testing.assert_allclose(slow[30], velocity[30], atol=0.05)
+    assert 0 < sd[30] < 0.1
+
+
+def test_a_new_segment_forgets_the_one_before():
+    known = disturbance()
+    steps = transitions(jnp.diff(TIMES), jnp.full(6, 0.7), known)
+    columns = jax.random.normal(jax.random.key(1), (7, 1))
+    begins = FIRST.at[3].set(1.0)
+    both = innovations(columns, jnp.ones(7), begins, steps, known.noise)
+    tail = transitions(jnp.diff(TIMES[3:]), jnp.full(3, 0.7), known)
+    alone = innovations(columns[3:], jnp.ones(4), FIRST[:4], tail, known.noise)
+    np.testing.assert_allclose(both.columns[3:], alone.columns)
+    np.testing.assert_allclose(both.log_variance[3:], alone.log_variance)
+    assert both.columns[2] == 0

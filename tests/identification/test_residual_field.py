@@ -1,0 +1,120 @@
+"""Residuals by position, baselines, and the words of a verdict."""
+
+import importlib.util
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.errors import InputError
+from pinav.fitting import Estimate, KernelGrid, kernel_environment
+from pinav.forces import KernelForce
+from pinav.identification import (
+    Rollouts,
+    black_box,
+    drift_over_time,
+    errors,
+    fit_residual,
+    fit_track,
+    gaussian_process,
+    least_squares,
+    split,
+    tracks,
+    with_free,
+)
+from pinav.identification.baselines import stochastic_force_inference
+from pinav.identification.findings import interval, positive_interval
+from pinav.identification.models import DRIFT_ONLY, SLOW
+from pinav.identification.residual_field import positions_of, residual_errors
+from pinav.trajectories import Trajectories
+
+SEED = 4
+
+
+def vortex(duration=120.0):
+    """A passive particle that a rotation and a trap about (3, 0) carry, and noise."""
+    random = np.random.default_rng(SEED)
+    path, x = [], np.array([9.0, 0.0])
+    for kick in random.normal(size=(int(duration / 0.1), 2)):
+        offset = x - np.array([3.0, 0.0])
+        turned = np.array([-offset[1], offset[0]])
+        x = x + 0.1 * (0.5 * turned - 0.05 * offset) + 0.12 * kick
+        path.append(x)
+    times = 0.1 * np.arange(len(path))
+    seen = np.array(path) + 0.02 * random.normal(size=(len(path), 2))
+    return Trajectories.from_arrays([times], [seen], channels=("x", "y"))
+
+
+@pytest.fixture(scope="module")
+def passive():
+    return tracks(vortex(), pooled=True)[0]
+
+
+@pytest.fixture(scope="module")
+def drifting(passive):
+    return fit_track(passive, DRIFT_ONLY)
+
+
+def test_a_kernel_residual_finds_a_field_that_is_there(passive, drifting):
+    grid = KernelGrid(across=5, margin=2.0)
+    environment = kernel_environment(KernelForce, positions_of(passive), grid, dim=2)
+    found = fit_residual(passive, drifting, environment)
+    assert found.log_evidence > drifting.log_evidence + 5
+    place = jnp.array([6.0, 0.0])
+    velocity = found.environment(0.0, place, jnp.zeros(2)) + found.corrected.drift
+    np.testing.assert_allclose(velocity, [-0.15, 1.5], atol=0.5)
+    rollouts = Rollouts.of(passive, 5.0)
+    plain = errors(passive, rollouts, lambda piece: 0 * piece.states)
+    assert residual_errors(passive, rollouts, found).median < 0.6 * plain.median
+
+
+def test_the_drift_over_time_follows_the_velocity(passive):
+    fit = fit_track(passive, with_free(DRIFT_ONLY, "slow", *SLOW))
+    found = drift_over_time(passive, fit)
+    piece = passive.pieces[0]
+    positions = [np.interp(found.times, piece.times, x) for x in piece.states.T]
+    expected = np.stack([-0.5 * positions[1], 0.5 * (positions[0] - 3)], axis=1)
+    both = np.corrcoef(found.velocity.ravel(), expected.ravel())[0, 1]
+    assert both > 0.6
+    assert np.all(found.sd > 0)
+
+
+def test_least_squares_returns_gain_and_drift(recording, synthetic):
+    track = tracks(recording)[0]
+    found = least_squares(track)
+    rollouts = Rollouts.of(track, 10.0)
+    assert errors(track, rollouts, found.displacement()).relative < 0.2
+
+
+def test_the_black_box_learns_the_command(recording):
+    train, held_out = split(tracks(recording)[0], 0.7)
+    rollouts = Rollouts.of(held_out, 5.0)
+    with jax.numpy_dtype_promotion("standard"):  # optax
+        found = black_box(train)
+    own = errors(held_out, rollouts, found.displacement()).relative
+    nothing = errors(held_out, rollouts, lambda piece: 0 * piece.states).relative
+    assert own < 0.7 * nothing
+
+
+def test_the_gaussian_process_needs_scikit_learn(recording, monkeypatch):
+    track = tracks(recording)[0]
+    if importlib.util.find_spec("sklearn"):
+        found = gaussian_process(track, rows=60)
+        rollouts = Rollouts.of(track, 5.0)
+        assert errors(track, rollouts, found.displacement()).relative < 0.3
+    monkeypatch.setitem(__import__("sys").modules, "sklearn.gaussian_process", None)
+    with pytest.raises(InputError, match="scikit-learn is not installed"):
+        gaussian_process(track)
+
+
+def test_stochastic_force_inference_is_refused(recording):
+    with pytest.raises(InputError, match="no command inputs"):
+        stochastic_force_inference(tracks(recording)[0])
+
+
+def test_an_interval_has_95_percent():
+    assert interval(Estimate(1.0, 0.5)) == pytest.approx((0.02, 1.98))
+    low, high = positive_interval(Estimate(2.0, 1.0))
+    assert low * high == pytest.approx(4.0)
+    assert high == pytest.approx(2 * np.exp(0.98))

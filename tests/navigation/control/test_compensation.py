@@ -1,0 +1,178 @@
+"""Delay compensation is exact without noise; the filter finds the drift."""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import pytest
+
+from pinav.actuation import LinearResponse
+from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.forces import (
+    AbstractForce,
+    GaussianBarrier,
+    LinearDrag,
+    UniformFlow,
+    ZeroForce,
+)
+from pinav.navigation.control.compensation import (
+    DelayCompensation,
+    DriftEstimation,
+    Timing,
+)
+from pinav.navigation.control.controller import AbstractController
+from pinav.navigation.model.predictors import Drifting, SwimmerPredictor
+from pinav.navigation.task.objectives import Reach
+from pinav.navigation.task.steering import (
+    CommandLimits,
+    RollingActuator,
+    SteeredSwimmer,
+)
+from pinav.navigation.task.task import Task
+from pinav.navigation.task.zones import Rectangle
+from pinav.navigation.trials.closed_loop import advance, begin, observe
+
+ROLLING = RollingActuator(jnp.eye(2), LinearResponse())
+BARRIER = GaussianBarrier(2.0, [1.0, 1.0], 1.0)
+MODELS = {
+    "inertial": SteeredSwimmer(Swimmer(ZeroForce(), LinearDrag(0.4), BARRIER), ROLLING),
+    "overdamped": SteeredSwimmer(OverdampedSwimmer(ZeroForce(), BARRIER, 1.0), ROLLING),
+}
+
+
+class Wanderer(AbstractController):
+    """Random commands; remembers what it was told last."""
+
+    size: int = eqx.field(static=True)
+
+    def start(self, observation):
+        return observation.time, observation.state
+
+    def __call__(self, observation, memory, *, key):
+        frequency, heading = jax.random.uniform(key, (2,))
+        command = jnp.stack([frequency, 6 * heading])
+        return command, (observation.time, observation.state)
+
+
+def task_of(truth, delay=0.0, noise=0.0, sensor_noise=0.0, time_limit=3.0):
+    size = 4 if isinstance(truth.dynamics, Swimmer) else 2
+    return Task(
+        "test",
+        truth,
+        jnp.array([0.2, -0.3, 0.1, 0.2])[:size],
+        Reach([30.0, 30.0], 0.1),
+        CommandLimits(1.0),
+        Rectangle([-50.0, -50.0], [50.0, 50.0]),
+        (),
+        0.1,
+        time_limit,
+        noise=noise,
+        sensor_noise=sensor_noise,
+        delay=delay,
+    )
+
+
+@pytest.mark.parametrize("delay", [0.07, 0.2, 0.25])
+@pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
+def test_the_predicted_state_is_that_in_which_the_command_comes_into_force(
+    model, delay
+):
+    """From there the command leads to the true state at the next control step."""
+    task = task_of(model, delay)
+    timing = Timing(task.step, task.delay)
+    predictor, key = SwimmerPredictor(model), jax.random.key(3)
+    predict = eqx.filter_jit(lambda seen: timing.predicted(predictor, seen))
+    move = eqx.filter_jit(lambda now, c: advance(task, model, now, c, key))
+    now, ahead, commands, states = begin(task), [], [], []
+    for step in range(8):
+        seen = observe(task, now, key)
+        command, _ = Wanderer(4)(seen, None, key=jax.random.fold_in(key, step))
+        ahead.append(predict(seen))
+        commands.append(command)
+        states.append(now.state)
+        now, _ = move(now, command)
+    whole = math.ceil(delay / task.step - 1e-9)
+    for one, command, later in zip(ahead, commands, states[whole:], strict=False):
+        held = whole * task.step - delay
+        reached = model.step(one.time, one.state, command, held)
+        assert jnp.allclose(reached, later, atol=2e-5)
+
+
+def test_the_controller_inside_is_told_what_will_be():
+    model = MODELS["overdamped"]
+    timing = Timing(0.1, 0.2)
+    controller = DelayCompensation(Wanderer(2), SwimmerPredictor(model), timing)
+    seen = observe(task_of(model, 0.2), begin(task_of(model, 0.2)), jax.random.key(0))
+    ahead = timing.predicted(SwimmerPredictor(model), seen)
+    _, (time, state) = controller(seen, controller.start(seen), key=jax.random.key(0))
+    assert float(time) == pytest.approx(0.2)
+    assert jnp.allclose(state, ahead.state)
+
+
+class Push(AbstractForce):
+    push: jax.Array
+
+    def __call__(self, t, x, v):
+        return self.push.astype(x.dtype)
+
+
+def drifting(kind, drift):
+    """The truth of a model that does not know of a drift."""
+    model = MODELS[kind]
+    if kind == "overdamped":
+        return eqx.tree_at(lambda s: s.dynamics.flow, model, UniformFlow(drift))
+    pushed = BARRIER + Push(jnp.asarray(drift))
+    return eqx.tree_at(lambda s: s.dynamics.environment, model, pushed)
+
+
+def believed(kind, drift, steps, **settings):
+    """Mean and covariance of state and drift after some steps, and the true state."""
+    truth = drifting(kind, drift)
+    task = task_of(truth, **settings)
+    controller = DriftEstimation(
+        Wanderer(2),
+        Drifting(SwimmerPredictor(MODELS[kind])),
+        Timing(task.step, task.delay),
+        noise=task.noise,
+        sensor_noise=task.sensor_noise,
+        prior=1.0,
+    )
+    start = begin(task)
+    memory = controller.start(observe(task, start, jax.random.key(1)))
+
+    @eqx.filter_jit
+    def loop(start, memory):
+        def step(carry, key):
+            now, memory = carry
+            sensing, deciding, moving = jax.random.split(key, 3)
+            seen = observe(task, now, sensing)
+            command, memory = controller(seen, memory, key=deciding)
+            later, _ = advance(task, truth, now, command, moving)
+            return (later, memory), now.state
+
+        keys = jax.random.split(jax.random.key(2), steps)
+        (_, memory), states = jax.lax.scan(step, (start, memory), keys)
+        return memory, states[-1]
+
+    memory, state = loop(start, jax.tree.map(jnp.asarray, memory))
+    return memory.mean, memory.covariance, state
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.25])
+@pytest.mark.parametrize("kind", MODELS)
+def test_without_noise_the_filter_finds_the_drift(kind, delay):
+    mean, _, state = believed(kind, [0.3, -0.2], 25, delay=delay)
+    assert jnp.allclose(mean[-2:], jnp.array([0.3, -0.2]), atol=2e-3)
+    assert jnp.allclose(mean[:-2], state, atol=1e-4)
+
+
+@pytest.mark.parametrize("kind", MODELS)
+def test_with_noise_state_and_drift_are_as_far_off_as_the_filter_says(kind):
+    drift = jnp.array([0.3, -0.2])
+    noise = {"noise": 0.05, "sensor_noise": 0.02}
+    mean, covariance, state = believed(kind, drift, 150, **noise)
+    error = mean - jnp.concatenate([state, drift])
+    assert error @ jnp.linalg.solve(covariance, error) < 17  # chi^2, 4 or 6 at 99 %
+    assert jnp.all(jnp.sqrt(jnp.diag(covariance))[-2:] < 0.03)
+    assert jnp.linalg.norm(mean[-2:] - drift) < 0.06

@@ -1,0 +1,185 @@
+"""Path integral control and shooting against optima that are known."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.actuation import LinearResponse
+from pinav.dynamics import OverdampedSwimmer
+from pinav.errors import InputError
+from pinav.forces import UniformFlow, ZeroForce
+from pinav.navigation.control.controller import Observation
+from pinav.navigation.control.costs import ArrivalCost, TrackingCost
+from pinav.navigation.control.default import controller
+from pinav.navigation.control.gradient_mpc import Shooting
+from pinav.navigation.control.mppi import PathIntegral
+from pinav.navigation.control.prediction import Courses, Downhill
+from pinav.navigation.model.predictors import SwimmerPredictor
+from pinav.navigation.model.tabulated import terrain
+from pinav.navigation.planning.plan import time_to_go
+from pinav.navigation.task.objectives import CirclePath, Follow, Reach
+from pinav.navigation.task.steering import (
+    CommandLimits,
+    RollingActuator,
+    SteeredSwimmer,
+)
+from pinav.navigation.task.task import Task
+from pinav.navigation.task.zones import Disc, Rectangle
+from pinav.navigation.trials.closed_loop import run, run_many
+
+pytestmark = pytest.mark.slow
+
+ROLLING = RollingActuator(jnp.eye(2), LinearResponse())
+START, GOAL = np.array([-2.0, -1.0]), np.array([2.5, 1.5])
+
+
+def swimming(drift=(0.0, 0.0), keep_out=(), objective=None, **settings):
+    truth = SteeredSwimmer(
+        OverdampedSwimmer(ZeroForce(), ZeroForce(), 1.0, UniformFlow(drift)), ROLLING
+    )
+    return Task(
+        "test",
+        truth,
+        jnp.asarray(START),
+        Reach(GOAL, 0.2) if objective is None else objective,
+        CommandLimits(1.0),
+        Rectangle([-4.0, -4.0], [4.0, 4.0]),
+        keep_out,
+        0.1,
+        settings.pop("time_limit", 20.0),
+        **settings,
+    )
+
+
+@pytest.fixture(scope="module")
+def ground():
+    return terrain(swimming(), swimming().truth, points=21)
+
+
+METHODS = {
+    "path integral": lambda courses, cost: PathIntegral(
+        courses, cost, samples=256, rounds=6
+    ),
+    "shooting": lambda courses, cost: Shooting(courses, cost, iterations=150),
+}
+
+
+@pytest.mark.parametrize("make", METHODS.values(), ids=METHODS)
+def test_both_methods_find_the_optimum_of_a_quadratic_cost(ground, make):
+    """Cost and model are linear and quadratic: the optimum is by least squares."""
+    steps, effort, h = 6, 0.05, 0.1
+    cost = TrackingCost(Reach(np.array([-1.8, -0.9]), 0.1), ground.surroundings, effort)
+    method = make(Courses(ground.predictor, ground.drive, h, steps), cost)
+    seen = Observation(jnp.zeros(()), jnp.asarray(START), jnp.zeros((1, 2)))
+    decide = eqx.filter_jit(lambda memory, key: method(seen, memory, key=key)[1])
+    shares = method.start(seen)
+    for key in jax.random.split(jax.random.key(0), 4):
+        shares = jnp.concatenate([shares[:1], shares[:-1]])  # undo the warm start
+        shares = decide(shares, key)
+    positions = np.sqrt(h) * h * np.tril(np.ones((steps, steps)))
+    changes = np.sqrt(effort) * np.diff(np.eye(steps), axis=0)
+    wanted = np.sqrt(h) * np.tile([[0.2, 0.1]], (steps, 1))
+    rows = np.vstack([positions, changes])
+    wanted = np.vstack([wanted, np.zeros((steps - 1, 2))])
+    best = np.linalg.lstsq(rows, wanted, rcond=None)[0]
+    assert np.linalg.norm(best, axis=1).max() < 1  # so that no bound is active
+    found = cost(*method.courses(seen, shares), shares)
+    least = cost(*method.courses(seen, jnp.asarray(best)), jnp.asarray(best))
+    nothing = 0.05 * h * steps  # the cost of standing still
+    assert float(found - least) < 0.02 * (nothing - float(least))
+
+
+def test_arrival_in_a_uniform_drift_is_that_of_the_closed_form():
+    """|d - w T| = T + tolerance, with d from start to goal and drift w."""
+    task = swimming((0.4, -0.3))
+    d, w = GOAL - START, np.array([0.4, -0.3])
+    a, b, c = w @ w - 1, -(d @ w) - 0.2, d @ d - 0.2**2
+    exact = max(np.roots([a, 2 * b, c]).real)
+    episode = run(task, controller(task, task.truth), key=jax.random.key(0))
+    assert episode.reached
+    assert episode.arrival_time == pytest.approx(exact, rel=0.01)
+
+
+def test_shooting_arrives_as_soon_as_path_integrals(ground):
+    task = swimming((0.2, 0.0))
+    here = terrain(task, task.truth, points=21)
+    plan = time_to_go(task, task.truth, ground=here, points=41)
+    courses = Courses(here.predictor, here.drive, task.step, 12)
+    cost, guide = ArrivalCost(plan), Downhill(plan)
+    times = [
+        run(task, method, key=jax.random.key(0)).arrival_time
+        for method in (
+            Shooting(courses, cost, guide, iterations=10),
+            PathIntegral(courses, cost, guide),
+        )
+    ]
+    assert times[0] == pytest.approx(times[1], rel=0.02)
+
+
+def test_a_zone_is_never_entered_when_the_model_is_true():
+    disc = Disc([0.25, 0.25], 1.0)
+    task = swimming(keep_out=(disc,), noise=0.05)
+    keys = jax.random.split(jax.random.key(1), 20)
+    episodes = run_many(task, controller(task, task.truth), keys)
+    assert episodes.reached.all()
+    assert episodes.clearance.min() > 0
+
+
+def test_a_path_is_followed_through_a_delay():
+    """Only the first moments, before the first command, are lost."""
+    circle = CirclePath(center=[-2.0, 0.0], radius=1.0, period=12.0, phase=-np.pi / 2)
+    task = swimming((0.3, 0.1), objective=Follow(circle), delay=0.2, time_limit=6.0)
+    episode = run(task, controller(task, task.truth), key=jax.random.key(0))
+    targets = jax.vmap(task.objective.target)(jnp.asarray(episode.ts))
+    errors = np.linalg.norm(episode.states - np.asarray(targets), axis=1)
+    assert errors[20:].max() < 0.02
+
+
+def test_an_unknown_drift_is_found_on_the_way():
+    """The model does not know of it; tracking with the filter is as if it did."""
+    circle = CirclePath(center=[-2.0, 0.0], radius=1.0, period=12.0, phase=-np.pi / 2)
+    task = swimming((0.4, 0.2), objective=Follow(circle), time_limit=8.0)
+    blind = swimming().truth
+
+    def error(**settings):
+        pilot = controller(task, blind, **settings)
+        episode = run(task, pilot, key=jax.random.key(0))
+        targets = jax.vmap(task.objective.target)(jnp.asarray(episode.ts))
+        return np.linalg.norm(episode.states - np.asarray(targets), axis=1)[30:].mean()
+
+    assert error(drift=0.5) < error() / 3
+
+
+def test_a_course_is_that_of_the_model(ground):
+    task = swimming((0.4, -0.3))
+    courses = Courses(SwimmerPredictor(task.truth), ground.drive, 0.1, 5)
+    seen = Observation(jnp.zeros(()), jnp.asarray(START), jnp.zeros((1, 2)))
+    shares = 0.6 * jnp.tile(jnp.array([[0.6, 0.8]]), (5, 1))
+    ts, ys = courses(seen, shares)
+    velocity = jnp.array([0.36 + 0.4, 0.48 - 0.3])
+    assert jnp.allclose(ys, START[None] + ts[:, None] * velocity[None], atol=1e-6)
+
+
+BAD = {
+    "samples": (lambda c, j: PathIntegral(c, j, samples=1), ">= 2, got 1"),
+    "rounds": (lambda c, j: PathIntegral(c, j, rounds=0), ">= 1, got 0"),
+    "spread": (lambda c, j: PathIntegral(c, j, spread=0.0), "> 0, got 0.0"),
+    "temperature": (lambda c, j: PathIntegral(c, j, temperature=-1.0), "> 0, got -1.0"),
+    "iterations": (lambda c, j: Shooting(c, j, iterations=0), "> 0, got 0"),
+    "rate": (lambda c, j: Shooting(c, j, rate=0.0), "> 0, got 0.0"),
+}
+
+
+@pytest.mark.parametrize(("name", "make", "message"), [(k, *v) for k, v in BAD.items()])
+def test_settings_that_make_no_sense_are_refused(ground, name, make, message):
+    courses = Courses(ground.predictor, ground.drive, 0.1)
+    cost = TrackingCost(swimming().objective, ground.surroundings)
+    with pytest.raises(InputError, match=rf"{name}: expected {message}"):
+        make(courses, cost)
+
+
+def test_a_course_has_steps(ground):
+    with pytest.raises(InputError, match=r"Courses.steps: expected >= 1, got 0"):
+        Courses(ground.predictor, ground.drive, 0.1, 0)

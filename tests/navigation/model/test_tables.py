@@ -1,0 +1,205 @@
+"""Tables of models: exact for low degrees, convergent, honest about what is not."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.actuation import LinearResponse
+from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.errors import InputError
+from pinav.forces import (
+    AbstractForce,
+    ConstantDirector,
+    GaussianBarrier,
+    LinearDrag,
+    LinearMotion,
+    Moving,
+    ShearFlow,
+    TensorDrag,
+    UniaxialTensor,
+    ZeroForce,
+)
+from pinav.navigation.model.predictors import Drive, InertialTable, OverdampedTable
+from pinav.navigation.model.tables import (
+    FieldTable,
+    Grid,
+    force_spread,
+    sample_times,
+    tabulate,
+)
+from pinav.navigation.task.steering import (
+    CommandLimits,
+    RollingActuator,
+    SteeredSwimmer,
+)
+from pinav.navigation.task.zones import Rectangle
+
+REGION = Rectangle([0.0, -1.0], [4.0, 2.0])
+ROLLING = RollingActuator(jnp.eye(2), LinearResponse())
+STATIC = np.zeros(1)
+
+
+def inertial(environment=None, drag=None):
+    environment = ZeroForce() if environment is None else environment
+    drag = LinearDrag(0.5) if drag is None else drag
+    return SteeredSwimmer(Swimmer(ZeroForce(), drag, environment), ROLLING)
+
+
+def carried(flow):
+    dynamics = OverdampedSwimmer(ZeroForce(), ZeroForce(), 0.7, flow)
+    return SteeredSwimmer(dynamics, ROLLING)
+
+
+def table_of(function, count=9):
+    grid = Grid.over(REGION, count, margin=2)
+    values = jax.vmap(jax.vmap(function))(grid.points)
+    return FieldTable(grid, values[None])
+
+
+@pytest.fixture(scope="module")
+def places():
+    shares = jax.random.uniform(jax.random.key(0), (40, 2))
+    return REGION.lower[None] + shares * (REGION.upper - REGION.lower)[None]
+
+
+def quadratic(x):
+    a, b = x
+    return jnp.stack([1 + 2 * a - b + a * a * b, a * b - 3 * b * b + a * a * b * b])
+
+
+def test_a_table_is_exact_where_the_values_are_of_degree_two_along_each_axis(places):
+    table = table_of(quadratic)
+    found = jax.vmap(lambda x: table(0.0, x))(places)
+    assert jnp.allclose(found, jax.vmap(quadratic)(places), atol=1e-12)
+    slopes = jax.vmap(jax.jacfwd(lambda x: table(0.0, x)))(places)
+    assert jnp.allclose(slopes, jax.vmap(jax.jacfwd(quadratic))(places), atol=1e-11)
+
+
+def test_the_gradient_of_a_table_is_that_of_what_it_returns(places):
+    table = table_of(lambda x: jnp.sin(2 * x) * jnp.cos(x[::-1]), 6)
+    x, step = places[7], 1e-6
+    slope = jax.jacfwd(lambda x: table(0.0, x))(x)
+    for axis, move in enumerate(step * jnp.eye(2)):
+        change = (table(0.0, x + move) - table(0.0, x - move)) / (2 * step)
+        assert jnp.allclose(change, slope[:, axis], atol=1e-8)
+
+
+def test_the_error_falls_with_the_third_power_of_the_spacing(places):
+    def error(count):
+        table = table_of(lambda x: jnp.sin(2 * x) * jnp.cos(x[::-1]), count)
+        exact = jnp.sin(2 * places) * jnp.cos(places[:, ::-1])
+        return jnp.max(jnp.abs(jax.vmap(lambda x: table(0.0, x))(places) - exact))
+
+    assert error(33) < error(17) / 6
+
+
+def test_a_table_is_linear_in_time_and_constant_beyond_its_ends():
+    grid = Grid.over(REGION, 5)
+    values = jnp.arange(3.0)[:, None, None, None] * jnp.ones((3, *grid.shape, 1))
+    table, x = FieldTable(grid, values, start=1.0, interval=0.5), jnp.array([1.3, 0.2])
+    for t, value in ((1.2, 0.4), (1.9, 1.8), (0.0, 0.0), (7.0, 2.0)):
+        assert jnp.allclose(table(t, x), value)
+
+
+def test_a_table_of_inertia_holds_force_and_drag(places):
+    barrier = GaussianBarrier(2.0, [2.0, 0.5], 1.0)
+    tensor = UniaxialTensor(0.3, 0.8, ConstantDirector(0.4))
+    model = inertial(barrier, TensorDrag(tensor))
+    table = tabulate(model, Grid.over(REGION, 41, margin=2), STATIC)
+    x = places[3]
+    rates = table(0.0, x)
+    assert jnp.allclose(rates[:2], barrier(0.0, x, jnp.zeros(2)), atol=1e-3)
+    drag = jax.jacfwd(lambda v: tensor(x, v))(jnp.zeros(2))
+    assert jnp.allclose(rates[2:].reshape(2, 2), drag, atol=1e-12)
+
+
+PREDICTORS = {
+    "inertial": (
+        lambda: inertial(GaussianBarrier(2.0, [2.0, 0.5], 1.0)),
+        InertialTable,
+        jnp.array([1.2, 0.1, 0.4, -0.3]),
+    ),
+    "overdamped": (
+        lambda: carried(ShearFlow(0.4, 0.2)),
+        OverdampedTable,
+        jnp.array([1.2, 0.1]),
+    ),
+}
+
+
+@pytest.mark.parametrize(("make", "kind", "y"), PREDICTORS.values(), ids=PREDICTORS)
+def test_a_step_on_the_table_is_of_second_order(make, kind, y):
+    model = make()
+    table = tabulate(model, Grid.over(REGION, 81, margin=2), STATIC)
+    predictor, command = kind(table, ROLLING), jnp.array([0.6, 0.9])
+
+    def error(h):
+        exact = model.step(0.0, y, command, h)
+        return jnp.max(jnp.abs(predictor.step(0.0, y, command, h) - exact))
+
+    assert error(0.4) < 6e-3
+    assert error(0.2) < error(0.4) / 5 + 1e-6
+
+
+def test_a_model_that_is_not_finite_is_refused_with_a_place():
+    class Broken(AbstractForce):
+        def __call__(self, t, x, v):
+            return jnp.where(x[0] > 3.9, jnp.nan, 0.0) * x
+
+    with pytest.raises(InputError, match=r"model: expected a finite force .* as at"):
+        tabulate(inertial(Broken()), Grid.over(REGION, 9), STATIC)
+
+
+def test_times_are_many_only_where_the_model_changes():
+    barrier = GaussianBarrier(2.0, [2.0, 0.5], 1.0)
+    grid = Grid.over(REGION, 21)
+    assert len(sample_times(inertial(barrier), grid, 9.0, 7)) == 1
+    moving = inertial(Moving(barrier, LinearMotion([0.1, 0.0])))
+    assert np.allclose(sample_times(moving, grid, 9.0, 7), np.linspace(0, 9, 7))
+
+
+def test_the_spread_of_two_models_is_that_of_two_numbers():
+    pair = [inertial(GaussianBarrier(h, [2.0, 0.5], 1.0)) for h in (1.0, 3.0)]
+    grid = Grid.over(REGION, 9)
+    spread = force_spread([tabulate(one, grid, STATIC) for one in pair])
+    x = grid.points[3, 2]
+    unit = jnp.linalg.norm(GaussianBarrier(1.0, [2.0, 0.5], 1.0)(0.0, x, x))
+    assert jnp.allclose(spread.values[0, 3, 2, 0], unit, rtol=1e-9)  # sqrt(2) / sqrt(2)
+
+
+def test_one_sample_is_no_spread():
+    table = tabulate(inertial(), Grid.over(REGION, 9), STATIC)
+    with pytest.raises(InputError, match=r"samples: expected 2 or more models, got 1"):
+        force_spread([table])
+
+
+def test_a_grid_needs_four_points():
+    with pytest.raises(InputError, match=r"Grid.over count: expected 4 or more, got 3"):
+        Grid.over(REGION, 3)
+
+
+def test_a_drive_takes_the_frequency_of_the_greatest_thrust():
+    drive = Drive.of(ROLLING, CommandLimits(0.8))
+    assert drive.frequency == pytest.approx(0.8)
+    command = drive.command(jnp.array([0.0, 0.5]), jnp.zeros(2), 0.1)
+    assert jnp.allclose(command, jnp.array([0.4, jnp.pi / 2]))
+
+
+def test_a_drive_turns_as_fast_as_coils_allow():
+    drive = Drive.of(ROLLING, CommandLimits(0.8, max_turning_rate=2.0))
+    command = drive.command(jnp.array([0.0, 1.0]), jnp.zeros(2), 0.1)
+    assert jnp.allclose(command, jnp.array([0.8, 0.2]))
+
+
+def test_a_drive_is_differentiable_without_thrust():
+    drive = Drive.of(ROLLING, CommandLimits(0.8))
+    slope = jax.jacfwd(lambda w: drive.command(w, jnp.zeros(2), 0.1))(jnp.zeros(2))
+    assert bool(jnp.all(jnp.isfinite(slope)))
+
+
+def test_no_thrust_at_all_is_refused():
+    idle = eqx.tree_at(lambda actuator: actuator.gain, ROLLING, jnp.zeros((2, 2)))
+    with pytest.raises(InputError, match=r"limits: expected a frequency that gives"):
+        Drive.of(idle, CommandLimits(0.8))

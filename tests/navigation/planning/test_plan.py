@@ -1,0 +1,192 @@
+"""The time-to-go against closed forms, and what a plan refuses."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.actuation import LinearResponse
+from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.errors import InputError
+from pinav.forces import (
+    AbstractForce,
+    GaussianBarrier,
+    LinearDrag,
+    LinearMotion,
+    Moving,
+    UniformFlow,
+    ZeroForce,
+)
+from pinav.navigation.model.tabulated import terrain
+from pinav.navigation.planning.plan import time_to_go
+from pinav.navigation.task.objectives import Follow, LinePath, Reach
+from pinav.navigation.task.steering import (
+    CommandLimits,
+    RollingActuator,
+    SteeredSwimmer,
+)
+from pinav.navigation.task.task import Task
+from pinav.navigation.task.zones import Disc, Rectangle, Wall
+
+ROLLING = RollingActuator(jnp.eye(2), LinearResponse())
+GOAL, TOLERANCE = np.array([2.5, 1.5]), 0.2
+ARENA = Rectangle([-4.0, -4.0], [4.0, 4.0])
+
+
+def swimming(drift=(0.0, 0.0), start=(-2.0, -1.0), keep_out=(), environment=None):
+    environment = ZeroForce() if environment is None else environment
+    flow = UniformFlow(drift)
+    truth = SteeredSwimmer(
+        OverdampedSwimmer(ZeroForce(), environment, 1.0, flow), ROLLING
+    )
+    return Task(
+        "test",
+        truth,
+        jnp.array(start),
+        Reach(GOAL, TOLERANCE),
+        CommandLimits(1.0),
+        ARENA,
+        keep_out,
+        0.1,
+        20.0,
+    )
+
+
+def planned(task, **settings):
+    ground = terrain(task, task.truth, margin=0.01, points=41)
+    return time_to_go(task, task.truth, ground=ground, **settings)
+
+
+def drifted_time(x, drift):
+    """Time to a disc at speed 1: |d - w T| = T + tolerance, its first root."""
+    away, w = GOAL - x, np.asarray(drift)
+    a, b = w @ w - 1, -(away @ w) - TOLERANCE
+    c = away @ away - TOLERANCE**2
+    roots = np.roots([a, 2 * b, c])
+    return min(r.real for r in roots if abs(r.imag) < 1e-12 and r.real > 0)
+
+
+@pytest.mark.parametrize("drift", [(0.0, 0.0), (0.4, -0.3)])
+def test_time_to_go_in_a_uniform_drift_is_that_of_the_closed_form(drift):
+    plan = planned(swimming(drift), points=61)
+    places = jax.random.uniform(jax.random.key(1), (20, 2), minval=-2.5, maxval=2.5)
+    found = np.array([plan.at(x) for x in places])
+    exact = np.array([drifted_time(np.asarray(x), drift) for x in places])
+    assert np.abs(found - exact).max() < 0.12
+    assert np.abs(found - exact).mean() < 0.06
+
+
+@pytest.mark.slow
+def test_time_to_go_converges_with_the_grid():
+    task = swimming((0.4, -0.3))
+    exact = drifted_time(np.asarray(task.start), (0.4, -0.3))
+    coarse, fine = (
+        abs(float(planned(task, points=n).at(task.start)) - exact) for n in (21, 81)
+    )
+    assert fine < coarse / 2
+
+
+def test_against_a_drift_that_is_faster_only_a_cone_reaches_the_goal():
+    """With drift w = 2 and speed 1, headings fill a cone of half angle 30 degrees."""
+    plan = planned(swimming((2.0, 0.0)), points=61)
+    points = np.asarray(ARENA.lower) + np.indices((61, 61)).transpose(1, 2, 0) * 8 / 60
+    away = GOAL - points
+    angle = np.abs(np.arctan2(away[..., 1], away[..., 0]))
+    far = np.linalg.norm(away, axis=-1) > 1.5
+    assert not plan.unreachable[far & (angle < np.radians(22))].any()
+    assert plan.unreachable[far & (angle > np.radians(45))].all()
+
+
+def test_the_way_around_a_disc_is_two_tangents_and_an_arc():
+    disc = Disc([0.25, 0.25], 1.2)
+    task = swimming(keep_out=(disc,))
+    ends = [np.asarray(task.start) - 0.25, GOAL - 0.25]
+    lengths = [np.linalg.norm(e) for e in ends]
+    between = np.arccos(ends[0] @ ends[1] / lengths[0] / lengths[1])
+    arc = between - sum(np.arccos(1.2 / d) for d in lengths)
+    exact = sum(np.sqrt(d**2 - 1.2**2) for d in lengths) + 1.2 * arc - TOLERANCE
+    plan = planned(task)
+    assert float(plan.at(task.start)) == pytest.approx(exact, rel=0.03)
+    route = plan.route(task.start)
+    assert float(route.arrival_time) == pytest.approx(exact, rel=0.04)
+    assert float(jnp.min(jax.vmap(disc.distance)(route.ys))) > -0.02
+
+
+@pytest.mark.slow
+def test_with_inertia_it_is_that_of_uniform_acceleration():
+    """From rest, without drag: sqrt(2 d / u)."""
+    truth = SteeredSwimmer(Swimmer(ZeroForce(), LinearDrag(0.0), ZeroForce()), ROLLING)
+    task = eqx.tree_at(
+        lambda task: (task.truth, task.start),
+        swimming(),
+        (truth, jnp.array([-2.0, 1.5, 0.0, 0.0])),
+    )
+    plan = planned(task, points=25, speeds=15)
+    exact = np.sqrt(2 * (4.5 - TOLERANCE))
+    assert float(plan.at(task.start)) == pytest.approx(exact, rel=0.12)
+    assert float(plan.route(task.start).arrival_time) == pytest.approx(exact, rel=0.05)
+    assert plan.map.shape == (25, 25)
+
+
+@pytest.mark.slow
+def test_a_plan_knows_how_a_force_will_change():
+    """A push that comes too late is of no use; one that comes soon is."""
+    push = GaussianBarrier(-40.0, [30.0, 1.5], 20.0)  # towards +x in the whole arena
+    start = jnp.array([-3.0, 1.5])
+    steady = swimming(start=start, environment=push)
+    leaving = Moving(push, LinearMotion([4.0, 0.0]))
+    fading = swimming(start=start, environment=leaving)
+    alone = swimming(start=start)
+    times = [float(planned(t, points=31).at(start)) for t in (steady, fading, alone)]
+    assert times[0] < times[1] - 0.2 < times[2] - 0.4
+    late = planned(fading, points=31).at(start, 15.0)
+    assert float(late) > times[1] + 0.2
+
+
+def test_start_and_goal_must_be_free():
+    wall = Wall([-2.0, -3.0], [-2.0, 1.0], 0.2)
+    with pytest.raises(InputError, match=r"start: expected a free place, got \(-2"):
+        planned(swimming(keep_out=(wall,)))
+    with pytest.raises(InputError, match=r"goal: expected a free place, got \(2.5"):
+        planned(swimming(keep_out=(Disc([2.5, 1.5], 0.5),)))
+    with pytest.raises(InputError, match=r"start: expected a place in the arena"):
+        planned(swimming(start=(-9.0, 0.0)))
+
+
+def test_a_goal_behind_walls_or_up_a_drift_is_refused():
+    closed = Wall([0.0, -5.0], [0.0, 5.0], 0.15)
+    for task in (swimming(keep_out=(closed,)), swimming((-1.5, 0.0))):
+        with pytest.raises(InputError, match=r"goal: expected a place that can be"):
+            planned(task)
+
+
+def test_a_model_that_is_not_finite_is_refused():
+    class Broken(AbstractForce):
+        def __call__(self, t, x, v):
+            return x / jnp.where(x[0] > 1, 0.0, 1.0)
+
+    with pytest.raises(InputError, match=r"model: expected a finite force"):
+        planned(swimming(environment=Broken()))
+
+
+def test_a_path_needs_no_plan():
+    path = Follow(LinePath([0.0, 0.0], [1.0, 1.0], 5.0))
+    task = eqx.tree_at(lambda task: task.objective, swimming(), path)
+    with pytest.raises(InputError, match=r"task 'test': expected a place to reach"):
+        planned(task)
+
+
+@pytest.mark.slow
+def test_unknown_ground_is_gone_around():
+    """Two samples that disagree in a disc: time costs more there."""
+    task = swimming()
+    samples = [
+        swimming(environment=GaussianBarrier(h, [0.25, 0.25], 0.6)).truth
+        for h in (-1.0, 1.0)
+    ]
+    ground = terrain(task, task.truth, samples=samples, margin=0.01, points=41)
+    wary = time_to_go(task, task.truth, ground=ground)
+    ways = [plan.route(task.start).ys for plan in (planned(task), wary)]
+    near = [float(jnp.min(jnp.linalg.norm(y - 0.25, axis=1))) for y in ways]
+    assert near[0] < 0.2 < 0.6 < near[1]

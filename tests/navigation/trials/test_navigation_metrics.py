@@ -1,0 +1,103 @@
+"""Metrics against other implementations and closed forms."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.stats import binomtest
+from tests.navigation.steering_worlds import AHEAD, open_water
+
+from pinav.errors import InputError
+from pinav.navigation.task.objectives import Follow, LinePath, Reach
+from pinav.navigation.trials import metrics
+from pinav.navigation.trials.closed_loop import Episodes, run_many
+
+KEYS = jax.random.split(jax.random.key(0), 4)
+
+
+@pytest.mark.parametrize(("successes", "count"), [(0, 7), (95, 100), (3, 3), (1, 2)])
+def test_wilson_is_that_of_scipy(successes, count):
+    own = metrics.wilson(successes, count)
+    other = binomtest(successes, count).proportion_ci(method="wilson")
+    assert own.value == successes / count
+    np.testing.assert_allclose(
+        [own.lower, own.upper], [other.low, other.high], atol=1e-12
+    )
+
+
+@pytest.mark.parametrize(("successes", "count"), [(3, 2), (-1, 2), (0, 0)])
+def test_a_share_that_is_none_is_refused(successes, count):
+    with pytest.raises(InputError, match=r"wilson: expected 0 <= .* got -?\d of \d"):
+        metrics.wilson(successes, count)
+
+
+def test_the_interval_of_a_median_holds_it_as_often_as_it_says():
+    rng = np.random.default_rng(1)
+    samples = rng.exponential(size=(4000, 25))
+    intervals = [metrics.median(sample) for sample in samples]
+    inside = np.mean([i.lower <= math.log(2) <= i.upper for i in intervals])
+    assert 0.95 <= inside <= 0.98  # between order statistics, so at least 95 %
+    assert all(i.lower <= i.value <= i.upper for i in intervals)
+
+
+def test_the_interval_of_few_values_is_all_of_them():
+    found = metrics.median(np.array([2.0, 1.0, 3.0]))
+    assert (found.lower, found.value, found.upper) == (1.0, 2.0, 3.0)
+
+
+def episodes_that_took(times):
+    times = np.asarray(times)
+    many, arrived = len(times), np.isfinite(times)
+    return Episodes(
+        ts=np.zeros(2),
+        states=np.zeros((many, 2, 2)),
+        commands=np.zeros((many, 1, 2)),
+        steps=np.ones(many, int),
+        reached=arrived,
+        violated=~arrived,
+        arrival_time=times,
+        clearance=np.zeros(many),
+    )
+
+
+def test_regret_counts_failures_of_the_learned_and_drops_those_of_the_oracle():
+    oracle = episodes_that_took([2.0, 4.0, math.inf, 5.0])
+    found = metrics.regret(episodes_that_took([3.0, 4.0, 1.0, math.inf]), oracle)
+    assert found.value == 1.5
+    assert found.lower == 1.0
+    assert found.upper == math.inf
+    assert metrics.regret(oracle, oracle).value == 1.0
+
+
+def test_regret_needs_pairs_and_an_oracle_that_arrives():
+    two, none = episodes_that_took([1.0, 2.0]), episodes_that_took([math.inf] * 2)
+    with pytest.raises(InputError, match="as many episodes of both, got 2 and 1; run"):
+        metrics.regret(two, episodes_that_took([1.0]))
+    with pytest.raises(InputError, match="the oracle never arrived, so that there is"):
+        metrics.regret(two, none)
+
+
+def test_summary_of_a_straight_run():
+    task = open_water(objective=Reach([1.0, 0.0], 0.25))
+    found = metrics.summary(run_many(task, AHEAD, KEYS), task)
+    assert (found.count, found.success.value, found.violation.value) == (4, 1.0, 0.0)
+    np.testing.assert_allclose(found.arrival, [0.75] * 3)
+    np.testing.assert_allclose(found.efficiency, 1.0)
+    np.testing.assert_allclose(found.effort, 0.8)  # eight steps at frequency 1
+    np.testing.assert_allclose(found.turning, 0.0, atol=1e-12)
+    np.testing.assert_allclose(found.clearance, 99.25)
+    assert math.isnan(found.tracking)
+
+
+def test_summary_of_a_path_that_runs_away():
+    """A point at speed 1.5 gains 0.5 on the swimmer in every unit of time."""
+    path = Follow(LinePath([0.0, 0.0], [3.0, 0.0], 2.0))
+    task = open_water(objective=path)
+    found = metrics.summary(run_many(task, AHEAD, KEYS), task)
+    assert found.success.value == 1.0
+    np.testing.assert_allclose(found.tracking, 0.5)
+    squares = (0.05 * jnp.arange(21.0)) ** 2
+    np.testing.assert_allclose(found.tracking_rms, jnp.sqrt(jnp.mean(squares)))
+    assert all(math.isnan(value) for value in found.arrival)
