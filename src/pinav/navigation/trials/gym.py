@@ -1,7 +1,8 @@
 """The tasks as Gymnasium environments; needs the extra `gym`.
 
 The same true swimmer, noise, sensor and delay as in
-`pinav.navigation.trials.closed_loop`: what an agent gets here is what a controller gets there.
+`pinav.navigation.trials.closed_loop`: what an agent gets here is what a controller
+gets there.
 """
 
 import math
