@@ -40,7 +40,9 @@ def with_kernels(swimmer, kind, data, dim=None):
 def differences(name, models, tmp_path):
     """Nats by which the second model of each verdict beats the first."""
     settings = CompareSettings(models=models)
-    folder = RunFolder.create(tmp_path / "run", {"job": "compare"}, overwrite=False)
+    folder = RunFolder.create(
+        tmp_path / "run", {"run": {"command": "compare"}}, overwrite=False
+    )
     verdicts = compare(settings, observed(name)[1], folder)["verdicts"]
     return [verdict["difference"] for verdict in verdicts]
 
@@ -74,7 +76,9 @@ def test_crossings_need_an_environment_and_networks_cost_no_more_than_kernels(tm
     settings = CompareSettings(
         models=("physics-only", "kernel-potential", "neural-potential", "neural-force")
     )
-    folder = RunFolder.create(tmp_path / "run", {"job": "compare"}, overwrite=False)
+    folder = RunFolder.create(
+        tmp_path / "run", {"run": {"command": "compare"}}, overwrite=False
+    )
     rows = compare(settings, observed("barrier-crossings")[1], folder)["models"]
     values = {name: row["log_evidence"] for name, row in rows.items()}
     print(values)

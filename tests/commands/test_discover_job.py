@@ -81,7 +81,9 @@ def test_every_verdict_is_a_sentence(verdict, words):
 
 
 def test_report_section_holds_figure_and_tables(tmp_path):
-    folder = RunFolder.create(tmp_path / "run", {"job": "fit"}, overwrite=False)
+    folder = RunFolder.create(
+        tmp_path / "run", {"run": {"command": "fit"}}, overwrite=False
+    )
     assert law_sections(folder, {}) == []
     folder.write_json(LAWS_FILE, METRICS)
     force = np.linspace(-1.0, 1.0, 20).reshape(10, 2)
@@ -93,7 +95,7 @@ def test_report_section_holds_figure_and_tables(tmp_path):
 
 
 def test_messages(tmp_path, capsys):
-    RunFolder.create(tmp_path / "run", {"job": "fit"}, overwrite=False)
+    RunFolder.create(tmp_path / "run", {"run": {"command": "fit"}}, overwrite=False)
     for argv, words in (
         ([str(tmp_path / "run")], "holds no fitted force"),
         ([str(tmp_path)], "holds no run"),

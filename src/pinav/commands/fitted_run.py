@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from pinav.commands.fit.bayes import POSTERIOR_FILE, read_posterior
+from pinav.commands.fit.command import FIT
 from pinav.commands.fit.job import with_all_channels
 from pinav.commands.fit.settings import FitSettings
 from pinav.commands.models import build_model, known_physics
@@ -72,10 +73,9 @@ def read_subject(run: Path) -> tuple[RunFolder, Subject]:
         for name in names
     }
     training = load(folder.path / "data.npz")
-    config = folder.config()
-    if config.get("job") != "fit":
+    if folder.command != FIT.name:
         return folder, Subject(models, training, scenario("paper"), None, None, 0.0)
-    own = {k: v for k, v in config.items() if k not in ("job", "data")}
+    own = folder.settings()
     settings = msgspec.convert(own, FitSettings)
     known = known_physics(settings.physics, training)
     if settings.method != "bayes":

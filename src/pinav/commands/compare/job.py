@@ -5,8 +5,11 @@ from typing import Any
 
 import msgspec
 
-from pinav.commands.compare.settings import CompareSettings
+from pinav.commands.command import CommandResult
+from pinav.commands.compare.command import COMPARE
+from pinav.commands.compare.settings import CompareOptions, CompareSettings
 from pinav.commands.fit.bayes import parts
+from pinav.commands.fit.job import fingerprint
 from pinav.commands.fit.settings import FitSettings
 from pinav.commands.models import (
     TIMED,
@@ -18,13 +21,14 @@ from pinav.commands.models import (
     with_tensor_drag,
 )
 from pinav.commands.progress import BayesReporter
+from pinav.commands.start import start_run
 from pinav.dynamics import BrownianSwimmer, OverdampedSwimmer, Swimmer
 from pinav.errors import FitError, InputError
 from pinav.evaluation import POSITION_CHANNELS
 from pinav.fitting import BayesFit, LangevinFit, fit_bayes, fit_langevin, model_evidence
 from pinav.runs import RunFolder
 from pinav.scenarios import Scenario
-from pinav.trajectories import Trajectories, with_unobserved
+from pinav.trajectories import Trajectories, load, with_unobserved
 
 DECISIVE = 5.0
 """Nats from which a verdict is called decisive: odds of 150 to 1.
@@ -254,3 +258,12 @@ def table(rows: dict[str, dict[str, Any]]) -> list[tuple[str, list[str]]]:
         (name, [f"{'–':>14}", f"{'–':>8}", f"{'–':>12}  ", rows[name]["reason"]])
         for name in failed
     ]
+
+
+def run(options: CompareOptions) -> CommandResult:
+    """Compare as the command line does."""
+    settings, data = options.settings, load(options.data)
+    checked(settings, data)
+    folder = start_run(COMPARE, options, settings, data=fingerprint(data))
+    metrics = compare(settings, data, folder)
+    return CommandResult(metrics, text(metrics), folder)

@@ -9,7 +9,9 @@ from typing import Any
 
 import equinox as eqx
 
+from pinav.commands.command import CommandResult
 from pinav.commands.evaluate.judge import conformal, judge_fit
+from pinav.commands.evaluate.settings import EvaluateOptions
 from pinav.commands.evaluate.tables import tables
 from pinav.commands.fit.job import score_metrics
 from pinav.commands.fitted_run import (
@@ -192,3 +194,12 @@ def _write_csv(folder: RunFolder, metrics: dict[str, Any]) -> None:
 def text(metrics: dict[str, Any]) -> str:
     """The metrics for a terminal."""
     return "\n\n".join(as_text(table) for table in tables(metrics))
+
+
+def run(options: EvaluateOptions) -> CommandResult:
+    """Evaluate as the command line does."""
+    regions = None if options.regions is None else Regions(*options.regions)
+    metrics = evaluate(
+        options.run, options.data, calibration=options.calibrate, regions=regions
+    )
+    return CommandResult(metrics, text(metrics), RunFolder.open(options.run))

@@ -8,10 +8,12 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from pinav.commands.command import CommandResult
 from pinav.commands.fit import bayes as inference
 from pinav.commands.fit.bayes import MODEL_FILE
+from pinav.commands.fit.command import FIT
 from pinav.commands.fit.matching import matching
-from pinav.commands.fit.settings import FitSettings
+from pinav.commands.fit.settings import FitOptions, FitSettings
 from pinav.commands.models import (
     CONSTANTS,
     KnownSwimmer,
@@ -24,6 +26,7 @@ from pinav.commands.models import (
 )
 from pinav.commands.progress import FitReporter
 from pinav.commands.reproduce.table2 import number
+from pinav.commands.start import start_run
 from pinav.dynamics import Swimmer
 from pinav.errors import InputError
 from pinav.evaluation import (
@@ -42,7 +45,13 @@ from pinav.fitting import fit as fit_trajectories
 from pinav.forces import LinearDrag
 from pinav.runs import RunFolder
 from pinav.scenarios import Scenario, scenario
-from pinav.trajectories import Trajectories, save, with_unobserved
+from pinav.trajectories import (
+    Trajectories,
+    is_trajectories,
+    load,
+    save,
+    with_unobserved,
+)
 
 
 def prepared(settings: FitSettings, data: Trajectories) -> Trajectories:
@@ -290,3 +299,15 @@ def _matched_metrics(settings, model, folder: RunFolder) -> dict[str, Any]:
             for name, value in constants.items()
         },
     }
+
+
+def run(options: FitOptions) -> CommandResult:
+    """Fit as the command line does."""
+    if is_trajectories(options.data):
+        data = load(options.data)
+    else:
+        data = options.recording.read(options.data)
+    data = prepared(options.settings, data)
+    folder = start_run(FIT, options, options.settings, data=fingerprint(data))
+    metrics = fit(options.settings, data, folder)
+    return CommandResult(metrics, text(metrics), folder)

@@ -4,16 +4,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import msgspec
 import tyro
 
+from pinav.commands.settings import (
+    Settings,
+)
 from pinav.errors import InputError
 
 if TYPE_CHECKING:
     from pinav.trajectories import Trajectories
 
 
-class RecordingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class RecordingSettings(Settings, frozen=True):
     """What a file does not say of itself."""
 
     form: Annotated[
@@ -100,3 +102,34 @@ def _pairs(name: str, words: Sequence[str]) -> dict[str, str] | None:
         if len(pair) != 2 or not all(pair):
             raise InputError(f"--{name}: expected words such as x=X, got {word!r}")
     return {key: value for key, value in pairs} or None
+
+
+class InspectOptions(Settings, frozen=True):
+    """Say what a recording of a tracker holds and how good it is, before any fit.
+
+    Runs, particles, segments, frame rate, gaps, localisation error, speed against
+    frequency, coverage of the commands, and what a fit cannot tell. The format is
+    found from the content: trackpy, TrackMate, MagScope, MATLAB, DeepLabCut, ImageJ,
+    StochasticForceInference, tidy tables, any table by --columns; docs/recordings.md.
+    """
+
+    file: Annotated[
+        Path, tyro.conf.Positional, tyro.conf.arg(help="File of the tracker.")
+    ]
+    out: Annotated[
+        Path | None,
+        tyro.conf.arg(help="Folder for inspection.json, inspection.html and a figure."),
+    ] = None
+    settings: RecordingSettings = RecordingSettings()
+    image: Annotated[
+        Path | None,
+        tyro.conf.arg(
+            help="A still of the film (PNG, JPEG), to draw the paths over it."
+        ),
+    ] = None
+    overwrite: Annotated[
+        bool, tyro.conf.arg(help="Replace the report that --out already holds.")
+    ] = False
+    json: Annotated[
+        bool, tyro.conf.arg(help="Print the report as JSON, for scripts.")
+    ] = False

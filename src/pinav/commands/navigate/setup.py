@@ -10,7 +10,9 @@ import numpy as np
 
 from pinav.actuation import LinearResponse
 from pinav.commands.fit.bayes import MODEL_FILE, POSTERIOR_FILE, read_posterior
+from pinav.commands.fit.command import FIT
 from pinav.commands.fit.settings import FitSettings
+from pinav.commands.identify.command import IDENTIFY
 from pinav.commands.models import KnownSwimmer, build_model
 from pinav.commands.navigate.settings import NavigateSettings
 from pinav.dynamics import OverdampedSwimmer, Swimmer
@@ -92,10 +94,9 @@ def prepared(settings: NavigateSettings, run: RunFolder) -> Mission:
     Raises:
         InputError: the run holds no fitted swimmer in the plane.
     """
-    config = run.config()
-    if config.get("job") == "fit" and run.has(MODEL_FILE):
-        return _of_fit(settings, config, run)
-    if config.get("job") == "recording" and run.has("metrics.json"):
+    if run.command == FIT.name and run.has(MODEL_FILE):
+        return _of_fit(settings, run)
+    if run.command == IDENTIFY.name and run.has("metrics.json"):
         return _of_recording(settings, run)
     raise InputError(
         f"{run.path} holds no finished fit; give the folder that was the --out of "
@@ -103,8 +104,8 @@ def prepared(settings: NavigateSettings, run: RunFolder) -> Mission:
     )
 
 
-def _of_fit(settings, config, run: RunFolder) -> Mission:
-    content = {k: v for k, v in config.items() if k not in ("job", "data")}
+def _of_fit(settings, run: RunFolder) -> Mission:
+    content = run.settings()
     fitted = msgspec.convert(content, FitSettings)
     model = run.read_model(MODEL_FILE, build_model)
     data = load(run.path / "data.npz")

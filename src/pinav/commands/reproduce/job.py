@@ -7,6 +7,7 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
+from pinav.commands.command import CommandResult
 from pinav.commands.fit.job import write_losses
 from pinav.commands.fit.matching import matching
 from pinav.commands.models import (
@@ -17,7 +18,9 @@ from pinav.commands.models import (
     residual,
 )
 from pinav.commands.progress import FitReporter
-from pinav.commands.reproduce.settings import ReproduceSettings
+from pinav.commands.reproduce import table2
+from pinav.commands.reproduce.command import REPRODUCE
+from pinav.commands.reproduce.settings import ReproduceOptions, ReproduceSettings
 from pinav.commands.reproduce.table2 import (
     HEADER,
     PAPER,
@@ -27,6 +30,7 @@ from pinav.commands.reproduce.table2 import (
     improvements,
     summary,
 )
+from pinav.commands.start import start_run
 from pinav.dynamics import AbstractDynamics, FixedStep, Swimmer
 from pinav.evaluation import (
     FieldMap,
@@ -249,3 +253,11 @@ def stored_field(arrays: dict[str, np.ndarray], name: str) -> FieldMap:
         arrays[f"field/{name}"],
         arrays["field/distance"],
     )
+
+
+def run(options: ReproduceOptions) -> CommandResult:
+    """Run the experiment of the paper, as the command line does."""
+    folder = start_run(REPRODUCE, options, options.settings)
+    rows = reproduce(options.settings, folder)
+    text = "\n".join([table2.text(rows), *table2.summary_lines(rows)])
+    return CommandResult(folder.read_json("metrics.json"), text, folder)
