@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 
 from pinav.commands.evaluate.report import PARTS, curve_of
+from pinav.commands.fit.command import FIT
 from pinav.commands.fit.matching import matching
 from pinav.commands.fit.settings import FitSettings
 from pinav.commands.fitted_run import as_cell
@@ -132,7 +133,11 @@ def _fit_kernel(settings: StudySettings, data: Trajectories, folder: RunFolder):
             max_iterations=settings.max_steps,
             on_step=report,
         )
-    header = {"kind": "fit", "settings": msgspec.to_builtins(own), "physics": "paper"}
+    header = {
+        "kind": FIT.name,
+        "settings": msgspec.to_builtins(own),
+        "physics": "paper",
+    }
     fitted = fitted_summary(summary, found.model.environment)
     return header | {"dtype": "float64", "data": fitted}, found.model
 
