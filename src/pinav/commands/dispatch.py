@@ -46,7 +46,7 @@ def _show(result: CommandResult, *, as_json: bool) -> None:
     """Write the run's report; print its metrics, as JSON alone or for people."""
     page = result.page
     if result.folder is not None:
-        from pinav.commands.report.job import write_report
+        from pinav.commands.report_page import write_report
 
         page = write_report(result.folder)
     if as_json:

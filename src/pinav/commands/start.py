@@ -1,13 +1,16 @@
 """The start of a run: a new folder, or one that is continued."""
 
+import hashlib
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import msgspec
+import numpy as np
 
 from pinav.commands.command import Command
 from pinav.errors import InputError
 from pinav.runs import RunFolder
+from pinav.trajectories import Trajectories
 
 
 @runtime_checkable
@@ -48,3 +51,11 @@ def start_run(
     if resume:
         return RunFolder.resume(options.out, config)
     return RunFolder.create(options.out, config, overwrite=options.overwrite)
+
+
+def fingerprint(data: Trajectories) -> str:
+    """A short hash of the numbers that are fitted."""
+    digest = hashlib.sha256()
+    for array in (data.times, data.states, data.observed):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()[:16]

@@ -9,7 +9,6 @@ from pinav.commands.command import CommandResult
 from pinav.commands.compare.command import COMPARE
 from pinav.commands.compare.settings import CompareOptions, CompareSettings
 from pinav.commands.fit.bayes import parts
-from pinav.commands.fit.job import fingerprint
 from pinav.commands.fit.settings import FitSettings
 from pinav.commands.models import (
     TIMED,
@@ -21,7 +20,7 @@ from pinav.commands.models import (
     with_tensor_drag,
 )
 from pinav.commands.progress import BayesReporter
-from pinav.commands.start import start_run
+from pinav.commands.start import fingerprint, start_run
 from pinav.dynamics import BrownianSwimmer, OverdampedSwimmer, Swimmer
 from pinav.errors import FitError, InputError
 from pinav.evaluation import POSITION_CHANNELS

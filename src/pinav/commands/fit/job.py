@@ -1,6 +1,5 @@
 """`pinav fit`: one model fitted to given trajectories."""
 
-import hashlib
 from collections.abc import Sequence
 from operator import attrgetter
 from typing import Any
@@ -26,7 +25,7 @@ from pinav.commands.models import (
 )
 from pinav.commands.progress import FitReporter
 from pinav.commands.reproduce.table2 import number
-from pinav.commands.start import start_run
+from pinav.commands.start import fingerprint, start_run
 from pinav.dynamics import Swimmer
 from pinav.errors import InputError
 from pinav.evaluation import (
@@ -121,14 +120,6 @@ def _check_dynamics(settings: FitSettings, known: Scenario) -> None:
             f"--model ude: expected physics with inertia, got scenario {known.name}; "
             "choose a kernel or neural model"
         )
-
-
-def fingerprint(data: Trajectories) -> str:
-    """A short hash of the numbers that are fitted."""
-    digest = hashlib.sha256()
-    for array in (data.times, data.states, data.observed):
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()[:16]
 
 
 def fit(settings: FitSettings, data: Trajectories, folder: RunFolder) -> dict[str, Any]:

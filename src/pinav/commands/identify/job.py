@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 
 from pinav.commands.command import CommandResult
-from pinav.commands.fit.job import fingerprint
 from pinav.commands.identify.command import IDENTIFY
 from pinav.commands.identify.settings import IdentifyOptions, LadderSettings
-from pinav.commands.inspect.settings import RecordingSettings
-from pinav.commands.start import start_run
+from pinav.commands.recording_settings import RecordingSettings
+from pinav.commands.start import fingerprint, start_run
 from pinav.errors import FitError, InputError
 from pinav.fitting import Estimate
 from pinav.identification import (

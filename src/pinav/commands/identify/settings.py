@@ -5,7 +5,7 @@ from typing import Annotated
 
 import tyro
 
-from pinav.commands.inspect.settings import RecordingSettings
+from pinav.commands.recording_settings import RecordingSettings
 from pinav.commands.settings import (
     AsJson,
     ConfigFile,

@@ -12,7 +12,6 @@ from pinav.actuation import LinearResponse
 from pinav.commands.fit.bayes import MODEL_FILE, POSTERIOR_FILE, read_posterior
 from pinav.commands.fit.command import FIT
 from pinav.commands.fit.settings import FitSettings
-from pinav.commands.identify.command import IDENTIFY
 from pinav.commands.models import KnownSwimmer, build_model
 from pinav.commands.navigate.settings import NavigateSettings
 from pinav.dynamics import OverdampedSwimmer, Swimmer
@@ -96,7 +95,7 @@ def prepared(settings: NavigateSettings, run: RunFolder) -> Mission:
     """
     if run.command == FIT.name and run.has(MODEL_FILE):
         return _of_fit(settings, run)
-    if run.command == IDENTIFY.name and run.has("metrics.json"):
+    if run.has("ladder.csv") and run.has("metrics.json"):
         return _of_recording(settings, run)
     raise InputError(
         f"{run.path} holds no finished fit; give the folder that was the --out of "

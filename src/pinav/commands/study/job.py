@@ -12,7 +12,6 @@ import equinox as eqx
 import jax
 from tqdm import tqdm
 
-from pinav.commands.command import CommandResult
 from pinav.commands.fit.matching import matching
 from pinav.commands.fit.settings import FitSettings
 from pinav.commands.fitted_run import as_cell
@@ -24,9 +23,7 @@ from pinav.commands.models import (
     fit_trainable,
     model_summary,
 )
-from pinav.commands.start import start_run
-from pinav.commands.study.command import STUDY
-from pinav.commands.study.settings import StudyModel, StudyOptions, StudySettings
+from pinav.commands.study.settings import StudyModel, StudySettings
 from pinav.commands.study.stochastic_force_inference import infer_force
 from pinav.dynamics import AbstractDynamics, BrownianSwimmer
 from pinav.errors import FitError, InputError
@@ -275,19 +272,3 @@ def scores(
     for region in ("visited", "near", "unvisited"):
         row[f"force {region}"] = as_cell(found[region].error)
     return row | {"cosine visited": as_cell(found["visited"].cosine)}
-
-
-def run(options: StudyOptions) -> CommandResult:
-    """Run a study as the command line does."""
-    from pinav.commands.study.paper_weakness import weakness
-    from pinav.commands.study.report import text
-
-    name, world, settings = options.name, options.scenario, options.settings
-    check(name, world, settings)
-    folder = start_run(STUDY, options, settings, study=name, scenario=world)
-    if name == "paper-weakness":
-        weakness(settings, folder)
-    else:
-        study(name, world, settings, folder)
-    metrics = folder.read_json("metrics.json")
-    return CommandResult(metrics, text(metrics), folder)
