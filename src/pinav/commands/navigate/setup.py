@@ -95,7 +95,7 @@ def prepared(settings: NavigateSettings, run: RunFolder) -> Mission:
     """
     if run.command == FIT.name and run.has(MODEL_FILE):
         return _of_fit(settings, run)
-    if run.has("ladder.csv") and run.has("metrics.json"):
+    if run.has("metrics.json") and "tracks" in run.read_json("metrics.json"):
         return _of_recording(settings, run)
     raise InputError(
         f"{run.path} holds no finished fit; give the folder that was the --out of "
