@@ -16,6 +16,7 @@ ORDER = [
     "actuation",
     "forces",
     "dynamics",
+    "systems",
     "scenarios",
     "trajectories",
     "recordings",

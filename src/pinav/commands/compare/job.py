@@ -18,12 +18,12 @@ from pinav.commands.models import (
     with_tensor_drag,
 )
 from pinav.commands.progress import BayesReporter
-from pinav.dynamics import BrownianSwimmer, OverdampedSwimmer, Swimmer
+from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import FitError, InputError
 from pinav.evaluation import POSITION_CHANNELS
 from pinav.fitting import BayesFit, LangevinFit, fit_bayes, fit_langevin, model_evidence
 from pinav.runs import RunFolder
-from pinav.scenarios import Scenario
+from pinav.systems import System
 from pinav.trajectories import Trajectories, with_unobserved
 
 DECISIVE = 5.0
@@ -55,7 +55,7 @@ LEARNED: dict[str, Callable[[Any], Any] | None] = {
 """What a candidate learns beside its environment; None where nothing is unknown."""
 
 
-def checked(settings: CompareSettings, data: Trajectories) -> Scenario:
+def checked(settings: CompareSettings, data: Trajectories) -> System:
     """The physics that all candidates share.
 
     Raises:
@@ -70,7 +70,7 @@ def checked(settings: CompareSettings, data: Trajectories) -> Scenario:
             "--models first-order: expected physics with inertia and positions alone, "
             f"got {', '.join(data.channels)}; drop it or the velocities"
         )
-    stochastic = isinstance(known.truth, BrownianSwimmer)
+    stochastic = known.thermal_energy is not None
     for name in {*NETWORKS, "physics-only"} & set(settings.models):
         if stochastic:
             raise InputError(
@@ -104,7 +104,7 @@ def compare(
     return metrics
 
 
-def _row(name, settings, known: Scenario, data, folder) -> dict[str, Any]:
+def _row(name, settings, known: System, data, folder) -> dict[str, Any]:
     """The evidence of one candidate."""
     try:
         found = fitted(name, settings, known, data, folder)
@@ -126,7 +126,7 @@ def _row(name, settings, known: Scenario, data, folder) -> dict[str, Any]:
 def fitted(
     name: str,
     settings: CompareSettings,
-    known: Scenario,
+    known: System,
     data: Trajectories,
     folder: RunFolder,
 ) -> BayesFit | LangevinFit:
@@ -149,7 +149,7 @@ def fitted(
     if name == "anisotropic-drag":
         swimmer = with_tensor_drag(swimmer, summary)
     model = fit_model(own, swimmer, summary)
-    if isinstance(known.truth, BrownianSwimmer):
+    if known.thermal_energy is not None:
         return fit_langevin(model, data)
     with BayesReporter(folder, name) as report:
         return fit_bayes(

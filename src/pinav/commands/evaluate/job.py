@@ -7,8 +7,6 @@ force by region; bands; residuals; learned constants.
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
-
 from pinav.commands.evaluate.judge import conformal, judge_fit
 from pinav.commands.evaluate.tables import tables
 from pinav.commands.fit.job import score_metrics
@@ -36,7 +34,6 @@ from pinav.evaluation import (
     score,
     summarise,
 )
-from pinav.forces import ZeroForce
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories
@@ -89,8 +86,7 @@ def evaluate(
 
 def _baseline(subject: Subject) -> dict[str, AbstractDynamics]:
     """The known physics alone, as the least that a model must beat."""
-    known = subject.known.swimmer
-    return {BASELINE: eqx.tree_at(lambda s: s.environment, known, ZeroForce())}
+    return {BASELINE: subject.known.swimmer}
 
 
 BASELINE = "physics-only"

@@ -254,7 +254,7 @@ def _vessel() -> tuple[AbstractZone, ...]:
 
 
 def _truth(name: str, actuator: HelicalActuator) -> SteeredSwimmer:
-    return SteeredSwimmer(scenario(TASKS[name][1]).swimmer, actuator)
+    return SteeredSwimmer(scenario(TASKS[name][1]).true_swimmer, actuator)
 
 
 def _screw(
