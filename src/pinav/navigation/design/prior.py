@@ -96,7 +96,7 @@ def doubt(
     Args:
         model: the fitted swimmer.
         trajectories: to which it was fitted.
-        states: smoothed states, as of `BayesFit.states`.
+        states: smoothed states, as of `EvidenceFit.states`.
         noise: $\sigma$ of the observations, positive.
         unknown: what forces there may be.
         solver: steps between samples; `FixedStep()` unless given.
