@@ -18,7 +18,7 @@ from pinav.dynamics import AbstractDynamics, FixedStep, with_dtype
 from pinav.errors import InputError
 from pinav.evaluation.scores import POSITION_CHANNELS, require_x64
 from pinav.fitting import Outcome
-from pinav.fitting.bayes.multiple_shooting import FreeModel, advanced, linearise
+from pinav.fitting.engine.multiple_shooting import FreeModel, advanced, linearise
 from pinav.fitting.matching.objectives import Observations
 from pinav.trajectories import Trajectories, smoothed_states
 

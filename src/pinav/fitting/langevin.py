@@ -21,10 +21,10 @@ from pinav.dynamics import (
     with_dtype,
 )
 from pinav.errors import InputError
-from pinav.fitting.bayes.multiple_shooting import freed
 from pinav.fitting.bayes.parameters import KERNELS, dimension
-from pinav.fitting.bayes.posterior import Estimate, Posterior
 from pinav.fitting.engine.evidence_fit import EvidenceFit
+from pinav.fitting.engine.multiple_shooting import freed
+from pinav.fitting.engine.posterior import Estimate, Posterior
 from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED, Refinement
 from pinav.fitting.evidence.model_evidence import LinearFit
 from pinav.fitting.evidence.priors import kernel_prior

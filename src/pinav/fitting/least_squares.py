@@ -22,12 +22,12 @@ from pinav.fitting.bayes.iterate import (
     BayesProgress,
     iterate,
 )
-from pinav.fitting.bayes.multiple_shooting import FreeModel, Prediction, freed
 from pinav.fitting.bayes.parameters import parameter_names
-from pinav.fitting.bayes.posterior import Estimate, Posterior
 from pinav.fitting.bayes.problem import Step
 from pinav.fitting.bayes.steps import AbstractLocal, ChordSteps, Move
 from pinav.fitting.engine.evidence_fit import EvidenceFit
+from pinav.fitting.engine.multiple_shooting import FreeModel, Prediction, freed
+from pinav.fitting.engine.posterior import Estimate, Posterior
 from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.evidence.model_evidence import LinearFit
 from pinav.fitting.evidence.priors import AbstractPrior

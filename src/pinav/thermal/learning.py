@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int, PyTree
 
 from pinav.fitting import EvidenceFit
 from pinav.fitting.bayes.derived import derived
-from pinav.fitting.bayes.posterior import Posterior
+from pinav.fitting.engine.posterior import Posterior
 from pinav.fitting.environments.networks import IsotropicPrior
 from pinav.fitting.least_squares import fit_regression
 from pinav.thermal.bioheat import Bioheat

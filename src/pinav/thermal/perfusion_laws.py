@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar
 from pinav.fitting import Outcome
-from pinav.fitting.bayes.posterior import Estimate
+from pinav.fitting.engine.posterior import Estimate
 from pinav.fitting.least_squares import fit_regression
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.learning import PerfusionCurve, learn

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from pinav.analysis.discovery.laws import AbstractLaw, LawForce, Role
 from pinav.dynamics import FixedStep, Swimmer, with_dtype
 from pinav.fitting import Outcome
-from pinav.fitting.bayes.multiple_shooting import FreeModel, freed
+from pinav.fitting.engine.multiple_shooting import FreeModel, freed
 from pinav.trajectories import Trajectories
 
 MAX_ITERATIONS = 40
@@ -61,7 +61,7 @@ class Refit(eqx.Module):
 class Lifted(eqx.Module):
     r"""A model linearised about states that need not solve it, the starts eliminated.
 
-    The same least squares as `pinav.fitting.bayes.multiple_shooting`, for many small
+    The same least squares as `pinav.fitting.engine.multiple_shooting`, for many small
     models in turn: only the steps are compiled for each of them.
 
     Attributes:

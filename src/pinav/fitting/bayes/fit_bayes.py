@@ -17,9 +17,9 @@ from pinav.dynamics import AbstractDynamics, FixedStep
 from pinav.errors import FitError, InputError
 from pinav.fitting.bayes.iterate import BayesProgress, iterate
 from pinav.fitting.bayes.neural import NEURAL, Request
-from pinav.fitting.bayes.posterior import Estimate
 from pinav.fitting.bayes.problem import BayesProblem, Step
 from pinav.fitting.engine.evidence_fit import EvidenceFit
+from pinav.fitting.engine.posterior import Estimate
 from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED, Refinement
 from pinav.fitting.outcome import Outcome
 from pinav.forces import AbstractForce

@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from pinav.fitting.bayes.posterior import Estimate, Posterior
+from pinav.fitting.engine.posterior import Estimate, Posterior
 from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.evidence.model_evidence import LinearFit
 from pinav.fitting.outcome import Outcome

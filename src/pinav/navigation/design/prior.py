@@ -18,7 +18,7 @@ from jaxtyping import ArrayLike, Float
 from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.fitting import Observations, Posterior, freed
-from pinav.fitting.bayes.multiple_shooting import linearise
+from pinav.fitting.engine.multiple_shooting import linearise
 from pinav.forces import KernelPotential, SumForce
 from pinav.navigation.task.zones import Rectangle
 from pinav.trajectories import Trajectories
