@@ -35,7 +35,7 @@ unknown = eqx.tree_at(
     lambda swimmer: swimmer.environment, scenario.swimmer, environment
 )
 result = fit_bayes(unknown, data)
-print(f"{result.outcome.name.lower()} after {result.iterations} iterations")
+print(f"{result.outcome} after {result.iterations} iterations")
 
 points = np.array([[3.0, 5.0], [5.0, 3.0], [6.5, 6.5]])
 sd = result.posterior.force_sd(points)
