@@ -32,7 +32,7 @@ data = Trajectories.from_arrays(
 environment = kernel_environment(KernelPotential, data)
 unknown = scenario.swimmer.with_environment(environment)
 result = fit_bayes(unknown, data)
-print(f"{result.outcome.name.lower()} after {result.iterations} iterations")
+print(f"{result.outcome} after {result.iterations} iterations")
 
 points = np.array([[3.0, 5.0], [5.0, 3.0], [6.5, 6.5]])
 sd = result.posterior.force_sd(points)

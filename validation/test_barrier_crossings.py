@@ -11,8 +11,8 @@ import pytest
 
 from pinav.dynamics import FixedStep
 from pinav.evaluation import field_map, force_errors
-from pinav.fitting import BayesOutcome, fit_bayes, kernel_environment
-from pinav.fitting.bayes.multiple_shooting import freed, linearise
+from pinav.fitting import Outcome, fit_bayes, kernel_environment
+from pinav.fitting.engine.multiple_shooting import freed, linearise
 from pinav.fitting.matching.objectives import Observations
 from pinav.forces import GaussianBarrier, KernelForce, KernelPotential
 from pinav.scenarios import barrier_crossings
@@ -90,7 +90,7 @@ def row(case, seed):
         (kernel_environment(case.kind, data), *constants),
     )
     found = fit_bayes(model, data, learn=case.learn)
-    assert found.outcome is BayesOutcome.CONVERGED
+    assert found.outcome is Outcome.CONVERGED
     true = field_map(scenario.true_swimmer.environment, clean, limits=LIMITS)
     learned = field_map(found.model.environment, clean, limits=LIMITS)
     points = np.stack(np.meshgrid(true.x, true.y), axis=-1).reshape(-1, 2)

@@ -62,7 +62,7 @@ def discovered(environment, seed, *, kind: Any = KernelPotential, **options):
     found = discover(fit_bayes(model, data).posterior, data)
     print(environment, seed, found.verdict, found.central)
     for c in found.candidates:
-        print("  ", c.name, round(c.delta_bic, 2), c.outcome.value, c.fits)
+        print("  ", c.name, round(c.delta_bic, 2), c.outcome, c.fits)
     for own in found.best.constants:
         print("    ", own.name, own.value, own.sd, own.identifiable)
     return found

@@ -108,7 +108,7 @@ def test_brownian_diffusion_and_force():
     found = fit_langevin(model, data)
     truth: Any = made.truth
     true = truth.diffusion(made.starts[0])[0, 0]
-    assert found.diffusion.value == pytest.approx(float(true), rel=0.15)
+    assert found.constants["diffusion"].value == pytest.approx(float(true), rel=0.15)
     truth = field_map(made.true_swimmer.environment, data)
     errors = force_errors(field_map(found.model.environment, data), truth)
     try:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pinav.evaluation import field_map, force_errors
-from pinav.fitting import BayesOutcome, fit_bayes, neural_environment
+from pinav.fitting import Outcome, fit_bayes, neural_environment
 from pinav.forces import NeuralForce, NeuralPotential
 from pinav.scenarios import barrier_crossings
 from pinav.trajectories import Trajectories, simulate
@@ -48,7 +48,7 @@ def row(kind, columns, seed):
     started = time.perf_counter()
     found = fit_bayes(model, data)
     seconds = time.perf_counter() - started
-    assert found.outcome is BayesOutcome.CONVERGED
+    assert found.outcome is Outcome.CONVERGED
     true = field_map(scenario.true_swimmer.environment, clean, limits=LIMITS)
     learned = field_map(found.model.environment, clean, limits=LIMITS)
     points = np.stack(np.meshgrid(true.x, true.y), axis=-1).reshape(-1, 2)

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from pinav.dynamics import AbstractDynamics, FixedStep, rollout
 from pinav.errors import InputError
-from pinav.fitting import BayesOutcome, fit_bayes, kernel_environment, model_evidence
+from pinav.fitting import Outcome, fit_bayes, kernel_environment, model_evidence
 from pinav.forces import (
     AbstractForce,
     GaussianBarrier,
@@ -81,7 +81,7 @@ def parametric(request, crossings, drifts):
 
 def test_a_parametric_environment_is_found_within_its_intervals(parametric):
     truth, _, found = parametric
-    assert found.outcome is BayesOutcome.CONVERGED
+    assert found.outcome is Outcome.CONVERGED
     assert list(found.constants) == [
         "environment.height",
         "environment.center[0]",
@@ -123,7 +123,7 @@ def test_a_known_model_has_the_evidence_of_its_noise_and_starts(drifts):
     truth, data = drifts
     known = truth.without_environment()
     found = fit_bayes(known, data, learn=None)
-    assert found.outcome is BayesOutcome.CONVERGED
+    assert found.outcome is Outcome.CONVERGED
     assert found.posterior.mean.size == 0
     assert not found.constants
     lines = data.times[..., None] * np.asarray(truth.drift)
@@ -159,7 +159,7 @@ def test_kernels_are_fitted_to_dynamics_of_first_order(drifts, kind):
     environment = kernel_environment(kind, data, dim=2)
     model = truth.with_environment(environment)
     found = fit_bayes(model, data)
-    assert found.outcome is BayesOutcome.CONVERGED
+    assert found.outcome is Outcome.CONVERGED
     assert found.hyperparameters.noise == pytest.approx(NOISE, rel=0.15)
     points = jnp.asarray(data.states.reshape(-1, 2))
 

@@ -10,7 +10,7 @@ from pinav.analysis import influence
 from pinav.dynamics import FixedStep
 from pinav.errors import InputError
 from pinav.fitting import (
-    BayesOutcome,
+    Outcome,
     fit_bayes,
     kernel_environment,
     model_evidence,
@@ -141,7 +141,7 @@ def fitted(scenario, data):
 
 
 def test_a_network_learns_the_force_from_noisy_crossings(fitted, scenario, data):
-    assert fitted.outcome is BayesOutcome.CONVERGED
+    assert fitted.outcome is Outcome.CONVERGED
     assert fitted.iterations <= 10
     assert fitted.hyperparameters.noise == pytest.approx(NOISE, rel=0.1)
     points = data.states[..., :2].reshape(-1, 2)

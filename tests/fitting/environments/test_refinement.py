@@ -9,8 +9,8 @@ from jaxtyping import Array, Float
 from pinav.dynamics import AbstractDynamics, FixedStep, rollout
 from pinav.errors import InputError
 from pinav.fitting import (
-    BayesOutcome,
     KernelGrid,
+    Outcome,
     Refinement,
     changing_environment,
     fit_bayes,
@@ -96,7 +96,7 @@ def test_narrow_bumps_get_finer_kernels(rough, refined):
     truth, data = rough
     coarse = fit_bayes(untrained(*rough), data, refine=None, throw=False)
     assert coarse.model.environment.width > 2 * refined.model.environment.width
-    assert refined.outcome is BayesOutcome.CONVERGED
+    assert refined.outcome is Outcome.CONVERGED
     (length_scale,) = length_scales(
         refined.model.environment, refined.hyperparameters.shape
     )
@@ -144,7 +144,7 @@ def test_without_room_the_outcome_says_so(rough):
     found = fit_bayes(
         model, rough[1], refine=Refinement(max_weights=count), throw=False
     )
-    assert found.outcome in (BayesOutcome.COARSE, BayesOutcome.STALLED)
+    assert found.outcome in (Outcome.UNDER_RESOLVED, Outcome.STALLED)
     assert found.model.environment.weights.size == count
 
 

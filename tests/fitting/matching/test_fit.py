@@ -15,8 +15,8 @@ from pinav.fitting import (
     AbstractPhase,
     Adam,
     BestSoFar,
-    FitOutcome,
     FitState,
+    Outcome,
     TrajectoryLoss,
     curriculum,
     fit,
@@ -77,7 +77,7 @@ def fitted(data):
 
 
 def test_a_network_learns_the_force(fitted, data):
-    assert fitted.outcome is FitOutcome.COMPLETED
+    assert fitted.outcome is Outcome.COMPLETED
     assert fitted.losses[-1] < 1e-3 * fitted.losses[0]
     final = OBJECTIVE(fitted.model, Observations.of(data, jnp.float32))
     assert final == pytest.approx(fitted.losses[-1], rel=1e-5)
@@ -293,7 +293,7 @@ def test_a_diverging_fit_says_so(data):
     with pytest.raises(FitError, match="the fit diverged: its loss is not finite; use"):
         fit(network_swimmer(0), data, wild, **call)
     result = fit(network_swimmer(0), data, wild, throw=False, **call)
-    assert result.outcome is FitOutcome.DIVERGED
+    assert result.outcome is Outcome.DIVERGED
 
 
 def test_bad_requests_are_refused(data):

@@ -9,9 +9,9 @@ from pinav.dynamics import Adaptive, FixedStep, NeuralDynamics, Swimmer
 from pinav.errors import InputError
 from pinav.fitting import (
     WITHOUT_PRIOR,
-    FitOutcome,
     GaussNewton,
     Observations,
+    Outcome,
     Problem,
     TrajectoryLoss,
     curriculum,
@@ -174,7 +174,7 @@ def test_barrier_and_damping_are_found_exactly(data):
         objective=TrajectoryLoss(FixedStep(substeps=4)),
         dtype=jnp.float64,
     )
-    assert found.outcome is FitOutcome.CONVERGED
+    assert found.outcome is Outcome.CONVERGED
     found = found.model
     assert found.environment.height == pytest.approx(2.0, rel=1e-7)
     np.testing.assert_allclose(found.environment.center, [1.0, 0.2], rtol=1e-6)
@@ -219,7 +219,7 @@ def test_outcomes_tell_converged_from_stalled(data):
     full = jnp.asarray(10**6)
     few = (GaussNewton(full, target=1e-12, steps=1),)
     hasty = learn_environment(kernel_swimmer(data), data, few)
-    assert hasty.outcome is FitOutcome.STALLED
+    assert hasty.outcome is Outcome.STALLED
     drag = fit(  # a constant that cannot explain the barrier: the best one is reached
         TRUTH.without_environment(),
         data,
@@ -229,4 +229,4 @@ def test_outcomes_tell_converged_from_stalled(data):
         dtype=jnp.float64,
     )
     assert drag.losses[-1] > 1e-3
-    assert drag.outcome is FitOutcome.CONVERGED
+    assert drag.outcome is Outcome.CONVERGED

@@ -21,7 +21,7 @@ from pinav.commands.progress import BayesReporter
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import FitError, InputError
 from pinav.evaluation import POSITION_CHANNELS
-from pinav.fitting import BayesFit, LangevinFit, fit_bayes, fit_langevin, model_evidence
+from pinav.fitting import EvidenceFit, fit_bayes, fit_langevin, model_evidence
 from pinav.runs import RunFolder
 from pinav.systems import System
 from pinav.trajectories import Trajectories, with_unobserved
@@ -113,7 +113,7 @@ def _row(name, settings, known: System, data, folder) -> dict[str, Any]:
     evidence = model_evidence(found.linear, found.hyperparameters)
     estimates = parts(found, data)
     return {
-        "outcome": found.outcome.name.lower(),
+        "outcome": str(found.outcome),
         "noise": found.hyperparameters.noise,
         "weights": int(len(found.posterior.mean)),
         "best": evidence.best,
@@ -129,7 +129,7 @@ def fitted(
     known: System,
     data: Trajectories,
     folder: RunFolder,
-) -> BayesFit | LangevinFit:
+) -> EvidenceFit:
     """The fit of one candidate, whether or not it converged.
 
     Raises:

@@ -203,8 +203,8 @@ def text(metrics: dict[str, Any]) -> str:
             f"noise: {metrics['noise']:.3g}, log evidence "
             f"{metrics['log_evidence']:.1f}, {metrics['iterations']} steps"
         ]
-        if metrics["outcome"] == "coarse":
-            lines.append(COARSE)
+        if metrics["outcome"] == "under-resolved":
+            lines.append(UNDER_RESOLVED)
     lines.append(f"RMSE: {rmse}")
     for name, learned in metrics["learned"].items():
         spread = "" if learned["sd"] is None else f" ± {learned['sd']:.2g} (sd)"
@@ -215,7 +215,7 @@ def text(metrics: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-COARSE = (
+UNDER_RESOLVED = (
     "the kernels are coarser than the data: finer ones would be too many; fit fewer or "
     "shorter trajectories, or a smaller region"
 )
@@ -230,7 +230,7 @@ def write_losses(name: str, fits: Sequence[Fit], folder: RunFolder) -> None:
             "losses": np.stack([fit.losses for fit in fits]),
             "phase_starts": np.array([start for _, start in fits[0].phases]),
             "phase_names": np.array([phase for phase, _ in fits[0].phases]),
-            "outcomes": np.array([fit.outcome.name.lower() for fit in fits]),
+            "outcomes": np.array([str(fit.outcome) for fit in fits]),
         },
     )
 

@@ -37,7 +37,7 @@ from pinav.evaluation import (
     square,
     summarise,
 )
-from pinav.fitting import BayesOutcome, FitOutcome, fit, fit_bayes
+from pinav.fitting import Outcome, fit, fit_bayes
 from pinav.runs import RunFolder
 from pinav.scenarios import scenario
 from pinav.systems import System
@@ -222,9 +222,9 @@ def fitted(
     if settings.method == "bayes":
         start = fit_model(settings, known, model_summary(settings.model, data))
         found = fit_bayes(start, data, max_iterations=settings.max_steps, throw=False)
-        if found.outcome is BayesOutcome.DIVERGED:
+        if found.outcome is Outcome.DIVERGED:
             raise FitError("the fit diverged")
-        return found.model, found.outcome.name.lower()
+        return found.model, str(found.outcome)
     method = matching(settings, data)
     start = fit_model(settings, known, data_summary(data))
     matched = fit(
@@ -235,9 +235,9 @@ def fitted(
         throw=False,
         **method.options(),
     )
-    if matched.outcome is FitOutcome.DIVERGED:
+    if matched.outcome is Outcome.DIVERGED:
         raise FitError("the fit diverged")
-    return matched.model, matched.outcome.name.lower()
+    return matched.model, str(matched.outcome)
 
 
 def scores(
