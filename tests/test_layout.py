@@ -18,6 +18,7 @@ ORDER = [
     "actuation",
     "forces",
     "dynamics",
+    "systems",
     "scenarios",
     "trajectories",
     "recordings",

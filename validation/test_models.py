@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -34,7 +33,7 @@ def observed(name):
 
 def with_kernels(swimmer, kind, data, dim=None):
     environment = kernel_environment(kind, data, dim=dim)
-    return eqx.tree_at(lambda s: s.environment, swimmer, environment)
+    return swimmer.with_environment(environment)
 
 
 def differences(name, models, tmp_path):
@@ -49,7 +48,7 @@ def differences(name, models, tmp_path):
 
 def test_swirl_has_its_rotational_fraction():
     made, data = observed("swirl")
-    environment: Any = made.swimmer.environment
+    environment: Any = made.true_swimmer.environment
     found = fit_bayes(with_kernels(made.swimmer, KernelMixture, data), data)
     field = field_map(found.model.environment, data)
     visited = field.distance <= VISITED
@@ -113,8 +112,8 @@ def test_brownian_diffusion_and_force():
     found = fit_langevin(model, data)
     truth: Any = made.truth
     true = truth.diffusion(made.starts[0])[0, 0]
-    assert found.diffusion.value == pytest.approx(float(true), rel=0.15)
-    truth = field_map(made.swimmer.environment, data)
+    assert found.constants["diffusion"].value == pytest.approx(float(true), rel=0.15)
+    truth = field_map(made.true_swimmer.environment, data)
     errors = force_errors(field_map(found.model.environment, data), truth)
     try:
         smooth = fit_bayes(model, data, throw=False)

@@ -111,7 +111,7 @@ def _candidate(candidate: Candidate) -> dict[str, Any]:
         "bic": candidate.bic,
         "delta_bic": candidate.delta_bic,
         "noise": candidate.noise,
-        "outcome": candidate.outcome.value,
+        "outcome": str(candidate.outcome),
         "fits": candidate.fits,
         "latex": candidate.latex,
         "sympy": candidate.sympy,

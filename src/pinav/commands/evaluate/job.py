@@ -7,8 +7,6 @@ force by region; bands; residuals; learned constants.
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
-
 from pinav.commands.command import CommandResult
 from pinav.commands.evaluate.judge import conformal, judge_fit
 from pinav.commands.evaluate.settings import EvaluateOptions
@@ -38,7 +36,6 @@ from pinav.evaluation import (
     score,
     summarise,
 )
-from pinav.forces import ZeroForce
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories
@@ -91,8 +88,7 @@ def evaluate(
 
 def _baseline(subject: Subject) -> dict[str, AbstractDynamics]:
     """The known physics alone, as the least that a model must beat."""
-    known = subject.known.swimmer
-    return {BASELINE: eqx.tree_at(lambda s: s.environment, known, ZeroForce())}
+    return {BASELINE: subject.known.swimmer}
 
 
 BASELINE = "physics-only"

@@ -20,6 +20,7 @@ from pinav.evaluation import square
 from pinav.fitting import Posterior
 from pinav.forces import UniformFlow, ZeroForce
 from pinav.identification.models import response_of
+from pinav.navigation.control.simple import physics_only
 from pinav.navigation.task.objectives import Reach
 from pinav.navigation.task.steering import (
     CommandLimits,
@@ -77,7 +78,7 @@ class Mission(eqx.Module):
     @property
     def physics(self) -> SteeredSwimmer:
         """The fitted swimmer without its environment."""
-        return eqx.tree_at(lambda s: s.dynamics.environment, self.model, ZeroForce())
+        return physics_only(self.model)
 
     @property
     def truths(self) -> tuple[SteeredSwimmer, ...]:
@@ -121,7 +122,7 @@ def _of_fit(settings, run: RunFolder) -> Mission:
             read_posterior(fitted, run), float(stored["noise"]), stored["states"], data
         )
     truth = data.provenance.get("scenario")
-    known = model if truth is None else scenario(truth).swimmer
+    known = model if truth is None else scenario(truth).true_swimmer
     limits = CommandLimits(1.0)
     return Mission(
         task=_task(settings, SteeredSwimmer(known, actuator), limits, data),

@@ -7,7 +7,6 @@ a static kernel potential that was fitted to a few noisy crossings of the same b
 
 from typing import Any
 
-import equinox as eqx
 import msgspec
 import numpy as np
 
@@ -47,7 +46,6 @@ from pinav.figures import save_figure
 from pinav.figures.errors import error_over_time, errors_by_region, style_of_model
 from pinav.figures.style import new_figure, title_panel
 from pinav.fitting import KernelGrid, fit, fit_bayes
-from pinav.forces import ZeroForce
 from pinav.report import Image, Paragraph, Section, Table
 from pinav.runs import RunFolder
 from pinav.scenarios import paper
@@ -78,7 +76,7 @@ def weakness(settings: StudySettings, folder: RunFolder) -> dict[str, Any]:
     several = with_noise(clean, settings.sigma, seed)
     ude = _stored(folder, "model-ude.eqx", _fit_ude, settings, single)
     kernel = _stored(folder, "model-kernel.eqx", _fit_kernel, settings, several)
-    physics = eqx.tree_at(lambda m: m.environment, paper().swimmer, ZeroForce())
+    physics = paper().swimmer
     held = held_out("paper", until=20.0, count=settings.held_out)
     chosen = {UDE: (ude, single), KERNEL: (kernel, clean), PHYSICS: (physics, single)}
     metrics: dict[str, Any] = {"study": "paper-weakness", "models": {}}
@@ -146,7 +144,7 @@ def _scores(name, model: Swimmer, training, held, arrays) -> dict[str, Any]:
     """Force by region of its own training data, and rollouts from held-out starts."""
     limits = square(held)
     learned = field_map(model.environment, training, limits=limits)
-    true = field_map(paper().swimmer.environment, training, limits=limits)
+    true = field_map(paper().true_swimmer.environment, training, limits=limits)
     found = force_agreement(learned, true)
     errors = position_errors(predict(model, held)[0], held, domain=extent(held))
     curve, whole = error_curve(errors), summarise(errors)
