@@ -89,7 +89,9 @@ def without_sfi(monkeypatch):
 
 def test_a_study_says_why_another_tool_has_no_row(monkeypatch, tmp_path):
     without_sfi(monkeypatch)
-    folder = RunFolder.create(tmp_path / "run", {"job": "study"}, overwrite=False)
+    folder = RunFolder.create(
+        tmp_path / "run", {"run": {"command": "study"}}, overwrite=False
+    )
     settings = StudySettings(models=("sfi",), counts=(1,), held_out=2)
     (row,) = study("data-efficiency", "barrier-crossings", settings, folder)
     assert row["outcome"] == (

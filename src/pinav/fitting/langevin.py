@@ -122,7 +122,7 @@ def fit_langevin(
             if finer is None:
                 outcome = Outcome.UNDER_RESOLVED
                 break
-            exact = eqx.tree_at(lambda m: m.environment, exact, finer)
+            exact = exact.with_environment(finer)
         extra = weights.shape_covariance(quadratic, chosen, noise)
         posterior = Posterior(free, found.mean, found.covariance + extra)
         fitted = posterior.model

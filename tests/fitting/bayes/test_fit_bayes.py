@@ -32,7 +32,7 @@ def data(scenario):
 @pytest.fixture(scope="module")
 def untrained(scenario, data):
     environment = kernel_environment(KernelPotential, data)
-    return eqx.tree_at(lambda s: s.environment, scenario.truth, environment)
+    return scenario.swimmer.with_environment(environment)
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ def forces(force, points):
 def error(fit, scenario, data):
     """Relative error of the force at the observed positions."""
     points = data.states[..., :2].reshape(-1, 2)
-    true = forces(scenario.truth.environment, points)
+    true = forces(scenario.environment, points)
     learned = forces(fit.model.environment, points)
     return np.linalg.norm(learned - true) / np.linalg.norm(true)
 
@@ -90,7 +90,7 @@ def fitted_rollout(fitted, data):
 def test_the_band_covers_the_true_force(fitted, scenario, data):
     points = data.states[..., :2].reshape(-1, 2)
     miss = forces(fitted.model.environment, points) - forces(
-        scenario.truth.environment, points
+        scenario.environment, points
     )
     inside = np.abs(miss) < 1.96 * fitted.posterior.force_sd(points)
     assert inside.mean() > 0.85
@@ -298,7 +298,7 @@ def test_two_obstacles_are_learned_with_a_wide_envelope(scenario, untrained):
     barriers = GaussianBarrier(4.0, [2.0, 3.0], 1.5) + GaussianBarrier(
         -3.0, [8.0, 6.0], 2.0
     )
-    two = eqx.tree_at(lambda s: s.truth.environment, scenario, barriers)
+    two = scenario.with_truth(barriers)
     seen = simulate(two, key=jax.random.key(3))
     model = eqx.tree_at(
         lambda s: s.environment, untrained, kernel_environment(KernelPotential, seen)

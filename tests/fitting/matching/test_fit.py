@@ -59,7 +59,7 @@ def data() -> Trajectories:
 def network_swimmer(seed: int) -> Swimmer:
     network = tanh_network(2, 2, width=8, depth=1, key=jax.random.key(seed))
     environment = NeuralForce(network, PositionFeatures((0.0, 0.0), (1.0, 1.0)))
-    return eqx.tree_at(lambda s: s.environment, TRUTH, environment)
+    return TRUTH.with_environment(environment)
 
 
 def environment(model):
@@ -165,7 +165,7 @@ def test_a_fit_that_is_done_takes_no_steps_while_others_do(data):
     weights = jax.tree.map(
         lambda leaf: 1e-3 * leaf if eqx.is_array(leaf) else leaf, large.environment
     )
-    small = eqx.tree_at(lambda m: m.environment, large, weights)
+    small = large.with_environment(weights)
     few = halvings([small, small], data, side_by_side=False)
     many = halvings([large, large], data, side_by_side=False)
     assert 0 < few < many - 10

@@ -62,7 +62,7 @@ def with_gaps(data: Trajectories) -> Trajectories:
 def network_swimmer() -> Swimmer:
     features = PositionTimeFeatures((0.0, 0.0, 1.0), (1.0, 1.0, 1.0))
     force = NeuralForce(tanh_network(3, 2, width=4, depth=1, key=KEY), features)
-    return eqx.tree_at(lambda s: s.environment, TRUTH, force)
+    return TRUTH.with_environment(force)
 
 
 def black_box() -> NeuralDynamics:
@@ -133,7 +133,7 @@ def test_the_projection_holds_a_matrix_of_low_rank():
 
 def kernel_swimmer(data: Trajectories) -> Swimmer:
     force = kernel_environment(KernelPotential, data, WITHOUT_PRIOR)
-    return eqx.tree_at(lambda s: s.environment, TRUTH, force)
+    return TRUTH.with_environment(force)
 
 
 def learn_environment(model, data, recipe, **options):
@@ -221,7 +221,7 @@ def test_outcomes_tell_converged_from_stalled(data):
     hasty = learn_environment(kernel_swimmer(data), data, few)
     assert hasty.outcome is Outcome.STALLED
     drag = fit(  # a constant that cannot explain the barrier: the best one is reached
-        eqx.tree_at(lambda s: s.environment, TRUTH, ZeroForce()),
+        TRUTH.without_environment(),
         data,
         (GaussNewton(full, target=1e-9, patience=jnp.asarray(3)),),
         trainable=lambda m: m.drag.damping,

@@ -243,7 +243,7 @@ def refit(
     """
     with jax.enable_x64(new_val=True):
         environment = LawForce(law, jnp.asarray(constants, jnp.float64))
-        swimmer = eqx.tree_at(lambda m: m.environment, model, environment)
+        swimmer = model.with_environment(environment)
         free, theta = freed(
             with_dtype(swimmer, jnp.float64), lambda m: m.environment.constants
         )

@@ -31,14 +31,14 @@ from pinav.fitting import (
 from pinav.fitting.bayes.function_prior import TangentWeights
 from pinav.forces import KernelForce, KernelMixture, KernelPotential
 from pinav.runs import RunFolder
-from pinav.scenarios import Scenario
+from pinav.systems import System
 from pinav.trajectories import Trajectories
 
 MODEL_FILE, POSTERIOR_FILE = "model.eqx", "posterior.npz"
 
 
 def infer(
-    settings: FitSettings, known: Scenario, data: Trajectories, folder: RunFolder
+    settings: FitSettings, known: System, data: Trajectories, folder: RunFolder
 ) -> None:
     """Fit by the evidence; the model file is written last, when all else is there.
 

@@ -1,15 +1,16 @@
 """Settings of `pinav navigate`; imports no numerical library."""
 
 import math
+from pathlib import Path
 from typing import Annotated
 
-import msgspec
 import tyro
 
+from pinav.commands.settings import AsJson, OutFolder, Overwrite, Settings
 from pinav.errors import InputError
 
 
-class NavigateSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class NavigateSettings(Settings, frozen=True):
     """Where to go, with which swimmer, and how it is tried."""
 
     start: Annotated[
@@ -130,3 +131,26 @@ def _require(name: str, value: float, *, above: bool) -> None:
         raise InputError(
             f"--{option}: expected a number {'> 0' if above else '>= 0'}, got {value}"
         )
+
+
+class NavigateOptions(Settings, frozen=True):
+    """Go from a place to a place through the force that a run has learned.
+
+    Plans on the learned force (which ground cannot be reached, where the model does not
+    know), steers by model-predictive control, and tries it in closed loop: in the true
+    environment where the data are those of a scenario, else in environments drawn from
+    the posterior. Beside it physics alone and, where it is known, the same controller
+    with the truth. Says which trajectory would tell most of the route. Writes
+    metrics.json, report.html, figures and an animation. A negative number takes an
+    equals sign: --from=-1,2.
+    """
+
+    run: Annotated[
+        Path,
+        tyro.conf.Positional,
+        tyro.conf.arg(help="Folder of pinav fit, of trajectories or of a recording."),
+    ]
+    settings: NavigateSettings
+    out: OutFolder
+    overwrite: Overwrite = False
+    json: AsJson = False

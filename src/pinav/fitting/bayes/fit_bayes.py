@@ -139,7 +139,7 @@ class _Grids(eqx.Module):
         if environment is None:
             return None
         model = problem.free(jnp.asarray(problem.theta))
-        model = eqx.tree_at(lambda m: m.environment, model, environment)
+        model = model.with_environment(environment)
         return self.begin(model, states=problem.states)
 
 

@@ -110,7 +110,7 @@ def doubt(
     with jax.enable_x64(new_val=True):
         kernels = unknown.kernels()
         environment = SumForce((model.environment, kernels))
-        wider = eqx.tree_at(lambda m: m.environment, model, environment)
+        wider = model.with_environment(environment)
         free, theta = freed(wider, lambda m: m.environment.terms[1].parameters)
         observations = Observations.of(trajectories, jnp.float64)
         found = linearise(free, theta, jnp.asarray(states), observations, solver)

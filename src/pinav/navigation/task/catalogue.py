@@ -254,7 +254,7 @@ def _vessel() -> tuple[AbstractZone, ...]:
 
 
 def _truth(name: str, actuator: HelicalActuator) -> SteeredSwimmer:
-    return SteeredSwimmer(scenario(TASKS[name][1]).swimmer, actuator)
+    return SteeredSwimmer(scenario(TASKS[name][1]).true_swimmer, actuator)
 
 
 def _screw(
@@ -262,7 +262,7 @@ def _screw(
 ) -> tuple[HelicalActuator, CommandLimits]:
     """A screw with this greatest thrust, driven at most as fast as that takes."""
     frequencies = jnp.linspace(0.0, 1.2 * STEP_OUT, 1201)
-    turning = StepOutResponse.of(STEP_OUT)(frequencies)
+    turning = StepOutResponse(STEP_OUT)(frequencies)
     best = int(jnp.argmax(turning))
     torque_per_rate = 1 / (2 * math.pi)
     actuator = HelicalActuator(
