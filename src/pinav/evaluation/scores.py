@@ -23,8 +23,6 @@ from pinav.dynamics import (
 from pinav.errors import InputError
 from pinav.trajectories import Trajectories
 
-POSITION_CHANNELS = ("x", "y", "z")
-
 
 class Score(eqx.Module):
     """Root-mean-square errors of rollouts against observed states.
