@@ -131,14 +131,14 @@ def test_a_recording_gives_a_rolling_robot_in_its_drift(tmp_path):
             "drift x": {"value": 0.3, "sd": 0.1},
         },
     )
-    mission = prepared(settings(arena="-5,-5,15,15", keep_out=("4,4,1",)), folder)
+    problem = prepared(settings(arena="-5,-5,15,15", keep_out=("4,4,1",)), folder)
     command = jnp.array([3.0, np.pi / 2])
-    rate = mission.model(0.0, jnp.zeros(2), command)
+    rate = problem.model(0.0, jnp.zeros(2), command)
     effective = 3.0 / np.sqrt(1 + (3.0 / 4.0) ** 2)
     np.testing.assert_allclose(rate, [0.3 - 0.5 * effective, 2.0 * effective])
-    assert mission.task.limits.max_frequency == 10.0
-    assert mission.units == {"x": "um", "t": "s"}
-    assert float(mission.task.keep_out[0].distance(jnp.array([4.0, 6.0]))) == 1.0
+    assert problem.task.limits.max_frequency == 10.0
+    assert problem.units == {"x": "um", "t": "s"}
+    assert float(problem.task.keep_out[0].distance(jnp.array([4.0, 6.0]))) == 1.0
 
 
 def test_an_arena_that_is_not_given_holds_both_ends(tmp_path):

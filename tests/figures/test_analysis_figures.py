@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from pinav import report
-from pinav.analysis import SobolIndices, StretchMap, helmholtz_split
+from pinav import figures
+from pinav.analysis import LyapunovMap, SobolIndices, helmholtz_split
 from pinav.evaluation import FieldMap
 from pinav.figures.analysis import energy_unit
 
@@ -28,34 +28,34 @@ def bars(figure):
 
 
 def potential():
-    return report.potential_map(GRID[..., 0], field(), path=PATH, units=UNITS).figure
+    return figures.potential_map(GRID[..., 0], field(), path=PATH, units=UNITS).figure
 
 
 def trust():
     sd = np.full((*GRID.shape[:2], 2), 0.1)
-    return report.trust_map(field(), sd, path=PATH, units=UNITS).figure
+    return figures.trust_map(field(), sd, path=PATH, units=UNITS).figure
 
 
 def parts():
     own = field()
     split = helmholtz_split(own)
-    return report.helmholtz_figure(split, own, spread=0.01, path=PATH, units=UNITS)
+    return figures.helmholtz_figure(split, own, spread=0.01, path=PATH, units=UNITS)
 
 
 def influence():
     changes = np.stack([k * field().force for k in (0.1, 0.3, 0.2)])
-    return report.influence_figure(changes, field(), [PATH] * 3, most=2, units=UNITS)
+    return figures.influence_figure(changes, field(), [PATH] * 3, most=2, units=UNITS)
 
 
 def constants():
     slopes = {"damping": field().force, "gain": -field().force}
-    return report.constants_figure(slopes, field(), path=PATH, units=UNITS)
+    return figures.constants_figure(slopes, field(), path=PATH, units=UNITS)
 
 
 def stretch():
     values = np.geomspace(0.5, 40.0, AXIS.size**2).reshape(AXIS.size, AXIS.size)
-    found = StretchMap(AXIS, AXIS, values, GRID, 20.0)
-    return report.stretch_figure(found, path=PATH, units=UNITS)
+    found = LyapunovMap(AXIS, AXIS, values, GRID, 20.0)
+    return figures.lyapunov_figure(found, path=PATH, units=UNITS)
 
 
 FIGURES = {
@@ -114,7 +114,7 @@ def test_bars_have_intervals_and_leave_out_what_does_not_vary():
         confidence=0.9,
         variance=np.array([1.0, 0.0]),
     )
-    figure = report.sobol_figure(indices)
+    figure = figures.sobol_figure(indices)
     shown = [ax for ax in figure.axes if ax.get_visible()]
     assert [ax.get_title(loc="left") for ax in shown] == ["final x"]
     widths = [bar.get_width() for bar in shown[0].patches]

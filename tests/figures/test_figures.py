@@ -8,7 +8,7 @@ import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from pinav import report
+from pinav import figures
 from pinav.evaluation import NEAR, VISITED, Decomposition, FieldMap, Regions
 from pinav.figures.style import BLACK, BLUE, VERMILLION, pale
 
@@ -65,8 +65,8 @@ PANELS = {
         TIMES, states()[:, 2:], {"ude": states(0.1)[:, 2:]}, units=UNITS, ax=ax
     ),
     "loss_curve": lambda ax=None: report.loss_curve(losses(), PHASES, ax=ax),
-    "force_map": lambda ax=None: report.force_map(field(), units=UNITS, ax=ax),
-    "force_error_map": lambda ax=None: report.force_error_map(
+    "force_map": lambda ax=None: figures.force_map(field(), units=UNITS, ax=ax),
+    "force_error_map": lambda ax=None: figures.force_error_map(
         field(1.1), field(), units=UNITS, ax=ax
     ),
     "decomposition": lambda ax=None: report.decomposition(budget(), units=UNITS, ax=ax),
@@ -86,7 +86,7 @@ FIGURES = {
     "all of the force": lambda: report.force_comparison(
         field(1.1), true=field(), sd=deviation()
     ),
-    "acceleration": lambda: report.acceleration_figure(budget(1.1), true=budget()),
+    "acceleration": lambda: figures.acceleration_figure(budget(1.1), true=budget()),
 }
 
 
@@ -223,13 +223,13 @@ def test_loss_that_is_nowhere_finite_still_draws():
 
 
 def test_force_map_marks_visited_ground_and_shades_the_unvisited():
-    ax = report.force_map(field(), path=np.zeros((2, 2)))
+    ax = figures.force_map(field(), path=np.zeros((2, 2)))
     levels = [list(c.levels) for c in ax.collections if hasattr(c, "levels")]
     furthest = field().distance.max()
     assert levels == [[NEAR, furthest], [NEAR, furthest], [VISITED], [NEAR]]
     assert legend_texts(ax)[0] == "trajectory"
     assert "no data: extrapolation" in legend_texts(ax)
-    bare = report.force_map(field(), shade=False)
+    bare = figures.force_map(field(), shade=False)
     levels = [list(c.levels) for c in bare.collections if hasattr(c, "levels")]
     assert levels == [[VISITED], [NEAR]]
 
@@ -237,7 +237,7 @@ def test_force_map_marks_visited_ground_and_shades_the_unvisited():
 def test_force_map_draws_the_regions_of_its_unit():
     regions = Regions(visited=0.2, near=0.9)
     shown = dataclasses.replace(field(), regions=regions)
-    ax = report.force_map(shown, shade=False, units={"x": "um", "y": "um"})
+    ax = figures.force_map(shown, shade=False, units={"x": "um", "y": "um"})
     levels = [list(c.levels) for c in ax.collections if hasattr(c, "levels")]
     assert levels == [[0.2], [0.9]]
     assert "visited (within 0.2 µm)" in legend_texts(ax)
@@ -247,13 +247,13 @@ def test_force_map_scales_by_what_is_near_the_data():
     spread = field()
     magnitude = np.linalg.norm(spread.force, axis=-1)
     near = magnitude[spread.distance <= NEAR].max()
-    assert report.force_map(spread).collections[0].get_clim() == (0.0, near)
-    shared = report.force_map(spread, limit=7.0)
+    assert figures.force_map(spread).collections[0].get_clim() == (0.0, near)
+    shared = figures.force_map(spread, limit=7.0)
     assert shared.collections[0].get_clim() == (0.0, 7.0)
 
 
 def test_force_error_map_shows_the_size_of_the_difference():
-    ax = report.force_error_map(field(1.5), field())
+    ax = figures.force_error_map(field(1.5), field())
     values = ax.collections[0].get_array()
     expected = 0.5 * np.linalg.norm(field().force, axis=-1)
     np.testing.assert_allclose(np.ravel(values), np.ravel(expected))
@@ -264,7 +264,7 @@ def test_force_map_without_a_finite_force_still_draws(value):
     flat = FieldMap(
         field().x, field().y, np.full_like(field().force, value), field().distance
     )
-    report.force_map(flat).figure.draw_without_rendering()
+    figures.force_map(flat).figure.draw_without_rendering()
 
 
 @pytest.mark.parametrize(
@@ -331,8 +331,8 @@ def test_figure1_has_the_panels_of_the_paper():
 
 @pytest.mark.parametrize("name", FIGURES)
 def test_saved_figures_are_whole_and_the_same_every_time(tmp_path, name):
-    first = report.save_figure(FIGURES[name](), tmp_path / "new" / "one", name)
-    second = report.save_figure(FIGURES[name](), tmp_path / "two", name)
+    first = figures.save_figure(FIGURES[name](), tmp_path / "new" / "one", name)
+    second = figures.save_figure(FIGURES[name](), tmp_path / "two", name)
     assert first.svg.read_bytes() == second.svg.read_bytes()
     assert first.png.read_bytes() == second.png.read_bytes()
     assert first.png.read_bytes().startswith(b"\x89PNG")
@@ -347,7 +347,7 @@ def test_saved_figures_are_whole_and_the_same_every_time(tmp_path, name):
 
 def test_failed_write_keeps_the_old_file_and_leaves_no_part(tmp_path):
     figure = Figure()
-    paths = report.save_figure(figure, tmp_path, "f")
+    paths = figures.save_figure(figure, tmp_path, "f")
     before = paths.png.read_bytes()
 
     def fail(to, **_):
@@ -356,7 +356,7 @@ def test_failed_write_keeps_the_old_file_and_leaves_no_part(tmp_path):
 
     figure.savefig = fail
     with pytest.raises(OSError, match="disk full"):
-        report.save_figure(figure, tmp_path, "f")
+        figures.save_figure(figure, tmp_path, "f")
     assert paths.png.read_bytes() == before
     assert sorted(p.name for p in tmp_path.iterdir()) == ["f.png", "f.svg"]
 

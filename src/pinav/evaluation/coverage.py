@@ -125,7 +125,7 @@ def _linear_band(free: FreeModel, theta, covariance, start, solver):
     return ys, jnp.sqrt(jnp.maximum(variance, 0.0))
 
 
-def covered(
+def inside_band(
     errors: Float[np.ndarray, "*shape"], sd: Float[np.ndarray, "*shape"]
 ) -> Bool[np.ndarray, "*shape"]:
     """Which errors lie inside the nominal 95 % band; what is not finite does not."""
@@ -136,7 +136,7 @@ def covered(
     return usable & inside
 
 
-def share(
+def fraction_inside(
     inside: Bool[np.ndarray, "*shape"], counted: Bool[np.ndarray, "*shape"]
 ) -> float:
     """Share of the counted entries that are inside; NaN where none is counted."""
@@ -150,9 +150,9 @@ def force_coverage(
     regions: dict[str, Bool[np.ndarray, "rows columns"]],
 ) -> dict[str, float]:
     """Share of the true force's components inside the band, in each region."""
-    inside = covered(learned.force - true.force, sd)
+    inside = inside_band(learned.force - true.force, sd)
     return {
-        name: share(inside, np.repeat(mask[..., None], 2, axis=-1))
+        name: fraction_inside(inside, np.repeat(mask[..., None], 2, axis=-1))
         for name, mask in regions.items()
     }
 
@@ -172,8 +172,9 @@ def rollout_coverage(
         regions: which samples lie in each region.
     """
     errors = bands.ys - trajectories.states
-    inside = covered(errors, bands.observable_sd(noise))
+    inside = inside_band(errors, bands.observable_sd(noise))
     counted = trajectories.observed
     return {
-        name: share(inside, counted & mask[..., None]) for name, mask in regions.items()
+        name: fraction_inside(inside, counted & mask[..., None])
+        for name, mask in regions.items()
     }

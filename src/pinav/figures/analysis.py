@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
-from pinav.analysis import HelmholtzSplit, SobolIndices, StretchMap
+from pinav.analysis import HelmholtzSplit, LyapunovMap, SobolIndices
 from pinav.evaluation import FieldMap
 from pinav.figures.force_maps import (
     draw_arrows,
@@ -29,7 +29,7 @@ from pinav.figures.style import (
     force_unit,
     label_axes,
     new_figure,
-    prepared,
+    prepare_axes,
     title_panel,
     with_unit,
 )
@@ -98,15 +98,15 @@ def trust_map(
     norm = LogNorm(0.1, max(10.0, float(np.nanmax(ratio))))
     look = ("cividis", r"$|F| / \mathrm{sd}(F)$")
     ax = heat_map(ratio, field, norm, look, units=units, ax=ax)
-    if ratio.min() < DOUBT < ratio.max():
+    if ratio.min() < SIGNIFICANT < ratio.max():
         line = {"colors": VERMILLION, "linewidths": 1.2}
-        drawn = ax.contour(field.x, field.y, ratio, [DOUBT], **line)
-        ax.clabel(drawn, fmt={DOUBT: f"{DOUBT:g}"}, fontsize=SMALL)
+        drawn = ax.contour(field.x, field.y, ratio, [SIGNIFICANT], **line)
+        ax.clabel(drawn, fmt={SIGNIFICANT: f"{SIGNIFICANT:g}"}, fontsize=SMALL)
     overlay(ax, field, path, units, shade=False)
     return ax
 
 
-DOUBT = 2.0
+SIGNIFICANT = 2.0
 """Below this ratio of size to standard deviation a force may as well be zero."""
 
 
@@ -213,8 +213,8 @@ def constants_figure(
     return figure
 
 
-def stretch_figure(
-    stretch: StretchMap,
+def lyapunov_figure(
+    stretch: LyapunovMap,
     *,
     path: Path | None = None,
     units: Mapping[str, str] = DIMENSIONLESS,
@@ -257,7 +257,7 @@ def sobol_figure(indices: SobolIndices) -> Figure:
     figure = new_figure(2.5 * max(columns, 2), height * rows)
     axes = np.ravel(figure.subplots(rows, columns, sharey=True))
     for ax, outcome in zip(axes, varying, strict=False):
-        _bars(prepared(ax), indices, int(outcome))
+        _bars(prepare_axes(ax), indices, int(outcome))
     for ax in axes[len(varying) :]:
         ax.set_visible(False)
     handles, labels = axes[0].get_legend_handles_labels()

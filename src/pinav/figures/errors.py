@@ -24,7 +24,7 @@ from pinav.figures.style import (
     finite,
     label_axes,
     new_figure,
-    prepared,
+    prepare_axes,
     title_panel,
 )
 
@@ -65,7 +65,7 @@ def error_over_time(
         unit: of length; "1" means dimensionless.
         ax: where to draw; a new figure unless given.
     """
-    ax = prepared(ax)
+    ax = prepare_axes(ax)
     spare = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, GREY)
     for index, (name, curve) in enumerate(curves.items()):
         color, dash = spare[index % len(spare)], "-"
@@ -112,7 +112,7 @@ def residual_autocorrelation(
         channels: their names.
         ax: where to draw; a new figure unless given.
     """
-    ax = prepared(ax)
+    ax = prepare_axes(ax)
     lags = np.arange(1, autocorrelation.shape[1] + 1)
     used = [i for i, count in enumerate(counts) if count]
     colors = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
@@ -144,7 +144,7 @@ def errors_by_region(
         styles: how each model is drawn.
         ax: where to draw; a new figure unless given.
     """
-    ax = prepared(ax)
+    ax = prepare_axes(ax)
     spare = (BLUE, VERMILLION, GREEN, PURPLE)
     regions = list(next(iter(errors.values())))
     width = 0.8 / len(errors)
@@ -203,7 +203,7 @@ def scaling_figure(
 
 
 def _scaling(ax: Axes, series: Series, quantity: str, label: str) -> None:
-    ax = prepared(ax)
+    ax = prepare_axes(ax)
     ticks = sorted({x for points in series.values() for x, _ in points})
     place = _places(ticks)
     for index, (name, points) in enumerate(series.items()):

@@ -25,7 +25,7 @@ from pinav.figures.style import (
     add_legend,
     label_axes,
     new_figure,
-    prepared,
+    prepare_axes,
     title_panel,
 )
 
@@ -52,7 +52,7 @@ def profiles(
         edge: radius of the tumour [m], marked unless None.
         ax: where to draw; a new figure unless given.
     """
-    ax = prepared(ax)
+    ax = prepare_axes(ax)
     shades = colormaps["viridis"](np.linspace(0.0, 0.85, len(temperatures)))
     for shade, (name, values) in zip(shades, temperatures.items(), strict=True):
         ax.plot(1e3 * radius, values, color=shade, lw=THIN, label=name)
@@ -77,7 +77,7 @@ def dose_profile(
         edge: radius of the tumour [m], marked unless None.
         ax: where to draw; a new figure unless given.
     """
-    ax = prepared(ax)
+    ax = prepare_axes(ax)
     ax.plot(1e3 * radius, np.where(dose > 1e-3, dose, np.nan), color=BLUE, lw=THIN)
     if np.any(dose > 1e-3):
         ax.set_yscale("log")
@@ -111,7 +111,7 @@ def plane_map(
         logarithmic: colour the logarithm; values below a thousandth as that.
         ax: where to draw; a new figure unless given.
     """
-    ax = prepared(ax)
+    ax = prepare_axes(ax)
     shown = np.log10(np.maximum(values, 1e-3)) if logarithmic else values
     extent = [1e3 * n * h for n, h in zip(values.shape, spacing, strict=True)]
     image = ax.imshow(
@@ -154,7 +154,7 @@ def probe_curves(
         readings: their times [s], and values [°C] of the same probes.
         ax: where to draw; a new figure unless given.
     """
-    ax = prepared(ax)
+    ax = prepare_axes(ax)
     for index, name in enumerate(names):
         color = COLORS[index % len(COLORS)]
         if readings is not None:
@@ -186,7 +186,7 @@ def protocol_figure(
     figure = new_figure(4.6, 4.2)
     above, below = figure.subplots(2, 1, sharex=True)
     for ax in (above, below):
-        prepared(ax)
+        prepare_axes(ax)
     at = np.repeat(np.asarray(edges) / 60, 2)[1:-1]
     values = np.stack([starts, ends], axis=1).reshape(-1)
     above.plot(at, values / 1e3, color=BLUE, lw=THIN)
@@ -211,7 +211,7 @@ def perfusion_figure(laws: Mapping[str, Mapping[str, Any]]) -> Figure:
     figure = new_figure(3.8 * len(laws), 3.2)
     panels = figure.subplots(1, len(laws), squeeze=False)[0]
     for ax, (name, law) in zip(panels, laws.items(), strict=True):
-        prepared(ax)
+        prepare_axes(ax)
         temperatures = law["temperatures"]
         visited: Bool[np.ndarray, " temperature"] = np.asarray(law["visited"], bool)
         if law.get("true") is not None:

@@ -17,7 +17,7 @@ from pinav.figures.style import (
     add_legend,
     label_axes,
     new_figure,
-    prepared,
+    prepare_axes,
     title_panel,
     with_unit,
 )
@@ -40,7 +40,7 @@ def law_ranking(
             out.
         ax: where to draw; a new figure unless given.
     """
-    ax = prepared(ax)
+    ax = prepare_axes(ax)
     shown = [
         (n, max(d, FLOOR))
         for n, d in zip(names, differences, strict=True)
@@ -75,7 +75,7 @@ def law_agreement(
         unit: of a force; "1" means dimensionless.
         ax: where to draw; a new figure unless given.
     """
-    ax = prepared(ax)
+    ax = prepare_axes(ax)
     for column, (label, color) in enumerate((("$F_x$", BLUE), ("$F_y$", ORANGE))):
         ax.errorbar(
             law[:, column],

@@ -33,7 +33,7 @@ from pinav.figures.style import (
     force_unit,
     label_axes,
     new_figure,
-    prepared,
+    prepare_axes,
     title_panel,
     with_unit,
 )
@@ -298,7 +298,7 @@ def outcome_bars(
     figure = new_figure(6.4, 0.9 + 0.32 * len(names))
     left, right = figure.subplots(1, 2, sharey=True)
     for ax in (left, right):
-        prepared(ax)
+        prepare_axes(ax)
     places = list(reversed(range(len(names))))
     for place, name in zip(places, names, strict=True):
         color = COLORS.get(name, GREY)
@@ -342,7 +342,7 @@ def learning_curve(
         counts: of trajectories.
         ax: where to draw; a new figure unless given.
     """
-    ax = prepared(ax)
+    ax = prepare_axes(ax)
     for color, (name, values) in zip((BLUE, VERMILLION), errors.items(), strict=False):
         ax.plot(counts, values.T, color=color, lw=0.6, alpha=0.35)
         ax.plot(counts, np.median(values, axis=0), color=color, lw=2, label=name)

@@ -100,7 +100,7 @@ def new_figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def prepared(ax: Axes | None, *, width: float = 4.0, height: float = 3.2) -> Axes:
+def prepare_axes(ax: Axes | None, *, width: float = 4.0, height: float = 3.2) -> Axes:
     """`ax`, or the axes of a new figure, with fonts and frame set."""
     if ax is None:
         ax = new_figure(width, height).add_subplot()

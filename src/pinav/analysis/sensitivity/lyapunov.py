@@ -78,7 +78,7 @@ def _jacobians(dynamics, starts, ts, solver):
     return jax.lax.map(one, starts, batch_size=64)
 
 
-class StretchMap(eqx.Module):
+class LyapunovMap(eqx.Module):
     r"""Stretch of the final position over a grid of starts.
 
     Attributes:
@@ -103,7 +103,7 @@ class StretchMap(eqx.Module):
             return np.log(self.stretch) / self.horizon
 
 
-def stretch_map(
+def lyapunov_map(
     dynamics: AbstractDynamics,
     x: Float[np.ndarray, " columns"],
     y: Float[np.ndarray, " rows"],
@@ -111,7 +111,7 @@ def stretch_map(
     *,
     velocity: Callable[[Float[np.ndarray, " dim"]], ArrayLike] | None = None,
     solver: FixedStep | None = None,
-) -> StretchMap:
+) -> LyapunovMap:
     """Stretch of the final position over starts on a grid.
 
     Args:
@@ -135,7 +135,7 @@ def stretch_map(
     block = np.where(finite[:, None, None], slopes[:, :2, :2], 0.0)
     stretch = np.linalg.svd(block, compute_uv=False)[:, 0]
     times = np.asarray(ts, float)
-    return StretchMap(
+    return LyapunovMap(
         x=np.asarray(x),
         y=np.asarray(y),
         stretch=np.where(finite, stretch, np.nan).reshape(len(y), len(x)),

@@ -16,9 +16,9 @@ from pinav.analysis import (
     SobolIndices,
     helmholtz_split,
     influence,
+    lyapunov_map,
     rotational_fractions,
     sampled_forces,
-    stretch_map,
 )
 from pinav.commands.analyse.settings import AnalyseSettings
 from pinav.commands.fit.bayes import (
@@ -46,7 +46,7 @@ from pinav.trajectories import Trajectories, load
 
 ANALYSIS_FILE, ARRAYS_FILE = "analysis.json", "analysis.npz"
 
-STRETCH_POINTS = 25
+LYAPUNOV_POINTS = 25
 """Starts along each side of the map of stretch."""
 
 
@@ -235,10 +235,10 @@ class _Analysis:
 
     def _stretch(self, start, times) -> None:
         x, y = (
-            np.linspace(axis[0], axis[-1], STRETCH_POINTS)
+            np.linspace(axis[0], axis[-1], LYAPUNOV_POINTS)
             for axis in (self.field.x, self.field.y)
         )
-        found = stretch_map(self.model, x, y, times, velocity=lambda _: start[2:])
+        found = lyapunov_map(self.model, x, y, times, velocity=lambda _: start[2:])
         for name in ("x", "y", "stretch", "final"):
             self.arrays[f"stretch/{name}"] = getattr(found, name)
         self.found["stretch"] = {

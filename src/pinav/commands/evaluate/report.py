@@ -18,7 +18,7 @@ def curve_of(arrays: dict[str, np.ndarray], key: str) -> ErrorCurve:
     return ErrorCurve(*(arrays[f"{key}/{part}"] for part in PARTS))
 
 
-def evaluated(folder: RunFolder) -> list[Section]:
+def evaluation_sections(folder: RunFolder) -> list[Section]:
     """Tables and figures of `pinav evaluate`, where it was run."""
     if not (folder.has("evaluation.json") and folder.has("evaluation.npz")):
         return []

@@ -14,11 +14,12 @@ from pinav.commands.navigate.settings import NavigateSettings
 class NavigateOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Go from a place to a place through the force that a run has learned.
 
-    Plans on the learned force (which ground cannot be reached, where the model does not
-    know), steers by model-predictive control, and tries it in closed loop: in the true
-    environment where the data are those of a scenario, else in environments drawn from
-    the posterior. Beside it physics alone and, where it is known, the same controller
-    with the truth. Says which trajectory would tell most of the route. Writes
+    Plans on the learned force (from where the goal cannot be reached, and where the
+    model is uncertain), steers by model-predictive control, and tries it in closed
+    loop: in the true environment where the data are those of a scenario, else in
+    environments drawn from the posterior. Physics alone and, where it is known, the
+    same controller with the truth are tried beside it. The run also suggests the
+    trajectory that would tell most about the force along the route. Writes
     metrics.json, report.html, figures and an animation. A negative number takes an
     equals sign: --from=-1,2.
     """
@@ -50,12 +51,12 @@ def navigate(options: NavigateOptions) -> None:
     from pinav.commands.report.job import write_report
     from pinav.runs import RunFolder
 
-    mission = setup.prepared(settings, RunFolder.open(options.run))
+    problem = setup.navigation_problem(settings, RunFolder.open(options.run))
     content = {k: v for k, v in msgspec.to_builtins(settings).items() if v is not None}
     content = {k: list(v) if isinstance(v, tuple) else v for k, v in content.items()}
     config = {"job": "navigate", "run": options.run.name, **content}
     folder = RunFolder.create(options.out, config, overwrite=options.overwrite)
-    metrics = job.navigate(settings, mission, folder)
+    metrics = job.navigate(settings, problem, folder)
     page = write_report(folder)
     if options.json:
         json.dump(metrics, sys.stdout, indent=2)

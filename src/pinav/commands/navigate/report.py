@@ -12,7 +12,7 @@ DRAWN = 8
 """Runs of each controller on a map."""
 
 
-def navigated(folder: RunFolder) -> list[Section]:
+def navigation_sections(folder: RunFolder) -> list[Section]:
     """The sections of a finished run."""
     metrics = folder.read_json("metrics.json")
     arrays = folder.read_arrays("results.npz")

@@ -58,8 +58,8 @@ class NavigateSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     samples: Annotated[
         int,
         tyro.conf.arg(
-            help="Models drawn from the posterior, whose spread makes unknown ground "
-            "cost more; 0 takes the model for true."
+            help="Models drawn from the posterior, whose spread makes uncertain "
+            "regions cost more; 0 takes the model for true."
         ),
     ] = 8
     seeds: Annotated[

@@ -8,10 +8,10 @@ import numpy as np
 from pinav.commands.analyse.report import analysis_sections
 from pinav.commands.compare.job import table
 from pinav.commands.discover.report import law_sections
-from pinav.commands.evaluate.report import evaluated
+from pinav.commands.evaluate.report import evaluation_sections
 from pinav.commands.heat.report import heated
 from pinav.commands.identify.report import laddered
-from pinav.commands.navigate.report import navigated
+from pinav.commands.navigate.report import navigation_sections
 from pinav.commands.reproduce.job import stored_field
 from pinav.commands.reproduce.report import loss_history, reproduced
 from pinav.commands.study.report import studied
@@ -57,14 +57,14 @@ def write_report(folder: RunFolder) -> Path:
         "study": studied,
         "recording": laddered,
         "heat": heated,
-        "navigate": navigated,
+        "navigate": navigation_sections,
     }
     job = folder.config().get("job")
     if job not in sections:
         raise InputError(f"{folder.path}/config.toml: job {job!r} is unknown")
     title = TITLES[job]
     try:
-        results = [*sections[job](folder), *evaluated(folder)]
+        results = [*sections[job](folder), *evaluation_sections(folder)]
         content = [*results, *analysis_sections(folder), *_provenance(folder)]
     except KeyError as error:
         raise InputError(
