@@ -1,6 +1,7 @@
 # Each target makes .venv on first use and again when the pins change.
 PYTHON ?= python3
 BIN := .venv/bin
+PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --durations=30 --durations-min=2
 SEEDS ?= 42
 OUT ?= runs/reproduce
 
@@ -10,14 +11,14 @@ reproduce: .venv/installed
 	$(BIN)/pinav reproduce --seeds $(SEEDS) --out $(OUT) --resume
 
 test: .venv/installed-dev
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"
+	$(PYTEST) -m "not slow"
 
 # Whole commands, examples and snippets, from end to end.
 test-slow: .venv/installed-dev
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m slow
+	$(PYTEST) -m slow
 
 coverage: .venv/installed-dev
-	$(BIN)/python -m pytest -n 2 --dist loadfile --cov --cov-report=term --cov-fail-under=90
+	$(PYTEST) --cov --cov-report=term --cov-fail-under=90
 
 lint: .venv/installed-dev
 	$(BIN)/ruff check .

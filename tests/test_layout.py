@@ -1,8 +1,10 @@
-"""A module imports only what stands above it, and importing pinav is cheap."""
+"""A module imports only what stands above it, and the tests lie as the source does."""
 
 import ast
+import graphlib
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -33,15 +35,63 @@ ORDER = [
 ]
 ROOT = Path(pinav.__file__).parent
 SOURCES = sorted(p for p in ROOT.rglob("*.py") if p != ROOT / "__init__.py")
+PACKAGES = sorted(p.parent for p in SOURCES if p.name == "__init__.py")
+COMMANDS = ROOT / "commands"
+TESTS = Path(__file__).parent
+
+UNTANGLED_LATER = {
+    "analyse -> fit",
+    "compare -> fit",
+    "discover -> fit",
+    "dispatch.py -> analyse",
+    "dispatch.py -> compare",
+    "dispatch.py -> discover",
+    "dispatch.py -> evaluate",
+    "dispatch.py -> fit",
+    "dispatch.py -> heat",
+    "dispatch.py -> identify",
+    "dispatch.py -> inspect",
+    "dispatch.py -> navigate",
+    "dispatch.py -> report",
+    "dispatch.py -> reproduce",
+    "dispatch.py -> simulate",
+    "dispatch.py -> study",
+    "evaluate -> fit",
+    "fit -> reproduce",
+    "fitted_run.py -> fit",
+    "models.py -> fit",
+    "navigate -> fit",
+    "navigate -> report",
+    "parsing.py -> analyse",
+    "parsing.py -> compare",
+    "parsing.py -> fit",
+    "parsing.py -> identify",
+    "parsing.py -> inspect",
+    "parsing.py -> reproduce",
+    "parsing.py -> simulate",
+    "parsing.py -> study",
+    "report -> analyse",
+    "report -> compare",
+    "report -> discover",
+    "report -> evaluate",
+    "report -> heat",
+    "report -> identify",
+    "report -> navigate",
+    "report -> reproduce",
+    "report -> study",
+    "reproduce -> fit",
+    "study -> evaluate",
+    "study -> fit",
+    "study -> reproduce",
+}
+"""Imports between the folders of two commands that are still to go; add none."""
 
 
-def component(parts):
-    """The first name below pinav; a package counts as one."""
-    return parts[0].removesuffix(".py")
+def imported_modules(source: str) -> Iterator[str]:
+    """Dotted paths below pinav that a source imports, at any depth of the code.
 
-
-def imported_components(source):
-    """First components of the pinav modules that a source imports, at any depth."""
+    The last name may be that of a function or class of a module.
+    """
     for node in ast.walk(ast.parse(source)):
         names = []
         if isinstance(node, ast.Import):
@@ -52,17 +102,69 @@ def imported_components(source):
         for name in names:
             package, _, rest = name.partition(".")
             if package == "pinav" and rest and not rest.startswith("__"):
-                yield rest.partition(".")[0]
+                yield rest
+
+
+def imported_siblings(path: Path, package: Path) -> set[str]:
+    """First names below a package that one of its modules imports, less its own."""
+    prefix = ".".join(package.relative_to(ROOT).parts) + "."
+    own = component(path.relative_to(package).parts)
+    names = {
+        name.removeprefix(prefix).partition(".")[0]
+        for name in imported_modules(path.read_text(encoding="utf-8"))
+        if name.startswith(prefix)
+    }
+    modules = {component((p.name,)) for p in package.iterdir()}
+    return (names & modules) - {own}
+
+
+def component(parts: tuple[str, ...]) -> str:
+    """The first name below a package; a folder counts as one."""
+    return parts[0].removesuffix(".py")
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_module_imports_only_what_stands_above_it(path):
     own = component(path.relative_to(ROOT).parts)
-    names = [own, *imported_components(path.read_text())]
+    names = [own, *map(_first, imported_modules(path.read_text(encoding="utf-8")))]
     for name in names:
         assert name in ORDER, f"place {name!r} in ORDER and in the layout of the docs"
     for name in names:
         assert ORDER.index(name) <= ORDER.index(own), f"{own} must not import {name}"
+
+
+def _first(name: str) -> str:
+    return name.partition(".")[0]
+
+
+@pytest.mark.parametrize(
+    "package",
+    [package for package in PACKAGES if package != COMMANDS],
+    ids=lambda p: str(p.relative_to(ROOT)),
+)
+def test_the_modules_of_a_package_can_be_put_in_an_order(package):
+    """No circle among modules and subpackages: each imports only what comes before."""
+    imports = {}
+    for path in package.rglob("*.py"):
+        if path != package / "__init__.py":
+            own = component(path.relative_to(package).parts)
+            imports.setdefault(own, set()).update(imported_siblings(path, package))
+    try:
+        graphlib.TopologicalSorter(imports).prepare()
+    except graphlib.CycleError as error:
+        pytest.fail(" <- ".join(error.args[1]))
+
+
+def test_a_command_does_not_import_another_command():
+    """What two commands share stands beside the folders, and imports none of them."""
+    tangles = set()
+    folders = {path.name for path in COMMANDS.iterdir() if path.is_dir()}
+    for path in COMMANDS.rglob("*.py"):
+        if path not in (COMMANDS / "__init__.py", COMMANDS / "table.py"):
+            own = path.relative_to(COMMANDS).parts[0]
+            imports = imported_siblings(path, COMMANDS) & folders
+            tangles |= {f"{own} -> {name}" for name in imports}
+    assert not tangles - UNTANGLED_LATER
 
 
 def test_import_reader_sees_every_form():
@@ -70,7 +172,18 @@ def test_import_reader_sees_every_form():
         "import pinav.cli\nfrom pinav import runs, __version__\nimport numpy\n"
         "def f():\n    from pinav.fitting.matching.phases import Adam\n"
     )
-    assert sorted(imported_components(source)) == ["cli", "fitting", "runs"]
+    assert sorted(imported_modules(source)) == [
+        "cli",
+        "fitting.matching.phases.Adam",
+        "runs",
+    ]
+
+
+def test_tests_lie_in_folders_named_as_those_of_the_source():
+    folders = {path.parent.relative_to(TESTS) for path in TESTS.rglob("test_*.py")}
+    others = {Path("benchmarks")}  # beside the package, and so beside its tests
+    for folder in folders - others:
+        assert (ROOT / folder).is_dir(), f"no {folder} in the source"
 
 
 def test_importing_pinav_does_not_import_jax():
