@@ -19,7 +19,7 @@ from pinav.navigation.control.simple import (
     LineOfSight,
     StraightLine,
     physics_only,
-    steered,
+    steered_swimmer,
 )
 from pinav.navigation.reference.gaussian_process import gaussian_process
 from pinav.navigation.task.catalogue import TASKS, task, training
@@ -91,9 +91,9 @@ def learned(name: str, draw: int, samples: int, folder: RunFolder) -> Knowledge:
     baseline = gaussian_process(known, data)
     own = task(name)
     return Knowledge(
-        steered(own, model),
-        tuple(steered(own, one) for one in drawn),
-        steered(own, baseline),
+        steered_swimmer(own, model),
+        tuple(steered_swimmer(own, one) for one in drawn),
+        steered_swimmer(own, baseline),
     )
 
 

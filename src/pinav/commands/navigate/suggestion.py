@@ -40,13 +40,13 @@ def suggestion(
         What is expected of it, and its predicted path.
     """
     task = problem.task
-    unknown = PriorField(task.arena, STRENGTH * settings.thrust)
+    prior = PriorField(task.arena, STRENGTH * settings.thrust)
     uncertainty = prior_uncertainty(
         problem.model.dynamics,
         fitted.data,
         fitted.states,
         noise=fitted.noise,
-        unknown=unknown,
+        prior=prior,
     )
     design = _experiment(settings, problem, fitted)
     key = jax.random.fold_in(jax.random.key(settings.seed), 2)
