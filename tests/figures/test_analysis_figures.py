@@ -4,7 +4,7 @@ import pytest
 from pinav import figures
 from pinav.analysis import LyapunovMap, SobolIndices, helmholtz_split
 from pinav.evaluation import FieldMap
-from pinav.figures.analysis import energy_unit
+from pinav.figures.style import force_unit, with_order, with_unit
 
 UNITS = {"x": "um", "y": "um", "t": "s", "vx": "um/s", "vy": "um/s"}
 AXIS = np.linspace(-3.0, 3.0, 21)
@@ -52,10 +52,10 @@ def constants():
     return figures.constants_figure(slopes, field(), path=PATH, units=UNITS)
 
 
-def stretch():
+def exponents():
     values = np.geomspace(0.5, 40.0, AXIS.size**2).reshape(AXIS.size, AXIS.size)
-    found = LyapunovMap(AXIS, AXIS, values, GRID, 20.0)
-    return figures.lyapunov_figure(found, path=PATH, units=UNITS)
+    growth = LyapunovMap(AXIS, AXIS, values, GRID, 20.0)
+    return figures.lyapunov_figure(growth, path=PATH, units=UNITS)
 
 
 FIGURES = {
@@ -64,7 +64,7 @@ FIGURES = {
     "parts": (parts, 3, "$|F|$ [µm s⁻²]"),
     "influence": (influence, 2, r"$|\Delta F|$ [µm s⁻²]"),
     "constants": (constants, 2, r"$|\Delta F|$ per percent [µm s⁻²]"),
-    "stretch": (stretch, 1, r"stretch $\sigma_{\max}(\partial x(T)/\partial x(0))$"),
+    "exponents": (exponents, 1, r"growth of separations, $e^{\lambda T}$"),
 }
 
 
@@ -91,14 +91,14 @@ def test_the_most_influential_trajectories_come_first():
     assert titles == ["without trajectory 1", "without trajectory 2"]
 
 
-def test_stretch_is_on_a_logarithmic_scale_with_plain_labels():
-    figure = stretch()
+def test_growth_is_on_a_logarithmic_scale_with_plain_labels():
+    figure = exponents()
     figure.canvas.draw()
-    (bar,) = (ax for ax in figure.axes if ax.get_xlabel().startswith("stretch"))
+    (bar,) = (ax for ax in figure.axes if ax.get_xlabel().startswith("growth"))
     assert bar.get_xscale() == "log"
     labels = [text.get_text() for text in bar.get_xticklabels()]
     assert {"1", "10"} <= set(labels)
-    assert maps(figure)[0].get_title(loc="left") == "by the start, $T$ = 20 [s]"
+    assert maps(figure)[0].get_title(loc="left") == "Lyapunov exponent, $T$ = 20 [s]"
 
 
 def test_bars_have_intervals_and_leave_out_what_does_not_vary():
@@ -126,5 +126,15 @@ def test_bars_have_intervals_and_leave_out_what_does_not_vary():
 
 
 def test_energy_units():
-    assert energy_unit(UNITS) == "um² s⁻²"
-    assert energy_unit({}) == "1"
+    assert force_unit(UNITS, lengths=2) == "um² s⁻²"
+    assert force_unit({}, lengths=2) == "1"
+
+
+def test_a_force_of_first_order_is_a_velocity():
+    assert force_unit(with_order(UNITS, 1)) == "um s⁻¹"
+    assert force_unit(with_order(UNITS, 2)) == "um s⁻²"
+
+
+def test_a_unit_that_is_not_stated_is_not_drawn():
+    assert force_unit({"x": "?", "t": "?"}) == "?"
+    assert with_unit("$|F|$", "?") == "$|F|$"

@@ -11,6 +11,8 @@ $\Sigma_s = \sigma^2 (\Phi^\top\Phi)^{-1}$ over those samples. What is observed 
 noise $\sigma$ on top.
 """
 
+from statistics import NormalDist
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -23,9 +25,13 @@ from pinav.fitting import FreeModel, Observations, Posterior
 from pinav.fitting.bayes.multiple_shooting import linearise, sensitivities
 from pinav.trajectories import Trajectories
 
-NOMINAL, NORMAL_QUANTILE = 0.95, 1.959963984540054
-"""Nominal coverage, and the standard deviations on either side that a normal
-distribution needs for it."""
+NOMINAL = 0.95
+"""Nominal coverage of bands."""
+
+
+def normal_quantile(coverage: float = NOMINAL) -> float:
+    """Standard deviations on either side that hold this part of a normal variable."""
+    return NormalDist().inv_cdf((1.0 + coverage) / 2.0)
 
 
 class Bands(eqx.Module):
@@ -130,7 +136,7 @@ def inside_band(
 ) -> Bool[np.ndarray, "*shape"]:
     """Which errors lie inside the nominal 95 % band; what is not finite does not."""
     usable = np.isfinite(errors) & np.isfinite(sd)
-    inside = np.abs(np.where(usable, errors, 0.0)) <= NORMAL_QUANTILE * np.where(
+    inside = np.abs(np.where(usable, errors, 0.0)) <= normal_quantile() * np.where(
         usable, sd, 0.0
     )
     return usable & inside

@@ -13,12 +13,9 @@ from matplotlib.ticker import LogFormatter
 from pinav.figures.style import (
     BLACK,
     BLUE,
-    GREEN,
     GREY,
-    ORANGE,
-    PURPLE,
-    SKY,
     SMALL,
+    SPARE,
     THIN,
     VERMILLION,
     WIDE,
@@ -29,7 +26,6 @@ from pinav.figures.style import (
     title_panel,
 )
 
-COLORS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, GREY, BLACK)
 ISOTHERMS = (39.0, 41.0, 43.0, 45.0, 47.0)
 """Temperatures [°C] that are marked."""
 
@@ -156,7 +152,7 @@ def probe_curves(
     """
     ax = prepare_axes(ax)
     for index, name in enumerate(names):
-        color = COLORS[index % len(COLORS)]
+        color = SPARE[index % len(SPARE)]
         if readings is not None:
             at, values = readings
             ax.plot(at / 60, values[:, index], ".", color=color, ms=2, alpha=0.5)

@@ -7,6 +7,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
 
+from pinav.evaluation import normal_quantile
 from pinav.figures.style import (
     BLACK,
     BLUE,
@@ -23,7 +24,7 @@ from pinav.figures.style import (
     with_unit,
 )
 
-HALF_WIDTH_90 = 1.645
+HALF_WIDTH_90 = normal_quantile(0.9)
 """Of a band of 90 % along one axis, in standard deviations."""
 
 

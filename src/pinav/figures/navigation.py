@@ -19,11 +19,8 @@ from pinav.figures.style import (
     BLACK,
     BLUE,
     DIMENSIONLESS,
-    GREEN,
     GREY,
     ORANGE,
-    PURPLE,
-    SKY,
     SMALL,
     THIN,
     VERMILLION,
@@ -34,19 +31,10 @@ from pinav.figures.style import (
     label_axes,
     new_figure,
     prepare_axes,
+    style_of,
     title_panel,
     with_unit,
 )
-
-COLORS = {
-    "learned": BLUE,
-    "oracle": GREEN,
-    "physics only": PURPLE,
-    "straight line": ORANGE,
-    "line of sight": VERMILLION,
-    "Gaussian process": SKY,
-}
-"""Of controllers, in every figure alike."""
 
 
 class Course:
@@ -182,7 +170,7 @@ def paths_map(
         first = name == "oracle"
         width, order = (WIDE, 2.1) if first else (THIN, 2.2)
         for path in runs:
-            (line,) = ax.plot(*path.T, color=COLORS.get(name, GREY), alpha=0.75)
+            (line,) = ax.plot(*path.T, color=style_of(name).color, alpha=0.75)
             line.set(linewidth=width, zorder=order)
     course.draw(ax)
     return ax
@@ -261,7 +249,7 @@ def closed_loop_figure(
         sd = arrays["field/sd"]
         spread_map(learned, sd, course, suggestion=suggestion, ax=ax, **options)
         title_panel(ax, f"({next(letters)}) its standard deviation")
-    keys = [Line2D([], [], color=COLORS.get(n, GREY), lw=1.5, label=n) for n in paths]
+    keys = [Line2D([], [], color=style_of(n).color, lw=1.5, label=n) for n in paths]
     keys += figure.axes[panels - 1].get_legend_handles_labels()[0]
     figure.legend(
         handles=keys,
@@ -301,7 +289,7 @@ def outcome_bars(
         prepare_axes(ax)
     places = list(reversed(range(len(names))))
     for place, name in zip(places, names, strict=True):
-        color = COLORS.get(name, GREY)
+        color = style_of(name).color
         found = rows[name]["success"]
         left.barh(place, 100 * found["value"], color=color, height=0.6)
         left.hlines(place, 100 * found["lower"], 100 * found["upper"], color=BLACK)

@@ -21,13 +21,13 @@ class LinearForce(AbstractForce):
         return self.matrix @ x
 
 
-def test_stretch_of_a_linear_flow_is_that_of_its_exponential():
+def test_growth_in_a_linear_flow_is_that_of_its_exponential():
     flow = OverdampedSwimmer(ZeroForce(), LinearForce(jnp.asarray(MATRIX)), 1.0)
     axis = np.linspace(-1.0, 1.0, 3)
     found = lyapunov_map(flow, axis, axis, TIMES)
     exact = scipy.linalg.expm(2.0 * MATRIX)
     stretch = np.linalg.svd(exact, compute_uv=False)[0]
-    assert np.allclose(found.stretch, stretch, rtol=1e-7)
+    assert np.allclose(found.separation, stretch, rtol=1e-7)
     assert np.allclose(found.exponent, np.log(stretch) / 2.0, rtol=1e-6)
     assert found.horizon == 2.0
     grid = np.stack(np.meshgrid(axis, axis), axis=-1)
@@ -38,7 +38,7 @@ def test_drag_alone_keeps_positions_apart():
     coasting = Swimmer(ZeroForce(), LinearDrag(0.5), ZeroForce())
     axis = np.linspace(0.0, 1.0, 2)
     found = lyapunov_map(coasting, axis, axis, TIMES, velocity=lambda x: -x)
-    assert np.allclose(found.stretch, 1.0, atol=1e-12)
+    assert np.allclose(found.separation, 1.0, atol=1e-12)
     assert np.allclose(found.exponent, 0.0, atol=1e-12)
 
 
@@ -66,8 +66,8 @@ def test_a_rollout_that_is_not_finite_is_left_blank():
             return jnp.where(y[:1] > 0.5, jnp.nan, 1.0) * y
 
     found = lyapunov_map(Trap(), np.array([0.0, 1.0]), np.zeros(1), TIMES)
-    assert np.isnan(found.stretch[0, 1])
-    assert np.isfinite(found.stretch[0, 0])
+    assert np.isnan(found.separation[0, 1])
+    assert np.isfinite(found.separation[0, 0])
 
 
 def test_bad_input_is_refused():
