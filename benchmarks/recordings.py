@@ -90,8 +90,8 @@ def timed(file: Path, options: Options) -> dict[str, Any]:
     out = options.out / name.replace("/", "-")
     known = KNOWN.get(file.parent.name, ())
     inspected = _run("inspect", file, out / "inspect", known)
-    extra = (*known, "--ladder") if options.ladder else known
-    fitted = _run("fit", file, out / "fit", extra)
+    extra = (*known, "--baselines") if options.ladder else known
+    fitted = _run("identify", file, out / "fit", extra)
     metrics = out / "fit" / "metrics.json"
     scores = _scores(json.loads(metrics.read_text())) if metrics.is_file() else {}
     return {"recording": name, "inspect": inspected, "fit": fitted, **scores}

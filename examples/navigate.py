@@ -15,7 +15,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # one pool of threads: see t
 import tempfile
 from pathlib import Path
 
-import equinox as eqx
 import jax
 import numpy as np
 
@@ -44,10 +43,8 @@ from pinav.navigation.trials.metrics import regret, summary
 # %%
 crossing = task("barrier-weak")
 data = training("barrier-weak", jax.random.key(1))
-unknown = eqx.tree_at(
-    lambda s: s.environment,
-    crossing.truth.dynamics,
-    kernel_environment(KernelPotential, data),
+unknown = crossing.truth.dynamics.with_environment(
+    kernel_environment(KernelPotential, data)
 )
 fit = fit_bayes(unknown, data)
 model = steered(crossing, fit.model)

@@ -8,7 +8,6 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # one pool of threads: see the docs
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -31,16 +30,14 @@ data = Trajectories.from_arrays(
 )
 
 environment = kernel_environment(KernelPotential, data)
-unknown = eqx.tree_at(
-    lambda swimmer: swimmer.environment, scenario.swimmer, environment
-)
+unknown = scenario.swimmer.with_environment(environment)
 result = fit_bayes(unknown, data)
-print(f"{result.outcome.name.lower()} after {result.iterations} iterations")
+print(f"{result.outcome} after {result.iterations} iterations")
 
 points = np.array([[3.0, 5.0], [5.0, 3.0], [6.5, 6.5]])
 sd = result.posterior.force_sd(points)
 for point, spread in zip(points, sd, strict=True):
     x, v = jnp.asarray(point), jnp.zeros(2)
     learned = np.asarray(result.model.environment(0.0, x, v))
-    true = np.asarray(scenario.swimmer.environment(0.0, x, v))
+    true = np.asarray(scenario.environment(0.0, x, v))
     print(f"at {point}: learned {learned} ± {spread}, true {true}")

@@ -46,9 +46,9 @@ scenario = eqx.tree_at(
 )
 data = simulate(scenario, key=jax.random.key(1))
 environment = kernel_environment(KernelForce, data, KernelGrid(across=8, margin=3.0))
-unknown = eqx.tree_at(lambda s: s.environment, scenario.swimmer, environment)
+unknown = scenario.swimmer.with_environment(environment)
 fit = fit_bayes(unknown, data)
-print(f"{fit.outcome.name.lower()} after {fit.iterations} iterations")
+print(f"{fit.outcome} after {fit.iterations} iterations")
 
 # %% [markdown]
 # ## Which part is a gradient?

@@ -15,6 +15,7 @@ import hypothesis
 import jax
 import jaxtyping
 import pytest
+from tests.fitted_runs import FittedRuns
 
 jax.config.update("jax_enable_x64", val=True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
@@ -26,16 +27,18 @@ hypothesis.settings.load_profile("no deadline")  # other work may slow the machi
 
 
 def pytest_configure(config):
-    """One cache of compiled code for this run of the tests, subprocesses included."""
+    """One folder of compiled code and fitted runs for this call and its workers."""
     if not hasattr(config, "workerinput"):
         folder = tempfile.mkdtemp(prefix="pinav-tests-")
-        os.environ["JAX_COMPILATION_CACHE_DIR"] = folder
-        jax.config.update("jax_compilation_cache_dir", folder)
+        os.environ["PINAV_TESTS"] = folder
+        os.environ["JAX_COMPILATION_CACHE_DIR"] = os.path.join(folder, "compiled")
+    folder = os.environ["JAX_COMPILATION_CACHE_DIR"]
+    jax.config.update("jax_compilation_cache_dir", folder)
 
 
 def pytest_unconfigure(config):
     if not hasattr(config, "workerinput"):
-        shutil.rmtree(os.environ["JAX_COMPILATION_CACHE_DIR"], ignore_errors=True)
+        shutil.rmtree(os.environ["PINAV_TESTS"], ignore_errors=True)
 
 
 RECORDINGS = Path(
@@ -67,16 +70,25 @@ def paper_trajectories():
 
 
 @pytest.fixture(scope="session")
-def tiny_fit(tmp_path_factory):
-    """A run of `pinav fit` with a few steps, and the file that it was fitted to."""
-    from pinav import cli
+def fitted_runs():
+    """Runs that were fitted once for all tests and workers (tests/fitted_runs.py)."""
+    return FittedRuns(Path(os.environ["PINAV_TESTS"]) / "runs")
 
-    folder = tmp_path_factory.mktemp("fit")
-    data, run = folder / "data.csv", folder / "run"
-    assert cli.run(["simulate", "paper", "--out", str(data), "--noise", "0.01"]) == 0
-    steps = ["--recipe", "paper", "--adam-steps", "10", "--lbfgs-steps", "2"]
-    argv = ["fit", str(data), "--out", str(run), "--model", "ude", *steps]
-    argv += ["--learn", "damping"]
-    with jax.numpy_dtype_promotion("standard"):
-        assert cli.run(argv) == 0
-    return run, data
+
+@pytest.fixture
+def fitted_run(fitted_runs, tmp_path_factory):
+    """A copy of one of `RUNS`, which the test may change, and the path of its data.
+
+    A module whose tests only read one run makes a fixture of its own:
+
+        @pytest.fixture(scope="module")
+        def run(fitted_runs, tmp_path_factory):
+            return fitted_runs.copy("kernel", tmp_path_factory.mktemp("run"))[0]
+    """
+    return lambda name: fitted_runs.copy(name, tmp_path_factory.mktemp(name))
+
+
+@pytest.fixture(scope="session")
+def tiny_fit(fitted_runs, tmp_path_factory):
+    """The run `network` and its data, to be read alone."""
+    return fitted_runs.copy("network", tmp_path_factory.mktemp("fit"))

@@ -1,3 +1,4 @@
+import ast
 import json
 import os
 import subprocess
@@ -9,8 +10,13 @@ from pathlib import Path
 import pytest
 
 from pinav import __version__, cli
-from pinav.commands import dispatch as commands
-from pinav.commands.parsing import FitOptions, ReproduceOptions, parse
+from pinav.commands import COMMANDS, dispatch
+from pinav.commands.command import resolve
+from pinav.commands.fit.settings import FitOptions
+from pinav.commands.identify.settings import IdentifyOptions
+from pinav.commands.parsing import parse
+from pinav.commands.reproduce.settings import ReproduceOptions
+from pinav.commands.settings import Settings
 from pinav.errors import InputError
 
 
@@ -35,20 +41,20 @@ def test_help_is_quick_and_loads_nothing_heavy():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert time.perf_counter() - start < 2.0  # 0.03 s alone; generous under load
-    assert all(name in done.stdout for name in cli.COMMANDS)
+    assert all(command.name in done.stdout for command in COMMANDS)
 
 
 def test_every_command_explains_itself_without_jax(capsys):
     code = (
         "import sys, pinav.cli\n"
-        "for name in pinav.cli.COMMANDS:\n"
-        "    assert pinav.cli.run([name, '--help']) == 0\n"
+        "for command in pinav.cli.COMMANDS:\n"
+        "    assert pinav.cli.run([command.name, '--help']) == 0\n"
         "heavy = {'jax', 'numpy', 'matplotlib'} & set(sys.modules)\n"
         "sys.exit(f'imported {heavy}' if heavy else 0)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.count("usage: pinav") == len(cli.COMMANDS)
+    assert done.stdout.count("usage: pinav") == len(COMMANDS)
 
 
 def test_version(capsys):
@@ -56,9 +62,25 @@ def test_version(capsys):
     assert capsys.readouterr().out == f"pinav {__version__}\n"
 
 
-def test_every_listed_command_has_a_handler():
-    own_words = {"bench"}  # what it runs parses its own options
-    assert commands.HANDLERS.keys() | own_words == cli.COMMANDS.keys()
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.name)
+def test_every_part_of_a_command_can_be_imported(command):
+    assert issubclass(resolve(command.options), Settings)
+    assert callable(resolve(command.run))
+    assert command.report is None or callable(resolve(command.report))
+    assert not command.title or command.report is not None
+
+
+def test_no_name_of_a_command_is_spelled_outside_its_folder():
+    names = {command.name for command in COMMANDS}
+    root, tasks_of_heat = Path(cli.__file__).parent, ("simulate",)
+    spelled = []
+    for path in [*root.glob("commands/**/*.py"), root / "cli.py", root / "runs.py"]:
+        place = path.relative_to(root)
+        for node in ast.walk(ast.parse(path.read_text())):
+            name = node.value if isinstance(node, ast.Constant) else None
+            if name in names and name not in (*place.parts, *tasks_of_heat):
+                spelled.append(f"{place}:{node.lineno}: {name}")
+    assert not spelled
 
 
 @pytest.mark.parametrize(
@@ -141,28 +163,27 @@ def test_an_interruption_says_how_to_go_on(capsys, monkeypatch):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(commands, "dispatch", interrupt)
+    monkeypatch.setattr(dispatch, "execute", interrupt)
     assert (
         cli.run(["fit", "my data.csv", "--out", "r", "--overwrite"]) == cli.INTERRUPTED
     )
     line = capsys.readouterr().err
-    assert line.endswith("go on with: pinav fit 'my data.csv' --out r --resume\n")
+    assert line.endswith("continue with: pinav fit 'my data.csv' --out r --resume\n")
 
 
 def test_a_config_file_of_a_recording_sets_how_it_is_read_and_split(tmp_path):
     config = tmp_path / "c.toml"
-    config.write_text('job = "recording"\nshare = 0.6\nfps = 20.0\nnoise = 0.3\n')
+    config.write_text('share = 0.6\nfps = 20.0\n[run]\ncommand = "identify"\n')
     argv = ["d.csv", "--out", "o", "--config", str(config), "--share", "0.8"]
-    parsed = parse(FitOptions, argv, "pinav fit")
+    parsed = parse(IdentifyOptions, argv, "pinav identify")
     assert parsed is not None
-    assert parsed.rungs.share == 0.8
+    assert parsed.settings.share == 0.8
     assert parsed.recording.fps == 20.0
-    assert parsed.settings.noise == 0.3
 
 
 def test_a_config_file_sets_and_options_win(tmp_path):
     config = tmp_path / "c.toml"
-    config.write_text('seeds = [7, 8]\nadam_steps = 5\njob = "reproduce"\n')
+    config.write_text('seeds = [7, 8]\nadam_steps = 5\n[run]\ncommand = "reproduce"\n')
     argv = ["--config", str(config), "--adam-steps", "7500"]
     options = parse(ReproduceOptions, argv, "pinav reproduce")
     assert options is not None

@@ -10,7 +10,7 @@ import pytest
 from pinav.errors import InputError
 from pinav.runs import RunFolder, environment
 
-CONFIG = {"job": "test", "seeds": [1, 2], "recipe": "paper"}
+CONFIG = {"run": {"command": "test"}, "seeds": [1, 2], "recipe": "paper"}
 
 
 @pytest.fixture

@@ -11,8 +11,8 @@ import pytest
 
 from pinav.dynamics import FixedStep
 from pinav.evaluation import field_map, force_errors
-from pinav.fitting import BayesOutcome, fit_bayes, kernel_environment
-from pinav.fitting.bayes.multiple_shooting import freed, linearise
+from pinav.fitting import Outcome, fit_bayes, kernel_environment
+from pinav.fitting.engine.multiple_shooting import freed, linearise
 from pinav.fitting.matching.objectives import Observations
 from pinav.forces import GaussianBarrier, KernelForce, KernelPotential
 from pinav.scenarios import barrier_crossings
@@ -39,7 +39,7 @@ def two_barriers():
     barriers = GaussianBarrier(4.0, [3.0, 3.5], 1.5) + GaussianBarrier(
         -3.0, [7.5, 6.5], 2.0
     )
-    return eqx.tree_at(lambda s: s.truth.environment, barrier_crossings(), barriers)
+    return barrier_crossings().with_truth(barriers)
 
 
 class Case(NamedTuple):
@@ -90,8 +90,8 @@ def row(case, seed):
         (kernel_environment(case.kind, data), *constants),
     )
     found = fit_bayes(model, data, learn=case.learn)
-    assert found.outcome is BayesOutcome.CONVERGED
-    true = field_map(scenario.swimmer.environment, clean, limits=LIMITS)
+    assert found.outcome is Outcome.CONVERGED
+    true = field_map(scenario.true_swimmer.environment, clean, limits=LIMITS)
     learned = field_map(found.model.environment, clean, limits=LIMITS)
     points = np.stack(np.meshgrid(true.x, true.y), axis=-1).reshape(-1, 2)
     sd = found.posterior.force_sd(points).reshape(true.force.shape)
@@ -122,7 +122,7 @@ def z_of_the_true_law(scenario, clean, data, points):
     Linear about the truth, so exactly normal: no honest band can do better on a draw
     of the noise that this estimator finds unlucky.
     """
-    free, theta = freed(scenario.swimmer, lambda model: model.environment)
+    free, theta = freed(scenario.true_swimmer, lambda model: model.environment)
     observations = Observations.of(data, jnp.float64)
     states = jnp.asarray(clean.states)
     linear = linearise(free, theta, states, observations, FixedStep())

@@ -44,7 +44,7 @@ def observe(environment, seed, *, columns=4, trajectories=8, samples=201):
     """Noisy crossings of a given force, and the swimmer without it."""
     scenario = barrier_crossings()
     scenario = eqx.tree_at(
-        lambda s: (s.truth.environment, s.starts, s.times),
+        lambda s: (s.environment, s.starts, s.times),
         scenario,
         (environment, scenario.starts[:trajectories], scenario.times[:samples]),
     )
@@ -57,12 +57,12 @@ def observe(environment, seed, *, columns=4, trajectories=8, samples=201):
 
 def discovered(environment, seed, *, kind: Any = KernelPotential, **options):
     known, data = observe(environment, seed, **options)
-    model = eqx.tree_at(lambda m: m.environment, known, kernel_environment(kind, data))
+    model = known.with_environment(kernel_environment(kind, data))
     assert isinstance(model, Swimmer)
     found = discover(fit_bayes(model, data).posterior, data)
     print(environment, seed, found.verdict, found.central)
     for c in found.candidates:
-        print("  ", c.name, round(c.delta_bic, 2), c.outcome.value, c.fits)
+        print("  ", c.name, round(c.delta_bic, 2), c.outcome, c.fits)
     for own in found.best.constants:
         print("    ", own.name, own.value, own.sd, own.identifiable)
     return found
@@ -71,7 +71,7 @@ def discovered(environment, seed, *, kind: Any = KernelPotential, **options):
 def test_barrier_from_noisy_positions_over_five_seeds():
     inside = 0
     for seed in range(5):
-        found = discovered(paper().swimmer.environment, seed, columns=2)
+        found = discovered(paper().true_swimmer.environment, seed, columns=2)
         (gaussian,) = (c for c in found.candidates if c.law is GAUSSIAN)
         assert gaussian.delta_bic < 6.0
         values = np.array([own.value for own in gaussian.constants])
@@ -111,7 +111,7 @@ def test_barrier_from_the_papers_single_trajectory():
 @pytest.mark.parametrize("seed", range(2))
 def test_rotational_term_is_found(seed):
     swirl = LawForce(ROTATIONS[0], jnp.array([0.15, 5.0, 5.0, 2.5]))
-    truth = paper().swimmer.environment + swirl
+    truth = paper().true_swimmer.environment + swirl
     found = discovered(truth, seed, kind=KernelForce)
     assert "swirl" in found.best.name
     assert found.best.fits
@@ -124,6 +124,6 @@ def test_says_that_no_law_fits():
 
 
 def test_few_data_identify_nothing():
-    environment = paper().swimmer.environment
+    environment = paper().true_swimmer.environment
     found = discovered(environment, 0, columns=2, trajectories=1, samples=15)
     assert found.verdict is Verdict.NOT_IDENTIFIABLE

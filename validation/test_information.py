@@ -7,6 +7,8 @@ distribution; random ones, too, are drawn until the model expects them to stay i
 the arena. The route is the straight way across `many-barriers` and the same for both.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -15,7 +17,7 @@ import pytest
 
 from pinav.actuation import LinearResponse
 from pinav.fitting import fit_bayes, kernel_environment
-from pinav.forces import KernelPotential, ZeroForce
+from pinav.forces import KernelPotential
 from pinav.navigation.design.candidates import (
     CandidateTrajectories,
     Experiment,
@@ -26,7 +28,8 @@ from pinav.navigation.design.information import inside, suggest
 from pinav.navigation.design.prior import PriorField, prior_uncertainty
 from pinav.navigation.task.steering import CommandLimits, RollingActuator
 from pinav.navigation.task.zones import Rectangle
-from pinav.scenarios import DIMENSIONLESS, PLANAR_CHANNELS, Scenario, many_barriers
+from pinav.scenarios import many_barriers
+from pinav.systems import Observation, System
 from pinav.trajectories import concatenate, simulate
 
 ARENA = Rectangle([0.0, 0.0], [20.0, 20.0])
@@ -57,7 +60,7 @@ class Laboratory:
         first, self.noises, self.choices = jax.random.split(jax.random.key(seed), 3)
         self.candidates: list[CandidateTrajectories] = []
         self.data = []
-        empty = eqx.tree_at(lambda s: s.environment, self.truth, ZeroForce())
+        empty = self.truth.without_environment()
         for _ in range(KNOWN):
             first, key = jax.random.split(first)
             self.record(self.random(empty, key))
@@ -86,14 +89,15 @@ class Laboratory:
         index = len(self.candidates)
         begin = float(begins(self.experiment, index + 1)[index])
         thrust = self.experiment.thrust(candidate, begin)
-        made = Scenario(
+        driven = dataclasses.replace(self.truth, propulsion=thrust)
+        made = System(
             name="many-barriers",
-            truth=eqx.tree_at(lambda s: s.propulsion, self.truth, thrust),
+            swimmer=driven.without_environment(),
+            dim=2,
+            environment=driven.environment,
+            observation=Observation(NOISE),
             starts=candidate.starts[None],
             times=self.experiment.times + begin,
-            noise=NOISE,
-            channels=PLANAR_CHANNELS,
-            units=DIMENSIONLESS,
         )
         self.candidates.append(candidate)
         self.data.append(simulate(made, key=jax.random.fold_in(self.noises, index)))

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -34,20 +33,22 @@ def observed(name):
 
 def with_kernels(swimmer, kind, data, dim=None):
     environment = kernel_environment(kind, data, dim=dim)
-    return eqx.tree_at(lambda s: s.environment, swimmer, environment)
+    return swimmer.with_environment(environment)
 
 
 def differences(name, models, tmp_path):
     """Nats by which the second model of each verdict beats the first."""
     settings = CompareSettings(models=models)
-    folder = RunFolder.create(tmp_path / "run", {"job": "compare"}, overwrite=False)
+    folder = RunFolder.create(
+        tmp_path / "run", {"run": {"command": "compare"}}, overwrite=False
+    )
     verdicts = compare(settings, observed(name)[1], folder)["verdicts"]
     return [verdict["difference"] for verdict in verdicts]
 
 
 def test_swirl_has_its_rotational_fraction():
     made, data = observed("swirl")
-    environment: Any = made.swimmer.environment
+    environment: Any = made.true_swimmer.environment
     found = fit_bayes(with_kernels(made.swimmer, KernelMixture, data), data)
     field = field_map(found.model.environment, data)
     visited = field.distance <= VISITED
@@ -74,7 +75,9 @@ def test_crossings_need_an_environment_and_networks_cost_no_more_than_kernels(tm
     settings = CompareSettings(
         models=("physics-only", "kernel-potential", "neural-potential", "neural-force")
     )
-    folder = RunFolder.create(tmp_path / "run", {"job": "compare"}, overwrite=False)
+    folder = RunFolder.create(
+        tmp_path / "run", {"run": {"command": "compare"}}, overwrite=False
+    )
     rows = compare(settings, observed("barrier-crossings")[1], folder)["models"]
     values = {name: row["log_evidence"] for name, row in rows.items()}
     print(values)
@@ -109,8 +112,8 @@ def test_brownian_diffusion_and_force():
     found = fit_langevin(model, data)
     truth: Any = made.truth
     true = truth.diffusion(made.starts[0])[0, 0]
-    assert found.diffusion.value == pytest.approx(float(true), rel=0.15)
-    truth = field_map(made.swimmer.environment, data)
+    assert found.constants["diffusion"].value == pytest.approx(float(true), rel=0.15)
+    truth = field_map(made.true_swimmer.environment, data)
     errors = force_errors(field_map(found.model.environment, data), truth)
     try:
         smooth = fit_bayes(model, data, throw=False)

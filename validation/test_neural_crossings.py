@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pinav.evaluation import field_map, force_errors
-from pinav.fitting import BayesOutcome, fit_bayes, neural_environment
+from pinav.fitting import Outcome, fit_bayes, neural_environment
 from pinav.forces import NeuralForce, NeuralPotential
 from pinav.scenarios import barrier_crossings
 from pinav.trajectories import Trajectories, simulate
@@ -44,12 +44,12 @@ def row(kind, columns, seed):
         observed=observed,
     )
     network = neural_environment(kind, data, key=jax.random.key(seed))
-    model = eqx.tree_at(lambda s: s.environment, scenario.truth, network)
+    model = scenario.swimmer.with_environment(network)
     started = time.perf_counter()
     found = fit_bayes(model, data)
     seconds = time.perf_counter() - started
-    assert found.outcome is BayesOutcome.CONVERGED
-    true = field_map(scenario.swimmer.environment, clean, limits=LIMITS)
+    assert found.outcome is Outcome.CONVERGED
+    true = field_map(scenario.true_swimmer.environment, clean, limits=LIMITS)
     learned = field_map(found.model.environment, clean, limits=LIMITS)
     points = np.stack(np.meshgrid(true.x, true.y), axis=-1).reshape(-1, 2)
     sd = found.posterior.force_sd(points).reshape(true.force.shape)

@@ -83,7 +83,7 @@ def covered(name, kind, seed):
         lambda s: s.environment, made.swimmer, kernel_environment(kind, data)
     )
     found = fit_bayes(model, data, throw=False)
-    true = field_map(made.swimmer.environment, data)
+    true = field_map(made.true_swimmer.environment, data)
     learned = field_map(found.model.environment, data)
     points = np.stack(np.meshgrid(true.x, true.y), axis=-1).reshape(-1, 2)
     sd = found.posterior.force_sd(points).reshape(true.force.shape)

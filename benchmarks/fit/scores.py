@@ -17,14 +17,14 @@ from pinav.forces import (
     PositionTimeFeatures,
     tanh_network,
 )
-from pinav.scenarios import Scenario
+from pinav.systems import System
 from pinav.trajectories import simulate
 
 LIMITS = {"paper": None, "barrier-crossings": (-2.0, 12.0, -2.0, 12.0)}
 """Of the force map [L]; around the data unless given."""
 
 
-def scores(scenario: Scenario, arrays: Mapping[str, np.ndarray]) -> dict[str, float]:
+def scores(scenario: System, arrays: Mapping[str, np.ndarray]) -> dict[str, float]:
     """Errors of a learned model, whatever its data were.
 
     Rollouts start at the true starts and are compared with the clean truth.
@@ -37,7 +37,7 @@ def scores(scenario: Scenario, arrays: Mapping[str, np.ndarray]) -> dict[str, fl
         `rmse` of all states, and `force`, the relative error on visited ground.
     """
     clean = simulate(eqx.tree_at(lambda s: s.noise, scenario, 0.0))
-    truth: Any = scenario.swimmer
+    truth: Any = scenario.true_swimmer
     learned = rebuilt(truth, arrays)
     limits = LIMITS[scenario.name]
     learned_map, true_map = (
@@ -53,7 +53,7 @@ def scores(scenario: Scenario, arrays: Mapping[str, np.ndarray]) -> dict[str, fl
 def rebuilt(known: Swimmer, arrays: Mapping[str, np.ndarray]) -> Swimmer:
     """The swimmer that a contestant's arrays describe, in float64."""
     if "weight0" in arrays:
-        return eqx.tree_at(lambda s: s.environment, known, _neural_force(arrays))
+        return known.with_environment(_neural_force(arrays))
     environment = KernelPotential(
         jnp.asarray(arrays["weights"]),
         jnp.asarray(arrays["centers"]),

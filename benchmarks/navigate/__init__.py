@@ -64,7 +64,7 @@ def main(argv: Sequence[str]) -> None:
     options.check()
     jax.config.update("jax_enable_x64", val=True)
     numbers = {name: getattr(options, name) for name in ("fits", "seeds", "samples")}
-    config = {"job": "bench-navigate", **numbers}
+    config = {"run": {"command": "bench-navigate"}, **numbers}
     folder = RunFolder.resume(options.out, config)
     design = Contest(options.fits, options.seeds, options.samples)
     results = {}

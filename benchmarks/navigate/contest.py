@@ -74,12 +74,14 @@ class Knowledge(eqx.Module):
 
 
 def learned(name: str, draw: int, samples: int, folder: RunFolder) -> Knowledge:
-    """Fit a task's surroundings; a fit that the folder holds is read."""
+    """Fit a task's time_cost; a fit that the folder holds is read."""
     source = TASKS[name][1]
     data = training(name, jax.random.key(1000 + draw))
     settings = FitSettings(model=MODELS.get(source, "kernel-potential"))
     path = folder.path / "fits" / f"{source}-{draw}"
-    run_folder = RunFolder.resume(path, {"job": "fit", "model": settings.model})
+    run_folder = RunFolder.resume(
+        path, {"run": {"command": "fit"}, "model": settings.model}
+    )
     if not run_folder.has("metrics.json"):
         fit_job.fit(settings, fit_job.prepared(settings, data), run_folder)
     model = run_folder.read_model(MODEL_FILE, build_model)

@@ -17,10 +17,11 @@ from PIL import Image
 
 from pinav.dynamics import BrownianSwimmer, FixedStep, rollout, sample_path
 from pinav.forces import BrinkmanTensor, InFlow, TensorDrag, UniaxialTensor
-from pinav.scenarios import SCENARIOS, Scenario, scenario
+from pinav.scenarios import SCENARIOS, scenario
+from pinav.systems import System
 
 
-def paths(shown: Scenario) -> np.ndarray:
+def paths(shown: System) -> np.ndarray:
     """Positions of all swimmers at the times of the scenario."""
 
     def one(y0, key):
@@ -33,7 +34,7 @@ def paths(shown: Scenario) -> np.ndarray:
     return np.asarray(eqx.filter_jit(jax.vmap(one))(shown.starts, keys))[..., :2]
 
 
-def draw(shown: Scenario, ax: Axes) -> None:
+def draw(shown: System, ax: Axes) -> None:
     """One scenario."""
     lines = paths(shown)
     low, high = lines.min(axis=(0, 1)) - 1, lines.max(axis=(0, 1)) + 1

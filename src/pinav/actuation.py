@@ -6,14 +6,13 @@ the field itself: `AbstractProgramme`. What a robot makes of the frequency is an
 """
 
 import abc
-import math
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from pinav.arguments import Scalar
+from pinav.arguments import Scalar, check_positive
 from pinav.errors import InputError
 
 
@@ -68,19 +67,19 @@ class SaturatingResponse(AbstractResponse):
     r"""Smooth saturation $f / \sqrt{1 + (f / f_c)^2}$: the speed levels off.
 
     Attributes:
-        log_corner: logarithm of the corner frequency $f_c$ [Hz].
+        corner: corner frequency $f_c$ [Hz], positive.
+
+    Raises:
+        InputError: `corner` is a number <= 0.
     """
 
-    log_corner: Scalar
+    corner: Scalar
 
-    @classmethod
-    def of(cls, corner: float) -> "SaturatingResponse":
-        """The response with this corner [Hz]."""
-        return cls(math.log(_positive("SaturatingResponse.of corner", corner)))
+    def __check_init__(self):
+        check_positive(self, "corner")
 
     def __call__(self, frequency):
-        corner = jnp.exp(jnp.asarray(self.log_corner))
-        return frequency / jnp.sqrt(1 + (frequency / corner) ** 2)
+        return frequency / jnp.sqrt(1 + (frequency / self.corner) ** 2)
 
 
 class SlippingResponse(AbstractResponse):
@@ -93,28 +92,28 @@ class SlippingResponse(AbstractResponse):
     saturation ($\rho = 0$).
 
     Attributes:
-        log_corner: logarithm of the corner frequency $f_c$ [Hz].
-        logit_residual: $\log \rho / (1 - \rho)$.
+        corner: corner frequency $f_c$ [Hz], positive.
+        residual: $\rho$, the part of the gain that remains far above the corner.
+
+    Raises:
+        InputError: `corner` is a number <= 0, or `residual` one outside (0, 1).
     """
 
-    log_corner: Scalar
-    logit_residual: Scalar
+    corner: Scalar
+    residual: Scalar
 
-    @classmethod
-    def of(cls, corner: float, residual: float) -> "SlippingResponse":
-        """The response with this corner [Hz] and residual gain, between 0 and 1."""
-        if not 0 < residual < 1:
+    def __check_init__(self):
+        check_positive(self, "corner")
+        if isinstance(self.residual, float | int) and not 0 < self.residual < 1:
             raise InputError(
-                "SlippingResponse.of residual: expected between 0 and 1, got "
-                f"{residual}; for the ends take SaturatingResponse or LinearResponse"
+                "SlippingResponse.residual: expected between 0 and 1, got "
+                f"{self.residual}; for the ends take SaturatingResponse or "
+                "LinearResponse"
             )
-        log_corner = math.log(_positive("SlippingResponse.of corner", corner))
-        return cls(log_corner, math.log(residual / (1 - residual)))
 
     def __call__(self, frequency):
-        residual = 1 / (1 + jnp.exp(-jnp.asarray(self.logit_residual)))
-        saturated = SaturatingResponse(self.log_corner)(frequency)
-        return residual * frequency + (1 - residual) * saturated
+        saturated = SaturatingResponse(self.corner)(frequency)
+        return self.residual * frequency + (1 - self.residual) * saturated
 
 
 class StepOutResponse(AbstractResponse):
@@ -125,25 +124,25 @@ class StepOutResponse(AbstractResponse):
     Without the field strength $f_c$ is an effective parameter.
 
     Attributes:
-        log_corner: logarithm of the step-out frequency $f_c$ [Hz].
+        corner: step-out frequency $f_c$ [Hz], positive.
+
+    Raises:
+        InputError: `corner` is a number <= 0.
 
     References:
         Adler, Proc. IRE 34, 351 (1946).
     """
 
-    log_corner: Scalar
+    corner: Scalar
 
-    @classmethod
-    def of(cls, corner: float) -> "StepOutResponse":
-        """The response with this step-out frequency [Hz]."""
-        return cls(math.log(_positive("StepOutResponse.of corner", corner)))
+    def __check_init__(self):
+        check_positive(self, "corner")
 
     def __call__(self, frequency):
-        corner = jnp.exp(jnp.asarray(self.log_corner))
-        above = (frequency / corner) ** 2 - 1
+        above = (frequency / self.corner) ** 2 - 1
         rounded = (above + jnp.sqrt(above**2 + ROUNDING**2)) / 2
         start = (jnp.sqrt(1 + ROUNDING**2) - 1) / 2  # no slip at rest
-        return frequency - corner * (jnp.sqrt(rounded) - jnp.sqrt(start))
+        return frequency - self.corner * (jnp.sqrt(rounded) - jnp.sqrt(start))
 
 
 ROUNDING = 0.1
@@ -204,7 +203,7 @@ class HeldProgramme(AbstractProgramme):
         self,
         response: AbstractResponse,
         ts: Float[Array, " query"],
-        lag: Float[Array, ""],
+        lag: Scalar,
     ) -> Float[Array, "query 2"]:
         r"""The integral of a command followed with a lag T, $T \dot c' = c - c'$.
 
@@ -216,23 +215,12 @@ class HeldProgramme(AbstractProgramme):
             lag: T [s], positive.
         """
         commands = self.commands(response)
-        behind = self._followed(commands, lag)[:-1]
+        behind = followed(self.times, commands, lag)[:-1]
         intervals = jnp.diff(self.times)[:, None]
         decay = jnp.exp(-intervals / lag)
         missed = (behind - commands[:-1]) * lag * (1 - decay)
         steps = commands[:-1] * intervals + missed
         return _interpolated(ts, self.times, steps, (commands[0], commands[-1]))
-
-    def _followed(self, commands, lag):
-        """What a follower has reached when each command is given."""
-        kept = jnp.exp(-jnp.diff(self.times) / lag)[:, None]
-        kept = jnp.concatenate([jnp.zeros_like(kept[:1]), kept])
-        gained = jnp.concatenate([commands[:1], (1 - kept[1:]) * commands[:-1]])
-
-        def after(first, second):
-            return first[0] * second[0], second[0] * first[1] + second[1]
-
-        return jax.lax.associative_scan(after, (kept, gained))[1]
 
 
 class LinearProgramme(AbstractProgramme):
@@ -273,7 +261,25 @@ def _interpolated(ts, times, steps, ends):
     return inside + before + after
 
 
-def _positive(name: str, value: float) -> float:
-    if not 0 < value < math.inf:
-        raise InputError(f"{name}: expected a finite number > 0, got {value}")
-    return value
+def followed(
+    times: Float[Array, " time"],
+    commands: Float[Array, "time 2"],
+    lag: Scalar,
+) -> Float[Array, "time 2"]:
+    r"""State of a first-order follower, $T \dot c' = c - c'$, at each command's time.
+
+    Args:
+        times: when each command was given [s].
+        commands: c, which hold until the next one; the follower begins at the first.
+        lag: T [s], positive.
+    """
+    kept = jnp.exp(-jnp.diff(times) / lag)[:, None]
+    kept = jnp.concatenate([jnp.zeros_like(kept[:1]), kept])
+    gained = jnp.concatenate([commands[:1], (1 - kept[1:]) * commands[:-1]])
+
+    def after(
+        first: tuple[Array, Array], second: tuple[Array, Array]
+    ) -> tuple[Array, Array]:
+        return first[0] * second[0], second[0] * first[1] + second[1]
+
+    return jax.lax.associative_scan(after, (kept, gained))[1]

@@ -7,22 +7,8 @@ import sys
 from collections.abc import Mapping, Sequence
 
 from pinav import __version__
-
-COMMANDS = {
-    "reproduce": "run the paper's experiment: simulate, train, Table 2, report",
-    "simulate": "write the trajectories of a named scenario to a file",
-    "inspect": "say what a recording holds, before any fit",
-    "fit": "fit a model of the unknown force to trajectories",
-    "evaluate": "say where a fitted run can be trusted, on other trajectories",
-    "analyse": "map what a fit learned, and what it depends on",
-    "compare": "weigh the evidence of several models of the same data",
-    "discover": "find the law behind the learned force of a run",
-    "study": "compare models over the amount of data or of noise",
-    "heat": "bioheat: simulate a case, learn perfusion, optimise a protocol",
-    "navigate": "plan and steer through the force that a run has learned",
-    "report": "draw the figures and the HTML page of a run again",
-    "bench": "run a benchmark and print its table",
-}
+from pinav.commands import COMMANDS
+from pinav.commands.command import Command
 
 USAGE_ERROR, INTERRUPTED = 2, 130
 
@@ -47,23 +33,17 @@ def run(argv: Sequence[str]) -> int:
     if argv[0] in ("-V", "--version"):
         print(f"pinav {__version__}")
         return 0
-    if argv[0] not in COMMANDS:
+    command = command_named(argv[0])
+    if command is None:
         return _complain(
             f"unknown command {argv[0]!r}{_suggestion(argv[0])}; see pinav --help"
         )
-    from importlib import metadata
-
-    # Two pools of threads on the same cores slow small factorisations tenfold.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    if "heat" not in argv[:2]:  # small to compile, and its gradient runs slower then
-        os.environ.update(compiler_flags(os.environ, metadata.version("jaxlib")))
-    if argv[0] != "bench":  # which measures cold processes
-        os.environ.update(compilation_cache(os.environ))
-    from pinav.commands import dispatch as commands
+    _prepare_process(argv)
+    from pinav.commands.dispatch import execute
     from pinav.errors import FitError, InputError
 
     try:
-        commands.dispatch(argv[0], argv[1:])
+        execute(command, argv[1:])
     except InputError as error:
         return _complain(str(error))
     except FitError as error:
@@ -75,8 +55,27 @@ def run(argv: Sequence[str]) -> int:
             "then go on with --resume"
         )
     except KeyboardInterrupt:
-        return _complain(_how_to_go_on(argv), code=INTERRUPTED)
+        return _complain(_how_to_go_on(command, argv), code=INTERRUPTED)
     return 0
+
+
+def command_named(name: str) -> Command | None:
+    """The command of that name, if there is one."""
+    return next((command for command in COMMANDS if command.name == name), None)
+
+
+def _prepare_process(argv: Sequence[str]) -> None:
+    """Set the variables that numerical libraries read when they are imported."""
+    from importlib import metadata
+
+    # Two pools of threads on the same cores slow small factorisations tenfold.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # The second word counts too, because a benchmark may bear the name of a command.
+    commands = [command for word in argv[:2] if (command := command_named(word))]
+    if all(command.compiler_flags for command in commands):
+        os.environ.update(compiler_flags(os.environ, metadata.version("jaxlib")))
+    if commands[0].compilation_cache:
+        os.environ.update(compilation_cache(os.environ))
 
 
 def compiler_flags(environ: Mapping[str, str], jaxlib: str) -> dict[str, str]:
@@ -124,8 +123,8 @@ def compilation_cache(environ: Mapping[str, str]) -> dict[str, str]:
 
 def overview() -> str:
     """What `pinav --help` prints."""
-    width = max(map(len, COMMANDS))
-    lines = [f"  {name:<{width}}  {what}" for name, what in COMMANDS.items()]
+    width = max(len(command.name) for command in COMMANDS)
+    lines = [f"  {c.name:<{width}}  {c.summary}" for c in COMMANDS]
     return "\n".join(
         [
             "usage: pinav COMMAND [options]",
@@ -144,19 +143,18 @@ def overview() -> str:
 def _suggestion(word: str) -> str:
     import difflib
 
-    close = difflib.get_close_matches(word, COMMANDS, n=1)
+    close = difflib.get_close_matches(word, [c.name for c in COMMANDS], n=1)
     return f" (did you mean {close[0]}?)" if close else ""
 
 
-def _how_to_go_on(argv: Sequence[str]) -> str:
-    words = [word for word in argv if word != "--overwrite"]
-    if argv[0] in ("reproduce", "fit", "study"):
-        words += [] if "--resume" in argv else ["--resume"]
-        import shlex
+def _how_to_go_on(command: Command, argv: Sequence[str]) -> str:
+    if not command.resumable:
+        return "interrupted"
+    import shlex
 
-        command = shlex.join(["pinav", *words])
-        return f"interrupted; what was done is saved; go on with: {command}"
-    return "interrupted"
+    words = [word for word in argv if word not in ("--overwrite", "--resume")]
+    line = shlex.join(["pinav", *words, "--resume"])
+    return f"interrupted; what was done is saved; continue with: {line}"
 
 
 def _complain(message: str, code: int = USAGE_ERROR) -> int:

@@ -144,6 +144,15 @@ class RunFolder:
         except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
             raise InputError(f"{path} cannot be read: {error}") from error
 
+    def settings(self) -> dict[str, Any]:
+        """The settings that decided the numbers of the run."""
+        return {key: value for key, value in self.config().items() if key != "run"}
+
+    @property
+    def command(self) -> str:
+        """Name of the command that made the run."""
+        return self.config().get("run", {}).get("command", "")
+
     def write_json(self, name: str, content: Any) -> None:
         """Write a JSON file; a number that is not finite becomes null."""
         text = json.dumps(_finite_json(content), indent=2, allow_nan=False)

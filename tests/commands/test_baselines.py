@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pinav.commands.evaluate.job import evaluate
-from pinav.commands.fit.job import COARSE, text
+from pinav.commands.fit.job import UNDER_RESOLVED, text
 from pinav.commands.fit.settings import FitSettings
 from pinav.commands.models import build_model, fit_model, fitted_summary, model_summary
 from pinav.commands.study.job import study
@@ -60,12 +60,12 @@ def test_a_coarse_fit_says_so():
         "noise": 0.02,
         "log_evidence": 1.0,
         "iterations": 4,
-        "outcome": "coarse",
+        "outcome": "under-resolved",
         "learned": {},
         "rmse": {"total": 0.1},
     }
-    assert COARSE in text(metrics)
-    assert COARSE not in text(metrics | {"outcome": "converged"})
+    assert UNDER_RESOLVED in text(metrics)
+    assert UNDER_RESOLVED not in text(metrics | {"outcome": "converged"})
 
 
 @pytest.mark.slow
@@ -89,7 +89,9 @@ def without_sfi(monkeypatch):
 
 def test_a_study_says_why_another_tool_has_no_row(monkeypatch, tmp_path):
     without_sfi(monkeypatch)
-    folder = RunFolder.create(tmp_path / "run", {"job": "study"}, overwrite=False)
+    folder = RunFolder.create(
+        tmp_path / "run", {"run": {"command": "study"}}, overwrite=False
+    )
     settings = StudySettings(models=("sfi",), counts=(1,), held_out=2)
     (row,) = study("data-efficiency", "barrier-crossings", settings, folder)
     assert row["outcome"] == (

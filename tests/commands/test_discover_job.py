@@ -8,6 +8,8 @@ from pinav.analysis.discovery.potentials import POTENTIALS, TWO_GAUSSIANS
 from pinav.commands.discover.job import LAWS_FILE, SAMPLE_FILE, text, verdict_lines
 from pinav.commands.discover.report import law_sections
 from pinav.runs import RunFolder
+from pinav.scenarios import paper
+from pinav.trajectories import save, simulate
 
 
 def constant(name, value, sd):
@@ -81,19 +83,22 @@ def test_every_verdict_is_a_sentence(verdict, words):
 
 
 def test_report_section_holds_figure_and_tables(tmp_path):
-    folder = RunFolder.create(tmp_path / "run", {"job": "fit"}, overwrite=False)
-    assert law_sections(folder, {}) == []
+    folder = RunFolder.create(
+        tmp_path / "run", {"run": {"command": "fit"}}, overwrite=False
+    )
+    assert law_sections(folder) == []
+    save(simulate(paper()), folder.path / "data.npz")
     folder.write_json(LAWS_FILE, METRICS)
     force = np.linspace(-1.0, 1.0, 20).reshape(10, 2)
     arrays = {"learned": force, "sd": 0.1 + 0.0 * force, "law": 1.1 * force}
     folder.write_arrays(SAMPLE_FILE, arrays | {"positions": force})
-    (section,) = law_sections(folder, {"x": "um", "t": "s"})
+    (section,) = law_sections(folder)
     assert section.heading == "The law behind the force"
     assert (folder.path / "figures" / "laws.svg").is_file()
 
 
 def test_messages(tmp_path, capsys):
-    RunFolder.create(tmp_path / "run", {"job": "fit"}, overwrite=False)
+    RunFolder.create(tmp_path / "run", {"run": {"command": "fit"}}, overwrite=False)
     for argv, words in (
         ([str(tmp_path / "run")], "holds no fitted force"),
         ([str(tmp_path)], "holds no run"),

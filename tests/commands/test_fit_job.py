@@ -131,7 +131,7 @@ def test_the_stored_posterior_is_that_of_the_fit(inferred):
     folder = RunFolder.open(inferred)
     config = folder.config()
     settings = msgspec.convert(
-        {k: v for k, v in config.items() if k not in ("job", "data")}, FitSettings
+        {k: v for k, v in config.items() if k != "run"}, FitSettings
     )
     posterior = read_posterior(settings, folder)
     damping = folder.read_json("metrics.json")["learned"]["damping"]["value"]

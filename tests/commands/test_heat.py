@@ -214,5 +214,5 @@ def test_a_run_records_its_case(tmp_path):
     case, out = small("tumour", tmp_path), tmp_path / "run"
     assert run("simulate", case, "--out", out) == 0
     config = RunFolder.open(out).config()
-    assert config["job"] == "heat"
+    assert config["run"]["command"] == "heat"
     assert config["case"]["title"] == "A heated sphere"

@@ -51,7 +51,7 @@ def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("ladder")
     save(small(commanded=True), folder / "robot.csv")
     out = folder / "run"
-    words = ["fit", str(folder / "robot.csv"), "--ladder", "--out", str(out)]
+    words = ["identify", str(folder / "robot.csv"), "--baselines", "--out", str(out)]
     with pytest.MonkeyPatch.context() as patch, standard_promotion():
         for name in ("Gaussian process", "potential"):  # tests/ladder has kernels
             patch.delitem(RESIDUALS, name)
@@ -89,7 +89,7 @@ def test_the_page_says_what_it_is_about(run):
 @pytest.mark.slow
 def test_resuming_a_finished_run_changes_nothing(run, capsys):
     before = (run / "metrics.json").read_text()
-    words = ["fit", str(run.parent / "robot.csv"), "--ladder", "--resume"]
+    words = ["identify", str(run.parent / "robot.csv"), "--baselines", "--resume"]
     assert cli.run([*words, "--out", str(run)]) == 0
     assert (run / "metrics.json").read_text() == before
     assert "The evidence chooses" in capsys.readouterr().out
@@ -111,7 +111,7 @@ def idle():
 def test_a_recording_whose_commands_ask_for_nothing_only_drifts(tmp_path, capsys):
     save(idle(), tmp_path / "idle.csv")
     out = tmp_path / "run"
-    words = ["fit", str(tmp_path / "idle.csv"), "--ladder", "--tracks", "0"]
+    words = ["identify", str(tmp_path / "idle.csv"), "--baselines", "--tracks", "0"]
     with standard_promotion():
         assert cli.run([*words, "--out", str(out)]) == 0
     assert "The commands ask for no motion: gain" in capsys.readouterr().out
@@ -123,7 +123,7 @@ def test_a_recording_whose_commands_ask_for_nothing_only_drifts(tmp_path, capsys
 
 def test_a_recording_without_commands(tmp_path, capsys):
     save(small(commanded=False), tmp_path / "cell.npz")
-    words = ["fit", str(tmp_path / "cell.npz"), "--ladder", "--tracks", "0"]
+    words = ["identify", str(tmp_path / "cell.npz"), "--baselines", "--tracks", "0"]
     with standard_promotion():
         assert cli.run([*words, "--out", str(tmp_path / "run")]) == 0
     assert "No commands recorded: gain" in capsys.readouterr().out

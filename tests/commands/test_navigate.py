@@ -113,7 +113,7 @@ def test_a_folder_without_a_fit_is_refused(tmp_path, capsys):
 
 def recording(path, **track):
     """The folder of a recording's fit, as far as navigation reads it."""
-    folder = RunFolder.create(path, {"job": "recording"}, overwrite=True)
+    folder = RunFolder.create(path, {"run": {"command": "identify"}}, overwrite=True)
     folder.write_json(
         "metrics.json",
         {"units": {"x": "um", "t": "s"}, "tracks": {"1": {"duration": 9.0, **track}}},

@@ -61,11 +61,11 @@ def shots():
     """Two crossings, and a posterior of the barrier's height alone."""
     scenario = barrier_crossings(count=2)
     scenario = eqx.tree_at(
-        lambda s: (s.noise, s.times, s.truth.environment.height),
+        lambda s: (s.noise, s.times, s.environment.height),
         scenario,
         (0.0, scenario.times[:41], jnp.asarray(5.25)),
     )
-    free, theta = freed(scenario.swimmer, lambda m: m.environment.height)
+    free, theta = freed(scenario.true_swimmer, lambda m: m.environment.height)
     posterior = Posterior(free, np.asarray(theta), np.array([[SD**2]]))
     return scenario, simulate(scenario), posterior
 
@@ -73,15 +73,15 @@ def shots():
 def raised_barrier(scenario):
     return eqx.tree_at(
         lambda m: m.environment.height,
-        scenario.swimmer,
-        scenario.swimmer.environment.height + SD,
+        scenario.true_swimmer,
+        scenario.environment.height + SD,
     )
 
 
 def test_a_band_from_an_exact_start_is_the_effect_of_the_parameters(shots):
     scenario, data, posterior = shots
     bands = exact_start_bands(posterior, data)
-    raised = eqx.tree_at(lambda s: s.truth, scenario, raised_barrier(scenario))
+    raised = scenario.with_truth(raised_barrier(scenario).environment)
     moved = simulate(raised).states
     np.testing.assert_allclose(
         bands.sd, np.abs(moved - data.states), atol=1e-5, rtol=0.02

@@ -8,12 +8,12 @@ from scipy.optimize import least_squares
 from pinav.dynamics import FixedStep, paper_black_box, rollout
 from pinav.errors import InputError
 from pinav.evaluation import (
-    StartOutcome,
     estimate_starts,
     first_samples,
     predict,
     without_first,
 )
+from pinav.fitting import Outcome
 from pinav.scenarios import barrier_crossings
 from pinav.trajectories import Trajectories, simulate
 
@@ -38,7 +38,7 @@ def observed_positions(data, noise=0.0):
 def test_positions_of_every_other_sample_give_the_true_start(clean):
     scenario, data = clean
     found = estimate_starts(scenario.truth, observed_positions(data))
-    assert found.outcomes == (StartOutcome.CONVERGED,) * 3
+    assert found.outcomes == (Outcome.CONVERGED,) * 3
     np.testing.assert_allclose(found.states, scenario.starts, atol=1e-6)
     ys, _ = predict(scenario.truth, data, starts=found.states)
     np.testing.assert_allclose(ys, data.states, atol=1e-5)
@@ -73,7 +73,7 @@ def test_a_model_that_is_not_finite_gives_no_start_and_no_rollout(clean):
         jnp.full(4, jnp.nan),
     )
     found = estimate_starts(box, noisy)
-    assert found.outcomes == (StartOutcome.FAILED,) * 3
+    assert found.outcomes == (Outcome.DIVERGED,) * 3
     assert np.isnan(found.states).all()
     ys, outcomes = predict(scenario.truth, noisy, starts=found.states)
     assert np.isnan(ys).all()

@@ -9,6 +9,7 @@ from pinav.dynamics import BrownianSwimmer, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.fitting import (
     Posterior,
+    derived,
     fit_langevin,
     freed,
     kernel_environment,
@@ -16,7 +17,6 @@ from pinav.fitting import (
     principal_drags,
     rotational_fraction,
 )
-from pinav.fitting.bayes import derived
 from pinav.fitting.langevin import Increments
 from pinav.forces import (
     CholeskyTensor,
@@ -79,7 +79,7 @@ def test_increments_span_gaps_and_stay_within_a_trajectory():
 
 
 def test_diffusion_is_within_its_interval(fitted):
-    found = fitted.diffusion
+    found = fitted.constants["diffusion"]
     assert abs(found.value - DIFFUSION) < 3 * found.sd + 0.05 * DIFFUSION
     expected = DIFFUSION * np.sqrt(2 / (2 * 6 * 299))
     assert found.sd == pytest.approx(expected, rel=0.1)
@@ -101,7 +101,8 @@ def test_the_force_of_the_trap_is_within_its_band(fitted):
 def test_known_diffusion_is_kept_and_has_the_evidence_of_its_density(fitted):
     model = swimmer(kernel_environment(KernelPotential, DATA, dim=2))
     known = fit_langevin(model, DATA, diffusion=0.31)
-    assert (known.diffusion.value, known.diffusion.sd) == (0.31, 0.0)
+    diffusion = known.constants["diffusion"]
+    assert (diffusion.value, diffusion.sd) == (0.31, 0.0)
     evidence = model_evidence(known.linear, known.hyperparameters)
     assert 0 <= evidence.occam < 30
     free = model_evidence(fitted.linear, fitted.hyperparameters)

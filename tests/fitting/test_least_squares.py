@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pinav.errors import FitError, InputError
-from pinav.fitting.bayes.iterate import BayesOutcome
+from pinav.fitting import Outcome
 from pinav.fitting.environments.networks import IsotropicPrior
 from pinav.fitting.least_squares import fit_regression
 
@@ -56,7 +56,7 @@ def test_flat_constants_are_those_of_least_squares():
         np.sqrt(np.diag(covariance)), rel=1e-6
     )
     assert fit.hyperparameters.noise == pytest.approx(np.sqrt(variance), rel=1e-6)
-    assert fit.outcome is BayesOutcome.CONVERGED
+    assert fit.outcome is Outcome.CONVERGED
 
 
 def test_weights_with_a_prior_are_those_of_ridge_regression():

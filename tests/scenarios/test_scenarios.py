@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pinav.dynamics import FixedStep, paper_black_box, rollout
+from pinav.dynamics import FixedStep, rollout
 from pinav.errors import InputError
-from pinav.forces import ZeroForce
 from pinav.scenarios import SCENARIOS, barrier_crossings, paper, scenario
 from pinav.trajectories import simulate
 
@@ -25,7 +24,7 @@ def truth(paper_trajectories):
 def test_physics_only_row_is_the_published_one(truth):
     """The row the constants were identified from; the paper prints two decimals."""
     known = paper()
-    physics_only = eqx.tree_at(lambda s: s.environment, known.truth, ZeroForce())
+    physics_only = known.truth.without_environment()
     ys = eqx.filter_jit(rollout)(physics_only, known.starts[0], known.times).ys
     columns = np.sqrt(np.mean((np.asarray(ys) - truth.states) ** 2, axis=0))
     np.testing.assert_allclose(columns, [4.336, 2.460, 0.490, 0.389], rtol=5e-3)
@@ -109,7 +108,7 @@ def test_trajectories_are_about_as_large_as_the_domain(name):
 
 def test_rotational_fraction_of_the_swirl():
     """By quadrature over the plane, as documented; the parts are orthogonal."""
-    barrier, rotation = scenario("swirl").swimmer.environment.terms
+    barrier, rotation = scenario("swirl").environment.terms
     axis = jnp.arange(-20.0, 30.0, 0.25)
     points = jnp.stack(jnp.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     gradient, rotational = (
@@ -127,10 +126,8 @@ def test_a_stochastic_scenario_has_si_values_and_needs_a_key():
     assert (made.units["x"], made.units["t"]) == ("um", "s")
     with pytest.raises(InputError, match="'brownian' is stochastic; pass key="):
         simulate(made)
-    assert made.swimmer is made.truth.swimmer
-    box = eqx.tree_at(lambda s: s.truth, made, paper_black_box(KEY))
-    with pytest.raises(InputError, match="'brownian': expected a swimmer, got Neural"):
-        _ = box.swimmer
+    assert eqx.tree_equal(made.true_swimmer, made.truth.swimmer)
+    assert eqx.tree_equal(made.swimmer, made.truth.swimmer.without_environment())
 
 
 def test_stochastic_trajectories_diffuse_and_belong_to_their_key():
@@ -157,7 +154,7 @@ def test_unknown_scenario_is_refused_with_the_known_ones():
 
 @pytest.mark.parametrize("name", ["barrier-crossings", "many-barriers", "brownian"])
 def test_a_count_is_positive(name):
-    with pytest.raises(InputError, match="scenario count: expected 1 or more, got 0"):
+    with pytest.raises(InputError, match="starts count: expected 1 or more, got 0"):
         scenario(name, count=0)
 
 

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from pinav.commands.fit.bayes import POSTERIOR_FILE, read_posterior
+from pinav.commands.fit.command import FIT
 from pinav.commands.fit.job import with_all_channels
 from pinav.commands.fit.settings import FitSettings
 from pinav.commands.models import build_model, known_physics
@@ -27,7 +28,8 @@ from pinav.evaluation import (
 )
 from pinav.fitting import Posterior
 from pinav.runs import RunFolder
-from pinav.scenarios import Scenario, scenario
+from pinav.scenarios import scenario
+from pinav.systems import System
 from pinav.trajectories import Trajectories, load
 
 
@@ -45,7 +47,7 @@ class Subject(eqx.Module):
 
     models: dict[str, AbstractDynamics]
     training: Trajectories
-    known: Scenario
+    known: System
     settings: FitSettings | None = eqx.field(static=True)
     posterior: Posterior | None
     noise: float
@@ -72,10 +74,9 @@ def read_subject(run: Path) -> tuple[RunFolder, Subject]:
         for name in names
     }
     training = load(folder.path / "data.npz")
-    config = folder.config()
-    if config.get("job") != "fit":
+    if folder.command != FIT.name:
         return folder, Subject(models, training, scenario("paper"), None, None, 0.0)
-    own = {k: v for k, v in config.items() if k not in ("job", "data")}
+    own = folder.settings()
     settings = msgspec.convert(own, FitSettings)
     known = known_physics(settings.physics, training)
     if settings.method != "bayes":
@@ -99,7 +100,7 @@ class Setting:
 
     subject: Subject
     data: Trajectories
-    truth: Scenario | None
+    truth: System | None
     regions: Regions
     estimate: bool
 
@@ -113,7 +114,7 @@ def force_fields(model: Swimmer, setting: Setting) -> tuple[FieldMap, FieldMap]:
     """Learned and true force around the training data."""
     assert setting.truth is not None
     training = setting.subject.training
-    true = field_map(setting.truth.swimmer.environment, training)
+    true = field_map(setting.truth.true_swimmer.environment, training)
     return field_map(model.environment, training), true
 
 
@@ -170,7 +171,7 @@ def read_data(path: Path, subject: Subject) -> Trajectories:
     return data
 
 
-def true_scenario(data: Trajectories, subject: Subject) -> Scenario | None:
+def true_scenario(data: Trajectories, subject: Subject) -> System | None:
     """The scenario that either the data or the training data were simulated from."""
     for provenance in (data.provenance, subject.training.provenance):
         if "scenario" in provenance:

@@ -5,8 +5,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pinav.scenarios import Scenario, scenario
-from pinav.scenarios.scenario import ring_starts
+from pinav.scenarios import scenario
+from pinav.scenarios.crossings import RING
+from pinav.systems import System
 from pinav.trajectories import Trajectories, simulate
 
 HELD_OUT, HELD_OUT_SEED = 64, 64_000
@@ -33,7 +34,8 @@ def held_out(
     key = jax.random.key(HELD_OUT_SEED)
     if name == "paper":
         chosen = scenario(name)
-        chosen = eqx.tree_at(lambda s: s.starts, chosen, ring_starts(key, count))
+        starts = RING.draw(chosen.order, key, count)
+        chosen = eqx.tree_at(lambda s: s.starts, chosen, starts)
     else:
         chosen = scenario(name, key, count=count)
     chosen = eqx.tree_at(lambda s: s.noise, chosen, 0.0)
@@ -42,6 +44,6 @@ def held_out(
     return simulate(chosen)
 
 
-def _times(chosen: Scenario, until: float):
+def _times(chosen: System, until: float):
     first, step = float(chosen.times[0]), float(chosen.times[1] - chosen.times[0])
     return jnp.asarray(first + step * np.arange(round(until / step) + 1))

@@ -47,7 +47,8 @@ from pinav.forces import (
     tanh_network,
     tensor_matrix,
 )
-from pinav.scenarios import Scenario, scenario
+from pinav.scenarios import scenario
+from pinav.systems import System
 from pinav.trajectories import Trajectories
 
 Trainable = Callable[[Any], Any]
@@ -59,7 +60,7 @@ KnownSwimmer = Swimmer | OverdampedSwimmer
 def paper_ude(known: KnownSwimmer, seed: int) -> KnownSwimmer:
     """Known propulsion and drag with the paper's untrained network (Table 1)."""
     environment = paper_force(jax.random.key(seed))
-    return eqx.tree_at(lambda swimmer: swimmer.environment, known, environment)
+    return known.with_environment(environment)
 
 
 def paper_nn_only(known: Swimmer, seed: int) -> NeuralDynamics:
@@ -77,7 +78,7 @@ def default_ude(known: KnownSwimmer, seed: int, data: dict[str, Any]) -> KnownSw
         tuple(center[i] for i in inputs), tuple(scale[i] for i in inputs)
     )
     environment = NeuralForce(spread_weights(environment.network), features)
-    return eqx.tree_at(lambda swimmer: swimmer.environment, known, environment)
+    return known.with_environment(environment)
 
 
 def default_nn_only(known: Swimmer, seed: int, data: dict[str, Any]) -> NeuralDynamics:
@@ -89,10 +90,10 @@ def default_nn_only(known: Swimmer, seed: int, data: dict[str, Any]) -> NeuralDy
 
 def default_kernel(
     known: KnownSwimmer, seed: int | None, data: dict[str, Any]
-) -> Swimmer:
+) -> KnownSwimmer:
     """A kernel potential around the data, zero before training; it has no seed."""
     del seed
-    return _with_environment(known, _kernels(KernelPotential, data))
+    return known.with_environment(_kernels(KernelPotential, data))
 
 
 REPRODUCED: dict[str, dict[str, Callable[..., Any]]] = {
@@ -154,7 +155,7 @@ def fit_model(settings: FitSettings, known: KnownSwimmer, data: dict[str, Any]) 
         return NeuralDynamics(network, mean, std)
     if "drag" in settings.learn:
         known = with_tensor_drag(known, data)
-    return _with_environment(known, _environment(settings, data))
+    return known.with_environment(_environment(settings, data))
 
 
 def with_tensor_drag(known: KnownSwimmer, data: dict[str, Any]) -> KnownSwimmer:
@@ -224,10 +225,6 @@ def _changing(data: dict[str, Any]) -> ChangingPotential:
         _kernels(KernelPotential, data),
         TimedKernelPotential(weights, centers, change["width"], *change["times"]),
     )
-
-
-def _with_environment(known: KnownSwimmer, environment: AbstractForce) -> Any:
-    return eqx.tree_at(lambda swimmer: swimmer.environment, known, environment)
 
 
 def fit_trainable(settings: FitSettings) -> Trainable:
@@ -311,7 +308,7 @@ def fitted_summary(summary: dict[str, Any], environment: AbstractForce) -> Any:
     }
 
 
-def known_physics(name: str | None, trajectories: Trajectories) -> Scenario:
+def known_physics(name: str | None, trajectories: Trajectories) -> System:
     """The scenario that supplies propulsion and drag.
 
     Raises:

@@ -9,17 +9,18 @@
 
 import abc
 from collections.abc import Callable
-from typing import cast
+from typing import Any, cast
 
 import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, PyTree
 
 from pinav.arguments import Scalar
 from pinav.errors import InputError
+from pinav.forces import ScheduledThrust
 
 VectorField = Callable[[Scalar, Float[Array, " state"]], Float[Array, " state"]]
 """Right-hand side f(t, y); a pytree, so that its leaves can be differentiated."""
@@ -377,8 +378,26 @@ def _check_tolerances(solver):
             )
 
 
-def _controller(solver):
-    return diffrax.PIDController(rtol=solver.rtol, atol=solver.atol)
+def _controller(
+    solver: "Adaptive | InterpolatingAdjoint", vector_field: VectorField | None = None
+) -> diffrax.AbstractStepSizeController:
+    controller = diffrax.PIDController(rtol=solver.rtol, atol=solver.atol)
+    jumps = jump_times(vector_field)
+    if jumps is None:
+        return controller
+    # A step across a jump is rejected some twenty times before it is short enough.
+    return diffrax.ClipStepSizeController(controller, jump_ts=jumps)
+
+
+def jump_times(model: PyTree) -> Float[Array, " jump"] | None:
+    """Times at which the thrust of a model jumps [T]; None where it does not."""
+
+    def is_thrust(part: Any) -> bool:
+        return isinstance(part, ScheduledThrust)
+
+    thrusts = filter(is_thrust, jax.tree.leaves(model, is_leaf=is_thrust))
+    times = [jax.lax.stop_gradient(thrust.jumps) for thrust in thrusts]
+    return jnp.sort(jnp.concatenate(times)) if times else None
 
 
 def _diffeqsolve(solver, vector_field, y0, ts, saveat, adjoint):
@@ -391,7 +410,7 @@ def _diffeqsolve(solver, vector_field, y0, ts, saveat, adjoint):
         y0,
         args=vector_field,
         saveat=saveat,
-        stepsize_controller=_controller(solver),
+        stepsize_controller=_controller(solver, vector_field),
         adjoint=adjoint,
         max_steps=solver.max_steps,
         throw=False,

@@ -6,6 +6,7 @@ Truth, UDE and physics-only baseline are one class, `Swimmer` with inertia or
 """
 
 import abc
+import dataclasses
 from typing import TypeVar
 
 import equinox as eqx
@@ -19,6 +20,7 @@ from pinav.forces import (
     AbstractForce,
     AbstractTensorField,
     ZeroFlow,
+    ZeroForce,
     as_tensor,
     tanh_network,
 )
@@ -45,6 +47,7 @@ class Swimmer(AbstractDynamics):
         drag: what the fluid takes.
         environment: the unknown: a barrier in truth, `NeuralForce` in the UDE,
             `ZeroForce` in the physics-only baseline.
+        known_force: any other force that is known, such as gravity.
 
     References:
         PI-NAV paper, eq. (2).
@@ -53,13 +56,22 @@ class Swimmer(AbstractDynamics):
     propulsion: AbstractForce
     drag: AbstractForce
     environment: AbstractForce
+    known_force: AbstractForce = ZeroForce()
 
     def __call__(self, t, y):
         x, v = jnp.split(y, 2)
         acceleration = (
             self.propulsion(t, x, v) + self.drag(t, x, v) + self.environment(t, x, v)
         )
-        return jnp.concatenate([v, acceleration])
+        return jnp.concatenate([v, acceleration + self.known_force(t, x, v)])
+
+    def with_environment(self, environment: AbstractForce) -> "Swimmer":
+        """The swimmer in another environment."""
+        return dataclasses.replace(self, environment=environment)
+
+    def without_environment(self) -> "Swimmer":
+        """The swimmer with its known physics alone."""
+        return self.with_environment(ZeroForce())
 
 
 class OverdampedSwimmer(AbstractDynamics):
@@ -75,6 +87,7 @@ class OverdampedSwimmer(AbstractDynamics):
         environment: the unknown [F].
         mobility: $M$ [L T⁻¹ F⁻¹], positive; a number means isotropic.
         flow: $u(t, x)$, which carries the swimmer.
+        known_force: any other force that is known, such as gravity [F].
 
     Raises:
         InputError: `mobility` is a number <= 0.
@@ -87,11 +100,21 @@ class OverdampedSwimmer(AbstractDynamics):
     environment: AbstractForce
     mobility: AbstractTensorField = eqx.field(converter=as_tensor)
     flow: AbstractFlow = ZeroFlow()
+    known_force: AbstractForce = ZeroForce()
 
     def __call__(self, t, y):
         at_rest = jnp.zeros_like(y)
         force = self.propulsion(t, y, at_rest) + self.environment(t, y, at_rest)
+        force = force + self.known_force(t, y, at_rest)
         return self.flow(t, y) + self.mobility(y, force)
+
+    def with_environment(self, environment: AbstractForce) -> "OverdampedSwimmer":
+        """The swimmer in another environment."""
+        return dataclasses.replace(self, environment=environment)
+
+    def without_environment(self) -> "OverdampedSwimmer":
+        """The swimmer with its known physics alone."""
+        return self.with_environment(ZeroForce())
 
 
 class NeuralDynamics(AbstractDynamics):

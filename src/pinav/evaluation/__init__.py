@@ -47,7 +47,6 @@ from pinav.evaluation.scores import predict as predict
 from pinav.evaluation.scores import require_x64 as require_x64
 from pinav.evaluation.scores import score as score
 from pinav.evaluation.starts import START_SAMPLES as START_SAMPLES
-from pinav.evaluation.starts import StartOutcome as StartOutcome
 from pinav.evaluation.starts import Starts as Starts
 from pinav.evaluation.starts import estimate_starts as estimate_starts
 from pinav.evaluation.starts import first_samples as first_samples

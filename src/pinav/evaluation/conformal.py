@@ -26,7 +26,7 @@ from jaxtyping import Bool, Float
 
 from pinav.dynamics import FixedStep
 from pinav.errors import InputError
-from pinav.fitting.bayes.posterior import Posterior
+from pinav.fitting.engine.posterior import Posterior
 from pinav.trajectories import Trajectories
 
 Samples = Float[np.ndarray, "trajectory time state"]

@@ -22,7 +22,7 @@ from pinav.dynamics import FixedStep
 from pinav.evaluation.force_fields import FieldMap
 from pinav.evaluation.starts import Starts, first_samples
 from pinav.fitting import FreeModel, Observations, Posterior
-from pinav.fitting.bayes.multiple_shooting import linearise, sensitivities
+from pinav.fitting.engine.multiple_shooting import linearise, sensitivities
 from pinav.trajectories import Trajectories
 
 NOMINAL = 0.95

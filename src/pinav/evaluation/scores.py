@@ -8,14 +8,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float, Int
 
 from pinav.dynamics import (
     AbstractDynamics,
     AbstractSolver,
     Adaptive,
     Outcome,
+    commanded_by,
     rollout,
+    takes_commands,
     with_dtype,
 )
 from pinav.errors import InputError
@@ -60,15 +62,21 @@ def predict(
     trajectories: Trajectories,
     *,
     starts: Float[np.ndarray, "trajectory state"] | None = None,
+    driven_by: Trajectories | None = None,
     solver: AbstractSolver | None = None,
 ) -> tuple[Float[np.ndarray, "trajectory time state"], tuple[Outcome, ...]]:
     """Rollouts over the times of each trajectory, in float64.
+
+    A propulsion that takes commands is driven by those of each trajectory.
 
     Args:
         dynamics: the model, in any precision; it is cast exactly.
         trajectories: when to save.
         starts: first state of each rollout; the first sample unless given. A rollout
             from one that is not finite counts as diverged.
+        driven_by: whose commands drive each rollout, row by row: windows of long
+            trajectories need the commands from before they begin, because of the
+            delay. `trajectories` unless given.
         solver: how to integrate; `Adaptive()` (Dopri8 at 1e-11) unless given.
 
     Returns:
@@ -83,7 +91,11 @@ def predict(
     first = jnp.asarray(np.where(known[:, None], starts, 0.0), jnp.float64)
     times = jnp.asarray(trajectories.times, jnp.float64)
     solver = Adaptive() if solver is None else solver
-    ys, outcomes = _rollouts(with_dtype(dynamics, jnp.float64), first, times, solver)
+    source = trajectories if driven_by is None else driven_by
+    commands = source.commands if takes_commands(dynamics) else {}
+    programme = jax.tree.map(jnp.asarray, (source.times, commands))
+    model = with_dtype(dynamics, jnp.float64)
+    ys, outcomes = _rollouts(model, first, times, programme, solver)
     codes = np.where(known, outcomes, Outcome.DIVERGED)
     ys = np.where(known[:, None, None], ys, np.nan)
     return ys, tuple(Outcome(int(code)) for code in codes)
@@ -100,12 +112,23 @@ def _first_samples(trajectories: Trajectories):
 
 
 @eqx.filter_jit
-def _rollouts(dynamics, starts, times, solver):
-    def one(y0, ts):
-        solution = rollout(dynamics, y0, ts, solver=solver, throw=False)
+def _rollouts(
+    dynamics: AbstractDynamics,
+    starts: Float[Array, "trajectory state"],
+    times: Float[Array, "trajectory time"],
+    programme: tuple[Array, dict[str, Array]],
+    solver: AbstractSolver,
+) -> tuple[Float[Array, "trajectory time state"], Int[Array, " trajectory"]]:
+    def one(
+        y0: Float[Array, " state"],
+        ts: Float[Array, " time"],
+        programme: tuple[Array, dict[str, Array]],
+    ) -> tuple[Float[Array, "time state"], Int[Array, ""]]:
+        model = commanded_by(dynamics, *programme)
+        solution = rollout(model, y0, ts, solver=solver, throw=False)
         return solution.ys, solution.outcome
 
-    return jax.vmap(one)(starts, times)
+    return jax.vmap(one)(starts, times, programme)
 
 
 def score(

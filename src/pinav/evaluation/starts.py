@@ -9,8 +9,6 @@ References:
     Bock, Randwertproblemmethoden zur Parameteridentifizierung (1987).
 """
 
-import enum
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -19,7 +17,8 @@ from jaxtyping import Float
 from pinav.dynamics import AbstractDynamics, FixedStep, with_dtype
 from pinav.errors import InputError
 from pinav.evaluation.scores import POSITION_CHANNELS, require_x64
-from pinav.fitting.bayes.multiple_shooting import FreeModel, advanced, linearise
+from pinav.fitting import Outcome
+from pinav.fitting.engine.multiple_shooting import FreeModel, advanced, linearise
 from pinav.fitting.matching.objectives import Observations
 from pinav.trajectories import Trajectories, smoothed_states
 
@@ -28,14 +27,6 @@ START_SAMPLES = 20
 
 STEPS, TOLERANCE = 30, 1e-9
 """Gauss-Newton steps at most, and the relative change at which they end."""
-
-
-class StartOutcome(enum.IntEnum):
-    """How the estimate of a start ended."""
-
-    CONVERGED = 0
-    STALLED = 1
-    FAILED = 2
 
 
 class Starts(eqx.Module):
@@ -51,7 +42,7 @@ class Starts(eqx.Module):
 
     states: Float[np.ndarray, "trajectory state"]
     lifted: Float[np.ndarray, "trajectory sample state"]
-    outcomes: tuple[StartOutcome, ...]
+    outcomes: tuple[Outcome, ...]
     count: int
 
 
@@ -105,11 +96,11 @@ def _nothing(theta):
 def _starts(states, settled, count) -> Starts:
     found = np.isfinite(states).all(axis=(1, 2))
     outcomes = tuple(
-        StartOutcome.FAILED
+        Outcome.DIVERGED
         if not finite
-        else StartOutcome.CONVERGED
+        else Outcome.CONVERGED
         if done
-        else StartOutcome.STALLED
+        else Outcome.STALLED
         for finite, done in zip(found, settled, strict=True)
     )
     states = np.where(found[:, None, None], states, np.nan)

@@ -3,15 +3,14 @@
 from pinav.fitting.bayes.derived import derived as derived
 from pinav.fitting.bayes.derived import principal_drags as principal_drags
 from pinav.fitting.bayes.derived import rotational_fraction as rotational_fraction
-from pinav.fitting.bayes.fit_bayes import BayesFit as BayesFit
 from pinav.fitting.bayes.fit_bayes import fit_bayes as fit_bayes
-from pinav.fitting.bayes.iterate import BayesOutcome as BayesOutcome
 from pinav.fitting.bayes.iterate import BayesProgress as BayesProgress
-from pinav.fitting.bayes.multiple_shooting import FreeModel as FreeModel
-from pinav.fitting.bayes.multiple_shooting import freed as freed
-from pinav.fitting.bayes.posterior import Band as Band
-from pinav.fitting.bayes.posterior import Estimate as Estimate
-from pinav.fitting.bayes.posterior import Posterior as Posterior
+from pinav.fitting.engine.evidence_fit import EvidenceFit as EvidenceFit
+from pinav.fitting.engine.multiple_shooting import FreeModel as FreeModel
+from pinav.fitting.engine.multiple_shooting import freed as freed
+from pinav.fitting.engine.posterior import Band as Band
+from pinav.fitting.engine.posterior import Estimate as Estimate
+from pinav.fitting.engine.posterior import Posterior as Posterior
 from pinav.fitting.environments.kernels import WITHOUT_PRIOR as WITHOUT_PRIOR
 from pinav.fitting.environments.kernels import KernelGrid as KernelGrid
 from pinav.fitting.environments.kernels import (
@@ -28,7 +27,6 @@ from pinav.fitting.evidence.evidence import Hyperparameters as Hyperparameters
 from pinav.fitting.evidence.model_evidence import LinearFit as LinearFit
 from pinav.fitting.evidence.model_evidence import ModelEvidence as ModelEvidence
 from pinav.fitting.evidence.model_evidence import model_evidence as model_evidence
-from pinav.fitting.langevin import LangevinFit as LangevinFit
 from pinav.fitting.langevin import fit_langevin as fit_langevin
 from pinav.fitting.matching.fit import Problem as Problem
 from pinav.fitting.matching.fit import fit as fit
@@ -45,6 +43,6 @@ from pinav.fitting.matching.recipes import curriculum as curriculum
 from pinav.fitting.matching.recipes import paper_recipe as paper_recipe
 from pinav.fitting.matching.state import AbstractCheckpoint as AbstractCheckpoint
 from pinav.fitting.matching.state import Fit as Fit
-from pinav.fitting.matching.state import FitOutcome as FitOutcome
 from pinav.fitting.matching.state import FitProgress as FitProgress
 from pinav.fitting.matching.state import FitState as FitState
+from pinav.fitting.outcome import Outcome as Outcome

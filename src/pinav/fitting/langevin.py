@@ -21,38 +21,17 @@ from pinav.dynamics import (
     with_dtype,
 )
 from pinav.errors import InputError
-from pinav.fitting.bayes.iterate import BayesOutcome
-from pinav.fitting.bayes.multiple_shooting import freed
 from pinav.fitting.bayes.parameters import KERNELS, dimension
-from pinav.fitting.bayes.posterior import Estimate, Posterior
+from pinav.fitting.engine.evidence_fit import EvidenceFit
+from pinav.fitting.engine.multiple_shooting import freed
+from pinav.fitting.engine.posterior import Estimate, Posterior
 from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED, Refinement
-from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.evidence.model_evidence import LinearFit
 from pinav.fitting.evidence.priors import kernel_prior
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import GaussianWeights
+from pinav.fitting.outcome import Outcome
 from pinav.trajectories import Trajectories
-
-
-class LangevinFit(eqx.Module):
-    r"""A force and a diffusion coefficient from stochastic paths.
-
-    Attributes:
-        model: the swimmer with the best weights.
-        outcome: converged, for the problem is linear; or coarse, where the kernels blur
-            what the data show, and finer ones would be too many.
-        diffusion: $D$ [L² T⁻¹], with its standard deviation.
-        hyperparameters: shape and amplitude of the prior; `noise` is $\sqrt{2D}$.
-        posterior: distribution of the weights.
-        linear: the regression, for `model_evidence`.
-    """
-
-    model: OverdampedSwimmer
-    outcome: BayesOutcome = eqx.field(static=True)
-    diffusion: Estimate
-    hyperparameters: Hyperparameters
-    posterior: Posterior
-    linear: LinearFit
 
 
 class Increments(eqx.Module):
@@ -100,7 +79,7 @@ def fit_langevin(
     *,
     diffusion: float | None = None,
     refine: Refinement | None = AS_FINE_AS_ASKED,
-) -> LangevinFit:
+) -> EvidenceFit:
     r"""Fit the force, and the diffusion coefficient, to stochastic paths.
 
     The likelihood is that of Euler and Maruyama's scheme with one step from sample to
@@ -132,7 +111,7 @@ def fit_langevin(
     noise = None if diffusion is None else float(np.sqrt(2 * diffusion))
     with jax.enable_x64(new_val=True):
         exact = with_dtype(swimmer, jnp.float64)
-        outcome = BayesOutcome.CONVERGED
+        outcome = Outcome.CONVERGED
         while True:
             free, quadratic, weights, found = _inferred(exact, increments, noise)
             chosen = found.hyperparameters
@@ -141,16 +120,18 @@ def fit_langevin(
                 break
             finer = refine.finer(coarse, trajectories)
             if finer is None:
-                outcome = BayesOutcome.COARSE
+                outcome = Outcome.UNDER_RESOLVED
                 break
-            exact = eqx.tree_at(lambda m: m.environment, exact, finer)
+            exact = exact.with_environment(finer)
         extra = weights.shape_covariance(quadratic, chosen, noise)
         posterior = Posterior(free, found.mean, found.covariance + extra)
         fitted = posterior.model
-    return LangevinFit(
+    return EvidenceFit(
         model=fitted,
         outcome=outcome,
-        diffusion=_diffusion(quadratic, found, diffusion),
+        iterations=1,
+        constants={"diffusion": _diffusion(quadratic, found, diffusion)},
+        states=None,
         hyperparameters=chosen,
         posterior=posterior,
         linear=LinearFit(

@@ -19,19 +19,21 @@ from jaxtyping import Array, Bool, Float, PyTree
 from pinav.errors import FitError, InputError
 from pinav.fitting.bayes.iterate import (
     DEFECT_TOLERANCE,
-    BayesOutcome,
     BayesProgress,
     iterate,
 )
-from pinav.fitting.bayes.multiple_shooting import FreeModel, Prediction, freed
 from pinav.fitting.bayes.parameters import parameter_names
-from pinav.fitting.bayes.posterior import Estimate, Posterior
 from pinav.fitting.bayes.problem import Step
 from pinav.fitting.bayes.steps import AbstractLocal, ChordSteps, Move
+from pinav.fitting.engine.evidence_fit import EvidenceFit
+from pinav.fitting.engine.multiple_shooting import FreeModel, Prediction, freed
+from pinav.fitting.engine.posterior import Estimate, Posterior
 from pinav.fitting.evidence.evidence import Hyperparameters
+from pinav.fitting.evidence.model_evidence import LinearFit
 from pinav.fitting.evidence.priors import AbstractPrior
 from pinav.fitting.evidence.quadratic import Quadratic, joint_posterior, without_flat
 from pinav.fitting.evidence.weights import AbstractWeights, GaussianWeights, NoWeights
+from pinav.fitting.outcome import Outcome
 
 SMALL_CHANGE, SMALLEST = 0.02, 1e-9
 """Change of a prediction that ends a fit: in standard deviations of the noise, or as a
@@ -43,27 +45,6 @@ TANGENTS = 16
 
 Residuals = Callable[[Any], Float[Array, " residual"]]
 """From a model to predicted less observed values."""
-
-
-class RegressionFit(eqx.Module):
-    """A fitted model, and how well it is known.
-
-    Attributes:
-        model: with its best parameters.
-        outcome: stalled when the iterations ran out, diverged when nothing finite was
-            found any more.
-        iterations: Gauss-Newton steps taken.
-        hyperparameters: noise, shape and amplitude of the prior, and the log evidence.
-        posterior: distribution of all learned parameters.
-        constants: parameters with a flat prior, by the path of their leaf.
-    """
-
-    model: Any
-    outcome: BayesOutcome = eqx.field(static=True)
-    iterations: int = eqx.field(static=True)
-    hyperparameters: Hyperparameters
-    posterior: Posterior
-    constants: dict[str, Estimate]
 
 
 def fit_regression(
@@ -79,7 +60,7 @@ def fit_regression(
     max_iterations: int = 30,
     on_step: Callable[[BayesProgress], None] | None = None,
     throw: bool = True,
-) -> RegressionFit:
+) -> EvidenceFit:
     """Fit parameters of a model to data by what it predicts of them.
 
     Args:
@@ -113,7 +94,7 @@ def fit_regression(
             tolerance=tolerance,
         )
         outcome, steps = iterate(problem, max_iterations, on_step)
-    if throw and outcome is not BayesOutcome.CONVERGED:
+    if throw and outcome is not Outcome.CONVERGED:
         raise FitError(
             f"the fit {outcome.name.lower()} after {len(steps)} steps; change where it "
             "starts, raise max_iterations, or pass throw=False"
@@ -247,7 +228,19 @@ class Regression(eqx.Module):
         precision[~self.flat] = self.weights.ridge(chosen)
         return precision
 
-    def result(self, outcome: BayesOutcome, steps: list[Step]) -> RegressionFit:
+    def linear_fit(self, step: Step) -> LinearFit:
+        """The linear problem of a step, for the evidence of the model."""
+        flat = int(self.flat.sum())
+        total = step.quadratic.num_free + flat
+        return LinearFit(
+            quadratic=step.quadratic,
+            weights=step.weights,
+            noise=self.noise,
+            num_observed=total,
+            flat_information=flat * float(np.log(total)),
+        )
+
+    def result(self, outcome: Outcome, steps: list[Step]) -> EvidenceFit:
         """The fit after its steps, the uncertainty of the prior's shape included."""
         last = steps[-1]
         extra = last.weights.shape_covariance(
@@ -256,7 +249,7 @@ class Regression(eqx.Module):
         covariance = last.covariance + last.block.lift(extra)
         posterior = Posterior(self.free, last.move.theta, covariance)
         sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        return RegressionFit(
+        return EvidenceFit(
             model=posterior.model,
             outcome=outcome,
             iterations=len(steps),
@@ -266,6 +259,8 @@ class Regression(eqx.Module):
                 self.names[i]: Estimate(float(posterior.mean[i]), float(sd[i]))
                 for i in np.flatnonzero(self.flat)
             },
+            states=None,
+            linear=self.linear_fit(last),
         )
 
 

@@ -10,6 +10,7 @@ from pinav.forces.flows import ShearFlow as ShearFlow
 from pinav.forces.flows import UniformFlow as UniformFlow
 from pinav.forces.flows import VortexFlow as VortexFlow
 from pinav.forces.flows import ZeroFlow as ZeroFlow
+from pinav.forces.force import AbstractCommandedForce as AbstractCommandedForce
 from pinav.forces.force import AbstractForce as AbstractForce
 from pinav.forces.force import AbstractLearnedForce as AbstractLearnedForce
 from pinav.forces.force import SumForce as SumForce
@@ -43,6 +44,7 @@ from pinav.forces.obstacles import HarmonicTrap as HarmonicTrap
 from pinav.forces.obstacles import Superposition as Superposition
 from pinav.forces.propulsion import MagneticPropulsion as MagneticPropulsion
 from pinav.forces.propulsion import RollingPropulsion as RollingPropulsion
+from pinav.forces.propulsion import ScheduledThrust as ScheduledThrust
 from pinav.forces.propulsion import heading_offset as heading_offset
 from pinav.forces.propulsion import mean_gain as mean_gain
 from pinav.forces.random_obstacles import Domain as Domain

@@ -5,6 +5,7 @@ $-\nabla U$.
 """
 
 import abc
+from collections.abc import Mapping
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -58,3 +59,28 @@ class AbstractLearnedForce(AbstractForce):
     @abc.abstractmethod
     def parameters(self) -> PyTree:
         """The leaves that train."""
+
+
+class AbstractCommandedForce(AbstractForce):
+    """A force that the operator's commands drive; each trajectory has its own."""
+
+    @property
+    @abc.abstractmethod
+    def unbound(self) -> bool:
+        """Whether the commands are still to come."""
+
+    @abc.abstractmethod
+    def driven_by(
+        self,
+        times: Float[Array, " time"],
+        commands: Mapping[str, Float[Array, " time"]],
+    ) -> AbstractForce:
+        """The force under commands that hold until the next one.
+
+        Args:
+            times: when each command was given [T].
+            commands: what was commanded, by name.
+
+        Raises:
+            InputError: a command that the force needs is missing.
+        """

@@ -1,13 +1,31 @@
 """Forces by which a swimmer is driven: magnetic torque, rolling."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
 
-from pinav.actuation import AbstractField, AbstractProgramme, AbstractResponse
+from pinav.actuation import (
+    AbstractField,
+    AbstractProgramme,
+    AbstractResponse,
+    HeldProgramme,
+    LinearResponse,
+    followed,
+)
 from pinav.arguments import Scalar, as_point
 from pinav.errors import InputError
-from pinav.forces.force import AbstractForce
+from pinav.forces.force import AbstractCommandedForce, AbstractForce
+
+
+def _as_gain(value: ArrayLike) -> Float[Array, "2 2"]:
+    if np.shape(value) != (2, 2):
+        raise InputError(
+            "RollingPropulsion.gain: expected a matrix of 2 rows and 2 columns, got "
+            f"shape {np.shape(value)}"
+        )
+    return value if isinstance(value, jax.Array) else jnp.asarray(value, float)
 
 
 class MagneticPropulsion(AbstractForce):
@@ -46,39 +64,127 @@ class MagneticPropulsion(AbstractForce):
         return self.gain * jnp.linalg.norm(self.torque(t)) * self.axis.astype(x.dtype)
 
 
-class RollingPropulsion(AbstractForce):
+class RollingPropulsion(AbstractCommandedForce):
     r"""Velocity $G\, s(f(t - d))\, n(\theta(t - d))$ by frequency and heading.
+
+    Without a programme it is a part of a system: the commands of each trajectory
+    drive it, see `pinav.dynamics.commanded`.
 
     Attributes:
         gain: $G$ [L per cycle], a matrix: coils are unequal, and a heading may be off.
         response: $s(f)$, the effective frequency [Hz].
-        programme: what was commanded: $f$ [Hz] and $\theta$ [rad].
+        programme: what was commanded, $f$ [Hz] and $\theta$ [rad]; None where each
+            trajectory says so.
         delay: $d$ from command to motion [s].
+        lag: T of a first-order follower of the command, $T \dot c' = c - c'$ [s]; 0
+            where it follows at once.
+
+    Raises:
+        InputError: `gain` is no matrix, or there is a lag beside a programme.
 
     References:
         Sokolich et al., arXiv:2406.02722, eq. (1), with scalar gain and no delay.
     """
 
-    gain: Float[Array, "_ _"]
-    response: AbstractResponse
-    programme: AbstractProgramme
+    gain: Float[Array, "_ _"] = eqx.field(converter=_as_gain)
+    response: AbstractResponse = LinearResponse()
+    programme: AbstractProgramme | None = None
     delay: Scalar = 0.0
+    lag: Scalar = 0.0
 
     def __check_init__(self):
-        if jnp.shape(self.gain) != (2, 2):
+        if self.programme is not None and not _is_zero(self.lag):
             raise InputError(
-                "RollingPropulsion.gain: expected a matrix of 2 rows and 2 columns, "
-                f"got shape {jnp.shape(self.gain)}"
+                "RollingPropulsion.lag: expected 0 beside a programme; leave the "
+                "programme out and give the commands to pinav.dynamics.commanded"
             )
+
+    @property
+    def unbound(self):
+        return self.programme is None
 
     def __call__(self, t, x, v):
         return self.gain.astype(x.dtype) @ self.command(t).astype(x.dtype)
 
     def command(self, t: Scalar) -> Float[Array, "2"]:
-        r"""$s(f)\, n(\theta)$ at the delayed time [Hz]."""
+        r"""$s(f)\, n(\theta)$ at the delayed time [Hz].
+
+        Raises:
+            InputError: there is no programme.
+        """
+        if self.programme is None:
+            raise InputError(
+                "RollingPropulsion: expected commands; bind those of a trajectory with "
+                "pinav.dynamics.commanded(model, trajectory), or give a programme"
+            )
         frequency, heading = self.programme(jnp.asarray(t) - self.delay)
         direction = jnp.stack([jnp.cos(heading), jnp.sin(heading)])
         return self.response(frequency) * direction
+
+    def driven_by(self, times, commands):
+        missing = [name for name in ("frequency", "heading") if name not in commands]
+        if missing:
+            raise InputError(
+                f"commands: {' and '.join(missing)} not recorded, so that the "
+                "propulsion of the system cannot be driven; give a recording with "
+                "both, or a system without a propulsion that takes commands"
+            )
+        programme = HeldProgramme(times, commands["frequency"], commands["heading"])
+        wanted = programme.commands(self.response)
+        reached = wanted if _is_zero(self.lag) else _followed(times, wanted, self.lag)
+        turned = self.gain.astype(wanted.dtype).T
+        return ScheduledThrust(
+            times, wanted @ turned, reached @ turned, self.delay, self.lag
+        )
+
+
+class ScheduledThrust(AbstractForce):
+    """A thrust that changes at given times and is reached with delay and lag.
+
+    Before its first time it has its first value. It jumps: adaptive solvers read
+    `jumps` and end a step at each.
+
+    Attributes:
+        times: when each thrust was asked for [T].
+        asked: thrust from then on [F].
+        reached: what acts at that time, behind by the lag [F].
+        delay: from command to motion [T].
+        lag: of a first-order follower [T].
+    """
+
+    times: Float[Array, " time"]
+    asked: Float[Array, "time dim"]
+    reached: Float[Array, "time dim"]
+    delay: Scalar
+    lag: Scalar
+
+    @property
+    def jumps(self) -> Float[Array, " time"]:
+        """Times at which the thrust, or its derivative, jumps [T]."""
+        return self.times + self.delay
+
+    def __call__(self, t, x, v):
+        t = jnp.asarray(t, self.times.dtype) - self.delay
+        last = self.times.shape[0] - 1
+        index = jnp.searchsorted(self.times, t, side="right") - 1
+        index = jnp.clip(index, 0, last)
+        elapsed = jnp.maximum(t - self.times[index], 0.0)
+        asked, reached = self.asked[index], self.reached[index]
+        behind = jnp.exp(-elapsed / jnp.where(self.lag > 0, self.lag, 1.0))
+        return (asked + (reached - asked) * behind).astype(x.dtype)
+
+
+def _followed(
+    times: Float[Array, " time"], commands: Float[Array, "time 2"], lag: Scalar
+) -> Float[Array, "time 2"]:
+    """What a follower has reached; the commands themselves where the lag is 0."""
+    # The untaken branch of a division by zero would make gradients NaN.
+    behind = followed(times, commands, jnp.where(lag > 0, lag, 1.0))
+    return jnp.where(lag > 0, behind, commands)
+
+
+def _is_zero(value: Scalar) -> bool:
+    return isinstance(value, float | int) and value == 0
 
 
 def heading_offset(gain: Float[Array, "2 2"]) -> Float[Array, ""]:

@@ -11,37 +11,42 @@ from pinav.forces.obstacles import GaussianBarrier, GaussianRidge, Superposition
 
 
 class Domain(eqx.Module):
-    """A rectangle in the plane.
+    """A box with edges along the axes, in any dimension: a rectangle in the plane.
 
     Attributes:
-        lower: its lower left corner [L].
-        upper: its upper right corner [L].
+        lower: its lower corner [L].
+        upper: its upper corner [L].
 
     Raises:
-        InputError: `upper` is not above and to the right of `lower`.
+        InputError: `upper` is not beyond `lower` along every axis.
     """
 
-    lower: tuple[float, float] = eqx.field(static=True)
-    upper: tuple[float, float] = eqx.field(static=True)
+    lower: tuple[float, ...] = eqx.field(static=True)
+    upper: tuple[float, ...] = eqx.field(static=True)
 
     def __check_init__(self):
-        if not all(a < b for a, b in zip(self.lower, self.upper, strict=True)):
+        pairs = list(zip(self.lower, self.upper, strict=False))
+        if len(self.lower) != len(self.upper) or not all(a < b for a, b in pairs):
             raise InputError(
                 f"Domain: expected upper beyond lower, got {self.lower}, {self.upper}"
             )
 
-    def points(self, key: PRNGKeyArray, count: int) -> Float[Array, "{count} 2"]:
+    def points(self, key: PRNGKeyArray, count: int) -> Float[Array, "{count} dim"]:
         """Uniform random points; more points of a key begin with the same ones."""
         lower, upper = jnp.asarray([self.lower]), jnp.asarray([self.upper])
-        return lower + (upper - lower) * jax.random.uniform(key, (count, 2))
+        return lower + (upper - lower) * jax.random.uniform(
+            key, (count, len(self.lower))
+        )
 
-    def spread_points(self, key: PRNGKeyArray, count: int) -> Float[Array, "{count} 2"]:
+    def spread_points(
+        self, key: PRNGKeyArray, count: int
+    ) -> Float[Array, "{count} dim"]:
         """Random points that keep apart: each the best of 16, by its nearest one.
 
         References:
             Mitchell, SIGGRAPH 1991: best-candidate sampling.
         """
-        candidates = np.asarray(self.points(key, 16 * count)).reshape(count, 16, 2)
+        candidates = np.asarray(self.points(key, 16 * count)).reshape(count, 16, -1)
         chosen = candidates[0, :1]
         for several in candidates[1:]:
             gaps = np.linalg.norm(several[:, None] - chosen[None], axis=-1)

@@ -114,9 +114,11 @@ def response_of(
 
 _RESPONSES = (
     lambda corner, residual: LinearResponse(),
-    lambda corner, residual: SaturatingResponse(corner),
-    lambda corner, residual: SlippingResponse(corner, residual),
-    lambda corner, residual: StepOutResponse(corner),
+    lambda corner, residual: SaturatingResponse(jnp.exp(corner)),
+    lambda corner, residual: SlippingResponse(
+        jnp.exp(corner), jax.nn.sigmoid(residual)
+    ),
+    lambda corner, residual: StepOutResponse(jnp.exp(corner)),
 )
 
 

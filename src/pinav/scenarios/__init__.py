@@ -20,13 +20,10 @@ from pinav.scenarios.media import (
 )
 from pinav.scenarios.paths import true_paths
 from pinav.scenarios.random_fields import fibres, many_barriers
-from pinav.scenarios.scenario import DIMENSIONLESS, PLANAR_CHANNELS, Scenario
+from pinav.systems import System
 
 __all__ = [
-    "DIMENSIONLESS",
-    "PLANAR_CHANNELS",
     "SCENARIOS",
-    "Scenario",
     "anisotropic_drag",
     "barrier_crossings",
     "brownian",
@@ -70,8 +67,8 @@ SCENARIOS = {
 
 def scenario(
     name: str, key: PRNGKeyArray | None = None, *, count: int | None = None
-) -> Scenario:
-    """The scenario of that name.
+) -> System:
+    """The system of that name, with its true environment.
 
     Args:
         name: a key of `SCENARIOS`.

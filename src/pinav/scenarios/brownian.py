@@ -5,14 +5,9 @@ import numpy as np
 from jaxtyping import PRNGKeyArray
 
 from pinav.actuation import RotatingField
-from pinav.dynamics import (
-    BrownianSwimmer,
-    OverdampedSwimmer,
-    stokes_drag,
-    thermal_energy,
-)
-from pinav.forces import Domain, GaussianBarrier, MagneticPropulsion
-from pinav.scenarios.scenario import Scenario, uniform_starts
+from pinav.dynamics import OverdampedSwimmer, stokes_drag, thermal_energy
+from pinav.forces import GaussianBarrier, MagneticPropulsion, ZeroForce
+from pinav.systems import System, UniformStarts, Units
 
 RADIUS, VISCOSITY, TEMPERATURE = 1.0, 0.89, 298.15
 """A bead of 1 um in water at 25 degrees: [um], [mPa s], [K]."""
@@ -20,10 +15,8 @@ RADIUS, VISCOSITY, TEMPERATURE = 1.0, 0.89, 298.15
 CRUISING_SPEED = 1.0
 """Speed without obstacles [um/s]."""
 
-CHANNELS = ("x", "y")
 
-
-def brownian(key: PRNGKeyArray | None = None, count: int | None = None) -> Scenario:
+def brownian(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
     r"""A bead of 1 um in water, driven over a low barrier, in um, s and pN.
 
     Drag $\gamma$ = 1.68e-2 pN s/um (1.68e-8 N s/m), $k_B T$ = 4.12e-3 pN um and by
@@ -42,22 +35,23 @@ def brownian(key: PRNGKeyArray | None = None, count: int | None = None) -> Scena
     """
     heat, drag = thermal_energy(TEMPERATURE), stokes_drag(RADIUS, VISCOSITY)
     swimmer = OverdampedSwimmer(
+        environment=ZeroForce(),
         propulsion=MagneticPropulsion(
             field=RotatingField(amplitude=1.0, frequency=2 * np.pi),
             moment=[0.0, 0.0, 1.0],
             gain=drag * CRUISING_SPEED,
             axis=[0.0, 1.0],
         ),
-        environment=GaussianBarrier(20 * heat, [0.0, 0.0], 2.0),
         mobility=1 / drag,
     )
-    box = Domain((-6.0, -8.0), (6.0, 2.0))
-    return Scenario(
+    system = System(
         name="brownian",
-        truth=BrownianSwimmer(swimmer, heat),
-        starts=uniform_starts(box, key=key, count=count, default=32),
+        swimmer=swimmer,
+        dim=2,
+        environment=GaussianBarrier(20 * heat, [0.0, 0.0], 2.0),
+        thermal_energy=heat,
+        rule=UniformStarts(lower=(-6.0, -8.0), upper=(6.0, 2.0), count=32),
         times=jnp.linspace(0.0, 10.0, 241),
-        noise=0.0,
-        channels=CHANNELS,
-        units={"x": "um", "y": "um", "t": "s"},
+        base_units=Units("um", "s", "pN"),
     )
+    return system.with_starts(key, count)

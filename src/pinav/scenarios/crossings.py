@@ -1,5 +1,7 @@
 """The paper's barrier: its own shot, many shots, beside a swirl, and in motion."""
 
+import dataclasses
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PRNGKeyArray
@@ -17,16 +19,15 @@ from pinav.forces import (
     Moving,
     SumForce,
 )
-from pinav.scenarios.scenario import (
-    DIMENSIONLESS,
-    PLANAR_CHANNELS,
-    Scenario,
-    planar_scenario,
-    ring_starts,
-)
+from pinav.systems import AbstractStarts, Observation, RingStarts, System
 
 DAMPING = 0.36
 """Drag of the paper's swimmer, as identified."""
+
+RING = RingStarts(center=(5.0, 5.0), radius=7.0, spread=2.0, speeds=(2.5, 5.0))
+"""Starts on a circle around the barrier, aimed near its centre."""
+
+MANY = dataclasses.replace(RING, count=16)
 
 
 def paper_barrier() -> GaussianBarrier:
@@ -55,7 +56,35 @@ def paper_swimmer(
     )
 
 
-def paper(key: PRNGKeyArray | None = None, count: int | None = None) -> Scenario:
+def planar_system(
+    name: str,
+    truth: Swimmer,
+    rule: AbstractStarts,
+    key: PRNGKeyArray | None = None,
+    count: int | None = None,
+) -> System:
+    """A dimensionless system in the plane, observed every 0.1 up to t = 20.
+
+    Args:
+        name: what the command line calls it.
+        truth: the swimmer in its true environment.
+        rule: draws the starts.
+        key: random key of the starts.
+        count: number of trajectories.
+    """
+    system = System(
+        name=name,
+        swimmer=truth.without_environment(),
+        dim=2,
+        environment=truth.environment,
+        observation=Observation(noise=0.02),
+        rule=rule,
+        times=jnp.linspace(0.0, 20.0, 201),
+    )
+    return system.with_starts(key, count)
+
+
+def paper(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
     r"""The paper's benchmark: shot at a Gaussian barrier, stalled, rolled off.
 
     The constants that the paper does not print are *identified*: the row
@@ -80,20 +109,19 @@ def paper(key: PRNGKeyArray | None = None, count: int | None = None) -> Scenario
             f"scenario 'paper' has one fixed start, so --count {count} cannot be; "
             "choose barrier-crossings for more of them"
         )
-    return Scenario(
+    return System(
         name="paper",
-        truth=paper_swimmer(),
+        swimmer=paper_swimmer().without_environment(),
+        dim=2,
+        environment=paper_barrier(),
         starts=jnp.array([[0.0, 0.0, 3.503477, 3.439507]]),
         times=jnp.linspace(0.0, 50.0, 501),
-        noise=0.0,
-        channels=PLANAR_CHANNELS,
-        units=DIMENSIONLESS,
     )
 
 
 def barrier_crossings(
     key: PRNGKeyArray | None = None, count: int | None = None
-) -> Scenario:
+) -> System:
     r"""Noisy shots at the paper's barrier, from all around it.
 
     The swimmers start on the circle of radius 7 about the barrier's centre, at
@@ -107,11 +135,10 @@ def barrier_crossings(
         key: random key of the starts; `jax.random.key(0)` unless given.
         count: number of trajectories; 8 unless given.
     """
-    starts = ring_starts(key, count)
-    return planar_scenario("barrier-crossings", paper_swimmer(), starts)
+    return planar_system("barrier-crossings", paper_swimmer(), RING, key, count)
 
 
-def swirl(key: PRNGKeyArray | None = None, count: int | None = None) -> Scenario:
+def swirl(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
     r"""The paper's barrier and a swirl beside it: a force without a potential.
 
     The swirl has strength $S = 3$, width 2.5 and centre (6, 4). Over the whole plane
@@ -125,12 +152,10 @@ def swirl(key: PRNGKeyArray | None = None, count: int | None = None) -> Scenario
     """
     rotation = GaussianSwirl(strength=3.0, center=[6.0, 4.0], width=2.5)
     truth = paper_swimmer(SumForce((paper_barrier(), rotation)))
-    return planar_scenario("swirl", truth, ring_starts(key, count, 16))
+    return planar_system("swirl", truth, MANY, key, count)
 
 
-def moving_barrier(
-    key: PRNGKeyArray | None = None, count: int | None = None
-) -> Scenario:
+def moving_barrier(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
     r"""The paper's barrier on a circle of radius 2 about (5, 5), once in 20 time units.
 
     Starts, times and noise are those of `barrier_crossings`. Expected: a static force
@@ -142,4 +167,4 @@ def moving_barrier(
     """
     motion = CircularMotion(radius=2.0, frequency=2 * np.pi / 20)
     truth = paper_swimmer(Moving(paper_barrier(), motion))
-    return planar_scenario("moving-barrier", truth, ring_starts(key, count, 16))
+    return planar_system("moving-barrier", truth, MANY, key, count)

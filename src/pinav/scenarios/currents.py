@@ -22,8 +22,9 @@ from pinav.forces import (
     SumForce,
     UniformFlow,
     VortexFlow,
+    ZeroForce,
 )
-from pinav.scenarios.scenario import Scenario, uniform_starts
+from pinav.systems import Observation, System, UniformStarts
 
 BASIN = Domain((0.0, 0.0), (10.0, 10.0))
 """Where swimmers start."""
@@ -35,9 +36,7 @@ TURN = 8.0
 """Time of one turn of the heading [T]."""
 
 
-def shear_current(
-    key: PRNGKeyArray | None = None, count: int | None = None
-) -> Scenario:
+def shear_current(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
     """A shear of rate 0.2, at rest on the line y = 5: as fast as the swimmer at y = 0.
 
     Args:
@@ -50,7 +49,7 @@ def shear_current(
 
 def channel_current(
     key: PRNGKeyArray | None = None, count: int | None = None
-) -> Scenario:
+) -> System:
     """A channel flow of speed 0.7 between y = -3 and y = 13.
 
     Args:
@@ -61,9 +60,7 @@ def channel_current(
     return _current("channel-current", Advection(flow), key, count)
 
 
-def vortex_current(
-    key: PRNGKeyArray | None = None, count: int | None = None
-) -> Scenario:
+def vortex_current(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
     """A vortex of width 2 in the middle, counter-clockwise, 0.85 where it is fastest.
 
     Args:
@@ -74,9 +71,7 @@ def vortex_current(
     return _current("vortex-current", Advection(flow), key, count)
 
 
-def drift_current(
-    key: PRNGKeyArray | None = None, count: int | None = None
-) -> Scenario:
+def drift_current(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
     """A drift of (0.25, -0.15) and a swirl of at most 0.24 around (6, 5).
 
     Args:
@@ -90,20 +85,21 @@ def drift_current(
 
 def _current(
     name: str, current: AbstractForce, key: PRNGKeyArray | None, count: int | None
-) -> Scenario:
+) -> System:
     times = jnp.linspace(0.0, DURATION, 41)
     programme = LinearProgramme(times, jnp.ones_like(times), 2 * np.pi * times / TURN)
-    truth = OverdampedSwimmer(
+    swimmer = OverdampedSwimmer(
         propulsion=RollingPropulsion(jnp.eye(2), LinearResponse(), programme),
-        environment=current,
+        environment=ZeroForce(),
         mobility=1.0,
     )
-    return Scenario(
+    system = System(
         name=name,
-        truth=truth,
-        starts=uniform_starts(BASIN, key=key, count=count, default=8),
+        swimmer=swimmer,
+        dim=2,
+        environment=current,
+        observation=Observation(noise=0.02),
+        rule=UniformStarts(lower=BASIN.lower, upper=BASIN.upper),
         times=jnp.linspace(0.0, DURATION, round(10 * DURATION) + 1),
-        noise=0.02,
-        channels=("x", "y"),
-        units=dict.fromkeys(("x", "y", "t"), "1"),
     )
+    return system.with_starts(key, count)

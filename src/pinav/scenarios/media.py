@@ -17,13 +17,13 @@ from pinav.forces import (
     UniaxialTensor,
     WavyDirector,
 )
-from pinav.scenarios.crossings import DAMPING, paper_swimmer
-from pinav.scenarios.scenario import Scenario, planar_scenario, ring_starts
+from pinav.scenarios.crossings import DAMPING, MANY, RING, paper_swimmer, planar_system
+from pinav.systems import RingStarts, System
 
 
 def anisotropic_drag(
     key: PRNGKeyArray | None = None, count: int | None = None
-) -> Scenario:
+) -> System:
     """The paper's barrier in aligned fibres, at 30 degrees to the x axis.
 
     The drag is 0.24 along and 0.48 across them; the ratio of 2 is that of slender
@@ -40,7 +40,7 @@ def anisotropic_drag(
 
 def varying_director(
     key: PRNGKeyArray | None = None, count: int | None = None
-) -> Scenario:
+) -> System:
     """As `anisotropic_drag`, with a director that sways by 45 degrees about 30.
 
     It sways along x with a wavelength of 12. Expected: no constant tensor explains the
@@ -52,10 +52,10 @@ def varying_director(
     """
     director = WavyDirector(np.pi / 6, np.pi / 4, [2 * np.pi / 12, 0.0])
     tensor = UniaxialTensor(0.24, 0.48, director)
-    return _scenario("varying-director", tensor, key, count, 16)
+    return _scenario("varying-director", tensor, key, count, MANY)
 
 
-def porous(key: PRNGKeyArray | None = None, count: int | None = None) -> Scenario:
+def porous(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
     """The paper's barrier with four dense regions of a gel around it.
 
     Brinkman drag: 0.36 in the clear fluid, 2.8 times that in the middle of a region of
@@ -74,10 +74,10 @@ def porous(key: PRNGKeyArray | None = None, count: int | None = None) -> Scenari
         centers=jnp.array([[1.0, 3.0], [8.0, 1.0], [9.5, 7.5], [3.0, 9.5]]),
         width=1.5,
     )
-    return _scenario("porous", tensor, key, count, 16)
+    return _scenario("porous", tensor, key, count, MANY)
 
 
-def shear(key: PRNGKeyArray | None = None, count: int | None = None) -> Scenario:
+def shear(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
     """The paper's barrier in a shear flow of rate 0.06, at rest on the line y = 5.
 
     Drag acts on the velocity relative to the fluid. Starts, thrust, times and noise are
@@ -91,7 +91,7 @@ def shear(key: PRNGKeyArray | None = None, count: int | None = None) -> Scenario
     return _in_flow("shear", ShearFlow(rate=0.06, origin=5.0), key, count)
 
 
-def poiseuille(key: PRNGKeyArray | None = None, count: int | None = None) -> Scenario:
+def poiseuille(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
     """The paper's barrier in a channel flow of speed 0.6 between y = -5 and y = 15.
 
     Drag acts on the velocity relative to the fluid. Starts, thrust, times and noise are
@@ -111,14 +111,14 @@ def _scenario(
     tensor: AbstractTensorField,
     key: PRNGKeyArray | None,
     count: int | None,
-    default: int = 8,
-) -> Scenario:
+    rule: RingStarts = RING,
+) -> System:
     truth = paper_swimmer(drag=TensorDrag(tensor))
-    return planar_scenario(name, truth, ring_starts(key, count, default))
+    return planar_system(name, truth, rule, key, count)
 
 
 def _in_flow(
     name: str, flow: AbstractFlow, key: PRNGKeyArray | None, count: int | None
-) -> Scenario:
+) -> System:
     truth = paper_swimmer(drag=InFlow(LinearDrag(DAMPING), flow))
-    return planar_scenario(name, truth, ring_starts(key, count, 16))
+    return planar_system(name, truth, MANY, key, count)

@@ -10,14 +10,14 @@ from jaxtyping import Float64, PRNGKeyArray
 
 from pinav.dynamics import Adaptive, BrownianSwimmer, rollout, sample_path
 from pinav.errors import InputError
-from pinav.scenarios.scenario import Scenario
+from pinav.systems import System
 
 SUBSTEPS = 8
 """Steps of a stochastic truth between two observations."""
 
 
 def true_paths(
-    scenario: Scenario, key: PRNGKeyArray | None
+    scenario: System, key: PRNGKeyArray | None
 ) -> tuple[Float64[np.ndarray, "trajectory time state"], dict[str, Any]]:
     """States at the times of a scenario, and the method by which they were found.
 
@@ -41,7 +41,7 @@ def true_paths(
 
 
 def _sampled(
-    scenario: Scenario, truth: BrownianSwimmer, key: PRNGKeyArray | None
+    scenario: System, truth: BrownianSwimmer, key: PRNGKeyArray | None
 ) -> Float64[np.ndarray, "trajectory time state"]:
     if key is None:
         raise InputError(

@@ -4,8 +4,8 @@ import jax
 from jaxtyping import PRNGKeyArray
 
 from pinav.forces import Domain, random_barriers, random_fibres
-from pinav.scenarios.crossings import DAMPING, paper_swimmer
-from pinav.scenarios.scenario import Scenario, coasting_starts, planar_scenario
+from pinav.scenarios.crossings import DAMPING, paper_swimmer, planar_system
+from pinav.systems import CoastingStarts, System
 
 SQUARE = Domain((0.0, 0.0), (20.0, 20.0))
 """Where centres and starts are."""
@@ -14,9 +14,7 @@ FIELD_SEED = 12
 """Each field is drawn once: keys of a scenario change its starts, not its world."""
 
 
-def many_barriers(
-    key: PRNGKeyArray | None = None, count: int | None = None
-) -> Scenario:
+def many_barriers(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
     """Twelve barriers of random height and width, at places that keep apart.
 
     Heights are uniform in [1, 3], widths in [1, 1.6]; the field is the same for every
@@ -37,11 +35,11 @@ def many_barriers(
         widths=(1.0, 1.6),
         key=jax.random.key(FIELD_SEED),
     )
-    starts = coasting_starts(SQUARE, DAMPING, key=key, count=count)
-    return planar_scenario("many-barriers", paper_swimmer(field), starts)
+    starts = CoastingStarts(lower=SQUARE.lower, upper=SQUARE.upper, damping=DAMPING)
+    return planar_system("many-barriers", paper_swimmer(field), starts, key, count)
 
 
-def fibres(key: PRNGKeyArray | None = None, count: int | None = None) -> Scenario:
+def fibres(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
     """Twelve fibres in random directions: ridges of length 2.5 and width 0.7.
 
     Heights are uniform in [1, 3]; the field is the same for every key. Starts, thrust,
@@ -60,5 +58,5 @@ def fibres(key: PRNGKeyArray | None = None, count: int | None = None) -> Scenari
         width=0.7,
         key=jax.random.key(FIELD_SEED),
     )
-    starts = coasting_starts(SQUARE, DAMPING, key=key, count=count)
-    return planar_scenario("fibres", paper_swimmer(field), starts)
+    starts = CoastingStarts(lower=SQUARE.lower, upper=SQUARE.upper, damping=DAMPING)
+    return planar_system("fibres", paper_swimmer(field), starts, key, count)

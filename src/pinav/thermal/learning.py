@@ -14,10 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
+from pinav.fitting import EvidenceFit
 from pinav.fitting.bayes.derived import derived
-from pinav.fitting.bayes.posterior import Posterior
+from pinav.fitting.engine.posterior import Posterior
 from pinav.fitting.environments.networks import IsotropicPrior
-from pinav.fitting.least_squares import RegressionFit, fit_regression
+from pinav.fitting.least_squares import fit_regression
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.learned_perfusion import AbstractLearnedPerfusion
 from pinav.thermal.probes import ProbeData
@@ -98,7 +99,7 @@ def learn(
     stepper: AbstractStepper | None = None,
     max_iterations: int = 40,
     throw: bool = True,
-) -> RegressionFit:
+) -> EvidenceFit:
     """Fit laws of perfusion, and constants, to readings of probes.
 
     Args:

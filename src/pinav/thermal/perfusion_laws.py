@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar
-from pinav.fitting.bayes.iterate import BayesOutcome
-from pinav.fitting.bayes.posterior import Estimate
+from pinav.fitting import Outcome
+from pinav.fitting.engine.posterior import Estimate
 from pinav.fitting.least_squares import fit_regression
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.learning import PerfusionCurve, learn
@@ -150,7 +150,7 @@ def rank_laws(
         count, free = int(data.observed.sum()), len(refit.constants)
         squares = refit.hyperparameters.noise**2 * (count - free)
         bic = count * np.log(squares / count) + free * np.log(count)
-        converged = refit.outcome is BayesOutcome.CONVERGED
+        converged = refit.outcome is Outcome.CONVERGED
         best = law(refit.model)
         found.append(
             LawFit(name, best, refit.constants, squares, float(bic), converged)

@@ -7,20 +7,23 @@ from jaxtyping import PRNGKeyArray
 
 from pinav import __version__
 from pinav.errors import InputError
-from pinav.scenarios import Scenario, true_paths
+from pinav.scenarios import true_paths
+from pinav.systems import System
 from pinav.trajectories.trajectories import Trajectories
 
 
-def simulate(scenario: Scenario, *, key: PRNGKeyArray | None = None) -> Trajectories:
-    """Solve the truth from every start of a scenario and observe it, with its noise.
+def simulate(scenario: System, *, key: PRNGKeyArray | None = None) -> Trajectories:
+    """Solve the truth from every start of a system and observe it, with its noise.
 
     Args:
-        scenario: the true system.
+        scenario: the system, with its true environment, starts and times.
         key: random key of observation noise and Brownian motion, where there are any.
 
     Raises:
-        InputError: JAX or the scenario is in float32, or noise has no key.
+        InputError: JAX or the system is in float32, a noise has no key, or the system
+            states no true environment, no starts or no times.
     """
+    scenario.check_simulated()
     if jnp.result_type(float) != jnp.float64 or scenario.starts.dtype != jnp.float64:
         raise InputError(
             "simulate: expected float64; call jax.config.update("
@@ -45,7 +48,7 @@ def simulate(scenario: Scenario, *, key: PRNGKeyArray | None = None) -> Trajecto
 
 
 def _observation_noise(
-    scenario: Scenario, key: PRNGKeyArray | None, shape: tuple[int, ...]
+    scenario: System, key: PRNGKeyArray | None, shape: tuple[int, ...]
 ) -> np.ndarray:
     if scenario.noise == 0:
         return np.zeros(shape)

@@ -14,10 +14,10 @@ from pinav.analysis.discovery.potentials import (
     Harmonic,
     Lorentzian,
 )
-from pinav.analysis.discovery.refit import Refit, RefitOutcome, RefitProblem, refit
+from pinav.analysis.discovery.refit import Refit, RefitProblem, refit
 from pinav.dynamics import Adaptive, FixedStep, NeuralDynamics, rollout
 from pinav.errors import FitError, InputError
-from pinav.fitting import Posterior
+from pinav.fitting import Outcome, Posterior
 from pinav.forces import GaussianBarrier
 from pinav.scenarios import barrier_crossings
 from pinav.trajectories import Trajectories, simulate, smoothed_states
@@ -91,7 +91,7 @@ def test_refit_is_the_least_squares_of_rollouts(crossings, found):
     truth, data = crossings
     problem = RefitProblem.of(data, smoothed_states(data), FixedStep())
     result = refit(GAUSSIAN, TRUTH * 1.05, truth, problem)
-    assert result.outcome is RefitOutcome.CONVERGED
+    assert result.outcome is Outcome.CONVERGED
     best = [own.value for own in found.best.constants]
     sd = np.array([own.sd for own in found.best.constants])
     assert np.all(np.abs(result.constants - best) < 0.05 * sd)
@@ -130,7 +130,7 @@ def refit_with(constants, sd):
         squares=1.0,
         noise=1.0,
         num_residuals=10,
-        outcome=RefitOutcome.CONVERGED,
+        outcome=Outcome.CONVERGED,
     )
 
 

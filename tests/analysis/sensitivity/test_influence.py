@@ -8,8 +8,8 @@ from pinav.analysis import influence
 from pinav.dynamics import FixedStep
 from pinav.errors import FitError, InputError
 from pinav.fitting import fit_bayes, kernel_environment
-from pinav.fitting.bayes.multiple_shooting import linearise
 from pinav.fitting.bayes.problem import BayesProblem
+from pinav.fitting.engine.multiple_shooting import linearise
 from pinav.fitting.evidence.evidence import Data, weight_posterior
 from pinav.fitting.evidence.quadratic import Quadratic, joint_posterior, without_flat
 from pinav.forces import KernelPotential

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from pinav.errors import FitError, InputError
-from pinav.fitting import BayesOutcome, fit_bayes, kernel_environment
+from pinav.fitting import Outcome, fit_bayes, kernel_environment
 from pinav.fitting.evidence.priors import WeightPrior
 from pinav.forces import AbstractForce, GaussianBarrier, KernelForce, KernelPotential
 from pinav.scenarios import barrier_crossings
@@ -32,7 +32,7 @@ def data(scenario):
 @pytest.fixture(scope="module")
 def untrained(scenario, data):
     environment = kernel_environment(KernelPotential, data)
-    return eqx.tree_at(lambda s: s.environment, scenario.truth, environment)
+    return scenario.swimmer.with_environment(environment)
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ def forces(force, points):
 def error(fit, scenario, data):
     """Relative error of the force at the observed positions."""
     points = data.states[..., :2].reshape(-1, 2)
-    true = forces(scenario.truth.environment, points)
+    true = forces(scenario.environment, points)
     learned = forces(fit.model.environment, points)
     return np.linalg.norm(learned - true) / np.linalg.norm(true)
 
@@ -66,7 +66,7 @@ def error(fit, scenario, data):
 def test_a_kernel_potential_learns_the_force_from_noisy_crossings(
     fitted, scenario, data
 ):
-    assert fitted.outcome is BayesOutcome.CONVERGED
+    assert fitted.outcome is Outcome.CONVERGED
     assert fitted.iterations <= 8
     assert error(fitted, scenario, data) < 0.03
     assert fitted.hyperparameters.noise == pytest.approx(NOISE, rel=0.1)
@@ -90,7 +90,7 @@ def fitted_rollout(fitted, data):
 def test_the_band_covers_the_true_force(fitted, scenario, data):
     points = data.states[..., :2].reshape(-1, 2)
     miss = forces(fitted.model.environment, points) - forces(
-        scenario.truth.environment, points
+        scenario.environment, points
     )
     inside = np.abs(miss) < 1.96 * fitted.posterior.force_sd(points)
     assert inside.mean() > 0.85
@@ -129,7 +129,7 @@ def test_positions_alone_suffice(untrained, scenario, data, missing):
     observed = data.observed.copy()
     observed[..., missing] = False
     found = fit_bayes(untrained, observing(data, observed))
-    assert found.outcome is BayesOutcome.CONVERGED
+    assert found.outcome is Outcome.CONVERGED
     assert error(found, scenario, data) < 0.12
     assert found.hyperparameters.noise == pytest.approx(NOISE, rel=0.1)
 
@@ -158,7 +158,7 @@ def test_holes_and_trajectories_of_different_lengths_are_no_obstacle(
         observed=[rng.uniform(size=(len(rows), 4)) > 0.2 for rows in keep],
     )
     found = fit_bayes(untrained, holes, noise=NOISE)
-    assert found.outcome is BayesOutcome.CONVERGED
+    assert found.outcome is Outcome.CONVERGED
     assert found.hyperparameters.noise == NOISE
     assert error(found, scenario, data) < 0.05
 
@@ -166,7 +166,7 @@ def test_holes_and_trajectories_of_different_lengths_are_no_obstacle(
 def test_data_without_noise_converge_to_little_noise(untrained, scenario):
     clean = simulate(eqx.tree_at(lambda s: s.noise, scenario, 0.0))
     found = fit_bayes(untrained, clean, throw=False)
-    assert found.outcome is BayesOutcome.CONVERGED
+    assert found.outcome is Outcome.CONVERGED
     assert found.hyperparameters.noise < 1e-3
     assert error(found, scenario, clean) < 1e-3
 
@@ -175,7 +175,7 @@ def test_iterations_that_run_out_are_a_stall(untrained, data):
     with pytest.raises(FitError, match="stalled: its iterations ran out"):
         fit_bayes(untrained, data, max_iterations=1)
     found = fit_bayes(untrained, data, max_iterations=1, throw=False)
-    assert found.outcome is BayesOutcome.STALLED
+    assert found.outcome is Outcome.STALLED
     assert np.all(np.isfinite(found.posterior.mean))
 
 
@@ -200,7 +200,7 @@ def test_a_step_to_where_nothing_is_finite_is_a_divergence(untrained, data):
     with pytest.raises(FitError, match="the fit diverged: the states depart from"):
         fit_bayes(model, data, learn=lambda m: m.drag.square)
     found = fit_bayes(model, data, learn=lambda m: m.drag.square, throw=False)
-    assert found.outcome is BayesOutcome.DIVERGED
+    assert found.outcome is Outcome.DIVERGED
     assert found.iterations == 1
     assert found.constants["drag.square"].value < 0
 
@@ -298,12 +298,12 @@ def test_two_obstacles_are_learned_with_a_wide_envelope(scenario, untrained):
     barriers = GaussianBarrier(4.0, [2.0, 3.0], 1.5) + GaussianBarrier(
         -3.0, [8.0, 6.0], 2.0
     )
-    two = eqx.tree_at(lambda s: s.truth.environment, scenario, barriers)
+    two = scenario.with_truth(barriers)
     seen = simulate(two, key=jax.random.key(3))
     model = eqx.tree_at(
         lambda s: s.environment, untrained, kernel_environment(KernelPotential, seen)
     )
     found = fit_bayes(model, seen)
-    assert found.outcome is BayesOutcome.CONVERGED
+    assert found.outcome is Outcome.CONVERGED
     assert error(found, two, seen) < 0.1
     assert found.hyperparameters.shape[1] > 0.5

@@ -9,13 +9,12 @@ from jaxtyping import Array, Float
 
 from pinav.dynamics import AbstractDynamics, FixedStep, rollout
 from pinav.errors import InputError
-from pinav.fitting import BayesOutcome, fit_bayes, kernel_environment, model_evidence
+from pinav.fitting import Outcome, fit_bayes, kernel_environment, model_evidence
 from pinav.forces import (
     AbstractForce,
     GaussianBarrier,
     KernelForce,
     KernelPotential,
-    ZeroForce,
 )
 from pinav.scenarios import barrier_crossings
 from pinav.trajectories import Trajectories, simulate
@@ -64,7 +63,7 @@ def guess(model):
     wrong = GaussianBarrier(
         0.7 * model.environment.height, offset, 1.2 * model.environment.width
     )
-    return eqx.tree_at(lambda m: m.environment, model, wrong)
+    return model.with_environment(wrong)
 
 
 def values(barrier):
@@ -82,7 +81,7 @@ def parametric(request, crossings, drifts):
 
 def test_a_parametric_environment_is_found_within_its_intervals(parametric):
     truth, _, found = parametric
-    assert found.outcome is BayesOutcome.CONVERGED
+    assert found.outcome is Outcome.CONVERGED
     assert list(found.constants) == [
         "environment.height",
         "environment.center[0]",
@@ -104,7 +103,7 @@ def test_the_intervals_are_those_of_least_squares_on_rollouts(parametric):
 
     def rolled(parameters, starts):
         force = GaussianBarrier(parameters[0], parameters[1:3], parameters[3])
-        model = eqx.tree_at(lambda m: m.environment, truth, force)
+        model = truth.with_environment(force)
         return jax.vmap(lambda y0: solver.solve(model, y0, times)[0])(starts).ravel()
 
     best = jnp.asarray(values(found.model.environment))
@@ -122,9 +121,9 @@ def test_the_intervals_are_those_of_least_squares_on_rollouts(parametric):
 def test_a_known_model_has_the_evidence_of_its_noise_and_starts(drifts):
     """Without a force each path is its start plus a line, and starts are means."""
     truth, data = drifts
-    known = eqx.tree_at(lambda m: m.environment, truth, ZeroForce())
+    known = truth.without_environment()
     found = fit_bayes(known, data, learn=None)
-    assert found.outcome is BayesOutcome.CONVERGED
+    assert found.outcome is Outcome.CONVERGED
     assert found.posterior.mean.size == 0
     assert not found.constants
     lines = data.times[..., None] * np.asarray(truth.drift)
@@ -146,9 +145,9 @@ def test_a_known_model_has_the_evidence_of_its_noise_and_starts(drifts):
 def test_known_kernels_stay_as_they_are(drifts):
     truth, data = drifts
     kernels = kernel_environment(KernelPotential, data, dim=2)
-    known = eqx.tree_at(lambda m: m.environment, truth, kernels)
+    known = truth.with_environment(kernels)
     found = fit_bayes(known, data, learn=None)
-    nothing = eqx.tree_at(lambda m: m.environment, truth, ZeroForce())
+    nothing = truth.without_environment()
     expected = fit_bayes(nothing, data, learn=None)  # untrained kernels are no force
     np.testing.assert_allclose(found.states, expected.states, atol=1e-9)
     assert found.model.environment.weights.shape == kernels.weights.shape
@@ -158,9 +157,9 @@ def test_known_kernels_stay_as_they_are(drifts):
 def test_kernels_are_fitted_to_dynamics_of_first_order(drifts, kind):
     truth, data = drifts
     environment = kernel_environment(kind, data, dim=2)
-    model = eqx.tree_at(lambda m: m.environment, truth, environment)
+    model = truth.with_environment(environment)
     found = fit_bayes(model, data)
-    assert found.outcome is BayesOutcome.CONVERGED
+    assert found.outcome is Outcome.CONVERGED
     assert found.hyperparameters.noise == pytest.approx(NOISE, rel=0.15)
     points = jnp.asarray(data.states.reshape(-1, 2))
 
@@ -185,7 +184,7 @@ def test_positions_are_no_velocities_of_each_other(drifts):
 
 def test_models_with_nothing_to_learn_are_refused(crossings, drifts):
     scenario, data = crossings
-    without = eqx.tree_at(lambda s: s.environment, scenario.truth, ZeroForce())
+    without = scenario.truth.without_environment()
     with pytest.raises(InputError, match="learn: ZeroForce has no weights"):
         fit_bayes(without, data)
     with pytest.raises(InputError, match="force called environment, got EmptyDyn"):
@@ -195,7 +194,7 @@ def test_models_with_nothing_to_learn_are_refused(crossings, drifts):
         [0.0, 1.0], np.arange(6.0).reshape(2, 3), channels=("x", "y", "z")
     )
     kernels = kernel_environment(KernelPotential, drifts[1], dim=2)
-    drifting = eqx.tree_at(lambda m: m.environment, drifts[0], kernels)
+    drifting = drifts[0].with_environment(kernels)
     with pytest.raises(InputError, match=wrong):
         fit_bayes(drifting, three)
     with pytest.raises(InputError, match="kernel_environment dim: expected 1 to 2"):

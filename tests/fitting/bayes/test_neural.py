@@ -10,7 +10,7 @@ from pinav.analysis import influence
 from pinav.dynamics import FixedStep
 from pinav.errors import InputError
 from pinav.fitting import (
-    BayesOutcome,
+    Outcome,
     fit_bayes,
     kernel_environment,
     model_evidence,
@@ -100,7 +100,7 @@ def test_the_speed_is_the_unit_of_force_without_inertia(data):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_network_learns_what_it_is_taught(scenario, data, kind):
-    barrier = scenario.truth.environment
+    barrier = scenario.environment
     taught = lesson(barrier, data, data.states, dim=2, width=0.5)
     samples = data.states[..., :2].reshape(-1, 2)
     np.testing.assert_array_equal(taught.positions[: len(samples)], samples)
@@ -141,11 +141,11 @@ def fitted(scenario, data):
 
 
 def test_a_network_learns_the_force_from_noisy_crossings(fitted, scenario, data):
-    assert fitted.outcome is BayesOutcome.CONVERGED
+    assert fitted.outcome is Outcome.CONVERGED
     assert fitted.iterations <= 10
     assert fitted.hyperparameters.noise == pytest.approx(NOISE, rel=0.1)
     points = data.states[..., :2].reshape(-1, 2)
-    true = forces(scenario.truth.environment, points)
+    true = forces(scenario.environment, points)
     learned = forces(fitted.model.environment, points)
     assert relative(learned, true) < 0.08
     inside = np.abs(learned - true) < 1.96 * fitted.posterior.force_sd(points)
@@ -174,7 +174,7 @@ def test_the_bands_of_a_network_are_as_wide_as_its_errors(fitted, scenario, data
     """A prior of one variance for all weights makes them five times too wide."""
     points = data.states[..., :2].reshape(-1, 2)
     miss = forces(fitted.model.environment, points)
-    miss = miss - forces(scenario.truth.environment, points)
+    miss = miss - forces(scenario.environment, points)
     z = miss / fitted.posterior.force_sd(points)
     assert 0.4 < np.sqrt(np.mean(z**2)) < 2.0
 
@@ -223,14 +223,14 @@ def test_a_network_that_sees_the_time_has_independent_weights(scenario, data):
     features = PositionTimeFeatures((5.0, 5.0, 2.5), (3.0, 3.0, 1.5))
     network = tanh_network(3, 2, width=6, depth=1, key=jax.random.key(0))
     force = NeuralForce(spread_weights(network), features)
-    model = eqx.tree_at(lambda m: m.environment, scenario.truth, force)
+    model = scenario.truth.with_environment(force)
     found = fit_bayes(model, data, max_iterations=1, throw=False)
     assert found.hyperparameters.shape.size == 0
     assert found.hyperparameters.amplitude > 0
 
 
 def test_channels_must_be_those_of_the_features(scenario, data):
-    model = eqx.tree_at(lambda m: m.environment, scenario.truth, small(KINDS[0], data))
+    model = scenario.truth.with_environment(small(KINDS[0], data))
     one_dim = Trajectories.from_arrays(
         data.times[0], data.states[0][:, [0, 2]], channels=("x", "vx")
     )

@@ -1,6 +1,5 @@
 """Kernels are laid anew where the evidence finds them too coarse, and only there."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,8 +9,8 @@ from jaxtyping import Array, Float
 from pinav.dynamics import AbstractDynamics, FixedStep, rollout
 from pinav.errors import InputError
 from pinav.fitting import (
-    BayesOutcome,
     KernelGrid,
+    Outcome,
     Refinement,
     changing_environment,
     fit_bayes,
@@ -68,7 +67,7 @@ FEW = KernelGrid(across=8)
 
 def untrained(truth, data, grid=FEW):
     environment = kernel_environment(KernelPotential, data, grid, dim=1)
-    return eqx.tree_at(lambda m: m.environment, truth, environment)
+    return truth.with_environment(environment)
 
 
 def error(found, truth, data):
@@ -97,7 +96,7 @@ def test_narrow_bumps_get_finer_kernels(rough, refined):
     truth, data = rough
     coarse = fit_bayes(untrained(*rough), data, refine=None, throw=False)
     assert coarse.model.environment.width > 2 * refined.model.environment.width
-    assert refined.outcome is BayesOutcome.CONVERGED
+    assert refined.outcome is Outcome.CONVERGED
     (length_scale,) = length_scales(
         refined.model.environment, refined.hyperparameters.shape
     )
@@ -120,7 +119,7 @@ def test_a_network_is_taught_by_kernels_as_fine_as_asked(rough, refined):
     network = neural_environment(
         NeuralForce, data, key=jax.random.key(0), width=4, depth=1, dim=1
     )
-    model = eqx.tree_at(lambda m: m.environment, truth, network)
+    model = truth.with_environment(network)
     found = fit_bayes(
         model, data, refine=Refinement(factor=2.0), max_iterations=1, throw=False
     )
@@ -145,7 +144,7 @@ def test_without_room_the_outcome_says_so(rough):
     found = fit_bayes(
         model, rough[1], refine=Refinement(max_weights=count), throw=False
     )
-    assert found.outcome in (BayesOutcome.COARSE, BayesOutcome.STALLED)
+    assert found.outcome in (Outcome.UNDER_RESOLVED, Outcome.STALLED)
     assert found.model.environment.weights.size == count
 
 

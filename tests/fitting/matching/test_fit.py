@@ -15,8 +15,8 @@ from pinav.fitting import (
     AbstractPhase,
     Adam,
     BestSoFar,
-    FitOutcome,
     FitState,
+    Outcome,
     TrajectoryLoss,
     curriculum,
     fit,
@@ -59,7 +59,7 @@ def data() -> Trajectories:
 def network_swimmer(seed: int) -> Swimmer:
     network = tanh_network(2, 2, width=8, depth=1, key=jax.random.key(seed))
     environment = NeuralForce(network, PositionFeatures((0.0, 0.0), (1.0, 1.0)))
-    return eqx.tree_at(lambda s: s.environment, TRUTH, environment)
+    return TRUTH.with_environment(environment)
 
 
 def environment(model):
@@ -77,7 +77,7 @@ def fitted(data):
 
 
 def test_a_network_learns_the_force(fitted, data):
-    assert fitted.outcome is FitOutcome.COMPLETED
+    assert fitted.outcome is Outcome.COMPLETED
     assert fitted.losses[-1] < 1e-3 * fitted.losses[0]
     final = OBJECTIVE(fitted.model, Observations.of(data, jnp.float32))
     assert final == pytest.approx(fitted.losses[-1], rel=1e-5)
@@ -165,7 +165,7 @@ def test_a_fit_that_is_done_takes_no_steps_while_others_do(data):
     weights = jax.tree.map(
         lambda leaf: 1e-3 * leaf if eqx.is_array(leaf) else leaf, large.environment
     )
-    small = eqx.tree_at(lambda m: m.environment, large, weights)
+    small = large.with_environment(weights)
     few = halvings([small, small], data, side_by_side=False)
     many = halvings([large, large], data, side_by_side=False)
     assert 0 < few < many - 10
@@ -293,7 +293,7 @@ def test_a_diverging_fit_says_so(data):
     with pytest.raises(FitError, match="the fit diverged: its loss is not finite; use"):
         fit(network_swimmer(0), data, wild, **call)
     result = fit(network_swimmer(0), data, wild, throw=False, **call)
-    assert result.outcome is FitOutcome.DIVERGED
+    assert result.outcome is Outcome.DIVERGED
 
 
 def test_bad_requests_are_refused(data):

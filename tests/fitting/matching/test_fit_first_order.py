@@ -1,6 +1,5 @@
 """Gauss-Newton fits of first-order dynamics: positions are the whole state."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -53,7 +52,7 @@ def observe(*lengths) -> Trajectories:
 def network_swimmer() -> OverdampedSwimmer:
     features = PositionFeatures((0.0, 0.0), (1.0, 1.0))
     network = tanh_network(2, 2, width=4, depth=1, key=jax.random.key(0))
-    return eqx.tree_at(lambda s: s.environment, TRUTH, NeuralForce(network, features))
+    return TRUTH.with_environment(NeuralForce(network, features))
 
 
 MODELS = {

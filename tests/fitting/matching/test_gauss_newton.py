@@ -9,9 +9,9 @@ from pinav.dynamics import Adaptive, FixedStep, NeuralDynamics, Swimmer
 from pinav.errors import InputError
 from pinav.fitting import (
     WITHOUT_PRIOR,
-    FitOutcome,
     GaussNewton,
     Observations,
+    Outcome,
     Problem,
     TrajectoryLoss,
     curriculum,
@@ -62,7 +62,7 @@ def with_gaps(data: Trajectories) -> Trajectories:
 def network_swimmer() -> Swimmer:
     features = PositionTimeFeatures((0.0, 0.0, 1.0), (1.0, 1.0, 1.0))
     force = NeuralForce(tanh_network(3, 2, width=4, depth=1, key=KEY), features)
-    return eqx.tree_at(lambda s: s.environment, TRUTH, force)
+    return TRUTH.with_environment(force)
 
 
 def black_box() -> NeuralDynamics:
@@ -133,7 +133,7 @@ def test_the_projection_holds_a_matrix_of_low_rank():
 
 def kernel_swimmer(data: Trajectories) -> Swimmer:
     force = kernel_environment(KernelPotential, data, WITHOUT_PRIOR)
-    return eqx.tree_at(lambda s: s.environment, TRUTH, force)
+    return TRUTH.with_environment(force)
 
 
 def learn_environment(model, data, recipe, **options):
@@ -174,7 +174,7 @@ def test_barrier_and_damping_are_found_exactly(data):
         objective=TrajectoryLoss(FixedStep(substeps=4)),
         dtype=jnp.float64,
     )
-    assert found.outcome is FitOutcome.CONVERGED
+    assert found.outcome is Outcome.CONVERGED
     found = found.model
     assert found.environment.height == pytest.approx(2.0, rel=1e-7)
     np.testing.assert_allclose(found.environment.center, [1.0, 0.2], rtol=1e-6)
@@ -219,9 +219,9 @@ def test_outcomes_tell_converged_from_stalled(data):
     full = jnp.asarray(10**6)
     few = (GaussNewton(full, target=1e-12, steps=1),)
     hasty = learn_environment(kernel_swimmer(data), data, few)
-    assert hasty.outcome is FitOutcome.STALLED
+    assert hasty.outcome is Outcome.STALLED
     drag = fit(  # a constant that cannot explain the barrier: the best one is reached
-        eqx.tree_at(lambda s: s.environment, TRUTH, ZeroForce()),
+        TRUTH.without_environment(),
         data,
         (GaussNewton(full, target=1e-9, patience=jnp.asarray(3)),),
         trainable=lambda m: m.drag.damping,
@@ -229,4 +229,4 @@ def test_outcomes_tell_converged_from_stalled(data):
         dtype=jnp.float64,
     )
     assert drag.losses[-1] > 1e-3
-    assert drag.outcome is FitOutcome.CONVERGED
+    assert drag.outcome is Outcome.CONVERGED

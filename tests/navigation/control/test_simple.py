@@ -29,7 +29,7 @@ from pinav.trajectories import FrameLoss, degrade
 KEY = jax.random.key(0)
 KEYS = jax.random.split(KEY, 10)
 UNEQUAL = RollingActuator(
-    jnp.array([[0.9, -0.2], [0.15, 1.1]]), SaturatingResponse.of(3.0)
+    jnp.array([[0.9, -0.2], [0.15, 1.1]]), SaturatingResponse(3.0)
 )
 
 

@@ -261,7 +261,7 @@ def test_doubt_vanishes_as_the_noise_does_and_returns_with_it():
     assert sizes[0] < sizes[1] < sizes[2]
     kernels = options["unknown"].kernels()
     free, theta = freed(
-        eqx.tree_at(lambda m: m.environment, model, kernels),
+        model.with_environment(kernels),
         lambda m: m.environment.parameters,
     )
     variance = options["unknown"].amplitude(kernels) ** 2 * np.eye(len(theta))

@@ -38,7 +38,7 @@ def test_every_task_fits_together(name):
 @pytest.mark.parametrize("name", tasks.TASKS)
 def test_what_trains_has_the_surroundings_of_the_task(name):
     """Not more: propulsion is that of the scenario."""
-    world = scenario(tasks.TASKS[name][1]).swimmer
+    world = scenario(tasks.TASKS[name][1]).true_swimmer
     assert eqx.tree_equal(
         world.environment, tasks.task(name).truth.dynamics.environment
     )

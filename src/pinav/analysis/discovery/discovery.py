@@ -33,12 +33,12 @@ from pinav.analysis.discovery.laws import (
 )
 from pinav.analysis.discovery.learned_fit import Learned
 from pinav.analysis.discovery.potentials import GAUSSIAN, POTENTIALS
-from pinav.analysis.discovery.refit import Refit, RefitOutcome, refit
+from pinav.analysis.discovery.refit import Refit, refit
 from pinav.analysis.discovery.rotations import ROTATIONS
 from pinav.dynamics import FixedStep, Swimmer
 from pinav.errors import InputError
 from pinav.evaluation import normal_quantile
-from pinav.fitting import Posterior
+from pinav.fitting import Outcome, Posterior
 from pinav.trajectories import Trajectories
 
 CLOSE = 6.0
@@ -96,7 +96,7 @@ class Candidate(eqx.Module):
     delta_bic: float
     field_bic: float
     noise: float
-    outcome: RefitOutcome = eqx.field(static=True)
+    outcome: Outcome = eqx.field(static=True)
     fits: bool
     latex: str
     sympy: str

@@ -6,11 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.stats
 
-from pinav.analysis.discovery.refit import Lifted, Refit, RefitOutcome, RefitProblem
+from pinav.analysis.discovery.refit import Lifted, Refit, RefitProblem
 from pinav.dynamics import FixedStep, Swimmer, with_dtype
 from pinav.errors import FitError
-from pinav.fitting import Posterior
-from pinav.fitting.bayes.multiple_shooting import freed
+from pinav.fitting import Outcome, Posterior
+from pinav.fitting.engine.multiple_shooting import freed
 from pinav.fitting.matching.fit import Trainable
 from pinav.trajectories import Trajectories, smoothed_states
 
@@ -58,7 +58,7 @@ class Learned(eqx.Module):
 
     def explained_by(self, law: Refit) -> bool:
         """Whether the misfit that a law adds is what chance may add."""
-        if law.outcome is RefitOutcome.DIVERGED:
+        if law.outcome is Outcome.DIVERGED:
             return False
         excess = (law.squares - self.squares) / self.noise**2
         chance = scipy.stats.chi2.sf(max(excess, 0.0), max(self.num_effective, 1.0))

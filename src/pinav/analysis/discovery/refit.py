@@ -4,8 +4,6 @@ Residuals of observations are independent, those of a learned field are not: her
 likelihood, and so the comparison of laws and their intervals, is exact.
 """
 
-import enum
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -14,7 +12,8 @@ from jaxtyping import Float
 
 from pinav.analysis.discovery.laws import AbstractLaw, LawForce, Role
 from pinav.dynamics import FixedStep, Swimmer, with_dtype
-from pinav.fitting.bayes.multiple_shooting import FreeModel, freed
+from pinav.fitting import Outcome
+from pinav.fitting.engine.multiple_shooting import FreeModel, freed
 from pinav.trajectories import Trajectories
 
 MAX_ITERATIONS = 40
@@ -26,14 +25,6 @@ SINGULAR = 1e-12
 
 ROUNDING = 1e-10
 """Root-mean-square residual, relative to the states, below which all fits are equal."""
-
-
-class RefitOutcome(enum.Enum):
-    """How a refit ended."""
-
-    CONVERGED = "converged"
-    STALLED = "stalled"
-    DIVERGED = "diverged"
 
 
 class Refit(eqx.Module):
@@ -55,12 +46,12 @@ class Refit(eqx.Module):
     squares: float
     noise: float
     num_residuals: int
-    outcome: RefitOutcome = eqx.field(static=True)
+    outcome: Outcome = eqx.field(static=True)
 
     @property
     def bic(self) -> float:
         r"""$n \log(\sum r^2/n) + k \log n$; infinite where the refit diverged."""
-        if self.outcome is RefitOutcome.DIVERGED or not self.squares > 0:
+        if self.outcome is Outcome.DIVERGED or not self.squares > 0:
             return np.inf
         count = self.num_residuals
         mean = self.squares / count
@@ -70,7 +61,7 @@ class Refit(eqx.Module):
 class Lifted(eqx.Module):
     r"""A model linearised about states that need not solve it, the starts eliminated.
 
-    The same least squares as `pinav.fitting.bayes.multiple_shooting`, for many small
+    The same least squares as `pinav.fitting.engine.multiple_shooting`, for many small
     models in turn: only the steps are compiled for each of them.
 
     Attributes:
@@ -252,7 +243,7 @@ def refit(
     """
     with jax.enable_x64(new_val=True):
         environment = LawForce(law, jnp.asarray(constants, jnp.float64))
-        swimmer = eqx.tree_at(lambda m: m.environment, model, environment)
+        swimmer = model.with_environment(environment)
         free, theta = freed(
             with_dtype(swimmer, jnp.float64), lambda m: m.environment.constants
         )
@@ -264,23 +255,23 @@ def _minimised(law, lifted, problem):
     """Levenberg-Marquardt steps; a refused one still closes the defects."""
     damping = 1e-3
     if not lifted.is_finite:
-        return lifted, RefitOutcome.DIVERGED
+        return lifted, Outcome.DIVERGED
     for _ in range(MAX_ITERATIONS):
         change, gain = _step(law, lifted, damping, problem.extent)
         variance = lifted.squares / problem.num_residuals
         small = np.all(np.abs(change) < 1e-10 * (1e-3 + np.abs(lifted.theta)))
         settled = gain < 1e-3 * variance or small
         if settled and problem.defect(lifted) < 1e-6:
-            return lifted, RefitOutcome.CONVERGED
+            return lifted, Outcome.CONVERGED
         trial = lifted.moved(change, problem)
         if trial.is_finite and trial.squares <= lifted.squares * (1 + 1e-12):
             lifted, damping = trial, max(damping / 10, 1e-12)
             continue
         closed = lifted.moved(np.zeros(len(change)), problem)
         if not closed.is_finite or damping > 1e8:
-            return lifted, RefitOutcome.DIVERGED
+            return lifted, Outcome.DIVERGED
         lifted, damping = closed, damping * 10
-    return lifted, RefitOutcome.STALLED
+    return lifted, Outcome.STALLED
 
 
 def _step(law, lifted, damping, extent):

@@ -29,9 +29,9 @@ from jaxtyping import ArrayLike, Bool, Float, PyTree
 from pinav.dynamics import FixedStep
 from pinav.errors import FitError, InputError
 from pinav.fitting import FreeModel, Hyperparameters, freed
-from pinav.fitting.bayes.multiple_shooting import linearise, sensitivities
 from pinav.fitting.bayes.neural import NEURAL, Request, function_prior
 from pinav.fitting.bayes.problem import BayesProblem
+from pinav.fitting.engine.multiple_shooting import linearise, sensitivities
 from pinav.fitting.evidence.quadratic import Quadratic, joint_posterior, without_flat
 from pinav.forces import AbstractLearnedForce, KernelForce, KernelPotential
 from pinav.trajectories import Trajectories

@@ -79,13 +79,13 @@ def _jacobians(dynamics, starts, ts, solver):
 
 
 class LyapunovMap(eqx.Module):
-    r"""Finite-time Lyapunov exponents of separations in position, over a grid of starts.
+    r"""Finite-time Lyapunov exponents of positions over a grid of starts.
 
     Attributes:
         x: grid coordinates along x [L].
         y: grid coordinates along y [L].
-        separation: $s$, largest singular value of $\partial x(T)/\partial x(0)$; NaN where the
-            rollout is not finite.
+        separation: $s$, largest singular value of $\partial x(T)/\partial x(0)$; NaN
+            where the rollout is not finite.
         final: final positions [L].
         horizon: $T$ [T].
     """

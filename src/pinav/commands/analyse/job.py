@@ -20,7 +20,8 @@ from pinav.analysis import (
     rotational_fractions,
     sampled_forces,
 )
-from pinav.commands.analyse.settings import AnalyseSettings
+from pinav.commands.analyse.settings import AnalyseOptions, AnalyseSettings
+from pinav.commands.command import CommandResult
 from pinav.commands.fit.bayes import (
     MODEL_FILE,
     POSTERIOR_FILE,
@@ -28,6 +29,7 @@ from pinav.commands.fit.bayes import (
     process_kernels,
     read_posterior,
 )
+from pinav.commands.fit.command import FIT
 from pinav.commands.fit.settings import FitSettings
 from pinav.commands.models import CONSTANTS, build_model, fit_constants
 from pinav.dynamics import Swimmer
@@ -239,12 +241,12 @@ class _Analysis:
             for axis in (self.field.x, self.field.y)
         )
         found = lyapunov_map(self.model, x, y, times, velocity=lambda _: start[2:])
-        for name in ("x", "y", "stretch", "final"):
-            self.arrays[f"stretch/{name}"] = getattr(found, name)
+        for name in ("x", "y", "separation", "final"):
+            self.arrays[f"lyapunov/{name}"] = getattr(found, name)
         self.found["stretch"] = {
             "horizon": found.horizon,
-            "median": float(np.nanmedian(found.stretch)),
-            "greatest": float(np.nanmax(found.stretch)),
+            "median": float(np.nanmedian(found.separation)),
+            "greatest": float(np.nanmax(found.separation)),
             "exponent": float(np.nanmedian(found.exponent)),
         }
 
@@ -261,13 +263,12 @@ NO_POSTERIOR = "the run has no posterior; fit with --recipe bayes"
 
 
 def _fit_settings(folder: RunFolder) -> FitSettings:
-    config = folder.config()
-    if config.get("job") != "fit" or not folder.has("metrics.json"):
+    if folder.command != FIT.name or not folder.has("metrics.json"):
         raise InputError(
             f"{folder.path} holds no finished fit; give the folder that was the --out "
             "of pinav fit"
         )
-    content = {k: v for k, v in config.items() if k not in ("job", "data")}
+    content = folder.settings()
     try:
         return msgspec.convert(content, FitSettings)
     except msgspec.ValidationError as error:
@@ -376,3 +377,9 @@ def text(found: dict[str, Any]) -> str:
     )
     lines += [f"left out: {line}" for line in found["left_out"]]
     return "\n".join(lines)
+
+
+def run(options: AnalyseOptions) -> CommandResult:
+    """Analyse as the command line does."""
+    metrics = analyse(options.settings, options.run)
+    return CommandResult(metrics, text(metrics), RunFolder.open(options.run))

@@ -150,9 +150,9 @@ class _Pages:
     def rollout(self) -> Content:
         """Start and global sensitivity."""
         index = self.found["settings"]["reference"]
-        names = ("x", "y", "stretch", "final")
+        names = ("x", "y", "separation", "final")
         stretch = LyapunovMap(
-            *(self.arrays[f"stretch/{name}"] for name in names),
+            *(self.arrays[f"lyapunov/{name}"] for name in names),
             horizon=self.found["stretch"]["horizon"],
         )
         units = self.data.units

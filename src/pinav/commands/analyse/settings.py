@@ -1,15 +1,19 @@
 """Settings of `pinav analyse`."""
 
+from pathlib import Path
 from typing import Annotated
 
-import msgspec
 import tyro
 
-from pinav.commands.settings import _check_counts
+from pinav.commands.settings import (
+    AsJson,
+    Settings,
+    check_counts,
+)
 from pinav.errors import InputError
 
 
-class AnalyseSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class AnalyseSettings(Settings, frozen=True):
     """Settings of `pinav analyse`."""
 
     points: Annotated[
@@ -44,7 +48,7 @@ class AnalyseSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def check(self) -> None:
         """Raise `InputError` where a setting makes no sense."""
-        _check_counts(self, "samples")
+        check_counts(self, "samples")
         for name, least in (("points", 5), ("draws", 2), ("reference", 0)):
             if getattr(self, name) < least:
                 raise InputError(
@@ -60,3 +64,19 @@ class AnalyseSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             )
         if not 0 < self.shift < float("inf"):
             raise InputError(f"--shift: expected a length > 0, got {self.shift}")
+
+
+class AnalyseOptions(Settings, frozen=True):
+    """Map what a fit learned, and what it depends on; adds to its report.
+
+    Writes analysis.json, analysis-*.csv, figures and sections of report.html: gradient
+    and rotational part of the force, potential, signal to noise, influence of each
+    trajectory and constant, dependence of rollouts on start and parameters. What needs
+    a posterior is left out where the run has none.
+    """
+
+    run: Annotated[
+        Path, tyro.conf.Positional, tyro.conf.arg(help="Folder of a run of pinav fit.")
+    ]
+    settings: AnalyseSettings = AnalyseSettings()
+    json: AsJson = False

@@ -5,7 +5,9 @@ from typing import Any
 
 import msgspec
 
-from pinav.commands.compare.settings import CompareSettings
+from pinav.commands.command import CommandResult
+from pinav.commands.compare.command import COMPARE
+from pinav.commands.compare.settings import CompareOptions, CompareSettings
 from pinav.commands.fit.bayes import parts
 from pinav.commands.fit.settings import FitSettings
 from pinav.commands.models import (
@@ -18,13 +20,14 @@ from pinav.commands.models import (
     with_tensor_drag,
 )
 from pinav.commands.progress import BayesReporter
-from pinav.dynamics import BrownianSwimmer, OverdampedSwimmer, Swimmer
+from pinav.commands.start import fingerprint, start_run
+from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import FitError, InputError
 from pinav.evaluation import POSITION_CHANNELS
-from pinav.fitting import BayesFit, LangevinFit, fit_bayes, fit_langevin, model_evidence
+from pinav.fitting import EvidenceFit, fit_bayes, fit_langevin, model_evidence
 from pinav.runs import RunFolder
-from pinav.scenarios import Scenario
-from pinav.trajectories import Trajectories, with_unobserved
+from pinav.systems import System
+from pinav.trajectories import Trajectories, load, with_unobserved
 
 DECISIVE = 5.0
 """Nats from which a verdict is called decisive: odds of 150 to 1.
@@ -55,7 +58,7 @@ LEARNED: dict[str, Callable[[Any], Any] | None] = {
 """What a candidate learns beside its environment; None where nothing is unknown."""
 
 
-def checked(settings: CompareSettings, data: Trajectories) -> Scenario:
+def checked(settings: CompareSettings, data: Trajectories) -> System:
     """The physics that all candidates share.
 
     Raises:
@@ -70,7 +73,7 @@ def checked(settings: CompareSettings, data: Trajectories) -> Scenario:
             "--models first-order: expected physics with inertia and positions alone, "
             f"got {', '.join(data.channels)}; drop it or the velocities"
         )
-    stochastic = isinstance(known.truth, BrownianSwimmer)
+    stochastic = known.thermal_energy is not None
     for name in {*NETWORKS, "physics-only"} & set(settings.models):
         if stochastic:
             raise InputError(
@@ -104,7 +107,7 @@ def compare(
     return metrics
 
 
-def _row(name, settings, known: Scenario, data, folder) -> dict[str, Any]:
+def _row(name, settings, known: System, data, folder) -> dict[str, Any]:
     """The evidence of one candidate."""
     try:
         found = fitted(name, settings, known, data, folder)
@@ -113,7 +116,7 @@ def _row(name, settings, known: Scenario, data, folder) -> dict[str, Any]:
     evidence = model_evidence(found.linear, found.hyperparameters)
     estimates = parts(found, data)
     return {
-        "outcome": found.outcome.name.lower(),
+        "outcome": str(found.outcome),
         "noise": found.hyperparameters.noise,
         "weights": int(len(found.posterior.mean)),
         "best": evidence.best,
@@ -126,10 +129,10 @@ def _row(name, settings, known: Scenario, data, folder) -> dict[str, Any]:
 def fitted(
     name: str,
     settings: CompareSettings,
-    known: Scenario,
+    known: System,
     data: Trajectories,
     folder: RunFolder,
-) -> BayesFit | LangevinFit:
+) -> EvidenceFit:
     """The fit of one candidate, whether or not it converged.
 
     Raises:
@@ -149,7 +152,7 @@ def fitted(
     if name == "anisotropic-drag":
         swimmer = with_tensor_drag(swimmer, summary)
     model = fit_model(own, swimmer, summary)
-    if isinstance(known.truth, BrownianSwimmer):
+    if known.thermal_energy is not None:
         return fit_langevin(model, data)
     with BayesReporter(folder, name) as report:
         return fit_bayes(
@@ -254,3 +257,12 @@ def table(rows: dict[str, dict[str, Any]]) -> list[tuple[str, list[str]]]:
         (name, [f"{'–':>14}", f"{'–':>8}", f"{'–':>12}  ", rows[name]["reason"]])
         for name in failed
     ]
+
+
+def run(options: CompareOptions) -> CommandResult:
+    """Compare as the command line does."""
+    settings, data = options.settings, load(options.data)
+    checked(settings, data)
+    folder = start_run(COMPARE, options, settings, data=fingerprint(data))
+    metrics = compare(settings, data, folder)
+    return CommandResult(metrics, text(metrics), folder)

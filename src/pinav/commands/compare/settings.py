@@ -1,11 +1,19 @@
 """Settings of `pinav compare`."""
 
+from pathlib import Path
 from typing import Annotated, Literal
 
-import msgspec
 import tyro
 
-from pinav.commands.settings import _check_counts
+from pinav.commands.settings import (
+    AsJson,
+    ConfigFile,
+    OutFolder,
+    Overwrite,
+    Resume,
+    Settings,
+    check_counts,
+)
 from pinav.errors import InputError
 
 Candidate = Literal[
@@ -22,7 +30,7 @@ Candidate = Literal[
 ]
 
 
-class CompareSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class CompareSettings(Settings, frozen=True):
     """Settings of `pinav compare`."""
 
     models: Annotated[
@@ -51,9 +59,27 @@ class CompareSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def check(self) -> None:
         """Raise `InputError` where a setting makes no sense."""
-        _check_counts(self, "max_steps")
+        check_counts(self, "max_steps")
         if len(set(self.models)) < 2:
             raise InputError(
                 "--models: expected two or more different ones, such as --models "
                 "kernel-potential kernel-force"
             )
+
+
+class CompareOptions(Settings, frozen=True):
+    """Fit several models to the same trajectories and weigh their evidence.
+
+    Prints the log evidence of each, what its hyperparameters cost, and a verdict with
+    its number on each question that two of the models answer.
+    """
+
+    data: Annotated[
+        Path, tyro.conf.Positional, tyro.conf.arg(help="Trajectories, .npz or .csv.")
+    ]
+    out: OutFolder
+    settings: CompareSettings = CompareSettings()
+    config: ConfigFile = None
+    resume: Resume = False
+    overwrite: Overwrite = False
+    json: AsJson = False

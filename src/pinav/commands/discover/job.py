@@ -10,6 +10,8 @@ from pinav.analysis import Candidate, Discovery
 from pinav.analysis import discover as discover_law
 from pinav.analysis.discovery.law_regression import law_force
 from pinav.analysis.discovery.learned_fit import laplace_posterior
+from pinav.commands.command import CommandResult
+from pinav.commands.discover.settings import DiscoverOptions
 from pinav.commands.fit.bayes import MODEL_FILE, POSTERIOR_FILE, read_posterior
 from pinav.commands.fit.settings import FitSettings
 from pinav.commands.models import build_model, residual
@@ -109,7 +111,7 @@ def _candidate(candidate: Candidate) -> dict[str, Any]:
         "bic": candidate.bic,
         "delta_bic": candidate.delta_bic,
         "noise": candidate.noise,
-        "outcome": candidate.outcome.value,
+        "outcome": str(candidate.outcome),
         "fits": candidate.fits,
         "latex": candidate.latex,
         "sympy": candidate.sympy,
@@ -182,3 +184,9 @@ def verdict_lines(metrics: dict[str, Any]) -> list[str]:
         f"one, p = {central['p_value']:.3g}; centre ({x:.5g} ± {sd_x:.2g}, "
         f"{y:.5g} ± {sd_y:.2g})",
     ]
+
+
+def run(options: DiscoverOptions) -> CommandResult:
+    """Discover as the command line does."""
+    metrics = discover(options.run, options.refits)
+    return CommandResult(metrics, text(metrics), RunFolder.open(options.run))

@@ -1,6 +1,5 @@
 """The section of a report on the law behind a learned force."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,17 +14,14 @@ from pinav.figures import law_figure, save_figure
 from pinav.figures.style import force_unit
 from pinav.report import Code, Image, Paragraph, Section, Table
 from pinav.runs import RunFolder
+from pinav.trajectories import load
 
 
-def law_sections(folder: RunFolder, units: Mapping[str, str]) -> list[Section]:
-    """What `pinav discover` found, or nothing where it did not run.
-
-    Args:
-        folder: the run.
-        units: unit of each channel of its data.
-    """
+def law_sections(folder: RunFolder) -> list[Section]:
+    """The results of `pinav discover`, or nothing where it did not run."""
     if not folder.has(LAWS_FILE):
         return []
+    units = load(folder.path / "data.npz").units
     metrics = folder.read_json(LAWS_FILE)
     laws, arrays = metrics["laws"], folder.read_arrays(SAMPLE_FILE)
     deltas = [np.inf if law["delta_bic"] is None else law["delta_bic"] for law in laws]

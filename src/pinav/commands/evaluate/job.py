@@ -7,9 +7,9 @@ force by region; bands; residuals; learned constants.
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
-
+from pinav.commands.command import CommandResult
 from pinav.commands.evaluate.judge import conformal, judge_fit
+from pinav.commands.evaluate.settings import EvaluateOptions
 from pinav.commands.evaluate.tables import tables
 from pinav.commands.fit.job import score_metrics
 from pinav.commands.fitted_run import (
@@ -36,7 +36,6 @@ from pinav.evaluation import (
     score,
     summarise,
 )
-from pinav.forces import ZeroForce
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories
@@ -89,8 +88,7 @@ def evaluate(
 
 def _baseline(subject: Subject) -> dict[str, AbstractDynamics]:
     """The known physics alone, as the least that a model must beat."""
-    known = subject.known.swimmer
-    return {BASELINE: eqx.tree_at(lambda s: s.environment, known, ZeroForce())}
+    return {BASELINE: subject.known.swimmer}
 
 
 BASELINE = "physics-only"
@@ -192,3 +190,12 @@ def _write_csv(folder: RunFolder, metrics: dict[str, Any]) -> None:
 def text(metrics: dict[str, Any]) -> str:
     """The metrics for a terminal."""
     return "\n\n".join(as_text(table) for table in tables(metrics))
+
+
+def run(options: EvaluateOptions) -> CommandResult:
+    """Evaluate as the command line does."""
+    regions = None if options.regions is None else Regions(*options.regions)
+    metrics = evaluate(
+        options.run, options.data, calibration=options.calibrate, regions=regions
+    )
+    return CommandResult(metrics, text(metrics), RunFolder.open(options.run))

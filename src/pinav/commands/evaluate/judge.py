@@ -35,7 +35,7 @@ from pinav.evaluation import (
     without_first,
 )
 from pinav.runs import RunFolder
-from pinav.scenarios import Scenario
+from pinav.systems import System
 from pinav.trajectories import Trajectories
 
 BANDED = 16
@@ -99,7 +99,7 @@ def _constants(setting: Setting, folder: RunFolder) -> list[dict[str, Any]]:
     ]
 
 
-def _true_constant(name: str, truth: Scenario) -> float | None:
+def _true_constant(name: str, truth: System) -> float | None:
     """Its value in the truth; None where the truth has no such number."""
     if name not in CONSTANTS:
         return None

@@ -18,9 +18,8 @@ from pinav.commands.models import (
 from pinav.commands.progress import BayesReporter
 from pinav.evaluation import FieldMap, field_map
 from pinav.fitting import (
-    BayesFit,
     Estimate,
-    LangevinFit,
+    EvidenceFit,
     Posterior,
     fit_bayes,
     fit_langevin,
@@ -32,14 +31,14 @@ from pinav.fitting import (
 from pinav.fitting.bayes.function_prior import TangentWeights
 from pinav.forces import KernelForce, KernelMixture, KernelPotential
 from pinav.runs import RunFolder
-from pinav.scenarios import Scenario
+from pinav.systems import System
 from pinav.trajectories import Trajectories
 
 MODEL_FILE, POSTERIOR_FILE = "model.eqx", "posterior.npz"
 
 
 def infer(
-    settings: FitSettings, known: Scenario, data: Trajectories, folder: RunFolder
+    settings: FitSettings, known: System, data: Trajectories, folder: RunFolder
 ) -> None:
     """Fit by the evidence; the model file is written last, when all else is there.
 
@@ -61,7 +60,7 @@ def infer(
         )
     arrays = {
         "iterations": np.array(found.iterations),
-        "outcome": np.array(found.outcome.name.lower()),
+        "outcome": np.array(str(found.outcome)),
         "states": found.states,
     }
     estimates = _constants(settings, found) | parts(found, data)
@@ -72,10 +71,10 @@ def _infer_langevin(settings, known, data, summary, folder: RunFolder) -> None:
     found = fit_langevin(fit_model(settings, known.swimmer, summary), data)
     arrays = {
         "iterations": np.array(1),
-        "outcome": np.array(found.outcome.name.lower()),
+        "outcome": np.array(str(found.outcome)),
         "states": data.states,
     }
-    estimates = {"diffusion": found.diffusion} | parts(found, data)
+    estimates = found.constants | parts(found, data)
     _write(settings, known, summary, (found, estimates, arrays), folder)
 
 
@@ -138,7 +137,7 @@ def process_kernels(
     return kernels_on(kind, stored["process/centers"], float(stored["process/width"]))
 
 
-def _constants(settings, found: BayesFit) -> dict[str, Estimate]:
+def _constants(settings, found: EvidenceFit) -> dict[str, Estimate]:
     """Each learned constant, by its name; the drag by its principal values."""
     plain = [name for name in settings.learn if name != "drag"]
     estimates = {name: found.constants[CONSTANTS[name]] for name in plain}
@@ -148,7 +147,7 @@ def _constants(settings, found: BayesFit) -> dict[str, Estimate]:
     return estimates
 
 
-def parts(found: BayesFit | LangevinFit, data: Trajectories) -> dict[str, Estimate]:
+def parts(found: EvidenceFit, data: Trajectories) -> dict[str, Estimate]:
     """The rotational fraction of a mixture on visited ground; nothing for others."""
     environment = found.model.environment
     if not isinstance(environment, KernelMixture):

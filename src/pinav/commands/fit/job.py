@@ -1,6 +1,5 @@
 """`pinav fit`: one model fitted to given trajectories."""
 
-import hashlib
 from collections.abc import Sequence
 from operator import attrgetter
 from typing import Any
@@ -8,10 +7,12 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from pinav.commands.command import CommandResult
 from pinav.commands.fit import bayes as inference
 from pinav.commands.fit.bayes import MODEL_FILE
+from pinav.commands.fit.command import FIT
 from pinav.commands.fit.matching import matching
-from pinav.commands.fit.settings import FitSettings
+from pinav.commands.fit.settings import FitOptions, FitSettings
 from pinav.commands.models import (
     CONSTANTS,
     KnownSwimmer,
@@ -24,10 +25,10 @@ from pinav.commands.models import (
 )
 from pinav.commands.progress import FitReporter
 from pinav.commands.reproduce.table2 import number
+from pinav.commands.start import fingerprint, start_run
 from pinav.dynamics import Swimmer
 from pinav.errors import InputError
 from pinav.evaluation import (
-    POSITION_CHANNELS,
     FieldMap,
     Regions,
     Score,
@@ -41,8 +42,15 @@ from pinav.fitting import Fit
 from pinav.fitting import fit as fit_trajectories
 from pinav.forces import LinearDrag
 from pinav.runs import RunFolder
-from pinav.scenarios import Scenario, scenario
-from pinav.trajectories import Trajectories, save, with_unobserved
+from pinav.scenarios import scenario
+from pinav.systems import System
+from pinav.trajectories import (
+    Trajectories,
+    is_trajectories,
+    load,
+    save,
+    with_unobserved,
+)
 
 
 def prepared(settings: FitSettings, data: Trajectories) -> Trajectories:
@@ -80,7 +88,7 @@ def prepared(settings: FitSettings, data: Trajectories) -> Trajectories:
     return data
 
 
-def with_all_channels(data: Trajectories, known: Scenario) -> Trajectories:
+def with_all_channels(data: Trajectories, known: System) -> Trajectories:
     """The data; positions alone get velocities that nobody observed."""
     positions = _positions(known)
     if data.channels != positions:
@@ -89,15 +97,15 @@ def with_all_channels(data: Trajectories, known: Scenario) -> Trajectories:
     return with_unobserved(data, {name: known.units[name] for name in unseen})
 
 
-def _positions(known: Scenario) -> tuple[str, ...]:
-    return tuple(name for name in known.channels if name in POSITION_CHANNELS)
+def _positions(known: System) -> tuple[str, ...]:
+    return known.position_channels
 
 
 BAYESIAN = ("bayes", "langevin")
 """Recipes with a posterior."""
 
 
-def _check_dynamics(settings: FitSettings, known: Scenario) -> None:
+def _check_dynamics(settings: FitSettings, known: System) -> None:
     """The recipe and the model must suit the order of the dynamics."""
     inert = isinstance(known.swimmer, Swimmer)
     if settings.method == "langevin" and inert:
@@ -112,14 +120,6 @@ def _check_dynamics(settings: FitSettings, known: Scenario) -> None:
             f"--model ude: expected physics with inertia, got scenario {known.name}; "
             "choose a kernel or neural model"
         )
-
-
-def fingerprint(data: Trajectories) -> str:
-    """A short hash of the numbers that are fitted."""
-    digest = hashlib.sha256()
-    for array in (data.times, data.states, data.observed):
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()[:16]
 
 
 def fit(settings: FitSettings, data: Trajectories, folder: RunFolder) -> dict[str, Any]:
@@ -169,7 +169,7 @@ def _fields(model: KnownSwimmer, data: Trajectories) -> dict[str, FieldMap]:
     """The learned force around the data, and the true one where it is known."""
     fields = {"learned": field_map(model.environment, data)}
     if "scenario" in data.provenance:
-        truth = scenario(data.provenance["scenario"]).swimmer
+        truth = scenario(data.provenance["scenario"]).true_swimmer
         fields["true"] = field_map(truth.environment, data)
     return fields
 
@@ -203,8 +203,8 @@ def text(metrics: dict[str, Any]) -> str:
             f"noise: {metrics['noise']:.3g}, log evidence "
             f"{metrics['log_evidence']:.1f}, {metrics['iterations']} steps"
         ]
-        if metrics["outcome"] == "coarse":
-            lines.append(COARSE)
+        if metrics["outcome"] == "under-resolved":
+            lines.append(UNDER_RESOLVED)
     lines.append(f"RMSE: {rmse}")
     for name, learned in metrics["learned"].items():
         spread = "" if learned["sd"] is None else f" ± {learned['sd']:.2g} (sd)"
@@ -215,7 +215,7 @@ def text(metrics: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-COARSE = (
+UNDER_RESOLVED = (
     "the kernels are coarser than the data: finer ones would be too many; fit fewer or "
     "shorter trajectories, or a smaller region"
 )
@@ -230,7 +230,7 @@ def write_losses(name: str, fits: Sequence[Fit], folder: RunFolder) -> None:
             "losses": np.stack([fit.losses for fit in fits]),
             "phase_starts": np.array([start for _, start in fits[0].phases]),
             "phase_names": np.array([phase for phase, _ in fits[0].phases]),
-            "outcomes": np.array([fit.outcome.name.lower() for fit in fits]),
+            "outcomes": np.array([str(fit.outcome) for fit in fits]),
         },
     )
 
@@ -253,7 +253,7 @@ def _check_starts(data: Trajectories) -> None:
 
 
 def _match(
-    settings: FitSettings, known: Scenario, data: Trajectories, folder: RunFolder
+    settings: FitSettings, known: System, data: Trajectories, folder: RunFolder
 ) -> None:
     """Match the trajectories; the model file is written last."""
     method, summary = matching(settings, data), data_summary(data)
@@ -290,3 +290,15 @@ def _matched_metrics(settings, model, folder: RunFolder) -> dict[str, Any]:
             for name, value in constants.items()
         },
     }
+
+
+def run(options: FitOptions) -> CommandResult:
+    """Fit as the command line does."""
+    if is_trajectories(options.data):
+        data = load(options.data)
+    else:
+        data = options.recording.read(options.data)
+    data = prepared(options.settings, data)
+    folder = start_run(FIT, options, options.settings, data=fingerprint(data))
+    metrics = fit(options.settings, data, folder)
+    return CommandResult(metrics, text(metrics), folder)

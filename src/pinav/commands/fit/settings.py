@@ -1,11 +1,20 @@
 """Settings of `pinav fit`."""
 
+from pathlib import Path
 from typing import Annotated, Literal
 
-import msgspec
 import tyro
 
-from pinav.commands.settings import _check_counts
+from pinav.commands.recording_settings import RecordingSettings
+from pinav.commands.settings import (
+    AsJson,
+    ConfigFile,
+    OutFolder,
+    Overwrite,
+    Resume,
+    Settings,
+    check_counts,
+)
 from pinav.errors import InputError
 
 ModelName = Literal[
@@ -31,7 +40,7 @@ DEFAULT_RECIPES: dict[str, FitRecipeName] = {
 """What `--recipe default` means for a model; `bayes` for all others."""
 
 
-class FitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class FitSettings(Settings, frozen=True):
     """Settings of `pinav fit`."""
 
     model: Annotated[
@@ -92,7 +101,7 @@ class FitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def check(self) -> None:
         """Raise `InputError` where a setting makes no sense."""
-        _check_counts(self, "width", "depth", "max_steps", "adam_steps", "lbfgs_steps")
+        check_counts(self, "width", "depth", "max_steps", "adam_steps", "lbfgs_steps")
         if self.model == "nn-only" and self.learn:
             raise InputError(
                 "--learn: the model nn-only has no physical constants; drop --learn or "
@@ -133,3 +142,29 @@ class FitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         if self.recipe != "default":
             return self.recipe
         return DEFAULT_RECIPES.get(self.model, "bayes")
+
+
+class FitOptions(Settings, frozen=True):
+    """Fit a model of the unknown force to trajectories or to a recording.
+
+    Trajectories: an .npz or .csv file of pinav. A CSV file has the columns t, x, y, vx,
+    vy and, for several trajectories, trajectory; an empty cell is a missing
+    observation. The recipe bayes needs positions alone: vx, vy may be missing.
+
+    A recording: the file of a tracker (pinav inspect says what it holds); the options
+    of pinav inspect say how it is read. First pinav identify finds how the swimmer
+    responds to its commands.
+    """
+
+    data: Annotated[
+        Path,
+        tyro.conf.Positional,
+        tyro.conf.arg(help="Trajectories, .npz or .csv, or a recording of a tracker."),
+    ]
+    out: OutFolder
+    settings: FitSettings = FitSettings()
+    recording: RecordingSettings = RecordingSettings()
+    config: ConfigFile = None
+    resume: Resume = False
+    overwrite: Overwrite = False
+    json: AsJson = False

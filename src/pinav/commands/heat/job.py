@@ -6,9 +6,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pinav.commands.command import CommandResult
 from pinav.commands.heat.build import Built, built
-from pinav.commands.heat.case import Case
+from pinav.commands.heat.case import Case, read_case
+from pinav.commands.heat.command import HEAT
+from pinav.commands.heat.learn import learn_perfusion
+from pinav.commands.heat.settings import HeatOptions
+from pinav.commands.heat.tables import text, validation_rows, validation_table
 from pinav.errors import InputError
+from pinav.report.text import as_text
 from pinav.runs import RunFolder
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.design_variables import (
@@ -30,6 +36,7 @@ from pinav.thermal.optimise import (
 )
 from pinav.thermal.protocols import Piecewise
 from pinav.thermal.solve import Probes, Solution, solve
+from pinav.thermal.verification import validate
 
 RESULTS = "results.npz"
 NUM_PROFILES = 7
@@ -169,3 +176,30 @@ def optimise_protocol(case: Case, folder: RunFolder) -> dict[str, Any]:
     folder.write_arrays(RESULTS, arrays)
     folder.write_json("metrics.json", {"task": "optimise", **metrics})
     return {"task": "optimise", **metrics}
+
+
+def run(options: HeatOptions) -> CommandResult:
+    """Run a task of bioheat as the command line does."""
+    if options.case is None:
+        return _verify()
+    case, content = read_case(options.case)
+    built(case)  # refuses a bad case before the folder is made
+    config = {"run": {"command": HEAT.name, "task": options.task}, "case": content}
+    folder = RunFolder.create(options.out, config, overwrite=options.overwrite)
+    if options.task == "simulate":
+        metrics = simulate(case, folder)
+    elif options.task == "learn":
+        metrics = learn_perfusion(case, folder, options.case)
+    else:
+        metrics = optimise_protocol(case, folder)
+    return CommandResult(metrics, text(metrics), folder)
+
+
+def _verify() -> CommandResult:
+    checks = validate()
+    missed = [check.case for check in checks if not check.passed]
+    return CommandResult(
+        validation_rows(checks),
+        as_text(validation_table(checks)),
+        failure=f"outside their tolerance: {', '.join(missed)}" if missed else "",
+    )

@@ -12,7 +12,7 @@ import numpy as np
 from pinav.commands.heat.build import Built, built
 from pinav.commands.heat.case import Case, Learn
 from pinav.errors import InputError
-from pinav.fitting.least_squares import RegressionFit
+from pinav.fitting import EvidenceFit
 from pinav.runs import RunFolder
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.learned_perfusion import kernel_perfusion, neural_perfusion
@@ -76,7 +76,7 @@ def learn_perfusion(case: Case, folder: RunFolder, source: Path) -> dict[str, An
     return metrics
 
 
-def _fit(own: Built, settings: Learn, data: ProbeData) -> RegressionFit:
+def _fit(own: Built, settings: Learn, data: ProbeData) -> EvidenceFit:
     start = _start(own, settings, data)
     laws = tuple(LAWS[name] for name in settings.laws)
     return learn(
@@ -89,7 +89,7 @@ def _fit(own: Built, settings: Learn, data: ProbeData) -> RegressionFit:
     )
 
 
-def _fit_constant(own: Built, settings: Learn, data: ProbeData) -> RegressionFit:
+def _fit_constant(own: Built, settings: Learn, data: ProbeData) -> EvidenceFit:
     """The baseline: a perfusion of each tissue that does not depend on temperature."""
     laws = tuple(LAWS[name] for name in settings.laws)
     start = own.model
@@ -164,9 +164,9 @@ def _readings(own: Built, case: Case, settings: Learn, source: Path) -> ProbeDat
     )
 
 
-def _fit_metrics(fit: RegressionFit, residuals: ProbeResiduals) -> dict[str, Any]:
+def _fit_metrics(fit: EvidenceFit, residuals: ProbeResiduals) -> dict[str, Any]:
     return {
-        "outcome": fit.outcome.name.lower(),
+        "outcome": str(fit.outcome),
         "iterations": fit.iterations,
         "residual": _rms(residuals(fit.model)),
         "noise": fit.hyperparameters.noise,

@@ -30,7 +30,7 @@ CAUTION = (
 )
 
 
-def heated(folder: RunFolder) -> list[Section]:
+def heat_sections(folder: RunFolder) -> list[Section]:
     """The sections of a finished task."""
     metrics, arrays = folder.read_json("metrics.json"), folder.read_arrays(RESULTS)
     if metrics["task"] == "learn":

@@ -7,7 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from pinav.commands.identify.settings import LadderSettings
+from pinav.commands.command import CommandResult
+from pinav.commands.identify.command import IDENTIFY
+from pinav.commands.identify.settings import IdentifyOptions, LadderSettings
+from pinav.commands.recording_settings import RecordingSettings
+from pinav.commands.start import fingerprint, start_run
 from pinav.errors import FitError, InputError
 from pinav.fitting import Estimate
 from pinav.identification import (
@@ -31,7 +35,7 @@ from pinav.identification.forecast import HORIZONS, cycles
 from pinav.identification.selection import BASELINES, RESIDUALS
 from pinav.recordings import image_positions
 from pinav.runs import RunFolder
-from pinav.trajectories import Trajectories
+from pinav.trajectories import Trajectories, is_trajectories, load
 
 SHOWN = 10.0
 """Horizon of bands, of figures and of the table in the terminal [s]."""
@@ -355,3 +359,22 @@ def text(metrics: dict[str, Any]) -> str:
 def _cell(value: float | None, form: str) -> str:
     width = int(form.split(".")[0])
     return f"{'–':>{width}}" if value is None else f"{value:{form}}"
+
+
+def run(options: IdentifyOptions) -> CommandResult:
+    """Identify as the command line does."""
+    groups: list[LadderSettings | RecordingSettings] = [options.settings]
+    if is_trajectories(options.data):
+        data = load(options.data)
+    else:
+        data = options.recording.read(options.data)
+        groups.append(options.recording)
+    identity = {
+        "data": fingerprint(data),
+        "baselines": str(options.baselines).lower(),
+    }
+    folder = start_run(IDENTIFY, options, *groups, **identity)
+    metrics = fit_recording(
+        options.settings, data, folder, whole_ladder=options.baselines
+    )
+    return CommandResult(metrics, text(metrics), folder)

@@ -31,7 +31,7 @@ DRAWN = (
 """Lines of the figure of errors by horizon."""
 
 
-def laddered(folder: RunFolder) -> list[Section]:
+def identification_sections(folder: RunFolder) -> list[Section]:
     """The sections of a recording's report."""
     metrics = folder.read_json("metrics.json")
     sections = [Section("The ladder of models", _overview(folder, metrics))]

@@ -1,14 +1,23 @@
-"""Settings of the ladder of `pinav fit RECORDING`; imports no numerical library."""
+"""Settings of `pinav identify`; imports no numerical library."""
 
+from pathlib import Path
 from typing import Annotated
 
-import msgspec
 import tyro
 
+from pinav.commands.recording_settings import RecordingSettings
+from pinav.commands.settings import (
+    AsJson,
+    ConfigFile,
+    OutFolder,
+    Overwrite,
+    Resume,
+    Settings,
+)
 from pinav.errors import InputError
 
 
-class LadderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class LadderSettings(Settings, frozen=True):
     """How a recording is split, and how much is fitted."""
 
     share: Annotated[
@@ -29,3 +38,29 @@ class LadderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             raise InputError(f"--share: expected between 0 and 1, got {self.share}")
         if self.tracks < 0:
             raise InputError(f"--tracks: expected 0 or more, got {self.tracks}")
+
+
+class IdentifyOptions(Settings, frozen=True):
+    """Find which response to its commands a recorded swimmer shows.
+
+    First-order models from drift to a delayed, slipping propulsion are fitted to the
+    first part of each track of a recording and rolled out on the rest; the evidence
+    chooses. With --baselines also position-dependent residuals and other methods.
+    """
+
+    data: Annotated[
+        Path,
+        tyro.conf.Positional,
+        tyro.conf.arg(help="Recording: a file of a tracker, or of pinav."),
+    ]
+    out: OutFolder
+    baselines: Annotated[
+        bool,
+        tyro.conf.arg(help="Fit position-dependent residuals and baselines too."),
+    ] = False
+    settings: LadderSettings = LadderSettings()
+    recording: RecordingSettings = RecordingSettings()
+    config: ConfigFile = None
+    resume: Resume = False
+    overwrite: Overwrite = False
+    json: AsJson = False

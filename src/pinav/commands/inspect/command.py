@@ -1,62 +1,10 @@
-"""The command that looks at a recording: its options, and the call of its job."""
+"""The command `pinav inspect`, as a value."""
 
-import json
-import sys
-from pathlib import Path
-from typing import Annotated
+from pinav.commands.command import Command
 
-import msgspec
-import tyro
-
-from pinav.commands.inspect.settings import RecordingSettings
-
-
-class InspectOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Say what a recording of a tracker holds and how good it is, before any fit.
-
-    Runs, particles, segments, frame rate, gaps, localisation error, speed against
-    frequency, coverage of the commands, and what a fit cannot tell. The format is
-    found from the content: trackpy, TrackMate, MagScope, MATLAB, DeepLabCut, ImageJ,
-    StochasticForceInference, tidy tables, any table by --columns; docs/recordings.md.
-    """
-
-    file: Annotated[
-        Path, tyro.conf.Positional, tyro.conf.arg(help="File of the tracker.")
-    ]
-    out: Annotated[
-        Path | None,
-        tyro.conf.arg(help="Folder for inspection.json, inspection.html and a figure."),
-    ] = None
-    settings: RecordingSettings = RecordingSettings()
-    image: Annotated[
-        Path | None,
-        tyro.conf.arg(
-            help="A still of the film (PNG, JPEG), to draw the paths over it."
-        ),
-    ] = None
-    overwrite: Annotated[
-        bool, tyro.conf.arg(help="Replace the report that --out already holds.")
-    ] = False
-    json: Annotated[
-        bool, tyro.conf.arg(help="Print the report as JSON, for scripts.")
-    ] = False
-
-
-def inspect(options: InspectOptions) -> None:
-    """`pinav inspect`."""
-    from pinav.commands.inspect import job
-
-    found = job.inspect(
-        options.settings,
-        options.file,
-        options.out,
-        image=options.image,
-        overwrite=options.overwrite,
-    )
-    if options.json:
-        json.dump(found.as_json(), sys.stdout, indent=2, allow_nan=False)
-        print()
-        return
-    print(job.text(found))
-    if options.out is not None:
-        print(f"report: {options.out / job.PAGE_FILE}")
+INSPECT = Command(
+    name="inspect",
+    summary="say what a recording holds, before any fit",
+    options="pinav.commands.inspect.settings:InspectOptions",
+    run="pinav.commands.inspect.job:run",
+)

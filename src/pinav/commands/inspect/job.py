@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from pinav import __version__
-from pinav.commands.inspect.settings import RecordingSettings
+from pinav.commands.command import CommandResult
+from pinav.commands.inspect.settings import InspectOptions, RecordingSettings
 from pinav.errors import InputError
 from pinav.figures import overlay, recording_figure, save_figure
 from pinav.figures.style import new_figure
@@ -261,3 +262,16 @@ def _localised(track: Track) -> list[float | None]:
 
 def _pretty(provenance: dict[str, Any]) -> str:
     return json.dumps(provenance, indent=2, ensure_ascii=False)
+
+
+def run(options: InspectOptions) -> CommandResult:
+    """Inspect as the command line does."""
+    report = inspect(
+        options.settings,
+        options.file,
+        options.out,
+        image=options.image,
+        overwrite=options.overwrite,
+    )
+    page = None if options.out is None else options.out / PAGE_FILE
+    return CommandResult(report.as_json(), text(report), page=page)

@@ -1,102 +1,40 @@
-"""How a recording is to be read, as options; imports no numerical library."""
+"""Options of `pinav inspect`; imports no numerical library."""
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated
 
-import msgspec
 import tyro
 
-from pinav.errors import InputError
-
-if TYPE_CHECKING:
-    from pinav.trajectories import Trajectories
+from pinav.commands.recording_settings import RecordingSettings
+from pinav.commands.settings import Settings
 
 
-class RecordingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a file does not say of itself."""
+class InspectOptions(Settings, frozen=True):
+    """Say what a recording of a tracker holds and how good it is, before any fit.
 
-    form: Annotated[
-        str | None,
-        tyro.conf.arg(help="Format of the file; found from its content by default."),
+    Runs, particles, segments, frame rate, gaps, localisation error, speed against
+    frequency, coverage of the commands, and what a fit cannot tell. The format is
+    found from the content: trackpy, TrackMate, MagScope, MATLAB, DeepLabCut, ImageJ,
+    StochasticForceInference, tidy tables, any table by --columns; docs/recordings.md.
+    """
+
+    file: Annotated[
+        Path, tyro.conf.Positional, tyro.conf.arg(help="File of the tracker.")
+    ]
+    out: Annotated[
+        Path | None,
+        tyro.conf.arg(help="Folder for inspection.json, inspection.html and a figure."),
     ] = None
-    columns: Annotated[
-        tuple[str, ...],
+    settings: RecordingSettings = RecordingSettings()
+    image: Annotated[
+        Path | None,
         tyro.conf.arg(
-            help="For any other table: quantity=column, such as x=X y=Y t=Time "
-            "heading=alpha frequency=f."
-        ),
-    ] = ()
-    units: Annotated[
-        tuple[str, ...],
-        tyro.conf.arg(
-            help="Units that the file does not state, such as x=px t=ms heading=deg."
-        ),
-    ] = ()
-    fps: Annotated[
-        float | None,
-        tyro.conf.arg(help="Frames per second; times become frame / fps."),
-    ] = None
-    mpp: Annotated[float | None, tyro.conf.arg(help="Micrometres per pixel.")] = None
-    y: Annotated[
-        Literal["down", "up"] | None,
-        tyro.conf.arg(
-            help="Whether y grows downwards in the file, as in images, or upwards; "
-            "usual for the format by default."
+            help="A still of the film (PNG, JPEG), to draw the paths over it."
         ),
     ] = None
-    heading_offset: Annotated[
-        float,
-        tyro.conf.arg(
-            help="Added to the logged heading, in rad: pi/2 = 1.5708 where the log "
-            "holds the azimuth of the rotation axis."
-        ),
-    ] = 0.0
-    delay: Annotated[
-        float, tyro.conf.arg(help="By how many seconds commands act late.")
-    ] = 0.0
-    jump: Annotated[
-        float | None,
-        tyro.conf.arg(
-            help="Displacement between rows that splits a track; 40 px or 15 um by "
-            "default."
-        ),
-    ] = None
-    gap: Annotated[
-        int, tyro.conf.arg(help="Frames without the particle that split a track.")
-    ] = 10
-    likelihood: Annotated[
-        float, tyro.conf.arg(help="Below it a position counts as lost (DeepLabCut).")
-    ] = 0.6
-
-    def read(self, path: Path) -> "Trajectories":
-        """The recording in a file.
-
-        Raises:
-            InputError: a setting makes no sense, or the file is damaged.
-        """
-        from pinav.recordings import read_recording
-
-        return read_recording(
-            path,
-            form=self.form,
-            columns=_pairs("columns", self.columns),
-            units=_pairs("units", self.units),
-            fps=self.fps,
-            mpp=self.mpp,
-            y_down=None if self.y is None else self.y == "down",
-            heading_offset=self.heading_offset,
-            delay=self.delay,
-            jump=self.jump,
-            gap=self.gap,
-            likelihood=self.likelihood,
-        )
-
-
-def _pairs(name: str, words: Sequence[str]) -> dict[str, str] | None:
-    """Names and what they stand for, of words such as x=X."""
-    pairs = [word.split("=", 1) for word in words]
-    for word, pair in zip(words, pairs, strict=True):
-        if len(pair) != 2 or not all(pair):
-            raise InputError(f"--{name}: expected words such as x=X, got {word!r}")
-    return {key: value for key, value in pairs} or None
+    overwrite: Annotated[
+        bool, tyro.conf.arg(help="Replace the report that --out already holds.")
+    ] = False
+    json: Annotated[
+        bool, tyro.conf.arg(help="Print the report as JSON, for scripts.")
+    ] = False

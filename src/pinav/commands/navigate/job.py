@@ -8,22 +8,21 @@ import numpy as np
 from jaxtyping import PRNGKeyArray, Shaped
 from tqdm import tqdm
 
-from pinav.commands.navigate.settings import NavigateSettings
-from pinav.commands.navigate.setup import NavigationProblem
+from pinav.commands.command import CommandResult
+from pinav.commands.navigate.command import NAVIGATE
+from pinav.commands.navigate.settings import NavigateOptions, NavigateSettings
+from pinav.commands.navigate.setup import NavigationProblem, navigation_problem
 from pinav.commands.navigate.suggestion import suggestion
-from pinav.commands.navigate.tables import controller_row, interval
+from pinav.commands.navigate.tables import controller_row, interval, text
+from pinav.commands.start import start_run
 from pinav.errors import InputError
 from pinav.evaluation import distances
 from pinav.navigation.control.controller import AbstractController
 from pinav.navigation.control.default import controller
 from pinav.navigation.planning.plan import Route, TimeToGo
 from pinav.navigation.task.steering import SteeredSwimmer
-from pinav.navigation.trials.closed_loop import (
-    Episodes,
-    concatenate_episodes,
-    run,
-    run_many,
-)
+from pinav.navigation.trials.closed_loop import Episodes, concatenate_episodes, run_many
+from pinav.navigation.trials.closed_loop import run as run_episode
 from pinav.navigation.trials.metrics import regret, summary
 from pinav.runs import RunFolder
 
@@ -142,7 +141,7 @@ def _regrets(found: dict[str, Episodes]) -> dict[str, Any]:
 def _step_times(problem, steering, settings) -> dict[str, float]:
     """Time that one command takes to compute [s], and the first one."""
     key = _keys(settings)[0]
-    compute = run(problem.task, steering, key=key).compute
+    compute = run_episode(problem.task, steering, key=key).compute
     return {"first": float(compute[0]), "median": float(np.median(compute[1:]))}
 
 
@@ -196,3 +195,12 @@ def _forces(swimmer: SteeredSwimmer, points: np.ndarray) -> np.ndarray:
         return environment(0.0, x, jnp.zeros_like(x))
 
     return np.asarray(jax.vmap(at)(jnp.asarray(points)))
+
+
+def run(options: NavigateOptions) -> CommandResult:
+    """Navigate as the command line does."""
+    settings = options.settings
+    problem = navigation_problem(settings, RunFolder.open(options.run))
+    folder = start_run(NAVIGATE, options, settings, fitted=options.run.name)
+    metrics = navigate(settings, problem, folder)
+    return CommandResult(metrics, text(metrics), folder)

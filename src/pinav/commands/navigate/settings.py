@@ -1,15 +1,16 @@
 """Settings of `pinav navigate`; imports no numerical library."""
 
 import math
+from pathlib import Path
 from typing import Annotated
 
-import msgspec
 import tyro
 
+from pinav.commands.settings import AsJson, OutFolder, Overwrite, Settings
 from pinav.errors import InputError
 
 
-class NavigateSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class NavigateSettings(Settings, frozen=True):
     """Where to go, with which swimmer, and how it is tried."""
 
     start: Annotated[
@@ -130,3 +131,27 @@ def _require(name: str, value: float, *, above: bool) -> None:
         raise InputError(
             f"--{option}: expected a number {'> 0' if above else '>= 0'}, got {value}"
         )
+
+
+class NavigateOptions(Settings, frozen=True):
+    """Go from a place to a place through the force that a run has learned.
+
+    Plans on the learned force (from where the goal cannot be reached, and where the
+    model is uncertain), steers by model-predictive control, and tries it in closed
+    loop: in the true environment where the data are those of a scenario, else in
+    environments drawn from the posterior. Physics alone and, where it is known, the
+    same controller with the truth are tried beside it. The run also suggests the
+    trajectory that would tell most about the force along the route. Writes
+    metrics.json, report.html, figures and an animation. A negative number takes an
+    equals sign: --from=-1,2.
+    """
+
+    run: Annotated[
+        Path,
+        tyro.conf.Positional,
+        tyro.conf.arg(help="Folder of pinav fit, of trajectories or of a recording."),
+    ]
+    settings: NavigateSettings
+    out: OutFolder
+    overwrite: Overwrite = False
+    json: AsJson = False

@@ -1,4 +1,4 @@
-"""What `pinav navigate` works with: a task, and models of its surroundings."""
+"""What `pinav navigate` works with: a task, and models of its time_cost."""
 
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from pinav.actuation import LinearResponse
 from pinav.commands.fit.bayes import MODEL_FILE, POSTERIOR_FILE, read_posterior
+from pinav.commands.fit.command import FIT
 from pinav.commands.fit.settings import FitSettings
 from pinav.commands.models import KnownSwimmer, build_model
 from pinav.commands.navigate.settings import NavigateSettings
@@ -19,6 +20,7 @@ from pinav.evaluation import square
 from pinav.fitting import Posterior
 from pinav.forces import UniformFlow, ZeroForce
 from pinav.identification.models import response_of
+from pinav.navigation.control.simple import physics_only
 from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import (
     CommandLimits,
@@ -76,7 +78,7 @@ class NavigationProblem(eqx.Module):
     @property
     def physics(self) -> SteeredSwimmer:
         """The fitted swimmer without its environment."""
-        return eqx.tree_at(lambda s: s.dynamics.environment, self.model, ZeroForce())
+        return physics_only(self.model)
 
     @property
     def truths(self) -> tuple[SteeredSwimmer, ...]:
@@ -92,10 +94,9 @@ def navigation_problem(settings: NavigateSettings, run: RunFolder) -> Navigation
     Raises:
         InputError: the run holds no fitted swimmer in the plane.
     """
-    config = run.config()
-    if config.get("job") == "fit" and run.has(MODEL_FILE):
-        return _of_fit(settings, config, run)
-    if config.get("job") == "recording" and run.has("metrics.json"):
+    if run.command == FIT.name and run.has(MODEL_FILE):
+        return _of_fit(settings, run)
+    if run.has("metrics.json") and "tracks" in run.read_json("metrics.json"):
         return _of_recording(settings, run)
     raise InputError(
         f"{run.path} holds no finished fit; give the folder that was the --out of "
@@ -103,8 +104,8 @@ def navigation_problem(settings: NavigateSettings, run: RunFolder) -> Navigation
     )
 
 
-def _of_fit(settings, config, run: RunFolder) -> NavigationProblem:
-    content = {k: v for k, v in config.items() if k not in ("job", "data")}
+def _of_fit(settings, run: RunFolder) -> NavigationProblem:
+    content = run.settings()
     fitted = msgspec.convert(content, FitSettings)
     model = run.read_model(MODEL_FILE, build_model)
     data = load(run.path / "data.npz")
@@ -121,7 +122,7 @@ def _of_fit(settings, config, run: RunFolder) -> NavigationProblem:
             read_posterior(fitted, run), float(stored["noise"]), stored["states"], data
         )
     truth = data.provenance.get("scenario")
-    known = model if truth is None else scenario(truth).swimmer
+    known = model if truth is None else scenario(truth).true_swimmer
     limits = CommandLimits(1.0)
     return NavigationProblem(
         task=_task(settings, SteeredSwimmer(known, actuator), limits, data),

@@ -4,9 +4,9 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import equinox as eqx
 import numpy as np
 
+from pinav.commands.command import CommandResult
 from pinav.commands.fit.job import write_losses
 from pinav.commands.fit.matching import matching
 from pinav.commands.models import (
@@ -17,7 +17,9 @@ from pinav.commands.models import (
     residual,
 )
 from pinav.commands.progress import FitReporter
-from pinav.commands.reproduce.settings import ReproduceSettings
+from pinav.commands.reproduce import table2
+from pinav.commands.reproduce.command import REPRODUCE
+from pinav.commands.reproduce.settings import ReproduceOptions, ReproduceSettings
 from pinav.commands.reproduce.table2 import (
     HEADER,
     PAPER,
@@ -27,6 +29,7 @@ from pinav.commands.reproduce.table2 import (
     improvements,
     summary,
 )
+from pinav.commands.start import start_run
 from pinav.dynamics import AbstractDynamics, FixedStep, Swimmer
 from pinav.evaluation import (
     FieldMap,
@@ -37,9 +40,9 @@ from pinav.evaluation import (
     score,
 )
 from pinav.fitting import fit_many
-from pinav.forces import ZeroForce
 from pinav.runs import RunFolder
-from pinav.scenarios import Scenario, scenario
+from pinav.scenarios import scenario
+from pinav.systems import System
 from pinav.trajectories import Trajectories, load, save, simulate
 
 
@@ -95,7 +98,7 @@ def reproduce(settings: ReproduceSettings, folder: RunFolder) -> list[Row]:
     return rows
 
 
-def _data(benchmark: Scenario, folder: RunFolder) -> Trajectories:
+def _data(benchmark: System, folder: RunFolder) -> Trajectories:
     if not folder.has("data.npz"):
         save(simulate(benchmark), folder.path / "data.npz")
     return load(folder.path / "data.npz")
@@ -137,7 +140,7 @@ def _write_fits(entry: Entry, settings, data, folder: RunFolder) -> None:
 def _evaluate(benchmark, data, chosen: Sequence[Entry], folder: RunFolder):
     """Score every model; return the rows and the arrays behind the figures."""
     arrays = {"times": data.times[0], "truth": data.states[0]}
-    arrays |= _true_arrays(benchmark.swimmer, data)
+    arrays |= _true_arrays(benchmark.true_swimmer, data)
     summary = data_summary(data)
 
     def scored(model: str, seed: int | None, dynamics: AbstractDynamics) -> Row:
@@ -145,7 +148,7 @@ def _evaluate(benchmark, data, chosen: Sequence[Entry], folder: RunFolder):
         arrays[key_of(model, seed)] = predictions[0]
         return Row(model, seed, score(predictions, outcomes, data))
 
-    rows = [scored("physics-only", None, _without_environment(benchmark.swimmer))]
+    rows = [scored("physics-only", None, benchmark.swimmer)]
     for entry in chosen:
         for seed, label in zip(entry.seeds, entry.labels(), strict=True):
             before = entry.build(benchmark.swimmer, seed, summary)
@@ -159,10 +162,6 @@ def _evaluate(benchmark, data, chosen: Sequence[Entry], folder: RunFolder):
     order = list(ROWS)
     listed = [row for row in rows if row.model in order]
     return sorted(listed, key=lambda row: order.index(row.model)), arrays
-
-
-def _without_environment(truth: Swimmer) -> Swimmer:
-    return eqx.tree_at(lambda swimmer: swimmer.environment, truth, ZeroForce())
 
 
 def _true_arrays(truth: Swimmer, data: Trajectories) -> dict[str, np.ndarray]:
@@ -249,3 +248,11 @@ def stored_field(arrays: dict[str, np.ndarray], name: str) -> FieldMap:
         arrays[f"field/{name}"],
         arrays["field/distance"],
     )
+
+
+def run(options: ReproduceOptions) -> CommandResult:
+    """Run the experiment of the paper, as the command line does."""
+    folder = start_run(REPRODUCE, options, options.settings)
+    rows = reproduce(options.settings, folder)
+    text = "\n".join([table2.text(rows), *table2.summary_lines(rows)])
+    return CommandResult(folder.read_json("metrics.json"), text, folder)

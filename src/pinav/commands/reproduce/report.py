@@ -15,7 +15,7 @@ BARRIER = ([5.0, 5.0], 2.9)
 """Centre and width of the benchmark's barrier, drawn as context."""
 
 
-def reproduced(folder: RunFolder) -> list[Section]:
+def reproduction_sections(folder: RunFolder) -> list[Section]:
     """The sections of the report of `pinav reproduce`."""
     metrics = folder.read_json("metrics.json")
     arrays = folder.read_arrays("results.npz")

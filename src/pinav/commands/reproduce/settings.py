@@ -1,15 +1,24 @@
 """Settings of `pinav reproduce`."""
 
+from pathlib import Path
 from typing import Annotated
 
-import msgspec
 import tyro
 
-from pinav.commands.settings import RecipeName, _check_counts
+from pinav.commands.settings import (
+    AsJson,
+    ConfigFile,
+    OutFolder,
+    Overwrite,
+    RecipeName,
+    Resume,
+    Settings,
+    check_counts,
+)
 from pinav.errors import InputError
 
 
-class ReproduceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class ReproduceSettings(Settings, frozen=True):
     """Settings of `pinav reproduce`."""
 
     recipe: Annotated[
@@ -40,4 +49,20 @@ class ReproduceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
         repeated = [seed for seed in self.seeds if self.seeds.count(seed) > 1]
         if repeated:
             raise InputError(f"--seeds: {repeated[0]} is given twice; drop one")
-        _check_counts(self, "max_steps", "adam_steps", "lbfgs_steps")
+        check_counts(self, "max_steps", "adam_steps", "lbfgs_steps")
+
+
+class ReproduceOptions(Settings, frozen=True):
+    """Run the paper's experiment, from nothing to its table and figures.
+
+    Simulates the Gaussian-barrier benchmark, trains the UDE and the network-only
+    baseline, scores them in float64, prints Table 2 beside the paper's values and
+    writes report.html. A killed run goes on with --resume.
+    """
+
+    settings: ReproduceSettings = ReproduceSettings()
+    out: OutFolder = Path("runs/reproduce")
+    config: ConfigFile = None
+    resume: Resume = False
+    overwrite: Overwrite = False
+    json: AsJson = False

@@ -5,7 +5,8 @@ from pathlib import Path
 import equinox as eqx
 import jax
 
-from pinav.commands.simulate.settings import SimulateSettings
+from pinav.commands.command import CommandResult
+from pinav.commands.simulate.settings import SimulateOptions, SimulateSettings
 from pinav.scenarios import scenario
 from pinav.trajectories import (
     AbstractDegradation,
@@ -53,3 +54,15 @@ def _degradations(
     if settings.positions_only and velocities:
         steps.append(Unobserved(velocities))
     return steps
+
+
+def run(options: SimulateOptions) -> CommandResult:
+    """Simulate as the command line does."""
+    trajectories = simulate(
+        options.scenario, options.settings, options.out, overwrite=options.overwrite
+    )
+    count, samples = len(trajectories), int(trajectories.lengths.sum())
+    noun = "trajectory" if count == 1 else "trajectories"
+    metrics = {"file": str(options.out), "trajectories": count, "samples": samples}
+    text = f"{options.out}: {count} {noun}, {samples} samples"
+    return CommandResult(metrics, text)

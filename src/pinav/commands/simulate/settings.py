@@ -1,15 +1,19 @@
 """Settings of `pinav simulate`."""
 
+from pathlib import Path
 from typing import Annotated
 
-import msgspec
 import tyro
 
-from pinav.commands.settings import _check_counts
+from pinav.commands.settings import (
+    AsJson,
+    Settings,
+    check_counts,
+)
 from pinav.errors import InputError
 
 
-class SimulateSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class SimulateSettings(Settings, frozen=True):
     """Settings of `pinav simulate`."""
 
     seed: Annotated[
@@ -42,4 +46,23 @@ class SimulateSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
                 f"--frame-loss: expected from 0 to below 1, got {self.frame_loss}"
             )
         if self.count is not None:
-            _check_counts(self, "count")
+            check_counts(self, "count")
+
+
+class SimulateOptions(Settings, frozen=True):
+    """Write the trajectories of a named scenario to a .npz or .csv file."""
+
+    scenario: Annotated[
+        str,
+        tyro.conf.Positional,
+        tyro.conf.arg(
+            help="Name of the scenario, such as barrier-crossings; docs/scenarios.md "
+            "lists them."
+        ),
+    ]
+    out: Annotated[Path, tyro.conf.arg(help="File to write, .npz or .csv.")]
+    settings: SimulateSettings = SimulateSettings()
+    overwrite: Annotated[
+        bool, tyro.conf.arg(help="Replace the file if it is there.")
+    ] = False
+    json: AsJson = False

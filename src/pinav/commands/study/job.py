@@ -25,7 +25,7 @@ from pinav.commands.models import (
 )
 from pinav.commands.study.settings import StudyModel, StudySettings
 from pinav.commands.study.stochastic_force_inference import infer_force
-from pinav.dynamics import AbstractDynamics, BrownianSwimmer
+from pinav.dynamics import AbstractDynamics
 from pinav.errors import FitError, InputError
 from pinav.evaluation import (
     default_regions,
@@ -37,10 +37,10 @@ from pinav.evaluation import (
     square,
     summarise,
 )
-from pinav.fitting import BayesOutcome, FitOutcome, fit, fit_bayes
-from pinav.forces import ZeroForce
+from pinav.fitting import Outcome, fit, fit_bayes
 from pinav.runs import RunFolder
-from pinav.scenarios import Scenario, scenario
+from pinav.scenarios import scenario
+from pinav.systems import System
 from pinav.trajectories import GaussianNoise, Trajectories, degrade, simulate
 
 ROWS = "rows.json"
@@ -117,7 +117,7 @@ def study(
     chosen = list(cells(name, settings))
     most = max(cell.count for cell in chosen)
     several = {seed: clean_data(world, seed, most) for seed in settings.seeds}
-    with tqdm(chosen, desc=name, unit="fit", dynamic_ncols=True) as bar:
+    with tqdm(chosen, desc=name, unit="cell", dynamic_ncols=True) as bar:
         for cell in bar:
             bar.set_postfix_str(cell.label)
             if cell.label not in rows:
@@ -148,7 +148,7 @@ def check(name: str, world: str, settings: StudySettings) -> None:
         return
     for cell in cells(name, settings):
         chosen = scenario(world, count=cell.count)
-        if isinstance(chosen.truth, BrownianSwimmer):
+        if chosen.thermal_energy is not None:
             raise InputError(
                 f"study: scenario {world!r} is stochastic, so that clean trajectories "
                 f"to score against do not exist; choose another scenario"
@@ -182,7 +182,7 @@ def with_noise(clean: Trajectories, sigma: float, seed: int) -> Trajectories:
 
 def _row(
     cell: Cell,
-    known: Scenario,
+    known: System,
     several: Trajectories,
     held: Trajectories,
     settings: StudySettings,
@@ -199,7 +199,7 @@ def _row(
     return row | scores(model, known, clean, held)
 
 
-def _fitted(cell: Cell, settings: StudySettings, known: Scenario, data: Trajectories):
+def _fitted(cell: Cell, settings: StudySettings, known: System, data: Trajectories):
     if cell.model == "sfi":
         found = infer_force(known.swimmer, data, cell.sigma)
         return found, "functions selected by PASTIS"
@@ -218,14 +218,13 @@ def fitted(
         FitError: the fit failed.
     """
     if settings.model == "physics-only":
-        alone = eqx.tree_at(lambda m: m.environment, known, ZeroForce())
-        return alone, "nothing to fit"
+        return known.without_environment(), "nothing to fit"
     if settings.method == "bayes":
         start = fit_model(settings, known, model_summary(settings.model, data))
         found = fit_bayes(start, data, max_iterations=settings.max_steps, throw=False)
-        if found.outcome is BayesOutcome.DIVERGED:
+        if found.outcome is Outcome.DIVERGED:
             raise FitError("the fit diverged")
-        return found.model, found.outcome.name.lower()
+        return found.model, str(found.outcome)
     method = matching(settings, data)
     start = fit_model(settings, known, data_summary(data))
     matched = fit(
@@ -236,14 +235,14 @@ def fitted(
         throw=False,
         **method.options(),
     )
-    if matched.outcome is FitOutcome.DIVERGED:
+    if matched.outcome is Outcome.DIVERGED:
         raise FitError("the fit diverged")
-    return matched.model, matched.outcome.name.lower()
+    return matched.model, str(matched.outcome)
 
 
 def scores(
     model: AbstractDynamics,
-    known: Scenario,
+    known: System,
     training: Trajectories,
     held: Trajectories,
 ) -> dict[str, Any]:
@@ -267,7 +266,7 @@ def scores(
         return row
     limits = square(held)
     learned = field_map(model.environment, training, limits=limits)
-    true = field_map(known.swimmer.environment, training, limits=limits)
+    true = field_map(known.true_swimmer.environment, training, limits=limits)
     found = force_agreement(learned, true, default_regions(training))
     for region in ("visited", "near", "unvisited"):
         row[f"force {region}"] = as_cell(found[region].error)

@@ -7,11 +7,11 @@ a static kernel potential that was fitted to a few noisy crossings of the same b
 
 from typing import Any
 
-import equinox as eqx
 import msgspec
 import numpy as np
 
 from pinav.commands.evaluate.report import PARTS, curve_of
+from pinav.commands.fit.command import FIT
 from pinav.commands.fit.matching import matching
 from pinav.commands.fit.settings import FitSettings
 from pinav.commands.fitted_run import as_cell
@@ -46,7 +46,6 @@ from pinav.figures import save_figure
 from pinav.figures.errors import error_over_time, errors_by_region
 from pinav.figures.style import new_figure, style_of, title_panel
 from pinav.fitting import KernelGrid, fit, fit_bayes
-from pinav.forces import ZeroForce
 from pinav.report import Image, Paragraph, Section, Table
 from pinav.runs import RunFolder
 from pinav.scenarios import paper
@@ -77,7 +76,7 @@ def weakness(settings: StudySettings, folder: RunFolder) -> dict[str, Any]:
     several = with_noise(clean, settings.sigma, seed)
     ude = _stored(folder, "model-ude.eqx", _fit_ude, settings, single)
     kernel = _stored(folder, "model-kernel.eqx", _fit_kernel, settings, several)
-    physics = eqx.tree_at(lambda m: m.environment, paper().swimmer, ZeroForce())
+    physics = paper().swimmer
     held = held_out("paper", until=20.0, count=settings.held_out)
     chosen = {UDE: (ude, single), KERNEL: (kernel, clean), PHYSICS: (physics, single)}
     metrics: dict[str, Any] = {"study": "paper-weakness", "models": {}}
@@ -132,7 +131,11 @@ def _fit_kernel(settings: StudySettings, data: Trajectories, folder: RunFolder):
             max_iterations=settings.max_steps,
             on_step=report,
         )
-    header = {"kind": "fit", "settings": msgspec.to_builtins(own), "physics": "paper"}
+    header = {
+        "kind": FIT.name,
+        "settings": msgspec.to_builtins(own),
+        "physics": "paper",
+    }
     fitted = fitted_summary(summary, found.model.environment)
     return header | {"dtype": "float64", "data": fitted}, found.model
 
@@ -141,7 +144,7 @@ def _scores(name, model: Swimmer, training, held, arrays) -> dict[str, Any]:
     """Force by region of its own training data, and rollouts from held-out starts."""
     limits = square(held)
     learned = field_map(model.environment, training, limits=limits)
-    true = field_map(paper().swimmer.environment, training, limits=limits)
+    true = field_map(paper().true_swimmer.environment, training, limits=limits)
     found = force_agreement(learned, true)
     errors = position_errors(predict(model, held)[0], held, domain=extent(held))
     curve, whole = error_curve(errors), summarise(errors)

@@ -18,7 +18,7 @@ AXES = {
 """Column and label of the x axis of each study."""
 
 
-def studied(folder: RunFolder) -> list[Section]:
+def study_sections(folder: RunFolder) -> list[Section]:
     """The sections of a study's report."""
     metrics = folder.read_json("metrics.json")
     if metrics["study"] == "paper-weakness":

@@ -2,11 +2,18 @@
 
 from typing import Annotated, Literal
 
-import msgspec
 import tyro
 
 from pinav.commands.fit.settings import ModelName
-from pinav.commands.settings import RecipeName
+from pinav.commands.settings import (
+    AsJson,
+    ConfigFile,
+    OutFolder,
+    Overwrite,
+    RecipeName,
+    Resume,
+    Settings,
+)
 from pinav.errors import InputError
 
 StudyName = Literal["data-efficiency", "noise", "paper-weakness"]
@@ -24,7 +31,7 @@ MODELS: tuple[StudyModel, ...] = (
 )
 
 
-class StudySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class StudySettings(Settings, frozen=True):
     """Settings of `pinav study`."""
 
     models: Annotated[
@@ -92,3 +99,28 @@ def _check_at_least(name: str, value: float | int, least: int) -> None:
     if not least <= value < float("inf"):
         option = name.replace("_", "-")
         raise InputError(f"--{option}: expected {least} or more, got {value}")
+
+
+class StudyOptions(Settings, frozen=True):
+    """Compare models over the amount of data or of noise, one figure for each study.
+
+    data-efficiency: force and rollout error over the number of trajectories; noise:
+    the same over the noise of the observations; paper-weakness: the paper's network on
+    its single trajectory beside a kernel potential on several. All data are synthetic.
+    A killed study goes on with --resume.
+    """
+
+    name: Annotated[StudyName, tyro.conf.Positional, tyro.conf.arg(help="Which study.")]
+    out: OutFolder
+    scenario: Annotated[
+        str,
+        tyro.conf.Positional,
+        tyro.conf.arg(
+            help="Name of the scenario (docs/scenarios.md); paper-weakness has its own."
+        ),
+    ] = "barrier-crossings"
+    settings: StudySettings = StudySettings()
+    config: ConfigFile = None
+    resume: Resume = False
+    overwrite: Overwrite = False
+    json: AsJson = False

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.errors import InputError
-from pinav.fitting.bayes.posterior import Estimate, Posterior
+from pinav.fitting.engine.posterior import Estimate, Posterior
 from pinav.forces import CholeskyTensor, KernelMixture, TensorDrag
 
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.fitting.bayes.multiple_shooting import FreeModel, freed
+from pinav.fitting.engine.multiple_shooting import FreeModel, freed
 from pinav.fitting.matching.gauss_newton import chord, low_rank
 from pinav.forces import AbstractForce, kernel_centers
 from pinav.trajectories import Trajectories

@@ -11,47 +11,19 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, PyTree
+from jaxtyping import PyTree
 
 from pinav.dynamics import AbstractDynamics, FixedStep
 from pinav.errors import FitError, InputError
-from pinav.fitting.bayes.iterate import BayesOutcome, BayesProgress, iterate
+from pinav.fitting.bayes.iterate import BayesProgress, iterate
 from pinav.fitting.bayes.neural import NEURAL, Request
-from pinav.fitting.bayes.posterior import Estimate, Posterior
 from pinav.fitting.bayes.problem import BayesProblem, Step
+from pinav.fitting.engine.evidence_fit import EvidenceFit
+from pinav.fitting.engine.posterior import Estimate
 from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED, Refinement
-from pinav.fitting.evidence.evidence import Hyperparameters
-from pinav.fitting.evidence.model_evidence import LinearFit
+from pinav.fitting.outcome import Outcome
 from pinav.forces import AbstractForce
 from pinav.trajectories import Trajectories
-
-
-class BayesFit(eqx.Module):
-    """A fitted environment, and how well it is known.
-
-    Attributes:
-        model: the model with its best parameters.
-        outcome: stalled when the iterations ran out, diverged when the defects grew
-            or became infinite; the rest is then what was reached last. Coarse where
-            the kernels blur what the data show, and finer ones would be too many.
-        iterations: Gauss-Newton steps taken, on the last kernels.
-        hyperparameters: noise, shape of the prior (`WeightPrior`; empty for parametric
-            forces and for networks that see the time), amplitude (0 without weights),
-            and the log evidence.
-        posterior: distribution of all learned parameters.
-        constants: learned constants by the path of their leaf, as `drag.damping`.
-        states: the smoothed states; they fulfil the dynamics when converged.
-        linear: the linear problem in which it ended; see `model_evidence`.
-    """
-
-    model: Any
-    outcome: BayesOutcome = eqx.field(static=True)
-    iterations: int = eqx.field(static=True)
-    hyperparameters: Hyperparameters
-    posterior: Posterior
-    constants: dict[str, Estimate]
-    states: Float[np.ndarray, "trajectory time state"]
-    linear: LinearFit
 
 
 def fit_bayes(
@@ -65,7 +37,7 @@ def fit_bayes(
     max_iterations: int = 20,
     on_step: Callable[[BayesProgress], None] | None = None,
     throw: bool = True,
-) -> BayesFit:
+) -> EvidenceFit:
     r"""Fit the environment of a swimmer, and constants, to noisy trajectories.
 
     The weights of a kernel environment have a Gaussian-process prior. A network is
@@ -116,11 +88,11 @@ def fit_bayes(
 
 
 _MESSAGES = {
-    BayesOutcome.STALLED: (
+    Outcome.STALLED: (
         "the fit stalled: its iterations ran out before the states fulfilled the "
         "dynamics; raise max_iterations, or pass throw=False to get what was reached"
     ),
-    BayesOutcome.DIVERGED: (
+    Outcome.DIVERGED: (
         "the fit diverged: the states depart from the dynamics; check the known "
         "forces, add substeps, or pass throw=False to get what was reached"
     ),
@@ -133,7 +105,7 @@ def _begun(request: Request, grids: "_Grids") -> BayesProblem:
     if not taught or request.learn is None:
         return request.problem(request.model)
     teaching, outcome, steps = _refined(request.by_kernels(), grids, TEACHING_STEPS)
-    if outcome is BayesOutcome.DIVERGED:
+    if outcome is Outcome.DIVERGED:
         return request.problem(request.model)
     return request.taught(teaching, steps[-1])
 
@@ -167,7 +139,7 @@ class _Grids(eqx.Module):
         if environment is None:
             return None
         model = problem.free(jnp.asarray(problem.theta))
-        model = eqx.tree_at(lambda m: m.environment, model, environment)
+        model = model.with_environment(environment)
         return self.begin(model, states=problem.states)
 
 
@@ -176,7 +148,7 @@ def _refined(
     grids: _Grids,
     max_iterations: int,
     on_step: Callable[[BayesProgress], None] | None = None,
-) -> tuple[BayesProblem, BayesOutcome, list[Step]]:
+) -> tuple[BayesProblem, Outcome, list[Step]]:
     """Steps on kernels as fine as the evidence asks for.
 
     Each grid begins anew, so that the result is that of its own fit.
@@ -189,14 +161,12 @@ def _refined(
     better = grids.finer(problem, steps[-1]) if steps else None
     if better is not None:
         return _refined(better, grids, max_iterations, on_step)
-    if outcome is BayesOutcome.CONVERGED and grids.wanted(problem, steps[-1]):
-        outcome = BayesOutcome.COARSE
+    if outcome is Outcome.CONVERGED and grids.wanted(problem, steps[-1]):
+        outcome = Outcome.UNDER_RESOLVED
     return problem, outcome, steps
 
 
-def _result(
-    problem: BayesProblem, outcome: BayesOutcome, steps: list[Step]
-) -> BayesFit:
+def _result(problem: BayesProblem, outcome: Outcome, steps: list[Step]) -> EvidenceFit:
     if not steps:
         raise FitError(
             "the fit diverged at once: the model's rates of change are not finite "
@@ -209,7 +179,7 @@ def _result(
         problem.names[i]: Estimate(float(posterior.mean[i]), float(sd[i]))
         for i in np.flatnonzero(problem.flat)
     }
-    return BayesFit(
+    return EvidenceFit(
         model=posterior.model,
         outcome=outcome,
         iterations=len(steps),

@@ -28,7 +28,7 @@ import scipy.linalg
 from jaxtyping import Float
 
 from pinav.fitting.bayes.distillation import Lesson, forces
-from pinav.fitting.bayes.multiple_shooting import FreeModel, freed
+from pinav.fitting.engine.multiple_shooting import FreeModel, freed
 from pinav.fitting.environments.refinement import SINGLE
 from pinav.fitting.evidence.evidence import Hyperparameters, root
 from pinav.fitting.evidence.priors import AbstractPrior

@@ -1,6 +1,5 @@
 """Steps of a fit with the evidence, and how they end."""
 
-import enum
 from collections.abc import Callable
 from typing import Any
 
@@ -9,21 +8,13 @@ import equinox as eqx
 from pinav.errors import FitError
 from pinav.fitting.bayes.problem import Step
 from pinav.fitting.bayes.steps import Move
+from pinav.fitting.outcome import Outcome
 
 DEFECT_TOLERANCE = 1e-4
 """Converged: defects relative to the states' spread."""
 
 ROUNDING = 1e-9
 """Defects at which another step changes nothing but the last digits of the evidence."""
-
-
-class BayesOutcome(enum.IntEnum):
-    """How a Bayesian fit ended; coarse: converged, but finer kernels had no room."""
-
-    CONVERGED = 0
-    STALLED = 1
-    DIVERGED = 2
-    COARSE = 3
 
 
 class BayesProgress(eqx.Module):
@@ -55,7 +46,7 @@ def iterate(
     max_iterations: int,
     on_step: Callable[[BayesProgress], None] | None = None,
     enough: Callable[[Step], bool] = lambda _: False,
-) -> tuple[BayesOutcome, list[Step]]:
+) -> tuple[Outcome, list[Step]]:
     """Steps until they converge, diverge, run out, or are not worth going on with.
 
     Args:
@@ -70,17 +61,17 @@ def iterate(
     while len(steps) < max_iterations:
         step = _attempt(problem, move, shape, begun=bool(steps))
         if step is None:
-            return BayesOutcome.DIVERGED, steps
+            return Outcome.DIVERGED, steps
         move, shape = step.move, step.inference.hyperparameters.shape
         steps.append(step)
         if on_step:
             on_step(_progress(steps, max_iterations))
         outcome = _outcome(steps, problem.tolerance)
-        if outcome is not BayesOutcome.STALLED:
+        if outcome is not Outcome.STALLED:
             return outcome, steps
         if len(steps) >= PROBES and enough(step):
             return outcome, steps
-    return BayesOutcome.STALLED, steps
+    return Outcome.STALLED, steps
 
 
 def _attempt(problem, move, shape, *, begun: bool) -> Step | None:
@@ -105,16 +96,16 @@ def _progress(steps: list[Step], total: int) -> BayesProgress:
     )
 
 
-def _outcome(steps: list[Step], tolerance: float) -> BayesOutcome:
+def _outcome(steps: list[Step], tolerance: float) -> Outcome:
     """Converged, or not yet; defects that grow without bound count as diverged."""
     last = steps[-1]
     if len(steps) > 1:
         before = steps[-2].inference.hyperparameters.log_evidence
         change = abs(last.inference.hyperparameters.log_evidence - before)
         if change < tolerance and last.defect < DEFECT_TOLERANCE:
-            return BayesOutcome.CONVERGED
+            return Outcome.CONVERGED
     if last.defect < ROUNDING:
-        return BayesOutcome.CONVERGED
+        return Outcome.CONVERGED
     if last.defect > 100 * max(steps[0].defect, 1.0):
-        return BayesOutcome.DIVERGED
-    return BayesOutcome.STALLED
+        return Outcome.DIVERGED
+    return Outcome.STALLED

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from pinav.dynamics import Swimmer, with_dtype
 from pinav.errors import InputError
-from pinav.fitting.bayes.multiple_shooting import FreeModel, freed
+from pinav.fitting.engine.multiple_shooting import FreeModel, freed
 from pinav.forces import (
     AbstractLearnedForce,
     ChangingPotential,

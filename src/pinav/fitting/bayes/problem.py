@@ -8,7 +8,6 @@ from jaxtyping import Bool, Float
 
 from pinav.dynamics import FixedStep
 from pinav.errors import FitError, InputError
-from pinav.fitting.bayes.multiple_shooting import FreeModel, Linearisation, linearise
 from pinav.fitting.bayes.parameters import (
     KERNELS,
     check_learned,
@@ -17,7 +16,6 @@ from pinav.fitting.bayes.parameters import (
     parameter_names,
     unknowns,
 )
-from pinav.fitting.bayes.posterior import Posterior
 from pinav.fitting.bayes.steps import (
     AbstractDescent,
     ChordSteps,
@@ -26,6 +24,8 @@ from pinav.fitting.bayes.steps import (
     Move,
     ShortenedStep,
 )
+from pinav.fitting.engine.multiple_shooting import FreeModel, Linearisation, linearise
+from pinav.fitting.engine.posterior import Posterior
 from pinav.fitting.environments.networks import IsotropicPrior
 from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.evidence.model_evidence import LinearFit

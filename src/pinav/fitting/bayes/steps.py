@@ -15,7 +15,7 @@ import scipy.linalg
 from jaxtyping import Array, Float
 
 from pinav.dynamics import FixedStep
-from pinav.fitting.bayes.multiple_shooting import (
+from pinav.fitting.engine.multiple_shooting import (
     FreeModel,
     Linearisation,
     Prediction,

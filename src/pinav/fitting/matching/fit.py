@@ -20,10 +20,10 @@ from pinav.fitting.matching.phases import AbstractPhase
 from pinav.fitting.matching.state import (
     AbstractCheckpoint,
     Fit,
-    FitOutcome,
     FitProgress,
     FitState,
 )
+from pinav.fitting.outcome import Outcome
 from pinav.trajectories import Trajectories
 
 Recipe = Sequence[AbstractPhase]
@@ -57,7 +57,7 @@ def fit(
         checkpoint=checkpoint,
         on_chunk=on_chunk,
     )
-    if throw and result.outcome is FitOutcome.DIVERGED:
+    if throw and result.outcome is Outcome.DIVERGED:
         raise FitError(
             "the fit diverged: its loss is not finite; use a smaller learning rate, "
             "shorter trajectories, or throw=False to get what was computed"
@@ -235,8 +235,8 @@ class _FitTask(eqx.Module):
                 for params in (state.params, start.params)
             )
             finite = bool(np.isfinite(losses[member, -1]))
-            judged = FitOutcome(int(state.minimiser[member]))
-            outcome = judged if finite else FitOutcome.DIVERGED
+            judged = Outcome(int(state.minimiser[member]))
+            outcome = judged if finite else Outcome.DIVERGED
             return Fit(model, initial, losses[member], phases, outcome)
 
         return [one(member) for member in range(losses.shape[0])]

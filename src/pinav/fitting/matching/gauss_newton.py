@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 from pinav.dynamics import FixedStep
 from pinav.errors import InputError
 from pinav.fitting.matching.phases import AbstractPhase
-from pinav.fitting.matching.state import FitOutcome
+from pinav.fitting.outcome import Outcome
 
 BATCH = 4
 """Trajectories whose steps are linearised at once."""
@@ -144,7 +144,7 @@ class GaussNewton(AbstractPhase):
 
     def outcome(self, state):
         there = (state.full < self.target) | (state.promised < NEGLIGIBLE)
-        return jnp.where(there, FitOutcome.CONVERGED, FitOutcome.STALLED)
+        return jnp.where(there, Outcome.CONVERGED, Outcome.STALLED)
 
 
 NEGLIGIBLE = 1e-3

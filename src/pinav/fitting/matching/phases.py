@@ -13,7 +13,7 @@ import optax
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from pinav.errors import InputError
-from pinav.fitting.matching.state import FitOutcome
+from pinav.fitting.outcome import Outcome
 
 Loss = Callable[[PyTree], Float[Array, ""]]
 """Loss of the parameters; a `Problem` is one, and tells a phase more if it asks."""
@@ -52,7 +52,7 @@ class AbstractPhase(eqx.Module):
 
     @abc.abstractmethod
     def outcome(self, state: PyTree) -> Int[Array, ""]:
-        """The `FitOutcome` of a phase that ended in this state."""
+        """The `Outcome` of a phase that ended in this state."""
 
     @property
     @abc.abstractmethod
@@ -113,7 +113,7 @@ class Adam(AbstractPhase):
         return jnp.zeros((), bool)
 
     def outcome(self, state):
-        return jnp.asarray(FitOutcome.COMPLETED)
+        return jnp.asarray(Outcome.COMPLETED)
 
     @property
     def chunk_steps(self):
@@ -185,7 +185,7 @@ class LBFGS(AbstractPhase):
         return jnp.zeros((), bool)
 
     def outcome(self, state):
-        return jnp.asarray(FitOutcome.COMPLETED)
+        return jnp.asarray(Outcome.COMPLETED)
 
     @property
     def chunk_steps(self):

@@ -1,7 +1,6 @@
 """What a fit leaves behind: its result, its state while it runs, and its progress."""
 
 import abc
-import enum
 from collections.abc import Callable
 
 import equinox as eqx
@@ -9,24 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from pinav.dynamics import AbstractDynamics
-
-
-class FitOutcome(enum.IntEnum):
-    """How a fit ended.
-
-    Attributes:
-        COMPLETED: all steps were taken, of phases that do not judge themselves.
-        DIVERGED: the final loss is not finite.
-        CONVERGED: the residuals are as small as asked for, or no linear step makes
-            them smaller.
-        STALLED: steps ran out, or gained too little although the linear model
-            promised more.
-    """
-
-    COMPLETED = 0
-    DIVERGED = 1
-    CONVERGED = 2
-    STALLED = 3
+from pinav.fitting.outcome import Outcome
 
 
 class Fit(eqx.Module):
@@ -44,7 +26,7 @@ class Fit(eqx.Module):
     initial_model: AbstractDynamics
     losses: Float[np.ndarray, " step"]
     phases: tuple[tuple[str, int], ...] = eqx.field(static=True)
-    outcome: FitOutcome = eqx.field(static=True)
+    outcome: Outcome = eqx.field(static=True)
 
 
 class FitState(eqx.Module):

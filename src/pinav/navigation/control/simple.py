@@ -4,14 +4,12 @@ Physics alone and the oracle are any controller with another model: `physics_onl
 the truth of the task.
 """
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar
 from pinav.dynamics import OverdampedSwimmer, Swimmer
-from pinav.forces import ZeroForce
 from pinav.navigation.control.controller import AbstractController
 from pinav.navigation.task.objectives import AbstractObjective
 from pinav.navigation.task.steering import (
@@ -141,4 +139,4 @@ def steered_swimmer(
 
 def physics_only(model: SteeredSwimmer) -> SteeredSwimmer:
     """The model without its environment."""
-    return eqx.tree_at(lambda m: m.dynamics.environment, model, ZeroForce())
+    return SteeredSwimmer(model.dynamics.without_environment(), model.actuator)

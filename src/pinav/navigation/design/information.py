@@ -21,8 +21,8 @@ from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray
 
 from pinav.dynamics import AbstractDynamics, FixedStep
 from pinav.errors import InputError
-from pinav.fitting.bayes.multiple_shooting import FreeModel, eliminate, sensitivities
-from pinav.fitting.bayes.posterior import Posterior
+from pinav.fitting.engine.multiple_shooting import FreeModel, eliminate, sensitivities
+from pinav.fitting.engine.posterior import Posterior
 from pinav.navigation.design.candidates import CandidateTrajectories, Experiment
 from pinav.navigation.task.zones import Rectangle
 

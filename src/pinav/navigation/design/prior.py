@@ -18,7 +18,7 @@ from jaxtyping import ArrayLike, Float
 from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.fitting import Observations, Posterior, freed
-from pinav.fitting.bayes.multiple_shooting import linearise
+from pinav.fitting.engine.multiple_shooting import linearise
 from pinav.forces import KernelPotential, SumForce
 from pinav.navigation.task.zones import Rectangle
 from pinav.trajectories import Trajectories
@@ -96,7 +96,7 @@ def prior_uncertainty(
     Args:
         model: the fitted swimmer.
         trajectories: to which it was fitted.
-        states: smoothed states, as of `BayesFit.states`.
+        states: smoothed states, as of `EvidenceFit.states`.
         noise: $\sigma$ of the observations, positive.
         prior: what forces there may be.
         solver: steps between samples; `FixedStep()` unless given.
@@ -110,7 +110,7 @@ def prior_uncertainty(
     with jax.enable_x64(new_val=True):
         kernels = prior.kernels()
         environment = SumForce((model.environment, kernels))
-        wider = eqx.tree_at(lambda m: m.environment, model, environment)
+        wider = model.with_environment(environment)
         free, theta = freed(wider, lambda m: m.environment.terms[1].parameters)
         observations = Observations.of(trajectories, jnp.float64)
         linear = linearise(free, theta, jnp.asarray(states), observations, solver)

@@ -113,4 +113,4 @@ def _negative_log_likelihood(logs, squares, residuals):
 
 
 def _with(known, environment):
-    return eqx.tree_at(lambda swimmer: swimmer.environment, known, environment)
+    return known.with_environment(environment)

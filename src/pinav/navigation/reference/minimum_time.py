@@ -35,7 +35,7 @@ class QuickestWay(eqx.Module):
         time: of arrival [T].
         states: at the ends of the intervals, positions and velocities.
         thrusts: during each interval [L T⁻²].
-        times: times of arrival from every first guess that converged [T].
+        times: times of arrival from every first guess that iterate_sweeps [T].
     """
 
     time: float

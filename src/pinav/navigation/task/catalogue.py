@@ -128,7 +128,7 @@ TASKS: dict[str, tuple[Callable[[], Task], str]] = {
     "follow-eight": (follow_eight, "drift-current"),
     "y-junction": (y_junction, "drift-current"),
 }
-"""Each task by its name, and the scenario in which its surroundings are observed."""
+"""Each task by its name, and the scenario in which its time_cost are observed."""
 
 
 def task(name: str) -> Task:
@@ -141,7 +141,7 @@ def task(name: str) -> Task:
 
 
 def training(name: str, key: PRNGKeyArray, *, count: int = 8) -> Trajectories:
-    """Noisy trajectories in the surroundings of a task, as of a fit before the run.
+    """Noisy trajectories in the time_cost of a task, as of a fit before the run.
 
     They do not know of the task: starts are those of the scenario, and the standard
     deviation of each observed state is 0.02.
@@ -254,7 +254,7 @@ def _vessel() -> tuple[AbstractZone, ...]:
 
 
 def _truth(name: str, actuator: HelicalActuator) -> SteeredSwimmer:
-    return SteeredSwimmer(scenario(TASKS[name][1]).swimmer, actuator)
+    return SteeredSwimmer(scenario(TASKS[name][1]).true_swimmer, actuator)
 
 
 def _screw(
@@ -262,7 +262,7 @@ def _screw(
 ) -> tuple[HelicalActuator, CommandLimits]:
     """A screw with this greatest thrust, driven at most as fast as that takes."""
     frequencies = jnp.linspace(0.0, 1.2 * STEP_OUT, 1201)
-    turning = StepOutResponse.of(STEP_OUT)(frequencies)
+    turning = StepOutResponse(STEP_OUT)(frequencies)
     best = int(jnp.argmax(turning))
     torque_per_rate = 1 / (2 * math.pi)
     actuator = HelicalActuator(

@@ -96,7 +96,7 @@ class HelicalActuator(AbstractActuator):
         return SteeringField(self.amplitude, command[0], command[1])
 
     def __call__(self, command):
-        turning = StepOutResponse(jnp.log(self.step_out))(command[0])
+        turning = StepOutResponse(self.step_out)(command[0])
         torque = 2 * math.pi * self.rotational_drag * turning
         return self.gain * torque * direction(command[1])
 

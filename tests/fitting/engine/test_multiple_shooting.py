@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from pinav.dynamics import RK4, FixedStep, Swimmer
-from pinav.fitting.bayes.multiple_shooting import (
+from pinav.fitting.engine.multiple_shooting import (
     advanced,
     eliminate,
     freed,

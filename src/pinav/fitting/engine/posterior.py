@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Float, PRNGKeyArray
 
 from pinav.dynamics import FixedStep
-from pinav.fitting.bayes.multiple_shooting import FreeModel, sensitivities
+from pinav.fitting.engine.multiple_shooting import FreeModel, sensitivities
 
 
 class Estimate(eqx.Module):

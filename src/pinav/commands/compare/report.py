@@ -1,0 +1,33 @@
+"""Sections of the report of a comparison of models."""
+
+from pinav.commands.compare.job import table
+from pinav.figures import evidence_bars, save_figure
+from pinav.report import Image, Paragraph, Section, Table
+from pinav.runs import RunFolder
+
+
+def comparison_sections(folder: RunFolder) -> list[Section]:
+    """The evidence of each model, and the verdicts on it."""
+    metrics = folder.read_json("metrics.json")
+    rows = [(name, *map(str.strip, cells)) for name, cells in table(metrics["models"])]
+    header = ("model", "log evidence", "cost of choices", "below the best", "outcome")
+    figure = evidence_bars(
+        {name: row["log_evidence"] for name, row in metrics["models"].items()}
+    )
+    files = save_figure(figure, folder.path / "figures", "evidence")
+    content = [
+        *(Paragraph(verdict["text"]) for verdict in metrics["verdicts"]),
+        Table(header, rows, EVIDENCE_NOTE),
+        Image(
+            files.svg,
+            "Bars: by how much the log evidence of each model is below the best",
+            "Nats below the best model; the scale is logarithmic above one.",
+        ),
+    ]
+    return [Section("The evidence", content)]
+
+
+EVIDENCE_NOTE = (
+    "Log evidence in nats, hyperparameters integrated out (their cost is the third "
+    "column); starts and learned constants have priors of unit information."
+)

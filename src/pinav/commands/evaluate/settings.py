@@ -1,0 +1,44 @@
+"""Options of `pinav evaluate`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from pinav.commands.settings import (
+    AsJson,
+    Settings,
+)
+
+
+class EvaluateOptions(Settings, frozen=True):
+    """Say where the models of a run can be trusted, on trajectories kept apart.
+
+    Rollouts over time, also from clean starts beyond the training horizon; the force on
+    visited, near and unvisited ground; coverage of the bands; whiteness of the
+    residuals; learned constants. Where the data are noisy or incomplete, each start is
+    estimated from the first 20 samples and the others are scored. Writes
+    evaluation.json and evaluation.csv into the run, and figures into its report.
+    """
+
+    run: Annotated[
+        Path, tyro.conf.Positional, tyro.conf.arg(help="Folder of a fitted run.")
+    ]
+    data: Annotated[
+        Path, tyro.conf.Positional, tyro.conf.arg(help="Trajectories, .npz or .csv.")
+    ]
+    calibrate: Annotated[
+        Path | None,
+        tyro.conf.arg(
+            help="Further trajectories, from which bands that hold 95 % of new "
+            "trajectories are calibrated (split-conformal)."
+        ),
+    ] = None
+    regions: Annotated[
+        tuple[float, float] | None,
+        tyro.conf.arg(
+            help="Distances from the data up to which ground is visited, and near; "
+            "0.35 and 1 for dimensionless data, else 1/40 and 1/14 of their extent."
+        ),
+    ] = None
+    json: AsJson = False

@@ -1,0 +1,1 @@
+"""Linearise, evidence, step, posterior: one iteration for whatever residuals."""

@@ -1,0 +1,30 @@
+"""How a fit ended: one enumeration for all fits."""
+
+import enum
+
+
+class Outcome(enum.IntEnum):
+    """How a fit ended; `str()` gives the word that tables and reports print.
+
+    Attributes:
+        COMPLETED: all steps were taken, of phases that do not judge themselves.
+        DIVERGED: the loss, the residuals or the states are not finite, or they depart
+            from the dynamics.
+        CONVERGED: another step would change nothing that matters.
+        STALLED: the steps ran out, or gained too little although the linear model
+            promised more.
+        UNDER_RESOLVED: converged, but the kernels are coarser than what the data show
+            and finer ones would be too many.
+    """
+
+    COMPLETED = 0
+    DIVERGED = 1
+    CONVERGED = 2
+    STALLED = 3
+    UNDER_RESOLVED = 4
+
+    def __str__(self):
+        return self.name.lower().replace("_", "-")
+
+    def __format__(self, spec):
+        return format(str(self), spec)

@@ -1,0 +1,15 @@
+"""Systems: swimmers with what is known and what is not, and their files."""
+
+from pinav.systems.priors import AbstractPrior as AbstractPrior
+from pinav.systems.priors import Flat as Flat
+from pinav.systems.priors import FreeNumber as FreeNumber
+from pinav.systems.priors import LogNormal as LogNormal
+from pinav.systems.priors import Normal as Normal
+from pinav.systems.starts import AbstractStarts as AbstractStarts
+from pinav.systems.starts import CoastingStarts as CoastingStarts
+from pinav.systems.starts import RingStarts as RingStarts
+from pinav.systems.starts import UniformStarts as UniformStarts
+from pinav.systems.system import Observation as Observation
+from pinav.systems.system import System as System
+from pinav.systems.system import WanderingVelocity as WanderingVelocity
+from pinav.systems.units import Units as Units

@@ -1,0 +1,96 @@
+"""Numbers that a system leaves to be learned, and what is known of them before."""
+
+import abc
+import math
+from operator import attrgetter
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PyTree
+
+from pinav.arguments import Scalar, check_positive
+from pinav.errors import InputError
+
+
+class AbstractPrior(eqx.Module):
+    """Probability density of a number before the data are seen."""
+
+    @abc.abstractmethod
+    def log_density(self, value: Scalar) -> Float[Array, ""]:
+        """Logarithm of the density at a value, up to a constant."""
+
+
+class Flat(AbstractPrior):
+    """No preference for any value."""
+
+    def log_density(self, value):
+        return jnp.zeros_like(jnp.asarray(value, float))
+
+
+class Normal(AbstractPrior):
+    r"""Normal distribution, $\exp(-(x - \mu)^2 / 2 \sigma^2)$.
+
+    Attributes:
+        mean: $\mu$.
+        deviation: $\sigma$, positive.
+
+    Raises:
+        InputError: `deviation` is a number <= 0.
+    """
+
+    mean: Scalar
+    deviation: Scalar
+
+    def __check_init__(self):
+        check_positive(self, "deviation")
+
+    def log_density(self, value):
+        return -0.5 * ((jnp.asarray(value) - self.mean) / self.deviation) ** 2
+
+
+class LogNormal(AbstractPrior):
+    r"""Log-normal distribution of a positive number.
+
+    Attributes:
+        median: half of the probability lies below it; positive.
+        deviation: standard deviation of $\log x$, positive; 0.1 is about 10 %.
+
+    Raises:
+        InputError: `median` or `deviation` is a number <= 0.
+    """
+
+    median: Scalar
+    deviation: Scalar
+
+    def __check_init__(self):
+        check_positive(self, "median", "deviation")
+
+    def log_density(self, value):
+        logarithm = jnp.log(jnp.asarray(value))
+        scaled = (logarithm - math.log(self.median)) / self.deviation
+        return -0.5 * scaled**2 - logarithm
+
+
+class FreeNumber(eqx.Module):
+    """A number of a swimmer that is learned with the unknown environment.
+
+    Attributes:
+        path: where it stands in the swimmer, such as `drag.damping`.
+        prior: what is known of it.
+    """
+
+    path: str = eqx.field(static=True)
+    prior: AbstractPrior = Flat()
+
+    def pick(self, swimmer: PyTree) -> PyTree:
+        """The number, or the numbers of a vector or tensor, of a swimmer.
+
+        Raises:
+            InputError: the swimmer has nothing there.
+        """
+        try:
+            return attrgetter(self.path)(swimmer)
+        except AttributeError as error:
+            raise InputError(
+                f"learn: {self.path!r} is not in the swimmer: {error}"
+            ) from error

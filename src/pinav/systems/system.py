@@ -1,0 +1,242 @@
+"""`System`: what is known of a swimmer, what is not, and how it is observed."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
+
+from pinav.arguments import Scalar, check_positive
+from pinav.dynamics import BrownianSwimmer, OverdampedSwimmer, Swimmer
+from pinav.errors import InputError
+from pinav.forces import AbstractForce, ZeroForce
+from pinav.systems.priors import FreeNumber
+from pinav.systems.starts import AbstractStarts
+from pinav.systems.units import Units
+
+AXES = ("x", "y", "z")
+"""Names of the coordinates; a velocity has a v before them."""
+
+
+class Observation(eqx.Module):
+    """Errors of the measurement.
+
+    Attributes:
+        noise: standard deviation of the Gaussian noise of every channel, not negative.
+        exposure: time over which a camera averages [T], not negative.
+
+    Raises:
+        InputError: either is negative.
+    """
+
+    noise: float = 0.0
+    exposure: float = 0.0
+
+    def __check_init__(self):
+        for name in ("noise", "exposure"):
+            value = getattr(self, name)
+            if isinstance(value, float | int) and not 0 <= value < np.inf:
+                raise InputError(f"observation.{name}: expected >= 0, got {value}")
+
+
+class WanderingVelocity(eqx.Module):
+    r"""Ornstein-Uhlenbeck velocity $w$ that carries a real robot, $\dot x = \dots + w$.
+
+    $dw = -w\, dt / \tau + \sigma \sqrt{2 / \tau}\, dW$ with $\sigma$ its standard
+    deviation along each axis.
+
+    Attributes:
+        still: $\sigma$ without a command [L T⁻¹], not negative.
+        driven: $\sigma$ under a command [L T⁻¹], not negative.
+        memory: correlation time $\tau$ [T], positive.
+
+    Raises:
+        InputError: a standard deviation is negative, or `memory` is a number <= 0.
+    """
+
+    still: float
+    driven: float
+    memory: float
+
+    def __check_init__(self):
+        check_positive(self, "memory")
+        for name in ("still", "driven"):
+            value = getattr(self, name)
+            if isinstance(value, float | int) and value < 0:
+                raise InputError(f"wandering.{name}: expected >= 0, got {value}")
+
+
+def _stated(value: ArrayLike | Sequence, ndim: int) -> Array:
+    """Starts or times as an array; with no rows where there are none."""
+    array = value if isinstance(value, Array) else jnp.asarray(value, float)
+    return jnp.zeros((0,) * ndim) if array.size == 0 else array
+
+
+class System(eqx.Module):
+    """A swimmer, its noise and its observation; the environment may be unknown.
+
+    Attributes:
+        name: what messages and files call it.
+        swimmer: the known physics; its environment is `ZeroForce()`.
+        dim: dimension of space.
+        environment: the true environment, where it is known.
+        thermal_energy: $k_B T$ [F L] of a swimmer without inertia; none unless given.
+        wandering: Ornstein-Uhlenbeck velocity of a real robot; none unless given.
+        observation: noise and exposure of the measurement.
+        starts: initial states, one per trajectory; none unless stated.
+        rule: how the starts were drawn, and how more of them are.
+        times: observation times [T], the same for every trajectory; none unless
+            stated.
+        base_units: units of length, time and force.
+        model: name of the model that stands for the unknown unless one is chosen.
+        learn: numbers of the swimmer that are learned with the environment.
+
+    Raises:
+        InputError: the parts do not fit together.
+    """
+
+    name: str = eqx.field(static=True)
+    swimmer: Swimmer | OverdampedSwimmer
+    dim: int = eqx.field(static=True)
+    environment: AbstractForce | None = None
+    thermal_energy: Scalar | None = None
+    wandering: WanderingVelocity | None = None
+    observation: Observation = Observation()
+    starts: Float[Array, "trajectory state"] = eqx.field(
+        converter=lambda value: _stated(value, 2), default=()
+    )
+    rule: AbstractStarts | None = None
+    times: Float[Array, " time"] = eqx.field(
+        converter=lambda value: _stated(value, 1), default=()
+    )
+    base_units: Units = Units()
+    model: str = eqx.field(static=True, default="kernel-potential")
+    learn: tuple[FreeNumber, ...] = ()
+
+    def __check_init__(self):
+        if self.dim not in (1, 2, 3):
+            raise InputError(f"system.dimension: expected 1, 2 or 3, got {self.dim}")
+        if not isinstance(self.swimmer.environment, ZeroForce):
+            raise InputError(
+                "system.swimmer: expected an environment of ZeroForce(); take "
+                "swimmer.without_environment() and give the true one as environment"
+            )
+        energy = self.thermal_energy
+        if energy is not None and self.order == 2:
+            raise InputError(
+                "system.thermal_energy: expected a swimmer without inertia (order 1); "
+                "thermal noise of order 2 is not implemented, drop it"
+            )
+        if isinstance(energy, float | int) and energy < 0:
+            raise InputError(f"system.thermal_energy: expected >= 0, got {energy}")
+        if len(self.starts) and self.starts.shape[1] != len(self.channels):
+            raise InputError(
+                f"system.starts: expected {len(self.channels)} numbers a start "
+                f"({', '.join(self.channels)}), got {self.starts.shape[1]}"
+            )
+        for number in self.learn:
+            number.pick(self.swimmer)
+
+    @property
+    def order(self) -> int:
+        """Order of the dynamics: 2 with inertia, 1 without."""
+        return 2 if isinstance(self.swimmer, Swimmer) else 1
+
+    @property
+    def position_channels(self) -> tuple[str, ...]:
+        """Names of the coordinates."""
+        return AXES[: self.dim]
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the components of the state."""
+        velocities = tuple(f"v{axis}" for axis in self.position_channels)
+        return self.position_channels + (velocities if self.order == 2 else ())
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each channel and of time `t`; "1" means dimensionless."""
+        return self.base_units.of_channels(self.channels)
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of the observation noise of every channel."""
+        return self.observation.noise
+
+    @property
+    def true_swimmer(self) -> Swimmer | OverdampedSwimmer:
+        """The swimmer in its true environment, without thermal noise.
+
+        Raises:
+            InputError: the true environment is not stated.
+        """
+        if self.environment is None:
+            raise InputError(
+                f"system {self.name!r}: its true environment is not stated; state one "
+                "in the table [truth], or by system.with_truth(force)"
+            )
+        return self.swimmer.with_environment(self.environment)
+
+    @property
+    def truth(self) -> Swimmer | OverdampedSwimmer | BrownianSwimmer:
+        """The swimmer in its true environment, with thermal noise where there is any.
+
+        Raises:
+            InputError: the true environment is not stated.
+        """
+        return self.with_noise_of(self.true_swimmer)
+
+    def with_noise_of(
+        self, swimmer: Swimmer | OverdampedSwimmer
+    ) -> Swimmer | OverdampedSwimmer | BrownianSwimmer:
+        """A swimmer with the thermal noise of this system."""
+        if self.thermal_energy is None or isinstance(swimmer, Swimmer):
+            return swimmer
+        return BrownianSwimmer(swimmer, self.thermal_energy)
+
+    @property
+    def diffusion(self) -> float | None:
+        """Mean diffusion coefficient at the origin [L² T⁻¹]; none without noise."""
+        if self.thermal_energy is None or isinstance(self.swimmer, Swimmer):
+            return None
+        noisy = BrownianSwimmer(self.swimmer, self.thermal_energy)
+        return float(np.trace(noisy.diffusion(jnp.zeros(self.dim))) / self.dim)
+
+    def check_simulated(self) -> None:
+        """Raise `InputError` where something that a simulation needs is not stated."""
+        _ = self.true_swimmer
+        for table, value in (("starts", self.starts), ("times", self.times)):
+            if len(value) == 0:
+                raise InputError(
+                    f"system {self.name!r}: expected [{table}] for a simulation; "
+                    "state that table, or pass it to System"
+                )
+
+    def with_truth(self, environment: AbstractForce) -> "System":
+        """The system in another true environment."""
+        return dataclasses.replace(self, environment=environment)
+
+    def with_starts(
+        self, key: PRNGKeyArray | None = None, count: int | None = None
+    ) -> "System":
+        """The system with starts drawn by its rule.
+
+        Args:
+            key: random key; that of the rule's seed unless given.
+            count: number of starts; that of the rule unless given.
+
+        Raises:
+            InputError: another number is wanted of starts that no rule draws.
+        """
+        if self.rule is not None:
+            starts = self.rule.draw(self.order, key, count)
+            return dataclasses.replace(self, starts=starts)
+        stated = len(self.starts)
+        if count not in (None, stated):
+            raise InputError(
+                f"system {self.name!r} has {stated} fixed start{'s' * (stated != 1)}, "
+                f"so --count {count} cannot be; state a rule that draws starts"
+            )
+        return self

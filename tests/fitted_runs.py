@@ -1,0 +1,162 @@
+"""Small fitted runs, each made once for all tests of one call of pytest.
+
+`RUNS` maps a name to a function that writes data into a folder and returns the words
+of the command that fits them. A test asks the fixture `fitted_run` for one:
+
+    def test_something(fitted_run):
+        run, data = fitted_run("kernel")
+
+and gets a copy of its own, which it may change. The workers of xdist share what was
+fitted through a folder with a lock.
+"""
+
+import contextlib
+import dataclasses
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+from filelock import FileLock
+
+DATA, RUN = "data.npz", "run"
+
+
+def network(folder: Path) -> list[str]:
+    """Noisy trajectories of the paper, a neural network after a few steps."""
+    simulate("paper", folder, "--noise", "0.01")
+    steps = ["--recipe", "paper", "--adam-steps", "10", "--lbfgs-steps", "2"]
+    return ["fit", str(folder / DATA), "--model", "ude", *steps, "--learn", "damping"]
+
+
+def kernel(folder: Path) -> list[str]:
+    """Four short crossings of a barrier, kernels and the damping by evidence."""
+    from pinav.trajectories import save
+
+    save(crossings(51), folder / DATA)
+    return ["fit", str(folder / DATA), "--learn", "damping"]
+
+
+def positions(folder: Path) -> list[str]:
+    """As `kernel`, from positions alone of which one frame is lost."""
+    from pinav.trajectories import Trajectories, save
+
+    full = crossings(61)
+    tracks = Trajectories.from_arrays(
+        [np.delete(times, 7) for times in full.times],
+        [np.delete(states[:, :2], 7, axis=0) for states in full.states],
+        channels=("x", "y"),
+        units={"x": "1", "y": "1", "t": "1"},
+    )
+    save(tracks, folder / DATA)
+    argv = ["fit", str(folder / DATA), "--physics", "barrier-crossings"]
+    return [*argv, "--learn", "damping"]
+
+
+def langevin(folder: Path) -> list[str]:
+    """Three Brownian trajectories, force and diffusion from their increments."""
+    simulate("brownian", folder, "--count", "3")
+    return ["fit", str(folder / DATA), "--recipe", "langevin"]
+
+
+def identified(folder: Path) -> list[str]:
+    """A robot that circles under commands, 40 s at 8 Hz: which response it has."""
+    from pinav.trajectories import Trajectories, save
+
+    random = np.random.default_rng(3)
+    times = np.arange(0, 40, 0.125)
+    heading = np.cumsum(random.normal(0, 0.2, len(times)))
+    frequency = np.where(times < 20, 1.0, 2.0)
+    velocity = 4 * frequency[:, None] * np.stack([np.cos(heading), np.sin(heading)], 1)
+    path = np.concatenate([np.zeros((1, 2)), np.cumsum(0.125 * velocity[:-1], axis=0)])
+    path += np.cumsum(0.02 * random.normal(size=path.shape), axis=0)
+    path += 0.05 * random.normal(size=path.shape)
+    recording = Trajectories.from_arrays(
+        [times],
+        [path],
+        channels=("x", "y"),
+        commands={"frequency": [frequency], "heading": [heading]},
+        units={"x": "um", "y": "um", "t": "s"},
+    )
+    save(recording, folder / DATA)
+    return ["fit", str(folder / DATA), "--ladder"]
+
+
+RUNS: dict[str, Callable[[Path], list[str]]] = {
+    "network": network,
+    "kernel": kernel,
+    "positions": positions,
+    "langevin": langevin,
+    "identified": identified,
+}
+
+
+def simulate(scenario: str, folder: Path, *options: str) -> None:
+    """Write trajectories of a scenario as the command line does."""
+    from pinav import cli
+
+    argv = ["simulate", scenario, "--out", str(folder / DATA), *options]
+    assert cli.run(argv) == 0
+
+
+def crossings(samples: int):
+    """Four noisy crossings of the barrier, cut after a number of samples."""
+    from pinav.scenarios import barrier_crossings
+    from pinav.trajectories import simulate
+
+    short = eqx.tree_at(
+        lambda s: (s.starts, s.times),
+        barrier_crossings(),
+        replace_fn=lambda a: a[:4] if a.ndim == 2 else a[:samples],
+    )
+    return simulate(short, key=jax.random.key(3))
+
+
+@contextlib.contextmanager
+def cheap_residual_fields():
+    """Leave kernels out of an identification: tests/identification has them."""
+    from pinav.identification.selection import RESIDUALS
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("Gaussian process", "potential"):
+            patch.delitem(RESIDUALS, name)
+        yield
+
+
+@dataclasses.dataclass(frozen=True)
+class FittedRuns:
+    """Runs that were fitted once, below a folder that all workers know."""
+
+    folder: Path
+
+    def copy(self, name: str, to: Path) -> tuple[Path, Path]:
+        """A copy of a run and of its data, fitted before if no test asked yet.
+
+        Args:
+            name: of `RUNS`.
+            to: an empty folder for the copy.
+        """
+        source = self.folder / name
+        with FileLock(f"{source}.lock"):
+            if not (source / "done").exists():
+                self.fit(name, source)
+        shutil.copytree(source, to, dirs_exist_ok=True)
+        return to / RUN, to / DATA
+
+    def fit(self, name: str, folder: Path) -> None:
+        """Simulate, fit, and mark the folder as done."""
+        from pinav import cli
+
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        jax.config.update("jax_numpy_dtype_promotion", "standard")  # in all threads
+        try:
+            words = RUNS[name](folder)
+            with cheap_residual_fields():
+                assert cli.run([*words, "--out", str(folder / RUN)]) == 0
+        finally:
+            jax.config.update("jax_numpy_dtype_promotion", "strict")
+        (folder / "done").touch()
