@@ -74,6 +74,7 @@ class Laboratory:
     def suggested(self, key) -> CandidateTrajectories:
         """The candidate that should tell most of the route."""
         fit = self.fit
+        assert fit.states is not None
         uncertainty = prior_uncertainty(
             fit.model,
             concatenate(self.data),
