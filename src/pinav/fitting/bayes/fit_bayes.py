@@ -140,7 +140,7 @@ class _Grids(eqx.Module):
         if environment is None:
             return None
         model = problem.free(jnp.asarray(problem.theta))
-        model = model.with_environment(environment)
+        model = eqx.tree_at(lambda m: m.environment, model, environment)
         return self.begin(model, states=problem.states)
 
 

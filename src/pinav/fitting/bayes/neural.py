@@ -62,7 +62,7 @@ class Request(eqx.Module):
     def by_kernels(self) -> BayesProblem:
         """The fit of the kernels."""
         kernels = self.kernels()
-        return self.problem(self.model.with_environment(kernels))
+        return self.problem(eqx.tree_at(lambda m: m.environment, self.model, kernels))
 
     def taught(self, problem: BayesProblem, step: Step) -> BayesProblem:
         """The fit of the network, after the last step of the fit of the kernels."""
@@ -84,7 +84,7 @@ class Request(eqx.Module):
             process = Process.of(teacher.environment, prior, chosen, places, shapes)
             wanted = np.asarray(places.forces).ravel()
             weights = TangentWeights.of(network, places, process, wanted)
-        start = teacher.with_environment(network)
+        start = eqx.tree_at(lambda m: m.environment, teacher, network)
         return self.problem(
             start, states=states, weights=weights, teacher=problem.linear_fit(step)
         )
