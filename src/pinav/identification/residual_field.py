@@ -14,11 +14,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.fitting import LinearFit, freed, model_evidence
-from pinav.fitting.environments.networks import IsotropicPrior
-from pinav.fitting.evidence.priors import kernel_prior
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import GaussianWeights
-from pinav.forces import NeuralForce
 from pinav.identification.fit import TrackFit
 from pinav.identification.forecast import Errors, Rollouts, path_of
 from pinav.identification.likelihood import (
@@ -76,9 +73,9 @@ def fit_residual(track: Track, base: TrackFit, environment: Any) -> ResidualFit:
     """
     with jax.enable_x64(new_val=True):
         problem = _Problem(track, base, environment)
-        weights = GaussianWeights(_prior(environment, len(problem.start)))
+        weights = GaussianWeights(environment.prior())
         point, shape = problem.start, weights.start
-        steps = NETWORK_STEPS if isinstance(environment, NeuralForce) else 1
+        steps = NETWORK_STEPS if not environment.is_linear else 1
         for _ in range(steps):
             quadratic = problem.quadratic(point)
             found = weights.infer(quadratic, shape, 1.0)
@@ -95,12 +92,6 @@ def fit_residual(track: Track, base: TrackFit, environment: Any) -> ResidualFit:
             amplitude=found.hyperparameters.amplitude,
             log_evidence=base.log_evidence + float(gain - nothing),
         )
-
-
-def _prior(environment, count):
-    if isinstance(environment, NeuralForce):
-        return IsotropicPrior(count)
-    return kernel_prior(environment)
 
 
 class _Problem:
@@ -157,7 +148,7 @@ class _Problem:
 
     def shortened(self, point, mean, chosen):
         """The step to `mean`, halved until the penalised squares are no larger."""
-        if not isinstance(self.free(jnp.asarray(point)), NeuralForce):
+        if self.free(jnp.asarray(point)).is_linear:
             return mean
         precision = 1 / max(chosen.amplitude, 1e-12) ** 2
 
