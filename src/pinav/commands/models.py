@@ -18,13 +18,11 @@ from pinav.dynamics import (
     with_dtype,
 )
 from pinav.errors import InputError
-from pinav.evaluation import POSITION_CHANNELS
 from pinav.fitting import (
     WITHOUT_PRIOR,
     KernelGrid,
     changing_environment,
     kernel_environment,
-    kernels_on,
 )
 from pinav.forces import (
     AbstractForce,
@@ -214,7 +212,7 @@ def _network(settings: FitSettings, inputs: int, outputs: int):
 
 
 def _kernels(kind, data: dict[str, Any]):
-    return kernels_on(kind, np.asarray(data["centers"]), data["kernel_width"])
+    return kind.untrained(np.asarray(data["centers"]), data["kernel_width"])
 
 
 def _changing(data: dict[str, Any]) -> ChangingPotential:
@@ -252,7 +250,7 @@ def data_summary(
         The number of position channels; mean and standard deviation of each state,
         where it was observed, and of time; centres and width of kernels.
     """
-    dim = sum(name in POSITION_CHANNELS for name in trajectories.channels)
+    dim = trajectories.dim
     seen = trajectories.observed
     columns = [trajectories.states[..., i][seen[..., i]] for i in range(seen.shape[2])]
     columns.append(trajectories.times[seen.any(axis=-1)])
@@ -296,15 +294,12 @@ def fitted_summary(summary: dict[str, Any], environment: AbstractForce) -> Any:
         summary: of the untrained model.
         environment: the fitted one.
     """
-    if isinstance(environment, KernelMixture):
-        environment = environment.gradient
-    if isinstance(environment, ChangingPotential):
-        environment = environment.static
-    if not isinstance(environment, KernelForce | KernelPotential):
+    kernels = getattr(environment, "kernels", None)
+    if kernels is None:
         return summary
     return summary | {
-        "centers": np.asarray(environment.centers).tolist(),
-        "kernel_width": float(environment.width),
+        "centers": np.asarray(kernels.centers).tolist(),
+        "kernel_width": float(kernels.width),
     }
 
 
