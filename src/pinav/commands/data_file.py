@@ -6,7 +6,8 @@ import msgspec
 
 from pinav.commands.recording_settings import RecordingSettings
 from pinav.errors import InputError
-from pinav.trajectories import Trajectories, is_trajectories, load
+from pinav.systems import System
+from pinav.trajectories import Trajectories, is_trajectories, load, with_unobserved
 
 
 def read_data(path: Path, recording: RecordingSettings) -> Trajectories:
@@ -31,3 +32,12 @@ def read_data(path: Path, recording: RecordingSettings) -> Trajectories:
                 "of recordings does not apply; drop it"
             )
     return load(path)
+
+
+def with_all_channels(data: Trajectories, system: System) -> Trajectories:
+    """The data; positions alone get velocities that nobody observed."""
+    positions = system.position_channels
+    if data.channels != positions:
+        return data
+    unseen = system.channels[len(positions) :]
+    return with_unobserved(data, {name: system.units[name] for name in unseen})

@@ -22,7 +22,6 @@ from pinav.fitting import (
     Hyperparameters,
     Posterior,
     freed,
-    kernels_on,
     principal_drags,
     rotational_fraction,
 )
@@ -286,7 +285,7 @@ def _process_arrays(fit: EvidenceFit) -> dict[str, np.ndarray]:
     weights = fit.linear.weights
     if not isinstance(weights, TangentWeights):
         return {}
-    kernels = weights.process.kernels
+    kernels: Any = weights.process.kernels
     return {
         "process/centers": np.asarray(kernels.centers),
         "process/width": np.asarray(kernels.width),
@@ -338,7 +337,7 @@ def _read_process(
     if "process/centers" not in stored:
         return None
     kind = KernelForce if choice.name == "neural-force" else KernelPotential
-    return kernels_on(kind, stored["process/centers"], float(stored["process/width"]))
+    return kind.untrained(stored["process/centers"], float(stored["process/width"]))
 
 
 def _hashes(data: Trajectories) -> Iterator[bytes]:

@@ -48,6 +48,23 @@ class MatchingSettings(Protocol):
 
 
 @dataclasses.dataclass(frozen=True)
+class CurriculumSettings:
+    """Settings of the default recipe, or of the paper's where that is named.
+
+    Attributes:
+        recipe: `curriculum` or `paper`.
+        max_steps: steps of each window of the curriculum at most.
+        adam_steps: of the paper's recipe.
+        lbfgs_steps: of the paper's recipe.
+    """
+
+    recipe: str = "curriculum"
+    max_steps: int = 20
+    adam_steps: int = 7500
+    lbfgs_steps: int = 500
+
+
+@dataclasses.dataclass(frozen=True)
 class Matching:
     """Everything of `fit_many` that a recipe's name decides.
 

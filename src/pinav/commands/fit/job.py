@@ -21,7 +21,7 @@ from pinav.commands.progress import BayesReporter, FitReporter
 from pinav.commands.recording_settings import RecordingSettings
 from pinav.commands.settings import Settings
 from pinav.commands.start import fingerprint, start_run
-from pinav.commands.system_choice import choose_system
+from pinav.commands.system_choice import choose_system, write_system_of
 from pinav.errors import FitError
 from pinav.evaluation import (
     FieldMap,
@@ -76,6 +76,7 @@ def fit(plan: FitPlan, folder: RunFolder) -> FitMetrics:
         FitError: the fit diverged, or the data do not determine it.
     """
     save_data(folder, plan.data)
+    write_system_of(folder, plan.system)
     if not folder.has(MODEL_FILE):
         by_evidence = plan.settings.recipe in EVIDENCE_RECIPES
         (_infer if by_evidence else _match)(plan, folder)

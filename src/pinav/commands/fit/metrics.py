@@ -30,7 +30,7 @@ class Loss(msgspec.Struct, frozen=True):
 
 
 class FitMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
-    """The numbers of a fit.
+    r"""The numbers of a fit.
 
     Attributes:
         model: name of the model that stands for the unknown.
@@ -43,7 +43,7 @@ class FitMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
         loss: of trajectory matching.
         iterations: steps of a fit by the evidence.
         noise: standard deviation of the observations [L]; for Langevin dynamics
-            $\\sqrt{2D}$.
+            $\sqrt{2D}$.
         amplitude: of the prior of the force.
         log_evidence: of the fit [nats].
     """

@@ -1,4 +1,4 @@
-"""The plan of a fit: what suits the system and the data, refused before a run begins."""
+"""The plan of a fit: its system, model and recipe, checked before a run begins."""
 
 import dataclasses
 import os
@@ -7,6 +7,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
+from pinav.commands.data_file import with_all_channels
 from pinav.commands.fit.settings import EVIDENCE_RECIPES, FitSettings
 from pinav.commands.matching import check_starts
 from pinav.errors import InputError
@@ -19,7 +20,7 @@ from pinav.fitting.environments.catalogue import (
 )
 from pinav.forces import LinearDrag
 from pinav.systems import System
-from pinav.trajectories import Trajectories, with_unobserved
+from pinav.trajectories import Trajectories
 
 SHARE_OF_MEMORY = 0.8
 """The part of the free memory that a fit may ask for."""
@@ -127,23 +128,16 @@ def _correlations(data: Trajectories) -> Float[np.ndarray, " lag"]:
     products = np.zeros(3)
     for piece in data:
         seen = piece.observed[:, 0]
-        positions = piece.states[seen][:, : max(1, len(data.channels) // 2)]
+        positions = piece.states[seen][:, : data.dim]
         second = np.diff(positions, n=2, axis=0)
         if len(second) < 3:
             continue
         scale = np.abs(second).max()
         second = second / scale if scale > 0 else second
-        products += [np.sum(second[lag:] * second[: len(second) - lag]) for lag in range(3)]
+        products += [
+            np.sum(second[lag:] * second[: len(second) - lag]) for lag in range(3)
+        ]
     return products[1:] / products[0] if products[0] > 0 else np.ones(2)
-
-
-def with_all_channels(data: Trajectories, system: System) -> Trajectories:
-    """The data; positions alone get velocities that nobody observed."""
-    positions = system.position_channels
-    if data.channels != positions:
-        return data
-    unseen = system.channels[len(positions) :]
-    return with_unobserved(data, {name: system.units[name] for name in unseen})
 
 
 def check_system(settings: FitSettings, system: System) -> None:

@@ -9,9 +9,9 @@ from pinav.commands.recording_settings import RecordingSettings
 from pinav.commands.settings import (
     AsJson,
     ConfigFile,
+    ModelName,
     OutFolder,
     Overwrite,
-    ModelName,
     Resume,
     Settings,
     SystemName,

@@ -1,27 +1,24 @@
-"""What `pinav navigate` works with: a task, and models of its surroundings."""
+"""What `pinav navigate` works with: a task, and models of its time_cost."""
 
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import msgspec
 import numpy as np
 
 from pinav.actuation import LinearResponse
-from pinav.commands.fit.bayes import MODEL_FILE, POSTERIOR_FILE, read_posterior
-from pinav.commands.fit.command import FIT
-from pinav.commands.fit.settings import FitSettings
-from pinav.commands.models import KnownSwimmer, build_model
+from pinav.commands.fitted_run import MODEL_FILE, FittedRun
 from pinav.commands.navigate.settings import NavigateSettings
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.evaluation import square
 from pinav.fitting import Posterior
+from pinav.fitting.environments.catalogue import KnownSwimmer
 from pinav.forces import UniformFlow, ZeroForce
 from pinav.identification.models import response_of
 from pinav.navigation.control.simple import physics_only
-from pinav.navigation.task.objectives import Reach
+from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import (
     CommandLimits,
     RollingActuator,
@@ -31,7 +28,7 @@ from pinav.navigation.task.task import Task
 from pinav.navigation.task.zones import Disc, Rectangle
 from pinav.runs import RunFolder
 from pinav.scenarios import scenario
-from pinav.trajectories import Trajectories, load
+from pinav.trajectories import Trajectories
 
 
 class Fitted(eqx.Module):
@@ -50,7 +47,7 @@ class Fitted(eqx.Module):
     data: Trajectories
 
 
-class Mission(eqx.Module):
+class NavigationProblem(eqx.Module):
     """A task and what is known of it.
 
     Attributes:
@@ -70,7 +67,7 @@ class Mission(eqx.Module):
     samples: tuple[SteeredSwimmer, ...]
     truth: str | None
     fitted: Fitted | None
-    goal: Reach
+    goal: ReachGoal
     discs: tuple[Disc, ...]
     data: Trajectories | None
     units: dict[str, str]
@@ -88,13 +85,13 @@ class Mission(eqx.Module):
         return (self.task.truth,)
 
 
-def prepared(settings: NavigateSettings, run: RunFolder) -> Mission:
-    """The mission of a run.
+def navigation_problem(settings: NavigateSettings, run: RunFolder) -> NavigationProblem:
+    """The problem of a run.
 
     Raises:
         InputError: the run holds no fitted swimmer in the plane.
     """
-    if run.command == FIT.name and run.has(MODEL_FILE):
+    if run.has(MODEL_FILE):
         return _of_fit(settings, run)
     if run.has("metrics.json") and "tracks" in run.read_json("metrics.json"):
         return _of_recording(settings, run)
@@ -104,27 +101,23 @@ def prepared(settings: NavigateSettings, run: RunFolder) -> Mission:
     )
 
 
-def _of_fit(settings, run: RunFolder) -> Mission:
-    content = run.settings()
-    fitted = msgspec.convert(content, FitSettings)
-    model = run.read_model(MODEL_FILE, build_model)
-    data = load(run.path / "data.npz")
+def _of_fit(settings, run: RunFolder) -> NavigationProblem:
+    fitted = FittedRun.open(run.path)
+    model, data = fitted.model, fitted.data
     if not isinstance(model, KnownSwimmer) or not _is_planar(model, data):
         raise InputError(
             f"{run.path}: expected a swimmer in the plane with a learned force, got "
-            f"the model {fitted.model} of {', '.join(data.channels)}"
+            f"the model {fitted.choice.name} of {', '.join(data.channels)}"
         )
     actuator = RollingActuator(settings.thrust * jnp.eye(2), LinearResponse())
+    evidence = fitted.evidence
     found = None
-    if run.has(POSTERIOR_FILE):
-        stored = run.read_arrays(POSTERIOR_FILE)
-        found = Fitted(
-            read_posterior(fitted, run), float(stored["noise"]), stored["states"], data
-        )
+    if evidence is not None:
+        found = Fitted(evidence.posterior, fitted.noise, evidence.states, data)
     truth = data.provenance.get("scenario")
     known = model if truth is None else scenario(truth).true_swimmer
     limits = CommandLimits(1.0)
-    return Mission(
+    return NavigationProblem(
         task=_task(settings, SteeredSwimmer(known, actuator), limits, data),
         model=SteeredSwimmer(model, actuator),
         samples=tuple(SteeredSwimmer(one, actuator) for one in _draws(found, settings)),
@@ -149,7 +142,7 @@ def _is_planar(model: KnownSwimmer, data: Trajectories) -> bool:
     return data.channels[:2] == ("x", "y") and len(data.channels) in (2, states)
 
 
-def _of_recording(settings: NavigateSettings, run: RunFolder) -> Mission:
+def _of_recording(settings: NavigateSettings, run: RunFolder) -> NavigationProblem:
     metrics = run.read_json("metrics.json")
     tracks = {k: v for k, v in metrics["tracks"].items() if v.get("gain")}
     if not tracks:
@@ -168,7 +161,7 @@ def _of_recording(settings: NavigateSettings, run: RunFolder) -> Mission:
     robot = OverdampedSwimmer(ZeroForce(), ZeroForce(), 1.0, UniformFlow(drift))
     swimmer = SteeredSwimmer(robot, actuator)
     limits = CommandLimits(settings.frequency)
-    return Mission(
+    return NavigationProblem(
         task=_task(settings, swimmer, limits, None),
         model=swimmer,
         samples=(),
@@ -185,8 +178,8 @@ def _logit(share: float) -> float:
     return float(np.log(share / (1 - share)))
 
 
-def _goal(settings: NavigateSettings) -> Reach:
-    return Reach(list(settings.places()[1]), settings.tolerance)
+def _goal(settings: NavigateSettings) -> ReachGoal:
+    return ReachGoal(list(settings.places()[1]), settings.tolerance)
 
 
 def _discs(settings: NavigateSettings) -> tuple[Disc, ...]:

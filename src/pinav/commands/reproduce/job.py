@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from pinav.commands.command import CommandResult
-from pinav.commands.matching import matching, read_losses, write_losses
 from pinav.commands.fitted_run import FittedRun, ModelHeader, write_model
+from pinav.commands.matching import matching, read_losses, write_losses
 from pinav.commands.progress import FitReporter
 from pinav.commands.reproduce import table2
 from pinav.commands.reproduce.command import REPRODUCE
@@ -23,6 +23,7 @@ from pinav.commands.reproduce.table2 import (
     summary,
 )
 from pinav.commands.start import start_run
+from pinav.commands.system_choice import write_system_of
 from pinav.dynamics import AbstractDynamics, FixedStep, Swimmer
 from pinav.evaluation import (
     FieldMap,
@@ -96,6 +97,7 @@ def reproduce(settings: ReproduceSettings, folder: RunFolder) -> list[Row]:
         The rows of Table 2.
     """
     benchmark = scenario("paper")
+    write_system_of(folder, benchmark)
     data = _data(benchmark, folder)
     chosen = entries(settings)
     for entry in chosen:

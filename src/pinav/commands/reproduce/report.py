@@ -152,7 +152,10 @@ def _forces(folder, metrics, arrays, seed) -> list[Paragraph | Image | Table]:
 
 
 def _force(folder, arrays, label: str) -> Image:
-    true, learned = FieldMap.of_arrays(arrays, "true"), FieldMap.of_arrays(arrays, label)
+    true, learned = (
+        FieldMap.of_arrays(arrays, "true"),
+        FieldMap.of_arrays(arrays, label),
+    )
     figure = force_comparison(learned, true=true, path=arrays["truth"][:, :2])
     files = save_figure(figure, folder.path / "figures", f"force-{label}")
     return Image(

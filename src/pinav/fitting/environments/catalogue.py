@@ -27,7 +27,6 @@ from pinav.fitting.environments.kernels import (
     KernelGrid,
     changing_environment,
     kernel_environment,
-    kernels_on,
 )
 from pinav.forces import (
     AbstractForce,
@@ -50,7 +49,6 @@ from pinav.forces import (
     tanh_network,
     tensor_matrix,
 )
-from pinav.systems.system import AXES
 from pinav.trajectories import Trajectories
 
 KnownSwimmer = Swimmer | OverdampedSwimmer
@@ -132,16 +130,13 @@ class DataSummary(msgspec.Struct, frozen=True):
 
     def with_kernels_of(self, environment: AbstractForce) -> "DataSummary":
         """The summary of a fitted model, whose kernels may be finer than at first."""
-        if isinstance(environment, KernelMixture):
-            environment = environment.gradient
-        if isinstance(environment, ChangingPotential):
-            environment = environment.static
-        if not isinstance(environment, KernelForce | KernelPotential):
+        kernels = getattr(environment, "kernels", None)
+        if kernels is None:
             return self
         return msgspec.structs.replace(
             self,
-            centers=np.asarray(environment.centers).tolist(),
-            kernel_width=float(environment.width),
+            centers=np.asarray(kernels.centers).tolist(),
+            kernel_width=float(kernels.width),
         )
 
 
@@ -152,13 +147,13 @@ def summarise_data(data: Trajectories, grid: KernelGrid = WITHOUT_PRIOR) -> Data
         data: the trajectories.
         grid: how kernels are laid around them.
     """
-    dim, seen = sum(name in AXES for name in data.channels), data.observed
+    seen = data.observed
     columns = [data.states[..., i][seen[..., i]] for i in range(seen.shape[2])]
     columns.append(data.times[seen.any(axis=-1)])
     deviations = [float(column.std()) if column.size else 0.0 for column in columns]
-    kernels = kernel_environment(KernelPotential, data, grid, dim=dim)
+    kernels = kernel_environment(KernelPotential, data, grid, dim=data.dim)
     return DataSummary(
-        dim=dim,
+        dim=data.dim,
         mean=tuple(float(column.mean()) if column.size else 0.0 for column in columns),
         std=tuple(value if value > 0 else 1.0 for value in deviations),
         centers=np.asarray(kernels.centers).tolist(),
@@ -224,8 +219,8 @@ def _kernels(
     kind: type[KernelForce] | type[KernelPotential] | type[KernelMixture],
 ) -> Builder:
     return _in_environment(
-        lambda choice, summary: kernels_on(
-            kind, np.asarray(summary.centers), summary.kernel_width
+        lambda choice, summary: kind.untrained(
+            np.asarray(summary.centers), summary.kernel_width
         )
     )
 
@@ -236,8 +231,8 @@ def _changing(choice: ModelChoice, summary: DataSummary) -> ChangingPotential:
         raise InputError(f"model {choice.name}: its summary of the data has no times")
     centers = jnp.asarray(change.centers)
     weights = jnp.zeros((len(centers), change.splines))
-    static = kernels_on(
-        KernelPotential, np.asarray(summary.centers), summary.kernel_width
+    static = KernelPotential.untrained(
+        np.asarray(summary.centers), summary.kernel_width
     )
     timed = TimedKernelPotential(weights, centers, change.width, *change.times)
     return ChangingPotential(static, timed)
