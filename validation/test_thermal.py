@@ -13,7 +13,7 @@ import tomli_w
 from benchmarks.heat import CASES, in_own_process, tumour
 
 from conftest import pinav
-from pinav.commands.heat.build import built
+from pinav.commands.heat.build import build_case
 from pinav.commands.heat.case import read_case
 from pinav.thermal import exact
 from pinav.thermal.dose import exceeded_by
@@ -159,7 +159,7 @@ def test_a_protocol_under_limits(tmp_path, edge_weighted, least):
 def test_the_examples_are_synthetic_and_small():
     for path in EXAMPLES.glob("*.toml"):
         case, _ = read_case(path)
-        assert np.prod(built(case).model.grid.shape) <= 500
+        assert np.prod(build_case(case).model.grid.shape) <= 500
         assert "Synthetic" in path.read_text()
 
 

@@ -11,7 +11,7 @@ import pytest
 import tomli_w
 
 from pinav import cli
-from pinav.commands.heat.build import built
+from pinav.commands.heat.build import build_case
 from pinav.commands.heat.case import read_case
 from pinav.commands.heat.tables import validation_rows, validation_table
 from pinav.report.text import as_text
@@ -189,7 +189,7 @@ def test_tasks_say_what_they_need(tmp_path, capsys):
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda p: p.name)
 def test_the_examples_are_cases(path):
     case, _ = read_case(path)
-    own = built(case)
+    own = build_case(case)
     assert own.model.grid.shape == own.target.shape
 
 

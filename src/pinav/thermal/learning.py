@@ -24,7 +24,7 @@ from pinav.thermal.learned_perfusion import AbstractLearnedPerfusion
 from pinav.thermal.probes import ProbeData
 from pinav.thermal.protocols import AbstractProtocol
 from pinav.thermal.quantities import Number, Numbers
-from pinav.thermal.schedule import Timetable, timetable
+from pinav.thermal.schedule import Schedule, plan_steps
 from pinav.thermal.solve import Probes, State, default_stepper, run, solve
 from pinav.thermal.steppers import AbstractStepper
 
@@ -37,7 +37,7 @@ class ProbeResiduals(eqx.Module):
 
     Attributes:
         protocol: the field.
-        table: time steps, which end at the readings.
+        schedule: time steps, which end at the readings.
         stepper: how time advances.
         probes: where temperatures are read.
         values: the readings there are [°C].
@@ -45,7 +45,7 @@ class ProbeResiduals(eqx.Module):
     """
 
     protocol: AbstractProtocol
-    table: Timetable
+    schedule: Schedule
     stepper: AbstractStepper
     probes: Probes
     values: Float[Array, " reading"]
@@ -56,7 +56,7 @@ class ProbeResiduals(eqx.Module):
         found = run(
             model,
             self.protocol,
-            self.table,
+            self.schedule,
             stepper=self.stepper,
             observe=self.probes,
             start=State.at_rest(model),
@@ -80,7 +80,7 @@ def probe_residuals(
     longest = stepper.longest_step(model)
     return ProbeResiduals(
         protocol=protocol,
-        table=timetable(protocol, longest, save_at=data.times.tolist()),
+        schedule=plan_steps(protocol, longest, save_at=data.times.tolist()),
         stepper=stepper,
         probes=Probes(model.grid.interpolation(data.points)),
         values=jnp.asarray(data.values[data.observed]),

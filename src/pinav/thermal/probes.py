@@ -133,7 +133,7 @@ def load_probes(path: Path) -> ProbeData:
             f"{', '.join(names) or 'none'}"
         )
     cells = [_numbers(path, i, row, len(names)) for i, row in enumerate(rows, 2)]
-    return _gridded(path, np.array(cells).reshape(-1, len(names)))
+    return _to_grid(path, np.array(cells).reshape(-1, len(names)))
 
 
 def _numbers(path, line, row, count):
@@ -152,7 +152,7 @@ def _numbers(path, line, row, count):
     return found
 
 
-def _gridded(path, cells):
+def _to_grid(path, cells):
     """One row for each time, one column for each probe, missing where nothing was."""
     if not len(cells):
         raise InputError(f"{path}: expected readings, got a header alone")

@@ -18,11 +18,11 @@ from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion, lang
 from pinav.thermal.protocols import Piecewise, Waveform
 from pinav.thermal.quantities import Number, Numbers
 from pinav.thermal.rosenbrock import Rosenbrock
-from pinav.thermal.schedule import timetable
+from pinav.thermal.schedule import plan_steps
 from pinav.thermal.solve import State, probes_at, run, solve
 from pinav.thermal.sources import PowerSource
 from pinav.thermal.steppers import RKL2
-from pinav.thermal.tissues import Blood, Tissue, mixed
+from pinav.thermal.tissues import Blood, Tissue, mix
 
 AMPLITUDE = 1e4
 """Field [A m⁻¹] at which a power density is what it says."""
@@ -163,7 +163,7 @@ def _two_media() -> Iterator[Check]:
     share = grid.ball(radius)
     model = Bioheat(
         grid,
-        mixed(share, Tissue(0.778, 1660.0, 2540.0), Tissue(0.642, 1000.0, 3720.0)),
+        mix(share, Tissue(0.778, 1660.0, 2540.0), Tissue(0.642, 1000.0, 3720.0)),
         Blood(),
         ConstantPerfusion(0.0),
         (PowerSource(6.15e6 * share, AMPLITUDE),),
@@ -192,7 +192,7 @@ def _two_shells() -> Iterator[Check]:
     share = grid.ball(0.01)
     model = Bioheat(
         grid,
-        mixed(share, Tissue(0.55, 1045.0, 3600.0), Tissue(0.5, 1050.0, 3600.0)),
+        mix(share, Tissue(0.55, 1045.0, 3600.0), Tissue(0.5, 1050.0, 3600.0)),
         Blood(1000.0, 4180.0),
         MixedPerfusion(share, ConstantPerfusion(0.833), ConstantPerfusion(0.45)),
         (PowerSource(1.0579e5 * share + 700.0 * (1 - share), AMPLITUDE),),
@@ -282,7 +282,7 @@ def _doses() -> Iterator[Check]:
 
 def _sensitivities() -> Iterator[Check]:
     protocol = powers((0.0, STEADY), [1.0])
-    table = timetable(protocol, 1000.0)
+    schedule = plan_steps(protocol, 1000.0)
     probe = RadialGrid.sphere(0.005 * 405 / 25.5, 405).interpolation([0.0])[0]
 
     def rise(numbers):
@@ -296,7 +296,12 @@ def _sensitivities() -> Iterator[Check]:
         )
         begin = State.at_rest(model)
         found = run(
-            model, protocol, table, stepper=Rosenbrock(), observe=jnp.max, start=begin
+            model,
+            protocol,
+            schedule,
+            stepper=Rosenbrock(),
+            observe=jnp.max,
+            start=begin,
         )
         return probe @ found.final.temperature
 

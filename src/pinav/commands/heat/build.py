@@ -29,10 +29,10 @@ from pinav.thermal.sources import (
     PowerSource,
 )
 from pinav.thermal.steppers import RKL2, AbstractStepper
-from pinav.thermal.tissues import Blood, Tissue, mixed, preset
+from pinav.thermal.tissues import Blood, Tissue, mix, preset
 
 
-class Built(eqx.Module):
+class CaseModel(eqx.Module):
     """A case as values.
 
     Attributes:
@@ -58,7 +58,7 @@ class Built(eqx.Module):
         return self.model.perfusion
 
 
-def built(case: cases.Case) -> Built:
+def build_case(case: cases.Case) -> CaseModel:
     """The values of a case.
 
     Raises:
@@ -73,9 +73,9 @@ def built(case: cases.Case) -> Built:
         sources.append(EddySource(case.eddy.radius, case.eddy.conductivity))
     model = Bioheat(
         grid,
-        mixed(target, inner, outside),
+        mix(target, inner, outside),
         blood,
-        MixedPerfusion.localised(
+        MixedPerfusion.on_mask(
             target,
             _perfusion(case.tumour.tissue, blood, inner),
             _perfusion(case.tissue, blood, outside),
@@ -87,7 +87,7 @@ def built(case: cases.Case) -> Built:
     points = np.zeros((0, axes))
     if case.probes is not None:
         points = np.array(case.probes.points, float).reshape(-1, axes)
-    return Built(
+    return CaseModel(
         model=model,
         protocol=_protocol(case.field),
         target=target,

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pinav.commands.command import CommandResult
-from pinav.commands.heat.build import Built, built
+from pinav.commands.heat.build import CaseModel, build_case
 from pinav.commands.heat.case import Case, read_case
 from pinav.commands.heat.command import HEAT
 from pinav.commands.heat.learn import learn_perfusion
@@ -17,23 +17,23 @@ from pinav.errors import InputError
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
 from pinav.thermal.bioheat import Bioheat
-from pinav.thermal.design_variables import (
-    AbstractFreedom,
-    FreeAmplitudes,
-    FreePlacement,
-    Treated,
-    shells,
-)
-from pinav.thermal.dose import exceeded_by, volume_above
-from pinav.thermal.exposure_limits import doubtful, require
-from pinav.thermal.optimise import (
+from pinav.thermal.constraints import (
     AbstractConstraint,
     HealthyDose,
     LogD90,
     MaxTemperature,
-    optimise,
-    within,
+    limit_constraint,
 )
+from pinav.thermal.design_variables import (
+    AbstractDesignVariable,
+    FreeAmplitudes,
+    FreePlacement,
+    Run,
+    shells,
+)
+from pinav.thermal.dose import exceeded_by, volume_above
+from pinav.thermal.exposure_limits import require, validity_warnings
+from pinav.thermal.optimise import optimise
 from pinav.thermal.protocols import Piecewise
 from pinav.thermal.solve import Probes, Solution, solve
 from pinav.thermal.verification import validate
@@ -49,16 +49,16 @@ def simulate(case: Case, folder: RunFolder) -> dict[str, Any]:
     Raises:
         InputError: the protocol exceeds the limit that the case chose.
     """
-    own = built(case)
+    own = build_case(case)
     require(own.protocol, *own.limits)
-    metrics, arrays = _simulated(own, own.model, own.protocol)
+    metrics, arrays = _simulate(own, own.model, own.protocol)
     folder.write_arrays(RESULTS, arrays)
     folder.write_json("metrics.json", {"task": "simulate", **metrics})
     return {"task": "simulate", **metrics}
 
 
-def _simulated(
-    own: Built, model: Bioheat, protocol: Piecewise
+def _simulate(
+    own: CaseModel, model: Bioheat, protocol: Piecewise
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """What a run reached, and the arrays behind its figures."""
     probes = Probes(model.grid.interpolation(own.points)) if len(own.points) else None
@@ -113,8 +113,8 @@ def outcome_metrics(
         "V43": float(volume_above(final, volumes, 43.0)),
         "healthy_dose": float(outside.max()),
         "Hf": float(protocol.largest * float(protocol.frequency)),
-        "imbalance": float(found.ledger.imbalance),
-        "doubts": doubtful(model, protocol, hottest),
+        "imbalance": float(found.energy.imbalance),
+        "doubts": validity_warnings(model, protocol, hottest),
     }
 
 
@@ -127,9 +127,9 @@ def optimise_protocol(case: Case, folder: RunFolder) -> dict[str, Any]:
     """
     if case.optimise is None:
         raise InputError("optimise: expected a table [optimise] in the case, got none")
-    own, asked = built(case), case.optimise
+    own, asked = build_case(case), case.optimise
     intervals = len(own.protocol.edges) - 1
-    freedoms: list[AbstractFreedom] = [
+    variables: list[AbstractDesignVariable] = [
         FreeAmplitudes(float(asked.largest), intervals, float(asked.start))
     ]
     if asked.placement is not None:
@@ -137,7 +137,7 @@ def optimise_protocol(case: Case, folder: RunFolder) -> dict[str, Any]:
         first = own.model.sources[0]
         total = float(jnp.sum(first.shape(own.model.grid) * own.model.grid.volumes))
         patterns = shells(own.model, radius, asked.placement, total)
-        freedoms.append(FreePlacement(patterns))
+        variables.append(FreePlacement(patterns))
     constraints: list[AbstractConstraint] = [
         MaxTemperature(bound=float(asked.max_temperature))
     ]
@@ -146,16 +146,16 @@ def optimise_protocol(case: Case, folder: RunFolder) -> dict[str, Any]:
         grown = float(case.tumour.radius + asked.margin)
         away = 1 - own.model.grid.ball(grown, center=center)
         constraints.append(HealthyDose(bound=float(asked.healthy_dose), share=away))
-    constraints += [within(limit) for limit in own.limits]
-    treated = Treated(own.model, own.protocol)
+    constraints += [limit_constraint(limit) for limit in own.limits]
+    treated = Run(own.model, own.protocol)
     best = optimise(
         treated,
-        freedoms,
+        variables,
         maximise=LogD90(own.target),
         subject_to=constraints,
         stepper=own.stepper,
     )
-    metrics, arrays = _simulated(own, best.treated.model, best.treated.protocol)
+    metrics, arrays = _simulate(own, best.run.model, best.run.protocol)
     metrics |= {
         "outcome": best.outcome.name.lower(),
         "evaluations": best.evaluations,
@@ -168,9 +168,9 @@ def optimise_protocol(case: Case, folder: RunFolder) -> dict[str, Any]:
                 "unit": kept.unit,
                 "active": kept.active,
             }
-            for kept in best.kept
+            for kept in best.constraints
         ],
-        "amplitudes": np.asarray(best.treated.protocol.starts).tolist(),
+        "amplitudes": np.asarray(best.run.protocol.starts).tolist(),
         "max_temperature": float(asked.max_temperature),
     }
     folder.write_arrays(RESULTS, arrays)
@@ -183,7 +183,7 @@ def run(options: HeatOptions) -> CommandResult:
     if options.case is None:
         return _verify()
     case, content = read_case(options.case)
-    built(case)  # refuses a bad case before the folder is made
+    build_case(case)  # refuses a bad case before the folder is made
     config = {"run": {"command": HEAT.name, "task": options.task}, "case": content}
     folder = RunFolder.create(options.out, config, overwrite=options.overwrite)
     if options.task == "simulate":

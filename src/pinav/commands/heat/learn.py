@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pinav.commands.heat.build import Built, built
+from pinav.commands.heat.build import CaseModel, build_case
 from pinav.commands.heat.case import Case, Learn
 from pinav.errors import InputError
 from pinav.fitting import EvidenceFit
@@ -49,7 +49,7 @@ def learn_perfusion(case: Case, folder: RunFolder, source: Path) -> dict[str, An
         InputError: the case says not what to learn, or has no probes.
         FitError: the fit did not converge.
     """
-    own, settings = built(case), case.learn or Learn()
+    own, settings = build_case(case), case.learn or Learn()
     data = _readings(own, case, settings, source)
     fit = _fit(own, settings, data)
     constant = _fit_constant(own, settings, data)
@@ -76,7 +76,7 @@ def learn_perfusion(case: Case, folder: RunFolder, source: Path) -> dict[str, An
     return metrics
 
 
-def _fit(own: Built, settings: Learn, data: ProbeData) -> EvidenceFit:
+def _fit(own: CaseModel, settings: Learn, data: ProbeData) -> EvidenceFit:
     start = _start(own, settings, data)
     laws = tuple(LAWS[name] for name in settings.laws)
     return learn(
@@ -89,7 +89,7 @@ def _fit(own: Built, settings: Learn, data: ProbeData) -> EvidenceFit:
     )
 
 
-def _fit_constant(own: Built, settings: Learn, data: ProbeData) -> EvidenceFit:
+def _fit_constant(own: CaseModel, settings: Learn, data: ProbeData) -> EvidenceFit:
     """The baseline: a perfusion of each tissue that does not depend on temperature."""
     laws = tuple(LAWS[name] for name in settings.laws)
     start = own.model
@@ -113,12 +113,12 @@ def _scale(settings: Learn):
     return lambda model: ()
 
 
-def _at_rest(own: Built, law: AbstractPerfusion) -> float:
+def _at_rest(own: CaseModel, law: AbstractPerfusion) -> float:
     arterial = jnp.full(own.model.grid.shape, float(own.model.blood.arterial))
     return float(law(arterial).reshape(-1)[0])
 
 
-def _start(own: Built, settings: Learn, data: ProbeData) -> Bioheat:
+def _start(own: CaseModel, settings: Learn, data: ProbeData) -> Bioheat:
     """The model with laws without shape yet, at the perfusion at rest.
 
     Each may vary up to the hottest reading of its own tissue.
@@ -146,7 +146,7 @@ DEFAULT_RISE = 6.0
 """Range [K] of the law of a tissue without a probe."""
 
 
-def _readings(own: Built, case: Case, settings: Learn, source: Path) -> ProbeData:
+def _readings(own: CaseModel, case: Case, settings: Learn, source: Path) -> ProbeData:
     if settings.data is not None:
         return load_probes(source.parent / settings.data)
     if case.probes is None:
@@ -190,7 +190,7 @@ def _rms(values) -> float:
     return float(np.sqrt(np.mean(np.asarray(values) ** 2)))
 
 
-def _curves(own: Built, settings: Learn, fit, arrays) -> dict[str, Any]:
+def _curves(own: CaseModel, settings: Learn, fit, arrays) -> dict[str, Any]:
     """Each learned law at some temperatures, with its band and, if known, its truth."""
     found = {}
     shares = {"tumour": own.target, "tissue": 1 - own.target}
@@ -211,7 +211,7 @@ def _curves(own: Built, settings: Learn, fit, arrays) -> dict[str, Any]:
     return found
 
 
-def _held_out(own: Built, learned, constant, power: float) -> dict[str, float]:
+def _held_out(own: CaseModel, learned, constant, power: float) -> dict[str, float]:
     """Largest errors of the field, and doses, where the power is another."""
     protocol = eqx.tree_at(
         lambda p: (p.starts, p.ends), own.protocol, replace_fn=lambda a: a * power**0.5
