@@ -45,7 +45,7 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     only: Annotated[str, tyro.conf.arg(help="Only files whose path contains this.")] = (
         ""
     )
-    ladder: Annotated[
+    selection: Annotated[
         bool, tyro.conf.arg(help="Fit residuals by position and all baselines too.")
     ] = False
 
@@ -90,7 +90,7 @@ def timed(file: Path, options: Options) -> dict[str, Any]:
     out = options.out / name.replace("/", "-")
     known = KNOWN.get(file.parent.name, ())
     inspected = _run("inspect", file, out / "inspect", known)
-    extra = (*known, "--baselines") if options.ladder else known
+    extra = (*known, "--baselines") if options.selection else known
     fitted = _run("identify", file, out / "fit", extra)
     metrics = out / "fit" / "metrics.json"
     scores = _scores(json.loads(metrics.read_text())) if metrics.is_file() else {}

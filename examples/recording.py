@@ -40,8 +40,8 @@ recording = Trajectories.from_arrays(  # read_recording(path) gives the same
 )
 
 train, held_out = split(tracks(recording)[0], 0.7)
-rung = with_free(with_response(MATRIX, "saturating"), "delay", "delay")
-fit = fit_track(train, rung)
+candidate = with_free(with_response(MATRIX, "saturating"), "delay", "delay")
+fit = fit_track(train, candidate)
 for name, estimate in fit.estimates().items():
     print(f"{name}: {estimate.value:.3g} ± {1.96 * estimate.sd:.2g}")
 

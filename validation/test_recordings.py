@@ -15,22 +15,22 @@ import numpy as np
 import pytest
 
 from pinav.identification import (
+    FrameJitter,
     Rollouts,
-    Wobble,
-    climb,
     coverage,
     delay_findings,
     drift_over_time,
     fit_track,
     gaussian_process,
     path_of,
+    select_model,
     tracks,
     with_free,
     with_response,
 )
 from pinav.identification.findings import interval, positive_interval
 from pinav.identification.forecast import errors
-from pinav.identification.models import DRIFT_ONLY, MATRIX, SLOW
+from pinav.identification.models import DRIFT_ONLY, MATRIX, SLOW_DRIFT
 from pinav.recordings import read_recording
 from pinav.trajectories import Trajectories
 
@@ -53,16 +53,16 @@ def recorded(name: str, **options) -> Trajectories:
 
 @pytest.fixture(scope="module")
 def sessions():
-    return [climb(track) for track in tracks(recorded(SESSIONS))]
+    return [select_model(track) for track in tracks(recorded(SESSIONS))]
 
 
 def test_the_chosen_model_beats_least_squares(sessions):
     chosen, baseline = [], []
-    for ladder in sessions:
-        ours = ladder.row(ladder.chosen).errors[10.0].relative
-        theirs = ladder.row("least squares").errors[10.0].relative
-        print(f"{ladder.track.name}: {ours:.3f}, least squares {theirs:.3f}")
-        assert ours <= 1.15 * theirs, ladder.track.name
+    for selection in sessions:
+        ours = selection.row(selection.chosen).errors[10.0].relative
+        theirs = selection.row("least squares").errors[10.0].relative
+        print(f"{selection.track.name}: {ours:.3f}, least squares {theirs:.3f}")
+        assert ours <= 1.15 * theirs, selection.track.name
         chosen.append(ours)
         baseline.append(theirs)
     print(f"median {np.median(chosen):.4f}, least squares {np.median(baseline):.4f}")
@@ -72,51 +72,53 @@ def test_the_chosen_model_beats_least_squares(sessions):
 
 def test_nominal_bands_of_90_percent_hold(sessions):
     inside = []
-    for ladder in sessions:
-        wobble = Wobble.of(ladder.train, path_of(ladder.best))
-        rollouts = Rollouts.of(ladder.held_out, 10.0)
-        found = coverage(ladder.held_out, rollouts, ladder.best, wobble)
-        print(f"{ladder.track.name}: {found.inside:.3f} of {found.count} rollouts")
+    for selection in sessions:
+        jitter = FrameJitter.of(selection.train, path_of(selection.best))
+        rollouts = Rollouts.of(selection.held_out, 10.0)
+        found = coverage(selection.held_out, rollouts, selection.best, jitter)
+        print(f"{selection.track.name}: {found.inside:.3f} of {found.count} rollouts")
         inside += [found.inside] * found.count
     print(f"all rollouts: {np.mean(inside):.3f}")
     assert 0.85 <= np.mean(inside) <= 0.95
 
 
 def test_the_heading_offset_is_found(sessions):
-    for ladder in sessions:
-        found = delay_findings(ladder.track, ladder.best).offset_without_delay
+    for selection in sessions:
+        found = delay_findings(selection.track, selection.best).offset_without_delay
         degrees = math.degrees(found.value)
-        print(f"{ladder.track.name}: {degrees:.1f} degrees")
-        assert abs(degrees - 90) <= 7, ladder.track.name
+        print(f"{selection.track.name}: {degrees:.1f} degrees")
+        assert abs(degrees - 90) <= 7, selection.track.name
 
 
 def test_the_delay_of_random_paths(sessions):
-    for ladder in sessions:
-        if ladder.track.name.startswith("datasetGP2"):
-            found = delay_findings(ladder.track, ladder.best)
+    for selection in sessions:
+        if selection.track.name.startswith("datasetGP2"):
+            found = delay_findings(selection.track, selection.best)
             low, high = interval(found.free)
-            print(f"{ladder.track.name}: {found.free.value:.3f} ({low:.3f}-{high:.3f})")
+            print(
+                f"{selection.track.name}: {found.free.value:.3f} ({low:.3f}-{high:.3f})"
+            )
             assert not found.confounded
             assert 0.15 <= found.free.value <= 0.45
 
 
 def test_the_gaussian_process_is_slower_and_no_better(sessions):
     ours, theirs, slower = [], [], []
-    for ladder in sessions:
-        rung = ladder.best.rung
-        fit_track(ladder.train, rung)  # compiled
+    for selection in sessions:
+        candidate = selection.best.candidate
+        fit_track(selection.train, candidate)  # compiled
         begin = time.perf_counter()
-        fit_track(ladder.train, rung)
+        fit_track(selection.train, candidate)
         seconds = time.perf_counter() - begin
-        found = gaussian_process(ladder.train, rows=None)
-        rollouts = Rollouts.of(ladder.held_out, 10.0)
-        score = errors(ladder.held_out, rollouts, found.displacement()).relative
-        ours.append(ladder.row(ladder.chosen).errors[10.0].relative)
+        found = gaussian_process(selection.train, rows=None)
+        rollouts = Rollouts.of(selection.held_out, 10.0)
+        score = errors(selection.held_out, rollouts, found.displacement()).relative
+        ours.append(selection.row(selection.chosen).errors[10.0].relative)
         theirs.append(score)
         slower.append(found.seconds / seconds)
         print(
-            f"{ladder.track.name}: {ours[-1]:.3f} in {seconds:.2f} s, Gaussian process "
-            f"{score:.3f} in {found.seconds:.1f} s"
+            f"{selection.track.name}: {ours[-1]:.3f} in {seconds:.2f} s, "
+            f"Gaussian process {score:.3f} in {found.seconds:.1f} s"
         )
     assert np.median(ours) <= np.median(theirs)
     assert np.median(slower) >= 10
@@ -156,7 +158,7 @@ LEFT_OUT = ("1botcellbotbad", "6botcellbot7")
 
 def test_speed_against_frequency():
     gains = {}
-    rung = with_response(MATRIX, "slipping")
+    candidate = with_response(MATRIX, "slipping")
     for name in ("5um_roller", "5um_dimer", "20um_roller", "cellbot"):
         recording = recorded(f"magscope_speed_vs_freq/{name}.csv.gz")
         for track in tracks(recording):
@@ -169,7 +171,7 @@ def test_speed_against_frequency():
                 continue
             if track.duration < 20:
                 continue
-            found = fit_track(track, rung)
+            found = fit_track(track, candidate)
             speed, sd = found.speed(np.array([9.0]))
             if sd[0] < 0.5 * speed[0]:
                 gains.setdefault(groups[0], []).append((speed[0] / 9, sd[0] / 9))
@@ -215,7 +217,9 @@ def test_the_drift_of_a_swimmer_is_the_flow_that_beads_show():
             [rows[:, 0]], [rows[:, 1:]], channels=("x", "y"), units={"x": "um"}
         )
         track = tracks(recording, pooled=True)[0]
-        fit = fit_track(track, with_free(DRIFT_ONLY, "time-dependent drift", *SLOW))
+        fit = fit_track(
+            track, with_free(DRIFT_ONLY, "time-dependent drift", *SLOW_DRIFT)
+        )
         learned = drift_over_time(track, fit)
         window = 1.0
         flow = []
@@ -256,6 +260,6 @@ def test_the_drift_of_a_swimmer_is_the_flow_that_beads_show():
 def test_bacteria_fit_without_commands(name):
     recording = recorded(f"ecoli_pillars_trackmate/{name}", fps=20.0, mpp=0.656)
     for track in tracks(recording, pooled=True):
-        found = climb(track)
+        found = select_model(track)
         print(name, found.chosen, found.best.estimates())
         assert np.isfinite(found.best.log_evidence)

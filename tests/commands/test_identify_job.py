@@ -9,7 +9,7 @@ import pytest
 
 from pinav import cli
 from pinav.commands.identify.job import label, summary, text
-from pinav.commands.identify.settings import LadderSettings
+from pinav.commands.identify.settings import IdentifySettings
 from pinav.errors import InputError
 from pinav.identification.selection import RESIDUALS
 from pinav.trajectories import Trajectories, is_trajectories, save
@@ -48,19 +48,19 @@ def small(commanded):
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("ladder")
+    folder = tmp_path_factory.mktemp("selection")
     save(small(commanded=True), folder / "robot.csv")
     out = folder / "run"
     words = ["identify", str(folder / "robot.csv"), "--baselines", "--out", str(out)]
     with pytest.MonkeyPatch.context() as patch, standard_promotion():
-        for name in ("Gaussian process", "potential"):  # tests/ladder has kernels
+        for name in ("Gaussian process", "potential"):  # tests/selection has kernels
             patch.delitem(RESIDUALS, name)
         assert cli.run(words) == 0
     return out
 
 
 @pytest.mark.slow
-def test_the_table_has_every_rung_and_baseline(run):
+def test_the_table_has_every_candidate_and_baseline(run):
     metrics = json.loads((run / "metrics.json").read_text())
     (track,) = metrics["tracks"].values()
     names = [label(row["name"]) for row in track["rows"]]
@@ -82,7 +82,7 @@ def test_the_page_says_what_it_is_about(run):
     page = (run / "report.html").read_text(encoding="utf-8")
     assert "nothing here is a claim about tissue" in page
     assert "µm" in page
-    assert (run / "ladder.csv").read_text().startswith("track,model,log_evidence")
+    assert (run / "candidates.csv").read_text().startswith("track,model,log_evidence")
     assert (run / "figures" / "track-0.svg").is_file()
 
 
@@ -148,7 +148,7 @@ def test_files_of_pinav_are_told_from_recordings(tmp_path):
 )
 def test_settings_that_make_no_sense(settings, message):
     with pytest.raises(InputError, match=message):
-        LadderSettings(**settings).check()
+        IdentifySettings(**settings).check()
 
 
 def test_a_track_that_was_not_fitted_is_told():

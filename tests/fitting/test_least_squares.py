@@ -8,8 +8,8 @@ import pytest
 
 from pinav.errors import FitError, InputError
 from pinav.fitting import Outcome
-from pinav.fitting.environments.networks import IsotropicPrior
 from pinav.fitting.least_squares import fit_regression
+from pinav.forces.priors import IsotropicPrior
 
 
 class Line(eqx.Module):

@@ -9,8 +9,8 @@ from pinav.dynamics import Adaptive, rollout
 from pinav.errors import InputError
 from pinav.identification import (
     Blocks,
+    FrameJitter,
     Rollouts,
-    Wobble,
     coverage,
     delay_findings,
     errors,
@@ -80,8 +80,8 @@ def test_bands_hold_what_they_promise(track, fit, synthetic):
     found = []
     for seed in range(1, 4):
         other = tracks(synthetic.as_recording(synthetic.robot(seed)))[0]
-        wobble = Wobble.of(track, path_of(fit))
-        own = coverage(other, Rollouts.of(other, 10.0), fit, wobble)
+        jitter = FrameJitter.of(track, path_of(fit))
+        own = coverage(other, Rollouts.of(other, 10.0), fit, jitter)
         found.append(own.inside)
     assert 0.8 < np.mean(found) < 0.97
 

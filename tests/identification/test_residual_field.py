@@ -25,7 +25,7 @@ from pinav.identification import (
 )
 from pinav.identification.baselines import stochastic_force_inference
 from pinav.identification.findings import interval, positive_interval
-from pinav.identification.models import DRIFT_ONLY, SLOW
+from pinav.identification.models import DRIFT_ONLY, SLOW_DRIFT
 from pinav.identification.residual_field import positions_of, residual_errors
 from pinav.trajectories import Trajectories
 
@@ -70,7 +70,7 @@ def test_a_kernel_residual_finds_a_field_that_is_there(passive, drifting):
 
 
 def test_the_drift_over_time_follows_the_velocity(passive):
-    fit = fit_track(passive, with_free(DRIFT_ONLY, "slow", *SLOW))
+    fit = fit_track(passive, with_free(DRIFT_ONLY, "slow", *SLOW_DRIFT))
     found = drift_over_time(passive, fit)
     piece = passive.pieces[0]
     positions = [np.interp(found.times, piece.times, x) for x in piece.states.T]

@@ -24,7 +24,6 @@ from pinav.fitting import (
     KernelGrid,
     changing_environment,
     kernel_environment,
-    kernels_on,
 )
 from pinav.forces import (
     AbstractForce,
@@ -214,7 +213,7 @@ def _network(settings: FitSettings, inputs: int, outputs: int):
 
 
 def _kernels(kind, data: dict[str, Any]):
-    return kernels_on(kind, np.asarray(data["centers"]), data["kernel_width"])
+    return kind.untrained(np.asarray(data["centers"]), data["kernel_width"])
 
 
 def _changing(data: dict[str, Any]) -> ChangingPotential:
@@ -296,15 +295,12 @@ def fitted_summary(summary: dict[str, Any], environment: AbstractForce) -> Any:
         summary: of the untrained model.
         environment: the fitted one.
     """
-    if isinstance(environment, KernelMixture):
-        environment = environment.gradient
-    if isinstance(environment, ChangingPotential):
-        environment = environment.static
-    if not isinstance(environment, KernelForce | KernelPotential):
+    kernels = getattr(environment, "kernels", None)
+    if kernels is None:
         return summary
     return summary | {
-        "centers": np.asarray(environment.centers).tolist(),
-        "kernel_width": float(environment.width),
+        "centers": np.asarray(kernels.centers).tolist(),
+        "kernel_width": float(kernels.width),
     }
 
 

@@ -17,7 +17,6 @@ from pinav.fitting.environments.kernels import (
     changing_environment as changing_environment,
 )
 from pinav.fitting.environments.kernels import kernel_environment as kernel_environment
-from pinav.fitting.environments.kernels import kernels_on as kernels_on
 from pinav.fitting.environments.kernels import (
     timed_kernel_environment as timed_kernel_environment,
 )

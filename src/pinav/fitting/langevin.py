@@ -21,13 +21,12 @@ from pinav.dynamics import (
     with_dtype,
 )
 from pinav.errors import InputError
-from pinav.fitting.bayes.parameters import KERNELS, dimension
+from pinav.fitting.bayes.parameters import learned_environment
 from pinav.fitting.engine.evidence_fit import EvidenceFit
 from pinav.fitting.engine.multiple_shooting import freed
 from pinav.fitting.engine.posterior import Estimate, Posterior
 from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED, Refinement
 from pinav.fitting.evidence.model_evidence import LinearFit
-from pinav.fitting.evidence.priors import kernel_prior
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.outcome import Outcome
@@ -145,7 +144,7 @@ def _inferred(swimmer: OverdampedSwimmer, increments: "Increments", noise):
     free, theta = freed(swimmer, lambda m: m.environment.parameters)
     quadratic = _regression(free, jnp.zeros_like(theta), increments)
     environment: Any = swimmer.environment
-    weights = GaussianWeights(kernel_prior(environment))
+    weights = GaussianWeights(environment.prior())
     return free, quadratic, weights, weights.infer(quadratic, weights.start, noise)
 
 
@@ -195,12 +194,13 @@ def _checked(model, trajectories, diffusion) -> OverdampedSwimmer:
             "fit_langevin model: expected a swimmer without inertia, got "
             f"{type(model).__name__}; for Swimmer use fit_bayes"
         )
-    if not isinstance(swimmer.environment, KERNELS):
+    environment = learned_environment(swimmer)
+    if environment is None or not environment.is_linear:
         raise InputError(
             "fit_langevin model: expected an environment made by kernel_environment, "
             f"got {type(swimmer.environment).__name__}"
         )
-    dim = dimension(swimmer.environment)
+    dim = environment.dim
     if len(trajectories.channels) != dim:
         raise InputError(
             f"fit_langevin trajectories: expected {dim} channels, positions alone, got "

@@ -30,10 +30,10 @@ from pinav.fitting.engine.multiple_shooting import FreeModel, Prediction, freed
 from pinav.fitting.engine.posterior import Estimate, Posterior
 from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.evidence.model_evidence import LinearFit
-from pinav.fitting.evidence.priors import AbstractPrior
 from pinav.fitting.evidence.quadratic import Quadratic, joint_posterior, without_flat
 from pinav.fitting.evidence.weights import AbstractWeights, GaussianWeights, NoWeights
 from pinav.fitting.outcome import Outcome
+from pinav.forces.priors import AbstractPrior
 
 SMALL_CHANGE, SMALLEST = 0.02, 1e-9
 """Change of a prediction that ends a fit: in standard deviations of the noise, or as a

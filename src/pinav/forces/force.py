@@ -6,12 +6,15 @@ $-\nabla U$.
 
 import abc
 from collections.abc import Mapping
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from pinav.arguments import Scalar
+from pinav.forces.priors import AbstractPrior
 
 
 class AbstractForce(eqx.Module):
@@ -53,12 +56,61 @@ def _terms(force: AbstractForce) -> tuple[AbstractForce, ...]:
 
 
 class AbstractLearnedForce(AbstractForce):
-    """A force whose parameters come from data."""
+    """A force whose weights come from data.
+
+    A fit asks nothing else of it than these methods, so that a new kind of kernels or
+    networks is one new class.
+    """
 
     @property
     @abc.abstractmethod
     def parameters(self) -> PyTree:
         """The leaves that train."""
+
+    @property
+    @abc.abstractmethod
+    def dim(self) -> int:
+        """Dimension of the space in which it acts."""
+
+    @abc.abstractmethod
+    def prior(self) -> AbstractPrior:
+        """Prior of the weights, flattened as they are."""
+
+    @abc.abstractmethod
+    def kernels_on(
+        self, centers: Float[np.ndarray, "kernel dim"], width: float
+    ) -> "AbstractLearnedForce":
+        """The same kind of force, untrained, from static kernels at other places.
+
+        Finer kernels for a force of kernels; for a network the kernels that stand for
+        the same class of fields.
+        """
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether the force is linear in its weights."""
+        return True
+
+    @property
+    def is_static(self) -> bool:
+        """Whether the force does not depend on time."""
+        return True
+
+    @property
+    def kernels(self) -> Any:
+        """Its kernels on a grid that may be refined; None where there are none."""
+        return None
+
+    def length_scales(self, shape: Float[np.ndarray, " shape"]) -> list[float]:
+        """Length scale of each part that contributes, in widths of its kernels.
+
+        Args:
+            shape: of its prior, as the evidence chose it.
+
+        Returns:
+            Nothing where no finer grid of kernels could follow the length scale.
+        """
+        return []
 
 
 class AbstractCommandedForce(AbstractForce):

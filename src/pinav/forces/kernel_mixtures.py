@@ -12,6 +12,7 @@ from pinav.arguments import Scalar
 from pinav.errors import InputError
 from pinav.forces.force import AbstractLearnedForce
 from pinav.forces.kernels import KernelPotential, check_kernels, kernel_values
+from pinav.forces.priors import ABSENT, MixturePrior, TimedPrior, WeightPrior
 
 
 class KernelStream(AbstractLearnedForce):
@@ -42,9 +43,34 @@ class KernelStream(AbstractLearnedForce):
                 f"{np.shape(self.centers)}; choose a KernelForce"
             )
 
+    @classmethod
+    def untrained(
+        cls, centers: Float[np.ndarray, "kernel dim"], width: float
+    ) -> "KernelStream":
+        """A stream function without weight yet: kernels at places, of a width [L]."""
+        places = jnp.asarray(centers)
+        return cls(jnp.zeros(len(places)), places, width)
+
     @property
     def parameters(self):
         return self.weights
+
+    @property
+    def dim(self):
+        return self.centers.shape[1]
+
+    @property
+    def kernels(self):
+        return self
+
+    def length_scales(self, shape):
+        return [float(np.exp(shape[0]))]
+
+    def prior(self):
+        return WeightPrior(self.centers, self.width)
+
+    def kernels_on(self, centers, width):
+        return KernelStream.untrained(centers, width)
 
     def stream(self, x: Float[Array, "2"]) -> Float[Array, ""]:
         r"""Stream function $\psi(x)$ [L² T⁻²]; positive turns counter-clockwise."""
@@ -73,9 +99,38 @@ class KernelMixture(AbstractLearnedForce):
     gradient: KernelPotential
     rotation: KernelStream
 
+    @classmethod
+    def untrained(
+        cls, centers: Float[np.ndarray, "kernel dim"], width: float
+    ) -> "KernelMixture":
+        """Both parts without weight yet: kernels at places, of a width [L]."""
+        parts = (KernelPotential, KernelStream)
+        return cls(*(part.untrained(centers, width) for part in parts))
+
     @property
     def parameters(self):
         return self.gradient.weights, self.rotation.weights
+
+    @property
+    def dim(self):
+        return self.gradient.dim
+
+    @property
+    def kernels(self):
+        return self.gradient
+
+    def length_scales(self, shape):
+        parts = [] if shape[-1] > ABSENT else self.gradient.length_scales(shape)
+        if shape[-1] > -ABSENT:
+            second = len(self.gradient.prior().start)
+            parts = parts + self.rotation.length_scales(shape[second:])
+        return parts
+
+    def prior(self):
+        return MixturePrior(self.gradient.prior(), self.rotation.prior())
+
+    def kernels_on(self, centers, width):
+        return KernelMixture.untrained(centers, width)
 
     def __call__(self, t, x, v):
         return self.gradient(t, x, v) + self.rotation(t, x, v)
@@ -124,6 +179,20 @@ class TimedKernelPotential(AbstractLearnedForce):
     def parameters(self):
         return self.weights
 
+    @property
+    def dim(self):
+        return self.centers.shape[1]
+
+    @property
+    def is_static(self):
+        return False
+
+    def prior(self):
+        return TimedPrior(WeightPrior(self.centers, self.width), self.weights.shape[1])
+
+    def kernels_on(self, centers, width):
+        return KernelPotential.untrained(centers, width)
+
     def splines(self, t: Scalar) -> Float[Array, " spline"]:
         """Value of each spline at time `t` [T]."""
         count = self.weights.shape[1]
@@ -162,6 +231,28 @@ class ChangingPotential(AbstractLearnedForce):
     @property
     def parameters(self):
         return self.static.weights, self.change.weights
+
+    @property
+    def dim(self):
+        return self.static.dim
+
+    @property
+    def is_static(self):
+        return False
+
+    @property
+    def kernels(self):
+        return self.static
+
+    def length_scales(self, shape):
+        return [] if shape[-1] > ABSENT else self.static.length_scales(shape)
+
+    def prior(self):
+        return MixturePrior(self.static.prior(), self.change.prior())
+
+    def kernels_on(self, centers, width):
+        """The part that changes with time stays as it is."""
+        return ChangingPotential(KernelPotential.untrained(centers, width), self.change)
 
     def potential(self, t: Scalar, x: Float[Array, " dim"]) -> Float[Array, ""]:
         """Potential energy per mass $U(t, x)$ [L² T⁻²]."""

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 from pinav.arguments import Scalar
 from pinav.errors import InputError
 from pinav.forces.force import AbstractLearnedForce
+from pinav.forces.priors import WeightPrior
 
 
 class KernelForce(AbstractLearnedForce):
@@ -33,9 +34,34 @@ class KernelForce(AbstractLearnedForce):
     def __check_init__(self):
         check_kernels(self, np.shape(self.centers))
 
+    @classmethod
+    def untrained(
+        cls, centers: Float[np.ndarray, "kernel dim"], width: float
+    ) -> "KernelForce":
+        """A force field without weight yet: kernels at places, of a width [L]."""
+        places = jnp.asarray(centers)
+        return cls(jnp.zeros_like(places), places, width)
+
     @property
     def parameters(self):
         return self.weights
+
+    @property
+    def dim(self):
+        return self.centers.shape[1]
+
+    @property
+    def kernels(self):
+        return self
+
+    def length_scales(self, shape):
+        return [float(np.exp(shape[0]))]
+
+    def prior(self):
+        return WeightPrior(self.centers, self.width, self.dim)
+
+    def kernels_on(self, centers, width):
+        return KernelForce.untrained(centers, width)
 
     def __call__(self, t, x, v):
         return kernel_values(x, self.centers, self.width) @ self.weights
@@ -60,9 +86,34 @@ class KernelPotential(AbstractLearnedForce):
     def __check_init__(self):
         check_kernels(self, np.shape(self.centers)[:1])
 
+    @classmethod
+    def untrained(
+        cls, centers: Float[np.ndarray, "kernel dim"], width: float
+    ) -> "KernelPotential":
+        """A potential without weight yet: kernels at places, of a width [L]."""
+        places = jnp.asarray(centers)
+        return cls(jnp.zeros(len(places)), places, width)
+
     @property
     def parameters(self):
         return self.weights
+
+    @property
+    def dim(self):
+        return self.centers.shape[1]
+
+    @property
+    def kernels(self):
+        return self
+
+    def length_scales(self, shape):
+        return [float(np.exp(shape[0]))]
+
+    def prior(self):
+        return WeightPrior(self.centers, self.width)
+
+    def kernels_on(self, centers, width):
+        return KernelPotential.untrained(centers, width)
 
     def potential(self, t: Scalar, x: Float[Array, " dim"]) -> Float[Array, ""]:
         """Potential energy per mass $U(x)$ [L² T⁻²]."""

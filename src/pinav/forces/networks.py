@@ -14,6 +14,8 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from pinav.arguments import Scalar
 from pinav.errors import InputError
 from pinav.forces.force import AbstractLearnedForce
+from pinav.forces.kernels import KernelForce, KernelPotential
+from pinav.forces.priors import IsotropicPrior
 
 
 class AbstractFeatures(eqx.Module):
@@ -21,6 +23,16 @@ class AbstractFeatures(eqx.Module):
 
     center: eqx.AbstractVar[tuple[float, ...]]
     scale: eqx.AbstractVar[tuple[float, ...]]
+
+    @property
+    @abc.abstractmethod
+    def dim(self) -> int:
+        """Dimension of the space."""
+
+    @property
+    @abc.abstractmethod
+    def is_static(self) -> bool:
+        """Whether the features do not depend on time."""
 
     @abc.abstractmethod
     def __call__(
@@ -40,6 +52,14 @@ class PositionFeatures(AbstractFeatures):
     center: tuple[float, ...] = eqx.field(static=True)
     scale: tuple[float, ...] = eqx.field(static=True)
 
+    @property
+    def dim(self):
+        return len(self.center)
+
+    @property
+    def is_static(self):
+        return True
+
     def __call__(self, t, x, v):
         return (x - jnp.asarray(self.center, x.dtype)) / jnp.asarray(
             self.scale, x.dtype
@@ -56,6 +76,14 @@ class PositionTimeFeatures(AbstractFeatures):
 
     center: tuple[float, ...] = eqx.field(static=True)
     scale: tuple[float, ...] = eqx.field(static=True)
+
+    @property
+    def dim(self):
+        return len(self.center) - 1
+
+    @property
+    def is_static(self):
+        return False
 
     def __call__(self, t, x, v):
         inputs = jnp.append(x, jnp.asarray(t, x.dtype))
@@ -84,6 +112,24 @@ class NeuralForce(AbstractLearnedForce):
     def parameters(self):
         return self.network
 
+    @property
+    def dim(self):
+        return self.features.dim
+
+    @property
+    def is_linear(self):
+        return False
+
+    @property
+    def is_static(self):
+        return self.features.is_static
+
+    def prior(self):
+        return _network_prior(self.network)
+
+    def kernels_on(self, centers, width):
+        return KernelForce.untrained(centers, width)
+
     def __call__(self, t, x, v):
         return self.scale * self.network(self.features(t, x, v))
 
@@ -105,6 +151,24 @@ class NeuralPotential(AbstractLearnedForce):
     def parameters(self):
         return self.network
 
+    @property
+    def dim(self):
+        return self.features.dim
+
+    @property
+    def is_linear(self):
+        return False
+
+    @property
+    def is_static(self):
+        return self.features.is_static
+
+    def prior(self):
+        return _network_prior(self.network)
+
+    def kernels_on(self, centers, width):
+        return KernelPotential.untrained(centers, width)
+
     def potential(self, t: Scalar, x: Float[Array, " dim"]) -> Float[Array, ""]:
         """Potential energy per mass $U(t, x)$ [L² T⁻²]."""
         features = self.features(t, x, jnp.zeros_like(x))
@@ -112,6 +176,11 @@ class NeuralPotential(AbstractLearnedForce):
 
     def __call__(self, t, x, v):
         return -jax.grad(self.potential, argnums=1)(t, x)
+
+
+def _network_prior(network: eqx.nn.MLP) -> IsotropicPrior:
+    leaves = jax.tree.leaves(eqx.filter(network, eqx.is_array))
+    return IsotropicPrior(sum(leaf.size for leaf in leaves))
 
 
 def tanh_network(

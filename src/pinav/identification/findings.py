@@ -13,11 +13,11 @@ from pinav.identification.models import (
     DRIFT_ONLY,
     MATRIX,
     SCALAR,
-    Rung,
+    CandidateModel,
     with_free,
     with_response,
 )
-from pinav.identification.selection import DECISIVE, Climb
+from pinav.identification.selection import DECISIVE, Selection
 from pinav.identification.tracks import Track
 
 NORMAL_95 = 1.96
@@ -98,15 +98,19 @@ def delay_findings(track: Track, fit: TrackFit) -> DelayFindings:
 
     Args:
         track: all of it.
-        fit: a rung of it with a gain; its response is kept.
+        fit: a candidate of it with a gain; its response is kept.
     """
-    rung = with_response(MATRIX, fit.rung.response)
-    without = fit_track(track, rung, start=fit).estimates()["heading offset"]
-    both = fit_track(track, with_free(rung, "delay", "delay"), start=fit).estimates()
+    candidate = with_response(MATRIX, fit.candidate.response)
+    without = fit_track(track, candidate, start=fit).estimates()["heading offset"]
+    both = fit_track(
+        track, with_free(candidate, "delay", "delay"), start=fit
+    ).estimates()
     rate, spread = turning_rate(track)
     zero_offset = None
     if abs(without.value) < ALIGNED:
-        plain = with_response(Rung("gains", DIAGONAL, BOTH), fit.rung.response)
+        plain = with_response(
+            CandidateModel("gains", DIAGONAL, BOTH), fit.candidate.response
+        )
         aligned = fit_track(track, with_free(plain, "delay", "delay"), start=fit)
         zero_offset = aligned.estimates()["delay"]
     return DelayFindings(
@@ -119,26 +123,32 @@ def delay_findings(track: Track, fit: TrackFit) -> DelayFindings:
     )
 
 
-def sentences(climb: Climb, estimates: dict[str, Estimate], delays) -> list[str]:
+def finding_sentences(
+    selection: Selection, estimates: dict[str, Estimate], delays
+) -> list[str]:
     """The verdict on one track.
 
     Args:
-        climb: its ladder.
-        estimates: of the chosen rung.
+        selection: its selection.
+        estimates: of the chosen candidate.
         delays: from `delay_findings`; None where nothing was commanded.
     """
-    found = [f"The evidence chooses: {climb.chosen}."]
+    found = [f"The evidence chooses: {selection.chosen}."]
     if delays is None:
-        recorded = "frequency" in climb.train.pieces[0].commands
+        recorded = "frequency" in selection.train.pieces[0].commands
         idle = "The commands ask for no motion" if recorded else "No commands recorded"
         found.append(f"{idle}: gain, delay and heading cannot be known.")
     else:
-        found += [_propulsion(climb), _response(climb, estimates), _delay(delays)]
-        found.append(_gain(climb, "lag", "a lag of the heading"))
-        found.append(extrapolation(climb.train, climb.held_out))
-    found.append(_gain(climb, "time-dependent drift", "a drift that changes"))
+        found += [
+            _propulsion(selection),
+            _response(selection, estimates),
+            _delay(delays),
+        ]
+        found.append(_gain(selection, "lag", "a lag of the heading"))
+        found.append(extrapolation(selection.train, selection.held_out))
+    found.append(_gain(selection, "time-dependent drift", "a drift that changes"))
     found += [
-        _gain(climb, name, f"a velocity that depends on position ({name})")
+        _gain(selection, name, f"a velocity that depends on position ({name})")
         for name in ("Gaussian process", "potential")
     ]
     return [sentence for sentence in found if sentence]
@@ -167,31 +177,37 @@ BEYOND = 1.05
 """Ratio of frequencies above which a prediction extrapolates."""
 
 
-def _difference(climb: Climb, name: str) -> float:
-    """Evidence of a rung over the one that it extends."""
-    row = climb.row(name)
+def _difference(selection: Selection, name: str) -> float:
+    """Evidence of a candidate over the one that it extends."""
+    row = selection.row(name)
     below = max(
-        (r for r in climb.rows if name.startswith(f"{r.name} + ")),
+        (r for r in selection.rows if name.startswith(f"{r.name} + ")),
         key=lambda r: len(r.name),
     )
     return row.log_evidence - below.log_evidence
 
 
-def _propulsion(climb: Climb) -> str:
-    gain = climb.row(MATRIX.name).log_evidence - climb.row(DRIFT_ONLY.name).log_evidence
-    matrix = climb.row(MATRIX.name).log_evidence - climb.row(SCALAR.name).log_evidence
+def _propulsion(selection: Selection) -> str:
+    gain = (
+        selection.row(MATRIX.name).log_evidence
+        - selection.row(DRIFT_ONLY.name).log_evidence
+    )
+    matrix = (
+        selection.row(MATRIX.name).log_evidence
+        - selection.row(SCALAR.name).log_evidence
+    )
     return (
         f"Propulsion by the command: {_words(gain)}. A gain matrix with drift, over "
         f"one number and the heading as recorded: {_words(matrix)}."
     )
 
 
-def _response(climb: Climb, estimates) -> str:
-    linear = climb.row(MATRIX.name).log_evidence
-    chosen = climb.best.rung.response
+def _response(selection: Selection, estimates) -> str:
+    linear = selection.row(MATRIX.name).log_evidence
+    chosen = selection.best.candidate.response
     if chosen == "linear":
         return "Saturation in frequency: not supported; the speed is linear in it."
-    row = climb.row(with_response(MATRIX, chosen).name)
+    row = selection.row(with_response(MATRIX, chosen).name)
     text = (
         f"Loss of gain with frequency ({chosen}): {_words(row.log_evidence - linear)}"
     )
@@ -226,13 +242,13 @@ def _delay(delays) -> str:
     return text
 
 
-def _gain(climb: Climb, label: str, meaning: str) -> str:
-    names = [r.name for r in climb.rows if r.name.endswith(f"+ {label}")]
+def _gain(selection: Selection, label: str, meaning: str) -> str:
+    names = [r.name for r in selection.rows if r.name.endswith(f"+ {label}")]
     if not names:
         return ""
-    if climb.row(names[0]).reason:
-        return f"{meaning.capitalize()}: not fitted, {climb.row(names[0]).reason}."
-    difference = _difference(climb, names[0])
+    if selection.row(names[0]).reason:
+        return f"{meaning.capitalize()}: not fitted, {selection.row(names[0]).reason}."
+    difference = _difference(selection, names[0])
     return f"{meaning[0].upper()}{meaning[1:]}: {_words(difference)}."
 
 

@@ -1,4 +1,4 @@
-"""`fit_track`: one rung on one track, with evidence and intervals."""
+"""`fit_track`: one candidate on one track, with evidence and intervals."""
 
 import math
 
@@ -28,23 +28,23 @@ from pinav.identification.likelihood import (
     disturbance_of,
     value_and_slope,
 )
-from pinav.identification.models import ABSENT, NAMES, Rung, response_of
+from pinav.identification.models import ABSENT, NAMES, CandidateModel, response_of
 from pinav.identification.tracks import Blocks, Track
 
 
 class TrackFit(eqx.Module):
-    r"""A rung fitted to a track.
+    r"""A candidate fitted to a track.
 
     Attributes:
-        rung: what was free.
+        candidate: what was free.
         theta: all nonlinear parameters, in the order of `NAMES`.
-        coefficients: of the gain matrices and drifts of the rung; absent ones are 0.
-        covariance: joint, of `rung.learned` and then of all coefficients.
+        coefficients: of the candidate's gain matrices and drifts; absent ones are 0.
+        covariance: joint, of `candidate.learned` and then of all coefficients.
         log_evidence: the nonlinear parameters integrated out by Laplace's method.
         evaluations: of the likelihood.
     """
 
-    rung: Rung
+    candidate: CandidateModel
     theta: Float[np.ndarray, " parameter"]
     coefficients: Float[np.ndarray, " coefficient"]
     covariance: Float[np.ndarray, "unknown unknown"]
@@ -54,12 +54,12 @@ class TrackFit(eqx.Module):
     @property
     def gain(self) -> Float[np.ndarray, "2 2"]:
         """Gain matrix [L per cycle]."""
-        return np.einsum("g,gab->ab", self.coefficients[:4], self.rung.matrices())
+        return np.einsum("g,gab->ab", self.coefficients[:4], self.candidate.matrices())
 
     @property
     def drift(self) -> Float[np.ndarray, "2"]:
         """Drift [L T⁻¹]."""
-        return self.coefficients[4:] @ self.rung.velocities()
+        return self.coefficients[4:] @ self.candidate.velocities()
 
     @property
     def disturbance(self) -> Disturbance:
@@ -75,7 +75,7 @@ class TrackFit(eqx.Module):
         corner, residual = map(self.parameter, ("log_corner", "logit_residual"))
         propulsion = RollingPropulsion(
             gain=jnp.asarray(self.gain),
-            response=response_of(self.rung.response, corner, residual),
+            response=response_of(self.candidate.response, corner, residual),
             programme=programme,
             delay=self.parameter("delay"),
         )
@@ -96,59 +96,60 @@ class TrackFit(eqx.Module):
 
 def fit_track(
     track: Track,
-    rung: Rung,
+    candidate: CandidateModel,
     *,
     prior: Prior | None = None,
     start: TrackFit | None = None,
 ) -> TrackFit:
-    """Maximise the posterior of a rung and integrate it.
+    """Maximise the posterior of a candidate and integrate it.
 
     Args:
         track: what is fitted.
-        rung: what is free.
+        candidate: what is free.
         prior: of the nonlinear parameters; `Prior.of(track)` unless given.
-        start: a simpler rung of the same track, from whose parameters to begin too.
+        start: a simpler candidate of the same track; the search begins there too.
 
     Raises:
         FitError: the likelihood is not finite at any start.
     """
     prior = Prior.of(track) if prior is None else prior
     with jax.enable_x64(new_val=True):
-        search = _Search(Design.of(rung, Blocks.of(track)), rung, prior)
+        search = _Search(Design.of(candidate, Blocks.of(track)), candidate, prior)
         begins = np.unique([search.begin(start, delay) for delay in STARTS], axis=0)
         found = [search.descend(begin) for begin in begins]
         best = min(found, key=lambda pair: pair[1])
         if not math.isfinite(best[1]):
             raise FitError(
-                f"track {track.name}: the likelihood of {rung.name} is not finite; "
+                f"track {track.name}: the likelihood of {candidate.name} is not "
+                "finite; "
                 "check the times and units of the recording"
             )
         return search.result(*best)
 
 
 STARTS = (0.1, 0.4)
-"""Delays from which a search begins where no simpler rung had one [s]."""
+"""Delays from which a search begins where no simpler candidate had one [s]."""
 
 
 class _Search:
-    """The posterior of a rung as a function of what is learned."""
+    """The posterior of a candidate as a function of what is learned."""
 
-    def __init__(self, design: Design, rung: Rung, prior: Prior):
-        self.design, self.rung, self.prior = design, rung, prior
-        self.places = np.array([NAMES.index(name) for name in rung.learned])
-        fixed = {**ABSENT, **rung.fixed}
+    def __init__(self, design: Design, candidate: CandidateModel, prior: Prior):
+        self.design, self.candidate, self.prior = design, candidate, prior
+        self.places = np.array([NAMES.index(name) for name in candidate.learned])
+        fixed = {**ABSENT, **candidate.fixed}
         self.base = np.array([fixed.get(name, 0.0) for name in NAMES])
         self.evaluations = 0
 
     def begin(self, start: TrackFit | None, delay: float):
-        """Where a search begins: at the prior, or where a simpler rung ended."""
+        """Where a search begins: at the prior, or where a simpler candidate ended."""
         theta = self.base.copy()
         theta[self.places] = self.prior.mean[self.places]
         if start is not None:
-            shared = [i for i in self.places if NAMES[i] in start.rung.learned]
+            shared = [i for i in self.places if NAMES[i] in start.candidate.learned]
             theta[shared] = start.theta[shared]
-        if "delay" in self.rung.free and (
-            start is None or "delay" not in start.rung.free
+        if "delay" in self.candidate.free and (
+            start is None or "delay" not in start.candidate.free
         ):
             theta[NAMES.index("delay")] = delay
         return theta[self.places]
@@ -195,7 +196,7 @@ class _Search:
         theta = self.base.copy()
         theta[self.places] = learned
         return TrackFit(
-            rung=self.rung,
+            candidate=self.candidate,
             theta=theta,
             coefficients=coefficients,
             covariance=covariance,
@@ -241,7 +242,10 @@ class _Search:
         )
         own = np.linalg.inv(information)
         present = np.concatenate(
-            [np.any(self.rung.matrices(), axis=(1, 2)), self.rung.velocities().any(1)]
+            [
+                np.any(self.candidate.matrices(), axis=(1, 2)),
+                self.candidate.velocities().any(1),
+            ]
         )
         own = own * np.outer(present, present) + slopes @ spread @ slopes.T
         cross = slopes @ spread
@@ -254,7 +258,7 @@ DIFFERENCE, ACROSS_KINKS = 0.02, 0.25
 
 def _estimates(fit: TrackFit) -> dict[str, Estimate]:
     with jax.enable_x64(new_val=True):
-        values, slopes = _quantities_about(fit.rung, _unknown(fit))
+        values, slopes = _quantities_about(fit.candidate, _unknown(fit))
     found = {}
     for name, value in values.items():
         slope = np.asarray(slopes[name])
@@ -265,33 +269,36 @@ def _estimates(fit: TrackFit) -> dict[str, Estimate]:
 
 def _unknown(fit: TrackFit) -> Float[Array, " unknown"]:
     """What was learned, then all coefficients."""
-    learned = [fit.parameter(name) for name in fit.rung.learned]
+    learned = [fit.parameter(name) for name in fit.candidate.learned]
     return jnp.asarray(np.concatenate([learned, fit.coefficients]))
 
 
 @eqx.filter_jit
-def _quantities_about(rung: Rung, unknown: Float[Array, " unknown"]):
+def _quantities_about(candidate: CandidateModel, unknown: Float[Array, " unknown"]):
     """Quantities with a meaning, and their derivatives."""
 
     def quantities(unknown):
-        return _quantities(rung, unknown)
+        return _quantities(candidate, unknown)
 
     return quantities(unknown), jax.jacrev(quantities)(unknown)
 
 
-def _quantities(rung: Rung, unknown) -> dict[str, Float[Array, ""]]:
-    count = len(rung.learned)
-    matrices, velocities = jnp.asarray(rung.matrices()), jnp.asarray(rung.velocities())
+def _quantities(candidate: CandidateModel, unknown) -> dict[str, Float[Array, ""]]:
+    count = len(candidate.learned)
+    matrices, velocities = (
+        jnp.asarray(candidate.matrices()),
+        jnp.asarray(candidate.velocities()),
+    )
     found = {}
-    if rung.gains:
+    if candidate.gains:
         gain = jnp.einsum("g,gab->ab", unknown[count : count + 4], matrices)
         found["gain"] = mean_gain(gain)
         found["gain x/y"] = jnp.linalg.norm(gain[0]) / jnp.linalg.norm(gain[1])
         found["heading offset"] = heading_offset(gain)
-    if rung.drifts:
+    if candidate.drifts:
         drift = unknown[count + 4 :] @ velocities
         found["drift x"], found["drift y"] = drift[0], drift[1]
-    for index, name in enumerate(rung.learned):
+    for index, name in enumerate(candidate.learned):
         value = unknown[index]
         if name.startswith("log_"):
             found[name.removeprefix("log_").replace("_", " ")] = jnp.exp(value)
@@ -306,7 +313,7 @@ def _speed(fit: TrackFit, frequency):
     held = [fit.parameter(name) for name in ("log_corner", "logit_residual")]
     with jax.enable_x64(new_val=True):
         values, slopes = _speed_about(
-            fit.rung, _unknown(fit), jnp.asarray(held), jnp.asarray(frequency)
+            fit.candidate, _unknown(fit), jnp.asarray(held), jnp.asarray(frequency)
         )
     slopes = np.asarray(slopes)
     variance = np.einsum("fp,pq,fq->f", slopes, fit.covariance, slopes)
@@ -314,9 +321,9 @@ def _speed(fit: TrackFit, frequency):
 
 
 @eqx.filter_jit
-def _speed_about(rung: Rung, unknown, held, frequency):
+def _speed_about(candidate: CandidateModel, unknown, held, frequency):
     """Speed by frequency, and its derivative; what is not learned is held."""
-    learned, matrices = rung.learned, jnp.asarray(rung.matrices())
+    learned, matrices = candidate.learned, jnp.asarray(candidate.matrices())
 
     def law(unknown):
         values = dict(zip(learned, unknown[: len(learned)], strict=True))
@@ -325,7 +332,7 @@ def _speed_about(rung: Rung, unknown, held, frequency):
         gain = jnp.einsum(
             "g,gab->ab", unknown[len(learned) : len(learned) + 4], matrices
         )
-        response = response_of(rung.response, corner, residual)
+        response = response_of(candidate.response, corner, residual)
         return mean_gain(gain) * response(frequency)
 
     return law(unknown), jax.jacrev(law)(unknown)

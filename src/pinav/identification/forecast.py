@@ -122,7 +122,7 @@ LEAST_SIZE = 2048
 
 def cycles(fit: TrackFit, piece: Trajectory) -> Float[np.ndarray, "time 2"]:
     """Integral of the delayed response along the heading."""
-    index = RESPONSES.index(fit.rung.response)
+    index = RESPONSES.index(fit.candidate.response)
     with jax.enable_x64(new_val=True):
         programme, drive = programme_of(piece), jnp.asarray(fit.theta[:4])
         found = _cycles(programme, jnp.asarray(index), drive)
@@ -147,7 +147,7 @@ def path_of(fit: TrackFit) -> Displacement:
     return displacement
 
 
-def remembered(displacement: Displacement) -> Displacement:
+def computed_once(displacement: Displacement) -> Displacement:
     """The same displacement, computed once for each segment that lives as long."""
     known: dict[int, Float[np.ndarray, "time 2"]] = {}
 
@@ -159,7 +159,7 @@ def remembered(displacement: Displacement) -> Displacement:
     return path
 
 
-class Wobble(eqx.Module):
+class FrameJitter(eqx.Module):
     """Scatter of single frames about the mean path, along and across the heading.
 
     Attributes:
@@ -171,7 +171,7 @@ class Wobble(eqx.Module):
     still: float
 
     @classmethod
-    def of(cls, track: Track, displacement: Displacement) -> "Wobble":
+    def of(cls, track: Track, displacement: Displacement) -> "FrameJitter":
         """From what a model leaves, about its running mean over a block."""
         along, across, rest = [], [], []
         for piece in track.pieces:
@@ -232,11 +232,11 @@ class Forecast(eqx.Module):
     disturbance: Disturbance
 
     @classmethod
-    def of(cls, piece: Trajectory, fit: TrackFit, wobble: Wobble) -> "Forecast":
+    def of(cls, piece: Trajectory, fit: TrackFit, jitter: FrameJitter) -> "Forecast":
         """The forecast of a fit, computed once for all rollouts of a segment."""
         path = path_of(fit)(piece)
         slopes, covariance = _slopes(piece, fit, path)
-        frame = wobble.variance(piece)
+        frame = jitter.variance(piece)
         return cls(piece, path, slopes, covariance, frame, fit.disturbance)
 
     def rollout(self, first: int, last: int) -> Float[np.ndarray, "sample 2"]:
@@ -245,7 +245,7 @@ class Forecast(eqx.Module):
         return self.piece.states[first] + path - path[0]
 
     def variance(self, first: int, last: int) -> Float[np.ndarray, "sample 2"]:
-        """Of a rollout: disturbance, unknowns, wobble at start and end [L²]."""
+        """Of a rollout: disturbance, unknowns, jitter at start and end [L²]."""
         own = slice(first, last + 1)
         slopes = self.slopes[own] - self.slopes[first]
         unknown = np.einsum("tap,pq,taq->ta", slopes, self.covariance, slopes)
@@ -282,11 +282,11 @@ def _transitions(intervals, frequency, disturbance: Disturbance):
 
 def _slopes(piece, fit, path):
     """Of a displacement by each unknown, and the covariance of the unknowns."""
-    learned = fit.rung.learned
+    learned = fit.candidate.learned
     drive = [name for name in NAMES[:4] if name in learned]
     elapsed = piece.times - piece.times[0]
-    gains = np.einsum("gab,tb->tag", fit.rung.matrices(), cycles(fit, piece))
-    drifts = np.einsum("ga,t->tag", fit.rung.velocities(), elapsed)
+    gains = np.einsum("gab,tb->tag", fit.candidate.matrices(), cycles(fit, piece))
+    drifts = np.einsum("ga,t->tag", fit.candidate.velocities(), elapsed)
     columns = [_drive_slope(piece, fit, path, name)[:, :, None] for name in drive]
     places = [learned.index(name) for name in drive]
     places += list(range(len(learned), len(fit.covariance)))
@@ -321,10 +321,10 @@ NORMAL_90 = 1.6448536269514722
 
 
 def coverage(
-    track: Track, rollouts: Rollouts, fit: TrackFit, wobble: Wobble
+    track: Track, rollouts: Rollouts, fit: TrackFit, jitter: FrameJitter
 ) -> Coverage:
     """Coverage of nominal bands of 90 % along each axis."""
-    forecasts = [Forecast.of(piece, fit, wobble) for piece in track.pieces]
+    forecasts = [Forecast.of(piece, fit, jitter) for piece in track.pieces]
     inside, ends = [], []
     for index, a, b in zip(rollouts.piece, rollouts.first, rollouts.last, strict=True):
         forecast = forecasts[index]

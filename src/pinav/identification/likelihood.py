@@ -1,4 +1,4 @@
-r"""Evidence of a rung: the filter's likelihood with gain and drift profiled.
+r"""Evidence of a candidate: the filter's likelihood with gain and drift profiled.
 
 $$-\log Z(\theta) = \tfrac12 |r|^2 + \sum \log S + n \log 2\pi + \tfrac{k}{2} \log 2n$$
 
@@ -18,7 +18,13 @@ from jaxtyping import Array, Float, Int
 
 from pinav.actuation import HeldProgramme
 from pinav.identification.kalman import Disturbance, innovations, transitions
-from pinav.identification.models import DRIVE, NAMES, RESPONSES, Rung, SwitchedResponse
+from pinav.identification.models import (
+    COMMAND_RESPONSE,
+    NAMES,
+    RESPONSES,
+    CandidateModel,
+    SwitchedResponse,
+)
 from pinav.identification.tracks import Blocks, Track
 
 
@@ -42,7 +48,7 @@ class Prior(eqx.Module):
         of 20; delays of a camera and its computer, 0.2 ± 0.2 s; lags about 0.1 s.
         """
         speed = _typical_speed(track)
-        wobble = math.log(0.2 * speed * track.width)
+        jitter = math.log(0.2 * speed * track.width)
         quick = math.log(0.1 * speed)
         table = {
             "log_corner": (math.log(_typical_frequency(track)), 1.5),
@@ -52,7 +58,7 @@ class Prior(eqx.Module):
             "log_still": (quick - 1.0, 1.5),
             "log_driven": (quick, 1.5),
             "log_memory": (math.log(2.0 * track.width), 1.0),
-            "log_noise": (wobble, 1.5),
+            "log_noise": (jitter, 1.5),
             "log_slow": (quick, 1.5),
             "log_slow_memory": (math.log(30.0 * track.width), 1.0),
         }
@@ -90,7 +96,7 @@ def _typical_frequency(track: Track) -> float:
 
 
 class Design(eqx.Module):
-    """What a rung makes of a track, as arrays.
+    """What a candidate makes of a track, as arrays.
 
     Attributes:
         blocks: the track.
@@ -105,13 +111,13 @@ class Design(eqx.Module):
     response: Int[Array, ""]
 
     @classmethod
-    def of(cls, rung: Rung, blocks: Blocks) -> "Design":
-        """The design of a rung."""
+    def of(cls, candidate: CandidateModel, blocks: Blocks) -> "Design":
+        """The design of a candidate."""
         return cls(
             jax.tree.map(jnp.asarray, blocks),
-            jnp.asarray(rung.matrices()),
-            jnp.asarray(rung.velocities()),
-            jnp.asarray(RESPONSES.index(rung.response)),
+            jnp.asarray(candidate.matrices()),
+            jnp.asarray(candidate.velocities()),
+            jnp.asarray(RESPONSES.index(candidate.response)),
         )
 
 
@@ -147,7 +153,7 @@ def disturbance_of(theta: Float[Array, " parameter"]) -> Disturbance:
 
 def displacements(theta, design: Design) -> Float[Array, "sample 2"]:
     """Integral of the response along the heading, delayed and lagged [cycles]."""
-    return _displacements(theta[: len(DRIVE)], design)
+    return _displacements(theta[: len(COMMAND_RESPONSE)], design)
 
 
 @eqx.filter_custom_vjp
@@ -208,7 +214,7 @@ def block_means(values, blocks: Blocks):
 
 
 def whitened(theta: Float[Array, " parameter"], design: Design) -> Whitened:
-    """Filter observations and regressors of a rung."""
+    """Filter observations and regressors of a candidate."""
     blocks = design.blocks
     along = displacements(theta, design)
     rest = jnp.stack([blocks.times - blocks.times[0], blocks.frequency], axis=-1)

@@ -1,6 +1,6 @@
-"""The rungs: what of the first-order swimmer is free, as values.
+"""The candidates: what of the first-order swimmer is free, as values.
 
-All rungs are one model with other free parameters, so that one compiled likelihood
+All candidates are one model with other free parameters, so that one compiled likelihood
 serves them all, and evidence and errors can be compared.
 """
 
@@ -23,15 +23,15 @@ from pinav.actuation import (
 from pinav.arguments import Scalar
 
 NOISE = ("log_still", "log_driven", "log_memory", "log_noise")
-"""Parameters of the noise, free in every rung."""
+"""Parameters of the noise, free in every candidate."""
 
-DRIVE = ("log_corner", "logit_residual", "delay", "log_lag")
+COMMAND_RESPONSE = ("log_corner", "logit_residual", "delay", "log_lag")
 """Parameters of the drive."""
 
-SLOW = ("log_slow", "log_slow_memory")
+SLOW_DRIFT = ("log_slow", "log_slow_memory")
 """Parameters of a drift that changes."""
 
-NAMES = (*DRIVE, *NOISE, *SLOW)
+NAMES = (*COMMAND_RESPONSE, *NOISE, *SLOW_DRIFT)
 """All nonlinear parameters, in their order."""
 
 ABSENT = {
@@ -42,11 +42,11 @@ ABSENT = {
     "log_slow": math.log(1e-9),
     "log_slow_memory": math.log(60.0),
 }
-"""Values of parameters that a rung has not."""
+"""Values of parameters that a candidate has not."""
 
 
-class Rung(eqx.Module):
-    r"""One model of the ladder.
+class CandidateModel(eqx.Module):
+    r"""One model of the selection.
 
     Attributes:
         name: in tables.
@@ -107,7 +107,7 @@ RESPONSES = ("linear", "saturating", "slipping", "step-out")
 def response_of(
     name: str, log_corner: Scalar = 0.0, logit_residual: Scalar = 0.0
 ) -> AbstractResponse:
-    """The response of a rung with its parameters."""
+    """The response of a candidate with its parameters."""
     values = jnp.asarray(log_corner), jnp.asarray(logit_residual)
     return _RESPONSES[RESPONSES.index(name)](*values)
 
@@ -150,31 +150,33 @@ CORNERS = {
 }
 """Parameters of each response."""
 
-DRIFT_ONLY = Rung("drift only", drifts=BOTH)
-SCALAR = Rung("scalar gain", gains=ISOTROPIC)
-MATRIX = Rung("gain matrix and drift", gains=FULL, drifts=BOTH)
+DRIFT_ONLY = CandidateModel("drift only", drifts=BOTH)
+SCALAR = CandidateModel("scalar gain", gains=ISOTROPIC)
+MATRIX = CandidateModel("gain matrix and drift", gains=FULL, drifts=BOTH)
 
 
-def with_response(rung: Rung, response: str) -> Rung:
-    """The rung with another response, whose parameters are learned."""
-    free = tuple(name for name in rung.free if name in ("delay", "log_lag", *SLOW))
-    return Rung(
-        f"{rung.name} + {response}" if response != "linear" else rung.name,
-        rung.gains,
-        rung.drifts,
+def with_response(candidate: CandidateModel, response: str) -> CandidateModel:
+    """The candidate with another response, whose parameters are learned."""
+    free = tuple(
+        name for name in candidate.free if name in ("delay", "log_lag", *SLOW_DRIFT)
+    )
+    return CandidateModel(
+        f"{candidate.name} + {response}" if response != "linear" else candidate.name,
+        candidate.gains,
+        candidate.drifts,
         response,
         (*CORNERS[response], *free),
-        rung.fixed,
+        candidate.fixed,
     )
 
 
-def with_free(rung: Rung, label: str, *names: str) -> Rung:
-    """The rung with further nonlinear parameters learned, such as `delay`."""
-    return Rung(
-        f"{rung.name} + {label}",
-        rung.gains,
-        rung.drifts,
-        rung.response,
-        (*rung.free, *names),
-        rung.fixed,
+def with_free(candidate: CandidateModel, label: str, *names: str) -> CandidateModel:
+    """The candidate with further nonlinear parameters learned, such as `delay`."""
+    return CandidateModel(
+        f"{candidate.name} + {label}",
+        candidate.gains,
+        candidate.drifts,
+        candidate.response,
+        (*candidate.free, *names),
+        candidate.fixed,
     )

@@ -1,6 +1,6 @@
-"""A position-dependent residual on top of a rung: kernels, a potential, a network.
+"""A position-dependent residual on top of a candidate: kernels, a potential, a network.
 
-The noise of the rung is held. Along the observed path the residual's velocity is
+The noise of the candidate is held. Along the observed path the residual's velocity is
 integrated and filtered like any regressor, gain and drift are projected out, and the
 evidence chooses the prior of the weights, as `fit_bayes` chooses it.
 """
@@ -14,11 +14,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.fitting import LinearFit, freed, model_evidence
-from pinav.fitting.environments.networks import IsotropicPrior
-from pinav.fitting.evidence.priors import kernel_prior
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import GaussianWeights
-from pinav.forces import NeuralForce
 from pinav.identification.fit import TrackFit
 from pinav.identification.forecast import Errors, Rollouts, path_of
 from pinav.identification.likelihood import (
@@ -35,10 +32,10 @@ NETWORK_STEPS = 5
 
 
 class ResidualFit(eqx.Module):
-    """A rung with a position-dependent residual.
+    """A candidate with a position-dependent residual.
 
     Attributes:
-        base: the rung without it.
+        base: the candidate without it.
         environment: the residual velocity field, a force under mobility 1.
         base_coefficients: gain and drift given the residual.
         amplitude: of the prior that the evidence chose.
@@ -53,7 +50,7 @@ class ResidualFit(eqx.Module):
 
     @property
     def corrected(self) -> TrackFit:
-        """The rung with gain and drift as they are beside the residual."""
+        """The candidate with gain and drift as they are beside the residual."""
         return eqx.tree_at(lambda f: f.coefficients, self.base, self.base_coefficients)
 
 
@@ -67,18 +64,18 @@ def positions_of(track: Track) -> Trajectories:
 
 
 def fit_residual(track: Track, base: TrackFit, environment: Any) -> ResidualFit:
-    """Fit the weights of an environment to what a rung leaves.
+    """Fit the weights of an environment to what a candidate leaves.
 
     Args:
         track: what is fitted.
-        base: a rung of the same track.
+        base: a candidate of the same track.
         environment: from `kernel_environment` or `neural_environment`, untrained.
     """
     with jax.enable_x64(new_val=True):
         problem = _Problem(track, base, environment)
-        weights = GaussianWeights(_prior(environment, len(problem.start)))
+        weights = GaussianWeights(environment.prior())
         point, shape = problem.start, weights.start
-        steps = NETWORK_STEPS if isinstance(environment, NeuralForce) else 1
+        steps = NETWORK_STEPS if not environment.is_linear else 1
         for _ in range(steps):
             quadratic = problem.quadratic(point)
             found = weights.infer(quadratic, shape, 1.0)
@@ -97,12 +94,6 @@ def fit_residual(track: Track, base: TrackFit, environment: Any) -> ResidualFit:
         )
 
 
-def _prior(environment, count):
-    if isinstance(environment, NeuralForce):
-        return IsotropicPrior(count)
-    return kernel_prior(environment)
-
-
 class _Problem:
     """Whitened residuals as a function of the environment's weights."""
 
@@ -112,7 +103,7 @@ class _Problem:
         self.start = np.asarray(start)
         self.blocks = jax.tree.map(jnp.asarray, Blocks.of(track))
         whitened = compiled_whitened(
-            jnp.asarray(base.theta), Design.of(base.rung, Blocks.of(track))
+            jnp.asarray(base.theta), Design.of(base.candidate, Blocks.of(track))
         )
         rows = np.asarray(whitened.rows)
         self.present = np.any(rows != 0, axis=0)
@@ -157,7 +148,7 @@ class _Problem:
 
     def shortened(self, point, mean, chosen):
         """The step to `mean`, halved until the penalised squares are no larger."""
-        if not isinstance(self.free(jnp.asarray(point)), NeuralForce):
+        if self.free(jnp.asarray(point)).is_linear:
             return mean
         precision = 1 / max(chosen.amplitude, 1e-12) ** 2
 

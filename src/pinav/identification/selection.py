@@ -1,4 +1,4 @@
-"""`climb`: all rungs and baselines on one track, scored on what they did not see."""
+"""Model selection: all candidates on one track, scored on data that none has seen."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -25,9 +25,9 @@ from pinav.identification.forecast import (
     Displacement,
     Errors,
     Rollouts,
+    computed_once,
     errors,
     path_of,
-    remembered,
 )
 from pinav.identification.likelihood import Prior
 from pinav.identification.models import (
@@ -35,8 +35,8 @@ from pinav.identification.models import (
     MATRIX,
     RESPONSES,
     SCALAR,
-    SLOW,
-    Rung,
+    SLOW_DRIFT,
+    CandidateModel,
     with_free,
     with_response,
 )
@@ -49,7 +49,7 @@ from pinav.identification.residual_field import (
 from pinav.identification.tracks import Track, after, before
 
 DECISIVE = 5.0
-"""Nats from which a richer rung is taken; see `pinav compare`."""
+"""Nats from which a richer candidate is taken; see `pinav compare`."""
 
 ENCLOSING = "slipping"
 """The response kept where the evidence is not decisive: it contains the others."""
@@ -59,7 +59,7 @@ class Row(eqx.Module):
     """One line of the table.
 
     Attributes:
-        name: of the rung or baseline.
+        name: of the candidate or baseline.
         log_evidence: of the training part; NaN for baselines.
         seconds: that the fit took, compilation included.
         errors: by horizon, on the held-out part.
@@ -75,16 +75,16 @@ class Row(eqx.Module):
     reason: str = eqx.field(static=True, default="")
 
 
-class Climb(eqx.Module):
-    """The ladder on one track.
+class Selection(eqx.Module):
+    """The selection on one track.
 
     Attributes:
         track: all of it.
         train: its training part.
         held_out: its test part.
         rows: the table.
-        fits: rungs by name, without residuals.
-        chosen: name of the rung that the evidence chose among `fits`.
+        fits: candidates by name, without residuals.
+        chosen: name of the candidate that the evidence chose among `fits`.
     """
 
     track: Track
@@ -96,7 +96,7 @@ class Climb(eqx.Module):
 
     @property
     def best(self) -> TrackFit:
-        """The chosen rung, fitted to the training part."""
+        """The chosen candidate, fitted to the training part."""
         return self.fits[self.chosen]
 
     def row(self, name: str) -> Row:
@@ -117,20 +117,20 @@ def split(track: Track, share: float) -> tuple[Track, Track]:
     return before(track, moment), after(track, moment)
 
 
-def climb(
+def select_model(
     track: Track,
     *,
     share: float = 0.7,
     residuals: Sequence[str] = (),
     baselines: Sequence[str] = ("least squares",),
     on_row: Callable[[Row], None] | None = None,
-) -> Climb:
-    """Fit every rung to the first part of a track and roll it out on the rest.
+) -> Selection:
+    """Fit every candidate to the first part of a track and roll it out on the rest.
 
     Args:
         track: one robot of one run.
         share: of its time that trains.
-        residuals: names in `RESIDUALS`, position-dependent residuals on the best rung.
+        residuals: names in `RESIDUALS`: fields of position on the chosen candidate.
         baselines: names in `BASELINES`.
         on_row: called after each line of the table.
 
@@ -138,17 +138,19 @@ def climb(
         InputError: a part of the track is too short.
     """
     train, held_out = split(track, share)
-    ladder = _Ladder(train, held_out, on_row)
-    ladder.climb()
+    selection = _Comparison(train, held_out, on_row)
+    selection.select_model()
     for name in residuals:
-        ladder.residual(name)
+        selection.residual(name)
     for name in baselines:
-        ladder.baseline(name)
-    return Climb(track, train, held_out, ladder.rows, ladder.fits, ladder.chosen)
+        selection.baseline(name)
+    return Selection(
+        track, train, held_out, selection.rows, selection.fits, selection.chosen
+    )
 
 
-class _Ladder:
-    """The climb so far."""
+class _Comparison:
+    """The selection so far."""
 
     def __init__(self, train: Track, held_out: Track, on_row):
         self.train, self.held_out, self.on_row = train, held_out, on_row
@@ -157,8 +159,8 @@ class _Ladder:
         self.fits: dict[str, TrackFit] = {}
         self.chosen = ""
 
-    def climb(self) -> None:
-        """All rungs that are lines and slopes."""
+    def select_model(self) -> None:
+        """All candidates that are lines and slopes."""
         self._fit(DRIFT_ONLY, None)
         self.chosen = DRIFT_ONLY.name
         if self.train.commanded:
@@ -169,15 +171,15 @@ class _Ladder:
             self.chosen = self._response()
             self._extend("delay", "delay")
             self._extend("lag", "log_lag")
-        self._extend("time-dependent drift", *SLOW)
+        self._extend("time-dependent drift", *SLOW_DRIFT)
 
-    def _fit(self, rung: Rung, start: str | None) -> TrackFit:
+    def _fit(self, candidate: CandidateModel, start: str | None) -> TrackFit:
         begin = time.perf_counter()
         earlier = self.fits[start] if start else None
-        fit = fit_track(self.train, rung, prior=self.prior, start=earlier)
+        fit = fit_track(self.train, candidate, prior=self.prior, start=earlier)
         seconds = time.perf_counter() - begin
-        self.fits[rung.name] = fit
-        self._add(rung.name, fit.log_evidence, seconds, path_of(fit))
+        self.fits[candidate.name] = fit
+        self._add(candidate.name, fit.log_evidence, seconds, path_of(fit))
         return fit
 
     def _response(self) -> str:
@@ -189,15 +191,15 @@ class _Ladder:
         return best if values[best] > values[kept] + DECISIVE else kept
 
     def _extend(self, label: str, *names: str) -> None:
-        """A further rung on the chosen one; chosen itself if it is decisive."""
+        """A further candidate on the chosen one; chosen itself if it is decisive."""
         before = self.fits[self.chosen]
-        fit = self._fit(with_free(before.rung, label, *names), self.chosen)
+        fit = self._fit(with_free(before.candidate, label, *names), self.chosen)
         needed = 0.0 if label == "delay" else DECISIVE
         if fit.log_evidence > before.log_evidence + needed:
-            self.chosen = fit.rung.name
+            self.chosen = fit.candidate.name
 
     def residual(self, name: str) -> None:
-        """A position-dependent residual on the chosen rung."""
+        """A position-dependent residual on the chosen candidate."""
         begin = time.perf_counter()
         label = f"{self.chosen} + {name}"
         try:
@@ -240,7 +242,7 @@ class _Ladder:
         return Rollouts.of(self.held_out, horizon)
 
     def _add(self, name, log_evidence, seconds, displacement: Displacement) -> None:
-        displacement = remembered(displacement)
+        displacement = computed_once(displacement)
         found = {
             horizon: errors(self.held_out, self._rollouts(horizon), displacement)
             for horizon in HORIZONS

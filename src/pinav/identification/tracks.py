@@ -1,8 +1,8 @@
 """Tracks: one robot of one run, its segments padded and cut into blocks.
 
-A rolling robot wobbles at its rolling frequency, by micrometres, and cameras alias
+A rolling robot jitters at its rolling frequency, by micrometres, and cameras alias
 that. What is predicted here are seconds, not frames: likelihoods see the mean position
-of each block of time, in which the wobble averages out.
+of each block of time, in which the jitter averages out.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from pinav.trajectories import Trajectories, Trajectory
 BLOCK = 0.5
 """Length of a block at most [s]: long against frames, short against what is predicted.
 
-At 0.3 s wobble leaks into the likelihood, at 1 s delays are lost (docs)."""
+At 0.3 s jitter leaks into the likelihood, at 1 s delays are lost (docs)."""
 
 BLOCKS_AT_LEAST = 60
 """Shorter recordings are cut into shorter blocks, so that there are about as many."""
@@ -121,7 +121,7 @@ def _counts(pieces: Sequence[Trajectory], width: float) -> tuple[int, int]:
 
 
 COMPILATION, PER_SAMPLE, PER_BLOCK = 7.0, 1.5e-4, 3.6e-3
-"""Rough seconds: to compile a likelihood for a size, and to fit all rungs for each
+"""Rough seconds: to compile a likelihood for a size, and to fit all candidates for each
 sample and block of it. Only how tracks share sizes hangs on them, no result."""
 
 

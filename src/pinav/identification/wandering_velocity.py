@@ -1,4 +1,4 @@
-"""The velocity that a rung does not explain, over time: what carries the swimmer."""
+"""The velocity over time that the propulsion of a candidate does not explain."""
 
 import equinox as eqx
 import jax
@@ -35,7 +35,7 @@ def drift_over_time(track: Track, fit: TrackFit) -> DriftOverTime:
 
     Args:
         track: its segments follow one another in the result.
-        fit: a rung of it.
+        fit: a candidate of it.
     """
     parts = [_piece(piece, track.width, fit) for piece in track.pieces]
     return DriftOverTime(*map(np.concatenate, zip(*parts, strict=True)))

@@ -17,8 +17,8 @@ from jaxtyping import Array, Float, Int, PyTree
 from pinav.fitting import EvidenceFit
 from pinav.fitting.bayes.derived import derived
 from pinav.fitting.engine.posterior import Posterior
-from pinav.fitting.environments.networks import IsotropicPrior
 from pinav.fitting.least_squares import fit_regression
+from pinav.forces import IsotropicPrior
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.learned_perfusion import AbstractLearnedPerfusion
 from pinav.thermal.probes import ProbeData

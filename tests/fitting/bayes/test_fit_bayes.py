@@ -6,8 +6,8 @@ import pytest
 
 from pinav.errors import FitError, InputError
 from pinav.fitting import Outcome, fit_bayes, kernel_environment
-from pinav.fitting.evidence.priors import WeightPrior
 from pinav.forces import AbstractForce, GaussianBarrier, KernelForce, KernelPotential
+from pinav.forces.priors import WeightPrior
 from pinav.scenarios import barrier_crossings
 from pinav.trajectories import Trajectories, simulate
 
@@ -266,7 +266,7 @@ def test_an_environment_made_from_data_surrounds_them(data, kind):
     assert distance.min(axis=1).max() < made.width
     assert distance.min(axis=0).max() < 4 * made.width
     assert not np.any(forces(made, positions))
-    prior = WeightPrior(made)
+    prior = made.prior()
     assert np.all(prior.bounds[:, 0] <= prior.start)
     assert np.all(prior.start <= prior.bounds[:, 1])
     covariance = prior.covariance(prior.start)
@@ -284,7 +284,7 @@ def test_data_at_one_point_have_no_extent():
 
 def test_a_wide_envelope_is_no_envelope_and_a_narrow_one_fades():
     axis = np.arange(-10.0, 11.0)[:, None]
-    prior = WeightPrior(KernelPotential(jnp.zeros(21), jnp.asarray(axis), 2.0))
+    prior = WeightPrior(axis, 2.0)
     stationary = np.exp(-0.5 * ((axis - axis.T) / 3.0) ** 2)
     wide = prior.covariance(np.array([np.log(1.5), np.log(1e4), 0.0]))
     np.testing.assert_allclose(wide, stationary, rtol=1e-5)

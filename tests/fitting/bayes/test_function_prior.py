@@ -14,7 +14,6 @@ from pinav.fitting.evidence.evidence import (
     log_evidence,
     weight_posterior,
 )
-from pinav.fitting.evidence.priors import kernel_prior
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.forces import (
     KernelPotential,
@@ -42,7 +41,7 @@ def places(kernels):
 
 @pytest.fixture(scope="module")
 def process(kernels, places):
-    prior = kernel_prior(kernels)
+    prior = kernels.prior()
     chosen = Hyperparameters(prior.start, AMPLITUDE, NOISE, 0.0)
     shapes = np.random.default_rng(2).normal(size=(len(GRID), 2))
     return Process.of(kernels, prior, chosen, places, shapes)
@@ -87,7 +86,7 @@ def test_a_network_that_is_linear_has_the_posterior_of_the_process(
     found = about(kernels, places, process).about(np.zeros(len(GRID)))
     inference = found.infer(quadratic, found.start, None)
     data, chosen = Data.of(quadratic), process.chosen
-    prior = kernel_prior(kernels).covariance(chosen.shape)
+    prior = kernels.prior().covariance(chosen.shape)
     mean, covariance = weight_posterior(data, prior, chosen)
     to_force = slopes(kernels, places)
     expected = to_force @ covariance @ to_force.T

@@ -17,7 +17,6 @@ from pinav.fitting import (
     kernel_environment,
     neural_environment,
 )
-from pinav.fitting.environments.refinement import length_scales
 from pinav.forces import (
     AbstractForce,
     KernelForce,
@@ -97,9 +96,8 @@ def test_narrow_bumps_get_finer_kernels(rough, refined):
     coarse = fit_bayes(untrained(*rough), data, refine=None, throw=False)
     assert coarse.model.environment.width > 2 * refined.model.environment.width
     assert refined.outcome is Outcome.CONVERGED
-    (length_scale,) = length_scales(
-        refined.model.environment, refined.hyperparameters.shape
-    )
+    environment = refined.model.environment
+    (length_scale,) = environment.length_scales(refined.hyperparameters.shape)
     assert length_scale >= 1
     assert error(refined, truth, data) < 0.2 * error(coarse, truth, data)
     better = refined.hyperparameters.log_evidence - coarse.hyperparameters.log_evidence

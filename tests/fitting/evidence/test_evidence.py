@@ -11,13 +11,13 @@ from pinav.fitting.evidence.evidence import (
     weight_posterior,
 )
 from pinav.fitting.evidence.hyperparameter_uncertainty import SHAPE_SD, shape_covariance
-from pinav.fitting.evidence.priors import AbstractPrior
 from pinav.fitting.evidence.quadratic import (
     Quadratic,
     is_singular,
     joint_posterior,
     without_flat,
 )
+from pinav.forces.priors import AbstractPrior
 
 WEIGHTS, FLAT, ROWS = 4, 2, 30
 RNG = np.random.default_rng(1)

@@ -29,11 +29,12 @@ from jaxtyping import ArrayLike, Bool, Float, PyTree
 from pinav.dynamics import FixedStep
 from pinav.errors import FitError, InputError
 from pinav.fitting import FreeModel, Hyperparameters, freed
-from pinav.fitting.bayes.neural import NEURAL, Request, function_prior
+from pinav.fitting.bayes.neural import Request, function_prior
+from pinav.fitting.bayes.parameters import learned_environment
 from pinav.fitting.bayes.problem import BayesProblem
 from pinav.fitting.engine.multiple_shooting import linearise, sensitivities
 from pinav.fitting.evidence.quadratic import Quadratic, joint_posterior, without_flat
-from pinav.forces import AbstractLearnedForce, KernelForce, KernelPotential
+from pinav.forces import KernelForce, KernelPotential
 from pinav.trajectories import Trajectories
 
 Pick = Callable[[Any], PyTree]
@@ -154,10 +155,15 @@ def influence(
         solver = FixedStep() if solver is None else solver
         request = Request(model, trajectories, learn, None, solver)
         weights = None
-        if isinstance(model.environment, NEURAL) and len(hyperparameters.shape):
+        if not _is_linear(model) and len(hyperparameters.shape):
             weights = function_prior(request, states, hyperparameters, kernels)
         problem = request.problem(model, states=states, weights=weights)
         return _influence(problem, model, hyperparameters, learn, dict(constants or {}))
+
+
+def _is_linear(model) -> bool:
+    environment = learned_environment(model)
+    return environment is None or environment.is_linear
 
 
 def _influence(problem, model, chosen, learn, constants) -> Influence:
@@ -195,9 +201,8 @@ def _influence(problem, model, chosen, learn, constants) -> Influence:
 
 def _selected(model, learn):
     """What the fit learned: weights of the environment, and what `learn` picks."""
-    environment, picked = model.environment, learn(model)
-    learned = isinstance(environment, AbstractLearnedForce)
-    weights = (environment.parameters,) if learned else ()
+    environment, picked = learned_environment(model), learn(model)
+    weights = () if environment is None else (environment.parameters,)
     return *weights, *(picked if isinstance(picked, tuple | list) else (picked,))
 
 

@@ -24,7 +24,6 @@ from pinav.fitting import (
     fit_bayes,
     fit_langevin,
     freed,
-    kernels_on,
     principal_drags,
     rotational_fraction,
 )
@@ -134,7 +133,7 @@ def process_kernels(
     if "process/centers" not in stored:
         return None
     kind = KernelForce if model == "neural-force" else KernelPotential
-    return kernels_on(kind, stored["process/centers"], float(stored["process/width"]))
+    return kind.untrained(stored["process/centers"], float(stored["process/width"]))
 
 
 def _constants(settings, found: EvidenceFit) -> dict[str, Estimate]:

@@ -1,4 +1,4 @@
-"""`pinav fit RECORDING`: the ladder of models on every track of a recording."""
+"""`pinav fit RECORDING`: the selection of models on every track of a recording."""
 
 import itertools
 import time
@@ -9,25 +9,25 @@ import numpy as np
 
 from pinav.commands.command import CommandResult
 from pinav.commands.identify.command import IDENTIFY
-from pinav.commands.identify.settings import IdentifyOptions, LadderSettings
+from pinav.commands.identify.settings import IdentifyOptions, IdentifySettings
 from pinav.commands.recording_settings import RecordingSettings
 from pinav.commands.start import fingerprint, start_run
 from pinav.errors import FitError, InputError
 from pinav.fitting import Estimate
 from pinav.identification import (
-    Climb,
     Forecast,
+    FrameJitter,
     Rollouts,
     Row,
+    Selection,
     Track,
     TrackFit,
-    Wobble,
-    climb,
     coverage,
     delay_findings,
+    finding_sentences,
     fit_track,
     path_of,
-    sentences,
+    select_model,
     tracks,
 )
 from pinav.identification.baselines import commands
@@ -48,19 +48,19 @@ FIGURES = 9
 
 
 def fit_recording(
-    settings: LadderSettings,
+    settings: IdentifySettings,
     recording: Trajectories,
     folder: RunFolder,
     *,
-    whole_ladder: bool,
+    all_candidates: bool,
 ) -> dict[str, Any]:
-    """Fit all rungs to each track and write the results; what is done stays done.
+    """Fit all candidates to each track and write the results; what is done stays done.
 
     Args:
         settings: how the recording is split.
         recording: positions, with commands where there were any.
         folder: of the run.
-        whole_ladder: with position-dependent residuals and all baselines too.
+        all_candidates: with position-dependent residuals and all baselines too.
 
     Returns:
         The content of `metrics.json`.
@@ -69,7 +69,9 @@ def fit_recording(
     found = tracks(recording, pooled=not driven)
     longest = sorted(found, key=lambda track: -track.duration)
     full = (
-        {track.name for track in longest[: settings.tracks]} if whole_ladder else set()
+        {track.name for track in longest[: settings.tracks]}
+        if all_candidates
+        else set()
     )
     drawn = {track.name for track in longest[:FIGURES]}
     undone = [i for i in _mixed(found) if not folder.has(_stored(i))]
@@ -96,7 +98,7 @@ def fit_recording(
         "tracks": results,
         "summary": summary(list(results.values())),
     }
-    folder.write_table("ladder.csv", *_csv(results))
+    folder.write_table("candidates.csv", *_csv(results))
     folder.write_json("metrics.json", metrics)
     return metrics
 
@@ -127,28 +129,30 @@ def _track(
         baselines = tuple(b for b in baselines if b != "Gaussian-process disturbance")
     begin = time.perf_counter()
     try:
-        ladder = climb(track, share=share, residuals=residuals, baselines=baselines)
-        whole = fit_track(track, ladder.best.rung, start=ladder.best)
-        delays = delay_findings(track, whole) if ladder.train.commanded else None
+        selection = select_model(
+            track, share=share, residuals=residuals, baselines=baselines
+        )
+        whole = fit_track(track, selection.best.candidate, start=selection.best)
+        delays = delay_findings(track, whole) if selection.train.commanded else None
     except (InputError, FitError) as error:
         return {"reason": str(error), "rows": []}, {}
     estimates = whole.estimates()
-    wobble = Wobble.of(ladder.train, path_of(ladder.best))
-    rollouts = Rollouts.of(ladder.held_out, SHOWN)
-    covered = coverage(ladder.held_out, rollouts, ladder.best, wobble)
+    jitter = FrameJitter.of(selection.train, path_of(selection.best))
+    rollouts = Rollouts.of(selection.held_out, SHOWN)
+    covered = coverage(selection.held_out, rollouts, selection.best, jitter)
     result = {
-        "chosen": ladder.chosen,
-        "response": ladder.best.rung.response,
-        "gain": whole.gain.tolist() if whole.rung.gains else None,
+        "chosen": selection.chosen,
+        "response": selection.best.candidate.response,
+        "gain": whole.gain.tolist() if whole.candidate.gains else None,
         "duration": track.duration,
-        "rows": [_row(row) for row in ladder.rows],
+        "rows": [_row(row) for row in selection.rows],
         "estimates": {name: _pair(value) for name, value in estimates.items()},
         "coverage": {
             "inside": covered.inside,
             "at end": covered.at_end,
             "rollouts": covered.count,
         },
-        "verdict": sentences(ladder, estimates, delays),
+        "verdict": finding_sentences(selection, estimates, delays),
         "seconds": time.perf_counter() - begin,
     }
     if delays is not None:
@@ -161,7 +165,7 @@ def _track(
             "turning rate": delays.turning_rate,
             "confounded": delays.confounded,
         }
-    return result, _arrays(ladder, whole, wobble, rollouts)
+    return result, _arrays(selection, whole, jitter, rollouts)
 
 
 def _pair(estimate: Estimate) -> dict[str, float]:
@@ -188,20 +192,20 @@ def _row(row: Row) -> dict[str, Any]:
 
 
 def _arrays(
-    ladder: Climb, whole: TrackFit, wobble: Wobble, rollouts: Rollouts
+    selection: Selection, whole: TrackFit, jitter: FrameJitter, rollouts: Rollouts
 ) -> dict[str, np.ndarray]:
     """What the figures of a track need."""
-    held_out, fit = ladder.held_out, ladder.best
+    held_out, fit = selection.held_out, selection.best
     arrays: dict[str, np.ndarray] = {}
     for index, piece in enumerate(held_out.pieces):
         arrays[f"observed/{index}"] = piece.states
     ends = zip(rollouts.piece, rollouts.first, rollouts.last, strict=True)
-    forecasts = [Forecast.of(piece, fit, wobble) for piece in held_out.pieces]
+    forecasts = [Forecast.of(piece, fit, jitter) for piece in held_out.pieces]
     for index, (own, a, b) in enumerate(ends):
         arrays[f"predicted/{index}"] = forecasts[own].rollout(int(a), int(b))
         arrays[f"sd/{index}"] = np.sqrt(forecasts[own].variance(int(a), int(b))[-1])
-    if whole.rung.gains:
-        arrays |= _speed_law(ladder.track, whole)
+    if whole.candidate.gains:
+        arrays |= _speed_law(selection.track, whole)
     return arrays
 
 
@@ -250,7 +254,7 @@ def _speed_law(track: Track, fit: TrackFit) -> dict[str, np.ndarray]:
 
 
 def label(name: str) -> str:
-    """A rung's name without those that it extends."""
+    """A candidate's name without those that it extends."""
     first, *others = name.split(" + ")
     return f"+ {others[-1]}" if others else first
 
@@ -363,7 +367,7 @@ def _cell(value: float | None, form: str) -> str:
 
 def run(options: IdentifyOptions) -> CommandResult:
     """Identify as the command line does."""
-    groups: list[LadderSettings | RecordingSettings] = [options.settings]
+    groups: list[IdentifySettings | RecordingSettings] = [options.settings]
     if is_trajectories(options.data):
         data = load(options.data)
     else:
@@ -375,6 +379,6 @@ def run(options: IdentifyOptions) -> CommandResult:
     }
     folder = start_run(IDENTIFY, options, *groups, **identity)
     metrics = fit_recording(
-        options.settings, data, folder, whole_ladder=options.baselines
+        options.settings, data, folder, all_candidates=options.baselines
     )
     return CommandResult(metrics, text(metrics), folder)

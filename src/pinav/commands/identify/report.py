@@ -34,7 +34,7 @@ DRAWN = (
 def identification_sections(folder: RunFolder) -> list[Section]:
     """The sections of a recording's report."""
     metrics = folder.read_json("metrics.json")
-    sections = [Section("The ladder of models", _overview(folder, metrics))]
+    sections = [Section("The selection of models", _overview(folder, metrics))]
     for index, (name, result) in enumerate(metrics["tracks"].items()):
         if "reason" in result:
             text = [Paragraph(f"Not fitted: {result['reason']}")]
@@ -133,8 +133,8 @@ def _estimates(result) -> Table:
         between = positive_interval if name in POSITIVE else interval
         rows.append((name, estimate.value, *between(estimate)))
     note = (
-        "The chosen rung on the whole track, with intervals of 95 %. Angles in rad, "
-        "times in s, frequencies in Hz."
+        "The chosen candidate on the whole track, with intervals of 95 %. "
+        "Angles in rad, times in s, frequencies in Hz."
     )
     return Table(("quantity", "value", "from", "to"), rows, note)
 

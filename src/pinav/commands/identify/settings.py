@@ -17,7 +17,7 @@ from pinav.commands.settings import (
 from pinav.errors import InputError
 
 
-class LadderSettings(Settings, frozen=True):
+class IdentifySettings(Settings, frozen=True):
     """How a recording is split, and how much is fitted."""
 
     share: Annotated[
@@ -28,7 +28,7 @@ class LadderSettings(Settings, frozen=True):
         int,
         tyro.conf.arg(
             help="Recording: at most so many tracks, the longest ones, get residuals "
-            "and all baselines; all get the other rungs."
+            "and all baselines; all get the other candidates."
         ),
     ] = 9
 
@@ -58,7 +58,7 @@ class IdentifyOptions(Settings, frozen=True):
         bool,
         tyro.conf.arg(help="Fit position-dependent residuals and baselines too."),
     ] = False
-    settings: LadderSettings = LadderSettings()
+    settings: IdentifySettings = IdentifySettings()
     recording: RecordingSettings = RecordingSettings()
     config: ConfigFile = None
     resume: Resume = False

@@ -251,7 +251,7 @@ def _tracks_table(found: Quality) -> Table:
         f"error [{length}]",
         f"D [{length}²/{time}]",
     )
-    caption = "D: diffusion or wobble, as far as error and motion leave it."
+    caption = "D: diffusion or jitter, as far as error and motion leave it."
     return Table(header, rows, caption)
 
 

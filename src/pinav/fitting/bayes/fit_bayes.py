@@ -16,7 +16,8 @@ from jaxtyping import PyTree
 from pinav.dynamics import AbstractDynamics, FixedStep
 from pinav.errors import FitError, InputError
 from pinav.fitting.bayes.iterate import BayesProgress, iterate
-from pinav.fitting.bayes.neural import NEURAL, Request
+from pinav.fitting.bayes.neural import Request
+from pinav.fitting.bayes.parameters import learned_environment
 from pinav.fitting.bayes.problem import BayesProblem, Step
 from pinav.fitting.engine.evidence_fit import EvidenceFit
 from pinav.fitting.engine.posterior import Estimate
@@ -101,8 +102,8 @@ _MESSAGES = {
 
 def _begun(request: Request, grids: "_Grids") -> BayesProblem:
     """The fit at its start: from the model's values, or taught by a kernel fit."""
-    taught = isinstance(request.model.environment, NEURAL)
-    if not taught or request.learn is None:
+    environment = learned_environment(request.model)
+    if environment is None or environment.is_linear or request.learn is None:
         return request.problem(request.model)
     teaching, outcome, steps = _refined(request.by_kernels(), grids, TEACHING_STEPS)
     if outcome is Outcome.DIVERGED:
@@ -139,7 +140,7 @@ class _Grids(eqx.Module):
         if environment is None:
             return None
         model = problem.free(jnp.asarray(problem.theta))
-        model = model.with_environment(environment)
+        model = eqx.tree_at(lambda m: m.environment, model, environment)
         return self.begin(model, states=problem.states)
 
 

@@ -29,11 +29,11 @@ from jaxtyping import Float
 
 from pinav.fitting.bayes.distillation import Lesson, forces
 from pinav.fitting.engine.multiple_shooting import FreeModel, freed
-from pinav.fitting.environments.refinement import SINGLE
 from pinav.fitting.evidence.evidence import Hyperparameters, root
-from pinav.fitting.evidence.priors import AbstractPrior
 from pinav.fitting.evidence.weights import AbstractWeights, Inference
 from pinav.fitting.matching.gauss_newton import low_rank
+from pinav.forces import AbstractLearnedForce
+from pinav.forces.priors import AbstractPrior
 
 RANK = 256
 """Tangent directions kept."""
@@ -55,7 +55,7 @@ class Process(eqx.Module):
         chosen: noise, and shape and amplitude of the prior.
     """
 
-    kernels: SINGLE
+    kernels: AbstractLearnedForce
     directions: Float[np.ndarray, "force direction"]
     shapes: Float[np.ndarray, "force shape"]
     chosen: Hyperparameters

@@ -19,24 +19,11 @@ from pinav.fitting.bayes.distillation import Lesson, distilled, lesson
 from pinav.fitting.bayes.function_prior import Process, TangentWeights
 from pinav.fitting.bayes.parameters import num_positions
 from pinav.fitting.bayes.problem import BayesProblem, Step
-from pinav.fitting.environments.kernels import kernel_environment
-from pinav.fitting.environments.refinement import SINGLE
+from pinav.fitting.environments.kernels import lay_kernels
 from pinav.fitting.evidence.evidence import Data, Hyperparameters
 from pinav.fitting.evidence.hyperparameter_uncertainty import shape_changes
-from pinav.fitting.evidence.priors import kernel_prior
-from pinav.forces import (
-    KernelForce,
-    KernelPotential,
-    NeuralForce,
-    NeuralPotential,
-    PositionFeatures,
-)
+from pinav.forces import AbstractLearnedForce
 from pinav.trajectories import Trajectories
-
-NEURAL = NeuralForce | NeuralPotential
-
-KERNELS = {NeuralForce: KernelForce, NeuralPotential: KernelPotential}
-"""The kernels that teach a network of each kind."""
 
 
 class Request(eqx.Module):
@@ -63,8 +50,8 @@ class Request(eqx.Module):
 
     def kernels(self) -> Any:
         """Untrained kernels of the same kind as the network."""
-        kind = KERNELS[type(self.model.environment)]
-        return kernel_environment(kind, self.trajectories, dim=self.dim)
+        places = lay_kernels(self.trajectories, None, self.dim)
+        return self.model.environment.kernels_on(*places)
 
     def problem(self, model: Any, **options) -> BayesProblem:
         """The fit of another model to the same data."""
@@ -75,7 +62,7 @@ class Request(eqx.Module):
     def by_kernels(self) -> BayesProblem:
         """The fit of the kernels."""
         kernels = self.kernels()
-        return self.problem(self.model.with_environment(kernels))
+        return self.problem(eqx.tree_at(lambda m: m.environment, self.model, kernels))
 
     def taught(self, problem: BayesProblem, step: Step) -> BayesProblem:
         """The fit of the network, after the last step of the fit of the kernels."""
@@ -90,14 +77,14 @@ class Request(eqx.Module):
         )
         network = distilled(self.model.environment, places)
         weights, chosen = None, step.inference.hyperparameters
-        if isinstance(network.features, PositionFeatures):
-            prior = kernel_prior(teacher.environment)
+        if network.is_static:
+            prior = teacher.environment.prior()
             data = Data.of(step.quadratic)
             shapes = shape_changes(data, prior, chosen, self.noise)
             process = Process.of(teacher.environment, prior, chosen, places, shapes)
             wanted = np.asarray(places.forces).ravel()
             weights = TangentWeights.of(network, places, process, wanted)
-        start = teacher.with_environment(network)
+        start = eqx.tree_at(lambda m: m.environment, teacher, network)
         return self.problem(
             start, states=states, weights=weights, teacher=problem.linear_fit(step)
         )
@@ -107,7 +94,7 @@ def function_prior(
     request: Request,
     states: Float[np.ndarray, "trajectory time state"],
     chosen: Hyperparameters,
-    kernels: SINGLE | None = None,
+    kernels: AbstractLearnedForce | None = None,
 ) -> TangentWeights:
     """The prior with which a static network was fitted, but for its shape's changes.
 
@@ -127,7 +114,7 @@ def function_prior(
         dim=request.dim,
         width=float(made.width),
     )
-    prior = kernel_prior(made)
+    prior = made.prior()
     none = np.zeros((len(prior.covariance(chosen.shape)), 0))
     process = Process.of(made, prior, chosen, places, none)
     wanted = process.nearest(np.asarray(places.forces).ravel())

@@ -1,5 +1,7 @@
 """What of a model is unknown: its weights, and the constants to be learned."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,26 +12,14 @@ from jaxtyping import Bool, Float
 from pinav.dynamics import Swimmer, with_dtype
 from pinav.errors import InputError
 from pinav.fitting.engine.multiple_shooting import FreeModel, freed
-from pinav.forces import (
-    AbstractLearnedForce,
-    ChangingPotential,
-    KernelForce,
-    KernelMixture,
-    KernelPotential,
-    KernelStream,
-    NeuralForce,
-    NeuralPotential,
-    PositionFeatures,
-    PositionTimeFeatures,
-    TimedKernelPotential,
-)
+from pinav.forces import AbstractLearnedForce
 from pinav.trajectories import Trajectories
 
-SINGLE_KERNELS = KernelForce | KernelPotential | KernelStream | TimedKernelPotential
-"""Environments of kernels on one grid."""
 
-KERNELS = SINGLE_KERNELS | KernelMixture | ChangingPotential
-"""Environments that are linear in their weights."""
+def learned_environment(model: Any) -> AbstractLearnedForce | None:
+    """The environment where it has weights; None where it is a parametric force."""
+    environment = model.environment
+    return environment if isinstance(environment, AbstractLearnedForce) else None
 
 
 def unknowns(model, learn) -> tuple[FreeModel, Float[jax.Array, " parameter"]]:
@@ -44,11 +34,11 @@ def unknowns(model, learn) -> tuple[FreeModel, Float[jax.Array, " parameter"]]:
 
 def _weights(model) -> tuple:
     """The leaves that have a Gaussian prior; none in a parametric environment."""
-    environment = model.environment
-    if isinstance(environment, AbstractLearnedForce):
-        parameters = environment.parameters
-        return parameters if isinstance(parameters, tuple) else (parameters,)
-    return ()
+    environment = learned_environment(model)
+    if environment is None:
+        return ()
+    parameters = environment.parameters
+    return parameters if isinstance(parameters, tuple) else (parameters,)
 
 
 def _trainable(learn):
@@ -77,7 +67,8 @@ def num_positions(model, trajectories: Trajectories) -> int:
         InputError: the trajectories have other channels than the model has states.
     """
     count = len(trajectories.channels)
-    dim = dimension(model.environment)
+    environment = learned_environment(model)
+    dim = None if environment is None else environment.dim
     if isinstance(model, Swimmer):
         dim = count // 2 if dim is None else dim
         fits, expected = count == 2 * dim, f"{2 * dim} channels, positions and"
@@ -93,23 +84,6 @@ def num_positions(model, trajectories: Trajectories) -> int:
     return dim
 
 
-def dimension(environment) -> int | None:
-    """Dimension of the space in which a learned environment acts."""
-    if isinstance(environment, KernelMixture):
-        environment = environment.gradient
-    if isinstance(environment, ChangingPotential):
-        environment = environment.static
-    if isinstance(environment, SINGLE_KERNELS):
-        return environment.centers.shape[1]
-    if isinstance(environment, NeuralForce | NeuralPotential):
-        features = environment.features
-        if isinstance(features, PositionFeatures):
-            return len(features.center)
-        if isinstance(features, PositionTimeFeatures):
-            return len(features.center) - 1
-    return None
-
-
 def parameter_names(free: FreeModel, theta) -> tuple[str, ...]:
     """A name for every entry of the parameter vector: the path of its leaf."""
     leaves, _ = jax.tree_util.tree_flatten_with_path(free.unravel(theta))
@@ -123,7 +97,7 @@ def parameter_names(free: FreeModel, theta) -> tuple[str, ...]:
 
 def check_learned(model, names, flat):
     """Of an environment with weights these alone are learned."""
-    if not isinstance(model.environment, AbstractLearnedForce):
+    if learned_environment(model) is None:
         return
     for name in np.array(names)[flat]:
         if name.startswith("environment."):

@@ -9,9 +9,9 @@ from jaxtyping import Bool, Float
 from pinav.dynamics import FixedStep
 from pinav.errors import FitError, InputError
 from pinav.fitting.bayes.parameters import (
-    KERNELS,
     check_learned,
     is_weight,
+    learned_environment,
     num_positions,
     parameter_names,
     unknowns,
@@ -26,10 +26,8 @@ from pinav.fitting.bayes.steps import (
 )
 from pinav.fitting.engine.multiple_shooting import FreeModel, Linearisation, linearise
 from pinav.fitting.engine.posterior import Posterior
-from pinav.fitting.environments.networks import IsotropicPrior
 from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.evidence.model_evidence import LinearFit
-from pinav.fitting.evidence.priors import kernel_prior
 from pinav.fitting.evidence.quadratic import (
     FlatBlock,
     Quadratic,
@@ -43,7 +41,6 @@ from pinav.fitting.evidence.weights import (
     NoWeights,
 )
 from pinav.fitting.matching.objectives import Observations
-from pinav.forces import NeuralForce, NeuralPotential
 from pinav.trajectories import smoothed_states
 
 
@@ -233,16 +230,15 @@ def _method(
     model, weights: AbstractWeights | None
 ) -> tuple[AbstractWeights, AbstractDescent, float]:
     """Prior of the weights, steps as curved as they are, and when to stop."""
-    environment = model.environment
+    environment = learned_environment(model)
     if weights is not None:
         return weights, ShortenedStep(), NETWORK_TOLERANCE
-    if isinstance(environment, KERNELS):
-        return GaussianWeights(kernel_prior(environment)), FullStep(), TOLERANCE
-    if isinstance(environment, NeuralForce | NeuralPotential):
-        leaves = jax.tree.leaves(eqx.filter(environment.parameters, eqx.is_array))
-        prior = IsotropicPrior(sum(leaf.size for leaf in leaves))
-        return GaussianWeights(prior), ChordSteps(damping=1e3), NETWORK_TOLERANCE
-    return NoWeights(), ChordSteps(damping=1e-2), TOLERANCE
+    if environment is None:
+        return NoWeights(), ChordSteps(damping=1e-2), TOLERANCE
+    weights = GaussianWeights(environment.prior())
+    if environment.is_linear:
+        return weights, FullStep(), TOLERANCE
+    return weights, ChordSteps(damping=1e3), NETWORK_TOLERANCE
 
 
 TOLERANCE, NETWORK_TOLERANCE = 1e-2, 2.0

@@ -4,7 +4,7 @@ A grid of radial basis functions of width b, whose weights have a squared-expone
 covariance, is a Gaussian process: the basis filters the weights.
 """
 
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -82,8 +82,8 @@ def kernel_environment(
         InputError: the observed positions are fewer than two, or all the same, or
             there are no `dim` channels.
     """
-    centers, width = _laid(trajectories, grid, dim)
-    return kernels_on(kind, centers, width)
+    centers, width = lay_kernels(trajectories, grid, dim)
+    return kind.untrained(centers, width)
 
 
 def timed_kernel_environment(
@@ -117,10 +117,10 @@ def timed_kernel_environment(
             "timed_kernel_environment: expected one or more intervals and 100 weights "
             f"for each of 3 splines more, got {intervals} and {max_weights}"
         )
-    centers, width = _laid(trajectories, grid, dim)
+    centers, width = lay_kernels(trajectories, grid, dim)
     while len(centers) * splines > max_weights:
         grid = KernelGrid(grid.across - 1, grid.width, grid.margin)
-        centers, width = _laid(trajectories, grid, dim)
+        centers, width = lay_kernels(trajectories, grid, dim)
     return TimedKernelPotential(
         jnp.zeros((len(centers), splines)),
         jnp.asarray(centers),
@@ -154,20 +154,9 @@ MOST_IN_TIME = 1200
 """Weights of the part that changes, beside some 300 of the static one."""
 
 
-def kernels_on(
-    kind: Any, centers: Float[np.ndarray, "kernel dim"], width: float
-) -> Any:
-    """Kernels of a kind at given places, with weights of zero."""
-    places, scalar = jnp.asarray(centers), jnp.zeros(len(centers))
-    if kind is KernelMixture:
-        gradient = KernelPotential(scalar, places, width)
-        return KernelMixture(gradient, KernelStream(scalar, places, width))
-    return kind(
-        jnp.zeros_like(places) if kind is KernelForce else scalar, places, width
-    )
-
-
-def _laid(trajectories, grid, dim):
+def lay_kernels(
+    trajectories: Trajectories, grid: KernelGrid | None, dim: int | None
+) -> tuple[Float[np.ndarray, "kernel dim"], float]:
     """Centres and width of kernels on a grid around the data."""
     grid = KernelGrid() if grid is None else grid
     count = len(trajectories.channels)

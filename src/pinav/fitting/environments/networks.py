@@ -1,4 +1,4 @@
-"""Neural environments made from data, and the prior of their weights."""
+"""Neural environments made from data."""
 
 from typing import TypeVar
 
@@ -6,7 +6,6 @@ import numpy as np
 from jaxtyping import PRNGKeyArray
 
 from pinav.errors import InputError
-from pinav.fitting.evidence.priors import AbstractPrior
 from pinav.forces import (
     NeuralForce,
     NeuralPotential,
@@ -75,30 +74,3 @@ def _typical_force(trajectories, states, dim, spread) -> float:
     interval = np.diff(trajectories.times, axis=1)[real[:, 1:]]
     speed_squared = np.mean(np.sum((step / interval[:, None]) ** 2, axis=1))
     return float(np.sqrt(speed_squared)) or 1.0
-
-
-class IsotropicPrior(AbstractPrior):
-    """Independent weights of one variance: the prior of a network, without a shape.
-
-    Attributes:
-        count: how many weights.
-
-    References:
-        MacKay, Neural Computation 4, 448 (1992).
-    """
-
-    count: int
-
-    @property
-    def start(self):
-        return np.zeros(0)
-
-    @property
-    def bounds(self):
-        return np.zeros((0, 2))
-
-    def covariance(self, shape):
-        return np.eye(self.count)
-
-    def slopes(self, shape):
-        return np.zeros((0, self.count, self.count))

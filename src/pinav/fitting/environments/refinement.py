@@ -6,30 +6,15 @@ kernel, and no weights repair the misfit: the kernels are then too coarse. With
 $\ell \ge b$ the prior, not the grid, limits the field, and finer kernels change little.
 """
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Float
 
 from pinav.errors import InputError
-from pinav.fitting.environments.kernels import KernelGrid, kernel_environment
-from pinav.fitting.evidence.priors import LOG_RATIO, kernel_prior
-from pinav.forces import (
-    ChangingPotential,
-    KernelForce,
-    KernelMixture,
-    KernelPotential,
-    KernelStream,
-)
+from pinav.fitting.environments.kernels import KernelGrid, lay_kernels
+from pinav.forces import AbstractForce, AbstractLearnedForce
 from pinav.trajectories import Trajectories
-
-SINGLE = KernelForce | KernelPotential | KernelStream
-"""Static environments of kernels on one grid."""
-
-Gridded = SINGLE | KernelMixture | ChangingPotential
-"""Environments whose kernels can be laid anew."""
 
 
 class Refinement(eqx.Module):
@@ -57,19 +42,24 @@ class Refinement(eqx.Module):
                     f"Refinement.{name}: expected > {least}, got {getattr(self, name)}"
                 )
 
-    def wanted(self, environment: Any, shape: Float[np.ndarray, " shape"]) -> bool:
+    def wanted(
+        self, environment: AbstractForce, shape: Float[np.ndarray, " shape"]
+    ) -> bool:
         """Whether the kernels are too coarse; never without a grid of kernels to learn.
 
         Args:
             environment: what was fitted.
-            shape: of its prior (`kernel_prior`), as the evidence chose it; empty where
-                its weights were known.
+            shape: of its prior, as the evidence chose it; empty where its weights were
+                known.
         """
-        if not isinstance(environment, Gridded) or not len(shape):
+        if not isinstance(environment, AbstractLearnedForce) or not len(shape):
             return False
-        return min(length_scales(environment, shape)) < self.shortest
+        scales = environment.length_scales(shape)
+        return min(scales, default=np.inf) < self.shortest
 
-    def finer(self, environment: Gridded, trajectories: Trajectories) -> Gridded | None:
+    def finer(
+        self, environment: AbstractLearnedForce, trajectories: Trajectories
+    ) -> AbstractLearnedForce | None:
         """The untrained environment on a finer grid; None where it has no room.
 
         Its kernels are as far apart as they are wide, and reach as far beyond the data
@@ -79,49 +69,14 @@ class Refinement(eqx.Module):
             environment: one whose kernels are too coarse.
             trajectories: what it is fitted to.
         """
-        static, kind = _static(environment)
-        dim = np.shape(static.centers)[1]
+        dim, width = environment.dim, float(environment.kernels.width)
         seen = trajectories.observed[..., :dim].all(axis=-1)
         extent = np.ptp(trajectories.states[..., :dim][seen], axis=0).max()
-        grid = KernelGrid(across=round(self.factor * extent / float(static.width)))
-        made: Any = kernel_environment(kind, trajectories, grid, dim=dim)
-        if isinstance(environment, ChangingPotential):
-            made = ChangingPotential(made, environment.change)
+        grid = KernelGrid(across=round(self.factor * extent / width))
+        made = environment.kernels_on(*lay_kernels(trajectories, grid, dim))
         count = sum(leaf.size for leaf in jax.tree.leaves(made.parameters))
         return made if count <= self.max_weights else None
 
 
 AS_FINE_AS_ASKED = Refinement()
 """Unless a fit is told otherwise."""
-
-
-def length_scales(
-    environment: Gridded, shape: Float[np.ndarray, " shape"]
-) -> list[float]:
-    r"""Length scale $\ell$ of each part that has a say, in widths of its kernels.
-
-    A part whose amplitude is the lowest that is sought is absent: nothing depends on
-    its length scale. Nor does the grid of a change in time follow its length scale.
-    """
-    first = float(np.exp(shape[0]))
-    if isinstance(environment, SINGLE):
-        return [first]
-    ratio = shape[-1]
-    own = [first] if ratio < ABSENT else []
-    if isinstance(environment, KernelMixture) and ratio > -ABSENT:
-        second = len(kernel_prior(environment.gradient).start)
-        own.append(float(np.exp(shape[second])))
-    return own or [np.inf]
-
-
-ABSENT = 0.5 * LOG_RATIO
-"""Logarithm of a ratio of amplitudes at which one part is all there is."""
-
-
-def _static(environment: Gridded) -> tuple[SINGLE, type]:
-    """The part that does not change with time, and the kind of the whole of it."""
-    if isinstance(environment, KernelMixture):
-        return environment.gradient, KernelMixture
-    if isinstance(environment, ChangingPotential):
-        return environment.static, KernelPotential
-    return environment, type(environment)

@@ -11,7 +11,7 @@ from pinav.fitting.evidence.evidence import (
     posterior_mean,
     shape_slope,
 )
-from pinav.fitting.evidence.priors import AbstractPrior
+from pinav.forces.priors import AbstractPrior
 
 STEP, SHAPE_SD = 1e-3, 2.0
 """Difference step in the shape, and standard deviation of its own prior.

@@ -22,9 +22,9 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.fitting.evidence.evidence import Data, Hyperparameters, log_evidence
-from pinav.fitting.evidence.priors import AbstractPrior
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import AbstractWeights, GaussianWeights
+from pinav.forces.priors import AbstractPrior
 
 LOG_RANGE = 8.0
 """Range of the logarithms of amplitude and noise: a factor of 3000."""

@@ -17,8 +17,8 @@ from pinav.fitting.evidence.evidence import (
     weight_posterior,
 )
 from pinav.fitting.evidence.hyperparameter_uncertainty import shape_covariance
-from pinav.fitting.evidence.priors import AbstractPrior
 from pinav.fitting.evidence.quadratic import Quadratic
+from pinav.forces.priors import AbstractPrior
 
 
 class Inference(eqx.Module):

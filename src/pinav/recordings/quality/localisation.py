@@ -5,7 +5,7 @@ irregular times too. What they leave of independent errors of variance $\sigma^2
 a diffusion $D$ has known covariances at lags 0 to 3, linear in both: errors alone
 correlate over three lags, diffusion over two. Weighted least squares on the measured
 covariances gives both numbers; it extends the covariance estimator to particles that
-are driven. Robots also wobble, which looks like diffusion from row to row, so that the
+are driven. Robots also jitter, which looks like diffusion from row to row, so that the
 scatter of all causes is given beside them.
 
 References:

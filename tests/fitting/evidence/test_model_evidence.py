@@ -8,7 +8,6 @@ import scipy.stats
 from pinav.errors import InputError
 from pinav.fitting import (
     LinearFit,
-    kernels_on,
     model_evidence,
     timed_kernel_environment,
 )
@@ -20,7 +19,6 @@ from pinav.fitting.evidence.evidence import (
     shape_slope,
 )
 from pinav.fitting.evidence.model_evidence import LOG_RANGE
-from pinav.fitting.evidence.priors import AbstractPrior, kernel_prior
 from pinav.fitting.evidence.quadratic import Quadratic, without_flat
 from pinav.fitting.evidence.weights import GaussianWeights, NoWeights
 from pinav.forces import (
@@ -31,15 +29,16 @@ from pinav.forces import (
     KernelStream,
     TimedKernelPotential,
 )
+from pinav.forces.priors import AbstractPrior
 from pinav.trajectories import Trajectories
 
 RNG = np.random.default_rng(0)
 CENTERS = RNG.uniform(-3, 3, size=(7, 2))
 ENVIRONMENTS = {
-    "potential": kernels_on(KernelPotential, CENTERS, 1.0),
-    "force": kernels_on(KernelForce, CENTERS, 1.0),
-    "stream": kernels_on(KernelStream, CENTERS, 1.0),
-    "mixture": kernels_on(KernelMixture, CENTERS, 1.0),
+    "potential": KernelPotential.untrained(CENTERS, 1.0),
+    "force": KernelForce.untrained(CENTERS, 1.0),
+    "stream": KernelStream.untrained(CENTERS, 1.0),
+    "mixture": KernelMixture.untrained(CENTERS, 1.0),
     "in time": TimedKernelPotential(
         jnp.zeros((7, 5)), jnp.asarray(CENTERS), 1.0, 0.0, 1.0
     ),
@@ -48,7 +47,7 @@ ENVIRONMENTS["changing"] = ChangingPotential(
     ENVIRONMENTS["potential"], ENVIRONMENTS["in time"]
 )
 every_prior = pytest.mark.parametrize(
-    "prior", [kernel_prior(e) for e in ENVIRONMENTS.values()], ids=list(ENVIRONMENTS)
+    "prior", [e.prior() for e in ENVIRONMENTS.values()], ids=list(ENVIRONMENTS)
 )
 
 
@@ -106,8 +105,8 @@ def test_the_slope_of_the_evidence_is_its_derivative(prior, noise):
 
 
 def test_a_mixture_without_rotation_is_a_potential():
-    mixture = kernel_prior(ENVIRONMENTS["mixture"])
-    potential = kernel_prior(ENVIRONMENTS["potential"])
+    mixture = ENVIRONMENTS["mixture"].prior()
+    potential = ENVIRONMENTS["potential"].prior()
     shape = inside(potential)
     covariance = mixture.covariance(np.concatenate([shape, shape, [-30.0]]))
     np.testing.assert_allclose(covariance[:7, :7], potential.covariance(shape))
@@ -115,7 +114,7 @@ def test_a_mixture_without_rotation_is_a_potential():
 
 
 def test_a_long_time_makes_a_static_potential():
-    timed, still = (kernel_prior(ENVIRONMENTS[k]) for k in ("in time", "potential"))
+    timed, still = (ENVIRONMENTS[k].prior() for k in ("in time", "potential"))
     shape = inside(still)
     covariance = timed.covariance(np.append(shape, timed.bounds[-1, 1]))
     expected = np.kron(still.covariance(shape), np.ones((5, 5)))

@@ -1,7 +1,8 @@
-r"""Gaussian-process priors of the weights of kernel environments.
+r"""Gaussian priors of the weights of learned forces.
 
-Each has a shape, which the evidence chooses: length scales, envelopes, relative
-amplitudes. The amplitude common to all weights is not part of it.
+That of kernels is a Gaussian process. Each has a shape, which the evidence chooses:
+length scales, envelopes, relative amplitudes. The amplitude common to all weights is
+not part of it.
 """
 
 import abc
@@ -10,15 +11,6 @@ import equinox as eqx
 import numpy as np
 import scipy.linalg
 from jaxtyping import Float
-
-from pinav.forces import (
-    ChangingPotential,
-    KernelForce,
-    KernelMixture,
-    KernelPotential,
-    KernelStream,
-    TimedKernelPotential,
-)
 
 
 class AbstractPrior(eqx.Module):
@@ -47,6 +39,10 @@ class AbstractPrior(eqx.Module):
         """Derivative of the covariance by each entry of the shape."""
 
 
+def _exact(values) -> Float[np.ndarray, "kernel dim"]:
+    return np.asarray(values, float)
+
+
 class WeightPrior(AbstractPrior):
     r"""Gaussian-process prior of the weights of one environment, of unit amplitude.
 
@@ -60,10 +56,14 @@ class WeightPrior(AbstractPrior):
     begins with a wide envelope about the middle of the kernels.
 
     Attributes:
-        environment: the kernels.
+        centers: $c$ of the kernels [L].
+        width: of a kernel [L].
+        components: weights of each kernel, independent of each other.
     """
 
-    environment: KernelForce | KernelPotential | KernelStream
+    centers: Float[np.ndarray, "kernel dim"] = eqx.field(converter=_exact)
+    width: float = eqx.field(converter=float)
+    components: int = 1
 
     @property
     def start(self):
@@ -100,8 +100,8 @@ class WeightPrior(AbstractPrior):
         return covariance * np.outer(envelope, envelope)
 
     def _per_component(self, scalar):
-        if isinstance(self.environment, KernelForce):
-            return np.kron(scalar, np.eye(self._dim))
+        if self.components > 1:
+            return np.kron(scalar, np.eye(self.components))
         return scalar
 
     @property
@@ -111,9 +111,8 @@ class WeightPrior(AbstractPrior):
 
     @property
     def _scaled_centers(self):
-        centers = np.asarray(self.environment.centers, float)
-        middle = (centers.min(axis=0) + centers.max(axis=0)) / 2
-        return (centers - middle) / float(self.environment.width)
+        middle = (self.centers.min(axis=0) + self.centers.max(axis=0)) / 2
+        return (self.centers - middle) / self.width
 
     @property
     def _extent(self):
@@ -121,7 +120,7 @@ class WeightPrior(AbstractPrior):
 
     @property
     def _dim(self):
-        return np.shape(self.environment.centers)[1]
+        return self.centers.shape[1]
 
 
 class MixturePrior(AbstractPrior):
@@ -172,6 +171,9 @@ def _blocks(first, second) -> np.ndarray:
 LOG_RATIO = 8.0
 """Largest logarithm of the ratio of two amplitudes: one part then is nothing."""
 
+ABSENT = 0.5 * LOG_RATIO
+"""Logarithm of a ratio of amplitudes at which one part is all there is."""
+
 
 class TimedPrior(AbstractPrior):
     r"""Prior of a potential that changes with time.
@@ -181,61 +183,64 @@ class TimedPrior(AbstractPrior):
     the prior becomes that of a static potential.
 
     Attributes:
-        environment: the kernels.
+        space: the prior in space.
+        splines: their number.
     """
 
-    environment: TimedKernelPotential
+    space: WeightPrior
+    splines: int
 
     @property
     def start(self):
-        return np.append(self._space.start, 1.0)
+        return np.append(self.space.start, 1.0)
 
     @property
     def bounds(self):
-        return np.concatenate([self._space.bounds, [[-0.5, LOG_STATIC]]])
+        return np.concatenate([self.space.bounds, [[-0.5, LOG_STATIC]]])
 
     def covariance(self, shape):
-        space = self._space.covariance(shape[:-1])
+        space = self.space.covariance(shape[:-1])
         return np.kron(space, np.exp(-0.5 * self._gaps(shape)))
 
     def slopes(self, shape):
         gaps = self._gaps(shape)
         time = np.exp(-0.5 * gaps)
-        slopes = [np.kron(s, time) for s in self._space.slopes(shape[:-1])]
-        space = self._space.covariance(shape[:-1])
+        slopes = [np.kron(s, time) for s in self.space.slopes(shape[:-1])]
+        space = self.space.covariance(shape[:-1])
         return np.stack([*slopes, np.kron(space, gaps * time)])
 
     def _gaps(self, shape):
         """Squared distances in time, in correlation times."""
-        index = np.arange(self.environment.weights.shape[1])
+        index = np.arange(self.splines)
         return ((index[:, None] - index[None]) / np.exp(shape[-1])) ** 2
-
-    @property
-    def _space(self):
-        kernels = self.environment
-        still = KernelPotential(kernels.weights[:, 0], kernels.centers, kernels.width)
-        return WeightPrior(still)
 
 
 LOG_STATIC = 12.0
 r"""$\log\tau$ at which a change in time is too slow for any data to show."""
 
 
-def kernel_prior(
-    environment: KernelForce
-    | KernelPotential
-    | KernelStream
-    | KernelMixture
-    | TimedKernelPotential
-    | ChangingPotential,
-) -> AbstractPrior:
-    """The Gaussian-process prior of a kernel environment."""
-    if isinstance(environment, KernelMixture):
-        first, second = environment.gradient, environment.rotation
-        return MixturePrior(kernel_prior(first), kernel_prior(second))
-    if isinstance(environment, ChangingPotential):
-        first, second = environment.static, environment.change
-        return MixturePrior(kernel_prior(first), kernel_prior(second))
-    if isinstance(environment, TimedKernelPotential):
-        return TimedPrior(environment)
-    return WeightPrior(environment)
+class IsotropicPrior(AbstractPrior):
+    """Independent weights of one variance: the prior of a network, without a shape.
+
+    Attributes:
+        count: how many weights.
+
+    References:
+        MacKay, Neural Computation 4, 448 (1992).
+    """
+
+    count: int
+
+    @property
+    def start(self):
+        return np.zeros(0)
+
+    @property
+    def bounds(self):
+        return np.zeros((0, 2))
+
+    def covariance(self, shape):
+        return np.eye(self.count)
+
+    def slopes(self, shape):
+        return np.zeros((0, self.count, self.count))

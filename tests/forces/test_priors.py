@@ -1,0 +1,82 @@
+"""Every prior of every learned force is a covariance, for any shape in its bounds."""
+
+import inspect
+
+import hypothesis.strategies as st
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+import pinav.forces
+from pinav.forces import (
+    AbstractLearnedForce,
+    ChangingPotential,
+    KernelForce,
+    KernelMixture,
+    KernelPotential,
+    KernelStream,
+    NeuralForce,
+    NeuralPotential,
+    PositionFeatures,
+    TimedKernelPotential,
+    tanh_network,
+)
+
+CENTERS = np.random.default_rng(0).uniform(-3.0, 3.0, size=(9, 2))
+STILL = KernelPotential.untrained(CENTERS, 1.0)
+TIMED = TimedKernelPotential(jnp.zeros((9, 5)), jnp.asarray(CENTERS), 1.0, 0.0, 1.0)
+FEATURES = PositionFeatures((0.0, 0.0), (1.0, 1.0))
+
+
+def network(outputs):
+    return tanh_network(2, outputs, width=3, depth=1, key=jax.random.key(0))
+
+
+FORCES = {
+    KernelForce: KernelForce.untrained(CENTERS, 1.0),
+    KernelPotential: STILL,
+    KernelStream: KernelStream.untrained(CENTERS, 1.0),
+    KernelMixture: KernelMixture.untrained(CENTERS, 1.0),
+    TimedKernelPotential: TIMED,
+    ChangingPotential: ChangingPotential(STILL, TIMED),
+    NeuralForce: NeuralForce(network(2), FEATURES),
+    NeuralPotential: NeuralPotential(network(1), FEATURES),
+}
+every_force = pytest.mark.parametrize("force", FORCES.values(), ids=lambda f: type(f))
+
+
+def test_every_learned_force_is_tried():
+    kinds = {
+        kind
+        for _, kind in inspect.getmembers(pinav.forces, inspect.isclass)
+        if issubclass(kind, AbstractLearnedForce) and not inspect.isabstract(kind)
+    }
+    assert kinds == set(FORCES)
+
+
+@every_force
+@given(data=st.data())
+@settings(max_examples=15)
+def test_a_prior_is_symmetric_and_positive_semidefinite(force, data):
+    prior = force.prior()
+    share = [data.draw(st.floats(0.0, 1.0)) for _ in prior.start]
+    low, high = prior.bounds.T
+    shape = low + np.asarray(share) * (high - low)
+    covariance = prior.covariance(shape)
+    leaves = jax.tree.leaves(force.parameters)
+    size = sum(leaf.size for leaf in leaves if hasattr(leaf, "size"))
+    assert covariance.shape == (size, size)
+    np.testing.assert_array_equal(covariance, covariance.T)
+    values = np.linalg.eigvalsh(covariance)
+    assert values[0] > -1e-10 * max(values[-1], 1e-300)
+
+
+@every_force
+def test_kernels_on_other_places_are_untrained_and_of_that_width(force):
+    made = force.kernels_on(CENTERS[:4], 0.5)
+    assert made.dim == force.dim == 2
+    assert made.kernels.width == 0.5
+    assert not np.any(made.kernels.weights)
+    assert made.is_linear
