@@ -199,9 +199,7 @@ def test_what_cannot_be_kept_or_freed_is_said():
     model, target = tumour()
     base = half_power(model)
     cold = AtMost("an impossible warmth", Coldness(), -60.0, "°C")
-    with pytest.raises(
-        FitError, match="run was found that satisfies: an impossible"
-    ):
+    with pytest.raises(FitError, match="run was found that satisfies: an impossible"):
         optimise(
             base,
             [FreeAmplitudes(1e3, COUNT)],

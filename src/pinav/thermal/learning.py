@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
+from pinav.errors import InputError
 from pinav.fitting import EvidenceFit
 from pinav.fitting.bayes.derived import derived
 from pinav.fitting.engine.posterior import Posterior
@@ -76,6 +77,13 @@ def probe_residuals(
     Raises:
         InputError: a probe is outside the grid, or a reading after the protocol.
     """
+    axes, columns = len(model.grid.shape), data.points.shape[1]
+    if columns != axes:
+        names = "t, r, T" if axes == 1 else ", ".join(("t", *"xyz"[:axes], "T"))
+        raise InputError(
+            f"readings: expected places with {axes} coordinates (columns {names}) for "
+            f"this grid, got {columns}"
+        )
     stepper = default_stepper(model) if stepper is None else stepper
     longest = stepper.longest_step(model)
     return ProbeResiduals(

@@ -39,25 +39,25 @@ class Check(eqx.Module):
 
     Attributes:
         case: name of the case, and where the quantity is taken.
-        found: its value by the solver.
-        true: its exact value.
+        value: its value by the solver.
+        exact: its exact value.
         tolerance: largest difference that a second-order scheme is allowed here.
         unit: of all three.
     """
 
     case: str = eqx.field(static=True)
-    found: Number
-    true: Number
+    value: Number
+    exact: Number
     tolerance: Number
     unit: str = eqx.field(static=True)
 
     @property
     def error(self) -> float:
         """Absolute difference."""
-        return abs(self.found - self.true)
+        return abs(self.value - self.exact)
 
     @property
-    def passed(self) -> bool:
+    def within(self) -> bool:
         """Whether it is within the tolerance."""
         return self.error <= self.tolerance
 
@@ -96,7 +96,7 @@ def powers(edges: Numbers, factors: Numbers) -> Piecewise:
     return Piecewise.constant(edges, amplitudes, 1e5)
 
 
-def validate() -> list[Check]:
+def verify() -> list[Check]:
     """All cases."""
     return [check for case in CASES.values() for check in case()]
 
