@@ -238,7 +238,7 @@ def test_bad_cases_are_refused_in_one_line(tmp_path, capsys, changes, message):
         (
             "learn",
             {"learn": {"data": "probes.csv"}},
-            r"places with 1 coord.* \(columns t, r, T\)",
+            r"1 coordinates .*t, r, T",
         ),
         ("learn", {"probes": {"points": []}}, "learn: expected data, a CSV file, or"),
         ("learn", {"learn": {"noise": -0.1}}, "learn.noise: expected a number >= 0"),

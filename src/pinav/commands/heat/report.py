@@ -113,9 +113,8 @@ def _fields(folder: RunFolder, arrays: Arrays) -> Image:
     if temperature.ndim == 1:
         edge = _edge(arrays)
         steps = np.linspace(0, len(arrays["times"]) - 1, NUM_PROFILES + 1).astype(int)
-        lines = {
-            _minutes(float(arrays["times"][i])): arrays["field"][i] for i in steps[1:]
-        }
+        times = arrays["times"].tolist()
+        lines = {_minutes(times[i]): arrays["field"][i] for i in steps[1:]}
         profiles(arrays["radius"], lines, edge=edge, ax=left)
         dose_profile(arrays["radius"], dose, edge=edge, ax=right)
         caption = "Temperature over the radius, and dose; the tumour's edge is dashed."
