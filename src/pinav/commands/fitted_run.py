@@ -207,8 +207,8 @@ def build_model(header: ModelHeader, system: System) -> AbstractDynamics:
 
 def save_data(folder: RunFolder, data: Trajectories) -> None:
     """Keep the trajectories that are fitted."""
-    if not folder.has(DATA_FILE):
-        save(data, folder.path / DATA_FILE)
+    save(data, folder.path / DATA_FILE, overwrite=True)
+    folder.record(DATA_FILE)
 
 
 def write_model(
@@ -295,6 +295,7 @@ def _process_arrays(fit: EvidenceFit) -> dict[str, np.ndarray]:
 def _read_evidence(
     folder: RunFolder, choice: ModelChoice, model: AbstractDynamics
 ) -> EvidenceResult:
+    folder.check_file(POSTERIOR_FILE)
     stored = folder.read_arrays(POSTERIOR_FILE)
     try:
         free, theta = freed(model, choice.trainable)
@@ -326,8 +327,8 @@ def _read_evidence(
         if isinstance(error, InputError):
             raise
         raise InputError(
-            f"{folder.path / POSTERIOR_FILE} is damaged ({error}); fit again with "
-            "--overwrite"
+            f"{folder.path / POSTERIOR_FILE} is damaged ({error}); "
+            f"{folder.repair(POSTERIOR_FILE)}"
         ) from error
 
 
