@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-from pinav.dynamics import AbstractDynamics, FixedStep
+from pinav.dynamics import AbstractDynamics, FixedStep, Swimmer
 from pinav.errors import FitError, InputError
 from pinav.fitting.bayes.iterate import BayesProgress, iterate
 from pinav.fitting.bayes.neural import Request
@@ -24,7 +24,7 @@ from pinav.fitting.engine.posterior import Estimate
 from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED, Refinement
 from pinav.fitting.outcome import Outcome
 from pinav.forces import AbstractForce
-from pinav.trajectories import Trajectories
+from pinav.trajectories import Trajectories, with_velocities
 
 
 def fit_bayes(
@@ -56,7 +56,8 @@ def fit_bayes(
             such as `kernel_environment` and `neural_environment` make, all weights
             are learned; with any other force what `learn` picks of it. The fit starts
             from the model's values.
-        trajectories: what was observed; any entries may be missing.
+        trajectories: what was observed; any entries may be missing, and the velocities
+            of a swimmer with inertia altogether.
         learn: picks a constant to learn too, such as `lambda m: m.drag.damping`, or
             a tuple of them; `lambda m: m.environment` picks all numbers of a
             parametric force. None where all of the model is known: the starts alone
@@ -76,6 +77,8 @@ def fit_bayes(
             not converge and `throw` is true.
     """
     _check(model, noise, max_iterations)
+    if isinstance(model, Swimmer):
+        trajectories = with_velocities(trajectories)
     with jax.enable_x64(new_val=True):
         solver = FixedStep() if solver is None else solver
         request = Request(model, trajectories, learn, noise, solver)
