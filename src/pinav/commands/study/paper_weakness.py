@@ -43,8 +43,8 @@ from pinav.evaluation import (
     summarise,
 )
 from pinav.figures import save_figure
-from pinav.figures.errors import error_over_time, errors_by_region, style_of_model
-from pinav.figures.style import new_figure, title_panel
+from pinav.figures.errors import error_over_time, errors_by_region
+from pinav.figures.style import new_figure, style_of, title_panel
 from pinav.fitting import KernelGrid, fit, fit_bayes
 from pinav.report import Image, Paragraph, Section, Table
 from pinav.runs import RunFolder
@@ -55,9 +55,9 @@ UDE, KERNEL = "UDE with time, one trajectory", "kernel potential, several"
 PHYSICS = "physics only"
 
 STYLES = {
-    UDE: style_of_model("ude"),
-    KERNEL: style_of_model("kernel-potential"),
-    PHYSICS: style_of_model("physics-only"),
+    UDE: style_of("ude"),
+    KERNEL: style_of("kernel-potential"),
+    PHYSICS: style_of("physics-only"),
 }
 
 
