@@ -18,7 +18,7 @@ from pinav.dynamics import AbstractDynamics, FixedStep, with_dtype
 from pinav.errors import InputError
 from pinav.evaluation.scores import require_x64
 from pinav.fitting import Outcome
-from pinav.fitting.engine.multiple_shooting import FreeModel, advanced, linearise
+from pinav.fitting.engine.multiple_shooting import ParametricModel, advanced, linearise
 from pinav.fitting.matching.objectives import Observations
 from pinav.trajectories import Trajectories, smoothed_states
 
@@ -73,7 +73,7 @@ def estimate_starts(
     dim = head.dim
     states = jnp.asarray(smoothed_states(head, dim))
     scale = np.maximum(np.ptp(np.asarray(states), axis=1), np.finfo(float).tiny)
-    free = FreeModel(with_dtype(dynamics, jnp.float64), _nothing)
+    free = ParametricModel(with_dtype(dynamics, jnp.float64), _nothing)
     observations = Observations.of(head, jnp.float64)
     solver = FixedStep(substeps=4) if solver is None else solver
     nothing, settled = jnp.zeros(0), np.zeros(len(head), bool)

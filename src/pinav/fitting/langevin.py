@@ -23,7 +23,7 @@ from pinav.dynamics import (
 from pinav.errors import InputError
 from pinav.fitting.bayes.parameters import learned_environment
 from pinav.fitting.engine.evidence_fit import EvidenceFit
-from pinav.fitting.engine.multiple_shooting import freed
+from pinav.fitting.engine.multiple_shooting import ravel_model
 from pinav.fitting.engine.posterior import Estimate, Posterior
 from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED, Refinement
 from pinav.fitting.evidence.model_evidence import LinearFit
@@ -141,7 +141,7 @@ def fit_langevin(
 
 def _inferred(swimmer: OverdampedSwimmer, increments: "Increments", noise):
     """The weights on the kernels as they are, and what they were inferred from."""
-    free, theta = freed(swimmer, lambda m: m.environment.parameters)
+    free, theta = ravel_model(swimmer, lambda m: m.environment.parameters)
     quadratic = _regression(free, jnp.zeros_like(theta), increments)
     environment: Any = swimmer.environment
     weights = GaussianWeights(environment.prior())

@@ -19,18 +19,22 @@ from jaxtyping import Array, Bool, Float, PyTree
 from pinav.errors import FitError, InputError
 from pinav.fitting.bayes.iterate import (
     DEFECT_TOLERANCE,
-    BayesProgress,
+    EvidenceProgress,
     iterate,
 )
 from pinav.fitting.bayes.parameters import parameter_names
 from pinav.fitting.bayes.problem import Step
-from pinav.fitting.bayes.steps import AbstractLocal, ChordSteps, Move
+from pinav.fitting.bayes.steps import AbstractLocalModel, ChordSteps, Move
 from pinav.fitting.engine.evidence_fit import EvidenceFit
-from pinav.fitting.engine.multiple_shooting import FreeModel, Prediction, freed
+from pinav.fitting.engine.multiple_shooting import (
+    ParametricModel,
+    Prediction,
+    ravel_model,
+)
 from pinav.fitting.engine.posterior import Estimate, Posterior
 from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.evidence.model_evidence import LinearFit
-from pinav.fitting.evidence.quadratic import Quadratic, joint_posterior, without_flat
+from pinav.fitting.evidence.quadratic import Quadratic, eliminate_flat, joint_posterior
 from pinav.fitting.evidence.weights import AbstractWeights, GaussianWeights, NoWeights
 from pinav.fitting.outcome import Outcome
 from pinav.forces.priors import AbstractPrior
@@ -58,7 +62,7 @@ def fit_regression(
     noise: float | None = None,
     tolerance: float = 1e-2,
     max_iterations: int = 30,
-    on_step: Callable[[BayesProgress], None] | None = None,
+    on_step: Callable[[EvidenceProgress], None] | None = None,
     throw: bool = True,
 ) -> EvidenceFit:
     """Fit parameters of a model to data by what it predicts of them.
@@ -121,7 +125,7 @@ class Regression(eqx.Module):
         tolerance: change of the log evidence at which the fit ends.
     """
 
-    free: FreeModel
+    free: ParametricModel
     residuals: Residuals
     theta: Float[np.ndarray, " parameter"]
     weights: AbstractWeights
@@ -143,7 +147,7 @@ class Regression(eqx.Module):
             raise InputError(
                 "fit_regression: nothing to learn; pick weights or constants"
             )
-        free, theta = freed(model, chosen)
+        free, theta = ravel_model(model, chosen)
         marks = free.unravel(jnp.zeros_like(theta))
         if own := jax.tree.leaves(constants(marks)):
             ones = [jnp.ones_like(leaf) for leaf in own]
@@ -194,7 +198,7 @@ class Regression(eqx.Module):
             num_free=len(right),
             log_determinant=0.0,
         )
-        quadratic, block = without_flat(whole, self.flat)
+        quadratic, block = eliminate_flat(whole, self.flat)
         weights = self.weights.about(move.theta[~self.flat])
         found = weights.infer(quadratic, shape, self.noise)
         chosen = found.hyperparameters
@@ -264,7 +268,7 @@ class Regression(eqx.Module):
         )
 
 
-class LocalRegression(AbstractLocal):
+class LocalRegression(AbstractLocalModel):
     """A regression near one point.
 
     Attributes:
@@ -277,7 +281,7 @@ class LocalRegression(AbstractLocal):
         energy: what the prior says beyond the precision.
     """
 
-    free: FreeModel
+    free: ParametricModel
     residuals: Residuals
     theta: Float[np.ndarray, " parameter"]
     jacobian: Float[np.ndarray, "residual parameter"]

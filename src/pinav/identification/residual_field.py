@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.fitting import LinearFit, freed, model_evidence
+from pinav.fitting import LinearFit, model_evidence, ravel_model
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.identification.fit import TrackFit
@@ -99,7 +99,7 @@ class _Problem:
 
     def __init__(self, track: Track, base: TrackFit, environment):
         self.base = base
-        self.free, start = freed(environment, lambda e: e.parameters)
+        self.free, start = ravel_model(environment, lambda e: e.parameters)
         self.start = np.asarray(start)
         self.blocks = jax.tree.map(jnp.asarray, Blocks.of(track))
         whitened = compiled_whitened(

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pinav.fitting.bayes.distillation import Lesson, forces
+from pinav.fitting.bayes.distillation import DistillationTargets, forces
 from pinav.fitting.bayes.function_prior import Process, TangentWeights
 from pinav.fitting.bayes.steps import ShortenedStep
 from pinav.fitting.evidence.evidence import (
@@ -36,7 +36,7 @@ def kernels():
 def places(kernels):
     positions = jnp.asarray(np.random.default_rng(1).uniform(-0.5, 3.5, (60, 2)))
     times = jnp.zeros(60)
-    return Lesson(times, positions, forces(kernels, times, positions))
+    return DistillationTargets(times, positions, forces(kernels, times, positions))
 
 
 @pytest.fixture(scope="module")

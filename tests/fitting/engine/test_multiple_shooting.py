@@ -8,10 +8,10 @@ from pinav.dynamics import RK4, FixedStep, Swimmer
 from pinav.fitting.engine.multiple_shooting import (
     advanced,
     eliminate,
-    freed,
     linearise,
     predict,
     pull_back,
+    ravel_model,
     sensitivities,
 )
 from pinav.fitting.matching.objectives import Observations
@@ -33,7 +33,7 @@ STARTS = jnp.array([[-1.0, 0.1, 1.2, 0.3], [1.5, -0.5, -0.4, 0.9]])
 
 def make(environment):
     swimmer = Swimmer(ZeroForce(), LinearDrag(0.4), environment)
-    return freed(swimmer, lambda m: (m.environment.weights, m.drag.damping))
+    return ravel_model(swimmer, lambda m: (m.environment.weights, m.drag.damping))
 
 
 @eqx.filter_jit

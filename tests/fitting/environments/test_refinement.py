@@ -1,5 +1,6 @@
 """Kernels are laid anew where the evidence finds them too coarse, and only there."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np

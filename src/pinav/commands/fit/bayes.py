@@ -23,8 +23,8 @@ from pinav.fitting import (
     Posterior,
     fit_bayes,
     fit_langevin,
-    freed,
     principal_drags,
+    ravel_model,
     rotational_fraction,
 )
 from pinav.fitting.bayes.function_prior import TangentWeights
@@ -165,7 +165,7 @@ def read_posterior(settings: FitSettings, folder: RunFolder) -> Posterior:
     """
     model = folder.read_model(MODEL_FILE, build_model)
     stored = folder.read_arrays(POSTERIOR_FILE)
-    free, _ = freed(model, fit_trainable(settings))
+    free, _ = ravel_model(model, fit_trainable(settings))
     return Posterior(free, stored["mean"], stored["covariance"])
 
 

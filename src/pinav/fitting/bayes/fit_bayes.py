@@ -15,8 +15,8 @@ from jaxtyping import PyTree
 
 from pinav.dynamics import AbstractDynamics, FixedStep
 from pinav.errors import FitError, InputError
-from pinav.fitting.bayes.iterate import BayesProgress, iterate
-from pinav.fitting.bayes.neural import Request
+from pinav.fitting.bayes.iterate import EvidenceProgress, iterate
+from pinav.fitting.bayes.neural import FitSpecification
 from pinav.fitting.bayes.parameters import learned_environment
 from pinav.fitting.bayes.problem import BayesProblem, Step
 from pinav.fitting.engine.evidence_fit import EvidenceFit
@@ -36,7 +36,7 @@ def fit_bayes(
     solver: FixedStep | None = None,
     refine: Refinement | None = AS_FINE_AS_ASKED,
     max_iterations: int = 20,
-    on_step: Callable[[BayesProgress], None] | None = None,
+    on_step: Callable[[EvidenceProgress], None] | None = None,
     throw: bool = True,
 ) -> EvidenceFit:
     r"""Fit the environment of a swimmer, and constants, to noisy trajectories.
@@ -78,7 +78,7 @@ def fit_bayes(
     _check(model, noise, max_iterations)
     with jax.enable_x64(new_val=True):
         solver = FixedStep() if solver is None else solver
-        request = Request(model, trajectories, learn, noise, solver)
+        request = FitSpecification(model, trajectories, learn, noise, solver)
         grids = _Grids(request.problem, refine, trajectories)
         result = _result(
             *_refined(_begun(request, grids), grids, max_iterations, on_step)
@@ -100,7 +100,7 @@ _MESSAGES = {
 }
 
 
-def _begun(request: Request, grids: "_Grids") -> BayesProblem:
+def _begun(request: FitSpecification, grids: "_Grids") -> BayesProblem:
     """The fit at its start: from the model's values, or taught by a kernel fit."""
     environment = learned_environment(request.model)
     if environment is None or environment.is_linear or request.learn is None:
@@ -148,7 +148,7 @@ def _refined(
     problem: BayesProblem,
     grids: _Grids,
     max_iterations: int,
-    on_step: Callable[[BayesProgress], None] | None = None,
+    on_step: Callable[[EvidenceProgress], None] | None = None,
 ) -> tuple[BayesProblem, Outcome, list[Step]]:
     """Steps on kernels as fine as the evidence asks for.
 

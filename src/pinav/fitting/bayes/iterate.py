@@ -17,7 +17,7 @@ ROUNDING = 1e-9
 """Defects at which another step changes nothing but the last digits of the evidence."""
 
 
-class BayesProgress(eqx.Module):
+class EvidenceProgress(eqx.Module):
     """What a progress bar shows after each step.
 
     Attributes:
@@ -44,7 +44,7 @@ PROBES = 2
 def iterate(
     problem: Any,
     max_iterations: int,
-    on_step: Callable[[BayesProgress], None] | None = None,
+    on_step: Callable[[EvidenceProgress], None] | None = None,
     enough: Callable[[Step], bool] = lambda _: False,
 ) -> tuple[Outcome, list[Step]]:
     """Steps until they converge, diverge, run out, or are not worth going on with.
@@ -84,9 +84,9 @@ def _attempt(problem, move, shape, *, begun: bool) -> Step | None:
         raise
 
 
-def _progress(steps: list[Step], total: int) -> BayesProgress:
+def _progress(steps: list[Step], total: int) -> EvidenceProgress:
     chosen, defect = steps[-1].inference.hyperparameters, steps[-1].defect
-    return BayesProgress(
+    return EvidenceProgress(
         done=len(steps),
         total=total,
         unknowns=len(steps[-1].covariance),

@@ -15,18 +15,22 @@ import numpy as np
 from jaxtyping import Float, PyTree
 
 from pinav.dynamics import FixedStep
-from pinav.fitting.bayes.distillation import Lesson, distilled, lesson
+from pinav.fitting.bayes.distillation import (
+    DistillationTargets,
+    distil,
+    distillation_targets,
+)
 from pinav.fitting.bayes.function_prior import Process, TangentWeights
 from pinav.fitting.bayes.parameters import num_positions
 from pinav.fitting.bayes.problem import BayesProblem, Step
 from pinav.fitting.environments.kernels import lay_kernels
-from pinav.fitting.evidence.evidence import Data, Hyperparameters
+from pinav.fitting.evidence.evidence import Hyperparameters, LinearisedObservations
 from pinav.fitting.evidence.hyperparameter_uncertainty import shape_changes
 from pinav.forces import AbstractLearnedForce
 from pinav.trajectories import Trajectories
 
 
-class Request(eqx.Module):
+class FitSpecification(eqx.Module):
     """What is asked of a fit.
 
     Attributes:
@@ -68,18 +72,18 @@ class Request(eqx.Module):
         """The fit of the network, after the last step of the fit of the kernels."""
         teacher = problem.free(jnp.asarray(step.move.theta))
         states = np.asarray(step.move.states)
-        places = lesson(
+        places = distillation_targets(
             teacher.environment,
             self.trajectories,
             states,
             dim=self.dim,
             width=float(teacher.environment.width),
         )
-        network = distilled(self.model.environment, places)
+        network = distil(self.model.environment, places)
         weights, chosen = None, step.inference.hyperparameters
         if network.is_static:
             prior = teacher.environment.prior()
-            data = Data.of(step.quadratic)
+            data = LinearisedObservations.of(step.quadratic)
             shapes = shape_changes(data, prior, chosen, self.noise)
             process = Process.of(teacher.environment, prior, chosen, places, shapes)
             wanted = np.asarray(places.forces).ravel()
@@ -91,7 +95,7 @@ class Request(eqx.Module):
 
 
 def function_prior(
-    request: Request,
+    request: FitSpecification,
     states: Float[np.ndarray, "trajectory time state"],
     chosen: Hyperparameters,
     kernels: AbstractLearnedForce | None = None,
@@ -107,7 +111,7 @@ def function_prior(
     """
     made: Any = request.kernels() if kernels is None else kernels
     network = request.model.environment
-    places: Lesson = lesson(
+    places: DistillationTargets = distillation_targets(
         network,
         request.trajectories,
         states,

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 
 from pinav.dynamics import Swimmer, with_dtype
 from pinav.errors import InputError
-from pinav.fitting.engine.multiple_shooting import FreeModel, freed
+from pinav.fitting.engine.multiple_shooting import ParametricModel, ravel_model
 from pinav.forces import AbstractLearnedForce
 from pinav.trajectories import Trajectories
 
@@ -22,14 +22,14 @@ def learned_environment(model: Any) -> AbstractLearnedForce | None:
     return environment if isinstance(environment, AbstractLearnedForce) else None
 
 
-def unknowns(model, learn) -> tuple[FreeModel, Float[jax.Array, " parameter"]]:
+def unknowns(model, learn) -> tuple[ParametricModel, Float[jax.Array, " parameter"]]:
     """The model as a function of what is learned, if anything is, and its start."""
     exact = with_dtype(model, jnp.float64)
     if learn is None:
         nothing, known = eqx.partition(exact, lambda _: False)
-        return FreeModel(known, ravel_pytree(nothing)[1]), jnp.zeros(0)
+        return ParametricModel(known, ravel_pytree(nothing)[1]), jnp.zeros(0)
     _check_selection(model, learn)
-    return freed(exact, _trainable(learn))
+    return ravel_model(exact, _trainable(learn))
 
 
 def _weights(model) -> tuple:
@@ -50,7 +50,7 @@ def _trainable(learn):
     return select
 
 
-def is_weight(free: FreeModel, theta) -> Bool[np.ndarray, " parameter"]:
+def is_weight(free: ParametricModel, theta) -> Bool[np.ndarray, " parameter"]:
     """Which entries of the parameter vector are weights of the environment."""
     marks = free.unravel(jnp.zeros_like(theta))
     if jax.tree.leaves(_weights(marks)):
@@ -84,7 +84,7 @@ def num_positions(model, trajectories: Trajectories) -> int:
     return dim
 
 
-def parameter_names(free: FreeModel, theta) -> tuple[str, ...]:
+def parameter_names(free: ParametricModel, theta) -> tuple[str, ...]:
     """A name for every entry of the parameter vector: the path of its leaf."""
     leaves, _ = jax.tree_util.tree_flatten_with_path(free.unravel(theta))
     names = []

@@ -17,22 +17,26 @@ from pinav.fitting.bayes.parameters import (
     unknowns,
 )
 from pinav.fitting.bayes.steps import (
-    AbstractDescent,
+    AbstractStepRule,
     ChordSteps,
     FullStep,
     Local,
     Move,
     ShortenedStep,
 )
-from pinav.fitting.engine.multiple_shooting import FreeModel, Linearisation, linearise
+from pinav.fitting.engine.multiple_shooting import (
+    Linearisation,
+    ParametricModel,
+    linearise,
+)
 from pinav.fitting.engine.posterior import Posterior
 from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.evidence.model_evidence import LinearFit
 from pinav.fitting.evidence.quadratic import (
     FlatBlock,
     Quadratic,
+    eliminate_flat,
     joint_posterior,
-    without_flat,
 )
 from pinav.fitting.evidence.weights import (
     AbstractWeights,
@@ -86,12 +90,12 @@ class BayesProblem(eqx.Module):
         teacher: the fit that chose the prior of the weights, where it was another.
     """
 
-    free: FreeModel
+    free: ParametricModel
     theta: Float[np.ndarray, " parameter"]
     states: Float[jax.Array, "trajectory time state"]
     num_free: int
     weights: AbstractWeights
-    descent: AbstractDescent
+    descent: AbstractStepRule
     tolerance: float
     names: tuple[str, ...]
     flat: Bool[np.ndarray, " parameter"]
@@ -157,7 +161,7 @@ class BayesProblem(eqx.Module):
         _check_starts(linear)
         if not np.all(np.isfinite(linear.hessian)):
             return None
-        quadratic, block = without_flat(self.quadratic(theta, linear), self.flat)
+        quadratic, block = eliminate_flat(self.quadratic(theta, linear), self.flat)
         weights = self.weights.about(theta[~self.flat])
         found = weights.infer(quadratic, shape, self.noise)
         chosen = found.hyperparameters
@@ -228,7 +232,7 @@ class BayesProblem(eqx.Module):
 
 def _method(
     model, weights: AbstractWeights | None
-) -> tuple[AbstractWeights, AbstractDescent, float]:
+) -> tuple[AbstractWeights, AbstractStepRule, float]:
     """Prior of the weights, steps as curved as they are, and when to stop."""
     environment = learned_environment(model)
     if weights is not None:

@@ -16,8 +16,8 @@ from jaxtyping import Array, Float
 
 from pinav.dynamics import FixedStep
 from pinav.fitting.engine.multiple_shooting import (
-    FreeModel,
     Linearisation,
+    ParametricModel,
     Prediction,
     advanced,
     predict,
@@ -32,7 +32,7 @@ EXPONENTS = range(-3, 2)
 """Dampings tried, as powers of ten of the last one."""
 
 
-class AbstractLocal(eqx.Module):
+class AbstractLocalModel(eqx.Module):
     r"""A fit near one point.
 
     $|r|^2/\sigma^2 + \sum_i p_i \theta_i^2 + E(\theta)$ is minimised.
@@ -91,7 +91,7 @@ class AbstractLocal(eqx.Module):
         return self.pull_back(residuals) / self.noise**2 + self.precision * theta
 
 
-class Local(AbstractLocal):
+class Local(AbstractLocalModel):
     """A lifted fit of trajectories near one point.
 
     Attributes:
@@ -106,7 +106,7 @@ class Local(AbstractLocal):
         energy: what the prior says beyond the precision.
     """
 
-    free: FreeModel
+    free: ParametricModel
     observations: Observations
     solver: FixedStep
     theta: Float[np.ndarray, " parameter"]
@@ -146,27 +146,27 @@ class Move(eqx.Module):
 
     theta: Float[np.ndarray, " parameter"]
     states: Float[Array, "trajectory time state"]
-    descent: "AbstractDescent"
+    descent: "AbstractStepRule"
 
 
-class AbstractDescent(eqx.Module):
+class AbstractStepRule(eqx.Module):
     """Chooses the next point of linearisation."""
 
     @abc.abstractmethod
     def __call__(
-        self, local: AbstractLocal, mean: Float[np.ndarray, " parameter"]
+        self, local: AbstractLocalModel, mean: Float[np.ndarray, " parameter"]
     ) -> Move:
         """The next point, given the `mean` of the linear model's posterior."""
 
 
-class FullStep(AbstractDescent):
+class FullStep(AbstractStepRule):
     """To the mean of the posterior: right for a model linear in its parameters."""
 
     def __call__(self, local, mean):
         return Move(mean, local.advanced(mean), self)
 
 
-class ShortenedStep(AbstractDescent):
+class ShortenedStep(AbstractStepRule):
     """To the mean of the posterior, or as far towards it as lowers the true cost.
 
     For a model that is nearly linear, because it starts close to its best fit.
@@ -188,7 +188,7 @@ HALVINGS = 8
 """Lengths tried at most."""
 
 
-class ChordSteps(AbstractDescent):
+class ChordSteps(AbstractStepRule):
     r"""Damped steps with the true residuals and the Jacobian held.
 
     For several dampings $\lambda$ and $P$, the Hessian of the cost, a few times

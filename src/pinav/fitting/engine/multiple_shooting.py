@@ -26,7 +26,7 @@ from pinav.fitting.matching.fit import Trainable, split_trainable
 from pinav.fitting.matching.objectives import Observations
 
 
-class FreeModel(eqx.Module):
+class ParametricModel(eqx.Module):
     """A model as a function of the vector of its free parameters.
 
     Attributes:
@@ -42,9 +42,9 @@ class FreeModel(eqx.Module):
         return eqx.combine(self.unravel(theta), self.static)
 
 
-def freed(
+def ravel_model(
     model: Any, trainable: Trainable
-) -> tuple[FreeModel, Float[Array, " parameter"]]:
+) -> tuple[ParametricModel, Float[Array, " parameter"]]:
     """The model as a function of the selected leaves, and their values, in float64.
 
     Raises:
@@ -52,7 +52,7 @@ def freed(
     """
     free, static = split_trainable(model, trainable, jnp.float64)
     theta, unravel = ravel_pytree(free)
-    return FreeModel(static, unravel), theta
+    return ParametricModel(static, unravel), theta
 
 
 class Sensitivities(eqx.Module):
@@ -68,7 +68,7 @@ class Sensitivities(eqx.Module):
 
 
 def sensitivities(
-    free: FreeModel,
+    free: ParametricModel,
     theta: Float[Array, " parameter"],
     states: Float[Array, "time state"],
     times: Float[Array, " time"],
@@ -135,7 +135,7 @@ class Linearisation(eqx.Module):
 
 @eqx.filter_jit
 def linearise(
-    free: FreeModel,
+    free: ParametricModel,
     theta: Float[Array, " parameter"],
     states: Float[Array, "trajectory time state"],
     observations: Observations,
@@ -228,7 +228,7 @@ class Prediction(eqx.Module):
 
 @eqx.filter_jit
 def predict(
-    free: FreeModel,
+    free: ParametricModel,
     theta: Float[Array, " parameter"],
     states: Float[Array, "trajectory time state"],
     observations: Observations,
