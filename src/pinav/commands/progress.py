@@ -68,7 +68,7 @@ class BayesReporter(AbstractReporter):
     def __call__(self, progress: EvidenceProgress) -> None:
         """Take note of one step."""
         self.bar.set_postfix_str(
-            f"{progress.unknowns} unknowns, noise {progress.noise:.3g}, log evidence "
+            f"{progress.parameters} unknowns, noise {progress.noise:.3g}, log evidence "
             f"{progress.log_evidence:.1f}, defect {progress.defect:.0e}",
             refresh=False,
         )
@@ -77,7 +77,7 @@ class BayesReporter(AbstractReporter):
             {
                 "model": self.label,
                 "step": progress.done,
-                "unknowns": progress.unknowns,
+                "unknowns": progress.parameters,
                 "noise": progress.noise,
                 "log_evidence": progress.log_evidence,
                 "defect": progress.defect,

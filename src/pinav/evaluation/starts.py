@@ -18,7 +18,8 @@ from pinav.dynamics import AbstractDynamics, FixedStep, with_dtype
 from pinav.errors import InputError
 from pinav.evaluation.scores import require_x64
 from pinav.fitting import Outcome
-from pinav.fitting.engine.multiple_shooting import ParametricModel, advanced, linearise
+from pinav.fitting.engine.multiple_shooting import advance, linearise
+from pinav.fitting.engine.parametric_model import ParametricModel
 from pinav.fitting.matching.objectives import Observations
 from pinav.trajectories import Trajectories, smoothed_states
 
@@ -79,7 +80,7 @@ def estimate_starts(
     nothing, settled = jnp.zeros(0), np.zeros(len(head), bool)
     for _ in range(STEPS):
         linear = linearise(free, nothing, states, observations, solver)
-        moved = advanced(states, linear, nothing)
+        moved = advance(states, linear, nothing)
         change = np.abs(np.asarray(moved - states)).max(axis=1) / scale
         settled = (change < TOLERANCE).all(axis=1)
         states = moved

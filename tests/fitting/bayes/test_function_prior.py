@@ -7,7 +7,7 @@ import pytest
 
 from pinav.fitting.bayes.distillation import DistillationTargets, forces
 from pinav.fitting.bayes.function_prior import Process, TangentWeights
-from pinav.fitting.bayes.steps import ShortenedStep
+from pinav.fitting.engine.steps import ShortenedStep
 from pinav.fitting.evidence.evidence import (
     Data,
     Hyperparameters,

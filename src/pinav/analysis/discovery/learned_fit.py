@@ -10,7 +10,7 @@ from pinav.analysis.discovery.refit import Lifted, Refit, RefitProblem
 from pinav.dynamics import FixedStep, Swimmer, with_dtype
 from pinav.errors import FitError
 from pinav.fitting import Outcome, Posterior
-from pinav.fitting.engine.multiple_shooting import ravel_model
+from pinav.fitting.engine.parametric_model import ravel_model
 from pinav.fitting.matching.fit import Trainable
 from pinav.trajectories import Trajectories, smoothed_states
 

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from pinav.analysis.discovery.laws import AbstractLaw, LawForce, Role
 from pinav.dynamics import FixedStep, Swimmer, with_dtype
 from pinav.fitting import Outcome
-from pinav.fitting.engine.multiple_shooting import ParametricModel, ravel_model
+from pinav.fitting.engine.parametric_model import ParametricModel, ravel_model
 from pinav.trajectories import Trajectories
 
 MAX_ITERATIONS = 40

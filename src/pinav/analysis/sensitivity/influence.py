@@ -23,8 +23,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
-from jaxtyping import ArrayLike, Bool, Float, PyTree
+from jaxtyping import ArrayLike, Float, PyTree
 
 from pinav.dynamics import FixedStep
 from pinav.errors import FitError, InputError
@@ -33,6 +32,7 @@ from pinav.fitting.bayes.neural import FitSpecification, function_prior
 from pinav.fitting.bayes.parameters import learned_environment
 from pinav.fitting.bayes.problem import BayesProblem
 from pinav.fitting.engine.multiple_shooting import linearise, sensitivities
+from pinav.fitting.engine.parametric_model import selected_entries
 from pinav.fitting.evidence.quadratic import Quadratic, eliminate_flat, joint_posterior
 from pinav.forces import KernelForce, KernelPotential
 from pinav.trajectories import Trajectories
@@ -171,7 +171,7 @@ def _influence(problem, model, chosen, learn, constants) -> Influence:
     free, theta = ravel_model(
         model, lambda m: (*_selected(m, learn), *(pick(m) for pick in picked))
     )
-    learned = _positions(free, theta, lambda m: _selected(m, learn))
+    learned = selected_entries(free, len(theta), lambda m: _selected(m, learn))
     places = {name: _place(name, free, theta, constants[name]) for name in constants}
     each = _linearised(problem, free, theta)
     hessian = np.sum([hessian for hessian, _ in each], axis=0)
@@ -206,17 +206,9 @@ def _selected(model, learn):
     return *weights, *(picked if isinstance(picked, tuple | list) else (picked,))
 
 
-def _positions(free: ParametricModel, theta, pick) -> Bool[np.ndarray, " parameter"]:
-    """Which entries of the parameter vector are among those picked."""
-    marks = free.unravel(jnp.zeros_like(theta))
-    if jax.tree.leaves(pick(marks)):
-        marks = eqx.tree_at(pick, marks, jax.tree.map(jnp.ones_like, pick(marks)))
-    return np.asarray(ravel_pytree(marks)[0]) > 0
-
-
 def _place(name, free: ParametricModel, theta, pick) -> int:
     """Where a constant stands in the parameter vector."""
-    places = np.flatnonzero(_positions(free, theta, pick))
+    places = np.flatnonzero(selected_entries(free, len(theta), pick))
     if len(places) != 1:
         raise InputError(
             f"influence constants: {name} is {len(places)} numbers; expected one"

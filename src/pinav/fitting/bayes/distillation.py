@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.fitting.engine.multiple_shooting import ParametricModel, ravel_model
+from pinav.fitting.engine.parametric_model import ParametricModel, ravel_model
 from pinav.fitting.matching.gauss_newton import chord, low_rank
 from pinav.forces import AbstractForce, kernel_centers
 from pinav.trajectories import Trajectories

@@ -28,7 +28,7 @@ import scipy.linalg
 from jaxtyping import Float
 
 from pinav.fitting.bayes.distillation import DistillationTargets, forces
-from pinav.fitting.engine.multiple_shooting import ParametricModel, ravel_model
+from pinav.fitting.engine.parametric_model import ParametricModel, ravel_model
 from pinav.fitting.evidence.evidence import Hyperparameters, root
 from pinav.fitting.evidence.weights import AbstractWeights, Inference
 from pinav.fitting.matching.gauss_newton import low_rank

@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import ArrayLike, Float, PRNGKeyArray
 
 from pinav.dynamics import FixedStep
-from pinav.fitting.engine.multiple_shooting import ParametricModel, sensitivities
+from pinav.fitting.engine.multiple_shooting import sensitivities
+from pinav.fitting.engine.parametric_model import ParametricModel
 
 
 class Estimate(eqx.Module):

@@ -21,11 +21,8 @@ from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray
 
 from pinav.dynamics import AbstractDynamics, FixedStep
 from pinav.errors import InputError
-from pinav.fitting.engine.multiple_shooting import (
-    ParametricModel,
-    eliminate,
-    sensitivities,
-)
+from pinav.fitting.engine.multiple_shooting import eliminate, sensitivities
+from pinav.fitting.engine.parametric_model import ParametricModel
 from pinav.fitting.engine.posterior import Posterior
 from pinav.navigation.design.candidates import CandidateTrajectories, Experiment
 from pinav.navigation.task.zones import Rectangle
