@@ -77,7 +77,7 @@ def weakness(settings: StudySettings, folder: RunFolder) -> dict[str, Any]:
     ude = _stored(folder, "model-ude.eqx", _fit_ude, settings, single)
     kernel = _stored(folder, "model-kernel.eqx", _fit_kernel, settings, several)
     physics = paper().swimmer
-    held = held_out("paper", until=20.0, count=settings.held_out)
+    held = held_out(paper(), until=20.0, count=settings.held_out)
     chosen = {UDE: (ude, single), KERNEL: (kernel, clean), PHYSICS: (physics, single)}
     metrics: dict[str, Any] = {"study": "paper-weakness", "models": {}}
     metrics |= {"recipe": settings.recipe, "seed": seed, "count": settings.count}
