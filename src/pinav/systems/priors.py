@@ -90,13 +90,11 @@ class LogNormal(AbstractPrior):
 
     @property
     def log_height(self):
-        width = math.log(self.deviation * math.sqrt(2 * math.pi))
-        return 0.5 * self.deviation**2 - math.log(self.median) - width
+        return -math.log(self.median * self.deviation * math.sqrt(2 * math.pi))
 
     def standardised(self, value):
-        # completes the square: the density per unit of x has a factor 1/x
-        logarithm = jnp.log(jnp.asarray(value)) - math.log(self.median)
-        return logarithm / self.deviation + self.deviation
+        # the density of log x: its mode is the median, however wide it is
+        return jnp.log(jnp.asarray(value) / self.median) / self.deviation
 
     def log_density(self, value):
         logarithm = jnp.log(jnp.asarray(value))

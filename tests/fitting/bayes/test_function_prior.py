@@ -9,8 +9,8 @@ from pinav.fitting.bayes.distillation import DistillationTargets, forces
 from pinav.fitting.bayes.function_prior import Process, TangentWeights
 from pinav.fitting.engine.steps import ShortenedStep
 from pinav.fitting.evidence.evidence import (
-    Data,
     Hyperparameters,
+    LinearisedObservations,
     log_evidence,
     weight_posterior,
 )
@@ -85,7 +85,7 @@ def test_a_network_that_is_linear_has_the_posterior_of_the_process(
     """Kernels, taken for a network: their own prior comes out."""
     found = about(kernels, places, process).about(np.zeros(len(GRID)))
     inference = found.infer(quadratic, found.start, None)
-    data, chosen = Data.of(quadratic), process.chosen
+    data, chosen = LinearisedObservations.of(quadratic), process.chosen
     prior = kernels.prior().covariance(chosen.shape)
     mean, covariance = weight_posterior(data, prior, chosen)
     to_force = slopes(kernels, places)

@@ -180,7 +180,7 @@ class BayesProblem(AbstractProblem):
         observed = int(np.asarray(self.observations.observed).sum())
         return observed - self.states[:, 0].size
 
-    def linearise(self, theta, states):
+    def linearise(self, theta, states: Any):  # with dynamics there are states
         linear = linearise(
             self.parametric, jnp.asarray(theta), states, self.observations, self.solver
         )

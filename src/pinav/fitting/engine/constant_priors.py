@@ -3,7 +3,8 @@ r"""Priors of learned constants, as observations of the constants themselves.
 A prior is written as $\exp(-z(\theta)^2/2)$ with a standardised value $z$. In a sum of
 squares whose residuals have the standard deviation $\sigma$ it is one more residual,
 $\sigma z$. While $\sigma$ is estimated, its last estimate stands there: at convergence
-the two agree.
+the two agree. While the noise is estimated, a constant that the data pull $z$ standard
+deviations away from its prior counts as one residual of that size.
 """
 
 import equinox as eqx
@@ -87,4 +88,5 @@ class ConstantPriors(eqx.Module):
             jax.value_and_grad(prior.standardised)(jnp.asarray(theta[entry]))
             for entry, prior in zip(self.entries, self.priors, strict=True)
         ]
-        return tuple(np.array([float(p[k]) for p in pairs]) for k in (0, 1))
+        values, slopes = np.array(pairs, float).T
+        return values, slopes
