@@ -12,7 +12,7 @@ from pinav.arguments import Scalar, check_positive
 from pinav.errors import InputError
 
 
-class AbstractPrior(eqx.Module):
+class AbstractNumberPrior(eqx.Module):
     """Probability density of a number before the data are seen."""
 
     @abc.abstractmethod
@@ -29,7 +29,7 @@ class AbstractPrior(eqx.Module):
         r"""$z$ with a density proportional to $\exp(-z^2/2)$."""
 
 
-class Flat(AbstractPrior):
+class Flat(AbstractNumberPrior):
     """No preference for any value."""
 
     @property
@@ -43,7 +43,7 @@ class Flat(AbstractPrior):
         return jnp.zeros_like(jnp.asarray(value, float))
 
 
-class Normal(AbstractPrior):
+class Normal(AbstractNumberPrior):
     r"""Normal distribution, $\exp(-(x - \mu)^2 / 2 \sigma^2)$.
 
     Attributes:
@@ -71,7 +71,7 @@ class Normal(AbstractPrior):
         return -0.5 * ((jnp.asarray(value) - self.mean) / self.deviation) ** 2
 
 
-class LogNormal(AbstractPrior):
+class LogNormal(AbstractNumberPrior):
     r"""Log-normal distribution of a positive number.
 
     Attributes:
@@ -111,7 +111,7 @@ class FreeNumber(eqx.Module):
     """
 
     path: str = eqx.field(static=True)
-    prior: AbstractPrior = Flat()
+    prior: AbstractNumberPrior = Flat()
 
     def pick(self, swimmer: PyTree) -> PyTree:
         """The number, or the numbers of a vector or tensor, of a swimmer.
