@@ -164,7 +164,7 @@ def test_a_kernel_fit_without_a_trajectory_solves_its_normal_equations():
         own = jax.tree.map(lambda a, i=index: a[i : i + 1], problem.observations)
         states = problem.states[index : index + 1]
         linear = linearise(
-            problem.free, jnp.asarray(theta), states, own, problem.solver
+            problem.parametric, jnp.asarray(theta), states, own, problem.solver
         )
         each.append((np.asarray(linear.hessian), np.asarray(linear.gradient)))
 

@@ -149,6 +149,10 @@ class Bowl:
 
     theta = np.zeros(1)
 
+    @property
+    def local(self):
+        return self
+
     def predict(self, theta):
         return _Found(theta)
 

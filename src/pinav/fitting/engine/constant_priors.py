@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.fitting.evidence.quadratic import Quadratic
-from pinav.systems.priors import AbstractPrior
+from pinav.systems.priors import AbstractNumberPrior
 
 
 class ConstantPriors(eqx.Module):
@@ -26,7 +26,7 @@ class ConstantPriors(eqx.Module):
     """
 
     entries: tuple[int, ...] = eqx.field(static=True, default=())
-    priors: tuple[AbstractPrior, ...] = ()
+    priors: tuple[AbstractNumberPrior, ...] = ()
 
     def add_to(self, quadratic: Quadratic, noise: float) -> Quadratic:
         """The sum of squares with one more residual for each prior.
