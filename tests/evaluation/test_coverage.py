@@ -61,7 +61,7 @@ def shots():
     """Two crossings, and a posterior of the barrier's height alone."""
     scenario = barrier_crossings(count=2)
     scenario = eqx.tree_at(
-        lambda s: (s.noise, s.times, s.environment.height),
+        lambda s: (s.observation.noise, s.times, s.environment.height),
         scenario,
         (0.0, scenario.times[:41], jnp.asarray(5.25)),
     )

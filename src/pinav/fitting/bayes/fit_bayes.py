@@ -10,7 +10,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from pinav.dynamics import AbstractDynamics, FixedStep
+from pinav.dynamics import AbstractDynamics, FixedStep, Swimmer
 from pinav.errors import InputError
 from pinav.fitting.bayes.neural import FitSpecification
 from pinav.fitting.bayes.parameters import Learn, learned_environment
@@ -24,7 +24,7 @@ from pinav.fitting.environments.refinement import (
 )
 from pinav.fitting.outcome import Outcome
 from pinav.forces import AbstractForce
-from pinav.trajectories import Trajectories
+from pinav.trajectories import Trajectories, with_velocities
 
 
 def fit_bayes(
@@ -56,7 +56,8 @@ def fit_bayes(
             such as `kernel_environment` and `neural_environment` make, all weights
             are learned; with any other force what `learn` picks of it. The fit starts
             from the model's values.
-        trajectories: what was observed; any entries may be missing.
+        trajectories: what was observed; any entries may be missing, and the velocities
+            of a swimmer with inertia altogether.
         learn: picks a constant to learn too, such as `lambda m: m.drag.damping`, or
             a tuple of them; `lambda m: m.environment` picks all numbers of a
             parametric force. None where all of the model is known: the starts alone
@@ -76,6 +77,8 @@ def fit_bayes(
             not converge and `throw` is true.
     """
     _check(model, noise, max_iterations)
+    if isinstance(model, Swimmer):
+        trajectories = with_velocities(trajectories)
     with jax.enable_x64(new_val=True):
         solver = FixedStep() if solver is None else solver
         specification = FitSpecification(model, trajectories, learn, noise, solver)
