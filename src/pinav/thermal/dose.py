@@ -116,7 +116,7 @@ def _counted_rate(temperature: Any, cutoff: Any) -> Field:
     return jnp.where(temperature >= cutoff, rate, 0.0)
 
 
-def _crossed(begin: Any, end: Any, bound: Any) -> Array:
+def _crossed(begin: Any, end: Any, bound: Any) -> Any:
     return (begin < bound) != (end < bound)
 
 
@@ -154,7 +154,7 @@ def _share(begin: Any, end: Any, low: Any, high: Any) -> Field:
     its derivative would be noise.
     """
 
-    def within(temperature: Any) -> Array:
+    def within(temperature: Any) -> Any:
         return (temperature >= low) & (temperature < high)
 
     crosses = within(begin) != within(end)

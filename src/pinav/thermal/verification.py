@@ -114,9 +114,9 @@ def _steady(
 def _checks(
     case: str, points: Any, values: Any, true: Any, tolerance: float, unit: str = "K"
 ) -> Iterator[Check]:
-    for point, value, exact in zip(points, values, true, strict=True):
+    for point, value, expected in zip(points, values, true, strict=True):
         name = f"{case}, {1e3 * point:g} mm"
-        yield Check(name, float(value), float(exact), tolerance, unit)
+        yield Check(name, float(value), float(expected), tolerance, unit)
 
 
 def _slabs() -> Iterator[Check]:
