@@ -33,7 +33,7 @@ from pinav.figures.style import (
     add_legend,
     label_axes,
     new_figure,
-    prepared,
+    prepare_axes,
 )
 from pinav.files import write_text
 from pinav.fitting import GaussNewton, Problem, TrajectoryLoss, curriculum, fit_many
@@ -202,7 +202,7 @@ def figure(measured: Measured) -> Figure:
 
 def panel(name: str, times: Mapping[int, float], *, ax: Axes | None = None) -> Axes:
     """Time over number on logarithmic axes, and a line of slope one."""
-    ax = prepared(ax)
+    ax = prepare_axes(ax)
     numbers, seconds = np.array(list(times)), np.array(list(times.values()))
     ax.plot(numbers, seconds, "o-", color=BLUE, label=f"slope {slope(times):.2f}")
     linear = seconds[0] * numbers / numbers[0]

@@ -1,9 +1,10 @@
 # %% [markdown]
 """From A to B through an unknown obstacle.
 
-Synthetic shots at a Gaussian barrier that is stronger than the thrust, noise 0.02. A
-kernel potential is fitted; then: how soon can the goal be reached from where, does a
-controller that knows only the fit get there, and which trajectory would tell most?
+Synthetic trajectories at a Gaussian barrier that is stronger than the thrust, noise
+0.02. A kernel potential is fitted; then the example shows from where and how soon the
+goal can be reached, whether a controller that knows only the fit gets there, and which
+further trajectory would be most informative.
 """
 
 # %%
@@ -27,7 +28,7 @@ from pinav.navigation.control.default import controller
 from pinav.navigation.control.simple import StraightLine, steered
 from pinav.navigation.design.candidates import Experiment
 from pinav.navigation.design.information import suggest
-from pinav.navigation.design.prior import Unknown, doubt
+from pinav.navigation.design.prior import PriorField, prior_uncertainty
 from pinav.navigation.planning.plan import time_to_go
 from pinav.navigation.task.catalogue import task, training
 from pinav.navigation.task.zones import Rectangle
@@ -105,22 +106,22 @@ experiment = Experiment(
     noise=np.full(4, fit.hyperparameters.noise),
     duration=8.0,
 )
-open_questions = doubt(
+uncertainty = prior_uncertainty(
     fit.model,
     data,
     fit.states,
     noise=fit.hyperparameters.noise,
-    unknown=Unknown(crossing.arena, strength=0.4),
+    prior=PriorField(crossing.arena, strength=0.4),
 )
 ranking = suggest(
-    open_questions,
+    uncertainty,
     np.asarray(route.ys[::10, :2]),
     experiment,
     arena=crossing.arena,
     key=jax.random.key(3),
-    candidates=24,
+    num_candidates=24,
 )
-best = ranking.shots[ranking.best]
+best = ranking.candidates[ranking.best]
 print(f"headings: {np.round(np.asarray(best.heading), 2)}")
 print(
     f"sd of the force along the route: {ranking.sd_now:.2g} -> {ranking.sd.min():.2g}"

@@ -24,9 +24,9 @@ from pinav.analysis import (
     RolloutStudy,
     helmholtz_split,
     influence,
+    lyapunov_map,
     rotational_fractions,
     sampled_forces,
-    stretch_map,
 )
 from pinav.evaluation import field_map
 from pinav.figures import helmholtz_figure, save_figure
@@ -95,8 +95,8 @@ for name, change in found.constants.items():
 # %%
 start, times = fit.states[0, 0], data.times[0]
 axis = np.linspace(0.0, 10.0, 6)
-stretch = stretch_map(fit.model, axis, axis, times, velocity=lambda _: start[2:])
-print(f"greatest stretch of the final position: {stretch.stretch.max():.3g}")
+growth = lyapunov_map(fit.model, axis, axis, times, velocity=lambda _: start[2:])
+print(f"greatest Lyapunov exponent over this time: {growth.exponent.max():.3g}")
 
 study = RolloutStudy(fit.model, start, times, np.array([5.0, 5.0]), tolerance=0.35)
 indices = study.indices(study.factors(relative=0.1, shift=0.1), samples=64)

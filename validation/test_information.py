@@ -18,9 +18,14 @@ import pytest
 from pinav.actuation import LinearResponse
 from pinav.fitting import fit_bayes, kernel_environment
 from pinav.forces import KernelPotential
-from pinav.navigation.design.candidates import Experiment, Shots, begins, in_sequence
+from pinav.navigation.design.candidates import (
+    CandidateTrajectories,
+    Experiment,
+    begins,
+    in_sequence,
+)
 from pinav.navigation.design.information import inside, suggest
-from pinav.navigation.design.prior import Unknown, doubt
+from pinav.navigation.design.prior import PriorField, prior_uncertainty
 from pinav.navigation.task.steering import CommandLimits, RollingActuator
 from pinav.navigation.task.zones import Rectangle
 from pinav.scenarios import many_barriers
@@ -53,37 +58,38 @@ class Laboratory:
             8.0,
         )
         first, self.noises, self.choices = jax.random.split(jax.random.key(seed), 3)
-        self.shots: list[Shots] = []
+        self.candidates: list[CandidateTrajectories] = []
         self.data = []
         empty = self.truth.without_environment()
         for _ in range(KNOWN):
             first, key = jax.random.split(first)
             self.record(self.random(empty, key))
 
-    def random(self, model, key) -> Shots:
-        """A random shot that the model expects to stay inside."""
+    def random(self, model, key) -> CandidateTrajectories:
+        """A random candidate that the model expects to stay inside."""
         pool = self.experiment.draw(40, key=key)
         stays = np.asarray(inside(model, self.experiment, pool, ARENA))
         return pool[int(np.flatnonzero(stays)[0])]
 
-    def suggested(self, key) -> Shots:
-        """The shot that should tell most of the route."""
+    def suggested(self, key) -> CandidateTrajectories:
+        """The candidate that should tell most of the route."""
         fit = self.fit
-        open_questions = doubt(
+        assert fit.states is not None
+        uncertainty = prior_uncertainty(
             fit.model,
             concatenate(self.data),
             fit.states,
             noise=fit.hyperparameters.noise,
-            unknown=Unknown(ARENA, THRUST / 2),
+            prior=PriorField(ARENA, THRUST / 2),
         )
-        found = suggest(open_questions, ROUTE, self.experiment, arena=ARENA, key=key)
-        return found.shots[found.best]
+        found = suggest(uncertainty, ROUTE, self.experiment, arena=ARENA, key=key)
+        return found.candidates[found.best]
 
-    def record(self, shot: Shots) -> None:
-        """Observe a shot, with its own span of the clock."""
-        index = len(self.shots)
+    def record(self, candidate: CandidateTrajectories) -> None:
+        """Observe a candidate, with its own span of the clock."""
+        index = len(self.candidates)
         begin = float(begins(self.experiment, index + 1)[index])
-        thrust = self.experiment.thrust(shot, begin)
+        thrust = self.experiment.thrust(candidate, begin)
         driven = dataclasses.replace(self.truth, propulsion=thrust)
         made = System(
             name="many-barriers",
@@ -91,21 +97,21 @@ class Laboratory:
             dim=2,
             environment=driven.environment,
             observation=Observation(NOISE),
-            starts=shot.starts[None],
+            starts=candidate.starts[None],
             times=self.experiment.times + begin,
         )
-        self.shots.append(shot)
+        self.candidates.append(candidate)
         self.data.append(simulate(made, key=jax.random.fold_in(self.noises, index)))
 
     def learn(self) -> float:
         """Fit everything; the relative error of the force along the route."""
         data = concatenate(self.data)
-        shots = jax.tree.map(lambda *leaves: jnp.stack(leaves), *self.shots)
+        candidates = jax.tree.map(lambda *leaves: jnp.stack(leaves), *self.candidates)
         model = eqx.tree_at(
             lambda s: (s.propulsion, s.environment),
             self.truth,
             (
-                in_sequence(self.experiment, shots),
+                in_sequence(self.experiment, candidates),
                 kernel_environment(KernelPotential, data),
             ),
         )

@@ -17,7 +17,7 @@ from pinav.figures.style import (
     add_legend,
     label_axes,
     new_figure,
-    prepared,
+    prepare_axes,
 )
 
 PAPER_RMSE = 0.015
@@ -45,7 +45,7 @@ def convergence(curves: Mapping[str, np.ndarray], *, ax: Axes | None = None) -> 
             by name of the contestant.
         ax: where to draw; new axes unless given.
     """
-    ax = prepared(ax)
+    ax = prepare_axes(ax)
     for name, curve in curves.items():
         color, dash, marker = _STYLES.get(name, (GREY, ":", ""))
         ax.plot(

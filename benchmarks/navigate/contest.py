@@ -19,15 +19,20 @@ from pinav.navigation.control.simple import (
     LineOfSight,
     StraightLine,
     physics_only,
-    steered,
+    steered_swimmer,
 )
 from pinav.navigation.reference.gaussian_process import gaussian_process
 from pinav.navigation.task.catalogue import TASKS, task, training
-from pinav.navigation.task.objectives import Follow
+from pinav.navigation.task.objectives import FollowPath
 from pinav.navigation.task.steering import SteeredSwimmer
 from pinav.navigation.task.task import Task
-from pinav.navigation.trials.closed_loop import Episodes, joined, run, run_many
-from pinav.navigation.trials.metrics import regret, summary, wilson
+from pinav.navigation.trials.closed_loop import (
+    Episodes,
+    concatenate_episodes,
+    run,
+    run_many,
+)
+from pinav.navigation.trials.metrics import proportion, regret, summary
 from pinav.runs import RunFolder
 
 MODELS: dict[str, ModelName] = {
@@ -69,7 +74,7 @@ class Knowledge(eqx.Module):
 
 
 def learned(name: str, draw: int, samples: int, folder: RunFolder) -> Knowledge:
-    """Fit a task's surroundings; a fit that the folder holds is read."""
+    """Fit a task's time_cost; a fit that the folder holds is read."""
     source = TASKS[name][1]
     data = training(name, jax.random.key(1000 + draw))
     settings = FitSettings(model=MODELS.get(source, "kernel-potential"))
@@ -88,9 +93,9 @@ def learned(name: str, draw: int, samples: int, folder: RunFolder) -> Knowledge:
     baseline = gaussian_process(known, data)
     own = task(name)
     return Knowledge(
-        steered(own, model),
-        tuple(steered(own, one) for one in drawn),
-        steered(own, baseline),
+        steered_swimmer(own, model),
+        tuple(steered_swimmer(own, one) for one in drawn),
+        steered_swimmer(own, baseline),
     )
 
 
@@ -147,7 +152,7 @@ def _episodes(
     if once:
         return run_many(own, make(own, draws[0]), keys)
     shares = np.split(np.arange(len(keys)), design.fits)
-    return joined(
+    return concatenate_episodes(
         [
             run_many(own, make(own, known), keys[share])
             for known, share in zip(draws, shares, strict=True)
@@ -159,9 +164,9 @@ def _row(own: Task, episodes: Episodes) -> dict[str, Any]:
     """Metrics of a controller, as JSON."""
     found = summary(episodes, own)
     row = controller_row(found)
-    if isinstance(own.objective, Follow):
+    if isinstance(own.objective, FollowPath):
         row |= {"tracking": found.tracking, "tracking_rms": found.tracking_rms}
     else:
         lost = len(episodes.steps) - int(episodes.reached.sum())
-        row["failed"] = interval(wilson(lost, len(episodes.steps)))
+        row["failed"] = interval(proportion(lost, len(episodes.steps)))
     return row

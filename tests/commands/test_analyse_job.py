@@ -21,7 +21,7 @@ SMALL = ["--points", "21", "--draws", "4", "--samples", "8"]
 @pytest.fixture(autouse=True, scope="module")
 def few_starts():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(analyse, "STRETCH_POINTS", 5)
+        patch.setattr(analyse, "LYAPUNOV_POINTS", 5)
         yield
 
 

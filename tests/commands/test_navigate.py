@@ -9,7 +9,7 @@ import pytest
 
 from pinav import cli
 from pinav.commands.navigate.settings import NavigateSettings, numbers
-from pinav.commands.navigate.setup import prepared
+from pinav.commands.navigate.setup import navigation_problem
 from pinav.commands.navigate.tables import text
 from pinav.errors import InputError
 from pinav.runs import RunFolder
@@ -131,20 +131,22 @@ def test_a_recording_gives_a_rolling_robot_in_its_drift(tmp_path):
             "drift x": {"value": 0.3, "sd": 0.1},
         },
     )
-    mission = prepared(settings(arena="-5,-5,15,15", keep_out=("4,4,1",)), folder)
+    problem = navigation_problem(
+        settings(arena="-5,-5,15,15", keep_out=("4,4,1",)), folder
+    )
     command = jnp.array([3.0, np.pi / 2])
-    rate = mission.model(0.0, jnp.zeros(2), command)
+    rate = problem.model(0.0, jnp.zeros(2), command)
     effective = 3.0 / np.sqrt(1 + (3.0 / 4.0) ** 2)
     np.testing.assert_allclose(rate, [0.3 - 0.5 * effective, 2.0 * effective])
-    assert mission.task.limits.max_frequency == 10.0
-    assert mission.units == {"x": "um", "t": "s"}
-    assert float(mission.task.keep_out[0].distance(jnp.array([4.0, 6.0]))) == 1.0
+    assert problem.task.limits.max_frequency == 10.0
+    assert problem.units == {"x": "um", "t": "s"}
+    assert float(problem.task.keep_out[0].distance(jnp.array([4.0, 6.0]))) == 1.0
 
 
 def test_an_arena_that_is_not_given_holds_both_ends(tmp_path):
     own = {"gain": [[1.0, 0.0], [0.0, 1.0]], "response": "linear", "estimates": {}}
     folder = recording(tmp_path / "run", **own)
-    arena = prepared(settings(), folder).task.arena
+    arena = navigation_problem(settings(), folder).task.arena
     for place in ([0.5, 1.0], [9.5, 9.5]):
         assert float(arena.distance(jnp.array(place))) < -1.0
 
@@ -152,4 +154,4 @@ def test_an_arena_that_is_not_given_holds_both_ends(tmp_path):
 def test_a_recording_without_propulsion_is_refused(tmp_path):
     folder = recording(tmp_path / "run", gain=None)
     with pytest.raises(InputError, match="no track has a fitted propulsion"):
-        prepared(settings(), folder)
+        navigation_problem(settings(), folder)

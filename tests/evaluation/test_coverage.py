@@ -7,14 +7,14 @@ import pytest
 from pinav.evaluation import (
     Bands,
     FieldMap,
-    Recovered,
-    covered,
+    ParameterRecovery,
     estimate_starts,
     estimated_start_bands,
     exact_start_bands,
     force_coverage,
+    fraction_inside,
+    inside_band,
     rollout_coverage,
-    share,
 )
 from pinav.fitting import Posterior, freed
 from pinav.scenarios import barrier_crossings
@@ -27,16 +27,17 @@ SD = 1e-3
 def test_normal_errors_are_covered_as_often_as_nominal():
     random = np.random.default_rng(0)
     sd = random.uniform(0.5, 2.0, (4, 5000))
-    inside = covered(sd * random.standard_normal(sd.shape), sd)
-    assert share(inside, np.ones(sd.shape, bool)) == pytest.approx(0.95, abs=0.01)
-    narrow = covered(2 * sd * random.standard_normal(sd.shape), sd)
-    assert share(narrow, np.ones(sd.shape, bool)) == pytest.approx(0.673, abs=0.02)
-    assert np.isnan(share(inside, np.zeros(sd.shape, bool)))
+    inside = inside_band(sd * random.standard_normal(sd.shape), sd)
+    every = np.ones(sd.shape, bool)
+    assert fraction_inside(inside, every) == pytest.approx(0.95, abs=0.01)
+    narrow = inside_band(2 * sd * random.standard_normal(sd.shape), sd)
+    assert fraction_inside(narrow, every) == pytest.approx(0.673, abs=0.02)
+    assert np.isnan(fraction_inside(inside, np.zeros(sd.shape, bool)))
 
 
 def test_what_is_not_finite_is_not_covered():
     errors, sd = np.array([0.1, np.nan, 0.1, np.inf]), np.array([1.0, 1, np.nan, 1])
-    assert covered(errors, sd).tolist() == [True, False, False, False]
+    assert inside_band(errors, sd).tolist() == [True, False, False, False]
 
 
 def test_coverage_is_told_by_region():
@@ -123,8 +124,8 @@ def test_noise_of_the_first_samples_widens_the_band(shots):
 
 
 def test_a_recovered_constant_has_a_z_score():
-    found = Recovered("damping", true=0.36, value=0.37, sd=0.005)
+    found = ParameterRecovery("damping", true=0.36, value=0.37, sd=0.005)
     assert found.z == pytest.approx(2.0)
     assert found.relative_error == pytest.approx(0.01 / 0.36)
-    assert Recovered("gain", 0.0, 0.1, None).z is None
-    assert np.isnan(Recovered("gain", 0.0, 0.1, None).relative_error)
+    assert ParameterRecovery("gain", 0.0, 0.1, None).z is None
+    assert np.isnan(ParameterRecovery("gain", 0.0, 0.1, None).relative_error)

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from pinav import report
-from pinav.analysis import SobolIndices, StretchMap, helmholtz_split
+from pinav import figures
+from pinav.analysis import LyapunovMap, SobolIndices, helmholtz_split
 from pinav.evaluation import FieldMap
-from pinav.figures.analysis import energy_unit
+from pinav.figures.style import force_unit, with_order, with_unit
 
 UNITS = {"x": "um", "y": "um", "t": "s", "vx": "um/s", "vy": "um/s"}
 AXIS = np.linspace(-3.0, 3.0, 21)
@@ -28,34 +28,34 @@ def bars(figure):
 
 
 def potential():
-    return report.potential_map(GRID[..., 0], field(), path=PATH, units=UNITS).figure
+    return figures.potential_map(GRID[..., 0], field(), path=PATH, units=UNITS).figure
 
 
 def trust():
     sd = np.full((*GRID.shape[:2], 2), 0.1)
-    return report.trust_map(field(), sd, path=PATH, units=UNITS).figure
+    return figures.trust_map(field(), sd, path=PATH, units=UNITS).figure
 
 
 def parts():
     own = field()
     split = helmholtz_split(own)
-    return report.helmholtz_figure(split, own, spread=0.01, path=PATH, units=UNITS)
+    return figures.helmholtz_figure(split, own, spread=0.01, path=PATH, units=UNITS)
 
 
 def influence():
     changes = np.stack([k * field().force for k in (0.1, 0.3, 0.2)])
-    return report.influence_figure(changes, field(), [PATH] * 3, most=2, units=UNITS)
+    return figures.influence_figure(changes, field(), [PATH] * 3, most=2, units=UNITS)
 
 
 def constants():
     slopes = {"damping": field().force, "gain": -field().force}
-    return report.constants_figure(slopes, field(), path=PATH, units=UNITS)
+    return figures.constants_figure(slopes, field(), path=PATH, units=UNITS)
 
 
-def stretch():
+def exponents():
     values = np.geomspace(0.5, 40.0, AXIS.size**2).reshape(AXIS.size, AXIS.size)
-    found = StretchMap(AXIS, AXIS, values, GRID, 20.0)
-    return report.stretch_figure(found, path=PATH, units=UNITS)
+    growth = LyapunovMap(AXIS, AXIS, values, GRID, 20.0)
+    return figures.lyapunov_figure(growth, path=PATH, units=UNITS)
 
 
 FIGURES = {
@@ -64,7 +64,7 @@ FIGURES = {
     "parts": (parts, 3, "$|F|$ [µm s⁻²]"),
     "influence": (influence, 2, r"$|\Delta F|$ [µm s⁻²]"),
     "constants": (constants, 2, r"$|\Delta F|$ per percent [µm s⁻²]"),
-    "stretch": (stretch, 1, r"stretch $\sigma_{\max}(\partial x(T)/\partial x(0))$"),
+    "exponents": (exponents, 1, r"growth of separations, $e^{\lambda T}$"),
 }
 
 
@@ -91,14 +91,14 @@ def test_the_most_influential_trajectories_come_first():
     assert titles == ["without trajectory 1", "without trajectory 2"]
 
 
-def test_stretch_is_on_a_logarithmic_scale_with_plain_labels():
-    figure = stretch()
+def test_growth_is_on_a_logarithmic_scale_with_plain_labels():
+    figure = exponents()
     figure.canvas.draw()
-    (bar,) = (ax for ax in figure.axes if ax.get_xlabel().startswith("stretch"))
+    (bar,) = (ax for ax in figure.axes if ax.get_xlabel().startswith("growth"))
     assert bar.get_xscale() == "log"
     labels = [text.get_text() for text in bar.get_xticklabels()]
     assert {"1", "10"} <= set(labels)
-    assert maps(figure)[0].get_title(loc="left") == "by the start, $T$ = 20 [s]"
+    assert maps(figure)[0].get_title(loc="left") == "Lyapunov exponent, $T$ = 20 [s]"
 
 
 def test_bars_have_intervals_and_leave_out_what_does_not_vary():
@@ -114,7 +114,7 @@ def test_bars_have_intervals_and_leave_out_what_does_not_vary():
         confidence=0.9,
         variance=np.array([1.0, 0.0]),
     )
-    figure = report.sobol_figure(indices)
+    figure = figures.sobol_figure(indices)
     shown = [ax for ax in figure.axes if ax.get_visible()]
     assert [ax.get_title(loc="left") for ax in shown] == ["final x"]
     widths = [bar.get_width() for bar in shown[0].patches]
@@ -126,5 +126,15 @@ def test_bars_have_intervals_and_leave_out_what_does_not_vary():
 
 
 def test_energy_units():
-    assert energy_unit(UNITS) == "um² s⁻²"
-    assert energy_unit({}) == "1"
+    assert force_unit(UNITS, lengths=2) == "um² s⁻²"
+    assert force_unit({}, lengths=2) == "1"
+
+
+def test_a_force_of_first_order_is_a_velocity():
+    assert force_unit(with_order(UNITS, 1)) == "um s⁻¹"
+    assert force_unit(with_order(UNITS, 2)) == "um s⁻²"
+
+
+def test_a_unit_that_is_not_stated_is_not_drawn():
+    assert force_unit({"x": "?", "t": "?"}) == "?"
+    assert with_unit("$|F|$", "?") == "$|F|$"

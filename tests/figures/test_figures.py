@@ -8,7 +8,7 @@ import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from pinav import report
+from pinav import figures
 from pinav.evaluation import NEAR, VISITED, Decomposition, FieldMap, Regions
 from pinav.figures.style import BLACK, BLUE, VERMILLION, pale
 
@@ -54,22 +54,24 @@ def budget(strength=1.0):
 
 def paper_figure(**options):
     parts = (TIMES, states(), states(0.5), states(0.01), losses(3), PHASES)
-    return report.figure1(*parts, barrier=([2.0, 0.0], 1.0), **options)
+    return figures.figure1(*parts, barrier=([2.0, 0.0], 1.0), **options)
 
 
 PANELS = {
-    "trajectory": lambda ax=None: report.trajectory(
+    "trajectory": lambda ax=None: figures.trajectory(
         states()[:, :2], {"ude": states(0.1)[:, :2]}, units=UNITS, ax=ax
     ),
-    "velocity": lambda ax=None: report.velocity(
+    "velocity": lambda ax=None: figures.velocity(
         TIMES, states()[:, 2:], {"ude": states(0.1)[:, 2:]}, units=UNITS, ax=ax
     ),
-    "loss_curve": lambda ax=None: report.loss_curve(losses(), PHASES, ax=ax),
-    "force_map": lambda ax=None: report.force_map(field(), units=UNITS, ax=ax),
-    "force_error_map": lambda ax=None: report.force_error_map(
+    "loss_curve": lambda ax=None: figures.loss_curve(losses(), PHASES, ax=ax),
+    "force_map": lambda ax=None: figures.force_map(field(), units=UNITS, ax=ax),
+    "force_error_map": lambda ax=None: figures.force_error_map(
         field(1.1), field(), units=UNITS, ax=ax
     ),
-    "decomposition": lambda ax=None: report.decomposition(budget(), units=UNITS, ax=ax),
+    "decomposition": lambda ax=None: figures.decomposition(
+        budget(), units=UNITS, ax=ax
+    ),
 }
 LABELS = {
     "trajectory": ("$x$ [µm]", "$y$ [µm]"),
@@ -81,12 +83,12 @@ LABELS = {
 }
 FIGURES = {
     "figure1": paper_figure,
-    "force_comparison": lambda: report.force_comparison(field(1.1), true=field()),
-    "force and deviation": lambda: report.force_comparison(field(), sd=deviation()),
-    "all of the force": lambda: report.force_comparison(
+    "force_comparison": lambda: figures.force_comparison(field(1.1), true=field()),
+    "force and deviation": lambda: figures.force_comparison(field(), sd=deviation()),
+    "all of the force": lambda: figures.force_comparison(
         field(1.1), true=field(), sd=deviation()
     ),
-    "acceleration": lambda: report.acceleration_figure(budget(1.1), true=budget()),
+    "acceleration": lambda: figures.acceleration_figure(budget(1.1), true=budget()),
 }
 
 
@@ -119,18 +121,18 @@ def test_maps_have_equal_axes(name):
 def test_dimensionless_channels_print_no_bracket():
     path = states()[:, :2]
     units = {"x": "1", "y": "1"}
-    ax = report.trajectory(path, {}, units=units)
+    ax = figures.trajectory(path, {}, units=units)
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("$x$", "$y$")
-    assert report.decomposition(budget(), 1).get_ylabel() == "$a_y$"
+    assert figures.decomposition(budget(), 1).get_ylabel() == "$a_y$"
     bare_length = {"x": "1", "t": "s"}
-    assert report.decomposition(budget(), units=bare_length).get_ylabel() == (
+    assert figures.decomposition(budget(), units=bare_length).get_ylabel() == (
         "$a_x$ [s⁻²]"
     )
 
 
 def test_trajectory_marks_start_end_and_barrier():
     path = states()[:, :2]
-    ax = report.trajectory(path, {}, barrier=([1.0, 2.0], 0.5))
+    ax = figures.trajectory(path, {}, barrier=([1.0, 2.0], 0.5))
     assert [text.get_text() for text in ax.texts] == ["start", "end"]
     np.testing.assert_allclose(ax.texts[0].xy, path[0])
     np.testing.assert_allclose(ax.texts[1].xy, path[-1])
@@ -142,7 +144,7 @@ def test_trajectory_marks_start_end_and_barrier():
 
 def test_models_have_one_look_everywhere():
     path = states()[:, :2]
-    ax = report.trajectory(path, {"ude": path, "ude-untrained": path, "mine": path})
+    ax = figures.trajectory(path, {"ude": path, "ude-untrained": path, "mine": path})
     assert legend_texts(ax) == ["truth", "trained UDE", "untrained UDE", "mine"]
     assert line_labelled(ax, "truth").get_color() == BLACK
     assert line_labelled(ax, "trained UDE").get_color() == BLUE
@@ -165,9 +167,9 @@ def test_velocity_tells_components_apart_by_lightness():
 def test_diverged_model_is_said_and_cut(bad):
     model = states()
     model[20:] = bad
-    ax = report.trajectory(states()[:, :2], {"ude": model[:, :2]})
+    ax = figures.trajectory(states()[:, :2], {"ude": model[:, :2]})
     assert "trained UDE\n(diverged)" in legend_texts(ax)
-    ax = report.velocity(TIMES, states()[:, 2:], {"ude": model[:, 2:]})
+    ax = figures.velocity(TIMES, states()[:, 2:], {"ude": model[:, 2:]})
     assert "$v_x$ trained UDE (diverged)" in legend_texts(ax)
     ax.figure.draw_without_rendering()
 
@@ -175,17 +177,17 @@ def test_diverged_model_is_said_and_cut(bad):
 @pytest.mark.parametrize("far", [1e2, 1e30, 1e300])
 def test_far_model_does_not_shrink_the_truth(far):
     path = states()[:, :2]
-    ax = report.trajectory(path, {"ude": path * far})
+    ax = figures.trajectory(path, {"ude": path * far})
     ax.figure.draw_without_rendering()
     assert np.ptp(ax.get_xlim()) < 5.0 * np.ptp(path[:, 0])
     assert any("ends at" in text for text in legend_texts(ax))
-    ax = report.velocity(TIMES, states()[:, 2:], {"ude": far * states()[:, 2:]})
+    ax = figures.velocity(TIMES, states()[:, 2:], {"ude": far * states()[:, 2:]})
     assert np.ptp(ax.get_ylim()) < 5.0 * np.ptp(states()[:, 2:])
 
 
 def test_model_that_never_was_finite_leaves_the_truth():
     path = states()[:, :2]
-    ax = report.trajectory(path, {"ude": np.full_like(path, np.nan)})
+    ax = figures.trajectory(path, {"ude": np.full_like(path, np.nan)})
     ax.figure.draw_without_rendering()
     assert np.isfinite(ax.get_xlim()).all()
 
@@ -201,7 +203,7 @@ def test_loss_is_logarithmic_with_the_phase_change_at_its_step():
 
 
 def test_loss_of_several_seeds_is_one_bold_line_and_thin_ones():
-    ax = report.loss_curve(losses(4), PHASES)
+    ax = figures.loss_curve(losses(4), PHASES)
     bold, *thin = ax.get_lines()[:4]
     np.testing.assert_allclose(bold.get_ydata(), losses(4)[0])
     assert all(line.get_linewidth() < bold.get_linewidth() for line in thin)
@@ -211,25 +213,25 @@ def test_loss_of_several_seeds_is_one_bold_line_and_thin_ones():
 def test_loss_leaves_a_gap_where_it_is_no_positive_number():
     values = losses()[0]
     values[[3, 4, 5]] = np.nan, np.inf, 0.0
-    ax = report.loss_curve(values, PHASES)
+    ax = figures.loss_curve(values, PHASES)
     drawn = ax.get_lines()[0].get_ydata()
     assert np.flatnonzero(np.isnan(drawn)).tolist() == [3, 4, 5]
     ax.figure.draw_without_rendering()
 
 
 def test_loss_that_is_nowhere_finite_still_draws():
-    ax = report.loss_curve(np.full(5, np.nan), (("Adam", 0),))
+    ax = figures.loss_curve(np.full(5, np.nan), (("Adam", 0),))
     ax.figure.draw_without_rendering()
 
 
 def test_force_map_marks_visited_ground_and_shades_the_unvisited():
-    ax = report.force_map(field(), path=np.zeros((2, 2)))
+    ax = figures.force_map(field(), path=np.zeros((2, 2)))
     levels = [list(c.levels) for c in ax.collections if hasattr(c, "levels")]
     furthest = field().distance.max()
     assert levels == [[NEAR, furthest], [NEAR, furthest], [VISITED], [NEAR]]
     assert legend_texts(ax)[0] == "trajectory"
     assert "no data: extrapolation" in legend_texts(ax)
-    bare = report.force_map(field(), shade=False)
+    bare = figures.force_map(field(), shade=False)
     levels = [list(c.levels) for c in bare.collections if hasattr(c, "levels")]
     assert levels == [[VISITED], [NEAR]]
 
@@ -237,7 +239,7 @@ def test_force_map_marks_visited_ground_and_shades_the_unvisited():
 def test_force_map_draws_the_regions_of_its_unit():
     regions = Regions(visited=0.2, near=0.9)
     shown = dataclasses.replace(field(), regions=regions)
-    ax = report.force_map(shown, shade=False, units={"x": "um", "y": "um"})
+    ax = figures.force_map(shown, shade=False, units={"x": "um", "y": "um"})
     levels = [list(c.levels) for c in ax.collections if hasattr(c, "levels")]
     assert levels == [[0.2], [0.9]]
     assert "visited (within 0.2 µm)" in legend_texts(ax)
@@ -247,13 +249,13 @@ def test_force_map_scales_by_what_is_near_the_data():
     spread = field()
     magnitude = np.linalg.norm(spread.force, axis=-1)
     near = magnitude[spread.distance <= NEAR].max()
-    assert report.force_map(spread).collections[0].get_clim() == (0.0, near)
-    shared = report.force_map(spread, limit=7.0)
+    assert figures.force_map(spread).collections[0].get_clim() == (0.0, near)
+    shared = figures.force_map(spread, limit=7.0)
     assert shared.collections[0].get_clim() == (0.0, 7.0)
 
 
 def test_force_error_map_shows_the_size_of_the_difference():
-    ax = report.force_error_map(field(1.5), field())
+    ax = figures.force_error_map(field(1.5), field())
     values = ax.collections[0].get_array()
     expected = 0.5 * np.linalg.norm(field().force, axis=-1)
     np.testing.assert_allclose(np.ravel(values), np.ravel(expected))
@@ -264,7 +266,7 @@ def test_force_map_without_a_finite_force_still_draws(value):
     flat = FieldMap(
         field().x, field().y, np.full_like(field().force, value), field().distance
     )
-    report.force_map(flat).figure.draw_without_rendering()
+    figures.force_map(flat).figure.draw_without_rendering()
 
 
 @pytest.mark.parametrize(
@@ -284,7 +286,7 @@ def test_a_comparison_shows_what_is_known(name, panels):
 def test_observed_paths_leave_gaps_and_mark_every_start():
     seen = states()[:, :2].copy()
     seen[3] = np.nan
-    ax = report.observed_paths([seen, seen + 2.0], [states()[:, :2]] * 2, units=UNITS)
+    ax = figures.observed_paths([seen, seen + 2.0], [states()[:, :2]] * 2, units=UNITS)
     assert legend_texts(ax) == ["observed", "model", "start"]
     assert ax.get_xlabel() == "$x$ [µm]"
     dots, line, _, _, starts = ax.get_lines()
@@ -306,7 +308,7 @@ def test_comparison_shares_the_scale_of_the_true_force():
 
 
 def test_decomposition_adds_up():
-    ax = report.decomposition(budget(), 1, true=budget(2.0))
+    ax = figures.decomposition(budget(), 1, true=budget(2.0))
     total = line_labelled(ax, "sum").get_ydata()
     terms = ("propulsion", "environment, learned", "drag")
     parts = [line_labelled(ax, name).get_ydata() for name in terms]
@@ -331,8 +333,8 @@ def test_figure1_has_the_panels_of_the_paper():
 
 @pytest.mark.parametrize("name", FIGURES)
 def test_saved_figures_are_whole_and_the_same_every_time(tmp_path, name):
-    first = report.save_figure(FIGURES[name](), tmp_path / "new" / "one", name)
-    second = report.save_figure(FIGURES[name](), tmp_path / "two", name)
+    first = figures.save_figure(FIGURES[name](), tmp_path / "new" / "one", name)
+    second = figures.save_figure(FIGURES[name](), tmp_path / "two", name)
     assert first.svg.read_bytes() == second.svg.read_bytes()
     assert first.png.read_bytes() == second.png.read_bytes()
     assert first.png.read_bytes().startswith(b"\x89PNG")
@@ -347,7 +349,7 @@ def test_saved_figures_are_whole_and_the_same_every_time(tmp_path, name):
 
 def test_failed_write_keeps_the_old_file_and_leaves_no_part(tmp_path):
     figure = Figure()
-    paths = report.save_figure(figure, tmp_path, "f")
+    paths = figures.save_figure(figure, tmp_path, "f")
     before = paths.png.read_bytes()
 
     def fail(to, **_):
@@ -356,7 +358,7 @@ def test_failed_write_keeps_the_old_file_and_leaves_no_part(tmp_path):
 
     figure.savefig = fail
     with pytest.raises(OSError, match="disk full"):
-        report.save_figure(figure, tmp_path, "f")
+        figures.save_figure(figure, tmp_path, "f")
     assert paths.png.read_bytes() == before
     assert sorted(p.name for p in tmp_path.iterdir()) == ["f.png", "f.svg"]
 

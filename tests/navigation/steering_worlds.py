@@ -10,7 +10,7 @@ from pinav.actuation import LinearResponse
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.forces import LinearDrag, ZeroForce
 from pinav.navigation.control.controller import AbstractController
-from pinav.navigation.task.objectives import Reach
+from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import (
     CommandLimits,
     RollingActuator,
@@ -61,7 +61,7 @@ def open_water(*, inert=False, environment=None, **changes):
             dynamics, RollingActuator(jnp.eye(2), LinearResponse())
         ),
         "start": jnp.zeros(4 if inert else 2),
-        "objective": Reach([50.0, 0.0], 0.5),
+        "objective": ReachGoal([50.0, 0.0], 0.5),
         "limits": CommandLimits(1.0),
         "arena": Rectangle([-100.0, -100.0], [100.0, 100.0]),
         "keep_out": (),

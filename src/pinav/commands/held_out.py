@@ -5,8 +5,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pinav.scenarios import scenario
-from pinav.scenarios.crossings import RING
 from pinav.systems import System
 from pinav.trajectories import Trajectories, simulate
 
@@ -15,29 +13,24 @@ HELD_OUT, HELD_OUT_SEED = 64, 64_000
 
 
 def held_out(
-    name: str, *, until: float | None = None, count: int = HELD_OUT
+    system: System, *, until: float | None = None, count: int = HELD_OUT
 ) -> Trajectories:
     """Noise-free solutions of the truth, for scoring.
 
-    The single start of `paper` is replaced by shots from a ring around its barrier, as
-    in `barrier-crossings`.
+    Starts are drawn by the system's rule; that of `paper`, which has a single start,
+    is the ring of `barrier-crossings` around its barrier.
 
     Args:
-        name: of the scenario.
+        system: with its true environment.
         until: time [T] since the start up to which to solve, sampled as the scenario
             is; its own unless given.
         count: number of trajectories.
 
     Raises:
-        InputError: the scenario is unknown, or its truth is stochastic.
+        InputError: the truth is not stated or is stochastic, or no rule draws starts.
     """
     key = jax.random.key(HELD_OUT_SEED)
-    if name == "paper":
-        chosen = scenario(name)
-        starts = RING.draw(chosen.order, key, count)
-        chosen = eqx.tree_at(lambda s: s.starts, chosen, starts)
-    else:
-        chosen = scenario(name, key, count=count)
+    chosen = system.with_starts(key, count)
     chosen = eqx.tree_at(lambda s: s.noise, chosen, 0.0)
     if until is not None:
         chosen = eqx.tree_at(lambda s: s.times, chosen, _times(chosen, until))

@@ -6,15 +6,16 @@ from pinav.evaluation.conformal import calibrate as calibrate
 from pinav.evaluation.conformal import least_count as least_count
 from pinav.evaluation.conformal import rollout_bands as rollout_bands
 from pinav.evaluation.conformal import trajectory_scores as trajectory_scores
-from pinav.evaluation.constants import Recovered as Recovered
+from pinav.evaluation.constants import ParameterRecovery as ParameterRecovery
 from pinav.evaluation.coverage import NOMINAL as NOMINAL
 from pinav.evaluation.coverage import Bands as Bands
-from pinav.evaluation.coverage import covered as covered
 from pinav.evaluation.coverage import estimated_start_bands as estimated_start_bands
 from pinav.evaluation.coverage import exact_start_bands as exact_start_bands
 from pinav.evaluation.coverage import force_coverage as force_coverage
+from pinav.evaluation.coverage import fraction_inside as fraction_inside
+from pinav.evaluation.coverage import inside_band as inside_band
+from pinav.evaluation.coverage import normal_quantile as normal_quantile
 from pinav.evaluation.coverage import rollout_coverage as rollout_coverage
-from pinav.evaluation.coverage import share as share
 from pinav.evaluation.decomposition import Decomposition as Decomposition
 from pinav.evaluation.decomposition import decompose as decompose
 from pinav.evaluation.force_fields import NEAR as NEAR
@@ -40,7 +41,6 @@ from pinav.evaluation.rollouts import error_curve as error_curve
 from pinav.evaluation.rollouts import position_errors as position_errors
 from pinav.evaluation.rollouts import quantile as quantile
 from pinav.evaluation.rollouts import summarise as summarise
-from pinav.evaluation.scores import POSITION_CHANNELS as POSITION_CHANNELS
 from pinav.evaluation.scores import Score as Score
 from pinav.evaluation.scores import predict as predict
 from pinav.evaluation.scores import require_x64 as require_x64

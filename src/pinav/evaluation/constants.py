@@ -3,7 +3,7 @@
 import equinox as eqx
 
 
-class Recovered(eqx.Module):
+class ParameterRecovery(eqx.Module):
     """A learned constant beside its truth.
 
     Attributes:

@@ -11,6 +11,8 @@ $\Sigma_s = \sigma^2 (\Phi^\top\Phi)^{-1}$ over those samples. What is observed 
 noise $\sigma$ on top.
 """
 
+from statistics import NormalDist
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -23,9 +25,13 @@ from pinav.fitting import FreeModel, Observations, Posterior
 from pinav.fitting.engine.multiple_shooting import linearise, sensitivities
 from pinav.trajectories import Trajectories
 
-NOMINAL, NORMAL_QUANTILE = 0.95, 1.959963984540054
-"""Nominal coverage, and the standard deviations on either side that a normal
-distribution needs for it."""
+NOMINAL = 0.95
+"""Nominal coverage of bands."""
+
+
+def normal_quantile(coverage: float = NOMINAL) -> float:
+    """Standard deviations on either side that hold this part of a normal variable."""
+    return NormalDist().inv_cdf((1.0 + coverage) / 2.0)
 
 
 class Bands(eqx.Module):
@@ -125,18 +131,18 @@ def _linear_band(free: FreeModel, theta, covariance, start, solver):
     return ys, jnp.sqrt(jnp.maximum(variance, 0.0))
 
 
-def covered(
+def inside_band(
     errors: Float[np.ndarray, "*shape"], sd: Float[np.ndarray, "*shape"]
 ) -> Bool[np.ndarray, "*shape"]:
     """Which errors lie inside the nominal 95 % band; what is not finite does not."""
     usable = np.isfinite(errors) & np.isfinite(sd)
-    inside = np.abs(np.where(usable, errors, 0.0)) <= NORMAL_QUANTILE * np.where(
+    inside = np.abs(np.where(usable, errors, 0.0)) <= normal_quantile() * np.where(
         usable, sd, 0.0
     )
     return usable & inside
 
 
-def share(
+def fraction_inside(
     inside: Bool[np.ndarray, "*shape"], counted: Bool[np.ndarray, "*shape"]
 ) -> float:
     """Share of the counted entries that are inside; NaN where none is counted."""
@@ -150,9 +156,9 @@ def force_coverage(
     regions: dict[str, Bool[np.ndarray, "rows columns"]],
 ) -> dict[str, float]:
     """Share of the true force's components inside the band, in each region."""
-    inside = covered(learned.force - true.force, sd)
+    inside = inside_band(learned.force - true.force, sd)
     return {
-        name: share(inside, np.repeat(mask[..., None], 2, axis=-1))
+        name: fraction_inside(inside, np.repeat(mask[..., None], 2, axis=-1))
         for name, mask in regions.items()
     }
 
@@ -172,8 +178,9 @@ def rollout_coverage(
         regions: which samples lie in each region.
     """
     errors = bands.ys - trajectories.states
-    inside = covered(errors, bands.observable_sd(noise))
+    inside = inside_band(errors, bands.observable_sd(noise))
     counted = trajectories.observed
     return {
-        name: share(inside, counted & mask[..., None]) for name, mask in regions.items()
+        name: fraction_inside(inside, counted & mask[..., None])
+        for name, mask in regions.items()
     }

@@ -12,7 +12,6 @@ from jaxtyping import Bool, Float
 
 from pinav.errors import InputError
 from pinav.evaluation.force_fields import extent
-from pinav.evaluation.scores import POSITION_CHANNELS
 from pinav.trajectories import Trajectories, local_polynomial
 
 MEDIAN, HIGH = 0.5, 0.9
@@ -56,7 +55,7 @@ def position_errors(
     Raises:
         InputError: nothing is left to score.
     """
-    dim = sum(name in POSITION_CHANNELS for name in trajectories.channels)
+    dim = trajectories.dim
     seen = np.asarray(trajectories.observed[..., :dim].all(-1))
     scored = np.array(seen)
     scored[:, :scored_from] = False

@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from pinav.dynamics import AbstractDynamics, FixedStep, with_dtype
 from pinav.errors import InputError
-from pinav.evaluation.scores import POSITION_CHANNELS, require_x64
+from pinav.evaluation.scores import require_x64
 from pinav.fitting import Outcome
 from pinav.fitting.engine.multiple_shooting import FreeModel, advanced, linearise
 from pinav.fitting.matching.objectives import Observations
@@ -70,7 +70,7 @@ def estimate_starts(
     """
     require_x64("estimating starts")
     head = first_samples(trajectories, count)
-    dim = sum(name in POSITION_CHANNELS for name in head.channels)
+    dim = head.dim
     states = jnp.asarray(smoothed_states(head, dim))
     scale = np.maximum(np.ptp(np.asarray(states), axis=1), np.finfo(float).tiny)
     free = FreeModel(with_dtype(dynamics, jnp.float64), _nothing)

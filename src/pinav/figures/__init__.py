@@ -3,9 +3,9 @@
 from pinav.figures.analysis import constants_figure as constants_figure
 from pinav.figures.analysis import helmholtz_figure as helmholtz_figure
 from pinav.figures.analysis import influence_figure as influence_figure
+from pinav.figures.analysis import lyapunov_figure as lyapunov_figure
 from pinav.figures.analysis import potential_map as potential_map
 from pinav.figures.analysis import sobol_figure as sobol_figure
-from pinav.figures.analysis import stretch_figure as stretch_figure
 from pinav.figures.analysis import trust_map as trust_map
 from pinav.figures.evidence import evidence_bars as evidence_bars
 from pinav.figures.files import FigureFiles as FigureFiles

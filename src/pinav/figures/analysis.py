@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
-from pinav.analysis import HelmholtzSplit, SobolIndices, StretchMap
+from pinav.analysis import HelmholtzSplit, LyapunovMap, SobolIndices
 from pinav.evaluation import FieldMap
 from pinav.figures.force_maps import (
     draw_arrows,
@@ -29,7 +29,7 @@ from pinav.figures.style import (
     force_unit,
     label_axes,
     new_figure,
-    prepared,
+    prepare_axes,
     title_panel,
     with_unit,
 )
@@ -58,20 +58,13 @@ def potential_map(
     near = near if near.any() else np.isfinite(potential)
     lifted = potential - potential[near].min()
     top = float(lifted[near].max()) or 1.0
-    label = with_unit("$U$ above its least value", energy_unit(units))
+    label = with_unit("$U$ above its least value", force_unit(units, lengths=2))
     look = ("viridis", label)
     ax = heat_map(lifted, field, Normalize(0.0, top), look, units=units, ax=ax)
     levels = np.linspace(0.0, top, 9)[1:-1]
     ax.contour(field.x, field.y, lifted, levels, colors="white", linewidths=0.5)
     overlay(ax, field, path, units, shade=True)
     return ax
-
-
-def energy_unit(units: Mapping[str, str]) -> str:
-    """Unit of a mass-specific energy, from those of position and time."""
-    length, time = units.get("x", "1"), units.get("t", "1")
-    parts = ("" if length == "1" else f"{length}²", "" if time == "1" else f"{time}⁻²")
-    return " ".join(part for part in parts if part) or "1"
 
 
 def trust_map(
@@ -98,15 +91,15 @@ def trust_map(
     norm = LogNorm(0.1, max(10.0, float(np.nanmax(ratio))))
     look = ("cividis", r"$|F| / \mathrm{sd}(F)$")
     ax = heat_map(ratio, field, norm, look, units=units, ax=ax)
-    if ratio.min() < DOUBT < ratio.max():
+    if ratio.min() < SIGNIFICANT < ratio.max():
         line = {"colors": VERMILLION, "linewidths": 1.2}
-        drawn = ax.contour(field.x, field.y, ratio, [DOUBT], **line)
-        ax.clabel(drawn, fmt={DOUBT: f"{DOUBT:g}"}, fontsize=SMALL)
+        drawn = ax.contour(field.x, field.y, ratio, [SIGNIFICANT], **line)
+        ax.clabel(drawn, fmt={SIGNIFICANT: f"{SIGNIFICANT:g}"}, fontsize=SMALL)
     overlay(ax, field, path, units, shade=False)
     return ax
 
 
-DOUBT = 2.0
+SIGNIFICANT = 2.0
 """Below this ratio of size to standard deviation a force may as well be zero."""
 
 
@@ -213,33 +206,33 @@ def constants_figure(
     return figure
 
 
-def stretch_figure(
-    stretch: StretchMap,
+def lyapunov_figure(
+    exponents: LyapunovMap,
     *,
     path: Path | None = None,
     units: Mapping[str, str] = DIMENSIONLESS,
 ) -> Figure:
-    """Stretch of the final position over the starts, on a logarithmic scale.
+    r"""Finite-time Lyapunov exponents over the starts, as the growth $e^{\lambda T}$.
 
     Args:
-        stretch: the map.
+        exponents: the map.
         path: as for `potential_map`.
         units: unit of each channel; "1" means dimensionless.
     """
     figure = new_figure(4.2, 4.6)
     ax = figure.subplots()
-    values = np.where(stretch.stretch > 0, stretch.stretch, np.nan)
+    values = np.where(exponents.separation > 0, exponents.separation, np.nan)
     low, high = (float(f(values)) for f in (np.nanmin, np.nanmax))
     norm = LogNorm(min(low, 0.9 * high), max(high, 1.1 * low))
-    label = r"stretch $\sigma_{\max}(\partial x(T)/\partial x(0))$"
-    heat_map(values, stretch, norm, ("cividis", label), units=units, ax=ax)
+    label = r"growth of separations, $e^{\lambda T}$"
+    heat_map(values, exponents, norm, ("cividis", label), units=units, ax=ax)
     if path is not None:
         ax.plot(*path.T, color=VERMILLION, lw=1.2, label="reference trajectory")
         ax.plot(*path[0], "o", color=VERMILLION, ms=4, mec=BLACK, mew=0.5)
         add_legend(ax, loc="upper left")
-    ax.set(xlim=stretch.x[[0, -1]], ylim=stretch.y[[0, -1]])
-    horizon = with_unit(f"$T$ = {stretch.horizon:.4g}", units.get("t", "1"))
-    title_panel(ax, f"by the start, {horizon}")
+    ax.set(xlim=exponents.x[[0, -1]], ylim=exponents.y[[0, -1]])
+    horizon = with_unit(f"$T$ = {exponents.horizon:.4g}", units.get("t", "1"))
+    title_panel(ax, f"Lyapunov exponent, {horizon}")
     return figure
 
 
@@ -257,7 +250,7 @@ def sobol_figure(indices: SobolIndices) -> Figure:
     figure = new_figure(2.5 * max(columns, 2), height * rows)
     axes = np.ravel(figure.subplots(rows, columns, sharey=True))
     for ax, outcome in zip(axes, varying, strict=False):
-        _bars(prepared(ax), indices, int(outcome))
+        _bars(prepare_axes(ax), indices, int(outcome))
     for ax in axes[len(varying) :]:
         ax.set_visible(False)
     handles, labels = axes[0].get_legend_handles_labels()

@@ -11,13 +11,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from pinav.figures.navigation import COLORS, Course, field_of, paths_map
+from pinav.figures.navigation import Course, field_of, paths_map
 from pinav.figures.style import (
     BLACK,
     DIMENSIONLESS,
-    GREY,
     SMALL,
     new_figure,
+    style_of,
     title_panel,
 )
 from pinav.files import atomic_write
@@ -110,7 +110,7 @@ def _stage(arrays, trails, units) -> tuple[Figure, list[Axes]]:
     keys = [
         ax_line
         for ax_line in (
-            axes[0].plot([], [], color=COLORS.get(n, GREY), lw=1.5, label=n)[0]
+            axes[0].plot([], [], color=style_of(n).color, lw=1.5, label=n)[0]
             for n in trails.paths
         )
     ]
@@ -128,7 +128,7 @@ def _actors(ax: Axes, trails: Trails) -> dict:
     """A line and a dot for each controller; the oracle below and wide."""
     actors = {}
     for name in sorted(trails.paths, key=lambda name: name != "oracle"):
-        color, below = COLORS.get(name, GREY), name == "oracle"
+        color, below = style_of(name).color, name == "oracle"
         line = ax.plot([], [], color=color, lw=3.0 if below else 1.3)[0]
         size = 8 if below else 5
         dot = ax.plot([], [], "o", mfc=color, mec=BLACK, ms=size)[0]

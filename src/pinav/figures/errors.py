@@ -7,42 +7,24 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pinav.evaluation import ErrorCurve
+from pinav.evaluation import ErrorCurve, normal_quantile
 from pinav.figures.style import (
-    BLACK,
-    BLUE,
-    GREEN,
     GREY,
-    ORANGE,
-    PURPLE,
-    SKY,
     SMALL,
+    SPARE,
     THIN,
-    VERMILLION,
     LineStyle,
     add_legend,
     finite,
     label_axes,
     new_figure,
-    prepared,
+    prepare_axes,
+    style_of,
     title_panel,
+    with_unit,
 )
 
-MODEL_STYLES = {
-    "kernel-potential": LineStyle("kernel potential", BLUE),
-    "kernel-force": LineStyle("kernel force", SKY, "--"),
-    "neural-potential": LineStyle("neural potential", GREEN),
-    "neural-force": LineStyle("neural force", ORANGE, "--"),
-    "ude": LineStyle("UDE with time", VERMILLION),
-    "physics-only": LineStyle("physics only", GREY, ":"),
-    "nn-only": LineStyle("NN only", PURPLE, "-."),
-}
 MARKERS = "os^vDxP"
-
-
-def style_of_model(name: str) -> LineStyle:
-    """Colour and dash of a model of `pinav fit`; any other is black."""
-    return MODEL_STYLES.get(name) or LineStyle(name, BLACK)
 
 
 def error_over_time(
@@ -60,17 +42,15 @@ def error_over_time(
 
     Args:
         curves: by the name of the legend.
-        styles: how each is drawn; by the order of the spare colours unless given.
+        styles: how each is drawn; as everywhere (`style_of`) unless given.
         horizon: longest time in the training data [T], marked unless None.
         unit: of length; "1" means dimensionless.
         ax: where to draw; a new figure unless given.
     """
-    ax = prepared(ax)
-    spare = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, GREY)
+    ax = prepare_axes(ax)
     for index, (name, curve) in enumerate(curves.items()):
-        color, dash = spare[index % len(spare)], "-"
-        if styles and name in styles:
-            color, dash = styles[name].color, styles[name].dash
+        style = (styles or {}).get(name) or style_of(name, index)
+        color, dash = style.color, style.dash
         median, high = _positive(curve.median), _positive(curve.high)
         ax.fill_between(curve.elapsed, median, high, color=color, alpha=0.15, lw=0)
         ax.plot(curve.elapsed, median, dash, color=color, lw=THIN, label=name)
@@ -78,8 +58,7 @@ def error_over_time(
     _set_log_if_positive(ax, [c.high for c in curves.values()])
     if horizon is not None:
         ax.axvline(horizon, color=GREY, lw=0.8, ls=(0, (4, 2)), zorder=1)
-    suffix = "" if unit in ("1", "?") else f" [{unit.replace('um', 'µm')}]"
-    label_axes(ax, "time since the start", f"position error{suffix}")
+    label_axes(ax, "time since the start", with_unit("position error", unit))
     add_legend(ax)
     return ax
 
@@ -104,7 +83,7 @@ def residual_autocorrelation(
     *,
     ax: Axes | None = None,
 ) -> Axes:
-    r"""Autocorrelation at each lag, with the band $\pm 1.96/\sqrt n$ of white noise.
+    r"""Autocorrelation at each lag, with the 95 % band of white noise.
 
     Args:
         autocorrelation: at lags 1, 2, ...
@@ -112,18 +91,17 @@ def residual_autocorrelation(
         channels: their names.
         ax: where to draw; a new figure unless given.
     """
-    ax = prepared(ax)
+    ax = prepare_axes(ax)
     lags = np.arange(1, autocorrelation.shape[1] + 1)
     used = [i for i, count in enumerate(counts) if count]
-    colors = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
     for place, i in enumerate(used):
         shift = 0.12 * (place - (len(used) - 1) / 2)
-        values, color = finite(autocorrelation[i]), colors[i % len(colors)]
+        values, color = finite(autocorrelation[i]), SPARE[i % len(SPARE)]
         ax.vlines(lags + shift, 0.0, values, color=color, lw=THIN)
         ax.plot(
             lags + shift, values, MARKERS[i], color=color, ms=3.5, label=channels[i]
         )
-    bound = 1.96 / np.sqrt(min(counts[i] for i in used))
+    bound = normal_quantile() / np.sqrt(min(counts[i] for i in used))
     ax.axhspan(-bound, bound, color="0.9", zorder=0, label="95 % of white noise")
     ax.axhline(0.0, color=GREY, lw=0.6)
     label_axes(ax, "lag [samples]", "autocorrelation of residuals")
@@ -144,14 +122,11 @@ def errors_by_region(
         styles: how each model is drawn.
         ax: where to draw; a new figure unless given.
     """
-    ax = prepared(ax)
-    spare = (BLUE, VERMILLION, GREEN, PURPLE)
+    ax = prepare_axes(ax)
     regions = list(next(iter(errors.values())))
     width = 0.8 / len(errors)
     for index, (name, values) in enumerate(errors.items()):
-        color = spare[index % len(spare)]
-        if styles and name in styles:
-            color = styles[name].color
+        color = ((styles or {}).get(name) or style_of(name, index)).color
         x = np.arange(len(regions)) + width * (index - (len(errors) - 1) / 2)
         heights = np.array([_percent(values[region]) for region in regions])
         ax.bar(x, heights, 0.92 * width, color=color, label=name)
@@ -162,7 +137,7 @@ def errors_by_region(
     percent = [[_percent(v) for v in row.values()] for row in errors.values()]
     _set_log_if_positive(ax, percent)
     ax.set_xticks(np.arange(len(regions)), regions)
-    label_axes(ax, "ground", "relative force error (%)")
+    label_axes(ax, "region", "relative force error (%)")
     low, high = ax.get_ylim()
     ax.set_ylim(low, high * 30 ** (ax.get_yscale() == "log"))  # room for the legend
     add_legend(ax, loc="upper left")
@@ -185,7 +160,7 @@ def scaling_figure(
     A zero on the x axis stands left of all others, and is labelled so.
 
     Args:
-        force: relative force error on visited ground.
+        force: relative force error in visited regions.
         rollouts: median position error of held-out rollouts.
         quantity: label of the x axis.
         unit: of length; "1" means dimensionless.
@@ -193,9 +168,9 @@ def scaling_figure(
     figure = new_figure(7.5, 3.6)
     left, right = figure.subplots(1, 2)
     percent = {m: [(x, 100 * y) for x, y in points] for m, points in force.items()}
-    _scaling(left, percent, quantity, "force error on visited ground (%)")
-    suffix = "" if unit in ("1", "?") else f" [{unit.replace('um', 'µm')}]"
-    _scaling(right, rollouts, quantity, f"held-out median position error{suffix}")
+    _scaling(left, percent, quantity, "force error in visited regions (%)")
+    label = with_unit("held-out median position error", unit)
+    _scaling(right, rollouts, quantity, label)
     title_panel(left, "(a) force")
     title_panel(right, "(b) rollouts from held-out starts")
     add_legend(right)
@@ -203,11 +178,11 @@ def scaling_figure(
 
 
 def _scaling(ax: Axes, series: Series, quantity: str, label: str) -> None:
-    ax = prepared(ax)
+    ax = prepare_axes(ax)
     ticks = sorted({x for points in series.values() for x, _ in points})
     place = _places(ticks)
     for index, (name, points) in enumerate(series.items()):
-        style, marker = style_of_model(name), MARKERS[index % len(MARKERS)]
+        style, marker = style_of(name, index), MARKERS[index % len(MARKERS)]
         shown = [(place[x], y) for x, y in points if np.isfinite(y) and y > 0]
         if not shown:
             ax.plot([], [], style.dash, color=style.color, label=f"{style.label}: none")

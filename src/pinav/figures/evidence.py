@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from matplotlib.figure import Figure
 
-from pinav.figures.style import label_axes, new_figure, prepared
+from pinav.figures.style import BLUE, label_axes, new_figure, prepare_axes
 
 
 def evidence_bars(log_evidence: Mapping[str, float | None]) -> Figure:
@@ -18,10 +18,10 @@ def evidence_bars(log_evidence: Mapping[str, float | None]) -> Figure:
     best = max(known.values(), default=0.0)
     below = [best - known[name] for name in names]
     figure = new_figure(5.5, 0.8 + 0.35 * max(len(names), 1))
-    ax = prepared(figure.add_subplot())
-    bars = ax.barh(names, below, color="#4477aa", height=0.6)
+    ax = prepare_axes(figure.add_subplot())
+    bars = ax.barh(names, below, color=BLUE, height=0.6)
     ax.bar_label(bars, [f"{value:.1f}" for value in below], padding=3, fontsize=8)
     ax.set_xscale("symlog", linthresh=1.0)
     ax.set_xlim(0.0, 10 * max([*below, 1.0]))
-    label_axes(ax, "below the best [nats]", "")
+    label_axes(ax, "Δ log evidence to the best [nats]", "")
     return figure

@@ -20,7 +20,7 @@ from matplotlib.ticker import (
     ScalarFormatter,
 )
 
-from pinav.analysis import StretchMap
+from pinav.analysis import LyapunovMap
 from pinav.evaluation import FieldMap
 from pinav.figures.style import (
     BLACK,
@@ -32,7 +32,7 @@ from pinav.figures.style import (
     force_unit,
     label_axes,
     new_figure,
-    prepared,
+    prepare_axes,
     round_ticks,
     title_panel,
     with_unit,
@@ -197,7 +197,7 @@ def _magnitude_map(magnitude, field, top, look, units, ax) -> Axes:
 
 def heat_map(
     values: Float[np.ndarray, "rows columns"],
-    grid: FieldMap | StretchMap,
+    grid: FieldMap | LyapunovMap,
     norm: Normalize,
     look: tuple[str, str],
     *,
@@ -214,7 +214,7 @@ def heat_map(
         units: unit of each channel; "1" means dimensionless.
         ax: where to draw; a new figure unless given.
     """
-    ax = prepared(ax, width=3.8, height=4.4)
+    ax = prepare_axes(ax, width=3.8, height=4.4)
     image = ax.pcolormesh(
         grid.x,
         grid.y,

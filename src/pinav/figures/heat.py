@@ -13,23 +13,19 @@ from matplotlib.ticker import LogFormatter
 from pinav.figures.style import (
     BLACK,
     BLUE,
-    GREEN,
     GREY,
-    ORANGE,
-    PURPLE,
-    SKY,
     SMALL,
+    SPARE,
     THIN,
     VERMILLION,
     WIDE,
     add_legend,
     label_axes,
     new_figure,
-    prepared,
+    prepare_axes,
     title_panel,
 )
 
-COLORS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, GREY, BLACK)
 ISOTHERMS = (39.0, 41.0, 43.0, 45.0, 47.0)
 """Temperatures [°C] that are marked."""
 
@@ -52,7 +48,7 @@ def profiles(
         edge: radius of the tumour [m], marked unless None.
         ax: where to draw; a new figure unless given.
     """
-    ax = prepared(ax)
+    ax = prepare_axes(ax)
     shades = colormaps["viridis"](np.linspace(0.0, 0.85, len(temperatures)))
     for shade, (name, values) in zip(shades, temperatures.items(), strict=True):
         ax.plot(1e3 * radius, values, color=shade, lw=THIN, label=name)
@@ -77,7 +73,7 @@ def dose_profile(
         edge: radius of the tumour [m], marked unless None.
         ax: where to draw; a new figure unless given.
     """
-    ax = prepared(ax)
+    ax = prepare_axes(ax)
     ax.plot(1e3 * radius, np.where(dose > 1e-3, dose, np.nan), color=BLUE, lw=THIN)
     if np.any(dose > 1e-3):
         ax.set_yscale("log")
@@ -111,7 +107,7 @@ def plane_map(
         logarithmic: colour the logarithm; values below a thousandth as that.
         ax: where to draw; a new figure unless given.
     """
-    ax = prepared(ax)
+    ax = prepare_axes(ax)
     shown = np.log10(np.maximum(values, 1e-3)) if logarithmic else values
     extent = [1e3 * n * h for n, h in zip(values.shape, spacing, strict=True)]
     image = ax.imshow(
@@ -154,9 +150,9 @@ def probe_curves(
         readings: their times [s], and values [°C] of the same probes.
         ax: where to draw; a new figure unless given.
     """
-    ax = prepared(ax)
+    ax = prepare_axes(ax)
     for index, name in enumerate(names):
-        color = COLORS[index % len(COLORS)]
+        color = SPARE[index % len(SPARE)]
         if readings is not None:
             at, values = readings
             ax.plot(at / 60, values[:, index], ".", color=color, ms=2, alpha=0.5)
@@ -186,7 +182,7 @@ def protocol_figure(
     figure = new_figure(4.6, 4.2)
     above, below = figure.subplots(2, 1, sharex=True)
     for ax in (above, below):
-        prepared(ax)
+        prepare_axes(ax)
     at = np.repeat(np.asarray(edges) / 60, 2)[1:-1]
     values = np.stack([starts, ends], axis=1).reshape(-1)
     above.plot(at, values / 1e3, color=BLUE, lw=THIN)
@@ -211,7 +207,7 @@ def perfusion_figure(laws: Mapping[str, Mapping[str, Any]]) -> Figure:
     figure = new_figure(3.8 * len(laws), 3.2)
     panels = figure.subplots(1, len(laws), squeeze=False)[0]
     for ax, (name, law) in zip(panels, laws.items(), strict=True):
-        prepared(ax)
+        prepare_axes(ax)
         temperatures = law["temperatures"]
         visited: Bool[np.ndarray, " temperature"] = np.asarray(law["visited"], bool)
         if law.get("true") is not None:

@@ -7,6 +7,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
 
+from pinav.evaluation import normal_quantile
 from pinav.figures.style import (
     BLACK,
     BLUE,
@@ -17,13 +18,13 @@ from pinav.figures.style import (
     add_legend,
     channel_label,
     label_axes,
-    prepared,
+    prepare_axes,
     round_ticks,
     style_of,
     with_unit,
 )
 
-HALF_WIDTH_90 = 1.645
+HALF_WIDTH_90 = normal_quantile(0.9)
 """Of a band of 90 % along one axis, in standard deviations."""
 
 
@@ -44,7 +45,7 @@ def rollout_paths(
         units: unit of each channel.
         ax: where to draw; a new figure unless given.
     """
-    ax = prepared(ax)
+    ax = prepare_axes(ax)
     for index, path in enumerate(observed):
         label = "observed" if index == 0 else "_"
         ax.plot(*path.T, color="0.65", lw=WIDE, label=label)
@@ -91,7 +92,7 @@ def horizon_errors(
         time_unit: unit of the horizons.
         ax: where to draw; a new figure unless given.
     """
-    ax = prepared(ax)
+    ax = prepare_axes(ax)
     for index, (name, values) in enumerate(relative.items()):
         style = style_of(name, index)
         ax.plot(
@@ -126,7 +127,7 @@ def speed_law(
         unit: of the speed.
         ax: where to draw; a new figure unless given.
     """
-    ax = prepared(ax)
+    ax = prepare_axes(ax)
     places, fitted, sd = curve
     ax.plot(frequency, speed, ".", color=GREY, markersize=2.5, label="observed, blocks")
     half = HALF_WIDTH_90 * sd

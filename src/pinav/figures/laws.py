@@ -7,6 +7,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from pinav.evaluation import normal_quantile
 from pinav.figures.style import (
     BLUE,
     GREY,
@@ -17,7 +18,7 @@ from pinav.figures.style import (
     add_legend,
     label_axes,
     new_figure,
-    prepared,
+    prepare_axes,
     title_panel,
     with_unit,
 )
@@ -40,7 +41,7 @@ def law_ranking(
             out.
         ax: where to draw; a new figure unless given.
     """
-    ax = prepared(ax)
+    ax = prepare_axes(ax)
     shown = [
         (n, max(d, FLOOR))
         for n, d in zip(names, differences, strict=True)
@@ -69,18 +70,18 @@ def law_agreement(
     """The learned force against that of a law, both components, at the same points.
 
     Args:
-        learned: force at points on visited ground.
-        sd: its standard deviation; bars show 1.96 of them.
+        learned: force at points in visited regions.
+        sd: its standard deviation; bars are 95 % intervals.
         law: force of the law there.
         unit: of a force; "1" means dimensionless.
         ax: where to draw; a new figure unless given.
     """
-    ax = prepared(ax)
+    ax = prepare_axes(ax)
     for column, (label, color) in enumerate((("$F_x$", BLUE), ("$F_y$", ORANGE))):
         ax.errorbar(
             law[:, column],
             learned[:, column],
-            1.96 * sd[:, column],
+            normal_quantile() * sd[:, column],
             fmt="o",
             ms=2.5,
             lw=0.6,

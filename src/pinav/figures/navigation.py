@@ -19,11 +19,8 @@ from pinav.figures.style import (
     BLACK,
     BLUE,
     DIMENSIONLESS,
-    GREEN,
     GREY,
     ORANGE,
-    PURPLE,
-    SKY,
     SMALL,
     THIN,
     VERMILLION,
@@ -33,20 +30,11 @@ from pinav.figures.style import (
     force_unit,
     label_axes,
     new_figure,
-    prepared,
+    prepare_axes,
+    style_of,
     title_panel,
     with_unit,
 )
-
-COLORS = {
-    "learned": BLUE,
-    "oracle": GREEN,
-    "physics only": PURPLE,
-    "straight line": ORANGE,
-    "line of sight": VERMILLION,
-    "Gaussian process": SKY,
-}
-"""Of controllers, in every figure alike."""
 
 
 class Course:
@@ -182,7 +170,7 @@ def paths_map(
         first = name == "oracle"
         width, order = (WIDE, 2.1) if first else (THIN, 2.2)
         for path in runs:
-            (line,) = ax.plot(*path.T, color=COLORS.get(name, GREY), alpha=0.75)
+            (line,) = ax.plot(*path.T, color=style_of(name).color, alpha=0.75)
             line.set(linewidth=width, zorder=order)
     course.draw(ax)
     return ax
@@ -261,7 +249,7 @@ def closed_loop_figure(
         sd = arrays["field/sd"]
         spread_map(learned, sd, course, suggestion=suggestion, ax=ax, **options)
         title_panel(ax, f"({next(letters)}) its standard deviation")
-    keys = [Line2D([], [], color=COLORS.get(n, GREY), lw=1.5, label=n) for n in paths]
+    keys = [Line2D([], [], color=style_of(n).color, lw=1.5, label=n) for n in paths]
     keys += figure.axes[panels - 1].get_legend_handles_labels()[0]
     figure.legend(
         handles=keys,
@@ -298,10 +286,10 @@ def outcome_bars(
     figure = new_figure(6.4, 0.9 + 0.32 * len(names))
     left, right = figure.subplots(1, 2, sharey=True)
     for ax in (left, right):
-        prepared(ax)
+        prepare_axes(ax)
     places = list(reversed(range(len(names))))
     for place, name in zip(places, names, strict=True):
-        color = COLORS.get(name, GREY)
+        color = style_of(name).color
         found = rows[name]["success"]
         left.barh(place, 100 * found["value"], color=color, height=0.6)
         left.hlines(place, 100 * found["lower"], 100 * found["upper"], color=BLACK)
@@ -342,7 +330,7 @@ def learning_curve(
         counts: of trajectories.
         ax: where to draw; a new figure unless given.
     """
-    ax = prepared(ax)
+    ax = prepare_axes(ax)
     for color, (name, values) in zip((BLUE, VERMILLION), errors.items(), strict=False):
         ax.plot(counts, values.T, color=color, lw=0.6, alpha=0.35)
         ax.plot(counts, np.median(values, axis=0), color=color, lw=2, label=name)

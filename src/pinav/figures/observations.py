@@ -14,7 +14,7 @@ from pinav.figures.style import (
     add_legend,
     channel_label,
     label_axes,
-    prepared,
+    prepare_axes,
     round_ticks,
 )
 
@@ -34,7 +34,7 @@ def observed_paths(
         units: unit of each channel; "1" means dimensionless.
         ax: where to draw; a new figure unless given.
     """
-    ax = prepared(ax)
+    ax = prepare_axes(ax)
     dots = {"color": "0.6", "markersize": 2.0, "label": "observed"}
     line = {"color": BLUE, "lw": THIN, "label": "model"}
     for seen, path in zip(observed, predicted, strict=True):

@@ -23,7 +23,7 @@ from pinav.figures.style import (
     channel_label,
     label_axes,
     new_figure,
-    prepared,
+    prepare_axes,
     round_ticks,
     title_panel,
     with_unit,
@@ -48,7 +48,7 @@ def recording_figure(recording: Trajectories, found: Quality) -> Figure:
         found: its quality report.
     """
     figure = new_figure(7.5, 6.6)
-    axes = [prepared(ax) for ax in np.ravel(figure.subplots(2, 2))]
+    axes = [prepare_axes(ax) for ax in np.ravel(figure.subplots(2, 2))]
     paths(recording, found, axes[0])
     driven = any(run.speeds for run in found.runs)
     second, fourth = (
@@ -99,7 +99,7 @@ def overlay(recording: Trajectories, image: np.ndarray, ax: Axes | None = None) 
     Raises:
         InputError: the recording was not read from pixels.
     """
-    ax = prepared(ax, width=6.0, height=5.0)
+    ax = prepare_axes(ax, width=6.0, height=5.0)
     ax.imshow(image, cmap="gray", origin="upper")
     for segment in recording:
         way = image_positions(recording, positions(segment))

@@ -50,17 +50,30 @@ STYLES = {
     "ude-untrained": LineStyle("untrained UDE", VERMILLION, "--"),
     "nn-only": LineStyle("trained NN only", GREEN),
     "nn-only-untrained": LineStyle("untrained NN only", VERMILLION, "--"),
-    "physics-only": LineStyle("physics only", PURPLE, ":"),
+    "physics-only": LineStyle("physics only", GREY, ":"),
+    "kernel-potential": LineStyle("kernel potential", ORANGE),
+    "kernel-force": LineStyle("kernel force", SKY, "--"),
+    "neural-potential": LineStyle("neural potential", PURPLE),
+    "neural-force": LineStyle("neural force", VERMILLION, "-."),
     "propulsion": LineStyle("propulsion", ORANGE),
     "environment": LineStyle("environment", BLUE),
     "drag": LineStyle("drag", GREEN),
+    "learned": LineStyle("learned model", BLUE),
+    "oracle": LineStyle("true model", BLACK),
+    "physics only": LineStyle("physics only", GREY),
+    "straight line": LineStyle("straight line", ORANGE),
+    "line of sight": LineStyle("line of sight", VERMILLION),
+    "Gaussian process": LineStyle("Gaussian process", SKY),
 }
-_SPARE = (ORANGE, SKY, GREEN, PURPLE, VERMILLION, BLUE)
+"""The look of each model, term and controller: the only table of colours."""
+
+SPARE = (ORANGE, SKY, GREEN, PURPLE, VERMILLION, BLUE)
+"""Colours of what has no entry, in this order."""
 
 
 def style_of(name: str, index: int = 0) -> LineStyle:
     """Style of a model or term; an unknown name gets the spare colour `index`."""
-    return STYLES.get(name) or LineStyle(name, _SPARE[index % len(_SPARE)])
+    return STYLES.get(name) or LineStyle(name, SPARE[index % len(SPARE)])
 
 
 def pale(color: str) -> tuple[float, float, float]:
@@ -79,8 +92,10 @@ def symbol(channel: str) -> str:
 
 
 def with_unit(quantity: str, unit: str) -> str:
-    """An axis label; the unit "1" prints nothing, and `um` prints as µm."""
-    return quantity if unit in ("1", "") else f"{quantity} [{unit.replace('um', 'µm')}]"
+    """An axis label; `um` prints as µm, and no unit or one not stated as nothing."""
+    if unit in ("1", "") or "?" in unit:
+        return quantity
+    return f"{quantity} [{unit.replace('um', 'µm')}]"
 
 
 def channel_label(channel: str, units: Mapping[str, str]) -> str:
@@ -88,10 +103,39 @@ def channel_label(channel: str, units: Mapping[str, str]) -> str:
     return with_unit(symbol(channel), units.get(channel, "1"))
 
 
-def force_unit(units: Mapping[str, str]) -> str:
-    """Unit of a mass-specific force, from those of position and time."""
+ORDER = "order"
+"""Entry of the units that says of which order in time the dynamics are."""
+
+
+def with_order(units: Mapping[str, str], order: int) -> Mapping[str, str]:
+    """The units of data, and the order of the dynamics that were fitted to them.
+
+    Args:
+        units: of each channel.
+        order: 2 where a force is an acceleration, 1 where it is a velocity.
+    """
+    return {**units, ORDER: str(order)}
+
+
+def force_unit(units: Mapping[str, str], *, lengths: int = 1) -> str:
+    """Unit of a mass-specific force, from those of position and time.
+
+    A velocity for dynamics of first order (`with_order`), else an acceleration; "?"
+    where the data do not state a unit.
+
+    Args:
+        units: of each channel.
+        lengths: power of the length; 2 for an energy.
+    """
     length, time = units.get("x", "1"), units.get("t", "1")
-    parts = ("" if length == "1" else length, "" if time == "1" else f"{time}⁻²")
+    if "?" in (length, time):
+        return "?"
+    power = {1: "", 2: "²"}[lengths]
+    rate = {"1": "⁻¹", "2": "⁻²"}[units.get(ORDER, "2")]
+    parts = (
+        "" if length == "1" else length + power,
+        "" if time == "1" else time + rate,
+    )
     return " ".join(part for part in parts if part) or "1"
 
 
@@ -100,7 +144,7 @@ def new_figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def prepared(ax: Axes | None, *, width: float = 4.0, height: float = 3.2) -> Axes:
+def prepare_axes(ax: Axes | None, *, width: float = 4.0, height: float = 3.2) -> Axes:
     """`ax`, or the axes of a new figure, with fonts and frame set."""
     if ax is None:
         ax = new_figure(width, height).add_subplot()

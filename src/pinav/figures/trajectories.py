@@ -32,7 +32,7 @@ from pinav.figures.style import (
     label_axes,
     new_figure,
     pale,
-    prepared,
+    prepare_axes,
     round_ticks,
     style_of,
     symbol,
@@ -67,7 +67,7 @@ def trajectory(
         barrier: centre and width of an obstacle to outline, at one width.
         ax: where to draw; a new figure unless given.
     """
-    ax = prepared(ax)
+    ax = prepare_axes(ax)
     if barrier is not None:
         _outline(ax, *barrier)
     truth = finite(truth)
@@ -184,7 +184,7 @@ def velocity(
         units: unit of each channel; "1" means dimensionless.
         ax: where to draw; a new figure unless given.
     """
-    ax = prepared(ax, width=5.0)
+    ax = prepare_axes(ax, width=5.0)
     styles = [style_of("truth")]
     styles += [style_of(name, index) for index, name in enumerate(models)]
     curves = [finite(truth), *map(finite, models.values())]
@@ -230,7 +230,7 @@ def loss_curve(
         model: what was fitted; sets the colour.
         ax: where to draw; a new figure unless given.
     """
-    ax = prepared(ax)
+    ax = prepare_axes(ax)
     rows = np.atleast_2d(finite(losses))
     rows = np.where(rows > 0.0, rows, np.nan)
     steps = np.arange(rows.shape[1])
@@ -283,7 +283,7 @@ def decomposition(
     References:
         PI-NAV paper, addendum 3 (structural interpretability).
     """
-    ax = prepared(ax, width=5.0, height=2.6)
+    ax = prepare_axes(ax, width=5.0, height=2.6)
     ax.axhline(0.0, color="0.8", lw=0.6, zorder=0)
     total = np.sum(list(learned.terms.values()), axis=0)
     ax.plot(learned.times, total[:, component], color="0.7", lw=WIDE, label="sum")

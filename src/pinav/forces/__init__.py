@@ -6,7 +6,9 @@ from pinav.forces.drag import LinearDrag as LinearDrag
 from pinav.forces.drag import TensorDrag as TensorDrag
 from pinav.forces.flows import AbstractFlow as AbstractFlow
 from pinav.forces.flows import PoiseuilleFlow as PoiseuilleFlow
+from pinav.forces.flows import SampledFlow as SampledFlow
 from pinav.forces.flows import ShearFlow as ShearFlow
+from pinav.forces.flows import SumFlow as SumFlow
 from pinav.forces.flows import UniformFlow as UniformFlow
 from pinav.forces.flows import VortexFlow as VortexFlow
 from pinav.forces.flows import ZeroFlow as ZeroFlow
@@ -44,6 +46,7 @@ from pinav.forces.obstacles import HarmonicTrap as HarmonicTrap
 from pinav.forces.obstacles import Superposition as Superposition
 from pinav.forces.priors import AbstractPrior as AbstractPrior
 from pinav.forces.priors import IsotropicPrior as IsotropicPrior
+from pinav.forces.propulsion import ConstantForce as ConstantForce
 from pinav.forces.propulsion import MagneticPropulsion as MagneticPropulsion
 from pinav.forces.propulsion import RollingPropulsion as RollingPropulsion
 from pinav.forces.propulsion import ScheduledThrust as ScheduledThrust

@@ -1,1 +1,78 @@
-"""Planning and steering with a known or learned force."""
+"""Planning and control of a swimmer whose environment was learned.
+
+A task says what is to be done; a plan and a controller do it with a model; trials say
+how well. `pinav.navigation.trials.gym` needs the extra `gym` and is imported by name.
+"""
+
+from pinav.navigation.control.compensation import DelayCompensation as DelayCompensation
+from pinav.navigation.control.compensation import DriftEstimation as DriftEstimation
+from pinav.navigation.control.controller import AbstractController as AbstractController
+from pinav.navigation.control.controller import Observation as Observation
+from pinav.navigation.control.costs import ArrivalCost as ArrivalCost
+from pinav.navigation.control.costs import TrackingCost as TrackingCost
+from pinav.navigation.control.default import controller as controller
+from pinav.navigation.control.gradient_mpc import GradientMPC as GradientMPC
+from pinav.navigation.control.mppi import PathIntegral as PathIntegral
+from pinav.navigation.control.prediction import GradientGuide as GradientGuide
+from pinav.navigation.control.prediction import (
+    TrajectoryPrediction as TrajectoryPrediction,
+)
+from pinav.navigation.control.simple import LineOfSight as LineOfSight
+from pinav.navigation.control.simple import StraightLine as StraightLine
+from pinav.navigation.control.simple import physics_only as physics_only
+from pinav.navigation.control.simple import steered_swimmer as steered_swimmer
+from pinav.navigation.design.candidates import (
+    CandidateTrajectories as CandidateTrajectories,
+)
+from pinav.navigation.design.candidates import Experiment as Experiment
+from pinav.navigation.design.information import InformationGain as InformationGain
+from pinav.navigation.design.information import Ranking as Ranking
+from pinav.navigation.design.information import VarianceReduction as VarianceReduction
+from pinav.navigation.design.information import expected_posterior as expected_posterior
+from pinav.navigation.design.information import rank as rank
+from pinav.navigation.design.information import suggest as suggest
+from pinav.navigation.design.prior import PriorField as PriorField
+from pinav.navigation.design.prior import prior_uncertainty as prior_uncertainty
+from pinav.navigation.model.tabulated import TabulatedModel as TabulatedModel
+from pinav.navigation.model.tabulated import tabulate_model as tabulate_model
+from pinav.navigation.model.time_cost import TimeCost as TimeCost
+from pinav.navigation.planning.plan import Route as Route
+from pinav.navigation.planning.plan import TimeToGo as TimeToGo
+from pinav.navigation.planning.plan import time_to_go as time_to_go
+from pinav.navigation.reference.gaussian_process import (
+    gaussian_process as gaussian_process,
+)
+from pinav.navigation.reference.minimum_time import minimum_time as minimum_time
+from pinav.navigation.reference.zermelo import quickest_of_task as quickest_of_task
+from pinav.navigation.task.catalogue import TASKS as TASKS
+from pinav.navigation.task.catalogue import task as task
+from pinav.navigation.task.catalogue import training as training
+from pinav.navigation.task.objectives import AbstractObjective as AbstractObjective
+from pinav.navigation.task.objectives import AbstractPath as AbstractPath
+from pinav.navigation.task.objectives import CirclePath as CirclePath
+from pinav.navigation.task.objectives import FigureEightPath as FigureEightPath
+from pinav.navigation.task.objectives import FollowPath as FollowPath
+from pinav.navigation.task.objectives import LinePath as LinePath
+from pinav.navigation.task.objectives import ReachGoal as ReachGoal
+from pinav.navigation.task.steering import AbstractActuator as AbstractActuator
+from pinav.navigation.task.steering import CommandLimits as CommandLimits
+from pinav.navigation.task.steering import HelicalActuator as HelicalActuator
+from pinav.navigation.task.steering import RollingActuator as RollingActuator
+from pinav.navigation.task.steering import SteeredSwimmer as SteeredSwimmer
+from pinav.navigation.task.task import Task as Task
+from pinav.navigation.task.zones import AbstractZone as AbstractZone
+from pinav.navigation.task.zones import Disc as Disc
+from pinav.navigation.task.zones import Rectangle as Rectangle
+from pinav.navigation.task.zones import Wall as Wall
+from pinav.navigation.trials.closed_loop import Episode as Episode
+from pinav.navigation.trials.closed_loop import Episodes as Episodes
+from pinav.navigation.trials.closed_loop import (
+    concatenate_episodes as concatenate_episodes,
+)
+from pinav.navigation.trials.closed_loop import run as run
+from pinav.navigation.trials.closed_loop import run_many as run_many
+from pinav.navigation.trials.metrics import Interval as Interval
+from pinav.navigation.trials.metrics import Summary as Summary
+from pinav.navigation.trials.metrics import proportion as proportion
+from pinav.navigation.trials.metrics import regret as regret
+from pinav.navigation.trials.metrics import summary as summary

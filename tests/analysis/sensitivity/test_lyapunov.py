@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from pinav.analysis import start_jacobians, stretch_map
+from pinav.analysis import lyapunov_map, start_jacobians
 from pinav.dynamics import AbstractDynamics, OverdampedSwimmer, Swimmer, rollout
 from pinav.errors import InputError
 from pinav.forces import AbstractForce, LinearDrag, ZeroForce
@@ -21,13 +21,13 @@ class LinearForce(AbstractForce):
         return self.matrix @ x
 
 
-def test_stretch_of_a_linear_flow_is_that_of_its_exponential():
+def test_growth_in_a_linear_flow_is_that_of_its_exponential():
     flow = OverdampedSwimmer(ZeroForce(), LinearForce(jnp.asarray(MATRIX)), 1.0)
     axis = np.linspace(-1.0, 1.0, 3)
-    found = stretch_map(flow, axis, axis, TIMES)
+    found = lyapunov_map(flow, axis, axis, TIMES)
     exact = scipy.linalg.expm(2.0 * MATRIX)
     stretch = np.linalg.svd(exact, compute_uv=False)[0]
-    assert np.allclose(found.stretch, stretch, rtol=1e-7)
+    assert np.allclose(found.separation, stretch, rtol=1e-7)
     assert np.allclose(found.exponent, np.log(stretch) / 2.0, rtol=1e-6)
     assert found.horizon == 2.0
     grid = np.stack(np.meshgrid(axis, axis), axis=-1)
@@ -37,8 +37,8 @@ def test_stretch_of_a_linear_flow_is_that_of_its_exponential():
 def test_drag_alone_keeps_positions_apart():
     coasting = Swimmer(ZeroForce(), LinearDrag(0.5), ZeroForce())
     axis = np.linspace(0.0, 1.0, 2)
-    found = stretch_map(coasting, axis, axis, TIMES, velocity=lambda x: -x)
-    assert np.allclose(found.stretch, 1.0, atol=1e-12)
+    found = lyapunov_map(coasting, axis, axis, TIMES, velocity=lambda x: -x)
+    assert np.allclose(found.separation, 1.0, atol=1e-12)
     assert np.allclose(found.exponent, 0.0, atol=1e-12)
 
 
@@ -65,9 +65,9 @@ def test_a_rollout_that_is_not_finite_is_left_blank():
         def __call__(self, t, y):
             return jnp.where(y[:1] > 0.5, jnp.nan, 1.0) * y
 
-    found = stretch_map(Trap(), np.array([0.0, 1.0]), np.zeros(1), TIMES)
-    assert np.isnan(found.stretch[0, 1])
-    assert np.isfinite(found.stretch[0, 0])
+    found = lyapunov_map(Trap(), np.array([0.0, 1.0]), np.zeros(1), TIMES)
+    assert np.isnan(found.separation[0, 1])
+    assert np.isfinite(found.separation[0, 0])
 
 
 def test_bad_input_is_refused():

@@ -23,7 +23,7 @@ from pinav.navigation.control.compensation import (
 )
 from pinav.navigation.control.controller import AbstractController
 from pinav.navigation.model.predictors import Drifting, SwimmerPredictor
-from pinav.navigation.task.objectives import Reach
+from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import (
     CommandLimits,
     RollingActuator,
@@ -61,7 +61,7 @@ def task_of(truth, delay=0.0, noise=0.0, sensor_noise=0.0, time_limit=3.0):
         "test",
         truth,
         jnp.array([0.2, -0.3, 0.1, 0.2])[:size],
-        Reach([30.0, 30.0], 0.1),
+        ReachGoal([30.0, 30.0], 0.1),
         CommandLimits(1.0),
         Rectangle([-50.0, -50.0], [50.0, 50.0]),
         (),
@@ -82,7 +82,7 @@ def test_the_predicted_state_is_that_in_which_the_command_comes_into_force(
     task = task_of(model, delay)
     timing = Timing(task.step, task.delay)
     predictor, key = SwimmerPredictor(model), jax.random.key(3)
-    predict = eqx.filter_jit(lambda seen: timing.predicted(predictor, seen))
+    predict = eqx.filter_jit(lambda seen: timing.predict(predictor, seen))
     move = eqx.filter_jit(lambda now, c: advance(task, model, now, c, key))
     now, ahead, commands, states = begin(task), [], [], []
     for step in range(8):
@@ -104,7 +104,7 @@ def test_the_controller_inside_is_told_what_will_be():
     timing = Timing(0.1, 0.2)
     controller = DelayCompensation(Wanderer(2), SwimmerPredictor(model), timing)
     seen = observe(task_of(model, 0.2), begin(task_of(model, 0.2)), jax.random.key(0))
-    ahead = timing.predicted(SwimmerPredictor(model), seen)
+    ahead = timing.predict(SwimmerPredictor(model), seen)
     _, (time, state) = controller(seen, controller.start(seen), key=jax.random.key(0))
     assert float(time) == pytest.approx(0.2)
     assert jnp.allclose(state, ahead.state)

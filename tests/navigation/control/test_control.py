@@ -13,13 +13,13 @@ from pinav.forces import UniformFlow, ZeroForce
 from pinav.navigation.control.controller import Observation
 from pinav.navigation.control.costs import ArrivalCost, TrackingCost
 from pinav.navigation.control.default import controller
-from pinav.navigation.control.gradient_mpc import Shooting
+from pinav.navigation.control.gradient_mpc import GradientMPC
 from pinav.navigation.control.mppi import PathIntegral
-from pinav.navigation.control.prediction import Courses, Downhill
+from pinav.navigation.control.prediction import GradientGuide, TrajectoryPrediction
 from pinav.navigation.model.predictors import SwimmerPredictor
-from pinav.navigation.model.tabulated import terrain
+from pinav.navigation.model.tabulated import tabulate_model
 from pinav.navigation.planning.plan import time_to_go
-from pinav.navigation.task.objectives import CirclePath, Follow, Reach
+from pinav.navigation.task.objectives import CirclePath, FollowPath, ReachGoal
 from pinav.navigation.task.steering import (
     CommandLimits,
     RollingActuator,
@@ -43,7 +43,7 @@ def swimming(drift=(0.0, 0.0), keep_out=(), objective=None, **settings):
         "test",
         truth,
         jnp.asarray(START),
-        Reach(GOAL, 0.2) if objective is None else objective,
+        ReachGoal(GOAL, 0.2) if objective is None else objective,
         CommandLimits(1.0),
         Rectangle([-4.0, -4.0], [4.0, 4.0]),
         keep_out,
@@ -54,30 +54,34 @@ def swimming(drift=(0.0, 0.0), keep_out=(), objective=None, **settings):
 
 
 @pytest.fixture(scope="module")
-def ground():
-    return terrain(swimming(), swimming().truth, points=21)
+def tables():
+    return tabulate_model(swimming(), swimming().truth, points=21)
 
 
 METHODS = {
-    "path integral": lambda courses, cost: PathIntegral(
-        courses, cost, samples=256, rounds=6
+    "path integral": lambda prediction, cost: PathIntegral(
+        prediction, cost, samples=256, rounds=6
     ),
-    "shooting": lambda courses, cost: Shooting(courses, cost, iterations=150),
+    "shooting": lambda prediction, cost: GradientMPC(prediction, cost, iterations=150),
 }
 
 
 @pytest.mark.parametrize("make", METHODS.values(), ids=METHODS)
-def test_both_methods_find_the_optimum_of_a_quadratic_cost(ground, make):
+def test_both_methods_find_the_optimum_of_a_quadratic_cost(tables, make):
     """Cost and model are linear and quadratic: the optimum is by least squares."""
     steps, effort, h = 6, 0.05, 0.1
-    cost = TrackingCost(Reach(np.array([-1.8, -0.9]), 0.1), ground.surroundings, effort)
-    method = make(Courses(ground.predictor, ground.drive, h, steps), cost)
+    cost = TrackingCost(
+        ReachGoal(np.array([-1.8, -0.9]), 0.1), tables.time_cost, effort
+    )
+    method = make(
+        TrajectoryPrediction(tables.predictor, tables.control_map, h, steps), cost
+    )
     seen = Observation(jnp.zeros(()), jnp.asarray(START), jnp.zeros((1, 2)))
     decide = eqx.filter_jit(lambda memory, key: method(seen, memory, key=key)[1])
-    shares = method.start(seen)
+    controls = method.start(seen)
     for key in jax.random.split(jax.random.key(0), 4):
-        shares = jnp.concatenate([shares[:1], shares[:-1]])  # undo the warm start
-        shares = decide(shares, key)
+        controls = jnp.concatenate([controls[:1], controls[:-1]])  # undo the warm start
+        controls = decide(controls, key)
     positions = np.sqrt(h) * h * np.tril(np.ones((steps, steps)))
     changes = np.sqrt(effort) * np.diff(np.eye(steps), axis=0)
     wanted = np.sqrt(h) * np.tile([[0.2, 0.1]], (steps, 1))
@@ -85,8 +89,8 @@ def test_both_methods_find_the_optimum_of_a_quadratic_cost(ground, make):
     wanted = np.vstack([wanted, np.zeros((steps - 1, 2))])
     best = np.linalg.lstsq(rows, wanted, rcond=None)[0]
     assert np.linalg.norm(best, axis=1).max() < 1  # so that no bound is active
-    found = cost(*method.courses(seen, shares), shares)
-    least = cost(*method.courses(seen, jnp.asarray(best)), jnp.asarray(best))
+    found = cost(*method.prediction(seen, controls), controls)
+    least = cost(*method.prediction(seen, jnp.asarray(best)), jnp.asarray(best))
     nothing = 0.05 * h * steps  # the cost of standing still
     assert float(found - least) < 0.02 * (nothing - float(least))
 
@@ -102,17 +106,17 @@ def test_arrival_in_a_uniform_drift_is_that_of_the_closed_form():
     assert episode.arrival_time == pytest.approx(exact, rel=0.01)
 
 
-def test_shooting_arrives_as_soon_as_path_integrals(ground):
+def test_shooting_arrives_as_soon_as_path_integrals(tables):
     task = swimming((0.2, 0.0))
-    here = terrain(task, task.truth, points=21)
-    plan = time_to_go(task, task.truth, ground=here, points=41)
-    courses = Courses(here.predictor, here.drive, task.step, 12)
-    cost, guide = ArrivalCost(plan), Downhill(plan)
+    here = tabulate_model(task, task.truth, points=21)
+    plan = time_to_go(task, task.truth, tables=here, points=41)
+    prediction = TrajectoryPrediction(here.predictor, here.control_map, task.step, 12)
+    cost, guide = ArrivalCost(plan), GradientGuide(plan)
     times = [
         run(task, method, key=jax.random.key(0)).arrival_time
         for method in (
-            Shooting(courses, cost, guide, iterations=10),
-            PathIntegral(courses, cost, guide),
+            GradientMPC(prediction, cost, guide, iterations=10),
+            PathIntegral(prediction, cost, guide),
         )
     ]
     assert times[0] == pytest.approx(times[1], rel=0.02)
@@ -130,7 +134,7 @@ def test_a_zone_is_never_entered_when_the_model_is_true():
 def test_a_path_is_followed_through_a_delay():
     """Only the first moments, before the first command, are lost."""
     circle = CirclePath(center=[-2.0, 0.0], radius=1.0, period=12.0, phase=-np.pi / 2)
-    task = swimming((0.3, 0.1), objective=Follow(circle), delay=0.2, time_limit=6.0)
+    task = swimming((0.3, 0.1), objective=FollowPath(circle), delay=0.2, time_limit=6.0)
     episode = run(task, controller(task, task.truth), key=jax.random.key(0))
     targets = jax.vmap(task.objective.target)(jnp.asarray(episode.ts))
     errors = np.linalg.norm(episode.states - np.asarray(targets), axis=1)
@@ -140,7 +144,7 @@ def test_a_path_is_followed_through_a_delay():
 def test_an_unknown_drift_is_found_on_the_way():
     """The model does not know of it; tracking with the filter is as if it did."""
     circle = CirclePath(center=[-2.0, 0.0], radius=1.0, period=12.0, phase=-np.pi / 2)
-    task = swimming((0.4, 0.2), objective=Follow(circle), time_limit=8.0)
+    task = swimming((0.4, 0.2), objective=FollowPath(circle), time_limit=8.0)
     blind = swimming().truth
 
     def error(**settings):
@@ -152,12 +156,14 @@ def test_an_unknown_drift_is_found_on_the_way():
     assert error(drift=0.5) < error() / 3
 
 
-def test_a_course_is_that_of_the_model(ground):
+def test_a_course_is_that_of_the_model(tables):
     task = swimming((0.4, -0.3))
-    courses = Courses(SwimmerPredictor(task.truth), ground.drive, 0.1, 5)
+    prediction = TrajectoryPrediction(
+        SwimmerPredictor(task.truth), tables.control_map, 0.1, 5
+    )
     seen = Observation(jnp.zeros(()), jnp.asarray(START), jnp.zeros((1, 2)))
-    shares = 0.6 * jnp.tile(jnp.array([[0.6, 0.8]]), (5, 1))
-    ts, ys = courses(seen, shares)
+    controls = 0.6 * jnp.tile(jnp.array([[0.6, 0.8]]), (5, 1))
+    ts, ys = prediction(seen, controls)
     velocity = jnp.array([0.36 + 0.4, 0.48 - 0.3])
     assert jnp.allclose(ys, START[None] + ts[:, None] * velocity[None], atol=1e-6)
 
@@ -167,19 +173,21 @@ BAD = {
     "rounds": (lambda c, j: PathIntegral(c, j, rounds=0), ">= 1, got 0"),
     "spread": (lambda c, j: PathIntegral(c, j, spread=0.0), "> 0, got 0.0"),
     "temperature": (lambda c, j: PathIntegral(c, j, temperature=-1.0), "> 0, got -1.0"),
-    "iterations": (lambda c, j: Shooting(c, j, iterations=0), "> 0, got 0"),
-    "rate": (lambda c, j: Shooting(c, j, rate=0.0), "> 0, got 0.0"),
+    "iterations": (lambda c, j: GradientMPC(c, j, iterations=0), "> 0, got 0"),
+    "rate": (lambda c, j: GradientMPC(c, j, rate=0.0), "> 0, got 0.0"),
 }
 
 
 @pytest.mark.parametrize(("name", "make", "message"), [(k, *v) for k, v in BAD.items()])
-def test_settings_that_make_no_sense_are_refused(ground, name, make, message):
-    courses = Courses(ground.predictor, ground.drive, 0.1)
-    cost = TrackingCost(swimming().objective, ground.surroundings)
+def test_settings_that_make_no_sense_are_refused(tables, name, make, message):
+    prediction = TrajectoryPrediction(tables.predictor, tables.control_map, 0.1)
+    cost = TrackingCost(swimming().objective, tables.time_cost)
     with pytest.raises(InputError, match=rf"{name}: expected {message}"):
-        make(courses, cost)
+        make(prediction, cost)
 
 
-def test_a_course_has_steps(ground):
-    with pytest.raises(InputError, match=r"Courses.steps: expected >= 1, got 0"):
-        Courses(ground.predictor, ground.drive, 0.1, 0)
+def test_a_course_has_steps(tables):
+    with pytest.raises(
+        InputError, match=r"TrajectoryPrediction.steps: expected >= 1, got 0"
+    ):
+        TrajectoryPrediction(tables.predictor, tables.control_map, 0.1, 0)

@@ -15,11 +15,11 @@ from pinav.navigation.control.simple import (
     command_of,
     cruising_speed,
     physics_only,
-    steered,
+    steered_swimmer,
 )
 from pinav.navigation.reference.gaussian_process import gaussian_process
 from pinav.navigation.task import catalogue as tasks
-from pinav.navigation.task.objectives import Reach
+from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import CommandLimits, RollingActuator
 from pinav.navigation.trials import metrics
 from pinav.navigation.trials.closed_loop import run, run_many
@@ -52,7 +52,7 @@ def test_a_command_gives_the_thrust_that_it_was_asked_for(actuator, limits):
 
 def test_line_of_sight_is_straight_where_the_drift_is_known():
     drift = Advection(UniformFlow([0.0, 0.3]))
-    task = open_water(environment=drift, objective=Reach([1.5, 0.0], 0.1))
+    task = open_water(environment=drift, objective=ReachGoal([1.5, 0.0], 0.1))
     known = run(task, LineOfSight.of(task, task.truth), key=KEY)
     blind = run(task, LineOfSight.of(task, physics_only(task.truth)), key=KEY)
     assert np.abs(known.states[:, 1]).max() < 0.05
@@ -86,7 +86,7 @@ def test_gaussian_process_finds_the_current():
     """And does not take the propulsion, which is known, for it."""
     task = tasks.task("vortex")
     data = tasks.training("vortex", KEY)
-    found = steered(task, gaussian_process(task.truth.dynamics, data))
+    found = steered_swimmer(task, gaussian_process(task.truth.dynamics, data))
     points = jnp.asarray(data.states[:, 10::20].reshape(-1, 2))
     learned, true = (
         jax.vmap(lambda x, m=model: m(0.0, x, jnp.zeros(2)))(points)

@@ -21,7 +21,7 @@ from pinav.forces import (
     UniaxialTensor,
     ZeroForce,
 )
-from pinav.navigation.model.predictors import Drive, InertialTable, OverdampedTable
+from pinav.navigation.model.predictors import ControlMap, InertialTable, OverdampedTable
 from pinav.navigation.model.tables import (
     FieldTable,
     Grid,
@@ -60,8 +60,8 @@ def table_of(function, count=9):
 
 @pytest.fixture(scope="module")
 def places():
-    shares = jax.random.uniform(jax.random.key(0), (40, 2))
-    return REGION.lower[None] + shares * (REGION.upper - REGION.lower)[None]
+    fractions = jax.random.uniform(jax.random.key(0), (40, 2))
+    return REGION.lower[None] + fractions * (REGION.upper - REGION.lower)[None]
 
 
 def quadratic(x):
@@ -181,20 +181,20 @@ def test_a_grid_needs_four_points():
 
 
 def test_a_drive_takes_the_frequency_of_the_greatest_thrust():
-    drive = Drive.of(ROLLING, CommandLimits(0.8))
+    drive = ControlMap.of(ROLLING, CommandLimits(0.8))
     assert drive.frequency == pytest.approx(0.8)
     command = drive.command(jnp.array([0.0, 0.5]), jnp.zeros(2), 0.1)
     assert jnp.allclose(command, jnp.array([0.4, jnp.pi / 2]))
 
 
 def test_a_drive_turns_as_fast_as_coils_allow():
-    drive = Drive.of(ROLLING, CommandLimits(0.8, max_turning_rate=2.0))
+    drive = ControlMap.of(ROLLING, CommandLimits(0.8, max_turning_rate=2.0))
     command = drive.command(jnp.array([0.0, 1.0]), jnp.zeros(2), 0.1)
     assert jnp.allclose(command, jnp.array([0.8, 0.2]))
 
 
 def test_a_drive_is_differentiable_without_thrust():
-    drive = Drive.of(ROLLING, CommandLimits(0.8))
+    drive = ControlMap.of(ROLLING, CommandLimits(0.8))
     slope = jax.jacfwd(lambda w: drive.command(w, jnp.zeros(2), 0.1))(jnp.zeros(2))
     assert bool(jnp.all(jnp.isfinite(slope)))
 
@@ -202,4 +202,4 @@ def test_a_drive_is_differentiable_without_thrust():
 def test_no_thrust_at_all_is_refused():
     idle = eqx.tree_at(lambda actuator: actuator.gain, ROLLING, jnp.zeros((2, 2)))
     with pytest.raises(InputError, match=r"limits: expected a frequency that gives"):
-        Drive.of(idle, CommandLimits(0.8))
+        ControlMap.of(idle, CommandLimits(0.8))

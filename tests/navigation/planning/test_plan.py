@@ -18,9 +18,9 @@ from pinav.forces import (
     UniformFlow,
     ZeroForce,
 )
-from pinav.navigation.model.tabulated import terrain
+from pinav.navigation.model.tabulated import tabulate_model
 from pinav.navigation.planning.plan import time_to_go
-from pinav.navigation.task.objectives import Follow, LinePath, Reach
+from pinav.navigation.task.objectives import FollowPath, LinePath, ReachGoal
 from pinav.navigation.task.steering import (
     CommandLimits,
     RollingActuator,
@@ -44,7 +44,7 @@ def swimming(drift=(0.0, 0.0), start=(-2.0, -1.0), keep_out=(), environment=None
         "test",
         truth,
         jnp.array(start),
-        Reach(GOAL, TOLERANCE),
+        ReachGoal(GOAL, TOLERANCE),
         CommandLimits(1.0),
         ARENA,
         keep_out,
@@ -54,8 +54,8 @@ def swimming(drift=(0.0, 0.0), start=(-2.0, -1.0), keep_out=(), environment=None
 
 
 def planned(task, **settings):
-    ground = terrain(task, task.truth, margin=0.01, points=41)
-    return time_to_go(task, task.truth, ground=ground, **settings)
+    tables = tabulate_model(task, task.truth, margin=0.01, points=41)
+    return time_to_go(task, task.truth, tables=tables, **settings)
 
 
 def drifted_time(x, drift):
@@ -171,7 +171,7 @@ def test_a_model_that_is_not_finite_is_refused():
 
 
 def test_a_path_needs_no_plan():
-    path = Follow(LinePath([0.0, 0.0], [1.0, 1.0], 5.0))
+    path = FollowPath(LinePath([0.0, 0.0], [1.0, 1.0], 5.0))
     task = eqx.tree_at(lambda task: task.objective, swimming(), path)
     with pytest.raises(InputError, match=r"task 'test': expected a place to reach"):
         planned(task)
@@ -185,8 +185,8 @@ def test_unknown_ground_is_gone_around():
         swimming(environment=GaussianBarrier(h, [0.25, 0.25], 0.6)).truth
         for h in (-1.0, 1.0)
     ]
-    ground = terrain(task, task.truth, samples=samples, margin=0.01, points=41)
-    wary = time_to_go(task, task.truth, ground=ground)
+    tables = tabulate_model(task, task.truth, samples=samples, margin=0.01, points=41)
+    wary = time_to_go(task, task.truth, tables=tables)
     ways = [plan.route(task.start).ys for plan in (planned(task), wary)]
     near = [float(jnp.min(jnp.linalg.norm(y - 0.25, axis=1))) for y in ways]
     assert near[0] < 0.2 < 0.6 < near[1]

@@ -16,19 +16,16 @@ from pinav.forces import GaussianBarrier
 from pinav.navigation.control.simple import StraightLine
 from pinav.navigation.reference import minimum_time
 from pinav.navigation.task import catalogue as tasks
-from pinav.navigation.task.objectives import Reach
+from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.trials.closed_loop import run
 
-needs_casadi = pytest.mark.skipif(
-    not minimum_time.is_available(),
-    reason="CasADi is not installed; pip install 'pinav[bench]'",
-)
+needs_casadi = pytest.mark.extras("casadi")
 
 
 @needs_casadi
 def test_without_a_barrier_the_optimum_is_full_thrust_ahead():
     flat = GaussianBarrier(0.0, [1.0, 1.0], 1.0)
-    goal = Reach([2.0, 1.0], 0.25)
+    goal = ReachGoal([2.0, 1.0], 0.25)
     task = open_water(inert=True, environment=flat, objective=goal, time_limit=9.0)
     found = minimum_time.minimum_time(task, intervals=20)
     way = 5**0.5 - 0.25

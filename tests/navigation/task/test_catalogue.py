@@ -10,7 +10,7 @@ from pinav.dynamics import Swimmer
 from pinav.errors import InputError
 from pinav.navigation.control.simple import StraightLine
 from pinav.navigation.task import catalogue as tasks
-from pinav.navigation.task.objectives import Follow, Reach
+from pinav.navigation.task.objectives import FollowPath, ReachGoal
 from pinav.navigation.task.steering import greatest_thrust
 from pinav.navigation.task.zones import clearance
 from pinav.navigation.trials.closed_loop import begin, run_many
@@ -29,7 +29,7 @@ def test_every_task_fits_together(name):
     assert jnp.all(jnp.isfinite(rate))
     for t in jnp.linspace(0.0, task.time_limit, 9):
         assert clearance(task.objective.target(t), task.keep_out, task.arena) > 0.2
-    if isinstance(task.objective, Reach):
+    if isinstance(task.objective, ReachGoal):
         assert task.objective.distance(task.start[:2]) > 1.0
     else:
         np.testing.assert_array_equal(task.objective.target(0.0), task.start[:2])
@@ -83,7 +83,7 @@ def test_straight_over_the_barrier_needs_the_strong_thrust():
 def test_paths_can_be_followed_through_the_drift(name):
     """The swimmer is quicker than the path is against the drift."""
     task = tasks.task(name)
-    assert isinstance(task.objective, Follow)
+    assert isinstance(task.objective, FollowPath)
     ts = jnp.linspace(0.0, task.time_limit, 200)
     path = task.objective.path
 

@@ -19,7 +19,7 @@ from tests.navigation.steering_worlds import (
 
 from pinav.dynamics import rollout
 from pinav.forces import CircularMotion, GaussianBarrier, Moving
-from pinav.navigation.task.objectives import Reach
+from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import CommandLimits
 from pinav.navigation.task.zones import Disc, Rectangle
 from pinav.navigation.trials import closed_loop
@@ -93,7 +93,7 @@ def test_white_noise_has_the_strength_that_was_asked_for():
 
 def test_many_are_the_same_as_one_by_one_and_end_by_themselves():
     task = open_water(
-        noise=0.4, sensor_noise=0.1, delay=0.15, objective=Reach([1.0, 0.0], 0.4)
+        noise=0.4, sensor_noise=0.1, delay=0.15, objective=ReachGoal([1.0, 0.0], 0.4)
     )
     many = run_many(task, AHEAD, KEYS[:9])
     assert 0 < many.reached.sum() < 9
@@ -118,7 +118,7 @@ def test_noise_belongs_to_its_key_whatever_the_controller():
 
 
 def test_arrival_is_told_to_within_a_step():
-    task = open_water(objective=Reach([1.0, 0.0], 0.3141))
+    task = open_water(objective=ReachGoal([1.0, 0.0], 0.3141))
     episode = run(task, AHEAD, key=KEY)
     assert episode.reached
     np.testing.assert_allclose(episode.arrival_time, 1 - 0.3141, atol=1e-12)
@@ -133,7 +133,7 @@ def test_arrival_is_told_to_within_a_step():
     ids=["zone", "arena"],
 )
 def test_a_violation_ends_the_episode(changes):
-    task = open_water(objective=Reach([1.6, 0.0], 0.3), **changes)
+    task = open_water(objective=ReachGoal([1.6, 0.0], 0.3), **changes)
     episode = run(task, AHEAD, key=KEY)
     assert episode.violated
     assert not episode.reached

@@ -11,7 +11,7 @@ from tests.navigation.steering_worlds import AHEAD, open_water
 
 from pinav.errors import InputError
 from pinav.navigation.task import catalogue as tasks
-from pinav.navigation.task.objectives import Follow, LinePath, Reach
+from pinav.navigation.task.objectives import FollowPath, LinePath, ReachGoal
 from pinav.navigation.task.zones import Disc
 from pinav.navigation.trials.closed_loop import run
 
@@ -37,7 +37,7 @@ def test_gymnasium_finds_nothing_wrong(name):
 
 
 def test_an_agent_meets_the_same_world_as_a_controller():
-    task = open_water(delay=0.25, objective=Reach([1.0, 0.0], 0.3))
+    task = open_water(delay=0.25, objective=ReachGoal([1.0, 0.0], 0.3))
     world = environment(task)
     first, info = world.reset(seed=1)
     np.testing.assert_allclose(first[:5], [0.0, 0.0, 1.0, 0.0, 2.0])
@@ -66,7 +66,7 @@ def test_a_violation_costs_the_time_that_was_left():
 
 
 def test_time_runs_out_and_paths_reward_nearness():
-    path = Follow(LinePath([0.0, 1.0], [1.0, 1.0], 1.0))
+    path = FollowPath(LinePath([0.0, 1.0], [1.0, 1.0], 1.0))
     world = environment(open_water(objective=path, time_limit=0.2))
     world.reset(seed=0)
     _, reward, ended, truncated, _ = world.step(FULL_AHEAD)

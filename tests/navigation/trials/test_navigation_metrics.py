@@ -6,11 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.stats import binomtest
+from scipy.stats import norm
 from tests.navigation.steering_worlds import AHEAD, open_water
 
 from pinav.errors import InputError
-from pinav.navigation.task.objectives import Follow, LinePath, Reach
+from pinav.navigation.task.objectives import FollowPath, LinePath, ReachGoal
 from pinav.navigation.trials import metrics
 from pinav.navigation.trials.closed_loop import Episodes, run_many
 
@@ -18,19 +18,22 @@ KEYS = jax.random.split(jax.random.key(0), 4)
 
 
 @pytest.mark.parametrize(("successes", "count"), [(0, 7), (95, 100), (3, 3), (1, 2)])
-def test_wilson_is_that_of_scipy(successes, count):
-    own = metrics.wilson(successes, count)
-    other = binomtest(successes, count).proportion_ci(method="wilson")
-    assert own.value == successes / count
+def test_interval_of_a_proportion_is_that_of_wilson(successes, count):
+    interval = metrics.proportion(successes, count)
+    z, p = norm.ppf(0.975), successes / count
+    middle = (p + z**2 / (2 * count)) / (1 + z**2 / count)
+    half = z * math.sqrt(p * (1 - p) / count + z**2 / (4 * count**2))
+    half /= 1 + z**2 / count
+    assert interval.value == p
     np.testing.assert_allclose(
-        [own.lower, own.upper], [other.low, other.high], atol=1e-12
+        [interval.lower, interval.upper], [middle - half, middle + half], atol=1e-12
     )
 
 
 @pytest.mark.parametrize(("successes", "count"), [(3, 2), (-1, 2), (0, 0)])
 def test_a_share_that_is_none_is_refused(successes, count):
-    with pytest.raises(InputError, match=r"wilson: expected 0 <= .* got -?\d of \d"):
-        metrics.wilson(successes, count)
+    with pytest.raises(InputError, match=r"proportion: expected .* got -?\d of \d"):
+        metrics.proportion(successes, count)
 
 
 def test_the_interval_of_a_median_holds_it_as_often_as_it_says():
@@ -80,7 +83,7 @@ def test_regret_needs_pairs_and_an_oracle_that_arrives():
 
 
 def test_summary_of_a_straight_run():
-    task = open_water(objective=Reach([1.0, 0.0], 0.25))
+    task = open_water(objective=ReachGoal([1.0, 0.0], 0.25))
     found = metrics.summary(run_many(task, AHEAD, KEYS), task)
     assert (found.count, found.success.value, found.violation.value) == (4, 1.0, 0.0)
     np.testing.assert_allclose(found.arrival, [0.75] * 3)
@@ -93,7 +96,7 @@ def test_summary_of_a_straight_run():
 
 def test_summary_of_a_path_that_runs_away():
     """A point at speed 1.5 gains 0.5 on the swimmer in every unit of time."""
-    path = Follow(LinePath([0.0, 0.0], [3.0, 0.0], 2.0))
+    path = FollowPath(LinePath([0.0, 0.0], [3.0, 0.0], 2.0))
     task = open_water(objective=path)
     found = metrics.summary(run_many(task, AHEAD, KEYS), task)
     assert found.success.value == 1.0

@@ -37,6 +37,7 @@ from pinav.analysis.discovery.refit import Refit, refit
 from pinav.analysis.discovery.rotations import ROTATIONS
 from pinav.dynamics import FixedStep, Swimmer
 from pinav.errors import InputError
+from pinav.evaluation import normal_quantile
 from pinav.fitting import Outcome, Posterior
 from pinav.trajectories import Trajectories
 
@@ -295,7 +296,7 @@ def estimates(result: Refit, extent: float) -> tuple[EstimatedConstant, ...]:
         result.law.constants, result.constants, sd, strict=True
     ):
         reach = {Role.POSITION: 0.5 * extent, Role.ANGLE: 0.25 * np.pi}
-        half = 1.96 * float(spread)
+        half = normal_quantile() * float(spread)
         found.append(
             EstimatedConstant(
                 name=own.name,

@@ -2,9 +2,9 @@ r"""How the end of a rollout depends on its start.
 
 $\Phi(T) = \partial y(T)/\partial y(0)$ follows from the Jacobians of all steps. Its
 block of positions says how far apart two swimmers end that start side by side with the
-same velocity: its largest singular value $s$ is the stretch, and
-$\lambda = \ln s / T$ the finite-time Lyapunov exponent. Ridges of a map of $s$ separate
-starts with different fates.
+same velocity: its largest singular value $s$ is the factor by which their distance
+grows, and $\lambda = \ln s / T$ the finite-time Lyapunov exponent. Ridges of a map of
+$\lambda$ separate starts with different fates.
 
 References:
     Shadden, Lekien and Marsden, Physica D 212, 271 (2005).
@@ -78,32 +78,32 @@ def _jacobians(dynamics, starts, ts, solver):
     return jax.lax.map(one, starts, batch_size=64)
 
 
-class StretchMap(eqx.Module):
-    r"""Stretch of the final position over a grid of starts.
+class LyapunovMap(eqx.Module):
+    r"""Finite-time Lyapunov exponents of positions over a grid of starts.
 
     Attributes:
         x: grid coordinates along x [L].
         y: grid coordinates along y [L].
-        stretch: largest singular value of $\partial x(T)/\partial x(0)$; NaN where the
-            rollout is not finite.
+        separation: $s$, largest singular value of $\partial x(T)/\partial x(0)$; NaN
+            where the rollout is not finite.
         final: final positions [L].
         horizon: $T$ [T].
     """
 
     x: Float[np.ndarray, " columns"]
     y: Float[np.ndarray, " rows"]
-    stretch: Float[np.ndarray, "rows columns"]
+    separation: Float[np.ndarray, "rows columns"]
     final: Float[np.ndarray, "rows columns 2"]
     horizon: float
 
     @property
     def exponent(self) -> Float[np.ndarray, "rows columns"]:
-        """Finite-time Lyapunov exponent [T⁻¹] of separations in position."""
+        """Finite-time Lyapunov exponent [T⁻¹]."""
         with np.errstate(divide="ignore"):
-            return np.log(self.stretch) / self.horizon
+            return np.log(self.separation) / self.horizon
 
 
-def stretch_map(
+def lyapunov_map(
     dynamics: AbstractDynamics,
     x: Float[np.ndarray, " columns"],
     y: Float[np.ndarray, " rows"],
@@ -111,8 +111,8 @@ def stretch_map(
     *,
     velocity: Callable[[Float[np.ndarray, " dim"]], ArrayLike] | None = None,
     solver: FixedStep | None = None,
-) -> StretchMap:
-    """Stretch of the final position over starts on a grid.
+) -> LyapunovMap:
+    """Finite-time Lyapunov exponents for starts on a grid.
 
     Args:
         dynamics: the system, planar.
@@ -126,19 +126,19 @@ def stretch_map(
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     starts = points
     if velocity is not None:
-        own = [np.asarray(velocity(point), float) for point in points]
-        starts = np.concatenate([points, np.stack(own)], axis=1)
+        velocities = [np.asarray(velocity(point), float) for point in points]
+        starts = np.concatenate([points, np.stack(velocities)], axis=1)
     ends, slopes = start_jacobians(dynamics, starts, ts, solver=solver)
     finite = np.asarray(
         np.isfinite(slopes).all(axis=(1, 2)) & np.isfinite(ends).all(axis=1)
     )
     block = np.where(finite[:, None, None], slopes[:, :2, :2], 0.0)
-    stretch = np.linalg.svd(block, compute_uv=False)[:, 0]
+    separation = np.linalg.svd(block, compute_uv=False)[:, 0]
     times = np.asarray(ts, float)
-    return StretchMap(
+    return LyapunovMap(
         x=np.asarray(x),
         y=np.asarray(y),
-        stretch=np.where(finite, stretch, np.nan).reshape(len(y), len(x)),
+        separation=np.where(finite, separation, np.nan).reshape(len(y), len(x)),
         final=ends[:, :2].reshape(len(y), len(x), 2),
         horizon=float(times[-1] - times[0]),
     )

@@ -16,9 +16,9 @@ from pinav.analysis import (
     SobolIndices,
     helmholtz_split,
     influence,
+    lyapunov_map,
     rotational_fractions,
     sampled_forces,
-    stretch_map,
 )
 from pinav.commands.analyse.settings import AnalyseOptions, AnalyseSettings
 from pinav.commands.command import CommandResult
@@ -48,7 +48,7 @@ from pinav.trajectories import Trajectories, load
 
 ANALYSIS_FILE, ARRAYS_FILE = "analysis.json", "analysis.npz"
 
-STRETCH_POINTS = 25
+LYAPUNOV_POINTS = 25
 """Starts along each side of the map of stretch."""
 
 
@@ -237,16 +237,16 @@ class _Analysis:
 
     def _stretch(self, start, times) -> None:
         x, y = (
-            np.linspace(axis[0], axis[-1], STRETCH_POINTS)
+            np.linspace(axis[0], axis[-1], LYAPUNOV_POINTS)
             for axis in (self.field.x, self.field.y)
         )
-        found = stretch_map(self.model, x, y, times, velocity=lambda _: start[2:])
-        for name in ("x", "y", "stretch", "final"):
-            self.arrays[f"stretch/{name}"] = getattr(found, name)
+        found = lyapunov_map(self.model, x, y, times, velocity=lambda _: start[2:])
+        for name in ("x", "y", "separation", "final"):
+            self.arrays[f"lyapunov/{name}"] = getattr(found, name)
         self.found["stretch"] = {
             "horizon": found.horizon,
-            "median": float(np.nanmedian(found.stretch)),
-            "greatest": float(np.nanmax(found.stretch)),
+            "median": float(np.nanmedian(found.separation)),
+            "greatest": float(np.nanmax(found.separation)),
             "exponent": float(np.nanmedian(found.exponent)),
         }
 

@@ -4,17 +4,17 @@ from typing import Any
 
 import numpy as np
 
-from pinav.analysis import HelmholtzSplit, SobolIndices, StretchMap
+from pinav.analysis import HelmholtzSplit, LyapunovMap, SobolIndices
 from pinav.commands.analyse.job import ANALYSIS_FILE, ARRAYS_FILE
 from pinav.evaluation import FieldMap, default_regions
 from pinav.figures import (
     constants_figure,
     helmholtz_figure,
     influence_figure,
+    lyapunov_figure,
     potential_map,
     save_figure,
     sobol_figure,
-    stretch_figure,
     trust_map,
 )
 from pinav.figures.style import new_figure, title_panel
@@ -150,15 +150,15 @@ class _Pages:
     def rollout(self) -> Content:
         """Start and global sensitivity."""
         index = self.found["settings"]["reference"]
-        names = ("x", "y", "stretch", "final")
-        stretch = StretchMap(
-            *(self.arrays[f"stretch/{name}"] for name in names),
+        names = ("x", "y", "separation", "final")
+        stretch = LyapunovMap(
+            *(self.arrays[f"lyapunov/{name}"] for name in names),
             horizon=self.found["stretch"]["horizon"],
         )
         units = self.data.units
         content: Content = [
             self._image(
-                stretch_figure(stretch, path=self.paths[index], units=units),
+                lyapunov_figure(stretch, path=self.paths[index], units=units),
                 "stretch",
                 "Stretch of the final position over starts",
                 "By how much two rollouts of the model part that start side by side, "

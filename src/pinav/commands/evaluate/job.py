@@ -121,7 +121,7 @@ def _clean(setting: Setting) -> Trajectories | None:
     if setting.truth is None:
         return None
     horizon = setting.subject.horizon
-    return held_out(setting.truth.name, until=EXTENSION * horizon)
+    return held_out(setting.truth, until=EXTENSION * horizon)
 
 
 def _score_model(name, model, setting: Setting, clean, results) -> None:

@@ -21,7 +21,7 @@ from pinav.errors import InputError
 from pinav.evaluation import (
     Bands,
     FieldMap,
-    Recovered,
+    ParameterRecovery,
     Whiteness,
     calibrate,
     distances,
@@ -89,7 +89,7 @@ def _constants(setting: Setting, folder: RunFolder) -> list[dict[str, Any]]:
     learned = folder.read_json("metrics.json")["learned"]
     true = {name: _true_constant(name, truth) for name in settings.learn}
     found = [
-        Recovered(name, value, learned[name]["value"], learned[name]["sd"])
+        ParameterRecovery(name, value, learned[name]["value"], learned[name]["sd"])
         for name, value in true.items()
         if value is not None
     ]

@@ -11,7 +11,7 @@ from tqdm import tqdm
 from pinav.commands.command import CommandResult
 from pinav.commands.navigate.command import NAVIGATE
 from pinav.commands.navigate.settings import NavigateOptions, NavigateSettings
-from pinav.commands.navigate.setup import Mission, prepared
+from pinav.commands.navigate.setup import NavigationProblem, navigation_problem
 from pinav.commands.navigate.suggestion import suggestion
 from pinav.commands.navigate.tables import controller_row, interval, text
 from pinav.commands.start import start_run
@@ -21,7 +21,7 @@ from pinav.navigation.control.controller import AbstractController
 from pinav.navigation.control.default import controller
 from pinav.navigation.planning.plan import Route, TimeToGo
 from pinav.navigation.task.steering import SteeredSwimmer
-from pinav.navigation.trials.closed_loop import Episodes, joined, run_many
+from pinav.navigation.trials.closed_loop import Episodes, concatenate_episodes, run_many
 from pinav.navigation.trials.closed_loop import run as run_episode
 from pinav.navigation.trials.metrics import regret, summary
 from pinav.runs import RunFolder
@@ -31,7 +31,7 @@ MAP_POINTS = 61
 
 
 def navigate(
-    settings: NavigateSettings, mission: Mission, folder: RunFolder
+    settings: NavigateSettings, problem: NavigationProblem, folder: RunFolder
 ) -> dict[str, Any]:
     """Plan, try in closed loop, and write the results.
 
@@ -42,19 +42,19 @@ def navigate(
         InputError: start or goal are in a wall or outside the arena, or the goal
             cannot be reached with this thrust, as far as the model knows.
     """
-    task = mission.task
-    steered = controller(task, mission.model, samples=mission.samples)
+    task = problem.task
+    steered = controller(task, problem.model, samples=problem.samples)
     plan = plan_of(steered)
     route = plan.route(task.start, task.step)
     controllers: dict[str, AbstractController] = {"learned": steered}
-    others, refused = _others(mission)
+    others, refused = _others(problem)
     controllers |= others
     found = {}
     for name in tqdm(controllers, desc="closed loop", unit="controller"):
-        found[name] = trials(mission, controllers[name], settings)
+        found[name] = trials(problem, controllers[name], settings)
     metrics = {
-        "truth": mission.truth,
-        "units": mission.units,
+        "truth": problem.truth,
+        "units": problem.units,
         "thrust": settings.thrust,
         "plan": _planned(plan, route),
         "controllers": {
@@ -63,12 +63,12 @@ def navigate(
         },
         "regret": _regrets(found),
         "refused": refused,
-        "step": _step_times(mission, controllers["learned"], settings),
+        "step": _step_times(problem, controllers["learned"], settings),
     }
-    arrays = _arrays(mission, plan, route, found)
-    if mission.fitted is not None:
+    arrays = _arrays(problem, plan, route, found)
+    if problem.fitted is not None:
         metrics["suggestion"], path = suggestion(
-            settings, mission, mission.fitted, arrays["route"], folder
+            settings, problem, problem.fitted, arrays["route"], folder
         )
         arrays["suggestion"] = path
     folder.write_arrays("results.npz", arrays)
@@ -83,35 +83,35 @@ def plan_of(steered: AbstractController) -> TimeToGo:
 
 
 def _others(
-    mission: Mission,
+    problem: NavigationProblem,
 ) -> tuple[dict[str, AbstractController], dict[str, str]]:
     """Physics alone, and the same controller with the truth where it is known.
 
     A model that sees no way is an answer, too: those and their reasons come second.
     """
-    models = {"physics only": mission.physics}
-    if mission.truth is not None:
-        models["oracle"] = mission.task.truth
+    models = {"physics only": problem.physics}
+    if problem.truth is not None:
+        models["oracle"] = problem.task.truth
     controllers, refused = {}, {}
     for name, model in models.items():
         try:
-            controllers[name] = controller(mission.task, model)
+            controllers[name] = controller(problem.task, model)
         except InputError as error:
             refused[name] = str(error)
     return controllers, refused
 
 
 def trials(
-    mission: Mission, steering: AbstractController, settings: NavigateSettings
+    problem: NavigationProblem, steering: AbstractController, settings: NavigateSettings
 ) -> Episodes:
     """Closed loops of a controller, over seeds and over the possible truths."""
-    truths = mission.truths[: settings.seeds]
+    truths = problem.truths[: settings.seeds]
     keys = _keys(settings)
     parts = [
-        run_many(mission.task, steering, keys[index :: len(truths)], truth=truth)
+        run_many(problem.task, steering, keys[index :: len(truths)], truth=truth)
         for index, truth in enumerate(truths)
     ]
-    return joined(parts)
+    return concatenate_episodes(parts)
 
 
 def _keys(settings: NavigateSettings) -> Shaped[PRNGKeyArray, " episode"]:
@@ -127,7 +127,7 @@ def _planned(plan: TimeToGo, route: Route) -> dict[str, Any]:
 
 
 def _regrets(found: dict[str, Episodes]) -> dict[str, Any]:
-    """Arrival times over those with the truth, in pairs; medians over seeds."""
+    """ArrivalTest times over those with the truth, in pairs; medians over seeds."""
     oracle = found.get("oracle")
     if oracle is None or not oracle.reached.any():
         return {}
@@ -138,30 +138,30 @@ def _regrets(found: dict[str, Episodes]) -> dict[str, Any]:
     }
 
 
-def _step_times(mission, steering, settings) -> dict[str, float]:
+def _step_times(problem, steering, settings) -> dict[str, float]:
     """Time that one command takes to compute [s], and the first one."""
     key = _keys(settings)[0]
-    compute = run_episode(mission.task, steering, key=key).compute
+    compute = run_episode(problem.task, steering, key=key).compute
     return {"first": float(compute[0]), "median": float(np.median(compute[1:]))}
 
 
 def _arrays(
-    mission: Mission, plan: TimeToGo, route: Route, found: dict[str, Episodes]
+    problem: NavigationProblem, plan: TimeToGo, route: Route, found: dict[str, Episodes]
 ) -> dict[str, np.ndarray]:
     """What the figures need."""
-    task = mission.task
+    task = problem.task
     end = np.isfinite(float(route.arrival_time)) and float(route.arrival_time)
     count = int(round(end / task.step)) + 1 if end else len(route.ts)
     arrays = {
         "arena": np.array([task.arena.lower, task.arena.upper]),
         "start": np.asarray(task.start[:2]),
-        "goal": np.asarray(mission.goal.goal),
-        "tolerance": np.asarray(mission.goal.tolerance),
-        "discs": np.array([[*z.center, z.radius] for z in mission.discs]),
+        "goal": np.asarray(problem.goal.goal),
+        "tolerance": np.asarray(problem.goal.tolerance),
+        "discs": np.array([[*z.center, z.radius] for z in problem.discs]),
         "step": np.asarray(task.step),
         "route": np.asarray(route.ys)[:count, :2],
         "plan/time": np.where(plan.unreachable, np.inf, plan.map),
-        **_maps(mission),
+        **_maps(problem),
     }
     for name, episodes in found.items():
         arrays[f"states/{name}"] = episodes.states
@@ -170,21 +170,21 @@ def _arrays(
     return arrays
 
 
-def _maps(mission: Mission) -> dict[str, np.ndarray]:
+def _maps(problem: NavigationProblem) -> dict[str, np.ndarray]:
     """Learned and true force on the arena, with its sd and the way to the data."""
-    corners = mission.task.arena.lower, mission.task.arena.upper
+    corners = problem.task.arena.lower, problem.task.arena.upper
     lower, upper = map(np.asarray, corners)
     x, y = np.linspace(lower, upper, MAP_POINTS).T
     points = np.stack(np.meshgrid(x, y), axis=-1)
     flat, shape = points.reshape(-1, 2), points.shape
     found = {"field/x": x, "field/y": y}
-    found["field/learned"] = _forces(mission.model, flat).reshape(shape)
-    if mission.truth is not None:
-        found["field/true"] = _forces(mission.task.truth, flat).reshape(shape)
-    if mission.fitted is not None:
-        found["field/sd"] = mission.fitted.posterior.force_sd(flat).reshape(shape)
-    if mission.data is not None:
-        found["field/distance"] = distances(flat, mission.data).reshape(shape[:2])
+    found["field/learned"] = _forces(problem.model, flat).reshape(shape)
+    if problem.truth is not None:
+        found["field/true"] = _forces(problem.task.truth, flat).reshape(shape)
+    if problem.fitted is not None:
+        found["field/sd"] = problem.fitted.posterior.force_sd(flat).reshape(shape)
+    if problem.data is not None:
+        found["field/distance"] = distances(flat, problem.data).reshape(shape[:2])
     return found
 
 
@@ -200,7 +200,7 @@ def _forces(swimmer: SteeredSwimmer, points: np.ndarray) -> np.ndarray:
 def run(options: NavigateOptions) -> CommandResult:
     """Navigate as the command line does."""
     settings = options.settings
-    mission = prepared(settings, RunFolder.open(options.run))
+    problem = navigation_problem(settings, RunFolder.open(options.run))
     folder = start_run(NAVIGATE, options, settings, fitted=options.run.name)
-    metrics = navigate(settings, mission, folder)
+    metrics = navigate(settings, problem, folder)
     return CommandResult(metrics, text(metrics), folder)

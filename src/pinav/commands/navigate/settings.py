@@ -59,8 +59,8 @@ class NavigateSettings(Settings, frozen=True):
     samples: Annotated[
         int,
         tyro.conf.arg(
-            help="Models drawn from the posterior, whose spread makes unknown ground "
-            "cost more; 0 takes the model for true."
+            help="Models drawn from the posterior, whose spread makes uncertain "
+            "regions cost more; 0 takes the model for true."
         ),
     ] = 8
     seeds: Annotated[
@@ -136,11 +136,12 @@ def _require(name: str, value: float, *, above: bool) -> None:
 class NavigateOptions(Settings, frozen=True):
     """Go from a place to a place through the force that a run has learned.
 
-    Plans on the learned force (which ground cannot be reached, where the model does not
-    know), steers by model-predictive control, and tries it in closed loop: in the true
-    environment where the data are those of a scenario, else in environments drawn from
-    the posterior. Beside it physics alone and, where it is known, the same controller
-    with the truth. Says which trajectory would tell most of the route. Writes
+    Plans on the learned force (from where the goal cannot be reached, and where the
+    model is uncertain), steers by model-predictive control, and tries it in closed
+    loop: in the true environment where the data are those of a scenario, else in
+    environments drawn from the posterior. Physics alone and, where it is known, the
+    same controller with the truth are tried beside it. The run also suggests the
+    trajectory that would tell most about the force along the route. Writes
     metrics.json, report.html, figures and an animation. A negative number takes an
     equals sign: --from=-1,2.
     """

@@ -1,4 +1,4 @@
-"""What `pinav navigate` works with: a task, and models of its surroundings."""
+"""What `pinav navigate` works with: a task, and models of its time_cost."""
 
 from typing import Any
 
@@ -21,7 +21,7 @@ from pinav.fitting import Posterior
 from pinav.forces import UniformFlow, ZeroForce
 from pinav.identification.models import response_of
 from pinav.navigation.control.simple import physics_only
-from pinav.navigation.task.objectives import Reach
+from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import (
     CommandLimits,
     RollingActuator,
@@ -50,7 +50,7 @@ class Fitted(eqx.Module):
     data: Trajectories
 
 
-class Mission(eqx.Module):
+class NavigationProblem(eqx.Module):
     """A task and what is known of it.
 
     Attributes:
@@ -70,7 +70,7 @@ class Mission(eqx.Module):
     samples: tuple[SteeredSwimmer, ...]
     truth: str | None
     fitted: Fitted | None
-    goal: Reach
+    goal: ReachGoal
     discs: tuple[Disc, ...]
     data: Trajectories | None
     units: dict[str, str]
@@ -88,8 +88,8 @@ class Mission(eqx.Module):
         return (self.task.truth,)
 
 
-def prepared(settings: NavigateSettings, run: RunFolder) -> Mission:
-    """The mission of a run.
+def navigation_problem(settings: NavigateSettings, run: RunFolder) -> NavigationProblem:
+    """The problem of a run.
 
     Raises:
         InputError: the run holds no fitted swimmer in the plane.
@@ -104,7 +104,7 @@ def prepared(settings: NavigateSettings, run: RunFolder) -> Mission:
     )
 
 
-def _of_fit(settings, run: RunFolder) -> Mission:
+def _of_fit(settings, run: RunFolder) -> NavigationProblem:
     content = run.settings()
     fitted = msgspec.convert(content, FitSettings)
     model = run.read_model(MODEL_FILE, build_model)
@@ -124,7 +124,7 @@ def _of_fit(settings, run: RunFolder) -> Mission:
     truth = data.provenance.get("scenario")
     known = model if truth is None else scenario(truth).true_swimmer
     limits = CommandLimits(1.0)
-    return Mission(
+    return NavigationProblem(
         task=_task(settings, SteeredSwimmer(known, actuator), limits, data),
         model=SteeredSwimmer(model, actuator),
         samples=tuple(SteeredSwimmer(one, actuator) for one in _draws(found, settings)),
@@ -149,7 +149,7 @@ def _is_planar(model: KnownSwimmer, data: Trajectories) -> bool:
     return data.channels[:2] == ("x", "y") and len(data.channels) in (2, states)
 
 
-def _of_recording(settings: NavigateSettings, run: RunFolder) -> Mission:
+def _of_recording(settings: NavigateSettings, run: RunFolder) -> NavigationProblem:
     metrics = run.read_json("metrics.json")
     tracks = {k: v for k, v in metrics["tracks"].items() if v.get("gain")}
     if not tracks:
@@ -168,7 +168,7 @@ def _of_recording(settings: NavigateSettings, run: RunFolder) -> Mission:
     robot = OverdampedSwimmer(ZeroForce(), ZeroForce(), 1.0, UniformFlow(drift))
     swimmer = SteeredSwimmer(robot, actuator)
     limits = CommandLimits(settings.frequency)
-    return Mission(
+    return NavigationProblem(
         task=_task(settings, swimmer, limits, None),
         model=swimmer,
         samples=(),
@@ -185,8 +185,8 @@ def _logit(share: float) -> float:
     return float(np.log(share / (1 - share)))
 
 
-def _goal(settings: NavigateSettings) -> Reach:
-    return Reach(list(settings.places()[1]), settings.tolerance)
+def _goal(settings: NavigateSettings) -> ReachGoal:
+    return ReachGoal(list(settings.places()[1]), settings.tolerance)
 
 
 def _discs(settings: NavigateSettings) -> tuple[Disc, ...]:

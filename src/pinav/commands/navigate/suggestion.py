@@ -7,16 +7,16 @@ import jax
 import numpy as np
 
 from pinav.commands.navigate.settings import NavigateSettings
-from pinav.commands.navigate.setup import Fitted, Mission
+from pinav.commands.navigate.setup import Fitted, NavigationProblem
 from pinav.dynamics import FixedStep
-from pinav.navigation.design.candidates import Experiment, Shots
+from pinav.navigation.design.candidates import CandidateTrajectories, Experiment
 from pinav.navigation.design.information import rank, suggest
-from pinav.navigation.design.prior import Unknown, doubt
+from pinav.navigation.design.prior import PriorField, prior_uncertainty
 from pinav.navigation.task.zones import Rectangle
 from pinav.runs import RunFolder
 
 CANDIDATES, ROUNDS = 48, 3
-"""Shots in each round, and rounds."""
+"""CandidateTrajectories in each round, and rounds."""
 
 SAMPLES = 120
 """Samples of a suggested trajectory at most."""
@@ -27,7 +27,7 @@ STRENGTH = 0.5
 
 def suggestion(
     settings: NavigateSettings,
-    mission: Mission,
+    problem: NavigationProblem,
     fitted: Fitted,
     route: np.ndarray,
     folder: RunFolder,
@@ -39,29 +39,29 @@ def suggestion(
     Returns:
         What is expected of it, and its predicted path.
     """
-    task = mission.task
-    unknown = Unknown(task.arena, STRENGTH * settings.thrust)
-    open_questions = doubt(
-        mission.model.dynamics,
+    task = problem.task
+    prior = PriorField(task.arena, STRENGTH * settings.thrust)
+    uncertainty = prior_uncertainty(
+        problem.model.dynamics,
         fitted.data,
         fitted.states,
         noise=fitted.noise,
-        unknown=unknown,
+        prior=prior,
     )
-    design = _experiment(settings, mission, fitted)
+    design = _experiment(settings, problem, fitted)
     key = jax.random.fold_in(jax.random.key(settings.seed), 2)
-    shots = design.draw(CANDIDATES, key=key)
-    random = rank(open_questions, route, design, shots, arena=task.arena)
+    candidates = design.draw(CANDIDATES, key=key)
+    random = rank(uncertainty, route, design, candidates, arena=task.arena)
     found = suggest(
-        open_questions,
+        uncertainty,
         route,
         design,
         arena=task.arena,
         key=key,
-        candidates=CANDIDATES,
+        num_candidates=CANDIDATES,
         rounds=ROUNDS,
     )
-    best = found.shots[found.best]
+    best = found.candidates[found.best]
     table = [design.knots.tolist(), best.frequency.tolist(), best.heading.tolist()]
     rows = list(zip(*table, strict=True))
     folder.write_table("suggestion.csv", ("t", "frequency", "heading"), rows)
@@ -73,14 +73,14 @@ def suggestion(
         "sd_after": float(found.sd[found.best]),
         "sd_after_random": float(np.median(random.sd[stays])) if stays.any() else None,
     }
-    return expected, _path(mission, design, best)
+    return expected, _path(problem, design, best)
 
 
 def _experiment(
-    settings: NavigateSettings, mission: Mission, fitted: Fitted
+    settings: NavigateSettings, problem: NavigationProblem, fitted: Fitted
 ) -> Experiment:
     """Released near the start, observed as the data were."""
-    task, data = mission.task, fitted.data
+    task, data = problem.task, fitted.data
     near = np.full(2, settings.tolerance)
     start = np.asarray(task.start[:2])
     spans = [piece.times[-1] - piece.times[0] for piece in data]
@@ -101,10 +101,12 @@ def _experiment(
     )
 
 
-def _path(mission: Mission, design: Experiment, shot: Shots) -> np.ndarray:
+def _path(
+    problem: NavigationProblem, design: Experiment, candidate: CandidateTrajectories
+) -> np.ndarray:
     """Where the model expects it to go."""
     driven = eqx.tree_at(
-        lambda m: m.propulsion, mission.model.dynamics, design.thrust(shot)
+        lambda m: m.propulsion, problem.model.dynamics, design.thrust(candidate)
     )
-    states, _ = FixedStep().solve(driven, shot.starts, design.times)
+    states, _ = FixedStep().solve(driven, candidate.starts, design.times)
     return np.asarray(states)[:, :2]

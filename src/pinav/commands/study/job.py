@@ -113,7 +113,7 @@ def study(
     """
     known = scenario(world)
     rows = folder.read_json(ROWS) if folder.has(ROWS) else {}
-    clean = held_out(world, count=settings.held_out)
+    clean = held_out(scenario(world), count=settings.held_out)
     chosen = list(cells(name, settings))
     most = max(cell.count for cell in chosen)
     several = {seed: clean_data(world, seed, most) for seed in settings.seeds}

@@ -43,8 +43,8 @@ from pinav.evaluation import (
     summarise,
 )
 from pinav.figures import save_figure
-from pinav.figures.errors import error_over_time, errors_by_region, style_of_model
-from pinav.figures.style import new_figure, title_panel
+from pinav.figures.errors import error_over_time, errors_by_region
+from pinav.figures.style import new_figure, style_of, title_panel
 from pinav.fitting import KernelGrid, fit, fit_bayes
 from pinav.report import Image, Paragraph, Section, Table
 from pinav.runs import RunFolder
@@ -55,9 +55,9 @@ UDE, KERNEL = "UDE with time, one trajectory", "kernel potential, several"
 PHYSICS = "physics only"
 
 STYLES = {
-    UDE: style_of_model("ude"),
-    KERNEL: style_of_model("kernel-potential"),
-    PHYSICS: style_of_model("physics-only"),
+    UDE: style_of("ude"),
+    KERNEL: style_of("kernel-potential"),
+    PHYSICS: style_of("physics-only"),
 }
 
 
@@ -77,7 +77,7 @@ def weakness(settings: StudySettings, folder: RunFolder) -> dict[str, Any]:
     ude = _stored(folder, "model-ude.eqx", _fit_ude, settings, single)
     kernel = _stored(folder, "model-kernel.eqx", _fit_kernel, settings, several)
     physics = paper().swimmer
-    held = held_out("paper", until=20.0, count=settings.held_out)
+    held = held_out(paper(), until=20.0, count=settings.held_out)
     chosen = {UDE: (ude, single), KERNEL: (kernel, clean), PHYSICS: (physics, single)}
     metrics: dict[str, Any] = {"study": "paper-weakness", "models": {}}
     metrics |= {"recipe": settings.recipe, "seed": seed, "count": settings.count}

@@ -41,7 +41,7 @@ class Timing(eqx.Module):
         rest = self.step - self.remainder
         return rest if rest > 1e-9 * self.step else 0.0
 
-    def predicted(
+    def predict(
         self, predictor: AbstractPredictor, observation: Observation
     ) -> Observation:
         """The observation when the next command comes into force."""
@@ -77,10 +77,10 @@ class DelayCompensation(AbstractController[Inner], Generic[Inner]):
     timing: Timing
 
     def start(self, observation):
-        return self.controller.start(self.timing.predicted(self.predictor, observation))
+        return self.controller.start(self.timing.predict(self.predictor, observation))
 
     def __call__(self, observation, memory, *, key):
-        ahead = self.timing.predicted(self.predictor, observation)
+        ahead = self.timing.predict(self.predictor, observation)
         return self.controller(ahead, memory, key=key)
 
 
@@ -142,17 +142,17 @@ class DriftEstimation(AbstractController[Belief[Inner]], Generic[Inner]):
         return Belief(mean, covariance, observation.pending[0], time, inner)
 
     def __call__(self, observation, memory, *, key):
-        mean, covariance = self._updated(observation, memory)
+        mean, covariance = self._update(observation, memory)
         seen = Observation(observation.time, mean, observation.pending)
         command, inner = self.controller(seen, memory.inner, key=key)
         time = jnp.asarray(observation.time, mean.dtype)
         belief = Belief(mean, covariance, observation.pending[0], time, inner)
         return command, belief
 
-    def _updated(self, observation, memory):
+    def _update(self, observation, memory):
         """Mean and covariance after an observation; as they were at the first one."""
         elapsed = observation.time - memory.time
-        mean, covariance = self._predicted(observation, memory)
+        mean, covariance = self._predict(observation, memory)
         gain = self._gain(covariance)
         known = observation.state.shape[0]
         new = mean + gain @ (observation.state - mean[:known])
@@ -164,7 +164,7 @@ class DriftEstimation(AbstractController[Belief[Inner]], Generic[Inner]):
             jnp.where(first, memory.covariance, spread),
         )
 
-    def _predicted(self, observation, memory):
+    def _predict(self, observation, memory):
         """Mean and covariance one step on, under the commands that were in force."""
         first, second = self.timing.remainder, self.timing.rest
 
@@ -178,9 +178,9 @@ class DriftEstimation(AbstractController[Belief[Inner]], Generic[Inner]):
             return moved, moved
 
         slope, mean = jax.jacfwd(onward, has_aux=True)(memory.mean)
-        return mean, slope @ memory.covariance @ slope.T + self._diffused(mean)
+        return mean, slope @ memory.covariance @ slope.T + self._process_noise(mean)
 
-    def _diffused(self, mean):
+    def _process_noise(self, mean):
         """What a step adds to the covariance."""
         size, step = mean.shape[0], self.timing.step
         variances = jnp.full(size, LEAST, mean.dtype)

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from pinav.navigation.model.time_cost import Surroundings, entry
+from pinav.navigation.model.time_cost import TimeCost, entry_fraction
 from pinav.navigation.planning.plan import TimeToGo
 from pinav.navigation.task.objectives import AbstractObjective
 
@@ -20,21 +20,21 @@ class AbstractCost(eqx.Module):
         self,
         ts: Float[Array, " time"],
         ys: Float[Array, "time state"],
-        shares: Float[Array, "step 2"],
+        controls: Float[Array, "step 2"],
     ) -> Float[Array, ""]:
         """Cost of a course.
 
         Args:
             ts: times, the first of which is now [T].
             ys: states then.
-            shares: thrust in each step, in units of the greatest.
+            controls: thrust in each step, in units of the greatest thrust.
         """
 
 
 class ArrivalCost(AbstractCost):
     """Time until the goal is reached; after the last state that of the plan [T].
 
-    Each unit of time costs what the surroundings say, and each step into a wall the
+    Each unit of time costs what `TimeCost` says, and each step into a wall the
     time limit of the task.
 
     Attributes:
@@ -43,17 +43,17 @@ class ArrivalCost(AbstractCost):
 
     plan: TimeToGo
 
-    def __call__(self, ts, ys, shares):
+    def __call__(self, ts, ys, controls):
         plan, ways = self.plan, jnp.diff(ys[:, :2], axis=0)
-        share = jax.vmap(entry, (0, 0, None, None))(
+        fraction = jax.vmap(entry_fraction, (0, 0, None, None))(
             ys[:-1, :2], ways, plan.goal, plan.tolerance
         )
-        away = jnp.cumprod(jnp.isinf(share).astype(ys.dtype))
+        away = jnp.cumprod(jnp.isinf(fraction).astype(ys.dtype))
         before = jnp.concatenate([jnp.ones_like(away[:1]), away[:-1]])
-        surroundings = plan.terrain.surroundings
-        pace = jax.vmap(surroundings.pace)(ts[1:], ys[1:, :2])
-        pace = pace + _collisions(surroundings, ys) * plan.horizon
-        running = before * jnp.minimum(share, 1.0) * jnp.diff(ts) * pace
+        time_cost = plan.tables.time_cost
+        running_cost = jax.vmap(time_cost.running_cost)(ts[1:], ys[1:, :2])
+        running_cost = running_cost + _collisions(time_cost, ys) * plan.horizon
+        running = before * jnp.minimum(fraction, 1.0) * jnp.diff(ts) * running_cost
         return jnp.sum(running) + away[-1] * plan.at(ys[-1], ts[-1])
 
 
@@ -62,20 +62,20 @@ class TrackingCost(AbstractCost):
 
     Attributes:
         objective: the target r.
-        surroundings: walls; what time costs more near them is added.
-        effort: weight of the squared change of the thrust share from step to step.
+        time_cost: walls; what time costs more near them is added.
+        effort: weight of the squared change of the control from step to step.
     """
 
     objective: AbstractObjective
-    surroundings: Surroundings
+    time_cost: TimeCost
     effort: float = 0.0
 
-    def __call__(self, ts, ys, shares):
+    def __call__(self, ts, ys, controls):
         targets = jax.vmap(self.objective.target)(ts[1:])
         error = jnp.sum((ys[1:, :2] - targets) ** 2, axis=1)
-        pace = jax.vmap(self.surroundings.pace)(ts[1:], ys[1:, :2]) - 1
-        walls = pace + COLLISION * _collisions(self.surroundings, ys)
-        change = jnp.sum(jnp.diff(shares, axis=0) ** 2)
+        running_cost = jax.vmap(self.time_cost.running_cost)(ts[1:], ys[1:, :2]) - 1
+        walls = running_cost + COLLISION * _collisions(self.time_cost, ys)
+        change = jnp.sum(jnp.diff(controls, axis=0) ** 2)
         return jnp.sum((error + walls) * jnp.diff(ts)) + self.effort * change
 
 
@@ -83,7 +83,7 @@ COLLISION = 1e3
 """Cost of a unit of time in a wall, where a path is followed [L²]."""
 
 
-def _collisions(surroundings, ys):
+def _collisions(time_cost, ys):
     """One for each later state in a wall."""
-    clearance = jax.vmap(surroundings.clearance)(ys[1:, :2])
+    clearance = jax.vmap(time_cost.clearance)(ys[1:, :2])
     return (clearance < 0).astype(ys.dtype)

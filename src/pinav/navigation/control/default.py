@@ -9,13 +9,13 @@ from pinav.navigation.control.compensation import (
 )
 from pinav.navigation.control.controller import AbstractController
 from pinav.navigation.control.costs import ArrivalCost, TrackingCost
-from pinav.navigation.control.gradient_mpc import Shooting
+from pinav.navigation.control.gradient_mpc import GradientMPC
 from pinav.navigation.control.mppi import PathIntegral
-from pinav.navigation.control.prediction import Courses, Downhill
+from pinav.navigation.control.prediction import GradientGuide, TrajectoryPrediction
 from pinav.navigation.model.predictors import AbstractPredictor, Drifting
-from pinav.navigation.model.tabulated import Terrain, terrain
+from pinav.navigation.model.tabulated import TabulatedModel, tabulate_model
 from pinav.navigation.planning.plan import check_places, time_to_go
-from pinav.navigation.task.objectives import Reach
+from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import SteeredSwimmer
 from pinav.navigation.task.task import Task
 
@@ -25,7 +25,7 @@ def controller(
     model: SteeredSwimmer,
     *,
     samples: Sequence[SteeredSwimmer] = (),
-    aversion: float = 4.0,
+    risk_aversion: float = 4.0,
     drift: float | None = None,
 ) -> AbstractController:
     """Plan and control a task with a model: the truth of the task is not used.
@@ -39,7 +39,7 @@ def controller(
         model: what is believed: a fitted model, physics alone, or the truth.
         samples: of the model's posterior, none or at least two: where they disagree,
             time costs more.
-        aversion: cost of time where their spread is as great as the thrust.
+        risk_aversion: cost of time where their spread is as great as the thrust.
         drift: standard deviation of a constant rate that the model does not know, and
             that is estimated on the way [L T⁻¹], or [L T⁻²] with inertia; 0 for none.
             Unless given, none.
@@ -48,10 +48,10 @@ def controller(
         InputError: the task cannot be done with the model: see `time_to_go`.
     """
     check_places(task)
-    ground = terrain(task, model, samples=samples, aversion=aversion)
+    tables = tabulate_model(task, model, samples=samples, risk_aversion=risk_aversion)
     filtered = task.sensor_noise > 0 or bool(drift)
-    predictor = Drifting(ground.predictor) if filtered else ground.predictor
-    steered = _steered(task, model, ground, predictor)
+    predictor = Drifting(tables.predictor) if filtered else tables.predictor
+    steered = _steered(task, model, tables, predictor)
     timing = Timing(task.step, task.delay)
     if task.delay > 0:
         steered = DelayCompensation(steered, predictor, timing)
@@ -68,16 +68,23 @@ def controller(
 
 
 def _steered(
-    task: Task, model: SteeredSwimmer, ground: Terrain, predictor: AbstractPredictor
+    task: Task,
+    model: SteeredSwimmer,
+    tables: TabulatedModel,
+    predictor: AbstractPredictor,
 ) -> AbstractController:
     """What decides, without delay and with a good sensor."""
-    if isinstance(task.objective, Reach):
-        plan = time_to_go(task, model, ground=ground)
-        courses = Courses(predictor, ground.drive, task.step, STEPS)
-        return PathIntegral(courses, ArrivalCost(plan), Downhill(plan))
-    courses = Courses(predictor, ground.drive, task.step, TRACKING_STEPS)
-    cost = TrackingCost(task.objective, ground.surroundings)
-    return Shooting(courses, cost)
+    if isinstance(task.objective, ReachGoal):
+        plan = time_to_go(task, model, tables=tables)
+        prediction = TrajectoryPrediction(
+            predictor, tables.control_map, task.step, STEPS
+        )
+        return PathIntegral(prediction, ArrivalCost(plan), GradientGuide(plan))
+    prediction = TrajectoryPrediction(
+        predictor, tables.control_map, task.step, TRACKING_STEPS
+    )
+    cost = TrackingCost(task.objective, tables.time_cost)
+    return GradientMPC(prediction, cost)
 
 
 STEPS = 20

@@ -13,12 +13,12 @@ from jaxtyping import Array, Float
 from pinav.errors import InputError
 from pinav.navigation.control.controller import AbstractController
 from pinav.navigation.control.costs import AbstractCost
-from pinav.navigation.control.prediction import AbstractGuide, Courses
+from pinav.navigation.control.prediction import AbstractGuide, TrajectoryPrediction
 from pinav.navigation.model.predictors import within_disc
 from pinav.navigation.task.steering import direction
 
 
-class Shooting(AbstractController[Float[Array, "step 2"]]):
+class GradientMPC(AbstractController[Float[Array, "step 2"]]):
     r"""Improves sequences of thrusts by steps along the gradient of their cost.
 
     Each sequence that is kept, and that of the guide, takes Adam's steps whose length
@@ -26,7 +26,7 @@ class Shooting(AbstractController[Float[Array, "step 2"]]):
     met is the answer. Kept sequences are moved on by one from step to step.
 
     Attributes:
-        courses: what follows from a sequence, and the steps it has.
+        prediction: what follows from a sequence, and the steps it has.
         cost: of a course; differentiable almost everywhere.
         guide: proposes a further sequence in each step, or None.
         iterations: steps of descent, positive.
@@ -36,7 +36,7 @@ class Shooting(AbstractController[Float[Array, "step 2"]]):
         InputError: `iterations` or `rate` is not positive.
     """
 
-    courses: Courses
+    prediction: TrajectoryPrediction
     cost: AbstractCost
     guide: AbstractGuide | None = None
     iterations: int = eqx.field(static=True, default=20)
@@ -46,54 +46,60 @@ class Shooting(AbstractController[Float[Array, "step 2"]]):
         for name in ("iterations", "rate"):
             value = getattr(self, name)
             if not value > 0:
-                raise InputError(f"Shooting.{name}: expected > 0, got {value}")
+                raise InputError(f"GradientMPC.{name}: expected > 0, got {value}")
 
     def start(self, observation):
         ahead = SMALL * direction(observation.pending[-1, 1])
-        return jnp.tile(ahead.astype(observation.state.dtype), (self.courses.steps, 1))
+        return jnp.tile(
+            ahead.astype(observation.state.dtype), (self.prediction.steps, 1)
+        )
 
     def __call__(self, observation, memory, *, key):
         del key
-        begun = jnp.concatenate([memory[1:], memory[-1:]])[None]
+        guesses = jnp.concatenate([memory[1:], memory[-1:]])[None]
         if self.guide is not None:
-            guided = self.guide(observation, self.courses)
-            begun = jnp.concatenate([begun, guided[None]])
-        found, costs = jax.vmap(lambda one: self._descended(observation, one))(begun)
-        best = found[jnp.argmin(costs)]
-        return self.courses.command(observation, best[0]), best
+            guided = self.guide(observation, self.prediction)
+            guesses = jnp.concatenate([guesses, guided[None]])
+        solutions, costs = jax.vmap(lambda one: self._descend(observation, one))(
+            guesses
+        )
+        best = solutions[jnp.argmin(costs)]
+        return self.prediction.command(observation, best[0]), best
 
-    def _descended(self, observation, shares):
+    def _descend(self, observation, controls):
         """The best sequence met on the way down, and its cost."""
 
-        def cost(shares):
-            value = self.cost(*self.courses(observation, shares), shares)
+        def cost(controls):
+            value = self.cost(*self.prediction(observation, controls), controls)
             return jnp.where(jnp.isfinite(value), value, jnp.inf)
 
         method = optax.scale_by_adam()
 
         def descend(carry, length):
-            shares, progress, best, least = carry
-            value, slope = jax.value_and_grad(cost)(shares)
+            controls, progress, best, least = carry
+            value, slope = jax.value_and_grad(cost)(controls)
             better = value < least
-            best = jnp.where(better, shares, best)
+            best = jnp.where(better, controls, best)
             least = jnp.where(better, value, least)
             slope = jnp.where(jnp.isfinite(slope), slope, 0.0)
             with jax.numpy_dtype_promotion("standard"):  # as optax expects
                 change, progress = method.update(slope, progress)
-            shares = within_disc(shares - length * change)
-            return (shares, progress, best, least), None
+            controls = within_disc(controls - length * change)
+            return (controls, progress, best, least), None
 
-        least = jnp.asarray(jnp.inf, shares.dtype)
-        begin = (shares, method.init(shares), shares, least)
-        (last, _, best, least), _ = jax.lax.scan(descend, begin, self._lengths(shares))
+        least = jnp.asarray(jnp.inf, controls.dtype)
+        begin = (controls, method.init(controls), controls, least)
+        (last, _, best, least), _ = jax.lax.scan(
+            descend, begin, self._lengths(controls)
+        )
         final = cost(last)
         return jnp.where(final < least, last, best), jnp.minimum(final, least)
 
-    def _lengths(self, shares):
+    def _lengths(self, controls):
         """Of the steps of descent: half a period of a cosine, from the rate to zero."""
-        done = jnp.arange(self.iterations, dtype=shares.dtype) / self.iterations
+        done = jnp.arange(self.iterations, dtype=controls.dtype) / self.iterations
         return self.rate * (1 + jnp.cos(jnp.pi * done)) / 2
 
 
 SMALL = 0.1
-"""Thrust share of the first sequence: the heading of no thrust has no derivative."""
+"""Size of the first controls: the heading of no thrust has no derivative."""

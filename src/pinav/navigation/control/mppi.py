@@ -1,4 +1,4 @@
-r"""Model-predictive path integral control: many random courses, weighted by their cost.
+r"""Model-predictive path integral control: random predictions, weighted by cost.
 
 References:
     Williams, Aldrich and Theodorou, J. Guid. Control Dyn. 40, 344 (2017).
@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from pinav.errors import InputError
 from pinav.navigation.control.controller import AbstractController
 from pinav.navigation.control.costs import AbstractCost
-from pinav.navigation.control.prediction import AbstractGuide, Courses
+from pinav.navigation.control.prediction import AbstractGuide, TrajectoryPrediction
 from pinav.navigation.model.predictors import within_disc
 
 
@@ -27,7 +27,7 @@ class PathIntegral(AbstractController[Float[Array, "step 2"]]):
     trap.
 
     Attributes:
-        courses: what follows from a sequence, and the steps it has.
+        prediction: what follows from a sequence, and the steps it has.
         cost: of a course.
         guide: proposes a further sequence in each step, or None.
         samples: random sequences in each round, at least 2.
@@ -40,7 +40,7 @@ class PathIntegral(AbstractController[Float[Array, "step 2"]]):
         InputError: `samples`, `rounds`, `spread` or `temperature` is too small.
     """
 
-    courses: Courses
+    prediction: TrajectoryPrediction
     cost: AbstractCost
     guide: AbstractGuide | None = None
     samples: int = eqx.field(static=True, default=96)
@@ -62,25 +62,25 @@ class PathIntegral(AbstractController[Float[Array, "step 2"]]):
                 )
 
     def start(self, observation):
-        return jnp.zeros((self.courses.steps, 2), observation.state.dtype)
+        return jnp.zeros((self.prediction.steps, 2), observation.state.dtype)
 
     def __call__(self, observation, memory, *, key):
         nominal = jnp.concatenate([memory[1:], memory[-1:]])
         other = nominal
         if self.guide is not None:
-            other = self.guide(observation, self.courses)
+            other = self.guide(observation, self.prediction)
 
         def improve(centers, inputs):
-            better = self._improved(observation, centers, *inputs)
+            better = self._improve(observation, centers, *inputs)
             return jnp.stack([better, better]), None
 
         widths = self.spread * 0.5 ** jnp.arange(float(self.rounds))
         keys = jax.random.split(key, self.rounds)
         centers = jnp.stack([nominal, other.astype(nominal.dtype)])
         centers, _ = jax.lax.scan(improve, centers, (widths, keys))
-        return self.courses.command(observation, centers[0, 0]), centers[0]
+        return self.prediction.command(observation, centers[0, 0]), centers[0]
 
-    def _improved(self, observation, centers, width, key):
+    def _improve(self, observation, centers, width, key):
         """Mean of the two centres and of changes of either, by the weights."""
         changes = width * self._changes(key).astype(centers.dtype)
         around = centers[jnp.arange(self.samples) % 2] + changes
@@ -92,13 +92,13 @@ class PathIntegral(AbstractController[Float[Array, "step 2"]]):
         return jnp.tensordot(weights, tried, 1)
 
     def _costs(self, observation, many):
-        ts, ys = jax.vmap(lambda shares: self.courses(observation, shares))(many)
+        ts, ys = jax.vmap(lambda controls: self.prediction(observation, controls))(many)
         costs = jax.vmap(self.cost)(ts, ys, many)
         return jnp.where(jnp.isfinite(costs), costs, jnp.finfo(costs.dtype).max / 4)
 
     def _changes(self, key: PRNGKeyArray) -> Float[Array, "sample step 2"]:
         """Random sequences of unit size, linear between their knots."""
-        steps = self.courses.steps
+        steps = self.prediction.steps
         knots = max(2, -(-steps // STEPS_PER_KNOT) + 1)
         values = jax.random.normal(key, (self.samples, knots, 2))
         place = jnp.linspace(0.0, knots - 1.0, steps)
@@ -112,5 +112,5 @@ STEPS_PER_KNOT = 4
 """Steps between the knots of a random change."""
 
 BEYOND = 1.5
-"""Length of the longest shares, of which a drive gives all it has: where the greatest
-thrust is best, means of shorter ones would fall short of it."""
+"""Length of the longest controls. Any beyond 1 gives the greatest thrust: where that is
+best, means of shorter ones would fall short of it."""

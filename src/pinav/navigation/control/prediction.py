@@ -1,4 +1,4 @@
-"""Courses: what a model says will follow from a sequence of thrusts."""
+"""TrajectoryPrediction: what a model says will follow from a sequence of thrusts."""
 
 import abc
 
@@ -9,16 +9,16 @@ from jaxtyping import Array, Float
 
 from pinav.errors import InputError
 from pinav.navigation.control.controller import Observation
-from pinav.navigation.model.predictors import AbstractPredictor, Drive
+from pinav.navigation.model.predictors import AbstractPredictor, ControlMap
 from pinav.navigation.planning.plan import TimeToGo
 
 
-class Courses(eqx.Module):
+class TrajectoryPrediction(eqx.Module):
     """Predictions of a fixed number of steps.
 
     Attributes:
         predictor: the model.
-        drive: commands as shares of the greatest thrust.
+        control_map: what command a control stands for.
         step: how long a command holds [T].
         steps: how many are predicted, positive.
 
@@ -27,38 +27,40 @@ class Courses(eqx.Module):
     """
 
     predictor: AbstractPredictor
-    drive: Drive
+    control_map: ControlMap
     step: float = eqx.field(static=True)
     steps: int = eqx.field(static=True, default=20)
 
     def __check_init__(self):
         if self.steps < 1:
-            raise InputError(f"Courses.steps: expected >= 1, got {self.steps}")
+            raise InputError(
+                f"TrajectoryPrediction.steps: expected >= 1, got {self.steps}"
+            )
 
     def __call__(
-        self, observation: Observation, shares: Float[Array, "step 2"]
+        self, observation: Observation, controls: Float[Array, "step 2"]
     ) -> tuple[Float[Array, " time"], Float[Array, "time state"]]:
-        """Times [T] and states of the course of a sequence of thrust shares."""
+        """Times [T] and states that follow from a sequence of controls."""
         y0, previous = observation.state, observation.pending[-1]
         ts = observation.time + self.step * jnp.arange(
-            shares.shape[0] + 1, dtype=y0.dtype
+            controls.shape[0] + 1, dtype=y0.dtype
         )
 
         def move(carry, inputs):
             y, previous = carry
-            t, share = inputs
-            command = self.drive.command(share, previous, self.step)
+            t, control = inputs
+            command = self.control_map.command(control, previous, self.step)
             y = self.predictor.step(t, y, command, self.step)
             return (y, command), y
 
-        _, ys = jax.lax.scan(move, (y0, previous), (ts[:-1], shares))
+        _, ys = jax.lax.scan(move, (y0, previous), (ts[:-1], controls))
         return ts, jnp.concatenate([y0[None], ys])
 
     def command(
-        self, observation: Observation, share: Float[Array, "2"]
+        self, observation: Observation, control: Float[Array, "2"]
     ) -> Float[Array, "2"]:
-        """The command now for a thrust share."""
-        return self.drive.command(share, observation.pending[-1], self.step)
+        """The command now that a control stands for."""
+        return self.control_map.command(control, observation.pending[-1], self.step)
 
 
 class AbstractGuide(eqx.Module):
@@ -66,12 +68,12 @@ class AbstractGuide(eqx.Module):
 
     @abc.abstractmethod
     def __call__(
-        self, observation: Observation, courses: Courses
+        self, observation: Observation, prediction: TrajectoryPrediction
     ) -> Float[Array, "step 2"]:
-        """Thrust shares for the steps of a course."""
+        """Controls for the steps of a prediction."""
 
 
-class Downhill(AbstractGuide):
+class GradientGuide(AbstractGuide):
     """Always to where the time-to-go is least a step of the plan later.
 
     Attributes:
@@ -80,15 +82,17 @@ class Downhill(AbstractGuide):
 
     plan: TimeToGo
 
-    def __call__(self, observation, courses):
+    def __call__(self, observation, prediction):
         def move(carry, t):
             y, previous = carry
-            share = self.plan.share(t, y, previous, courses.predictor)
-            command = courses.drive.command(share, previous, courses.step)
-            y = courses.predictor.step(t, y, command, courses.step)
-            return (y, command), share
+            control = self.plan.control(t, y, previous, prediction.predictor)
+            command = prediction.control_map.command(control, previous, prediction.step)
+            y = prediction.predictor.step(t, y, command, prediction.step)
+            return (y, command), control
 
         dtype = observation.state.dtype
-        ts = observation.time + courses.step * jnp.arange(courses.steps, dtype=dtype)
+        ts = observation.time + prediction.step * jnp.arange(
+            prediction.steps, dtype=dtype
+        )
         begin = (observation.state, observation.pending[-1])
         return jax.lax.scan(move, begin, ts)[1]

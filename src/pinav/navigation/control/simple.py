@@ -81,10 +81,10 @@ class LineOfSight(AbstractController):
 
     def __call__(self, observation, memory, *, key):
         t, y = observation.time, observation.state
-        wanted = self.objective.guidance(t, y[:2], self.speed)
+        rate = self.objective.guidance(t, y[:2], self.speed)
         if y.shape[0] > 2:
-            wanted = (wanted - y[2:]) / REACTION
-        thrust = wanted - self.model(t, y, jnp.zeros_like(y[:2]))[-2:]
+            rate = (rate - y[2:]) / REACTION
+        thrust = rate - self.model(t, y, jnp.zeros_like(y[:2]))[-2:]
         return command_of(self.model.actuator, self.limits, thrust), ()
 
 
@@ -130,7 +130,9 @@ def command_of(
     return jnp.stack([frequency, heading])
 
 
-def steered(task: Task, dynamics: Swimmer | OverdampedSwimmer) -> SteeredSwimmer:
+def steered_swimmer(
+    task: Task, dynamics: Swimmer | OverdampedSwimmer
+) -> SteeredSwimmer:
     """Fitted dynamics under the commands of a task."""
     return SteeredSwimmer(dynamics, task.truth.actuator)
 

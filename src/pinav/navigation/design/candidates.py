@@ -28,7 +28,7 @@ class CommandedThrust(AbstractForce):
         return self.actuator(jnp.stack(self.programme(t))).astype(x.dtype)
 
 
-class Shots(eqx.Module):
+class CandidateTrajectories(eqx.Module):
     """Trajectories that could be recorded, as a batch.
 
     Attributes:
@@ -37,12 +37,12 @@ class Shots(eqx.Module):
         heading: commanded at each knot [rad].
     """
 
-    starts: Float[Array, "*shot state"]
-    frequency: Float[Array, "*shot knot"]
-    heading: Float[Array, "*shot knot"]
+    starts: Float[Array, "*candidate state"]
+    frequency: Float[Array, "*candidate knot"]
+    heading: Float[Array, "*candidate knot"]
 
-    def __getitem__(self, index) -> "Shots":
-        """One shot, or some of them."""
+    def __getitem__(self, index) -> "CandidateTrajectories":
+        """One candidate, or some of them."""
         return jax.tree.map(lambda leaf: leaf[index], self)
 
 
@@ -50,7 +50,7 @@ class Experiment(eqx.Module):
     r"""How trajectories are recorded, and within which limits.
 
     Commands are given at knots and go linearly from one to the next, so that the
-    heading never jumps. Shots are random: the first heading is uniform, later ones
+    heading never jumps. Candidates are random: the first heading is uniform, later ones
     follow a random walk; frequencies are uniform up to their limit.
 
     Attributes:
@@ -104,13 +104,17 @@ class Experiment(eqx.Module):
         count = max(round(self.duration / self.knot), 1)
         return jnp.linspace(0.0, self.duration, count + 1)
 
-    def thrust(self, shot: Shots, begin: float = 0.0) -> CommandedThrust:
-        """Propulsion of one shot that begins at a time [T]."""
-        programme = LinearProgramme(self.knots + begin, shot.frequency, shot.heading)
+    def thrust(
+        self, candidate: CandidateTrajectories, begin: float = 0.0
+    ) -> CommandedThrust:
+        """Propulsion of one candidate that begins at a time [T]."""
+        programme = LinearProgramme(
+            self.knots + begin, candidate.frequency, candidate.heading
+        )
         return CommandedThrust(programme, self.actuator)
 
-    def draw(self, count: int, *, key: PRNGKeyArray) -> Shots:
-        """Random shots: released at rest, uniformly in the region.
+    def draw(self, count: int, *, key: PRNGKeyArray) -> CandidateTrajectories:
+        """Random candidates: released at rest, uniformly in the region.
 
         Args:
             count: how many.
@@ -118,14 +122,14 @@ class Experiment(eqx.Module):
         """
         place_key, first_key, turn_key, frequency_key = jax.random.split(key, 4)
         lower, upper = self.region.lower, self.region.upper
-        share = jax.random.uniform(place_key, (count, 2))
-        places = lower[None] + share * (upper - lower)[None]
+        fraction = jax.random.uniform(place_key, (count, 2))
+        places = lower[None] + fraction * (upper - lower)[None]
         rest = jnp.zeros((count, len(self.noise) - 2))
         first = jax.random.uniform(first_key, (count, 1), maxval=2 * np.pi)
         steps = len(self.knots) - 1
         turns = jax.random.normal(turn_key, (count, steps)) * self._turn
-        walk = jnp.cumsum(self._limited(turns), axis=1)
-        return Shots(
+        walk = jnp.cumsum(self._clip_turns(turns), axis=1)
+        return CandidateTrajectories(
             starts=jnp.concatenate([places, rest], axis=1),
             frequency=jax.random.uniform(
                 frequency_key, (count, steps + 1), maxval=self.limits.max_frequency
@@ -134,27 +138,32 @@ class Experiment(eqx.Module):
         )
 
     def vary(
-        self, shot: Shots, count: int, *, key: PRNGKeyArray, spread: float = 0.3
-    ) -> Shots:
-        """Shots like a given one, within the same limits, from the same start.
+        self,
+        candidate: CandidateTrajectories,
+        count: int,
+        *,
+        key: PRNGKeyArray,
+        spread: float = 0.3,
+    ) -> CandidateTrajectories:
+        """Variations of a trajectory, within the same limits, from the same start.
 
         Args:
-            shot: a single one.
+            candidate: a single one.
             count: how many.
             key: random key.
-            spread: of the changes, relative to those between random shots.
+            spread: of the changes, relative to those between random candidates.
         """
         first_key, turn_key, frequency_key = jax.random.split(key, 3)
-        turns = jnp.diff(shot.heading)
+        turns = jnp.diff(candidate.heading)
         changes = jax.random.normal(turn_key, (count, len(turns))) * self._turn
         first = jax.random.normal(first_key, (count, 1)) * np.pi * spread
-        walk = jnp.cumsum(self._limited(turns[None] + spread * changes), axis=1)
-        heading = shot.heading[0] + first
+        walk = jnp.cumsum(self._clip_turns(turns[None] + spread * changes), axis=1)
+        heading = candidate.heading[0] + first
         scatter = jax.random.normal(frequency_key, (count, len(turns) + 1))
         most = self.limits.max_frequency
-        frequency = shot.frequency[None] + spread * most * scatter
-        return Shots(
-            starts=jnp.broadcast_to(shot.starts, (count, *shot.starts.shape)),
+        frequency = candidate.frequency[None] + spread * most * scatter
+        return CandidateTrajectories(
+            starts=jnp.broadcast_to(candidate.starts, (count, *candidate.starts.shape)),
             frequency=jnp.clip(frequency, 0.0, most),
             heading=jnp.concatenate([heading, heading + walk], axis=1),
         )
@@ -164,24 +173,26 @@ class Experiment(eqx.Module):
         """Standard deviation of the change of heading between two knots [rad]."""
         return self.turning * self.knot**0.5
 
-    def _limited(self, turns):
+    def _clip_turns(self, turns):
         """Changes of heading that the coils can follow, less than half a turn."""
         most = min(self.limits.max_turning_rate * self.knot, 0.99 * np.pi)
         return jnp.clip(turns, -most, most)
 
 
-def in_sequence(experiment: Experiment, shots: Shots) -> CommandedThrust:
-    """One propulsion for all shots, of which each begins at its time: see `begins`.
+def in_sequence(
+    experiment: Experiment, candidates: CandidateTrajectories
+) -> CommandedThrust:
+    """One propulsion for all candidates, each at its own time: see `begins`.
 
     A fit knows a single propulsion for all trajectories, so that each has its own span
     of the operator's clock.
     """
-    count = shots.starts.shape[0]
+    count = candidates.starts.shape[0]
     knots = experiment.knots[None] + jnp.asarray(begins(experiment, count))[:, None]
-    flat = (a.reshape(-1) for a in (knots, shots.frequency, shots.heading))
+    flat = (a.reshape(-1) for a in (knots, candidates.frequency, candidates.heading))
     return CommandedThrust(LinearProgramme(*flat), experiment.actuator)
 
 
-def begins(experiment: Experiment, count: int) -> Float[np.ndarray, " shot"]:
-    """When each of several shots begins on the operator's clock [T]."""
+def begins(experiment: Experiment, count: int) -> Float[np.ndarray, " candidate"]:
+    """When each of several candidates begins on the operator's clock [T]."""
     return np.arange(count) * (experiment.duration + experiment.knot)

@@ -23,7 +23,7 @@ from pinav.dynamics import AbstractDynamics, FixedStep
 from pinav.errors import InputError
 from pinav.fitting.engine.multiple_shooting import FreeModel, eliminate, sensitivities
 from pinav.fitting.engine.posterior import Posterior
-from pinav.navigation.design.candidates import Experiment, Shots
+from pinav.navigation.design.candidates import CandidateTrajectories, Experiment
 from pinav.navigation.task.zones import Rectangle
 
 Covariance = Float[Array, "force force"]
@@ -79,16 +79,16 @@ class Ranking(eqx.Module):
     """Candidates and what they are expected to tell.
 
     Attributes:
-        shots: the candidates.
+        candidates: the candidates.
         worth: of each by the criterion; minus infinity where it would leave the arena.
         sd: expected root mean square of the standard deviations of the force along
             the route, after each candidate [L T⁻²].
         sd_now: the same before any of them.
     """
 
-    shots: Shots
-    worth: Float[np.ndarray, " shot"]
-    sd: Float[np.ndarray, " shot"]
+    candidates: CandidateTrajectories
+    worth: Float[np.ndarray, " candidate"]
+    sd: Float[np.ndarray, " candidate"]
     sd_now: float
 
     @property
@@ -110,7 +110,7 @@ def rank(
     posterior: Posterior,
     route: ArrayLike,
     experiment: Experiment,
-    shots: Shots,
+    candidates: CandidateTrajectories,
     *,
     arena: Rectangle,
     criterion: AbstractCriterion | None = None,
@@ -123,7 +123,7 @@ def rank(
         posterior: of a fit of a swimmer; commands replace its propulsion.
         route: points, one a row [L].
         experiment: how the candidates would be recorded.
-        shots: the candidates.
+        candidates: the candidates.
         arena: what they should not leave, as far as the model knows.
         criterion: `VarianceReduction()` unless given.
         draws: models from the posterior along whose rollouts the worth is averaged;
@@ -134,16 +134,18 @@ def rank(
         InputError: `route` is no list of points in the plane, or draws have no key.
     """
     criterion = VarianceReduction() if criterion is None else criterion
-    points = _checked_route(route)
+    points = _check_route(route)
     with jax.enable_x64(new_val=True):
         thetas = _thetas(posterior, draws, key)
         root = jnp.asarray(_root(posterior.covariance))
         request = _Request(posterior.free, root, jnp.asarray(points), experiment)
-        worth, traces, inside, before = _rank(request, thetas, shots, arena, criterion)
+        worth, traces, inside, before = _rank(
+            request, thetas, candidates, arena, criterion
+        )
     stays = np.asarray(inside).all(axis=1)
     count = points.size
     return Ranking(
-        shots=shots,
+        candidates=candidates,
         worth=np.where(stays, np.asarray(worth).mean(axis=1), -np.inf),
         sd=np.sqrt(np.asarray(traces).mean(axis=1) / count),
         sd_now=float(np.sqrt(before / count)),
@@ -157,14 +159,14 @@ def suggest(
     *,
     arena: Rectangle,
     key: PRNGKeyArray,
-    candidates: int = 64,
+    num_candidates: int = 64,
     rounds: int = 2,
     criterion: AbstractCriterion | None = None,
     draws: int = 1,
 ) -> Ranking:
     """Look for the trajectory that tells most of the force along a route.
 
-    The first round ranks random shots, each later one variations of the best so far.
+    The first round ranks random candidates, each later one variations of the best.
 
     Args:
         posterior: of a fit of a swimmer.
@@ -172,7 +174,7 @@ def suggest(
         experiment: how trajectories are recorded.
         arena: what they should not leave.
         key: random key.
-        candidates: of each round.
+        num_candidates: of each round.
         rounds: one or more.
         criterion: `VarianceReduction()` unless given.
         draws: see `rank`.
@@ -184,25 +186,25 @@ def suggest(
         InputError: `rounds` or `candidates` is not positive, or every candidate leaves
             the arena.
     """
-    if rounds < 1 or candidates < 1:
+    if rounds < 1 or num_candidates < 1:
         raise InputError(
             f"suggest: expected 1 or more rounds and candidates, got {rounds} and "
-            f"{candidates}"
+            f"{num_candidates}"
         )
     draw_key, *keys = jax.random.split(key, rounds + 1)
     options = {"arena": arena, "criterion": criterion, "draws": draws, "key": draw_key}
-    shots = experiment.draw(candidates, key=keys[0])
-    found = rank(posterior, route, experiment, shots, **options)
+    candidates = experiment.draw(num_candidates, key=keys[0])
+    ranking = rank(posterior, route, experiment, candidates, **options)
     for later in keys[1:]:
-        best = found.shots[found.best]
-        varied = experiment.vary(best, candidates - 1, key=later)
-        shots = jax.tree.map(_beside, best, varied)
-        found = rank(posterior, route, experiment, shots, **options)
-    return found
+        best = ranking.candidates[ranking.best]
+        varied = experiment.vary(best, num_candidates - 1, key=later)
+        candidates = jax.tree.map(_prepend, best, varied)
+        ranking = rank(posterior, route, experiment, candidates, **options)
+    return ranking
 
 
 def expected_posterior(
-    posterior: Posterior, experiment: Experiment, shot: Shots
+    posterior: Posterior, experiment: Experiment, candidate: CandidateTrajectories
 ) -> Posterior:
     """The posterior that is expected after a trajectory: same mean, less covariance.
 
@@ -211,14 +213,14 @@ def expected_posterior(
     Args:
         posterior: before it.
         experiment: how the trajectory would be recorded.
-        shot: a single one.
+        candidate: a single one.
     """
     with jax.enable_x64(new_val=True):
         root = jnp.asarray(_root(posterior.covariance))
         theta = jnp.asarray(posterior.mean)
         request = _Request(posterior.free, root, jnp.zeros((0, 2)), experiment)
-        shrunk = np.asarray(_shrunk(request, theta, shot))
-    return Posterior(posterior.free, posterior.mean, shrunk @ shrunk.T)
+        root = np.asarray(_root_after(request, theta, candidate))
+    return Posterior(posterior.free, posterior.mean, root @ root.T)
 
 
 class _Request(eqx.Module):
@@ -238,11 +240,11 @@ class _Request(eqx.Module):
         jacobians = jax.vmap(jax.jacrev(force), (None, 0))(theta, self.route)
         return jacobians.reshape(-1, theta.shape[0]) @ self.root
 
-    def rollout(self, theta, shot: Shots):
-        """States of a shot, and what it tells: rows in whitened parameters."""
-        driven = _driven(self.free, self.experiment.thrust(shot))
+    def rollout(self, theta, candidate: CandidateTrajectories):
+        """States of a candidate, and what it tells: rows in whitened parameters."""
+        driven = _with_thrust(self.free, self.experiment.thrust(candidate))
         times, solver = self.experiment.times, FixedStep()
-        states, _ = solver.solve(driven(theta), shot.starts, times)
+        states, _ = solver.solve(driven(theta), candidate.starts, times)
         columns = sensitivities(driven, theta, states, times, solver).columns[..., :-1]
         rows = columns / self.experiment.noise[None, :, None]
         count = theta.shape[0]
@@ -256,51 +258,51 @@ class _Request(eqx.Module):
 
 
 @eqx.filter_jit
-def _rank(request, thetas, shots, arena, criterion):
+def _rank(request, thetas, candidates, arena, criterion):
     forces = jax.vmap(request.forces)(thetas)
     prior = jax.vmap(lambda rows: rows @ rows.T)(forces)
 
-    def one(shot, theta, rows, before):
-        states, told = request.rollout(theta, shot)
+    def one(candidate, theta, rows, before):
+        states, rows_of_data = request.rollout(theta, candidate)
         left = jax.scipy.linalg.solve_triangular(
-            request.factor(told), rows.T, lower=True
+            request.factor(rows_of_data), rows.T, lower=True
         )
         after = left.T @ left
-        finite = jnp.all(jnp.isfinite(told))
+        finite = jnp.all(jnp.isfinite(rows_of_data))
         inside = jnp.all(jax.vmap(arena.distance)(states[:, :2]) <= 0) & finite
         return criterion(before, after), jnp.trace(after), inside
 
-    def each(shot):
+    def each(candidate):
         several = jax.vmap(one, (None, 0, 0, 0))
-        return several(shot, thetas, forces, prior)
+        return several(candidate, thetas, forces, prior)
 
-    found = jax.lax.map(each, shots)
-    return (*found, jnp.mean(jnp.trace(prior, axis1=1, axis2=2)))
+    worth, traces, stays = jax.lax.map(each, candidates)
+    return worth, traces, stays, jnp.mean(jnp.trace(prior, axis1=1, axis2=2))
 
 
 @eqx.filter_jit
-def _shrunk(request, theta, shot):
-    """Root of the covariance after a shot."""
-    _, told = request.rollout(theta, shot)
-    factor = request.factor(told)
+def _root_after(request, theta, candidate):
+    """Root of the covariance after a candidate."""
+    _, rows_of_data = request.rollout(theta, candidate)
+    factor = request.factor(rows_of_data)
     return jax.scipy.linalg.solve_triangular(factor, request.root.T, lower=True).T
 
 
-def _driven(free: FreeModel, thrust) -> FreeModel:
+def _with_thrust(free: FreeModel, thrust) -> FreeModel:
     """The model as a function of its parameters, its propulsion replaced.
 
     A learned constant of the old propulsion is then a parameter without effect.
     """
 
-    def own(tree):
+    def propulsion(tree):
         return tree.propulsion
 
     nothing = jax.tree.map(lambda _: None, thrust)
-    static = eqx.tree_at(own, free.static, thrust, is_leaf=lambda x: x is None)
+    static = eqx.tree_at(propulsion, free.static, thrust, is_leaf=lambda x: x is None)
 
     def unravel(theta):
         leaves = free.unravel(theta)
-        return eqx.tree_at(own, leaves, nothing, is_leaf=lambda x: x is None)
+        return eqx.tree_at(propulsion, leaves, nothing, is_leaf=lambda x: x is None)
 
     return FreeModel(static, unravel)
 
@@ -323,11 +325,11 @@ def _root(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n rank"]:
     return vectors[:, kept] * np.sqrt(values[kept])
 
 
-def _beside(first, others):
+def _prepend(first, others):
     return jnp.concatenate([first[None], others])
 
 
-def _checked_route(route: ArrayLike) -> Float[np.ndarray, "point 2"]:
+def _check_route(route: ArrayLike) -> Float[np.ndarray, "point 2"]:
     points = np.asarray(route, float)
     if points.ndim != 2 or points.shape[1] != 2 or not len(points):
         raise InputError(
@@ -338,13 +340,18 @@ def _checked_route(route: ArrayLike) -> Float[np.ndarray, "point 2"]:
 
 @eqx.filter_jit
 def inside(
-    model: AbstractDynamics, experiment: Experiment, shots: Shots, arena: Rectangle
-) -> Bool[Array, " shot"]:
-    """Which shots stay inside the arena, as far as a model knows."""
+    model: AbstractDynamics,
+    experiment: Experiment,
+    candidates: CandidateTrajectories,
+    arena: Rectangle,
+) -> Bool[Array, " candidate"]:
+    """Which candidates stay inside the arena, as far as a model knows."""
 
-    def one(shot):
-        driven = eqx.tree_at(lambda m: m.propulsion, model, experiment.thrust(shot))
-        states, _ = FixedStep().solve(driven, shot.starts, experiment.times)
+    def one(candidate):
+        driven = eqx.tree_at(
+            lambda m: m.propulsion, model, experiment.thrust(candidate)
+        )
+        states, _ = FixedStep().solve(driven, candidate.starts, experiment.times)
         return jnp.all(jax.vmap(arena.distance)(states[:, :2]) <= 0)
 
-    return jax.lax.map(one, shots)
+    return jax.lax.map(one, candidates)

@@ -27,7 +27,7 @@ LENGTHS = 10
 """Length scales along the longer side of an arena, unless one is given."""
 
 
-class Unknown(eqx.Module):
+class PriorField(eqx.Module):
     """What forces there may be where nobody was.
 
     Attributes:
@@ -49,7 +49,7 @@ class Unknown(eqx.Module):
         for name in ("strength", "length"):
             value = getattr(self, name)
             if value is not None and not value > 0:
-                raise InputError(f"Unknown.{name}: expected > 0, got {value}")
+                raise InputError(f"PriorField.{name}: expected > 0, got {value}")
 
     def kernels(self) -> KernelPotential:
         r"""Kernels whose independent weights make such a process, all zero.
@@ -79,13 +79,13 @@ class Unknown(eqx.Module):
         return self.strength / math.sqrt(np.mean(np.sum(slopes**2, axis=1)))
 
 
-def doubt(
+def prior_uncertainty(
     model: Swimmer | OverdampedSwimmer,
     trajectories: Trajectories,
     states: ArrayLike,
     *,
     noise: float,
-    unknown: Unknown,
+    prior: PriorField,
     solver: FixedStep | None = None,
 ) -> Posterior:
     r"""Posterior of a force that is added to a fitted model's environment.
@@ -98,27 +98,31 @@ def doubt(
         trajectories: to which it was fitted.
         states: smoothed states, as of `EvidenceFit.states`.
         noise: $\sigma$ of the observations, positive.
-        unknown: what forces there may be.
+        prior: what forces there may be.
         solver: steps between samples; `FixedStep()` unless given.
 
     Raises:
         InputError: `noise` is not positive.
     """
     if not noise > 0:
-        raise InputError(f"doubt noise: expected > 0, got {noise}")
+        raise InputError(f"prior_uncertainty noise: expected > 0, got {noise}")
     solver = FixedStep() if solver is None else solver
     with jax.enable_x64(new_val=True):
-        kernels = unknown.kernels()
+        kernels = prior.kernels()
         environment = SumForce((model.environment, kernels))
         wider = model.with_environment(environment)
         free, theta = freed(wider, lambda m: m.environment.terms[1].parameters)
         observations = Observations.of(trajectories, jnp.float64)
-        found = linearise(free, theta, jnp.asarray(states), observations, solver)
-        amplitude = unknown.amplitude(kernels)
-    return Posterior(free, np.asarray(theta), _shrunk(found.hessian, noise, amplitude))
+        linear = linearise(free, theta, jnp.asarray(states), observations, solver)
+        amplitude = prior.amplitude(kernels)
+    return Posterior(
+        free, np.asarray(theta), _weight_covariance(linear.hessian, noise, amplitude)
+    )
 
 
-def _shrunk(hessian, noise: float, amplitude: float) -> Float[np.ndarray, "n n"]:
+def _weight_covariance(
+    hessian, noise: float, amplitude: float
+) -> Float[np.ndarray, "n n"]:
     """Covariance of the weights, given the data."""
     values, vectors = np.linalg.eigh(np.asarray(hessian))
     precision = amplitude**-2 + np.maximum(values, 0.0) / noise**2

@@ -69,7 +69,7 @@ class InertialTable(AbstractPredictor):
         drag = rates[2:].reshape(2, 2)
         push = rates[:2] + self.actuator(command) - drag @ v
         implicit = jnp.eye(2, dtype=y.dtype) + half * drag
-        v = v + 2 * half * _solved(implicit, push)
+        v = v + 2 * half * _solve(implicit, push)
         return jnp.concatenate([x + half * v, v])
 
 
@@ -116,8 +116,8 @@ class Drifting(AbstractPredictor):
         return jnp.concatenate([state, drift])
 
 
-class Drive(eqx.Module):
-    r"""Commands as vectors in the unit disc: the share of the greatest thrust.
+class ControlMap(eqx.Module):
+    r"""Commands as controls: vectors in the unit disc, in units of the greatest thrust.
 
     A vector w stands for the frequency $|w| f_b$ in its own direction, where $f_b$ is
     the allowed frequency of the greatest thrust.
@@ -133,7 +133,7 @@ class Drive(eqx.Module):
     actuator: AbstractActuator
 
     @classmethod
-    def of(cls, actuator: AbstractActuator, limits: CommandLimits) -> "Drive":
+    def of(cls, actuator: AbstractActuator, limits: CommandLimits) -> "ControlMap":
         """The drive of an actuator within limits.
 
         Raises:
@@ -151,19 +151,19 @@ class Drive(eqx.Module):
         return cls(float(frequencies[best]), limits, actuator)
 
     def command(
-        self, share: Float[Array, "2"], previous: Float[Array, "2"], duration: Scalar
+        self, control: Float[Array, "2"], previous: Float[Array, "2"], duration: Scalar
     ) -> Float[Array, "2"]:
-        """The allowed command for a share, `duration` [T] after the previous one."""
-        length = jnp.sqrt(share @ share + 1e-12)
-        idle = share @ share < 1e-12  # where the heading has no derivative
+        """The allowed command for a control, `duration` [T] after the previous one."""
+        length = jnp.sqrt(control @ control + 1e-12)
+        idle = control @ control < 1e-12  # where the heading has no derivative
         turned = jnp.arctan2(
-            jnp.where(idle, 0.0, share[1]), jnp.where(idle, 1.0, share[0])
+            jnp.where(idle, 0.0, control[1]), jnp.where(idle, 1.0, control[0])
         )
         heading = jnp.where(idle, previous[1], turned)
-        wanted = jnp.stack([jnp.minimum(length, 1.0) * self.frequency, heading])
+        command = jnp.stack([jnp.minimum(length, 1.0) * self.frequency, heading])
         if math.isinf(self.limits.max_turning_rate):
-            return wanted
-        return self.limits.clipped(wanted, previous, duration)
+            return command
+        return self.limits.clip(command, previous, duration)
 
     def thrusts(self, count: int) -> Float[Array, "{count} 2"]:
         """Greatest thrust [L T⁻²] in `count` equally spaced headings."""
@@ -171,19 +171,19 @@ class Drive(eqx.Module):
         ahead = jnp.full_like(headings, self.frequency)
         return jax.vmap(self.actuator)(jnp.stack([ahead, headings], axis=1))
 
-    def shares(self, count: int) -> Float[Array, "{count} 2"]:
+    def controls(self, count: int) -> Float[Array, "{count} 2"]:
         """Equally spaced directions of the greatest thrust."""
         headings = jnp.linspace(0.0, 2 * math.pi, count, endpoint=False)
         return jax.vmap(direction)(headings)
 
 
-def within_disc(shares: Float[Array, "*many 2"]) -> Float[Array, "*many 2"]:
+def within_disc(controls: Float[Array, "*many 2"]) -> Float[Array, "*many 2"]:
     """Vectors, those that are longer than one shortened to it."""
-    length = jnp.sqrt(jnp.sum(shares**2, axis=-1, keepdims=True) + 1e-12)
-    return shares / jnp.maximum(length, 1.0)
+    length = jnp.sqrt(jnp.sum(controls**2, axis=-1, keepdims=True) + 1e-12)
+    return controls / jnp.maximum(length, 1.0)
 
 
-def _solved(matrix, vector):
+def _solve(matrix, vector):
     """Solution of two linear equations."""
     a, b, c, d = matrix[0, 0], matrix[0, 1], matrix[1, 0], matrix[1, 1]
     x, y = vector[0], vector[1]

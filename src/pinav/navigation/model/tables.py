@@ -107,13 +107,12 @@ class FieldTable(eqx.Module):
         first = jnp.minimum(jnp.floor(moment), count - 2)
         begin = (first.astype(int), *corner, 0)
         block = jax.lax.dynamic_slice(self.values, begin, shape)
-        share = (moment - first).astype(block.dtype)
-        return block[0] + share * (block[1] - block[0])
+        weight = (moment - first).astype(block.dtype)
+        return block[0] + weight * (block[1] - block[0])
 
 
-def _cubic_weights(share):
+def _cubic_weights(s):
     """Weights of four neighbours for a place between the inner two."""
-    s = share
     return 0.5 * jnp.stack(
         [
             s * (-1 + s * (2 - s)),

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from pinav.dynamics import Swimmer
-from pinav.navigation.model.predictors import Drive, InertialTable, OverdampedTable
+from pinav.navigation.model.predictors import ControlMap, InertialTable, OverdampedTable
 from pinav.navigation.model.tables import (
     FieldTable,
     Grid,
@@ -15,7 +15,7 @@ from pinav.navigation.model.tables import (
     sample_times,
     tabulate,
 )
-from pinav.navigation.model.time_cost import Surroundings
+from pinav.navigation.model.time_cost import TimeCost
 from pinav.navigation.task.steering import SteeredSwimmer
 from pinav.navigation.task.task import Task
 
@@ -23,40 +23,40 @@ HEADINGS = 24
 """Directions in which the greatest thrust is looked for."""
 
 
-class Terrain(eqx.Module):
+class TabulatedModel(eqx.Module):
     """A model of the swimmer on a task's arena, as tables.
 
     Attributes:
         table: of the model.
         predictor: of the table.
-        drive: commands as shares of the greatest thrust.
-        surroundings: walls, and what time costs.
+        control_map: what command a control stands for.
+        time_cost: walls, and what time costs.
     """
 
     table: FieldTable
     predictor: InertialTable | OverdampedTable
-    drive: Drive
-    surroundings: Surroundings
+    control_map: ControlMap
+    time_cost: TimeCost
 
 
-def terrain(
+def tabulate_model(
     task: Task,
     model: SteeredSwimmer,
     *,
     samples: Sequence[SteeredSwimmer] = (),
-    aversion: float = 4.0,
+    risk_aversion: float = 4.0,
     margin: float | None = None,
     points: int = 81,
     times: int = 41,
-) -> Terrain:
+) -> TabulatedModel:
     r"""Tables of a model on a task's arena.
 
     Args:
         task: the arena, the walls, the limits; its truth is not used.
         model: what is believed.
         samples: of the posterior of the model, none or at least two: their spread makes
-            unknown ground cost more.
-        aversion: cost of time where that spread is as great as the thrust.
+            uncertain regions cost more.
+        risk_aversion: cost of time where that spread is as great as the thrust.
         margin: from walls, over which time costs more [L]; half the tolerance or what
             the noise asks for unless given.
         points: of the tables, along the longer side.
@@ -70,21 +70,21 @@ def terrain(
     table = tabulate(model, grid, moments)
     inertial = isinstance(model.dynamics, Swimmer)
     predictor = (InertialTable if inertial else OverdampedTable)(table, model.actuator)
-    drive = Drive.of(model.actuator, task.limits)
+    drive = ControlMap.of(model.actuator, task.limits)
     spread = None
     if samples:
         spread = force_spread([tabulate(one, grid, moments) for one in samples])
         thrust = _greatest_rate(table, drive, inertial=inertial)
         spread = eqx.tree_at(lambda s: s.values, spread, spread.values / thrust)
-    surroundings = Surroundings(
+    time_cost = TimeCost(
         task.keep_out,
         task.arena,
         noise_margin(task) if margin is None else margin,
         4.0,
         spread,
-        aversion,
+        risk_aversion,
     )
-    return Terrain(table, predictor, drive, surroundings)
+    return TabulatedModel(table, predictor, drive, time_cost)
 
 
 def noise_margin(task: Task) -> float:

@@ -1,4 +1,4 @@
-r"""Where a swimmer may be, and what it costs there: walls, margins, unknown ground."""
+r"""Where a swimmer may be, and what it costs there: walls, margins, uncertainty."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,8 +9,8 @@ from pinav.navigation.model.tables import FieldTable
 from pinav.navigation.task.zones import AbstractZone, Rectangle, clearance
 
 
-class Surroundings(eqx.Module):
-    r"""Cost of a unit of time at a place: 1, and more near walls and on unknown ground.
+class TimeCost(eqx.Module):
+    r"""Cost of a unit of time: 1, more near walls and where the model is uncertain.
 
     $$p(t, x) = 1 + k \max(0, 1 - c(x) / m)^2 + \rho\, (s(t, x) / u)^2,$$
 
@@ -23,7 +23,7 @@ class Surroundings(eqx.Module):
         margin: m, from a wall, over which time costs more [L], positive.
         steepness: k.
         spread: s / u, dimensionless; None where the model is taken for true.
-        aversion: $\rho$ to what is not known.
+        risk_aversion: $\rho$ to what is not known.
     """
 
     keep_out: tuple[AbstractZone, ...]
@@ -31,30 +31,30 @@ class Surroundings(eqx.Module):
     margin: Scalar
     steepness: float
     spread: FieldTable | None = None
-    aversion: float = 0.0
+    risk_aversion: float = 0.0
 
     def clearance(self, x: Float[Array, "2"]) -> Float[Array, ""]:
         """Distance from the nearest forbidden place [L]."""
         return clearance(x, self.keep_out, self.arena)
 
-    def pace(self, t: Scalar, x: Float[Array, "2"]) -> Float[Array, ""]:
+    def running_cost(self, t: Scalar, x: Float[Array, "2"]) -> Float[Array, ""]:
         """Cost of a unit of time, at time `t` [T] and position `x` [L]."""
         lack = jnp.maximum(0.0, 1 - self.clearance(x) / self.margin)
         return 1 + self.steepness * lack**2 + self._risk(t, x)
 
     def _risk(self, t, x):
-        if self.spread is None or self.aversion == 0:
+        if self.spread is None or self.risk_aversion == 0:
             return jnp.zeros((), x.dtype)
-        return self.aversion * self.spread(t, x)[0] ** 2
+        return self.risk_aversion * self.spread(t, x)[0] ** 2
 
 
-def entry(
+def entry_fraction(
     x: Float[Array, "2"],
     displacement: Float[Array, "2"],
     goal: Float[Array, "2"],
     tolerance: Scalar,
 ) -> Float[Array, ""]:
-    """Share of a straight step after which it enters a disc; infinite if it does not.
+    """Fraction of a straight step after which it enters a disc; infinite if never.
 
     Args:
         x: where the step begins [L].
@@ -69,6 +69,6 @@ def entry(
     inner = approach**2 - square * beyond
     meets = (inner > 0) & (approach > 0)
     root = jnp.sqrt(jnp.where(meets, inner, 1.0))
-    share = (approach - root) / jnp.where(meets, square, 1.0)
-    share = jnp.where(meets & (share <= 1), share, jnp.inf)
-    return jnp.where(beyond <= 0, 0.0, share)
+    fraction = (approach - root) / jnp.where(meets, square, 1.0)
+    fraction = jnp.where(meets & (fraction <= 1), fraction, jnp.inf)
+    return jnp.where(beyond <= 0, 0.0, fraction)

@@ -12,16 +12,16 @@ from pinav.arguments import Scalar
 from pinav.errors import InputError
 from pinav.navigation.model.predictors import AbstractPredictor, InertialTable
 from pinav.navigation.model.tables import Grid
-from pinav.navigation.model.tabulated import Terrain, terrain
-from pinav.navigation.model.time_cost import entry
+from pinav.navigation.model.tabulated import TabulatedModel, tabulate_model
+from pinav.navigation.model.time_cost import entry_fraction
 from pinav.navigation.planning.value_iteration import (
-    Arrival,
-    converged,
+    ArrivalTest,
+    iterate_sweeps,
     phase_sweep,
     position_sweep,
-    swept_back,
+    sweep_back,
 )
-from pinav.navigation.task.objectives import Reach
+from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import SteeredSwimmer
 from pinav.navigation.task.task import Task
 
@@ -64,7 +64,7 @@ class TimeToGo(eqx.Module):
         interval: between the times [T].
         horizon: what takes longer counts as out of reach [T].
         step: of the plan [T]; the policy looks as far ahead.
-        terrain: the model, the drive, the walls.
+        tables: the model, the drive, the walls.
         goal: middle of the goal [L].
         tolerance: its radius [L].
     """
@@ -76,7 +76,7 @@ class TimeToGo(eqx.Module):
     interval: float
     horizon: float = eqx.field(static=True)
     step: float = eqx.field(static=True)
-    terrain: Terrain
+    tables: TabulatedModel
     goal: Float[Array, "2"]
     tolerance: Float[Array, ""]
 
@@ -92,7 +92,7 @@ class TimeToGo(eqx.Module):
             moment = jnp.asarray(t, y.dtype) / self.interval
             place = jnp.concatenate([moment[None], place])
         values = self.values if self.values.shape[0] > 1 else self.values[0]
-        value = _interpolated(values, place).astype(y.dtype)
+        value = _interpolate(values, place).astype(y.dtype)
         return -self.scale.astype(y.dtype) * jnp.log(jnp.maximum(value, FLOOR))
 
     @property
@@ -109,7 +109,7 @@ class TimeToGo(eqx.Module):
         """Where the goal cannot be reached from rest within the time limit."""
         return self.map > self.horizon
 
-    def share(
+    def control(
         self,
         t: Scalar,
         y: Float[Array, " state"],
@@ -124,14 +124,14 @@ class TimeToGo(eqx.Module):
             previous: the command before.
             predictor: says what comes of a thrust.
         """
-        shares = self.terrain.drive.shares(HEADINGS)
+        controls = self.tables.control_map.controls(HEADINGS)
 
-        def after(share):
-            command = self.terrain.drive.command(share, previous, self.step)
+        def after(control):
+            command = self.tables.control_map.command(control, previous, self.step)
             ahead = predictor.step(t, y, command, self.step)
             return self.at(ahead, jnp.asarray(t) + self.step)
 
-        return shares[jnp.argmin(jax.vmap(after)(shares))]
+        return controls[jnp.argmin(jax.vmap(after)(controls))]
 
     def route(self, start: Float[Array, " state"], step: float = 0.1) -> Route:
         """The way from a state on the model, without noise and delay.
@@ -147,27 +147,29 @@ FLOOR = 1e-30
 """Least value: about seventy scales of time."""
 
 
-def _interpolated(values, place):
+def _interpolate(values, place):
     """Linear in every coordinate, counted in cells; constant beyond the lattice."""
     most = jnp.asarray(values.shape, place.dtype)
     place = jnp.clip(place, 0.0, most - 1)
     cell = jnp.minimum(jnp.floor(place), most - 2)
     block = jax.lax.dynamic_slice(values, tuple(cell.astype(int)), (2,) * values.ndim)
-    for share in (place - cell).astype(values.dtype):
-        block = block[0] + share * (block[1] - block[0])
+    for weight in (place - cell).astype(values.dtype):
+        block = block[0] + weight * (block[1] - block[0])
     return block
 
 
 @eqx.filter_jit
 def _route(plan, start, step, count):
-    terrain = plan.terrain
+    tables = plan.tables
 
     def move(state, t):
         y, previous, arrived = state
-        share = plan.share(t, y, previous, terrain.predictor)
-        command = terrain.drive.command(share, previous, step)
-        ahead = terrain.predictor.step(t, y, command, step)
-        when = t + step * entry(y[:2], ahead[:2] - y[:2], plan.goal, plan.tolerance)
+        control = plan.control(t, y, previous, tables.predictor)
+        command = tables.control_map.command(control, previous, step)
+        ahead = tables.predictor.step(t, y, command, step)
+        when = t + step * entry_fraction(
+            y[:2], ahead[:2] - y[:2], plan.goal, plan.tolerance
+        )
         y = jnp.where(jnp.isfinite(arrived), y, ahead)
         return (y, command, jnp.minimum(arrived, when)), y
 
@@ -181,7 +183,7 @@ def time_to_go(
     task: Task,
     model: SteeredSwimmer,
     *,
-    ground: Terrain | None = None,
+    tables: TabulatedModel | None = None,
     points: int | None = None,
     speeds: int = 21,
 ) -> TimeToGo:
@@ -190,7 +192,7 @@ def time_to_go(
     Args:
         task: whose objective is to reach a place; its truth is not used.
         model: what is believed.
-        ground: tables of the model; `terrain(task, model)` unless given.
+        tables: tables of the model; `tabulate_model(task, model)` unless given.
         points: of the plan, along the longer side of the arena; 101 for positions, 41
             for positions and velocities unless given.
         speeds: points of the plan along either axis of the velocity.
@@ -199,21 +201,21 @@ def time_to_go(
         InputError: the task is to follow a path; start or goal are in a wall or outside
             the arena; the model is not finite; the goal cannot be reached.
     """
-    if not isinstance(task.objective, Reach):
+    if not isinstance(task.objective, ReachGoal):
         raise InputError(
             f"task {task.name!r}: expected a place to reach, got "
             f"{type(task.objective).__name__}; a path needs no plan"
         )
-    ground = terrain(task, model) if ground is None else ground
+    tables = tabulate_model(task, model) if tables is None else tables
     check_places(task)
-    inertial = isinstance(ground.predictor, InertialTable)
+    inertial = isinstance(tables.predictor, InertialTable)
     count = (41 if inertial else 101) if points is None else points
     grid = Grid.over(task.arena, count)
-    arrival = _arrival(task, ground, grid, PHASE_HEADINGS if inertial else HEADINGS)
+    arrival = _arrival(task, tables, grid, PHASE_HEADINGS if inertial else HEADINGS)
     if inertial:
-        plan = _phase_plan(task, ground, arrival, grid, speeds)
+        plan = _phase_plan(task, tables, arrival, grid, speeds)
     else:
-        plan = _position_plan(task, ground, arrival, grid)
+        plan = _position_plan(task, tables, arrival, grid)
     check_reachable(task, plan)
     return plan
 
@@ -225,7 +227,7 @@ def check_places(task: Task) -> None:
         InputError: it is.
     """
     places = {"start": task.start[:2]}
-    if isinstance(task.objective, Reach):
+    if isinstance(task.objective, ReachGoal):
         places["goal"] = task.objective.goal
     for name, x in places.items():
         where = f"({float(x[0]):.3g}, {float(x[1]):.3g})"
@@ -251,37 +253,37 @@ def check_reachable(task: Task, plan: TimeToGo) -> None:
         )
 
 
-def _arrival(task, ground, grid, headings):
+def _arrival(task, tables, grid, headings):
     """The goal: not smaller than the grid can show."""
     tolerance = max(float(task.objective.tolerance), float(jnp.max(grid.spacing)) / 4)
-    return Arrival(
+    return ArrivalTest(
         task.objective.goal,
         jnp.asarray(tolerance),
-        ground.surroundings,
-        ground.drive.thrusts(headings),
+        tables.time_cost,
+        tables.control_map.thrusts(headings),
         jnp.asarray(task.time_limit / 2),
     )
 
 
-def _position_plan(task, ground, arrival, grid):
-    speeds = _speeds(ground.table, arrival.thrusts, grid)
+def _position_plan(task, tables, arrival, grid):
+    speeds = _speeds(tables.table, arrival.thrusts, grid)
     speeds = jnp.maximum(speeds, SLOWEST * jnp.max(speeds))
     steps = CELLS * float(jnp.min(grid.spacing)) / speeds
     times = None
-    if ground.table.values.shape[0] > 1:
+    if tables.table.values.shape[0] > 1:
         steps = jnp.full_like(steps, jnp.min(steps))
         times = jnp.arange(0.0, task.time_limit, float(jnp.min(steps)))
-    values = _positions(ground.table, arrival, grid, steps, times)
+    values = _positions(tables.table, arrival, grid, steps, times)
     lattice = (grid.lower, grid.spacing)
-    return _assembled(task, ground, arrival, values, lattice, float(jnp.min(steps)))
+    return _assemble(task, tables, arrival, values, lattice, float(jnp.min(steps)))
 
 
 @eqx.filter_jit
 def _positions(table, arrival, grid, steps, times):
     if times is None:
         sweep = position_sweep(table, arrival, grid, 0.0, steps)
-        return converged(sweep, grid.shape, 20 * max(grid.shape), SETTLED)[None]
-    return swept_back(
+        return iterate_sweeps(sweep, grid.shape, 20 * max(grid.shape), SETTLED)[None]
+    return sweep_back(
         lambda t: position_sweep(table, arrival, grid, t, steps), times, grid.shape
     )
 
@@ -306,19 +308,19 @@ def _speeds(table, thrusts, grid):
     return jax.vmap(jax.vmap(fast))(grid.points)
 
 
-def _phase_plan(task, ground, arrival, grid, speeds):
-    top = _top_speed(task, ground, arrival)
+def _phase_plan(task, tables, arrival, grid, speeds):
+    top = _top_speed(task, tables, arrival)
     velocities = jnp.linspace(-top, top, speeds)
     width = float(velocities[1] - velocities[0])
     step = 0.7 * width / float(jnp.max(jnp.linalg.norm(arrival.thrusts, axis=1)))
     times = None
-    if ground.table.values.shape[0] > 1:
+    if tables.table.values.shape[0] > 1:
         times = jnp.arange(0.0, task.time_limit, step)
     most = math.ceil(task.time_limit / step)  # as many steps as there is time for
-    values = _phases(ground.table, arrival, grid, velocities, (step, most), times)
+    values = _phases(tables.table, arrival, grid, velocities, (step, most), times)
     spacing = jnp.concatenate([jnp.full(2, width), grid.spacing])
     lattice = (jnp.concatenate([jnp.full(2, -top), grid.lower]), spacing)
-    return _assembled(task, ground, arrival, values, lattice, step)
+    return _assemble(task, tables, arrival, values, lattice, step)
 
 
 @eqx.filter_jit
@@ -327,15 +329,15 @@ def _phases(table, arrival, grid, velocities, steps, times):
     shape = (velocities.shape[0], velocities.shape[0], *grid.shape)
     if times is None:
         sweep = phase_sweep(table, arrival, grid, 0.0, velocities, step)
-        return converged(sweep, shape, most, SETTLED)[None]
-    return swept_back(
+        return iterate_sweeps(sweep, shape, most, SETTLED)[None]
+    return sweep_back(
         lambda t: phase_sweep(table, arrival, grid, t, velocities, step), times, shape
     )
 
 
-def _top_speed(task, ground, arrival):
+def _top_speed(task, tables, arrival):
     """Speed that the plan has to know: where thrust and mean force meet the drag."""
-    values = ground.table.values
+    values = tables.table.values
     thrust = float(jnp.max(jnp.linalg.norm(arrival.thrusts, axis=1)))
     force = float(jnp.mean(jnp.linalg.norm(values[..., :2], axis=-1)))
     drag = float(jnp.mean(values[..., 2] + values[..., 5])) / 2
@@ -345,7 +347,7 @@ def _top_speed(task, ground, arrival):
     return max(min(terminal, longest), float(jnp.linalg.norm(task.start[2:4])))
 
 
-def _assembled(task, ground, arrival, values, lattice, step):
+def _assemble(task, tables, arrival, values, lattice, step):
     return TimeToGo(
         values,
         *lattice,
@@ -353,7 +355,7 @@ def _assembled(task, ground, arrival, values, lattice, step):
         interval=step,
         horizon=float(task.time_limit),
         step=step,
-        terrain=ground,
+        tables=tables,
         goal=arrival.goal,
         tolerance=arrival.tolerance,
     )

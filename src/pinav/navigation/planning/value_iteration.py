@@ -24,26 +24,26 @@ from jaxtyping import Array, Bool, Float, Int
 
 from pinav.arguments import Scalar
 from pinav.navigation.model.tables import FieldTable, Grid
-from pinav.navigation.model.time_cost import Surroundings, entry
+from pinav.navigation.model.time_cost import TimeCost, entry_fraction
 
 PROBES = 5
 """Places along a step at which walls are looked for, its end included."""
 
 
-class Arrival(eqx.Module):
+class ArrivalTest(eqx.Module):
     """What a plan is about.
 
     Attributes:
         goal: middle of the goal [L].
         tolerance: its radius [L].
-        surroundings: walls and costs.
+        time_cost: walls and costs.
         thrusts: the greatest thrust in every direction that is tried.
         scale: of the transform [T].
     """
 
     goal: Float[Array, "2"]
     tolerance: Float[Array, ""]
-    surroundings: Surroundings
+    time_cost: TimeCost
     thrusts: Float[Array, "heading 2"]
     scale: Float[Array, ""]
 
@@ -64,14 +64,14 @@ class Arrival(eqx.Module):
             displacement: [L].
             h: how long it takes [T].
         """
-        share = entry(x, displacement, self.goal, self.tolerance)
-        arrives = jnp.isfinite(share)
-        share = jnp.where(arrives, share, 1.0)
+        fraction = entry_fraction(x, displacement, self.goal, self.tolerance)
+        arrives = jnp.isfinite(fraction)
+        fraction = jnp.where(arrives, fraction, 1.0)
         places = jnp.linspace(0.0, 1.0, PROBES)[:, None] * displacement[None]
-        places = x[None] + share * places
-        free = jax.vmap(self.surroundings.clearance)(places) >= 0
-        pace = jax.vmap(self.surroundings.pace, (None, 0))(t, places[1::2])
-        discount = jnp.exp(-jnp.mean(pace) * share * h / self.scale)
+        places = x[None] + fraction * places
+        free = jax.vmap(self.time_cost.clearance)(places) >= 0
+        running_cost = jax.vmap(self.time_cost.running_cost, (None, 0))(t, places[1::2])
+        discount = jnp.exp(-jnp.mean(running_cost) * fraction * h / self.scale)
         return jnp.where(jnp.all(free), discount, 0.0), arrives
 
 
@@ -80,11 +80,11 @@ class Corners(eqx.Module):
 
     Attributes:
         cell: index of the lower corner, per axis.
-        share: of the way to the next point, per axis.
+        fractions: of the way to the next point, per axis.
     """
 
     cell: tuple[Int[Array, "*many"], ...]
-    share: tuple[Float[Array, "*many"], ...]
+    fractions: tuple[Float[Array, "*many"], ...]
 
     @classmethod
     def of(
@@ -96,10 +96,10 @@ class Corners(eqx.Module):
             jnp.minimum(jnp.floor(a), n - 2)
             for a, n in zip(clipped, shape, strict=True)
         ]
-        share = [a - c for a, c in zip(clipped, cell, strict=True)]
+        fractions = [a - c for a, c in zip(clipped, cell, strict=True)]
         return cls(
             tuple(c.astype(jnp.int32) for c in cell),
-            tuple(s.astype(jnp.float32) for s in share),
+            tuple(s.astype(jnp.float32) for s in fractions),
         )
 
     def interpolate(
@@ -110,8 +110,8 @@ class Corners(eqx.Module):
         for corner in itertools.product((0, 1), repeat=len(self.cell)):
             index = tuple(c + k for c, k in zip(self.cell, corner, strict=True))
             weight = jnp.ones((), values.dtype)
-            for share, k in zip(self.share, corner, strict=True):
-                weight = weight * (share if k else 1 - share)
+            for fraction, k in zip(self.fractions, corner, strict=True):
+                weight = weight * (fraction if k else 1 - fraction)
             total = total + weight * values[(*index, *behind)]
         return total
 
@@ -121,7 +121,7 @@ Sweep = Callable[[Float[Array, "*lattice"]], Float[Array, "*lattice"]]
 
 def position_sweep(
     table: FieldTable,
-    arrival: Arrival,
+    arrival: ArrivalTest,
     grid: Grid,
     t: Scalar,
     steps: Float[Array, "x y heading"],
@@ -157,7 +157,7 @@ def position_sweep(
 
 def phase_sweep(
     table: FieldTable,
-    arrival: Arrival,
+    arrival: ArrivalTest,
     grid: Grid,
     t: Scalar,
     velocities: Float[Array, " velocity"],
@@ -243,11 +243,11 @@ def _coast(grid, arrival, t, velocities, h):
 
 def _rows(corners, values):
     """Rows of each table at its own places between rows."""
-    cell, share = corners.cell[0], corners.share[0]
-    share = share[..., None, None]
+    cell, fraction = corners.cell[0], corners.fractions[0]
+    fraction = fraction[..., None, None]
     lower = jax.vmap(lambda table, index: table[index])(values, cell)
     upper = jax.vmap(lambda table, index: table[index])(values, cell + 1)
-    return lower + share * (upper - lower)
+    return lower + fraction * (upper - lower)
 
 
 def _thrust(values, shifts):
@@ -274,7 +274,7 @@ def _thrust(values, shifts):
     return jax.lax.optimization_barrier(best)
 
 
-def converged(
+def iterate_sweeps(
     sweep: Sweep, shape: tuple[int, ...], most: int, tolerance: float
 ) -> Float[Array, "*lattice"]:
     """Values that a sweep no longer changes by more than `tolerance`.
@@ -297,7 +297,7 @@ def converged(
     )[0]
 
 
-def swept_back(
+def sweep_back(
     sweep_at: Callable[[Float[Array, ""]], Sweep],
     times: Float[Array, " moment"],
     shape: tuple[int, ...],

@@ -34,7 +34,7 @@ def gaussian_process(
     likelihood.
 
     Args:
-        known: its environment is not looked at.
+        known: its environment is not used.
         trajectories: complete, in equal time steps, of nine samples or more.
 
     Raises:
@@ -44,7 +44,7 @@ def gaussian_process(
         Rasmussen and Williams, Gaussian Processes for Machine Learning, eq. (2.30);
         arXiv:2212.00188 for mismatch models of magnetic microrobots.
     """
-    xs, residuals = _thinned(*_residuals(known, trajectories))
+    xs, residuals = _thin(*_residuals(known, trajectories))
     scale = float(np.mean(np.std(xs, axis=0)))
     size = float(np.std(residuals)) or 1.0
     first = np.log([scale / 2, size, size / 4])
@@ -57,11 +57,11 @@ def gaussian_process(
         return float(value), np.asarray(gradient)
 
     bounds = [(v - 3.0, v + 3.0) for v in first]
-    found = minimize(objective, first, jac=True, bounds=bounds, method="L-BFGS-B")
-    logs = jnp.asarray(found.x)
+    optimum = minimize(objective, first, jac=True, bounds=bounds, method="L-BFGS-B")
+    logs = jnp.asarray(optimum.x)
     explained = jnp.linalg.solve(_covariance(logs, given[0]), given[1])
     weights = jnp.exp(2 * logs[1]) * explained
-    width = float(np.exp(found.x[0]))
+    width = float(np.exp(optimum.x[0]))
     return _with(known, KernelForce(weights, jnp.asarray(xs), width))
 
 
@@ -72,7 +72,7 @@ def _residuals(known, trajectories):
     xs, residuals = [], []
     for index in range(len(trajectories.lengths)):
         each = trajectories.trajectory(index)
-        step = _checked_step(index, each)
+        step = _uniform_step(index, each)
         slopes = savgol_filter(each.states, WINDOW, ORDER, deriv=1, delta=step, axis=0)
         modelled = rate(jnp.asarray(each.times), jnp.asarray(each.states))
         inner = slice(WINDOW // 2, -(WINDOW // 2))
@@ -81,7 +81,7 @@ def _residuals(known, trajectories):
     return np.concatenate(xs), np.concatenate(residuals)
 
 
-def _checked_step(index, trajectory) -> float:
+def _uniform_step(index, trajectory) -> float:
     steps = np.diff(trajectory.times)
     even = len(steps) >= WINDOW + 1 and np.allclose(steps, steps[0], rtol=1e-6)
     if not even or not np.all(trajectory.observed):
@@ -92,7 +92,7 @@ def _checked_step(index, trajectory) -> float:
     return float(steps[0])
 
 
-def _thinned(xs, residuals):
+def _thin(xs, residuals):
     chosen = np.unique(np.linspace(0, len(xs) - 1, POINTS).round().astype(int))
     return xs[chosen], residuals[chosen]
 

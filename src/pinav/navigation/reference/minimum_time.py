@@ -16,7 +16,7 @@ from jaxtyping import Float
 from pinav.dynamics import Swimmer
 from pinav.errors import FitError, InputError
 from pinav.forces import AbstractForce, GaussianBarrier, LinearDrag, Superposition
-from pinav.navigation.task.objectives import Reach
+from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import greatest_thrust
 from pinav.navigation.task.task import Task
 from pinav.navigation.task.zones import Disc
@@ -25,7 +25,7 @@ INTERVALS = 80
 """Of constant thrust."""
 
 DETOURS = (-0.5, -0.25, 0.0, 0.25, 0.5)
-"""First guesses: arcs that leave the straight line by this share of its length."""
+"""First guesses: arcs that leave the straight line by this fraction of its length."""
 
 
 class QuickestWay(eqx.Module):
@@ -35,13 +35,13 @@ class QuickestWay(eqx.Module):
         time: of arrival [T].
         states: at the ends of the intervals, positions and velocities.
         thrusts: during each interval [L T⁻²].
-        found: times of arrival from every first guess that converged [T].
+        times: times of arrival from every first guess that iterate_sweeps [T].
     """
 
     time: float
     states: Float[np.ndarray, "time 4"]
     thrusts: Float[np.ndarray, "interval 2"]
-    found: tuple[float, ...]
+    times: tuple[float, ...]
 
 
 def is_available() -> bool:
@@ -58,17 +58,17 @@ def minimum_time(task: Task, *, intervals: int = INTERVALS) -> QuickestWay:
 
     Raises:
         InputError: the task is of another kind.
-        FitError: CasADi is not installed, or no first guess converged.
+        FitError: CasADi is not installed, or no first guess iterate_sweeps.
     """
     problem = _Problem.of(task)
     if not is_available():
         raise FitError("CasADi is not installed; pip install 'pinav[bench]'")
     solve = _program(importlib.import_module("casadi"), problem, intervals)
-    ways = [way for share in DETOURS if (way := solve(share)) is not None]
+    ways = [way for detour in DETOURS if (way := solve(detour)) is not None]
     if not ways:
         raise FitError(f"minimum_time: IPOPT found no way for task {task.name!r}")
     best = min(ways, key=lambda way: way[0])
-    return QuickestWay(*best, found=tuple(way[0] for way in ways))
+    return QuickestWay(*best, times=tuple(way[0] for way in ways))
 
 
 class _Problem(eqx.Module):
@@ -90,7 +90,7 @@ class _Problem(eqx.Module):
         if (
             not isinstance(swimmer, Swimmer)
             or not isinstance(swimmer.drag, LinearDrag)
-            or not isinstance(objective, Reach)
+            or not isinstance(objective, ReachGoal)
             or len(discs) < len(task.keep_out)
         ):
             raise InputError(
@@ -112,14 +112,16 @@ class _Problem(eqx.Module):
 def _barriers(environment: AbstractForce) -> list[tuple[float, np.ndarray, float]]:
     """Height, centre and width of each barrier."""
     several = isinstance(environment, Superposition)
-    found = []
+    barriers = []
     for each in environment.terms if several else (environment,):
         if not isinstance(each, GaussianBarrier):
             raise InputError(
                 f"minimum_time: expected Gaussian barriers, got {type(each).__name__}"
             )
-        found.append((float(each.height), np.asarray(each.center), float(each.width)))
-    return found
+        barriers.append(
+            (float(each.height), np.asarray(each.center), float(each.width))
+        )
+    return barriers
 
 
 def _rate(casadi: Any, problem: _Problem) -> Any:
@@ -162,8 +164,8 @@ def _program(casadi: Any, problem: _Problem, intervals: int):
     quiet = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
     program.solver("ipopt", quiet, {"max_iter": 400})
 
-    def solve(share: float):
-        guess = _arc(problem.start[:2], problem.goal, share, intervals + 1)
+    def solve(detour: float):
+        guess = _arc(problem.start[:2], problem.goal, detour, intervals + 1)
         span = problem.longest / 2
         slope = np.gradient(guess, axis=0).T * intervals / span
         program.set_initial(time, span)
@@ -179,9 +181,9 @@ def _program(casadi: Any, problem: _Problem, intervals: int):
     return solve
 
 
-def _arc(start, goal, share, count):
+def _arc(start, goal, detour, count):
     """Points of a sine arc from start to goal."""
     parts = np.linspace(0.0, 1.0, count)[:, None]
     along = goal - start
-    across = share * np.array([-along[1], along[0]])
+    across = detour * np.array([-along[1], along[0]])
     return start + parts * along + np.sin(math.pi * parts) * across

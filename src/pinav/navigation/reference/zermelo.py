@@ -23,7 +23,7 @@ from scipy.optimize import root
 
 from pinav.dynamics import RK4, FixedStep
 from pinav.errors import FitError, InputError
-from pinav.navigation.task.objectives import Reach
+from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import direction, greatest_thrust
 from pinav.navigation.task.task import Task
 
@@ -119,10 +119,10 @@ def quickest(
         guess = np.array([float(headings[row]), column / STEPS])
         if guess[1] * longest > best[0] + longest / 20:
             continue
-        found = root(residual, guess, method="hybr", tol=1e-12)
-        time = float(found.x[1]) * longest
-        if found.success and 0 < time < best[0]:
-            best = time, float(found.x[0])
+        solution = root(residual, guess, method="hybr", tol=1e-12)
+        time = float(solution.x[1]) * longest
+        if solution.success and 0 < time < best[0]:
+            best = time, float(solution.x[0])
     if not best[0] <= longest:
         raise FitError(
             f"quickest: no extremal reaches {np.asarray(goal).tolist()} within "
@@ -141,8 +141,8 @@ def quickest_of_task(task: Task) -> Crossing:
         FitError: no extremal arrives before the time is up.
     """
     objective = task.objective
-    plain = isinstance(objective, Reach) and task.start.shape == (2,)
-    if not isinstance(objective, Reach) or not plain or task.keep_out:
+    plain = isinstance(objective, ReachGoal) and task.start.shape == (2,)
+    if not isinstance(objective, ReachGoal) or not plain or task.keep_out:
         raise InputError(
             f"quickest_of_task: task {task.name!r} has inertia, a path or zones to "
             "keep out of; expected a place to reach, without inertia and zones"

@@ -20,9 +20,9 @@ from pinav.navigation.task.objectives import (
     AbstractPath,
     CirclePath,
     FigureEightPath,
-    Follow,
+    FollowPath,
     LinePath,
-    Reach,
+    ReachGoal,
 )
 from pinav.navigation.task.steering import (
     CommandLimits,
@@ -110,7 +110,7 @@ def y_junction() -> Task:
 
     The vessel is 1.04 wide; images, and so commands, are late by 0.2.
     """
-    return _carried("y-junction", [0.7, 5.0], Reach([7.5, 8.25], 0.3), _vessel())
+    return _carried("y-junction", [0.7, 5.0], ReachGoal([7.5, 8.25], 0.3), _vessel())
 
 
 TASKS: dict[str, tuple[Callable[[], Task], str]] = {
@@ -128,7 +128,7 @@ TASKS: dict[str, tuple[Callable[[], Task], str]] = {
     "follow-eight": (follow_eight, "drift-current"),
     "y-junction": (y_junction, "drift-current"),
 }
-"""Each task by its name, and the scenario in which its surroundings are observed."""
+"""Each task by its name, and the scenario in which its time_cost are observed."""
 
 
 def task(name: str) -> Task:
@@ -141,7 +141,7 @@ def task(name: str) -> Task:
 
 
 def training(name: str, key: PRNGKeyArray, *, count: int = 8) -> Trajectories:
-    """Noisy trajectories in the surroundings of a task, as of a fit before the run.
+    """Noisy trajectories in the time_cost of a task, as of a fit before the run.
 
     They do not know of the task: starts are those of the scenario, and the standard
     deviation of each observed state is 0.02.
@@ -171,7 +171,7 @@ def _crossing(name: str, thrust: float, zones: tuple[AbstractZone, ...] = ()) ->
         name=name,
         truth=_truth(name, actuator),
         start=jnp.array([0.5, 1.0, 0.0, 0.0]),
-        objective=Reach([9.5, 9.5], 0.3),
+        objective=ReachGoal([9.5, 9.5], 0.3),
         limits=limits,
         arena=Rectangle([-4.0, -4.0], [14.0, 14.0]),
         keep_out=zones,
@@ -187,7 +187,7 @@ def _traverse(name: str) -> Task:
         name=name,
         truth=_truth(name, actuator),
         start=jnp.array([1.5, 1.5, 0.0, 0.0]),
-        objective=Reach([18.5, 18.5], 0.4),
+        objective=ReachGoal([18.5, 18.5], 0.4),
         limits=limits,
         arena=Rectangle([-2.0, -2.0], [22.0, 22.0]),
         keep_out=(),
@@ -203,7 +203,7 @@ def _zermelo(name: str, *, start: list[float], goal: list[float]) -> Task:
         name=name,
         truth=_truth(name, actuator),
         start=jnp.asarray(start),
-        objective=Reach(goal, 0.3),
+        objective=ReachGoal(goal, 0.3),
         limits=limits,
         arena=Rectangle([-1.0, -1.0], [11.0, 11.0]),
         keep_out=(),
@@ -214,7 +214,7 @@ def _zermelo(name: str, *, start: list[float], goal: list[float]) -> Task:
 
 
 def _following(name: str, path: AbstractPath, duration: float) -> Task:
-    return _carried(name, path(0.0), Follow(path), time_limit=duration)
+    return _carried(name, path(0.0), FollowPath(path), time_limit=duration)
 
 
 def _carried(

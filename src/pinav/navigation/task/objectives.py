@@ -40,8 +40,8 @@ class LinePath(AbstractPath):
         check_positive(self, "duration")
 
     def __call__(self, t):
-        share = jnp.clip(jnp.asarray(t) / self.duration, 0.0, 1.0)
-        return self.start + share * (self.end - self.start)
+        progress = jnp.clip(jnp.asarray(t) / self.duration, 0.0, 1.0)
+        return self.start + progress * (self.end - self.start)
 
 
 class CirclePath(AbstractPath):
@@ -125,7 +125,7 @@ class AbstractObjective(eqx.Module):
         return self.distance(x) <= 0
 
 
-class Reach(AbstractObjective):
+class ReachGoal(AbstractObjective):
     """Come to a place, as soon as possible.
 
     Attributes:
@@ -137,7 +137,7 @@ class Reach(AbstractObjective):
     """
 
     goal: Float[Array, "2"] = eqx.field(
-        converter=lambda value: as_point("Reach.goal", value, 2)
+        converter=lambda value: as_point("ReachGoal.goal", value, 2)
     )
     tolerance: Scalar
 
@@ -155,7 +155,7 @@ class Reach(AbstractObjective):
         return jnp.linalg.norm(x - self.goal) - self.tolerance
 
 
-class Follow(AbstractObjective):
+class FollowPath(AbstractObjective):
     """Stay on a point that moves along a path, until time is up.
 
     Attributes:

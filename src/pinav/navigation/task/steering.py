@@ -196,7 +196,7 @@ class CommandLimits(eqx.Module):
             if not value > 0:
                 raise InputError(f"CommandLimits.{name}: expected > 0, got {value}")
 
-    def clipped(
+    def clip(
         self,
         command: Float[Array, "2"],
         previous: Float[Array, "2"],

@@ -67,8 +67,8 @@ class Wall(AbstractZone):
 
     def distance(self, x):
         along = self.end - self.start
-        share = jnp.clip((x - self.start) @ along / (along @ along), 0.0, 1.0)
-        return _length(x - self.start - share * along) - self.half_width
+        fraction = jnp.clip((x - self.start) @ along / (along @ along), 0.0, 1.0)
+        return _length(x - self.start - fraction * along) - self.half_width
 
 
 class Rectangle(AbstractZone):

@@ -1,6 +1,6 @@
 r"""A controller steers the true swimmer: one episode, or many at once.
 
-At every control step the controller is told the state, with the error of the sensor,
+At every control step the controller observes the state, with the error of the sensor,
 and gives a command, which comes into force after the delay and holds for one step. The
 true swimmer takes Runge-Kutta steps of at most `LONGEST`; after each the white noise
 adds a normal number of standard deviation $\sigma \sqrt{dt}$ to its velocity (or to its
@@ -108,11 +108,11 @@ class Episodes(eqx.Module):
     clearance: Float[np.ndarray, " episode"]
 
 
-def joined(parts: Sequence[Episodes]) -> Episodes:
+def concatenate_episodes(parts: Sequence[Episodes]) -> Episodes:
     """Episodes of one task, one part after the other."""
-    own = {name: [getattr(part, name) for part in parts] for name in vars(parts[0])}
-    times = own.pop("ts")[0]
-    return Episodes(ts=times, **{name: np.concatenate(a) for name, a in own.items()})
+    fields = {name: [getattr(part, name) for part in parts] for name in vars(parts[0])}
+    times = fields.pop("ts")[0]
+    return Episodes(ts=times, **{name: np.concatenate(a) for name, a in fields.items()})
 
 
 def control_steps(task: Task) -> int:
@@ -164,7 +164,7 @@ def advance(
     Returns:
         The situation after it, and the command within the limits.
     """
-    allowed = task.limits.clipped(command, situation.pending[-1], task.step)
+    allowed = task.limits.clip(command, situation.pending[-1], task.step)
     queue = jnp.concatenate([situation.pending, allowed[None]])
     rows, durations = _parts(task)
     state = situation.state
@@ -177,7 +177,7 @@ def advance(
         row, t, duration, kick = inputs
         held = truth.commanded(queue[row])
         later = FixedStep(RK4).step(held, now.state, t, t + duration) + kick
-        return _judged(task, now, later, t, duration), None
+        return _judge(task, now, later, t, duration), None
 
     inputs = (rows, times, durations, kicks)
     later, _ = jax.lax.scan(substep, situation, inputs)
@@ -307,7 +307,7 @@ def _episode(task, controller, truth, key):
     return last, jnp.where(after, last.state[None], states), commands
 
 
-def _judged(
+def _judge(
     task: Task,
     now: Situation,
     state: Float[Array, " state"],
@@ -319,8 +319,8 @@ def _judged(
     near = clearance(state[:2], task.keep_out, task.arena)
     violated = ~(near >= 0)  # so that a lost state ends the episode, too
     reached = task.objective.is_reached(state[:2]) & ~violated
-    share = _share(task.objective.distance(now.state[:2]), task, state)
-    arrival = jnp.where(reached, t + share * duration, now.arrival_time)
+    fraction = _fraction_before(task.objective.distance(now.state[:2]), task, state)
+    arrival = jnp.where(reached, t + fraction * duration, now.arrival_time)
     later = Situation(
         now.step,
         state,
@@ -333,8 +333,8 @@ def _judged(
     return jax.tree.map(lambda old, new: jnp.where(over, old, new), now, later)
 
 
-def _share(before, task, state):
-    """Share of a short step after which the task was done."""
+def _fraction_before(before, task, state):
+    """Fraction of a short step after which the task was done."""
     gain = before - task.objective.distance(state[:2])
     crossing = before / jnp.where(gain > 0, gain, 1.0)
     return jnp.where(gain > 0, jnp.clip(crossing, 0.0, 1.0), 1.0)

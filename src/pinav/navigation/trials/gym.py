@@ -110,8 +110,8 @@ def _command(task, action):
         raise InputError(
             f"NavigationEnv.step: expected two finite numbers, got {action}"
         )
-    share, turn = np.clip(values, -1.0, 1.0)
-    return jnp.array([task.limits.max_frequency * (share + 1) / 2, math.pi * turn])
+    speed, turn = np.clip(values, -1.0, 1.0)
+    return jnp.array([task.limits.max_frequency * (speed + 1) / 2, math.pi * turn])
 
 
 _advance = eqx.filter_jit(advance)

@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import binom, norm
+from scipy.stats import binom, binomtest
 
 from pinav.errors import InputError
-from pinav.navigation.task.objectives import Follow
+from pinav.navigation.task.objectives import FollowPath
 from pinav.navigation.task.task import Task
 from pinav.navigation.trials.closed_loop import Episodes
 
@@ -36,9 +36,9 @@ class Summary(eqx.Module):
 
     Attributes:
         count: number of episodes.
-        success: share that did the task: reached the goal, or followed the path until
-            the time was up, without a violation.
-        violation: share that entered a forbidden place.
+        success: fraction that did the task without a violation: reached the goal, or
+            followed the path until the time was up.
+        violation: fraction that entered a forbidden place.
         arrival: 5, 50 and 95 % quantile of the arrival time of those that arrived [T].
         efficiency: straight distance / length of the way, mean of those that arrived.
         tracking: mean distance from the target, averaged over episodes [L]; of paths.
@@ -63,7 +63,7 @@ class Summary(eqx.Module):
 def summary(episodes: Episodes, task: Task) -> Summary:
     """Metrics of the episodes of a task."""
     count = len(episodes.steps)
-    follows = isinstance(task.objective, Follow)
+    follows = isinstance(task.objective, FollowPath)
     done = ~episodes.violated if follows else episodes.reached
     arrived = episodes.arrival_time[episodes.reached]
     tracking = tracking_errors(episodes, task) if follows else np.full(count, np.nan)
@@ -72,8 +72,8 @@ def summary(episodes: Episodes, task: Task) -> Summary:
     )
     return Summary(
         count=count,
-        success=wilson(int(done.sum()), count),
-        violation=wilson(int(episodes.violated.sum()), count),
+        success=proportion(int(done.sum()), count),
+        violation=proportion(int(episodes.violated.sum()), count),
         arrival=_quantiles(arrived),
         efficiency=_mean(_efficiencies(episodes, task)[episodes.reached]),
         tracking=float(np.mean(tracking)),
@@ -84,32 +84,26 @@ def summary(episodes: Episodes, task: Task) -> Summary:
     )
 
 
-def wilson(successes: int, count: int) -> Interval:
-    r"""A share with Wilson's 95 % score interval.
-
-    $$\frac{p + z^2 / 2n \pm z \sqrt{p (1 - p) / n + z^2 / 4 n^2}}{1 + z^2 / n}.$$
+def proportion(successes: int, count: int) -> Interval:
+    r"""A proportion with its 95 % score interval.
 
     Args:
         successes: how often, at most `count`.
         count: n, positive.
 
     Raises:
-        InputError: the numbers are not those of a share.
+        InputError: the numbers are not those of a proportion.
 
     References:
         Wilson, J. Am. Stat. Assoc. 22, 209 (1927).
     """
     if not 0 <= successes <= count or count < 1:
         raise InputError(
-            "wilson: expected 0 <= successes <= count and count >= 1, got "
+            "proportion: expected 0 <= successes <= count and count >= 1, got "
             f"{successes} of {count}"
         )
-    z = float(norm.ppf(0.975))
-    share, scale = successes / count, 1 + z**2 / count
-    middle = (share + z**2 / (2 * count)) / scale
-    spread = math.sqrt(share * (1 - share) / count + (z / (2 * count)) ** 2)
-    half = z * spread / scale
-    return Interval(share, max(0.0, middle - half), min(1.0, middle + half))
+    interval = binomtest(successes, count).proportion_ci(method="wilson")
+    return Interval(successes / count, float(interval.low), float(interval.high))
 
 
 def regret(learned: Episodes, oracle: Episodes) -> Interval:
