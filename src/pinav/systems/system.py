@@ -79,6 +79,14 @@ class WanderingVelocity(eqx.Module):
             if isinstance(value, float | int) and value < 0:
                 raise InputError(f"wandering.{name}: expected >= 0, got {value}")
 
+    def strength(self, frequency: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+        r"""$\sigma$ at these commanded frequencies [L T⁻¹]."""
+        rolling = frequency > 0
+        # The derivative of a root at 0 is infinite, also in the branch not taken.
+        root = jnp.sqrt(jnp.where(rolling, frequency, 1.0))
+        variance = self.still**2 + self.driven**2 * jnp.where(rolling, root, 0.0)
+        return jnp.sqrt(variance)
+
 
 def _stated(value: ArrayLike | Sequence, ndim: int) -> Array:
     """Starts or times as an array; with no rows where there are none."""
