@@ -42,7 +42,7 @@ def judged(tmp_path_factory):
     save(short_shots(2, 2, 61), folder / "test.csv")
     save(short_shots(3, 2), folder / "calibration.npz")
     run = folder / "run"
-    argv = ["fit", str(folder / "train.npz"), "--out", str(run), "--learn", "damping"]
+    argv = ["fit", str(folder / "train.npz"), "--out", str(run), "--train", "damping"]
     assert cli.run(argv) == 0
     argv = ["evaluate", str(run), str(folder / "test.csv")]
     assert cli.run([*argv, "--calibrate", str(folder / "calibration.npz")]) == 0

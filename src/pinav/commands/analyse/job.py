@@ -22,20 +22,11 @@ from pinav.analysis import (
 )
 from pinav.commands.analyse.settings import AnalyseOptions, AnalyseSettings
 from pinav.commands.command import CommandResult
-from pinav.commands.fit.bayes import (
-    MODEL_FILE,
-    POSTERIOR_FILE,
-    force_sd,
-    process_kernels,
-    read_posterior,
-)
-from pinav.commands.fit.command import FIT
-from pinav.commands.fit.settings import FitSettings
-from pinav.commands.models import CONSTANTS, build_model, fit_constants
+from pinav.commands.fitted_run import FittedRun
 from pinav.dynamics import Swimmer
 from pinav.errors import FitError, InputError
 from pinav.evaluation import FieldMap, field_map
-from pinav.fitting import Hyperparameters
+from pinav.fitting.environments.catalogue import CONSTANTS
 from pinav.forces import (
     AbstractLearnedForce,
     KernelPotential,
@@ -44,7 +35,6 @@ from pinav.forces import (
     NeuralPotential,
 )
 from pinav.runs import RunFolder
-from pinav.trajectories import Trajectories, load
 
 ANALYSIS_FILE, ARRAYS_FILE = "analysis.json", "analysis.npz"
 
@@ -63,8 +53,7 @@ def analyse(settings: AnalyseSettings, run: Path) -> dict[str, Any]:
             trajectory of the number that was asked for.
     """
     settings.check()
-    folder = RunFolder.open(run)
-    work = _Analysis(settings, folder)
+    work = _Analysis(settings, FittedRun.open(run))
     steps = (work.maps, work.parts, work.trust, work.influences, work.rollouts)
     with tqdm(steps, desc="analyse", unit="part") as bar:
         for step in bar:
@@ -76,20 +65,18 @@ def analyse(settings: AnalyseSettings, run: Path) -> dict[str, Any]:
 class _Analysis:
     """The parts of one analysis, in their order, and what they found so far."""
 
-    def __init__(self, settings: AnalyseSettings, folder: RunFolder):
-        self.settings, self.folder = settings, folder
-        self.fit_settings = _fit_settings(folder)
-        self.model = _model(folder)
-        self.data = load(folder.path / "data.npz")
+    def __init__(self, settings: AnalyseSettings, fitted: FittedRun):
+        self.settings, self.fitted = settings, fitted
+        self.folder = folder = fitted.folder
+        self.model, self.data = _model(fitted), fitted.data
         if settings.reference >= len(self.data):
             raise InputError(
                 f"--reference: expected 0 to {len(self.data) - 1}, a trajectory of "
                 f"{folder.path}, got {settings.reference}"
             )
-        self.bayes = folder.has(POSTERIOR_FILE)
         self.found: dict[str, Any] = {
-            "model": self.fit_settings.model,
-            "posterior": self.bayes,
+            "model": fitted.choice.name,
+            "posterior": fitted.posterior is not None,
             "settings": msgspec.to_builtins(settings),
             "left_out": [],
         }
@@ -136,10 +123,10 @@ class _Analysis:
 
     def trust(self) -> None:
         """What the posterior says of the force and of its parts."""
-        if not self.bayes:
+        if self.fitted.posterior is None:
             self.leave_out("standard deviations", NO_POSTERIOR)
             return
-        sd = force_sd(self.fit_settings, self.field, self.folder)
+        sd = self.fitted.force_sd(self.field)
         size = np.linalg.norm(self.field.force, axis=-1)
         sure = size > 2.0 * np.linalg.norm(sd, axis=-1)
         share = {
@@ -148,7 +135,7 @@ class _Analysis:
             if name != "unvisited"
         }
         self.arrays["sd"], self.found["above_two_sd"] = sd, share
-        posterior = read_posterior(self.fit_settings, self.folder)
+        posterior = self.fitted.posterior
         key = jax.random.key(self.settings.seed)
         forces = sampled_forces(posterior, self.field, self.settings.draws, key=key)
         fractions = rotational_fractions(self.field, forces)
@@ -156,11 +143,11 @@ class _Analysis:
 
     def influences(self) -> None:
         """What each trajectory and each constant does."""
-        if not self.bayes:
+        if self.fitted.posterior is None:
             self.leave_out("influence of trajectories and constants", NO_POSTERIOR)
             return
         try:
-            found = _influence(self.fit_settings, self.model, self.data, self.folder)
+            found = _influence(self.fitted, self.model)
         except (InputError, FitError) as error:
             self.leave_out("influence of trajectories and constants", str(error))
             return
@@ -202,7 +189,7 @@ class _Analysis:
                 {
                     "constant": name,
                     "value": value,
-                    "learned": name in self.fit_settings.learn,
+                    "learned": name in self.fitted.choice.learn,
                     "force": _rms(moved[near]) / size,
                     "final": float(np.linalg.norm(final)),
                 }
@@ -254,49 +241,27 @@ class _Analysis:
         """Start and times of the reference trajectory."""
         index = self.settings.reference
         times = self.data.times[index][: self.data.lengths[index]]
-        if not self.bayes:
-            return self.data.states[index, 0], times
-        return self.folder.read_arrays(POSTERIOR_FILE)["states"][index, 0], times
+        return self.fitted.start(index), times
 
 
 NO_POSTERIOR = "the run has no posterior; fit with --recipe bayes"
 
 
-def _fit_settings(folder: RunFolder) -> FitSettings:
-    if folder.command != FIT.name or not folder.has("metrics.json"):
-        raise InputError(
-            f"{folder.path} holds no finished fit; give the folder that was the --out "
-            "of pinav fit"
-        )
-    content = folder.settings()
-    try:
-        return msgspec.convert(content, FitSettings)
-    except msgspec.ValidationError as error:
-        raise InputError(f"{folder.path}/config.toml: {error}") from error
-
-
-def _model(folder: RunFolder) -> Swimmer:
-    model = folder.read_model(MODEL_FILE, build_model)
+def _model(fitted: FittedRun) -> Swimmer:
+    model = fitted.model
     if not isinstance(model, Swimmer) or not isinstance(
         model.environment, AbstractLearnedForce
     ):
         raise InputError(
-            f"{folder.path}: its model has no learned force of the environment; fit a "
-            "kernel or neural model"
+            f"{fitted.folder.path}: its model has no learned force of the environment; "
+            "fit a kernel or neural model"
         )
     return model
 
 
-def _influence(
-    settings: FitSettings, model: Swimmer, data: Trajectories, folder: RunFolder
-) -> Influence:
-    stored = folder.read_arrays(POSTERIOR_FILE)
-    chosen = Hyperparameters(
-        shape=stored["shape"],
-        amplitude=float(stored["amplitude"]),
-        noise=float(stored["noise"]),
-        log_evidence=float(stored["log_evidence"]),
-    )
+def _influence(fitted: FittedRun, model: Swimmer) -> Influence:
+    evidence = fitted.evidence
+    assert evidence is not None
     has = {
         "damping": isinstance(model.drag, LinearDrag),
         "gain": isinstance(model.propulsion, MagneticPropulsion),
@@ -304,12 +269,12 @@ def _influence(
     constants = {n: attrgetter(path) for n, path in CONSTANTS.items() if has.get(n)}
     return influence(
         model,
-        data,
-        stored["states"],
-        chosen,
-        learn=fit_constants(settings),
+        fitted.data,
+        evidence.states,
+        evidence.hyperparameters,
+        learn=fitted.choice.constants,
         constants=constants,
-        kernels=process_kernels(settings.model, folder),
+        kernels=evidence.process,
     )
 
 

@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from pinav.analysis import Candidate, Discovery
@@ -12,14 +11,12 @@ from pinav.analysis.discovery.law_regression import law_force
 from pinav.analysis.discovery.learned_fit import laplace_posterior
 from pinav.commands.command import CommandResult
 from pinav.commands.discover.settings import DiscoverOptions
-from pinav.commands.fit.bayes import MODEL_FILE, POSTERIOR_FILE, read_posterior
-from pinav.commands.fit.settings import FitSettings
-from pinav.commands.models import build_model, residual
+from pinav.commands.fitted_run import FittedRun
 from pinav.dynamics import Swimmer
 from pinav.errors import InputError
 from pinav.fitting import Posterior
+from pinav.fitting.environments.catalogue import learned_part
 from pinav.runs import RunFolder
-from pinav.trajectories import Trajectories, load
 
 LAWS_FILE, SAMPLE_FILE = "laws.json", "laws.npz"
 
@@ -38,14 +35,9 @@ def discover(run: Path, refits: int) -> dict[str, Any]:
         InputError: the run is no finished fit of a force.
         FitError: the learned force does not explain the trajectories.
     """
-    folder = RunFolder.open(run)
-    if not folder.has(MODEL_FILE):
-        raise InputError(
-            f"{run} holds no fitted force; give the folder that was the --out of a "
-            "finished pinav fit"
-        )
-    data = load(folder.path / "data.npz")
-    found = discover_law(_posterior(folder, data), data, refits=refits)
+    fitted = FittedRun.open(run)
+    folder = fitted.folder
+    found = discover_law(_posterior(fitted), fitted.data, refits=refits)
     metrics = _metrics(found)
     best, sample = found.best, found.sample
     values = np.array([own.value for own in best.constants])
@@ -63,26 +55,17 @@ def discover(run: Path, refits: int) -> dict[str, Any]:
     return metrics
 
 
-def _posterior(folder: RunFolder, data: Trajectories) -> Posterior:
+def _posterior(fitted: FittedRun) -> Posterior:
     """The posterior that the run stored, or one by Laplace about its model."""
-    if folder.has(POSTERIOR_FILE):
-        return read_posterior(_settings(folder), folder)
-    model = folder.read_model(MODEL_FILE, build_model)
+    if fitted.posterior is not None:
+        return fitted.posterior
+    model = fitted.model
     if not isinstance(model, Swimmer):
         raise InputError(
-            f"{folder.path}: a black box has no force of its environment; fit another "
-            "--model"
+            f"{fitted.folder.path}: a black box has no force of its environment; fit "
+            "another --model"
         )
-    return laplace_posterior(model, data, residual)
-
-
-def _settings(folder: RunFolder) -> FitSettings:
-    own = {field.name for field in msgspec.structs.fields(FitSettings)}
-    content = {k: v for k, v in folder.config().items() if k in own}
-    try:
-        return msgspec.convert(content, FitSettings)
-    except msgspec.ValidationError as error:
-        raise InputError(f"{folder.path}/config.toml: {error}") from error
+    return laplace_posterior(model, fitted.data, learned_part)
 
 
 def _metrics(found: Discovery) -> dict[str, Any]:

@@ -7,23 +7,21 @@ force by region; bands; residuals; learned constants.
 from pathlib import Path
 from typing import Any
 
+from pinav.commands.cells import as_cell
 from pinav.commands.command import CommandResult
 from pinav.commands.evaluate.judge import conformal, judge_fit
-from pinav.commands.evaluate.settings import EvaluateOptions
-from pinav.commands.evaluate.tables import tables
-from pinav.commands.fit.job import score_metrics
-from pinav.commands.fitted_run import (
+from pinav.commands.evaluate.setting import (
     Prediction,
     Setting,
-    Subject,
-    as_cell,
     force_fields,
     prediction,
     read_data,
-    read_subject,
     starts_are_estimated,
     true_scenario,
 )
+from pinav.commands.evaluate.settings import EvaluateOptions
+from pinav.commands.evaluate.tables import tables
+from pinav.commands.fitted_run import FittedRun
 from pinav.commands.held_out import held_out
 from pinav.dynamics import AbstractDynamics, Outcome, Swimmer
 from pinav.evaluation import (
@@ -64,13 +62,14 @@ def evaluate(
     Raises:
         InputError: the run holds no model, or a file cannot be read.
     """
-    folder, subject = read_subject(run)
+    subject = FittedRun.open(run)
+    folder = subject.folder
     trajectories = read_data(data, subject)
     setting = Setting(
         subject,
         trajectories,
         true_scenario(trajectories, subject),
-        default_regions(subject.training) if regions is None else regions,
+        default_regions(subject.data) if regions is None else regions,
         starts_are_estimated(subject, trajectories),
     )
     metrics, arrays = _header(setting, data), {}
@@ -86,9 +85,9 @@ def evaluate(
     return metrics
 
 
-def _baseline(subject: Subject) -> dict[str, AbstractDynamics]:
+def _baseline(subject: FittedRun) -> dict[str, AbstractDynamics]:
     """The known physics alone, as the least that a model must beat."""
-    return {BASELINE: subject.known.swimmer}
+    return {BASELINE: subject.system.swimmer}
 
 
 BASELINE = "physics-only"
@@ -97,7 +96,7 @@ BASELINE = "physics-only"
 
 def _header(setting: Setting, data: Path) -> dict[str, Any]:
     subject = setting.subject
-    unit = subject.training.units[subject.training.channels[0]]
+    unit = subject.data.units[subject.data.channels[0]]
     return {
         "data": data.name,
         "trajectories": len(setting.data),
@@ -128,7 +127,7 @@ def _score_model(name, model, setting: Setting, clean, results) -> None:
     """Rollouts and force of one model."""
     metrics, arrays = results
     own = prediction(model, setting.data, estimate=setting.estimate)
-    scores = score_metrics(score(own.ys, own.outcomes, own.observed))
+    scores = score(own.ys, own.outcomes, own.observed).by_name()
     diverged = sum(outcome is not Outcome.SUCCESS for outcome in own.outcomes)
     metrics["rmse"][name] = {k: as_cell(v) for k, v in scores.items()} | {
         "diverged": diverged

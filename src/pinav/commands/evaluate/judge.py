@@ -6,16 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from pinav.commands.fit.bayes import POSTERIOR_FILE
-from pinav.commands.fitted_run import (
+from pinav.commands.cells import as_cell
+from pinav.commands.evaluate.setting import (
     Setting,
-    Subject,
-    as_cell,
     force_fields,
     prediction,
     read_data,
 )
-from pinav.commands.models import CONSTANTS
+from pinav.commands.fitted_run import FittedRun
 from pinav.dynamics import Swimmer
 from pinav.errors import InputError
 from pinav.evaluation import (
@@ -45,25 +43,25 @@ BANDED = 16
 def judge_fit(setting: Setting, folder: RunFolder, clean, results) -> None:
     """What only `pinav fit` leaves behind: residuals, constants, a posterior."""
     metrics, arrays = results
-    if setting.subject.settings is None:
+    if "model" not in setting.subject.models:
         return
     found = _residuals(setting.subject, folder)
     metrics["whiteness"] = _whiteness(found)
     arrays["autocorrelation"] = found.autocorrelation
     arrays["counts"] = np.array(found.counts)
     arrays["channels"] = np.array(found.channels)
-    metrics["constants"] = _constants(setting, folder)
+    metrics["constants"] = _constants(setting)
     if setting.subject.posterior is not None:
         metrics["coverage"] = _coverage(setting, clean)
 
 
-def _residuals(subject: Subject, folder: RunFolder) -> Whiteness:
+def _residuals(subject: FittedRun, folder: RunFolder) -> Whiteness:
     """Residuals of the training data, in units of the noise found."""
-    training = subject.training
-    if subject.posterior is None:
+    training = subject.data
+    if subject.evidence is None:
         fitted, noise = folder.read_arrays("results.npz")["ys"], 1.0
     else:
-        fitted, noise = folder.read_arrays(POSTERIOR_FILE)["states"], subject.noise
+        fitted, noise = subject.evidence.states, subject.noise
     residuals = (training.states - fitted) / noise
     return whiteness(residuals, training.observed, training.channels)
 
@@ -81,30 +79,30 @@ def _whiteness(found: Whiteness) -> dict[str, Any]:
     }
 
 
-def _constants(setting: Setting, folder: RunFolder) -> list[dict[str, Any]]:
+def _constants(setting: Setting) -> list[dict[str, Any]]:
     """True and recovered value of each learned constant."""
-    settings, truth = setting.subject.settings, setting.truth
-    if settings is None or not settings.learn or truth is None:
+    subject, truth = setting.subject, setting.truth
+    paths = subject.choice.paths()
+    if not paths or truth is None:
         return []
-    learned = folder.read_json("metrics.json")["learned"]
-    true = {name: _true_constant(name, truth) for name in settings.learn}
-    found = [
-        ParameterRecovery(name, value, learned[name]["value"], learned[name]["sd"])
-        for name, value in true.items()
-        if value is not None
-    ]
+    constants = subject.constants
+    found = []
+    for name, path in paths.items():
+        value = _true_constant(path, truth)
+        if value is not None:
+            sd = constants[name].sd
+            known = None if np.isnan(sd) else sd
+            found.append(ParameterRecovery(name, value, constants[name].value, known))
     return [
         vars(one) | {"relative_error": as_cell(one.relative_error), "z": one.z}
         for one in found
     ]
 
 
-def _true_constant(name: str, truth: System) -> float | None:
+def _true_constant(path: str, truth: System) -> float | None:
     """Its value in the truth; None where the truth has no such number."""
-    if name not in CONSTANTS:
-        return None
     try:
-        return float(attrgetter(CONSTANTS[name])(truth.swimmer))
+        return float(attrgetter(path)(truth.swimmer))
     except (AttributeError, TypeError):
         return None
 
@@ -161,13 +159,13 @@ def _bands(setting: Setting, data: Trajectories) -> tuple[Bands, Trajectories]:
 def _sample_regions(data: Trajectories, setting: Setting) -> dict[str, np.ndarray]:
     """Region of each sample, by its distance to the training data."""
     positions = data.states[..., :2]
-    seen = distances(positions.reshape(-1, 2), setting.subject.training)
+    seen = distances(positions.reshape(-1, 2), setting.subject.data)
     return setting.regions.masks(seen.reshape(positions.shape[:-1]))
 
 
 def conformal(setting: Setting, path: Path) -> dict[str, Any]:
     """A radius from the trajectories of a file, and how it fares on the data."""
-    if setting.subject.settings is None:
+    if "model" not in setting.subject.models:
         raise InputError("--calibrate: expected a run of pinav fit, with one model")
     noise = setting.subject.noise
 

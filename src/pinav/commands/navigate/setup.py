@@ -5,19 +5,16 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import msgspec
 import numpy as np
 
 from pinav.actuation import LinearResponse
-from pinav.commands.fit.bayes import MODEL_FILE, POSTERIOR_FILE, read_posterior
-from pinav.commands.fit.command import FIT
-from pinav.commands.fit.settings import FitSettings
-from pinav.commands.models import KnownSwimmer, build_model
+from pinav.commands.fitted_run import MODEL_FILE, FittedRun
 from pinav.commands.navigate.settings import NavigateSettings
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.evaluation import square
 from pinav.fitting import Posterior
+from pinav.fitting.environments.catalogue import KnownSwimmer
 from pinav.forces import UniformFlow, ZeroForce
 from pinav.identification.models import response_of
 from pinav.navigation.control.simple import physics_only
@@ -31,7 +28,7 @@ from pinav.navigation.task.task import Task
 from pinav.navigation.task.zones import Disc, Rectangle
 from pinav.runs import RunFolder
 from pinav.scenarios import scenario
-from pinav.trajectories import Trajectories, load
+from pinav.trajectories import Trajectories
 
 
 class Fitted(eqx.Module):
@@ -94,7 +91,7 @@ def navigation_problem(settings: NavigateSettings, run: RunFolder) -> Navigation
     Raises:
         InputError: the run holds no fitted swimmer in the plane.
     """
-    if run.command == FIT.name and run.has(MODEL_FILE):
+    if run.has(MODEL_FILE):
         return _of_fit(settings, run)
     if run.has("metrics.json") and "tracks" in run.read_json("metrics.json"):
         return _of_recording(settings, run)
@@ -105,22 +102,18 @@ def navigation_problem(settings: NavigateSettings, run: RunFolder) -> Navigation
 
 
 def _of_fit(settings, run: RunFolder) -> NavigationProblem:
-    content = run.settings()
-    fitted = msgspec.convert(content, FitSettings)
-    model = run.read_model(MODEL_FILE, build_model)
-    data = load(run.path / "data.npz")
+    fitted = FittedRun.open(run.path)
+    model, data = fitted.model, fitted.data
     if not isinstance(model, KnownSwimmer) or not _is_planar(model, data):
         raise InputError(
             f"{run.path}: expected a swimmer in the plane with a learned force, got "
-            f"the model {fitted.model} of {', '.join(data.channels)}"
+            f"the model {fitted.choice.name} of {', '.join(data.channels)}"
         )
     actuator = RollingActuator(settings.thrust * jnp.eye(2), LinearResponse())
+    evidence = fitted.evidence
     found = None
-    if run.has(POSTERIOR_FILE):
-        stored = run.read_arrays(POSTERIOR_FILE)
-        found = Fitted(
-            read_posterior(fitted, run), float(stored["noise"]), stored["states"], data
-        )
+    if evidence is not None:
+        found = Fitted(evidence.posterior, fitted.noise, evidence.states, data)
     truth = data.provenance.get("scenario")
     known = model if truth is None else scenario(truth).true_swimmer
     limits = CommandLimits(1.0)
