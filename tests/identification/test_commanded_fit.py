@@ -63,6 +63,8 @@ def recording(seed=0, *, duration=300.0, step=0.1, strength=1.0, wandering=0.5):
     )
 
 
+GRID = KernelGrid(across=5, margin=2.0)
+
 CANDIDATE = with_free(with_response(MATRIX, "linear"), "delay", "delay")
 
 
@@ -75,10 +77,10 @@ def identified(data):
 
 @pytest.fixture(scope="module")
 def trapped():
-    data = recording()
+    data = recording(duration=120.0)
     system, _ = identified(data)
-    kernels = kernel_environment(KernelForce, data, KernelGrid(across=7), dim=2)
-    return data, system, fit_commanded(system, data, kernels)
+    kernels = kernel_environment(KernelForce, data, GRID, dim=2)
+    return data, system, fit_commanded(system, data, kernels, refine=None)
 
 
 def error_and_deviation(fit, data):
@@ -140,15 +142,17 @@ def _evidence(fit):
     return model_evidence(fit.linear, fit.hyperparameters).log_evidence
 
 
+@pytest.mark.slow
 def test_where_there_is_no_field_none_is_found():
-    data = recording(1, strength=0.0, duration=150.0)
+    data = recording(1, strength=0.0, duration=120.0)
     system, _ = identified(data)
-    kernels = kernel_environment(KernelForce, data, KernelGrid(across=6), dim=2)
-    fit = fit_commanded(system, data, kernels)
+    kernels = kernel_environment(KernelForce, data, GRID, dim=2)
+    fit = fit_commanded(system, data, kernels, refine=None)
     alone = fit_commanded(system, data, None)
     assert _evidence(fit) < _evidence(alone) + 2.0
 
 
+@pytest.mark.slow
 def test_the_evidence_without_a_field_is_that_of_the_candidate():
     data = recording(2, duration=60.0)
     system, track_fit = identified(data)

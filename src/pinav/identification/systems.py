@@ -18,7 +18,17 @@ from pinav.actuation import (
 )
 from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import InputError
-from pinav.fitting import Estimate, Posterior, freed
+from pinav.fitting import (
+    Estimate,
+    EvidenceFit,
+    Hyperparameters,
+    LinearFit,
+    Outcome,
+    Posterior,
+    freed,
+)
+from pinav.fitting.evidence.quadratic import Quadratic
+from pinav.fitting.evidence.weights import NoWeights
 from pinav.forces import (
     RollingPropulsion,
     UniformFlow,
@@ -105,7 +115,7 @@ def system_of(
         wandering=wandering,
         observation=Observation(noise=jitter),
         base_units=Units(length=units.get("x", "?"), time=units.get("t", "?")),
-        model="kernel-force",
+        model="kernel-potential",
         learn=_free_numbers(fit),
     )
 
@@ -155,6 +165,35 @@ def posterior_of(fit: TrackFit) -> Posterior:
         covariance = rows @ fit.covariance @ rows.T
         values = {path: number_values(fit, path) for path in paths}
         return posterior_over(swimmer_of(fit), paths, values, covariance)
+
+
+def evidence_fit_of(fit: TrackFit, *, jitter: float) -> EvidenceFit:
+    """The fit of a track as the result of every fit.
+
+    Args:
+        fit: a candidate on a track.
+        jitter: standard deviation of single frames about the mean path [L].
+    """
+    posterior = posterior_of(fit)
+    count = len(posterior.mean)
+    nothing = Quadratic(
+        point=np.zeros(0),
+        hessian=np.zeros((0, 0)),
+        gradient=np.zeros(0),
+        squares=0.0,
+        num_free=count,
+        log_determinant=0.0,
+    )
+    return EvidenceFit(
+        model=posterior.model,
+        outcome=Outcome.CONVERGED,
+        iterations=fit.evaluations,
+        hyperparameters=Hyperparameters(np.zeros(0), 0.0, jitter, fit.log_evidence),
+        posterior=posterior,
+        constants=estimates_of(posterior, [n.path for n in _free_numbers(fit)]),
+        states=None,
+        linear=LinearFit(nothing, NoWeights(), jitter, count, 0.0),
+    )
 
 
 def number_values(fit: TrackFit, path: str) -> Float[np.ndarray, " number"]:

@@ -74,9 +74,8 @@ def tracks(recording: Trajectories, *, pooled: bool = False) -> list[Track]:
     """
     _check_planar(recording)
     groups: dict[str, list[Trajectory]] = {}
-    for label, piece in zip(_labels(recording), recording, strict=True):
-        own = [label["run"], label.get("kind") if pooled else label["particle"]]
-        name = "/".join(str(part) for part in own if part is not None)
+    names = _names(recording, pooled=pooled)
+    for name, piece in zip(names, recording, strict=True):
         seen = _observed(piece)
         if len(seen.times) >= LEAST_SAMPLES:
             groups.setdefault(name, []).append(seen)
@@ -89,6 +88,30 @@ def tracks(recording: Trajectories, *, pooled: bool = False) -> list[Track]:
         Track(name, tuple(sorted(pieces, key=lambda p: p.times[0])), width, sizes)
         for (name, pieces), width, sizes in rows
     ]
+
+
+def trajectories_of(
+    recording: Trajectories, name: str, *, pooled: bool = False
+) -> Trajectories:
+    """The trajectories of one track; all where no track has this name.
+
+    Args:
+        recording: the whole recording.
+        name: of the track, as in `tracks`.
+        pooled: see `tracks`.
+    """
+    names = _names(recording, pooled=pooled)
+    chosen = [index for index, own in enumerate(names) if own == name]
+    return recording.select(chosen) if chosen else recording
+
+
+def _names(recording: Trajectories, *, pooled: bool) -> list[str]:
+    """Name of the track of each trajectory: its run, and its particle or kind."""
+    names = []
+    for label in _labels(recording):
+        parts = [label["run"], label.get("kind") if pooled else label["particle"]]
+        names.append("/".join(str(part) for part in parts if part is not None))
+    return names
 
 
 def one_track(data: Trajectories, name: str) -> Track:
