@@ -12,7 +12,8 @@ import pytest
 from pinav.dynamics import FixedStep
 from pinav.evaluation import field_map, force_errors
 from pinav.fitting import Outcome, fit_bayes, kernel_environment
-from pinav.fitting.engine.multiple_shooting import freed, linearise
+from pinav.fitting.engine.multiple_shooting import linearise
+from pinav.fitting.engine.parametric_model import ravel_model
 from pinav.fitting.matching.objectives import Observations
 from pinav.forces import GaussianBarrier, KernelForce, KernelPotential
 from pinav.scenarios import barrier_crossings
@@ -81,7 +82,7 @@ def observe(scenario, seed, columns):
 def row(case, seed):
     """Errors in three regions, coverage in three rings, z-scores, and constants."""
     scenario = case.make()
-    clean = simulate(eqx.tree_at(lambda s: s.noise, scenario, 0.0))
+    clean = simulate(eqx.tree_at(lambda s: s.observation.noise, scenario, 0.0))
     data = observe(scenario, seed, case.columns)
     constants = TRUE_CONSTANTS if case.learn is nothing else (0.1, 0.0)
     model = eqx.tree_at(
@@ -122,7 +123,7 @@ def z_of_the_true_law(scenario, clean, data, points):
     Linear about the truth, so exactly normal: no honest band can do better on a draw
     of the noise that this estimator finds unlucky.
     """
-    free, theta = freed(scenario.true_swimmer, lambda model: model.environment)
+    free, theta = ravel_model(scenario.true_swimmer, lambda model: model.environment)
     observations = Observations.of(data, jnp.float64)
     states = jnp.asarray(clean.states)
     linear = linearise(free, theta, states, observations, FixedStep())

@@ -16,7 +16,7 @@ from pinav.evaluation import (
     inside_band,
     rollout_coverage,
 )
-from pinav.fitting import Posterior, freed
+from pinav.fitting import Posterior, ravel_model
 from pinav.scenarios import barrier_crossings
 from pinav.trajectories import Trajectories, simulate
 
@@ -61,11 +61,11 @@ def shots():
     """Two crossings, and a posterior of the barrier's height alone."""
     scenario = barrier_crossings(count=2)
     scenario = eqx.tree_at(
-        lambda s: (s.noise, s.times, s.environment.height),
+        lambda s: (s.observation.noise, s.times, s.environment.height),
         scenario,
         (0.0, scenario.times[:41], jnp.asarray(5.25)),
     )
-    free, theta = freed(scenario.true_swimmer, lambda m: m.environment.height)
+    free, theta = ravel_model(scenario.true_swimmer, lambda m: m.environment.height)
     posterior = Posterior(free, np.asarray(theta), np.array([[SD**2]]))
     return scenario, simulate(scenario), posterior
 

@@ -21,7 +21,9 @@ from pinav.trajectories import Trajectories, simulate
 @pytest.fixture(scope="module")
 def clean():
     shots = barrier_crossings(count=3)
-    short = eqx.tree_at(lambda s: (s.noise, s.times), shots, (0.0, shots.times[:41]))
+    short = eqx.tree_at(
+        lambda s: (s.observation.noise, s.times), shots, (0.0, shots.times[:41])
+    )
     return short, simulate(short)
 
 

@@ -21,8 +21,8 @@ from pinav.fitting import (
     EvidenceFit,
     Hyperparameters,
     Posterior,
-    freed,
     principal_drags,
+    ravel_model,
     rotational_fraction,
 )
 from pinav.fitting.bayes.function_prior import TangentWeights
@@ -297,7 +297,7 @@ def _read_evidence(
 ) -> EvidenceResult:
     stored = folder.read_arrays(POSTERIOR_FILE)
     try:
-        free, theta = freed(model, choice.trainable)
+        free, theta = ravel_model(model, choice.trainable)
         if theta.shape != stored["mean"].shape:
             raise InputError(
                 f"{folder.path}: {POSTERIOR_FILE} and {MODEL_FILE} are not of the same "

@@ -31,7 +31,7 @@ def held_out(
     """
     key = jax.random.key(HELD_OUT_SEED)
     chosen = system.with_starts(key, count)
-    chosen = eqx.tree_at(lambda s: s.noise, chosen, 0.0)
+    chosen = eqx.tree_at(lambda s: s.observation.noise, chosen, 0.0)
     if until is not None:
         chosen = eqx.tree_at(lambda s: s.times, chosen, _times(chosen, until))
     return simulate(chosen)

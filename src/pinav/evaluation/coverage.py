@@ -21,7 +21,7 @@ from jaxtyping import Bool, Float
 from pinav.dynamics import FixedStep
 from pinav.evaluation.force_fields import FieldMap
 from pinav.evaluation.starts import Starts, first_samples
-from pinav.fitting import FreeModel, Observations, Posterior
+from pinav.fitting import Observations, ParametricModel, Posterior
 from pinav.fitting.engine.multiple_shooting import linearise, sensitivities
 from pinav.trajectories import Trajectories
 
@@ -120,7 +120,7 @@ def _bands(posterior, trajectories, starts, by_parameter, spread, solver) -> Ban
 
 
 @eqx.filter_jit
-def _linear_band(free: FreeModel, theta, covariance, start, solver):
+def _linear_band(free: ParametricModel, theta, covariance, start, solver):
     y0, by_parameter, spread, times = start
     ys, _ = solver.solve(free(theta), y0, times)
     columns = sensitivities(free, theta, ys, times, solver).columns

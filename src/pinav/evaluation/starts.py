@@ -18,7 +18,8 @@ from pinav.dynamics import AbstractDynamics, FixedStep, with_dtype
 from pinav.errors import InputError
 from pinav.evaluation.scores import require_x64
 from pinav.fitting import Outcome
-from pinav.fitting.engine.multiple_shooting import FreeModel, advanced, linearise
+from pinav.fitting.engine.multiple_shooting import advance, linearise
+from pinav.fitting.engine.parametric_model import ParametricModel
 from pinav.fitting.matching.objectives import Observations
 from pinav.trajectories import Trajectories, smoothed_states
 
@@ -73,13 +74,13 @@ def estimate_starts(
     dim = head.dim
     states = jnp.asarray(smoothed_states(head, dim))
     scale = np.maximum(np.ptp(np.asarray(states), axis=1), np.finfo(float).tiny)
-    free = FreeModel(with_dtype(dynamics, jnp.float64), _nothing)
+    free = ParametricModel(with_dtype(dynamics, jnp.float64), _nothing)
     observations = Observations.of(head, jnp.float64)
     solver = FixedStep(substeps=4) if solver is None else solver
     nothing, settled = jnp.zeros(0), np.zeros(len(head), bool)
     for _ in range(STEPS):
         linear = linearise(free, nothing, states, observations, solver)
-        moved = advanced(states, linear, nothing)
+        moved = advance(states, linear, nothing)
         change = np.abs(np.asarray(moved - states)).max(axis=1) / scale
         settled = (change < TOLERANCE).all(axis=1)
         states = moved

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64, PRNGKeyArray
 
 from pinav.errors import InputError
+from pinav.systems import velocity_unit
 from pinav.trajectories.trajectory import (
     Ragged,
     Trajectory,
@@ -208,6 +209,18 @@ def with_unobserved(
         {**trajectories.units, **units},
         trajectories.provenance,
     )
+
+
+def with_velocities(trajectories: Trajectories) -> Trajectories:
+    """The trajectories of positions alone with velocities that nobody observed."""
+    if trajectories.dim != len(trajectories.channels):
+        return trajectories
+    length, time = (
+        trajectories.units[name] for name in (trajectories.channels[0], "t")
+    )
+    unit = velocity_unit(length, time)
+    units = {f"v{name}": unit for name in trajectories.channels}
+    return with_unobserved(trajectories, units)
 
 
 class Split(NamedTuple):

@@ -75,8 +75,8 @@ def kernel_environment(
         kind: `KernelForce`, `KernelPotential`, `KernelStream` or `KernelMixture`.
         trajectories: their channels are positions, then as many velocities.
         grid: its fineness; `KernelGrid()` unless given.
-        dim: how many of their channels are positions, where that is not half of them:
-            all, where the state of the dynamics is the position.
+        dim: how many of their channels are positions; those called x, y and z unless
+            given.
 
     Raises:
         InputError: the observed positions are fewer than two, or all the same, or
@@ -160,7 +160,7 @@ def lay_kernels(
     """Centres and width of kernels on a grid around the data."""
     grid = KernelGrid() if grid is None else grid
     count = len(trajectories.channels)
-    dim = count // 2 if dim is None else dim
+    dim = dim or trajectories.dim or count // 2
     if not 0 < dim <= count:
         raise InputError(
             f"kernel_environment dim: expected 1 to {count}, as many as there are "
