@@ -27,14 +27,14 @@ from pinav.fitting import (
     EvidenceFit,
     LinearFit,
     Outcome,
-    freed,
+    ravel_model,
 )
 from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED, Refinement
 from pinav.fitting.evidence.quadratic import (
     FlatBlock,
     Quadratic,
+    eliminate_flat,
     joint_posterior,
-    without_flat,
 )
 from pinav.fitting.evidence.weights import (
     AbstractWeights,
@@ -176,7 +176,7 @@ class _Problem:
             num_free=2 * count,
             log_determinant=2 * float(problem.log_variance),
         )
-        reduced, block = without_flat(full, np.arange(columns.shape[1]) < flat)
+        reduced, block = eliminate_flat(full, np.arange(columns.shape[1]) < flat)
         information = 2 * float(problem.log_variance) + flat * np.log(2 * count)
         return reduced, block, information
 
@@ -434,7 +434,7 @@ def _field(
     columns = nothing.columns
     environment = swimmer.environment
     if isinstance(environment, AbstractLearnedForce):
-        free, start = freed(environment, lambda e: e.parameters)
+        free, start = ravel_model(environment, lambda e: e.parameters)
         columns = _weight_columns(free, jnp.zeros_like(start), swimmer, blocks)
     return Field(columns, _displacement(passive, blocks), gain, drift)
 

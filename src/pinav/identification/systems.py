@@ -6,7 +6,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from pinav.actuation import (
@@ -24,9 +23,11 @@ from pinav.fitting import (
     Hyperparameters,
     LinearFit,
     Outcome,
+    ParametricModel,
     Posterior,
-    freed,
+    ravel_model,
 )
+from pinav.fitting.engine.parametric_model import selected_entries
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import NoWeights
 from pinav.forces import (
@@ -106,7 +107,7 @@ def system_of(
         **disturbance,
         memory=float(fit.disturbance.memory),
         slow=float(fit.disturbance.slow) if slow else 0.0,
-        slow_memory=float(fit.disturbance.slow_memory),
+        slow_memory=float(fit.disturbance.slow_memory) if slow else 60.0,
     )
     return System(
         name=name,
@@ -245,7 +246,7 @@ def posterior_over(
         return *weights, *(number.pick(model) for number in numbers)
 
     exact = eqx.tree_at(select, swimmer, replace_fn=lambda x: jnp.asarray(x, float))
-    free, theta = freed(exact, select)
+    free, theta = ravel_model(exact, select)
     order = np.concatenate([_places(free, len(theta), path) for path in paths])
     mean, full = np.array(theta), np.zeros((len(theta),) * 2)
     mean[order] = np.concatenate([np.ravel(values[path]) for path in paths])
@@ -253,14 +254,10 @@ def posterior_over(
     return Posterior(free, mean, full)
 
 
-def _places(free, count: int, path: str) -> np.ndarray:
-    """Where the numbers of a path stand in the vector of a free model."""
-    blank = free.unravel(jnp.zeros(count))
-    chosen = FreeNumber(path).pick
-    marks = jax.tree.map(jnp.ones_like, chosen(blank))
-    marked = eqx.tree_at(chosen, blank, marks, is_leaf=lambda leaf: leaf is None)
-    flat = ravel_pytree(marked)[0]
-    return np.flatnonzero(np.asarray(flat))
+def _places(free: ParametricModel, count: int, path: str) -> np.ndarray:
+    """Where the numbers of a path stand in the vector of a model."""
+    chosen = selected_entries(free, count, FreeNumber(path).pick)
+    return np.flatnonzero(chosen)
 
 
 def candidate_of(
