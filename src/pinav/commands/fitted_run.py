@@ -65,6 +65,8 @@ class EvidenceResult:
         states: smoothed states of the training trajectories.
         outcome: the word for how the fit ended.
         iterations: steps taken.
+        goodness: a sentence on whether the residuals look like noise; empty where
+            nothing can be said.
         process: kernels of the process that is the prior of a network, if it is one.
     """
 
@@ -74,6 +76,7 @@ class EvidenceResult:
     states: Float[np.ndarray, "trajectory time state"]
     outcome: str
     iterations: int
+    goodness: str = ""
     process: KernelForce | KernelPotential | None = None
 
 
@@ -207,8 +210,8 @@ def build_model(header: ModelHeader, system: System) -> AbstractDynamics:
 
 def save_data(folder: RunFolder, data: Trajectories) -> None:
     """Keep the trajectories that are fitted."""
-    if not folder.has(DATA_FILE):
-        save(data, folder.path / DATA_FILE)
+    save(data, folder.path / DATA_FILE, overwrite=True)
+    folder.record(DATA_FILE)
 
 
 def write_model(
@@ -245,6 +248,7 @@ def write_fit(
             "log_evidence": np.array(chosen.log_evidence),
             "iterations": np.array(fit.iterations),
             "outcome": np.array(str(fit.outcome)),
+            "goodness": np.array(fit.goodness.statement if fit.goodness else ""),
             "states": data.states if fit.states is None else fit.states,
             **_process_arrays(fit),
             **constants,
@@ -295,6 +299,7 @@ def _process_arrays(fit: EvidenceFit) -> dict[str, np.ndarray]:
 def _read_evidence(
     folder: RunFolder, choice: ModelChoice, model: AbstractDynamics
 ) -> EvidenceResult:
+    folder.check_file(POSTERIOR_FILE)
     stored = folder.read_arrays(POSTERIOR_FILE)
     try:
         free, theta = ravel_model(model, choice.trainable)
@@ -320,14 +325,15 @@ def _read_evidence(
             states=stored["states"],
             outcome=str(stored["outcome"]),
             iterations=int(stored["iterations"]),
+            goodness=str(stored["goodness"]) if "goodness" in stored else "",
             process=_read_process(choice, stored),
         )
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(
-            f"{folder.path / POSTERIOR_FILE} is damaged ({error}); fit again with "
-            "--overwrite"
+            f"{folder.path / POSTERIOR_FILE} is damaged ({error}); "
+            f"{folder.repair(POSTERIOR_FILE)}"
         ) from error
 
 

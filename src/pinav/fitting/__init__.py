@@ -5,6 +5,7 @@ from pinav.fitting.bayes.derived import principal_drags as principal_drags
 from pinav.fitting.bayes.derived import rotational_fraction as rotational_fraction
 from pinav.fitting.bayes.fit_bayes import fit_bayes as fit_bayes
 from pinav.fitting.engine.evidence_fit import EvidenceFit as EvidenceFit
+from pinav.fitting.engine.goodness import GoodnessOfFit as GoodnessOfFit
 from pinav.fitting.engine.iterate import EvidenceProgress as EvidenceProgress
 from pinav.fitting.engine.parametric_model import ParametricModel as ParametricModel
 from pinav.fitting.engine.parametric_model import ravel_model as ravel_model

@@ -26,6 +26,7 @@ from pinav.fitting.engine.evidence_fit import EvidenceFit, evidence_fit
 from pinav.fitting.engine.posterior import Estimate
 from pinav.fitting.engine.problem import Step
 from pinav.fitting.engine.steps import FullStep
+from pinav.fitting.environments.kernels import check_size
 from pinav.fitting.environments.refinement import (
     AS_FINE_AS_ASKED,
     Refinement,
@@ -44,12 +45,14 @@ class Increments(eqx.Module):
         positions: there [L].
         steps: displacement [L].
         intervals: duration [T].
+        counts: how many each trajectory has.
     """
 
     times: Float[np.ndarray, " increment"]
     positions: Float[np.ndarray, "increment dim"]
     steps: Float[np.ndarray, "increment dim"]
     intervals: Float[np.ndarray, " increment"]
+    counts: tuple[int, ...] = eqx.field(static=True)
 
     @classmethod
     def of(cls, trajectories: Trajectories) -> "Increments":
@@ -72,12 +75,20 @@ class Increments(eqx.Module):
                 "fit_langevin trajectories: expected two or more samples with all "
                 "positions observed in one of them, got none"
             )
-        return cls(times, positions, steps, intervals)
+        counts = tuple(len(part[0]) for part in parts)
+        return cls(times, positions, steps, intervals, counts)
 
     @property
     def log_determinant(self) -> float:
         r"""$\log\det$ of the change from residuals to displacements."""
         return float(np.log(self.intervals).sum() * self.steps.shape[1])
+
+    def in_time(
+        self, residuals: Float[np.ndarray, " residual"]
+    ) -> list[Float[np.ndarray, "_ channel"]]:
+        """Residuals of each trajectory in the order of time."""
+        rows = residuals.reshape(len(self.times), -1)
+        return np.split(rows, np.cumsum(self.counts)[:-1])
 
     def __call__(self, model: OverdampedSwimmer) -> Float[Array, " residual"]:
         r"""Residuals $(\text{drift}\,\Delta t - \Delta x) / \sqrt{\Delta t}$."""
@@ -182,6 +193,7 @@ def _checked(
             "fit_langevin model: expected an environment made by kernel_environment, "
             f"got {type(swimmer.environment).__name__}"
         )
+    check_size(environment)
     dim = environment.dim
     if len(trajectories.channels) != dim:
         raise InputError(

@@ -240,6 +240,14 @@ class Regression(AbstractProblem):
             jacobian=rows,
         )
 
+    def residual_series(self, step):
+        in_time = getattr(self.residuals, "in_time", None)
+        if in_time is None:
+            return None
+        theta = jnp.asarray(step.move.theta)
+        residuals = _residuals(self.parametric, self.residuals, theta)
+        return in_time(np.asarray(residuals))
+
     def flat_information(self):
         count = eqx.filter_eval_shape(
             self.residuals, self.parametric(jnp.asarray(self.theta))

@@ -221,3 +221,10 @@ def test_a_matrix_that_is_not_finite_or_has_a_zero_is_singular():
     assert is_singular(np.array([[np.nan]]))
     assert not is_singular(np.diag([1.0, 1e-20]))
     assert not is_singular(np.zeros((0, 0)))
+
+
+def test_weights_on_which_no_datum_depends_are_refused():
+    """A diverging fit leaves its kernels; all variances of the prior then vanish."""
+    nothing = Quadratic(np.zeros(3), np.zeros((3, 3)), np.zeros(3), 1.0, 10, 0.0)
+    with pytest.raises(FitError, match="do not depend on the weights"):
+        LinearisedObservations.of(nothing)

@@ -12,6 +12,7 @@ from pinav.commands.fit.plan import FitPlan, plan_fit
 from pinav.commands.fit.settings import EVIDENCE_RECIPES, FitOptions
 from pinav.commands.fitted_run import (
     MODEL_FILE,
+    POSTERIOR_FILE,
     FittedRun,
     ModelHeader,
     save_data,
@@ -84,8 +85,8 @@ def fit(plan: FitPlan, folder: RunFolder) -> FitMetrics:
     """
     save_data(folder, plan.data)
     write_system_of(folder, plan.system)
-    if not folder.has(MODEL_FILE):
-        by_evidence = plan.settings.recipe in EVIDENCE_RECIPES
+    by_evidence = plan.settings.recipe in EVIDENCE_RECIPES
+    if not folder.has(MODEL_FILE) or by_evidence and not folder.has(POSTERIOR_FILE):
         (_infer if by_evidence else _match)(plan, folder)
     fitted = FittedRun.open(folder.path)
     starts = None if fitted.evidence is None else fitted.evidence.states[:, 0]
@@ -194,7 +195,7 @@ def _metrics(
         )
     return FitMetrics(
         outcome=evidence.outcome,
-        remarks=_remarks(evidence.outcome),
+        remarks=(*_remarks(evidence.outcome), *filter(None, [evidence.goodness])),
         iterations=evidence.iterations,
         noise=evidence.hyperparameters.noise,
         amplitude=evidence.hyperparameters.amplitude,

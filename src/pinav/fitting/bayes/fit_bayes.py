@@ -17,6 +17,7 @@ from pinav.fitting.bayes.parameters import Learn, learned_environment
 from pinav.fitting.bayes.problem import BayesProblem
 from pinav.fitting.engine.evidence_fit import EvidenceFit, evidence_fit
 from pinav.fitting.engine.iterate import EvidenceProgress
+from pinav.fitting.environments.kernels import check_size
 from pinav.fitting.environments.refinement import (
     AS_FINE_AS_ASKED,
     Refinement,
@@ -119,6 +120,7 @@ def _first_problem(
     """From the model's values; a network is distilled from a kernel fit first."""
     model, learn = specification.model, specification.learn
     environment = learned_environment(model)
+    check_size(environment)
     if environment is None or environment.is_linear or learn is None:
         return specification.problem(model)
     kernels, outcome, steps = iterate_refined(

@@ -208,6 +208,13 @@ class BayesProblem(AbstractProblem):
             scale=self.scale,
         )
 
+    def residual_series(self, step):
+        if step.hyperparameters.noise < LEAST_NOISE * self.scale.max():
+            return None  # what is left is the integrator's error, and never white
+        data = self.observations
+        residuals = np.asarray(step.move.states) - np.asarray(data.states)
+        return list(np.where(np.asarray(data.observed), residuals, np.nan))
+
     def flat_information(self):
         counts = np.asarray(self.observations.observed).sum(axis=(1, 2))
         total, state = int(counts.sum()), self.states.shape[2]
@@ -229,6 +236,9 @@ def _method(
         return weights, FullStep(), TOLERANCE
     return weights, ChordSteps(damping=1e3), NETWORK_TOLERANCE
 
+
+LEAST_NOISE = 1e-4
+"""Noise relative to the spread of the data, below which the data count as exact."""
 
 TOLERANCE, NETWORK_TOLERANCE = 1e-2, 2.0
 """Change of the log evidence at which a fit ends. That of a network goes on to creep

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.errors import FitError
+from pinav.fitting.engine.goodness import GoodnessOfFit, goodness_of_fit
 from pinav.fitting.engine.posterior import Estimate, Posterior
 from pinav.fitting.engine.problem import AbstractProblem, Step
 from pinav.fitting.evidence.evidence import Hyperparameters
@@ -31,6 +32,8 @@ class EvidenceFit(eqx.Module):
         states: the smoothed states, which fulfil the dynamics when converged; None
             where the residuals are not those of trajectories.
         linear: the linear problem in which the fit ended; see `model_evidence`.
+        goodness: whether the residuals look like noise; None where they have no order
+            in time.
     """
 
     model: Any
@@ -41,6 +44,7 @@ class EvidenceFit(eqx.Module):
     constants: dict[str, Estimate]
     states: Float[np.ndarray, "trajectory time state"] | None
     linear: LinearFit
+    goodness: GoodnessOfFit | None
 
 
 def evidence_fit(
@@ -69,12 +73,13 @@ def evidence_fit(
         raise FitError(advice[outcome], str(outcome))
     last = steps[-1]
     posterior, states = problem.posterior(last), last.move.states
+    series, chosen = problem.residual_series(last), last.hyperparameters
     sd = np.sqrt(np.maximum(np.diag(posterior.covariance), 0.0))
     return EvidenceFit(
         model=posterior.model,
         outcome=outcome,
         iterations=len(steps),
-        hyperparameters=last.hyperparameters,
+        hyperparameters=chosen,
         posterior=posterior,
         constants={
             problem.names[i]: Estimate(float(posterior.mean[i]), float(sd[i]))
@@ -82,4 +87,12 @@ def evidence_fit(
         },
         states=None if states is None else np.asarray(states),
         linear=problem.linear_fit(last),
+        goodness=None
+        if series is None
+        else goodness_of_fit(
+            series,
+            chosen.noise,
+            last.quadratic.num_free - last.num_determined,
+            noise_known=problem.noise is not None,
+        ),
     )

@@ -108,6 +108,12 @@ class AbstractProblem(eqx.Module):
         See `LinearFit`.
         """
 
+    def residual_series(
+        self, step: Step
+    ) -> list[Float[np.ndarray, "_ channel"]] | None:
+        """Residuals after a step in the order of time; None where they have none."""
+        return None
+
     @property
     def teacher(self) -> LinearFit | None:
         """The fit that chose the prior of the weights, where it was another."""

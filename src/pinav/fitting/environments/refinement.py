@@ -9,7 +9,6 @@ $\ell \ge b$ the prior, not the grid, limits the field, and finer kernels change
 from collections.abc import Callable
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -17,7 +16,7 @@ from jaxtyping import Float
 from pinav.errors import InputError
 from pinav.fitting.engine.iterate import EvidenceProgress, iterate
 from pinav.fitting.engine.problem import AbstractProblem, Step
-from pinav.fitting.environments.kernels import KernelGrid, lay_kernels
+from pinav.fitting.environments.kernels import KernelGrid, lay_kernels, num_weights
 from pinav.fitting.outcome import Outcome
 from pinav.forces import AbstractForce, AbstractLearnedForce
 from pinav.trajectories import Trajectories
@@ -80,8 +79,7 @@ class Refinement(eqx.Module):
         extent = np.ptp(trajectories.states[..., :dim][seen], axis=0).max()
         grid = KernelGrid(across=round(self.factor * extent / width))
         made = environment.kernels_on(*lay_kernels(trajectories, grid, dim))
-        count = sum(leaf.size for leaf in jax.tree.leaves(made.parameters))
-        return made if count <= self.max_weights else None
+        return made if num_weights(made) <= self.max_weights else None
 
 
 AS_FINE_AS_ASKED = Refinement()

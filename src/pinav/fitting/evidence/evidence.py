@@ -24,6 +24,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Float
 
+from pinav.errors import FitError
 from pinav.fitting.evidence.quadratic import Quadratic
 
 LOG_RATIOS = np.linspace(-32.0, 4.0, 37)
@@ -52,9 +53,19 @@ class LinearisedObservations(eqx.Module):
 
     @classmethod
     def of(cls, quadratic: Quadratic) -> "LinearisedObservations":
-        """The data behind `quadratic`, less directions lost in rounding."""
+        """The data behind `quadratic`, less directions lost in rounding.
+
+        Raises:
+            FitError: the data do not depend on the weights at all.
+        """
         values, vectors = np.linalg.eigh(quadratic.hessian)
         kept = values > 1e-14 * values[-1]
+        if not kept.any():
+            raise FitError(
+                "the fit is singular: the observations do not depend on the weights of "
+                "the environment; its kernels are not where the states are, or the "
+                "states have left them"
+            )
         roots, vectors = np.sqrt(values[kept]), vectors[:, kept]
         residuals = vectors.T @ quadratic.gradient / roots
         return cls(
