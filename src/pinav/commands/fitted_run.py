@@ -265,7 +265,7 @@ def estimated_constants(fit: EvidenceFit, choice: ModelChoice) -> dict[str, Esti
     named = {
         name: estimates.pop(path)
         for name, path in paths.items()
-        if path != CONSTANTS["drag"]
+        if path in estimates and path != CONSTANTS["drag"]
     }
     if CONSTANTS["drag"] in paths.values():
         drags = principal_drags(fit.posterior)

@@ -19,6 +19,7 @@ from pinav.fitting.environments.catalogue import (
     summarise_for,
 )
 from pinav.forces import LinearDrag
+from pinav.identification import is_commanded, trajectories_of
 from pinav.systems import System
 from pinav.trajectories import Trajectories
 
@@ -60,7 +61,12 @@ def plan_fit(settings: FitSettings, system: System, data: Trajectories) -> FitPl
             f"data: expected values up to {LARGEST:g}, got larger ones; check the "
             "file, or give it in larger units"
         )
-    thermal = system.thermal_energy is not None or looks_brownian(data)
+    commanded = is_commanded(system)
+    if commanded:
+        data = trajectories_of(data, system.name)
+    thermal = system.thermal_energy is not None or (
+        not commanded and looks_brownian(data)
+    )
     settings = resolve(settings, system, thermal=thermal)
     settings.check()
     check_system(settings, system)
