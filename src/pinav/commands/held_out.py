@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from pinav.systems import System
 from pinav.trajectories import Trajectories, simulate
@@ -37,6 +38,6 @@ def held_out(
     return simulate(chosen)
 
 
-def _times(chosen: System, until: float):
+def _times(chosen: System, until: float) -> Float[Array, " time"]:
     first, step = float(chosen.times[0]), float(chosen.times[1] - chosen.times[0])
     return jnp.asarray(first + step * np.arange(round(until / step) + 1))

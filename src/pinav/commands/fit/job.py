@@ -1,6 +1,7 @@
 """`pinav fit`: one model of the unknown, fitted to given data."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
@@ -112,7 +113,7 @@ def fit(plan: FitPlan, folder: RunFolder) -> FitMetrics:
 
 def _infer(plan: FitPlan, folder: RunFolder) -> None:
     """Fit by the evidence."""
-    model = build(plan.choice, plan.system.swimmer, plan.summary)
+    model: Any = build(plan.choice, plan.system.swimmer, plan.summary)
     header = ModelHeader(plan.choice, plan.summary)
     if plan.settings.recipe == "langevin":
         write_fit(folder, header, fit_langevin(model, plan.data), plan.data)
