@@ -41,6 +41,13 @@ class Score(eqx.Module):
     outcomes: tuple[Outcome, ...] = eqx.field(static=True)
 
     @property
+    def columns(self) -> dict[str, float]:
+        """Errors by the names of a table, without channels that nobody observed."""
+        errors = zip(self.channels, map(float, self.rmse), strict=True)
+        seen = {name: error for name, error in errors if not np.isnan(error)}
+        return seen | {"total": self.total, "position": self.position}
+
+    @property
     def total(self) -> float:
         """Root mean square of the errors of all observed ones (paper, Table 2)."""
         return _root_mean_square(self.rmse)
@@ -101,7 +108,9 @@ def predict(
     return ys, tuple(Outcome(int(code)) for code in codes)
 
 
-def _first_samples(trajectories: Trajectories):
+def _first_samples(
+    trajectories: Trajectories,
+) -> Float[np.ndarray, "trajectory state"]:
     for index, first in enumerate(trajectories.observed[:, 0]):
         if not first.all():
             raise InputError(

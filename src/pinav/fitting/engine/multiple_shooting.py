@@ -55,6 +55,10 @@ def freed(
     return FreeModel(static, unravel), theta
 
 
+ModelOfParameters = Callable[[Float[Array, " parameter"]], Any]
+"""A `FreeModel`, or one that commands drive besides."""
+
+
 class Sensitivities(eqx.Module):
     r"""Linearised solution along one trajectory of states.
 
@@ -68,7 +72,7 @@ class Sensitivities(eqx.Module):
 
 
 def sensitivities(
-    free: FreeModel,
+    free: ModelOfParameters,
     theta: Float[Array, " parameter"],
     states: Float[Array, "time state"],
     times: Float[Array, " time"],
@@ -135,7 +139,7 @@ class Linearisation(eqx.Module):
 
 @eqx.filter_jit
 def linearise(
-    free: FreeModel,
+    free: ModelOfParameters,
     theta: Float[Array, " parameter"],
     states: Float[Array, "trajectory time state"],
     observations: Observations,
