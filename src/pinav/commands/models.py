@@ -18,7 +18,6 @@ from pinav.dynamics import (
     with_dtype,
 )
 from pinav.errors import InputError
-from pinav.evaluation import POSITION_CHANNELS
 from pinav.fitting import (
     WITHOUT_PRIOR,
     KernelGrid,
@@ -251,7 +250,7 @@ def data_summary(
         The number of position channels; mean and standard deviation of each state,
         where it was observed, and of time; centres and width of kernels.
     """
-    dim = sum(name in POSITION_CHANNELS for name in trajectories.channels)
+    dim = trajectories.dim
     seen = trajectories.observed
     columns = [trajectories.states[..., i][seen[..., i]] for i in range(seen.shape[2])]
     columns.append(trajectories.times[seen.any(axis=-1)])

@@ -34,7 +34,6 @@ from pinav.evaluation.force_fields import field_map as field_map
 from pinav.evaluation.force_fields import force_agreement as force_agreement
 from pinav.evaluation.force_fields import force_error as force_error
 from pinav.evaluation.force_fields import force_errors as force_errors
-from pinav.evaluation.force_fields import position_count as position_count
 from pinav.evaluation.force_fields import square as square
 from pinav.evaluation.rollouts import ErrorCurve as ErrorCurve
 from pinav.evaluation.rollouts import RolloutErrors as RolloutErrors
@@ -43,7 +42,6 @@ from pinav.evaluation.rollouts import error_curve as error_curve
 from pinav.evaluation.rollouts import position_errors as position_errors
 from pinav.evaluation.rollouts import quantile as quantile
 from pinav.evaluation.rollouts import summarise as summarise
-from pinav.evaluation.scores import POSITION_CHANNELS as POSITION_CHANNELS
 from pinav.evaluation.scores import Score as Score
 from pinav.evaluation.scores import predict as predict
 from pinav.evaluation.scores import require_x64 as require_x64

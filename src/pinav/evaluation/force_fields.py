@@ -15,7 +15,6 @@ from jaxtyping import Bool, Float
 
 from pinav.dynamics import with_dtype
 from pinav.errors import InputError
-from pinav.evaluation.scores import POSITION_CHANNELS
 from pinav.forces import AbstractForce
 from pinav.trajectories import Trajectories
 
@@ -170,16 +169,11 @@ def check_planar(trajectories: Trajectories) -> None:
     Raises:
         InputError: the positions have not two coordinates.
     """
-    if position_count(trajectories) != 2:
+    if trajectories.dim != 2:
         raise InputError(
             "force map: expected positions in the plane (x, y), got the channels "
             f"{', '.join(trajectories.channels)}; maps are drawn of planar data alone"
         )
-
-
-def position_count(trajectories: Trajectories) -> int:
-    """Number of coordinates of a position."""
-    return sum(name in POSITION_CHANNELS for name in trajectories.channels)
 
 
 def square(trajectories: Trajectories) -> tuple[float, float, float, float]:
@@ -206,9 +200,8 @@ def _observed_positions(
     trajectories: Trajectories,
 ) -> tuple[Float[np.ndarray, "sample dim"], Float[np.ndarray, " sample"]]:
     """All fully observed positions, and their times."""
-    dim = position_count(trajectories)
-    seen = trajectories.observed[..., :dim].all(-1)
-    return trajectories.states[..., :dim][seen], trajectories.times[seen]
+    seen = trajectories.observed[..., : trajectories.dim].all(-1)
+    return trajectories.positions[seen], trajectories.times[seen]
 
 
 def _nearest_samples(

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from pinav.errors import InputError
-from pinav.evaluation.force_fields import extent, position_count
+from pinav.evaluation.force_fields import extent
 from pinav.trajectories import Trajectories, local_polynomial
 
 MEDIAN, HIGH = 0.5, 0.9
@@ -55,7 +55,7 @@ def position_errors(
     Raises:
         InputError: nothing is left to score.
     """
-    dim = position_count(trajectories)
+    dim = trajectories.dim
     seen = np.asarray(trajectories.observed[..., :dim].all(-1))
     scored = np.array(seen)
     scored[:, :scored_from] = False

@@ -21,9 +21,7 @@ from pinav.dynamics import (
     with_dtype,
 )
 from pinav.errors import InputError
-from pinav.trajectories import Trajectories
-
-POSITION_CHANNELS = ("x", "y", "z")
+from pinav.trajectories import POSITION_CHANNELS, Trajectories
 
 
 class Score(eqx.Module):

@@ -23,7 +23,6 @@ from pinav.dynamics import (
     with_dtype,
 )
 from pinav.errors import InputError
-from pinav.evaluation.force_fields import position_count
 from pinav.evaluation.scores import require_x64
 from pinav.fitting import Outcome
 from pinav.fitting.engine.multiple_shooting import (
@@ -83,7 +82,8 @@ def estimate_starts(
     """
     require_x64("estimating starts")
     head = first_samples(trajectories, count)
-    states = jnp.asarray(smoothed_states(head, position_count(head)))
+    dim = head.dim
+    states = jnp.asarray(smoothed_states(head, dim))
     scale = np.maximum(np.ptp(np.asarray(states), axis=1), np.finfo(float).tiny)
     free = FreeModel(with_dtype(dynamics, jnp.float64), _nothing)
     solver = FixedStep(substeps=4) if solver is None else solver

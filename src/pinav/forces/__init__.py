@@ -44,6 +44,7 @@ from pinav.forces.obstacles import HarmonicTrap as HarmonicTrap
 from pinav.forces.obstacles import Superposition as Superposition
 from pinav.forces.priors import AbstractPrior as AbstractPrior
 from pinav.forces.priors import IsotropicPrior as IsotropicPrior
+from pinav.forces.propulsion import ConstantForce as ConstantForce
 from pinav.forces.propulsion import MagneticPropulsion as MagneticPropulsion
 from pinav.forces.propulsion import RollingPropulsion as RollingPropulsion
 from pinav.forces.propulsion import ScheduledThrust as ScheduledThrust

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar, as_point, check_positive
+from pinav.errors import InputError
 from pinav.forces.force import AbstractForce
 
 
@@ -94,6 +95,20 @@ class Superposition(AbstractForce):
     """
 
     stacked: AbstractForce
+
+    @classmethod
+    def of(cls, terms: tuple[AbstractForce, ...]) -> "Superposition":
+        """The sum of forces of one class, whose numbers become arrays.
+
+        Raises:
+            InputError: there are none, or they are of several classes.
+        """
+        if len({jax.tree.structure(term) for term in terms}) != 1:
+            raise InputError(
+                "Superposition.of terms: expected forces of one class, got "
+                f"{', '.join(type(term).__name__ for term in terms) or 'none'}"
+            )
+        return cls(jax.tree.map(lambda *leaves: jnp.stack(leaves), *terms))
 
     @property
     def terms(self) -> tuple[AbstractForce, ...]:

@@ -1,5 +1,7 @@
 """Forces by which a swimmer is driven: magnetic torque, rolling."""
 
+import math
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -64,6 +66,30 @@ class MagneticPropulsion(AbstractForce):
         return self.gain * jnp.linalg.norm(self.torque(t)) * self.axis.astype(x.dtype)
 
 
+class ConstantForce(AbstractForce):
+    """The same force everywhere, at all times: a constant thrust, or gravity.
+
+    Attributes:
+        force: [L T⁻²].
+
+    Raises:
+        InputError: `force` is not a vector.
+    """
+
+    force: Float[Array, " dim"] = eqx.field(
+        converter=lambda value: as_point("ConstantForce.force", value)
+    )
+
+    @classmethod
+    def of(cls, magnitude: float, degrees: float) -> "ConstantForce":
+        """The force of this size in the plane, at an angle to the x axis [degrees]."""
+        angle = math.radians(degrees)
+        return cls([magnitude * math.cos(angle), magnitude * math.sin(angle)])
+
+    def __call__(self, t, x, v):
+        return self.force.astype(x.dtype)
+
+
 class RollingPropulsion(AbstractCommandedForce):
     r"""Velocity $G\, s(f(t - d))\, n(\theta(t - d))$ by frequency and heading.
 
@@ -98,6 +124,22 @@ class RollingPropulsion(AbstractCommandedForce):
                 "RollingPropulsion.lag: expected 0 beside a programme; leave the "
                 "programme out and give the commands to pinav.dynamics.commanded"
             )
+
+    @classmethod
+    def of(
+        cls,
+        speed: float,
+        heading_offset: float = 0.0,
+        response: AbstractResponse | None = None,
+        programme: AbstractProgramme | None = None,
+        delay: float = 0.0,
+        lag: float = 0.0,
+    ) -> "RollingPropulsion":
+        """The propulsion of a speed per frequency, turned by an offset [rad]."""
+        cos, sin = math.cos(heading_offset), math.sin(heading_offset)
+        gain = speed * jnp.array([[cos, -sin], [sin, cos]])
+        response = LinearResponse() if response is None else response
+        return cls(gain, response, programme, delay, lag)
 
     @property
     def unbound(self):

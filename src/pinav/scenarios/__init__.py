@@ -1,9 +1,7 @@
 """Named true systems with their starts, times and noise."""
 
-from jaxtyping import PRNGKeyArray
-
-from pinav.errors import InputError
 from pinav.scenarios.brownian import brownian
+from pinav.scenarios.catalogue import SCENARIOS, scenario
 from pinav.scenarios.crossings import barrier_crossings, moving_barrier, paper, swirl
 from pinav.scenarios.currents import (
     channel_current,
@@ -11,6 +9,7 @@ from pinav.scenarios.currents import (
     shear_current,
     vortex_current,
 )
+from pinav.scenarios.find import find_system
 from pinav.scenarios.media import (
     anisotropic_drag,
     poiseuille,
@@ -20,7 +19,6 @@ from pinav.scenarios.media import (
 )
 from pinav.scenarios.paths import true_paths
 from pinav.scenarios.random_fields import fibres, many_barriers
-from pinav.systems import System
 
 __all__ = [
     "SCENARIOS",
@@ -30,6 +28,7 @@ __all__ = [
     "channel_current",
     "drift_current",
     "fibres",
+    "find_system",
     "many_barriers",
     "moving_barrier",
     "paper",
@@ -43,43 +42,3 @@ __all__ = [
     "varying_director",
     "vortex_current",
 ]
-
-SCENARIOS = {
-    "paper": paper,
-    "barrier-crossings": barrier_crossings,
-    "many-barriers": many_barriers,
-    "fibres": fibres,
-    "swirl": swirl,
-    "anisotropic-drag": anisotropic_drag,
-    "varying-director": varying_director,
-    "moving-barrier": moving_barrier,
-    "porous": porous,
-    "shear": shear,
-    "poiseuille": poiseuille,
-    "brownian": brownian,
-    "shear-current": shear_current,
-    "channel-current": channel_current,
-    "vortex-current": vortex_current,
-    "drift-current": drift_current,
-}
-"""Named scenarios: each takes an optional random key and number of trajectories."""
-
-
-def scenario(
-    name: str, key: PRNGKeyArray | None = None, *, count: int | None = None
-) -> System:
-    """The system of that name, with its true environment.
-
-    Args:
-        name: a key of `SCENARIOS`.
-        key: random key of its starts, where they are random.
-        count: number of trajectories, where the starts are random; more of a key
-            begin with the same ones. The scenario's own number unless given.
-
-    Raises:
-        InputError: no scenario has that name, or `count` is not positive.
-    """
-    if name not in SCENARIOS:
-        known = ", ".join(sorted(SCENARIOS))
-        raise InputError(f"scenario {name!r} is unknown; choose one of: {known}")
-    return SCENARIOS[name](key, count)

@@ -15,6 +15,7 @@ from pinav.trajectories.files import save as save
 from pinav.trajectories.simulation import simulate as simulate
 from pinav.trajectories.smoothing import local_polynomial as local_polynomial
 from pinav.trajectories.smoothing import smoothed_states as smoothed_states
+from pinav.trajectories.trajectories import POSITION_CHANNELS as POSITION_CHANNELS
 from pinav.trajectories.trajectories import UNKNOWN_UNIT as UNKNOWN_UNIT
 from pinav.trajectories.trajectories import Split as Split
 from pinav.trajectories.trajectories import Trajectories as Trajectories

@@ -4,6 +4,7 @@ The one data type of the package. Simulated scenarios and recordings become
 `Trajectories`; fits, evaluation and reports take nothing else.
 """
 
+import dataclasses
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
@@ -23,6 +24,9 @@ from pinav.trajectories.trajectory import (
 
 UNKNOWN_UNIT = "?"
 """Unit of a channel whose unit nobody stated; "1" means dimensionless."""
+
+POSITION_CHANNELS = ("x", "y", "z")
+"""Channels that are coordinates; they come before all others."""
 
 
 class Trajectories(eqx.Module):
@@ -115,6 +119,41 @@ class Trajectories(eqx.Module):
     def num_observed(self) -> int:
         """Number of observed values, all trajectories and channels together."""
         return int(self.observed.sum())
+
+    @property
+    def dim(self) -> int:
+        """Number of channels that are coordinates: x, y, z."""
+        return sum(name in POSITION_CHANNELS for name in self.channels)
+
+    @property
+    def positions(self) -> Float64[np.ndarray, "trajectory time dim"]:
+        """The coordinates among the states, which come first."""
+        return self.states[..., : self.dim]
+
+    def only(self, channels: Sequence[str]) -> "Trajectories":
+        """The trajectories with these channels alone, in this order.
+
+        Raises:
+            InputError: a channel is not there.
+        """
+        for name in channels:
+            if name not in self.channels:
+                raise InputError(
+                    f"channel {name!r}: expected some of {', '.join(self.channels)}"
+                )
+        columns = [self.channels.index(name) for name in channels]
+        units = {
+            name: unit
+            for name, unit in self.units.items()
+            if name in channels or name not in self.channels
+        }
+        return dataclasses.replace(
+            self,
+            states=_read_only(self.states[..., columns]),
+            observed=_read_only(self.observed[..., columns]),
+            channels=tuple(channels),
+            units=units,
+        )
 
     def trajectory(self, index: int) -> Trajectory:
         """The trajectory at `index` without its padding; a view, not a copy."""

@@ -23,7 +23,6 @@ from pinav.commands.progress import BayesReporter
 from pinav.commands.start import fingerprint, start_run
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import FitError, InputError
-from pinav.evaluation import POSITION_CHANNELS
 from pinav.fitting import EvidenceFit, fit_bayes, fit_langevin, model_evidence
 from pinav.runs import RunFolder
 from pinav.systems import System
@@ -186,7 +185,7 @@ def positions_alone(data: Trajectories) -> Trajectories:
 
 
 def _positions(data: Trajectories) -> list[str]:
-    return [name for name in data.channels if name in POSITION_CHANNELS]
+    return list(data.channels[: data.dim])
 
 
 def verdicts(rows: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:

@@ -1,0 +1,328 @@
+"""Modules as tables of a TOML file and back, by their annotations.
+
+A table holds `kind`, the class's name in kebab case, and one key for each field. A
+class may also be stated by the parameters of its classmethod `of`. Whatever concrete
+class stands in a module of the packages below is known by that: no list names it.
+"""
+
+import dataclasses
+import difflib
+import importlib
+import inspect
+import math
+import pkgutil
+import re
+import types
+import typing
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+import pinav.forces
+import pinav.systems
+from pinav.errors import InputError
+from pinav.systems.python import load_name, python_reference
+
+TOML = dict[str, Any]
+
+
+class Context(typing.NamedTuple):
+    """Where a value is read.
+
+    Attributes:
+        dim: dimension of space, which vectors must have.
+        folder: where names of Python files begin; None refuses to run any.
+    """
+
+    dim: int
+    folder: Path | None
+
+
+def kebab(cls: type) -> str:
+    """The `kind` of a class: `gaussian-barrier` of `GaussianBarrier`."""
+    return re.sub(
+        r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "-", cls.__name__
+    ).lower()
+
+
+def kinds(family: type) -> dict[str, type]:
+    """The concrete classes of a family that pinav defines, by their kind."""
+    for package in (pinav.forces, pinav.systems):
+        for module in pkgutil.iter_modules(package.__path__):
+            importlib.import_module(f"{package.__name__}.{module.name}")
+    return {
+        kebab(cls): cls
+        for cls in _descendants(family)
+        if cls.__module__.startswith("pinav.")
+        and not inspect.isabstract(cls)
+        and not cls.__name__.startswith("_")
+    }
+
+
+def _descendants(family: type) -> Iterator[type]:
+    yield family
+    for child in family.__subclasses__():
+        yield from _descendants(child)
+
+
+def encode(key: str, value: Any) -> Any:
+    """A value as TOML holds it.
+
+    Args:
+        key: where it stands, for messages.
+        value: a module, array, tuple, number, text or truth value.
+
+    Raises:
+        InputError: TOML cannot hold it.
+    """
+    if isinstance(value, eqx.Module):
+        return _encode_module(key, value)
+    if isinstance(value, tuple | list):
+        return [encode(f"{key}[{i}]", part) for i, part in enumerate(value)]
+    if isinstance(value, bool | str | int):
+        return value
+    if isinstance(value, float) or hasattr(value, "__array__"):
+        numbers = np.asarray(value)
+        if numbers.dtype.kind in "fiu" and np.isfinite(numbers).all():
+            return numbers.tolist()
+        raise InputError(f"{key}: expected finite numbers, got {value}")
+    raise InputError(
+        f"{key}: a file cannot state a {type(value).__name__}; keep the system in "
+        "Python and name it by module.py:name"
+    )
+
+
+def _encode_module(key: str, value: eqx.Module) -> TOML:
+    cls = type(value)
+    own = cls.__module__.startswith("pinav.")
+    kind = kebab(cls) if own else python_reference(key, cls)
+    fields = _friendly(value) or {
+        field.name: getattr(value, field.name)
+        for field in dataclasses.fields(cls)
+        if not _is_default(field, getattr(value, field.name))
+    }
+    table = {name: encode(f"{key}.{name}", part) for name, part in fields.items()}
+    return {"kind": kind, **table}
+
+
+def _friendly(value: Any) -> TOML | None:
+    """Parameters of `of` that give exactly this value, or none."""
+    if not hasattr(type(value), "of"):
+        return None
+    names = list(inspect.signature(type(value).of).parameters)
+    try:
+        exact = {name: getattr(value, name) for name in names}
+    except AttributeError:
+        return None
+    for round_number in (_rounded, lambda number: number):
+        parameters = {name: round_number(part) for name, part in exact.items()}
+        try:
+            if eqx.tree_equal(type(value).of(**parameters), value):
+                return parameters
+        except InputError:
+            continue
+    return None
+
+
+def _rounded(value: Any) -> Any:
+    return float(f"{value:.12g}") if isinstance(value, float) else value
+
+
+def _is_default(field: dataclasses.Field, value: Any) -> bool:
+    if field.default is dataclasses.MISSING:
+        return False
+    return value is field.default or bool(eqx.tree_equal(value, field.default))
+
+
+def decode(key: str, wanted: Any, value: Any, context: Context) -> Any:
+    """A value of a file as what an annotation asks for.
+
+    Args:
+        key: where it stands, for messages.
+        wanted: the annotation.
+        value: what the file holds.
+        context: dimension and folder.
+
+    Raises:
+        InputError: the value is not of that kind.
+    """
+    if wanted is Any:
+        return value
+    if isinstance(wanted, types.UnionType) or typing.get_origin(wanted) is typing.Union:
+        return _decode_union(key, typing.get_args(wanted), value, context)
+    if typing.get_origin(wanted) is tuple:
+        return _decode_tuple(key, typing.get_args(wanted), value, context)
+    if hasattr(wanted, "dim_str"):
+        return _decode_array(key, wanted.dim_str.split(), value, context)
+    if isinstance(wanted, type) and issubclass(wanted, eqx.Module):
+        return decode_module(key, wanted, value, context)
+    if wanted is float:
+        return number(key, value)
+    if isinstance(value, wanted) and (wanted is bool or not isinstance(value, bool)):
+        return value
+    words = {int: "a whole number", str: "text in quotes", bool: "true or false"}
+    raise InputError(
+        f"{key}: expected {words.get(wanted, wanted)}, got {_shown(value)}"
+    )
+
+
+def number(key: str, value: Any) -> float:
+    """A finite number.
+
+    Raises:
+        InputError: the value is another thing.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"{key}: expected a number, got {_shown(value)}")
+    if not math.isfinite(value):
+        raise InputError(f"{key}: expected a finite number, got {value}")
+    return float(value)
+
+
+def _decode_union(key: str, options: tuple, value: Any, context: Context) -> Any:
+    if float in options:  # a Scalar: a plain number, or an array without axes
+        return number(key, value)
+    real = [option for option in options if option is not type(None)]
+    return decode(key, real[0], value, context)
+
+
+def _decode_tuple(key: str, parts: tuple, value: Any, context: Context) -> tuple:
+    if not isinstance(value, list):
+        raise InputError(f"{key}: expected a list [...], got {_shown(value)}")
+    if parts[-1] is Ellipsis:
+        parts = (parts[0],) * len(value)
+    if len(parts) != len(value):
+        raise InputError(f"{key}: expected {len(parts)} values, got {len(value)}")
+    return tuple(
+        decode(f"{key}[{i}]", part, one, context)
+        for i, (part, one) in enumerate(zip(parts, value, strict=True))
+    )
+
+
+def _decode_array(key: str, axes: list[str], value: Any, context: Context) -> Any:
+    try:
+        numbers = np.asarray(value)
+    except ValueError as error:
+        raise InputError(f"{key}: expected rows of equal length") from error
+    if numbers.dtype.kind not in "fiu" or not np.isfinite(numbers).all():
+        raise InputError(f"{key}: expected finite numbers, got {_shown(value)}")
+    named = {"dim": context.dim}
+    sizes = [int(a) if a.isdigit() else named.get(a) for a in axes]
+    fits = len(sizes) == numbers.ndim and all(
+        size in (None, actual)
+        for size, actual in zip(sizes, numbers.shape, strict=True)
+    )
+    if not fits:
+        shape = " by ".join(
+            str(s) if s else a for s, a in zip(sizes, axes, strict=True)
+        )
+        raise InputError(
+            f"{key}: expected {shape or 'one'} numbers, as the dimension "
+            f"{context.dim} asks for, got {_shown(value)}"
+        )
+    return jnp.asarray(numbers, float)
+
+
+def decode_module(key: str, family: type, value: Any, context: Context) -> Any:
+    """The module of a table.
+
+    Raises:
+        InputError: the table is no statement of a member of the family.
+    """
+    if not isinstance(value, dict):
+        raise InputError(
+            f"{key}: expected a table with the key kind, got {_shown(value)}"
+        )
+    cls = _class_of(key, family, value, context)
+    table = {name: part for name, part in value.items() if name != "kind"}
+    make, annotations, needed = _constructor(cls, table)
+    check_keys(key, table, annotations, needed)
+    parts = {}
+    for name, part in table.items():
+        wanted, convert = annotations[name]
+        place = f"{key}.{name}"
+        takes_number = convert and not isinstance(part, dict | list)
+        parts[name] = (
+            number(place, part)
+            if takes_number
+            else decode(place, wanted, part, context)
+        )
+    try:
+        return make(**parts)
+    except (ValueError, TypeError) as error:
+        raise InputError(f"{key}: {' '.join(str(error).split())}") from error
+
+
+def _class_of(key: str, family: type, value: TOML, context: Context) -> type:
+    kind = value.get("kind", kebab(family) if not inspect.isabstract(family) else None)
+    known = kinds(family)
+    if isinstance(kind, str) and ".py:" in kind:
+        cls = load_name(f"{key}.kind", kind, context.folder)
+        if isinstance(cls, type) and issubclass(cls, family):
+            return cls
+        raise InputError(f"{key}.kind: expected a {family.__name__}, got {kind!r}")
+    if kind not in known:
+        got = "nothing" if kind is None else repr(kind)
+        raise InputError(
+            f"{key}.kind: expected one of {', '.join(sorted(known))}, or "
+            f"file.py:Class; got {got}{_guess(kind, known)}"
+        )
+    return known[kind]
+
+
+def _constructor(
+    cls: Any, table: TOML
+) -> tuple[Callable, dict[str, tuple[Any, bool]], list[str]]:
+    """What makes an instance: its annotations with converters, and the needed keys."""
+    fields = [field for field in dataclasses.fields(cls) if field.init]
+    names = {field.name for field in fields}
+    if hasattr(cls, "of") and not set(table) <= names:
+        parameters = inspect.signature(cls.of).parameters
+        if set(table) & (set(parameters) - names):
+            annotations = {n: (p.annotation, False) for n, p in parameters.items()}
+            needed = [n for n, p in parameters.items() if p.default is p.empty]
+            return cls.of, annotations, needed
+    annotations = {f.name: (f.type, "converter" in f.metadata) for f in fields}
+    needed = [
+        f.name
+        for f in fields
+        if f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING
+    ]
+    return cls, annotations, needed
+
+
+def check_keys(
+    key: str, table: TOML, known: Mapping[str, Any], needed: Iterable[str] = ()
+) -> None:
+    """Refuse keys that nobody reads, and miss those that are needed.
+
+    Raises:
+        InputError: there is such a key.
+    """
+    before = f"{key}." if key else ""
+    for name in table:
+        if name not in known:
+            raise InputError(
+                f"{before}{name}: this key is unknown; expected some of "
+                f"{', '.join(known)}{_guess(name, known)}"
+            )
+    for name in needed:
+        if name not in table:
+            raise InputError(
+                f"{before}{name}: this key is missing; expected the keys "
+                f"{', '.join(needed)}"
+            )
+
+
+def _guess(name: Any, known: Any) -> str:
+    close = difflib.get_close_matches(str(name), list(known), 1)
+    return f"; did you mean {close[0]!r}?" if close else ""
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
