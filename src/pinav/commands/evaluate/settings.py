@@ -16,11 +16,12 @@ class EvaluateOptions(Settings, frozen=True):
     """Score the models of a run on trajectories that it was not fitted to.
 
     The scores say where the run can be trusted; those of training data are said to be
-    training errors. Rollouts over time, also from clean starts beyond the training
-    horizon; the force in visited, near and unvisited regions; coverage of the bands; whiteness of the
-    residuals; learned constants. Where the data are noisy or incomplete, each start is
-    estimated from the first 20 samples and the others are scored. Writes
-    evaluation.json and evaluation.csv into the run, and figures into its report.
+    training errors. They are: rollouts over time, also from clean starts beyond the
+    training horizon; the force in visited, near and unvisited regions; coverage of the
+    bands; whiteness of the residuals; learned constants. Where the data are noisy or
+    incomplete, each start is estimated from the first 20 samples and the others are
+    scored. Writes evaluation.json and evaluation.csv into the run, and figures into
+    its report.
     """
 
     run: Annotated[

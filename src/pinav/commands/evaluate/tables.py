@@ -10,10 +10,10 @@ from pinav.commands.scores import Cell
 from pinav.report import Table
 
 BEYOND_DATA = (
-    "In unvisited places a band rests on the assumed prior alone, which fades away from "
-    "the data: true forces that do not fade lie outside of it, so do not trust it there."
+    "In unvisited places a band rests on the assumed prior alone, which fades away "
+    "from the data, while true forces need not: do not trust it there."
 )
-"""Limit of the bands (fault A6)."""
+"""Limit of the bands."""
 
 
 def tables(metrics: EvaluationMetrics) -> list[Table]:
