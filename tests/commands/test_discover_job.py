@@ -93,7 +93,7 @@ def test_report_section_holds_figure_and_tables(tmp_path):
     )
     assert law_sections(folder) == []
     save(simulate(paper()), folder.path / "data.npz")
-    folder.write_json(LAWS_FILE, METRICS)
+    folder.write_json(LAWS_FILE, msgspec.to_builtins(METRICS))
     force = np.linspace(-1.0, 1.0, 20).reshape(10, 2)
     arrays = {"learned": force, "sd": 0.1 + 0.0 * force, "law": 1.1 * force}
     folder.write_arrays(SAMPLE_FILE, arrays | {"positions": force})
@@ -105,7 +105,7 @@ def test_report_section_holds_figure_and_tables(tmp_path):
 def test_messages(tmp_path, capsys):
     RunFolder.create(tmp_path / "run", {"run": {"command": "fit"}}, overwrite=False)
     for argv, words in (
-        ([str(tmp_path / "run")], "holds no fitted force"),
+        ([str(tmp_path / "run")], "holds no fitted"),
         ([str(tmp_path)], "holds no run"),
         ([str(tmp_path / "run"), "--refits", "0"], "--refits: expected 1 or more"),
     ):

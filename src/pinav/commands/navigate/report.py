@@ -35,7 +35,7 @@ def navigation_sections(folder: RunFolder) -> list[Section]:
     caption = "Success and regret, with 95 % intervals."
     outcome = [
         *words,
-        controller_table(metrics),
+        controller_table(metrics.controllers, metrics.regret),
         figures.image("navigate-outcome", bars, caption),
     ]
     return [

@@ -1,15 +1,24 @@
 """Results of `pinav navigate` as tables and words."""
 
-from pinav.commands.navigate.metrics import NavigationMetrics, SuggestionRow
+from collections.abc import Mapping
+
+from pinav.commands.navigate.metrics import (
+    ControllerRow,
+    IntervalRow,
+    NavigationMetrics,
+    SuggestionRow,
+)
 from pinav.report import Table
 from pinav.report.text import as_text
 
 
-def controller_table(metrics: NavigationMetrics) -> Table:
+def controller_table(
+    controllers: Mapping[str, ControllerRow], regret: Mapping[str, IntervalRow]
+) -> Table:
     """One row for each controller."""
     rows = []
-    for name, row in metrics.controllers.items():
-        ratio = metrics.regret.get(name)
+    for name, row in controllers.items():
+        ratio = regret.get(name)
         rows.append(
             (
                 name,
@@ -30,7 +39,7 @@ def controller_table(metrics: NavigationMetrics) -> Table:
         "efficiency",
         "least clearance",
     )
-    runs = next(iter(metrics.controllers.values())).runs
+    runs = next(iter(controllers.values())).runs
     return Table(header, rows, f"{runs} runs each. {CAPTION}")
 
 
@@ -82,4 +91,9 @@ def _advice(suggestion: SuggestionRow) -> str:
 
 def text(metrics: NavigationMetrics) -> str:
     """The findings for a terminal."""
-    return "\n".join([as_text(controller_table(metrics)), *sentences(metrics)])
+    return "\n".join(
+        [
+            as_text(controller_table(metrics.controllers, metrics.regret)),
+            *sentences(metrics),
+        ]
+    )
