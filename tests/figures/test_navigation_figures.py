@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image as Picture
 
+from pinav.commands.navigate.metrics import IntervalRow
 from pinav.figures.animation import FRAMES, LAST_FRAME, Trails, save_animation
 from pinav.figures.navigation import (
     Course,
