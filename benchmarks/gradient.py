@@ -20,7 +20,6 @@ import numpy as np
 import tyro
 from jax.flatten_util import ravel_pytree
 
-from pinav.commands.models import paper_ude, residual
 from pinav.commands.parsing import parse
 from pinav.dynamics import (
     RK4,
@@ -30,7 +29,9 @@ from pinav.dynamics import (
     InterpolatingAdjoint,
     with_dtype,
 )
+from pinav.fitting.environments.catalogue import learned_part
 from pinav.fitting.matching.fit import split_trainable
+from pinav.forces import paper_force
 from pinav.scenarios import paper
 from pinav.trajectories import simulate
 
@@ -92,8 +93,10 @@ def gradient_function(solver: AbstractSolver, dtype: type):
     scenario = paper()
     states = jnp.asarray(simulate(scenario).states[0], dtype)
     times = jnp.asarray(scenario.times, dtype)
-    model = with_dtype(paper_ude(scenario.swimmer, 42), dtype)
-    params, static = split_trainable(model, residual, dtype)
+    model = with_dtype(
+        scenario.swimmer.with_environment(paper_force(jax.random.key(42))), dtype
+    )
+    params, static = split_trainable(model, learned_part, dtype)
 
     def loss(params):
         ys, _ = solver.solve(eqx.combine(params, static), states[0], times)

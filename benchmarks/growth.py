@@ -20,8 +20,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter, ScalarFormatter
 
-from pinav.commands.fit.settings import FitSettings
-from pinav.commands.models import data_summary, default_ude, fit_model, residual
 from pinav.commands.parsing import parse
 from pinav.dynamics import FixedStep
 from pinav.errors import InputError
@@ -37,6 +35,12 @@ from pinav.figures.style import (
 )
 from pinav.files import write_text
 from pinav.fitting import GaussNewton, Problem, TrajectoryLoss, curriculum, fit_many
+from pinav.fitting.environments.catalogue import (
+    ModelChoice,
+    build,
+    learned_part,
+    summarise_data,
+)
 from pinav.fitting.matching.fit import split_trainable
 from pinav.fitting.matching.objectives import Observations
 from pinav.scenarios import barrier_crossings, paper
@@ -119,9 +123,9 @@ def crossings(count: int) -> Trajectories:
 
 def iteration(data: Trajectories, width: int) -> Callable[[], object]:
     """One compiled Gauss-Newton iteration on full rollouts, ready to be called."""
-    known, summary = barrier_crossings().swimmer, data_summary(data)
-    model: Any = fit_model(FitSettings(model="ude", width=width), known, summary)
-    params, static = split_trainable(model, residual, jnp.float64)
+    known, summary = barrier_crossings().swimmer, summarise_data(data)
+    model: Any = build(ModelChoice("ude", width=width), known, summary)
+    params, static = split_trainable(model, learned_part, jnp.float64)
     objective = TrajectoryLoss(FixedStep(substeps=2))
     problem = Problem(static, Observations.of(data, jnp.float64), objective)
     window = jnp.asarray(data.states.shape[1] - 1)
@@ -146,17 +150,20 @@ def medians(calls: Mapping[int, Callable[[], object]], rounds: int) -> dict[int,
 def many_fits(counts: Sequence[int], max_steps: int) -> dict[int, float]:
     """Time of the default fit of several seeds at once [s], compilation apart."""
     data = simulate(paper())
-    known, summary = paper().swimmer, data_summary(data)
+    known, summary = paper().swimmer, summarise_data(data)
     found = {}
     for count in counts:
-        models = [default_ude(known, seed, summary) for seed in range(count)]
+        models = [
+            build(ModelChoice("ude", seed=seed), known, summary)
+            for seed in range(count)
+        ]
 
         def run(steps, models=models):
             fit_many(
                 models,
                 data,
                 curriculum(data, max_steps=steps),
-                trainable=residual,
+                trainable=learned_part,
                 objective=TrajectoryLoss(FixedStep(substeps=2)),
                 dtype=jnp.float64,
             )

@@ -30,10 +30,10 @@ from pinav.thermal.boundaries import Dirichlet, around, outer
 from pinav.thermal.grids import AbstractGrid, CartesianGrid, RadialGrid
 from pinav.thermal.perfusion import MixedPerfusion, lang
 from pinav.thermal.protocols import Piecewise
-from pinav.thermal.schedule import timetable
+from pinav.thermal.schedule import plan_steps
 from pinav.thermal.solve import State, default_stepper, run
 from pinav.thermal.sources import PowerSource
-from pinav.thermal.tissues import Blood, Tissue, mixed
+from pinav.thermal.tissues import Blood, Tissue, mix
 
 ROOT = Path(__file__).parents[1]
 
@@ -113,7 +113,7 @@ def main(argv: Sequence[str]) -> None:
 
 
 def row(name: str, found: Measured) -> str:
-    """A line of the table."""
+    """A line of the schedule."""
     bars = CASES[name]
     return (
         f"{name:<8}{found.steps:>6}{found.forward:>11.4f}{bars.forward:>7g}"
@@ -143,12 +143,12 @@ def measure(name: str) -> Measured:
     stepper = default_stepper(model)
     edges = tuple(np.linspace(0.0, 1800.0, 16).tolist())
     protocol = Piecewise.constant(edges, np.full(15, 1e4), 1e5)
-    table = timetable(protocol, stepper.longest_step(model))
+    schedule = plan_steps(protocol, stepper.longest_step(model))
     begin = State.at_rest(model)
 
     def outcome(amplitudes):
         own = eqx.tree_at(lambda p: (p.starts, p.ends), protocol, (amplitudes,) * 2)
-        found = run(model, own, table, stepper=stepper, observe=jnp.max, start=begin)
+        found = run(model, own, schedule, stepper=stepper, observe=jnp.max, start=begin)
         return jnp.log(jnp.sum(found.final.dose))
 
     forward = jax.jit(outcome).lower(protocol.starts).compile()
@@ -159,7 +159,7 @@ def measure(name: str) -> Measured:
     gradient_seconds = best_time(lambda: gradient(protocol.starts))
     used = gradient.memory_analysis()
     return Measured(
-        steps=len(table.steps),
+        steps=len(schedule.steps),
         forward=seconds,
         gradient=gradient_seconds,
         compilation=compilation,
@@ -173,9 +173,9 @@ def tumour(grid: AbstractGrid) -> Bioheat:
     share, wall = grid.ball(0.010), Dirichlet(37.0)
     return Bioheat(
         grid,
-        mixed(share, Tissue(0.55, 1045.0, 3600.0), Tissue(0.49, 1090.0, 3421.0)),
+        mix(share, Tissue(0.55, 1045.0, 3600.0), Tissue(0.49, 1090.0, 3421.0)),
         Blood(),
-        MixedPerfusion.localised(share, lang("tumour"), lang("muscle")),
+        MixedPerfusion.on_mask(share, lang("tumour"), lang("muscle")),
         (PowerSource(1.5e5 * share, 1e4),),
         outer(wall) if len(grid.shape) == 1 else around(grid, wall),
     )

@@ -29,7 +29,7 @@ def network(folder: Path) -> list[str]:
     """Noisy trajectories of the paper, a neural network after a few steps."""
     simulate("paper", folder, "--noise", "0.01")
     steps = ["--recipe", "paper", "--adam-steps", "10", "--lbfgs-steps", "2"]
-    return ["fit", str(folder / DATA), "--model", "ude", *steps, "--learn", "damping"]
+    return ["fit", str(folder / DATA), "--model", "ude", *steps, "--train", "damping"]
 
 
 def kernel(folder: Path) -> list[str]:
@@ -37,7 +37,7 @@ def kernel(folder: Path) -> list[str]:
     from pinav.trajectories import save
 
     save(crossings(51), folder / DATA)
-    return ["fit", str(folder / DATA), "--learn", "damping"]
+    return ["fit", str(folder / DATA), "--train", "damping"]
 
 
 def positions(folder: Path) -> list[str]:
@@ -52,8 +52,8 @@ def positions(folder: Path) -> list[str]:
         units={"x": "1", "y": "1", "t": "1"},
     )
     save(tracks, folder / DATA)
-    argv = ["fit", str(folder / DATA), "--physics", "barrier-crossings"]
-    return [*argv, "--learn", "damping"]
+    argv = ["fit", str(folder / DATA), "--system", "barrier-crossings"]
+    return [*argv, "--train", "damping"]
 
 
 def langevin(folder: Path) -> list[str]:

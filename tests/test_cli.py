@@ -101,8 +101,8 @@ def test_no_name_of_a_command_is_spelled_outside_its_folder():
         (["fit", "a.npz", "--out", "b", "--adam-steps", "0"], "--adam-steps: expected"),
         (["fit", "a.npz", "--out", "b", "--max-steps", "0"], "--max-steps: expected"),
         (
-            ["fit", "a.npz", "--out", "b", "--model", "nn-only", "--learn", "gain"],
-            "--learn: the model nn-only has no physical constants",
+            ["fit", "a.npz", "--out", "b", "--model", "nn-only", "--train", "gain"],
+            "--train: the model nn-only has no physical constants",
         ),
         (
             ["fit", "a.npz", "--out", "b", "--model", "physics-only"],

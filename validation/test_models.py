@@ -8,7 +8,6 @@ import pytest
 
 from pinav.commands.compare.job import compare
 from pinav.commands.compare.settings import CompareSettings
-from pinav.commands.models import model_summary, with_tensor_drag
 from pinav.errors import FitError
 from pinav.evaluation import VISITED, field_map, force_errors
 from pinav.fitting import (
@@ -17,6 +16,11 @@ from pinav.fitting import (
     kernel_environment,
     principal_drags,
     rotational_fraction,
+)
+from pinav.fitting.environments.catalogue import (
+    ModelChoice,
+    summarise_for,
+    with_tensor_drag,
 )
 from pinav.forces import KernelMixture, KernelPotential
 from pinav.runs import RunFolder
@@ -97,7 +101,7 @@ def test_only_a_moving_barrier_prefers_time(name, moves, tmp_path):
 
 def test_anisotropic_drag_is_found():
     made, data = observed("anisotropic-drag")
-    summary = model_summary("kernel-potential", data)
+    summary = summarise_for(ModelChoice(), data)
     model = with_tensor_drag(with_kernels(made.swimmer, KernelPotential, data), summary)
     found = fit_bayes(model, data, learn=lambda m: m.drag.tensor)
     drags = principal_drags(found.posterior)

@@ -80,7 +80,7 @@ def test_a_fit_of_the_crossings_is_trusted_where_it_should_be(tmp_path_factory):
         out = ["--out", str(folder / f"{name}.npz")]
         assert pinav("simulate", "barrier-crossings", *out, *words).returncode == 0
     run = str(folder / "run")
-    learn = ["--learn", "damping", "gain"]
+    learn = ["--train", "damping", "gain"]
     fit = pinav("fit", str(folder / "train.npz"), "--out", run, *learn)
     assert fit.returncode == 0, fit.stderr
     words = ["--calibrate", str(folder / "calibration.npz")]

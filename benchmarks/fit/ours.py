@@ -10,13 +10,6 @@ import numpy as np
 
 from benchmarks.fit.contestants import Effort
 from benchmarks.fit.problem import Problem, Trained, network_arrays
-from pinav.commands.models import (
-    data_summary,
-    default_kernel,
-    default_ude,
-    paper_ude,
-    residual,
-)
 from pinav.dynamics import FixedStep
 from pinav.fitting import (
     Fit,
@@ -28,6 +21,12 @@ from pinav.fitting import (
     kernel_environment,
     paper_recipe,
 )
+from pinav.fitting.environments.catalogue import (
+    ModelChoice,
+    build,
+    learned_part,
+    summarise_data,
+)
 from pinav.forces import KernelPotential
 from pinav.scenarios import scenario
 from pinav.trajectories import Trajectories, load
@@ -38,6 +37,10 @@ def _data(problem: Problem) -> tuple[Trajectories, Any]:
     jax.config.update("jax_enable_x64", val=True)
     data = load(problem.file)
     return data, scenario(data.provenance["scenario"]).swimmer
+
+
+def _model(name: str, known: Any, seed: int, data: Trajectories) -> Any:
+    return build(ModelChoice(name, seed=seed), known, summarise_data(data))
 
 
 class Curve:
@@ -69,7 +72,7 @@ def _fit(problem: Problem, data, model, recipe, *, exact: bool) -> tuple[Fit, Tr
         model,
         data,
         recipe,
-        trainable=residual,
+        trainable=learned_part,
         objective=TrajectoryLoss(FixedStep(substeps=2 if exact else 1)),
         dtype=jnp.float64 if exact else jnp.float32,
         on_chunk=curve,
@@ -92,13 +95,17 @@ def paper_network(problem: Problem, seed: int, effort: Effort) -> Trained:
     """The paper's network and recipe: Adam, then L-BFGS, in float32."""
     data, known = _data(problem)
     recipe = paper_recipe(effort.adam_steps, effort.lbfgs_steps)
-    return _network(*_fit(problem, data, paper_ude(known, seed), recipe, exact=False))
+    return _network(
+        *_fit(
+            problem, data, _model("paper-ude", known, seed, data), recipe, exact=False
+        )
+    )
 
 
 def network(problem: Problem, seed: int, effort: Effort) -> Trained:
     """The paper's network, our default recipe."""
     data, known = _data(problem)
-    model = default_ude(known, seed, data_summary(data))
+    model = _model("ude", known, seed, data)
     recipe = curriculum(data, max_steps=effort.gauss_newton_steps)
     return _network(*_fit(problem, data, model, recipe, exact=True))
 
@@ -106,7 +113,7 @@ def network(problem: Problem, seed: int, effort: Effort) -> Trained:
 def kernel(problem: Problem, seed: int, effort: Effort) -> Trained:
     """A kernel potential, our default recipe."""
     data, known = _data(problem)
-    model = default_kernel(known, seed, data_summary(data))
+    model = _model("kernel-potential", known, seed, data)
     recipe = curriculum(data, max_steps=effort.gauss_newton_steps)
     found, trained = _fit(problem, data, model, recipe, exact=True)
     return trained._replace(arrays=kernel_arrays(found.model))

@@ -8,11 +8,12 @@ import jax
 import msgspec
 import numpy as np
 
-from pinav.commands.fit import job as fit_job
-from pinav.commands.fit.bayes import MODEL_FILE, read_posterior
+from pinav.commands.fit.job import fit
+from pinav.commands.fit.plan import plan_fit
 from pinav.commands.fit.settings import FitSettings, ModelName
-from pinav.commands.models import build_model
+from pinav.commands.fitted_run import FittedRun
 from pinav.commands.navigate.metrics import ControllerRow, IntervalRow
+from pinav.commands.system_choice import choose_system
 from pinav.errors import InputError
 from pinav.navigation.control.controller import AbstractController
 from pinav.navigation.control.default import controller
@@ -84,12 +85,11 @@ def learned(name: str, draw: int, samples: int, folder: RunFolder) -> Knowledge:
         path, {"run": {"command": "fit"}, "model": settings.model}
     )
     if not run_folder.has("metrics.json"):
-        fit_job.fit(settings, fit_job.prepared(settings, data), run_folder)
-    model = run_folder.read_model(MODEL_FILE, build_model)
-    drawn = []
-    if samples:
-        posterior = read_posterior(settings, run_folder)
-        drawn = posterior.samples(samples, key=jax.random.key(draw))
+        fit(plan_fit(settings, choose_system(None, data), data), run_folder)
+    fitted = FittedRun.open(path)
+    model, drawn = fitted.model, []
+    if samples and fitted.posterior is not None:
+        drawn = fitted.posterior.samples(samples, key=jax.random.key(draw))
     known = task(name).truth.dynamics
     baseline = gaussian_process(known, data)
     own = task(name)

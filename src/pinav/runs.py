@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import equinox as eqx
+import msgspec
 import numpy as np
 import tomli_w
 
@@ -36,6 +37,7 @@ from pinav.files import atomic_write, write_text
 from pinav.fitting import AbstractCheckpoint, FitState
 
 Tree = TypeVar("Tree")
+Metrics = TypeVar("Metrics", bound=msgspec.Struct)
 
 REPORTED_PACKAGES = ("jax", "jaxlib", "equinox", "diffrax", "optax", "numpy", "scipy")
 
@@ -148,10 +150,18 @@ class RunFolder:
         """The settings that decided the numbers of the run."""
         return {key: value for key, value in self.config().items() if key != "run"}
 
+    def identity(self) -> dict[str, str]:
+        """What tells the run from others beside its settings: command, data, system."""
+        return self.config().get("run", {})
+
     @property
     def command(self) -> str:
         """Name of the command that made the run."""
-        return self.config().get("run", {}).get("command", "")
+        return self.identity().get("command", "")
+
+    def write_text(self, name: str, text: str) -> None:
+        """Write a text file."""
+        write_text(self.path / name, text, overwrite=True)
 
     def write_json(self, name: str, content: Any) -> None:
         """Write a JSON file; a number that is not finite becomes null."""
@@ -170,6 +180,24 @@ class RunFolder:
         except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
             raise InputError(
                 f"{path} cannot be read ({error}); finish the run with --resume"
+            ) from error
+
+    def write_metrics(self, name: str, metrics: msgspec.Struct) -> None:
+        """Write results as JSON."""
+        self.write_json(name, msgspec.to_builtins(metrics, enc_hook=_plain))
+
+    def read_metrics(self, name: str, kind: type[Metrics]) -> Metrics:
+        """Read what `write_metrics` wrote.
+
+        Raises:
+            InputError: the file is missing or damaged.
+        """
+        try:
+            return msgspec.convert(self.read_json(name), kind)
+        except msgspec.ValidationError as error:
+            raise InputError(
+                f"{self.path / name} is damaged ({error}); delete it and run the same "
+                "command again with --resume"
             ) from error
 
     def write_table(self, name: str, header: Sequence[str], rows: Sequence[Sequence]):
@@ -327,6 +355,11 @@ def _at(shape: FitState, header: dict[str, Any]) -> FitState:
         tuple(header["starts"]),
         header["taken"],
     )
+
+
+def _plain(value: Any) -> Any:
+    """A builtin value for a number or an array of NumPy."""
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)
 
 
 def _ends_with_newline(path: Path) -> bool:

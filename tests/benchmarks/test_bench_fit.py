@@ -14,8 +14,8 @@ from benchmarks.fit import compare, contestants, problem, scores, table
 from benchmarks.fit.contestants import BY_NAME, CONTESTANTS, Effort
 from benchmarks.fit.convergence import convergence
 
-from pinav.commands.models import paper_ude
 from pinav.errors import InputError
+from pinav.forces import paper_force
 from pinav.scenarios import scenario
 
 
@@ -196,7 +196,7 @@ def data(tmp_path_factory):
 
 def test_networks_survive_the_way_to_the_parent():
     known = scenario("paper").truth
-    model = paper_ude(known, 3)
+    model = known.with_environment(paper_force(jax.random.key(3)))
     layers = [(layer.weight, layer.bias) for layer in model.environment.network.layers]
     again = scores.rebuilt(known, problem.network_arrays(layers))
     assert eqx.tree_equal(again.environment, model.environment)
@@ -216,7 +216,7 @@ def test_a_learned_thrust_becomes_a_gain():
 def test_the_rate_for_diffrax_is_that_of_the_swimmer(data):
     from benchmarks.fit import diffrax_adam
 
-    model = paper_ude(scenario("paper").truth, 5)
+    model = scenario("paper").swimmer.with_environment(paper_force(jax.random.key(5)))
     network = diffrax_adam.untrained(5)
     y = jnp.array([1.0, 2.0, -0.5, 0.7])
     rate = diffrax_adam.vector_field(data["paper"])(jnp.asarray(3.0), y, network)

@@ -38,7 +38,7 @@ def inferred(tmp_path_factory):
     )
     save(simulate(short, key=jax.random.key(3)), folder / "data.npz")
     argv = ["fit", str(folder / "data.npz"), "--out", str(folder / "run")]
-    assert cli.run([*argv, "--learn", "damping", "--noise", "0.02"]) == 0
+    assert cli.run([*argv, "--train", "damping", "--noise", "0.02"]) == 0
     assert cli.run(["analyse", str(folder / "run"), *SMALL]) == 0
     return folder / "run"
 
@@ -140,6 +140,6 @@ def test_a_model_without_a_learned_force_is_refused(tmp_path, capsys):
     )
     save(simulate(short, key=jax.random.key(3)), data)
     argv = ["fit", str(data), "--out", str(run), "--model", "physics-only"]
-    assert cli.run([*argv, "--learn", "damping"]) == 0
+    assert cli.run([*argv, "--train", "damping"]) == 0
     assert cli.run(["analyse", str(run)]) == cli.USAGE_ERROR
     assert "has no learned force of the environment" in capsys.readouterr().err

@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 
 from pinav.commands.evaluate.job import evaluate
-from pinav.commands.fit.job import UNDER_RESOLVED, text
-from pinav.commands.fit.settings import FitSettings
-from pinav.commands.models import build_model, fit_model, fitted_summary, model_summary
+from pinav.commands.fit.job import REMARKS
+from pinav.commands.fit.metrics import FitMetrics
+from pinav.commands.fitted_run import ModelHeader, build_model
 from pinav.commands.study.job import study
 from pinav.commands.study.settings import StudySettings
 from pinav.commands.study.stochastic_force_inference import infer_force
 from pinav.errors import FitError
 from pinav.fitting import Refinement
+from pinav.fitting.environments.catalogue import ModelChoice, build, summarise_for
 from pinav.runs import RunFolder
 from pinav.scenarios import scenario
 from pinav.trajectories import simulate
@@ -32,40 +33,29 @@ def crossings():
 @pytest.mark.parametrize("name", MODELS)
 def test_a_model_file_says_where_the_finer_kernels_are(name, crossings):
     known, data = crossings
-    settings, summary = FitSettings(model=name), model_summary(name, data)
-    start = fit_model(settings, known.swimmer, summary).environment
+    choice = ModelChoice(name)
+    summary = summarise_for(choice, data)
+    start = build(choice, known.swimmer, summary).environment
     finer = Refinement(factor=2.0, max_weights=10**5).finer(start, data)
-    header = {
-        "kind": "fit",
-        "settings": msgspec.to_builtins(settings),
-        "physics": known.name,
-        "data": fitted_summary(summary, finer),
-        "dtype": "float64",
-    }
-    built = jax.tree.leaves(build_model(header).environment)
+    header = ModelHeader(choice, summary.with_kernels_of(finer))
+    built = jax.tree.leaves(build_model(header, known).environment)
     for own, expected in zip(built, jax.tree.leaves(finer), strict=True):
         np.testing.assert_allclose(own, expected)
 
 
 def test_models_without_kernels_keep_their_summary(crossings):
     known, data = crossings
-    summary = model_summary("neural-force", data)
-    settings = FitSettings(model="neural-force")
-    network = fit_model(settings, known.swimmer, summary).environment
-    assert fitted_summary(summary, network) is summary
+    choice = ModelChoice("neural-force")
+    summary = summarise_for(choice, data)
+    network = build(choice, known.swimmer, summary).environment
+    assert summary.with_kernels_of(network) is summary
 
 
 def test_a_coarse_fit_says_so():
-    metrics = {
-        "noise": 0.02,
-        "log_evidence": 1.0,
-        "iterations": 4,
-        "outcome": "under-resolved",
-        "learned": {},
-        "rmse": {"total": 0.1},
-    }
-    assert UNDER_RESOLVED in text(metrics)
-    assert UNDER_RESOLVED not in text(metrics | {"outcome": "converged"})
+    metrics = FitMetrics("m", "bayes", "under-resolved", {"total": 0.1}, {})
+    coarse = REMARKS[metrics.outcome]
+    assert coarse in msgspec.structs.replace(metrics, remarks=(coarse,)).text()
+    assert "smaller region" in coarse
 
 
 @pytest.mark.slow

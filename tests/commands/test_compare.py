@@ -3,6 +3,7 @@
 import json
 
 import jax.numpy as jnp
+import msgspec
 import numpy as np
 import pytest
 
@@ -10,14 +11,16 @@ from pinav import cli
 from pinav.commands.compare.job import checked, positions_alone, table, text, verdicts
 from pinav.commands.compare.settings import CompareSettings
 from pinav.commands.fit.settings import FitSettings
-from pinav.commands.models import (
-    build_model,
-    fit_model,
+from pinav.commands.fitted_run import ModelHeader, build_model
+from pinav.errors import InputError
+from pinav.fitting.environments.catalogue import (
+    ModelChoice,
+    build,
     mean_drag,
-    model_summary,
+    summarise_data,
+    summarise_for,
     with_tensor_drag,
 )
-from pinav.errors import InputError
 from pinav.forces import tensor_matrix
 from pinav.runs import RunFolder
 from pinav.scenarios import scenario
@@ -86,10 +89,10 @@ def test_one_model_is_nothing_to_compare():
 
 def test_settings_refuse_what_a_recipe_cannot_learn():
     for settings, message in (
-        (FitSettings(recipe="langevin", learn=("gain",)), "no constant but diffusion"),
+        (FitSettings(recipe="langevin", train=("gain",)), "no constant but diffusion"),
         (FitSettings(recipe="langevin", model="ude"), "expected a kernel model"),
-        (FitSettings(learn=("drag", "damping")), "takes the place of damping"),
-        (FitSettings(recipe="paper", learn=("drag",)), "only the recipe bayes does"),
+        (FitSettings(train=("drag", "damping")), "takes the place of damping"),
+        (FitSettings(recipe="paper", train=("drag",)), "only the recipe bayes does"),
     ):
         with pytest.raises(InputError, match=message):
             settings.check()
@@ -98,17 +101,17 @@ def test_settings_refuse_what_a_recipe_cannot_learn():
 @pytest.mark.parametrize("model", ["kernel-mixture", "kernel-potential-time"])
 def test_a_model_file_describes_its_kernels(model):
     data = positions("paper", ("x", "y", "vx", "vy"))
-    summary = json.loads(json.dumps(model_summary(model, data)))
-    settings = FitSettings(model=model)
-    made = fit_model(settings, scenario("paper").swimmer, summary)
-    header = {"kind": "fit", "settings": {"model": model}, "physics": "paper"}
-    again = build_model(header | {"data": summary, "dtype": "float64"})
+    choice = ModelChoice(model)
+    header = ModelHeader(choice, summarise_for(choice, data))
+    made = build(choice, scenario("paper").swimmer, header.data)
+    content = json.loads(json.dumps(msgspec.to_builtins(header)))
+    again = build_model(msgspec.convert(content, ModelHeader), scenario("paper"))
     assert str(again) == str(made)
 
 
 def test_a_drag_to_learn_starts_isotropic_with_the_mean_of_the_known_one():
     known = scenario("anisotropic-drag").swimmer
-    data = {"dim": 2, "mean": [5.0, 5.0]}
+    data = summarise_data(positions("paper", ("x", "y", "vx", "vy")))
     assert mean_drag(known, data) == pytest.approx(0.36)
     tensor = with_tensor_drag(known, data).drag.tensor
     matrix = tensor_matrix(tensor, jnp.zeros(2))
@@ -132,9 +135,9 @@ def test_comparison_of_stochastic_paths_from_the_command_line(tmp_path, capsys):
     learned = RunFolder.open(tmp_path / "fit").read_json("metrics.json")["learned"]
     assert learned["diffusion"]["value"] == pytest.approx(0.245, rel=0.2)
     assert (
-        cli.run(["fit", str(data), *langevin[:-1], str(run), "--physics", "paper"]) == 2
+        cli.run(["fit", str(data), *langevin[:-1], str(run), "--system", "paper"]) == 2
     )
-    assert "expected physics without inertia" in capsys.readouterr().err
+    assert "expected a system without inertia" in capsys.readouterr().err
 
 
 def test_positions_alone_keep_everything_but_velocities():

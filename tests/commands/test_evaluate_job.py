@@ -16,7 +16,7 @@ from pinav.evaluation import Regions
 from pinav.report import Table
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
-from pinav.scenarios import barrier_crossings
+from pinav.scenarios import barrier_crossings, scenario
 from pinav.trajectories import Trajectories, save, simulate
 
 
@@ -44,7 +44,7 @@ def judged(tmp_path_factory):
     save(short_shots(2, 2, 61), folder / "test.csv")
     save(short_shots(3, 2), folder / "calibration.npz")
     run = folder / "run"
-    argv = ["fit", str(folder / "train.npz"), "--out", str(run), "--learn", "damping"]
+    argv = ["fit", str(folder / "train.npz"), "--out", str(run), "--train", "damping"]
     assert cli.run(argv) == 0
     argv = ["evaluate", str(run), str(folder / "test.csv")]
     assert cli.run([*argv, "--calibrate", str(folder / "calibration.npz")]) == 0
@@ -161,12 +161,12 @@ def test_data_of_other_channels_are_refused(judged, tmp_path):
 
 
 def test_held_out_starts_are_clean_and_their_own():
-    held = held_out("barrier-crossings", until=1.0, count=3)
+    held = held_out(barrier_crossings(), until=1.0, count=3)
     assert held.times[0, -1] == pytest.approx(1.0)
     assert held.provenance["noise"] == 0.0
     shots = barrier_crossings(count=3).starts
     assert np.abs(held.states[:, 0] - shots).min() > 1e-3
-    paper = held_out("paper", until=1.0, count=3)
+    paper = held_out(scenario("paper"), until=1.0, count=3)
     np.testing.assert_array_equal(paper.states[:, 0], held.states[:, 0])
 
 

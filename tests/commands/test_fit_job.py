@@ -2,18 +2,18 @@ import json
 
 import equinox as eqx
 import jax
-import msgspec
 import numpy as np
 import pytest
 
 from pinav import cli
-from pinav.commands.fit.bayes import read_posterior
-from pinav.commands.fit.job import prepared
+from pinav.commands.fit.metrics import FitMetrics
+from pinav.commands.fit.plan import plan_fit
 from pinav.commands.fit.settings import FitSettings
+from pinav.commands.fitted_run import FittedRun
 from pinav.errors import InputError
 from pinav.evaluation import FieldMap, field_map, force_errors
 from pinav.runs import RunFolder
-from pinav.scenarios import barrier_crossings
+from pinav.scenarios import barrier_crossings, scenario
 from pinav.trajectories import Trajectories, load, save, simulate
 
 
@@ -55,9 +55,12 @@ def test_data_without_a_scenario_need_physics(tmp_path, capsys):
     path.write_text("t,x,y,vx,vy\n0,0,0,1,1\n1,1,1,1,1\n2,2,2,1,1\n")
     argv = ["fit", str(path), "--out", str(tmp_path / "run")]
     assert cli.run(argv) == cli.USAGE_ERROR
-    assert "--physics: the data name no scenario; give" in capsys.readouterr().err
+    assert (
+        "--system: the data do not say which system they come from"
+        in capsys.readouterr().err
+    )
     path.write_text("t,x,y\n0,0,0\n1,1,1\n2,2,2\n")
-    argv += ["--physics", "paper", "--recipe", "curriculum"]
+    argv += ["--system", "paper", "--recipe", "curriculum"]
     assert cli.run(argv) == cli.USAGE_ERROR
     assert "expected the channels x, y, vx, vy" in capsys.readouterr().err
     path.write_text("t,x,y,vx,vy\n0,0,0,,\n1,1,1,1,1\n2,2,2,1,1\n")
@@ -72,10 +75,10 @@ def test_a_model_file_of_something_else_is_refused(tiny_fit, tmp_path, capsys):
     copy.mkdir()
     (copy / "config.toml").write_text("")
     assert cli.run(["evaluate", str(copy), str(data)]) == cli.USAGE_ERROR
-    assert "holds no model yet; finish it with --resume" in capsys.readouterr().err
+    assert "holds no fitted model; give" in capsys.readouterr().err
     (copy / "model.eqx").write_text('{"kind": "fit"}\n')
     assert cli.run(["evaluate", str(copy), str(data)]) == cli.USAGE_ERROR
-    assert "its first line misses or misnames" in capsys.readouterr().err
+    assert "Object missing required field" in capsys.readouterr().err
 
 
 @pytest.fixture(scope="module")
@@ -101,8 +104,8 @@ def noisy_positions(tmp_path_factory):
 @pytest.fixture(scope="module")
 def inferred(noisy_positions):
     run = noisy_positions.parent / "run"
-    argv = ["fit", str(noisy_positions), "--physics", "barrier-crossings"]
-    assert cli.run([*argv, "--out", str(run), "--learn", "damping"]) == 0
+    argv = ["fit", str(noisy_positions), "--system", "barrier-crossings"]
+    assert cli.run([*argv, "--out", str(run), "--train", "damping"]) == 0
     return run
 
 
@@ -128,13 +131,10 @@ def test_positions_alone_give_a_force_and_its_uncertainty(inferred):
 
 
 def test_the_stored_posterior_is_that_of_the_fit(inferred):
-    folder = RunFolder.open(inferred)
-    config = folder.config()
-    settings = msgspec.convert(
-        {k: v for k, v in config.items() if k != "run"}, FitSettings
-    )
-    posterior = read_posterior(settings, folder)
-    damping = folder.read_json("metrics.json")["learned"]["damping"]["value"]
+    fitted = FittedRun.open(inferred)
+    posterior = fitted.posterior
+    metrics = fitted.folder.read_metrics("metrics.json", FitMetrics)
+    damping = metrics.learned["damping"].value
     assert float(posterior.model.drag.damping) == pytest.approx(damping, rel=1e-12)
     assert len(posterior.samples(3, key=jax.random.key(0))) == 3
 
@@ -155,7 +155,7 @@ def test_evaluation_shows_the_force_error_where_the_truth_is_known(tmp_path, cap
     assert cli.run(["simulate", "barrier-crossings", "--out", str(data)]) == 0
     argv = ["fit", str(data), "--out", str(tmp_path / "run")]
     assert cli.run(argv) == 0
-    assert "force error (truth of the scenario): visited 0." in capsys.readouterr().out
+    assert "force error (truth of the system): visited 0." in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -164,12 +164,12 @@ def test_evaluation_shows_the_force_error_where_the_truth_is_known(tmp_path, cap
         (
             "brownian",
             ("x", "y"),
-            "--learn damping: scenario brownian has no .* its drag is a mobility",
+            "--train damping: system brownian has no .* its drag is a mobility",
         ),
         (
             "anisotropic-drag",
             ("x", "y", "vx", "vy"),
-            "--learn damping: scenario anisotropic-drag has no .* drag is TensorDrag",
+            "--train damping: system anisotropic-drag has no .* drag is TensorDrag",
         ),
     ],
 )
@@ -181,4 +181,4 @@ def test_physics_of_another_kind_is_refused(name, channels, message):
         provenance={"scenario": name},
     )
     with pytest.raises(InputError, match=message):
-        prepared(FitSettings(learn=("damping",)), data)
+        plan_fit(FitSettings(recipe="bayes", train=("damping",)), scenario(name), data)

@@ -7,7 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from pinav import cli, files, report
-from pinav.commands.models import build_model
+from pinav.commands.fitted_run import FittedRun
 from pinav.commands.reproduce import report as reproduction_report
 from pinav.commands.reproduce import table2
 from pinav.runs import RunFolder
@@ -80,7 +80,7 @@ def test_a_stored_model_predicts_what_was_scored(run):
     from pinav.evaluation import predict
     from pinav.trajectories import load
 
-    model = run.read_model("model-ude-42.eqx", build_model)
+    model = FittedRun.open(run.path).models["model-ude-42"]
     predicted, _ = predict(model, load(run.path / "data.npz"))
     stored = run.read_arrays("results.npz")["ude-42"]
     np.testing.assert_array_equal(predicted[0], stored)

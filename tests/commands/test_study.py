@@ -119,7 +119,7 @@ def test_a_fit_of_a_study_that_diverged_is_an_error(clean):
     ("words", "message"),
     [
         (["noise", "nowhere"], "scenario 'nowhere' is unknown"),
-        (["noise", "brownian"], "scenario 'brownian' is stochastic"),
+        (["noise", "brownian"], "system 'brownian' is stochastic"),
         (["data-efficiency", "paper"], "has one fixed start"),
         (["noise", "--sigmas", "-1"], "--sigmas: expected 0 or more, got -1.0"),
         (["noise", "--count", "0"], "--count: expected 1 or more, got 0"),

@@ -12,10 +12,10 @@ from pinav.thermal.exposure_limits import (
     HERGT_DUTZ,
     EddyTemperatureLimit,
     HfLimit,
-    doubtful,
     limit,
     peak_amplitudes,
     require,
+    validity_warnings,
 )
 from pinav.thermal.grids import RadialGrid
 from pinav.thermal.magnetics import LinearResponse
@@ -98,7 +98,7 @@ def test_what_is_beyond_the_range_of_a_law_is_said():
     model = Bioheat(
         grid, MUSCLE, Blood(), lang("muscle"), (particles,), outer(Dirichlet(37.0))
     )
-    (strained,) = doubtful(model, steady(1e9))
+    (strained,) = validity_warnings(model, steady(1e9))
     assert "LinearResponse is strained 2.81 times" in strained
-    assert doubtful(model, steady(1e8)) == []
-    assert "60.0 °C is reached" in doubtful(model, steady(1e8), 60.0)[0]
+    assert validity_warnings(model, steady(1e8)) == []
+    assert "60.0 °C is reached" in validity_warnings(model, steady(1e8), 60.0)[0]

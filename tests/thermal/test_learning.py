@@ -214,3 +214,16 @@ def test_the_formula_behind_a_learned_law_is_found(learned, readings):
     assert worst.bic - best.bic > 100
     plateau = next(v for k, v in best.constants.items() if k.endswith("spread"))
     assert plateau.value == pytest.approx(12.0, abs=4 * plateau.sd + 1.0)
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ("1,0,37\n1,0,38\n", "expected one reading for each time and place, got 2 at"),
+        ("1,0,310\n2,0,311\n", "expected temperatures in °C, got 310; subtract 273.15"),
+    ],
+)
+def test_readings_that_cannot_be_meant_are_refused(tmp_path, rows, message):
+    (tmp_path / "probes.csv").write_text("t,r,T\n" + rows)
+    with pytest.raises(InputError, match=message):
+        load_probes(tmp_path / "probes.csv")

@@ -6,29 +6,29 @@ import numpy as np
 import pytest
 
 from pinav.errors import FitError, InputError
+from pinav.fitting import Outcome
 from pinav.thermal import exact
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.boundaries import Dirichlet, Insulated, Sides, outer
+from pinav.thermal.constraints import (
+    AtMost,
+    HealthyDose,
+    LogD90,
+    MaxTemperature,
+    limit_constraint,
+)
 from pinav.thermal.design_variables import (
     FreeAmplitudes,
     FreeFrequency,
     FreePlacement,
     FreeScale,
-    Treated,
+    Run,
     shells,
 )
 from pinav.thermal.exposure_limits import HfLimit
 from pinav.thermal.grids import RadialGrid
 from pinav.thermal.magnetics import LinearResponse
-from pinav.thermal.optimise import (
-    AtMost,
-    HealthyDose,
-    LogD90,
-    MaxTemperature,
-    Optimality,
-    optimise,
-    within,
-)
+from pinav.thermal.optimise import optimise
 from pinav.thermal.perfusion import ConstantPerfusion
 from pinav.thermal.protocols import Piecewise
 from pinav.thermal.rosenbrock import Rosenbrock
@@ -55,22 +55,22 @@ def lumped(power):
 
 def half_power(model):
     protocol = Piecewise.constant(EDGES, np.full(COUNT, 5e3), 1e5)
-    return Treated(model, protocol)
+    return Run(model, protocol)
 
 
 class Energy(eqx.Module):
     """Minus the integral of the squared power."""
 
-    def __call__(self, outcome):
-        amplitudes = outcome.treated.protocol.starts
+    def __call__(self, result):
+        amplitudes = result.run.protocol.starts
         return -jnp.sum((amplitudes / 1e4) ** 4) * END / COUNT
 
 
 class Coldness(eqx.Module):
     """Minus the final temperature."""
 
-    def __call__(self, outcome):
-        return -outcome.solution.final.temperature[0]
+    def __call__(self, result):
+        return -result.solution.final.temperature[0]
 
 
 def test_least_energy_is_that_of_the_exact_control():
@@ -84,7 +84,7 @@ def test_least_energy_is_that_of_the_exact_control():
         stepper=STEPPER,
         tolerance=1e-9,
     )
-    powers = power * (np.asarray(found.treated.protocol.starts) / 1e4) ** 2
+    powers = power * (np.asarray(found.run.protocol.starts) / 1e4) ** 2
     middles = (np.array(EDGES[1:]) + np.array(EDGES[:-1])) / 2
     true = [
         exact.least_energy_control(t, DECAY, GAIN, (0.0, 6.0), END) for t in middles
@@ -92,7 +92,7 @@ def test_least_energy_is_that_of_the_exact_control():
     assert powers == pytest.approx(true, rel=1e-2)
     least = exact.least_energy(DECAY, GAIN, (0.0, 6.0), END)
     assert -found.value * power**2 == pytest.approx(least, rel=5e-3)
-    assert found.kept[0].active
+    assert found.constraints[0].active
 
 
 def test_most_dose_saturates_and_then_rides_the_limit():
@@ -106,16 +106,16 @@ def test_most_dose_saturates_and_then_rides_the_limit():
         stepper=STEPPER,
         tolerance=1e-8,
     )
-    powers = power * (np.asarray(found.treated.protocol.starts) / 1e4) ** 2
+    powers = power * (np.asarray(found.run.protocol.starts) / 1e4) ** 2
     whole = int(switch // (END / COUNT))
     assert powers[:whole] == pytest.approx(np.full(whole, power), rel=1e-3)
     assert powers[whole + 1 :] == pytest.approx(hold, rel=2e-2)
-    (kept,) = found.kept
+    (kept,) = found.constraints
     assert kept.name == "maximum temperature"
     assert kept.active
     assert kept.value <= 45.0 + 1e-3
     assert found.at_bounds >= whole
-    assert found.outcome is Optimality.CONVERGED
+    assert found.outcome is Outcome.CONVERGED
     assert found.value > found.start_value
 
 
@@ -136,21 +136,21 @@ def tumour(power=4e5):
 def test_what_binds_is_named():
     """A tight field limit binds in place of the temperature, and the other way."""
     model, target = tumour()
-    treated = half_power(model)
+    base = half_power(model)
     kept = {}
     for product in (5e8, 5e9):
         found = optimise(
-            treated,
+            base,
             [FreeAmplitudes(1e4, COUNT, 0.3)],
             maximise=LogD90(target),
             subject_to=[
                 MaxTemperature(46.0),
-                within(HfLimit(product, "own limit")),
+                limit_constraint(HfLimit(product, "own limit")),
                 HealthyDose(50.0, 1 - target),
             ],
             stepper=STEPPER,
         )
-        kept[product] = {own.name: own.active for own in found.kept}
+        kept[product] = {own.name: own.active for own in found.constraints}
     assert kept[5e8]["own limit"]
     assert not kept[5e8]["maximum temperature"]
     assert kept[5e9]["maximum temperature"] or kept[5e9]["healthy tissue dose"]
@@ -161,61 +161,59 @@ def test_placement_of_the_particles_gains_dose_at_equal_power():
     model, target = tumour(1.5e5)
     total = float(jnp.sum(1.5e5 * target * model.grid.volumes))
     patterns = shells(model, 0.008, 3, total)
-    treated = half_power(model)
+    base = half_power(model)
     options = {
         "maximise": LogD90(target),
         "subject_to": [MaxTemperature(46.0)],
         "stepper": STEPPER,
     }
     amplitude = FreeAmplitudes(2e4, COUNT, 0.4)
-    alone = optimise(treated, [amplitude], **options)
-    placed = optimise(treated, [amplitude, FreePlacement(patterns)], **options)
+    alone = optimise(base, [amplitude], **options)
+    placed = optimise(base, [amplitude, FreePlacement(patterns)], **options)
     assert placed.value > alone.value + 0.1
-    field = placed.treated.model.sources[0].power
+    field = placed.run.model.sources[0].power
     assert float(jnp.sum(field * model.grid.volumes)) == pytest.approx(total)
 
 
 def test_frequency_and_pattern_can_be_free():
     model, target = tumour()
     particles = ParticleSource(3.0 * target, LinearResponse(14e-9))
-    treated = Treated(
+    base = Run(
         eqx.tree_at(lambda m: m.sources, model, (particles,)),
         Piecewise.on_off(5e3, 1e5, on=100.0, off=100.0, duration=600.0),
     )
     found = optimise(
-        treated,
+        base,
         [FreeScale(2.0, 0.5), FreeFrequency(5e4, 5e5, 0.3)],
         maximise=LogD90(target),
-        subject_to=[within(HfLimit(1e9))],
+        subject_to=[limit_constraint(HfLimit(1e9))],
         stepper=STEPPER,
     )
-    assert found.kept[0].active
-    assert 5e4 <= float(found.treated.protocol.frequency) <= 5e5
-    pattern = np.asarray(found.treated.protocol.starts)
+    assert found.constraints[0].active
+    assert 5e4 <= float(found.run.protocol.frequency) <= 5e5
+    pattern = np.asarray(found.run.protocol.starts)
     assert pattern[1::2] == pytest.approx(0.0)
 
 
 def test_what_cannot_be_kept_or_freed_is_said():
     model, target = tumour()
-    treated = half_power(model)
+    base = half_power(model)
     cold = AtMost("an impossible warmth", Coldness(), -60.0, "°C")
-    with pytest.raises(FitError, match="no run was found that keeps: an impossible"):
+    with pytest.raises(FitError, match="run was found that satisfies: an impossible"):
         optimise(
-            treated,
+            base,
             [FreeAmplitudes(1e3, COUNT)],
             maximise=LogD90(target),
             subject_to=[cold],
             stepper=STEPPER,
             max_iterations=5,
         )
-    with pytest.raises(InputError, match="freedoms: expected one or more, got none"):
-        optimise(treated, [], maximise=LogD90(target), subject_to=[])
+    with pytest.raises(InputError, match="variables: expected one or more, got none"):
+        optimise(base, [], maximise=LogD90(target), subject_to=[])
     with pytest.raises(InputError, match="FreeAmplitudes: expected a largest"):
         FreeAmplitudes(0.0, 3)
     with pytest.raises(InputError, match="FreeFrequency: expected 0 < low < high"):
         FreeFrequency(2e5, 1e5)
-    bare = Treated(
-        eqx.tree_at(lambda m: m.sources, model, (Energy(),)), treated.protocol
-    )
+    bare = Run(eqx.tree_at(lambda m: m.sources, model, (Energy(),)), base.protocol)
     with pytest.raises(InputError, match="expected particles or a power density"):
         FreePlacement(jnp.ones((2, 24))).apply(jnp.ones(2), bare)

@@ -15,7 +15,7 @@ from pinav.thermal.perfusion import (
 )
 from pinav.thermal.protocols import Piecewise
 from pinav.thermal.sources import eddy_power
-from pinav.thermal.tissues import PRESETS, Blood, Tissue, mixed, preset
+from pinav.thermal.tissues import PRESETS, Blood, Tissue, mix, preset
 
 BLOOD, TISSUE = Blood(), Tissue(0.49, 1090.0, 3421.0)
 TABLE = {
@@ -69,7 +69,7 @@ def test_a_localised_mixture_is_the_mixture():
     """With its derivatives, where the mask is and where it is not."""
     share = jnp.zeros((6, 5)).at[2:4, 1:3].set(0.7).at[3, 2].set(1.0)
     whole = MixedPerfusion(share, lang("tumour"), lang("muscle"))
-    local = MixedPerfusion.localised(share, lang("tumour"), lang("muscle"))
+    local = MixedPerfusion.on_mask(share, lang("tumour"), lang("muscle"))
     assert local.box == ((2, 4), (1, 3))
     at = jnp.linspace(36.0, 46.0, 30).reshape(6, 5)
     assert np.asarray(local(at)) == pytest.approx(np.asarray(whole(at)), rel=1e-14)
@@ -77,17 +77,17 @@ def test_a_localised_mixture_is_the_mixture():
         jax.grad(lambda t, law=law: jnp.sum(law(t) * t))(at) for law in (local, whole)
     ]
     assert np.asarray(slopes[0]) == pytest.approx(np.asarray(slopes[1]), rel=1e-12)
-    nowhere = MixedPerfusion.localised(0 * share, lang("tumour"), lang("muscle"))
+    nowhere = MixedPerfusion.on_mask(0 * share, lang("tumour"), lang("muscle"))
     assert nowhere.box is None
     traced = jax.jit(
-        lambda s: MixedPerfusion.localised(s, lang("fat"), lang("muscle"))(at)
+        lambda s: MixedPerfusion.on_mask(s, lang("fat"), lang("muscle"))(at)
     )
     assert traced(share).shape == (6, 5)
 
 
 def test_mixed_tissue_conducts_in_series_and_stores_in_sum():
     first, second = Tissue(0.8, 1000.0, 4000.0, 10.0), Tissue(0.2, 2000.0, 1000.0, 30.0)
-    both = mixed(jnp.array([0.5]), first, second)
+    both = mix(jnp.array([0.5]), first, second)
     assert float(both.conductivity[0]) == pytest.approx(0.32)
     assert float(both.capacity[0]) == pytest.approx(3e6)
     assert float(both.density[0]) == pytest.approx(1500.0)
@@ -114,7 +114,7 @@ def test_protocols_are_put_together():
     bursts = Piecewise.on_off(1e4, 1e5, on=50.0, off=100.0, duration=260.0)
     assert bursts.edges == (0.0, 50.0, 150.0, 200.0, 260.0)
     assert bursts.starts.tolist() == [1e4, 0.0, 1e4, 0.0]
-    ramp = Piecewise.ramp((0, 100), [0.0, 2e4], 1e5).cooled(60.0)
+    ramp = Piecewise.ramp((0, 100), [0.0, 2e4], 1e5).with_cooling(60.0)
     assert ramp.edges == (0.0, 100.0, 160.0)
     half = ramp.amplitude(jnp.asarray(50.0), jnp.asarray(0))
     assert float(half) == pytest.approx(1e4)

@@ -12,15 +12,15 @@ from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.boundaries import Dirichlet, Robin, Sides, around, outer
 from pinav.thermal.dose import exceeded_by
 from pinav.thermal.exact import SET_S
-from pinav.thermal.grids import CartesianGrid, RadialGrid, scaled_to
+from pinav.thermal.grids import CartesianGrid, RadialGrid, scale_to
 from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion, lang
 from pinav.thermal.protocols import Piecewise
 from pinav.thermal.rosenbrock import Rosenbrock
-from pinav.thermal.schedule import timetable
+from pinav.thermal.schedule import plan_steps
 from pinav.thermal.solve import Probes, State, default_stepper, probes_at, run, solve
 from pinav.thermal.sources import EddySource, PowerSource
 from pinav.thermal.steppers import RKL2
-from pinav.thermal.tissues import Blood, Tissue, mixed
+from pinav.thermal.tissues import Blood, Tissue, mix
 
 
 def heated_tumour(grid, side):
@@ -28,7 +28,7 @@ def heated_tumour(grid, side):
     share = grid.ball(0.008)
     return Bioheat(
         grid,
-        mixed(share, Tissue(0.55, 1045.0, 3600.0), Tissue(0.49, 1090.0, 3421.0, 700.0)),
+        mix(share, Tissue(0.55, 1045.0, 3600.0), Tissue(0.49, 1090.0, 3421.0, 700.0)),
         Blood(),
         MixedPerfusion(share, lang("tumour"), lang("muscle")),
         (PowerSource(2.2e5 * share, 1e4), EddySource(0.1, 0.4)),
@@ -49,10 +49,10 @@ GRIDS = {
 def test_heat_in_is_heat_out_or_stored(make, side):
     model = heated_tumour(make(), side)
     protocol = Piecewise.ramp((0, 300, 900), [0.0, 1.1e4, 0.9e4], 1e5)
-    ledger = solve(model, protocol).ledger
-    assert float(ledger.imbalance) < 1e-10
-    assert float(ledger.brought) > 0
-    assert float(ledger.perfused) > 0
+    energy = solve(model, protocol).energy
+    assert float(energy.imbalance) < 1e-10
+    assert float(energy.brought) > 0
+    assert float(energy.perfused) > 0
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def short_run():
     """Log dose, probe and T90 of a short run, as functions of a few numbers."""
     model = heated_tumour(RadialGrid.sphere(0.03, 30), Dirichlet(37.0))
     edges = (0.0, 130.0, 300.0)
-    table = timetable(Piecewise.constant(edges, [1.0, 1.0], 1e5), 10.0)
+    schedule = plan_steps(Piecewise.constant(edges, [1.0, 1.0], 1e5), 10.0)
     target = model.grid.ball(0.008) * model.grid.volumes
 
     def outcome(numbers):
@@ -82,7 +82,7 @@ def short_run():
         found = run(
             own,
             protocol,
-            table,
+            schedule,
             stepper=Rosenbrock(),
             observe=probes_at(model, [0.004]),
             start=State.at_rest(own),
@@ -120,7 +120,7 @@ def test_reverse_mode_is_forward_mode_is_central_differences(short_run):
     ("kept", "cells"), [(1, 12), (10**9, 13)], ids=["blocks", "whole"]
 )
 def test_a_run_is_differentiated_in_blocks_or_whole(monkeypatch, kept, cells):
-    """As central differences say, by what the walls, blood and the ledger share.
+    """As central differences say, by what the walls, blood and the energy share.
 
     Grids differ, so that none runs what was compiled for the other.
     """
@@ -128,15 +128,15 @@ def test_a_run_is_differentiated_in_blocks_or_whole(monkeypatch, kept, cells):
     model = heated_tumour(RadialGrid.sphere(0.03, cells), Robin(20.0, 25.0))
     edges, stepper = (0.0, 70.0, 160.0), Rosenbrock(20.0)
     protocol = Piecewise.constant(edges, [1.5e4, 0.7e4], 1e5)
-    table = timetable(protocol, 20.0)
+    schedule = plan_steps(protocol, 20.0)
 
     def outcome(scale):
         own = eqx.tree_at(lambda m: m.blood.arterial, model, 37.0 * scale)
         begin = State.at_rest(model)
         found = run(
-            own, protocol, table, stepper=stepper, observe=jnp.mean, start=begin
+            own, protocol, schedule, stepper=stepper, observe=jnp.mean, start=begin
         )
-        taken = jnp.log(jnp.abs(found.ledger.perfused))
+        taken = jnp.log(jnp.abs(found.energy.perfused))
         return found.observed[-1] + jnp.log(jnp.sum(found.final.dose)) + taken
 
     at, step = jnp.asarray(0.999), 1e-6
@@ -153,14 +153,14 @@ def test_reverse_mode_in_the_plane():
     model = heated_tumour(CartesianGrid.cubes((12, 12), 2.5e-3), Robin(20.0, 25.0))
     protocol = Piecewise.constant((0.0, 100.0), [1.2e4], 1e5)
     stepper = RKL2(5)
-    table = timetable(protocol, 20.0)
+    schedule = plan_steps(protocol, 20.0)
 
     def outcome(power):
         own = eqx.tree_at(lambda m: m.sources[0].scale, model, power)
         found = run(
             own,
             protocol,
-            table,
+            schedule,
             stepper=stepper,
             observe=jnp.max,
             start=State.at_rest(own),
@@ -191,7 +191,7 @@ def centre_rise(count):
         found = run(
             model,
             protocol,
-            timetable(protocol, 2000.0),
+            plan_steps(protocol, 2000.0),
             stepper=Rosenbrock(),
             observe=probe,
             start=State.at_rest(model),
@@ -228,14 +228,14 @@ def test_the_sensitivity_to_power_in_an_interval_is_the_adjoint_kernel(
         return run(
             model,
             protocol,
-            table,
+            schedule,
             stepper=Rosenbrock(),
             observe=probe,
             start=State.at_rest(model),
         ).observed[-1, 0]
 
     probe = probes_at(model, [0.0])
-    table = timetable(switched(edges, [1.0, 1.0]), 5.0)
+    schedule = plan_steps(switched(edges, [1.0, 1.0]), 5.0)
     found = jax.grad(outcome)(jnp.ones(2))
     true = exact.heated_sphere_kernels(0.0, 300.0, SET_S, 0.005, edges)
     assert np.asarray(found) == pytest.approx(4e5 * np.array(true), rel=1e-3)
@@ -278,7 +278,7 @@ def test_the_axes_of_a_box_are_alike():
 
 def test_a_concentration_can_carry_the_injected_mass():
     grid = CartesianGrid.cubes((9, 9, 9), 1e-3)
-    field = scaled_to(5.0 * grid.ball(3e-3), grid, 2e-6)
+    field = scale_to(5.0 * grid.ball(3e-3), grid, 2e-6)
     assert float(jnp.sum(field * grid.volumes)) == pytest.approx(2e-6)
 
 
@@ -363,7 +363,7 @@ PLANE = CartesianGrid.cubes((20, 20), 5e-4)
             lambda: solve(
                 BLAND, HOUR, start=State(jnp.asarray(1e4), jnp.ones(30), jnp.ones(30))
             ),
-            r"timetable start: expected within 0 and 3600 s, got 10000",
+            r"schedule start: expected within 0 and 3600 s, got 10000",
         ),
         (
             lambda: solve(
@@ -388,7 +388,7 @@ def test_the_stepper_suits_the_grid():
 def test_stages_are_the_fewest_for_the_time_they_cover(size, stages):
     grid = CartesianGrid.cubes((5, 5, 5), size)
     model = heated_tumour(grid, Dirichlet(37.0))
-    chosen = RKL2.suited(model)
+    chosen = RKL2.for_model(model)
     assert chosen.stages == stages
     cost = chosen.stages / chosen.longest_step(model)
     for other in (3, 5, 7, 9, 11, 13, 15):

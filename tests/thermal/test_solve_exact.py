@@ -16,7 +16,7 @@ from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.solve import State, probes_at, solve
 from pinav.thermal.sources import PowerSource
 from pinav.thermal.steppers import RKL2
-from pinav.thermal.tissues import Blood, Tissue, mixed
+from pinav.thermal.tissues import Blood, Tissue, mix
 
 STEADY = 4e4
 """A time [s] after which perfused tissue no longer changes."""
@@ -102,7 +102,7 @@ def test_conductivity_jumps_between_two_media(switched):
     share = grid.ball(radius)
     model = Bioheat(
         grid,
-        mixed(share, inner, outside),
+        mix(share, inner, outside),
         Blood(),
         ConstantPerfusion(0.0),
         (PowerSource(6.15e6 * share, 1e4),),
@@ -139,7 +139,7 @@ def shells(count):
     blood = Blood(1000.0, 4180.0)
     model = Bioheat(
         grid,
-        mixed(share, Tissue(0.55, 1045.0, 3600.0), Tissue(0.5, 1050.0, 3600.0)),
+        mix(share, Tissue(0.55, 1045.0, 3600.0), Tissue(0.5, 1050.0, 3600.0)),
         blood,
         MixedPerfusion(share, ConstantPerfusion(0.833), ConstantPerfusion(0.45)),
         (PowerSource(power, 1e4),),
@@ -180,7 +180,7 @@ def test_a_cut_cell_needs_its_share(switched):
         lambda m: (m.tissue, m.perfusion, m.sources[0].power),
         model,
         (
-            mixed(whole, Tissue(0.55, 1045.0, 3600.0), Tissue(0.5, 1050.0, 3600.0)),
+            mix(whole, Tissue(0.55, 1045.0, 3600.0), Tissue(0.5, 1050.0, 3600.0)),
             MixedPerfusion(whole, ConstantPerfusion(0.833), ConstantPerfusion(0.45)),
             1.0579e5 * whole + 700.0 * (1 - whole),
         ),

@@ -1,188 +1,350 @@
-"""What is evaluated: the models of a run, its training data and its posterior."""
+"""`FittedRun`: a fit on disk, and the one way to read and to write it."""
 
 import dataclasses
+import hashlib
+from collections.abc import Iterator
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
+import jax.numpy as jnp
 import msgspec
 import numpy as np
+from jaxtyping import Float
 
-from pinav.commands.fit.bayes import POSTERIOR_FILE, read_posterior
-from pinav.commands.fit.command import FIT
-from pinav.commands.fit.job import with_all_channels
-from pinav.commands.fit.settings import FitSettings
-from pinav.commands.models import build_model, known_physics
-from pinav.dynamics import AbstractDynamics, Outcome, Swimmer
+from pinav.commands.system_choice import read_system_of
+from pinav.dynamics import AbstractDynamics, with_dtype
 from pinav.errors import InputError
-from pinav.evaluation import (
-    START_SAMPLES,
-    FieldMap,
-    Regions,
-    Starts,
-    estimate_starts,
-    extent,
-    field_map,
-    predict,
-    without_first,
+from pinav.evaluation import FieldMap, field_map
+from pinav.fitting import (
+    Estimate,
+    EvidenceFit,
+    Hyperparameters,
+    Posterior,
+    freed,
+    principal_drags,
+    rotational_fraction,
 )
-from pinav.fitting import Posterior
+from pinav.fitting.bayes.function_prior import TangentWeights
+from pinav.fitting.environments.catalogue import (
+    CONSTANTS,
+    DataSummary,
+    ModelChoice,
+    build,
+)
+from pinav.forces import KernelForce, KernelMixture, KernelPotential
 from pinav.runs import RunFolder
-from pinav.scenarios import scenario
 from pinav.systems import System
-from pinav.trajectories import Trajectories, load
+from pinav.trajectories import Trajectories, load, save
+
+DATA_FILE, MODEL_FILE, POSTERIOR_FILE = "data.npz", "model.eqx", "posterior.npz"
 
 
-class Subject(eqx.Module):
-    """A finished run, as far as its evaluation needs it.
+class ModelHeader(msgspec.Struct, frozen=True):
+    """The first line of a model file: how the model is built again.
 
     Attributes:
-        models: by name, as in the tables.
-        training: what they were fitted to.
-        known: scenario that supplied propulsion and drag.
-        settings: of `pinav fit`; None for `pinav reproduce`.
-        posterior: of the fit, where it was Bayesian.
-        noise: standard deviation of the observations that such a fit found.
+        choice: its kind and size.
+        data: what it takes from the data.
+        dtype: floating-point type of its leaves.
     """
 
+    choice: ModelChoice
+    data: DataSummary
+    dtype: str = "float64"
+
+
+@dataclasses.dataclass(frozen=True)
+class EvidenceResult:
+    """The result of a fit by the evidence, as a run keeps it.
+
+    Attributes:
+        posterior: of the learned parameters.
+        hyperparameters: chosen by the evidence.
+        constants: learned constants by name.
+        states: smoothed states of the training trajectories.
+        outcome: the word for how the fit ended.
+        iterations: steps taken.
+        process: kernels of the process that is the prior of a network, if it is one.
+    """
+
+    posterior: Posterior
+    hyperparameters: Hyperparameters
+    constants: dict[str, Estimate]
+    states: Float[np.ndarray, "trajectory time state"]
+    outcome: str
+    iterations: int
+    process: KernelForce | KernelPotential | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class FittedRun:
+    """A finished run with one model or several.
+
+    Attributes:
+        folder: where it is.
+        system: what was known of the swimmer.
+        data: the trajectories that were fitted.
+        models: the fitted models, by the names of their files.
+        choice: what was fitted; of the first model where there are several.
+        evidence: posterior and hyperparameters; none where the recipe has none.
+    """
+
+    folder: RunFolder
+    system: System
+    data: Trajectories
     models: dict[str, AbstractDynamics]
-    training: Trajectories
-    known: System
-    settings: FitSettings | None = eqx.field(static=True)
-    posterior: Posterior | None
-    noise: float
+    choice: ModelChoice
+    evidence: EvidenceResult | None
+
+    @classmethod
+    def open(cls, path: Path) -> "FittedRun":
+        """Read a run.
+
+        Raises:
+            InputError: the folder holds no run or no model, or a file is damaged.
+        """
+        folder = RunFolder.open(path)
+        names = folder.models()
+        if not names:
+            raise InputError(
+                f"{path} holds no fitted model; give the folder that was the --out of "
+                "a finished pinav fit"
+            )
+        system = read_system_of(folder)
+        headers: list[ModelHeader] = []
+
+        def untrained(content: dict[str, Any]) -> AbstractDynamics:
+            headers.append(msgspec.convert(content, ModelHeader))
+            return build_model(headers[-1], system)
+
+        models = {
+            name.removesuffix(".eqx"): folder.read_model(name, untrained)
+            for name in names
+        }
+        choice = headers[0].choice
+        evidence = None
+        if folder.has(POSTERIOR_FILE):
+            evidence = _read_evidence(folder, choice, models["model"])
+        data = load(folder.path / DATA_FILE)
+        return cls(folder, system, data, models, choice, evidence)
+
+    @property
+    def model(self) -> AbstractDynamics:
+        """The fitted model.
+
+        Raises:
+            InputError: the run holds several.
+        """
+        if "model" not in self.models:
+            raise InputError(
+                f"{self.folder.path} holds several models ({', '.join(self.models)}); "
+                "give the folder that was the --out of pinav fit"
+            )
+        return self.models["model"]
+
+    @property
+    def posterior(self) -> Posterior | None:
+        """The posterior of the fit, if it has one."""
+        return None if self.evidence is None else self.evidence.posterior
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of the observations that the fit found; 0 without one."""
+        return 0.0 if self.evidence is None else self.evidence.hyperparameters.noise
+
+    @property
+    def constants(self) -> dict[str, Estimate]:
+        """The learned constants; their deviation is NaN without a posterior."""
+        if self.evidence is not None:
+            return self.evidence.constants
+        paths = self.choice.paths() if "model" in self.models else {}
+        return {
+            name: Estimate(float(attrgetter(path)(self.model)), float("nan"))
+            for name, path in paths.items()
+        }
 
     @property
     def horizon(self) -> float:
         """Longest time since the start in the training data [T]."""
-        times = self.training.times
+        times = self.data.times
         return float((times[:, -1] - times[:, 0]).max())
 
+    def start(self, index: int) -> Float[np.ndarray, " state"]:
+        """The start of a training trajectory: estimated, or its first sample."""
+        states = self.data.states if self.evidence is None else self.evidence.states
+        return states[index, 0]
 
-def read_subject(run: Path) -> tuple[RunFolder, Subject]:
-    """The run in a folder.
+    def shared_trajectories(self, data: Trajectories) -> int:
+        """Number of the given trajectories that the fit has seen."""
+        training = set(_hashes(self.data))
+        return sum(piece in training for piece in _hashes(data))
 
-    Raises:
-        InputError: the folder holds no run or no model, or a file is damaged.
-    """
-    folder = RunFolder.open(run)
-    names = folder.models()
-    if not names:
-        raise InputError(f"{run} holds no model yet; finish it with --resume")
-    models = {
-        name.removesuffix(".eqx"): folder.read_model(name, build_model)
-        for name in names
+    def is_training_data(self, data: Trajectories) -> bool:
+        """The fit has seen at least one of these trajectories."""
+        return self.shared_trajectories(data) > 0
+
+    def force_sd(self, field: FieldMap) -> Float[np.ndarray, "y x 2"]:
+        """Standard deviation of the learned force on the grid of a map.
+
+        Raises:
+            InputError: the run has no posterior.
+        """
+        if self.posterior is None:
+            raise InputError(
+                f"{self.folder.path} has no posterior; fit with --recipe bayes"
+            )
+        points = np.stack(np.meshgrid(field.x, field.y), axis=-1)
+        sd = self.posterior.force_sd(points.reshape(-1, 2))
+        return sd.reshape(field.force.shape)
+
+
+def build_model(header: ModelHeader, system: System) -> AbstractDynamics:
+    """An untrained model of the shape that a model file's header describes."""
+    model = build(header.choice, system.swimmer, header.data)
+    return with_dtype(model, jnp.dtype(header.dtype))
+
+
+def save_data(folder: RunFolder, data: Trajectories) -> None:
+    """Keep the trajectories that are fitted."""
+    if not folder.has(DATA_FILE):
+        save(data, folder.path / DATA_FILE)
+
+
+def write_model(
+    folder: RunFolder,
+    header: ModelHeader,
+    model: AbstractDynamics,
+    name: str = MODEL_FILE,
+) -> None:
+    """Write a fitted model; last, as it says that all of its fit is there."""
+    folder.write_model(name, msgspec.to_builtins(header), model)
+
+
+def write_fit(
+    folder: RunFolder,
+    header: ModelHeader,
+    fit: EvidenceFit,
+    data: Trajectories,
+) -> None:
+    """Write the model and the posterior of a fit by the evidence."""
+    chosen = fit.hyperparameters
+    estimates = estimated_constants(fit, header.choice) | rotational_part(fit, data)
+    constants = {
+        f"constant/{name}": np.array([estimate.value, estimate.sd])
+        for name, estimate in estimates.items()
     }
-    training = load(folder.path / "data.npz")
-    if folder.command != FIT.name:
-        return folder, Subject(models, training, scenario("paper"), None, None, 0.0)
-    own = folder.settings()
-    settings = msgspec.convert(own, FitSettings)
-    known = known_physics(settings.physics, training)
-    if settings.method != "bayes":
-        return folder, Subject(models, training, known, settings, None, 0.0)
-    noise = float(folder.read_arrays(POSTERIOR_FILE)["noise"])
-    posterior = read_posterior(settings, folder)
-    return folder, Subject(models, training, known, settings, posterior, noise)
+    folder.write_arrays(
+        POSTERIOR_FILE,
+        {
+            "mean": fit.posterior.mean,
+            "covariance": fit.posterior.covariance,
+            "shape": chosen.shape,
+            "amplitude": np.array(chosen.amplitude),
+            "noise": np.array(chosen.noise),
+            "log_evidence": np.array(chosen.log_evidence),
+            "iterations": np.array(fit.iterations),
+            "outcome": np.array(str(fit.outcome)),
+            "states": data.states if fit.states is None else fit.states,
+            **_process_arrays(fit),
+            **constants,
+        },
+    )
+    summary = header.data.with_kernels_of(fit.model.environment)
+    header = msgspec.structs.replace(header, data=summary)
+    write_model(folder, header, fit.model)
 
 
-@dataclasses.dataclass(frozen=True)
-class Setting:
-    """What all models of a run are measured by.
-
-    Attributes:
-        subject: the run.
-        data: trajectories to score.
-        truth: scenario that the data came from, where it is known.
-        regions: lengths that tell visited from unvisited ground.
-        estimate: whether starts are fitted to the first samples.
-    """
-
-    subject: Subject
-    data: Trajectories
-    truth: System | None
-    regions: Regions
-    estimate: bool
-
-    @property
-    def domain(self) -> float:
-        """Extent of the training data [L]; rollouts that err by more diverged."""
-        return extent(self.subject.training)
+def estimated_constants(fit: EvidenceFit, choice: ModelChoice) -> dict[str, Estimate]:
+    """Each learned constant, by its name; the drag by its principal values."""
+    paths, estimates = choice.paths(), dict(fit.constants)
+    named = {
+        name: estimates.pop(path)
+        for name, path in paths.items()
+        if path != CONSTANTS["drag"]
+    }
+    if CONSTANTS["drag"] in paths.values():
+        drags = principal_drags(fit.posterior)
+        return named | {f"drag {name}": value for name, value in drags.items()}
+    return named | estimates
 
 
-def force_fields(model: Swimmer, setting: Setting) -> tuple[FieldMap, FieldMap]:
-    """Learned and true force around the training data."""
-    assert setting.truth is not None
-    training = setting.subject.training
-    true = field_map(setting.truth.true_swimmer.environment, training)
-    return field_map(model.environment, training), true
+def rotational_part(fit: EvidenceFit, data: Trajectories) -> dict[str, Estimate]:
+    """The rotational fraction of a mixture where there are data; else nothing."""
+    environment = fit.model.environment
+    if not isinstance(environment, KernelMixture):
+        return {}
+    field = field_map(environment, data)
+    points = np.stack(np.meshgrid(field.x, field.y), axis=-1)
+    visited = points[field.distance <= field.regions.visited]
+    return {"rotational fraction": rotational_fraction(fit.posterior, visited)}
 
 
-class Prediction(eqx.Module):
-    """Rollouts of one model beside what was observed.
-
-    Attributes:
-        observed: the trajectories, what is not scored marked as not observed.
-        ys: predicted states.
-        outcomes: how the rollouts ended.
-        starts: the estimated starts; None where the first samples were taken.
-    """
-
-    observed: Trajectories
-    ys: np.ndarray
-    outcomes: tuple[Outcome, ...]
-    starts: Starts | None
+def _process_arrays(fit: EvidenceFit) -> dict[str, np.ndarray]:
+    """The kernels of the process that is the prior of a network; else nothing."""
+    weights = fit.linear.weights
+    if not isinstance(weights, TangentWeights):
+        return {}
+    kernels: Any = weights.process.kernels
+    return {
+        "process/centers": np.asarray(kernels.centers),
+        "process/width": np.asarray(kernels.width),
+    }
 
 
-def starts_are_estimated(subject: Subject, data: Trajectories) -> bool:
-    """Whether the first samples are no starts: incomplete, or of noisy data."""
-    return subject.posterior is not None or not bool(data.observed[:, 0].all())
-
-
-def prediction(
-    model: AbstractDynamics, data: Trajectories, *, estimate: bool
-) -> Prediction:
-    """Roll a model out from each start.
-
-    Args:
-        model: what predicts.
-        data: what was observed.
-        estimate: fit each start to the first samples, and score those after them.
-    """
-    if not estimate:
-        return Prediction(data, *predict(model, data), None)
-    starts = estimate_starts(model, data)
-    ys, outcomes = predict(model, data, starts=starts.states)
-    return Prediction(without_first(data, START_SAMPLES), ys, outcomes, starts)
-
-
-def read_data(path: Path, subject: Subject) -> Trajectories:
-    """Trajectories to score; positions alone get velocities that nobody observed.
-
-    Raises:
-        InputError: the file cannot be read, or its channels are not the model's.
-    """
-    data = with_all_channels(load(path), subject.known)
-    if len(data.channels) != len(subject.known.channels):
-        raise InputError(
-            f"{path}: expected the channels {', '.join(subject.known.channels)} of "
-            f"the run, or the positions among them, got {', '.join(data.channels)}"
+def _read_evidence(
+    folder: RunFolder, choice: ModelChoice, model: AbstractDynamics
+) -> EvidenceResult:
+    stored = folder.read_arrays(POSTERIOR_FILE)
+    try:
+        free, theta = freed(model, choice.trainable)
+        if theta.shape != stored["mean"].shape:
+            raise InputError(
+                f"{folder.path}: {POSTERIOR_FILE} and {MODEL_FILE} are not of the same "
+                "fit; copy both from one run"
+            )
+        hyperparameters = Hyperparameters(
+            shape=stored["shape"],
+            amplitude=float(stored["amplitude"]),
+            noise=float(stored["noise"]),
+            log_evidence=float(stored["log_evidence"]),
         )
-    return data
+        return EvidenceResult(
+            posterior=Posterior(free, stored["mean"], stored["covariance"]),
+            hyperparameters=hyperparameters,
+            constants={
+                name.removeprefix("constant/"): Estimate(*map(float, stored[name]))
+                for name in sorted(stored)
+                if name.startswith("constant/")
+            },
+            states=stored["states"],
+            outcome=str(stored["outcome"]),
+            iterations=int(stored["iterations"]),
+            process=_read_process(choice, stored),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(
+            f"{folder.path / POSTERIOR_FILE} is damaged ({error}); fit again with "
+            "--overwrite"
+        ) from error
 
 
-def true_scenario(data: Trajectories, subject: Subject) -> System | None:
-    """The scenario that either the data or the training data were simulated from."""
-    for provenance in (data.provenance, subject.training.provenance):
-        if "scenario" in provenance:
-            return scenario(provenance["scenario"])
-    return None
-
-
-def as_cell(value: float | int) -> Any:
-    """A number for JSON and tables: NaN is None, infinity the word "diverged"."""
-    if isinstance(value, int):
-        return value
-    if np.isnan(value):
+def _read_process(
+    choice: ModelChoice, stored: dict[str, np.ndarray]
+) -> KernelForce | KernelPotential | None:
+    if "process/centers" not in stored:
         return None
-    return "diverged" if np.isinf(value) else float(value)
+    kind = KernelForce if choice.name == "neural-force" else KernelPotential
+    return kind.untrained(stored["process/centers"], float(stored["process/width"]))
+
+
+def _hashes(data: Trajectories) -> Iterator[bytes]:
+    """A hash of the observed samples of each trajectory."""
+    for piece in data:
+        seen = piece.observed.any(axis=0)
+        states = np.where(piece.observed, piece.states, 0.0)[:, seen]
+        digest = hashlib.sha256(np.ascontiguousarray(piece.times, float).tobytes())
+        digest.update(np.ascontiguousarray(states, float).tobytes())
+        yield digest.digest()

@@ -7,8 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.scenarios import scenario
-from pinav.scenarios.crossings import RING
 from pinav.systems import Observation, System
 from pinav.trajectories import Trajectories, simulate
 
@@ -17,32 +15,25 @@ HELD_OUT, HELD_OUT_SEED = 64, 64_000
 
 
 def held_out(
-    truth: str | System, *, until: float | None = None, count: int = HELD_OUT
+    system: System, *, until: float | None = None, count: int = HELD_OUT
 ) -> Trajectories:
     """Solutions of the truth without observation noise, for scoring.
 
-    Stochastic truths give realisations of their own Brownian motion.
-
-    The single start of `paper` is replaced by shots from a ring around its barrier, as
-    in `barrier-crossings`.
+    Starts are drawn by the system's rule; that of `paper`, which has a single start,
+    is the ring of `barrier-crossings` around its barrier. Stochastic truths give
+    realisations of their own Brownian motion.
 
     Args:
-        truth: a system with starts, or the name of a scenario. Where no rule draws its
-            starts, they are those that it states.
-        until: time [T] since the start up to which to solve, sampled as the scenario
+        system: with its true environment and a rule that draws starts.
+        until: time [T] since the start up to which to solve, sampled as the system
             is; its own unless given.
         count: number of trajectories.
 
     Raises:
-        InputError: the scenario is unknown, or its truth is not stated.
+        InputError: the truth is not stated, or no rule draws starts.
     """
     key = jax.random.key(HELD_OUT_SEED)
-    system = scenario(truth) if isinstance(truth, str) else truth
-    if system.rule is not None:
-        system = system.with_starts(key, count)
-    elif system.name == "paper":
-        starts = RING.draw(system.order, key, count)
-        system = dataclasses.replace(system, starts=starts)
+    system = system.with_starts(key, count)
     system = dataclasses.replace(system, observation=Observation())
     if until is not None:
         system = dataclasses.replace(system, times=_times(system, until))

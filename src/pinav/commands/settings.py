@@ -14,6 +14,26 @@ from pinav.errors import InputError
 
 RecipeName = Literal["default", "paper"]
 
+ModelName = Literal[
+    "kernel-potential",
+    "kernel-force",
+    "kernel-mixture",
+    "kernel-potential-time",
+    "neural-potential",
+    "neural-force",
+    "ude",
+    "physics-only",
+    "nn-only",
+]
+
+SystemName = Annotated[
+    str | None,
+    tyro.conf.arg(
+        help="What is known of the swimmer: a system file (.toml), module.py:name, or "
+        "the name of a built-in system such as paper. The system that the data were "
+        "simulated from unless given."
+    ),
+]
 ConfigFile = Annotated[
     Path | None,
     tyro.conf.arg(

@@ -7,7 +7,7 @@ class ParameterRecovery(eqx.Module):
     """A learned constant beside its truth.
 
     Attributes:
-        name: what `pinav fit --learn` calls it.
+        name: what `pinav fit --train` calls it.
         true: its true value.
         value: its learned value.
         sd: its standard deviation, where the fit gives one.

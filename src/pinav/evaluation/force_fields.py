@@ -6,6 +6,7 @@ unvisited, $d > \ell_2$. The lengths $\ell_1 < \ell_2$ are those of `Regions`.
 """
 
 import dataclasses
+from collections.abc import Mapping
 
 import equinox as eqx
 import jax
@@ -116,6 +117,12 @@ class FieldMap(eqx.Module):
     force: Float[np.ndarray, "rows columns 2"]
     distance: Float[np.ndarray, "rows columns"]
     regions: Regions = Regions()
+
+    @classmethod
+    def of_arrays(cls, arrays: Mapping[str, np.ndarray], name: str) -> "FieldMap":
+        """The map of that name among the arrays that a run keeps."""
+        x, y, distance = (arrays[f"field/{part}"] for part in ("x", "y", "distance"))
+        return cls(x, y, arrays[f"field/{name}"], distance)
 
     def showing(self, force: Float[np.ndarray, "rows columns 2"]) -> "FieldMap":
         """Another force [L T⁻²] on the same grid."""

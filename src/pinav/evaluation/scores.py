@@ -56,6 +56,12 @@ class Score(eqx.Module):
         chosen = [name in POSITION_CHANNELS for name in self.channels]
         return _root_mean_square(self.rmse[chosen])
 
+    def by_name(self) -> dict[str, float]:
+        """Each error by its name, without what was never observed."""
+        errors = zip(self.channels, map(float, self.rmse), strict=True)
+        by_channel = {name: error for name, error in errors if not np.isnan(error)}
+        return by_channel | {"total": self.total, "position": self.position}
+
 
 def _root_mean_square(errors: Float[np.ndarray, " state"]) -> float:
     seen = errors[~np.isnan(errors)]

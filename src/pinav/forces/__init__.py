@@ -6,7 +6,9 @@ from pinav.forces.drag import LinearDrag as LinearDrag
 from pinav.forces.drag import TensorDrag as TensorDrag
 from pinav.forces.flows import AbstractFlow as AbstractFlow
 from pinav.forces.flows import PoiseuilleFlow as PoiseuilleFlow
+from pinav.forces.flows import SampledFlow as SampledFlow
 from pinav.forces.flows import ShearFlow as ShearFlow
+from pinav.forces.flows import SumFlow as SumFlow
 from pinav.forces.flows import UniformFlow as UniformFlow
 from pinav.forces.flows import VortexFlow as VortexFlow
 from pinav.forces.flows import ZeroFlow as ZeroFlow

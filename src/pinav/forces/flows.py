@@ -93,6 +93,38 @@ class VortexFlow(AbstractFlow):
         return self.rate * fading * jnp.stack([-offset[1], offset[0]])
 
 
+class SampledFlow(AbstractFlow):
+    """A velocity that is the same everywhere and linear between given times.
+
+    Attributes:
+        times: increasing [T].
+        velocities: at those times [L T⁻¹]; the first and the last hold beyond.
+    """
+
+    times: Float[Array, " time"]
+    velocities: Float[Array, "time dim"]
+
+    def __call__(self, t, x):
+        components = [
+            jnp.interp(jnp.asarray(t, self.times.dtype), self.times, column)
+            for column in self.velocities.T
+        ]
+        return jnp.stack(components).astype(x.dtype)
+
+
+class SumFlow(AbstractFlow):
+    """Sum of flows, each a term of its own.
+
+    Attributes:
+        terms: the flows that add up.
+    """
+
+    terms: tuple[AbstractFlow, ...]
+
+    def __call__(self, t, x):
+        return sum((flow(t, x) for flow in self.terms), jnp.zeros_like(x))
+
+
 class UniformFlow(AbstractFlow):
     """The same velocity everywhere, at all times: a drift.
 

@@ -9,7 +9,7 @@ from pinav.scenarios.currents import (
     shear_current,
     vortex_current,
 )
-from pinav.scenarios.find import find_system
+from pinav.scenarios.find import find_system, source_system
 from pinav.scenarios.media import (
     anisotropic_drag,
     poiseuille,
@@ -37,6 +37,7 @@ __all__ = [
     "scenario",
     "shear",
     "shear_current",
+    "source_system",
     "swirl",
     "true_paths",
     "varying_director",

@@ -115,6 +115,7 @@ def paper(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
         dim=2,
         environment=paper_barrier(),
         starts=jnp.array([[0.0, 0.0, 3.503477, 3.439507]]),
+        rule=RING,
         times=jnp.linspace(0.0, 50.0, 501),
     )
 

@@ -1,10 +1,13 @@
 """Systems by what a user writes: a scenario's name, a file, a name in a Python file."""
 
+from collections.abc import Mapping
+from typing import Any
+
 from jaxtyping import PRNGKeyArray
 
 from pinav.errors import InputError
 from pinav.scenarios.catalogue import SCENARIOS, scenario
-from pinav.systems import System, read_system
+from pinav.systems import System, parse_system, read_system
 
 
 def find_system(
@@ -28,6 +31,21 @@ def find_system(
             f"one of the scenarios: {', '.join(sorted(SCENARIOS))}"
         )
     system = read_system(text)
-    if key is None and count is None:
+    if count is None and not (key is not None and system.starts_follow_rule):
         return system
     return system.with_starts(key, count)
+
+
+def source_system(provenance: Mapping[str, Any]) -> System | None:
+    """The system that data were simulated from; None where they do not say so.
+
+    Args:
+        provenance: of trajectories.
+
+    Raises:
+        InputError: the text of the system is damaged, or it names Python code.
+    """
+    if text := provenance.get("system"):
+        return parse_system(str(text))
+    name = provenance.get("scenario")
+    return SCENARIOS[name]() if name in SCENARIOS else None

@@ -1,62 +1,121 @@
-"""The paths of a scenario's truth, before anybody observes them."""
+"""The paths of a system's truth, before anybody observes them."""
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float64, PRNGKeyArray
+from jaxtyping import Array, Float, Float64, PRNGKeyArray
 
-from pinav.dynamics import Adaptive, BrownianSwimmer, rollout, sample_path
+from pinav.dynamics import (
+    Adaptive,
+    BrownianSwimmer,
+    OverdampedSwimmer,
+    rollout,
+    sample_path,
+)
 from pinav.errors import InputError
-from pinav.systems import System
+from pinav.forces import RollingPropulsion, SampledFlow, SumFlow
+from pinav.systems import System, WanderingVelocity
 
 SUBSTEPS = 8
 """Steps of a stochastic truth between two observations."""
 
 
 def true_paths(
-    scenario: System, key: PRNGKeyArray | None
+    system: System, key: PRNGKeyArray | None
 ) -> tuple[Float64[np.ndarray, "trajectory time state"], dict[str, Any]]:
-    """States at the times of a scenario, and the method by which they were found.
+    """States at the times of a system, and the method by which they were found.
 
     Args:
-        scenario: the true system.
-        key: random key of Brownian motion; unused where there is none.
+        system: with its true environment, starts and times.
+        key: random key of Brownian motion and of a wandering velocity; unused where
+            there is neither.
 
     Raises:
         InputError: the truth is stochastic and there is no key.
     """
-    truth = scenario.truth
-    if isinstance(truth, BrownianSwimmer):
-        method = {"solver": "Euler-Maruyama", "substeps": SUBSTEPS}
-        return _sampled(scenario, truth, key), method
-    solver = Adaptive()
-    solve = eqx.filter_jit(rollout)
-    runs = [solve(truth, y0, scenario.times, solver=solver) for y0 in scenario.starts]
-    name = type(solver.method).__name__
-    method = {"solver": name, "rtol": solver.rtol, "atol": solver.atol}
-    return np.stack([run.ys for run in runs]), method
+    truth = system.truth
+    stochastic = isinstance(truth, BrownianSwimmer) or system.wandering is not None
+    if not stochastic:
+        solver = Adaptive()
+        solve = eqx.filter_jit(rollout)
+        runs = [solve(truth, y0, system.times, solver=solver) for y0 in system.starts]
+        name = type(solver.method).__name__
+        method = {"solver": name, "rtol": solver.rtol, "atol": solver.atol}
+        return np.stack([run.ys for run in runs]), method
+    if key is None:
+        raise InputError(
+            f"simulate: system {system.name!r} is stochastic; "
+            "pass key=jax.random.key(seed)"
+        )
+    if not isinstance(truth, BrownianSwimmer):
+        assert isinstance(truth, OverdampedSwimmer)
+        truth = BrownianSwimmer(truth, 0.0)
+    method = {"solver": "Euler-Maruyama", "substeps": SUBSTEPS}
+    return _sampled(system, truth, key), method
 
 
 def _sampled(
-    scenario: System, truth: BrownianSwimmer, key: PRNGKeyArray | None
+    system: System, truth: BrownianSwimmer, key: PRNGKeyArray
 ) -> Float64[np.ndarray, "trajectory time state"]:
-    if key is None:
-        raise InputError(
-            f"simulate: scenario {scenario.name!r} is stochastic; "
-            "pass key=jax.random.key(seed)"
-        )
     key = jax.random.fold_in(key, 1)  # apart from the noise of observation
+    wandering = system.wandering
 
     @eqx.filter_jit
     def sample(truth, starts, times, indices):
         def one(y0, index):
             own = jax.random.fold_in(key, index)
-            return sample_path(truth, y0, times, key=own, substeps=SUBSTEPS).ys
+            wanderer = truth
+            if wandering is not None:
+                drift_key = jax.random.fold_in(own, 1)
+                wanderer = _wandering(truth, system, wandering, drift_key)
+            return sample_path(wanderer, y0, times, key=own, substeps=SUBSTEPS).ys
 
         return jax.vmap(one)(starts, indices)
 
-    indices = jnp.arange(len(scenario.starts))
-    return np.asarray(sample(truth, scenario.starts, scenario.times, indices))
+    indices = jnp.arange(len(system.starts))
+    return np.asarray(sample(truth, system.starts, system.times, indices))
+
+
+def _wandering(
+    truth: BrownianSwimmer,
+    system: System,
+    wandering: WanderingVelocity,
+    key: PRNGKeyArray,
+) -> BrownianSwimmer:
+    """The swimmer carried by one draw of its wandering velocity, linear in between."""
+    times, intervals = system.times, len(system.times) - 1
+    parts = jnp.arange(intervals * SUBSTEPS + 1) / SUBSTEPS
+    grid = jnp.interp(parts, jnp.arange(intervals + 1.0), times)
+    # Over a step the process keeps this part of its value, and gains the variance
+    # that it loses: exact at the steps, whatever their length.
+    kept = jnp.exp(-jnp.diff(grid) / wandering.memory)
+    kicks = jax.random.normal(key, (len(grid), system.dim))
+
+    def step(value, inputs):
+        part, kick = inputs
+        value = part * value + jnp.sqrt(1 - part**2) * kick
+        return value, value
+
+    later = jax.lax.scan(step, kicks[0], (kept, kicks[1:]))[1]
+    unit = jnp.concatenate([kicks[:1], later])
+    velocity = _deviation(truth, wandering, grid)[:, None] * unit
+    flow = SumFlow((truth.swimmer.flow, SampledFlow(grid, velocity)))
+    return dataclasses.replace(
+        truth, swimmer=dataclasses.replace(truth.swimmer, flow=flow)
+    )
+
+
+def _deviation(
+    truth: BrownianSwimmer, wandering: WanderingVelocity, times: Float[Array, " time"]
+) -> Float[Array, " time"]:
+    """Standard deviation of the wandering velocity, greater under a command."""
+    propulsion = truth.swimmer.propulsion
+    programme = getattr(propulsion, "programme", None)
+    if not isinstance(propulsion, RollingPropulsion) or programme is None:
+        return jnp.full_like(times, wandering.still)
+    frequency = jax.vmap(lambda t: programme(t)[0])(times)
+    return jnp.where(frequency > 0, wandering.driven, wandering.still)

@@ -448,7 +448,7 @@ def _sampling(system: System) -> TOML:
     tables: TOML = {}
     if system.rule is not None:
         tables["starts"] = encode("starts", system.rule)
-    if len(system.starts) and not _drawn_by_rule(system):
+    if len(system.starts) and not system.starts_follow_rule:
         states = encode("starts", system.starts)
         tables["starts"] = {**tables.get("starts", {}), "states": states}
     if len(system.times):
@@ -459,11 +459,6 @@ def _sampling(system: System) -> TOML:
         else:
             tables["times"] = {"values": encode("times", system.times)}
     return tables
-
-
-def _drawn_by_rule(system: System) -> bool:
-    rule = system.rule
-    return rule is not None and np.array_equal(rule.draw(system.order), system.starts)
 
 
 def _fields(key: str, value: eqx.Module) -> TOML:

@@ -129,6 +129,11 @@ class System(eqx.Module):
                 "system.thermal_energy: expected a swimmer without inertia (order 1); "
                 "thermal noise of order 2 is not implemented, drop it"
             )
+        if self.wandering is not None and self.order == 2:
+            raise InputError(
+                "system.wandering: expected a swimmer without inertia (order 1), got "
+                "order 2; drop it"
+            )
         if isinstance(energy, float | int) and energy < 0:
             raise InputError(f"system.thermal_energy: expected >= 0, got {energy}")
         if len(self.starts) and self.starts.shape[1] != len(self.channels):
@@ -217,6 +222,14 @@ class System(eqx.Module):
     def with_truth(self, environment: AbstractForce) -> "System":
         """The system in another true environment."""
         return dataclasses.replace(self, environment=environment)
+
+    @property
+    def starts_follow_rule(self) -> bool:
+        """The starts are those that the rule draws by its own seed and number."""
+        if self.rule is None:
+            return False
+        drawn = self.rule.draw(self.order)
+        return drawn.shape == self.starts.shape and bool((drawn == self.starts).all())
 
     def with_starts(
         self, key: PRNGKeyArray | None = None, count: int | None = None

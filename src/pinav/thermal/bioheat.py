@@ -75,15 +75,15 @@ class Bioheat(eqx.Module):
 
 
 class Rates(eqx.Module):
-    """How temperature and the ledger change.
+    """Rates of change of temperature and heat flows.
 
     Attributes:
         temperature: of each cell [K s⁻¹].
-        ledger: heat brought in, taken by blood, and lost through the sides [W].
+        energy: heat brought in, taken by blood, and lost through the sides [W].
     """
 
     temperature: Field
-    ledger: Float[Array, "3"]
+    energy: Float[Array, "3"]
 
 
 class HeatBalance(eqx.Module):
@@ -140,14 +140,14 @@ class HeatBalance(eqx.Module):
         mass = self.perfusion(temperature)
         return self.blood.specific_heat * mass * (temperature - self.blood.arterial)
 
-    def heated(self, levels: Float[Array, " source"]) -> Field:
+    def heating(self, levels: Float[Array, " source"]) -> Field:
         """What metabolism and the sources bring into each cell [W]."""
         heat = self.metabolic
         for index, shape in enumerate(self.shapes):
             heat = heat + levels[index] * shape
         return heat
 
-    def conducted(self, temperature: Field) -> tuple[Field, Float[Array, ""]]:
+    def conduction(self, temperature: Field) -> tuple[Field, Float[Array, ""]]:
         """What conduction brings into each cell, and what leaves the sides [W]."""
         gain, lost = jnp.zeros_like(temperature), jnp.asarray(0.0)
         for axis, conductance in enumerate(self.conductances):
@@ -161,15 +161,15 @@ class HeatBalance(eqx.Module):
             below = _part(conductance, axis, 0, 1) * first
             above = _part(conductance, axis, count, count + 1) * last
             # zeros around each part: joined before, they would be several times slower
-            gain = gain + _padded(inner, axis, 0, 1) - _padded(inner, axis, 1, 0)
-            gain = gain - _padded(below, axis, 0, count - 1)
-            gain = gain - _padded(above, axis, count - 1, 0)
+            gain = gain + _pad(inner, axis, 0, 1) - _pad(inner, axis, 1, 0)
+            gain = gain - _pad(below, axis, 0, count - 1)
+            gain = gain - _pad(above, axis, count - 1, 0)
             lost = lost + jnp.sum(below) + jnp.sum(above)
         return gain, lost
 
     def rates(self, temperature: Field, levels: Float[Array, " source"]) -> Rates:
         """Rates of change, and the heat flows behind them."""
-        heat, (gain, lost) = self.heated(levels), self.conducted(temperature)
+        heat, (gain, lost) = self.heating(levels), self.conduction(temperature)
         taken = self.sink(temperature) * self.volumes
         change = (gain + heat - taken) * self.inverse_capacity
         total = jnp.stack([jnp.sum(heat), jnp.sum(taken), lost])
@@ -231,7 +231,7 @@ def _part(array, axis, start, stop):
     return jax.lax.slice_in_dim(array, start, stop, axis=axis)
 
 
-def _padded(array, axis, before, after):
+def _pad(array, axis, before, after):
     """With zeros before and after along an axis."""
     widths = [(0, 0, 0)] * array.ndim
     widths[axis] = (before, after, 0)

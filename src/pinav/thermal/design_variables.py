@@ -15,7 +15,7 @@ from pinav.thermal.quantities import Number
 from pinav.thermal.sources import ParticleSource, PowerSource
 
 
-class Treated(eqx.Module):
+class Run(eqx.Module):
     """What is run: tissue with its particles, and the field over time.
 
     Attributes:
@@ -27,7 +27,7 @@ class Treated(eqx.Module):
     protocol: Piecewise
 
 
-class AbstractFreedom(eqx.Module):
+class AbstractDesignVariable(eqx.Module):
     """Numbers between 0 and 1 that change a run."""
 
     @property
@@ -36,11 +36,11 @@ class AbstractFreedom(eqx.Module):
         """Where an optimisation begins."""
 
     @abc.abstractmethod
-    def apply(self, numbers: Float[Array, " number"], run: Treated) -> Treated:
+    def apply(self, numbers: Float[Array, " number"], run: Run) -> Run:
         """The run with these numbers."""
 
 
-class FreeAmplitudes(AbstractFreedom):
+class FreeAmplitudes(AbstractDesignVariable):
     r"""A constant amplitude in each interval of the protocol, $H_j = x_j H_{max}$.
 
     Attributes:
@@ -73,10 +73,10 @@ class FreeAmplitudes(AbstractFreedom):
         protocol = eqx.tree_at(
             lambda p: (p.starts, p.ends), run.protocol, (values,) * 2
         )
-        return Treated(run.model, protocol)
+        return Run(run.model, protocol)
 
 
-class FreeScale(AbstractFreedom):
+class FreeScale(AbstractDesignVariable):
     """One factor of all amplitudes, the pattern kept: for bursts and ramps.
 
     Attributes:
@@ -96,10 +96,10 @@ class FreeScale(AbstractFreedom):
         own = run.protocol
         values = own.starts * factor, own.ends * factor
         protocol = eqx.tree_at(lambda p: (p.starts, p.ends), own, values)
-        return Treated(run.model, protocol)
+        return Run(run.model, protocol)
 
 
-class FreeFrequency(AbstractFreedom):
+class FreeFrequency(AbstractDesignVariable):
     """The frequency, on a logarithmic scale between two bounds [Hz].
 
     Attributes:
@@ -129,10 +129,10 @@ class FreeFrequency(AbstractFreedom):
     def apply(self, numbers, run):
         frequency = self.low * (self.high / self.low) ** numbers[0]
         protocol = eqx.tree_at(lambda p: p.frequency, run.protocol, frequency)
-        return Treated(run.model, protocol)
+        return Run(run.model, protocol)
 
 
-class FreePlacement(AbstractFreedom):
+class FreePlacement(AbstractDesignVariable):
     r"""Where the particles or the power of the first source go, their total kept.
 
     The field is $\sum_k s_k(x)\,b_k$ of given patterns of one total, with weights $s$
@@ -162,7 +162,7 @@ class FreePlacement(AbstractFreedom):
                 f"source, got {type(first).__name__}"
             )
         model = eqx.tree_at(lambda m: m.sources, run.model, (moved, *others))
-        return Treated(model, run.protocol)
+        return Run(model, run.protocol)
 
 
 RANGE = 14.0

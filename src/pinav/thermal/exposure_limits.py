@@ -20,7 +20,7 @@ from pinav.thermal.perfusion import AbstractPerfusion
 from pinav.thermal.protocols import AbstractProtocol, Piecewise
 from pinav.thermal.quantities import Number
 from pinav.thermal.rosenbrock import Rosenbrock
-from pinav.thermal.schedule import timetable
+from pinav.thermal.schedule import plan_steps
 from pinav.thermal.solve import State, run
 from pinav.thermal.sources import EddySource
 from pinav.thermal.tissues import Blood, Tissue
@@ -142,7 +142,7 @@ class EddyTemperatureLimit(AbstractLimit):
         found = run(
             model,
             protocol,
-            timetable(protocol, LONGEST),
+            plan_steps(protocol, LONGEST),
             stepper=Rosenbrock(LONGEST),
             observe=jnp.max,
             start=State.at_rest(model),
@@ -197,7 +197,7 @@ def limit(name: str) -> AbstractLimit:
     return LIMITS[name]
 
 
-def doubtful(
+def validity_warnings(
     model: Bioheat, protocol: Piecewise, hottest: Scalar | None = None
 ) -> list[str]:
     """What of a run lies outside the range of its laws, one sentence each.

@@ -297,7 +297,7 @@ def _check_center(center):
         )
 
 
-def scaled_to(
+def scale_to(
     field: Float[Array, "..."], grid: AbstractGrid, total: Scalar
 ) -> Float[Array, "..."]:
     """The field times a factor that makes its integral `total`.

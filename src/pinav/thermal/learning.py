@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
+from pinav.errors import InputError
 from pinav.fitting import EvidenceFit
 from pinav.fitting.bayes.derived import derived
 from pinav.fitting.engine.posterior import Posterior
@@ -24,7 +25,7 @@ from pinav.thermal.learned_perfusion import AbstractLearnedPerfusion
 from pinav.thermal.probes import ProbeData
 from pinav.thermal.protocols import AbstractProtocol
 from pinav.thermal.quantities import Number, Numbers
-from pinav.thermal.schedule import Timetable, timetable
+from pinav.thermal.schedule import Schedule, plan_steps
 from pinav.thermal.solve import Probes, State, default_stepper, run, solve
 from pinav.thermal.steppers import AbstractStepper
 
@@ -37,7 +38,7 @@ class ProbeResiduals(eqx.Module):
 
     Attributes:
         protocol: the field.
-        table: time steps, which end at the readings.
+        schedule: time steps, which end at the readings.
         stepper: how time advances.
         probes: where temperatures are read.
         values: the readings there are [°C].
@@ -45,7 +46,7 @@ class ProbeResiduals(eqx.Module):
     """
 
     protocol: AbstractProtocol
-    table: Timetable
+    schedule: Schedule
     stepper: AbstractStepper
     probes: Probes
     values: Float[Array, " reading"]
@@ -56,7 +57,7 @@ class ProbeResiduals(eqx.Module):
         found = run(
             model,
             self.protocol,
-            self.table,
+            self.schedule,
             stepper=self.stepper,
             observe=self.probes,
             start=State.at_rest(model),
@@ -76,11 +77,18 @@ def probe_residuals(
     Raises:
         InputError: a probe is outside the grid, or a reading after the protocol.
     """
+    axes, columns = len(model.grid.shape), data.points.shape[1]
+    if columns != axes:
+        names = "t, r, T" if axes == 1 else ", ".join(("t", *"xyz"[:axes], "T"))
+        raise InputError(
+            f"readings: expected places with {axes} coordinates (columns {names}) for "
+            f"this grid, got {columns}"
+        )
     stepper = default_stepper(model) if stepper is None else stepper
     longest = stepper.longest_step(model)
     return ProbeResiduals(
         protocol=protocol,
-        table=timetable(protocol, longest, save_at=data.times.tolist()),
+        schedule=plan_steps(protocol, longest, save_at=data.times.tolist()),
         stepper=stepper,
         probes=Probes(model.grid.interpolation(data.points)),
         values=jnp.asarray(data.values[data.observed]),

@@ -182,7 +182,7 @@ def lang(tissue: str) -> AbstractPerfusion:
 class MixedPerfusion(AbstractPerfusion):
     """Two laws in the cells that a mask shares between them, averaged by volume.
 
-    `localised` makes one that evaluates the inner law only where the mask is.
+    `on_mask` makes one that evaluates the inner law only where the mask is.
 
     Attributes:
         share: volume fraction of `inside` in each cell; fixed.
@@ -198,7 +198,7 @@ class MixedPerfusion(AbstractPerfusion):
     box: tuple[tuple[int, int], ...] | None = eqx.field(static=True, default=None)
 
     @classmethod
-    def localised(
+    def on_mask(
         cls,
         share: Float[Array, "..."],
         inside: AbstractPerfusion,
@@ -214,11 +214,11 @@ class MixedPerfusion(AbstractPerfusion):
     def __call__(self, temperature):
         without = self.outside(temperature)
         if self.box is None:
-            return self._mixed(self.share, temperature, without)
+            return self._mix(self.share, temperature, without)
         cut = tuple(slice(*ends) for ends in self.box)
-        part = self._mixed(self.share[cut], temperature[cut], without[cut])
+        part = self._mix(self.share[cut], temperature[cut], without[cut])
         first = tuple(start for start, _ in self.box)
         return jax.lax.dynamic_update_slice(without, part, first)
 
-    def _mixed(self, share, temperature, without):
+    def _mix(self, share, temperature, without):
         return share * self.inside(temperature) + (1 - share) * without

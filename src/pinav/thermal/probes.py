@@ -16,6 +16,9 @@ from pinav.thermal.quantities import Number
 from pinav.thermal.solve import probes_at, solve
 from pinav.thermal.steppers import AbstractStepper
 
+HOTTEST_READING = 200.0
+"""Magnitude [°C] of a reading that is taken for kelvins."""
+
 AXES = {("r",): 1, ("x",): 1, ("x", "y"): 2, ("x", "y", "z"): 3}
 
 
@@ -133,7 +136,7 @@ def load_probes(path: Path) -> ProbeData:
             f"{', '.join(names) or 'none'}"
         )
     cells = [_numbers(path, i, row, len(names)) for i, row in enumerate(rows, 2)]
-    return _gridded(path, np.array(cells).reshape(-1, len(names)))
+    return _to_grid(path, np.array(cells).reshape(-1, len(names)))
 
 
 def _numbers(path, line, row, count):
@@ -152,10 +155,23 @@ def _numbers(path, line, row, count):
     return found
 
 
-def _gridded(path, cells):
+def _to_grid(path, cells):
     """One row for each time, one column for each probe, missing where nothing was."""
     if not len(cells):
         raise InputError(f"{path}: expected readings, got a header alone")
+    hot = np.abs(cells[:, -1]) > HOTTEST_READING
+    if hot.any():
+        raise InputError(
+            f"{path}: expected temperatures in °C, got {cells[hot, -1][0]:g}; subtract "
+            "273.15 from kelvins"
+        )
+    keys, counts = np.unique(cells[:, :-1], axis=0, return_counts=True)
+    if counts.max() > 1:
+        t, *place = keys[counts.argmax()]
+        raise InputError(
+            f"{path}: expected one reading for each time and place, got "
+            f"{counts.max()} at t = {t:g} s and {place} m; remove or average them"
+        )
     times, when = np.unique(cells[:, 0], return_inverse=True)
     points, where = np.unique(cells[:, 1:-1], axis=0, return_inverse=True)
     values = np.full((len(times), len(points)), np.nan)

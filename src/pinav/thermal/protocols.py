@@ -126,7 +126,7 @@ class Piecewise(AbstractProtocol):
             frequency=self.frequency,
         )
 
-    def cooled(self, duration: Number) -> "Piecewise":
+    def with_cooling(self, duration: Number) -> "Piecewise":
         """This protocol, then no field for a while [s]."""
         off = Piecewise.constant((0.0, duration), [0.0], self.frequency)
         return self.then(off)

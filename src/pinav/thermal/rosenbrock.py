@@ -69,7 +69,7 @@ class Rosenbrock(AbstractStepper):
         before = stages.before(temperature)
         added, kept = jax.vmap(watch)(before, stages.after, steps)
         first, second = _slopes(stages, balance, temperature, steps, levels)
-        flows = 0.5 * steps @ (3 * first.ledger + second.ledger)
+        flows = 0.5 * steps @ (3 * first.energy + second.energy)
         return March(stages.after[-1], jnp.sum(added, axis=0), flows, kept)
 
 
@@ -147,22 +147,22 @@ def _slopes(stages: _Stages, balance, temperature, steps, levels):
         _, along2 = jax.jvp(rates, (begin,), (k2,))
         end = balance.rates(begin + dt * k1, level[1])
         shift = _shift(balance, level[0], level[1])
-        first = _added(start, along1, shift, GAMMA * dt)
-        second = _added(end, along2, jax.tree.map(jnp.negative, shift), GAMMA * dt)
-        given = Rates(k1, first.ledger)
+        first = _add(start, along1, shift, GAMMA * dt)
+        second = _add(end, along2, jax.tree.map(jnp.negative, shift), GAMMA * dt)
+        given = Rates(k1, first.energy)
         return first, jax.tree.map(lambda b, a: b - 2 * a, second, given)
 
     before = stages.before(temperature)
     return jax.vmap(each)(before, stages.first, stages.second, steps, levels)
 
 
-def _added(rates, along, shift, weight):
+def _add(rates, along, shift, weight):
     return jax.tree.map(lambda r, a, s: r + weight * a + s, rates, along, shift)
 
 
 def _shift(balance, level, later) -> Rates:
     """What the change of the sources over a step adds to a stage."""
-    heating = GAMMA * (balance.heated(later) - balance.heated(level))
+    heating = GAMMA * (balance.heating(later) - balance.heating(level))
     nothing = jnp.zeros(())
     flows = jnp.stack([jnp.sum(heating), nothing, nothing])
     return Rates(heating * balance.inverse_capacity, flows)

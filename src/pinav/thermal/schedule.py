@@ -12,7 +12,7 @@ COINCIDENT = 1e-9
 """Times closer than this, relative to the duration, are one time."""
 
 
-class Timetable(eqx.Module):
+class Schedule(eqx.Module):
     """All steps of a run, none of which crosses a switch or a saved time.
 
     Steps of no length fill up the last block, so that blocks are equal.
@@ -34,14 +34,14 @@ class Timetable(eqx.Module):
     block: int = eqx.field(static=True)
 
 
-def timetable(
+def plan_steps(
     protocol: AbstractProtocol,
     longest: Number,
     *,
     save_every: Number | None = None,
     save_at: Numbers | None = None,
     start: Number = 0.0,
-) -> Timetable:
+) -> Schedule:
     """Equal steps between each two events, as long as allowed.
 
     Args:
@@ -57,11 +57,11 @@ def timetable(
     end = protocol.duration
     if not 0 <= start < end:
         raise InputError(
-            f"timetable start: expected within 0 and {end:g} s, got {start:g}"
+            f"schedule start: expected within 0 and {end:g} s, got {start:g}"
         )
     times = _saved_times(start, end, save_every, save_at)
     inner = [t for t in protocol.edges if start < t < end]
-    events = _merged(np.concatenate([[start, end], inner, times]), end)
+    events = _merge(np.concatenate([[start, end], inner, times]), end)
     counts = np.maximum(np.ceil(np.diff(events) / longest - 1e-9), 1).astype(int)
     steps = np.repeat(np.diff(events) / counts, counts)
     starts = np.concatenate(
@@ -76,7 +76,7 @@ def timetable(
     nearest = np.abs(events[:, None] - times[None]).argmin(axis=0)
     block = max(1, int(np.ceil(np.sqrt(len(steps)))))
     padding = -len(steps) % block
-    return Timetable(
+    return Schedule(
         starts=np.append(starts, np.full(padding, end)),
         steps=np.append(steps, np.zeros(padding)),
         intervals=np.append(intervals, np.full(padding, intervals[-1])),
@@ -102,10 +102,10 @@ def _saved_times(start, end, save_every, save_at):
         raise InputError(f"save_every: expected a time > 0 s, got {save_every}")
     count = int(np.floor((end - start) / save_every * (1 + COINCIDENT)))
     times = start + save_every * np.arange(1, count + 1)
-    return _merged(np.append(times, end), end)
+    return _merge(np.append(times, end), end)
 
 
-def _merged(times, end):
+def _merge(times, end):
     """Sorted times, those that coincide only once."""
     ordered = np.sort(times)
     kept = np.append(True, np.diff(ordered) > COINCIDENT * end)

@@ -1,4 +1,4 @@
-"""A run: temperature, dose and heat ledger over a protocol."""
+"""A run: temperature, dose and energy balance over a protocol."""
 
 from collections.abc import Callable
 from typing import Any
@@ -14,7 +14,7 @@ from pinav.thermal.dose import cem43_segment
 from pinav.thermal.protocols import AbstractProtocol
 from pinav.thermal.quantities import Number, Numbers
 from pinav.thermal.rosenbrock import Rosenbrock
-from pinav.thermal.schedule import Timetable, timetable
+from pinav.thermal.schedule import Schedule, plan_steps
 from pinav.thermal.steppers import RKL2, AbstractStepper
 
 Field = Float[Array, "..."]
@@ -40,7 +40,7 @@ class State(eqx.Module):
         return cls(jnp.asarray(0.0), arterial, jnp.zeros(model.grid.shape))
 
 
-class Ledger(eqx.Module):
+class EnergyBalance(eqx.Module):
     """Where the heat of a run went [J]; per area of a slab, per length of a cylinder.
 
     Attributes:
@@ -71,14 +71,14 @@ class Solution(eqx.Module):
         observed: what `observe` made of the temperature at those times.
         hottest: highest temperature [°C] at the end of every step.
         final: the state at the end; a run can go on from it.
-        ledger: where the heat went.
+        energy: where the heat went.
     """
 
     times: Float[Array, " time"]
     observed: PyTree
     hottest: Float[Array, " step"]
     final: State
-    ledger: Ledger
+    energy: EnergyBalance
 
 
 Observe = Callable[[Field], PyTree]
@@ -99,7 +99,7 @@ def solve(
     """Run a protocol, from rest or from a state.
 
     Differentiable by every number of the model and of the protocol but its times: pass
-    the `Timetable` of a nearby model to `run` inside a transformation.
+    the `Schedule` of a nearby model to `run` inside a transformation.
 
     Args:
         model: the tissue.
@@ -122,7 +122,7 @@ def solve(
             f"start: expected temperatures of shape {model.grid.shape}, got "
             f"{begin.temperature.shape}"
         )
-    table = timetable(
+    schedule = plan_steps(
         protocol,
         stepper.longest_step(model),
         save_every=save_every,
@@ -132,7 +132,7 @@ def solve(
     return run(
         model,
         protocol,
-        table,
+        schedule,
         stepper=stepper,
         observe=observe,
         start=begin,
@@ -142,21 +142,21 @@ def solve(
 
 def default_stepper(model: Bioheat) -> AbstractStepper:
     """Implicit along one axis, explicit in two and three."""
-    return Rosenbrock() if len(model.grid.shape) == 1 else RKL2.suited(model)
+    return Rosenbrock() if len(model.grid.shape) == 1 else RKL2.for_model(model)
 
 
 @eqx.filter_jit
 def run(
     model: Bioheat,
     protocol: AbstractProtocol,
-    table: Timetable,
+    schedule: Schedule,
     *,
     stepper: AbstractStepper,
     observe: Observe,
     start: State,
     cutoff: Number = 37.0,
 ) -> Solution:
-    """Run a protocol with a given timetable; see `solve`.
+    """Run a protocol with a given schedule; see `solve`.
 
     Reverse mode keeps the states of all steps; in a very large run those between blocks
     and of one block at a time, about twice the square root of the number of steps.
@@ -168,8 +168,8 @@ def run(
         at = begin + dt * nodes
         return jax.vmap(lambda t: model.levels(protocol, t, interval))(at)
 
-    steps, starts = jnp.asarray(table.steps), jnp.asarray(table.starts)
-    each = jax.vmap(levels)(starts, steps, jnp.asarray(table.intervals))
+    steps, starts = jnp.asarray(schedule.steps), jnp.asarray(schedule.starts)
+    each = jax.vmap(levels)(starts, steps, jnp.asarray(schedule.intervals))
 
     def watch(before, after, dt):
         dose = cem43_segment(before, after, dt, cutoff)
@@ -182,20 +182,20 @@ def run(
         return after, (marched.kept, marched.flows)
 
     # one block where reverse mode may keep the states of all steps
-    block = len(table.steps)
+    block = len(schedule.steps)
     if start.temperature.size * block > stepper.kept_values:
-        block, advance = table.block, jax.checkpoint(advance)
-    shape = len(table.steps) // block, block
+        block, advance = schedule.block, jax.checkpoint(advance)
+    shape = len(schedule.steps) // block, block
     blocks = jax.tree.map(lambda a: a.reshape(*shape, *a.shape[1:]), (steps, each))
     end, (kept, flows) = jax.lax.scan(advance, start, blocks)
     observed, hottest = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), kept)
-    saved = jnp.asarray(table.saved)
+    saved = jnp.asarray(schedule.saved)
     return Solution(
-        times=jnp.asarray(table.times),
+        times=jnp.asarray(schedule.times),
         observed=jax.tree.map(lambda a: a[saved], observed),
         hottest=hottest,
-        final=State(jnp.asarray(table.times[-1]), end.temperature, end.dose),
-        ledger=Ledger(
+        final=State(jnp.asarray(schedule.times[-1]), end.temperature, end.dose),
+        energy=EnergyBalance(
             *jnp.sum(flows, axis=0),
             stored=balance.stored(start.temperature, end.temperature),
         ),

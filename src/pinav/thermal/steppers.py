@@ -122,7 +122,7 @@ class RKL2(AbstractStepper):
         check_step("RKL2.longest", self.longest)
 
     @classmethod
-    def suited(cls, model: Bioheat) -> "RKL2":
+    def for_model(cls, model: Bioheat) -> "RKL2":
         """The number of stages that covers a time with the fewest evaluations."""
         rate = float(fastest_rate(model))
 
@@ -163,7 +163,7 @@ class RKL2(AbstractStepper):
             change = self._change(balance, before, dt, own)
             after = before + change.temperature
             added, kept = watch(before, after, dt)
-            flows = carry.flows + change.ledger
+            flows = carry.flows + change.energy
             return March(after, carry.total + added, flows, None), kept
 
         if temperature.size * len(steps) > FEW_VALUES:
@@ -191,7 +191,7 @@ class RKL2(AbstractStepper):
             return (following, last), None
 
         (end, _), _ = jax.lax.scan(stage, (after, initial), (rows, levels[1:]))
-        return Rates(end.temperature - temperature, end.ledger)
+        return Rates(end.temperature - temperature, end.energy)
 
 
 def _stable_step(stages, rate):
@@ -200,12 +200,12 @@ def _stable_step(stages, rate):
 
 class _Stage(eqx.Module):
     temperature: Field
-    ledger: Float[Array, "3"]
+    energy: Float[Array, "3"]
 
 
 def _slope(balance, stage, level):
     rates = balance.rates(stage.temperature, level)
-    return _Stage(rates.temperature, rates.ledger)
+    return _Stage(rates.temperature, rates.energy)
 
 
 def _rkl2_coefficients(s: int) -> tuple[Any, float]:

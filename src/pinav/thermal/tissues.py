@@ -160,7 +160,7 @@ def preset(name: str) -> Preset:
     return PRESETS[name]
 
 
-def mixed(share: Float[Array, "..."], inside: Tissue, outside: Tissue) -> Tissue:
+def mix(share: Float[Array, "..."], inside: Tissue, outside: Tissue) -> Tissue:
     r"""Two tissues in the cells that a mask shares between them.
 
     $1/k$, $\rho$, $\rho c$ and $Q_{met}$ are averaged by volume: heat that crosses a

@@ -18,11 +18,11 @@ from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion, lang
 from pinav.thermal.protocols import Piecewise, Waveform
 from pinav.thermal.quantities import Number, Numbers
 from pinav.thermal.rosenbrock import Rosenbrock
-from pinav.thermal.schedule import timetable
+from pinav.thermal.schedule import plan_steps
 from pinav.thermal.solve import State, probes_at, run, solve
 from pinav.thermal.sources import PowerSource
 from pinav.thermal.steppers import RKL2
-from pinav.thermal.tissues import Blood, Tissue, mixed
+from pinav.thermal.tissues import Blood, Tissue, mix
 
 AMPLITUDE = 1e4
 """Field [A m⁻¹] at which a power density is what it says."""
@@ -39,25 +39,25 @@ class Check(eqx.Module):
 
     Attributes:
         case: name of the case, and where the quantity is taken.
-        found: its value by the solver.
-        true: its exact value.
+        value: its value by the solver.
+        exact: its exact value.
         tolerance: largest difference that a second-order scheme is allowed here.
         unit: of all three.
     """
 
     case: str = eqx.field(static=True)
-    found: Number
-    true: Number
+    value: Number
+    exact: Number
     tolerance: Number
     unit: str = eqx.field(static=True)
 
     @property
     def error(self) -> float:
         """Absolute difference."""
-        return abs(self.found - self.true)
+        return abs(self.value - self.exact)
 
     @property
-    def passed(self) -> bool:
+    def within(self) -> bool:
         """Whether it is within the tolerance."""
         return self.error <= self.tolerance
 
@@ -96,7 +96,7 @@ def powers(edges: Numbers, factors: Numbers) -> Piecewise:
     return Piecewise.constant(edges, amplitudes, 1e5)
 
 
-def validate() -> list[Check]:
+def verify() -> list[Check]:
     """All cases."""
     return [check for case in CASES.values() for check in case()]
 
@@ -163,7 +163,7 @@ def _two_media() -> Iterator[Check]:
     share = grid.ball(radius)
     model = Bioheat(
         grid,
-        mixed(share, Tissue(0.778, 1660.0, 2540.0), Tissue(0.642, 1000.0, 3720.0)),
+        mix(share, Tissue(0.778, 1660.0, 2540.0), Tissue(0.642, 1000.0, 3720.0)),
         Blood(),
         ConstantPerfusion(0.0),
         (PowerSource(6.15e6 * share, AMPLITUDE),),
@@ -192,7 +192,7 @@ def _two_shells() -> Iterator[Check]:
     share = grid.ball(0.01)
     model = Bioheat(
         grid,
-        mixed(share, Tissue(0.55, 1045.0, 3600.0), Tissue(0.5, 1050.0, 3600.0)),
+        mix(share, Tissue(0.55, 1045.0, 3600.0), Tissue(0.5, 1050.0, 3600.0)),
         Blood(1000.0, 4180.0),
         MixedPerfusion(share, ConstantPerfusion(0.833), ConstantPerfusion(0.45)),
         (PowerSource(1.0579e5 * share + 700.0 * (1 - share), AMPLITUDE),),
@@ -282,7 +282,7 @@ def _doses() -> Iterator[Check]:
 
 def _sensitivities() -> Iterator[Check]:
     protocol = powers((0.0, STEADY), [1.0])
-    table = timetable(protocol, 1000.0)
+    schedule = plan_steps(protocol, 1000.0)
     probe = RadialGrid.sphere(0.005 * 405 / 25.5, 405).interpolation([0.0])[0]
 
     def rise(numbers):
@@ -296,7 +296,12 @@ def _sensitivities() -> Iterator[Check]:
         )
         begin = State.at_rest(model)
         found = run(
-            model, protocol, table, stepper=Rosenbrock(), observe=jnp.max, start=begin
+            model,
+            protocol,
+            schedule,
+            stepper=Rosenbrock(),
+            observe=jnp.max,
+            start=begin,
         )
         return probe @ found.final.temperature
 

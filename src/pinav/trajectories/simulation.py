@@ -1,60 +1,97 @@
-"""Trajectories of a scenario, with observation noise."""
+"""Trajectories of a system, with observation noise."""
+
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PRNGKeyArray
+from jaxtyping import Float64, PRNGKeyArray
 
 from pinav import __version__
 from pinav.errors import InputError
+from pinav.forces import RollingPropulsion
 from pinav.scenarios import true_paths
-from pinav.systems import System
+from pinav.systems import System, system_text
+from pinav.trajectories.degradation import MotionBlur
 from pinav.trajectories.trajectories import Trajectories
 
 
-def simulate(scenario: System, *, key: PRNGKeyArray | None = None) -> Trajectories:
+def simulate(system: System, *, key: PRNGKeyArray | None = None) -> Trajectories:
     """Solve the truth from every start of a system and observe it, with its noise.
 
+    The provenance holds the system as the text of its file, where a file can state it.
+
     Args:
-        scenario: the system, with its true environment, starts and times.
+        system: the system, with its true environment, starts and times.
         key: random key of observation noise and Brownian motion, where there are any.
 
     Raises:
         InputError: JAX or the system is in float32, a noise has no key, or the system
             states no true environment, no starts or no times.
     """
-    scenario.check_simulated()
-    if jnp.result_type(float) != jnp.float64 or scenario.starts.dtype != jnp.float64:
+    system.check_simulated()
+    if jnp.result_type(float) != jnp.float64 or system.starts.dtype != jnp.float64:
         raise InputError(
             "simulate: expected float64; call jax.config.update("
-            '"jax_enable_x64", True) before the scenario is made'
+            '"jax_enable_x64", True) before the system is made'
         )
-    shape = (len(scenario.starts), len(scenario.times), len(scenario.channels))
-    noise = _observation_noise(scenario, key, shape)
-    states, method = true_paths(scenario, key)
+    shape = (len(system.starts), len(system.times), len(system.channels))
+    noise = _observation_noise(system, key, shape)
+    states, method = true_paths(system, key)
+    provenance = {
+        "scenario": system.name,
+        "system": _text(system),
+        "noise": system.noise,
+        "key": None if key is None else jax.random.key_data(key).tolist(),
+        **method,
+        "pinav": __version__,
+    }
     return Trajectories.from_arrays(
-        scenario.times,
-        states + noise,
-        channels=scenario.channels,
-        units=scenario.units,
-        provenance={
-            "scenario": scenario.name,
-            "noise": scenario.noise,
-            "key": None if key is None else jax.random.key_data(key).tolist(),
-            **method,
-            "pinav": __version__,
-        },
+        system.times,
+        _exposed(system, states) + noise,
+        channels=system.channels,
+        commands=_commands(system),
+        units=system.units,
+        provenance=provenance,
     )
 
 
+def _text(system: System) -> str | None:
+    try:
+        return system_text(system)
+    except InputError:  # a network, or a class of the user's own
+        return None
+
+
+def _commands(system: System) -> dict[str, Any]:
+    """What the operator commanded, where the system states it."""
+    propulsion = system.swimmer.propulsion
+    if not isinstance(propulsion, RollingPropulsion) or propulsion.programme is None:
+        return {}
+    frequency, heading = jax.vmap(propulsion.programme)(system.times)
+    return {"frequency": np.asarray(frequency), "heading": np.asarray(heading)}
+
+
+def _exposed(
+    system: System, states: Float64[np.ndarray, "trajectory time state"]
+) -> Float64[np.ndarray, "trajectory time state"]:
+    """The states as a camera averages them, which is before its noise."""
+    exposure = system.observation.exposure
+    if exposure == 0:
+        return states
+    blur, random = MotionBlur(float(exposure)), np.random.default_rng(0)
+    sharp = Trajectories.from_arrays(system.times, states, channels=system.channels)
+    return np.stack([blur(piece, sharp.channels, random).states for piece in sharp])
+
+
 def _observation_noise(
-    scenario: System, key: PRNGKeyArray | None, shape: tuple[int, ...]
+    system: System, key: PRNGKeyArray | None, shape: tuple[int, ...]
 ) -> np.ndarray:
-    if scenario.noise == 0:
+    if system.noise == 0:
         return np.zeros(shape)
     if key is None:
         raise InputError(
-            f"simulate: scenario {scenario.name!r} adds noise of {scenario.noise}; "
+            f"simulate: system {system.name!r} adds noise of {system.noise}; "
             "pass key=jax.random.key(seed)"
         )
-    return scenario.noise * np.asarray(jax.random.normal(key, shape))
+    return system.noise * np.asarray(jax.random.normal(key, shape))

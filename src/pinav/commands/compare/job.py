@@ -3,27 +3,26 @@
 from collections.abc import Callable
 from typing import Any
 
-import msgspec
-
 from pinav.commands.command import CommandResult
 from pinav.commands.compare.command import COMPARE
 from pinav.commands.compare.settings import CompareOptions, CompareSettings
-from pinav.commands.fit.bayes import parts
-from pinav.commands.fit.settings import FitSettings
-from pinav.commands.models import (
-    TIMED,
-    fit_model,
-    known_physics,
-    mean_drag,
-    model_summary,
-    with_linear_drag,
-    with_tensor_drag,
-)
+from pinav.commands.fitted_run import rotational_part
 from pinav.commands.progress import BayesReporter
 from pinav.commands.start import fingerprint, start_run
+from pinav.commands.system_choice import choose_system
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import FitError, InputError
 from pinav.fitting import EvidenceFit, fit_bayes, fit_langevin, model_evidence
+from pinav.fitting.environments.catalogue import (
+    TIMED,
+    DataSummary,
+    ModelChoice,
+    build,
+    mean_drag,
+    summarise_for,
+    with_linear_drag,
+    with_tensor_drag,
+)
 from pinav.runs import RunFolder
 from pinav.systems import System
 from pinav.trajectories import Trajectories, load, with_unobserved
@@ -63,7 +62,7 @@ def checked(settings: CompareSettings, data: Trajectories) -> System:
     Raises:
         InputError: a candidate cannot be had with these data or these physics.
     """
-    known = known_physics(settings.physics, data)
+    known = choose_system(settings.system, data)
     inert = isinstance(known.swimmer, Swimmer)
     if "first-order" in settings.models and (
         not inert or data.observed[..., len(_positions(data)) :].any()
@@ -82,7 +81,7 @@ def checked(settings: CompareSettings, data: Trajectories) -> System:
     for name in {"isotropic-drag", "anisotropic-drag"} & set(settings.models):
         if not inert:
             raise InputError(f"--models {name}: expected physics with inertia; drop it")
-        mean_drag(known.swimmer, {"mean": [0.0, 0.0], "dim": 2})
+        mean_drag(known.swimmer)
     return known
 
 
@@ -113,7 +112,7 @@ def _row(name, settings, known: System, data, folder) -> dict[str, Any]:
     except FitError as error:
         return {"outcome": "failed", "reason": str(error), "log_evidence": None}
     evidence = model_evidence(found.linear, found.hyperparameters)
-    estimates = parts(found, data)
+    estimates = rotational_part(found, data)
     return {
         "outcome": str(found.outcome),
         "noise": found.hyperparameters.noise,
@@ -138,8 +137,8 @@ def fitted(
         FitError: it led nowhere from the first step on.
     """
     kernels = "kernel-potential" if name in KERNEL_POTENTIAL else name
-    own = msgspec.convert({"model": kernels}, FitSettings)
-    summary = model_summary(kernels, data)
+    choice = ModelChoice(kernels)
+    summary = summarise_for(choice, data)
     swimmer, seen = known.swimmer, data
     if name == "first-order" and isinstance(swimmer, Swimmer):
         swimmer, seen = _without_inertia(swimmer, summary), positions_alone(data)
@@ -150,7 +149,7 @@ def fitted(
         swimmer = with_linear_drag(swimmer, summary)
     if name == "anisotropic-drag":
         swimmer = with_tensor_drag(swimmer, summary)
-    model = fit_model(own, swimmer, summary)
+    model = build(choice, swimmer, summary)
     if known.thermal_energy is not None:
         return fit_langevin(model, data)
     with BayesReporter(folder, name) as report:
@@ -165,7 +164,7 @@ def fitted(
         )
 
 
-def _without_inertia(swimmer: Swimmer, summary) -> OverdampedSwimmer:
+def _without_inertia(swimmer: Swimmer, summary: DataSummary) -> OverdampedSwimmer:
     """The limit of strong drag: the mobility is one over the drag."""
     mobility = 1 / mean_drag(swimmer, summary)
     return OverdampedSwimmer(swimmer.propulsion, swimmer.environment, mobility)

@@ -12,6 +12,7 @@ from pinav.commands.settings import (
     Overwrite,
     Resume,
     Settings,
+    SystemName,
     check_counts,
 )
 from pinav.errors import InputError
@@ -48,13 +49,7 @@ class CompareSettings(Settings, frozen=True):
             help="Standard deviation of the observations; estimated unless given."
         ),
     ] = None
-    physics: Annotated[
-        str | None,
-        tyro.conf.arg(
-            help="Scenario that supplies propulsion and drag; the one that the data "
-            "were simulated from unless given."
-        ),
-    ] = None
+    system: SystemName = None
     max_steps: Annotated[int, tyro.conf.arg(help="Steps of each fit at most.")] = 20
 
     def check(self) -> None:

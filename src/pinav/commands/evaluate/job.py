@@ -10,6 +10,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from pinav.commands.cells import Cell, as_cell
 from pinav.commands.command import CommandResult
 from pinav.commands.evaluate.judge import (
     calibrate_band,
@@ -30,7 +31,6 @@ from pinav.commands.evaluate.tables import tables
 from pinav.commands.fitted_run import FittedRun
 from pinav.commands.held_out import held_out
 from pinav.commands.recording_settings import RecordingSettings
-from pinav.commands.scores import Cell, as_cell
 from pinav.dynamics import AbstractDynamics, Outcome, OverdampedSwimmer, Swimmer
 from pinav.evaluation import (
     START_SAMPLES,
@@ -132,7 +132,7 @@ def _baseline(run: FittedRun) -> dict[str, AbstractDynamics]:
 
 def clean_trajectories(setting: Setting) -> Trajectories | None:
     """Held-out trajectories of the truth, beyond the training horizon."""
-    if setting.truth is None or not len(setting.truth.starts):
+    if setting.truth is None or setting.truth.rule is None:
         return None
     return held_out(setting.truth, until=EXTENSION * setting.run.horizon)
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
+from pinav.commands.cells import Cell, as_cell
 from pinav.commands.evaluate.metrics import (
     CalibrationRow,
     ConstantRow,
@@ -14,7 +15,6 @@ from pinav.commands.evaluate.metrics import (
 from pinav.commands.evaluate.setting import Setting, predict_rollouts, read_scored
 from pinav.commands.fitted_run import FittedRun
 from pinav.commands.recording_settings import RecordingSettings
-from pinav.commands.scores import Cell, as_cell
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.evaluation import (

@@ -2,7 +2,7 @@
 
 import msgspec
 
-from pinav.commands.scores import Cell
+from pinav.commands.cells import Cell
 
 
 class RolloutRow(msgspec.Struct, frozen=True):

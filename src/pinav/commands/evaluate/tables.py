@@ -1,12 +1,12 @@
 """The tables of an evaluation, the same on a terminal and in the report."""
 
+from pinav.commands.cells import Cell
 from pinav.commands.evaluate.metrics import (
     CalibrationRow,
     ConstantRow,
     EvaluationMetrics,
     ResidualRow,
 )
-from pinav.commands.scores import Cell
 from pinav.report import Table
 
 BEYOND_DATA = (

@@ -1,39 +1,57 @@
 """Sections of the report of a fit: its errors, its constants, the learned force."""
 
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 
-from pinav.commands.reproduce.job import stored_field
-from pinav.commands.reproduce.report import loss_history
+from pinav.commands.fit.metrics import FitMetrics
+from pinav.commands.fitted_run import DATA_FILE
+from pinav.commands.matching import read_losses
+from pinav.evaluation import FieldMap
 from pinav.figures import force_comparison, loss_curve, observed_paths, save_figure
 from pinav.figures.style import new_figure
 from pinav.report import Image, Paragraph, Section, Table
+from pinav.report.page import Cell
 from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories, load
 
 
 def fit_sections(folder: RunFolder) -> list[Section]:
     """The sections of the report of a fit."""
-    metrics = folder.read_json("metrics.json")
-    data = load(folder.path / "data.npz")
+    metrics = folder.read_metrics("metrics.json", FitMetrics)
+    data = load(folder.path / DATA_FILE)
     arrays = folder.read_arrays("results.npz")
-    chosen = {
-        k: metrics[k] for k in ("noise", "log_evidence", "iterations") if k in metrics
-    }
     content = [
-        _one_row(metrics["rmse"], "Root-mean-square errors of rollouts."),
-        *([_one_row(chosen, "What the evidence chose.")] if chosen else []),
-        *([_one_row(metrics["loss"], "Training loss.")] if "loss" in metrics else []),
-        *_constants(metrics),
+        *map(Paragraph, metrics.remarks),
+        *_tables(metrics),
         _paths(folder, data, arrays),
     ]
-    sections = [Section(f"The fit: {metrics['model']}, {metrics['recipe']}", content)]
+    sections = [Section(f"The fit: {metrics.model}, {metrics.recipe}", content)]
     if "field/learned" in arrays:
-        sections.append(
-            Section("The learned force", _learned_force(folder, data, arrays, metrics))
-        )
+        force = _learned_force(folder, data, arrays, metrics)
+        sections.append(Section("The learned force", force))
     return sections
+
+
+def _tables(metrics: FitMetrics) -> list[Table]:
+    """Errors, choices of the evidence, loss and constants, as far as there are any."""
+    tables = [_one_row(metrics.rmse, "Root-mean-square errors of rollouts.")]
+    if metrics.log_evidence is not None:
+        chosen = {
+            "noise": metrics.noise,
+            "log evidence": metrics.log_evidence,
+            "iterations": metrics.iterations,
+            "outcome": metrics.outcome,
+        }
+        tables.append(_one_row(chosen, "What the evidence chose."))
+    if metrics.loss is not None:
+        loss = {"start": metrics.loss.start, "end": metrics.loss.end}
+        tables.append(_one_row(loss, "Training loss."))
+    rows = [(name, one.value, one.sd) for name, one in metrics.learned.items()]
+    if rows:
+        header = ("constant", "value", "standard deviation")
+        tables.append(Table(header, rows, "Constants learned."))
+    return tables
 
 
 def _paths(folder: RunFolder, data: Trajectories, arrays) -> Image:
@@ -49,7 +67,8 @@ def _paths(folder: RunFolder, data: Trajectories, arrays) -> Image:
     )
     caption = "Observed positions and rollouts of the fitted model."
     if with_loss:
-        loss_curve(*loss_history(folder, "model"), ax=axes[1])
+        losses = read_losses("model", folder)
+        loss_curve(losses.values, losses.phases, ax=axes[1])
         caption += " Right: training loss."
     files = save_figure(figure, folder.path / "figures", "fit")
     return Image(files.svg, "Observed trajectories and rollouts of the model", caption)
@@ -57,9 +76,9 @@ def _paths(folder: RunFolder, data: Trajectories, arrays) -> Image:
 
 def _learned_force(folder, data, arrays, metrics) -> list[Paragraph | Image | Table]:
     """Maps of the force, with what is known of its truth and of its uncertainty."""
-    true = stored_field(arrays, "true") if "field/true" in arrays else None
+    true = FieldMap.of_arrays(arrays, "true") if "field/true" in arrays else None
     figure = force_comparison(
-        stored_field(arrays, "learned"),
+        FieldMap.of_arrays(arrays, "learned"),
         true=true,
         sd=arrays.get("field/sd"),
         path=_joined(data),
@@ -74,8 +93,11 @@ def _learned_force(folder, data, arrays, metrics) -> list[Paragraph | Image | Ta
             "1 from any sample, an extrapolation.",
         )
     ]
-    if "force_error" in metrics:
-        errors = {f"{k} (%)": 100 * v for k, v in metrics["force_error"].items()}
+    if metrics.force_error is not None:
+        errors = {
+            f"{region} (%)": None if error is None else 100 * error
+            for region, error in metrics.force_error.items()
+        }
         content.append(
             _one_row(
                 errors,
@@ -98,14 +120,5 @@ def _joined(data: Trajectories) -> np.ndarray:
     )
 
 
-def _constants(metrics: dict[str, Any]) -> list[Table]:
-    rows = [
-        (name, learned["value"], "–" if learned["sd"] is None else learned["sd"])
-        for name, learned in metrics["learned"].items()
-    ]
-    header = ("constant", "value", "standard deviation")
-    return [Table(header, rows, "Constants learned.")] if rows else []
-
-
-def _one_row(values: dict[str, float], caption: str) -> Table:
+def _one_row(values: Mapping[str, Cell], caption: str) -> Table:
     return Table(tuple(values), [tuple(values.values())], caption)

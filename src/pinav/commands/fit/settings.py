@@ -9,51 +9,41 @@ from pinav.commands.recording_settings import RecordingSettings
 from pinav.commands.settings import (
     AsJson,
     ConfigFile,
+    ModelName,
     OutFolder,
     Overwrite,
     Resume,
     Settings,
+    SystemName,
     check_counts,
 )
 from pinav.errors import InputError
 
-ModelName = Literal[
-    "kernel-potential",
-    "kernel-force",
-    "kernel-mixture",
-    "kernel-potential-time",
-    "neural-potential",
-    "neural-force",
-    "ude",
-    "physics-only",
-    "nn-only",
-]
-
-
 FitRecipeName = Literal["default", "bayes", "langevin", "curriculum", "paper"]
 
 
-DEFAULT_RECIPES: dict[str, FitRecipeName] = {
-    "ude": "curriculum",
-    "nn-only": "curriculum",
-}
-"""What `--recipe default` means for a model; `bayes` for all others."""
+EVIDENCE_RECIPES = ("bayes", "langevin")
+"""Recipes that choose by the evidence and give a posterior."""
+
+MATCHED_MODELS = ("ude", "nn-only")
+"""Models without evidence, which are matched to the trajectories."""
 
 
 class FitSettings(Settings, frozen=True):
     """Settings of `pinav fit`."""
 
     model: Annotated[
-        ModelName,
+        ModelName | None,
         tyro.conf.arg(
             help="What stands for the unknown. kernel-, neural-: a force that depends "
             "on position alone, -potential: that is conservative, -mixture: with a "
             "gradient and a rotational part, -time: that changes with time; ude: the "
             "paper's "
-            "network of position and time; physics-only: nothing (fits --learn); "
-            "nn-only: a black box in place of all physics."
+            "network of position and time; physics-only: nothing (fits --train); "
+            "nn-only: a black box in place of all physics. The model that the system "
+            "names unless given."
         ),
-    ] = "kernel-potential"
+    ] = None
     recipe: Annotated[
         FitRecipeName,
         tyro.conf.arg(
@@ -61,7 +51,8 @@ class FitSettings(Settings, frozen=True):
             "evidence, with uncertainty; langevin: the same for thermal motion without "
             "inertia, with the diffusion coefficient; curriculum: noise-free data, "
             "Gauss-Newton from one-step matching to the full rollout; paper: Adam, "
-            "then L-BFGS. The default is bayes, but curriculum for ude and nn-only."
+            "then L-BFGS. The default is what suits the data: langevin for Brownian "
+            "paths, curriculum for ude and nn-only, else bayes."
         ),
     ] = "default"
     noise: Annotated[
@@ -71,20 +62,14 @@ class FitSettings(Settings, frozen=True):
             "unless given."
         ),
     ] = None
-    learn: Annotated[
+    train: Annotated[
         tuple[Literal["damping", "gain", "drag"], ...],
         tyro.conf.arg(
             help="Known constants to learn beside the unknown; drag: an anisotropic "
             "drag tensor in place of the known drag."
         ),
     ] = ()
-    physics: Annotated[
-        str | None,
-        tyro.conf.arg(
-            help="Scenario that supplies propulsion and drag; the one that the data "
-            "were simulated from unless given."
-        ),
-    ] = None
+    system: SystemName = None
     seed: Annotated[int, tyro.conf.arg(help="Seed of the network.")] = 0
     width: Annotated[int, tyro.conf.arg(help="Neurons of each hidden layer.")] = 32
     depth: Annotated[int, tyro.conf.arg(help="Number of hidden layers.")] = 2
@@ -102,46 +87,62 @@ class FitSettings(Settings, frozen=True):
     def check(self) -> None:
         """Raise `InputError` where a setting makes no sense."""
         check_counts(self, "width", "depth", "max_steps", "adam_steps", "lbfgs_steps")
-        if self.model == "nn-only" and self.learn:
+        if self.model == "nn-only" and self.train:
             raise InputError(
-                "--learn: the model nn-only has no physical constants; drop --learn or "
+                "--train: the model nn-only has no physical constants; drop --train or "
                 "choose another --model"
             )
-        if self.model == "physics-only" and not self.learn:
+        if self.model == "physics-only" and not self.train:
             raise InputError(
-                "--model physics-only: there is nothing to fit; add --learn damping"
+                "--model physics-only: there is nothing to fit; add --train damping"
             )
-        if self.model in DEFAULT_RECIPES and self.recipe == "bayes":
+        if self.model in MATCHED_MODELS and self.recipe in EVIDENCE_RECIPES:
             raise InputError(
-                f"--recipe bayes: the model {self.model} has no evidence; choose "
-                "--recipe curriculum, or a kernel or neural model"
+                f"--recipe {self.recipe}: the model {self.model} has no evidence; "
+                "choose --recipe curriculum, or a kernel or neural model"
             )
-        if "drag" in self.learn and "damping" in self.learn:
-            raise InputError("--learn: drag takes the place of damping; drop one")
-        if "drag" in self.learn and self.method != "bayes":
-            raise InputError("--learn drag: only the recipe bayes does; drop it")
-        if self.method == "langevin":
+        if "drag" in self.train and "damping" in self.train:
+            raise InputError("--train: drag takes the place of damping; drop one")
+        matched = self.model in MATCHED_MODELS or self.recipe in ("curriculum", "paper")
+        if "drag" in self.train and (matched or self.recipe == "langevin"):
+            raise InputError("--train drag: only the recipe bayes does; drop it")
+        if self.recipe == "langevin":
             self._check_langevin()
-        if self.noise is not None and self.method != "bayes":
+        if self.noise is not None and (matched or self.recipe == "langevin"):
             raise InputError("--noise: only the recipe bayes uses it; drop --noise")
+        if self.noise is not None and not 0 < self.noise < float("inf"):
+            raise InputError(f"--noise: expected a number > 0, got {self.noise}")
+        self._check_unused()
 
     def _check_langevin(self) -> None:
-        if not self.model.startswith("kernel-"):
+        if self.model is not None and not self.model.startswith("kernel-"):
             raise InputError(
                 f"--recipe langevin: expected a kernel model, got {self.model}; choose "
                 "--model kernel-potential"
             )
-        if self.learn:
+        if self.train:
             raise InputError(
-                "--recipe langevin: it learns no constant but diffusion; drop --learn"
+                "--recipe langevin: it learns no constant but diffusion; drop --train"
             )
 
-    @property
-    def method(self) -> str:
-        """The recipe, with `default` resolved."""
-        if self.recipe != "default":
-            return self.recipe
-        return DEFAULT_RECIPES.get(self.model, "bayes")
+    def _check_unused(self) -> None:
+        """Refuse options that the chosen model and recipe never look at."""
+        plain = FitSettings()
+        for name in ("adam_steps", "lbfgs_steps"):
+            if self.recipe != "paper" and getattr(self, name) != getattr(plain, name):
+                option = name.replace("_", "-")
+                raise InputError(
+                    f"--{option}: only the recipe paper uses it; drop it or choose "
+                    "--recipe paper"
+                )
+        if self.model is None or not self.model.startswith(("kernel-", "physics-")):
+            return
+        for name in ("seed", "width", "depth"):
+            if getattr(self, name) != getattr(plain, name):
+                raise InputError(
+                    f"--{name}: the model {self.model} has no network; drop it or "
+                    "choose a neural model"
+                )
 
 
 class FitOptions(Settings, frozen=True):

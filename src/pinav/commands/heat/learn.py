@@ -8,12 +8,19 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
-from pinav.commands.heat.build import Built, built
+from pinav.commands.heat.build import CaseModel, build_case
 from pinav.commands.heat.case import Case, Learn
+from pinav.commands.heat.metrics import (
+    HeldOutMetrics,
+    LawMetrics,
+    LearnedNumber,
+    LearnMetrics,
+)
+from pinav.commands.heat.task import AbstractTask, TaskResult
 from pinav.errors import InputError
 from pinav.fitting import EvidenceFit
-from pinav.runs import RunFolder
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.learned_perfusion import kernel_perfusion, neural_perfusion
 from pinav.thermal.learning import (
@@ -25,9 +32,10 @@ from pinav.thermal.learning import (
 )
 from pinav.thermal.perfusion import AbstractPerfusion, ConstantPerfusion
 from pinav.thermal.probes import ProbeData, load_probes, simulate_probes
-from pinav.thermal.solve import solve
+from pinav.thermal.solve import Solution, solve
 
-RESULTS = "results.npz"
+DEFAULT_RISE = 6.0
+"""Range [K] of the law of a tissue without a probe."""
 
 LAWS: dict[str, Callable[[Any], Any]] = {
     "tumour": lambda m: m.perfusion.inside,
@@ -36,195 +44,209 @@ LAWS: dict[str, Callable[[Any], Any]] = {
 """Where a model keeps the perfusion of each tissue."""
 
 
-def learn_perfusion(case: Case, folder: RunFolder, source: Path) -> dict[str, Any]:
-    """Learn the perfusion of a case from probes; write curves and residuals.
+class LearnTask(AbstractTask):
+    """Learn the perfusion of a case from probes.
 
-    Args:
-        case: its own perfusion is the truth of synthetic readings; with a data file
-            its values at rest are where the fit starts.
-        folder: of the run.
-        source: the file of the case; a data file is looked for beside it.
-
-    Raises:
-        InputError: the case says not what to learn, or has no probes.
-        FitError: the fit did not converge.
+    Without a data file the perfusion of the case is the truth of synthetic readings;
+    with one its values at rest are where the fit starts.
     """
-    own, settings = built(case), case.learn or Learn()
-    data = _readings(own, case, settings, source)
-    fit = _fit(own, settings, data)
-    constant = _fit_constant(own, settings, data)
-    residuals = probe_residuals(fit.model, own.protocol, data, stepper=own.stepper)
-    arrays = {
-        "data_times": data.times,
-        "data_values": data.values,
-        "points": data.points,
-        "predicted": _predicted(fit.model, residuals, data),
-    }
-    metrics = {
-        "task": "learn",
-        **_fit_metrics(fit, residuals),
-        "laws": _curves(own, settings, fit, arrays),
-        "constant": {"residual": _rms(residuals(constant.model))},
-    }
-    if settings.data is None:
-        metrics["held_out"] = [
-            _held_out(own, fit.model, constant.model, power)
-            for power in settings.held_out
-        ]
-    folder.write_arrays(RESULTS, arrays)
-    folder.write_json("metrics.json", metrics)
-    return metrics
+
+    def __init__(self, case: Case, source: Path) -> None:
+        self.settings = case.learn or Learn()
+        self.setup = build_case(case)
+        self.every = None if case.probes is None else case.probes.every
+        self.data = None
+        if self.settings.data is not None:
+            self.data = load_probes(source.parent / self.settings.data)
+            # refuses readings outside the grid or after the end of the protocol
+            probe_residuals(
+                self.setup.model,
+                self.setup.protocol,
+                self.data,
+                stepper=self.setup.stepper,
+            )
+        elif not len(self.setup.points):
+            raise InputError(
+                "learn: expected data, a CSV file, or probes whose readings are "
+                "simulated"
+            )
+
+    def run(self) -> TaskResult:
+        setup, settings = self.setup, self.settings
+        data = self._synthetic_readings() if self.data is None else self.data
+        fit = _fit(setup, settings, data)
+        constant = _fit_constant(setup, settings, data)
+        residuals = probe_residuals(
+            fit.model, setup.protocol, data, stepper=setup.stepper
+        )
+        arrays = {
+            "data_times": data.times,
+            "data_values": data.values,
+            "points": data.points,
+            "predicted": _predict(fit.model, residuals, data),
+        }
+        held_out = settings.held_out if self.data is None else ()
+        noise = fit.hyperparameters.noise
+        metrics = LearnMetrics(
+            outcome=str(fit.outcome),
+            iterations=fit.iterations,
+            residual=_rms(residuals(fit.model)),
+            noise=float(noise),
+            log_evidence=fit.hyperparameters.log_evidence,
+            constants={
+                name: LearnedNumber(float(number.value), float(number.sd))
+                for name, number in fit.constants.items()
+            },
+            laws=_curves(setup, settings, fit, arrays),
+            constant_residual=_rms(residuals(constant.model)),
+            held_out=tuple(
+                _held_out(setup, fit.model, constant.model, power) for power in held_out
+            ),
+        )
+        return TaskResult(metrics, arrays, data if self.data is None else None)
+
+    def _synthetic_readings(self) -> ProbeData:
+        assert self.every is not None
+        return simulate_probes(
+            self.setup.model,
+            self.setup.protocol,
+            self.setup.points,
+            every=self.every,
+            noise=self.settings.noise,
+            key=jax.random.key(self.settings.seed),
+            stepper=self.setup.stepper,
+        )
 
 
-def _fit(own: Built, settings: Learn, data: ProbeData) -> EvidenceFit:
-    start = _start(own, settings, data)
+def _fit(setup: CaseModel, settings: Learn, data: ProbeData) -> EvidenceFit:
     laws = tuple(LAWS[name] for name in settings.laws)
     return learn(
-        start,
-        own.protocol,
+        _initial_model(setup, settings, data),
+        setup.protocol,
         data,
         laws=lambda m: tuple(law(m) for law in laws),
-        constants=_scale(settings),
-        stepper=own.stepper,
+        constants=_power_scale(settings),
+        stepper=setup.stepper,
     )
 
 
-def _fit_constant(own: Built, settings: Learn, data: ProbeData) -> EvidenceFit:
+def _fit_constant(setup: CaseModel, settings: Learn, data: ProbeData) -> EvidenceFit:
     """The baseline: a perfusion of each tissue that does not depend on temperature."""
     laws = tuple(LAWS[name] for name in settings.laws)
-    start = own.model
+    start = setup.model
     for law in laws:
-        rest = ConstantPerfusion(jnp.asarray(_at_rest(own, law(start))))
+        rest = ConstantPerfusion(jnp.asarray(_value_at_rest(setup, law(start))))
         start = eqx.tree_at(law, start, rest)
-    scale = _scale(settings)
+    scale = _power_scale(settings)
     return learn(
         start,
-        own.protocol,
+        setup.protocol,
         data,
         constants=lambda m: (tuple(law(m).value for law in laws), scale(m)),
-        stepper=own.stepper,
+        stepper=setup.stepper,
     )
 
 
-def _scale(settings: Learn):
-    """Picks the scale of the power, where that is learned too."""
+def _power_scale(settings: Learn) -> Callable[[Any], Any]:
+    """Picks the scale of the power, if that is learned too."""
     if settings.power_scale:
         return lambda model: model.sources[0].scale
     return lambda model: ()
 
 
-def _at_rest(own: Built, law: AbstractPerfusion) -> float:
-    arterial = jnp.full(own.model.grid.shape, float(own.model.blood.arterial))
+def _value_at_rest(setup: CaseModel, law: AbstractPerfusion) -> float:
+    arterial = jnp.full(setup.model.grid.shape, float(setup.model.blood.arterial))
     return float(law(arterial).reshape(-1)[0])
 
 
-def _start(own: Built, settings: Learn, data: ProbeData) -> Bioheat:
-    """The model with laws without shape yet, at the perfusion at rest.
+def _initial_model(setup: CaseModel, settings: Learn, data: ProbeData) -> Bioheat:
+    """The model with constant laws, at the perfusion at rest.
 
     Each may vary up to the hottest reading of its own tissue.
     """
-    arterial, model = float(own.model.blood.arterial), own.model
+    model, arterial = setup.model, float(setup.model.blood.arterial)
     weights = np.asarray(model.grid.interpolation(data.points))
-    share = weights.reshape(len(weights), -1) @ np.asarray(own.target).reshape(-1)
-    probes = {"tumour": share > 0.5, "tissue": share <= 0.5}
+    tumour = weights.reshape(len(weights), -1) @ np.asarray(setup.target).reshape(-1)
+    probes = {"tumour": tumour > 0.5, "tissue": tumour <= 0.5}
     for index, name in enumerate(settings.laws):
-        law, read = LAWS[name], data.values[:, probes[name]]
-        rest = _at_rest(own, law(model))
-        top = float(np.nanmax(read)) if read.size else arterial + DEFAULT_RISE
+        law, readings = LAWS[name], data.values[:, probes[name]]
+        rest = _value_at_rest(setup, law(model))
+        top = float(np.nanmax(readings)) if readings.size else arterial + DEFAULT_RISE
         span = (arterial, max(top, arterial + 1.0))
         key = jax.random.fold_in(jax.random.key(settings.seed), index)
-        started = (
+        learned = (
             neural_perfusion(rest, span, key=key)
             if settings.kind == "network"
             else kernel_perfusion(rest, span)
         )
-        model = eqx.tree_at(law, model, started)
+        model = eqx.tree_at(law, model, learned)
     return model
 
 
-DEFAULT_RISE = 6.0
-"""Range [K] of the law of a tissue without a probe."""
-
-
-def _readings(own: Built, case: Case, settings: Learn, source: Path) -> ProbeData:
-    if settings.data is not None:
-        return load_probes(source.parent / settings.data)
-    if case.probes is None:
-        raise InputError(
-            "learn: expected data, a CSV file, or probes whose readings are simulated"
-        )
-    return simulate_probes(
-        own.model,
-        own.protocol,
-        own.points,
-        every=float(case.probes.every),
-        noise=float(settings.noise),
-        key=jax.random.key(settings.seed),
-        stepper=own.stepper,
-    )
-
-
-def _fit_metrics(fit: EvidenceFit, residuals: ProbeResiduals) -> dict[str, Any]:
-    return {
-        "outcome": str(fit.outcome),
-        "iterations": fit.iterations,
-        "residual": _rms(residuals(fit.model)),
-        "noise": fit.hyperparameters.noise,
-        "log_evidence": fit.hyperparameters.log_evidence,
-        "constants": {
-            name: {"value": value.value, "sd": value.sd}
-            for name, value in fit.constants.items()
-        },
-    }
-
-
-def _predicted(model, residuals: ProbeResiduals, data: ProbeData) -> np.ndarray:
-    values = np.full(data.values.shape, np.nan).reshape(-1)
+def _predict(
+    model: Bioheat, residuals: ProbeResiduals, data: ProbeData
+) -> Float[np.ndarray, "time probe"]:
+    """Predicted temperatures where there are readings."""
+    values = np.full(data.values.size, np.nan)
     values[np.asarray(residuals.index)] = np.asarray(
         residuals(model) + residuals.values
     )
     return values.reshape(data.values.shape)
 
 
-def _rms(values) -> float:
+def _rms(values: Float[Array, "..."]) -> float:
     return float(np.sqrt(np.mean(np.asarray(values) ** 2)))
 
 
-def _curves(own: Built, settings: Learn, fit, arrays) -> dict[str, Any]:
-    """Each learned law at some temperatures, with its band and, if known, its truth."""
-    found = {}
-    shares = {"tumour": own.target, "tissue": 1 - own.target}
+def _curves(
+    setup: CaseModel, settings: Learn, fit: EvidenceFit, arrays: dict[str, np.ndarray]
+) -> dict[str, LawMetrics]:
+    """Each learned law with its band and, if known, its truth, added to the arrays."""
+    metrics = {}
+    fractions = {"tumour": setup.target, "tissue": 1 - setup.target}
     for name in settings.laws:
-        visited = visited_range(fit.model, own.protocol, shares[name])
-        at = np.linspace(float(own.model.blood.arterial), visited[1] + 1.0, 61)
+        visited = visited_range(fit.model, setup.protocol, fractions[name])
+        at = np.linspace(float(setup.model.blood.arterial), visited[1] + 1.0, 61)
         curve = perfusion_curve(fit.posterior, LAWS[name], at, visited)
         low, high = curve.band
-        rows: dict[str, Any] = {"visited": list(visited)}
         stored = {"temperatures": at, "values": curve.values, "low": low, "high": high}
         stored["visited"] = curve.inside
+        covered = None
         if settings.data is None:
-            true = np.asarray(LAWS[name](own.model)(jnp.asarray(at)))
-            covered = ((true >= low) & (true <= high))[curve.inside]
-            rows["covered"], stored["true"] = float(covered.mean()), true
-        arrays |= {f"law/{name}/{key}": value for key, value in stored.items()}
-        found[name] = rows
-    return found
+            true = np.asarray(LAWS[name](setup.model)(jnp.asarray(at)))
+            inside = ((true >= low) & (true <= high))[curve.inside]
+            covered, stored["true"] = float(inside.mean()), true
+        for key, values in stored.items():
+            arrays[f"law/{name}/{key}"] = values
+        metrics[name] = LawMetrics(visited, covered)
+    return metrics
 
 
-def _held_out(own: Built, learned, constant, power: float) -> dict[str, float]:
-    """Largest errors of the field, and doses, where the power is another."""
+def _held_out(
+    setup: CaseModel, learned: Bioheat, constant: Bioheat, power: float
+) -> HeldOutMetrics:
+    """Errors of the temperature, and doses, at another power."""
     protocol = eqx.tree_at(
-        lambda p: (p.starts, p.ends), own.protocol, replace_fn=lambda a: a * power**0.5
+        lambda p: (p.starts, p.ends),
+        setup.protocol,
+        replace_fn=lambda a: a * power**0.5,
     )
 
-    def ran(model):
+    def solution(model: Bioheat) -> Solution:
         every = protocol.duration / 60
-        return solve(model, protocol, stepper=own.stepper, save_every=every)
+        return solve(model, protocol, stepper=setup.stepper, save_every=every)
 
-    true = ran(own.model)
-    found = {"power": float(power), "true_dose": float(true.final.dose.max())}
-    for name, model in (("learned", learned), ("constant", constant)):
-        other = ran(model)
-        error = float(jnp.abs(true.observed - other.observed).max())
-        found |= {name: error, f"{name}_dose": float(other.final.dose.max())}
-    return found
+    truth = solution(setup.model)
+    by_law, by_constant = solution(learned), solution(constant)
+
+    def error(prediction: Solution) -> float:
+        return float(jnp.abs(truth.observed - prediction.observed).max())
+
+    return HeldOutMetrics(
+        power=float(power),
+        learned=error(by_law),
+        constant=error(by_constant),
+        true_dose=float(truth.final.dose.max()),
+        learned_dose=float(by_law.final.dose.max()),
+        constant_dose=float(by_constant.final.dose.max()),
+    )

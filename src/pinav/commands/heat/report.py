@@ -2,10 +2,17 @@
 
 from typing import Any
 
+import msgspec
 import numpy as np
 
-from pinav.commands.heat.job import RESULTS
-from pinav.commands.heat.tables import constraint_table, fit_table, outcome_table
+from pinav.commands.heat.metrics import (
+    HeatMetrics,
+    LearnMetrics,
+    OptimumMetrics,
+    RunMetrics,
+)
+from pinav.commands.heat.tables import constraint_table, fit_table, run_table
+from pinav.commands.heat.task import RESULTS
 from pinav.figures import save_figure
 from pinav.figures.heat import (
     DOSES,
@@ -21,6 +28,8 @@ from pinav.figures.style import new_figure
 from pinav.report import Image, Paragraph, Section
 from pinav.runs import RunFolder
 
+Arrays = dict[str, np.ndarray]
+
 NUM_PROFILES = 7
 """Times at which temperature is drawn over the radius."""
 
@@ -32,28 +41,33 @@ CAUTION = (
 
 def heat_sections(folder: RunFolder) -> list[Section]:
     """The sections of a finished task."""
-    metrics, arrays = folder.read_json("metrics.json"), folder.read_arrays(RESULTS)
-    if metrics["task"] == "learn":
-        return _learned(folder, metrics, arrays)
-    doubts = [Paragraph(f"Doubtful: {line}.") for line in metrics["doubts"]]
+    metrics = msgspec.convert(folder.read_json("metrics.json"), HeatMetrics)
+    arrays = folder.read_arrays(RESULTS)
+    if isinstance(metrics, LearnMetrics):
+        return _learned_sections(folder, metrics, arrays)
+    run = metrics if isinstance(metrics, RunMetrics) else metrics.result
+    warnings = [Paragraph(f"Warning: {line}.") for line in run.warnings]
+    bound = None if isinstance(metrics, RunMetrics) else metrics.max_temperature
     sections = [
-        Section("Outcome", [Paragraph(CAUTION), outcome_table(metrics), *doubts]),
-        Section("Field", [_protocol(folder, metrics, arrays)]),
+        Section("Result", [Paragraph(CAUTION), run_table(run), *warnings]),
+        Section("Field", [_protocol(folder, arrays, bound)]),
         Section("Temperature and dose", [_fields(folder, arrays)]),
     ]
-    if metrics["task"] == "optimise":
+    if isinstance(metrics, OptimumMetrics):
         sections.insert(1, Section("Constraints", [constraint_table(metrics)]))
     if "probes" in arrays:
         curves = probe_curves(
             arrays["times"], arrays["probes"], _names(arrays["probes"].shape[1])
         )
-        image = _saved(folder, curves.figure, "probes", "Temperature of each probe.")
+        image = _image(folder, curves.figure, "probes", "Temperature of each probe.")
         sections.append(Section("Probes", [image]))
     return sections
 
 
-def _learned(folder, metrics, arrays) -> list[Section]:
-    laws: dict[str, Any] = {}
+def _learned_sections(
+    folder: RunFolder, metrics: LearnMetrics, arrays: Arrays
+) -> list[Section]:
+    laws: dict[str, Arrays] = {}
     for key, values in arrays.items():
         if key.startswith("law/"):
             _, name, field = key.split("/")
@@ -64,68 +78,71 @@ def _learned(folder, metrics, arrays) -> list[Section]:
         [_place(point) for point in arrays["points"]],
         readings=(arrays["data_times"], arrays["data_values"]),
     )
+    perfusion = _image(
+        folder,
+        perfusion_figure(laws),
+        "perfusion",
+        "Perfusion over temperature with its 95 % band. Dotted: temperatures that the "
+        "tissue did not reach, where the law is extrapolated. Near the arterial "
+        "temperature the data do not determine perfusion.",
+    )
+    probes = _image(folder, curves.figure, "probes", "Readings and the fitted model.")
     return [
         Section("The fit", [Paragraph(CAUTION), fit_table(metrics)]),
-        Section(
-            "Learned perfusion",
-            [
-                _saved(
-                    folder,
-                    perfusion_figure(laws),
-                    "perfusion",
-                    "Perfusion over temperature with its 95 % band. Dotted: the "
-                    "tissue was not that warm, and the law is an extrapolation. Near "
-                    "the arterial temperature no data can tell it.",
-                )
-            ],
-        ),
-        Section(
-            "Probes",
-            [_saved(folder, curves.figure, "probes", "Readings and the fitted model.")],
-        ),
+        Section("Learned perfusion", [perfusion]),
+        Section("Probes", [probes]),
     ]
 
 
-def _protocol(folder, metrics, arrays) -> Image:
+def _protocol(folder: RunFolder, arrays: Arrays, bound: float | None) -> Image:
     figure = protocol_figure(
         arrays["edges"].tolist(),
         arrays["starts"],
         arrays["ends"],
         (arrays["times"], arrays["hottest"]),
-        bound=metrics.get("max_temperature"),
+        bound=bound,
     )
     caption = "Peak amplitude of the field, and the hottest cell."
-    return _saved(folder, figure, "protocol", caption)
+    return _image(folder, figure, "protocol", caption)
 
 
-def _fields(folder, arrays) -> Image:
+def _fields(folder: RunFolder, arrays: Arrays) -> Image:
     temperature, dose = arrays["temperature"], arrays["dose"]
     figure = new_figure(7.5, 3.4)
     left, right = figure.subplots(1, 2)
     if temperature.ndim == 1:
         edge = _edge(arrays)
-        picked = np.linspace(0, len(arrays["times"]) - 1, NUM_PROFILES + 1).astype(int)
-        lines = {
-            f"{arrays['times'][i] / 60:.0f} min": arrays["field"][i] for i in picked[1:]
-        }
+        steps = np.linspace(0, len(arrays["times"]) - 1, NUM_PROFILES + 1).astype(int)
+        times = arrays["times"].tolist()
+        lines = {_minutes(times[i]): arrays["field"][i] for i in steps[1:]}
         profiles(arrays["radius"], lines, edge=edge, ax=left)
         dose_profile(arrays["radius"], dose, edge=edge, ax=right)
         caption = "Temperature over the radius, and dose; the tumour's edge is dashed."
-        return _saved(folder, figure, "fields", caption)
+        return _image(folder, figure, "fields", caption)
+    where = "in the plane"
     if temperature.ndim == 3:
-        middle = temperature.shape[2] // 2
-        temperature, dose = temperature[..., middle], dose[..., middle]
+        # the section through the largest dose: the middle one may miss the tumour
+        section = int(np.unravel_index(np.argmax(dose), dose.shape)[2])
+        height = 1e3 * arrays["spacing"][2] * (section + 0.5)
+        where = f"in the section z = {height:.3g} mm, that of the largest dose"
+        temperature, dose = temperature[..., section], dose[..., section]
     spacing = tuple(arrays["spacing"][:2].tolist())
     plane_map(temperature, spacing, levels=ISOTHERMS, label="temperature [°C]", ax=left)
     plane_map(
         dose, spacing, levels=DOSES, label="CEM43 [min]", logarithmic=True, ax=right
     )
-    caption = "Temperature at the end, and dose, in the plane or its middle section."
-    return _saved(folder, figure, "fields", caption)
+    return _image(
+        folder, figure, "fields", f"Temperature at the end, and dose, {where}."
+    )
 
 
-def _edge(arrays) -> float:
-    """Radius of the tumour, where the share of the cells passes one half."""
+def _minutes(seconds: float) -> str:
+    """A time for a legend, with enough digits to tell the profiles apart."""
+    return f"{seconds / 60:.3g} min"
+
+
+def _edge(arrays: Arrays) -> float:
+    """Radius of the tumour, where the volume fraction passes one half."""
     inside = arrays["radius"][arrays["target"] > 0.5]
     step = float(np.diff(arrays["radius"])[0])
     return float(inside.max() + step / 2) if inside.size else 0.0
@@ -135,10 +152,10 @@ def _names(count: int) -> list[str]:
     return [f"probe {index + 1}" for index in range(count)]
 
 
-def _place(point) -> str:
+def _place(point: np.ndarray) -> str:
     return ", ".join(f"{1e3 * value:g}" for value in point) + " mm"
 
 
-def _saved(folder, figure, name: str, caption: str) -> Image:
+def _image(folder: RunFolder, figure: Any, name: str, caption: str) -> Image:
     files = save_figure(figure, folder.path / "figures", f"heat-{name}")
     return Image(files.svg, caption, caption)

@@ -1,110 +1,121 @@
 """Tables of `pinav heat`, for terminal and report alike."""
 
-from typing import Any
+from collections.abc import Sequence
 
+from pinav.commands.heat.metrics import (
+    CheckMetrics,
+    HeatMetrics,
+    LearnMetrics,
+    OptimumMetrics,
+    RunMetrics,
+)
 from pinav.report import Table
 from pinav.report.text import as_text
 from pinav.thermal.verification import Check
 
-OUTCOMES = {
-    "T_max": "highest temperature [°C]",
-    "T10": "T10 of the tumour at the end [°C]",
-    "T50": "T50",
-    "T90": "T90",
-    "D90": "D90 of the tumour [CEM43 min]",
-    "V43": "share of the tumour above 43 °C at the end",
-    "healthy_dose": "largest dose outside the tumour [CEM43 min]",
-    "Hf": "largest product Hf [A/(m s)]",
-    "imbalance": "heat that is not accounted for, relative",
-}
-
-
-def outcome_table(metrics: dict[str, Any]) -> Table:
-    """What a run reached."""
-    rows = [(label, metrics[name]) for name, label in OUTCOMES.items()]
-    return Table(("quantity", "value"), rows, SYNTHETIC)
-
-
 SYNTHETIC = "Synthetic data of a research code."
 
 
-def constraint_table(metrics: dict[str, Any]) -> Table:
+def run_table(metrics: RunMetrics) -> Table:
+    """Temperatures and doses of a run."""
+    rows = [
+        ("highest temperature [°C]", metrics.highest),
+        ("T10 of the tumour at the end [°C]", metrics.t10),
+        ("T50 of the tumour at the end [°C]", metrics.t50),
+        ("T90 of the tumour at the end [°C]", metrics.t90),
+        ("D90 of the tumour [CEM43 min]", metrics.d90),
+        ("fraction of the tumour above 43 °C at the end", metrics.v43),
+        ("largest dose outside the tumour [CEM43 min]", metrics.healthy_dose),
+        ("largest product Hf [A/(m s)]", metrics.hf),
+        ("relative error of the energy balance", metrics.imbalance),
+    ]
+    return Table(("quantity", "value"), rows, SYNTHETIC)
+
+
+def constraint_table(metrics: OptimumMetrics) -> Table:
     """The constraints of an optimisation."""
     rows = [
         (
-            f"{own['name']} [{own['unit']}]",
-            own["value"],
-            own["bound"],
-            "active" if own["active"] else "not reached",
+            f"{constraint.name} [{constraint.unit}]",
+            constraint.value,
+            constraint.bound,
+            "active" if constraint.active else "not reached",
         )
-        for own in metrics["constraints"]
+        for constraint in metrics.constraints
     ]
     return Table(("constraint", "value", "bound", "at the optimum"), rows)
 
 
-def fit_table(metrics: dict[str, Any]) -> Table:
+def fit_table(metrics: LearnMetrics) -> Table:
     """How well a fit explains the probes."""
-    rows: list[tuple] = [
-        ("residual, root mean square [K]", metrics["residual"]),
-        ("noise, estimated [K]", metrics["noise"]),
-        ("steps", metrics["iterations"]),
+    rows: list[tuple[str, str | float]] = [
+        ("residual, root mean square [K]", metrics.residual),
+        ("noise, estimated [K]", metrics.noise),
+        ("steps", metrics.iterations),
     ]
-    for name, law in metrics.get("laws", {}).items():
-        low, high = law["visited"]
+    for name, law in metrics.laws.items():
+        low, high = law.visited
         rows.append((f"perfusion of {name}: visited [°C]", f"{low:.1f} to {high:.1f}"))
-        if "covered" in law:
-            rows.append((f"perfusion of {name}: truth inside the band", law["covered"]))
-    for name, own in metrics["constants"].items():
-        rows.append((name, f"{own['value']:.5g} ± {own['sd']:.2g}"))
-    baseline = metrics["constant"]["residual"]
-    rows.append(("residual of the best constant perfusion [K]", baseline))
-    for row in metrics.get("held_out", ()):
-        name = f"largest error at power {row['power']:g}, not fitted [K]"
-        rows.append((name, row["learned"]))
-        rows.append((f"{name}, constant perfusion", row["constant"]))
+        if law.covered is not None:
+            label = f"perfusion of {name}: coverage of the 95 % band"
+            rows.append((label, law.covered))
+    for name, number in metrics.constants.items():
+        rows.append((name, f"{number.value:.5g} ± {number.sd:.2g}"))
+    rows.append(
+        ("residual of the best constant perfusion [K]", metrics.constant_residual)
+    )
+    for row in metrics.held_out:
+        name = f"largest error at power {row.power:g}, not fitted [K]"
+        rows.append((name, row.learned))
+        rows.append((f"{name}, constant perfusion", row.constant))
     return Table(("quantity", "value"), rows, SYNTHETIC)
 
 
-def validation_rows(checks: list[Check]) -> list[dict[str, Any]]:
-    """The checks as they are printed for scripts."""
-    return [
-        {
-            "case": own.case,
-            "found": own.found,
-            "exact": own.true,
-            "error": own.error,
-            "tolerance": own.tolerance,
-            "unit": own.unit,
-            "within": own.passed,
-        }
-        for own in checks
-    ]
+def check_metrics(check: Check) -> CheckMetrics:
+    """A check as it is printed for scripts."""
+    return CheckMetrics(
+        case=check.case,
+        value=float(check.value),
+        exact=float(check.exact),
+        error=float(check.error),
+        tolerance=float(check.tolerance),
+        unit=check.unit,
+        within=bool(check.within),
+    )
 
 
-def validation_table(checks: list[Check]) -> Table:
+def verification_table(checks: Sequence[CheckMetrics]) -> Table:
     """Errors of the solver against exact solutions."""
     rows = [
         (
-            f"{own.case} [{own.unit}]",
-            own.found,
-            own.true,
-            f"{own.error:.1e}",
-            f"{own.tolerance:.0e}",
-            "yes" if own.passed else "NO",
+            f"{check.case} [{check.unit}]",
+            check.value,
+            check.exact,
+            f"{check.error:.1e}",
+            f"{check.tolerance:.0e}",
+            "yes" if check.within else "NO",
         )
-        for own in checks
+        for check in checks
     ]
-    return Table(("case", "found", "exact", "error", "tolerance", "within"), rows)
+    return Table(("case", "value", "exact", "error", "tolerance", "within"), rows)
 
 
-def text(metrics: dict[str, Any]) -> str:
+def text(metrics: HeatMetrics) -> str:
     """The results of a task for a terminal."""
-    if metrics["task"] == "learn":
+    if isinstance(metrics, LearnMetrics):
         return as_text(fit_table(metrics))
-    parts = [as_text(outcome_table(metrics))]
-    if metrics["task"] == "optimise":
-        parts.append(as_text(constraint_table(metrics)))
-        line = f"D90 {metrics['D90']:.3g} min, from {metrics['start_D90']:.3g} min"
-        parts.append(f"{line} at the flat start; {metrics['outcome']}")
-    parts += [f"doubtful: {line}" for line in metrics["doubts"]]
-    return "\n".join(parts)
+    if isinstance(metrics, RunMetrics):
+        return "\n".join([as_text(run_table(metrics)), *_warnings(metrics)])
+    line = f"D90 {metrics.result.d90:.3g} min, from {metrics.start_d90:.3g} min"
+    return "\n".join(
+        [
+            as_text(run_table(metrics.result)),
+            as_text(constraint_table(metrics)),
+            f"{line} at the flat start; {metrics.outcome}",
+            *_warnings(metrics.result),
+        ]
+    )
+
+
+def _warnings(metrics: RunMetrics) -> list[str]:
+    return [f"warning: {line}" for line in metrics.warnings]

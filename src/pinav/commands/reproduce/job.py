@@ -1,21 +1,14 @@
 """`pinav reproduce`: the paper's experiment, from nothing to its table and figures."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from pinav.commands.command import CommandResult
-from pinav.commands.fit.job import write_losses
-from pinav.commands.fit.matching import matching
-from pinav.commands.models import (
-    REPRODUCED,
-    SEEDLESS,
-    build_model,
-    data_summary,
-    residual,
-)
+from pinav.commands.fitted_run import FittedRun, ModelHeader, write_model
+from pinav.commands.matching import matching, read_losses, write_losses
 from pinav.commands.progress import FitReporter
 from pinav.commands.reproduce import table2
 from pinav.commands.reproduce.command import REPRODUCE
@@ -30,6 +23,7 @@ from pinav.commands.reproduce.table2 import (
     summary,
 )
 from pinav.commands.start import start_run
+from pinav.commands.system_choice import write_system_of
 from pinav.dynamics import AbstractDynamics, FixedStep, Swimmer
 from pinav.evaluation import (
     FieldMap,
@@ -40,6 +34,12 @@ from pinav.evaluation import (
     score,
 )
 from pinav.fitting import fit_many
+from pinav.fitting.environments.catalogue import (
+    ModelChoice,
+    build,
+    learned_part,
+    summarise_data,
+)
 from pinav.runs import RunFolder
 from pinav.scenarios import scenario
 from pinav.systems import System
@@ -53,12 +53,16 @@ class Entry:
     Attributes:
         name: name of its row.
         seeds: seeds of its network; (None,) where there is nothing random.
-        build: untrained model from known physics, seed and summary of the data.
+        model: name of the model in the catalogue.
     """
 
     name: str
     seeds: tuple[int | None, ...]
-    build: Callable[..., Any]
+    model: str
+
+    def choice(self, seed: int | None) -> ModelChoice:
+        """The model with the network of that seed."""
+        return ModelChoice(self.model, seed=seed or 0)
 
     def labels(self) -> list[str]:
         """Name and seed of each member, as files and arrays are called."""
@@ -68,9 +72,16 @@ class Entry:
 def entries(settings: ReproduceSettings) -> list[Entry]:
     """What the recipe trains."""
     return [
-        Entry(name, (None,) if name in SEEDLESS else settings.seeds, build)
-        for name, build in REPRODUCED[settings.recipe].items()
+        Entry(name, (None,) if model.startswith("kernel-") else settings.seeds, model)
+        for name, model in REPRODUCED[settings.recipe].items()
     ]
+
+
+REPRODUCED = {
+    "paper": {"ude": "paper-ude", "nn-only": "paper-nn-only"},
+    "default": {"ude": "ude", "nn-only": "nn-only", "ude-kernel": "kernel-potential"},
+}
+"""Models of each recipe, by the name of their row in Table 2."""
 
 
 def reproduce(settings: ReproduceSettings, folder: RunFolder) -> list[Row]:
@@ -86,6 +97,7 @@ def reproduce(settings: ReproduceSettings, folder: RunFolder) -> list[Row]:
         The rows of Table 2.
     """
     benchmark = scenario("paper")
+    write_system_of(folder, benchmark)
     data = _data(benchmark, folder)
     chosen = entries(settings)
     for entry in chosen:
@@ -111,37 +123,30 @@ def model_file(label: str) -> str:
 
 def _write_fits(entry: Entry, settings, data, folder: RunFolder) -> None:
     """Train, and write losses first: a model file says that all of its fit is there."""
-    known, summary = scenario("paper").swimmer, data_summary(data)
+    known, summary = scenario("paper").swimmer, summarise_data(data)
     method = matching(settings, data)
-    models = [entry.build(known, seed, summary) for seed in entry.seeds]
+    models = [build(entry.choice(seed), known, summary) for seed in entry.seeds]
     with FitReporter(folder, entry.name) as report:
         fits = fit_many(
             models,
             data,
             method.recipe,
-            trainable=residual,
+            trainable=learned_part,
             **method.options(),
             checkpoint=folder.checkpoint(entry.name),
             on_chunk=report,
         )
     write_losses(entry.name, fits, folder)
     for seed, label, fit in zip(entry.seeds, entry.labels(), fits, strict=True):
-        header = {
-            "kind": settings.recipe,
-            "name": entry.name,
-            "seed": seed,
-            "physics": "paper",
-            "dtype": method.precision,
-            "data": summary,
-        }
-        folder.write_model(model_file(label), header, fit.model)
+        header = ModelHeader(entry.choice(seed), summary, method.precision)
+        write_model(folder, header, fit.model, model_file(label))
 
 
 def _evaluate(benchmark, data, chosen: Sequence[Entry], folder: RunFolder):
     """Score every model; return the rows and the arrays behind the figures."""
     arrays = {"times": data.times[0], "truth": data.states[0]}
     arrays |= _true_arrays(benchmark.true_swimmer, data)
-    summary = data_summary(data)
+    summary, fitted = summarise_data(data), FittedRun.open(folder.path)
 
     def scored(model: str, seed: int | None, dynamics: AbstractDynamics) -> Row:
         predictions, outcomes = predict(dynamics, data)
@@ -151,8 +156,8 @@ def _evaluate(benchmark, data, chosen: Sequence[Entry], folder: RunFolder):
     rows = [scored("physics-only", None, benchmark.swimmer)]
     for entry in chosen:
         for seed, label in zip(entry.seeds, entry.labels(), strict=True):
-            before = entry.build(benchmark.swimmer, seed, summary)
-            trained = folder.read_model(model_file(label), build_model)
+            before = build(entry.choice(seed), benchmark.swimmer, summary)
+            trained = fitted.models[f"model-{label}"]
             rows.append(scored(f"{entry.name}-untrained", seed, before))
             rows.append(scored(entry.name, seed, trained))
             own, _ = predict(trained, data, solver=FixedStep())
@@ -195,7 +200,7 @@ def _metrics(settings, rows, arrays, folder) -> dict[str, Any]:
     chosen = entries(settings)
     labels = [label for entry in chosen for label in entry.labels()]
     with_force = [label for label in labels if f"field/{label}" in arrays]
-    true = stored_field(arrays, "true")
+    true = FieldMap.of_arrays(arrays, "true")
     return {
         "recipe": settings.recipe,
         "seeds": list(settings.seeds),
@@ -213,15 +218,15 @@ def _metrics(settings, rows, arrays, folder) -> dict[str, Any]:
         "paper_loss": PAPER_LOSS,
         "own_integrator_total": {label: _own_total(arrays, label) for label in labels},
         "force_error": {
-            label: force_errors(stored_field(arrays, label), true)
+            label: force_errors(FieldMap.of_arrays(arrays, label), true)
             for label in with_force
         },
     }
 
 
 def _losses(entry: Entry, folder: RunFolder) -> dict[str, dict[str, Any]]:
-    stored = folder.read_arrays(f"losses-{entry.name}.npz")
-    curves = zip(entry.seeds, stored["losses"], stored["outcomes"], strict=True)
+    stored = read_losses(entry.name, folder)
+    curves = zip(entry.seeds, stored.values, stored.outcomes, strict=True)
     return {
         "-" if seed is None else str(seed): {
             "start": float(losses[0]),
@@ -240,19 +245,9 @@ def _own_total(arrays, label: str) -> float:
     return float(np.sqrt(np.mean(difference**2)))
 
 
-def stored_field(arrays: dict[str, np.ndarray], name: str) -> FieldMap:
-    """The field map of that name in `results.npz`."""
-    return FieldMap(
-        arrays["field/x"],
-        arrays["field/y"],
-        arrays[f"field/{name}"],
-        arrays["field/distance"],
-    )
-
-
 def run(options: ReproduceOptions) -> CommandResult:
     """Run the experiment of the paper, as the command line does."""
-    folder = start_run(REPRODUCE, options, options.settings)
+    folder = start_run(REPRODUCE, options, options.settings, system="paper")
     rows = reproduce(options.settings, folder)
     text = "\n".join([table2.text(rows), *table2.summary_lines(rows)])
     return CommandResult(folder.read_json("metrics.json"), text, folder)

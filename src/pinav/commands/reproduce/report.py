@@ -4,9 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from pinav.commands.reproduce.job import key_of, stored_field
+from pinav.commands.matching import read_losses
+from pinav.commands.reproduce.job import key_of
 from pinav.commands.reproduce.table2 import DIFFERENCES, PAPER, ROWS
-from pinav.evaluation import Decomposition
+from pinav.evaluation import Decomposition, FieldMap
 from pinav.figures import acceleration_figure, figure1, force_comparison, save_figure
 from pinav.report import Image, Paragraph, Section, Table
 from pinav.runs import RunFolder
@@ -93,14 +94,14 @@ def _losses(metrics: dict[str, Any]) -> Table:
 def _figure1(
     folder: RunFolder, arrays: dict[str, np.ndarray], seed: int | None, model: str
 ) -> Image:
-    losses, phases = loss_history(folder, model)
+    losses = read_losses(model, folder)
     figure = figure1(
         arrays["times"],
         arrays["truth"],
         arrays[key_of(f"{model}-untrained", seed)],
         arrays[key_of(model, seed)],
-        losses,
-        phases,
+        losses.values,
+        losses.phases,
         model=model,
         barrier=BARRIER,
     )
@@ -112,16 +113,6 @@ def _figure1(
         "change of phase marked, (d, e) velocity; before and after training, against "
         "the truth. Dimensionless, synthetic data.",
     )
-
-
-def loss_history(
-    folder: RunFolder, name: str
-) -> tuple[np.ndarray, list[tuple[str, int]]]:
-    """Losses of every seed by step, and where each phase of the recipe began."""
-    stored = folder.read_arrays(f"losses-{name}.npz")
-    names, starts = stored["phase_names"], stored["phase_starts"]
-    phases = [(str(n), int(start)) for n, start in zip(names, starts, strict=True)]
-    return stored["losses"], phases
 
 
 def _kernel_figure(folder, arrays) -> list[Section]:
@@ -161,7 +152,10 @@ def _forces(folder, metrics, arrays, seed) -> list[Paragraph | Image | Table]:
 
 
 def _force(folder, arrays, label: str) -> Image:
-    true, learned = stored_field(arrays, "true"), stored_field(arrays, label)
+    true, learned = (
+        FieldMap.of_arrays(arrays, "true"),
+        FieldMap.of_arrays(arrays, label),
+    )
     figure = force_comparison(learned, true=true, path=arrays["truth"][:, :2])
     files = save_figure(figure, folder.path / "figures", f"force-{label}")
     return Image(

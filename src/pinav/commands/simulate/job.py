@@ -1,4 +1,4 @@
-"""`pinav simulate`: trajectories of a named scenario, in a file."""
+"""`pinav simulate`: trajectories of a system, in a file."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ import jax
 
 from pinav.commands.command import CommandResult
 from pinav.commands.simulate.settings import SimulateOptions, SimulateSettings
-from pinav.scenarios import scenario
+from pinav.scenarios import find_system
 from pinav.trajectories import (
     AbstractDegradation,
     FrameLoss,
@@ -16,7 +16,7 @@ from pinav.trajectories import (
     degrade,
     save,
 )
-from pinav.trajectories import simulate as simulate_scenario
+from pinav.trajectories import simulate as simulate_system
 
 VELOCITY_CHANNELS = ("vx", "vy", "vz")
 
@@ -24,18 +24,18 @@ VELOCITY_CHANNELS = ("vx", "vy", "vz")
 def simulate(
     name: str, settings: SimulateSettings, out: Path, *, overwrite: bool
 ) -> Trajectories:
-    """Simulate a scenario and save its trajectories.
+    """Simulate a system and save its trajectories.
 
     Raises:
-        InputError: the scenario is unknown, a setting makes no sense, or the file is
+        InputError: the system is unknown, a setting makes no sense, or the file is
             there.
     """
     settings.check()
     starts_key, noise_key = jax.random.split(jax.random.key(settings.seed))
-    chosen = scenario(name, starts_key, count=settings.count)
+    system = find_system(name, starts_key, count=settings.count)
     if settings.noise is not None:
-        chosen = eqx.tree_at(lambda s: s.noise, chosen, settings.noise)
-    trajectories = simulate_scenario(chosen, key=noise_key)
+        system = eqx.tree_at(lambda s: s.noise, system, settings.noise)
+    trajectories = simulate_system(system, key=noise_key)
     steps = _degradations(settings, trajectories.channels)
     if steps:
         loss_key = jax.random.fold_in(noise_key, 2)

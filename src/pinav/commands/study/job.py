@@ -12,17 +12,9 @@ import equinox as eqx
 import jax
 from tqdm import tqdm
 
-from pinav.commands.fit.matching import matching
-from pinav.commands.fit.settings import FitSettings
-from pinav.commands.fitted_run import as_cell
+from pinav.commands.cells import as_cell
 from pinav.commands.held_out import held_out
-from pinav.commands.models import (
-    KnownSwimmer,
-    data_summary,
-    fit_model,
-    fit_trainable,
-    model_summary,
-)
+from pinav.commands.matching import CurriculumSettings, matching
 from pinav.commands.study.settings import StudyModel, StudySettings
 from pinav.commands.study.stochastic_force_inference import infer_force
 from pinav.dynamics import AbstractDynamics
@@ -38,6 +30,13 @@ from pinav.evaluation import (
     summarise,
 )
 from pinav.fitting import Outcome, fit, fit_bayes
+from pinav.fitting.environments.catalogue import (
+    KnownSwimmer,
+    ModelChoice,
+    build,
+    summarise_data,
+    summarise_for,
+)
 from pinav.runs import RunFolder
 from pinav.scenarios import scenario
 from pinav.systems import System
@@ -113,7 +112,7 @@ def study(
     """
     known = scenario(world)
     rows = folder.read_json(ROWS) if folder.has(ROWS) else {}
-    clean = held_out(world, count=settings.held_out)
+    clean = held_out(scenario(world), count=settings.held_out)
     chosen = list(cells(name, settings))
     most = max(cell.count for cell in chosen)
     several = {seed: clean_data(world, seed, most) for seed in settings.seeds}
@@ -203,41 +202,44 @@ def _fitted(cell: Cell, settings: StudySettings, known: System, data: Trajectori
     if cell.model == "sfi":
         found = infer_force(known.swimmer, data, cell.sigma)
         return found, "functions selected by PASTIS"
-    own = FitSettings(model=cell.model, seed=cell.seed, max_steps=settings.max_steps)
-    return fitted(own, known.swimmer, data)
+    choice = ModelChoice(cell.model, seed=cell.seed)
+    return fit_choice(choice, known.swimmer, data, max_steps=settings.max_steps)
 
 
-def fitted(
-    settings: FitSettings, known: KnownSwimmer, data: Trajectories
+def fit_choice(
+    choice: ModelChoice, swimmer: KnownSwimmer, data: Trajectories, *, max_steps: int
 ) -> tuple[AbstractDynamics, str]:
     """A model as `pinav fit` fits it, and how the fit ended.
 
     Physics alone has nothing to fit. A fit whose steps ran out is used as it stands.
 
+    Args:
+        choice: the model.
+        swimmer: the known physics.
+        data: the trajectories.
+        max_steps: of each fit, or of each of its windows.
+
     Raises:
         FitError: the fit failed.
     """
-    if settings.model == "physics-only":
-        return known.without_environment(), "nothing to fit"
-    if settings.method == "bayes":
-        start = fit_model(settings, known, model_summary(settings.model, data))
-        found = fit_bayes(start, data, max_iterations=settings.max_steps, throw=False)
-        if found.outcome is Outcome.DIVERGED:
-            raise FitError("the fit diverged")
-        return found.model, str(found.outcome)
-    method = matching(settings, data)
-    start = fit_model(settings, known, data_summary(data))
-    matched = fit(
-        start,
-        data,
-        method.recipe,
-        trainable=fit_trainable(settings),
-        throw=False,
-        **method.options(),
-    )
-    if matched.outcome is Outcome.DIVERGED:
+    if choice.name == "physics-only":
+        return swimmer.without_environment(), "nothing to fit"
+    if choice.name not in ("ude", "nn-only"):
+        start = build(choice, swimmer, summarise_for(choice, data))
+        result = fit_bayes(start, data, max_iterations=max_steps, throw=False)
+    else:
+        method = matching(CurriculumSettings(max_steps=max_steps), data)
+        result = fit(
+            build(choice, swimmer, summarise_data(data)),
+            data,
+            method.recipe,
+            trainable=choice.trainable,
+            throw=False,
+            **method.options(),
+        )
+    if result.outcome is Outcome.DIVERGED:
         raise FitError("the fit diverged")
-    return matched.model, str(matched.outcome)
+    return result.model, str(result.outcome)
 
 
 def scores(

@@ -5,29 +5,20 @@ What it learned of the force, and what it predicts from other starts, stands her
 a static kernel potential that was fitted to a few noisy crossings of the same barrier.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import msgspec
 import numpy as np
 
-from pinav.commands.fit.command import FIT
-from pinav.commands.fit.matching import matching
-from pinav.commands.fit.settings import FitSettings
-from pinav.commands.fitted_run import as_cell
+from pinav.commands.cells import as_cell
+from pinav.commands.fitted_run import ModelHeader, build_model, write_model
 from pinav.commands.held_out import held_out
-from pinav.commands.models import (
-    REPRODUCED,
-    build_model,
-    data_summary,
-    fit_model,
-    fitted_summary,
-    residual,
-)
+from pinav.commands.matching import CurriculumSettings, matching
 from pinav.commands.progress import BayesReporter, FitReporter
-from pinav.commands.reproduce.settings import ReproduceSettings
 from pinav.commands.study.job import clean_data, with_noise
 from pinav.commands.study.settings import StudySettings
-from pinav.dynamics import Swimmer
+from pinav.dynamics import AbstractDynamics, Swimmer
 from pinav.evaluation import (
     NEAR,
     VISITED,
@@ -45,7 +36,14 @@ from pinav.evaluation import (
 from pinav.figures import save_figure
 from pinav.figures.errors import error_over_time, errors_by_region
 from pinav.figures.style import new_figure, style_of, title_panel
-from pinav.fitting import KernelGrid, fit, fit_bayes
+from pinav.fitting import fit, fit_bayes
+from pinav.fitting.environments.catalogue import (
+    ModelChoice,
+    build,
+    learned_part,
+    summarise_data,
+    summarise_for,
+)
 from pinav.report import Image, Paragraph, Section, Table
 from pinav.runs import RunFolder
 from pinav.scenarios import paper
@@ -77,7 +75,7 @@ def weakness(settings: StudySettings, folder: RunFolder) -> dict[str, Any]:
     ude = _stored(folder, "model-ude.eqx", _fit_ude, settings, single)
     kernel = _stored(folder, "model-kernel.eqx", _fit_kernel, settings, several)
     physics = paper().swimmer
-    held = held_out("paper", until=20.0, count=settings.held_out)
+    held = held_out(paper(), until=20.0, count=settings.held_out)
     chosen = {UDE: (ude, single), KERNEL: (kernel, clean), PHYSICS: (physics, single)}
     metrics: dict[str, Any] = {"study": "paper-weakness", "models": {}}
     metrics |= {"recipe": settings.recipe, "seed": seed, "count": settings.count}
@@ -92,52 +90,62 @@ def weakness(settings: StudySettings, folder: RunFolder) -> dict[str, Any]:
     return metrics
 
 
-def _stored(folder: RunFolder, name: str, make, settings, data) -> Swimmer:
+def _stored(
+    folder: RunFolder,
+    name: str,
+    make: Callable[
+        [StudySettings, Trajectories, RunFolder], tuple[ModelHeader, AbstractDynamics]
+    ],
+    settings: StudySettings,
+    data: Trajectories,
+) -> AbstractDynamics:
     """The model of a file, fitted first where the file is not there."""
     if not folder.has(name):
-        header, model = make(settings, data, folder)
-        folder.write_model(name, header, model)
-    return folder.read_model(name, build_model)
-
-
-def _fit_ude(settings: StudySettings, data: Trajectories, folder: RunFolder):
-    seed, recipe = settings.seeds[0], settings.recipe
-    method = matching(
-        ReproduceSettings(recipe=recipe, max_steps=settings.max_steps), data
+        write_model(folder, *make(settings, data, folder), name)
+    return folder.read_model(
+        name, lambda header: build_model(msgspec.convert(header, ModelHeader), paper())
     )
-    summary = data_summary(data)
-    start = REPRODUCED[recipe]["ude"](paper().swimmer, seed, summary)
+
+
+def _fit_ude(
+    settings: StudySettings, data: Trajectories, folder: RunFolder
+) -> tuple[ModelHeader, AbstractDynamics]:
+    paper_recipe = settings.recipe == "paper"
+    method = matching(
+        CurriculumSettings(
+            "paper" if paper_recipe else "curriculum", settings.max_steps
+        ),
+        data,
+    )
+    choice = ModelChoice("paper-ude" if paper_recipe else "ude", settings.seeds[0])
+    summary = summarise_data(data)
     with FitReporter(folder, "ude") as report:
-        found = fit(
-            start,
+        result = fit(
+            build(choice, paper().swimmer, summary),
             data,
             method.recipe,
-            trainable=residual,
+            trainable=learned_part,
             checkpoint=folder.checkpoint("ude"),
             on_chunk=report,
             **method.options(),
         )
-    header = {"kind": recipe, "name": "ude", "seed": seed, "physics": "paper"}
-    return header | {"dtype": method.precision, "data": summary}, found.model
+    return ModelHeader(choice, summary, method.precision), result.model
 
 
-def _fit_kernel(settings: StudySettings, data: Trajectories, folder: RunFolder):
-    own = FitSettings(model="kernel-potential", max_steps=settings.max_steps)
-    summary = data_summary(data, KernelGrid())
-    with BayesReporter(folder, "kernel-potential") as report:
-        found = fit_bayes(
-            fit_model(own, paper().swimmer, summary),
+def _fit_kernel(
+    settings: StudySettings, data: Trajectories, folder: RunFolder
+) -> tuple[ModelHeader, AbstractDynamics]:
+    choice = ModelChoice()
+    summary = summarise_for(choice, data)
+    with BayesReporter(folder, choice.name) as report:
+        result = fit_bayes(
+            build(choice, paper().swimmer, summary),
             data,
             max_iterations=settings.max_steps,
             on_step=report,
         )
-    header = {
-        "kind": FIT.name,
-        "settings": msgspec.to_builtins(own),
-        "physics": "paper",
-    }
-    fitted = fitted_summary(summary, found.model.environment)
-    return header | {"dtype": "float64", "data": fitted}, found.model
+    summary = summary.with_kernels_of(result.model.environment)
+    return ModelHeader(choice, summary), result.model
 
 
 def _scores(name, model: Swimmer, training, held, arrays) -> dict[str, Any]:

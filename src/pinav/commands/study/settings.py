@@ -4,10 +4,10 @@ from typing import Annotated, Literal
 
 import tyro
 
-from pinav.commands.fit.settings import ModelName
 from pinav.commands.settings import (
     AsJson,
     ConfigFile,
+    ModelName,
     OutFolder,
     Overwrite,
     RecipeName,

@@ -196,7 +196,7 @@ def two_conductivities(
     def transform(s):
         return _two_conductivities_transform(s, r, inner, outer, source, radius)
 
-    return _inverted(transform, t)
+    return _invert(transform, t)
 
 
 def _two_conductivities_transform(s, r, inner, outer, source, radius):
@@ -248,7 +248,7 @@ def perfused_spheres(
 
     if np.isinf(t):
         return float(mpmath.re(at(mpmath.mpf(0), mpmath.mpf(1))))
-    return _inverted(lambda s: at(s, 1 / s), t)
+    return _invert(lambda s: at(s, 1 / s), t)
 
 
 def _two_shells(r, inner, outer, radii):
@@ -268,6 +268,6 @@ def _two_shells(r, inner, outer, radii):
     return far2 + near - far2 * end * mpmath.sinh(m2 * (r - edge)) / (gap * r)
 
 
-def _inverted(transform: Callable, t: Number) -> float:
+def _invert(transform: Callable, t: Number) -> float:
     with mpmath.workdps(30):
         return float(mpmath.invertlaplace(transform, mpmath.mpf(t), method="talbot"))

@@ -1,4 +1,4 @@
-"""Scores as results keep them: numbers that JSON can hold."""
+"""Numbers of results as JSON and tables hold them."""
 
 import math
 

@@ -1,0 +1,43 @@
+"""The data of a command: trajectories of pinav, or a recording of a tracker."""
+
+from pathlib import Path
+
+import msgspec
+
+from pinav.commands.recording_settings import RecordingSettings
+from pinav.errors import InputError
+from pinav.systems import System
+from pinav.trajectories import Trajectories, is_trajectories, load, with_unobserved
+
+
+def read_data(path: Path, recording: RecordingSettings) -> Trajectories:
+    """The trajectories in a file.
+
+    Args:
+        path: the file.
+        recording: how it is read where it is a recording.
+
+    Raises:
+        InputError: the file is damaged, or an option for recordings is given with a
+            file of pinav.
+    """
+    if recording.columns or not is_trajectories(path):
+        return recording.read(path)
+    plain = RecordingSettings()
+    for field in msgspec.structs.fields(plain):
+        if getattr(recording, field.name) != getattr(plain, field.name):
+            option = field.name.replace("_", "-")
+            raise InputError(
+                f"--{option}: {path} holds trajectories of pinav, to which this option "
+                "of recordings does not apply; drop it"
+            )
+    return load(path)
+
+
+def with_all_channels(data: Trajectories, system: System) -> Trajectories:
+    """The data; positions alone get velocities that nobody observed."""
+    positions = system.position_channels
+    if data.channels != positions:
+        return data
+    unseen = system.channels[len(positions) :]
+    return with_unobserved(data, {name: system.units[name] for name in unseen})

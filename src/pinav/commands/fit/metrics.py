@@ -1,0 +1,89 @@
+"""The results of `pinav fit`, as `metrics.json` holds them."""
+
+import msgspec
+
+from pinav.report import number
+
+
+class Learned(msgspec.Struct, frozen=True):
+    """A learned constant.
+
+    Attributes:
+        value: its best value.
+        sd: standard deviation; none where the recipe has no posterior.
+    """
+
+    value: float | None
+    sd: float | None
+
+
+class Loss(msgspec.Struct, frozen=True):
+    """The training loss of trajectory matching.
+
+    Attributes:
+        start: before training.
+        end: after training.
+    """
+
+    start: float | None
+    end: float | None
+
+
+class FitMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
+    r"""The numbers of a fit.
+
+    Attributes:
+        model: name of the model that stands for the unknown.
+        recipe: how it was fitted.
+        outcome: the word for how the fit ended.
+        rmse: root-mean-square errors of rollouts on the training data, by channel.
+        learned: constants learned beside the environment.
+        remarks: sentences on what limits the result, each with a remedy.
+        force_error: relative error of the force by region, where the truth is known.
+        loss: of trajectory matching.
+        iterations: steps of a fit by the evidence.
+        noise: standard deviation of the observations [L]; for Langevin dynamics
+            $\sqrt{2D}$.
+        amplitude: of the prior of the force.
+        log_evidence: of the fit [nats].
+    """
+
+    model: str
+    recipe: str
+    outcome: str
+    rmse: dict[str, float | None]
+    learned: dict[str, Learned]
+    remarks: tuple[str, ...] = ()
+    force_error: dict[str, float | None] | None = None
+    loss: Loss | None = None
+    iterations: int | None = None
+    noise: float | None = None
+    amplitude: float | None = None
+    log_evidence: float | None = None
+
+    def text(self) -> str:
+        """The metrics for a terminal."""
+        lines = [self._how(), f"RMSE: {_joined(self.rmse)}"]
+        for name, learned in self.learned.items():
+            spread = "" if learned.sd is None else f" ± {number(learned.sd, 2)} (sd)"
+            lines.append(f"{name}: {number(learned.value, 6)}{spread}")
+        if self.force_error is not None:
+            errors = ", ".join(
+                f"{region} {'–' if error is None else f'{error:.2%}'}"
+                for region, error in self.force_error.items()
+            )
+            lines.append(f"force error (truth of the system): {errors}")
+        return "\n".join([*lines, *self.remarks])
+
+    def _how(self) -> str:
+        if self.loss is not None:
+            start, end = number(self.loss.start, 3), number(self.loss.end, 3)
+            return f"loss: {start} -> {end} ({self.outcome})"
+        return (
+            f"noise: {number(self.noise, 3)}, log evidence "
+            f"{number(self.log_evidence, 5)}, {self.iterations} steps ({self.outcome})"
+        )
+
+
+def _joined(values: dict[str, float | None]) -> str:
+    return ", ".join(f"{name} {number(value, 3)}" for name, value in values.items())

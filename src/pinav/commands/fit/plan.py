@@ -1,0 +1,195 @@
+"""The plan of a fit: its system, model and recipe, checked before a run begins."""
+
+import dataclasses
+import os
+
+import msgspec
+import numpy as np
+from jaxtyping import Float
+
+from pinav.commands.data_file import with_all_channels
+from pinav.commands.fit.settings import EVIDENCE_RECIPES, FitSettings
+from pinav.commands.matching import check_starts
+from pinav.errors import InputError
+from pinav.fitting.environments.catalogue import (
+    DataSummary,
+    ModelChoice,
+    mean_drag,
+    summarise_data,
+    summarise_for,
+)
+from pinav.forces import LinearDrag
+from pinav.systems import System
+from pinav.trajectories import Trajectories
+
+SHARE_OF_MEMORY = 0.8
+"""The part of the free memory that a fit may ask for."""
+
+
+@dataclasses.dataclass(frozen=True)
+class FitPlan:
+    """Everything that decides a fit.
+
+    Attributes:
+        settings: with model and recipe resolved.
+        system: the known physics.
+        data: as the recipe needs them.
+        choice: the model that is learned.
+        summary: what the untrained model takes from the data.
+    """
+
+    settings: FitSettings
+    system: System
+    data: Trajectories
+    choice: ModelChoice
+    summary: DataSummary
+
+
+def plan_fit(settings: FitSettings, system: System, data: Trajectories) -> FitPlan:
+    """Choose model and recipe, and refuse what cannot be fitted.
+
+    Raises:
+        InputError: the recipe cannot use the data or the system, or the fit would need
+            more memory than there is.
+    """
+    thermal = system.thermal_energy is not None or looks_brownian(data)
+    settings = resolve(settings, system, thermal=thermal)
+    settings.check()
+    check_system(settings, system)
+    if settings.recipe == "bayes":
+        data = with_all_channels(data, system)
+    if len(system.channels) != len(data.channels):
+        raise InputError(
+            f"data: expected the channels {', '.join(system.channels)} of system "
+            f"{system.name}, got {', '.join(data.channels)}"
+            + (
+                "; --recipe bayes needs positions alone"
+                if data.channels == system.position_channels
+                else ""
+            )
+        )
+    if settings.recipe not in EVIDENCE_RECIPES:
+        check_starts(data)
+    choice = ModelChoice(
+        name=str(settings.model),
+        seed=settings.seed,
+        width=settings.width,
+        depth=settings.depth,
+        learn=settings.train + tuple(number.path for number in system.learn),
+    )
+    if settings.recipe in EVIDENCE_RECIPES:
+        summary = summarise_for(choice, data)
+    else:
+        summary = summarise_data(data)
+    check_memory(data, summary)
+    return FitPlan(settings, system, data, choice, summary)
+
+
+def resolve(settings: FitSettings, system: System, *, thermal: bool) -> FitSettings:
+    """The settings with the model of the system and the recipe that suits the data.
+
+    Args:
+        settings: as given.
+        system: which names a model where none is given.
+        thermal: the paths are those of Brownian motion.
+
+    Raises:
+        InputError: the paths are Brownian and the system has inertia.
+    """
+    name = settings.model or system.model
+    recipe = settings.recipe
+    if recipe == "default" and thermal:
+        if system.order == 2:
+            raise InputError(
+                "the positions look like Brownian motion (second differences "
+                f"correlate by -1/2), but system {system.name} has inertia and no "
+                "thermal noise; give a --system without inertia, or choose a --recipe "
+                "to fit it all the same"
+            )
+        recipe = "langevin"
+    elif recipe == "default":
+        recipe = "curriculum" if name in ("ude", "nn-only") else "bayes"
+    return msgspec.structs.replace(settings, model=name, recipe=recipe)
+
+
+def looks_brownian(data: Trajectories) -> bool:
+    r"""The paths have independent increments, as thermal motion without inertia has.
+
+    Second differences of Brownian motion correlate by -1/2 with the next one and by 0
+    with the one after; those of a smooth path correlate positively, and those of
+    independent errors of observation by -2/3 and 1/6.
+    """
+    one, two = _correlations(data)
+    return -0.58 < one < -0.42 and abs(two) < 0.1
+
+
+def _correlations(data: Trajectories) -> Float[np.ndarray, " lag"]:
+    """Correlation of second differences of positions with those one and two later."""
+    products = np.zeros(3)
+    for piece in data:
+        seen = piece.observed[:, 0]
+        positions = piece.states[seen][:, : data.dim]
+        second = np.diff(positions, n=2, axis=0)
+        if len(second) < 3:
+            continue
+        scale = np.abs(second).max()
+        second = second / scale if scale > 0 else second
+        products += [
+            np.sum(second[lag:] * second[: len(second) - lag]) for lag in range(3)
+        ]
+    return products[1:] / products[0] if products[0] > 0 else np.ones(2)
+
+
+def check_system(settings: FitSettings, system: System) -> None:
+    """Refuse a recipe, a model or a constant that the system does not have.
+
+    Raises:
+        InputError: something does not suit the order or the drag of the system.
+    """
+    drag = getattr(system.swimmer, "drag", None)
+    if "damping" in settings.train and not isinstance(drag, LinearDrag):
+        raise InputError(
+            f"--train damping: system {system.name} has no such constant: its drag is "
+            f"{'a mobility' if drag is None else type(drag).__name__}; drop it"
+        )
+    if "drag" in settings.train:
+        try:
+            mean_drag(system.swimmer)
+        except InputError as error:
+            raise InputError(f"--train drag: {error}") from error
+    if settings.recipe == "langevin" and system.order == 2:
+        raise InputError(
+            "--recipe langevin: expected a system without inertia, such as brownian, "
+            f"got {system.name}; choose --recipe bayes"
+        )
+    if system.order == 1 and settings.model == "ude":
+        raise InputError(
+            f"--model ude: expected a system with inertia, got {system.name}; choose a "
+            "kernel or neural model"
+        )
+
+
+def check_memory(data: Trajectories, summary: DataSummary) -> None:
+    """Refuse data whose linearised problem does not fit into the memory.
+
+    Raises:
+        InputError: it needs more than there is.
+    """
+    weights = len(summary.centers) * summary.dim
+    needed = 8.0 * data.states.size * weights
+    available = SHARE_OF_MEMORY * free_memory()
+    if needed > available:
+        raise InputError(
+            f"data: {data.states.shape[0] * data.states.shape[1]} samples and "
+            f"{weights} weights need about {needed / 1e9:.1f} GB of memory, but "
+            f"{available / 1e9:.1f} GB are free; fit fewer trajectories, or every "
+            f"{int(np.ceil(needed / available))}th sample"
+        )
+
+
+def free_memory() -> float:
+    """Memory that this process may still use [bytes]; infinite where nobody says."""
+    try:
+        return float(os.sysconf("SC_AVPHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):
+        return float("inf")

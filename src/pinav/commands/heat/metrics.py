@@ -1,0 +1,171 @@
+"""Metrics of the tasks of `pinav heat`."""
+
+import msgspec
+
+
+class RunMetrics(msgspec.Struct, frozen=True, tag="simulate", tag_field="task"):
+    """Temperatures and doses that a run reached.
+
+    Attributes:
+        highest: highest temperature [°C].
+        t10: temperature that 10 % of the tumour exceed at the end [°C].
+        t50: the same for 50 %.
+        t90: the same for 90 %.
+        d90: dose that 90 % of the tumour exceed [CEM43 min].
+        v43: fraction of the tumour above 43 °C at the end.
+        healthy_dose: largest dose outside the tumour [CEM43 min].
+        hf: largest product of amplitude and frequency [A m⁻¹ s⁻¹].
+        imbalance: relative error of the energy balance.
+        warnings: laws that were used outside their range, one sentence each.
+    """
+
+    highest: float = msgspec.field(name="T_max")
+    t10: float = msgspec.field(name="T10")
+    t50: float = msgspec.field(name="T50")
+    t90: float = msgspec.field(name="T90")
+    d90: float = msgspec.field(name="D90")
+    v43: float = msgspec.field(name="V43")
+    healthy_dose: float
+    hf: float = msgspec.field(name="Hf")
+    imbalance: float
+    warnings: tuple[str, ...]
+
+
+class ConstraintMetrics(msgspec.Struct, frozen=True):
+    """A constraint at the optimum.
+
+    Attributes:
+        name: of the constraint.
+        value: largest value of the constrained quantity.
+        bound: upper bound.
+        unit: of both.
+        active: whether the quantity is at its bound.
+    """
+
+    name: str
+    value: float
+    bound: float
+    unit: str
+    active: bool
+
+
+class OptimumMetrics(
+    msgspec.Struct, frozen=True, tag="optimise", tag_field="task", kw_only=True
+):
+    """An optimised protocol.
+
+    Attributes:
+        result: of its run.
+        outcome: how the optimisation ended.
+        evaluations: number of runs with their gradients.
+        start_d90: D90 at the start [CEM43 min].
+        constraints: with their values.
+        amplitudes: of the field in each interval [A m⁻¹].
+        max_temperature: bound of the temperature [°C].
+    """
+
+    result: RunMetrics
+    outcome: str
+    evaluations: int
+    start_d90: float = msgspec.field(name="start_D90")
+    constraints: tuple[ConstraintMetrics, ...]
+    amplitudes: tuple[float, ...]
+    max_temperature: float
+
+
+class LearnedNumber(msgspec.Struct, frozen=True):
+    """A learned number.
+
+    Attributes:
+        value: best value.
+        sd: standard deviation.
+    """
+
+    value: float
+    sd: float
+
+
+class LawMetrics(msgspec.Struct, frozen=True):
+    """A learned law of perfusion.
+
+    Attributes:
+        visited: lowest and highest temperature of its tissue [°C].
+        covered: fraction of these temperatures at which the truth lies in the band, of
+            synthetic readings.
+    """
+
+    visited: tuple[float, float]
+    covered: float | None = None
+
+
+class HeldOutMetrics(msgspec.Struct, frozen=True):
+    """Predictions at a power that was not fitted.
+
+    Attributes:
+        power: relative to that of the fit.
+        learned: largest error of the temperature with the learned laws [K].
+        constant: the same with the best constant perfusion.
+        true_dose: largest dose [CEM43 min].
+        learned_dose: the same by the learned laws.
+        constant_dose: the same by the best constant perfusion.
+    """
+
+    power: float
+    learned: float
+    constant: float
+    true_dose: float
+    learned_dose: float
+    constant_dose: float
+
+
+class LearnMetrics(
+    msgspec.Struct, frozen=True, tag="learn", tag_field="task", kw_only=True
+):
+    """A fit of perfusion to probes.
+
+    Attributes:
+        outcome: how the fit ended.
+        iterations: number of steps.
+        residual: root mean square of the residuals [K].
+        noise: estimated standard deviation of a reading [K].
+        log_evidence: of the fit [nats].
+        constants: other numbers learned, by name.
+        laws: by tissue.
+        constant_residual: root mean square residual of the best constant perfusion [K].
+        held_out: predictions at other powers.
+    """
+
+    outcome: str
+    iterations: int
+    residual: float
+    noise: float
+    log_evidence: float | None
+    constants: dict[str, LearnedNumber]
+    laws: dict[str, LawMetrics]
+    constant_residual: float
+    held_out: tuple[HeldOutMetrics, ...] = ()
+
+
+HeatMetrics = RunMetrics | OptimumMetrics | LearnMetrics
+
+
+class CheckMetrics(msgspec.Struct, frozen=True):
+    """A quantity of the solver beside its exact value.
+
+    Attributes:
+        case: name of the case.
+        value: by the solver.
+        exact: the exact value.
+        error: absolute difference.
+        tolerance: largest difference that is accepted.
+        unit: of all of these.
+        within: whether the error is within the tolerance.
+    """
+
+    case: str
+    value: float
+    exact: float
+    error: float
+    tolerance: float
+    unit: str
+    within: bool

@@ -1,0 +1,96 @@
+"""`pinav heat optimise`: the protocol of largest dose under the limits of a case."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from pinav.commands.heat.build import CaseModel, build_case
+from pinav.commands.heat.case import Case, Optimise
+from pinav.commands.heat.metrics import ConstraintMetrics, OptimumMetrics
+from pinav.commands.heat.simulate import simulate_run
+from pinav.commands.heat.task import AbstractTask, TaskResult
+from pinav.errors import InputError
+from pinav.thermal.constraints import (
+    AbstractConstraint,
+    HealthyDose,
+    LogD90,
+    MaxTemperature,
+    limit_constraint,
+)
+from pinav.thermal.design_variables import (
+    AbstractDesignVariable,
+    FreeAmplitudes,
+    FreePlacement,
+    Run,
+    shells,
+)
+from pinav.thermal.optimise import optimise
+
+
+class OptimiseTask(AbstractTask):
+    """Find the protocol of largest D90."""
+
+    def __init__(self, case: Case) -> None:
+        if case.optimise is None:
+            raise InputError(
+                "optimise: expected a table [optimise] in the case, got none"
+            )
+        self.settings, self.setup = case.optimise, build_case(case)
+        self.variables = _variables(case, case.optimise, self.setup)
+        self.constraints = _constraints(case, case.optimise, self.setup)
+
+    def run(self) -> TaskResult:
+        setup = self.setup
+        optimum = optimise(
+            Run(setup.model, setup.protocol),
+            self.variables,
+            maximise=LogD90(setup.target),
+            subject_to=self.constraints,
+            stepper=setup.stepper,
+        )
+        protocol = optimum.run.protocol
+        metrics, arrays = simulate_run(setup, optimum.run.model, protocol)
+        constraints = tuple(
+            ConstraintMetrics(c.name, float(c.value), float(c.bound), c.unit, c.active)
+            for c in optimum.constraints
+        )
+        return TaskResult(
+            OptimumMetrics(
+                result=metrics,
+                outcome=str(optimum.outcome),
+                evaluations=optimum.evaluations,
+                start_d90=float(np.exp(optimum.start_value)),
+                constraints=constraints,
+                amplitudes=tuple(np.asarray(protocol.starts).tolist()),
+                max_temperature=self.settings.max_temperature,
+            ),
+            arrays,
+        )
+
+
+def _variables(
+    case: Case, settings: Optimise, setup: CaseModel
+) -> list[AbstractDesignVariable]:
+    intervals = len(setup.protocol.edges) - 1
+    variables: list[AbstractDesignVariable] = [
+        FreeAmplitudes(settings.largest, intervals, settings.start)
+    ]
+    if settings.placement is not None:
+        grid, source = setup.model.grid, setup.model.sources[0]
+        total = float(jnp.sum(source.shape(grid) * grid.volumes))
+        patterns = shells(setup.model, case.tumour.radius, settings.placement, total)
+        variables.append(FreePlacement(patterns))
+    return variables
+
+
+def _constraints(
+    case: Case, settings: Optimise, setup: CaseModel
+) -> list[AbstractConstraint]:
+    constraints: list[AbstractConstraint] = [
+        MaxTemperature(bound=settings.max_temperature)
+    ]
+    if settings.healthy_dose is not None:
+        # the margin leaves out tissue that conduction from the tumour heats anyway
+        radius = case.tumour.radius + settings.margin
+        away = 1 - setup.model.grid.ball(radius, center=case.tumour.center)
+        constraints.append(HealthyDose(bound=settings.healthy_dose, share=away))
+    return constraints + [limit_constraint(limit) for limit in setup.limits]

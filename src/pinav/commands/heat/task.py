@@ -1,0 +1,42 @@
+"""A task of `pinav heat`: checked when it is made, computed when it is run."""
+
+import abc
+import dataclasses
+
+import numpy as np
+
+from pinav.commands.heat.metrics import HeatMetrics
+from pinav.thermal.probes import ProbeData
+
+RESULTS = "results.npz"
+READINGS = "probes.csv"
+
+
+@dataclasses.dataclass(frozen=True)
+class TaskResult:
+    """What a task computed.
+
+    Attributes:
+        metrics: numbers for tables and scripts.
+        arrays: what the figures show.
+        readings: of the case's probes, if it has any.
+    """
+
+    metrics: HeatMetrics
+    arrays: dict[str, np.ndarray]
+    readings: ProbeData | None = None
+
+
+class AbstractTask(abc.ABC):
+    """A task of one case.
+
+    Whatever can be refused is refused when a task is made, before a folder exists.
+    """
+
+    @abc.abstractmethod
+    def run(self) -> TaskResult:
+        """Compute.
+
+        Raises:
+            FitError: no result was found.
+        """

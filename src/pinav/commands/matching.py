@@ -1,0 +1,148 @@
+"""Trajectory matching by the name of its recipe, and its losses on disk."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, Protocol, runtime_checkable
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from pinav.dynamics import FixedStep
+from pinav.errors import InputError
+from pinav.fitting import (
+    AbstractObjective,
+    AbstractPhase,
+    Fit,
+    TrajectoryLoss,
+    curriculum,
+    paper_recipe,
+)
+from pinav.runs import RunFolder
+from pinav.trajectories import Trajectories
+
+
+@runtime_checkable
+class MatchingSettings(Protocol):
+    """The settings of every command that matches trajectories."""
+
+    @property
+    def recipe(self) -> str:
+        """Name of the recipe."""
+        ...
+
+    @property
+    def max_steps(self) -> int:
+        """Steps of each window of the curriculum at most."""
+        ...
+
+    @property
+    def adam_steps(self) -> int:
+        """Steps of Adam in the paper's recipe."""
+        ...
+
+    @property
+    def lbfgs_steps(self) -> int:
+        """Steps of L-BFGS in the paper's recipe."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class CurriculumSettings:
+    """Settings of the default recipe, or of the paper's where that is named.
+
+    Attributes:
+        recipe: `curriculum` or `paper`.
+        max_steps: steps of each window of the curriculum at most.
+        adam_steps: of the paper's recipe.
+        lbfgs_steps: of the paper's recipe.
+    """
+
+    recipe: str = "curriculum"
+    max_steps: int = 20
+    adam_steps: int = 7500
+    lbfgs_steps: int = 500
+
+
+@dataclasses.dataclass(frozen=True)
+class Matching:
+    """Everything of `fit_many` that a recipe's name decides.
+
+    Attributes:
+        recipe: the phases.
+        objective: what they minimise.
+        dtype: floating-point type of the fit.
+    """
+
+    recipe: tuple[AbstractPhase, ...]
+    objective: AbstractObjective
+    dtype: type
+
+    @property
+    def precision(self) -> str:
+        """Name of the floating-point type, for files."""
+        return jnp.dtype(self.dtype).name
+
+    def options(self) -> dict[str, Any]:
+        """As keyword arguments of `fit_many`, the recipe apart."""
+        return {"objective": self.objective, "dtype": self.dtype}
+
+
+def matching(settings: MatchingSettings, data: Trajectories) -> Matching:
+    """The paper's recipe as the paper has it, or the Gauss-Newton curriculum."""
+    if settings.recipe == "paper":
+        recipe = paper_recipe(settings.adam_steps, settings.lbfgs_steps)
+        return Matching(recipe, TrajectoryLoss(FixedStep()), jnp.float32)
+    recipe = curriculum(data, max_steps=settings.max_steps)
+    return Matching(recipe, TrajectoryLoss(FixedStep(substeps=2)), jnp.float64)
+
+
+def check_starts(data: Trajectories) -> None:
+    """Require a first sample from which a rollout can start.
+
+    Raises:
+        InputError: a trajectory has none.
+    """
+    for index, first in enumerate(data.observed[:, 0]):
+        if not first.all():
+            raise InputError(
+                f"trajectory {index}: its first sample must be fully observed, because "
+                "the rollout starts there; drop the samples before it, or choose "
+                "--recipe bayes"
+            )
+
+
+@dataclasses.dataclass(frozen=True)
+class Losses:
+    """The loss curves of fits that share a recipe.
+
+    Attributes:
+        values: losses of each fit by step.
+        phases: name of each phase of the recipe, and the step at which it began.
+        outcomes: the word for how each fit ended.
+    """
+
+    values: Float[np.ndarray, "fit step"]
+    phases: list[tuple[str, int]]
+    outcomes: list[str]
+
+
+def write_losses(name: str, fits: Sequence[Fit], folder: RunFolder) -> None:
+    """Write the loss curves of fits that share a recipe to `losses-NAME.npz`."""
+    folder.write_arrays(
+        f"losses-{name}.npz",
+        {
+            "losses": np.stack([fit.losses for fit in fits]),
+            "phase_starts": np.array([start for _, start in fits[0].phases]),
+            "phase_names": np.array([phase for phase, _ in fits[0].phases]),
+            "outcomes": np.array([str(fit.outcome) for fit in fits]),
+        },
+    )
+
+
+def read_losses(name: str, folder: RunFolder) -> Losses:
+    """Read what `write_losses` wrote."""
+    stored = folder.read_arrays(f"losses-{name}.npz")
+    names, starts = stored["phase_names"], stored["phase_starts"]
+    phases = [(str(n), int(start)) for n, start in zip(names, starts, strict=True)]
+    return Losses(stored["losses"], phases, [str(word) for word in stored["outcomes"]])

@@ -1,0 +1,346 @@
+"""The models by name: what stands for the unknown, built from a choice and the data.
+
+A `ModelChoice` and a `DataSummary` are all that a file needs to say so that the model
+in it can be built again. A further model is one function and one entry of `MODELS`.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from operator import attrgetter
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import msgspec
+import numpy as np
+
+from pinav.dynamics import (
+    AbstractDynamics,
+    NeuralDynamics,
+    OverdampedSwimmer,
+    Swimmer,
+    paper_black_box,
+)
+from pinav.errors import InputError
+from pinav.fitting.environments.kernels import (
+    WITHOUT_PRIOR,
+    KernelGrid,
+    changing_environment,
+    kernel_environment,
+)
+from pinav.forces import (
+    AbstractForce,
+    AbstractLearnedForce,
+    ChangingPotential,
+    CholeskyTensor,
+    KernelForce,
+    KernelMixture,
+    KernelPotential,
+    LinearDrag,
+    NeuralForce,
+    NeuralPotential,
+    PositionFeatures,
+    PositionTimeFeatures,
+    TensorDrag,
+    TimedKernelPotential,
+    ZeroForce,
+    paper_force,
+    spread_weights,
+    tanh_network,
+    tensor_matrix,
+)
+from pinav.trajectories import Trajectories
+
+KnownSwimmer = Swimmer | OverdampedSwimmer
+"""Physics whose environment alone is unknown."""
+
+CONSTANTS = {
+    "damping": "drag.damping",
+    "gain": "propulsion.gain",
+    "drag": "drag.tensor",
+}
+"""Short names of constants of a swimmer, and where they stand."""
+
+
+class ModelChoice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The model that stands for the unknown, and the constants learned with it.
+
+    Attributes:
+        name: of `MODELS`.
+        seed: of the network's initial weights.
+        width: neurons of each hidden layer.
+        depth: number of hidden layers.
+        learn: constants of the swimmer that are learned too, by their names in
+            `CONSTANTS` or by the path of a leaf, such as `propulsion.gain`.
+    """
+
+    name: str = "kernel-potential"
+    seed: int = 0
+    width: int = 32
+    depth: int = 2
+    learn: tuple[str, ...] = ()
+
+    def paths(self) -> dict[str, str]:
+        """The path of each learned constant, by the name that tables give it."""
+        return {name: CONSTANTS.get(name, name) for name in self.learn}
+
+    def constants(self, model: Any) -> tuple[Any, ...]:
+        """The learned constants of a model."""
+        return tuple(attrgetter(path)(model) for path in self.paths().values())
+
+    def trainable(self, model: Any) -> Any:
+        """The leaves of a model that a fit changes."""
+        return (learned_part(model), *self.constants(model))
+
+
+class Change(msgspec.Struct, frozen=True):
+    """Kernels and splines of a potential that changes with time.
+
+    Attributes:
+        centers: of the kernels [L].
+        width: of the kernels [L].
+        splines: number of functions of time.
+        times: first and last time [T].
+    """
+
+    centers: list[list[float]]
+    width: float
+    splines: int
+    times: tuple[float, float]
+
+
+class DataSummary(msgspec.Struct, frozen=True):
+    """The numbers that an untrained model takes from the data.
+
+    Attributes:
+        dim: number of coordinates.
+        mean: of each observed state, then of time.
+        std: standard deviation of each of them; 1 where it is zero.
+        centers: of the kernels around the data [L].
+        kernel_width: of these kernels [L].
+        change: the part that changes with time, where the model has one.
+    """
+
+    dim: int
+    mean: tuple[float, ...]
+    std: tuple[float, ...]
+    centers: list[list[float]]
+    kernel_width: float
+    change: Change | None = None
+
+    def with_kernels_of(self, environment: AbstractForce) -> "DataSummary":
+        """The summary of a fitted model, whose kernels may be finer than at first."""
+        kernels = getattr(environment, "kernels", None)
+        if kernels is None:
+            return self
+        return msgspec.structs.replace(
+            self,
+            centers=np.asarray(kernels.centers).tolist(),
+            kernel_width=float(kernels.width),
+        )
+
+
+def summarise_data(data: Trajectories, grid: KernelGrid = WITHOUT_PRIOR) -> DataSummary:
+    """The summary of trajectories for a model without a prior.
+
+    Args:
+        data: the trajectories.
+        grid: how kernels are laid around them.
+    """
+    seen = data.observed
+    columns = [data.states[..., i][seen[..., i]] for i in range(seen.shape[2])]
+    columns.append(data.times[seen.any(axis=-1)])
+    deviations = [float(column.std()) if column.size else 0.0 for column in columns]
+    kernels = kernel_environment(KernelPotential, data, grid, dim=data.dim)
+    return DataSummary(
+        dim=data.dim,
+        mean=tuple(float(column.mean()) if column.size else 0.0 for column in columns),
+        std=tuple(value if value > 0 else 1.0 for value in deviations),
+        centers=np.asarray(kernels.centers).tolist(),
+        kernel_width=float(kernels.width),
+    )
+
+
+def summarise_for(choice: ModelChoice, data: Trajectories) -> DataSummary:
+    """The summary of trajectories for a model with a prior, and its kernels.
+
+    Args:
+        choice: the model.
+        data: the trajectories.
+    """
+    summary = summarise_data(data, KernelGrid())
+    if choice.name != TIMED:
+        return summary
+    change = changing_environment(data, dim=summary.dim).change
+    timed = Change(
+        centers=np.asarray(change.centers).tolist(),
+        width=float(change.width),
+        splines=change.weights.shape[1],
+        times=(float(change.first), float(change.last)),
+    )
+    return msgspec.structs.replace(summary, change=timed)
+
+
+Builder = Callable[[ModelChoice, KnownSwimmer, DataSummary], AbstractDynamics]
+
+
+def build(
+    choice: ModelChoice, swimmer: KnownSwimmer, summary: DataSummary
+) -> AbstractDynamics:
+    """The untrained model.
+
+    Args:
+        choice: its kind, size and seed.
+        swimmer: the known physics.
+        summary: what the model takes from the data.
+
+    Raises:
+        InputError: there is no model of that name, or it does not suit the swimmer.
+    """
+    if choice.name not in MODELS:
+        raise InputError(
+            f"model {choice.name!r} is unknown; choose one of: {', '.join(MODELS)}"
+        )
+    if CONSTANTS["drag"] in choice.paths().values():
+        swimmer = with_tensor_drag(swimmer, summary)
+    return MODELS[choice.name](choice, swimmer, summary)
+
+
+def _in_environment(
+    environment: Callable[[ModelChoice, DataSummary], AbstractForce],
+) -> Builder:
+    """A model that differs from the known swimmer by its environment alone."""
+    return lambda choice, swimmer, summary: swimmer.with_environment(
+        environment(choice, summary)
+    )
+
+
+def _kernels(
+    kind: type[KernelForce] | type[KernelPotential] | type[KernelMixture],
+) -> Builder:
+    return _in_environment(
+        lambda choice, summary: kind.untrained(
+            np.asarray(summary.centers), summary.kernel_width
+        )
+    )
+
+
+def _changing(choice: ModelChoice, summary: DataSummary) -> ChangingPotential:
+    change = summary.change
+    if change is None:
+        raise InputError(f"model {choice.name}: its summary of the data has no times")
+    centers = jnp.asarray(change.centers)
+    weights = jnp.zeros((len(centers), change.splines))
+    static = KernelPotential.untrained(
+        np.asarray(summary.centers), summary.kernel_width
+    )
+    timed = TimedKernelPotential(weights, centers, change.width, *change.times)
+    return ChangingPotential(static, timed)
+
+
+def _timed_network(choice: ModelChoice, summary: DataSummary) -> NeuralForce:
+    """A network of standardised position and time, its weights spread."""
+    dim, mean, std = summary.dim, summary.mean, summary.std
+    features = PositionTimeFeatures((*mean[:dim], mean[-1]), (*std[:dim], std[-1]))
+    return NeuralForce(_network(choice, dim + 1, dim), features)
+
+
+def _static_network(
+    kind: type[NeuralForce] | type[NeuralPotential],
+) -> Builder:
+    def environment(choice: ModelChoice, summary: DataSummary) -> AbstractForce:
+        dim, mean, std = summary.dim, summary.mean, summary.std
+        outputs = dim if kind is NeuralForce else 1
+        features = PositionFeatures(mean[:dim], std[:dim])
+        return kind(_network(choice, dim, outputs), features)
+
+    return _in_environment(environment)
+
+
+def _network(choice: ModelChoice, inputs: int, outputs: int) -> Any:
+    key = jax.random.key(choice.seed)
+    size = {"width": choice.width, "depth": choice.depth}
+    return spread_weights(tanh_network(inputs, outputs, **size, key=key))
+
+
+def _black_box(
+    choice: ModelChoice, swimmer: KnownSwimmer, summary: DataSummary
+) -> NeuralDynamics:
+    """A network of the standardised state and time in place of all physics."""
+    del swimmer
+    inputs = len(summary.mean)
+    network = _network(choice, inputs, inputs - 1)
+    return NeuralDynamics(network, summary.mean, summary.std)
+
+
+def _paper_black_box(
+    choice: ModelChoice, swimmer: KnownSwimmer, summary: DataSummary
+) -> NeuralDynamics:
+    del swimmer, summary
+    return paper_black_box(jax.random.key(choice.seed))
+
+
+TIMED = "kernel-potential-time"
+"""The model whose environment changes with time and has a prior."""
+
+MODELS: dict[str, Builder] = {
+    "kernel-potential": _kernels(KernelPotential),
+    "kernel-force": _kernels(KernelForce),
+    "kernel-mixture": _kernels(KernelMixture),
+    TIMED: _in_environment(_changing),
+    "neural-potential": _static_network(NeuralPotential),
+    "neural-force": _static_network(NeuralForce),
+    "ude": _in_environment(_timed_network),
+    "physics-only": _in_environment(lambda choice, summary: ZeroForce()),
+    "nn-only": _black_box,
+    "paper-ude": _in_environment(
+        lambda choice, summary: paper_force(jax.random.key(choice.seed))
+    ),
+    "paper-nn-only": _paper_black_box,
+}
+"""Models by name; those of the paper have its networks as Table 1 states them."""
+
+
+def learned_part(model: Any) -> Any:
+    """The part of a model that trains unless more is asked for."""
+    learned = model.environment if isinstance(model, KnownSwimmer) else model
+    if isinstance(learned, AbstractForce) and not isinstance(
+        learned, AbstractLearnedForce
+    ):
+        return ()
+    return learned.parameters
+
+
+def with_tensor_drag(swimmer: KnownSwimmer, summary: DataSummary) -> KnownSwimmer:
+    """The swimmer with a tensor to learn as its drag; isotropic at first."""
+    matrix = mean_drag(swimmer, summary) * jnp.eye(summary.dim)
+    return dataclasses.replace(swimmer, drag=TensorDrag(CholeskyTensor.of(matrix)))
+
+
+def with_linear_drag(swimmer: KnownSwimmer, summary: DataSummary) -> KnownSwimmer:
+    """The swimmer with a number to learn as its drag."""
+    drag = LinearDrag(mean_drag(swimmer, summary))
+    return dataclasses.replace(swimmer, drag=drag)
+
+
+def mean_drag(swimmer: KnownSwimmer, summary: DataSummary | None = None) -> float:
+    """Drag averaged over all directions, in the middle of the data [T⁻¹].
+
+    Args:
+        swimmer: the known physics.
+        summary: of the data; their middle is the origin unless given.
+
+    Raises:
+        InputError: the swimmer has no drag that depends on its velocity alone.
+    """
+    drag = swimmer.drag if isinstance(swimmer, Swimmer) else None
+    if isinstance(drag, LinearDrag):
+        return float(drag.damping)
+    if isinstance(drag, TensorDrag):
+        dim = 2 if summary is None else summary.dim
+        middle = jnp.zeros(dim) if summary is None else jnp.asarray(summary.mean[:dim])
+        return float(jnp.trace(tensor_matrix(drag.tensor, middle)) / dim)
+    raise InputError(
+        "learning the drag needs physics with inertia and a drag in a fluid at rest, "
+        f"got {type(swimmer if drag is None else drag).__name__}; leave the drag out"
+    )

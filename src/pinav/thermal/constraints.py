@@ -1,0 +1,173 @@
+"""Objectives and constraints of a protocol: differentiable functions of a run."""
+
+import abc
+from collections.abc import Callable
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from pinav.thermal.design_variables import Run
+from pinav.thermal.dose import exceeded_by
+from pinav.thermal.exposure_limits import AbstractLimit
+from pinav.thermal.quantities import Number
+from pinav.thermal.solve import Solution
+
+LEAST_DOSE = 1e-9
+"""Added [min] to a dose before its logarithm is taken."""
+
+
+class RunResult(eqx.Module):
+    """A run and its temperatures and doses.
+
+    Attributes:
+        run: tissue and field.
+        solution: temperature and dose.
+        hottest: highest temperature [°C] of each interval of the protocol.
+    """
+
+    run: Run
+    solution: Solution
+    hottest: Float[Array, " interval"]
+
+    def volumes(self, share: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Volume [m³] of a tissue in each cell."""
+        return share * self.run.model.grid.volumes
+
+
+Quantity = Callable[[RunResult], Float[Array, "..."]]
+
+
+class LogD90(eqx.Module):
+    """Logarithm of the CEM43 [min] that 90 % of a target exceed.
+
+    Attributes:
+        target: volume fraction of the target in each cell.
+    """
+
+    target: Float[Array, "..."]
+
+    def __call__(self, result: RunResult) -> Float[Array, ""]:
+        """Its value for a run."""
+        dose = result.solution.final.dose
+        d90 = exceeded_by(dose, result.volumes(self.target), 0.9)
+        return jnp.log(d90 + LEAST_DOSE)
+
+
+class AbstractConstraint(eqx.Module):
+    """A quantity that may not exceed a bound.
+
+    Attributes:
+        name: what the result calls it.
+        bound: upper bound.
+        unit: of quantity and bound.
+    """
+
+    name: eqx.AbstractVar[str]
+    bound: eqx.AbstractVar[Number]
+    unit: eqx.AbstractVar[str]
+
+    @abc.abstractmethod
+    def quantity(self, result: RunResult) -> Float[Array, "..."]:
+        """What is bounded; several numbers are all bounded."""
+
+    def excess(self, result: RunResult) -> Float[Array, "..."]:
+        """By how much it exceeds, such that a change of one matters."""
+        return self.quantity(result) - self.bound
+
+
+class MaxTemperature(AbstractConstraint):
+    """No cell is hotter than a bound, in any interval of the protocol.
+
+    Attributes:
+        bound: highest temperature [°C].
+        name: what the result calls it.
+        unit: of the bound.
+    """
+
+    bound: Number
+    name: str = eqx.field(static=True, default="maximum temperature")
+    unit: str = eqx.field(static=True, default="°C")
+
+    def quantity(self, result):
+        return result.hottest
+
+
+class HealthyDose(AbstractConstraint):
+    """No cell of healthy tissue gets more dose than a bound.
+
+    Attributes:
+        bound: largest dose [CEM43 min], positive.
+        share: volume fraction of the healthy tissue; cells below one half do not count.
+        name: what the result calls it.
+        unit: of the bound.
+    """
+
+    bound: Number
+    share: Float[Array, "..."]
+    name: str = eqx.field(static=True, default="healthy tissue dose")
+    unit: str = eqx.field(static=True, default="min")
+
+    def quantity(self, result):
+        dose = jnp.where(self.share > 0.5, result.solution.final.dose, 0.0)
+        return jnp.max(dose)
+
+    def excess(self, result):
+        # a dose spans many decades; its logarithm is nearly linear in the temperature
+        return jnp.log((self.quantity(result) + LEAST_DOSE) / self.bound)
+
+
+class WithinLimit(AbstractConstraint):
+    """The field keeps a limit.
+
+    Attributes:
+        limit: of the field.
+        name: of the limit.
+        bound: of the limit.
+        unit: of the limit.
+        scale: one kelvin, or the bound.
+    """
+
+    limit: AbstractLimit
+    name: str = eqx.field(static=True)
+    bound: Number
+    unit: str = eqx.field(static=True)
+    scale: Number
+
+    def quantity(self, result):
+        return self.limit.exposure(result.run.protocol)
+
+    def excess(self, result):
+        return (self.quantity(result) - self.bound) / self.scale
+
+
+class AtMost(AbstractConstraint):
+    """Any quantity of a run.
+
+    Attributes:
+        name: what the result calls it.
+        function: the quantity.
+        bound: upper bound.
+        unit: of both.
+        scale: change that matters, positive.
+    """
+
+    name: str = eqx.field(static=True)
+    function: Quantity
+    bound: Number
+    unit: str = eqx.field(static=True)
+    scale: Number = 1.0
+
+    def quantity(self, result):
+        return self.function(result)
+
+    def excess(self, result):
+        return (self.quantity(result) - self.bound) / self.scale
+
+
+def limit_constraint(limit: AbstractLimit) -> WithinLimit:
+    """The constraint that the field keeps a limit."""
+    scale = 1.0 if limit.unit == "°C" else limit.bound
+    return WithinLimit(
+        limit=limit, name=limit.name, bound=limit.bound, unit=limit.unit, scale=scale
+    )
