@@ -39,13 +39,6 @@ class Score(eqx.Module):
     outcomes: tuple[Outcome, ...] = eqx.field(static=True)
 
     @property
-    def columns(self) -> dict[str, float]:
-        """Errors by the names of a table, without channels that nobody observed."""
-        errors = zip(self.channels, map(float, self.rmse), strict=True)
-        seen = {name: error for name, error in errors if not np.isnan(error)}
-        return seen | {"total": self.total, "position": self.position}
-
-    @property
     def total(self) -> float:
         """Root mean square of the errors of all observed ones (paper, Table 2)."""
         return _root_mean_square(self.rmse)

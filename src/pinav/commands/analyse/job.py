@@ -113,13 +113,11 @@ def analyse(settings: AnalyseSettings, run: Path) -> AnalysisMetrics:
         bar.update()
         significance, sd_arrays, sd = judge_significance(subject)
         bar.update()
-        effects, effect_arrays, without_effects = trace_influence(subject)
+        effects = trace_influence(subject)
         bar.update()
-        rollouts, rollout_arrays, without_rollouts = vary_rollouts(
-            subject, split_arrays["potential"]
-        )
+        rollouts = vary_rollouts(subject, split_arrays["potential"])
         bar.update()
-    arrays |= split_arrays | sd_arrays | effect_arrays | rollout_arrays
+    arrays |= split_arrays | sd_arrays | effects.arrays | rollouts.arrays
     left_out = () if fitted.evidence else (f"standard deviations: {NO_POSTERIOR}",)
     learned_potential = isinstance(
         subject.model.environment, KernelPotential | NeuralPotential
@@ -131,10 +129,13 @@ def analyse(settings: AnalyseSettings, run: Path) -> AnalysisMetrics:
         settings=msgspec.to_builtins(settings),
         helmholtz=msgspec.structs.replace(split, sd=sd),
         potential="learned" if learned_potential else "of the gradient part",
-        left_out=(*left_out, *without_effects, *without_rollouts),
+        left_out=(*left_out, *effects.left_out, *rollouts.left_out),
         above_two_sd=significance,
-        **effects,
-        **rollouts,
+        influence=effects.influence,
+        constants=effects.constants,
+        lyapunov=rollouts.lyapunov,
+        sobol=rollouts.sobol,
+        landmark=rollouts.landmark,
     )
     _write(fitted.folder, metrics, arrays)
     return metrics
@@ -206,25 +207,36 @@ def judge_significance(
     return fractions, {"sd": sd}, float(rotational_fractions(field, forces).std())
 
 
-def trace_influence(
-    subject: Subject,
-) -> tuple[dict[str, tuple], Arrays, tuple[str, ...]]:
-    """Influence of each trajectory and each constant on force and final position.
+@dataclasses.dataclass(frozen=True)
+class Effects:
+    """The influence of trajectories and constants, as far as it could be found.
 
-    Returns:
-        Entries of the metrics, arrays, and what was left out.
+    Attributes:
+        influence: of each trajectory.
+        constants: effect of each constant.
+        arrays: changes of the force.
+        left_out: what could not be found, and why.
     """
+
+    influence: tuple[InfluenceRow, ...] | None = None
+    constants: tuple[ConstantEffect, ...] | None = None
+    arrays: Arrays = dataclasses.field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
+
+
+def trace_influence(subject: Subject) -> Effects:
+    """Influence of each trajectory and each constant on force and final position."""
     what = "influence of trajectories and constants"
     evidence = subject.run.evidence
     if evidence is None:
-        return {}, {}, (f"{what}: {NO_POSTERIOR}",)
+        return Effects(left_out=(f"{what}: {NO_POSTERIOR}",))
     if "diffusion" in evidence.constants:
         reason = "it is defined for fits of trajectories, not of stochastic increments"
-        return {}, {}, (f"{what}: {reason}",)
+        return Effects(left_out=(f"{what}: {reason}",))
     try:
         effects = _influence(subject, evidence)
     except (InputError, FitError) as error:
-        return {}, {}, (f"{what}: {error}",)
+        return Effects(left_out=(f"{what}: {error}",))
     changes = effects.force_changes(subject.grid, effects.removals)
     changes = changes.reshape(-1, *subject.field.force.shape)
     final = effects.final_changes(subject.start, subject.times, effects.removals)
@@ -239,12 +251,12 @@ def trace_influence(
         )
         for index in range(len(changes))
     )
-    metrics, arrays = {"influence": rows}, {"influence": changes}
+    arrays = {"influence": changes}
     if not effects.constants:
         left_out = ("influence of constants: the physics has none",)
-        return metrics, arrays, left_out
+        return Effects(rows, None, arrays, left_out)
     constants, slopes = _constant_effects(subject, effects, size)
-    return metrics | {"constants": constants}, arrays | slopes, ()
+    return Effects(rows, constants, arrays | slopes)
 
 
 def _influence(subject: Subject, evidence: EvidenceResult) -> Influence:
@@ -288,27 +300,43 @@ def _constant_effects(
     return tuple(rows), arrays
 
 
+@dataclasses.dataclass(frozen=True)
+class RolloutSensitivity:
+    """The dependence of a rollout on its start and on all parameters.
+
+    Attributes:
+        lyapunov: exponents over starts.
+        arrays: their map.
+        sobol: indices of the reference rollout.
+        landmark: highest point of the potential near the data [L].
+        left_out: what could not be found, and why.
+    """
+
+    lyapunov: LyapunovMetrics
+    arrays: Arrays
+    sobol: tuple[SobolRow, ...] | None = None
+    landmark: tuple[float, float] | None = None
+    left_out: tuple[str, ...] = ()
+
+
 def vary_rollouts(
     subject: Subject, potential: Float[np.ndarray, "rows columns"]
-) -> tuple[dict[str, object], Arrays, tuple[str, ...]]:
+) -> RolloutSensitivity:
     """Dependence of the reference rollout on its start and on all parameters.
 
     Args:
         subject: the run.
         potential: on its grid; its top near the data is the landmark.
-
-    Returns:
-        Entries of the metrics, arrays, and what was left out.
     """
     lyapunov, arrays = _lyapunov(subject)
     field = subject.field
     top = np.where(subject.near, potential, -np.inf).argmax()
     row, column = np.unravel_index(top, potential.shape)
     landmark = np.array([field.x[column], field.y[row]])
-    metrics: dict[str, object] = {"lyapunov": lyapunov}
+    plain = RolloutSensitivity(lyapunov, arrays)
     if not isinstance(subject.model, Swimmer):
         reason = "they are varied for swimmers with inertia alone"
-        return metrics, arrays, (f"Sobol' indices: {reason}",)
+        return dataclasses.replace(plain, left_out=(f"Sobol' indices: {reason}",))
     study = RolloutStudy(
         subject.model, subject.start, subject.times, landmark, field.regions.visited
     )
@@ -317,9 +345,9 @@ def vary_rollouts(
     try:
         indices = study.indices(factors, samples=settings.samples, seed=settings.seed)
     except InputError as error:
-        return metrics, arrays, (f"Sobol' indices: {error}",)
+        return dataclasses.replace(plain, left_out=(f"Sobol' indices: {error}",))
     place = (float(landmark[0]), float(landmark[1]))
-    return metrics | {"sobol": _sobol_rows(indices), "landmark": place}, arrays, ()
+    return dataclasses.replace(plain, sobol=_sobol_rows(indices), landmark=place)
 
 
 def _lyapunov(subject: Subject) -> tuple[LyapunovMetrics, Arrays]:

@@ -35,6 +35,7 @@ from pinav.dynamics import AbstractDynamics, Outcome, OverdampedSwimmer, Swimmer
 from pinav.evaluation import (
     START_SAMPLES,
     Regions,
+    RolloutSummary,
     error_curve,
     force_agreement,
     position_errors,
@@ -151,7 +152,7 @@ def _errors(prediction: Prediction) -> dict[str, Cell]:
     """Root-mean-square errors by column, and the number that diverged."""
     scored = score(prediction.ys, prediction.outcomes, prediction.observed)
     diverged = sum(end is not Outcome.SUCCESS for end in prediction.outcomes)
-    cells = {name: as_cell(value) for name, value in scored.columns.items()}
+    cells = {name: as_cell(value) for name, value in scored.by_name.items()}
     return cells | {"diverged": diverged}
 
 
@@ -173,11 +174,22 @@ def _rollouts(
                 "beyond it": summarise(errors, after=horizon),
             }
             rows[model][source] = {
-                part: RolloutRow(**{k: as_cell(v) for k, v in vars(summary).items()})
+                part: _rollout_row(summary)
                 for part, summary in parts.items()
                 if summary.trajectories
             }
     return rows, arrays
+
+
+def _rollout_row(summary: RolloutSummary) -> RolloutRow:
+    return RolloutRow(
+        median=as_cell(summary.median),
+        high=as_cell(summary.high),
+        median_relative=as_cell(summary.median_relative),
+        high_relative=as_cell(summary.high_relative),
+        diverged=as_cell(summary.diverged),
+        trajectories=summary.trajectories,
+    )
 
 
 def _forces(

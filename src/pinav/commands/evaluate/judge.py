@@ -133,8 +133,8 @@ def coverage_rows(
         if clean is not None:
             rows["rollouts from clean starts"] = _clean_coverage(setting, clean)
     model = run.model
-    planar_force = isinstance(model, Swimmer | OverdampedSwimmer) and setting.planar
-    if setting.truth is not None and planar_force:
+    known = setting.truth is not None and setting.planar
+    if known and isinstance(model, Swimmer | OverdampedSwimmer):
         learned, true = setting.force_fields(model)
         sd = run.force_sd(true)
         masks = setting.regions.masks(true.distance)

@@ -7,7 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from pinav.commands.data_file import read_data
+from pinav.commands.data_file import read_data, with_all_channels
 from pinav.commands.fitted_run import FittedRun
 from pinav.commands.recording_settings import RecordingSettings
 from pinav.dynamics import AbstractDynamics, Outcome, OverdampedSwimmer, Swimmer
@@ -26,7 +26,7 @@ from pinav.evaluation import (
 )
 from pinav.scenarios import scenario
 from pinav.systems import System
-from pinav.trajectories import Trajectories, with_unobserved
+from pinav.trajectories import Trajectories
 
 
 @dataclasses.dataclass(frozen=True)
@@ -114,10 +114,7 @@ def read_scored(
             trajectory is too short.
     """
     data = read_data(path, recording)
-    wanted = run.data.channels
-    if data.channels == wanted[: data.dim]:
-        units = {name: run.data.units[name] for name in wanted[data.dim :]}
-        data = with_unobserved(data, units) if units else data
+    data, wanted = with_all_channels(data, run.system), run.data.channels
     if data.channels != wanted:
         raise InputError(
             f"{path}: expected the channels {', '.join(wanted)} of the run, or the "
