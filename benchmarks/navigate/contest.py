@@ -14,6 +14,7 @@ from pinav.commands.fit.settings import FitSettings, ModelName
 from pinav.commands.fitted_run import FittedRun
 from pinav.commands.navigate.metrics import ControllerRow, IntervalRow
 from pinav.commands.system_choice import choose_system
+from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.navigation.control.controller import AbstractController
 from pinav.navigation.control.default import controller
@@ -90,6 +91,7 @@ def learned(name: str, draw: int, samples: int, folder: RunFolder) -> Knowledge:
     model, drawn = fitted.model, []
     if samples and fitted.posterior is not None:
         drawn = fitted.posterior.samples(samples, key=jax.random.key(draw))
+    assert isinstance(model, Swimmer | OverdampedSwimmer)
     known = task(name).truth.dynamics
     baseline = gaussian_process(known, data)
     own = task(name)

@@ -152,7 +152,7 @@ def _errors(prediction: Prediction) -> dict[str, Cell]:
     """Root-mean-square errors by column, and the number that diverged."""
     scored = score(prediction.ys, prediction.outcomes, prediction.observed)
     diverged = sum(end is not Outcome.SUCCESS for end in prediction.outcomes)
-    cells = {name: as_cell(value) for name, value in scored.by_name.items()}
+    cells = {name: as_cell(value) for name, value in scored.by_name().items()}
     return cells | {"diverged": diverged}
 
 

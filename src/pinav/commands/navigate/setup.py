@@ -118,7 +118,11 @@ def navigation_problem(settings: NavigateSettings, run: FittedRun) -> Navigation
     return NavigationProblem(
         task=_task(settings, steered, limits, run.data, delay),
         model=SteeredSwimmer(model, actuator),
-        samples=tuple(SteeredSwimmer(draw, actuator) for draw in _draws(run, settings)),
+        samples=tuple(
+            SteeredSwimmer(draw, actuator)
+            for draw in _draws(run, settings)
+            if isinstance(draw, Swimmer | OverdampedSwimmer)
+        ),
         truth=truth,
         evidence=_evidence(run, model),
         goal=_goal(settings),
