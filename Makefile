@@ -5,7 +5,7 @@ PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --durations=30 --duration
 SEEDS ?= 42
 OUT ?= runs/reproduce
 
-.PHONY: reproduce test test-slow coverage lint validate bench clean
+.PHONY: reproduce test test-slow test-extras coverage lint validate bench clean
 
 reproduce: .venv/installed
 	$(BIN)/pinav reproduce --seeds $(SEEDS) --out $(OUT) --resume
@@ -16,6 +16,10 @@ test: .venv/installed-dev
 # Whole commands, examples and snippets, from end to end.
 test-slow: .venv/installed-dev
 	$(PYTEST) -m slow
+
+# Tests that need the optional packages with which published numbers were made.
+test-extras: .venv/installed-extras
+	$(PYTEST) -m extras --extras
 
 coverage: .venv/installed-dev
 	$(PYTEST) --cov --cov-report=term --cov-fail-under=90
@@ -46,4 +50,8 @@ clean:
 
 .venv/installed-dev: .venv/installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test,lint]'
+	touch $@
+
+.venv/installed-extras: .venv/installed-dev
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[symbolic,peers]'
 	touch $@

@@ -1,5 +1,6 @@
 """Strict JAX, strict types: set before any test imports pinav."""
 
+import importlib.util
 import os
 import shutil
 import tempfile
@@ -34,6 +35,24 @@ def pytest_configure(config):
         os.environ["JAX_COMPILATION_CACHE_DIR"] = os.path.join(folder, "compiled")
     folder = os.environ["JAX_COMPILATION_CACHE_DIR"]
     jax.config.update("jax_compilation_cache_dir", folder)
+
+
+def pytest_addoption(parser):
+    parser.addoption(
+        "--extras", action="store_true", help="fail where a package is missing"
+    )
+
+
+def pytest_runtest_setup(item):
+    """Skip a test whose extra packages are missing; with --extras it fails."""
+    for marker in item.iter_markers("extras"):
+        missing = [
+            name for name in marker.args if importlib.util.find_spec(name) is None
+        ]
+        if missing and item.config.getoption("--extras"):
+            pytest.fail(f"{', '.join(missing)} missing: make test-extras installs them")
+        if missing:
+            pytest.skip(f"{', '.join(missing)} not installed (make test-extras)")
 
 
 def pytest_unconfigure(config):

@@ -1,4 +1,4 @@
-"""Every snippet of the README runs, and every file it links to is there."""
+"""Every block of code of the pages runs, and every file they link to is there."""
 
 import re
 import shlex
@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import jax
+import numpy as np
 import pytest
 
 from pinav import cli
@@ -16,28 +17,70 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 
-def snippets(language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", README, flags=re.DOTALL)
+def blocks(page: Path) -> list[tuple[str, str]]:
+    """Language and text of each block of code that can be run, in order."""
+    text = page.read_text(encoding="utf-8")
+    return re.findall(r"^```(python|sh)\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+
+
+@pytest.fixture
+def sandbox(tmp_path, monkeypatch):
+    """An empty folder beside the examples, in which the code of a page runs."""
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
 
 
 @pytest.mark.slow
-def test_the_python_example_runs_and_prints_an_error():
-    (example,) = snippets("python")
-    command = [sys.executable, "-c", example]
-    done = subprocess.run(command, capture_output=True, text=True)
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if blocks(page)], ids=lambda page: page.name
+)
+def test_the_code_of_a_page_runs(page, sandbox, fitted_runs, recording):
+    """The README begins with nothing, other pages with a fitted run and its data."""
+    if page.name != "README.md":
+        run, _ = fitted_runs.copy("kernel", sandbox)
+        (sandbox / "runs").mkdir()
+        run.rename(sandbox / "runs" / "mine")
+    for language, text in blocks(page):
+        if language == "python":
+            run_python(text, sandbox, recording)
+        else:
+            run_commands(text)
+
+
+def run_python(text: str, sandbox: Path, recording) -> None:
+    """Run a block; recordings that it names are put beside it."""
+    for name in re.findall(r'"([\w.-]+\.(?:csv\.gz|xlsx))"', text):
+        (sandbox / name).symlink_to(recording(RECORDED_IN[name]) / name)
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    numbers = re.findall(r"^[-.e\d]+$", done.stdout, flags=re.MULTILINE)
+    assert all(np.isfinite(float(number)) for number in numbers)
+
+
+def run_commands(text: str) -> None:
+    """Run the lines that call pinav; a line may go on after a backslash."""
+    for line in text.replace("\\\n", " ").strip().splitlines():
+        words = shlex.split(line, comments=True)
+        if words[:1] == ["pinav"]:
+            with jax.numpy_dtype_promotion("standard"):
+                assert cli.run(words[1:]) == 0, line
+        else:
+            assert words[:1] in ([], ["make"]), f"{line!r} is never run"
+
+
+RECORDED_IN = {"sessions.csv.gz": "magscope_cellbot_sessions"}
+"""Folders of the recordings that the pages name."""
+
+
+@pytest.mark.slow
+def test_the_example_of_the_readme_has_a_small_error():
+    (example,) = (t for name, t in blocks(ROOT / "README.md") if "score(" in t)
+    done = subprocess.run(
+        [sys.executable, "-c", example], capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stderr
     assert 0.0 < float(done.stdout.split()[-1]) < 2.0
-
-
-@pytest.mark.slow
-def test_the_commands_run(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (commands,) = (text for text in snippets("sh") if "pinav simulate" in text)
-    with jax.numpy_dtype_promotion("standard"):
-        for line in commands.strip().splitlines():
-            words = shlex.split(line, comments=True)
-            assert words[0] == "pinav"
-            assert cli.run(words[1:]) == 0
 
 
 @pytest.mark.slow

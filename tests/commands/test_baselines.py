@@ -15,6 +15,7 @@ from pinav.commands.study.job import study
 from pinav.commands.study.settings import StudySettings
 from pinav.commands.study.stochastic_force_inference import infer_force
 from pinav.errors import FitError
+from pinav.evaluation import field_map, force_errors
 from pinav.fitting import Refinement
 from pinav.fitting.environments.catalogue import ModelChoice, build, summarise_for
 from pinav.runs import RunFolder
@@ -94,6 +95,17 @@ def test_another_tool_that_is_not_installed_is_named(monkeypatch, crossings):
     without_sfi(monkeypatch)
     with pytest.raises(FitError, match="StochasticForceInference is not installed"):
         infer_force(crossings[0].swimmer, crossings[1], 0.02)
+
+
+@pytest.mark.extras("SFI")
+@pytest.mark.filterwarnings("default")  # of the other tool
+def test_another_tool_finds_the_force_of_crossings(crossings):
+    truth, data = crossings
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        inferred = infer_force(truth.swimmer, data, 0.02)
+        true = field_map(truth.environment, data)
+        error = force_errors(field_map(inferred.environment, data), true)
+    assert error["visited"] < 0.6
 
 
 def test_another_tool_is_asked_for_swimmers_with_inertia(crossings):

@@ -1,7 +1,5 @@
 """Residuals by position, baselines, and the words of a verdict."""
 
-import importlib.util
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -97,12 +95,16 @@ def test_the_black_box_learns_the_command(recording):
     assert own < 0.7 * nothing
 
 
+@pytest.mark.extras("sklearn")
+def test_a_gaussian_process_predicts_a_commanded_robot(recording):
+    track = tracks(recording)[0]
+    found = gaussian_process(track, rows=60)
+    rollouts = Rollouts.of(track, 5.0)
+    assert errors(track, rollouts, found.displacement()).relative < 0.3
+
+
 def test_the_gaussian_process_needs_scikit_learn(recording, monkeypatch):
     track = tracks(recording)[0]
-    if importlib.util.find_spec("sklearn"):
-        found = gaussian_process(track, rows=60)
-        rollouts = Rollouts.of(track, 5.0)
-        assert errors(track, rollouts, found.displacement()).relative < 0.3
     monkeypatch.setitem(__import__("sys").modules, "sklearn.gaussian_process", None)
     with pytest.raises(InputError, match="scikit-learn is not installed"):
         gaussian_process(track)

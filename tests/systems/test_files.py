@@ -1,10 +1,73 @@
-"""Systems there and back through TOML, and what a bad file is told."""
+"""Systems there and back through TOML, and the gallery of examples."""
+
+from pathlib import Path
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from pinav.actuation import (
+    HeldProgramme,
+    LinearProgramme,
+    LinearResponse,
+    RotatingField,
+    SaturatingResponse,
+    SlippingResponse,
+    StepOutResponse,
+)
+from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.errors import InputError
+from pinav.forces import (
+    CircularMotion,
+    ConstantForce,
+    GaussianBarrier,
+    GaussianRidge,
+    GaussianSwirl,
+    HarmonicTrap,
+    InFlow,
+    IsotropicTensor,
+    KernelPotential,
+    LinearDrag,
+    MagneticPropulsion,
+    Moving,
+    NeuralForce,
+    PoiseuilleFlow,
+    RollingPropulsion,
+    ShearFlow,
+    SumForce,
+    Superposition,
+    TensorDrag,
+    UniaxialTensor,
+    UniformFlow,
+    WavyDirector,
+    ZeroForce,
+    paper_force,
+)
 from pinav.scenarios import SCENARIOS, find_system, scenario
-from pinav.systems import system_text, write_system
+from pinav.systems import (
+    CoastingStarts,
+    Flat,
+    FreeNumber,
+    LogNormal,
+    Normal,
+    Observation,
+    RingStarts,
+    System,
+    UniformStarts,
+    Units,
+    WanderingVelocity,
+    parse_system,
+    read_system,
+    system_text,
+    write_system,
+)
+from pinav.trajectories import simulate
+
+GALLERY = Path(__file__).parents[2] / "examples" / "systems"
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
@@ -15,3 +78,236 @@ def test_every_scenario_comes_back_exactly(name, tmp_path):
     assert eqx.tree_equal(system, again, typematch=True)
     assert system_text(again) == system_text(system)
     assert again.name == name
+
+
+@pytest.mark.parametrize("path", sorted(GALLERY.glob("*.toml")), ids=lambda p: p.stem)
+def test_the_gallery_is_read_comes_back_and_simulates(path):
+    system = read_system(path)
+    assert eqx.tree_equal(parse_system(system_text(system)), system, typematch=True)
+    short = eqx.tree_at(
+        lambda s: (s.starts, s.times), system, (system.starts[:2], system.times[:6])
+    )
+    data = simulate(short, key=jax.random.key(0))
+    assert np.isfinite(data.states).all()
+    assert system.units.items() <= data.units.items()
+    assert "?" not in data.units.values()
+
+
+def test_the_own_force_of_the_gallery_is_named_and_comes_back(tmp_path):
+    system = find_system(f"{GALLERY / 'own_force.py'}:screened")
+    write_system(system, tmp_path / "system.toml")
+    assert eqx.tree_equal(read_system(tmp_path / "system.toml"), system)
+    data = simulate(eqx.tree_at(lambda s: s.times, system, system.times[:3]), key=KEY)
+    assert data.provenance["system"] is None  # data never name code to run
+
+
+KEY = jax.random.key(5)
+
+numbers = st.floats(-1e6, 1e6, allow_subnormal=False)
+positive = st.floats(1e-3, 1e3)
+point = st.tuples(numbers, numbers).map(lambda pair: jnp.array(pair))
+barriers = st.builds(GaussianBarrier, numbers, point, positive)
+forces = st.recursive(
+    st.one_of(
+        barriers,
+        st.builds(GaussianRidge, numbers, point, positive, positive, numbers),
+        st.builds(GaussianSwirl, numbers, point, positive),
+        st.builds(HarmonicTrap, numbers, point),
+        st.builds(ConstantForce, point),
+        st.lists(barriers, min_size=2, max_size=3).map(
+            lambda several: Superposition(
+                jax.tree.map(lambda *a: jnp.stack(a), *map(as_arrays, several))
+            )
+        ),
+    ),
+    lambda inner: st.one_of(
+        st.builds(
+            Moving, inner, st.builds(CircularMotion, positive, positive, numbers)
+        ),
+        st.lists(inner, min_size=2, max_size=3).map(lambda t: SumForce(tuple(t))),
+    ),
+    max_leaves=4,
+)
+flows = st.one_of(
+    st.builds(ShearFlow, numbers, numbers),
+    st.builds(PoiseuilleFlow, numbers, numbers, positive),
+    st.builds(UniformFlow, point),
+)
+tensors = st.one_of(
+    st.builds(IsotropicTensor, positive),
+    st.builds(
+        UniaxialTensor,
+        positive,
+        positive,
+        st.builds(WavyDirector, numbers, numbers, point),
+    ),
+)
+responses = st.one_of(
+    st.just(LinearResponse()),
+    st.builds(SaturatingResponse, positive),
+    st.builds(StepOutResponse, positive),
+    st.builds(SlippingResponse, positive, st.floats(0.05, 0.95)),
+)
+commands = st.tuples(point, point)
+programmes = st.one_of(
+    st.none(),
+    *(
+        st.builds(lambda c, kind=kind: kind(jnp.array([0.0, 1.5]), *c), commands)
+        for kind in (HeldProgramme, LinearProgramme)
+    ),
+)
+propulsions = st.one_of(
+    st.just(ZeroForce()),
+    st.builds(
+        MagneticPropulsion,
+        st.builds(RotatingField, positive, positive),
+        st.just(jnp.array([0.0, 0.3, 1.0])),
+        positive,
+        point,
+    ),
+    st.builds(
+        RollingPropulsion,
+        st.tuples(point, point).map(jnp.stack),
+        responses,
+        programmes,
+        positive,
+    ),
+)
+drags = st.one_of(
+    st.builds(LinearDrag, positive),
+    st.builds(TensorDrag, tensors),
+    st.builds(InFlow, st.builds(LinearDrag, positive), flows),
+)
+inert = st.builds(Swimmer, propulsions, drags, st.just(ZeroForce()), forces)
+overdamped = st.builds(
+    OverdampedSwimmer, propulsions, st.just(ZeroForce()), tensors, flows, forces
+)
+priors = st.one_of(
+    st.just(Flat()),
+    st.builds(Normal, numbers, positive),
+    st.builds(LogNormal, positive, positive),
+)
+RULES = (
+    RingStarts(center=(0.1, 0.2), radius=3.0, spread=1.0, speeds=(1.0, 2.0)),
+    UniformStarts(lower=(0.0, 0.0), upper=(0.3, 1.0), count=3, seed=4),
+)
+STARTS = {
+    order: [
+        (None, ()),
+        (None, jax.random.normal(KEY, (3, 2 * order))),
+        *((rule, rule.draw(order)) for rule in RULES),
+        (RULES[0], jax.random.normal(KEY, (3, 2 * order))),
+    ]
+    for order in (1, 2)
+}
+times = st.one_of(
+    st.just(()),
+    st.just(jnp.linspace(0.0, 3.0, 31)),
+    st.just(jnp.array([0.0, 0.1, 0.3])),
+)
+
+
+def as_arrays(force):
+    return jax.tree.map(jnp.asarray, force)
+
+
+@st.composite
+def systems(draw):
+    swimmer = draw(st.one_of(inert, overdamped))
+    first = isinstance(swimmer, OverdampedSwimmer)
+    order = 1 if first else 2
+    rule, starts = draw(st.sampled_from(STARTS[order]))
+    learn = draw(st.lists(priors, max_size=1))
+    return System(
+        name=draw(st.text(st.characters(codec="utf-8", exclude_categories=["C"]))),
+        swimmer=swimmer,
+        dim=2,
+        environment=draw(st.one_of(st.none(), forces)),
+        thermal_energy=draw(positive) if first else None,
+        wandering=draw(st.builds(WanderingVelocity, positive, positive, positive))
+        if first
+        else None,
+        observation=draw(st.builds(Observation, positive, positive)),
+        starts=starts,
+        rule=rule,
+        times=draw(times),
+        base_units=Units("um", "s", "pN"),
+        model=draw(st.sampled_from(["kernel-force", "kernel-potential"])),
+        learn=tuple(FreeNumber("known_force", prior) for prior in learn),
+    )
+
+
+@settings(max_examples=40)
+@given(systems())
+def test_any_system_comes_back_exactly(system):
+    again = parse_system(system_text(system))
+    assert eqx.tree_equal(again, system, typematch=True)
+
+
+def test_dimensions_one_and_three():
+    for dim in (1, 3):
+        system = System(
+            name="beads",
+            swimmer=OverdampedSwimmer(ZeroForce(), ZeroForce(), 2.0),
+            dim=dim,
+            environment=HarmonicTrap(1.0, jnp.arange(float(dim))),
+        )
+        again = parse_system(system_text(system))
+        assert eqx.tree_equal(again, system, typematch=True)
+        assert again.channels == ("x", "y", "z")[:dim]
+
+
+def test_friendly_parameters_are_read_and_written():
+    text = "dimension = 2\norder = 1\nmobility = 1\n[propulsion]\n" + (
+        'kind = "rolling-propulsion"\nspeed = 2.0\nheading_offset = 0.5\n'
+        'response = {kind = "slipping-response", corner = 11.7, residual = 0.25}'
+    )
+    system = parse_system(text)
+    rolling = system.swimmer.propulsion
+    cos, sin = 2 * np.cos(0.5), 2 * np.sin(0.5)
+    np.testing.assert_allclose(rolling.gain, [[cos, -sin], [sin, cos]])
+    assert eqx.tree_equal(rolling.response, SlippingResponse(11.7, 0.25))
+    assert "corner = 11.7\nresidual = 0.25" in system_text(system)
+
+
+def test_temperature_radius_and_viscosity_give_noise_and_mobility():
+    bead, water = scenario("brownian"), read_system(GALLERY / "trapped_bead.toml")
+    assert water.thermal_energy == bead.thermal_energy
+    assert water.diffusion == pytest.approx(bead.diffusion)
+    text = system_text(bead).replace(
+        f"energy = {bead.thermal_energy!r}", "diffusion = 0.5"
+    )
+    assert parse_system(text).diffusion == pytest.approx(0.5)
+
+
+def test_a_network_stays_in_python(tmp_path):
+    system = scenario("paper").with_truth(paper_force(jax.random.key(0)))
+    with pytest.raises(
+        InputError, match="truth.network: MLP of the module equinox.nn._mlp cannot"
+    ):
+        write_system(system, tmp_path / "system.toml")
+    assert isinstance(system.environment, NeuralForce)
+    assert not list(tmp_path.iterdir())
+
+
+def test_learned_kernels_can_be_stated():
+    kernels = KernelPotential(jnp.array([1.0, 2.0]), jnp.eye(2), 0.5)
+    system = scenario("paper").with_truth(kernels)
+    assert eqx.tree_equal(parse_system(system_text(system)), system)
+
+
+def test_priors_are_densities():
+    for prior, scale in ((Normal(0.4, 0.1), 0.1), (LogNormal(0.4, 0.1), 0.04)):
+        x = jnp.linspace(0.05, 1.5, 2901)
+        density = jnp.exp(jax.vmap(prior.log_density)(x))
+        density = density / jnp.trapezoid(density, x)
+        mean = jnp.trapezoid(x * density, x)
+        sd = jnp.sqrt(jnp.trapezoid((x - mean) ** 2 * density, x))
+        assert float(sd) == pytest.approx(scale, rel=0.02)
+    assert float(Flat().log_density(3.0)) == 0.0
+
+
+def test_coasting_starts_need_inertia():
+    rule = CoastingStarts(lower=(0.0, 0.0), upper=(1.0, 1.0), damping=0.3)
+    with pytest.raises(InputError, match="coasting needs inertia"):
+        rule.draw(1)

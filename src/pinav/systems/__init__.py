@@ -4,7 +4,7 @@ from pinav.systems.files import parse_system as parse_system
 from pinav.systems.files import read_system as read_system
 from pinav.systems.files import system_text as system_text
 from pinav.systems.files import write_system as write_system
-from pinav.systems.priors import AbstractPrior as AbstractPrior
+from pinav.systems.priors import AbstractNumberPrior as AbstractNumberPrior
 from pinav.systems.priors import Flat as Flat
 from pinav.systems.priors import FreeNumber as FreeNumber
 from pinav.systems.priors import LogNormal as LogNormal

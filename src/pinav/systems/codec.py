@@ -113,23 +113,13 @@ def _friendly(value: Any) -> TOML | None:
     """Parameters of `of` that give exactly this value, or none."""
     if not hasattr(type(value), "of"):
         return None
-    names = list(inspect.signature(type(value).of).parameters)
+    names = inspect.signature(type(value).of).parameters
     try:
-        exact = {name: getattr(value, name) for name in names}
+        parameters = {name: getattr(value, name) for name in names}
     except AttributeError:
         return None
-    for round_number in (_rounded, lambda number: number):
-        parameters = {name: round_number(part) for name, part in exact.items()}
-        try:
-            if eqx.tree_equal(type(value).of(**parameters), value):
-                return parameters
-        except InputError:
-            continue
-    return None
-
-
-def _rounded(value: Any) -> Any:
-    return float(f"{value:.12g}") if isinstance(value, float) else value
+    same = eqx.tree_equal(type(value).of(**parameters), value)
+    return parameters if same else None
 
 
 def _is_default(field: dataclasses.Field, value: Any) -> bool:

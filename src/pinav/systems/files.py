@@ -36,10 +36,10 @@ from pinav.systems.codec import (
     encode,
     number,
 )
-from pinav.systems.priors import AbstractPrior, FreeNumber
+from pinav.systems.priors import AbstractNumberPrior, FreeNumber
 from pinav.systems.python import load_name
 from pinav.systems.starts import AbstractStarts
-from pinav.systems.system import Observation, System, WanderingVelocity
+from pinav.systems.system import MODELS, Observation, System, WanderingVelocity
 from pinav.systems.units import Units
 
 MAX_BYTES = 2**22
@@ -165,7 +165,7 @@ def parse_system(text: str, *, folder: Path | None = None, name: str = "") -> Sy
     context = Context(dim, folder)
     units = _plain(Units, "units", table, context) or Units()
     swimmer, energy = _swimmer(table, order, units, context)
-    rule, starts = _starts(table, context)
+    rule, starts = _starts(table, order, context)
     return System(
         name=decode("name", str, table.get("name", name), context),
         swimmer=swimmer,
@@ -176,7 +176,7 @@ def parse_system(text: str, *, folder: Path | None = None, name: str = "") -> Sy
         thermal_energy=energy,
         wandering=_plain(WanderingVelocity, "wandering", table, context),
         observation=_plain(Observation, "observation", table, context) or Observation(),
-        starts=starts if rule is None or len(starts) else rule.draw(order),
+        starts=starts,
         rule=rule,
         times=_times(table),
         base_units=units,
@@ -193,7 +193,12 @@ def _plain(cls: Any, key: str, table: TOML, context: Context) -> Any:
 def _model(table: TOML, context: Context) -> str:
     unknown = _section(table, "unknown", ("model",))
     default = System.__dataclass_fields__["model"].default
-    return decode("unknown.model", str, unknown.get("model", default), context)
+    model = decode("unknown.model", str, unknown.get("model", default), context)
+    if model not in MODELS:
+        raise InputError(
+            f"unknown.model: expected one of {', '.join(MODELS)}; got {model!r}"
+        )
+    return model
 
 
 def _section(table: TOML, key: str, known: tuple[str, ...]) -> TOML:
@@ -347,13 +352,15 @@ def _learn(table: TOML, context: Context) -> tuple[FreeNumber, ...]:
         raise InputError(f"learn: expected a table [learn] of priors, got {learn!r}")
     return tuple(
         FreeNumber(
-            path, decode_module(f"learn.{path!r}", AbstractPrior, prior, context)
+            path, decode_module(f"learn.{path!r}", AbstractNumberPrior, prior, context)
         )
         for path, prior in learn.items()
     )
 
 
-def _starts(table: TOML, context: Context) -> tuple[AbstractStarts | None, Any]:
+def _starts(
+    table: TOML, order: int, context: Context
+) -> tuple[AbstractStarts | None, Any]:
     if "starts" not in table:
         return None, ()
     section = table["starts"]
@@ -372,10 +379,15 @@ def _starts(table: TOML, context: Context) -> tuple[AbstractStarts | None, Any]:
             raise InputError(
                 "starts.states: expected rows of finite numbers, one for each start"
             )
-    rule = {key: value for key, value in section.items() if key != "states"}
-    if not rule:
+    stated = {key: value for key, value in section.items() if key != "states"}
+    if not stated:
         return None, jnp.asarray(states)
-    return decode_module("starts", AbstractStarts, rule, context), jnp.asarray(states)
+    rule = decode_module("starts", AbstractStarts, stated, context)
+    try:
+        drawn = rule.draw(order)
+    except InputError as error:
+        raise InputError(f"starts: {error}") from error
+    return rule, jnp.asarray(states) if "states" in section else drawn
 
 
 def _times(table: TOML) -> Any:
@@ -384,7 +396,10 @@ def _times(table: TOML) -> Any:
         return ()
     if "values" in section:
         check_keys("times", section, {"values": None})
-        times = np.asarray([number("times.values", t) for t in section["values"]])
+        values = section["values"]
+        if not isinstance(values, list):
+            raise InputError(f"times.values: expected a list [...], got {values!r}")
+        times = np.asarray([number("times.values", time) for time in values])
     else:
         times = _even_times(section)
     if len(times) < 2 or not (np.diff(times) > 0).all():

@@ -12,7 +12,7 @@ from pinav.arguments import Scalar, check_positive
 from pinav.errors import InputError
 
 
-class AbstractPrior(eqx.Module):
+class AbstractNumberPrior(eqx.Module):
     """Probability density of a number before the data are seen."""
 
     @abc.abstractmethod
@@ -20,14 +20,14 @@ class AbstractPrior(eqx.Module):
         """Logarithm of the density at a value, up to a constant."""
 
 
-class Flat(AbstractPrior):
+class Flat(AbstractNumberPrior):
     """No preference for any value."""
 
     def log_density(self, value):
         return jnp.zeros_like(jnp.asarray(value, float))
 
 
-class Normal(AbstractPrior):
+class Normal(AbstractNumberPrior):
     r"""Normal distribution, $\exp(-(x - \mu)^2 / 2 \sigma^2)$.
 
     Attributes:
@@ -48,7 +48,7 @@ class Normal(AbstractPrior):
         return -0.5 * ((jnp.asarray(value) - self.mean) / self.deviation) ** 2
 
 
-class LogNormal(AbstractPrior):
+class LogNormal(AbstractNumberPrior):
     r"""Log-normal distribution of a positive number.
 
     Attributes:
@@ -80,7 +80,7 @@ class FreeNumber(eqx.Module):
     """
 
     path: str = eqx.field(static=True)
-    prior: AbstractPrior = Flat()
+    prior: AbstractNumberPrior = Flat()
 
     def pick(self, swimmer: PyTree) -> PyTree:
         """The number, or the numbers of a vector or tensor, of a swimmer.

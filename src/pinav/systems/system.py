@@ -16,6 +16,12 @@ from pinav.systems.priors import FreeNumber
 from pinav.systems.starts import AbstractStarts
 from pinav.systems.units import Units
 
+MODELS = (
+    *("kernel-potential", "kernel-force", "kernel-mixture", "kernel-potential-time"),
+    *("neural-potential", "neural-force", "ude", "nn-only", "physics-only"),
+)
+"""What may stand for the unknown environment."""
+
 AXES = ("x", "y", "z")
 """Names of the coordinates; a velocity has a v before them."""
 

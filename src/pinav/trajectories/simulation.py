@@ -15,6 +15,9 @@ from pinav.systems import System, system_text
 from pinav.trajectories.degradation import MotionBlur
 from pinav.trajectories.trajectories import Trajectories
 
+_UNITS = {"frequency": "Hz", "heading": "rad"}
+"""Units of commands."""
+
 
 def simulate(system: System, *, key: PRNGKeyArray | None = None) -> Trajectories:
     """Solve the truth from every start of a system and observe it, with its noise.
@@ -46,21 +49,23 @@ def simulate(system: System, *, key: PRNGKeyArray | None = None) -> Trajectories
         **method,
         "pinav": __version__,
     }
+    commands = _commands(system)
     return Trajectories.from_arrays(
         system.times,
         _exposed(system, states) + noise,
         channels=system.channels,
-        commands=_commands(system),
-        units=system.units,
+        commands=commands,
+        units={**system.units, **{name: _UNITS[name] for name in commands}},
         provenance=provenance,
     )
 
 
 def _text(system: System) -> str | None:
     try:
-        return system_text(system)
-    except InputError:  # a network, or a class of the user's own
+        text = system_text(system)
+    except InputError:  # a network, or a class that stands in no file
         return None
+    return None if ".py:" in text else text  # data must not run a file of Python
 
 
 def _commands(system: System) -> dict[str, Any]:

@@ -20,9 +20,9 @@ def barrier_sample():
     return ForceSample(POSITIONS, force, 1e-6 * np.eye(120), 40.0)
 
 
+@pytest.mark.extras("pyoperon")
 @pytest.mark.filterwarnings("default")
 def test_the_radial_law_of_a_barrier_is_found():
-    pytest.importorskip("pyoperon")
     central, forms = search_radial_law(barrier_sample(), seconds=4)
     np.testing.assert_allclose(central.center, (5.0, 4.0), atol=1e-3)
     assert [f.bic for f in forms] == sorted(f.bic for f in forms)

@@ -19,10 +19,7 @@ from pinav.navigation.task import catalogue as tasks
 from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.trials.closed_loop import run
 
-needs_casadi = pytest.mark.skipif(
-    not minimum_time.is_available(),
-    reason="CasADi is not installed; pip install 'pinav[bench]'",
-)
+needs_casadi = pytest.mark.extras("casadi")
 
 
 @needs_casadi
