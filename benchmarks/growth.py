@@ -117,7 +117,9 @@ def crossings(count: int) -> Trajectories:
     batches = []
     for seed in range(-(-count // 8)):
         scenario = barrier_crossings(jax.random.key(seed))
-        batches.append(simulate(eqx.tree_at(lambda s: s.noise, scenario, 0.0)))
+        batches.append(
+            simulate(eqx.tree_at(lambda s: s.observation.noise, scenario, 0.0))
+        )
     return concatenate(batches).select(range(count))
 
 

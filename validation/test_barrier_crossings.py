@@ -81,7 +81,7 @@ def observe(scenario, seed, columns):
 def row(case, seed):
     """Errors in three regions, coverage in three rings, z-scores, and constants."""
     scenario = case.make()
-    clean = simulate(eqx.tree_at(lambda s: s.noise, scenario, 0.0))
+    clean = simulate(eqx.tree_at(lambda s: s.observation.noise, scenario, 0.0))
     data = observe(scenario, seed, case.columns)
     constants = TRUE_CONSTANTS if case.learn is nothing else (0.1, 0.0)
     model = eqx.tree_at(

@@ -34,7 +34,7 @@ def double_precision():
 def row(kind, columns, seed):
     """Errors in three regions, coverage and z-scores in three rings, and seconds."""
     scenario = barrier_crossings()
-    clean = simulate(eqx.tree_at(lambda s: s.noise, scenario, 0.0))
+    clean = simulate(eqx.tree_at(lambda s: s.observation.noise, scenario, 0.0))
     noisy = simulate(scenario, key=jax.random.key(seed))
     observed = np.broadcast_to(np.arange(4) < columns, noisy.states.shape)
     data = Trajectories.from_arrays(

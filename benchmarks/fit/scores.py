@@ -36,7 +36,7 @@ def scores(scenario: System, arrays: Mapping[str, np.ndarray]) -> dict[str, floa
     Returns:
         `rmse` of all states, and `force`, the relative error on visited ground.
     """
-    clean = simulate(eqx.tree_at(lambda s: s.noise, scenario, 0.0))
+    clean = simulate(eqx.tree_at(lambda s: s.observation.noise, scenario, 0.0))
     truth: Any = scenario.true_swimmer
     learned = rebuilt(truth, arrays)
     limits = LIMITS[scenario.name]

@@ -88,7 +88,8 @@ def learned(name: str, draw: int, samples: int, folder: RunFolder) -> Knowledge:
     if not run_folder.has("metrics.json"):
         fit(plan_fit(settings, choose_system(None, data), data), run_folder)
     fitted = FittedRun.open(path)
-    model, drawn = fitted.model, []
+    model: Any = fitted.model
+    drawn: list[Any] = []
     if samples and fitted.posterior is not None:
         drawn = fitted.posterior.samples(samples, key=jax.random.key(draw))
     assert isinstance(model, Swimmer | OverdampedSwimmer)

@@ -41,9 +41,14 @@ def test_evaluate_scores_the_stored_model(tiny_fit, capsys):
 
 def test_resume_refuses_other_data(tiny_fit, tmp_path, capsys):
     run, data = tiny_fit
-    other = tmp_path / "other.csv"
-    lines = data.read_text().splitlines()
-    other.write_text("\n".join(lines[:-5]) + "\n")
+    other, pieces = tmp_path / "other.npz", load(data)
+    shorter = Trajectories.from_arrays(
+        [piece.times[:-5] for piece in pieces],
+        [piece.states[:-5] for piece in pieces],
+        channels=pieces.channels,
+        provenance=pieces.provenance,
+    )
+    save(shorter, other)
     config = ["--config", str(run / "config.toml")]
     argv = ["fit", str(other), "--out", str(run), *config, "--resume"]
     assert cli.run(argv) == cli.USAGE_ERROR
@@ -76,6 +81,7 @@ def test_a_model_file_of_something_else_is_refused(tiny_fit, tmp_path, capsys):
     (copy / "config.toml").write_text("")
     assert cli.run(["evaluate", str(copy), str(data)]) == cli.USAGE_ERROR
     assert "holds no fitted model; give" in capsys.readouterr().err
+    (copy / "system.toml").write_bytes((run / "system.toml").read_bytes())
     (copy / "model.eqx").write_text('{"kind": "fit"}\n')
     assert cli.run(["evaluate", str(copy), str(data)]) == cli.USAGE_ERROR
     assert "Object missing required field" in capsys.readouterr().err

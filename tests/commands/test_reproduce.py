@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from pinav import cli, files, report
+from pinav import cli, figures, files
 from pinav.commands.fitted_run import FittedRun
 from pinav.commands.reproduce import report as reproduction_report
 from pinav.commands.reproduce import table2
@@ -105,7 +105,7 @@ def plain_figures(monkeypatch):
     """Every figure is written, but empty: drawing takes most of a resumed run."""
 
     def save(_, folder, name):
-        return report.save_figure(Figure(), folder, name)
+        return figures.save_figure(Figure(), folder, name)
 
     monkeypatch.setattr(reproduction_report, "save_figure", save)
 

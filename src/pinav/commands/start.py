@@ -2,7 +2,7 @@
 
 import hashlib
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import msgspec
 import numpy as np
@@ -46,8 +46,12 @@ def start_run(
     if resume and options.overwrite:
         raise InputError("--resume and --overwrite: choose one of them")
     content = [item for s in settings for item in msgspec.to_builtins(s).items()]
-    config = {key: value for key, value in content if value is not None}
-    config |= {"run": {"command": command.name, **identity}}
+    config: dict[str, Any] = {
+        key: list(value) if isinstance(value, tuple) else value
+        for key, value in content
+        if value is not None
+    }
+    config["run"] = {"command": command.name, **identity}
     if resume:
         return RunFolder.resume(options.out, config)
     return RunFolder.create(options.out, config, overwrite=options.overwrite)

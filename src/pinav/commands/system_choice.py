@@ -73,6 +73,11 @@ def read_system_of(folder: RunFolder) -> System:
                 f"{path} has changed since {folder.path} was fitted; restore it, or "
                 "fit again with --overwrite"
             )
+    if not folder.has(SYSTEM_FILE):
+        raise InputError(
+            f"{folder.path} holds no {SYSTEM_FILE}, which says what was fitted; fit "
+            "again with --overwrite"
+        )
     return read_system(folder.path / SYSTEM_FILE)
 
 

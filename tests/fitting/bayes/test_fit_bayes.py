@@ -75,7 +75,7 @@ def test_a_kernel_potential_learns_the_force_from_noisy_crossings(
 def test_the_smoothed_states_are_a_rollout_nearer_to_the_truth(fitted, scenario, data):
     solver = fitted_rollout(fitted, data)
     np.testing.assert_allclose(fitted.states, solver, atol=1e-4)
-    truth = simulate(eqx.tree_at(lambda s: s.noise, scenario, 0.0)).states
+    truth = simulate(eqx.tree_at(lambda s: s.observation.noise, scenario, 0.0)).states
     smoothed = np.sqrt(np.mean((fitted.states - truth) ** 2))
     assert smoothed < 0.5 * NOISE
 
@@ -164,7 +164,7 @@ def test_holes_and_trajectories_of_different_lengths_are_no_obstacle(
 
 
 def test_data_without_noise_converge_to_little_noise(untrained, scenario):
-    clean = simulate(eqx.tree_at(lambda s: s.noise, scenario, 0.0))
+    clean = simulate(eqx.tree_at(lambda s: s.observation.noise, scenario, 0.0))
     found = fit_bayes(untrained, clean, throw=False)
     assert found.outcome is Outcome.CONVERGED
     assert found.hyperparameters.noise < 1e-3

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from pinav.commands.data_file import read_data, with_all_channels
 from pinav.commands.fitted_run import FittedRun
 from pinav.commands.recording_settings import RecordingSettings
+from pinav.commands.system_choice import system_of_data
 from pinav.dynamics import AbstractDynamics, Outcome, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.evaluation import (
@@ -24,7 +25,6 @@ from pinav.evaluation import (
     predict,
     without_first,
 )
-from pinav.scenarios import scenario
 from pinav.systems import System
 from pinav.trajectories import Trajectories
 
@@ -132,15 +132,10 @@ def read_scored(
 
 def true_system(run: FittedRun, data: Trajectories) -> System | None:
     """The system that the data, or else the training data, were simulated from."""
-    for provenance in (data.provenance, run.data.provenance):
-        name = provenance.get("scenario")
-        if name == run.system.name and run.system.environment is not None:
-            return run.system
-        if name is not None:
-            try:
-                return scenario(name)
-            except InputError:  # simulated from a file of the user's, not at hand
-                return None
+    for trajectories in (data, run.data):
+        source = system_of_data(trajectories)
+        if source is not None and source.environment is not None:
+            return source
     return None
 
 

@@ -21,7 +21,11 @@ from pinav.commands.progress import BayesReporter, FitReporter
 from pinav.commands.recording_settings import RecordingSettings
 from pinav.commands.settings import Settings
 from pinav.commands.start import fingerprint, start_run
-from pinav.commands.system_choice import choose_system, write_system_of
+from pinav.commands.system_choice import (
+    choose_system,
+    system_of_data,
+    write_system_of,
+)
 from pinav.errors import FitError
 from pinav.evaluation import (
     FieldMap,
@@ -35,7 +39,6 @@ from pinav.fitting import Outcome, fit_bayes, fit_langevin
 from pinav.fitting import fit as match_trajectories
 from pinav.fitting.environments.catalogue import KnownSwimmer, build
 from pinav.runs import RunFolder
-from pinav.scenarios import scenario
 
 REMARKS = {
     str(Outcome.STALLED): (
@@ -190,9 +193,9 @@ def _remarks(outcome: str) -> tuple[str, ...]:
 def _fields(model: KnownSwimmer, plan: FitPlan) -> dict[str, FieldMap]:
     """The learned force around the data, and the true one where it is known."""
     fields = {"learned": field_map(model.environment, plan.data)}
-    if "scenario" in plan.data.provenance:
-        truth = scenario(plan.data.provenance["scenario"]).true_swimmer
-        fields["true"] = field_map(truth.environment, plan.data)
+    source = system_of_data(plan.data)
+    if source is not None and source.environment is not None:
+        fields["true"] = field_map(source.environment, plan.data)
     return fields
 
 

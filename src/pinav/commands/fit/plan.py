@@ -120,7 +120,7 @@ def looks_brownian(data: Trajectories) -> bool:
     independent errors of observation by -2/3 and 1/6.
     """
     one, two = _correlations(data)
-    return -0.58 < one < -0.42 and abs(two) < 0.1
+    return bool(-0.58 < one < -0.42 and abs(two) < 0.1)
 
 
 def _correlations(data: Trajectories) -> Float[np.ndarray, " lag"]:

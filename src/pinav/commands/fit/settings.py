@@ -96,7 +96,7 @@ class FitSettings(Settings, frozen=True):
             raise InputError(
                 "--model physics-only: there is nothing to fit; add --train damping"
             )
-        if self.model in MATCHED_MODELS and self.recipe in EVIDENCE_RECIPES:
+        if self.model in MATCHED_MODELS and self.recipe == "bayes":
             raise InputError(
                 f"--recipe {self.recipe}: the model {self.model} has no evidence; "
                 "choose --recipe curriculum, or a kernel or neural model"

@@ -34,7 +34,7 @@ def simulate(
     starts_key, noise_key = jax.random.split(jax.random.key(settings.seed))
     system = find_system(name, starts_key, count=settings.count)
     if settings.noise is not None:
-        system = eqx.tree_at(lambda s: s.noise, system, settings.noise)
+        system = eqx.tree_at(lambda s: s.observation.noise, system, settings.noise)
     trajectories = simulate_system(system, key=noise_key)
     steps = _degradations(settings, trajectories.channels)
     if steps:

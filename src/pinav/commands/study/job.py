@@ -164,7 +164,7 @@ def clean_data(world: str, seed: int, count: int) -> Trajectories:
     """
     starts_key, _ = jax.random.split(jax.random.key(seed))
     chosen = scenario(world, starts_key, count=count)
-    return simulate(eqx.tree_at(lambda s: s.noise, chosen, 0.0))
+    return simulate(eqx.tree_at(lambda s: s.observation.noise, chosen, 0.0))
 
 
 def with_noise(clean: Trajectories, sigma: float, seed: int) -> Trajectories:
