@@ -9,6 +9,7 @@ import numpy as np
 from pinav.actuation import LinearResponse
 from pinav.commands.fitted_run import FittedRun
 from pinav.commands.navigate.settings import NavigateSettings
+from pinav.commands.system_choice import system_of_data
 from pinav.dynamics import (
     AbstractDynamics,
     OverdampedSwimmer,
@@ -109,10 +110,9 @@ def navigation_problem(settings: NavigateSettings, run: FittedRun) -> Navigation
             f"{run.choice.name} of {', '.join(run.data.channels)}"
         )
     actuator, limits, lag = _actuation(settings, model)
-    truth_name = run.data.provenance.get("scenario")
-    known, truth = model, None
-    if run.system.environment is not None and truth_name == run.system.name:
-        known, truth = run.system.true_swimmer, run.system.name
+    known, truth, source = model, None, system_of_data(run.data)
+    if source is not None and source.environment is not None:
+        known, truth = source.true_swimmer, source.name
     delay = lag if settings.delay is None else settings.delay
     steered = SteeredSwimmer(known, actuator)
     return NavigationProblem(
