@@ -146,7 +146,7 @@ def test_a_recording_gives_a_rolling_robot_in_its_drift(tmp_path):
     run = rolling_run(
         tmp_path,
         gain=jnp.array([[2.0, -0.5], [0.5, 2.0]]),
-        response=SaturatingResponse(jnp.log(4.0)),
+        response=SaturatingResponse(4.0),
         delay=0.15,
         lag=0.05,
     )
