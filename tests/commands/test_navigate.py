@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import msgspec
 import numpy as np
 import pytest
-from pinav.fitting.environments.catalogue import ModelChoice
 
 from pinav import cli
 from pinav.actuation import SaturatingResponse
@@ -18,6 +17,7 @@ from pinav.commands.navigate.setup import navigation_problem
 from pinav.commands.navigate.tables import text
 from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import InputError
+from pinav.fitting.environments.catalogue import ModelChoice
 from pinav.forces import RollingPropulsion, UniformFlow, ZeroForce
 from pinav.runs import RunFolder
 from pinav.systems import System
