@@ -12,7 +12,8 @@ import pytest
 from pinav.dynamics import FixedStep
 from pinav.evaluation import field_map, force_errors
 from pinav.fitting import Outcome, fit_bayes, kernel_environment
-from pinav.fitting.engine.multiple_shooting import freed, linearise
+from pinav.fitting.engine.multiple_shooting import linearise
+from pinav.fitting.engine.parametric_model import ravel_model
 from pinav.fitting.matching.objectives import Observations
 from pinav.forces import GaussianBarrier, KernelForce, KernelPotential
 from pinav.scenarios import barrier_crossings
@@ -122,7 +123,7 @@ def z_of_the_true_law(scenario, clean, data, points):
     Linear about the truth, so exactly normal: no honest band can do better on a draw
     of the noise that this estimator finds unlucky.
     """
-    free, theta = freed(scenario.true_swimmer, lambda model: model.environment)
+    free, theta = ravel_model(scenario.true_swimmer, lambda model: model.environment)
     observations = Observations.of(data, jnp.float64)
     states = jnp.asarray(clean.states)
     linear = linearise(free, theta, states, observations, FixedStep())

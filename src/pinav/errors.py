@@ -9,4 +9,14 @@ class InputError(ValueError):
 
 
 class FitError(RuntimeError):
-    """A fit or a rollout that failed honestly, such as one that diverged."""
+    """A fit or a rollout that failed honestly, such as one that diverged.
+
+    Attributes:
+        outcome: the word for how a fit ended, as `str(Outcome)` gives it; empty where
+            it did not begin. The remedy depends on who asks: the message names
+            arguments of the library, a command names its own options.
+    """
+
+    def __init__(self, message: str, outcome: str = ""):
+        RuntimeError.__init__(self, message)
+        self.outcome = outcome

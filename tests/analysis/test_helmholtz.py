@@ -5,7 +5,7 @@ import pytest
 from pinav.analysis import helmholtz_split, rotational_fractions, sampled_forces
 from pinav.errors import InputError
 from pinav.evaluation import FieldMap
-from pinav.fitting import Posterior, freed
+from pinav.fitting import Posterior, ravel_model
 from pinav.scenarios import barrier_crossings
 
 AXIS = np.linspace(-6.0, 6.0, 41)
@@ -95,7 +95,7 @@ def test_fractions_of_samples_are_those_of_each():
 
 def test_sampled_forces_have_the_posterior_s_mean_and_spread():
     swimmer = barrier_crossings().truth
-    free, theta = freed(swimmer, lambda m: m.environment.height)
+    free, theta = ravel_model(swimmer, lambda m: m.environment.height)
     posterior = Posterior(free, np.asarray(theta), np.array([[0.04]]))
     axis = np.linspace(3.0, 8.0, 3)
     grid = FieldMap(axis, axis, np.zeros((3, 3, 2)), np.zeros((3, 3)))

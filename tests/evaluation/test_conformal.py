@@ -13,7 +13,7 @@ from pinav.evaluation import (
     trajectory_scores,
 )
 from pinav.fitting import Posterior
-from pinav.fitting.engine.multiple_shooting import freed
+from pinav.fitting.engine.parametric_model import ravel_model
 from pinav.forces import LinearDrag, ZeroForce
 from pinav.trajectories import Trajectories
 
@@ -127,7 +127,7 @@ DAMPING, NOISE = 0.5, 0.05
 def coasting(damping=DAMPING, sd=0.02):
     """A swimmer that only slows down, its damping known to `sd`."""
     swimmer = Swimmer(ZeroForce(), LinearDrag(jnp.asarray(damping)), ZeroForce())
-    free, theta = freed(swimmer, lambda m: m.drag.damping)
+    free, theta = ravel_model(swimmer, lambda m: m.drag.damping)
     return Posterior(free, np.asarray(theta), np.array([[sd**2]]))
 
 

@@ -18,7 +18,7 @@ from pinav.evaluation import (
     inside_band,
     rollout_coverage,
 )
-from pinav.fitting import Posterior, freed
+from pinav.fitting import Posterior, ravel_model
 from pinav.scenarios import barrier_crossings
 from pinav.systems import Observation
 from pinav.trajectories import Trajectories, simulate
@@ -69,7 +69,7 @@ def shots():
         scenario,
         (scenario.times[:41], jnp.asarray(5.25)),
     )
-    free, theta = freed(scenario.true_swimmer, lambda m: m.environment.height)
+    free, theta = ravel_model(scenario.true_swimmer, lambda m: m.environment.height)
     posterior = Posterior(free, np.asarray(theta), np.array([[SD**2]]))
     return scenario, simulate(scenario), posterior
 

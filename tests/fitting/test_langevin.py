@@ -11,10 +11,10 @@ from pinav.fitting import (
     Posterior,
     derived,
     fit_langevin,
-    freed,
     kernel_environment,
     model_evidence,
     principal_drags,
+    ravel_model,
     rotational_fraction,
 )
 from pinav.fitting.langevin import Increments
@@ -104,7 +104,7 @@ def test_known_diffusion_is_kept_and_has_the_evidence_of_its_density(fitted):
     diffusion = known.constants["diffusion"]
     assert (diffusion.value, diffusion.sd) == (0.31, 0.0)
     evidence = model_evidence(known.linear, known.hyperparameters)
-    assert 0 <= evidence.occam < 30
+    assert 0 <= evidence.correction < 30
     free = model_evidence(fitted.linear, fitted.hyperparameters)
     assert free.best > evidence.best
 
@@ -132,7 +132,7 @@ def test_what_it_cannot_fit_is_refused():
 
 
 def posterior_of(model, select, spread):
-    free, theta = freed(model, select)
+    free, theta = ravel_model(model, select)
     return Posterior(free, np.asarray(theta), spread**2 * np.eye(len(theta)))
 
 
@@ -193,7 +193,7 @@ def test_the_rotational_fraction_of_equal_parts_is_a_half():
 
 def test_the_delta_method_is_exact_for_a_linear_quantity():
     model = swimmer(HarmonicTrap(1.0, [2.0, 0.0]))
-    free, theta = freed(model, lambda m: m.environment.center)
+    free, theta = ravel_model(model, lambda m: m.environment.center)
     covariance = np.array([[2.0, 0.5], [0.5, 1.0]])
     (found,) = derived(
         Posterior(free, np.asarray(theta), covariance),

@@ -21,8 +21,8 @@ from pinav.fitting import (
     EvidenceFit,
     Hyperparameters,
     Posterior,
-    freed,
     principal_drags,
+    ravel_model,
     rotational_fraction,
 )
 from pinav.fitting.bayes.function_prior import TangentWeights
@@ -65,6 +65,8 @@ class EvidenceResult:
         states: smoothed states of the training trajectories.
         outcome: the word for how the fit ended.
         iterations: steps taken.
+        goodness: a sentence on whether the residuals look like noise; empty where
+            nothing can be said.
         process: kernels of the process that is the prior of a network, if it is one.
     """
 
@@ -74,6 +76,7 @@ class EvidenceResult:
     states: Float[np.ndarray, "trajectory time state"]
     outcome: str
     iterations: int
+    goodness: str = ""
     process: KernelForce | KernelPotential | None = None
 
 
@@ -245,6 +248,7 @@ def write_fit(
             "log_evidence": np.array(chosen.log_evidence),
             "iterations": np.array(fit.iterations),
             "outcome": np.array(str(fit.outcome)),
+            "goodness": np.array(fit.goodness.statement if fit.goodness else ""),
             "states": data.states if fit.states is None else fit.states,
             **_process_arrays(fit),
             **constants,
@@ -297,7 +301,7 @@ def _read_evidence(
 ) -> EvidenceResult:
     stored = folder.read_arrays(POSTERIOR_FILE)
     try:
-        free, theta = freed(model, choice.trainable)
+        free, theta = ravel_model(model, choice.trainable)
         if theta.shape != stored["mean"].shape:
             raise InputError(
                 f"{folder.path}: {POSTERIOR_FILE} and {MODEL_FILE} are not of the same "
@@ -320,6 +324,7 @@ def _read_evidence(
             states=stored["states"],
             outcome=str(stored["outcome"]),
             iterations=int(stored["iterations"]),
+            goodness=str(stored["goodness"]) if "goodness" in stored else "",
             process=_read_process(choice, stored),
         )
     except (KeyError, TypeError, ValueError) as error:

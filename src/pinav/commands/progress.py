@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from pinav.fitting import BayesProgress, FitProgress
+from pinav.fitting import EvidenceProgress, FitProgress
 from pinav.runs import RunFolder
 
 
@@ -65,10 +65,10 @@ class FitReporter(AbstractReporter):
 class BayesReporter(AbstractReporter):
     """Shows the steps of a Bayesian fit, and appends them to the run."""
 
-    def __call__(self, progress: BayesProgress) -> None:
+    def __call__(self, progress: EvidenceProgress) -> None:
         """Take note of one step."""
         self.bar.set_postfix_str(
-            f"{progress.unknowns} unknowns, noise {progress.noise:.3g}, log evidence "
+            f"{progress.parameters} unknowns, noise {progress.noise:.3g}, log evidence "
             f"{progress.log_evidence:.1f}, defect {progress.defect:.0e}",
             refresh=False,
         )
@@ -77,7 +77,7 @@ class BayesReporter(AbstractReporter):
             {
                 "model": self.label,
                 "step": progress.done,
-                "unknowns": progress.unknowns,
+                "unknowns": progress.parameters,
                 "noise": progress.noise,
                 "log_evidence": progress.log_evidence,
                 "defect": progress.defect,

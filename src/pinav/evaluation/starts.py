@@ -25,12 +25,8 @@ from pinav.dynamics import (
 from pinav.errors import InputError
 from pinav.evaluation.scores import require_x64
 from pinav.fitting import Outcome
-from pinav.fitting.engine.multiple_shooting import (
-    FreeModel,
-    Linearisation,
-    advanced,
-    linearise,
-)
+from pinav.fitting.engine.multiple_shooting import Linearisation, advance, linearise
+from pinav.fitting.engine.parametric_model import ParametricModel
 from pinav.fitting.matching.objectives import Observations
 from pinav.trajectories import Trajectories, smoothed_states
 
@@ -85,12 +81,12 @@ def estimate_starts(
     dim = head.dim
     states = jnp.asarray(smoothed_states(head, dim))
     scale = np.maximum(np.ptp(np.asarray(states), axis=1), np.finfo(float).tiny)
-    free = FreeModel(with_dtype(dynamics, jnp.float64), _nothing)
+    free = ParametricModel(with_dtype(dynamics, jnp.float64), _nothing)
     solver = FixedStep(substeps=4) if solver is None else solver
     nothing, settled = jnp.zeros(0), np.zeros(len(head), bool)
     for _ in range(STEPS):
         linear = linearise_driven(free, nothing, states, head, solver)
-        moved = advanced(states, linear, nothing)
+        moved = advance(states, linear, nothing)
         change = np.abs(np.asarray(moved - states)).max(axis=1) / scale
         settled = (change < TOLERANCE).all(axis=1)
         states = moved
@@ -113,7 +109,7 @@ class DrivenModel(eqx.Module):
         commands: by name; none where the model takes none.
     """
 
-    free: FreeModel
+    free: ParametricModel
     times: Float[Array, " time"]
     commands: dict[str, Float[Array, " time"]]
 
@@ -123,7 +119,7 @@ class DrivenModel(eqx.Module):
 
 
 def driven_models(
-    free: FreeModel, theta: Float[Array, " parameter"], trajectories: Trajectories
+    free: ParametricModel, theta: Float[Array, " parameter"], trajectories: Trajectories
 ) -> list[DrivenModel]:
     """The model under the commands of each trajectory."""
     commands = trajectories.commands if takes_commands(free(theta)) else {}
@@ -138,7 +134,7 @@ def driven_models(
 
 
 def linearise_driven(
-    free: FreeModel,
+    free: ParametricModel,
     theta: Float[Array, " parameter"],
     states: Float[Array, "trajectory time state"],
     trajectories: Trajectories,

@@ -4,10 +4,11 @@ from pinav.fitting.bayes.derived import derived as derived
 from pinav.fitting.bayes.derived import principal_drags as principal_drags
 from pinav.fitting.bayes.derived import rotational_fraction as rotational_fraction
 from pinav.fitting.bayes.fit_bayes import fit_bayes as fit_bayes
-from pinav.fitting.bayes.iterate import BayesProgress as BayesProgress
 from pinav.fitting.engine.evidence_fit import EvidenceFit as EvidenceFit
-from pinav.fitting.engine.multiple_shooting import FreeModel as FreeModel
-from pinav.fitting.engine.multiple_shooting import freed as freed
+from pinav.fitting.engine.goodness import GoodnessOfFit as GoodnessOfFit
+from pinav.fitting.engine.iterate import EvidenceProgress as EvidenceProgress
+from pinav.fitting.engine.parametric_model import ParametricModel as ParametricModel
+from pinav.fitting.engine.parametric_model import ravel_model as ravel_model
 from pinav.fitting.engine.posterior import Band as Band
 from pinav.fitting.engine.posterior import Estimate as Estimate
 from pinav.fitting.engine.posterior import Posterior as Posterior

@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from pinav.dynamics import (
     AbstractDynamics,
@@ -22,31 +22,37 @@ from pinav.dynamics import (
 )
 from pinav.errors import InputError
 from pinav.fitting.bayes.parameters import learned_environment
-from pinav.fitting.engine.evidence_fit import EvidenceFit
-from pinav.fitting.engine.multiple_shooting import freed
-from pinav.fitting.engine.posterior import Estimate, Posterior
-from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED, Refinement
-from pinav.fitting.evidence.model_evidence import LinearFit
-from pinav.fitting.evidence.quadratic import Quadratic
+from pinav.fitting.engine.evidence_fit import EvidenceFit, evidence_fit
+from pinav.fitting.engine.posterior import Estimate
+from pinav.fitting.engine.problem import Step
+from pinav.fitting.engine.steps import FullStep
+from pinav.fitting.environments.kernels import check_size
+from pinav.fitting.environments.refinement import (
+    AS_FINE_AS_ASKED,
+    Refinement,
+    iterate_refined,
+)
 from pinav.fitting.evidence.weights import GaussianWeights
-from pinav.fitting.outcome import Outcome
+from pinav.fitting.least_squares import Regression
 from pinav.trajectories import Trajectories
 
 
 class Increments(eqx.Module):
-    r"""Displacements between observed samples that follow one another.
+    r"""Displacements between observed samples that follow one another; as residuals.
 
     Attributes:
         times: at the start of each [T].
         positions: there [L].
         steps: displacement [L].
         intervals: duration [T].
+        counts: how many each trajectory has.
     """
 
     times: Float[np.ndarray, " increment"]
     positions: Float[np.ndarray, "increment dim"]
     steps: Float[np.ndarray, "increment dim"]
     intervals: Float[np.ndarray, " increment"]
+    counts: tuple[int, ...] = eqx.field(static=True)
 
     @classmethod
     def of(cls, trajectories: Trajectories) -> "Increments":
@@ -69,7 +75,26 @@ class Increments(eqx.Module):
                 "fit_langevin trajectories: expected two or more samples with all "
                 "positions observed in one of them, got none"
             )
-        return cls(times, positions, steps, intervals)
+        counts = tuple(len(part[0]) for part in parts)
+        return cls(times, positions, steps, intervals, counts)
+
+    @property
+    def log_determinant(self) -> float:
+        r"""$\log\det$ of the change from residuals to displacements."""
+        return float(np.log(self.intervals).sum() * self.steps.shape[1])
+
+    def in_time(
+        self, residuals: Float[np.ndarray, " residual"]
+    ) -> list[Float[np.ndarray, "_ channel"]]:
+        """Residuals of each trajectory in the order of time."""
+        rows = residuals.reshape(len(self.times), -1)
+        return np.split(rows, np.cumsum(self.counts)[:-1])
+
+    def __call__(self, model: OverdampedSwimmer) -> Float[Array, " residual"]:
+        r"""Residuals $(\text{drift}\,\Delta t - \Delta x) / \sqrt{\Delta t}$."""
+        root = jnp.sqrt(jnp.asarray(self.intervals))[:, None]
+        drift = jax.vmap(model)(jnp.asarray(self.times), jnp.asarray(self.positions))
+        return (drift * root - jnp.asarray(self.steps) / root).reshape(-1)
 
 
 def fit_langevin(
@@ -108,86 +133,54 @@ def fit_langevin(
     swimmer = _checked(model, trajectories, diffusion)
     increments = Increments.of(trajectories)
     noise = None if diffusion is None else float(np.sqrt(2 * diffusion))
+
+    def begin(model: OverdampedSwimmer, states: None = None) -> Regression:
+        environment: Any = model.environment
+        return Regression.of(
+            without_weights(model),
+            increments,
+            weights=lambda m: m.environment.parameters,
+            weights_prior=GaussianWeights(environment.prior()),
+            noise=noise,
+            step_rule=FullStep(),
+            is_linear=True,
+            log_determinant=increments.log_determinant,
+        )
+
     with jax.enable_x64(new_val=True):
-        exact = with_dtype(swimmer, jnp.float64)
-        outcome = Outcome.CONVERGED
-        while True:
-            free, quadratic, weights, found = _inferred(exact, increments, noise)
-            chosen = found.hyperparameters
-            coarse: Any = exact.environment
-            if refine is None or not refine.wanted(coarse, chosen.shape):
-                break
-            finer = refine.finer(coarse, trajectories)
-            if finer is None:
-                outcome = Outcome.UNDER_RESOLVED
-                break
-            exact = exact.with_environment(finer)
-        extra = weights.shape_covariance(quadratic, chosen, noise)
-        posterior = Posterior(free, found.mean, found.covariance + extra)
-        fitted = posterior.model
-    return EvidenceFit(
-        model=fitted,
-        outcome=outcome,
-        iterations=1,
-        constants={"diffusion": _diffusion(quadratic, found, diffusion)},
-        states=None,
-        hyperparameters=chosen,
-        posterior=posterior,
-        linear=LinearFit(
-            quadratic, weights, noise, quadratic.num_free, quadratic.log_determinant
-        ),
+        problem = begin(with_dtype(swimmer, jnp.float64))
+        ended = iterate_refined(problem, begin, refine, trajectories, max_iterations=1)
+        fit = evidence_fit(*ended, not_finite=NOT_FINITE, advice={})
+    return eqx.tree_at(
+        lambda f: f.constants, fit, {"diffusion": _diffusion(ended[2][-1], diffusion)}
     )
 
 
-def _inferred(swimmer: OverdampedSwimmer, increments: "Increments", noise):
-    """The weights on the kernels as they are, and what they were inferred from."""
-    free, theta = freed(swimmer, lambda m: m.environment.parameters)
-    quadratic = _regression(free, jnp.zeros_like(theta), increments)
-    environment: Any = swimmer.environment
-    weights = GaussianWeights(environment.prior())
-    return free, quadratic, weights, weights.infer(quadratic, weights.start, noise)
+NOT_FINITE = "its drift is not finite at the observed positions; check the known forces"
 
 
-def _regression(free, theta, increments: Increments) -> Quadratic:
-    r"""Sum of squares of $(\Delta x - \text{drift}\,\Delta t) / \sqrt{\Delta t}$."""
-    root = np.sqrt(increments.intervals)[:, None]
-    times, positions = jnp.asarray(increments.times), jnp.asarray(increments.positions)
-    drift, slopes = map(np.asarray, _drift(free, theta, times, positions))
-    residuals = (drift * root - increments.steps / root).reshape(-1)
-    rows = (slopes * root[..., None]).reshape(len(residuals), -1)
-    return Quadratic(
-        point=np.asarray(theta),
-        hessian=rows.T @ rows,
-        gradient=rows.T @ residuals,
-        squares=float(residuals @ residuals),
-        num_free=len(residuals),
-        log_determinant=float(2 * np.log(root).sum() * increments.steps.shape[1]),
-    )
+def without_weights(model: OverdampedSwimmer) -> OverdampedSwimmer:
+    """The model with an environment whose weights are zero.
+
+    The regression is linear: it is solved about zero, where no digits cancel.
+    """
+    environment: Any = model.environment
+    zeros = jax.tree.map(jnp.zeros_like, environment.parameters)
+    return eqx.tree_at(lambda m: m.environment.parameters, model, zeros)
 
 
-@eqx.filter_jit
-def _drift(free, theta, times, positions):
-    """Drift at each point, and its derivative by the weights."""
-
-    def at(theta, t, x):
-        return free(theta)(t, x)
-
-    axes = (None, 0, 0)
-    drift = jax.vmap(at, axes)(theta, times, positions)
-    return drift, jax.vmap(jax.jacrev(at), axes)(theta, times, positions)
-
-
-def _diffusion(quadratic, found, known: float | None) -> Estimate:
+def _diffusion(step: Step, known: float | None) -> Estimate:
     """Diffusion from the noise; its deviation from the degrees of freedom left."""
     if known is not None:
         return Estimate(known, 0.0)
-    variance = found.hyperparameters.noise**2
-    used = float(np.sum(quadratic.hessian * found.covariance)) / variance
-    free = max(quadratic.num_free - used, 1.0)
-    return Estimate(variance / 2, variance / 2 * float(np.sqrt(2 / free)))
+    variance = step.hyperparameters.noise**2
+    left = max(step.quadratic.num_free - step.num_determined, 1.0)
+    return Estimate(variance / 2, variance / 2 * float(np.sqrt(2 / left)))
 
 
-def _checked(model, trajectories, diffusion) -> OverdampedSwimmer:
+def _checked(
+    model: AbstractDynamics, trajectories: Trajectories, diffusion: float | None
+) -> OverdampedSwimmer:
     swimmer = model.swimmer if isinstance(model, BrownianSwimmer) else model
     if not isinstance(swimmer, OverdampedSwimmer):
         raise InputError(
@@ -200,6 +193,7 @@ def _checked(model, trajectories, diffusion) -> OverdampedSwimmer:
             "fit_langevin model: expected an environment made by kernel_environment, "
             f"got {type(swimmer.environment).__name__}"
         )
+    check_size(environment)
     dim = environment.dim
     if len(trajectories.channels) != dim:
         raise InputError(

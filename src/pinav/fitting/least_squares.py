@@ -1,6 +1,6 @@
 r"""Nonlinear least squares with priors and evidence, for any vector of residuals.
 
-What `fit_bayes` does for trajectories, without states: residuals
+What `fit_bayes` does for trajectories, without dynamics: residuals
 $r(\theta) \sim N(0, \sigma^2)$, Gaussian priors of some parameters whose
 hyperparameters the evidence chooses, flat ones of the others; the same steps, the same
 Laplace posterior.
@@ -13,27 +13,25 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree
 
-from pinav.errors import FitError, InputError
-from pinav.fitting.bayes.iterate import (
-    DEFECT_TOLERANCE,
-    BayesProgress,
-    iterate,
+from pinav.errors import InputError
+from pinav.fitting.engine.constant_priors import ConstantPriors
+from pinav.fitting.engine.evidence_fit import EvidenceFit, evidence_fit
+from pinav.fitting.engine.iterate import DEFECT_TOLERANCE, EvidenceProgress, iterate
+from pinav.fitting.engine.local_model import AbstractLocalModel, Prediction
+from pinav.fitting.engine.parametric_model import (
+    ParametricModel,
+    parameter_names,
+    ravel_model,
+    selected_entries,
 )
-from pinav.fitting.bayes.parameters import parameter_names
-from pinav.fitting.bayes.problem import Step
-from pinav.fitting.bayes.steps import AbstractLocal, ChordSteps, Move
-from pinav.fitting.engine.evidence_fit import EvidenceFit
-from pinav.fitting.engine.multiple_shooting import FreeModel, Prediction, freed
-from pinav.fitting.engine.posterior import Estimate, Posterior
-from pinav.fitting.evidence.evidence import Hyperparameters
-from pinav.fitting.evidence.model_evidence import LinearFit
-from pinav.fitting.evidence.quadratic import Quadratic, joint_posterior, without_flat
+from pinav.fitting.engine.problem import AbstractProblem
+from pinav.fitting.engine.steps import AbstractStepRule, ChordSteps
+from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import AbstractWeights, GaussianWeights, NoWeights
 from pinav.fitting.outcome import Outcome
-from pinav.forces.priors import AbstractPrior
+from pinav.forces import AbstractPrior
 
 SMALL_CHANGE, SMALLEST = 0.02, 1e-9
 """Change of a prediction that ends a fit: in standard deviations of the noise, or as a
@@ -58,7 +56,7 @@ def fit_regression(
     noise: float | None = None,
     tolerance: float = 1e-2,
     max_iterations: int = 30,
-    on_step: Callable[[BayesProgress], None] | None = None,
+    on_step: Callable[[EvidenceProgress], None] | None = None,
     throw: bool = True,
 ) -> EvidenceFit:
     """Fit parameters of a model to data by what it predicts of them.
@@ -86,42 +84,54 @@ def fit_regression(
         problem = Regression.of(
             model,
             residuals,
-            weights,
-            prior,
-            constants,
+            weights=weights,
+            weights_prior=NoWeights() if prior is None else GaussianWeights(prior),
+            constants=constants,
             noise=noise,
             scale=scale,
             tolerance=tolerance,
         )
         outcome, steps = iterate(problem, max_iterations, on_step)
-    if throw and outcome is not Outcome.CONVERGED:
-        raise FitError(
-            f"the fit {outcome.name.lower()} after {len(steps)} steps; change where it "
-            "starts, raise max_iterations, or pass throw=False"
+        return evidence_fit(
+            problem,
+            outcome,
+            steps,
+            not_finite="its residuals are not finite where it starts",
+            advice=_advice(len(steps)) if throw else {},
         )
-    if not steps:
-        raise FitError(
-            "the fit diverged at once: its residuals are not finite where it starts"
-        )
-    return problem.result(outcome, steps)
 
 
-class Regression(eqx.Module):
-    """A regression as a problem: its unknowns, its start and its steps.
+def _advice(count: int) -> dict[Outcome, str]:
+    """What to raise for the outcomes that do not count, after so many steps."""
+    return {
+        outcome: f"the fit {outcome} after {count} steps; change where it starts, "
+        "raise max_iterations, or pass throw=False"
+        for outcome in (Outcome.STALLED, Outcome.DIVERGED)
+    }
+
+
+class Regression(AbstractProblem):
+    """A regression as a problem: its parameters, its start and its residuals.
 
     Attributes:
-        free: the model as a function of its parameters.
+        parametric: the model as a function of its parameters.
         residuals: of a model.
         theta: the parameters at the start.
         weights: what is known of the weights before the data.
         names: of all parameters.
-        flat: which of them have a flat prior.
+        flat: which of them are no weights.
         noise: standard deviation of the residuals, where it is known.
         scale: size of what is observed.
         tolerance: change of the log evidence at which the fit ends.
+        step_rule: how to step.
+        is_linear: whether one step is all there is to do.
+        num_projected: residuals that were projected out before.
+        log_determinant: of what was integrated out before.
+        priors: what is known of the constants.
+        states: none, for there are no dynamics.
     """
 
-    free: FreeModel
+    parametric: ParametricModel
     residuals: Residuals
     theta: Float[np.ndarray, " parameter"]
     weights: AbstractWeights
@@ -130,187 +140,172 @@ class Regression(eqx.Module):
     noise: float | None
     scale: float
     tolerance: float
+    step_rule: AbstractStepRule
+    is_linear: bool = False
+    num_projected: int = 0
+    log_determinant: float = 0.0
+    priors: ConstantPriors = ConstantPriors()
+    states: None = None
 
     @classmethod
     def of(
-        cls, model, residuals, weights, prior, constants, *, noise, scale, tolerance
-    ):
-        def chosen(m):
-            return weights(m), constants(m)
+        cls,
+        model: Any,
+        residuals: Residuals,
+        *,
+        weights: Callable[[Any], PyTree],
+        weights_prior: AbstractWeights,
+        constants: Callable[[Any], PyTree] = lambda _: (),
+        noise: float | None = None,
+        scale: float = 1.0,
+        tolerance: float = 1e-2,
+        step_rule: AbstractStepRule | None = None,
+        **options: Any,
+    ) -> "Regression":
+        """The problem of a model and residuals; see `fit_regression`.
 
-        picked = jax.tree.leaves(chosen(model))
+        Args:
+            model: where the fit starts.
+            residuals: of a model.
+            weights: picks the leaves with a prior.
+            weights_prior: of those.
+            constants: picks the leaves with a flat prior.
+            noise: standard deviation of the residuals; estimated unless given.
+            scale: size of what is observed.
+            tolerance: change of the log evidence at which the fit ends.
+            step_rule: how to step; damped steps unless given, for the model need not
+                be linear in its parameters.
+            options: further attributes.
+        """
+
+        def select(model: Any) -> tuple:
+            return weights(model), constants(model)
+
+        picked = jax.tree.leaves(select(model))
         if not any(isinstance(x, float) or eqx.is_inexact_array(x) for x in picked):
             raise InputError(
                 "fit_regression: nothing to learn; pick weights or constants"
             )
-        free, theta = freed(model, chosen)
-        marks = free.unravel(jnp.zeros_like(theta))
-        if own := jax.tree.leaves(constants(marks)):
-            ones = [jnp.ones_like(leaf) for leaf in own]
-            marks = eqx.tree_at(lambda m: jax.tree.leaves(constants(m)), marks, ones)
-        flat = np.asarray(ravel_pytree(marks)[0]) > 0
+        parametric, theta = ravel_model(model, select)
+        flat = selected_entries(parametric, len(theta), constants)
         count = eqx.filter_eval_shape(residuals, model).shape[0]
         if count <= flat.sum():
             raise InputError(
                 f"fit_regression: expected more than {flat.sum()} residuals, one for "
                 f"each constant, got {count}"
             )
-        known = NoWeights() if prior is None else GaussianWeights(prior)
+        damped = ChordSteps(1e-2 if flat.all() else 1.0, by_curvature=True)
         return cls(
-            free=free,
+            parametric=parametric,
             residuals=residuals,
             theta=np.asarray(theta),
-            weights=known,
-            names=parameter_names(free, theta),
+            weights=weights_prior,
+            names=parameter_names(parametric, len(theta)),
             flat=flat,
             noise=noise,
             scale=scale,
             tolerance=tolerance,
+            step_rule=damped if step_rule is None else step_rule,
+            **options,
         )
 
     @property
-    def states(self):
-        """The residuals stand where a lifted fit has its states; none as yet."""
-        return jnp.zeros((1, 1, 0))
+    def first_noise(self) -> float:
+        """The size of what is observed: all of it may be noise."""
+        return self.scale
 
     @property
-    def descent(self):
-        """Damped steps: the model need not be linear in its parameters."""
-        return ChordSteps(damping=1e-2 if self.flat.all() else 1.0)
+    def least_noise(self) -> float:
+        """Rounding of what is observed."""
+        return float(np.finfo(float).eps) * self.scale
 
-    def step(self, move: Move, shape) -> Step | None:
-        """One step, or None where the linearisation is not finite."""
+    def linearise(self, theta, states):
         residuals, jacobian = _linearised(
-            self.free, self.residuals, jnp.asarray(move.theta)
+            self.parametric, self.residuals, jnp.asarray(theta)
         )
         rows, right = np.asarray(jacobian), np.asarray(residuals)
         if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(right))):
             return None
-        whole = Quadratic(
-            point=move.theta,
-            hessian=rows.T @ rows,
-            gradient=rows.T @ right,
-            squares=float(right @ right),
-            num_free=len(right),
-            log_determinant=0.0,
-        )
-        quadratic, block = without_flat(whole, self.flat)
-        weights = self.weights.about(move.theta[~self.flat])
-        found = weights.infer(quadratic, shape, self.noise)
-        chosen = found.hyperparameters
-        mean, covariance = joint_posterior(
-            block, found.mean, found.covariance, chosen.noise
-        )
-        local = LocalRegression(
-            free=self.free,
-            residuals=self.residuals,
-            theta=move.theta,
+        return LocalRegression(
+            theta=theta,
+            quadratic=Quadratic(
+                point=theta,
+                hessian=rows.T @ rows,
+                gradient=rows.T @ right,
+                squares=float(right @ right),
+                num_free=len(right) - self.num_projected,
+                log_determinant=self.log_determinant,
+            ),
+            problem=self,
             jacobian=rows,
-            precision=self.precision(chosen),
-            noise=max(chosen.noise, np.finfo(float).eps * self.scale),
-            energy=lambda theta: weights.energy(theta[~self.flat]),
-        )
-        wanted = np.abs(rows @ (mean - move.theta)).max()
-        allowed = max(SMALL_CHANGE * chosen.noise, SMALLEST * self.scale)
-        return Step(
-            defect=float(DEFECT_TOLERANCE * wanted / allowed),
-            inference=found,
-            quadratic=quadratic,
-            block=block,
-            covariance=covariance,
-            move=move.descent(local, mean),
-            weights=weights,
         )
 
-    def precision(self, chosen: Hyperparameters) -> Float[np.ndarray, " parameter"]:
-        """Prior precision of each parameter on its own; zero where it is flat."""
-        precision = np.zeros(len(self.flat))
-        precision[~self.flat] = self.weights.ridge(chosen)
-        return precision
+    def residual_series(self, step):
+        in_time = getattr(self.residuals, "in_time", None)
+        if in_time is None:
+            return None
+        theta = jnp.asarray(step.move.theta)
+        residuals = _residuals(self.parametric, self.residuals, theta)
+        return in_time(np.asarray(residuals))
 
-    def linear_fit(self, step: Step) -> LinearFit:
-        """The linear problem of a step, for the evidence of the model."""
-        flat = int(self.flat.sum())
-        total = step.quadratic.num_free + flat
-        return LinearFit(
-            quadratic=step.quadratic,
-            weights=step.weights,
-            noise=self.noise,
-            num_observed=total,
-            flat_information=flat * float(np.log(total)),
-        )
-
-    def result(self, outcome: Outcome, steps: list[Step]) -> EvidenceFit:
-        """The fit after its steps, the uncertainty of the prior's shape included."""
-        last = steps[-1]
-        extra = last.weights.shape_covariance(
-            last.quadratic, last.inference.hyperparameters, self.noise
-        )
-        covariance = last.covariance + last.block.lift(extra)
-        posterior = Posterior(self.free, last.move.theta, covariance)
-        sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        return EvidenceFit(
-            model=posterior.model,
-            outcome=outcome,
-            iterations=len(steps),
-            hyperparameters=last.inference.hyperparameters,
-            posterior=posterior,
-            constants={
-                self.names[i]: Estimate(float(posterior.mean[i]), float(sd[i]))
-                for i in np.flatnonzero(self.flat)
-            },
-            states=None,
-            linear=self.linear_fit(last),
-        )
+    def flat_information(self):
+        count = eqx.filter_eval_shape(
+            self.residuals, self.parametric(jnp.asarray(self.theta))
+        ).shape[0]
+        total, flat = count - self.num_projected, int(self.flat.sum())
+        return total, flat * float(np.log(total)) + self.log_determinant
 
 
-class LocalRegression(AbstractLocal):
+class LocalRegression(AbstractLocalModel):
     """A regression near one point.
 
     Attributes:
-        free: the model as a function of its parameters.
-        residuals: of a model.
         theta: the parameters.
+        quadratic: the sum of squares.
+        problem: of which it is part.
         jacobian: of the residuals there.
-        precision: of the prior.
-        noise: standard deviation of the residuals.
-        energy: what the prior says beyond the precision.
     """
 
-    free: FreeModel
-    residuals: Residuals
     theta: Float[np.ndarray, " parameter"]
+    quadratic: Quadratic
+    problem: Regression
     jacobian: Float[np.ndarray, "residual parameter"]
-    precision: Float[np.ndarray, " parameter"]
-    noise: float
-    energy: Callable[[Float[np.ndarray, " parameter"]], float]
-
-    @property
-    def hessian(self):
-        return self.jacobian.T @ self.jacobian
 
     def predict(self, theta):
-        found = _residuals(self.free, self.residuals, jnp.asarray(theta))[None, None]
-        return Prediction(found, found)
+        inputs = self.problem.residuals, jnp.asarray(theta)
+        return Prediction(_residuals(self.problem.parametric, *inputs), None)
 
     def pull_back(self, residuals):
-        return self.jacobian.T @ np.asarray(residuals).reshape(-1)
+        return self.jacobian.T @ np.asarray(residuals)
 
-    def damping_scale(self, hessian):
-        return np.diag(hessian)
+    def advance(self, mean):
+        """There are no states."""
 
-    def advanced(self, mean):
-        return self.predict(mean).states
+    def defect(self, mean, noise):
+        """Change of the prediction that the linear model still asks for."""
+        if self.problem.is_linear:
+            return 0.0
+        wanted = np.abs(self.jacobian @ (mean - self.theta)).max()
+        allowed = max(SMALL_CHANGE * noise, SMALLEST * self.problem.scale)
+        return float(DEFECT_TOLERANCE * wanted / allowed)
 
 
 @eqx.filter_jit
-def _residuals(free, residuals, theta):
-    return residuals(free(theta))
+def _residuals(
+    parametric: ParametricModel,
+    residuals: Residuals,
+    theta: Float[Array, " parameter"],
+) -> Float[Array, " residual"]:
+    return residuals(parametric(theta))
 
 
 @eqx.filter_jit
-def _linearised(free, residuals, theta):
+def _linearised(
+    parametric: ParametricModel,
+    residuals: Residuals,
+    theta: Float[Array, " parameter"],
+) -> tuple[Float[Array, " residual"], Float[Array, "residual parameter"]]:
     """Residuals and their Jacobian, some columns at a time."""
-    value, push = jax.linearize(lambda own: residuals(free(own)), theta)
+    value, push = jax.linearize(lambda at: residuals(parametric(at)), theta)
     columns = jax.lax.map(push, jnp.eye(theta.shape[0]), batch_size=TANGENTS)
     return value, columns.T

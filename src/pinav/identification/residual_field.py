@@ -11,11 +11,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
-from pinav.fitting import LinearFit, freed, model_evidence
-from pinav.fitting.evidence.quadratic import Quadratic
+from pinav.fitting import EvidenceFit, model_evidence
+from pinav.fitting.engine.evidence_fit import evidence_fit
+from pinav.fitting.engine.iterate import iterate
+from pinav.fitting.engine.steps import FullStep, ShortenedStep
 from pinav.fitting.evidence.weights import GaussianWeights
+from pinav.fitting.least_squares import Regression
 from pinav.identification.fit import TrackFit
 from pinav.identification.forecast import Errors, Rollouts, path_of
 from pinav.identification.likelihood import (
@@ -36,17 +39,20 @@ class ResidualFit(eqx.Module):
 
     Attributes:
         base: the candidate without it.
-        environment: the residual velocity field, a force under mobility 1.
+        field: the fit of the residual velocity field, a force under mobility 1.
         base_coefficients: gain and drift given the residual.
-        amplitude: of the prior that the evidence chose.
         log_evidence: of both together.
     """
 
     base: TrackFit
-    environment: Any
+    field: EvidenceFit
     base_coefficients: Float[np.ndarray, " coefficient"]
-    amplitude: float
     log_evidence: float
+
+    @property
+    def environment(self) -> Any:
+        """The residual velocity field."""
+        return self.field.model
 
     @property
     def corrected(self) -> TrackFit:
@@ -72,122 +78,106 @@ def fit_residual(track: Track, base: TrackFit, environment: Any) -> ResidualFit:
         environment: from `kernel_environment` or `neural_environment`, untrained.
     """
     with jax.enable_x64(new_val=True):
-        problem = _Problem(track, base, environment)
-        weights = GaussianWeights(environment.prior())
-        point, shape = problem.start, weights.start
-        steps = NETWORK_STEPS if not environment.is_linear else 1
-        for _ in range(steps):
-            quadratic = problem.quadratic(point)
-            found = weights.infer(quadratic, shape, 1.0)
-            shape = found.hyperparameters.shape
-            point = problem.shortened(point, found.mean, found.hyperparameters)
-        linear = LinearFit(quadratic, weights, 1.0, quadratic.num_free, 0.0)
-        gain = model_evidence(linear, found.hyperparameters).log_evidence
-        without = problem.squares_without()
-        nothing = -0.5 * (quadratic.num_free * np.log(2 * np.pi) + without)
+        design = _BaseDesign.of(track, base)
+        linear = environment.is_linear
+        problem = Regression.of(
+            environment,
+            design.residuals,
+            weights=lambda model: model.parameters,
+            weights_prior=GaussianWeights(environment.prior()),
+            noise=1.0,
+            step_rule=FullStep() if linear else ShortenedStep(),
+            is_linear=linear,
+            num_projected=len(design.residuals.target) - design.num_free,
+        )
+        outcome, steps = iterate(problem, 1 if linear else NETWORK_STEPS)
+        field = evidence_fit(
+            problem, outcome, steps, not_finite="its velocity is not finite", advice={}
+        )
+        gain = model_evidence(field.linear, field.hyperparameters).log_evidence
+        normalisation = design.num_free * np.log(2 * np.pi)
+        nothing = -0.5 * (normalisation + design.squares_without())
         return ResidualFit(
             base=base,
-            environment=problem.free(jnp.asarray(point)),
-            base_coefficients=problem.coefficients(point),
-            amplitude=found.hyperparameters.amplitude,
+            field=field,
+            base_coefficients=design.coefficients(field.model),
             log_evidence=base.log_evidence + float(gain - nothing),
         )
 
 
-class _Problem:
-    """Whitened residuals as a function of the environment's weights."""
+class FilteredDisplacement(eqx.Module):
+    """Whitened residuals as a function of the environment.
 
-    def __init__(self, track: Track, base: TrackFit, environment):
-        self.base = base
-        self.free, start = freed(environment, lambda e: e.parameters)
-        self.start = np.asarray(start)
-        self.blocks = jax.tree.map(jnp.asarray, Blocks.of(track))
-        whitened = compiled_whitened(
-            jnp.asarray(base.theta), Design.of(base.candidate, Blocks.of(track))
-        )
-        rows = np.asarray(whitened.rows)
-        self.present = np.any(rows != 0, axis=0)
-        self.rows = rows[:, self.present]
-        self.basis = np.linalg.qr(self.rows)[0]
-        self.target = np.asarray(whitened.target)
-        self.count = 2 * int(whitened.count) - int(self.present.sum())
+    Attributes:
+        theta: parameters of the candidate's filter.
+        blocks: the observed path.
+        target: whitened displacements.
+        basis: of what gain and drift can explain, orthonormal; it is projected out.
+    """
 
-    def _projected(self, values):
+    theta: Float[Array, " parameter"]
+    blocks: Blocks
+    target: Float[Array, " row"]
+    basis: Float[Array, "row coefficient"]
+
+    def displacement(self, environment: Any) -> Float[Array, " row"]:
+        """Integral of the environment's velocity along the path, filtered."""
+        moved = _block_displacement(environment, self.blocks)
+        return _filtered_rows(self.theta, moved[..., None], self.blocks)[:, 0]
+
+    def __call__(self, environment: Any) -> Float[Array, " row"]:
+        """Displacements by the environment less the observed ones."""
+        return self.project(self.displacement(environment) - self.target)
+
+    def project(self, values: Float[Array, " row"]) -> Float[Array, " row"]:
+        """What gain and drift cannot explain."""
         return values - self.basis @ (self.basis.T @ values)
 
-    def _values(self, point):
-        """Whitened displacement by the environment."""
-        theta = jnp.asarray(self.base.theta)
-        return np.asarray(_moved(self.free, jnp.asarray(point), self.blocks, theta))
 
-    def _columns(self, point):
-        """Whitened displacement by the environment, and its derivative."""
-        value, slope = _displacement(
-            self.free, jnp.asarray(point), self.blocks, jnp.asarray(self.base.theta)
-        )
-        return np.asarray(value), np.asarray(slope)
+class _BaseDesign(eqx.Module):
+    """The regressors of a candidate beside the residual field.
 
-    def quadratic(self, point) -> Quadratic:
-        """The sum of squares about a point, gain and drift projected out."""
-        value, slope = self._columns(point)
-        residuals = self._projected(value - self.target)
-        slope = self._projected(slope)
-        return Quadratic(
-            point=np.asarray(point),
-            hessian=slope.T @ slope,
-            gradient=slope.T @ residuals,
-            squares=float(residuals @ residuals),
-            num_free=self.count,
-            log_determinant=0.0,
+    Attributes:
+        rows: whitened regressors that occur.
+        present: which regressors these are.
+        residuals: of the residual field.
+        num_free: whitened displacements less regressors.
+    """
+
+    rows: Float[np.ndarray, "row regressor"]
+    present: Bool[np.ndarray, " coefficient"]
+    residuals: FilteredDisplacement
+    num_free: int
+
+    @classmethod
+    def of(cls, track: Track, base: TrackFit) -> "_BaseDesign":
+        blocks, theta = Blocks.of(track), jnp.asarray(base.theta)
+        whitened = compiled_whitened(theta, Design.of(base.candidate, blocks))
+        rows = np.asarray(whitened.rows)
+        present = np.any(rows != 0, axis=0)
+        residuals = FilteredDisplacement(
+            theta=theta,
+            blocks=jax.tree.map(jnp.asarray, blocks),
+            target=whitened.target,
+            basis=jnp.asarray(np.linalg.qr(rows[:, present])[0]),
         )
+        num_free = 2 * int(whitened.count) - int(present.sum())
+        return cls(rows[:, present], present, residuals, num_free)
 
     def squares_without(self) -> float:
         """The sum of squares without an environment."""
-        residuals = self._projected(self.target)
-        return float(residuals @ residuals)
+        return float(jnp.sum(self.residuals.project(self.residuals.target) ** 2))
 
-    def shortened(self, point, mean, chosen):
-        """The step to `mean`, halved until the penalised squares are no larger."""
-        if self.free(jnp.asarray(point)).is_linear:
-            return mean
-        precision = 1 / max(chosen.amplitude, 1e-12) ** 2
-
-        def cost(place):
-            residuals = self._projected(self._values(place) - self.target)
-            return residuals @ residuals + precision * place @ place
-
-        here, length = cost(point), 1.0
-        while length > 1e-3 and not cost(point + length * (mean - point)) <= here:
-            length /= 2
-        return point + length * (mean - point) if length > 1e-3 else point
-
-    def coefficients(self, point) -> Float[np.ndarray, " coefficient"]:
+    def coefficients(self, environment: Any) -> Float[np.ndarray, " coefficient"]:
         """Gain and drift given the environment."""
-        left = self.target - self._values(point)
-        found = np.zeros(len(self.present))
-        found[self.present] = np.linalg.lstsq(self.rows, left, rcond=None)[0]
-        return found
+        moved = eqx.filter_jit(self.residuals.displacement)(environment)
+        coefficients = np.zeros(len(self.present))
+        left = np.asarray(self.residuals.target - moved)
+        coefficients[self.present] = np.linalg.lstsq(self.rows, left, rcond=None)[0]
+        return coefficients
 
 
-@eqx.filter_jit
-def _moved(free, point, blocks: Blocks, theta):
-    """Integral of the environment's velocity along the path, filtered."""
-    moved = _block_displacement(free, point, blocks)
-    return _filtered_rows(theta, moved[..., None], blocks)[:, 0]
-
-
-@eqx.filter_jit
-def _displacement(free, point, blocks: Blocks, theta):
-    """The same, and its derivative by the weights."""
-    values = _block_displacement(free, point, blocks)
-    slopes = jax.jacfwd(lambda p: _block_displacement(free, p, blocks))(point)
-    columns = jnp.concatenate([values[..., None], slopes], axis=-1)
-    rows = _filtered_rows(theta, columns, blocks)
-    return rows[:, 0], rows[:, 1:]
-
-
-def _block_displacement(free, point, blocks: Blocks) -> Float[Array, "block 2"]:
-    environment = free(point)
+def _block_displacement(environment: Any, blocks: Blocks) -> Float[Array, "block 2"]:
     velocity = jax.vmap(lambda x: environment(0.0, x, jnp.zeros_like(x)))
     rates = velocity(blocks.positions)
     middle = (rates[1:] + rates[:-1]) / 2

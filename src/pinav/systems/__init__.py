@@ -17,3 +17,4 @@ from pinav.systems.system import Observation as Observation
 from pinav.systems.system import System as System
 from pinav.systems.system import WanderingVelocity as WanderingVelocity
 from pinav.systems.units import Units as Units
+from pinav.systems.units import velocity_unit as velocity_unit

@@ -19,9 +19,25 @@ class AbstractNumberPrior(eqx.Module):
     def log_density(self, value: Scalar) -> Float[Array, ""]:
         """Logarithm of the density at a value, up to a constant."""
 
+    @property
+    @abc.abstractmethod
+    def log_height(self) -> float:
+        """Logarithm of the density where the standardised value is zero."""
+
+    @abc.abstractmethod
+    def standardised(self, value: Scalar) -> Float[Array, ""]:
+        r"""$z$ with a density proportional to $\exp(-z^2/2)$."""
+
 
 class Flat(AbstractNumberPrior):
     """No preference for any value."""
+
+    @property
+    def log_height(self):
+        return 0.0
+
+    def standardised(self, value):
+        return jnp.zeros_like(jnp.asarray(value, float))
 
     def log_density(self, value):
         return jnp.zeros_like(jnp.asarray(value, float))
@@ -44,6 +60,13 @@ class Normal(AbstractNumberPrior):
     def __check_init__(self):
         check_positive(self, "deviation")
 
+    @property
+    def log_height(self):
+        return -math.log(self.deviation * math.sqrt(2 * math.pi))
+
+    def standardised(self, value):
+        return (jnp.asarray(value) - self.mean) / self.deviation
+
     def log_density(self, value):
         return -0.5 * ((jnp.asarray(value) - self.mean) / self.deviation) ** 2
 
@@ -64,6 +87,14 @@ class LogNormal(AbstractNumberPrior):
 
     def __check_init__(self):
         check_positive(self, "median", "deviation")
+
+    @property
+    def log_height(self):
+        return -math.log(self.median * self.deviation * math.sqrt(2 * math.pi))
+
+    def standardised(self, value):
+        # the density of log x: its mode is the median, however wide it is
+        return jnp.log(jnp.asarray(value) / self.median) / self.deviation
 
     def log_density(self, value):
         logarithm = jnp.log(jnp.asarray(value))

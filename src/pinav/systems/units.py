@@ -14,6 +14,13 @@ FORCES = ("1", "fN", "pN", "nN", "uN", "mN", "N", "?")
 """Units of force, for systems without inertia."""
 
 
+def velocity_unit(length: str, time: str) -> str:
+    """Unit of a velocity; unknown where either is."""
+    if "?" in (length, time):
+        return "?"
+    return length if time == "1" else f"{length}/{time}"
+
+
 class Units(eqx.Module):
     """Units of length, time and force.
 
@@ -40,9 +47,7 @@ class Units(eqx.Module):
     @property
     def velocity(self) -> str:
         """Unit of velocity."""
-        if "?" in (self.length, self.time):
-            return "?"
-        return self.length if self.time == "1" else f"{self.length}/{self.time}"
+        return velocity_unit(self.length, self.time)
 
     def of_channels(self, channels: tuple[str, ...]) -> dict[str, str]:
         """Unit of each channel, x or vx, and of time `t`."""

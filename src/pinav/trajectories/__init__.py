@@ -23,6 +23,7 @@ from pinav.trajectories.trajectories import bootstrap as bootstrap
 from pinav.trajectories.trajectories import concatenate as concatenate
 from pinav.trajectories.trajectories import split as split
 from pinav.trajectories.trajectories import with_unobserved as with_unobserved
+from pinav.trajectories.trajectories import with_velocities as with_velocities
 from pinav.trajectories.trajectory import Ragged as Ragged
 from pinav.trajectories.trajectory import Trajectory as Trajectory
 from pinav.trajectories.trajectory import arrays_per_trajectory as arrays_per_trajectory

@@ -10,8 +10,8 @@ from pinav.errors import FitError, InputError
 from pinav.fitting import fit_bayes, kernel_environment
 from pinav.fitting.bayes.problem import BayesProblem
 from pinav.fitting.engine.multiple_shooting import linearise
-from pinav.fitting.evidence.evidence import Data, weight_posterior
-from pinav.fitting.evidence.quadratic import Quadratic, joint_posterior, without_flat
+from pinav.fitting.evidence.evidence import LinearisedObservations, weight_posterior
+from pinav.fitting.evidence.quadratic import Quadratic, eliminate_flat, joint_posterior
 from pinav.forces import KernelPotential
 from pinav.scenarios import barrier_crossings
 from pinav.trajectories import Trajectories, simulate
@@ -164,16 +164,16 @@ def test_a_kernel_fit_without_a_trajectory_solves_its_normal_equations():
         own = jax.tree.map(lambda a, i=index: a[i : i + 1], problem.observations)
         states = problem.states[index : index + 1]
         linear = linearise(
-            problem.free, jnp.asarray(theta), states, own, problem.solver
+            problem.parametric, jnp.asarray(theta), states, own, problem.solver
         )
         each.append((np.asarray(linear.hessian), np.asarray(linear.gradient)))
 
     def solved(kept):
         hessian, gradient = (sum(each[i][part] for i in kept) for part in (0, 1))
         whole = Quadratic(theta, hessian, gradient, 0.0, problem.num_free, 0.0)
-        quadratic, block = without_flat(whole, problem.flat)
+        quadratic, block = eliminate_flat(whole, problem.flat)
         prior = problem.weights.prior.covariance(chosen.shape)
-        weights = weight_posterior(Data.of(quadratic), prior, chosen)
+        weights = weight_posterior(LinearisedObservations.of(quadratic), prior, chosen)
         return joint_posterior(block, *weights, chosen.noise)[0]
 
     points = np.array([[4.0, 3.0], [6.0, 6.0], [2.0, 7.0]])

@@ -15,6 +15,7 @@ from pinav.forces import (
     GaussianBarrier,
     KernelForce,
     KernelPotential,
+    ZeroForce,
 )
 from pinav.scenarios import barrier_crossings
 from pinav.trajectories import Trajectories, simulate
@@ -31,6 +32,12 @@ class Drifter(AbstractDynamics):
 
     def __call__(self, t, y):
         return self.drift + self.environment(t, y, jnp.zeros_like(y))
+
+    def with_environment(self, environment):
+        return eqx.tree_at(lambda m: m.environment, self, environment)
+
+    def without_environment(self):
+        return self.with_environment(ZeroForce())
 
 
 @pytest.fixture(scope="module")

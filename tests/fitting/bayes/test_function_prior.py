@@ -5,12 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pinav.fitting.bayes.distillation import Lesson, forces
+from pinav.fitting.bayes.distillation import DistillationTargets, forces
 from pinav.fitting.bayes.function_prior import Process, TangentWeights
-from pinav.fitting.bayes.steps import ShortenedStep
+from pinav.fitting.engine.steps import ShortenedStep
 from pinav.fitting.evidence.evidence import (
-    Data,
     Hyperparameters,
+    LinearisedObservations,
     log_evidence,
     weight_posterior,
 )
@@ -36,7 +36,7 @@ def kernels():
 def places(kernels):
     positions = jnp.asarray(np.random.default_rng(1).uniform(-0.5, 3.5, (60, 2)))
     times = jnp.zeros(60)
-    return Lesson(times, positions, forces(kernels, times, positions))
+    return DistillationTargets(times, positions, forces(kernels, times, positions))
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def test_a_network_that_is_linear_has_the_posterior_of_the_process(
     """Kernels, taken for a network: their own prior comes out."""
     found = about(kernels, places, process).about(np.zeros(len(GRID)))
     inference = found.infer(quadratic, found.start, None)
-    data, chosen = Data.of(quadratic), process.chosen
+    data, chosen = LinearisedObservations.of(quadratic), process.chosen
     prior = kernels.prior().covariance(chosen.shape)
     mean, covariance = weight_posterior(data, prior, chosen)
     to_force = slopes(kernels, places)
@@ -148,6 +148,10 @@ class Bowl:
     """A fit whose cost is a parabola with its minimum at one."""
 
     theta = np.zeros(1)
+
+    @property
+    def local(self):
+        return self
 
     def predict(self, theta):
         return _Found(theta)

@@ -16,8 +16,8 @@ from pinav.fitting import (
     model_evidence,
     neural_environment,
 )
-from pinav.fitting.bayes.distillation import distilled, lesson
-from pinav.fitting.bayes.neural import Request, function_prior
+from pinav.fitting.bayes.distillation import distil, distillation_targets
+from pinav.fitting.bayes.neural import FitSpecification, function_prior
 from pinav.forces import (
     AbstractForce,
     KernelPotential,
@@ -101,13 +101,13 @@ def test_the_speed_is_the_unit_of_force_without_inertia(data):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_network_learns_what_it_is_taught(scenario, data, kind):
     barrier = scenario.environment
-    taught = lesson(barrier, data, data.states, dim=2, width=0.5)
+    taught = distillation_targets(barrier, data, data.states, dim=2, width=0.5)
     samples = data.states[..., :2].reshape(-1, 2)
     np.testing.assert_array_equal(taught.positions[: len(samples)], samples)
     np.testing.assert_allclose(
         taught.forces[: len(samples)], forces(barrier, samples), rtol=1e-12
     )
-    network = distilled(small(kind, data), taught)
+    network = distil(small(kind, data), taught)
     assert relative(forces(network, taught.positions), taught.forces) < 0.01
 
 
@@ -122,8 +122,8 @@ def test_a_network_that_sees_the_time_learns_a_force_that_swings(data):
     features = PositionTimeFeatures((5.0, 5.0, 2.5), (3.0, 3.0, 1.5))
     network = tanh_network(3, 2, width=8, depth=1, key=jax.random.key(0))
     force = NeuralForce(spread_weights(network), features)
-    taught = lesson(Swinging(), data, data.states, dim=2, width=0.5)
-    found = distilled(force, taught)
+    taught = distillation_targets(Swinging(), data, data.states, dim=2, width=0.5)
+    found = distil(force, taught)
     points = data.states[0, :5, :2]
     for time in (0.0, 2.0, 4.0):
         expected = forces(Swinging(), points, time)
@@ -181,7 +181,7 @@ def test_the_bands_of_a_network_are_as_wide_as_its_errors(fitted, scenario, data
 
 def test_the_prior_is_made_again_from_what_a_run_keeps(fitted, data):
     used = fitted.linear.weights
-    request = Request(fitted.model, data, damping_of, None, FixedStep())
+    request = FitSpecification(fitted.model, data, damping_of, None, FixedStep())
     again = function_prior(
         request, fitted.states, fitted.hyperparameters, used.process.kernels
     )
@@ -213,8 +213,8 @@ def test_a_taught_network_costs_what_its_prior_cost_its_teacher(fitted, scenario
         model_evidence(found.linear, found.hyperparameters)
         for found in (taught, fitted)
     )
-    assert ours.occam == pytest.approx(theirs.occam, rel=1e-3)
-    assert ours.occam > 1
+    assert ours.correction == pytest.approx(theirs.correction, rel=1e-3)
+    assert ours.correction > 1
     gap = theirs.log_evidence - ours.log_evidence  # what so small a network misses
     assert -5 < gap < 100
 

@@ -6,14 +6,14 @@ import pytest
 
 from pinav.dynamics import RK4, FixedStep, Swimmer
 from pinav.fitting.engine.multiple_shooting import (
-    advanced,
+    advance,
     eliminate,
-    freed,
     linearise,
     predict,
     pull_back,
     sensitivities,
 )
+from pinav.fitting.engine.parametric_model import ravel_model
 from pinav.fitting.matching.objectives import Observations
 from pinav.forces import KernelForce, KernelPotential, LinearDrag, ZeroForce
 from pinav.trajectories import Trajectories
@@ -33,7 +33,7 @@ STARTS = jnp.array([[-1.0, 0.1, 1.2, 0.3], [1.5, -0.5, -0.4, 0.9]])
 
 def make(environment):
     swimmer = Swimmer(ZeroForce(), LinearDrag(0.4), environment)
-    return freed(swimmer, lambda m: (m.environment.weights, m.drag.damping))
+    return ravel_model(swimmer, lambda m: (m.environment.weights, m.drag.damping))
 
 
 @eqx.filter_jit
@@ -139,7 +139,7 @@ def test_the_step_is_the_dense_least_squares_step(problem):
     found = linearise(free, theta, states, observations, SOLVER)
     change = jnp.linalg.solve(found.hessian, -found.gradient)
     np.testing.assert_allclose(change, step[: len(theta)], rtol=1e-8)
-    moved = advanced(states, found, change)
+    moved = advance(states, found, change)
     starts = step[len(theta) :].reshape(2, 4)
     np.testing.assert_allclose(moved[:, 0] - states[:, 0], starts, rtol=1e-7)
 
@@ -163,7 +163,7 @@ def test_steps_from_states_off_the_dynamics_reach_a_solution(problem):
     for _ in range(8):
         found = linearise(free, theta, states, observations, SOLVER)
         change = jnp.linalg.solve(found.hessian, -found.gradient)
-        theta, states = theta + change, advanced(states, found, change)
+        theta, states = theta + change, advance(states, found, change)
     rollout = plain_rollout(free, theta, states[0, 0], observations.times[0])
     np.testing.assert_allclose(states[0], rollout, atol=1e-6)
     assert eqx.tree_equal(free(theta).environment.centers, CENTERS)
@@ -177,7 +177,7 @@ def test_a_prediction_leaves_the_squares_and_the_gradient_of_the_linearisation(p
     np.testing.assert_allclose(
         pull_back(found, here.residuals), found.gradient, rtol=1e-8
     )
-    moved = advanced(states, found, jnp.zeros_like(theta))
+    moved = advance(states, found, jnp.zeros_like(theta))
     np.testing.assert_allclose(here.states, moved, atol=1e-9)
 
 

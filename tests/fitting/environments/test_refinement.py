@@ -1,5 +1,6 @@
 """Kernels are laid anew where the evidence finds them too coarse, and only there."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -66,7 +67,7 @@ FEW = KernelGrid(across=8)
 
 def untrained(truth, data, grid=FEW):
     environment = kernel_environment(KernelPotential, data, grid, dim=1)
-    return truth.with_environment(environment)
+    return eqx.tree_at(lambda m: m.environment, truth, environment)
 
 
 def error(found, truth, data):
@@ -117,7 +118,7 @@ def test_a_network_is_taught_by_kernels_as_fine_as_asked(rough, refined):
     network = neural_environment(
         NeuralForce, data, key=jax.random.key(0), width=4, depth=1, dim=1
     )
-    model = truth.with_environment(network)
+    model = eqx.tree_at(lambda m: m.environment, truth, network)
     found = fit_bayes(
         model, data, refine=Refinement(factor=2.0), max_iterations=1, throw=False
     )

@@ -3,7 +3,7 @@ import pytest
 
 from pinav.errors import FitError
 from pinav.fitting.evidence.evidence import (
-    Data,
+    LinearisedObservations,
     Whitened,
     at_shape,
     best_hyperparameters,
@@ -13,9 +13,9 @@ from pinav.fitting.evidence.evidence import (
 from pinav.fitting.evidence.hyperparameter_uncertainty import SHAPE_SD, shape_covariance
 from pinav.fitting.evidence.quadratic import (
     Quadratic,
+    eliminate_flat,
     is_singular,
     joint_posterior,
-    without_flat,
 )
 from pinav.forces.priors import AbstractPrior
 
@@ -71,8 +71,10 @@ def restricted_likelihood(chosen, prior=prior):
 
 @pytest.mark.parametrize("noise", [None, 0.1, 0.3])
 def test_evidence_is_the_normal_density_of_the_data(quadratic, noise):
-    reduced, _ = without_flat(quadratic, MASK)
-    chosen = best_hyperparameters(Data.of(reduced), prior, np.zeros(1), BOUNDS, noise)
+    reduced, _ = eliminate_flat(quadratic, MASK)
+    chosen = best_hyperparameters(
+        LinearisedObservations.of(reduced), prior, np.zeros(1), BOUNDS, noise
+    )
     expected = restricted_likelihood(chosen)
     np.testing.assert_allclose(chosen.log_evidence, expected, rtol=1e-8)
     assert noise is None or chosen.noise == noise
@@ -93,7 +95,7 @@ def slopes_of_low_rank(shape):
 def test_the_slope_of_the_evidence_holds_for_data_that_no_weights_reach(
     quadratic, noise
 ):
-    data, step = Data.of(without_flat(quadratic, MASK)[0]), 1e-4
+    data, step = LinearisedObservations.of(eliminate_flat(quadratic, MASK)[0]), 1e-4
     shape = np.array([0.3])
     upper, lower = (
         at_shape(data, of_low_rank, shape + s, noise).log_evidence
@@ -129,7 +131,7 @@ class Correlated(AbstractPrior):
 
 
 def test_a_prior_of_low_rank_has_the_evidence_and_posterior_of_its_density(quadratic):
-    data = Data.of(without_flat(quadratic, MASK)[0])
+    data = LinearisedObservations.of(eliminate_flat(quadratic, MASK)[0])
     chosen = at_shape(data, of_low_rank, np.zeros(1))
     expected = restricted_likelihood(chosen, of_low_rank)
     np.testing.assert_allclose(chosen.log_evidence, expected, rtol=1e-8)
@@ -145,20 +147,22 @@ def test_a_prior_of_low_rank_has_the_evidence_and_posterior_of_its_density(quadr
 
 
 def test_noise_is_estimated_without_bias(quadratic):
-    reduced, _ = without_flat(quadratic, MASK)
-    chosen = best_hyperparameters(Data.of(reduced), prior, np.zeros(1), BOUNDS)
+    reduced, _ = eliminate_flat(quadratic, MASK)
+    chosen = best_hyperparameters(
+        LinearisedObservations.of(reduced), prior, np.zeros(1), BOUNDS
+    )
     assert chosen.noise == pytest.approx(0.1, rel=0.3)
 
 
 def test_the_evidence_is_highest_where_the_search_ends(quadratic):
-    data = Data.of(without_flat(quadratic, MASK)[0])
+    data = LinearisedObservations.of(eliminate_flat(quadratic, MASK)[0])
     chosen = best_hyperparameters(data, prior, np.zeros(1), BOUNDS)
     for shape in np.linspace(-1, 1, 9)[:, None]:
         assert at_shape(data, prior, shape).log_evidence < chosen.log_evidence + 1e-4
 
 
 def test_an_uncertain_shape_widens_the_posterior(quadratic):
-    data = Data.of(without_flat(quadratic, MASK)[0])
+    data = LinearisedObservations.of(eliminate_flat(quadratic, MASK)[0])
     chosen = best_hyperparameters(data, prior, np.zeros(1), BOUNDS)
     extra = shape_covariance(data, Correlated(), chosen)
     values = np.linalg.eigvalsh(extra)
@@ -169,7 +173,7 @@ def test_an_uncertain_shape_widens_the_posterior(quadratic):
 
 
 def test_what_a_shape_adds_follows_from_the_curvature_of_the_evidence(quadratic):
-    data, step = Data.of(without_flat(quadratic, MASK)[0]), 1e-3
+    data, step = LinearisedObservations.of(eliminate_flat(quadratic, MASK)[0]), 1e-3
     chosen = best_hyperparameters(data, prior, np.zeros(1), BOUNDS)
 
     def at(shape):
@@ -190,8 +194,8 @@ def test_what_a_shape_adds_follows_from_the_curvature_of_the_evidence(quadratic)
 
 
 def test_posterior_is_the_exact_one(quadratic):
-    reduced, block = without_flat(quadratic, MASK)
-    data = Data.of(reduced)
+    reduced, block = eliminate_flat(quadratic, MASK)
+    data = LinearisedObservations.of(reduced)
     chosen = best_hyperparameters(data, prior, np.zeros(1), BOUNDS)
     covariance = prior(chosen.shape)
     weights = weight_posterior(data, covariance, chosen)
@@ -209,7 +213,7 @@ def test_constants_that_the_data_leave_open_are_refused(quadratic):
     hessian[-1, -1] = hessian[-2, -2]
     twins = Quadratic(ABOUT, hessian, quadratic.gradient, 1.0, ROWS, 0.0)
     with pytest.raises(FitError, match="singular: the data do not determine the learn"):
-        without_flat(twins, MASK)
+        eliminate_flat(twins, MASK)
 
 
 def test_a_matrix_that_is_not_finite_or_has_a_zero_is_singular():
@@ -217,3 +221,10 @@ def test_a_matrix_that_is_not_finite_or_has_a_zero_is_singular():
     assert is_singular(np.array([[np.nan]]))
     assert not is_singular(np.diag([1.0, 1e-20]))
     assert not is_singular(np.zeros((0, 0)))
+
+
+def test_weights_on_which_no_datum_depends_are_refused():
+    """A diverging fit leaves its kernels; all variances of the prior then vanish."""
+    nothing = Quadratic(np.zeros(3), np.zeros((3, 3)), np.zeros(3), 1.0, 10, 0.0)
+    with pytest.raises(FitError, match="do not depend on the weights"):
+        LinearisedObservations.of(nothing)

@@ -12,14 +12,14 @@ from pinav.fitting import (
     timed_kernel_environment,
 )
 from pinav.fitting.evidence.evidence import (
-    Data,
     Hyperparameters,
+    LinearisedObservations,
     Whitened,
     at_shape,
     shape_slope,
 )
 from pinav.fitting.evidence.model_evidence import LOG_RANGE
-from pinav.fitting.evidence.quadratic import Quadratic, without_flat
+from pinav.fitting.evidence.quadratic import Quadratic, eliminate_flat
 from pinav.fitting.evidence.weights import GaussianWeights, NoWeights
 from pinav.forces import (
     ChangingPotential,
@@ -89,7 +89,7 @@ def quadratic_of(design, data):
 @pytest.mark.parametrize("noise", [None, 0.1])
 def test_the_slope_of_the_evidence_is_its_derivative(prior, noise):
     shape, step = inside(prior), 1e-3
-    data = Data.of(problem(len(prior.covariance(prior.start)))[2])
+    data = LinearisedObservations.of(problem(len(prior.covariance(prior.start)))[2])
     chosen = at_shape(data, prior.covariance, shape, noise)
     white = Whitened.of(data, prior.covariance(shape))
     slope = shape_slope(data, white, chosen, prior.slopes)
@@ -156,7 +156,12 @@ def test_evidence_compares_models_by_their_marginal_likelihood():
         linear = LinearFit(quadratic, GaussianWeights(Fixed(0.0)), 0.1, len(data), 0.0)
         best.append(model_evidence(linear, chosen).best)
         exact.append(log_density(design, data, amplitude))
-        found = at_shape(Data.of(quadratic), Fixed(0.0).covariance, np.zeros(1), 0.1)
+        found = at_shape(
+            LinearisedObservations.of(quadratic),
+            Fixed(0.0).covariance,
+            np.zeros(1),
+            0.1,
+        )
         np.testing.assert_allclose(
             found.log_evidence, log_density(design, data, found.amplitude), rtol=1e-9
         )
@@ -172,12 +177,14 @@ def test_hyperparameters_cost_the_logarithm_of_the_range_they_lose():
     """Against the integral over amplitude, by quadrature; an idle shape is free."""
     design, data, quadratic = problem(3)
     prior = Fixed(0.0)
-    chosen = at_shape(Data.of(quadratic), prior.covariance, np.zeros(1), 0.1)
+    chosen = at_shape(
+        LinearisedObservations.of(quadratic), prior.covariance, np.zeros(1), 0.1
+    )
     linear = LinearFit(quadratic, GaussianWeights(prior), 0.1, len(data), 0.0)
     logs = np.log(chosen.amplitude) + np.linspace(-LOG_RANGE / 2, LOG_RANGE / 2, 401)
     values = np.array([log_density(design, data, np.exp(v)) for v in logs])
     exact = -np.log(np.mean(np.exp(values - chosen.log_evidence)))
-    assert model_evidence(linear, chosen).occam == pytest.approx(exact, abs=0.3)
+    assert model_evidence(linear, chosen).correction == pytest.approx(exact, abs=0.3)
 
 
 def test_a_flat_constant_costs_half_the_logarithm_of_the_data():
@@ -186,7 +193,9 @@ def test_a_flat_constant_costs_half_the_logarithm_of_the_data():
     column, data = RNG.normal(size=(rows, 1)), RNG.normal(size=rows)
     costs = []
     for unit in (1.0, 1e3):
-        quadratic, _ = without_flat(quadratic_of(unit * column, data), np.array([True]))
+        quadratic, _ = eliminate_flat(
+            quadratic_of(unit * column, data), np.array([True])
+        )
         found = NoWeights().infer(quadratic, np.zeros(0), 1.0).hyperparameters
         linear = LinearFit(quadratic, NoWeights(), 1.0, rows, float(np.log(rows)))
         costs.append(model_evidence(linear, found).log_evidence)

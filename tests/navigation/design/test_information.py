@@ -8,7 +8,7 @@ import pytest
 
 from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
-from pinav.fitting import Posterior, freed
+from pinav.fitting import Posterior, ravel_model
 from pinav.forces import KernelPotential, LinearDrag, ZeroForce
 from pinav.navigation.design.candidates import Experiment, begins, in_sequence
 from pinav.navigation.design.information import (
@@ -48,7 +48,7 @@ def posterior(model=None, seed=1):
     """A posterior with correlations, of a swimmer with inertia unless given."""
     if model is None:
         model = Swimmer(ZeroForce(), LinearDrag(0.36), kernels())
-    free, theta = freed(model, lambda m: m.environment.parameters)
+    free, theta = ravel_model(model, lambda m: m.environment.parameters)
     root = np.asarray(jax.random.normal(jax.random.key(seed), (9, 9))) * 0.2
     return Posterior(free, np.asarray(theta), root @ root.T + 0.01 * np.eye(9))
 
@@ -260,7 +260,7 @@ def test_doubt_vanishes_as_the_noise_does_and_returns_with_it():
     ]
     assert sizes[0] < sizes[1] < sizes[2]
     kernels = options["unknown"].kernels()
-    free, theta = freed(
+    free, theta = ravel_model(
         model.with_environment(kernels),
         lambda m: m.environment.parameters,
     )

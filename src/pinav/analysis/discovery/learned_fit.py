@@ -10,7 +10,7 @@ from pinav.analysis.discovery.refit import Lifted, Refit, RefitProblem
 from pinav.dynamics import FixedStep, Swimmer, with_dtype
 from pinav.errors import FitError
 from pinav.fitting import Outcome, Posterior
-from pinav.fitting.engine.multiple_shooting import freed
+from pinav.fitting.engine.parametric_model import ravel_model
 from pinav.fitting.matching.fit import Trainable
 from pinav.trajectories import Trajectories, smoothed_states
 
@@ -88,7 +88,7 @@ def laplace_posterior(
     """
     solver = FixedStep() if solver is None else solver
     with jax.enable_x64(new_val=True):
-        free, theta = freed(with_dtype(model, jnp.float64), trainable)
+        free, theta = ravel_model(with_dtype(model, jnp.float64), trainable)
     problem, lifted = _linearised(free, np.asarray(theta), trajectories, solver)
     values, vectors = np.linalg.eigh(lifted.hessian)
     values = np.maximum(values, 0.0)

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from pinav.analysis.discovery.laws import AbstractLaw, LawForce, Role
 from pinav.dynamics import FixedStep, Swimmer, with_dtype
 from pinav.fitting import Outcome
-from pinav.fitting.engine.multiple_shooting import FreeModel, freed
+from pinav.fitting.engine.parametric_model import ParametricModel, ravel_model
 from pinav.trajectories import Trajectories
 
 MAX_ITERATIONS = 40
@@ -77,7 +77,7 @@ class Lifted(eqx.Module):
         defects: largest defect of each channel.
     """
 
-    free: FreeModel
+    free: ParametricModel
     theta: Float[np.ndarray, " parameter"]
     states: Float[np.ndarray, "trajectory time state"]
     columns: Float[np.ndarray, "trajectory time state column"]
@@ -244,7 +244,7 @@ def refit(
     with jax.enable_x64(new_val=True):
         environment = LawForce(law, jnp.asarray(constants, jnp.float64))
         swimmer = model.with_environment(environment)
-        free, theta = freed(
+        free, theta = ravel_model(
             with_dtype(swimmer, jnp.float64), lambda m: m.environment.constants
         )
         lifted = Lifted.at(free, theta, problem.states, problem)

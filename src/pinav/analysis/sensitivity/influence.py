@@ -23,17 +23,17 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
-from jaxtyping import ArrayLike, Bool, Float, PyTree
+from jaxtyping import ArrayLike, Float, PyTree
 
 from pinav.dynamics import FixedStep
 from pinav.errors import FitError, InputError
-from pinav.fitting import FreeModel, Hyperparameters, freed
-from pinav.fitting.bayes.neural import Request, function_prior
+from pinav.fitting import Hyperparameters, ParametricModel, ravel_model
+from pinav.fitting.bayes.neural import FitSpecification, function_prior
 from pinav.fitting.bayes.parameters import learned_environment
 from pinav.fitting.bayes.problem import BayesProblem
 from pinav.fitting.engine.multiple_shooting import linearise, sensitivities
-from pinav.fitting.evidence.quadratic import Quadratic, joint_posterior, without_flat
+from pinav.fitting.engine.parametric_model import selected_entries
+from pinav.fitting.evidence.quadratic import Quadratic, eliminate_flat, joint_posterior
 from pinav.forces import KernelForce, KernelPotential
 from pinav.trajectories import Trajectories
 
@@ -56,7 +56,7 @@ class Influence(eqx.Module):
         distances: Cook's $\Delta_i^\top C^{-1} \Delta_i$ over the sum of all leverages.
     """
 
-    free: FreeModel
+    free: ParametricModel
     theta: Float[np.ndarray, " parameter"]
     removals: Float[np.ndarray, "trajectory parameter"]
     first_order: Float[np.ndarray, "trajectory parameter"]
@@ -153,7 +153,7 @@ def influence(
         )
     with jax.enable_x64(new_val=True):
         solver = FixedStep() if solver is None else solver
-        request = Request(model, trajectories, learn, None, solver)
+        request = FitSpecification(model, trajectories, learn, None, solver)
         weights = None
         if not _is_linear(model) and len(hyperparameters.shape):
             weights = function_prior(request, states, hyperparameters, kernels)
@@ -168,10 +168,10 @@ def _is_linear(model) -> bool:
 
 def _influence(problem, model, chosen, learn, constants) -> Influence:
     picked = tuple(constants.values())
-    free, theta = freed(
+    free, theta = ravel_model(
         model, lambda m: (*_selected(m, learn), *(pick(m) for pick in picked))
     )
-    learned = _positions(free, theta, lambda m: _selected(m, learn))
+    learned = selected_entries(free, len(theta), lambda m: _selected(m, learn))
     places = {name: _place(name, free, theta, constants[name]) for name in constants}
     each = _linearised(problem, free, theta)
     hessian = np.sum([hessian for hessian, _ in each], axis=0)
@@ -206,17 +206,9 @@ def _selected(model, learn):
     return *weights, *(picked if isinstance(picked, tuple | list) else (picked,))
 
 
-def _positions(free: FreeModel, theta, pick) -> Bool[np.ndarray, " parameter"]:
-    """Which entries of the parameter vector are among those picked."""
-    marks = free.unravel(jnp.zeros_like(theta))
-    if jax.tree.leaves(pick(marks)):
-        marks = eqx.tree_at(pick, marks, jax.tree.map(jnp.ones_like, pick(marks)))
-    return np.asarray(ravel_pytree(marks)[0]) > 0
-
-
-def _place(name, free: FreeModel, theta, pick) -> int:
+def _place(name, free: ParametricModel, theta, pick) -> int:
     """Where a constant stands in the parameter vector."""
-    places = np.flatnonzero(_positions(free, theta, pick))
+    places = np.flatnonzero(selected_entries(free, len(theta), pick))
     if len(places) != 1:
         raise InputError(
             f"influence constants: {name} is {len(places)} numbers; expected one"
@@ -239,7 +231,7 @@ def _covariance(problem: BayesProblem, hessian, chosen: Hyperparameters):
     """Covariance of what was learned, given the hyperparameters."""
     nothing = np.zeros(len(hessian))
     whole = Quadratic(problem.theta, hessian, nothing, 0.0, problem.num_free, 0.0)
-    quadratic, block = without_flat(whole, problem.flat)
+    quadratic, block = eliminate_flat(whole, problem.flat)
     mean, covariance = problem.weights.posterior(quadratic, chosen)
     return joint_posterior(block, mean, covariance, chosen.noise)[1]
 

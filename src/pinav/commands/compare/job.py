@@ -118,7 +118,7 @@ def _row(name, settings, known: System, data, folder) -> dict[str, Any]:
         "noise": found.hyperparameters.noise,
         "weights": int(len(found.posterior.mean)),
         "best": evidence.best,
-        "occam": evidence.occam,
+        "occam": evidence.correction,
         "log_evidence": evidence.log_evidence,
         **{k: {"value": e.value, "sd": e.sd} for k, e in estimates.items()},
     }

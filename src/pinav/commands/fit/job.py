@@ -177,7 +177,7 @@ def _metrics(
         )
     return FitMetrics(
         outcome=evidence.outcome,
-        remarks=_remarks(evidence.outcome),
+        remarks=(*_remarks(evidence.outcome), *filter(None, [evidence.goodness])),
         iterations=evidence.iterations,
         noise=evidence.hyperparameters.noise,
         amplitude=evidence.hyperparameters.amplitude,

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.fitting.engine.multiple_shooting import FreeModel, freed
+from pinav.fitting.engine.parametric_model import ParametricModel, ravel_model
 from pinav.fitting.matching.gauss_newton import chord, low_rank
 from pinav.forces import AbstractForce, kernel_centers
 from pinav.trajectories import Trajectories
@@ -30,7 +30,7 @@ NUM_SAMPLES, NUM_POINTS = 400, 1200
 """Samples, and points of the grid, at most."""
 
 
-class Lesson(eqx.Module):
+class DistillationTargets(eqx.Module):
     """A force at several places and times.
 
     Attributes:
@@ -44,14 +44,14 @@ class Lesson(eqx.Module):
     forces: Float[Array, "point dim"]
 
 
-def lesson(
+def distillation_targets(
     teacher: AbstractForce,
     trajectories: Trajectories,
     states: Float[np.ndarray, "trajectory time state"],
     *,
     dim: int,
     width: float,
-) -> Lesson:
+) -> DistillationTargets:
     """The force of `teacher` at the samples, and on a grid around them.
 
     Args:
@@ -72,12 +72,12 @@ def lesson(
     when = np.concatenate([times[::stride], rng.choice(times, len(grid))])
     where = np.concatenate([samples[::stride], grid])
     when, where = jnp.asarray(when), jnp.asarray(where)
-    return Lesson(when, where, forces(teacher, when, where))
+    return DistillationTargets(when, where, forces(teacher, when, where))
 
 
-def distilled(network: Any, taught: Lesson) -> Any:
+def distil(network: Any, taught: DistillationTargets) -> Any:
     """The neural force after a regression on what it is taught."""
-    free, theta = freed(network, lambda force: force.parameters)
+    free, theta = ravel_model(network, lambda force: force.parameters)
     damping = jnp.asarray(DAMPING)
     for _ in range(STEPS):
         theta, damping = _step(free, theta, damping, taught)
@@ -93,7 +93,7 @@ def forces(
 
 
 @eqx.filter_jit
-def _step(free: FreeModel, theta, damping, taught: Lesson):
+def _step(free: ParametricModel, theta, damping, taught: DistillationTargets):
     """The best of several damped chord steps, and its damping."""
     size = jnp.sqrt(jnp.mean(taught.forces**2))
     size = jnp.where(size > 0, size, 1.0)

@@ -27,8 +27,8 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Float
 
-from pinav.fitting.bayes.distillation import Lesson, forces
-from pinav.fitting.engine.multiple_shooting import FreeModel, freed
+from pinav.fitting.bayes.distillation import DistillationTargets, forces
+from pinav.fitting.engine.parametric_model import ParametricModel, ravel_model
 from pinav.fitting.evidence.evidence import Hyperparameters, root
 from pinav.fitting.evidence.weights import AbstractWeights, Inference
 from pinav.fitting.matching.gauss_newton import low_rank
@@ -66,7 +66,7 @@ class Process(eqx.Module):
         kernels,
         prior: AbstractPrior,
         chosen: Hyperparameters,
-        places: Lesson,
+        places: DistillationTargets,
         shapes: Float[np.ndarray, "weight shape"],
     ) -> "Process":
         """The process of these kernels at given places.
@@ -78,7 +78,7 @@ class Process(eqx.Module):
             places: where the forces act.
             shapes: changes of the weights by a standard deviation of the shape.
         """
-        free, zero = freed(kernels, lambda force: force.parameters)
+        free, zero = ravel_model(kernels, lambda force: force.parameters)
         slopes = np.asarray(_slopes(free, jnp.zeros_like(zero), places))
         columns = chosen.amplitude * root(prior.covariance(chosen.shape))
         return cls(kernels, slopes @ columns, slopes @ shapes, chosen)
@@ -121,9 +121,9 @@ class TangentWeights(AbstractWeights):
         misfit: standard deviation of each force about the process.
     """
 
-    free: FreeModel
+    free: ParametricModel
     point: Float[np.ndarray, " weight"]
-    places: Lesson
+    places: DistillationTargets
     process: Process
     misfit: Float[np.ndarray, " force"]
 
@@ -131,7 +131,7 @@ class TangentWeights(AbstractWeights):
     def of(
         cls,
         network,
-        places: Lesson,
+        places: DistillationTargets,
         process: Process,
         wanted: Float[np.ndarray, " force"],
     ) -> "TangentWeights":
@@ -147,7 +147,7 @@ class TangentWeights(AbstractWeights):
             process: the prior.
             wanted: the field's forces there.
         """
-        free, point = freed(network, lambda force: force.parameters)
+        free, point = ravel_model(network, lambda force: force.parameters)
         values = np.asarray(forces(network, places.times, places.positions))
         off = values - wanted.reshape(values.shape)
         near = _neighbours(np.asarray(places.positions))
@@ -252,7 +252,7 @@ class _Tangent(eqx.Module):
 
 
 @eqx.filter_jit
-def _slopes(free: FreeModel, theta, places: Lesson):
+def _slopes(free: ParametricModel, theta, places: DistillationTargets):
     def force(theta, t, x):
         return free(theta)(t, x, jnp.zeros_like(x))
 

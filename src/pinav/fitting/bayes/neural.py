@@ -6,40 +6,44 @@ network gets the Gaussian process of these kernels as the prior of its forces
 variance for all its weights.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, PyTree
+from jaxtyping import Float
 
 from pinav.dynamics import FixedStep
-from pinav.fitting.bayes.distillation import Lesson, distilled, lesson
+from pinav.fitting.bayes.distillation import (
+    DistillationTargets,
+    distil,
+    distillation_targets,
+)
 from pinav.fitting.bayes.function_prior import Process, TangentWeights
-from pinav.fitting.bayes.parameters import num_positions
-from pinav.fitting.bayes.problem import BayesProblem, Step
+from pinav.fitting.bayes.parameters import Learn, num_positions
+from pinav.fitting.bayes.problem import BayesProblem
+from pinav.fitting.engine.problem import AbstractProblem, Step
 from pinav.fitting.environments.kernels import lay_kernels
-from pinav.fitting.evidence.evidence import Data, Hyperparameters
+from pinav.fitting.evidence.evidence import Hyperparameters, LinearisedObservations
 from pinav.fitting.evidence.hyperparameter_uncertainty import shape_changes
 from pinav.forces import AbstractLearnedForce
 from pinav.trajectories import Trajectories
 
 
-class Request(eqx.Module):
+class FitSpecification(eqx.Module):
     """What is asked of a fit.
 
     Attributes:
-        model: dynamics with a neural environment.
+        model: dynamics with an environment.
         trajectories: the data.
-        learn: picks the constants to learn; None where all is known.
+        learn: the constants to learn; None where all is known.
         noise: standard deviation of the observations, where it is known.
         solver: steps between samples.
     """
 
     model: Any
     trajectories: Trajectories
-    learn: Callable[[Any], PyTree] | None
+    learn: Learn
     noise: float | None
     solver: FixedStep
 
@@ -53,7 +57,7 @@ class Request(eqx.Module):
         places = lay_kernels(self.trajectories, None, self.dim)
         return self.model.environment.kernels_on(*places)
 
-    def problem(self, model: Any, **options) -> BayesProblem:
+    def problem(self, model: Any, **options: Any) -> BayesProblem:
         """The fit of another model to the same data."""
         return BayesProblem.of(
             model, self.trajectories, self.learn, self.noise, self.solver, **options
@@ -64,22 +68,22 @@ class Request(eqx.Module):
         kernels = self.kernels()
         return self.problem(eqx.tree_at(lambda m: m.environment, self.model, kernels))
 
-    def taught(self, problem: BayesProblem, step: Step) -> BayesProblem:
+    def distilled_from(self, problem: AbstractProblem, step: Step) -> BayesProblem:
         """The fit of the network, after the last step of the fit of the kernels."""
-        teacher = problem.free(jnp.asarray(step.move.theta))
+        teacher = problem.parametric(jnp.asarray(step.move.theta))
         states = np.asarray(step.move.states)
-        places = lesson(
+        places = distillation_targets(
             teacher.environment,
             self.trajectories,
             states,
             dim=self.dim,
             width=float(teacher.environment.width),
         )
-        network = distilled(self.model.environment, places)
+        network = distil(self.model.environment, places)
         weights, chosen = None, step.inference.hyperparameters
         if network.is_static:
             prior = teacher.environment.prior()
-            data = Data.of(step.quadratic)
+            data = LinearisedObservations.of(step.quadratic)
             shapes = shape_changes(data, prior, chosen, self.noise)
             process = Process.of(teacher.environment, prior, chosen, places, shapes)
             wanted = np.asarray(places.forces).ravel()
@@ -91,7 +95,7 @@ class Request(eqx.Module):
 
 
 def function_prior(
-    request: Request,
+    request: FitSpecification,
     states: Float[np.ndarray, "trajectory time state"],
     chosen: Hyperparameters,
     kernels: AbstractLearnedForce | None = None,
@@ -107,7 +111,7 @@ def function_prior(
     """
     made: Any = request.kernels() if kernels is None else kernels
     network = request.model.environment
-    places: Lesson = lesson(
+    places: DistillationTargets = distillation_targets(
         network,
         request.trajectories,
         states,

@@ -1,18 +1,25 @@
-"""What of a model is unknown: its weights, and the constants to be learned."""
+"""Parameters of a fit: the weights of the environment, and constants to learn."""
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, PyTree
 
 from pinav.dynamics import Swimmer, with_dtype
 from pinav.errors import InputError
-from pinav.fitting.engine.multiple_shooting import FreeModel, freed
+from pinav.fitting.engine.constant_priors import ConstantPriors
+from pinav.fitting.engine.parametric_model import (
+    ParametricModel,
+    known_model,
+    ravel_model,
+    selected_entries,
+)
 from pinav.forces import AbstractLearnedForce
+from pinav.systems.priors import Flat, FreeNumber
 from pinav.trajectories import Trajectories
 
 
@@ -22,17 +29,33 @@ def learned_environment(model: Any) -> AbstractLearnedForce | None:
     return environment if isinstance(environment, AbstractLearnedForce) else None
 
 
-def unknowns(model, learn) -> tuple[FreeModel, Float[jax.Array, " parameter"]]:
+Learn = Callable[[Any], PyTree] | Sequence[FreeNumber] | None
+"""Constants to learn: a function that picks them, or numbers with their priors; None
+where all of the model is known."""
+
+
+def parametrise(
+    model: Any, learn: Learn
+) -> tuple[ParametricModel, Float[jax.Array, " parameter"]]:
     """The model as a function of what is learned, if anything is, and its start."""
     exact = with_dtype(model, jnp.float64)
     if learn is None:
-        nothing, known = eqx.partition(exact, lambda _: False)
-        return FreeModel(known, ravel_pytree(nothing)[1]), jnp.zeros(0)
-    _check_selection(model, learn)
-    return freed(exact, _trainable(learn))
+        return known_model(exact), jnp.zeros(0)
+
+    def select(model: Any) -> tuple:
+        return *weight_leaves(model), *constant_leaves(model, learn)
+
+    leaves = jax.tree.leaves(select(model))
+    if not any(isinstance(x, float) or eqx.is_inexact_array(x) for x in leaves):
+        raise InputError(
+            f"fit_bayes learn: {type(model.environment).__name__} has no weights; "
+            "make an environment by kernel_environment, or pick numbers to learn, "
+            "such as learn=lambda m: m.environment"
+        )
+    return ravel_model(exact, select)
 
 
-def _weights(model) -> tuple:
+def weight_leaves(model: Any) -> tuple:
     """The leaves that have a Gaussian prior; none in a parametric environment."""
     environment = learned_environment(model)
     if environment is None:
@@ -41,26 +64,38 @@ def _weights(model) -> tuple:
     return parameters if isinstance(parameters, tuple) else (parameters,)
 
 
-def _trainable(learn):
-    def select(model):
-        constants = learn(model)
-        several = constants if isinstance(constants, tuple | list) else (constants,)
-        return *_weights(model), *several
-
-    return select
-
-
-def is_weight(free: FreeModel, theta) -> Bool[np.ndarray, " parameter"]:
-    """Which entries of the parameter vector are weights of the environment."""
-    marks = free.unravel(jnp.zeros_like(theta))
-    if jax.tree.leaves(_weights(marks)):
-        marks = eqx.tree_at(
-            _weights, marks, jax.tree.map(jnp.ones_like, _weights(marks))
-        )
-    return np.asarray(ravel_pytree(marks)[0]) > 0
+def constant_leaves(model: Any, learn: Learn) -> tuple:
+    """The constants to learn."""
+    if learn is None:
+        return ()
+    if not callable(learn):
+        return tuple(number.pick(model) for number in learn)
+    picked = learn(model)
+    return tuple(picked) if isinstance(picked, tuple | list) else (picked,)
 
 
-def num_positions(model, trajectories: Trajectories) -> int:
+def constant_priors(
+    parametric: ParametricModel, count: int, learn: Learn
+) -> ConstantPriors:
+    """The priors of constants that have one.
+
+    Args:
+        parametric: the model.
+        count: number of its parameters.
+        learn: the constants.
+    """
+    if learn is None or callable(learn):
+        return ConstantPriors()
+    pairs = [
+        (int(entry), number.prior)
+        for number in learn
+        if not isinstance(number.prior, Flat)
+        for entry in np.flatnonzero(selected_entries(parametric, count, number.pick))
+    ]
+    return ConstantPriors(tuple(e for e, _ in pairs), tuple(p for _, p in pairs))
+
+
+def num_positions(model: Any, trajectories: Trajectories) -> int:
     """How many channels are positions; what follows them are velocities.
 
     Raises:
@@ -84,18 +119,9 @@ def num_positions(model, trajectories: Trajectories) -> int:
     return dim
 
 
-def parameter_names(free: FreeModel, theta) -> tuple[str, ...]:
-    """A name for every entry of the parameter vector: the path of its leaf."""
-    leaves, _ = jax.tree_util.tree_flatten_with_path(free.unravel(theta))
-    names = []
-    for path, leaf in leaves:
-        name = jax.tree_util.keystr(path).lstrip(".")
-        indices = np.ndindex(*leaf.shape) if leaf.ndim else [None]
-        names += [name if i is None else f"{name}{list(i)}" for i in indices]
-    return tuple(names)
-
-
-def check_learned(model, names, flat):
+def check_learned(
+    model: Any, names: tuple[str, ...], flat: Bool[np.ndarray, " parameter"]
+) -> None:
     """Of an environment with weights these alone are learned."""
     if learned_environment(model) is None:
         return
@@ -105,13 +131,3 @@ def check_learned(model, names, flat):
                 f"fit_bayes learn: {name} belongs to the environment, whose "
                 "weights alone are learned; pick constants of other forces"
             )
-
-
-def _check_selection(model, learn):
-    leaves = jax.tree.leaves(_trainable(learn)(model))
-    if not any(isinstance(x, float) or eqx.is_inexact_array(x) for x in leaves):
-        raise InputError(
-            f"fit_bayes learn: {type(model.environment).__name__} has no weights; "
-            "make an environment by kernel_environment, or pick numbers to learn, "
-            "such as learn=lambda m: m.environment"
-        )

@@ -1,234 +1,230 @@
-"""A fit with the evidence as a problem: its unknowns, its start and its steps."""
+"""A fit of trajectories by multiple shooting: its parameters, start and residuals."""
 
-import equinox as eqx
-import jax
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 
 from pinav.dynamics import FixedStep
 from pinav.errors import FitError, InputError
 from pinav.fitting.bayes.parameters import (
+    Learn,
     check_learned,
-    is_weight,
+    constant_priors,
     learned_environment,
     num_positions,
-    parameter_names,
-    unknowns,
+    parametrise,
+    weight_leaves,
 )
-from pinav.fitting.bayes.steps import (
-    AbstractDescent,
+from pinav.fitting.engine.constant_priors import ConstantPriors
+from pinav.fitting.engine.local_model import AbstractLocalModel
+from pinav.fitting.engine.multiple_shooting import (
+    Linearisation,
+    advance,
+    linearise,
+    predict,
+    pull_back,
+)
+from pinav.fitting.engine.parametric_model import (
+    ParametricModel,
+    parameter_names,
+    selected_entries,
+)
+from pinav.fitting.engine.problem import AbstractProblem
+from pinav.fitting.engine.steps import (
+    AbstractStepRule,
     ChordSteps,
     FullStep,
-    Local,
-    Move,
     ShortenedStep,
 )
-from pinav.fitting.engine.multiple_shooting import FreeModel, Linearisation, linearise
-from pinav.fitting.engine.posterior import Posterior
-from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.evidence.model_evidence import LinearFit
-from pinav.fitting.evidence.quadratic import (
-    FlatBlock,
-    Quadratic,
-    joint_posterior,
-    without_flat,
-)
-from pinav.fitting.evidence.weights import (
-    AbstractWeights,
-    GaussianWeights,
-    Inference,
-    NoWeights,
-)
+from pinav.fitting.evidence.quadratic import Quadratic
+from pinav.fitting.evidence.weights import AbstractWeights, GaussianWeights, NoWeights
 from pinav.fitting.matching.objectives import Observations
-from pinav.trajectories import smoothed_states
+from pinav.trajectories import Trajectories, smoothed_states
+
+States = Float[Array, "trajectory time state"]
 
 
-class Step(eqx.Module):
-    """One step: what the data said before it, and where it led.
+class LocalTrajectories(AbstractLocalModel):
+    """Trajectories about states that need not fulfil the dynamics.
 
     Attributes:
-        defect: the largest, relative to the spread of its channel.
-        inference: hyperparameters and weights of the linear model.
-        quadratic: the sum of squares, as a function of the weights.
-        block: the other parameters, given the weights.
-        covariance: of all parameters.
-        move: where the step led.
-        weights: their prior, about the point of linearisation.
+        theta: the parameters.
+        quadratic: the sum of squares, the starts eliminated.
+        parametric: the model as a function of its parameters.
+        observations: the data.
+        solver: steps between samples.
+        states: about which the dynamics are linearised.
+        linear: the linearisation.
+        scale: spread of each channel.
     """
 
-    defect: float
-    inference: Inference
+    theta: Float[np.ndarray, " parameter"]
     quadratic: Quadratic
-    block: FlatBlock
-    covariance: Float[np.ndarray, "parameter parameter"]
-    move: Move
-    weights: AbstractWeights
+    parametric: ParametricModel
+    observations: Observations
+    solver: FixedStep
+    states: States
+    linear: Linearisation
+    scale: Float[np.ndarray, " state"]
+
+    def predict(self, theta):
+        inputs = jnp.asarray(theta), self.states, self.observations, self.solver
+        return predict(self.parametric, *inputs)
+
+    def pull_back(self, residuals):
+        return np.asarray(pull_back(self.linear, residuals))
+
+    def advance(self, mean):
+        return advance(self.states, self.linear, jnp.asarray(mean - self.theta))
+
+    def defect(self, mean, noise):
+        """The largest defect, relative to the spread of its channel."""
+        return float(np.max(np.asarray(self.linear.defects) / self.scale))
 
 
-class BayesProblem(eqx.Module):
-    """The start of a fit, and its parts that do not change while it runs.
+class BayesProblem(AbstractProblem):
+    """The start of a fit of trajectories, and what does not change while it runs.
 
     Attributes:
-        free: the model as a function of its parameters.
+        parametric: the model as a function of its parameters.
         theta: the parameters at the start.
         states: about which the dynamics are linearised first.
-        num_free: observations less starts.
         weights: what is known of the weights before the data.
-        descent: how to step.
+        priors: what is known of the constants.
+        step_rule: how to step.
         tolerance: change of the log evidence at which the fit ends.
         names: of all parameters.
-        flat: which of them have a flat prior.
+        flat: which of them are no weights.
+        noise: standard deviation of the data, where it is known.
+        first_noise: a guess of it.
         observations: the data.
         scale: spread of each channel.
-        noise: standard deviation of the data, where it is known.
         solver: steps between samples.
         teacher: the fit that chose the prior of the weights, where it was another.
+        least_noise: none: an honest fit of exact data ends at rounding.
     """
 
-    free: FreeModel
+    parametric: ParametricModel
     theta: Float[np.ndarray, " parameter"]
-    states: Float[jax.Array, "trajectory time state"]
-    num_free: int
+    states: States
     weights: AbstractWeights
-    descent: AbstractDescent
+    priors: ConstantPriors
+    step_rule: AbstractStepRule
     tolerance: float
     names: tuple[str, ...]
     flat: Bool[np.ndarray, " parameter"]
+    noise: float | None
+    first_noise: float
     observations: Observations
     scale: Float[np.ndarray, " state"]
-    noise: float | None
     solver: FixedStep
     teacher: LinearFit | None = None
+    least_noise: float = 0.0
 
     @classmethod
     def of(
         cls,
-        model,
-        trajectories,
-        learn,
-        noise,
-        solver,
+        model: Any,
+        trajectories: Trajectories,
+        learn: Learn,
+        noise: float | None,
+        solver: FixedStep,
         *,
-        states=None,
-        weights=None,
-        teacher=None,
-    ):
-        free, theta = unknowns(model, learn)
-        names, flat = parameter_names(free, theta), ~is_weight(free, theta)
+        states: States | Float[np.ndarray, "trajectory time state"] | None = None,
+        weights: AbstractWeights | None = None,
+        teacher: LinearFit | None = None,
+    ) -> "BayesProblem":
+        """The problem of a model and trajectories; see `fit_bayes`."""
+        parametric, theta = parametrise(model, learn)
+        names = parameter_names(parametric, len(theta))
+        flat = ~selected_entries(parametric, len(theta), weight_leaves)
         check_learned(model, names, flat)
         dim = num_positions(model, trajectories)
         states = smoothed_states(trajectories, dim) if states is None else states
-        num_free = trajectories.num_observed - states[:, 0].size
-        if num_free <= flat.sum():
+        priors = constant_priors(parametric, len(theta), learn)
+        equations = trajectories.num_observed + len(priors.entries)
+        if equations - states[:, 0].size <= flat.sum():
             raise InputError(
                 f"fit_bayes trajectories: {trajectories.num_observed} observations "
                 "are no more than the starts and constants to be found; add samples"
             )
         if learn is None:
-            weights, descent, tolerance = NoWeights(), FullStep(), TOLERANCE
+            weights, rule, tolerance = NoWeights(), FullStep(), TOLERANCE
         else:
-            weights, descent, tolerance = _method(model, weights)
+            weights, rule, tolerance = _method(model, weights)
+        residuals = (np.asarray(states) - trajectories.states)[trajectories.observed]
         return cls(
-            free=free,
+            parametric=parametric,
             theta=np.asarray(theta),
             states=jnp.asarray(states),
-            num_free=num_free,
             weights=weights,
-            descent=descent,
+            priors=priors,
+            step_rule=rule,
             tolerance=tolerance,
             names=names,
             flat=flat,
+            noise=noise,
+            first_noise=float(np.sqrt(np.mean(residuals**2))),
             observations=Observations.of(trajectories, jnp.float64),
             scale=_spread(states, trajectories.lengths),
-            noise=noise,
             solver=solver,
             teacher=teacher,
         )
 
-    def step(self, move: Move, shape) -> Step | None:
-        """One step, or None where the linearisation is not finite."""
-        theta, states = move.theta, move.states
+    @property
+    def num_free(self) -> int:
+        """Observations less starts."""
+        observed = int(np.asarray(self.observations.observed).sum())
+        return observed - self.states[:, 0].size
+
+    def linearise(self, theta, states: Any):  # with dynamics there are states
         linear = linearise(
-            self.free, jnp.asarray(theta), states, self.observations, self.solver
+            self.parametric, jnp.asarray(theta), states, self.observations, self.solver
         )
         if not np.all(np.isfinite(linear.start_factor)):
             return None
         _check_starts(linear)
         if not np.all(np.isfinite(linear.hessian)):
             return None
-        quadratic, block = without_flat(self.quadratic(theta, linear), self.flat)
-        weights = self.weights.about(theta[~self.flat])
-        found = weights.infer(quadratic, shape, self.noise)
-        chosen = found.hyperparameters
-        mean, covariance = joint_posterior(
-            block, found.mean, found.covariance, chosen.noise
-        )
-        local = Local(
-            free=self.free,
+        diagonals = np.diagonal(np.asarray(linear.start_factor), axis1=1, axis2=2)
+        return LocalTrajectories(
+            theta=theta,
+            quadratic=Quadratic(
+                theta,
+                np.asarray(linear.hessian),
+                np.asarray(linear.gradient),
+                float(linear.squares),
+                num_free=self.num_free,
+                log_determinant=2 * float(np.log(np.abs(diagonals)).sum()),
+            ),
+            parametric=self.parametric,
             observations=self.observations,
             solver=self.solver,
-            theta=theta,
             states=states,
             linear=linear,
-            precision=self.precision(chosen),
-            noise=chosen.noise,
-            energy=lambda theta: weights.energy(theta[~self.flat]),
-        )
-        return Step(
-            defect=float(np.max(np.asarray(linear.defects) / self.scale)),
-            inference=found,
-            quadratic=quadratic,
-            block=block,
-            covariance=covariance,
-            move=move.descent(local, mean),
-            weights=weights,
+            scale=self.scale,
         )
 
-    def precision(self, chosen: Hyperparameters):
-        """Prior precision of each parameter on its own; zero where it is flat."""
-        precision = np.zeros(len(self.flat))
-        precision[~self.flat] = self.weights.ridge(chosen)
-        return precision
+    def residual_series(self, step):
+        if step.hyperparameters.noise < LEAST_NOISE * self.scale.max():
+            return None  # what is left is the integrator's error, and never white
+        data = self.observations
+        residuals = np.asarray(step.move.states) - np.asarray(data.states)
+        return list(np.where(np.asarray(data.observed), residuals, np.nan))
 
-    def quadratic(self, theta, linear: Linearisation) -> Quadratic:
-        diagonals = np.diagonal(np.asarray(linear.start_factor), axis1=1, axis2=2)
-        return Quadratic(
-            theta,
-            np.asarray(linear.hessian),
-            np.asarray(linear.gradient),
-            float(linear.squares),
-            num_free=self.num_free,
-            log_determinant=2 * float(np.log(np.abs(diagonals)).sum()),
-        )
-
-    def linear_fit(self, step: Step) -> LinearFit:
-        """The linear problem of a step, for the evidence of the model."""
+    def flat_information(self):
         counts = np.asarray(self.observations.observed).sum(axis=(1, 2))
-        state, total = self.states.shape[2], int(counts.sum())
-        return LinearFit(
-            quadratic=step.quadratic,
-            weights=step.weights,
-            noise=self.noise,
-            num_observed=total,
-            flat_information=float(
-                state * np.log(counts).sum() + self.flat.sum() * np.log(total)
-            ),
-            teacher=self.teacher,
-        )
-
-    def with_shape_uncertainty(self, step: Step) -> Posterior:
-        """The posterior after a step, that of the prior's shape included."""
-        extra = step.weights.shape_covariance(
-            step.quadratic, step.inference.hyperparameters, self.noise
-        )
-        covariance = step.covariance + step.block.lift(extra)
-        return Posterior(self.free, step.move.theta, covariance)
+        total, state = int(counts.sum()), self.states.shape[2]
+        starts = state * float(np.log(counts).sum())
+        return total, starts + float(self.flat.sum() * np.log(total))
 
 
 def _method(
-    model, weights: AbstractWeights | None
-) -> tuple[AbstractWeights, AbstractDescent, float]:
+    model: Any, weights: AbstractWeights | None
+) -> tuple[AbstractWeights, AbstractStepRule, float]:
     """Prior of the weights, steps as curved as they are, and when to stop."""
     environment = learned_environment(model)
     if weights is not None:
@@ -241,12 +237,17 @@ def _method(
     return weights, ChordSteps(damping=1e3), NETWORK_TOLERANCE
 
 
+LEAST_NOISE = 1e-4
+"""Noise relative to the spread of the data, below which the data count as exact."""
+
 TOLERANCE, NETWORK_TOLERANCE = 1e-2, 2.0
 """Change of the log evidence at which a fit ends. That of a network goes on to creep
 while weights shrink on which the data do not depend."""
 
 
-def _spread(states, lengths):
+def _spread(
+    states: Float[Any, "trajectory time state"], lengths: Any
+) -> Float[np.ndarray, " state"]:
     """Standard deviation of each channel over all samples; 1 where it is constant."""
     samples = np.concatenate(
         [own[:length] for own, length in zip(states, lengths, strict=True)]

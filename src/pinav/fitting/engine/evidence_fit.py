@@ -1,12 +1,16 @@
 """The result of every fit whose hyperparameters are chosen by the evidence."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from pinav.errors import FitError
+from pinav.fitting.engine.goodness import GoodnessOfFit, goodness_of_fit
 from pinav.fitting.engine.posterior import Estimate, Posterior
+from pinav.fitting.engine.problem import AbstractProblem, Step
 from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.evidence.model_evidence import LinearFit
 from pinav.fitting.outcome import Outcome
@@ -28,6 +32,8 @@ class EvidenceFit(eqx.Module):
         states: the smoothed states, which fulfil the dynamics when converged; None
             where the residuals are not those of trajectories.
         linear: the linear problem in which the fit ended; see `model_evidence`.
+        goodness: whether the residuals look like noise; None where they have no order
+            in time.
     """
 
     model: Any
@@ -38,3 +44,55 @@ class EvidenceFit(eqx.Module):
     constants: dict[str, Estimate]
     states: Float[np.ndarray, "trajectory time state"] | None
     linear: LinearFit
+    goodness: GoodnessOfFit | None
+
+
+def evidence_fit(
+    problem: AbstractProblem,
+    outcome: Outcome,
+    steps: list[Step],
+    *,
+    not_finite: str,
+    advice: Mapping[Outcome, str],
+) -> EvidenceFit:
+    """The result of an iteration.
+
+    Args:
+        problem: in which it ended.
+        outcome: how.
+        steps: those taken.
+        not_finite: what to say where there was no step at all.
+        advice: what to raise for outcomes that do not count.
+
+    Raises:
+        FitError: there was no step, or the outcome does not count.
+    """
+    if not steps:
+        raise FitError(f"the fit diverged at once: {not_finite}", str(outcome))
+    if outcome in advice:
+        raise FitError(advice[outcome], str(outcome))
+    last = steps[-1]
+    posterior, states = problem.posterior(last), last.move.states
+    series, chosen = problem.residual_series(last), last.hyperparameters
+    sd = np.sqrt(np.maximum(np.diag(posterior.covariance), 0.0))
+    return EvidenceFit(
+        model=posterior.model,
+        outcome=outcome,
+        iterations=len(steps),
+        hyperparameters=chosen,
+        posterior=posterior,
+        constants={
+            problem.names[i]: Estimate(float(posterior.mean[i]), float(sd[i]))
+            for i in np.flatnonzero(problem.flat)
+        },
+        states=None if states is None else np.asarray(states),
+        linear=problem.linear_fit(last),
+        goodness=None
+        if series is None
+        else goodness_of_fit(
+            series,
+            chosen.noise,
+            last.quadratic.num_free - last.num_determined,
+            noise_known=problem.noise is not None,
+        ),
+    )

@@ -12,51 +12,15 @@ References:
     Albersmeyer and Diehl, SIAM J. Optim. 20, 1655 (2010), the lifted Newton method.
 """
 
-from collections.abc import Callable
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from pinav.dynamics import FixedStep, linear_recursion
-from pinav.fitting.matching.fit import Trainable, split_trainable
+from pinav.fitting.engine.local_model import Prediction
+from pinav.fitting.engine.parametric_model import ModelOfParameters, ParametricModel
 from pinav.fitting.matching.objectives import Observations
-
-
-class FreeModel(eqx.Module):
-    """A model as a function of the vector of its free parameters.
-
-    Attributes:
-        static: the model without the leaves that are free.
-        unravel: from the vector to those leaves.
-    """
-
-    static: PyTree
-    unravel: Callable[[Float[Array, " parameter"]], PyTree] = eqx.field(static=True)
-
-    def __call__(self, theta: Float[Array, " parameter"]) -> Any:
-        """The model with these parameters."""
-        return eqx.combine(self.unravel(theta), self.static)
-
-
-def freed(
-    model: Any, trainable: Trainable
-) -> tuple[FreeModel, Float[Array, " parameter"]]:
-    """The model as a function of the selected leaves, and their values, in float64.
-
-    Raises:
-        InputError: the selection holds no number that could be free.
-    """
-    free, static = split_trainable(model, trainable, jnp.float64)
-    theta, unravel = ravel_pytree(free)
-    return FreeModel(static, unravel), theta
-
-
-ModelOfParameters = Callable[[Float[Array, " parameter"]], Any]
-"""A `FreeModel`, or one that commands drive besides."""
 
 
 class Sensitivities(eqx.Module):
@@ -204,7 +168,7 @@ def eliminate(
 
 
 @eqx.filter_jit
-def advanced(
+def advance(
     states: Float[Array, "trajectory time state"],
     linearisation: Linearisation,
     change: Float[Array, " parameter"],
@@ -218,21 +182,9 @@ def advanced(
     return jax.vmap(one)(states, linearisation.columns, linearisation.start_rows)
 
 
-class Prediction(eqx.Module):
-    """What a parameter vector explains, the states linearised, each start at its best.
-
-    Attributes:
-        residuals: of the observed entries; zero where nothing was observed.
-        states: the linearised solution.
-    """
-
-    residuals: Float[Array, "trajectory time state"]
-    states: Float[Array, "trajectory time state"]
-
-
 @eqx.filter_jit
 def predict(
-    free: FreeModel,
+    free: ParametricModel,
     theta: Float[Array, " parameter"],
     states: Float[Array, "trajectory time state"],
     observations: Observations,

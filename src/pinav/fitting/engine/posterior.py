@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import ArrayLike, Float, PRNGKeyArray
 
 from pinav.dynamics import FixedStep
-from pinav.fitting.engine.multiple_shooting import FreeModel, sensitivities
+from pinav.fitting.engine.multiple_shooting import sensitivities
+from pinav.fitting.engine.parametric_model import ParametricModel
 
 
 class Estimate(eqx.Module):
@@ -47,7 +48,7 @@ class Posterior(eqx.Module):
         covariance: their covariance, given the chosen hyperparameters.
     """
 
-    free: FreeModel
+    free: ParametricModel
     mean: Float[np.ndarray, " parameter"]
     covariance: Float[np.ndarray, "parameter parameter"]
 

@@ -7,12 +7,14 @@ covariance, is a Gaussian process: the basis filters the weights.
 from typing import TypeVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from pinav.errors import InputError
 from pinav.forces import (
+    AbstractLearnedForce,
     ChangingPotential,
     KernelForce,
     KernelMixture,
@@ -68,22 +70,58 @@ def kernel_environment(
 
     Unless given, the grid is as fine as a twelfth of the longer side of the data, the
     kernels are as wide as the grid is fine, and they reach four intervals beyond the
-    samples: a prior must not end within its own length scale. That is where `fit_bayes`
+    samples: a prior must not end within its own length scale. In space the grid is
+    coarser, so that the weights are at most `MOST_WEIGHTS`. That is where `fit_bayes`
     begins; it lays finer ones where the evidence asks for them (`Refinement`).
 
     Args:
         kind: `KernelForce`, `KernelPotential`, `KernelStream` or `KernelMixture`.
         trajectories: their channels are positions, then as many velocities.
         grid: its fineness; `KernelGrid()` unless given.
-        dim: how many of their channels are positions, where that is not half of them:
-            all, where the state of the dynamics is the position.
+        dim: how many of their channels are positions; those called x, y and z unless
+            given.
 
     Raises:
         InputError: the observed positions are fewer than two, or all the same, or
             there are no `dim` channels.
     """
-    centers, width = lay_kernels(trajectories, grid, dim)
-    return kind.untrained(centers, width)
+    made = kind.untrained(*lay_kernels(trajectories, grid, dim))
+    across = KernelGrid().across
+    while grid is None and num_weights(made) > MOST_WEIGHTS and across > 1:
+        across -= 1
+        coarse = KernelGrid(across, margin=IN_TIME.margin)
+        made = kind.untrained(*lay_kernels(trajectories, coarse, dim))
+    return made
+
+
+MOST_WEIGHTS = 1000
+"""Weights with which a fit begins at most, unless a grid is given. A plane never has as
+many; in space a twelfth of the extent makes thousands, and the search for the shape of
+their prior costs the cube of their number."""
+
+LIMIT = 4000
+"""Weights beyond which a fit is refused: one step would take hours."""
+
+
+def num_weights(environment: AbstractLearnedForce) -> int:
+    """Number of weights of an environment."""
+    leaves = jax.tree.leaves(eqx.filter(environment.parameters, eqx.is_array))
+    return sum(leaf.size for leaf in leaves)
+
+
+def check_size(environment: AbstractLearnedForce | None) -> None:
+    """Refuse an environment with more weights than can be fitted.
+
+    Raises:
+        InputError: it has more than `LIMIT`.
+    """
+    count = 0 if environment is None else num_weights(environment)
+    if count > LIMIT:
+        raise InputError(
+            f"environment: expected at most {LIMIT} weights, got {count}; lay fewer "
+            "kernels, such as kernel_environment(..., KernelGrid(across=6)), or choose "
+            "a potential, which has one weight for each kernel"
+        )
 
 
 def timed_kernel_environment(
@@ -160,7 +198,7 @@ def lay_kernels(
     """Centres and width of kernels on a grid around the data."""
     grid = KernelGrid() if grid is None else grid
     count = len(trajectories.channels)
-    dim = count // 2 if dim is None else dim
+    dim = dim or trajectories.dim or count // 2
     if not 0 < dim <= count:
         raise InputError(
             f"kernel_environment dim: expected 1 to {count}, as many as there are "

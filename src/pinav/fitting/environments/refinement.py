@@ -6,13 +6,18 @@ kernel, and no weights repair the misfit: the kernels are then too coarse. With
 $\ell \ge b$ the prior, not the grid, limits the field, and finer kernels change little.
 """
 
+from collections.abc import Callable
+
 import equinox as eqx
-import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from pinav.errors import InputError
-from pinav.fitting.environments.kernels import KernelGrid, lay_kernels
+from pinav.fitting.engine.iterate import EvidenceProgress, iterate
+from pinav.fitting.engine.problem import AbstractProblem, Step
+from pinav.fitting.environments.kernels import KernelGrid, lay_kernels, num_weights
+from pinav.fitting.outcome import Outcome
 from pinav.forces import AbstractForce, AbstractLearnedForce
 from pinav.trajectories import Trajectories
 
@@ -74,9 +79,56 @@ class Refinement(eqx.Module):
         extent = np.ptp(trajectories.states[..., :dim][seen], axis=0).max()
         grid = KernelGrid(across=round(self.factor * extent / width))
         made = environment.kernels_on(*lay_kernels(trajectories, grid, dim))
-        count = sum(leaf.size for leaf in jax.tree.leaves(made.parameters))
-        return made if count <= self.max_weights else None
+        return made if num_weights(made) <= self.max_weights else None
 
 
 AS_FINE_AS_ASKED = Refinement()
 """Unless a fit is told otherwise."""
+
+
+def iterate_refined(
+    problem: AbstractProblem,
+    begin: Callable[..., AbstractProblem],
+    refine: Refinement | None,
+    trajectories: Trajectories,
+    max_iterations: int,
+    on_step: Callable[[EvidenceProgress], None] | None = None,
+) -> tuple[AbstractProblem, Outcome, list[Step]]:
+    """Iterate on kernels as fine as the evidence asks for.
+
+    Each grid begins anew, so that the result is that of its own fit.
+
+    Args:
+        problem: the fit on the first kernels.
+        begin: the problem of another model, linearised about given `states`.
+        refine: when and how far kernels are refined; None keeps them.
+        trajectories: what they are laid around.
+        max_iterations: steps at most on each grid.
+        on_step: called after each step.
+    """
+    environment = problem.parametric.static.environment
+
+    def is_coarse(step: Step) -> bool:
+        shape = step.hyperparameters.shape
+        return refine is not None and refine.wanted(environment, shape)
+
+    def finer(step: Step) -> AbstractLearnedForce | None:
+        if refine is None or not is_coarse(step):
+            return None
+        return refine.finer(environment, trajectories)
+
+    def enough(step: Step) -> bool:
+        return finer(step) is not None
+
+    outcome, steps = iterate(problem, max_iterations, on_step, enough)
+    better = finer(steps[-1]) if steps else None
+    if better is not None:
+        model = problem.parametric(jnp.asarray(problem.theta))
+        model = eqx.tree_at(lambda m: m.environment, model, better)
+        again = begin(model, states=problem.states)
+        return iterate_refined(
+            again, begin, refine, trajectories, max_iterations, on_step
+        )
+    if outcome is Outcome.CONVERGED and is_coarse(steps[-1]):
+        outcome = Outcome.UNDER_RESOLVED
+    return problem, outcome, steps

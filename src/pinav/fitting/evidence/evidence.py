@@ -24,6 +24,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Float
 
+from pinav.errors import FitError
 from pinav.fitting.evidence.quadratic import Quadratic
 
 LOG_RATIOS = np.linspace(-32.0, 4.0, 37)
@@ -33,7 +34,7 @@ ROOT_TOLERANCE = 1e-14
 """Variances that a root of the prior leaves out, relative to the largest."""
 
 
-class Data(eqx.Module):
+class LinearisedObservations(eqx.Module):
     r"""The quadratic as few independent data, $|R w - \tau|^2 + q_0$.
 
     Attributes:
@@ -51,10 +52,20 @@ class Data(eqx.Module):
     log_determinant: float
 
     @classmethod
-    def of(cls, quadratic: Quadratic) -> "Data":
-        """The data behind `quadratic`, less directions lost in rounding."""
+    def of(cls, quadratic: Quadratic) -> "LinearisedObservations":
+        """The data behind `quadratic`, less directions lost in rounding.
+
+        Raises:
+            FitError: the data do not depend on the weights at all.
+        """
         values, vectors = np.linalg.eigh(quadratic.hessian)
         kept = values > 1e-14 * values[-1]
+        if not kept.any():
+            raise FitError(
+                "the fit is singular: the observations do not depend on the weights of "
+                "the environment; its kernels are not where the states are, or the "
+                "states have left them"
+            )
         roots, vectors = np.sqrt(values[kept]), vectors[:, kept]
         residuals = vectors.T @ quadratic.gradient / roots
         return cls(
@@ -86,7 +97,9 @@ class Whitened(eqx.Module):
     missed: Float[np.ndarray, " datum"]
 
     @classmethod
-    def of(cls, data: Data, prior: Float[np.ndarray, "weight weight"]) -> "Whitened":
+    def of(
+        cls, data: LinearisedObservations, prior: Float[np.ndarray, "weight weight"]
+    ) -> "Whitened":
         """The data under a prior covariance of the weights."""
         columns = root(prior)
         reached = data.rows @ columns
@@ -151,7 +164,7 @@ Slopes = Callable[
 
 
 def best_hyperparameters(
-    data: Data,
+    data: LinearisedObservations,
     covariance: Covariance,
     start: Float[np.ndarray, " shape"],
     bounds: Float[np.ndarray, "shape 2"],
@@ -193,7 +206,10 @@ def best_hyperparameters(
 
 
 def shape_slope(
-    data: Data, white: Whitened, chosen: Hyperparameters, slopes: Slopes
+    data: LinearisedObservations,
+    white: Whitened,
+    chosen: Hyperparameters,
+    slopes: Slopes,
 ) -> Float[np.ndarray, " shape"]:
     r"""Derivative of $\log Z$ by the shape, at its best amplitude and noise.
 
@@ -208,7 +224,7 @@ def shape_slope(
 
 
 def covariance_pull(
-    data: Data, white: Whitened, chosen: Hyperparameters
+    data: LinearisedObservations, white: Whitened, chosen: Hyperparameters
 ) -> Float[np.ndarray, "weight weight"]:
     r"""Derivative of $\log Z$ by the entries of $K$, amplitude and noise held.
 
@@ -233,7 +249,7 @@ def covariance_pull(
 
 
 def at_shape(
-    data: Data,
+    data: LinearisedObservations,
     covariance: Covariance,
     shape: Float[np.ndarray, " shape"],
     noise: float | None = None,
@@ -244,7 +260,7 @@ def at_shape(
 
 
 def best_amplitude(
-    data: Data,
+    data: LinearisedObservations,
     white: Whitened,
     shape: Float[np.ndarray, " shape"],
     noise: float | None = None,
@@ -276,7 +292,7 @@ def best_amplitude(
 
 
 def log_evidence(
-    data: Data,
+    data: LinearisedObservations,
     prior: Float[np.ndarray, "weight weight"],
     amplitude: float,
     noise: float,
@@ -311,7 +327,7 @@ def _log_evidence(data, white, ratio, noise):
 
 
 def weight_posterior(
-    data: Data,
+    data: LinearisedObservations,
     prior: Float[np.ndarray, "weight weight"],
     chosen: Hyperparameters,
 ) -> tuple[Float[np.ndarray, " weight"], Float[np.ndarray, "weight weight"]]:

@@ -4,8 +4,8 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.fitting.evidence.evidence import (
-    Data,
     Hyperparameters,
+    LinearisedObservations,
     Whitened,
     best_amplitude,
     posterior_mean,
@@ -22,7 +22,7 @@ long misses that curvature, and the bands become too narrow.
 
 
 def shape_covariance(
-    data: Data,
+    data: LinearisedObservations,
     prior: AbstractPrior,
     chosen: Hyperparameters,
     noise: float | None = None,
@@ -36,7 +36,7 @@ def shape_covariance(
 
 
 def shape_changes(
-    data: Data,
+    data: LinearisedObservations,
     prior: AbstractPrior,
     chosen: Hyperparameters,
     noise: float | None = None,

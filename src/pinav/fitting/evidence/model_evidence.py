@@ -21,7 +21,11 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from pinav.fitting.evidence.evidence import Data, Hyperparameters, log_evidence
+from pinav.fitting.evidence.evidence import (
+    Hyperparameters,
+    LinearisedObservations,
+    log_evidence,
+)
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import AbstractWeights, GaussianWeights
 from pinav.forces.priors import AbstractPrior
@@ -59,16 +63,17 @@ class ModelEvidence(eqx.Module):
 
     Attributes:
         best: log evidence at the best hyperparameters, all flat priors proper.
-        occam: what the hyperparameters cost, not negative.
+        correction: what the choice of the hyperparameters costs (Occam factor), not
+            negative.
     """
 
     best: float
-    occam: float
+    correction: float
 
     @property
     def log_evidence(self) -> float:
         """Log evidence of the model."""
-        return self.best - self.occam
+        return self.best - self.correction
 
 
 def model_evidence(linear: LinearFit, chosen: Hyperparameters) -> ModelEvidence:
@@ -90,16 +95,20 @@ def model_evidence(linear: LinearFit, chosen: Hyperparameters) -> ModelEvidence:
     )
     weights = linear.weights
     if isinstance(weights, GaussianWeights):
-        return ModelEvidence(float(best), _occam(linear, weights.prior, chosen))
+        return ModelEvidence(float(best), _correction(linear, weights.prior, chosen))
     if linear.teacher is not None:
-        return ModelEvidence(float(best), model_evidence(linear.teacher, chosen).occam)
+        return ModelEvidence(
+            float(best), model_evidence(linear.teacher, chosen).correction
+        )
     cost = _narrow_cost([[2.0 * quadratic.num_free]], [LOG_RANGE])
     return ModelEvidence(float(best), 0.0 if linear.noise else cost)
 
 
-def _occam(linear: LinearFit, prior: AbstractPrior, chosen: Hyperparameters) -> float:
+def _correction(
+    linear: LinearFit, prior: AbstractPrior, chosen: Hyperparameters
+) -> float:
     """Minus the logarithm of the share of the hyperparameters that explain the data."""
-    data = Data.of(linear.quadratic)
+    data = LinearisedObservations.of(linear.quadratic)
     known = linear.noise is not None
     start = np.append(chosen.shape, np.log([chosen.amplitude, chosen.noise]))
     ranges = np.append(np.ptp(prior.bounds, axis=1), [LOG_RANGE, LOG_RANGE])

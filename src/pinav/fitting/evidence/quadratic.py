@@ -62,7 +62,7 @@ class FlatBlock(eqx.Module):
         return full @ covariance @ full.T
 
 
-def without_flat(
+def eliminate_flat(
     quadratic: Quadratic, mask: Bool[np.ndarray, " parameter"]
 ) -> tuple[Quadratic, FlatBlock]:
     """Integrate out the parameters in `mask`, which have a flat prior.

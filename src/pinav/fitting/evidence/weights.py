@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.fitting.evidence.evidence import (
-    Data,
     Hyperparameters,
+    LinearisedObservations,
     best_hyperparameters,
     weight_posterior,
 )
@@ -101,10 +101,10 @@ class GaussianWeights(AbstractWeights):
 
     def posterior(self, quadratic, chosen):
         prior = self.prior.covariance(chosen.shape)
-        return weight_posterior(Data.of(quadratic), prior, chosen)
+        return weight_posterior(LinearisedObservations.of(quadratic), prior, chosen)
 
     def infer(self, quadratic, shape, noise):
-        data, covariance = Data.of(quadratic), self.prior.covariance
+        data, covariance = LinearisedObservations.of(quadratic), self.prior.covariance
         chosen = best_hyperparameters(
             data, covariance, shape, self.prior.bounds, noise, self.prior.slopes
         )
@@ -112,7 +112,7 @@ class GaussianWeights(AbstractWeights):
         return Inference(chosen, *weights)
 
     def shape_covariance(self, quadratic, chosen, noise):
-        data = Data.of(quadratic)
+        data = LinearisedObservations.of(quadratic)
         return shape_covariance(data, self.prior, chosen, noise)
 
 

@@ -21,7 +21,8 @@ from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray
 
 from pinav.dynamics import AbstractDynamics, FixedStep
 from pinav.errors import InputError
-from pinav.fitting.engine.multiple_shooting import FreeModel, eliminate, sensitivities
+from pinav.fitting.engine.multiple_shooting import eliminate, sensitivities
+from pinav.fitting.engine.parametric_model import ParametricModel
 from pinav.fitting.engine.posterior import Posterior
 from pinav.navigation.design.candidates import CandidateTrajectories, Experiment
 from pinav.navigation.task.zones import Rectangle
@@ -226,7 +227,7 @@ def expected_posterior(
 class _Request(eqx.Module):
     """What all candidates share: `root` times its transpose is the covariance."""
 
-    free: FreeModel
+    free: ParametricModel
     root: Float[Array, "parameter rank"]
     route: Float[Array, "point 2"]
     experiment: Experiment
@@ -288,7 +289,7 @@ def _root_after(request, theta, candidate):
     return jax.scipy.linalg.solve_triangular(factor, request.root.T, lower=True).T
 
 
-def _with_thrust(free: FreeModel, thrust) -> FreeModel:
+def _with_thrust(free: ParametricModel, thrust) -> ParametricModel:
     """The model as a function of its parameters, its propulsion replaced.
 
     A learned constant of the old propulsion is then a parameter without effect.
@@ -304,7 +305,7 @@ def _with_thrust(free: FreeModel, thrust) -> FreeModel:
         leaves = free.unravel(theta)
         return eqx.tree_at(propulsion, leaves, nothing, is_leaf=lambda x: x is None)
 
-    return FreeModel(static, unravel)
+    return ParametricModel(static, unravel)
 
 
 def _thetas(posterior: Posterior, draws: int, key) -> Float[Array, "draw parameter"]:

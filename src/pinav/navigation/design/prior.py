@@ -17,7 +17,7 @@ from jaxtyping import ArrayLike, Float
 
 from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
-from pinav.fitting import Observations, Posterior, freed
+from pinav.fitting import Observations, Posterior, ravel_model
 from pinav.fitting.engine.multiple_shooting import linearise
 from pinav.forces import KernelPotential, SumForce
 from pinav.navigation.task.zones import Rectangle
@@ -111,7 +111,7 @@ def prior_uncertainty(
         kernels = prior.kernels()
         environment = SumForce((model.environment, kernels))
         wider = model.with_environment(environment)
-        free, theta = freed(wider, lambda m: m.environment.terms[1].parameters)
+        free, theta = ravel_model(wider, lambda m: m.environment.terms[1].parameters)
         observations = Observations.of(trajectories, jnp.float64)
         linear = linearise(free, theta, jnp.asarray(states), observations, solver)
         amplitude = prior.amplitude(kernels)

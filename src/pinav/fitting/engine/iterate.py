@@ -1,13 +1,13 @@
 """Steps of a fit with the evidence, and how they end."""
 
 from collections.abc import Callable
-from typing import Any
 
 import equinox as eqx
 
 from pinav.errors import FitError
-from pinav.fitting.bayes.problem import Step
-from pinav.fitting.bayes.steps import Move
+from pinav.fitting.engine.problem import AbstractProblem, Step
+from pinav.fitting.engine.steps import Move
+from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.outcome import Outcome
 
 DEFECT_TOLERANCE = 1e-4
@@ -17,13 +17,13 @@ ROUNDING = 1e-9
 """Defects at which another step changes nothing but the last digits of the evidence."""
 
 
-class BayesProgress(eqx.Module):
+class EvidenceProgress(eqx.Module):
     """What a progress bar shows after each step.
 
     Attributes:
         done: steps done, on the kernels as they are now.
         total: steps at most.
-        unknowns: number of weights and constants.
+        parameters: number of weights and constants.
         defect: by which the states miss the dynamics, relative to their spread.
         noise: standard deviation of the observations.
         log_evidence: of the hyperparameters chosen.
@@ -31,7 +31,7 @@ class BayesProgress(eqx.Module):
 
     done: int
     total: int
-    unknowns: int
+    parameters: int
     defect: float
     noise: float
     log_evidence: float
@@ -42,27 +42,27 @@ PROBES = 2
 
 
 def iterate(
-    problem: Any,
+    problem: AbstractProblem,
     max_iterations: int,
-    on_step: Callable[[BayesProgress], None] | None = None,
+    on_step: Callable[[EvidenceProgress], None] | None = None,
     enough: Callable[[Step], bool] = lambda _: False,
 ) -> tuple[Outcome, list[Step]]:
     """Steps until they converge, diverge, run out, or are not worth going on with.
 
     Args:
-        problem: a `BayesProblem`, or what steps as it does.
+        problem: residuals and priors.
         max_iterations: steps at most.
         on_step: called after each step.
         enough: whether another problem is better, after `PROBES` steps or more.
     """
-    move = Move(problem.theta, problem.states, problem.descent)
-    shape = problem.weights.start
+    move = Move(problem.theta, problem.states, problem.step_rule)
+    chosen: Hyperparameters | None = None
     steps: list[Step] = []
     while len(steps) < max_iterations:
-        step = _attempt(problem, move, shape, begun=bool(steps))
+        step = _attempt(problem, move, chosen)
         if step is None:
             return Outcome.DIVERGED, steps
-        move, shape = step.move, step.inference.hyperparameters.shape
+        move, chosen = step.move, step.hyperparameters
         steps.append(step)
         if on_step:
             on_step(_progress(steps, max_iterations))
@@ -74,22 +74,24 @@ def iterate(
     return Outcome.STALLED, steps
 
 
-def _attempt(problem, move, shape, *, begun: bool) -> Step | None:
+def _attempt(
+    problem: AbstractProblem, move: Move, before: Hyperparameters | None
+) -> Step | None:
     """One step; None where it leads nowhere, after others that did."""
     try:
-        return problem.step(move, shape)
+        return problem.step(move, before)
     except FitError:
-        if begun:
+        if before is not None:
             return None
         raise
 
 
-def _progress(steps: list[Step], total: int) -> BayesProgress:
-    chosen, defect = steps[-1].inference.hyperparameters, steps[-1].defect
-    return BayesProgress(
+def _progress(steps: list[Step], total: int) -> EvidenceProgress:
+    chosen, defect = steps[-1].hyperparameters, steps[-1].defect
+    return EvidenceProgress(
         done=len(steps),
         total=total,
-        unknowns=len(steps[-1].covariance),
+        parameters=len(steps[-1].covariance),
         defect=defect,
         noise=chosen.noise,
         log_evidence=chosen.log_evidence,
@@ -100,8 +102,8 @@ def _outcome(steps: list[Step], tolerance: float) -> Outcome:
     """Converged, or not yet; defects that grow without bound count as diverged."""
     last = steps[-1]
     if len(steps) > 1:
-        before = steps[-2].inference.hyperparameters.log_evidence
-        change = abs(last.inference.hyperparameters.log_evidence - before)
+        before = steps[-2].hyperparameters.log_evidence
+        change = abs(last.hyperparameters.log_evidence - before)
         if change < tolerance and last.defect < DEFECT_TOLERANCE:
             return Outcome.CONVERGED
     if last.defect < ROUNDING:

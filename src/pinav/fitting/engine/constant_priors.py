@@ -1,0 +1,92 @@
+r"""Priors of learned constants, as observations of the constants themselves.
+
+A prior is written as $\exp(-z(\theta)^2/2)$ with a standardised value $z$. In a sum of
+squares whose residuals have the standard deviation $\sigma$ it is one more residual,
+$\sigma z$. While $\sigma$ is estimated, its last estimate stands there: at convergence
+the two agree. While the noise is estimated, a constant that the data pull $z$ standard
+deviations away from its prior counts as one residual of that size.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from pinav.fitting.evidence.quadratic import Quadratic
+from pinav.systems.priors import AbstractNumberPrior
+
+
+class ConstantPriors(eqx.Module):
+    """Priors of some entries of the parameter vector.
+
+    Attributes:
+        entries: which entries have one.
+        priors: of each of them.
+    """
+
+    entries: tuple[int, ...] = eqx.field(static=True, default=())
+    priors: tuple[AbstractNumberPrior, ...] = ()
+
+    def add_to(self, quadratic: Quadratic, noise: float) -> Quadratic:
+        """The sum of squares with one more residual for each prior.
+
+        Args:
+            quadratic: the sum of squares of the data.
+            noise: last estimate of the standard deviation of the residuals.
+        """
+        if not self.entries:
+            return quadratic
+        index, (values, slopes) = (
+            list(self.entries),
+            self._standardised(quadratic.point),
+        )
+        hessian, gradient = quadratic.hessian.copy(), quadratic.gradient.copy()
+        hessian[index, index] += (noise * slopes) ** 2
+        gradient[index] += noise**2 * slopes * values
+        heights = sum(float(prior.log_height) for prior in self.priors)
+        # The evidence takes every residual for one of the data, of density 1/sqrt(2 pi
+        # sigma^2) at its peak; that of a prior has the height of the prior instead.
+        volume = -2 * heights - len(index) * np.log(2 * np.pi * noise**2)
+        return Quadratic(
+            point=quadratic.point,
+            hessian=hessian,
+            gradient=gradient,
+            squares=quadratic.squares + noise**2 * float(values @ values),
+            num_free=quadratic.num_free + len(index),
+            log_determinant=quadratic.log_determinant + float(volume),
+        )
+
+    def squares(self, theta: Float[np.ndarray, " parameter"]) -> float:
+        """Sum of the squared standardised values."""
+        return float(np.sum(self._standardised(theta)[0] ** 2)) if self.entries else 0.0
+
+    def half_gradient(
+        self, theta: Float[np.ndarray, " parameter"]
+    ) -> Float[np.ndarray, " parameter"]:
+        """Half the gradient of `squares`."""
+        gradient = np.zeros(len(theta))
+        if self.entries:
+            values, slopes = self._standardised(theta)
+            gradient[list(self.entries)] = slopes * values
+        return gradient
+
+    def curvature(
+        self, theta: Float[np.ndarray, " parameter"]
+    ) -> Float[np.ndarray, " parameter"]:
+        """Half the second derivative of `squares`, less that of the values."""
+        curvature = np.zeros(len(theta))
+        if self.entries:
+            curvature[list(self.entries)] = self._standardised(theta)[1] ** 2
+        return curvature
+
+    def _standardised(
+        self, theta: Float[np.ndarray, " parameter"]
+    ) -> tuple[Float[np.ndarray, " prior"], Float[np.ndarray, " prior"]]:
+        """Standardised values, and their derivatives."""
+        pairs = [
+            jax.value_and_grad(prior.standardised)(jnp.asarray(theta[entry]))
+            for entry, prior in zip(self.entries, self.priors, strict=True)
+        ]
+        values, slopes = np.array(pairs, float).T
+        return values, slopes

@@ -1,0 +1,103 @@
+"""Priors of constants: against closed forms and quadrature."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.integrate
+
+from pinav.fitting import fit_bayes, kernel_environment
+from pinav.fitting.engine.constant_priors import ConstantPriors
+from pinav.fitting.evidence.quadratic import Quadratic, eliminate_flat
+from pinav.fitting.evidence.weights import NoWeights
+from pinav.forces import KernelPotential
+from pinav.scenarios import barrier_crossings
+from pinav.systems.priors import FreeNumber, LogNormal, Normal
+from pinav.trajectories import simulate
+
+PRIORS = {"normal": Normal(0.7, 0.2), "log-normal": LogNormal(0.7, 0.3)}
+NOISE = 0.5
+
+
+def linear_problem():
+    rng = np.random.default_rng(0)
+    column = rng.normal(size=12)
+    data = 0.9 * column + NOISE * rng.normal(size=12)
+    return column, data
+
+
+def quadratic_at(point, column, data):
+    residuals = column * point - data
+    return Quadratic(
+        point=np.array([point]),
+        hessian=np.array([[column @ column]]),
+        gradient=np.array([column @ residuals]),
+        squares=float(residuals @ residuals),
+        num_free=len(data),
+        log_determinant=0.0,
+    )
+
+
+def test_standardised_values_are_standard_deviations():
+    for sign in (-1, 0, 1):
+        normal = PRIORS["normal"].standardised(0.7 + 0.2 * sign)
+        assert float(normal) == pytest.approx(sign)
+        skewed = PRIORS["log-normal"].standardised(0.7 * np.exp(0.3 * sign))
+        assert float(skewed) == pytest.approx(sign)
+
+
+def test_a_normal_prior_of_a_constant_gives_the_exact_evidence_and_posterior():
+    column, data = linear_problem()
+    prior = PRIORS["normal"]
+    added = ConstantPriors((0,), (prior,)).add_to(
+        quadratic_at(0.3, column, data), NOISE
+    )
+    reduced, block = eliminate_flat(added, np.array([True]))
+    found = NoWeights().infer(reduced, np.zeros(0), NOISE).hyperparameters
+
+    def joint(x):
+        squares = np.sum((column * x - data) ** 2) / NOISE**2
+        normalisation = -0.5 * len(data) * np.log(2 * np.pi * NOISE**2)
+        height = prior.log_height - 0.5 * float(prior.standardised(x)) ** 2
+        return np.exp(normalisation - 0.5 * squares + height)
+
+    evidence, _ = scipy.integrate.quad(joint, -3.0, 5.0, points=[0.8])
+    assert found.log_evidence == pytest.approx(np.log(evidence), abs=1e-8)
+    precision = column @ column / NOISE**2 + 1 / 0.2**2
+    mean = (column @ data / NOISE**2 + 0.7 / 0.2**2) / precision
+    assert block.offset[0] == pytest.approx(mean)
+    assert NOISE**2 * block.covariance[0, 0] == pytest.approx(1 / precision)
+
+
+@pytest.fixture(scope="module")
+def crossings():
+    scenario = eqx.tree_at(
+        lambda s: (s.starts, s.times),
+        barrier_crossings(),
+        replace_fn=lambda a: a[:3] if a.ndim == 2 else a[:41],
+    )
+    return scenario.truth, simulate(scenario, key=jax.random.key(1))
+
+
+def test_a_tight_prior_holds_a_constant_and_a_wide_one_leaves_it(crossings):
+    truth, data = crossings
+    kernels = kernel_environment(KernelPotential, data)
+    model = eqx.tree_at(lambda m: m.environment, truth, kernels)
+    true = float(truth.drag.damping)
+    start = eqx.tree_at(lambda m: m.drag.damping, model, jnp.asarray(true))
+
+    def damping(prior):
+        learn = (FreeNumber("drag.damping", prior),)
+        fit = fit_bayes(start, data, learn=learn, refine=None)
+        return fit.constants["drag.damping"]
+
+    flat = fit_bayes(start, data, learn=lambda m: m.drag.damping, refine=None)
+    free = flat.constants["drag.damping"]
+    held = damping(Normal(true + 5 * free.sd, 1e-3 * free.sd))
+    assert held.value == pytest.approx(true + 5 * free.sd, abs=0.1 * free.sd)
+    wide = damping(LogNormal(free.value, 10.0))
+    assert wide.value == pytest.approx(free.value, abs=0.1 * free.sd)
+    assert wide.sd == pytest.approx(free.sd, rel=0.05)
+    between = damping(Normal(free.value, free.sd))
+    assert between.sd == pytest.approx(free.sd / np.sqrt(2), rel=0.1)

@@ -1,0 +1,40 @@
+"""Residuals that are noise are called so, and those of a missing force are not."""
+
+import numpy as np
+
+from pinav.fitting.engine.goodness import goodness_of_fit
+
+RNG = np.random.default_rng(0)
+
+
+def judge(series, noise=1.0, *, known=False):
+    count = sum(int(np.isfinite(r).sum()) for r in series)
+    return goodness_of_fit(series, noise, float(count), noise_known=known)
+
+
+def test_white_noise_is_adequate():
+    goodness = judge([RNG.normal(size=(200, 2)) for _ in range(3)], known=True)
+    assert goodness.is_adequate
+    assert abs(goodness.reduced_chi2 - 1) < 0.2
+    assert "consistent with independent noise" in goodness.statement
+
+
+def test_a_slow_misfit_correlates_neighbours():
+    times = np.linspace(0.0, 20.0, 200)[:, None]
+    goodness = judge([RNG.normal(size=(200, 2)) + np.sin(times)])
+    assert goodness.lag1 > 0.2
+    assert not goodness.is_adequate
+    assert "not to be trusted" in goodness.statement
+
+
+def test_a_known_noise_that_is_too_small_is_a_misfit():
+    residuals = [RNG.normal(size=(200, 2))]
+    assert not judge(residuals, 0.5, known=True).is_adequate
+    assert judge(residuals, 0.5).is_adequate
+
+
+def test_gaps_and_single_samples_count_for_nothing():
+    with_gap = RNG.normal(size=(50, 2))
+    with_gap[10:20] = np.nan
+    goodness = judge([with_gap, np.zeros((1, 2))])
+    assert np.isfinite(goodness.lag1)
