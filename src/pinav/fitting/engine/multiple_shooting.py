@@ -163,9 +163,14 @@ def _all_step_derivatives(
     What a step leaves behind for its derivative would take many times the memory of the
     result.
     """
-    return jax.lax.map(
-        lambda own: _step_derivatives(parametric, theta, *own, solver), (states, times)
-    )
+
+    def one(
+        inputs: tuple[Float[Array, "..."], Float[Array, "..."]],
+    ) -> _StepDerivatives:
+        states, times = inputs
+        return _step_derivatives(parametric, theta, states, times, solver)
+
+    return jax.lax.map(one, (states, times))
 
 
 @eqx.filter_jit
