@@ -1,5 +1,7 @@
 """Checks and conversions of arguments that several packages share."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -23,6 +25,15 @@ def as_point(name: str, value, dim: int | None = None) -> Float[Array, " dim"]:
         expected = "(dim,)" if dim is None else f"({dim},)"
         raise InputError(f"{name}: expected a point of shape {expected}, got {shape}")
     return value if isinstance(value, jax.Array) else jnp.asarray(value, float)
+
+
+def refuse_text(module: eqx.Module) -> None:
+    """Raise `InputError` where a field of a module holds text in place of a number."""
+    for field in dataclasses.fields(module):
+        value = getattr(module, field.name)
+        if isinstance(value, str) and field.type is not str:
+            name = f"{type(module).__name__}.{field.name}"
+            raise InputError(f"{name}: expected a number, got {value!r}")
 
 
 def check_positive(module: eqx.Module, *names: str) -> None:

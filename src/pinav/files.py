@@ -60,6 +60,18 @@ def write_whole(path: Path, write: Callable[[BinaryIO], object]) -> None:
         temporary.unlink(missing_ok=True)
 
 
+def check_regular(path: str | os.PathLike[str]) -> None:
+    """Refuse a pipe or a device, of which reading may never end.
+
+    Raises:
+        InputError: it is one.
+    """
+    path = Path(path)
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        kind = "a pipe" if path.is_fifo() else "a device"
+        raise InputError(f"expected a file, got {kind}; save the data to a file first")
+
+
 def write_text(
     path: str | os.PathLike[str], text: str, *, overwrite: bool = False
 ) -> None:

@@ -1,3 +1,6 @@
+import importlib
+import inspect
+import pkgutil
 import types
 
 import equinox as eqx
@@ -6,13 +9,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pinav.actuation import RotatingField
+import pinav
+from pinav.actuation import LinearProgramme, RotatingField, SaturatingResponse
+from pinav.analysis.discovery.laws import LawForce
+from pinav.analysis.discovery.potentials import GAUSSIAN
 from pinav.errors import InputError
 from pinav.forces import (
+    AbstractForce,
+    Advection,
     BrinkmanTensor,
+    ChangingPotential,
     CholeskyTensor,
     CircularMotion,
     ConstantDirector,
+    ConstantForce,
     Domain,
     GaussianBarrier,
     GaussianRidge,
@@ -20,7 +30,9 @@ from pinav.forces import (
     HarmonicTrap,
     InFlow,
     KernelForce,
+    KernelMixture,
     KernelPotential,
+    KernelStream,
     LinearDrag,
     LinearMotion,
     MagneticPropulsion,
@@ -29,9 +41,12 @@ from pinav.forces import (
     NeuralPotential,
     PoiseuilleFlow,
     PositionFeatures,
+    RollingPropulsion,
+    ScheduledThrust,
     ShearFlow,
     SumForce,
     TensorDrag,
+    TimedKernelPotential,
     UniaxialTensor,
     VortexFlow,
     WavyDirector,
@@ -42,6 +57,8 @@ from pinav.forces import (
     random_barriers,
     tanh_network,
 )
+from pinav.navigation.design.candidates import CommandedThrust
+from pinav.navigation.task.steering import HeldThrust, RollingActuator
 
 KEY = jax.random.key(0)
 
@@ -129,7 +146,54 @@ FORCES = {
     "kernel potential": kernel_potential,
     "sum": lambda: LinearDrag(0.3) + barrier() + propulsion(),
 }
+centers = jnp.array([[4.0, 5.0], [5.0, 5.5], [4.5, 6.5]])
+PROGRAMME = LinearProgramme(
+    jnp.array([0.0, 1.0]), jnp.array([2.0, 3.0]), jnp.array([0.3, 0.9])
+)
+timed = TimedKernelPotential(jnp.arange(15.0).reshape(3, 5) / 9, centers, 1.3, 0.0, 2.0)
+FORCES |= {
+    "constant": lambda: ConstantForce([0.3, -0.2]),
+    "advection": lambda: Advection(VortexFlow(0.4, [4, 4], 2.0)),
+    "rolling": lambda: RollingPropulsion(
+        jnp.eye(2), SaturatingResponse(3.0), PROGRAMME, delay=0.1
+    ),
+    "scheduled thrust": lambda: ScheduledThrust(
+        *(jnp.array([0.0, 1.0]), jnp.ones((2, 2)), jnp.zeros((2, 2)), 0.1, 0.2)
+    ),
+    "kernel stream": lambda: KernelStream(jnp.array([0.3, -0.2, 0.5]), centers, 1.3),
+    "kernel mixture": lambda: KernelMixture(
+        kernel_potential(), KernelStream(jnp.array([0.1, -0.4, 0.2]), centers, 1.3)
+    ),
+    "timed potential": lambda: timed,
+    "changing potential": lambda: ChangingPotential(kernel_potential(), timed),
+    "law": lambda: LawForce(GAUSSIAN, jnp.array([2.0, 5.0, 4.0, 1.5])),
+    "held thrust": lambda: HeldThrust(jnp.array([0.3, -0.2])),
+    "commanded thrust": lambda: CommandedThrust(
+        PROGRAMME, RollingActuator(jnp.eye(2), SaturatingResponse(3.0))
+    ),
+}
 every_force = pytest.mark.parametrize("make", FORCES.values(), ids=list(FORCES))
+
+
+def concrete_classes(family):
+    """All classes of a family that the package defines and that can be made."""
+    for child in family.__subclasses__():
+        public = child.__module__.startswith("pinav.") and child.__name__[0] != "_"
+        if public and not inspect.isabstract(child):
+            yield child
+        yield from concrete_classes(child)
+
+
+def test_every_class_of_forces_obeys_the_laws_below():
+    for module in pkgutil.walk_packages(pinav.__path__, "pinav."):
+        if not module.name.startswith(("pinav.commands", "pinav.cli")):
+            importlib.import_module(module.name)
+    tried = {type(make()) for make in FORCES.values()}
+    missing = {cls.__name__ for cls in concrete_classes(AbstractForce)} - {
+        cls.__name__ for cls in tried
+    }
+    assert not missing, "give these classes an example in FORCES"
+
 
 T, X, V = 0.4, jnp.array([4.2, 5.5]), jnp.array([0.3, -0.1])
 
@@ -189,8 +253,10 @@ def test_sum_is_associative_and_flat():
 
 def test_barrier_is_minus_the_gradient_of_its_potential():
     hill = barrier()
-    np.testing.assert_allclose(hill(T, X, V), -jax.grad(hill.potential)(X), rtol=1e-13)
-    np.testing.assert_allclose(hill.potential(hill.center), 2.0)
+    np.testing.assert_allclose(
+        hill(T, X, V), -jax.grad(hill.potential, argnums=1)(T, X), rtol=1e-13
+    )
+    np.testing.assert_allclose(hill.potential(T, hill.center), 2.0)
 
 
 def test_barrier_pushes_out_and_a_trap_pulls_in():

@@ -72,7 +72,7 @@ def jacobian(force):
     ids=["ridge", "trap", "barrier"],
 )
 def test_a_potential_force_is_minus_the_gradient_and_has_no_curl(potential_force):
-    expected = -jax.grad(potential_force.potential)(X)
+    expected = -jax.grad(potential_force.potential, argnums=1)(T, X)
     np.testing.assert_allclose(potential_force(T, X, V), expected, rtol=1e-13)
     slopes = jacobian(potential_force)
     np.testing.assert_allclose(slopes[0, 1], slopes[1, 0], rtol=1e-12)
@@ -116,8 +116,8 @@ def test_a_ridge_is_longer_along_its_angle():
     along = jnp.array([np.cos(0.6), np.sin(0.6)])
     across = jnp.array([-np.sin(0.6), np.cos(0.6)])
     tip, flank = (
-        long.potential(center + 3.0 * along),
-        long.potential(center + 0.8 * across),
+        long.potential(T, center + 3.0 * along),
+        long.potential(T, center + 0.8 * across),
     )
     np.testing.assert_allclose([tip, flank], 2.0 * np.exp(-0.5), rtol=1e-13)
 

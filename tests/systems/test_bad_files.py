@@ -341,7 +341,7 @@ def test_a_bad_python_file_is_told_in_one_line(case, tmp_path):
         ("gone.toml", "gone.toml: cannot read: No such file or directory"),
         ("gone.py:system", "gone.py: there is no such file"),
         ("nobody", "system 'nobody' is unknown; name a file such as my.toml"),
-        ("folder.toml", "folder.toml: expected a file"),
+        ("folder.toml", "folder.toml: cannot read: Is a directory"),
         ("bytes.toml", "bytes.toml: expected UTF-8 text; save it as such"),
         ("large.toml", "large.toml: expected at most 4 MiB"),
     ],

@@ -3,6 +3,7 @@ import errno
 import json
 import os
 import tempfile
+import zipfile
 from pathlib import Path
 
 import equinox as eqx
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from pinav.errors import InputError
-from pinav.trajectories import Trajectories, load, save
+from pinav.trajectories import Trajectories, is_trajectories, load, save
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 NAMES = (
@@ -131,7 +132,6 @@ BAD_CSV = {
     "no header": ("0,1,2\n1,2,3\n", r"columns t, x, .* got 0, 1, 2; the first line"),
     "no time": ("x,y\n0,1\n1,2\n", r"line 1: expected the columns t, .* got x, y"),
     "no channel": ("t\n0\n1\n", r"line 1: expected the columns .* got t;"),
-    "semicolons": ("t;x\n0;1\n1;2\n", r"got t;x; .* separated by commas"),
     "column twice": ("t,x,x\n0,1,2\n1,2,3\n", r"line 1: column 'x' stands twice"),
     "columns of other metadata": (
         '# pinav: {"channels": ["x", "y"]}\nt,x,z\n0,1,2\n1,2,3\n',
@@ -282,3 +282,72 @@ def test_full_disk_keeps_the_old_file(data, tmp_path, monkeypatch, name):
     assert [entry.name for entry in tmp_path.iterdir()] == [name]
     save(data.select([0]), path, overwrite=True)
     assert len(load(path)) == 1
+
+
+def write(tmp_path, content, name="data.csv"):
+    path = tmp_path / name
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return path
+
+
+SPREADSHEETS = {
+    "mark of a spreadsheet": "\ufefft,x\n0,0.5\n1,1.5\n",
+    "semicolons": "t;x\n0;0.5\n1;1.5\n",
+    "decimal commas": "\ufefft;x\n0;0,5\n1;1,5\n",
+    "units": "t [s],x [um]\n0,0.5\n1,1.5\n",
+}
+
+
+@pytest.mark.parametrize("case", SPREADSHEETS)
+def test_what_a_spreadsheet_writes_is_read(case, tmp_path):
+    path = write(tmp_path, SPREADSHEETS[case])
+    assert is_trajectories(path)
+    data = load(path)
+    np.testing.assert_array_equal(data.states[0, :, 0], [0.5, 1.5])
+    known = {"x": "um", "t": "s"} if case == "units" else {"x": "?", "t": "?"}
+    assert data.units == known
+
+
+def test_units_are_stated_for_any_file(tmp_path):
+    path = write(tmp_path, "t,x\n0,0.5\n1,1.5\n")
+    assert load(path, units={"x": "mm"}).units == {"x": "mm", "t": "?"}
+    with pytest.raises(InputError, match="data.csv: units: 'y' is no column; .* x, t"):
+        load(path, units={"y": "mm"})
+
+
+def test_a_pipe_is_refused_at_once(tmp_path):
+    os.mkfifo(tmp_path / "pipe.csv")
+    with pytest.raises(InputError, match="pipe.csv: expected a file, got a pipe; save"):
+        load(tmp_path / "pipe.csv")
+    assert is_trajectories(tmp_path / "pipe.csv")
+
+
+def npz(tmp_path, header, size=0, **kind):
+    """An archive with one array, of a header of one's own."""
+    path = tmp_path / "data.npz"
+    with (
+        zipfile.ZipFile(path, "w", **kind) as archive,
+        archive.open("times.npy", "w") as f,
+    ):
+        f.write(np.lib.format.magic(1, 0))
+        text = str(header).encode().ljust(117) + b"\n"
+        f.write(len(text).to_bytes(2, "little") + text)
+        for _ in range(size):
+            f.write(bytes(2**20))
+    return path
+
+
+def test_an_array_that_is_not_there_is_refused(tmp_path):
+    header = {"descr": "<f8", "fortran_order": False, "shape": (10**15,)}
+    with pytest.raises(
+        InputError, match="'times.npy' claims 80{14,} bytes, but the file"
+    ):
+        load(npz(tmp_path, header))
+
+
+def test_a_file_that_unpacks_beyond_all_measure_is_refused(tmp_path):
+    header = {"descr": "<f8", "fortran_order": False, "shape": (2**25,)}
+    path = npz(tmp_path, header, 256, compression=zipfile.ZIP_DEFLATED, compresslevel=1)
+    assert path.stat().st_size < 2**21
+    with pytest.raises(InputError, match="npz file of .* bytes that unpacks to 268"):
+        load(path)

@@ -25,13 +25,15 @@ def read_data(path: Path, recording: RecordingSettings) -> Trajectories:
         return recording.read(path)
     plain = RecordingSettings()
     for field in msgspec.structs.fields(plain):
+        if field.name == "units":
+            continue
         if getattr(recording, field.name) != getattr(plain, field.name):
             option = field.name.replace("_", "-")
             raise InputError(
                 f"--{option}: {path} holds trajectories of pinav, to which this option "
                 "of recordings does not apply; drop it"
             )
-    return load(path)
+    return load(path, units=recording.stated_units())
 
 
 def with_all_channels(data: Trajectories, system: System) -> Trajectories:

@@ -71,6 +71,14 @@ class RecordingSettings(Settings, frozen=True):
         float, tyro.conf.arg(help="Below it a position counts as lost (DeepLabCut).")
     ] = 0.6
 
+    def stated_units(self) -> dict[str, str] | None:
+        """Units by quantity, as the option gives them.
+
+        Raises:
+            InputError: a word is not of the form quantity=unit.
+        """
+        return _pairs("units", self.units)
+
     def read(self, path: Path) -> "Trajectories":
         """The recording in a file.
 
@@ -83,7 +91,7 @@ class RecordingSettings(Settings, frozen=True):
             path,
             form=self.form,
             columns=_pairs("columns", self.columns),
-            units=_pairs("units", self.units),
+            units=self.stated_units(),
             fps=self.fps,
             mpp=self.mpp,
             y_down=None if self.y is None else self.y == "down",

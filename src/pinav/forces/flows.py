@@ -6,11 +6,14 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from pinav.arguments import Scalar, as_point, check_positive
+from pinav.arguments import Scalar, as_point, check_positive, refuse_text
 
 
 class AbstractFlow(eqx.Module):
     """Velocity of the fluid where the swimmer is. No batch axis."""
+
+    def __check_init__(self):
+        refuse_text(self)
 
     @abc.abstractmethod
     def __call__(self, t: Scalar, x: Float[Array, " dim"]) -> Float[Array, " dim"]:

@@ -13,12 +13,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
-from pinav.arguments import Scalar
+from pinav.arguments import Scalar, refuse_text
 from pinav.forces.priors import AbstractPrior
 
 
 class AbstractForce(eqx.Module):
     """Mass-specific force on one swimmer. No batch axis: batch with `jax.vmap`."""
+
+    def __check_init__(self):
+        refuse_text(self)
 
     @abc.abstractmethod
     def __call__(

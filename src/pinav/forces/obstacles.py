@@ -39,8 +39,8 @@ class GaussianRidge(AbstractForce):
     def __check_init__(self):
         check_positive(self, "length", "width")
 
-    def potential(self, x: Float[Array, "2"]) -> Float[Array, ""]:
-        """Potential energy per mass $U(x)$ [L² T⁻²]."""
+    def potential(self, t: Scalar, x: Float[Array, "2"]) -> Float[Array, ""]:
+        """Potential energy per mass $U(t, x)$ [L² T⁻²], here the same at all times."""
         offset = x - self.center
         cos, sin = jnp.cos(self.angle), jnp.sin(self.angle)
         along = (cos * offset[0] + sin * offset[1]) / self.length
@@ -48,7 +48,7 @@ class GaussianRidge(AbstractForce):
         return self.height * jnp.exp(-0.5 * (along**2 + across**2))
 
     def __call__(self, t, x, v):
-        return -jax.grad(self.potential)(x)
+        return -jax.grad(self.potential, argnums=1)(t, x)
 
 
 class GaussianSwirl(AbstractForce):
@@ -149,13 +149,13 @@ class GaussianBarrier(AbstractForce):
     def __check_init__(self):
         check_positive(self, "width")
 
-    def potential(self, x: Float[Array, " dim"]) -> Float[Array, ""]:
-        """Potential energy per mass $U(x)$ [L² T⁻²]."""
+    def potential(self, t: Scalar, x: Float[Array, " dim"]) -> Float[Array, ""]:
+        """Potential energy per mass $U(t, x)$ [L² T⁻²], here the same at all times."""
         offset = (x - self.center) / self.width
         return self.height * jnp.exp(-0.5 * offset @ offset)
 
     def __call__(self, t, x, v):
-        return self.potential(x) * (x - self.center) / self.width**2
+        return self.potential(t, x) * (x - self.center) / self.width**2
 
 
 class HarmonicTrap(AbstractForce):
@@ -174,8 +174,8 @@ class HarmonicTrap(AbstractForce):
         converter=lambda value: as_point("HarmonicTrap.center", value)
     )
 
-    def potential(self, x: Float[Array, " dim"]) -> Float[Array, ""]:
-        """Potential energy per mass $U(x)$ [L² T⁻²]."""
+    def potential(self, t: Scalar, x: Float[Array, " dim"]) -> Float[Array, ""]:
+        """Potential energy per mass $U(t, x)$ [L² T⁻²], here the same at all times."""
         offset = x - self.center
         return 0.5 * self.stiffness * (offset @ offset)
 

@@ -12,12 +12,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.arguments import Scalar, as_point, check_positive
+from pinav.arguments import Scalar, as_point, check_positive, refuse_text
 from pinav.errors import InputError
 
 
 class AbstractTensorField(eqx.Module):
     """A symmetric positive tensor at each position. No batch axis."""
+
+    def __check_init__(self):
+        refuse_text(self)
 
     @abc.abstractmethod
     def __call__(

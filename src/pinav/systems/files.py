@@ -14,7 +14,7 @@ import tomli_w
 
 from pinav.dynamics import OverdampedSwimmer, Swimmer, stokes_drag, thermal_energy
 from pinav.errors import InputError
-from pinav.files import write_text
+from pinav.files import check_regular, write_text
 from pinav.forces import (
     AbstractCommandedForce,
     AbstractFlow,
@@ -73,10 +73,11 @@ def read_system(path: str | os.PathLike[str]) -> System:
     if path.suffix != ".toml":
         raise InputError(f"{text}: expected a name ending in .toml, or file.py:name")
     try:
-        if path.exists() and not path.is_file():
-            raise InputError(f"{text}: expected a file; name a .toml file")
+        check_regular(path)
         with open(path, "rb") as file:
             content = file.read(MAX_BYTES + 1)
+    except InputError as error:
+        raise InputError(f"{text}: {error}") from error
     except OSError as error:
         reason = error.strerror or str(error)
         raise InputError(f"{text}: cannot read: {reason}; check the name") from error

@@ -1,19 +1,22 @@
 """Trajectories on disk: `.npz` for machines, `.csv` for everything else.
 
 A CSV file has the columns `t` and one for each channel, and `trajectory` where it
-holds several. An empty cell is a missing observation. What the columns cannot say
-stands in a first line `# pinav: {...}`, all of whose entries are optional:
-`channels`, `commands` (names of columns that are commands), `units`, `provenance`.
+holds several. An empty cell is a missing observation, and a heading may state a unit:
+`x [um]`. Columns are separated by commas, or by semicolons, with decimal points or
+decimal commas. What the columns cannot say stands in a first line `# pinav: {...}`, all
+of whose entries are optional: `channels`, `commands` (names of columns that are
+commands), `units`, `provenance`.
 """
 
 import csv
+import dataclasses
 import io
 import json
 import math
 import os
 import zipfile
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -21,7 +24,8 @@ import msgspec
 import numpy as np
 
 from pinav.errors import InputError
-from pinav.files import atomic_write
+from pinav.files import atomic_write, check_regular
+from pinav.trajectories.tables import split_headings
 from pinav.trajectories.trajectories import Trajectories
 from pinav.trajectories.trajectory import check_increasing
 
@@ -52,11 +56,14 @@ def save(
     atomic_write(path, lambda file: write(trajectories, file), overwrite=overwrite)
 
 
-def load(path: str | os.PathLike[str]) -> Trajectories:
+def load(
+    path: str | os.PathLike[str], *, units: Mapping[str, str] | None = None
+) -> Trajectories:
     """Read trajectories from a `.npz` or `.csv` file; nothing in it is executed.
 
     Args:
         path: the suffix tells the format.
+        units: unit of any channel, command or `t`, in place of what the file says.
 
     Raises:
         InputError: the file cannot be read, or is not what its suffix says; the
@@ -64,13 +71,24 @@ def load(path: str | os.PathLike[str]) -> Trajectories:
     """
     read = _by_suffix(path, {".npz": _read_npz, ".csv": _read_csv})
     try:
+        check_regular(path)
         with open(path, "rb") as file:
-            return read(file)
+            return _with_units(read(file), units or {})
     except InputError as error:
         raise InputError(f"{os.fspath(path)}: {error}") from error
     except OSError as error:
         reason = error.strerror or str(error)
         raise InputError(f"{os.fspath(path)}: cannot read: {reason}") from error
+
+
+def _with_units(trajectories: Trajectories, units: Mapping[str, str]) -> Trajectories:
+    for name in units:
+        if name not in trajectories.units:
+            raise InputError(
+                f"units: {name!r} is no column; expected some of "
+                f"{', '.join(trajectories.units)}"
+            )
+    return dataclasses.replace(trajectories, units={**trajectories.units, **units})
 
 
 def is_trajectories(path: str | os.PathLike[str]) -> bool:
@@ -82,15 +100,21 @@ def is_trajectories(path: str | os.PathLike[str]) -> bool:
     if suffix != ".csv":
         return suffix == ".npz"
     try:
-        with open(path, encoding="utf-8", errors="replace") as file:
+        check_regular(path)
+        with open(path, encoding="utf-8-sig", errors="replace") as file:
             first = file.readline()
-    except OSError:
+    except (OSError, InputError):
         return True
-    names = [name.strip() for name in first.split(",")]
+    names, _ = split_headings(first.split(_delimiter(first)))
     return first.startswith(PREFIX) or "t" in names
 
 
-def _by_suffix(path, functions):
+def _delimiter(header: str) -> str:
+    """What separates the cells: a comma, or a semicolon where there is no comma."""
+    return ";" if ";" in header and "," not in header else ","
+
+
+def _by_suffix(path: str | os.PathLike[str], functions: dict[str, Any]) -> Any:
     suffix = Path(path).suffix.lower()
     if suffix not in functions:
         known = " or ".join(functions)
@@ -153,10 +177,13 @@ def _write_npz(trajectories: Trajectories, file: BinaryIO) -> None:
 def _read_npz(file: BinaryIO) -> Trajectories:
     if not zipfile.is_zipfile(file):
         raise InputError("not an npz file, or one cut short; write it again")
-    file.seek(0)
     try:
+        _check_sizes(file)
+        file.seek(0)
         with np.load(file, allow_pickle=False) as archive:
             arrays = {name: np.asarray(archive[name]) for name in archive.files}
+    except InputError:
+        raise
     except (ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise InputError(f"damaged npz file: {error}") from error
     expected = ("metadata", *_ARRAYS)
@@ -172,6 +199,41 @@ def _read_npz(file: BinaryIO) -> Trajectories:
             shape = arrays[name].shape
             raise InputError(f"array {name!r}: expected {ndim} axes, got shape {shape}")
     return _from_flat(arrays, metadata)
+
+
+MAX_BYTES, MAX_RATIO = 2**33, 200
+"""Size of an npz file's arrays, and how much larger than the file large ones may be."""
+
+
+def _check_sizes(file: BinaryIO) -> None:
+    """Refuse arrays that are not there, before memory is asked for them.
+
+    A header may claim any number of values, and a few kilobytes may unpack to more than
+    the memory holds.
+    """
+    file.seek(0)
+    with zipfile.ZipFile(file) as archive:
+        members = archive.infolist()
+        total = sum(member.file_size for member in members)
+        packed = sum(member.compress_size for member in members)
+        if total > MAX_BYTES or (total > 2**27 and total > MAX_RATIO * packed):
+            raise InputError(
+                f"npz file of {packed} bytes that unpacks to {total}; expected the "
+                "file of an experiment, at most 8 GiB"
+            )
+        for member in members:
+            with archive.open(member) as stream:
+                version = np.lib.format.read_magic(stream)
+                read = np.lib.format.read_array_header_1_0
+                if version != (1, 0):
+                    read = np.lib.format.read_array_header_2_0
+                shape, _, dtype = read(stream)
+                claimed = math.prod(shape) * dtype.itemsize
+                if claimed > member.file_size:
+                    raise InputError(
+                        f"array {member.filename!r} claims {claimed} bytes, but the "
+                        f"file holds {member.file_size}; write it again"
+                    )
 
 
 def _from_flat(arrays: dict[str, np.ndarray], metadata: _Metadata) -> Trajectories:
@@ -232,7 +294,7 @@ class _Row(NamedTuple):
 
 def _read_csv(file: BinaryIO) -> Trajectories:
     try:
-        text = file.read().decode("utf-8-sig")
+        text = file.read().decode("utf-8-sig")  # spreadsheets put a mark before it
         lines = io.StringIO(text, newline="").readlines()
         num_comments, metadata = _leading_comments(lines)
         metadata, rows = _table(lines, num_comments, metadata)
@@ -277,8 +339,16 @@ def _table(
     lines: Sequence[str], num_comments: int, metadata: _Metadata
 ) -> tuple[_Metadata, list[_Row]]:
     """The rows by column name, and the metadata with the channels filled in."""
-    reader = csv.reader(lines[num_comments:], strict=True)
+    # A file of ours says its channels, whose names may hold semicolons and brackets.
+    plain = not metadata.channels
+    first = lines[num_comments] if plain and num_comments < len(lines) else ""
+    delimiter = _delimiter(first)
+    reader = csv.reader(lines[num_comments:], strict=True, delimiter=delimiter)
     header = [name.strip() for name in next(reader, [])]
+    units = metadata.units
+    if plain:
+        header, stated = split_headings(header)
+        units = {**stated, **units}
     place = f"line {num_comments + 1}"
     channels = _checked_header(place, header, metadata)
     rows = []
@@ -289,9 +359,11 @@ def _table(
                 f"line {line}: expected {len(header)} cells "
                 f"({', '.join(header)}), got {len(cells)}"
             )
+        if delimiter == ";":
+            cells = [cell.replace(",", ".") for cell in cells]
         if cells:
             rows.append(_Row(line, dict(zip(header, cells, strict=True))))
-    return msgspec.structs.replace(metadata, channels=channels), rows
+    return msgspec.structs.replace(metadata, channels=channels, units=units), rows
 
 
 def _checked_header(

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float64, Int64, PRNGKeyArray
 
 from pinav.errors import InputError
 from pinav.systems import velocity_unit
+from pinav.trajectories.tables import split_headings, table_columns
 from pinav.trajectories.trajectory import (
     Ragged,
     Trajectory,
@@ -107,6 +108,75 @@ class Trajectories(eqx.Module):
         ]
         units = _all_units(units or {}, (*channels, "t", *commands))
         return _padded(pieces, channels, units, provenance or {})
+
+    @classmethod
+    def from_table(
+        cls,
+        table: Any,
+        *,
+        commands: Sequence[str] = (),
+        units: Mapping[str, str] | None = None,
+        provenance: Mapping[str, Any] | None = None,
+    ) -> "Trajectories":
+        """Trajectories from a table with a column `t` and one for each channel.
+
+        A column `trajectory` tells the rows of several apart. What is missing (NaN,
+        None, a null) was not observed. A heading may state a unit: `x [um]`.
+
+        Args:
+            table: of pandas, polars, pyarrow or any package with the Arrow stream
+                protocol, or a mapping of columns.
+            commands: columns that hold what the operator commanded.
+            units: unit of any channel, command or `t`; they go before the headings.
+            provenance: where the data came from; JSON values.
+
+        Raises:
+            InputError: it is no such table, or its numbers do not fit together.
+        """
+        columns = table_columns(table)
+        names, stated = split_headings(list(columns))
+        columns = dict(zip(names, columns.values(), strict=True))
+        for name in ("t", *commands):
+            if name not in columns:
+                raise InputError(
+                    f"from_table: column {name!r} is missing; got {', '.join(names)}"
+                )
+        label = columns.pop("trajectory", np.zeros(len(columns["t"])))
+        _, first = np.unique(label, return_index=True)
+        groups = [np.flatnonzero(label == label[row]) for row in np.sort(first)]
+        channels = tuple(name for name in columns if name not in ("t", *commands))
+        states = np.stack([columns[name] for name in channels or ("t",)], axis=1)
+        return cls.from_arrays(
+            [columns["t"][rows] for rows in groups],
+            [states[rows] for rows in groups],
+            channels=channels,
+            observed=[np.isfinite(states[rows]) for rows in groups],
+            commands={
+                name: [columns[name][rows] for rows in groups] for name in commands
+            },
+            units={**stated, **(units or {})},
+            provenance=provenance,
+        )
+
+    def to_table(self) -> dict[str, np.ndarray]:
+        """Columns by name, as `from_table` reads them and pandas or pyarrow take them.
+
+        They are `trajectory`, `t`, each channel, NaN where it was not observed, and
+        each command.
+        """
+        pieces = list(self)
+        states = np.concatenate(
+            [np.where(piece.observed, piece.states, np.nan) for piece in pieces]
+        )
+        return {
+            "trajectory": np.repeat(np.arange(len(self)), self.lengths),
+            "t": np.concatenate([piece.times for piece in pieces]),
+            **dict(zip(self.channels, states.T, strict=True)),
+            **{
+                name: np.concatenate([piece.commands[name] for piece in pieces])
+                for name in self.commands
+            },
+        }
 
     def __len__(self) -> int:
         """Number of trajectories."""

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from pinav.arguments import Scalar
 from pinav.errors import InputError
 from pinav.forces import AbstractForce
 
@@ -174,14 +175,14 @@ class LawForce(AbstractForce):
                 f"{np.shape(self.constants)}"
             )
 
-    def potential(self, x: Float[Array, "2"]) -> Float[Array, ""]:
+    def potential(self, t: Scalar, x: Float[Array, "2"]) -> Float[Array, ""]:
         """Potential energy per mass [L² T⁻²] of the conservative part."""
         value = self.law.potential(self.constants, x[0], x[1], jnp)
         return jnp.zeros((), x.dtype) + value
 
     def __call__(self, t, x, v):
         rotation = self.law.rotation(self.constants, x[0], x[1], jnp)
-        return -jax.grad(self.potential)(x) + jnp.stack(
+        return -jax.grad(self.potential, argnums=1)(t, x) + jnp.stack(
             [jnp.zeros((), x.dtype) + part for part in rotation]
         )
 
