@@ -90,7 +90,7 @@ def timed(file: Path, options: Options) -> dict[str, Any]:
     out = options.out / name.replace("/", "-")
     known = KNOWN.get(file.parent.name, ())
     inspected = _run("inspect", file, out / "inspect", known)
-    extra = (*known, "--baselines") if options.selection else known
+    extra = (*known, "--candidates", "all") if options.selection else known
     fitted = _run("identify", file, out / "fit", extra)
     metrics = out / "fit" / "metrics.json"
     scores = _scores(json.loads(metrics.read_text())) if metrics.is_file() else {}
@@ -115,19 +115,24 @@ def _run(command: str, file: Path, out: Path, words: Sequence[str]) -> dict[str,
 
 def _scores(metrics: dict[str, Any]) -> dict[str, Any]:
     """Medians over tracks, and coverage over all rollouts."""
-    fitted = [t for t in metrics["tracks"].values() if "reason" not in t]
+    fitted = [t for t in metrics["tracks"].values() if not t["reason"]]
     covered = [(t["coverage"]["inside"], t["coverage"]["rollouts"]) for t in fitted]
     count = sum(n for _, n in covered)
     summary = metrics["summary"]
     return {
         "tracks": len(fitted),
         "of": len(metrics["tracks"]),
-        "chosen": summary.get("chosen", {}).get("relative 10"),
-        "least squares": summary.get("least squares", {}).get("relative 10"),
+        "chosen": _relative(summary, "chosen"),
+        "least squares": _relative(summary, "least squares"),
         "covered": sum(share * n for share, n in covered if n) / count
         if count
         else None,
     }
+
+
+def _relative(summary: dict[str, Any], name: str) -> float | None:
+    """Relative error of rollouts of 10 s."""
+    return summary[name]["relative"]["10"] if name in summary else None
 
 
 HEADER = (

@@ -6,11 +6,24 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tomli_w
 
 from pinav.errors import InputError
-from pinav.runs import RunFolder, environment
+from pinav.runs import REPAIR, SCHEMA, RunFolder, environment
 
-CONFIG = {"run": {"command": "test"}, "seeds": [1, 2], "recipe": "paper"}
+CONFIG = {
+    "run": {"schema": SCHEMA, "command": "test"},
+    "seeds": [1, 2],
+    "recipe": "paper",
+}
+
+
+@pytest.fixture(autouse=True)
+def advice():
+    """The words that the command line gives for damaged files."""
+    token = REPAIR.set("delete it and repeat pinav test with --resume")
+    yield
+    REPAIR.reset(token)
 
 
 @pytest.fixture
@@ -27,7 +40,7 @@ def test_a_new_run_says_how_it_was_made(folder):
 
 def test_an_existing_run_is_kept_unless_overwritten(folder):
     folder.write_json("metrics.json", {"a": 1})
-    with pytest.raises(InputError, match="already holds a run; go on with --resume"):
+    with pytest.raises(InputError, match="already holds a run; replace it with"):
         RunFolder.create(folder.path, CONFIG, overwrite=False)
     assert folder.read_json("metrics.json") == {"a": 1}
     RunFolder.create(folder.path, CONFIG | {"recipe": "default"}, overwrite=True)
@@ -36,9 +49,43 @@ def test_an_existing_run_is_kept_unless_overwritten(folder):
 
 
 def test_overwriting_leaves_what_is_not_ours(folder):
-    (folder.path / "notes.txt").write_text("mine")
+    names = ("notes.txt", "raw.csv", "notes.json", "tracks.npz", ".mine.tmp")
+    for name in names:
+        (folder.path / name).write_text("mine")
+    folder.write_table("table.csv", ("a",), [(1,)])
     RunFolder.create(folder.path, CONFIG, overwrite=True)
-    assert (folder.path / "notes.txt").read_text() == "mine"
+    assert all((folder.path / name).read_text() == "mine" for name in names)
+    assert not folder.has("table.csv")
+
+
+def test_what_a_killed_process_left_is_removed(folder):
+    (folder.path / ".model.eqx.0badcafe.tmp").write_text("half")
+    RunFolder.resume(folder.path, CONFIG)
+    assert not list(folder.path.glob(".*.tmp"))
+
+
+def test_a_first_attempt_without_results_does_not_block_the_next(folder):
+    other = CONFIG | {"seeds": [3]}
+    assert RunFolder.create(folder.path, other, overwrite=False).config() == other
+    folder.write_model("model.eqx", {}, {"w": jnp.zeros(2)})
+    with pytest.raises(InputError, match="holds a run; continue it with --resume, "):
+        RunFolder.create(folder.path, CONFIG, overwrite=False)
+
+
+def test_a_run_of_another_schema_is_not_read(folder):
+    config = {"run": {"schema": 1, "command": "test"}}
+    (folder.path / "config.toml").write_text(tomli_w.dumps(config))
+    for read in (RunFolder.open, lambda path: RunFolder.resume(path, CONFIG)):
+        with pytest.raises(InputError, match=r"another version of pinav \(schema 1"):
+            read(folder.path)
+
+
+def test_a_file_of_another_run_is_refused(folder):
+    folder.write_model("model.eqx", {}, {"w": jnp.zeros(2)})
+    content = (folder.path / "model.eqx").read_bytes()
+    (folder.path / "model.eqx").write_bytes(content.replace(b"pinav", b"other"))
+    with pytest.raises(InputError, match="is not the file that this run wrote; delete"):
+        folder.read_model("model.eqx", lambda header: {"w": jnp.zeros(2)})
 
 
 def test_other_places_are_refused(tmp_path):
@@ -87,6 +134,7 @@ def test_a_model_comes_back_as_it_was(folder):
 @pytest.mark.parametrize("damage", [b"", b"not json\n", b"{}\nrubbish"])
 def test_a_damaged_model_is_named(folder, damage):
     (folder.path / "model.eqx").write_bytes(damage)
+    folder.record("model.eqx")
     with pytest.raises(InputError, match=r"model.eqx cannot be read \(.*\); delete it"):
         folder.read_model("model.eqx", lambda header: jnp.zeros(3))
 
@@ -97,6 +145,7 @@ def test_damaged_results_are_named(folder):
         "results.npz": folder.read_arrays,
     }.items():
         (folder.path / name).write_bytes(b"{")
+        folder.record(name)
         with pytest.raises(InputError, match=f"{name} cannot be read .*--resume"):
             read(name)
     (folder.path / "config.toml").write_text("a = ")

@@ -1,10 +1,13 @@
 """The command line: parses, calls a job, prints. One module per command is loaded."""
 
 import contextlib
+import io
 import os
 import platform
+import re
+import signal
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from pinav import __version__
 from pinav.commands import COMMANDS
@@ -18,14 +21,40 @@ CACHE_BYTES = 256 * 2**20
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the `pinav` command; exits the process."""
-    sys.exit(run(sys.argv[1:] if argv is None else list(argv)))
+    words = sys.argv[1:] if argv is None else list(argv)
+    # Until the run begins nothing is written, and an interrupt inside the imports of
+    # compiled libraries is lost or crashes: leave at once.
+    signal.signal(signal.SIGINT, _leave)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # where a terminal knows ASCII alone
+    try:
+        code = run(words, on_start=_interruptible)
+        sys.stdout.flush()
+    except BrokenPipeError:  # the reader of a pipe has left, which is its right
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 0
+    except KeyboardInterrupt:
+        code = _complain("interrupted", code=INTERRUPTED)
+    sys.exit(code)
 
 
-def run(argv: Sequence[str]) -> int:
+def _leave(number: int, frame: object) -> None:
+    del number, frame
+    os.write(2, b"pinav: interrupted\n")
+    os._exit(INTERRUPTED)
+
+
+def _interruptible() -> None:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def run(argv: Sequence[str], on_start: Callable[[], None] = lambda: None) -> int:
     """Run one command and return its exit code.
 
     Args:
         argv: the words after `pinav`.
+        on_start: called when all modules are imported and the run begins.
     """
     if not argv or argv[0] in ("-h", "--help"):
         print(overview())
@@ -43,20 +72,61 @@ def run(argv: Sequence[str]) -> int:
     from pinav.errors import FitError, InputError
 
     try:
-        execute(command, argv[1:])
+        _check_limits()
+        execute(command, argv[1:], on_start)
     except InputError as error:
         return _complain(str(error))
     except FitError as error:
         return _complain(str(error), code=1)
+    except BrokenPipeError:
+        raise
     except OSError as error:
-        place = f"{error.filename}: " if error.filename else ""
-        return _complain(
-            f"{place}{error.strerror or error}; free the place or change the path, "
-            "then go on with --resume"
-        )
+        return _complain(_about_files(command, error))
+    except MemoryError as error:
+        return _complain(f"not enough memory: {error}; give less data at once", code=1)
+    except RuntimeError as error:
+        if "Unable to initialize backend" in str(error):
+            return _complain(
+                "JAX cannot use the device that JAX_PLATFORMS names "
+                f"({os.environ.get('JAX_PLATFORMS', '')}); unset it, or set it to cpu"
+            )
+        if "RESOURCE_EXHAUSTED" in str(error):
+            return _complain("not enough memory; give less data at once", code=1)
+        raise
     except KeyboardInterrupt:
         return _complain(_how_to_go_on(command, argv), code=INTERRUPTED)
     return 0
+
+
+def _about_files(command: Command, error: OSError) -> str:
+    place = f"{error.filename}: " if error.filename else ""
+    advice = "then continue with --resume" if command.resumable else "then repeat it"
+    reason = error.strerror or error
+    return f"{place}{reason}; free the place or change the path, {advice}"
+
+
+LEAST_MEMORY = 4 * 2**30
+"""Address space below which the compiled libraries abort [bytes]."""
+
+
+def _check_limits() -> None:
+    """Refuse a limit of address space under which libraries abort without a word.
+
+    Raises:
+        InputError: the limit is too small.
+    """
+    try:
+        import resource
+    except ImportError:  # not on this platform
+        return
+    from pinav.errors import InputError
+
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit != resource.RLIM_INFINITY and limit < LEAST_MEMORY:
+        raise InputError(
+            f"the limit of virtual memory is {limit // 2**20} MiB; raise it to 4 GiB "
+            "or more (ulimit -v)"
+        )
 
 
 def command_named(name: str) -> Command | None:
@@ -157,7 +227,18 @@ def _how_to_go_on(command: Command, argv: Sequence[str]) -> str:
     return f"interrupted; what was done is saved; continue with: {line}"
 
 
+WORDS_OF_THE_LIBRARY = (
+    (r",? or (pass )?throw=False[^;.]*", ""),
+    (r"max_iterations", "--max-steps"),
+    (r", add substeps", ""),
+    (r"; pass key=jax\.random\.key\(seed\)", ""),
+)
+"""What messages say to a caller in Python, and what the command line says instead."""
+
+
 def _complain(message: str, code: int = USAGE_ERROR) -> int:
     line = " ".join(message.split())
+    for pattern, words in WORDS_OF_THE_LIBRARY:
+        line = re.sub(pattern, words, line)
     print(f"pinav: {line}", file=sys.stderr)
     return code

@@ -10,16 +10,20 @@
 | `data.npz`, `results.npz` | trajectories; arrays behind the figures |
 | `metrics.json`, `*.csv` | result tables |
 | `figures/`, `report.html` | what people look at |
+| `manifest.json` | the files that the run wrote, with their hashes |
 
 Files are written under a temporary name and renamed, so that none is ever half
 written; nothing is pickled.
 """
 
 import contextlib
+import contextvars
 import csv
+import hashlib
 import io
 import json
 import platform
+import re
 import tomllib
 from collections.abc import Callable, Sequence
 from importlib import metadata
@@ -39,6 +43,20 @@ from pinav.fitting import AbstractCheckpoint, FitState
 Tree = TypeVar("Tree")
 Metrics = TypeVar("Metrics", bound=msgspec.Struct)
 
+METRICS_FILE, MANIFEST_FILE = "metrics.json", "manifest.json"
+
+SCHEMA = 2
+"""Version of what a run folder holds; a run of another one is not read."""
+
+FIRST_FILES = (
+    *("config.toml", "environment.json", "system.toml", "system-code.json"),
+    *("data.npz", "metrics.jsonl"),
+)
+"""Files that a run has before it has computed anything worth keeping."""
+
+REPAIR: contextvars.ContextVar[str] = contextvars.ContextVar("repair", default="")
+"""How the files that are written now are made again; the command line says so."""
+
 REPORTED_PACKAGES = ("jax", "jaxlib", "equinox", "diffrax", "optax", "numpy", "scipy")
 
 
@@ -54,14 +72,22 @@ class RunFolder:
 
     @classmethod
     def create(
-        cls, path: Path, config: dict[str, Any], *, overwrite: bool
+        cls,
+        path: Path,
+        config: dict[str, Any],
+        *,
+        overwrite: bool,
+        resumable: bool = True,
     ) -> "RunFolder":
         """Start a new run in an absent or empty folder.
+
+        A run that ended before it had results worth keeping is replaced, too.
 
         Args:
             path: the folder, made if absent.
             config: settings that decide the numbers.
             overwrite: replace the run that the folder holds.
+            resumable: the command that makes the run can continue it.
 
         Raises:
             InputError: the folder holds another run and `overwrite` is false, holds
@@ -71,10 +97,12 @@ class RunFolder:
         if path.exists() and not path.is_dir():
             raise InputError(f"{path} is a file; choose another folder with --out")
         if folder.exists():
-            if not overwrite:
+            if not overwrite and folder._is_worth_keeping():
+                finished = folder.has(METRICS_FILE) or not resumable
+                advice = "" if finished else "continue it with --resume, "
                 raise InputError(
-                    f"{path} already holds a run; go on with --resume, replace it with "
-                    "--overwrite, or choose another folder with --out"
+                    f"{path} already holds a run; {advice}replace it with --overwrite, "
+                    "or choose another folder with --out"
                 )
             folder._remove_run()
         elif folder._holds_anything():
@@ -83,12 +111,13 @@ class RunFolder:
             )
         _make_folder(path)
         folder.write_json("environment.json", environment())
-        write_text(path / "config.toml", tomli_w.dumps(config))
+        identity = {"schema": SCHEMA, **config.get("run", {})}
+        folder.write_text("config.toml", tomli_w.dumps(config | {"run": identity}))
         return folder
 
     @classmethod
     def resume(cls, path: Path, config: dict[str, Any]) -> "RunFolder":
-        """Go on with a run, or start it where nothing was saved yet.
+        """Continue a run, or start it where nothing was saved yet.
 
         Raises:
             InputError: the folder holds a run with other settings.
@@ -96,19 +125,24 @@ class RunFolder:
         folder = cls(path)
         if not folder.exists():
             return cls.create(path, config, overwrite=False)
-        saved = folder.config()
+        folder._check_schema()
+        identity = {"schema": SCHEMA, **config.get("run", {})}
+        saved = folder.settings() | folder.identity()
+        wanted = {k: v for k, v in config.items() if k != "run"} | identity
         differing = sorted(
             key
-            for key in saved.keys() | config.keys()
-            if saved.get(key) != config.get(key)
+            for key in saved.keys() | wanted.keys()
+            if saved.get(key) != wanted.get(key)
         )
         if differing:
             key = differing[0]
             raise InputError(
                 f"{path} holds a run with {key} = {saved.get(key)!r}, not "
-                f"{config.get(key)!r}; resume with the settings in its config.toml, or "
+                f"{wanted.get(key)!r}; resume with the settings in its config.toml, or "
                 "choose another folder with --out"
             )
+        folder._remove_temporary()
+        folder.write_json("environment.json", environment())
         return folder
 
     @classmethod
@@ -124,6 +158,7 @@ class RunFolder:
                 f"{path} holds no run (no config.toml); give the folder that was the "
                 "--out of pinav reproduce or pinav fit"
             )
+        folder._check_schema()
         return folder
 
     def exists(self) -> bool:
@@ -146,11 +181,62 @@ class RunFolder:
         except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
             raise InputError(f"{path} cannot be read: {error}") from error
 
+    def _check_schema(self) -> None:
+        schema = self.identity().get("schema")
+        if schema != SCHEMA:
+            raise InputError(
+                f"{self.path} was written by another version of pinav (schema "
+                f"{schema}, expected {SCHEMA}); repeat the run with --overwrite"
+            )
+
+    def manifest(self) -> dict[str, dict[str, str]]:
+        """Every file that the run wrote: its hash, and how it is made again."""
+        try:
+            text = (self.path / MANIFEST_FILE).read_text(encoding="utf-8")
+            content = json.loads(text)
+        except (OSError, UnicodeDecodeError, json.JSONDecodeError):
+            return {}
+        return content if isinstance(content, dict) else {}
+
+    def record(self, *names: str) -> None:
+        """Note that the run wrote these files; `--overwrite` deletes no others."""
+        manifest = self.manifest()
+        for name in names:
+            manifest[name] = {"repair": REPAIR.get(), "hash": self._hash(name)}
+        text = json.dumps(manifest, indent=1)
+        write_text(self.path / MANIFEST_FILE, text, overwrite=True)
+
+    def check_file(self, name: str) -> None:
+        """Require that a file is the one that the run wrote.
+
+        Raises:
+            InputError: it is missing, damaged, or taken from another run.
+        """
+        entry = self.manifest().get(name)
+        if not self.has(name):
+            raise InputError(f"{self.path / name} is missing; {self.repair(name)}")
+        if entry is not None and entry.get("hash") not in ("", self._hash(name)):
+            raise InputError(
+                f"{self.path / name} is not the file that this run wrote; "
+                f"{self.repair(name)}"
+            )
+
+    def repair(self, name: str) -> str:
+        """The words that say how a damaged or missing file is made again."""
+        entry = self.manifest().get(name, {})
+        return entry.get("repair") or "repeat the run with --overwrite"
+
+    def _hash(self, name: str) -> str:
+        """Hash of a file that does not change any more; empty for others."""
+        if name.startswith(("checkpoint-", "metrics.jsonl")) or not self.has(name):
+            return ""
+        return hashlib.sha256((self.path / name).read_bytes()).hexdigest()[:16]
+
     def settings(self) -> dict[str, Any]:
         """The settings that decided the numbers of the run."""
         return {key: value for key, value in self.config().items() if key != "run"}
 
-    def identity(self) -> dict[str, str]:
+    def identity(self) -> dict[str, Any]:
         """What tells the run from others beside its settings: command, data, system."""
         return self.config().get("run", {})
 
@@ -162,11 +248,12 @@ class RunFolder:
     def write_text(self, name: str, text: str) -> None:
         """Write a text file."""
         write_text(self.path / name, text, overwrite=True)
+        self.record(name)
 
     def write_json(self, name: str, content: Any) -> None:
         """Write a JSON file; a number that is not finite becomes null."""
         text = json.dumps(_finite_json(content), indent=2, allow_nan=False)
-        write_text(self.path / name, text + "\n", overwrite=True)
+        self.write_text(name, text + "\n")
 
     def read_json(self, name: str) -> Any:
         """Read a JSON file of the run.
@@ -179,7 +266,7 @@ class RunFolder:
             return json.loads(path.read_text(encoding="utf-8"))
         except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
             raise InputError(
-                f"{path} cannot be read ({error}); finish the run with --resume"
+                f"{path} cannot be read ({error}); {self.repair(name)}"
             ) from error
 
     def write_metrics(self, name: str, metrics: msgspec.Struct) -> None:
@@ -196,8 +283,7 @@ class RunFolder:
             return msgspec.convert(self.read_json(name), kind)
         except msgspec.ValidationError as error:
             raise InputError(
-                f"{self.path / name} is damaged ({error}); delete it and run the same "
-                "command again with --resume"
+                f"{self.path / name} is damaged ({error}); {self.repair(name)}"
             ) from error
 
     def write_table(self, name: str, header: Sequence[str], rows: Sequence[Sequence]):
@@ -205,7 +291,7 @@ class RunFolder:
         buffer = io.StringIO()
         writer = csv.writer(buffer, lineterminator="\n")
         writer.writerows([header, *rows])
-        write_text(self.path / name, buffer.getvalue(), overwrite=True)
+        self.write_text(name, buffer.getvalue())
 
     def write_arrays(self, name: str, arrays: dict[str, np.ndarray]) -> None:
         """Write arrays as npz."""
@@ -214,6 +300,7 @@ class RunFolder:
             np.savez(file, **arrays)  # pyright: ignore[reportArgumentType]
 
         atomic_write(self.path / name, write, overwrite=True)
+        self.record(name)
 
     def read_arrays(self, name: str) -> dict[str, np.ndarray]:
         """Read arrays written by `write_arrays`.
@@ -227,13 +314,15 @@ class RunFolder:
                 return dict(file)
         except Exception as error:
             raise InputError(
-                f"{path} cannot be read ({error}); finish the run with --resume"
+                f"{path} cannot be read ({error}); {self.repair(name)}"
             ) from error
 
     def append_record(self, record: dict[str, Any]) -> None:
         """Append a line to `metrics.jsonl`."""
         line = json.dumps(_finite_json(record), allow_nan=False)
         path = self.path / "metrics.jsonl"
+        if not path.exists():
+            self.record(path.name)
         with open(path, "a+b") as file:
             if file.tell() and not _ends_with_newline(path):
                 file.write(b"\n")  # the line before was cut off by a kill
@@ -254,14 +343,16 @@ class RunFolder:
         """Write a model: a JSON line that says how to build it, then its leaves."""
         line = json.dumps({"pinav": __version__, **header})
         write_tree(self.path / name, line, model)
+        self.record(name)
 
     def read_model(self, name: str, build: Callable[[dict[str, Any]], Tree]) -> Tree:
         """Read a model; `build(header)` makes one of the same shape.
 
         Raises:
-            InputError: the file is missing or damaged.
+            InputError: the file is missing, damaged or of another run.
         """
-        return read_tree(self.path / name, build)
+        self.check_file(name)
+        return read_tree(self.path / name, build, self.repair(name))
 
     def models(self) -> list[str]:
         """Names of the model files."""
@@ -269,22 +360,39 @@ class RunFolder:
 
     def checkpoint(self, name: str) -> "FileCheckpoint":
         """Where the fit `name` keeps its state."""
-        return FileCheckpoint(self.path / f"checkpoint-{name}.eqx")
+        file = f"checkpoint-{name}.eqx"
+        self.record(file)
+        return FileCheckpoint(self.path / file)
 
     def _holds_anything(self) -> bool:
         if not self.path.is_dir():
             return False
-        names = {p.name for p in self.path.iterdir() if p.suffix != ".tmp"}
-        return bool(names - {"environment.json"})
+        names = {p.name for p in self.path.iterdir() if not _is_temporary(p)}
+        return bool(names - {"environment.json", MANIFEST_FILE})
+
+    def _is_worth_keeping(self) -> bool:
+        """The run is finished, or holds a part that took time to compute."""
+        return self.has(METRICS_FILE) or any(
+            (self.path / name).is_file()
+            for name in self.manifest()
+            if name not in FIRST_FILES
+        )
 
     def _remove_run(self) -> None:
-        """Remove the files that a run writes, and nothing else; config.toml last."""
-        patterns = ("checkpoint-*.eqx", "model*.eqx", "metrics.json*", "*.npz", "*.csv")
-        patterns += ("figures/*.png", "figures/*.svg", "figures/*.gif")
-        patterns += ("report.html", "*.json")
-        for pattern in (*patterns, "*.tmp", "config.toml"):
-            for file in self.path.glob(pattern):
-                file.unlink()
+        """Remove the files that the run wrote, and nothing else; config.toml last."""
+        names = [name for name in self.manifest() if name != "config.toml"]
+        for name in (*names, MANIFEST_FILE, "config.toml"):
+            file = self.path / name
+            if self.path.resolve() in file.resolve().parents:
+                file.unlink(missing_ok=True)
+        self._remove_temporary()
+
+    def _remove_temporary(self) -> None:
+        """Remove what a killed process left of a file that it was writing."""
+        for folder in (self.path, self.path / "figures"):
+            for file in folder.glob(".*.tmp"):
+                if _is_temporary(file):
+                    file.unlink()
 
 
 class FileCheckpoint(AbstractCheckpoint):
@@ -316,8 +424,17 @@ def write_tree(path: Path, header: str, tree: Any) -> None:
     atomic_write(path, write, overwrite=True)
 
 
-def read_tree(path: Path, build: Callable[[dict[str, Any]], Tree]) -> Tree:
+def read_tree(
+    path: Path,
+    build: Callable[[dict[str, Any]], Tree],
+    repair: str = "delete it and run again with --resume",
+) -> Tree:
     """Read what `write_tree` wrote; `build(header)` gives a tree of the same shape.
+
+    Args:
+        path: the file.
+        build: gives a tree of the same shape from the header.
+        repair: how the file is made again, for messages.
 
     Raises:
         InputError: the file is missing or damaged.
@@ -330,9 +447,7 @@ def read_tree(path: Path, build: Callable[[dict[str, Any]], Tree]) -> Tree:
         raise
     except Exception as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(
-            f"{path} cannot be read ({reason}); delete it and run again with --resume"
-        ) from error
+        raise InputError(f"{path} cannot be read ({reason}); {repair}") from error
 
 
 def environment() -> dict[str, Any]:
@@ -360,6 +475,11 @@ def _at(shape: FitState, header: dict[str, Any]) -> FitState:
 def _plain(value: Any) -> Any:
     """A builtin value for a number or an array of NumPy."""
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)
+
+
+def _is_temporary(path: Path) -> bool:
+    """The name is one that `write_whole` gives a file while it is written."""
+    return re.fullmatch(r"\..+\.[0-9a-f]{8}\.tmp", path.name) is not None
 
 
 def _ends_with_newline(path: Path) -> bool:

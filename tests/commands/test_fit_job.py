@@ -78,7 +78,7 @@ def test_a_model_file_of_something_else_is_refused(tiny_fit, tmp_path, capsys):
     run, data = tiny_fit
     copy = tmp_path / "run"
     copy.mkdir()
-    (copy / "config.toml").write_text("")
+    (copy / "config.toml").write_bytes((run / "config.toml").read_bytes())
     assert cli.run(["evaluate", str(copy), str(data)]) == cli.USAGE_ERROR
     assert "holds no fitted model; give" in capsys.readouterr().err
     (copy / "system.toml").write_bytes((run / "system.toml").read_bytes())

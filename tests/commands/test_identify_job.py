@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from pinav import cli
-from pinav.commands.identify.job import label, summary, text
+from pinav.commands.identify.metrics import (
+    IdentifyMetrics,
+    TrackMetrics,
+    label,
+    summarise_tracks,
+)
 from pinav.commands.identify.settings import IdentifySettings
 from pinav.errors import InputError
 from pinav.identification.selection import RESIDUALS
@@ -23,6 +28,9 @@ def standard_promotion():
         yield
     finally:
         jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+
+ALL = ("--candidates", "all")
 
 
 def small(commanded):
@@ -51,7 +59,14 @@ def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("selection")
     save(small(commanded=True), folder / "robot.csv")
     out = folder / "run"
-    words = ["identify", str(folder / "robot.csv"), "--baselines", "--out", str(out)]
+    words = [
+        "identify",
+        str(folder / "robot.csv"),
+        "--candidates",
+        "all",
+        "--out",
+        str(out),
+    ]
     with pytest.MonkeyPatch.context() as patch, standard_promotion():
         for name in ("Gaussian process", "potential"):  # tests/selection has kernels
             patch.delitem(RESIDUALS, name)
@@ -68,13 +83,13 @@ def test_the_table_has_every_candidate_and_baseline(run):
         assert name in names
     for name in ("+ delay", "+ lag", "+ time-dependent drift", "+ network"):
         assert name in names
-    for name in ("least squares", "neural ODE", "StochasticForceInference"):
+    for name in ("least squares", "neural ODE"):
         assert name in names
-    ours = metrics["summary"]["chosen"]["relative 10"]
+    ours = metrics["summary"]["chosen"]["relative"]["10"]
     assert ours < 0.05
-    assert ours < metrics["summary"]["drift only"]["relative 10"]
+    assert ours < metrics["summary"]["drift only"]["relative"]["10"]
     assert abs(track["estimates"]["heading offset"]["value"]) < 0.1
-    assert any("Propulsion by the command: supported" in s for s in track["verdict"])
+    assert any("Propulsion by the command: supported" in s for s in track["findings"])
 
 
 @pytest.mark.slow
@@ -89,7 +104,13 @@ def test_the_page_says_what_it_is_about(run):
 @pytest.mark.slow
 def test_resuming_a_finished_run_changes_nothing(run, capsys):
     before = (run / "metrics.json").read_text()
-    words = ["identify", str(run.parent / "robot.csv"), "--baselines", "--resume"]
+    words = [
+        "identify",
+        str(run.parent / "robot.csv"),
+        "--candidates",
+        "all",
+        "--resume",
+    ]
     assert cli.run([*words, "--out", str(run)]) == 0
     assert (run / "metrics.json").read_text() == before
     assert "The evidence chooses" in capsys.readouterr().out
@@ -111,19 +132,33 @@ def idle():
 def test_a_recording_whose_commands_ask_for_nothing_only_drifts(tmp_path, capsys):
     save(idle(), tmp_path / "idle.csv")
     out = tmp_path / "run"
-    words = ["identify", str(tmp_path / "idle.csv"), "--baselines", "--tracks", "0"]
+    words = [
+        "identify",
+        str(tmp_path / "idle.csv"),
+        "--candidates",
+        "all",
+        "--max-tracks",
+        "0",
+    ]
     with standard_promotion():
         assert cli.run([*words, "--out", str(out)]) == 0
     assert "The commands ask for no motion: gain" in capsys.readouterr().out
     (track,) = json.loads((out / "metrics.json").read_text())["tracks"].values()
     assert track["gain"] is None
     assert track["rows"][0]["name"] == "drift only"
-    assert "delay" not in track
+    assert track["delay"] is None
 
 
 def test_a_recording_without_commands(tmp_path, capsys):
     save(small(commanded=False), tmp_path / "cell.npz")
-    words = ["identify", str(tmp_path / "cell.npz"), "--baselines", "--tracks", "0"]
+    words = [
+        "identify",
+        str(tmp_path / "cell.npz"),
+        "--candidates",
+        "all",
+        "--max-tracks",
+        "0",
+    ]
     with standard_promotion():
         assert cli.run([*words, "--out", str(tmp_path / "run")]) == 0
     assert "No commands recorded: gain" in capsys.readouterr().out
@@ -142,8 +177,11 @@ def test_files_of_pinav_are_told_from_recordings(tmp_path):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"share": 1.0}, "--share: expected between 0 and 1, got 1.0"),
-        ({"tracks": -1}, "--tracks: expected 0 or more, got -1"),
+        (
+            {"train_fraction": 1.0},
+            "--train-fraction: expected between 0 and 1",
+        ),
+        ({"max_tracks": -1}, "--max-tracks: expected 0 or more, got -1"),
     ],
 )
 def test_settings_that_make_no_sense(settings, message):
@@ -152,12 +190,13 @@ def test_settings_that_make_no_sense(settings, message):
 
 
 def test_a_track_that_was_not_fitted_is_told():
-    metrics = {
-        "units": {"x": "um", "t": "s"},
-        "tracks": {"a/1": {"reason": "too short", "rows": []}},
-        "summary": summary([]),
-    }
-    assert "not fitted: too short" in text(metrics)
+    metrics = IdentifyMetrics(
+        units={"x": "um", "t": "s"},
+        system=None,
+        tracks={"a/1": TrackMetrics(reason="too short")},
+        summary=summarise_tracks([]),
+    )
+    assert "not fitted: too short" in metrics.text()
 
 
 def test_a_label_is_the_last_step():

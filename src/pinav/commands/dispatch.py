@@ -1,7 +1,7 @@
 """The way of every command: parse, check, run, print, write the report."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import msgspec
 
@@ -11,12 +11,15 @@ from pinav.commands.settings import Settings
 from pinav.errors import FitError
 
 
-def execute(command: Command, argv: Sequence[str]) -> None:
+def execute(
+    command: Command, argv: Sequence[str], on_start: Callable[[], None] = lambda: None
+) -> None:
     """Parse the words after a command, run it and show what it found.
 
     Args:
         command: what to run.
         argv: the words after its name.
+        on_start: called when all modules are imported and the run begins.
 
     Raises:
         InputError: an option is unknown, misses its value or has a wrong one.
@@ -32,8 +35,23 @@ def execute(command: Command, argv: Sequence[str]) -> None:
         options = msgspec.structs.replace(options, words=tuple(argv[1:]))
     else:
         _enable_x64()
-    result = resolve(command.run)(options)
+    run = resolve(command.run)
+    from pinav.runs import REPAIR
+
+    REPAIR.set(_repair(command))
+    on_start()
+    result = run(options)
     _show(result, as_json=getattr(options, "json", False))
+
+
+def _repair(command: Command) -> str:
+    """How files that a command wrote are made again."""
+    again = f"repeat pinav {command.name}"
+    if not command.title:
+        return again
+    if not command.resumable:
+        return f"{again} with --overwrite"
+    return f"delete it and {again} with --resume"
 
 
 def _enable_x64() -> None:

@@ -210,8 +210,8 @@ def build_model(header: ModelHeader, system: System) -> AbstractDynamics:
 
 def save_data(folder: RunFolder, data: Trajectories) -> None:
     """Keep the trajectories that are fitted."""
-    if not folder.has(DATA_FILE):
-        save(data, folder.path / DATA_FILE)
+    save(data, folder.path / DATA_FILE, overwrite=True)
+    folder.record(DATA_FILE)
 
 
 def write_model(
@@ -265,7 +265,7 @@ def estimated_constants(fit: EvidenceFit, choice: ModelChoice) -> dict[str, Esti
     named = {
         name: estimates.pop(path)
         for name, path in paths.items()
-        if path != CONSTANTS["drag"]
+        if path in estimates and path != CONSTANTS["drag"]
     }
     if CONSTANTS["drag"] in paths.values():
         drags = principal_drags(fit.posterior)
@@ -299,6 +299,7 @@ def _process_arrays(fit: EvidenceFit) -> dict[str, np.ndarray]:
 def _read_evidence(
     folder: RunFolder, choice: ModelChoice, model: AbstractDynamics
 ) -> EvidenceResult:
+    folder.check_file(POSTERIOR_FILE)
     stored = folder.read_arrays(POSTERIOR_FILE)
     try:
         free, theta = ravel_model(model, choice.trainable)
@@ -331,8 +332,8 @@ def _read_evidence(
         if isinstance(error, InputError):
             raise
         raise InputError(
-            f"{folder.path / POSTERIOR_FILE} is damaged ({error}); fit again with "
-            "--overwrite"
+            f"{folder.path / POSTERIOR_FILE} is damaged ({error}); "
+            f"{folder.repair(POSTERIOR_FILE)}"
         ) from error
 
 

@@ -1,12 +1,12 @@
 """Figures and the HTML page of a run, from its saved results alone."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from pinav.commands import COMMANDS
 from pinav.commands.command import Command, resolve
 from pinav.errors import InputError
-from pinav.files import write_text
-from pinav.report import Code, Section, Table, render
+from pinav.report import Code, Image, Section, Table, render
 from pinav.runs import RunFolder
 
 
@@ -19,11 +19,13 @@ def write_report(folder: RunFolder) -> Path:
     Raises:
         InputError: the run is not finished, or one of its files is damaged.
     """
-    if not folder.has("metrics.json"):
-        raise InputError(
-            f"{folder.path} is not finished; go on with --resume, then report"
-        )
     maker = _maker(folder)
+    if not folder.has("metrics.json"):
+        advice = "continue it with --resume" if maker.resumable else "repeat it"
+        raise InputError(f"{folder.path} is not finished; {advice}, then report")
+    for name in folder.manifest():
+        if name.endswith((".eqx", ".npz")) and not name.startswith("checkpoint-"):
+            folder.check_file(name)
     additions = [c for c in COMMANDS if c.report is not None and not c.title]
     content = [
         section
@@ -31,9 +33,19 @@ def write_report(folder: RunFolder) -> Path:
         for section in resolve(str(command.report))(folder)
     ]
     page = render(maker.title, _subtitle(folder), [*content, *_provenance(folder)])
-    path = folder.path / "report.html"
-    write_text(path, page, overwrite=True)
-    return path
+    folder.write_text("report.html", page)
+    images = [b.path for s in content for b in s.blocks if isinstance(b, Image)]
+    folder.record(*_figures(folder, images))
+    return folder.path / "report.html"
+
+
+def _figures(folder: RunFolder, images: Sequence[str | Path]) -> list[str]:
+    """Names of the figures that were drawn, in all of their formats."""
+    return [
+        file.relative_to(folder.path).as_posix()
+        for image in images
+        for file in Path(image).parent.glob(f"{Path(image).stem}.*")
+    ]
 
 
 def _maker(folder: RunFolder) -> Command:

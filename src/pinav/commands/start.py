@@ -54,7 +54,12 @@ def start_run(
     config["run"] = {"command": command.name, **identity}
     if resume:
         return RunFolder.resume(options.out, config)
-    return RunFolder.create(options.out, config, overwrite=options.overwrite)
+    return RunFolder.create(
+        options.out,
+        config,
+        overwrite=options.overwrite,
+        resumable=command.resumable,
+    )
 
 
 def fingerprint(data: Trajectories) -> str:

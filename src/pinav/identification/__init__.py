@@ -4,6 +4,8 @@ from pinav.identification.baselines import Baseline as Baseline
 from pinav.identification.baselines import black_box as black_box
 from pinav.identification.baselines import gaussian_process as gaussian_process
 from pinav.identification.baselines import least_squares as least_squares
+from pinav.identification.commanded_fit import fit_commanded as fit_commanded
+from pinav.identification.findings import DelayFindings as DelayFindings
 from pinav.identification.findings import delay_findings as delay_findings
 from pinav.identification.findings import finding_sentences as finding_sentences
 from pinav.identification.findings import interval as interval
@@ -27,8 +29,13 @@ from pinav.identification.selection import Row as Row
 from pinav.identification.selection import Selection as Selection
 from pinav.identification.selection import select_model as select_model
 from pinav.identification.selection import split as split
+from pinav.identification.systems import evidence_fit_of as evidence_fit_of
+from pinav.identification.systems import is_commanded as is_commanded
+from pinav.identification.systems import posterior_of as posterior_of
+from pinav.identification.systems import system_of as system_of
 from pinav.identification.tracks import Blocks as Blocks
 from pinav.identification.tracks import Track as Track
 from pinav.identification.tracks import tracks as tracks
+from pinav.identification.tracks import trajectories_of as trajectories_of
 from pinav.identification.wandering_velocity import DriftOverTime as DriftOverTime
 from pinav.identification.wandering_velocity import drift_over_time as drift_over_time

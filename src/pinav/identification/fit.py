@@ -1,6 +1,8 @@
 """`fit_track`: one candidate on one track, with evidence and intervals."""
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -23,6 +25,7 @@ from pinav.forces import (
 from pinav.identification.kalman import Disturbance
 from pinav.identification.likelihood import (
     Design,
+    Field,
     Prior,
     compiled_whitened,
     disturbance_of,
@@ -114,15 +117,14 @@ def fit_track(
     """
     prior = Prior.of(track) if prior is None else prior
     with jax.enable_x64(new_val=True):
-        search = _Search(Design.of(candidate, Blocks.of(track)), candidate, prior)
+        search = Search(Design.of(candidate, Blocks.of(track)), candidate, prior)
         begins = np.unique([search.begin(start, delay) for delay in STARTS], axis=0)
-        found = [search.descend(begin) for begin in begins]
-        best = min(found, key=lambda pair: pair[1])
+        ends = [search.descend(begin) for begin in begins]
+        best = min(ends, key=lambda pair: pair[1])
         if not math.isfinite(best[1]):
             raise FitError(
                 f"track {track.name}: the likelihood of {candidate.name} is not "
-                "finite; "
-                "check the times and units of the recording"
+                "finite; check the times and units of the recording"
             )
         return search.result(*best)
 
@@ -131,20 +133,34 @@ STARTS = (0.1, 0.4)
 """Delays from which a search begins where no simpler candidate had one [s]."""
 
 
-class _Search:
-    """The posterior of a candidate as a function of what is learned."""
+class Search:
+    """The posterior of the nonlinear parameters of a candidate, by Laplace's method.
 
-    def __init__(self, design: Design, candidate: CandidateModel, prior: Prior):
+    Attributes:
+        design: the track, as the candidate sees it.
+        candidate: what is free.
+        prior: of the nonlinear parameters.
+        field: displacements by a field whose weights have unit prior variances.
+        evaluations: of the likelihood so far.
+    """
+
+    def __init__(
+        self,
+        design: Design,
+        candidate: CandidateModel,
+        prior: Prior,
+        field: Field | None = None,
+    ):
         self.design, self.candidate, self.prior = design, candidate, prior
+        self.field = field
         self.places = np.array([NAMES.index(name) for name in candidate.learned])
         fixed = {**ABSENT, **candidate.fixed}
         self.base = np.array([fixed.get(name, 0.0) for name in NAMES])
         self.evaluations = 0
 
-    def begin(self, start: TrackFit | None, delay: float):
+    def begin(self, start: TrackFit | None, delay: float) -> np.ndarray:
         """Where a search begins: at the prior, or where a simpler candidate ended."""
-        theta = self.base.copy()
-        theta[self.places] = self.prior.mean[self.places]
+        theta = self.theta(self.prior.mean[self.places])
         if start is not None:
             shared = [i for i in self.places if NAMES[i] in start.candidate.learned]
             theta[shared] = start.theta[shared]
@@ -154,12 +170,19 @@ class _Search:
             theta[NAMES.index("delay")] = delay
         return theta[self.places]
 
-    def __call__(self, learned):
-        """Negative log posterior density and its gradient."""
-        self.evaluations += 1
+    def theta(self, learned: Float[np.ndarray, " learned"]) -> np.ndarray:
+        """All nonlinear parameters."""
         theta = self.base.copy()
         theta[self.places] = learned
-        value, slope = value_and_slope(jnp.asarray(theta), self.design)
+        return theta
+
+    def __call__(
+        self, learned: Float[np.ndarray, " learned"]
+    ) -> tuple[float, Float[np.ndarray, " learned"]]:
+        """Negative log posterior density and its gradient."""
+        self.evaluations += 1
+        theta = jnp.asarray(self.theta(learned))
+        value, slope = value_and_slope(theta, self.design, self.field)
         mean, sd = self.prior.mean[self.places], self.prior.sd[self.places]
         offset = (learned - mean) / sd
         value = float(value) + 0.5 * float(offset @ offset)
@@ -169,11 +192,13 @@ class _Search:
             return 1e30, np.zeros_like(offset)
         return value, slope
 
-    def descend(self, begin):
-        """The nearest maximum of the posterior."""
+    def descend(
+        self, begin: Float[np.ndarray, " learned"]
+    ) -> tuple[Float[np.ndarray, " learned"], float]:
+        """The nearest maximum of the posterior, and minus its logarithm."""
         bounds = self.prior.bounds()[self.places]
         low, high = bounds.T
-        found = minimize(
+        end = minimize(
             self,
             np.clip(begin, low, high),
             jac=True,
@@ -181,75 +206,71 @@ class _Search:
             bounds=bounds,
             options={"maxiter": 100, "ftol": 1e-9, "gtol": 1e-4},
         )
-        return found.x, float(found.fun) if found.fun < 1e29 else math.inf
+        return end.x, float(end.fun) if end.fun < 1e29 else math.inf
 
-    def result(self, learned, value) -> TrackFit:
-        """Evidence and posterior about the maximum."""
-        hessian = self._hessian(learned)
-        values, vectors = np.linalg.eigh(hessian)
-        values = np.maximum(values, 1e-8)
-        spread = vectors / values @ vectors.T
-        log_evidence = -value + 0.5 * (
-            len(values) * math.log(2 * math.pi) - np.log(values).sum()
+    def laplace(
+        self, learned: Float[np.ndarray, " learned"]
+    ) -> tuple[Float[np.ndarray, "learned learned"], float]:
+        """Covariance about the maximum, and the logarithm of its volume."""
+        steps = self.steps()
+        # Differences of gradients, not of values: values lose half of their digits.
+        rows = np.array(
+            [
+                (self(learned + s)[1] - self(learned - s)[1]) / (2 * s.max())
+                for s in steps
+            ]
         )
+        values, vectors = np.linalg.eigh((rows + rows.T) / 2)
+        values = np.maximum(values, 1e-8)
+        volume = 0.5 * (len(values) * math.log(2 * math.pi) - np.log(values).sum())
+        return vectors / values @ vectors.T, float(volume)
+
+    def result(self, learned: Float[np.ndarray, " learned"], value: float) -> TrackFit:
+        """Evidence and posterior about the maximum."""
+        spread, volume = self.laplace(learned)
         coefficients, covariance = self._joint(learned, spread)
-        theta = self.base.copy()
-        theta[self.places] = learned
         return TrackFit(
             candidate=self.candidate,
-            theta=theta,
+            theta=self.theta(learned),
             coefficients=coefficients,
             covariance=covariance,
-            log_evidence=float(log_evidence),
+            log_evidence=volume - value,
             evaluations=self.evaluations,
         )
 
-    def _hessian(self, learned):
-        """By central differences of the gradient, a hundredth of the prior apart."""
-        steps = self._steps()
-        rows = [
-            (self(learned + s)[1] - self(learned - s)[1]) / (2 * s.max()) for s in steps
-        ]
-        return (np.array(rows) + np.array(rows).T) / 2
-
-    def _steps(self):
+    def steps(self) -> Float[np.ndarray, "learned learned"]:
         """Differences, a fraction of the prior; held commands make kinks in delays."""
         wide = np.array([NAMES[i] in ("delay", "log_lag") for i in self.places])
-        share = np.where(wide, ACROSS_KINKS, DIFFERENCE)
-        return np.diag(share * self.prior.sd[self.places])
+        fraction = np.where(wide, ACROSS_KINKS, DIFFERENCE)
+        return np.diag(fraction * self.prior.sd[self.places])
 
-    def _coefficients(self, learned):
-        theta = self.base.copy()
-        theta[self.places] = learned
-        problem = compiled_whitened(jnp.asarray(theta), self.design)
+    def slopes(
+        self, learned: Float[np.ndarray, " learned"], of: Callable[[np.ndarray], Any]
+    ) -> Float[np.ndarray, "value learned"]:
+        """Derivatives of a vector by what is learned, by central differences."""
+        columns = [
+            (of(learned + s) - of(learned - s)) / (2 * s.max()) for s in self.steps()
+        ]
+        return np.stack(columns, axis=1)
+
+    def _coefficients(
+        self, learned: Float[np.ndarray, " learned"]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        problem = compiled_whitened(jnp.asarray(self.theta(learned)), self.design)
         best, information = problem.coefficients()
         return np.asarray(best), np.asarray(information)
 
-    def _joint(self, learned, spread):
+    def _joint(
+        self, learned: Float[np.ndarray, " learned"], spread: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients, and the joint covariance with what is learned."""
         best, information = self._coefficients(learned)
-        steps = self._steps()
-        slopes = np.stack(
-            [
-                (
-                    self._coefficients(learned + s)[0]
-                    - self._coefficients(learned - s)[0]
-                )
-                / (2 * s.max())
-                for s in steps
-            ],
-            axis=1,
-        )
-        own = np.linalg.inv(information)
-        present = np.concatenate(
-            [
-                np.any(self.candidate.matrices(), axis=(1, 2)),
-                self.candidate.velocities().any(1),
-            ]
-        )
-        own = own * np.outer(present, present) + slopes @ spread @ slopes.T
+        slopes = self.slopes(learned, lambda place: self._coefficients(place)[0])
+        gains = np.any(self.candidate.matrices(), axis=(1, 2))
+        present = np.concatenate([gains, self.candidate.velocities().any(1)])
+        alone = np.linalg.inv(information) * np.outer(present, present)
         cross = slopes @ spread
-        return best, np.block([[spread, cross.T], [cross, own]])
+        return best, np.block([[spread, cross.T], [cross, alone + cross @ slopes.T]])
 
 
 DIFFERENCE, ACROSS_KINKS = 0.02, 0.25

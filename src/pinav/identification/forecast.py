@@ -170,6 +170,11 @@ class FrameJitter(eqx.Module):
     driven: Float[np.ndarray, "2"]
     still: float
 
+    @property
+    def deviation(self) -> float:
+        """Root mean square of both axes: the noise of a single position [L]."""
+        return float(np.sqrt(self.driven.mean()))
+
     @classmethod
     def of(cls, track: Track, displacement: Displacement) -> "FrameJitter":
         """From what a model leaves, about its running mean over a block."""

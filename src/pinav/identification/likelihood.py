@@ -121,27 +121,64 @@ class Design(eqx.Module):
         )
 
 
+class Field(eqx.Module):
+    """Displacements along the observed path by a field, and by what is known.
+
+    Attributes:
+        columns: mean displacement in each block for each weight of the field [L].
+        offset: displacement that belongs to no weight [L].
+        gain: a gain matrix that is known; zero where it is fitted.
+        drift: a drift that is known; zero where it is fitted.
+    """
+
+    columns: Float[Array, "block 2 weight"]
+    offset: Float[Array, "block 2"]
+    gain: Float[Array, "2 2"]
+    drift: Float[Array, "2"]
+
+    @classmethod
+    def nothing(cls, blocks: Blocks) -> "Field":
+        """No field, and nothing known."""
+        count = len(blocks.counts)
+        return cls(
+            columns=jnp.zeros((count, 2, 0)),
+            offset=jnp.zeros((count, 2)),
+            gain=jnp.zeros((2, 2)),
+            drift=jnp.zeros(2),
+        )
+
+
 class Whitened(eqx.Module):
     """The least-squares problem that the filter leaves.
 
     Attributes:
         rows: of the coefficients, gains before drifts; zero columns where absent.
+        field: of the weights of a field.
         target: of the observed positions, x above y.
         log_variance: sum over the innovations of one axis.
         count: number of innovations of one axis.
     """
 
     rows: Float[Array, "row coefficient"]
+    field: Float[Array, "row weight"]
     target: Float[Array, " row"]
     log_variance: Float[Array, ""]
     count: Float[Array, ""]
 
-    def coefficients(self) -> tuple[Float[Array, " coefficient"], Float[Array, "k k"]]:
-        """Best coefficients and their information; 1 on the diagonal where absent."""
+    @property
+    def information(self) -> Float[Array, "k k"]:
+        """Information of the coefficients; 1 on the diagonal where absent."""
         information = self.rows.T @ self.rows
         absent = jnp.diagonal(information) == 0
-        information = information + jnp.diag(absent.astype(information.dtype))
-        return jnp.linalg.solve(information, self.rows.T @ self.target), information
+        return information + jnp.diag(absent.astype(information.dtype))
+
+    def solve(self, right: Array) -> Array:
+        """The inverse of the information, applied."""
+        return jnp.linalg.solve(self.information, right)
+
+    def coefficients(self) -> tuple[Float[Array, " coefficient"], Float[Array, "k k"]]:
+        """Best coefficients and their information."""
+        return self.solve(self.rows.T @ self.target), self.information
 
 
 def disturbance_of(theta: Float[Array, " parameter"]) -> Disturbance:
@@ -213,21 +250,31 @@ def block_means(values, blocks: Blocks):
     return total / jnp.maximum(blocks.counts, 1.0)[:, None]
 
 
-def whitened(theta: Float[Array, " parameter"], design: Design) -> Whitened:
-    """Filter observations and regressors of a candidate."""
+def whitened(
+    theta: Float[Array, " parameter"], design: Design, field: Field | None = None
+) -> Whitened:
+    """Filter observations and regressors of a candidate, and those of a field."""
     blocks = design.blocks
+    field = Field.nothing(blocks) if field is None else field
     along = displacements(theta, design)
-    rest = jnp.stack([blocks.times - blocks.times[0], blocks.frequency], axis=-1)
-    columns = block_means(
-        jnp.concatenate([blocks.positions, along, rest], axis=-1), blocks
+    elapsed = (blocks.times - blocks.times[0])[:, None]
+    known = along @ field.gain.T + elapsed * field.drift[None]
+    samples = [blocks.positions - known, along, elapsed, blocks.frequency[:, None]]
+    means = block_means(jnp.concatenate(samples, axis=-1), blocks)
+    observed = means[:, :2] - field.offset
+    weights = field.columns.shape[2]
+    columns = [observed, means[:, 2:5], field.columns[:, 0], field.columns[:, 1]]
+    filtered = filtered_columns(
+        theta, jnp.concatenate(columns, axis=-1), means[:, 5], blocks
     )
-    filtered = filtered_columns(theta, columns[..., :5], columns[..., 5], blocks)
-    x, y, along_x, along_y, time = jnp.moveaxis(filtered.columns, -1, 0)
+    x, y, along_x, along_y, time = jnp.moveaxis(filtered.columns[:, :5], -1, 0)
     along = jnp.stack([along_x, along_y])
     gains = jnp.einsum("gab,br->gar", design.gains, along)
     drifts = design.drifts[:, :, None] * time[None, None]
+    by_weight = filtered.columns[:, 5:]
     return Whitened(
         rows=jnp.concatenate([gains, drifts]).reshape(6, -1).T,
+        field=jnp.concatenate([by_weight[:, :weights], by_weight[:, weights:]]),
         target=jnp.concatenate([x, y]),
         log_variance=jnp.sum(filtered.log_variance),
         count=jnp.sum(_steps(blocks)),
@@ -266,19 +313,41 @@ def rolling_about(frequency: Float[Array, " block"]) -> Float[Array, " step"]:
 
 
 def negative_log_evidence(
-    theta: Float[Array, " parameter"], design: Design
+    theta: Float[Array, " parameter"],
+    design: Design,
+    field: Field | None = None,
 ) -> Float[Array, ""]:
-    """Without the priors of the nonlinear parameters."""
-    problem = whitened(theta, design)
+    r"""Without the priors of the nonlinear parameters.
+
+    Weights of a field, of unit prior variance each, are integrated out: once the
+    coefficients are projected out, the whitened targets y have the covariance
+    $1 + A A^\top$.
+
+    Args:
+        theta: nonlinear parameters.
+        design: the track, as the candidate sees it.
+        field: displacements by a field; none unless given.
+    """
+    problem = whitened(theta, design, field)
     best, _ = problem.coefficients()
-    residuals = problem.target - problem.rows @ best
     present = jnp.sum(jnp.any(problem.rows != 0, axis=0).astype(theta.dtype))
-    return (
-        0.5 * residuals @ residuals
-        + problem.log_variance
+    constant = (
+        problem.log_variance
         + problem.count * jnp.log(2 * jnp.pi)
         + 0.5 * present * jnp.log(2 * problem.count)
     )
+    residuals = problem.target - problem.rows @ best
+    columns = problem.field
+    if not columns.shape[1]:
+        return 0.5 * residuals @ residuals + constant
+    columns = columns - problem.rows @ problem.solve(problem.rows.T @ columns)
+    # Woodbury's identity: the matrix is as large as the field has weights, not data.
+    factor = jnp.linalg.cholesky(jnp.eye(columns.shape[1]) + columns.T @ columns)
+    explained = jax.scipy.linalg.solve_triangular(
+        factor, columns.T @ residuals, lower=True
+    )
+    squares = residuals @ residuals - explained @ explained
+    return 0.5 * squares + jnp.sum(jnp.log(jnp.diagonal(factor))) + constant
 
 
 value_and_slope = eqx.filter_jit(eqx.filter_value_and_grad(negative_log_evidence))

@@ -104,23 +104,23 @@ class Selection(eqx.Module):
         return next(row for row in self.rows if row.name == name)
 
 
-def split(track: Track, share: float) -> tuple[Track, Track]:
+def split(track: Track, fraction: float) -> tuple[Track, Track]:
     """The first part of a track by time, to train on, and the rest.
 
     Raises:
-        InputError: `share` is not between 0 and 1, or a part is too short.
+        InputError: `fraction` is not between 0 and 1, or a part is too short.
     """
-    if not 0 < share < 1:
-        raise InputError(f"split share: expected between 0 and 1, got {share}")
+    if not 0 < fraction < 1:
+        raise InputError(f"split fraction: expected between 0 and 1, got {fraction}")
     first, last = track.span
-    moment = first + share * (last - first)
+    moment = first + fraction * (last - first)
     return before(track, moment), after(track, moment)
 
 
 def select_model(
     track: Track,
     *,
-    share: float = 0.7,
+    train_fraction: float = 0.7,
     residuals: Sequence[str] = (),
     baselines: Sequence[str] = ("least squares",),
     on_row: Callable[[Row], None] | None = None,
@@ -129,7 +129,7 @@ def select_model(
 
     Args:
         track: one robot of one run.
-        share: of its time that trains.
+        train_fraction: first part of its time that trains.
         residuals: names in `RESIDUALS`: fields of position on the chosen candidate.
         baselines: names in `BASELINES`.
         on_row: called after each line of the table.
@@ -137,7 +137,7 @@ def select_model(
     Raises:
         InputError: a part of the track is too short.
     """
-    train, held_out = split(track, share)
+    train, held_out = split(track, train_fraction)
     selection = _Comparison(train, held_out, on_row)
     selection.select_model()
     for name in residuals:

@@ -72,23 +72,15 @@ def tracks(recording: Trajectories, *, pooled: bool = False) -> list[Track]:
     Raises:
         InputError: the channels are not x and y, or nothing is long enough to fit.
     """
-    if recording.channels != ("x", "y"):
-        raise InputError(
-            f"recording: expected the channels x and y, got "
-            f"{', '.join(recording.channels)}"
-        )
+    _check_planar(recording)
     groups: dict[str, list[Trajectory]] = {}
-    for label, piece in zip(_labels(recording), recording, strict=True):
-        own = [label["run"], label.get("kind") if pooled else label["particle"]]
-        name = "/".join(str(part) for part in own if part is not None)
+    names = _names(recording, pooled=pooled)
+    for name, piece in zip(names, recording, strict=True):
         seen = _observed(piece)
         if len(seen.times) >= LEAST_SAMPLES:
             groups.setdefault(name, []).append(seen)
     if not groups:
-        raise InputError(
-            f"recording: expected a trajectory of {LEAST_SAMPLES} samples or more, got "
-            f"{int(recording.lengths.max())} at most; check how tracks are linked"
-        )
+        raise InputError(_too_short(recording))
     widths = [_block_width(pieces) for pieces in groups.values()]
     counts = [_counts(p, w) for p, w in zip(groups.values(), widths, strict=True)]
     rows = zip(groups.items(), widths, shared_sizes(counts), strict=True)
@@ -96,6 +88,74 @@ def tracks(recording: Trajectories, *, pooled: bool = False) -> list[Track]:
         Track(name, tuple(sorted(pieces, key=lambda p: p.times[0])), width, sizes)
         for (name, pieces), width, sizes in rows
     ]
+
+
+def trajectories_of(
+    recording: Trajectories, name: str, *, pooled: bool = False
+) -> Trajectories:
+    """The trajectories of one track; all where no track has this name.
+
+    Args:
+        recording: the whole recording.
+        name: of the track, as in `tracks`.
+        pooled: see `tracks`.
+    """
+    names = _names(recording, pooled=pooled)
+    chosen = [index for index, own in enumerate(names) if own == name]
+    return recording.select(chosen) if chosen else recording
+
+
+def _names(recording: Trajectories, *, pooled: bool) -> list[str]:
+    """Name of the track of each trajectory: its run, and its particle or kind."""
+    names = []
+    for label in _labels(recording):
+        parts = [label["run"], label.get("kind") if pooled else label["particle"]]
+        names.append("/".join(str(part) for part in parts if part is not None))
+    return names
+
+
+def one_track(data: Trajectories, name: str) -> Track:
+    """All trajectories as the segments of one track, one after the other in time.
+
+    Args:
+        data: positions of one robot, or of robots that one system describes.
+        name: of the track.
+
+    Raises:
+        InputError: the channels are not x and y, or nothing is long enough to fit.
+    """
+    _check_planar(data)
+    pieces, end = [], -np.inf
+    for piece in sorted(map(_observed, data), key=lambda piece: float(piece.times[0])):
+        if len(piece.times) < LEAST_SAMPLES:
+            continue
+        begin = float(piece.times[0])
+        later = end + GAP - begin if begin <= end else 0.0
+        pieces.append(eqx.tree_at(lambda p: p.times, piece, piece.times + later))
+        end = float(pieces[-1].times[-1])
+    if not pieces:
+        raise InputError(_too_short(data))
+    width = _block_width(pieces)
+    return Track(name, tuple(pieces), width, _enclosing([_counts(pieces, width)]))
+
+
+GAP = 10.0
+"""Time between trajectories that are put one after the other [s]."""
+
+
+def _check_planar(recording: Trajectories) -> None:
+    if recording.channels != ("x", "y"):
+        raise InputError(
+            f"recording: expected the channels x and y, got "
+            f"{', '.join(recording.channels)}"
+        )
+
+
+def _too_short(recording: Trajectories) -> str:
+    return (
+        f"recording: expected a trajectory of {LEAST_SAMPLES} samples or more, got "
+        f"{int(recording.lengths.max())} at most; check how tracks are linked"
+    )
 
 
 def _labels(recording: Trajectories) -> list[dict[str, Any]]:

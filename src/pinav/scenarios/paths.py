@@ -116,6 +116,5 @@ def _deviation(
     propulsion = truth.swimmer.propulsion
     programme = getattr(propulsion, "programme", None)
     if not isinstance(propulsion, RollingPropulsion) or programme is None:
-        return jnp.full_like(times, wandering.still)
-    frequency = jax.vmap(lambda t: programme(t)[0])(times)
-    return jnp.where(frequency > 0, wandering.driven, wandering.still)
+        return wandering.strength(jnp.zeros_like(times))
+    return wandering.strength(jax.vmap(lambda t: programme(t)[0])(times))

@@ -51,27 +51,41 @@ class WanderingVelocity(eqx.Module):
     r"""Ornstein-Uhlenbeck velocity $w$ that carries a real robot, $\dot x = \dots + w$.
 
     $dw = -w\, dt / \tau + \sigma \sqrt{2 / \tau}\, dW$ with $\sigma$ its standard
-    deviation along each axis.
+    deviation along each axis, $\sigma^2 = \mathrm{still}^2 + \mathrm{driven}^2 \sqrt f$
+    at the commanded frequency f. A drift that changes slowly is a second velocity of
+    the same kind.
 
     Attributes:
         still: $\sigma$ without a command [L T⁻¹], not negative.
-        driven: $\sigma$ under a command [L T⁻¹], not negative.
+        driven: its growth with the command [L T⁻¹ Hz^(-1/4)], not negative.
         memory: correlation time $\tau$ [T], positive.
+        slow: standard deviation of the slow velocity [L T⁻¹], not negative.
+        slow_memory: its correlation time [T], positive.
 
     Raises:
-        InputError: a standard deviation is negative, or `memory` is a number <= 0.
+        InputError: a standard deviation is negative, or a memory is a number <= 0.
     """
 
     still: float
     driven: float
     memory: float
+    slow: float = 0.0
+    slow_memory: float = 60.0
 
     def __check_init__(self):
-        check_positive(self, "memory")
-        for name in ("still", "driven"):
+        check_positive(self, "memory", "slow_memory")
+        for name in ("still", "driven", "slow"):
             value = getattr(self, name)
             if isinstance(value, float | int) and value < 0:
                 raise InputError(f"wandering.{name}: expected >= 0, got {value}")
+
+    def strength(self, frequency: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+        r"""$\sigma$ at these commanded frequencies [L T⁻¹]."""
+        rolling = frequency > 0
+        # The derivative of a root at 0 is infinite, also in the branch not taken.
+        root = jnp.sqrt(jnp.where(rolling, frequency, 1.0))
+        variance = self.still**2 + self.driven**2 * jnp.where(rolling, root, 0.0)
+        return jnp.sqrt(variance)
 
 
 def _stated(value: ArrayLike | Sequence, ndim: int) -> Array:

@@ -10,7 +10,6 @@ from jaxtyping import Float
 from pinav.commands.data_file import read_data, with_all_channels
 from pinav.commands.fitted_run import FittedRun
 from pinav.commands.recording_settings import RecordingSettings
-from pinav.commands.system_choice import system_of_data
 from pinav.dynamics import AbstractDynamics, Outcome, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.evaluation import (
@@ -25,6 +24,7 @@ from pinav.evaluation import (
     predict,
     without_first,
 )
+from pinav.scenarios import source_system
 from pinav.systems import System
 from pinav.trajectories import Trajectories
 
@@ -133,7 +133,7 @@ def read_scored(
 def true_system(run: FittedRun, data: Trajectories) -> System | None:
     """The system that the data, or else the training data, were simulated from."""
     for trajectories in (data, run.data):
-        source = system_of_data(trajectories)
+        source = source_system(trajectories.provenance)
         if source is not None and source.environment is not None:
             return source
     return None

@@ -1,5 +1,7 @@
 """`pinav fit`: one model of the unknown, fitted to given data."""
 
+import dataclasses
+
 import numpy as np
 
 from pinav.commands.command import CommandResult
@@ -10,6 +12,7 @@ from pinav.commands.fit.plan import FitPlan, plan_fit
 from pinav.commands.fit.settings import EVIDENCE_RECIPES, FitOptions
 from pinav.commands.fitted_run import (
     MODEL_FILE,
+    POSTERIOR_FILE,
     FittedRun,
     ModelHeader,
     save_data,
@@ -23,7 +26,6 @@ from pinav.commands.settings import Settings
 from pinav.commands.start import fingerprint, start_run
 from pinav.commands.system_choice import (
     choose_system,
-    system_of_data,
     write_system_of,
 )
 from pinav.errors import FitError
@@ -35,10 +37,13 @@ from pinav.evaluation import (
     predict,
     score,
 )
-from pinav.fitting import Outcome, fit_bayes, fit_langevin
+from pinav.fitting import EvidenceFit, Outcome, fit_bayes, fit_langevin
 from pinav.fitting import fit as match_trajectories
 from pinav.fitting.environments.catalogue import KnownSwimmer, build
+from pinav.forces import AbstractForce, AbstractLearnedForce
+from pinav.identification import fit_commanded, is_commanded
 from pinav.runs import RunFolder
+from pinav.scenarios import source_system
 
 REMARKS = {
     str(Outcome.STALLED): (
@@ -80,8 +85,8 @@ def fit(plan: FitPlan, folder: RunFolder) -> FitMetrics:
     """
     save_data(folder, plan.data)
     write_system_of(folder, plan.system)
-    if not folder.has(MODEL_FILE):
-        by_evidence = plan.settings.recipe in EVIDENCE_RECIPES
+    by_evidence = plan.settings.recipe in EVIDENCE_RECIPES
+    if not folder.has(MODEL_FILE) or by_evidence and not folder.has(POSTERIOR_FILE):
         (_infer if by_evidence else _match)(plan, folder)
     fitted = FittedRun.open(folder.path)
     starts = None if fitted.evidence is None else fitted.evidence.states[:, 0]
@@ -112,6 +117,9 @@ def _infer(plan: FitPlan, folder: RunFolder) -> None:
     if plan.settings.recipe == "langevin":
         write_fit(folder, header, fit_langevin(model, plan.data), plan.data)
         return
+    if is_commanded(plan.system):
+        write_fit(folder, header, _fit_commanded(plan, model.environment), plan.data)
+        return
     with BayesReporter(folder, plan.choice.name) as report:
         result = fit_bayes(
             model,
@@ -125,6 +133,16 @@ def _infer(plan: FitPlan, folder: RunFolder) -> None:
     if result.outcome is Outcome.DIVERGED:
         raise FitError(DIVERGED)
     write_fit(folder, header, result, plan.data)
+
+
+def _fit_commanded(plan: FitPlan, environment: AbstractForce) -> EvidenceFit:
+    """Fit a field beside commands and a wandering velocity."""
+    learned = environment if isinstance(environment, AbstractLearnedForce) else None
+    result = fit_commanded(plan.system, plan.data, learned)
+    # The residuals are whitened, so that their noise is 1; a run keeps the system's.
+    noise = plan.system.observation.noise
+    chosen = dataclasses.replace(result.hyperparameters, noise=noise)
+    return dataclasses.replace(result, hyperparameters=chosen)
 
 
 def _match(plan: FitPlan, folder: RunFolder) -> None:
@@ -193,7 +211,7 @@ def _remarks(outcome: str) -> tuple[str, ...]:
 def _fields(model: KnownSwimmer, plan: FitPlan) -> dict[str, FieldMap]:
     """The learned force around the data, and the true one where it is known."""
     fields = {"learned": field_map(model.environment, plan.data)}
-    source = system_of_data(plan.data)
+    source = source_system(plan.data.provenance)
     if source is not None and source.environment is not None:
         fields["true"] = field_map(source.environment, plan.data)
     return fields

@@ -19,8 +19,12 @@ from pinav.fitting.environments.catalogue import (
     summarise_for,
 )
 from pinav.forces import LinearDrag
+from pinav.identification import is_commanded, trajectories_of
 from pinav.systems import System
 from pinav.trajectories import Trajectories
+
+LARGEST = 1e12
+"""Largest value of a state, whose fourth power a fit can still sum up."""
 
 SHARE_OF_MEMORY = 0.8
 """The part of the free memory that a fit may ask for."""
@@ -52,7 +56,17 @@ def plan_fit(settings: FitSettings, system: System, data: Trajectories) -> FitPl
         InputError: the recipe cannot use the data or the system, or the fit would need
             more memory than there is.
     """
-    thermal = system.thermal_energy is not None or looks_brownian(data)
+    if np.abs(data.states[data.observed]).max(initial=0.0) > LARGEST:
+        raise InputError(
+            f"data: expected values up to {LARGEST:g}, got larger ones; check the "
+            "file, or give it in larger units"
+        )
+    commanded = is_commanded(system)
+    if commanded:
+        data = trajectories_of(data, system.name)
+    thermal = system.thermal_energy is not None or (
+        not commanded and looks_brownian(data)
+    )
     settings = resolve(settings, system, thermal=thermal)
     settings.check()
     check_system(settings, system)

@@ -1,41 +1,52 @@
-"""`pinav fit RECORDING`: the selection of models on every track of a recording."""
+"""`pinav identify`: model selection on every track of a recording, and a system."""
 
 import itertools
 import time
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import numpy as np
 
 from pinav.commands.command import CommandResult
+from pinav.commands.data_file import read_data
+from pinav.commands.fitted_run import DATA_FILE, ModelHeader, save_data, write_fit
 from pinav.commands.identify.command import IDENTIFY
+from pinav.commands.identify.figures import figure_arrays
+from pinav.commands.identify.metrics import (
+    CandidateRow,
+    CoverageOfBands,
+    DelayMetrics,
+    IdentifyMetrics,
+    TrackMetrics,
+    Value,
+    summarise_tracks,
+)
 from pinav.commands.identify.settings import IdentifyOptions, IdentifySettings
-from pinav.commands.recording_settings import RecordingSettings
 from pinav.commands.start import fingerprint, start_run
+from pinav.commands.system_choice import write_system_of
 from pinav.errors import FitError, InputError
-from pinav.fitting import Estimate
+from pinav.fitting.environments.catalogue import ModelChoice, summarise_data
 from pinav.identification import (
-    Forecast,
     FrameJitter,
     Rollouts,
-    Row,
-    Selection,
     Track,
     TrackFit,
     coverage,
     delay_findings,
+    evidence_fit_of,
     finding_sentences,
     fit_track,
     path_of,
     select_model,
+    system_of,
     tracks,
+    trajectories_of,
 )
-from pinav.identification.baselines import commands
-from pinav.identification.forecast import HORIZONS, cycles
+from pinav.identification.forecast import HORIZONS
+from pinav.identification.models import BOTH, FULL, CandidateModel
 from pinav.identification.selection import BASELINES, RESIDUALS
-from pinav.recordings import image_positions
 from pinav.runs import RunFolder
-from pinav.trajectories import Trajectories, is_trajectories, load
+from pinav.systems import system_text
+from pinav.trajectories import Trajectories
 
 SHOWN = 10.0
 """Horizon of bands, of figures and of the table in the terminal [s]."""
@@ -47,69 +58,93 @@ FIGURES = 9
 """Tracks with figures, the longest ones."""
 
 
-def fit_recording(
-    settings: IdentifySettings,
-    recording: Trajectories,
-    folder: RunFolder,
-    *,
-    all_candidates: bool,
-) -> dict[str, Any]:
-    """Fit all candidates to each track and write the results; what is done stays done.
+def run(options: IdentifyOptions) -> CommandResult:
+    """Identify as the command line does."""
+    recording = read_data(options.data, options.recording)
+    settings = options.settings
+    folder = start_run(
+        IDENTIFY, options, settings, options.recording, data=fingerprint(recording)
+    )
+    metrics = identify(settings, recording, folder)
+    return CommandResult(metrics, metrics.text(), folder)
+
+
+def identify(
+    settings: IdentifySettings, recording: Trajectories, folder: RunFolder
+) -> IdentifyMetrics:
+    """Compare all candidates on each track and write the results and a system.
+
+    Tracks that are done stay done.
 
     Args:
-        settings: how the recording is split.
+        settings: how the recording is split, and how much is compared.
         recording: positions, with commands where there were any.
         folder: of the run.
-        all_candidates: with position-dependent residuals and all baselines too.
 
-    Returns:
-        The content of `metrics.json`.
+    Raises:
+        InputError: nothing is long enough to fit, or no track has the name that was
+            asked for.
     """
-    driven = "frequency" in recording.commands
-    found = tracks(recording, pooled=not driven)
-    longest = sorted(found, key=lambda track: -track.duration)
-    full = (
-        {track.name for track in longest[: settings.tracks]}
-        if all_candidates
-        else set()
-    )
+    pooled = "frequency" not in recording.commands
+    several = tracks(recording, pooled=pooled)
+    _check_name(settings.track, several)
+    longest = sorted(several, key=lambda track: -track.duration)
+    compared = longest[: settings.max_tracks] if settings.candidates == "all" else []
+    full = {track.name for track in compared}
     drawn = {track.name for track in longest[:FIGURES]}
-    undone = [i for i in _mixed(found) if not folder.has(_stored(i))]
+    undone = [i for i in _mixed(several) if not folder.has(_stored(i))]
 
-    def fitted(index: int) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-        track = found[index]
-        return _track(track, settings.share, full=track.name in full)
+    def result(index: int) -> "_Result":
+        track = several[index]
+        return _identify_track(
+            track, settings.train_fraction, recording.units, full=track.name in full
+        )
 
     with ThreadPoolExecutor(max_workers=THREADS) as pool:
-        for index, (result, arrays) in zip(
-            undone, pool.map(fitted, undone), strict=True
-        ):
-            name = found[index].name
-            if name in drawn and arrays:
-                arrays |= _in_image(recording, arrays)
+        for index, one in zip(undone, pool.map(result, undone), strict=True):
+            name = several[index].name
+            if name in drawn and one.arrays:
+                arrays = one.arrays | _in_image(recording, one.arrays)
                 folder.write_arrays(f"track-{index}.npz", arrays)
-            folder.write_json(_stored(index), result)
-            folder.append_record({"track": name, "chosen": result.get("chosen")})
+            if one.fit is not None:
+                _write_track_fit(folder, index, one, name, recording.units)
+            folder.write_metrics(_stored(index), one.metrics)
+            folder.append_record({"track": name, "chosen": one.metrics.chosen})
     results = {
-        track.name: folder.read_json(_stored(i)) for i, track in enumerate(found)
+        track.name: folder.read_metrics(_stored(i), TrackMetrics)
+        for i, track in enumerate(several)
     }
-    metrics = {
-        "units": {name: recording.units[name] for name in ("x", "t")},
-        "tracks": results,
-        "summary": summary(list(results.values())),
-    }
-    folder.write_table("candidates.csv", *_csv(results))
-    folder.write_json("metrics.json", metrics)
+    chosen = _system_track(settings.track, results)
+    if chosen is not None:
+        index = [track.name for track in several].index(chosen)
+        own = trajectories_of(recording, chosen, pooled=pooled)
+        _write_system(folder, index, chosen, results[chosen], own)
+    metrics = IdentifyMetrics(
+        units={name: recording.units[name] for name in ("x", "t")},
+        system=chosen,
+        tracks=results,
+        summary=summarise_tracks(results.values()),
+    )
+    folder.write_table("candidates.csv", *_table(results))
+    folder.write_metrics("metrics.json", metrics)
     return metrics
 
 
-def _mixed(found: list[Track]) -> list[int]:
+def _check_name(name: str | None, several: list[Track]) -> None:
+    names = [track.name for track in several]
+    if name is not None and name not in names:
+        raise InputError(
+            f"--track: no track is called {name!r}; expected one of {', '.join(names)}"
+        )
+
+
+def _mixed(several: list[Track]) -> list[int]:
     """Tracks in an order in which neighbours differ in length.
 
     Fits of one length share compiled code; side by side both would compile it.
     """
-    by_length = sorted(range(len(found)), key=lambda i: -found[i].duration)
-    half = (len(found) + 1) // 2
+    by_length = sorted(range(len(several)), key=lambda i: -several[i].duration)
+    half = (len(several) + 1) // 2
     long, short = by_length[:half], by_length[half:][::-1]
     pairs = itertools.zip_longest(long, short)
     return [index for pair in pairs for index in pair if index is not None]
@@ -119,9 +154,23 @@ def _stored(index: int) -> str:
     return f"track-{index}.json"
 
 
-def _track(
-    track: Track, share: float, *, full: bool
-) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+class _Result:
+    """What one track gave; without a fit where it could not be fitted."""
+
+    def __init__(
+        self,
+        metrics: TrackMetrics,
+        arrays: dict[str, np.ndarray] | None = None,
+        fit: TrackFit | None = None,
+        jitter: float = 0.0,
+    ):
+        self.metrics, self.arrays = metrics, arrays or {}
+        self.fit, self.jitter = fit, jitter
+
+
+def _identify_track(
+    track: Track, fraction: float, units: dict[str, str], *, full: bool
+) -> _Result:
     """Results of one track, and the arrays behind its figures."""
     residuals = tuple(RESIDUALS) if full else ()
     baselines = tuple(BASELINES) if full else ("least squares",)
@@ -130,255 +179,145 @@ def _track(
     begin = time.perf_counter()
     try:
         selection = select_model(
-            track, share=share, residuals=residuals, baselines=baselines
+            track, train_fraction=fraction, residuals=residuals, baselines=baselines
         )
         whole = fit_track(track, selection.best.candidate, start=selection.best)
         delays = delay_findings(track, whole) if selection.train.commanded else None
     except (InputError, FitError) as error:
-        return {"reason": str(error), "rows": []}, {}
+        return _Result(TrackMetrics(reason=str(error), duration=track.duration))
     estimates = whole.estimates()
     jitter = FrameJitter.of(selection.train, path_of(selection.best))
     rollouts = Rollouts.of(selection.held_out, SHOWN)
-    covered = coverage(selection.held_out, rollouts, selection.best, jitter)
-    result = {
-        "chosen": selection.chosen,
-        "response": selection.best.candidate.response,
-        "gain": whole.gain.tolist() if whole.candidate.gains else None,
-        "duration": track.duration,
-        "rows": [_row(row) for row in selection.rows],
-        "estimates": {name: _pair(value) for name, value in estimates.items()},
-        "coverage": {
-            "inside": covered.inside,
-            "at end": covered.at_end,
-            "rollouts": covered.count,
+    bands = coverage(selection.held_out, rollouts, selection.best, jitter)
+    metrics = TrackMetrics(
+        chosen=selection.chosen,
+        response=whole.candidate.response,
+        free=whole.candidate.free,
+        gain=whole.gain.tolist() if whole.candidate.gains else None,
+        duration=track.duration,
+        rows=tuple(map(CandidateRow.of, selection.rows)),
+        estimates={name: Value.of(value) for name, value in estimates.items()},
+        coverage=CoverageOfBands.of(bands),
+        findings=tuple(finding_sentences(selection, estimates, delays)),
+        delay=None if delays is None else DelayMetrics.of(delays),
+        seconds=time.perf_counter() - begin,
+    )
+    arrays = figure_arrays(selection, whole, jitter, rollouts)
+    return _Result(metrics, arrays, whole, jitter.deviation)
+
+
+def _write_track_fit(
+    folder: RunFolder, index: int, one: _Result, name: str, units: dict[str, str]
+) -> None:
+    """Keep what the system of a track is made of, and the system itself."""
+    fit = one.fit
+    assert fit is not None
+    folder.write_arrays(
+        f"fit-{index}.npz",
+        {
+            "theta": fit.theta,
+            "coefficients": fit.coefficients,
+            "covariance": fit.covariance,
+            "log_evidence": np.array(fit.log_evidence),
+            "jitter": np.array(one.jitter),
         },
-        "verdict": finding_sentences(selection, estimates, delays),
-        "seconds": time.perf_counter() - begin,
-    }
-    if delays is not None:
-        aligned = delays.zero_offset
-        result["delay"] = {
-            "free": _pair(delays.free),
-            "offset": _pair(delays.offset),
-            "offset without delay": _pair(delays.offset_without_delay),
-            "zero offset": None if aligned is None else _pair(aligned),
-            "turning rate": delays.turning_rate,
-            "confounded": delays.confounded,
-        }
-    return result, _arrays(selection, whole, jitter, rollouts)
+    )
+    system = system_of(fit, jitter=one.jitter, name=name, units=units)
+    folder.write_text(f"system-{index}.toml", _with_intervals(system_text(system), one))
 
 
-def _pair(estimate: Estimate) -> dict[str, float]:
-    return {"value": estimate.value, "sd": estimate.sd}
+def _with_intervals(text: str, one: _Result) -> str:
+    """A system's file with the estimates and their deviations as comments."""
+    lines = [
+        f"# {name}: {value.value:.6g} ± {value.sd:.2g} (standard deviation)"
+        for name, value in one.metrics.estimates.items()
+    ]
+    head = f"# Identified by pinav: {one.metrics.chosen}."
+    return "\n".join([head, *lines, "", text])
 
 
-def _row(row: Row) -> dict[str, Any]:
-    """A line of the table as JSON."""
-    return {
-        "name": row.name,
-        "log_evidence": row.log_evidence,
-        "seconds": row.seconds,
-        "velocity_r2": row.velocity_r2,
-        "reason": row.reason,
-        "horizons": {
-            f"{horizon:g}": {
-                "relative": found.relative,
-                "median": found.median,
-                "rollouts": len(found.distance),
-            }
-            for horizon, found in row.errors.items()
-        },
-    }
+def _read_track_fit(
+    folder: RunFolder, index: int, metrics: TrackMetrics
+) -> tuple[TrackFit, float]:
+    """The fit of a track and the deviation of single frames."""
+    stored = folder.read_arrays(f"fit-{index}.npz")
+    candidate = CandidateModel(
+        metrics.chosen,
+        gains=FULL if metrics.gain is not None else (),
+        drifts=BOTH,
+        response=metrics.response,
+        free=metrics.free,
+    )
+    fit = TrackFit(
+        candidate=candidate,
+        theta=stored["theta"],
+        coefficients=stored["coefficients"],
+        covariance=stored["covariance"],
+        log_evidence=float(stored["log_evidence"]),
+        evaluations=0,
+    )
+    return fit, float(stored["jitter"])
 
 
-def _arrays(
-    selection: Selection, whole: TrackFit, jitter: FrameJitter, rollouts: Rollouts
-) -> dict[str, np.ndarray]:
-    """What the figures of a track need."""
-    held_out, fit = selection.held_out, selection.best
-    arrays: dict[str, np.ndarray] = {}
-    for index, piece in enumerate(held_out.pieces):
-        arrays[f"observed/{index}"] = piece.states
-    ends = zip(rollouts.piece, rollouts.first, rollouts.last, strict=True)
-    forecasts = [Forecast.of(piece, fit, jitter) for piece in held_out.pieces]
-    for index, (own, a, b) in enumerate(ends):
-        arrays[f"predicted/{index}"] = forecasts[own].rollout(int(a), int(b))
-        arrays[f"sd/{index}"] = np.sqrt(forecasts[own].variance(int(a), int(b))[-1])
-    if whole.candidate.gains:
-        arrays |= _speed_law(selection.track, whole)
-    return arrays
+def _system_track(name: str | None, results: dict[str, TrackMetrics]) -> str | None:
+    """The track whose system the run holds: the longest one that was driven."""
+    fitted = {key: track for key, track in results.items() if not track.reason}
+    if name is not None:
+        if name not in fitted:
+            raise InputError(f"--track {name}: {results[name].reason}")
+        return name
+    order = sorted(
+        fitted, key=lambda key: (fitted[key].gain is None, -fitted[key].duration)
+    )
+    return order[0] if order else None
+
+
+def _write_system(
+    folder: RunFolder, index: int, name: str, metrics: TrackMetrics, data: Trajectories
+) -> None:
+    """Write the system of the run, its model with the posterior, and its data."""
+    if folder.has(DATA_FILE) and folder.has("model.eqx"):
+        return
+    fit, jitter = _read_track_fit(folder, index, metrics)
+    system = system_of(fit, jitter=jitter, name=name, units=data.units)
+    save_data(folder, data)
+    write_system_of(folder, system)
+    paths = tuple(number.path for number in system.learn)
+    header = ModelHeader(
+        ModelChoice(name="physics-only", learn=paths), summarise_data(data)
+    )
+    write_fit(folder, header, evidence_fit_of(fit, jitter=jitter), data)
 
 
 def _in_image(
     recording: Trajectories, arrays: dict[str, np.ndarray]
 ) -> dict[str, np.ndarray]:
     """Paths and bands in the pixels of the image, where they came from one."""
+    from pinav.recordings import image_positions
+
     if recording.provenance.get("positions", {}).get("unit in the file") != "px":
         return {}
-    found = {}
+    pixels = {}
     for key, values in arrays.items():
         if key.startswith(("observed/", "predicted/")):
-            found[f"image {key}"] = image_positions(recording, values)
+            pixels[f"image {key}"] = image_positions(recording, values)
         if key.startswith("sd/"):
-            found[f"image {key}"] = np.abs(image_positions(recording, values))
-    return found
+            pixels[f"image {key}"] = np.abs(image_positions(recording, values))
+    return pixels
 
 
-def _speed_law(track: Track, fit: TrackFit) -> dict[str, np.ndarray]:
-    """Speed along the turned heading over blocks, and the response with its sd."""
-    frequency, speed = [], []
-    for piece in track.pieces:
-        along = cycles(fit, piece) @ fit.gain.T
-        drift = np.outer(piece.times - piece.times[0], fit.drift)
-        later = np.searchsorted(piece.times, piece.times + track.width)
-        index = np.arange(0, len(later), max(1, len(later) // 400))
-        index = index[later[index] < len(piece.times)]
-        later = later[index]
-        step, seen = along[later] - along[index], (piece.states - drift)
-        moved = seen[later] - seen[index]
-        size = np.hypot(*step.T)
-        interval = piece.times[later] - piece.times[index]
-        rolling = size > 0
-        speed.append(((moved * step).sum(axis=1) / np.where(rolling, size, 1))[rolling])
-        speed[-1] = speed[-1] / interval[rolling]
-        frequency.append(commands(piece)[0][index][rolling])
-    places = np.linspace(0, max(float(np.concatenate(frequency).max()), 1e-3), 60)
-    fitted, sd = fit.speed(places)
-    return {
-        "law/frequency": np.concatenate(frequency),
-        "law/speed": np.concatenate(speed),
-        "law/places": places,
-        "law/fitted": fitted,
-        "law/sd": sd,
-    }
-
-
-def label(name: str) -> str:
-    """A candidate's name without those that it extends."""
-    first, *others = name.split(" + ")
-    return f"+ {others[-1]}" if others else first
-
-
-def summary(results: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Medians over tracks of each line, and the sum of its evidence."""
-    rows: dict[str, list[dict[str, Any]]] = {}
-    for result in results:
-        for row in result["rows"]:
-            if not row["reason"]:
-                rows.setdefault(label(row["name"]), []).append(row)
-            if row["name"] == result["chosen"]:
-                rows.setdefault("chosen", []).append(row)
-    return {
-        name: {
-            "tracks": len(group),
-            "log_evidence": _total([row["log_evidence"] for row in group]),
-            "velocity_r2": _median([row["velocity_r2"] for row in group]),
-            "seconds": _median([row["seconds"] for row in group]),
-            **{
-                f"{quantity} {horizon:g}": _median(
-                    [row["horizons"][f"{horizon:g}"][quantity] for row in group]
-                )
-                for quantity in ("relative", "median")
-                for horizon in HORIZONS
-            },
-        }
-        for name, group in rows.items()
-    }
-
-
-def _values(values) -> np.ndarray:
-    return np.array([np.nan if v is None else v for v in values], float)
-
-
-def _median(values) -> float | None:
-    known = _values(values)
-    known = known[np.isfinite(known)]
-    return float(np.median(known)) if len(known) else None
-
-
-def _total(values) -> float | None:
-    known = _values(values)
-    return float(known.sum()) if np.isfinite(known).all() else None
-
-
-def _csv(results) -> tuple[list[str], list[list]]:
+def _table(results: dict[str, TrackMetrics]) -> tuple[list[str], list[list]]:
+    """All lines of all tracks, for a CSV file."""
     header = ["track", "model", "log_evidence", "velocity_r2", "seconds"]
-    header += [f"relative_{h:g}s" for h in HORIZONS] + [
-        f"median_{h:g}s" for h in HORIZONS
-    ]
+    header += [f"relative_{h:g}s" for h in HORIZONS]
+    header += [f"median_{h:g}s" for h in HORIZONS]
     rows = []
-    for name, result in results.items():
-        for row in result["rows"]:
-            if row["reason"]:
+    for name, track in results.items():
+        for row in track.rows:
+            if row.reason:
                 continue
-            found = [row["horizons"][f"{h:g}"] for h in HORIZONS]
-            rows.append(
-                [
-                    name,
-                    row["name"],
-                    row["log_evidence"],
-                    row["velocity_r2"],
-                    row["seconds"],
-                    *(cell["relative"] for cell in found),
-                    *(cell["median"] for cell in found),
-                ]
-            )
+            cells = [row.horizons[f"{h:g}"] for h in HORIZONS]
+            numbers = [row.log_evidence, row.velocity_r2, row.seconds]
+            errors = [cell.relative for cell in cells] + [cell.median for cell in cells]
+            rows.append([name, row.name, *numbers, *errors])
     return header, rows
-
-
-def text(metrics: dict[str, Any]) -> str:
-    """The table and the verdicts for a terminal."""
-    unit = metrics["units"]["x"]
-    heads = [f"{h:g} s" for h in HORIZONS]
-    lines = [
-        f"{'median over tracks':<32}{'evidence':>10}{'R2':>8}"
-        + "".join(f"{head:>9}" for head in heads)
-        + f"{f'10 s [{unit}]':>12}{'fit [s]':>9}"
-    ]
-    for name, row in metrics["summary"].items():
-        relative = [row[f"relative {h:g}"] for h in HORIZONS]
-        cells = [_cell(row["log_evidence"], "10.1f"), _cell(row["velocity_r2"], "8.3f")]
-        cells += [_cell(value, "9.3f") for value in relative]
-        cells += [_cell(row["median 10"], "12.2f"), _cell(row["seconds"], "9.2f")]
-        lines.append(f"{name:<32}" + "".join(cells))
-    lines.append(
-        "columns 1 s to 30 s: end-point error of held-out open-loop rollouts over the "
-        "length of the path"
-    )
-    for name, result in metrics["tracks"].items():
-        lines.append(f"{name}:")
-        if "reason" in result:
-            lines.append(f"  not fitted: {result['reason']}")
-            continue
-        lines += [f"  {sentence}" for sentence in result["verdict"]]
-        covered = result["coverage"]
-        if covered["rollouts"]:
-            lines.append(
-                f"  Nominal 90 % bands hold {100 * covered['inside']:.0f} % of the "
-                f"held-out positions ({covered['rollouts']} rollouts of 10 s)."
-            )
-    return "\n".join(lines)
-
-
-def _cell(value: float | None, form: str) -> str:
-    width = int(form.split(".")[0])
-    return f"{'–':>{width}}" if value is None else f"{value:{form}}"
-
-
-def run(options: IdentifyOptions) -> CommandResult:
-    """Identify as the command line does."""
-    groups: list[IdentifySettings | RecordingSettings] = [options.settings]
-    if is_trajectories(options.data):
-        data = load(options.data)
-    else:
-        data = options.recording.read(options.data)
-        groups.append(options.recording)
-    identity = {
-        "data": fingerprint(data),
-        "baselines": str(options.baselines).lower(),
-    }
-    folder = start_run(IDENTIFY, options, *groups, **identity)
-    metrics = fit_recording(
-        options.settings, data, folder, all_candidates=options.baselines
-    )
-    return CommandResult(metrics, text(metrics), folder)

@@ -1,14 +1,12 @@
-"""Figures and sections of `pinav fit RECORDING`."""
-
-from typing import Any
+"""Figures and sections of `pinav identify`."""
 
 import numpy as np
+from matplotlib.axes import Axes
 
-from pinav.commands.identify.job import label
+from pinav.commands.identify.metrics import IdentifyMetrics, TrackMetrics
 from pinav.figures import save_figure
 from pinav.figures.identification import horizon_errors, rollout_paths, speed_law
 from pinav.figures.style import new_figure
-from pinav.fitting import Estimate
 from pinav.identification import interval, positive_interval
 from pinav.identification.forecast import HORIZONS
 from pinav.report import Image, Paragraph, Section, Table
@@ -33,20 +31,22 @@ DRAWN = (
 
 def identification_sections(folder: RunFolder) -> list[Section]:
     """The sections of a recording's report."""
-    metrics = folder.read_json("metrics.json")
+    metrics = folder.read_metrics("metrics.json", IdentifyMetrics)
     sections = [Section("The selection of models", _overview(folder, metrics))]
-    for index, (name, result) in enumerate(metrics["tracks"].items()):
-        if "reason" in result:
-            text = [Paragraph(f"Not fitted: {result['reason']}")]
+    for index, (name, result) in enumerate(metrics.tracks.items()):
+        if result.reason:
+            text = [Paragraph(f"Not fitted: {result.reason}")]
             sections.append(Section(f"Track {name}", text))
         elif folder.has(f"track-{index}.npz"):
-            content = _track(folder, index, result, metrics["units"])
+            content = _track(folder, index, result, metrics.units)
             sections.append(Section(f"Track {name}", content))
     return sections
 
 
-def _overview(folder, metrics) -> list[Paragraph | Table | Image]:
-    unit = metrics["units"]["x"]
+def _overview(
+    folder: RunFolder, metrics: IdentifyMetrics
+) -> list[Paragraph | Table | Image]:
+    unit = metrics.units["x"]
     header = (
         "model",
         "tracks",
@@ -56,16 +56,20 @@ def _overview(folder, metrics) -> list[Paragraph | Table | Image]:
         f"10 s ({unit})",
         "fit (s)",
     )
-    keys = ("tracks", "log_evidence", "velocity_r2")
-    keys += (*(f"relative {h:g}" for h in HORIZONS), "median 10", "seconds")
     rows = [
-        (name, *("–" if row[key] is None else row[key] for key in keys))
-        for name, row in metrics["summary"].items()
+        (
+            name,
+            row.tracks,
+            *map(_cell, (row.log_evidence, row.velocity_r2)),
+            *map(_cell, row.relative.values()),
+            *map(_cell, (row.median["10"], row.seconds)),
+        )
+        for name, row in metrics.summary.items()
     ]
     relative = {
-        name: [_number(metrics["summary"][name][f"relative {h:g}"]) for h in HORIZONS]
+        name: [_number(value) for value in metrics.summary[name].relative.values()]
         for name in DRAWN
-        if name in metrics["summary"]
+        if name in metrics.summary
     }
     figure = new_figure(5.0, 3.4)
     horizon_errors(HORIZONS, relative, ax=figure.subplots())
@@ -88,26 +92,33 @@ def _overview(folder, metrics) -> list[Paragraph | Table | Image]:
     ]
 
 
-def _number(value) -> float:
-    return float("nan") if value is None else float(value)
+def _number(value: float | None) -> float:
+    return float("nan") if value is None else value
 
 
-def _track(folder, index, result, units) -> list[Paragraph | Table | Image]:
+def _cell(value: float | None) -> float | str:
+    return "–" if value is None else value
+
+
+def _track(
+    folder: RunFolder, index: int, result: TrackMetrics, units: dict[str, str]
+) -> list[Paragraph | Table | Image]:
     content: list[Paragraph | Table | Image] = [
-        Paragraph(sentence) for sentence in result["verdict"]
+        Paragraph(sentence) for sentence in result.findings
     ]
-    covered = result["coverage"]
-    if covered["rollouts"]:
+    bands = result.coverage
+    if bands is not None and bands.rollouts:
         content.append(
             Paragraph(
-                f"Nominal bands of 90 % hold {100 * covered['inside']:.1f} % of the "
-                f"held-out positions, {100 * covered['at end']:.1f} % at the end of "
-                f"{covered['rollouts']} rollouts of 10 s."
+                f"Nominal bands of 90 % hold {100 * _number(bands.inside):.1f} % of "
+                f"the held-out positions, {100 * _number(bands.at_end):.1f} % at the "
+                f"end of {bands.rollouts} rollouts of 10 s."
             )
         )
     return [
         *content,
-        _estimates(result),
+        _estimates(result, units),
+        *_gain(result, units),
         _rows(result),
         *_figures(folder, index, units),
     ]
@@ -126,37 +137,79 @@ POSITIVE = (
 """Quantities whose logarithm was fitted."""
 
 
-def _estimates(result) -> Table:
+def _estimates(result: TrackMetrics, units: dict[str, str]) -> Table:
     rows = []
-    for name, pair in result["estimates"].items():
-        estimate = Estimate(pair["value"], pair["sd"])
+    for name, value in result.estimates.items():
+        estimate = value.estimate()
         between = positive_interval if name in POSITIVE else interval
-        rows.append((name, estimate.value, *between(estimate)))
+        row = (name, _unit(name, units), estimate.value, *between(estimate))
+        rows.append((*row, MEANINGS.get(name, "")))
+    note = "The chosen candidate on the whole track, with intervals of 95 %."
+    return Table(("quantity", "unit", "value", "from", "to", "meaning"), rows, note)
+
+
+def _unit(name: str, units: dict[str, str]) -> str:
+    """Unit of an estimated quantity."""
+    length, time = units["x"], units["t"]
+    by_name = {
+        "gain": length,
+        "heading offset": "rad",
+        "corner": "Hz",
+        "delay": time,
+        "lag": time,
+        "memory": time,
+        "slow memory": time,
+        "noise": length,
+    }
+    if name in ("drift x", "drift y", "still", "driven", "slow"):
+        return f"{length}/{time}"
+    return by_name.get(name, "1")
+
+
+MEANINGS = {
+    "gain": "displacement per turn of the field",
+    "gain x/y": "ratio of the gains along both axes",
+    "heading offset": "angle from the commanded heading to the motion",
+    "residual": "part of the gain that remains far above the corner frequency",
+    "lag": "time constant with which the motion follows the command",
+    "still": "standard deviation of the wandering velocity without a command",
+    "driven": "its growth under a command, at 1 Hz",
+    "memory": "correlation time of the wandering velocity",
+    "noise": "error of the mean position of a block of time",
+    "slow": "standard deviation of the drift that changes",
+    "slow memory": "its correlation time",
+}
+"""Sentences on quantities whose names do not say all."""
+
+
+def _gain(result: TrackMetrics, units: dict[str, str]) -> list[Table]:
+    """The gain matrix."""
+    if result.gain is None:
+        return []
+    rows = [
+        (f"velocity {axis}", *row) for axis, row in zip("xy", result.gain, strict=True)
+    ]
     note = (
-        "The chosen candidate on the whole track, with intervals of 95 %. "
-        "Angles in rad, times in s, frequencies in Hz."
+        f"Gain matrix [{units['x']} per turn]: velocity for an effective frequency of "
+        "1 Hz along each axis of the commanded heading."
     )
-    return Table(("quantity", "value", "from", "to"), rows, note)
+    return [Table(("", "heading x", "heading y"), rows, note)]
 
 
-def _rows(result) -> Table:
-    rows: list[tuple[Any, ...]] = []
-    for row in result["rows"]:
-        name = label(row["name"]) + (
-            " (chosen)" if row["name"] == result["chosen"] else ""
-        )
-        if row["reason"]:
-            rows.append((name, row["reason"], *("–",) * (len(HORIZONS) + 1)))
+def _rows(result: TrackMetrics) -> Table:
+    rows: list[tuple[float | str, ...]] = []
+    for row in result.rows:
+        name = row.label + (" (chosen)" if row.name == result.chosen else "")
+        if row.reason:
+            rows.append((name, row.reason, *("–",) * (len(HORIZONS) + 1)))
             continue
-        evidence = "–" if row["log_evidence"] is None else row["log_evidence"]
-        found = [row["horizons"][f"{h:g}"]["relative"] for h in HORIZONS]
-        cells = ["–" if value is None else value for value in found]
-        rows.append((name, evidence, row["velocity_r2"], *cells))
+        errors = [_cell(row.horizons[f"{h:g}"].relative) for h in HORIZONS]
+        rows.append((name, _cell(row.log_evidence), _cell(row.velocity_r2), *errors))
     header = ("model", "log evidence", "velocity R²", *(f"{h:g} s" for h in HORIZONS))
     return Table(header, rows, "Errors of held-out rollouts over the path length.")
 
 
-def _figures(folder, index, units) -> list[Image]:
+def _figures(folder: RunFolder, index: int, units: dict[str, str]) -> list[Image]:
     arrays = folder.read_arrays(f"track-{index}.npz")
     law = "law/places" in arrays
     figure = new_figure(7.5 if law else 4.2, 3.6)
@@ -177,7 +230,9 @@ def _figures(folder, index, units) -> list[Image]:
     return images + _overlay(folder, index, arrays)
 
 
-def _overlay(folder, index, arrays) -> list[Image]:
+def _overlay(
+    folder: RunFolder, index: int, arrays: dict[str, np.ndarray]
+) -> list[Image]:
     """The same paths as they lie on the recorded image, where there was one."""
     if not any(key.startswith("image ") for key in arrays):
         return []
@@ -190,10 +245,10 @@ def _overlay(folder, index, arrays) -> list[Image]:
     return [Image(files.svg, "Paths of a track in image coordinates", caption)]
 
 
-def _paths(arrays, prefix: str, unit: str, ax) -> None:
+def _paths(arrays: dict[str, np.ndarray], prefix: str, unit: str, ax: Axes) -> None:
     def group(name: str) -> list[np.ndarray]:
-        found = [key for key in arrays if key.startswith(f"{prefix}{name}/")]
-        return [arrays[key] for key in sorted(found, key=_trailing_number)]
+        keys = [key for key in arrays if key.startswith(f"{prefix}{name}/")]
+        return [arrays[key] for key in sorted(keys, key=_trailing_number)]
 
     groups = (group(name) for name in ("observed", "predicted", "sd"))
     rollout_paths(*groups, units={"x": unit, "y": unit}, ax=ax)

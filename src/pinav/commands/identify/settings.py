@@ -1,7 +1,7 @@
 """Settings of `pinav identify`; imports no numerical library."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -20,24 +20,41 @@ from pinav.errors import InputError
 class IdentifySettings(Settings, frozen=True):
     """How a recording is split, and how much is fitted."""
 
-    share: Annotated[
+    train_fraction: Annotated[
         float,
-        tyro.conf.arg(help="Recording: first share of each track's time that trains."),
+        tyro.conf.arg(help="First part of each track's time that trains."),
     ] = 0.7
-    tracks: Annotated[
+    candidates: Annotated[
+        Literal["responses", "all"],
+        tyro.conf.arg(
+            help="responses: first-order models from drift to a delayed, slipping "
+            "propulsion; all: also fields of position, and other methods for "
+            "comparison."
+        ),
+    ] = "responses"
+    max_tracks: Annotated[
         int,
         tyro.conf.arg(
-            help="Recording: at most so many tracks, the longest ones, get residuals "
-            "and all baselines; all get the other candidates."
+            help="With --candidates all: at most so many tracks, the longest ones, get "
+            "all of them."
         ),
     ] = 9
+    track: Annotated[
+        str | None,
+        tyro.conf.arg(
+            help="Name of the track whose system the run holds; the longest one that "
+            "was driven by default."
+        ),
+    ] = None
 
     def check(self) -> None:
         """Raise `InputError` where a setting makes no sense."""
-        if not 0 < self.share < 1:
-            raise InputError(f"--share: expected between 0 and 1, got {self.share}")
-        if self.tracks < 0:
-            raise InputError(f"--tracks: expected 0 or more, got {self.tracks}")
+        if not 0 < self.train_fraction < 1:
+            raise InputError(
+                f"--train-fraction: expected between 0 and 1, got {self.train_fraction}"
+            )
+        if self.max_tracks < 0:
+            raise InputError(f"--max-tracks: expected 0 or more, got {self.max_tracks}")
 
 
 class IdentifyOptions(Settings, frozen=True):
@@ -45,7 +62,7 @@ class IdentifyOptions(Settings, frozen=True):
 
     First-order models from drift to a delayed, slipping propulsion are fitted to the
     first part of each track of a recording and rolled out on the rest; the evidence
-    chooses. With --baselines also position-dependent residuals and other methods.
+    chooses. RUN/system.toml is the swimmer that it finds, for pinav fit --system.
     """
 
     data: Annotated[
@@ -54,10 +71,6 @@ class IdentifyOptions(Settings, frozen=True):
         tyro.conf.arg(help="Recording: a file of a tracker, or of pinav."),
     ]
     out: OutFolder
-    baselines: Annotated[
-        bool,
-        tyro.conf.arg(help="Fit position-dependent residuals and baselines too."),
-    ] = False
     settings: IdentifySettings = IdentifySettings()
     recording: RecordingSettings = RecordingSettings()
     config: ConfigFile = None

@@ -9,7 +9,6 @@ import numpy as np
 from pinav.actuation import LinearResponse
 from pinav.commands.fitted_run import FittedRun
 from pinav.commands.navigate.settings import NavigateSettings
-from pinav.commands.system_choice import system_of_data
 from pinav.dynamics import (
     AbstractDynamics,
     OverdampedSwimmer,
@@ -32,6 +31,7 @@ from pinav.navigation import (
     physics_only,
 )
 from pinav.navigation.task.steering import greatest_thrust
+from pinav.scenarios import source_system
 from pinav.trajectories import Trajectories
 
 
@@ -110,7 +110,7 @@ def navigation_problem(settings: NavigateSettings, run: FittedRun) -> Navigation
             f"{run.choice.name} of {', '.join(run.data.channels)}"
         )
     actuator, limits, lag = _actuation(settings, model)
-    known, truth, source = model, None, system_of_data(run.data)
+    known, truth, source = model, None, source_system(run.data.provenance)
     if source is not None and source.environment is not None:
         known, truth = source.true_swimmer, source.name
     delay = lag if settings.delay is None else settings.delay

@@ -1,0 +1,190 @@
+"""A field of position is found beside commands and a wandering velocity."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.errors import InputError
+from pinav.evaluation import predict
+from pinav.fitting import (
+    KernelGrid,
+    Outcome,
+    kernel_environment,
+    model_evidence,
+    neural_environment,
+)
+from pinav.forces import KernelForce, NeuralForce
+from pinav.identification import (
+    fit_commanded,
+    fit_track,
+    posterior_of,
+    system_of,
+    tracks,
+    with_free,
+    with_response,
+)
+from pinav.identification.models import MATRIX
+from pinav.trajectories import Trajectories
+
+GAIN, DRIFT, DELAY = 3.0, np.array([0.3, -0.2]), 0.25
+STIFFNESS, SWIRL = 0.25, 0.12
+
+
+def field(x):
+    """A trap with a rotation about the origin [um/s]."""
+    turned = np.stack([-x[..., 1], x[..., 0]], axis=-1)
+    return (-STIFFNESS * x + SWIRL * turned) * np.exp(-(x**2).sum(-1) / 200)[..., None]
+
+
+def recording(seed=0, *, duration=300.0, step=0.1, strength=1.0, wandering=0.5):
+    """A robot that random headings drive about a trap, and that wanders."""
+    random = np.random.default_rng(seed)
+    fine = np.arange(0, duration, step / 10)
+    times = fine[::10]
+    heading = np.cumsum(random.normal(0, 0.35, len(times)))
+    frequency = np.full(len(times), 1.0)
+    index = np.maximum(np.searchsorted(times, fine - DELAY, side="right") - 1, 0)
+    direction = np.stack([np.cos(heading[index]), np.sin(heading[index])], axis=1)
+    thrust = GAIN * frequency[index, None] * direction + DRIFT
+    x, w, path, dt = np.zeros(2), np.zeros(2), [], step / 10
+    decay = np.exp(-dt / 1.0)
+    for push, kick in zip(thrust, random.normal(size=(len(fine), 2)), strict=True):
+        path.append(x)
+        x = x + dt * (push + strength * field(x) + w)
+        w = decay * w + wandering * np.sqrt(1 - decay**2) * kick
+    seen = np.array(path)[::10] + 0.05 * random.normal(size=(len(times), 2))
+    return Trajectories.from_arrays(
+        [times],
+        [seen],
+        channels=("x", "y"),
+        commands={"frequency": [frequency], "heading": [heading]},
+        units={"x": "um", "y": "um", "t": "s"},
+    )
+
+
+GRID = KernelGrid(across=5, margin=2.0)
+
+CANDIDATE = with_free(with_response(MATRIX, "linear"), "delay", "delay")
+
+
+def identified(data):
+    """The system that identification finds, which knows of no field."""
+    track = tracks(data)[0]
+    fit = fit_track(track, CANDIDATE)
+    return system_of(fit, jitter=0.05, name="robot", units=data.units), fit
+
+
+@pytest.fixture(scope="module")
+def trapped():
+    data = recording(duration=120.0)
+    system, _ = identified(data)
+    kernels = kernel_environment(KernelForce, data, GRID, dim=2)
+    return data, system, fit_commanded(system, data, kernels, refine=None)
+
+
+def error_and_deviation(fit, data):
+    """Error of the field where the robot was, with drift, and its deviation."""
+    places = data.states[0][::40]
+    force = jax.vmap(lambda x: fit.model.environment(0.0, x, jnp.zeros(2)))
+    learned = np.asarray(force(jnp.asarray(places))) + np.asarray(
+        fit.model.flow.velocity
+    )
+    total = _total_sd(fit, places)
+    return learned - (field(places) + DRIFT), total
+
+
+def _total_sd(fit, places):
+    """Of environment and drift together: neither is known alone as well as the sum."""
+    posterior = fit.posterior
+
+    def velocity(theta, x):
+        model = posterior.free(theta)
+        return model.environment(0.0, x, jnp.zeros(2)) + model.flow.velocity
+
+    jacobian = jax.vmap(jax.jacrev(velocity), (None, 0))(
+        jnp.asarray(posterior.mean), jnp.asarray(places)
+    )
+    jacobian = np.asarray(jacobian)
+    return np.sqrt(np.sum((jacobian @ posterior.covariance) * jacobian, axis=-1))
+
+
+def test_a_field_is_found_beside_commands_and_wandering(trapped):
+    data, _, fit = trapped
+    assert fit.outcome is Outcome.CONVERGED
+    error, sd = error_and_deviation(fit, data)
+    truth = field(data.states[0][::40])
+    assert np.sqrt(np.mean(error**2)) < 0.35 * np.sqrt(np.mean(truth**2))
+    inside = np.mean(np.abs(error) <= 1.96 * sd)
+    assert inside >= 0.85
+    assert fit.constants["propulsion.gain[0, 0]"].value == pytest.approx(GAIN, rel=0.1)
+    assert fit.constants["propulsion.delay"].value == pytest.approx(DELAY, abs=0.12)
+
+
+def test_the_wandering_velocity_leaves_the_field_its_part(trapped):
+    data, system, fit = trapped
+    alone = fit_commanded(system, data, None)
+    gained = _evidence(fit) - _evidence(alone)
+    assert gained > 20
+    for name in ("still", "driven"):
+        assert fit.constants[f"wandering.{name}"].value >= 0
+    with_field, without = (
+        np.hypot(
+            f.constants["wandering.still"].value, f.constants["wandering.driven"].value
+        )
+        for f in (fit, alone)
+    )
+    assert with_field < 0.8 * without
+    assert with_field == pytest.approx(0.5, rel=0.35)
+
+
+def _evidence(fit):
+    return model_evidence(fit.linear, fit.hyperparameters).log_evidence
+
+
+@pytest.mark.slow
+def test_where_there_is_no_field_none_is_found():
+    data = recording(1, strength=0.0, duration=120.0)
+    system, _ = identified(data)
+    kernels = kernel_environment(KernelForce, data, GRID, dim=2)
+    fit = fit_commanded(system, data, kernels, refine=None)
+    alone = fit_commanded(system, data, None)
+    assert _evidence(fit) < _evidence(alone) + 2.0
+
+
+@pytest.mark.slow
+def test_the_evidence_without_a_field_is_that_of_the_candidate():
+    data = recording(2, duration=60.0)
+    system, track_fit = identified(data)
+    alone = fit_commanded(system, data, None)
+    # priors stand about the estimates here, about the track's scales there
+    assert _evidence(alone) == pytest.approx(track_fit.log_evidence, abs=8.0)
+    assert alone.constants["propulsion.delay"].value == pytest.approx(
+        track_fit.parameter("delay"), abs=0.03
+    )
+
+
+def test_the_posterior_of_a_track_is_over_the_numbers_of_its_swimmer():
+    data = recording(3, duration=60.0)
+    system, fit = identified(data)
+    posterior = posterior_of(fit)
+    np.testing.assert_allclose(posterior.model.propulsion.gain, fit.gain)
+    np.testing.assert_allclose(posterior.model.flow.velocity, fit.drift)
+    first = len(fit.candidate.learned)
+    learned = posterior.free.unravel(jnp.sqrt(jnp.diag(posterior.covariance)))
+    expected = np.sqrt(fit.covariance[first, first])
+    np.testing.assert_allclose(learned.propulsion.gain[0, 0], expected)
+    states, _ = predict(posterior.model, data.select([0]))
+    assert np.isfinite(states).all()
+    assert system.swimmer.propulsion.gain.shape == (2, 2)
+
+
+KEY = jax.random.key(0)
+
+
+def test_networks_and_inertia_are_refused():
+    data = recording(4, duration=20.0)
+    system, _ = identified(data)
+    network = neural_environment(NeuralForce, data, key=KEY, width=4, dim=2)
+    with pytest.raises(InputError, match="choose kernel-force"):
+        fit_commanded(system, data, network)
