@@ -1,16 +1,15 @@
 """`pinav simulate` and its options."""
 
-import jax
 import numpy as np
 
 from pinav import cli
+from pinav.scenarios import source_system
 from pinav.trajectories import load
 
 
 def simulated(folder, *options, name="swirl"):
     path = folder / f"{len(list(folder.iterdir()))}.npz"
-    with jax.numpy_dtype_promotion("standard"):
-        assert cli.run(["simulate", name, "--out", str(path), *options]) == 0
+    assert cli.run(["simulate", name, "--out", str(path), *options]) == 0
     return load(path)
 
 
@@ -38,3 +37,44 @@ def test_positions_are_all_of_a_first_order_scenario(tmp_path):
     data = simulated(tmp_path, "--count", "1", "--positions-only", name="brownian")
     assert data.channels == ("x", "y")
     assert data.observed.all()
+
+
+MINE = """
+dimension = 1
+order = 1
+mobility = 0.5
+[units]
+length = "um"
+time = "s"
+[truth]
+kind = "harmonic-trap"
+stiffness = 4.0
+center = [0.0]
+[observation]
+noise = 0.01
+[starts]
+kind = "uniform-starts"
+lower = [-1.0]
+upper = [1.0]
+[times]
+last = 1.0
+samples = 11
+"""
+
+
+def test_a_system_of_ones_own_is_simulated_from_its_file(tmp_path, capsys):
+    system, out = tmp_path / "mine.toml", tmp_path / "data.csv"
+    system.write_text(MINE)
+    argv = ["simulate", str(system), "--out", str(out), "--count", "3", "--seed", "4"]
+    assert cli.run(argv) == 0
+    data = load(out)
+    assert (len(data), data.channels) == (3, ("x",))
+    assert data.units == {"x": "um", "t": "s"}
+    assert source_system(data.provenance).dim == 1
+    capsys.readouterr()
+    system.write_text(MINE.replace("mobility = 0.5", "mobility = -0.5"))
+    assert cli.run([*argv[:3], str(tmp_path / "other.csv")]) == 2
+    said = capsys.readouterr().err.strip()
+    assert said.endswith("mine.toml: mobility: expected > 0, got -0.5")
+    assert "\n" not in said
+    assert not (tmp_path / "other.csv").exists()

@@ -98,6 +98,7 @@ def test_the_force_of_the_trap_is_within_its_band(fitted):
     assert np.linalg.norm(miss) < 0.5 * np.linalg.norm(forces(trap))
 
 
+@pytest.mark.slow
 def test_known_diffusion_is_kept_and_has_the_evidence_of_its_density(fitted):
     model = swimmer(kernel_environment(KernelPotential, DATA, dim=2))
     known = fit_langevin(model, DATA, diffusion=0.31)

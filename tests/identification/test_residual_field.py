@@ -53,6 +53,7 @@ def drifting(passive):
     return fit_track(passive, DRIFT_ONLY)
 
 
+@pytest.mark.slow
 def test_a_kernel_residual_finds_a_field_that_is_there(passive, drifting):
     grid = KernelGrid(across=5, margin=2.0)
     environment = kernel_environment(KernelForce, positions_of(passive), grid, dim=2)

@@ -109,6 +109,7 @@ def test_untrained_kernels_are_their_level():
     assert found.tolist() == pytest.approx([0.8, 0.8])
 
 
+@pytest.mark.slow
 def test_a_network_learns_too(readings):
     start = eqx.tree_at(
         lambda m: m.perfusion,
@@ -129,6 +130,7 @@ def test_the_scale_of_the_power_is_learned_from_steps(readings):
     assert found.sd < 0.01
 
 
+@pytest.mark.slow
 def test_the_shape_of_the_power_is_learned(readings):
     spot = GaussianSource(jnp.log(2.2e5), jnp.log(0.009), 1e4)
     start = eqx.tree_at(lambda m: m.sources, muscle(), (spot,))
@@ -196,6 +198,7 @@ def test_what_cannot_be_learned_is_refused(readings, tmp_path):
         kernel_perfusion(1.0, (37.0, 45.0), length_scale=0.0)
 
 
+@pytest.mark.slow
 def test_the_formula_behind_a_learned_law_is_found(learned, readings):
     visited = visited_range(learned.model, STEPS, jnp.ones(24))
     at = np.linspace(38.0, visited[1], 25)

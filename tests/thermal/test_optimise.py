@@ -157,6 +157,7 @@ def test_what_binds_is_named():
     assert not kept[5e9]["own limit"]
 
 
+@pytest.mark.slow
 def test_placement_of_the_particles_gains_dose_at_equal_power():
     model, target = tumour(1.5e5)
     total = float(jnp.sum(1.5e5 * target * model.grid.volumes))
@@ -175,6 +176,7 @@ def test_placement_of_the_particles_gains_dose_at_equal_power():
     assert float(jnp.sum(field * model.grid.volumes)) == pytest.approx(total)
 
 
+@pytest.mark.slow
 def test_frequency_and_pattern_can_be_free():
     model, target = tumour()
     particles = ParticleSource(3.0 * target, LinearResponse(14e-9))

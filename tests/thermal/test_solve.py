@@ -116,6 +116,7 @@ def test_reverse_mode_is_forward_mode_is_central_differences(short_run):
     assert np.all(scale > 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kept", "cells"), [(1, 12), (10**9, 13)], ids=["blocks", "whole"]
 )
@@ -148,6 +149,7 @@ def test_a_run_is_differentiated_in_blocks_or_whole(monkeypatch, kept, cells):
     )
 
 
+@pytest.mark.slow
 def test_reverse_mode_in_the_plane():
     """Through the stages of RKL2, in blocks."""
     model = heated_tumour(CartesianGrid.cubes((12, 12), 2.5e-3), Robin(20.0, 25.0))
@@ -203,6 +205,7 @@ def centre_rise(count):
     return np.asarray(jax.jit(jax.grad(outcome))(at))
 
 
+@pytest.mark.slow
 def test_exact_sensitivities_at_second_order():
     """By k, W, R and Q within 1e-3 at some 400 cells, far from the outer wall.
 

@@ -152,6 +152,7 @@ def shells(count):
     return model, (*media, (1.0579e5, 700.0), (0.01, 0.05))
 
 
+@pytest.mark.slow
 def test_two_perfused_shells_at_second_order(switched):
     errors = []
     for count in (50, 100):
@@ -208,6 +209,7 @@ def test_a_point_source(medium, switched):
             assert float(values[cell]) - 37 == pytest.approx(true, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_gaussian_spot_in_the_plane(medium, switched):
     """Second order in space on a Cartesian grid."""
     errors = []

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from pinav.errors import InputError
 from pinav.runs import RunFolder
-from pinav.scenarios import SCENARIOS, find_system, scenario
-from pinav.systems import System, parse_system, read_system, system_text
+from pinav.scenarios import find_system, source_system
+from pinav.systems import System, read_system, system_text
 from pinav.trajectories import Trajectories
 
 SYSTEM_FILE, CODE_FILE = "system.toml", "system-code.json"
@@ -27,28 +27,13 @@ def choose_system(text: str | None, data: Trajectories) -> System:
     """
     if text is not None:
         return find_system(text)
-    source = system_of_data(data)
+    source = source_system(data.provenance)
     if source is None:
         raise InputError(
             "--system: the data do not say which system they come from; give a "
             "system file, or the name of a built-in one such as --system paper"
         )
     return source
-
-
-def system_of_data(data: Trajectories) -> System | None:
-    """The system from which trajectories were simulated, if they say so."""
-    if "system" in data.provenance:
-        return parse_system(str(data.provenance["system"]))
-    name = data.provenance.get("scenario")
-    if name is None:
-        return None
-    if name not in SCENARIOS:
-        raise InputError(
-            f"data: they name the system {name!r}, which is not built in; give its "
-            "file by --system"
-        )
-    return scenario(name)
 
 
 def write_system_of(folder: RunFolder, system: System) -> None:

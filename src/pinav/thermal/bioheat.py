@@ -8,11 +8,13 @@ References:
     Pennes, J. Appl. Physiol. 1, 93 (1948).
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from pinav.arguments import Scalar
 from pinav.errors import InputError
@@ -51,7 +53,7 @@ class Bioheat(eqx.Module):
     sources: tuple[AbstractSource, ...]
     sides: tuple[Sides, ...]
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if len(self.sides) != len(self.grid.shape):
             raise InputError(
                 f"Bioheat.sides: expected {len(self.grid.shape)}, one pair for each "
@@ -66,12 +68,15 @@ class Bioheat(eqx.Module):
                 )
 
     def levels(
-        self, protocol: AbstractProtocol, t: Float[Array, ""], interval
+        self,
+        protocol: AbstractProtocol,
+        t: Float[Array, ""],
+        interval: Int[Array, ""],
     ) -> Float[Array, " source"]:
         """Level of each source at a time [s] in an interval of the protocol."""
         amplitude = protocol.amplitude(t, interval)
-        found = [s.level(amplitude, protocol.frequency) for s in self.sources]
-        return jnp.stack(found) if found else jnp.zeros(0)
+        levels = [s.level(amplitude, protocol.frequency) for s in self.sources]
+        return jnp.stack(levels) if levels else jnp.zeros(0)
 
 
 class Rates(eqx.Module):
@@ -113,7 +118,7 @@ class HeatBalance(eqx.Module):
     def of(cls, model: Bioheat) -> "HeatBalance":
         grid, tissue, volumes = model.grid, model.tissue, model.grid.volumes
 
-        def full(value) -> Field:
+        def full(value: Any) -> Field:
             return jnp.broadcast_to(jnp.asarray(value, float), grid.shape)
 
         k = full(tissue.conductivity)
@@ -196,14 +201,14 @@ class HeatBalance(eqx.Module):
             low, high = (_part(circle, axis, i, count + i) for i in (0, 1))
             total = total + low + high
 
-        def steeper(steepest, celsius):
+        def steeper(steepest: Field, celsius: Scalar) -> tuple[Field, None]:
             return jnp.maximum(steepest, self._sink_slope(celsius)), None
 
         trials = jnp.arange(COLDEST, WARMEST, 0.5)
         steepest, _ = jax.lax.scan(steeper, jnp.zeros_like(total), trials)
         return jnp.max((total + steepest * self.volumes) * self.inverse_capacity)
 
-    def _sink_slope(self, celsius):
+    def _sink_slope(self, celsius: Scalar) -> Field:
         temperature = jnp.full_like(self.volumes, celsius)
         return jax.jvp(self.sink, (temperature,), (jnp.ones_like(temperature),))[1]
 
@@ -214,7 +219,7 @@ def fastest_rate(model: Bioheat) -> Float[Array, ""]:
     return HeatBalance.of(model).fastest
 
 
-def _conductances(grid, k, axis, sides):
+def _conductances(grid: AbstractGrid, k: Field, axis: int, sides: Sides) -> Field:
     """Across all faces of one axis, the sides included."""
     area, resistance = grid.faces(axis), grid.half_widths(axis) / k
     count = k.shape[axis]
@@ -227,11 +232,11 @@ def _conductances(grid, k, axis, sides):
     return jnp.concatenate([low, inner, high], axis=axis)
 
 
-def _part(array, axis, start, stop):
+def _part(array: Array, axis: int, start: int, stop: int) -> Array:
     return jax.lax.slice_in_dim(array, start, stop, axis=axis)
 
 
-def _pad(array, axis, before, after):
+def _pad(array: Array, axis: int, before: int, after: int) -> Array:
     """With zeros before and after along an axis."""
     widths = [(0, 0, 0)] * array.ndim
     widths[axis] = (before, after, 0)

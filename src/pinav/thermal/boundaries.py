@@ -45,22 +45,26 @@ class Dirichlet(AbstractBoundary):
 
     temperature: Scalar
 
-    def conductance(self, area, resistance):
+    def conductance(
+        self, area: Float[Array, "..."], resistance: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
         return area / resistance
 
     @property
-    def outside(self):
+    def outside(self) -> Scalar:
         return self.temperature
 
 
 class Insulated(AbstractBoundary):
     """No heat passes: insulation, or a plane of symmetry."""
 
-    def conductance(self, area, resistance):
+    def conductance(
+        self, area: Float[Array, "..."], resistance: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
         return jnp.zeros_like(area)
 
     @property
-    def outside(self):
+    def outside(self) -> Scalar:
         return 0.0
 
 
@@ -78,18 +82,20 @@ class Robin(AbstractBoundary):
     exchange: Scalar
     ambient: Scalar
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if isinstance(self.exchange, float | int) and not self.exchange > 0:
             raise InputError(
                 f"Robin.exchange: expected > 0 W/(m² K), got {self.exchange}; use "
                 "Insulated() where no heat passes"
             )
 
-    def conductance(self, area, resistance):
+    def conductance(
+        self, area: Float[Array, "..."], resistance: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
         return area / (1 / jnp.asarray(self.exchange) + resistance)
 
     @property
-    def outside(self):
+    def outside(self) -> Scalar:
         return self.ambient
 
 

@@ -89,7 +89,7 @@ class MaxTemperature(AbstractConstraint):
     name: str = eqx.field(static=True, default="maximum temperature")
     unit: str = eqx.field(static=True, default="°C")
 
-    def quantity(self, result):
+    def quantity(self, result: RunResult) -> Float[Array, "..."]:
         return result.hottest
 
 
@@ -108,11 +108,11 @@ class HealthyDose(AbstractConstraint):
     name: str = eqx.field(static=True, default="healthy tissue dose")
     unit: str = eqx.field(static=True, default="min")
 
-    def quantity(self, result):
+    def quantity(self, result: RunResult) -> Float[Array, "..."]:
         dose = jnp.where(self.share > 0.5, result.solution.final.dose, 0.0)
         return jnp.max(dose)
 
-    def excess(self, result):
+    def excess(self, result: RunResult) -> Float[Array, "..."]:
         # a dose spans many decades; its logarithm is nearly linear in the temperature
         return jnp.log((self.quantity(result) + LEAST_DOSE) / self.bound)
 
@@ -134,10 +134,10 @@ class WithinLimit(AbstractConstraint):
     unit: str = eqx.field(static=True)
     scale: Number
 
-    def quantity(self, result):
+    def quantity(self, result: RunResult) -> Float[Array, "..."]:
         return self.limit.exposure(result.run.protocol)
 
-    def excess(self, result):
+    def excess(self, result: RunResult) -> Float[Array, "..."]:
         return (self.quantity(result) - self.bound) / self.scale
 
 
@@ -158,10 +158,10 @@ class AtMost(AbstractConstraint):
     unit: str = eqx.field(static=True)
     scale: Number = 1.0
 
-    def quantity(self, result):
+    def quantity(self, result: RunResult) -> Float[Array, "..."]:
         return self.function(result)
 
-    def excess(self, result):
+    def excess(self, result: RunResult) -> Float[Array, "..."]:
         return (self.quantity(result) - self.bound) / self.scale
 
 

@@ -56,7 +56,7 @@ class FreeAmplitudes(AbstractDesignVariable):
     count: int = eqx.field(static=True)
     first: Number = 0.5
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if not self.largest > 0 or self.count < 1 or not 0 <= self.first <= 1:
             raise InputError(
                 "FreeAmplitudes: expected a largest amplitude > 0 A/m, an interval and "
@@ -65,10 +65,10 @@ class FreeAmplitudes(AbstractDesignVariable):
             )
 
     @property
-    def start(self):
+    def start(self) -> Float[np.ndarray, " number"]:
         return np.full(self.count, float(self.first))
 
-    def apply(self, numbers, run):
+    def apply(self, numbers: Float[Array, " number"], run: Run) -> Run:
         values = self.largest * numbers
         protocol = eqx.tree_at(
             lambda p: (p.starts, p.ends), run.protocol, (values,) * 2
@@ -88,14 +88,14 @@ class FreeScale(AbstractDesignVariable):
     first: Number = 0.5
 
     @property
-    def start(self):
+    def start(self) -> Float[np.ndarray, " number"]:
         return np.array([float(self.first)])
 
-    def apply(self, numbers, run):
+    def apply(self, numbers: Float[Array, " number"], run: Run) -> Run:
         factor = self.largest * numbers[0]
-        own = run.protocol
-        values = own.starts * factor, own.ends * factor
-        protocol = eqx.tree_at(lambda p: (p.starts, p.ends), own, values)
+        protocol_before = run.protocol
+        values = protocol_before.starts * factor, protocol_before.ends * factor
+        protocol = eqx.tree_at(lambda p: (p.starts, p.ends), protocol_before, values)
         return Run(run.model, protocol)
 
 
@@ -115,7 +115,7 @@ class FreeFrequency(AbstractDesignVariable):
     high: Number
     first: Number = 0.5
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if not 0 < self.low < self.high:
             raise InputError(
                 f"FreeFrequency: expected 0 < low < high Hz, got {self.low} and "
@@ -123,10 +123,10 @@ class FreeFrequency(AbstractDesignVariable):
             )
 
     @property
-    def start(self):
+    def start(self) -> Float[np.ndarray, " number"]:
         return np.array([float(self.first)])
 
-    def apply(self, numbers, run):
+    def apply(self, numbers: Float[Array, " number"], run: Run) -> Run:
         frequency = self.low * (self.high / self.low) ** numbers[0]
         protocol = eqx.tree_at(lambda p: p.frequency, run.protocol, frequency)
         return Run(run.model, protocol)
@@ -145,10 +145,10 @@ class FreePlacement(AbstractDesignVariable):
     patterns: Float[Array, "number ..."]
 
     @property
-    def start(self):
+    def start(self) -> Float[np.ndarray, " number"]:
         return np.full(self.patterns.shape[0], 0.5)
 
-    def apply(self, numbers, run):
+    def apply(self, numbers: Float[Array, " number"], run: Run) -> Run:
         shares = jax.nn.softmax(RANGE * (numbers - 0.5))
         field = jnp.tensordot(shares, self.patterns, axes=1)
         first, *others = run.model.sources

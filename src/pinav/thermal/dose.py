@@ -8,6 +8,8 @@ References:
     Sapareto and Dewey, Int. J. Radiat. Oncol. Biol. Phys. 10, 787 (1984).
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -53,7 +55,7 @@ def cem43_segment(
 
 
 @jax.custom_jvp
-def _mean_rate(begin, end, cutoff):
+def _mean_rate(begin: Any, end: Any, cutoff: Any) -> Field:
     """Mean of the rate over a segment."""
     first = _doubling(begin, cutoff)
     last = _doubling(end, cutoff)
@@ -72,7 +74,9 @@ def _mean_rate(begin, end, cutoff):
 
 
 @_mean_rate.defjvp
-def _mean_rate_jvp(primals, tangents):
+def _mean_rate_jvp(
+    primals: tuple[Any, ...], tangents: tuple[Any, ...]
+) -> tuple[Field, Field]:
     r"""$\partial m/\partial T_1 = (R(T_1) - m)/(T_1 - T_0)$, and so for $T_0$.
 
     Where that cancels, the series of the derivative of a single exponential. The
@@ -97,7 +101,7 @@ SMALL_CHANGE = 0.02
 """Change of temperature [K] up to which derivatives are a series."""
 
 
-def _series(temperature, rate, change):
+def _series(temperature: Any, rate: Any, change: Any) -> Field:
     r"""$\sum_k (-\Delta)^k R^{(k+1)}(T) / (k + 2)!$, to the fourth power."""
     steepness = np.log(2.0) * jnp.where(temperature >= BREAK, 1.0, 2.0)
     z = steepness * change
@@ -105,22 +109,22 @@ def _series(temperature, rate, change):
     return rate * steepness / 2 * terms
 
 
-def _counted_rate(temperature, cutoff):
+def _counted_rate(temperature: Any, cutoff: Any) -> Field:
     """Rate where it counts, by the power of two that the mean takes too."""
     double = _doubling(temperature, cutoff)
     rate = jnp.where(temperature >= BREAK, double, double**2)
     return jnp.where(temperature >= cutoff, rate, 0.0)
 
 
-def _crossed(begin, end, bound):
+def _crossed(begin: Any, end: Any, bound: Any) -> Any:
     return (begin < bound) != (end < bound)
 
 
-def _within(temperature, low, high):
+def _within(temperature: Any, low: Any, high: Any) -> Field:
     return jnp.clip(temperature, low, high)
 
 
-def _doubling(temperature, cutoff):
+def _doubling(temperature: Any, cutoff: Any) -> Field:
     return jnp.exp2(jnp.maximum(temperature, cutoff) - BREAK)
 
 
@@ -128,7 +132,7 @@ SMALL_GROWTH = 0.35
 """Growth up to which a series is exact, and beyond which a difference is."""
 
 
-def _mean(first, last, middle, growth):
+def _mean(first: Any, last: Any, middle: Any, growth: Any) -> Field:
     r"""Mean of an exponential between two of its values.
 
     $(R_1 - R_0)/z$ with $z = \ln(R_1/R_0)$; for small $z$, where that cancels,
@@ -143,14 +147,14 @@ def _mean(first, last, middle, growth):
     return jnp.where(small, middle * series, quotient)
 
 
-def _share(begin, end, low, high):
+def _share(begin: Any, end: Any, low: Any, high: Any) -> Field:
     """Share of the time that a segment spends between two temperatures.
 
     A quotient of two small numbers only where the segment crosses a bound: elsewhere
     its derivative would be noise.
     """
 
-    def within(temperature):
+    def within(temperature: Any) -> Any:
         return (temperature >= low) & (temperature < high)
 
     crosses = within(begin) != within(end)

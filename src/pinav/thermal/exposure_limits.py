@@ -9,7 +9,7 @@ import abc
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from pinav.arguments import Scalar
 from pinav.errors import InputError
@@ -65,21 +65,21 @@ class HfLimit(AbstractLimit):
     product: Number
     name: str = eqx.field(static=True, default="Hf limit")
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if not self.product > 0:
             raise InputError(
                 f"HfLimit.product: expected > 0 A/(m s), got {self.product}"
             )
 
     @property
-    def bound(self):
+    def bound(self) -> float:
         return float(self.product)
 
     @property
-    def unit(self):
+    def unit(self) -> str:
         return "A/(m s)"
 
-    def exposure(self, protocol):
+    def exposure(self, protocol: AbstractProtocol) -> Float[Array, " part"]:
         return peak_amplitudes(protocol) * protocol.frequency
 
     def largest_amplitude(self, frequency: Number) -> float:
@@ -123,14 +123,14 @@ class EddyTemperatureLimit(AbstractLimit):
     name: str = eqx.field(static=True, default="eddy temperature limit")
 
     @property
-    def bound(self):
+    def bound(self) -> float:
         return float(self.highest)
 
     @property
-    def unit(self):
+    def unit(self) -> str:
         return "°C"
 
-    def exposure(self, protocol):
+    def exposure(self, protocol: AbstractProtocol) -> Float[Array, " part"]:
         model = Bioheat(
             RadialGrid.slab(0.03, 3),
             eqx.tree_at(lambda t: t.metabolic, self.tissue, 0.0),
@@ -139,7 +139,7 @@ class EddyTemperatureLimit(AbstractLimit):
             (EddySource(self.radius, self.conductivity),),
             (Sides(Insulated(), Insulated()),),
         )
-        found = run(
+        solution = run(
             model,
             protocol,
             plan_steps(protocol, LONGEST),
@@ -147,7 +147,7 @@ class EddyTemperatureLimit(AbstractLimit):
             observe=jnp.max,
             start=State.at_rest(model),
         )
-        return jnp.max(found.hottest, keepdims=True)
+        return jnp.max(solution.hottest, keepdims=True)
 
 
 LONGEST = 10.0
@@ -160,10 +160,10 @@ def peak_amplitudes(protocol: AbstractProtocol) -> Float[Array, " interval"]:
         return jnp.maximum(protocol.starts, protocol.ends)
     edges = jnp.asarray(protocol.edges)
 
-    def peak(interval):
+    def peak(interval: Int[Array, ""]) -> Array:
         times = jnp.linspace(edges[interval], edges[interval + 1], 200)
-        own = jax.vmap(lambda t: protocol.amplitude(t, interval))(times)
-        return jnp.max(own)
+        amplitudes = jax.vmap(lambda t: protocol.amplitude(t, interval))(times)
+        return jnp.max(amplitudes)
 
     return jax.vmap(peak)(jnp.arange(len(protocol.edges) - 1))
 
@@ -209,22 +209,22 @@ def validity_warnings(
     """
     from pinav.thermal.sources import ParticleSource
 
-    found = []
+    warnings = []
     for source in model.sources:
         if isinstance(source, ParticleSource):
             strain = float(source.heating.validity(protocol.largest))
             if strain > 1:
-                found.append(
+                warnings.append(
                     f"{type(source.heating).__name__} is strained {strain:.3g} times "
                     "beyond its range of validity (1) at the largest amplitude; the "
                     "power is doubtful"
                 )
     if hottest is not None and float(hottest) > HOTTEST_VALID:
-        found.append(
+        warnings.append(
             f"{float(hottest):.1f} °C is reached; perfusion and heating laws hold up "
             f"to about {HOTTEST_VALID:g} °C"
         )
-    return found
+    return warnings
 
 
 HOTTEST_VALID = 55.0

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar
 from pinav.errors import InputError
-from pinav.thermal.quantities import Numbers
+from pinav.thermal.quantities import Number, Numbers
 
 SOLID_ANGLES = (1.0, 2 * np.pi, 4 * np.pi)
 """Area of the unit slab, cylinder and sphere."""
@@ -98,7 +98,7 @@ class RadialGrid(AbstractGrid):
         return cls(_equal("sphere radius", radius, num_cells), 2)
 
     @property
-    def shape(self):
+    def shape(self) -> tuple[int, ...]:
         return (self.edges.shape[0] - 1,)
 
     @property
@@ -107,28 +107,30 @@ class RadialGrid(AbstractGrid):
         return 0.5 * (self.edges[1:] + self.edges[:-1])
 
     @property
-    def volumes(self):
+    def volumes(self) -> Float[Array, "..."]:
         power = self.edges ** (self.exponent + 1) / (self.exponent + 1)
         return SOLID_ANGLES[self.exponent] * jnp.diff(power)
 
-    def faces(self, axis):
+    def faces(self, axis: int) -> Float[Array, "..."]:
         return SOLID_ANGLES[self.exponent] * self.edges**self.exponent
 
-    def half_widths(self, axis):
+    def half_widths(self, axis: int) -> Float[Array, "..."]:
         return 0.5 * jnp.diff(self.edges)
 
-    def ball(self, radius, *, center=None):
+    def ball(
+        self, radius: Scalar, *, center: Numbers | None = None
+    ) -> Float[Array, "..."]:
         _check_center(center)
         power = self.exponent + 1
         inside = jnp.clip(radius, self.edges[:-1], self.edges[1:])
         low, high = self.edges[:-1] ** power, self.edges[1:] ** power
         return (inside**power - low) / (high - low)
 
-    def distances(self, center=None):
+    def distances(self, center: Numbers | None = None) -> Float[Array, "..."]:
         _check_center(center)
         return self.centers
 
-    def interpolation(self, points):
+    def interpolation(self, points: Numbers) -> Float[Array, "point ..."]:
         r"""Linear between centres; at 0 $T_0 + (T_0 - T_1)/8$, as symmetry asks."""
         places = np.asarray(points, float).reshape(-1)
         edges = np.asarray(self.edges)
@@ -170,7 +172,7 @@ class CartesianGrid(AbstractGrid):
         """Cells as long along every axis [m]."""
         return cls(cells, (size,) * len(cells))
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if not 1 <= len(self.cells) <= 3 or len(self.cells) != len(self.spacing):
             raise InputError(
                 "CartesianGrid: expected one to three axes with a spacing each, got "
@@ -184,7 +186,7 @@ class CartesianGrid(AbstractGrid):
                 )
 
     @property
-    def shape(self):
+    def shape(self) -> tuple[int, ...]:
         return self.cells
 
     @property
@@ -194,37 +196,39 @@ class CartesianGrid(AbstractGrid):
         return jnp.stack([count * jnp.asarray(size, float) for count, size in pairs])
 
     @property
-    def volumes(self):
+    def volumes(self) -> Float[Array, "..."]:
         return jnp.full(self.cells, self._volume)
 
     @property
-    def _volume(self):
+    def _volume(self) -> Array:
         volume = jnp.asarray(1.0)
         for size in self.spacing:
             volume = volume * size
         return volume
 
-    def faces(self, axis):
+    def faces(self, axis: int) -> Float[Array, "..."]:
         count = tuple(n + (i == axis) for i, n in enumerate(self.cells))
         return jnp.full(count, self._volume / self.spacing[axis])
 
-    def half_widths(self, axis):
+    def half_widths(self, axis: int) -> Float[Array, "..."]:
         return jnp.full(self.cells, 0.5 * jnp.asarray(self.spacing[axis]))
 
-    def ball(self, radius, *, center=None):
+    def ball(
+        self, radius: Scalar, *, center: Numbers | None = None
+    ) -> Float[Array, "..."]:
         r"""From $8^d$ points of each cell, each a ramp of its own width.
 
         A step at each point would have no derivative by the radius.
         """
         return _ball_shares(self, radius, self._center(center))
 
-    def distances(self, center=None):
+    def distances(self, center: Numbers | None = None) -> Float[Array, "..."]:
         return self._distances(self._center(center))
 
-    def _center(self, center):
+    def _center(self, center: Numbers | None) -> Array:
         return 0.5 * self.lengths if center is None else jnp.asarray(center, float)
 
-    def _distances(self, center):
+    def _distances(self, center: Array) -> Array:
         squares = jnp.zeros(self.cells)
         for axis, size in enumerate(self.spacing):
             offset = (jnp.arange(float(self.cells[axis])) + 0.5) * size - center[axis]
@@ -233,7 +237,7 @@ class CartesianGrid(AbstractGrid):
             squares = squares + jnp.broadcast_to((offset**2).reshape(shape), self.cells)
         return jnp.sqrt(squares)
 
-    def interpolation(self, points):
+    def interpolation(self, points: Numbers) -> Float[Array, "point ..."]:
         """Linear along each axis; constant in the outer half of the outer cells."""
         places = np.asarray(points, float).reshape(-1, len(self.cells))
         lengths = np.asarray(self.lengths)
@@ -257,14 +261,14 @@ class CartesianGrid(AbstractGrid):
 
 
 @eqx.filter_jit
-def _ball_shares(grid, radius, middle):
+def _ball_shares(grid: "CartesianGrid", radius: Scalar, middle: Array) -> Array:
     axes = len(grid.cells)
     offsets = (np.arange(SUBCELLS) + 0.5) / SUBCELLS - 0.5
     shifts = np.stack(np.meshgrid(*[offsets] * axes, indexing="ij"), -1)
     sizes = jnp.stack([jnp.asarray(h, float) for h in grid.spacing])
     width = jnp.max(sizes) / SUBCELLS
 
-    def add(total, shift):
+    def add(total: Array, shift: Array) -> tuple[Array, None]:
         distance = grid.distances(middle - shift * sizes)
         return total + jnp.clip(0.5 + (radius - distance) / width, 0.0, 1.0), None
 
@@ -273,7 +277,7 @@ def _ball_shares(grid, radius, middle):
     return total / SUBCELLS**axes
 
 
-def _linear(place, centers):
+def _linear(place: Number, centers: np.ndarray) -> np.ndarray:
     """Weights of linear interpolation, continued beyond the first and last centre."""
     index = int(np.clip(np.searchsorted(centers, place) - 1, 0, len(centers) - 2))
     share = (place - centers[index]) / (centers[index + 1] - centers[index])
@@ -282,7 +286,7 @@ def _linear(place, centers):
     return weights
 
 
-def _equal(name, length, num_cells):
+def _equal(name: str, length: Scalar, num_cells: int) -> Array:
     if num_cells < 3:
         raise InputError(f"{name}: expected 3 cells or more, got {num_cells}")
     if isinstance(length, float | int) and not 0 < length < np.inf:
@@ -290,7 +294,7 @@ def _equal(name, length, num_cells):
     return jnp.asarray(length, float) * jnp.linspace(0.0, 1.0, num_cells + 1)
 
 
-def _check_center(center):
+def _check_center(center: Numbers | None) -> None:
     if center is not None:
         raise InputError(
             "RadialGrid: a ball is centred at 0; use a CartesianGrid for another center"

@@ -7,6 +7,7 @@ visited none can.
 """
 
 import abc
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -43,7 +44,7 @@ class AbstractLearnedPerfusion(AbstractPerfusion):
     def variation(self, temperature: Float[Array, "..."]) -> Float[Array, "..."]:
         """$g$ at temperatures within the range."""
 
-    def __call__(self, temperature):
+    def __call__(self, temperature: Float[Array, "..."]) -> Float[Array, "..."]:
         inside = jnp.clip(temperature, *self.range)
         return jnp.exp(self.log_level + self.variation(inside))
 
@@ -62,10 +63,10 @@ class NeuralPerfusion(AbstractLearnedPerfusion):
     range: tuple[float, float] = eqx.field(static=True)
 
     @property
-    def weights(self):
+    def weights(self) -> PyTree:
         return self.network
 
-    def variation(self, temperature):
+    def variation(self, temperature: Float[Array, "..."]) -> Float[Array, "..."]:
         scaled = (temperature.reshape(-1, 1) - MIDDLE) / UNIT
         return jax.vmap(self.network)(scaled).reshape(temperature.shape)
 
@@ -94,10 +95,10 @@ class KernelPerfusion(AbstractLearnedPerfusion):
     range: tuple[float, float] = eqx.field(static=True)
 
     @property
-    def weights(self):
+    def weights(self) -> PyTree:
         return self.values
 
-    def variation(self, temperature):
+    def variation(self, temperature: Float[Array, "..."]) -> Float[Array, "..."]:
         factors = jax.scipy.linalg.solve_triangular(self.root.T, self.values)
         flat = temperature.reshape(-1)
         offsets = (flat[:, None] - self.centers[None]) / self.length_scale
@@ -163,7 +164,7 @@ def kernel_perfusion(
     )
 
 
-def _check(level, temperatures):
+def _check(level: Any, temperatures: Any) -> None:
     if not 0 < level < np.inf:
         raise InputError(f"perfusion level: expected > 0 kg/(m³ s), got {level}")
     if not temperatures[0] < temperatures[1]:

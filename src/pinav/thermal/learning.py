@@ -54,7 +54,7 @@ class ProbeResiduals(eqx.Module):
 
     def __call__(self, model: Bioheat) -> Float[Array, " reading"]:
         """The residuals of a model."""
-        found = run(
+        solution = run(
             model,
             self.protocol,
             self.schedule,
@@ -62,7 +62,7 @@ class ProbeResiduals(eqx.Module):
             observe=self.probes,
             start=State.at_rest(model),
         )
-        return found.observed.reshape(-1)[self.index] - self.values
+        return solution.observed.reshape(-1)[self.index] - self.values
 
 
 def probe_residuals(
@@ -127,11 +127,11 @@ def learn(
         FitError: the fit did not converge, and `throw` is true.
     """
 
-    def weights(own):
-        return tuple(law.weights for law in laws(own))
+    def weights(candidate: Any) -> PyTree:
+        return tuple(law.weights for law in laws(candidate))
 
-    def flat(own):
-        return tuple(law.log_level for law in laws(own)), constants(own)
+    def flat(candidate: Any) -> PyTree:
+        return tuple(law.log_level for law in laws(candidate)), constants(candidate)
 
     leaves = jax.tree.leaves(eqx.filter(weights(model), eqx.is_inexact_array))
     count = sum(leaf.size for leaf in leaves)
@@ -191,11 +191,11 @@ def perfusion_curve(
         visited: range [°C] that its tissue went through.
     """
     at = jnp.asarray(temperatures, float)
-    found = derived(posterior, lambda model: jnp.log(law(model)(at)))
+    estimates = derived(posterior, lambda model: jnp.log(law(model)(at)))
     return PerfusionCurve(
         temperatures=np.asarray(at),
-        values=np.exp([own.value for own in found]),
-        sd=np.array([own.sd for own in found]),
+        values=np.exp([estimate.value for estimate in estimates]),
+        sd=np.array([estimate.sd for estimate in estimates]),
         visited=visited,
     )
 

@@ -6,6 +6,7 @@ of iron belongs to a concentration of iron.
 """
 
 import abc
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -78,7 +79,7 @@ class LinearResponse(AbstractHeating):
     density: Scalar = 5180.0
     temperature: Scalar = 310.15
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         for name in ("diameter", "anisotropy", "magnetisation", "density"):
             value = getattr(self, name)
             if isinstance(value, float | int) and not value > 0:
@@ -90,11 +91,11 @@ class LinearResponse(AbstractHeating):
             )
 
     @property
-    def _energy(self):
+    def _energy(self) -> Any:
         return BOLTZMANN * self.temperature
 
     @property
-    def _volume(self):
+    def _volume(self) -> Any:
         return np.pi / 6 * self.diameter**3
 
     @property
@@ -115,7 +116,7 @@ class LinearResponse(AbstractHeating):
         r"""$\tau = 1/(1/\tau_N + 1/\tau_B)$ [s]."""
         return 1 / (1 / self.neel_time + 1 / self.brown_time)
 
-    def validity(self, amplitude):
+    def validity(self, amplitude: Scalar) -> Float[Array, ""]:
         moment = VACUUM_PERMEABILITY * self.magnetisation * self._volume
         return jnp.asarray(moment * amplitude / self._energy)
 
@@ -124,7 +125,7 @@ class LinearResponse(AbstractHeating):
         initial = VACUUM_PERMEABILITY * self.magnetisation**2 * self._volume
         return initial / (3 * self._energy) * langevin_ratio(self.validity(amplitude))
 
-    def slp(self, amplitude, frequency):
+    def slp(self, amplitude: Scalar, frequency: Scalar) -> Float[Array, ""]:
         phase = 2 * np.pi * frequency * self.relaxation_time
         loss = self.susceptibility(amplitude) * phase / (1 + phase**2)
         power = np.pi * VACUUM_PERMEABILITY * loss * frequency * amplitude**2
@@ -160,21 +161,21 @@ class LogNormalSizes(AbstractHeating):
     spread: Scalar
     num_nodes: int = eqx.field(static=True, default=401)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if isinstance(self.spread, float | int) and not self.spread > 0:
             raise InputError(
                 f"LogNormalSizes.spread: expected > 0, got {self.spread}; use "
                 "LinearResponse for one size"
             )
 
-    def _with_diameter(self, diameter):
+    def _with_diameter(self, diameter: Any) -> Any:
         return eqx.tree_at(lambda p: p.diameter, self.median, diameter)
 
-    def validity(self, amplitude):
+    def validity(self, amplitude: Scalar) -> Float[Array, ""]:
         heavy = self.median.diameter * jnp.exp(3 * jnp.asarray(self.spread) ** 2)
         return self._with_diameter(heavy).validity(amplitude)
 
-    def slp(self, amplitude, frequency):
+    def slp(self, amplitude: Scalar, frequency: Scalar) -> Float[Array, ""]:
         nodes = np.linspace(-8.0, 8.0, self.num_nodes)
         weights = np.exp(-0.5 * nodes**2)
         # d³ N(z) is a normal density about 3s: the mass average has no other factor
@@ -197,12 +198,12 @@ class PowerLawHeating(AbstractHeating):
     exponent: Scalar = 2.0
     largest: Scalar = np.inf
 
-    def slp(self, amplitude, frequency):
+    def slp(self, amplitude: Scalar, frequency: Scalar) -> Float[Array, ""]:
         positive = jnp.asarray(amplitude, float) > 0
         safe = jnp.where(positive, amplitude, 1.0)
         return jnp.where(positive, self.factor * frequency * safe**self.exponent, 0.0)
 
-    def validity(self, amplitude):
+    def validity(self, amplitude: Scalar) -> Float[Array, ""]:
         return jnp.asarray(amplitude / self.largest)
 
 
@@ -225,7 +226,7 @@ class TabulatedHeating(AbstractHeating):
     frequencies: Float[Array, " frequency"] = eqx.field(converter=jnp.asarray)
     values: Float[Array, "amplitude frequency"] = eqx.field(converter=jnp.asarray)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         for name in ("amplitudes", "frequencies"):
             axis = np.asarray(getattr(self, name))
             if not (np.all(axis > 0) and np.all(np.diff(axis) > 0)):
@@ -234,14 +235,14 @@ class TabulatedHeating(AbstractHeating):
                     f"{axis.tolist()}"
                 )
 
-    def slp(self, amplitude, frequency):
+    def slp(self, amplitude: Scalar, frequency: Scalar) -> Float[Array, ""]:
         strength = jnp.asarray(amplitude, float)
         rows = jax.vmap(lambda row: jnp.interp(frequency, self.frequencies, row))
         column = rows(self.values)
         low = jnp.minimum(strength / self.amplitudes[0], 1.0) ** 2
         return low * jnp.interp(strength, self.amplitudes, column)
 
-    def validity(self, amplitude):
+    def validity(self, amplitude: Scalar) -> Float[Array, ""]:
         return jnp.asarray(amplitude / self.amplitudes[-1])
 
 

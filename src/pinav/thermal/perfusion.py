@@ -54,14 +54,14 @@ def mass_perfusion(value: Scalar, *, unit: str, blood: Blood, tissue: Tissue) ->
         raise InputError(
             f"perfusion unit {unit!r} is unknown; choose one of: {', '.join(UNITS)}"
         )
-    found = value * factors[unit]
-    size = least_known(found)
+    mass = value * factors[unit]
+    size = least_known(mass)
     if size is not None and size != 0 and not PLAUSIBLE[0] <= size <= PLAUSIBLE[1]:
         raise InputError(
             f"perfusion {value:g} {unit}: expected within {PLAUSIBLE[0]:g} and "
             f"{PLAUSIBLE[1]:g} kg/(m³ s), or zero, got {size:.3g}; check the unit"
         )
-    return found
+    return mass
 
 
 class AbstractPerfusion(eqx.Module):
@@ -84,14 +84,14 @@ class ConstantPerfusion(AbstractPerfusion):
 
     value: Property
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         least = least_known(self.value)
         if least is not None and least < 0:
             raise InputError(
                 f"ConstantPerfusion: expected >= 0 kg/(m³ s), got {least:g}"
             )
 
-    def __call__(self, temperature):
+    def __call__(self, temperature: Float[Array, "..."]) -> Float[Array, "..."]:
         return jnp.broadcast_to(jnp.asarray(self.value, float), temperature.shape)
 
 
@@ -115,7 +115,7 @@ class RisingPerfusion(AbstractPerfusion):
     plateau: Scalar = 45.0
     spread: Scalar = 12.0
 
-    def __call__(self, temperature):
+    def __call__(self, temperature: Float[Array, "..."]) -> Float[Array, "..."]:
         below = jnp.minimum(temperature - self.plateau, 0.0)
         return self.rest + self.gain * jnp.exp(-(below**2) / self.spread)
 
@@ -145,7 +145,7 @@ class CollapsingPerfusion(AbstractPerfusion):
     end: Scalar = 42.0
     scale: Scalar = 5438.0
 
-    def __call__(self, temperature):
+    def __call__(self, temperature: Float[Array, "..."]) -> Float[Array, "..."]:
         above = jnp.clip(temperature - self.onset, 0.0, self.end - self.onset)
         # the power of zero has no derivative by itself: kept out, then put back
         positive = above > 0
@@ -208,10 +208,10 @@ class MixedPerfusion(AbstractPerfusion):
         if isinstance(share, Tracer) or not np.any(np.asarray(share)):
             return cls(share, inside, outside)
         places = np.nonzero(np.asarray(share))
-        box = tuple((int(own.min()), int(own.max()) + 1) for own in places)
+        box = tuple((int(indices.min()), int(indices.max()) + 1) for indices in places)
         return cls(share, inside, outside, box)
 
-    def __call__(self, temperature):
+    def __call__(self, temperature: Float[Array, "..."]) -> Float[Array, "..."]:
         without = self.outside(temperature)
         if self.box is None:
             return self._mix(self.share, temperature, without)
@@ -220,5 +220,5 @@ class MixedPerfusion(AbstractPerfusion):
         first = tuple(start for start, _ in self.box)
         return jax.lax.dynamic_update_slice(without, part, first)
 
-    def _mix(self, share, temperature, without):
+    def _mix(self, share: Array, temperature: Array, without: Array) -> Array:
         return share * self.inside(temperature) + (1 - share) * without

@@ -41,7 +41,7 @@ class ExponentialPerfusion(AbstractPerfusion):
     level: Scalar
     growth: Scalar
 
-    def __call__(self, temperature):
+    def __call__(self, temperature: Float[Array, "..."]) -> Float[Array, "..."]:
         return self.level * jnp.exp(self.growth * (temperature - 37.0))
 
 
@@ -60,7 +60,7 @@ class LogisticPerfusion(AbstractPerfusion):
     middle: Scalar
     width: Scalar
 
-    def __call__(self, temperature):
+    def __call__(self, temperature: Float[Array, "..."]) -> Float[Array, "..."]:
         slope = jnp.tanh(0.5 * (temperature - self.middle) / self.width)
         return self.rest + 0.5 * self.gain * (1 + slope)
 
@@ -102,7 +102,7 @@ class _CurveResiduals(eqx.Module):
     values: Float[Array, " temperature"]
     sd: Float[Array, " temperature"]
 
-    def __call__(self, law):
+    def __call__(self, law: AbstractPerfusion) -> Float[Array, "."]:
         return (law(self.temperatures) - self.values) / self.sd
 
 
@@ -131,14 +131,16 @@ def rank_laws(
         FitError: a candidate leads nowhere at once.
     """
     inside = curve.inside
-    own = _CurveResiduals(
+    curve_residuals = _CurveResiduals(
         jnp.asarray(curve.temperatures[inside]),
         jnp.asarray(curve.values[inside]),
         jnp.asarray((curve.values * np.maximum(curve.sd, LEAST_SD))[inside]),
     )
-    found = []
+    fits = []
     for name, start in candidates.items():
-        shaped = fit_regression(start, own, constants=lambda m: m, throw=False)
+        shaped = fit_regression(
+            start, curve_residuals, constants=lambda m: m, throw=False
+        )
         refit = learn(
             eqx.tree_at(law, model, shaped.model),
             protocol,
@@ -152,10 +154,8 @@ def rank_laws(
         bic = count * np.log(squares / count) + free * np.log(count)
         converged = refit.outcome is Outcome.CONVERGED
         best = law(refit.model)
-        found.append(
-            LawFit(name, best, refit.constants, squares, float(bic), converged)
-        )
-    return sorted(found, key=lambda fit: fit.bic)
+        fits.append(LawFit(name, best, refit.constants, squares, float(bic), converged))
+    return sorted(fits, key=lambda fit: fit.bic)
 
 
 LEAST_SD = 0.02

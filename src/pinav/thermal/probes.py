@@ -39,7 +39,7 @@ class ProbeData(eqx.Module):
     points: Float[np.ndarray, "probe axis"]
     values: Float[np.ndarray, "..."]
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         shape = len(self.times), len(self.points)
         if self.values.shape != shape:
             raise InputError(
@@ -88,16 +88,16 @@ def simulate_probes(
         key: random key of the noise.
         stepper: as of `solve`.
     """
-    found = solve(
+    solution = solve(
         model,
         protocol,
         observe=probes_at(model, points),
         save_every=every,
         stepper=stepper,
     )
-    clean = np.asarray(found.observed)
+    clean = np.asarray(solution.observed)
     noisy = clean + noise * np.asarray(jax.random.normal(key, clean.shape))
-    return ProbeData(np.asarray(found.times), points, noisy)
+    return ProbeData(np.asarray(solution.times), points, noisy)
 
 
 def save_probes(data: ProbeData, path: Path, *, overwrite: bool = False) -> None:
@@ -139,23 +139,23 @@ def load_probes(path: Path) -> ProbeData:
     return _to_grid(path, np.array(cells).reshape(-1, len(names)))
 
 
-def _numbers(path, line, row, count):
+def _numbers(path: Path, line: int, row: list[str], count: int) -> list[float]:
     if len(row) != count:
         raise InputError(f"{path}, row {line}: expected {count} cells, got {len(row)}")
-    found = []
+    numbers = []
     for column, cell in enumerate(row):
         missing = not cell.strip() and column == count - 1
         try:
-            found.append(np.nan if missing else float(cell))
+            numbers.append(np.nan if missing else float(cell))
         except ValueError as error:
             raise InputError(
                 f"{path}, row {line}, column {column + 1}: expected a number, got "
                 f"{cell!r}"
             ) from error
-    return found
+    return numbers
 
 
-def _to_grid(path, cells):
+def _to_grid(path: Path, cells: np.ndarray) -> ProbeData:
     """One row for each time, one column for each probe, missing where nothing was."""
     if not len(cells):
         raise InputError(f"{path}: expected readings, got a header alone")

@@ -58,7 +58,7 @@ class Piecewise(AbstractProtocol):
     ends: Float[Array, " interval"]
     frequency: Scalar
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         _check_edges(self.edges)
         for values in (self.starts, self.ends):
             if len(values) != len(self.edges) - 1:
@@ -136,7 +136,9 @@ class Piecewise(AbstractProtocol):
         """Largest amplitude [A m⁻¹]."""
         return float(jnp.maximum(self.starts.max(), self.ends.max()))
 
-    def amplitude(self, t, interval):
+    def amplitude(
+        self, t: Float[Array, ""], interval: Int[Array, ""]
+    ) -> Float[Array, ""]:
         times = jnp.asarray(self.edges)
         begin, end = times[interval], times[interval + 1]
         share = (t - begin) / (end - begin)
@@ -157,18 +159,20 @@ class Waveform(AbstractProtocol):
     edges: tuple[float, ...] = eqx.field(static=True)
     frequency: Scalar
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         _check_edges(self.edges)
 
-    def amplitude(self, t, interval):
+    def amplitude(
+        self, t: Float[Array, ""], interval: Int[Array, ""]
+    ) -> Float[Array, ""]:
         return self.function(t)
 
 
-def _times(edges) -> tuple[float, ...]:
+def _times(edges: Numbers) -> tuple[float, ...]:
     return tuple(np.asarray(edges, float).reshape(-1).tolist())
 
 
-def _check_edges(edges):
+def _check_edges(edges: tuple[float, ...]) -> None:
     gaps = np.diff(edges)
     if len(edges) < 2 or edges[0] != 0 or not np.all(gaps > 0):
         raise InputError(

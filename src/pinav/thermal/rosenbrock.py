@@ -6,6 +6,8 @@ transpose backward, with the stored stages and two tridiagonal solves a step. Al
 derivatives by properties and sources among it, is computed for all steps at once.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -14,9 +16,16 @@ from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar
 from pinav.errors import InputError
-from pinav.thermal.bioheat import HeatBalance, Rates
+from pinav.thermal.bioheat import Bioheat, HeatBalance, Rates
 from pinav.thermal.quantities import Number
-from pinav.thermal.steppers import AbstractStepper, March, check_step
+from pinav.thermal.steppers import (
+    AbstractStepper,
+    Field,
+    Levels,
+    March,
+    Watch,
+    check_step,
+)
 
 GAMMA = 1 - 1 / np.sqrt(2.0)
 """For which the method is L-stable."""
@@ -45,18 +54,18 @@ class Rosenbrock(AbstractStepper):
 
     longest: Number = eqx.field(static=True, default=7.5)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_step("Rosenbrock.longest", self.longest)
 
     @property
-    def nodes(self):
+    def nodes(self) -> Float[np.ndarray, " node"]:
         return np.array([0.0, 1.0])
 
     @property
-    def kept_values(self):
+    def kept_values(self) -> int:
         return 1_000_000  # some forty arrays as large: a third of a gigabyte
 
-    def longest_step(self, model):
+    def longest_step(self, model: Bioheat) -> float:
         axes = len(model.grid.shape)
         if axes != 1:
             raise InputError(
@@ -64,7 +73,14 @@ class Rosenbrock(AbstractStepper):
             )
         return self.longest
 
-    def march(self, balance, temperature, steps, levels, watch):
+    def march(
+        self,
+        balance: HeatBalance,
+        temperature: Field,
+        steps: Float[Array, " step"],
+        levels: Levels,
+        watch: Watch,
+    ) -> "March":
         stages = _stages(balance, temperature, steps, levels)
         before = stages.before(temperature)
         added, kept = jax.vmap(watch)(before, stages.after, steps)
@@ -85,16 +101,18 @@ class _Stages(eqx.Module):
 
 
 @eqx.filter_custom_jvp
-def _stages(balance, temperature, steps, levels):
+def _stages(
+    balance: HeatBalance, temperature: Cells, steps: Array, levels: Levels
+) -> _Stages:
     matrices = _Matrices.of(balance)
 
-    def step(begin, inputs):
+    def step(begin: Cells, inputs: tuple[Array, Array]) -> tuple[Cells, _Stages]:
         dt, (level, later) = inputs
         slope = jax.jvp(balance.sink, (begin,), (jnp.ones_like(begin),))[1]
         taken = slope * balance.volumes * balance.inverse_capacity
         drift = _shift(balance, level, later).temperature
 
-        def solve(right):
+        def solve(right: Cells) -> Cells:
             return matrices.solve(GAMMA * dt, taken, right)
 
         k1 = solve(balance.rates(begin, level).temperature + drift)
@@ -107,25 +125,33 @@ def _stages(balance, temperature, steps, levels):
 
 
 @_stages.def_jvp
-def _stages_jvp(primals, tangents):
-    found = _stages(*primals)
-    _, moved = eqx.filter_jvp(lambda *own: _defects(found, *own), primals, tangents)
-    linear = _Linearised.of(found, *primals)
+def _stages_jvp(
+    primals: tuple[Any, ...], tangents: tuple[Any, ...]
+) -> tuple[_Stages, _Stages]:
+    stages = _stages(*primals)
+    _, moved = eqx.filter_jvp(lambda *p: _defects(stages, *p), primals, tangents)
+    linear = _Linearised.of(stages, *primals)
     change = jax.lax.custom_linear_solve(
-        lambda d: jax.jvp(lambda own: _defects(own, *primals), (found,), (d,))[1],
-        jax.tree.map(_negative, found, moved),
+        lambda d: jax.jvp(lambda s: _defects(s, *primals), (stages,), (d,))[1],
+        jax.tree.map(_negative, stages, moved),
         solve=lambda _, right: linear.forward(right),
         transpose_solve=lambda _, right: linear.backward(right),
     )
-    return found, change
+    return stages, change
 
 
-def _negative(like, tangent):
+def _negative(like: Array, tangent: Array | None) -> Array:
     """The negative of a tangent, of which nothing is zero."""
     return jnp.zeros_like(like) if tangent is None else -tangent
 
 
-def _defects(stages: _Stages, balance, temperature, steps, levels) -> _Stages:
+def _defects(
+    stages: _Stages,
+    balance: HeatBalance,
+    temperature: Cells,
+    steps: Array,
+    levels: Levels,
+) -> _Stages:
     """What is zero of the stages of a run."""
     first, second = _slopes(stages, balance, temperature, steps, levels)
     rise = 0.5 * steps[:, None] * (3 * stages.first + stages.second)
@@ -136,11 +162,19 @@ def _defects(stages: _Stages, balance, temperature, steps, levels) -> _Stages:
     )
 
 
-def _slopes(stages: _Stages, balance, temperature, steps, levels):
+def _slopes(
+    stages: _Stages,
+    balance: HeatBalance,
+    temperature: Cells,
+    steps: Array,
+    levels: Levels,
+) -> tuple[Rates, Rates]:
     """Both stages of every step from the equations of which they are the solution."""
 
-    def each(begin, k1, k2, dt, level):
-        def rates(at):
+    def each(
+        begin: Cells, k1: Cells, k2: Cells, dt: Scalar, level: Array
+    ) -> tuple[Rates, Rates]:
+        def rates(at: Cells) -> Rates:
             return balance.rates(at, level[0])
 
         start, along1 = jax.jvp(rates, (begin,), (k1,))
@@ -156,11 +190,11 @@ def _slopes(stages: _Stages, balance, temperature, steps, levels):
     return jax.vmap(each)(before, stages.first, stages.second, steps, levels)
 
 
-def _add(rates, along, shift, weight):
+def _add(rates: Rates, along: Rates, shift: Rates, weight: Scalar) -> Rates:
     return jax.tree.map(lambda r, a, s: r + weight * a + s, rates, along, shift)
 
 
-def _shift(balance, level, later) -> Rates:
+def _shift(balance: HeatBalance, level: Array, later: Array) -> Rates:
     """What the change of the sources over a step adds to a stage."""
     heating = GAMMA * (balance.heating(later) - balance.heating(level))
     nothing = jnp.zeros(())
@@ -242,13 +276,20 @@ class _Linearised(eqx.Module):
     steps: _Step
 
     @classmethod
-    def of(cls, stages: _Stages, balance, temperature, steps, levels):
+    def of(
+        cls,
+        stages: _Stages,
+        balance: HeatBalance,
+        temperature: Cells,
+        steps: Array,
+        levels: Levels,
+    ) -> "_Linearised":
         rate = balance.volumes * balance.inverse_capacity
 
-        def slope(at):
+        def slope(at: Cells) -> Cells:
             return rate * jax.jvp(balance.sink, (at,), (jnp.ones_like(at),))[1]
 
-        def each(begin, k1, k2, dt):
+        def each(begin: Cells, k1: Cells, k2: Cells, dt: Array) -> _Step:
             first, bend = jax.jvp(slope, (begin,), (jnp.ones_like(begin),))
             bends = GAMMA * dt * bend * k1, GAMMA * dt * bend * k2
             return _Step(dt, first, slope(begin + dt * k1), bends)
@@ -261,13 +302,17 @@ class _Linearised(eqx.Module):
         """Solve for changes of the stages, from the first step on."""
         matrices = self.matrices
 
-        def advance(change, inputs):
-            own, right = inputs
-            dt = own.length
-            push = matrices.times(own.first, change) - own.bends[0] * change
-            k1 = matrices.solve(GAMMA * dt, own.first, right.first + push)
-            push = matrices.times(own.second, change + dt * k1) - own.bends[1] * change
-            k2 = matrices.solve(GAMMA * dt, own.first, right.second + push - 2 * k1)
+        def advance(
+            change: Cells, inputs: tuple[_Step, _Stages]
+        ) -> tuple[Cells, _Stages]:
+            step, right = inputs
+            dt = step.length
+            push = matrices.times(step.first, change) - step.bends[0] * change
+            k1 = matrices.solve(GAMMA * dt, step.first, right.first + push)
+            push = (
+                matrices.times(step.second, change + dt * k1) - step.bends[1] * change
+            )
+            k2 = matrices.solve(GAMMA * dt, step.first, right.second + push - 2 * k1)
             after = right.after + change + 0.5 * dt * (3 * k1 + k2)
             return after, _Stages(k1, k2, after)
 
@@ -278,17 +323,19 @@ class _Linearised(eqx.Module):
         """Solve the transposed system, from the last step on."""
         matrices = self.matrices.transposed
 
-        def retreat(pull, inputs):
-            own, right = inputs
-            dt = own.length
+        def retreat(
+            pull: Cells, inputs: tuple[_Step, _Stages]
+        ) -> tuple[Cells, _Stages]:
+            step, right = inputs
+            dt = step.length
             after = right.after + pull
             wanted = right.second + 0.5 * dt * after
-            k2 = matrices.solve(GAMMA * dt, own.first, wanted)
-            pulled = matrices.times(own.second, k2)
+            k2 = matrices.solve(GAMMA * dt, step.first, wanted)
+            pulled = matrices.times(step.second, k2)
             wanted = right.first + 1.5 * dt * after + dt * pulled - 2 * k2
-            k1 = matrices.solve(GAMMA * dt, own.first, wanted)
-            bent = own.bends[0] * k1 + own.bends[1] * k2
-            before = after + matrices.times(own.first, k1) + pulled - bent
+            k1 = matrices.solve(GAMMA * dt, step.first, wanted)
+            bent = step.bends[0] * k1 + step.bends[1] * k2
+            before = after + matrices.times(step.first, k1) + pulled - bent
             return before, _Stages(k1, k2, after)
 
         end = jnp.zeros_like(right.after[0])

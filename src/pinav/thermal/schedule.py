@@ -86,7 +86,9 @@ def plan_steps(
     )
 
 
-def _saved_times(start, end, save_every, save_at):
+def _saved_times(
+    start: Number, end: Number, save_every: Number | None, save_at: Numbers | None
+) -> np.ndarray:
     if save_at is not None:
         times = np.asarray(save_at, float).reshape(-1)
         outside = (times <= start) | (times > end * (1 + COINCIDENT))
@@ -105,7 +107,7 @@ def _saved_times(start, end, save_every, save_at):
     return _merge(np.append(times, end), end)
 
 
-def _merge(times, end):
+def _merge(times: np.ndarray, end: Number) -> np.ndarray:
     """Sorted times, those that coincide only once."""
     ordered = np.sort(times)
     kept = np.append(True, np.diff(ordered) > COINCIDENT * end)

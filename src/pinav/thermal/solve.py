@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
+from pinav.arguments import Scalar
 from pinav.errors import InputError
 from pinav.thermal.bioheat import Bioheat, HeatBalance
 from pinav.thermal.dose import cem43_segment
@@ -164,18 +165,18 @@ def run(
     balance = HeatBalance.of(model)
     nodes = jnp.asarray(stepper.nodes)
 
-    def levels(begin, dt, interval):
+    def levels(begin: Array, dt: Array, interval: Array) -> Array:
         at = begin + dt * nodes
         return jax.vmap(lambda t: model.levels(protocol, t, interval))(at)
 
     steps, starts = jnp.asarray(schedule.steps), jnp.asarray(schedule.starts)
     each = jax.vmap(levels)(starts, steps, jnp.asarray(schedule.intervals))
 
-    def watch(before, after, dt):
+    def watch(before: Field, after: Field, dt: Scalar) -> tuple[Field, PyTree]:
         dose = cem43_segment(before, after, dt, cutoff)
         return dose, (observe(after), jnp.max(after))
 
-    def advance(carry: State, inputs):
+    def advance(carry: State, inputs: PyTree) -> tuple[State, PyTree]:
         durations, forced = inputs
         marched = stepper.march(balance, carry.temperature, durations, forced, watch)
         after = State(carry.time, marched.temperature, carry.dose + marched.total)

@@ -39,10 +39,10 @@ class ParticleSource(AbstractSource):
     heating: AbstractHeating
     scale: Scalar = 1.0
 
-    def shape(self, grid):
+    def shape(self, grid: AbstractGrid) -> Float[Array, "..."]:
         return self.concentration
 
-    def level(self, amplitude, frequency):
+    def level(self, amplitude: Scalar, frequency: Scalar) -> Float[Array, ""]:
         return self.scale * self.heating.slp(amplitude, frequency)
 
 
@@ -59,10 +59,10 @@ class PowerSource(AbstractSource):
     reference: Scalar
     scale: Scalar = 1.0
 
-    def shape(self, grid):
+    def shape(self, grid: AbstractGrid) -> Float[Array, "..."]:
         return self.power
 
-    def level(self, amplitude, frequency):
+    def level(self, amplitude: Scalar, frequency: Scalar) -> Float[Array, ""]:
         return jnp.asarray(self.scale * (amplitude / self.reference) ** 2)
 
 
@@ -83,12 +83,12 @@ class GaussianSource(AbstractSource):
     reference: Scalar
     center: Float[Array, " axis"] | None = None
 
-    def shape(self, grid):
+    def shape(self, grid: AbstractGrid) -> Float[Array, "..."]:
         width = jnp.exp(jnp.asarray(self.log_width))
         scaled = grid.distances(self.center) / width
         return jnp.exp(self.log_peak - 0.5 * scaled**2)
 
-    def level(self, amplitude, frequency):
+    def level(self, amplitude: Scalar, frequency: Scalar) -> Float[Array, ""]:
         return jnp.asarray((amplitude / self.reference) ** 2)
 
 
@@ -106,10 +106,10 @@ class EddySource(AbstractSource):
     radius: Scalar
     conductivity: Scalar
 
-    def shape(self, grid):
+    def shape(self, grid: AbstractGrid) -> Float[Array, "..."]:
         return jnp.ones(grid.shape)
 
-    def level(self, amplitude, frequency):
+    def level(self, amplitude: Scalar, frequency: Scalar) -> Float[Array, ""]:
         return eddy_power(self.radius, self.conductivity, amplitude * frequency)
 
 

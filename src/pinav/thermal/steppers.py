@@ -116,7 +116,7 @@ class RKL2(AbstractStepper):
     stages: int = eqx.field(static=True, default=9)
     longest: Number | None = eqx.field(static=True, default=None)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if self.stages < 3 or self.stages % 2 == 0:
             raise InputError(f"RKL2.stages: expected odd and >= 3, got {self.stages}")
         check_step("RKL2.longest", self.longest)
@@ -126,13 +126,13 @@ class RKL2(AbstractStepper):
         """The number of stages that covers a time with the fewest evaluations."""
         rate = float(fastest_rate(model))
 
-        def cost(stages):
+        def cost(stages: int) -> float:
             return stages / min(MARGIN * _stable_step(stages, rate), LONGEST)
 
         return cls(min(STAGES, key=cost))
 
     @property
-    def nodes(self):
+    def nodes(self) -> Float[np.ndarray, " node"]:
         s = self.stages
         j = np.arange(s)
         c = (j**2 + j - 2) / (s**2 + s - 2)
@@ -140,7 +140,7 @@ class RKL2(AbstractStepper):
         c[:2] = 0.0, 4 / (3 * (s**2 + s - 2))
         return c
 
-    def longest_step(self, model):
+    def longest_step(self, model: Bioheat) -> float:
         limit = _stable_step(self.stages, float(fastest_rate(model)))
         if self.longest is None:
             return min(MARGIN * limit, LONGEST)
@@ -153,14 +153,21 @@ class RKL2(AbstractStepper):
         return self.longest
 
     @property
-    def kept_values(self):
+    def kept_values(self) -> int:
         return 60_000_000  # half a gigabyte
 
-    def march(self, balance, temperature, steps, levels, watch):
-        def advance(carry: March, inputs):
-            dt, own = inputs
+    def march(
+        self,
+        balance: HeatBalance,
+        temperature: Field,
+        steps: Float[Array, " step"],
+        levels: Levels,
+        watch: Watch,
+    ) -> "March":
+        def advance(carry: March, inputs: tuple[Array, Array]) -> tuple[March, PyTree]:
+            dt, forced = inputs
             before = carry.temperature
-            change = self._change(balance, before, dt, own)
+            change = self._change(balance, before, dt, forced)
             after = before + change.temperature
             added, kept = watch(before, after, dt)
             flows = carry.flows + change.energy
@@ -172,19 +179,25 @@ class RKL2(AbstractStepper):
         end, kept = jax.lax.scan(advance, begin, (steps, levels))
         return March(end.temperature, end.total, end.flows, kept)
 
-    def _change(self, balance, temperature, dt, levels):
+    def _change(
+        self, balance: HeatBalance, temperature: Field, dt: Scalar, levels: Array
+    ) -> Rates:
         rows, first = _rkl2_coefficients(self.stages)
         initial = _Stage(temperature, jnp.zeros(3))
         start = _slope(balance, initial, levels[0])
         after = jax.tree.map(lambda y, r: y + first * dt * r, initial, start)
 
-        def stage(carry, inputs):
-            (mu, nu, rest, own, of_start), level = inputs
+        def stage(
+            carry: tuple[_Stage, _Stage], inputs: PyTree
+        ) -> tuple[tuple[_Stage, _Stage], None]:
+            (mu, nu, rest, of_slope, of_start), level = inputs
             last, before = carry
             slope = _slope(balance, last, level)
 
-            def combine(y, y_before, y0, rate, rate0):
-                drift = dt * (own * rate + of_start * rate0)
+            def combine(
+                y: Array, y_before: Array, y0: Array, rate: Array, rate0: Array
+            ) -> Array:
+                drift = dt * (of_slope * rate + of_start * rate0)
                 return mu * y + nu * y_before + rest * y0 + drift
 
             following = jax.tree.map(combine, last, before, initial, slope, start)
@@ -194,7 +207,7 @@ class RKL2(AbstractStepper):
         return Rates(end.temperature - temperature, end.energy)
 
 
-def _stable_step(stages, rate):
+def _stable_step(stages: int, rate: float) -> float:
     return 0.5 * (stages**2 + stages - 2) / rate
 
 
@@ -203,7 +216,7 @@ class _Stage(eqx.Module):
     energy: Float[Array, "3"]
 
 
-def _slope(balance, stage, level):
+def _slope(balance: HeatBalance, stage: _Stage, level: Array) -> _Stage:
     rates = balance.rates(stage.temperature, level)
     return _Stage(rates.temperature, rates.energy)
 
@@ -214,9 +227,9 @@ def _rkl2_coefficients(s: int) -> tuple[Any, float]:
     b = np.where(j < 3, 1 / 3, (j**2 + j - 2) / np.where(j < 1, 1, 2 * j * (j + 1)))
     w = 4 / (s**2 + s - 2)
     j, b1, b2 = j[2:], b[1:-1], b[:-2]
-    own = b[2:]
-    mu = (2 * j - 1) / j * own / b1
-    nu = -(j - 1) / j * own / b2
+    b0 = b[2:]
+    mu = (2 * j - 1) / j * b0 / b1
+    nu = -(j - 1) / j * b0 / b2
     mu_tilde = mu * w
     gamma = -(1 - b1) * mu_tilde
     columns = np.stack([mu, nu, 1 - mu - nu, mu_tilde, gamma], axis=1)

@@ -31,7 +31,7 @@ def check_positive(name: str, value: Any, unit: str) -> None:
         raise InputError(f"{name}: expected > 0 {unit}, got {least:g}")
 
 
-def least_known(value) -> float | None:
+def least_known(value: Any) -> float | None:
     """The smallest entry; None where it is traced."""
     if isinstance(value, float | int | np.ndarray):
         return float(np.min(value))
@@ -58,7 +58,7 @@ class Tissue(eqx.Module):
     specific_heat: Property
     metabolic: Property = 0.0
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         for name in ("conductivity", "density", "specific_heat"):
             check_positive(f"Tissue.{name}", getattr(self, name), _UNITS[name])
         least = least_known(self.metabolic)
@@ -98,7 +98,7 @@ class Blood(eqx.Module):
     specific_heat: Scalar = 3617.0
     arterial: Scalar = 37.0
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         for name in ("density", "specific_heat"):
             check_positive(f"Blood.{name}", getattr(self, name), _UNITS[name])
 

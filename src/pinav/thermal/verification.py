@@ -1,11 +1,13 @@
 """The solver against exact solutions, on this installation: one row for each case."""
 
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from pinav.thermal import exact
 from pinav.thermal.bioheat import Bioheat
@@ -101,16 +103,20 @@ def verify() -> list[Check]:
     return [check for case in CASES.values() for check in case()]
 
 
-def _steady(model, points, true, case, tolerance) -> Iterator[Check]:
+def _steady(
+    model: Bioheat, points: Any, true: Any, case: str, tolerance: float
+) -> Iterator[Check]:
     protocol, probes = powers((0.0, STEADY), [1.0]), probes_at(model, points)
-    found = solve(model, protocol, stepper=Rosenbrock(500.0)).final.temperature
-    yield from _checks(case, points, probes(found) - 37.0, true, tolerance)
+    temperature = solve(model, protocol, stepper=Rosenbrock(500.0)).final.temperature
+    yield from _checks(case, points, probes(temperature) - 37.0, true, tolerance)
 
 
-def _checks(case, points, found, true, tolerance, unit="K"):
-    for point, own, value in zip(points, found, true, strict=True):
+def _checks(
+    case: str, points: Any, values: Any, true: Any, tolerance: float, unit: str = "K"
+) -> Iterator[Check]:
+    for point, value, expected in zip(points, values, true, strict=True):
         name = f"{case}, {1e3 * point:g} mm"
-        yield Check(name, float(own), float(value), tolerance, unit)
+        yield Check(name, float(value), float(expected), tolerance, unit)
 
 
 def _slabs() -> Iterator[Check]:
@@ -150,10 +156,12 @@ def _heated_spheres() -> Iterator[Check]:
     for name, perfusion in (("bare", 0.0), ("perfused", 1.05)):
         model = reference_model(grid, 4e5 * grid.ball(0.005), perfusion=perfusion)
         probes = probes_at(model, points)
-        found = solve(model, powers((0.0, 600.0), [1.0]), stepper=Rosenbrock(2.0))
-        own = Medium(0.5, SET_S.capacity, 3617.0 * perfusion)
-        true = [exact.heated_sphere(float(r), 600.0, own, 4e5, 0.005) for r in points]
-        rise = probes(found.final.temperature) - 37.0
+        solution = solve(model, powers((0.0, 600.0), [1.0]), stepper=Rosenbrock(2.0))
+        medium = Medium(0.5, SET_S.capacity, 3617.0 * perfusion)
+        true = [
+            exact.heated_sphere(float(r), 600.0, medium, 4e5, 0.005) for r in points
+        ]
+        rise = probes(solution.final.temperature) - 37.0
         yield from _checks(f"heated sphere, {name}, 600 s", points, rise, true, 2e-3)
 
 
@@ -172,7 +180,7 @@ def _two_media() -> Iterator[Check]:
     media = Medium(0.778, 1660.0 * 2540.0), Medium(0.642, 3.72e6)
     probes = probes_at(model, [0.0])
     for end, step in ((1e6, 1e4), (60.0, 0.5)):
-        found = solve(model, powers((0.0, end), [1.0]), stepper=Rosenbrock(step))
+        solution = solve(model, powers((0.0, end), [1.0]), stepper=Rosenbrock(step))
         late = end > 1e5
         true = exact.two_conductivities(
             0.0,
@@ -182,7 +190,7 @@ def _two_media() -> Iterator[Check]:
             radius,
             outer_radius=10 * radius if late else np.inf,
         )
-        value = float(probes(found.final.temperature)[0]) - 37.0
+        value = float(probes(solution.final.temperature)[0]) - 37.0
         name = f"two conductivities, {'steady' if late else '60 s'}, centre"
         yield Check(name, value, true, 2e-2, "K")
 
@@ -220,23 +228,24 @@ def _spots() -> Iterator[Check]:
     grid = CartesianGrid.cubes((64, 64), 1e-3)
     power = 1e5 * jnp.exp(-0.5 * (grid.distances() / 0.005) ** 2)
     model = reference_model(grid, power, around(grid, Insulated()))
-    found = solve(model, powers((0.0, 300.0), [1.0])).final.temperature
+    temperature = solve(model, powers((0.0, 300.0), [1.0])).final.temperature
     r = float(grid.distances()[32, 32])
     true = exact.gaussian_source(r, 300.0, SET_S, 1e5, 0.005, 2)
-    yield Check("Gaussian spot, 2-D, 300 s", float(found[32, 32]) - 37, true, 2e-2, "K")
+    middle = float(temperature[32, 32]) - 37
+    yield Check("Gaussian spot, 2-D, 300 s", middle, true, 2e-2, "K")
     x = (np.arange(128) - 64) * 1e-3
     start = np.exp(-(x[:, None] ** 2 + x[None] ** 2) / 0.004**2)
-    own = Medium(0.52, 1079.0 * 3540.0, 10.6 * 3617.0)
+    medium = Medium(0.52, 1079.0 * 3540.0, 10.6 * 3617.0)
     box = CartesianGrid.cubes((128, 128), 1e-3)
     tissue = Tissue(0.52, 1079.0, 3540.0)
     sides = around(box, Insulated())
     decaying = Bioheat(box, tissue, Blood(1060.0), ConstantPerfusion(10.6), (), sides)
     begin = State(jnp.asarray(0.0), jnp.asarray(37 + start), jnp.zeros(box.shape))
     off = powers((0.0, 150.0), [0.0])
-    found = solve(decaying, off, start=begin).final.temperature
-    true = exact.periodic_box(start, np.zeros_like(start), 150.0, own, 1e-3)
+    temperature = solve(decaying, off, start=begin).final.temperature
+    true = exact.periodic_box(start, np.zeros_like(start), 150.0, medium, 1e-3)
     for i in (64, 70):
-        value = float(found[i, 64]) - 37.0
+        value = float(temperature[i, 64]) - 37.0
         yield Check(f"box, 150 s, cell {i}", value, float(true[i, 64]), 1.5e-3, "K")
 
 
@@ -257,9 +266,9 @@ def _lumped() -> Iterator[Check]:
         true = exact.lumped_forced(1500.0, SET_S, 3e4, 600.0)
         yield Check(f"lumped, forced, {name}, 1500 s", rise, true, 5e-4, "K")
     warm = eqx.tree_at(lambda m: m.perfusion, model, lang("muscle"))
-    found = solve(warm, powers((0.0, 1200.0), [1.0]), stepper=Rosenbrock(5.0))
+    solution = solve(warm, powers((0.0, 1200.0), [1.0]), stepper=Rosenbrock(5.0))
     true = exact.lumped_nonlinear(1200.0, SET_S.capacity, 3e4, _muscle_sink)
-    rise = float(found.final.temperature[0]) - 37.0
+    rise = float(solution.final.temperature[0]) - 37.0
     yield Check("lumped, perfusion of muscle, 1200 s", rise, true, 1e-3, "K")
     dose = solve(model, powers((0.0, 1800.0), [1.0])).final.dose[0]
     yield Check("lumped, dose, 1800 s", float(dose), 12.8317342298, 5e-3, "min")
@@ -273,9 +282,9 @@ def _muscle_sink(rise: Number) -> float:
 def _doses() -> Iterator[Check]:
     edges = jnp.linspace(37.0, 45.0, 11)
     for cutoff in (37.0, 39.0):
-        found = float(cem43_segment(edges[:-1], edges[1:], 60.0, cutoff).sum())
+        dose = float(cem43_segment(edges[:-1], edges[1:], 60.0, cutoff).sum())
         true = exact.ramp_dose(37.0, 45.0, 10.0, cutoff)
-        yield Check(f"dose of a ramp from {cutoff:g} °C", found, true, 1e-8, "min")
+        yield Check(f"dose of a ramp from {cutoff:g} °C", dose, true, 1e-8, "min")
     slp = float(LinearResponse(14e-9).slp(1e4, 1e5)) / 1e3
     yield Check("linear response, 14 nm", slp, 53.10271, 1e-4, "W/g")
 
@@ -285,7 +294,7 @@ def _sensitivities() -> Iterator[Check]:
     schedule = plan_steps(protocol, 1000.0)
     probe = RadialGrid.sphere(0.005 * 405 / 25.5, 405).interpolation([0.0])[0]
 
-    def rise(numbers):
+    def rise(numbers: Array) -> Array:
         k, perfusion, radius, power = numbers
         grid = RadialGrid.sphere(0.005 * 405 / 25.5, 405)
         plain = reference_model(grid, power * grid.ball(radius))
@@ -295,7 +304,7 @@ def _sensitivities() -> Iterator[Check]:
             (k, perfusion / 3617.0),
         )
         begin = State.at_rest(model)
-        found = run(
+        solution = run(
             model,
             protocol,
             schedule,
@@ -303,14 +312,14 @@ def _sensitivities() -> Iterator[Check]:
             observe=jnp.max,
             start=begin,
         )
-        return probe @ found.final.temperature
+        return probe @ solution.final.temperature
 
     at = jnp.array([SET_S.conductivity, SET_S.perfusion, 0.005, 4e5])
-    found = np.asarray(jax.jit(jax.grad(rise))(at))
+    gradient = np.asarray(jax.jit(jax.grad(rise))(at))
     true = exact.heated_sphere_sensitivities(SET_S, 4e5, 0.005)
     names = ("conductivity", "perfusion", "radius", "source")
-    for name, own in zip(names, found, strict=True):
-        ratio = float(own / true[name])
+    for name, derivative in zip(names, gradient, strict=True):
+        ratio = float(derivative / true[name])
         yield Check(f"sensitivity to {name}, relative", ratio, 1.0, 1e-3, "1")
 
 

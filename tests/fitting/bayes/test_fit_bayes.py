@@ -110,6 +110,7 @@ def test_samples_spread_as_the_posterior_says(fitted):
     assert np.all(np.abs(draws.mean(axis=0) - mean) < 0.25 * sd)
 
 
+@pytest.mark.slow
 def test_the_band_of_a_rollout_is_the_spread_of_sampled_rollouts(fitted, data):
     times, start = data.times[0, :21], fitted.states[0, 0]
     band = fitted.posterior.rollout_band(start, times, start_sd=0.01)
@@ -124,6 +125,7 @@ def test_the_band_of_a_rollout_is_the_spread_of_sampled_rollouts(fitted, data):
     np.testing.assert_allclose(draws[:, -1].std(axis=0), fixed.sd[-1], rtol=0.25)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("missing", [[2, 3], [3]], ids=["velocities", "vy"])
 def test_positions_alone_suffice(untrained, scenario, data, missing):
     observed = data.observed.copy()
@@ -134,6 +136,7 @@ def test_positions_alone_suffice(untrained, scenario, data, missing):
     assert found.hyperparameters.noise == pytest.approx(NOISE, rel=0.1)
 
 
+@pytest.mark.slow
 def test_damping_is_learned_within_its_interval(untrained, data):
     start = eqx.tree_at(lambda m: m.drag.damping, untrained, 0.1)
     found = fit_bayes(start, data, learn=lambda m: m.drag.damping)
@@ -144,6 +147,7 @@ def test_damping_is_learned_within_its_interval(untrained, data):
     assert float(found.model.drag.damping) == pytest.approx(damping.value)
 
 
+@pytest.mark.slow
 def test_holes_and_trajectories_of_different_lengths_are_no_obstacle(
     untrained, scenario, data
 ):
@@ -163,6 +167,7 @@ def test_holes_and_trajectories_of_different_lengths_are_no_obstacle(
     assert error(found, scenario, data) < 0.05
 
 
+@pytest.mark.slow
 def test_data_without_noise_converge_to_little_noise(untrained, scenario):
     clean = simulate(eqx.tree_at(lambda s: s.observation.noise, scenario, 0.0))
     found = fit_bayes(untrained, clean, throw=False)
@@ -171,6 +176,7 @@ def test_data_without_noise_converge_to_little_noise(untrained, scenario):
     assert error(found, scenario, clean) < 1e-3
 
 
+@pytest.mark.slow
 def test_iterations_that_run_out_are_a_stall(untrained, data):
     with pytest.raises(FitError, match="stalled: its iterations ran out"):
         fit_bayes(untrained, data, max_iterations=1)
@@ -194,6 +200,7 @@ class RootDrag(AbstractForce):
         return -jnp.sqrt(self.square) * v
 
 
+@pytest.mark.slow
 def test_a_step_to_where_nothing_is_finite_is_a_divergence(untrained, data):
     """From 1 the tangent of the root reaches 0.36 at -0.28."""
     model = eqx.tree_at(lambda m: m.drag, untrained, RootDrag(jnp.asarray(1.0)))
@@ -293,6 +300,7 @@ def test_a_wide_envelope_is_no_envelope_and_a_narrow_one_fades():
     np.testing.assert_allclose(np.diag(narrow), expected)
 
 
+@pytest.mark.slow
 def test_two_obstacles_are_learned_with_a_wide_envelope(scenario, untrained):
     """Where the field does not fade away from one place the evidence notices."""
     barriers = GaussianBarrier(4.0, [2.0, 3.0], 1.5) + GaussianBarrier(

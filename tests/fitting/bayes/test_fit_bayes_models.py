@@ -103,6 +103,7 @@ def test_a_parametric_environment_is_found_within_its_intervals(parametric):
     assert found.hyperparameters.shape.size == 0
 
 
+@pytest.mark.slow
 def test_the_intervals_are_those_of_least_squares_on_rollouts(parametric):
     """Starts and parameters together, by an independent Jacobian."""
     truth, data, found = parametric
@@ -160,6 +161,7 @@ def test_known_kernels_stay_as_they_are(drifts):
     assert found.model.environment.weights.shape == kernels.weights.shape
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [KernelForce, KernelPotential])
 def test_kernels_are_fitted_to_dynamics_of_first_order(drifts, kind):
     truth, data = drifts

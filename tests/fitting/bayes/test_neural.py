@@ -160,6 +160,7 @@ def test_a_constant_is_learned_beside_a_network(fitted):
     assert damping.sd < 0.05
 
 
+@pytest.mark.slow
 def test_networks_drawn_from_the_posterior_spread_about_it(fitted):
     models = fitted.posterior.samples(5, key=jax.random.key(0))
     point = np.array([[5.0, 5.0]])
@@ -203,6 +204,7 @@ def test_the_prior_is_made_again_from_what_a_run_keeps(fitted, data):
     assert np.all(np.isfinite(left_out.removals))
 
 
+@pytest.mark.slow
 def test_a_taught_network_costs_what_its_prior_cost_its_teacher(fitted, scenario, data):
     kernels = kernel_environment(KernelPotential, data)
     model = eqx.tree_at(
@@ -219,6 +221,7 @@ def test_a_taught_network_costs_what_its_prior_cost_its_teacher(fitted, scenario
     assert -5 < gap < 100
 
 
+@pytest.mark.slow
 def test_a_network_that_sees_the_time_has_independent_weights(scenario, data):
     features = PositionTimeFeatures((5.0, 5.0, 2.5), (3.0, 3.0, 1.5))
     network = tanh_network(3, 2, width=6, depth=1, key=jax.random.key(0))

@@ -84,6 +84,7 @@ def test_without_defects_the_columns_are_the_jacobian_of_the_rollout(kind):
     np.testing.assert_allclose(solved, by_theta, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_with_defects_the_last_column_solves_the_linearised_dynamics(problem):
     free, theta, states, observations = problem
     u, times = states[0], observations.times[0]

@@ -113,6 +113,7 @@ def test_the_result_is_that_of_a_fit_on_the_finer_grid(rough, refined):
     assert direct.iterations == refined.iterations
 
 
+@pytest.mark.slow
 def test_a_network_is_taught_by_kernels_as_fine_as_asked(rough, refined):
     truth, data = rough
     network = neural_environment(

@@ -88,6 +88,7 @@ def test_the_jacobian_is_that_of_the_residuals(name, window):
     np.testing.assert_allclose(ours, exact, atol=1e-9 * scale, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_default_recipe_finds_barrier_and_mobility():
     """The trap is known, so that mobility and height can be told apart."""
     data = observe(30, 30, 30)

@@ -148,6 +148,7 @@ def data():
     return observe(31, 26)
 
 
+@pytest.mark.slow
 def test_the_curriculum_fits_kernels_and_compiles_once(data):
     compiled = _run_chunk._cached._cache_size()
     found = learn_environment(kernel_swimmer(data), data, curriculum(data))
@@ -215,6 +216,7 @@ def test_bad_requests_are_refused(data):
         )
 
 
+@pytest.mark.slow
 def test_outcomes_tell_converged_from_stalled(data):
     full = jnp.asarray(10**6)
     few = (GaussNewton(full, target=1e-12, steps=1),)

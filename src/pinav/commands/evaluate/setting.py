@@ -8,7 +8,6 @@ import numpy as np
 
 from pinav.commands.data_file import with_all_channels
 from pinav.commands.fitted_run import FittedRun
-from pinav.commands.system_choice import system_of_data
 from pinav.dynamics import AbstractDynamics, Outcome, Swimmer
 from pinav.errors import InputError
 from pinav.evaluation import (
@@ -22,6 +21,7 @@ from pinav.evaluation import (
     predict,
     without_first,
 )
+from pinav.scenarios import source_system
 from pinav.systems import System
 from pinav.trajectories import Trajectories, load
 
@@ -114,7 +114,7 @@ def read_data(path: Path, subject: FittedRun) -> Trajectories:
 def true_scenario(data: Trajectories, subject: FittedRun) -> System | None:
     """The scenario that either the data or the training data were simulated from."""
     for trajectories in (data, subject.data):
-        source = system_of_data(trajectories)
+        source = source_system(trajectories.provenance)
         if source is not None and source.environment is not None:
             return source
     return None

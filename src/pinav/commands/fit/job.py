@@ -26,7 +26,6 @@ from pinav.commands.settings import Settings
 from pinav.commands.start import fingerprint, start_run
 from pinav.commands.system_choice import (
     choose_system,
-    system_of_data,
     write_system_of,
 )
 from pinav.errors import FitError
@@ -44,6 +43,7 @@ from pinav.fitting.environments.catalogue import KnownSwimmer, build
 from pinav.forces import AbstractForce, AbstractLearnedForce
 from pinav.identification import fit_commanded, is_commanded
 from pinav.runs import RunFolder
+from pinav.scenarios import source_system
 
 REMARKS = {
     str(Outcome.STALLED): (
@@ -211,7 +211,7 @@ def _remarks(outcome: str) -> tuple[str, ...]:
 def _fields(model: KnownSwimmer, plan: FitPlan) -> dict[str, FieldMap]:
     """The learned force around the data, and the true one where it is known."""
     fields = {"learned": field_map(model.environment, plan.data)}
-    source = system_of_data(plan.data)
+    source = source_system(plan.data.provenance)
     if source is not None and source.environment is not None:
         fields["true"] = field_map(source.environment, plan.data)
     return fields

@@ -27,7 +27,7 @@ from pinav.navigation.task.steering import (
 from pinav.navigation.task.task import Task
 from pinav.navigation.task.zones import Disc, Rectangle
 from pinav.runs import RunFolder
-from pinav.scenarios import scenario
+from pinav.scenarios import source_system
 from pinav.trajectories import Trajectories
 
 
@@ -114,14 +114,15 @@ def _of_fit(settings, run: RunFolder) -> NavigationProblem:
     found = None
     if evidence is not None:
         found = Fitted(evidence.posterior, fitted.noise, evidence.states, data)
-    truth = data.provenance.get("scenario")
-    known = model if truth is None else scenario(truth).true_swimmer
+    source = source_system(data.provenance)
+    known_truth = source is not None and source.environment is not None
+    known = source.true_swimmer if source is not None and known_truth else model
     limits = CommandLimits(1.0)
     return NavigationProblem(
         task=_task(settings, SteeredSwimmer(known, actuator), limits, data),
         model=SteeredSwimmer(model, actuator),
         samples=tuple(SteeredSwimmer(one, actuator) for one in _draws(found, settings)),
-        truth=truth,
+        truth=source.name if source is not None and known_truth else None,
         fitted=found,
         goal=_goal(settings),
         discs=_discs(settings),

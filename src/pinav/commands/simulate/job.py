@@ -18,8 +18,6 @@ from pinav.trajectories import (
 )
 from pinav.trajectories import simulate as simulate_system
 
-VELOCITY_CHANNELS = ("vx", "vy", "vz")
-
 
 def simulate(
     name: str, settings: SimulateSettings, out: Path, *, overwrite: bool
@@ -36,7 +34,8 @@ def simulate(
     if settings.noise is not None:
         system = eqx.tree_at(lambda s: s.observation.noise, system, settings.noise)
     trajectories = simulate_system(system, key=noise_key)
-    steps = _degradations(settings, trajectories.channels)
+    velocities = trajectories.channels[trajectories.dim :]
+    steps = _degradations(settings, velocities)
     if steps:
         loss_key = jax.random.fold_in(noise_key, 2)
         trajectories = degrade(trajectories, steps, key=loss_key)
@@ -45,12 +44,11 @@ def simulate(
 
 
 def _degradations(
-    settings: SimulateSettings, channels: tuple[str, ...]
+    settings: SimulateSettings, velocities: tuple[str, ...]
 ) -> list[AbstractDegradation]:
     steps: list[AbstractDegradation] = []
     if settings.frame_loss > 0:
         steps.append(FrameLoss(settings.frame_loss))
-    velocities = tuple(name for name in channels if name in VELOCITY_CHANNELS)
     if settings.positions_only and velocities:
         steps.append(Unobserved(velocities))
     return steps
@@ -59,7 +57,7 @@ def _degradations(
 def run(options: SimulateOptions) -> CommandResult:
     """Simulate as the command line does."""
     trajectories = simulate(
-        options.scenario, options.settings, options.out, overwrite=options.overwrite
+        options.system, options.settings, options.out, overwrite=options.overwrite
     )
     count, samples = len(trajectories), int(trajectories.lengths.sum())
     noun = "trajectory" if count == 1 else "trajectories"

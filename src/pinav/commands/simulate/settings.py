@@ -26,7 +26,7 @@ class SimulateSettings(Settings, frozen=True):
     count: Annotated[
         int | None,
         tyro.conf.arg(
-            help="Number of trajectories; that of the scenario unless given. More of a "
+            help="Number of trajectories; that of the system unless given. More of a "
             "seed begin with the same ones."
         ),
     ] = None
@@ -50,14 +50,14 @@ class SimulateSettings(Settings, frozen=True):
 
 
 class SimulateOptions(Settings, frozen=True):
-    """Write the trajectories of a named scenario to a .npz or .csv file."""
+    """Write the trajectories of a system to a .npz or .csv file."""
 
-    scenario: Annotated[
+    system: Annotated[
         str,
         tyro.conf.Positional,
         tyro.conf.arg(
-            help="Name of the scenario, such as barrier-crossings; docs/scenarios.md "
-            "lists them."
+            help="A built-in system such as barrier-crossings (docs/scenarios.md lists "
+            "them), a file my.toml (docs/systems.md), or my.py:name."
         ),
     ]
     out: Annotated[Path, tyro.conf.arg(help="File to write, .npz or .csv.")]

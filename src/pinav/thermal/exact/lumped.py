@@ -1,6 +1,7 @@
 r"""Exact answers without space: lumped tissue, doses of ramps, optimal controls."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import scipy.integrate
@@ -48,7 +49,7 @@ def lumped_nonlinear(
         sink: $s(\theta) = c_b w \theta$ [W m⁻³].
     """
 
-    def lateness(rise):
+    def lateness(rise: float) -> float:
         value, _ = scipy.integrate.quad(
             lambda x: capacity / (source - sink(x)),
             0.0,
@@ -72,11 +73,11 @@ def lumped_nonlinear(
     return _root(lateness, 0.0, steady - gap)
 
 
-def _root(function, low, high) -> float:
-    found = scipy.optimize.root_scalar(
+def _root(function: Callable[[float], Any], low: Number, high: Number) -> float:
+    result = scipy.optimize.root_scalar(
         function, bracket=(low, high), method="brentq", rtol=1e-13
     )
-    return float(found.root)
+    return float(result.root)
 
 
 def on_off_cycle(

@@ -3,6 +3,8 @@ r"""Exact rises in slabs, and in cylinders and spheres held at the arterial temp
 All functions return the rise $\theta = T - T_a$ [K] unless they say otherwise.
 """
 
+from typing import Any
+
 import numpy as np
 import scipy.special
 from jaxtyping import Float
@@ -134,7 +136,7 @@ def discrete_eigenmode_rate(
     return float(medium.diffusivity * curvature + medium.rate)
 
 
-def _sinhc(x):
+def _sinhc(x: Any) -> Any:
     """Sinh(x)/x, one at zero."""
     small = np.abs(x) < 1e-8
     safe = np.where(small, 1.0, x)

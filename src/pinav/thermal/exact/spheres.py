@@ -9,6 +9,7 @@ References:
 """
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import mpmath
 import numpy as np
@@ -79,12 +80,12 @@ def heated_sphere_kernels(
 
     $\frac{1}{\rho c} \int e^{-ps} b(r, s)\, ds$: the adjoint of the heated sphere.
     """
-    found = []
+    modes = []
     for begin, end in zip(edges[:-1], edges[1:], strict=True):
         low, high = max(0.0, t - end), max(0.0, t - begin)
         value = _integral(lambda s: kernel(r, s, medium, radius), low, high, medium)
-        found.append(value / medium.capacity)
-    return found
+        modes.append(value / medium.capacity)
+    return modes
 
 
 def heated_sphere_by_rate(
@@ -114,7 +115,7 @@ def heated_sphere_sensitivities(
     }
 
 
-def _heated_sphere_steady(r, medium, source, radius):
+def _heated_sphere_steady(r: Any, medium: Medium, source: Any, radius: Number) -> Any:
     if not medium.perfusion:
         if r <= radius:
             return source * (radius**2 / 2 - r**2 / 6) / medium.conductivity
@@ -128,10 +129,12 @@ def _heated_sphere_steady(r, medium, source, radius):
     return float(size * gain * np.exp(-m * r) / (m * r))
 
 
-def _integral(function, low, high, medium):
+def _integral(
+    function: Callable[[float], Any], low: Number, high: Number, medium: Medium
+) -> Any:
     """Integral of e^(-ps) times a function with a square root at 0."""
 
-    def scaled(u):
+    def scaled(u: float) -> Any:
         s = u * u
         return 2 * u * np.exp(-medium.rate * s) * function(s) if s > 0 else 0.0
 
@@ -193,13 +196,15 @@ def two_conductivities(
         edge = source * radius**2 / (3 * k2) * (1 - radius / outer_radius)
         return edge + source * (radius**2 - r**2) / (6 * k1)
 
-    def transform(s):
+    def transform(s: Any) -> Any:
         return _two_conductivities_transform(s, r, inner, outer, source, radius)
 
     return _invert(transform, t)
 
 
-def _two_conductivities_transform(s, r, inner, outer, source, radius):
+def _two_conductivities_transform(
+    s: Any, r: Any, inner: Medium, outer: Medium, source: Any, radius: Number
+) -> Any:
     k1, k2 = inner.conductivity, outer.conductivity
     q1, q2 = (mpmath.sqrt(s / medium.diffusivity) for medium in (inner, outer))
     a, share = q1 * radius, source / (inner.capacity * s**2)
@@ -237,8 +242,8 @@ def perfused_spheres(
         radii: of both [m].
     """
 
-    def at(s, factor):
-        def values(medium, source):
+    def at(s: Any, factor: Any) -> Any:
+        def values(medium: Medium, source: Any) -> Any:
             sink = medium.perfusion + s * medium.capacity
             root = mpmath.sqrt(sink / medium.conductivity)
             return medium.conductivity, root, source * factor / sink
@@ -251,7 +256,7 @@ def perfused_spheres(
     return _invert(lambda s: at(s, 1 / s), t)
 
 
-def _two_shells(r, inner, outer, radii):
+def _two_shells(r: Any, inner: Any, outer: Any, radii: Any) -> Any:
     """Both sides from the rise at the edge, which makes the heat flux continuous."""
     (k1, m1, far1), (k2, m2, far2) = inner, outer
     edge, end = radii
