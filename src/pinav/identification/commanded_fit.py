@@ -282,6 +282,7 @@ def _result(
         posterior=posterior,
         constants=_constants(problem, numbers, unknown, covariance),
         states=None,
+        goodness=None,
         linear=linear,
     )
 
