@@ -116,6 +116,11 @@ class AbstractLearnedForce(AbstractForce):
         return []
 
 
+def as_learned(force: AbstractForce) -> AbstractLearnedForce | None:
+    """A force that has weights as such; None for any other."""
+    return force if isinstance(force, AbstractLearnedForce) else None
+
+
 class AbstractCommandedForce(AbstractForce):
     """A force that the operator's commands drive; each trajectory has its own."""
 
