@@ -35,7 +35,7 @@ def crossings():
     """Four short noisy crossings of which the positions are seen, and the truth."""
     scenario = barrier_crossings()
     scenario = eqx.tree_at(
-        lambda s: (s.starts, s.times, s.noise),
+        lambda s: (s.starts, s.times, s.observation.noise),
         scenario,
         (scenario.starts[:4], scenario.times[:61], 0.01),
     )
