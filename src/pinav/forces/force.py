@@ -20,7 +20,7 @@ from pinav.forces.priors import AbstractPrior
 class AbstractForce(eqx.Module):
     """Mass-specific force on one swimmer. No batch axis: batch with `jax.vmap`."""
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         refuse_text(self)
 
     @abc.abstractmethod
