@@ -41,7 +41,7 @@ from pinav.evaluation import (
 from pinav.fitting import EvidenceFit, Outcome, fit_bayes, fit_langevin
 from pinav.fitting import fit as match_trajectories
 from pinav.fitting.environments.catalogue import KnownSwimmer, build
-from pinav.forces import AbstractForce, AbstractLearnedForce
+from pinav.forces import AbstractForce, as_learned
 from pinav.identification import fit_commanded, is_commanded
 from pinav.runs import RunFolder
 from pinav.scenarios import source_system
@@ -138,8 +138,7 @@ def _infer(plan: FitPlan, folder: RunFolder) -> None:
 
 def _fit_commanded(plan: FitPlan, environment: AbstractForce) -> EvidenceFit:
     """Fit a field beside commands and a wandering velocity."""
-    learned = environment if isinstance(environment, AbstractLearnedForce) else None
-    result = fit_commanded(plan.system, plan.data, learned)
+    result = fit_commanded(plan.system, plan.data, as_learned(environment))
     # The residuals are whitened, so that their noise is 1; a run keeps the system's.
     noise = plan.system.observation.noise
     chosen = dataclasses.replace(result.hyperparameters, noise=noise)
