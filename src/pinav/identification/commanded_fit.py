@@ -284,6 +284,7 @@ def _result(
         posterior=posterior,
         constants=_constants(problem, numbers, unknown, covariance),
         states=None,
+        goodness=None,
         linear=linear,
     )
 

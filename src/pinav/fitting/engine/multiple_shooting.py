@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from pinav.dynamics import FixedStep, linear_recursion
 from pinav.fitting.engine.local_model import Prediction
-from pinav.fitting.engine.parametric_model import ParametricModel
+from pinav.fitting.engine.parametric_model import ModelOfParameters
 from pinav.fitting.matching.objectives import Observations
 
 
@@ -36,7 +36,7 @@ class Sensitivities(eqx.Module):
 
 
 def sensitivities(
-    free: ParametricModel,
+    free: ModelOfParameters,
     theta: Float[Array, " parameter"],
     states: Float[Array, "time state"],
     times: Float[Array, " time"],
@@ -63,7 +63,7 @@ FEW = 16
 
 
 def _step_derivatives(
-    parametric: ParametricModel,
+    parametric: ModelOfParameters,
     theta: Float[Array, " parameter"],
     states: Float[Array, "time state"],
     times: Float[Array, " time"],
@@ -133,7 +133,7 @@ class Linearisation(eqx.Module):
 
 
 def linearise(
-    parametric: ParametricModel,
+    parametric: ModelOfParameters,
     theta: Float[Array, " parameter"],
     states: Float[Array, "trajectory time state"],
     observations: Observations,
@@ -152,7 +152,7 @@ def linearise(
 
 @eqx.filter_jit
 def _all_step_derivatives(
-    parametric: ParametricModel,
+    parametric: ModelOfParameters,
     theta: Float[Array, " parameter"],
     states: Float[Array, "trajectory time state"],
     times: Float[Array, "trajectory time"],
@@ -250,7 +250,7 @@ def advance(
 
 @eqx.filter_jit
 def predict(
-    free: ParametricModel,
+    free: ModelOfParameters,
     theta: Float[Array, " parameter"],
     states: Float[Array, "trajectory time state"],
     observations: Observations,
