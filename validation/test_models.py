@@ -46,8 +46,8 @@ def differences(name, models, tmp_path):
     folder = RunFolder.create(
         tmp_path / "run", {"run": {"command": "compare"}}, overwrite=False
     )
-    verdicts = compare(settings, observed(name)[1], folder)["verdicts"]
-    return [verdict["difference"] for verdict in verdicts]
+    verdicts = compare(settings, observed(name)[1], folder).verdicts
+    return [verdict.difference for verdict in verdicts]
 
 
 def test_swirl_has_its_rotational_fraction():
@@ -82,8 +82,8 @@ def test_crossings_need_an_environment_and_networks_cost_no_more_than_kernels(tm
     folder = RunFolder.create(
         tmp_path / "run", {"run": {"command": "compare"}}, overwrite=False
     )
-    rows = compare(settings, observed("barrier-crossings")[1], folder)["models"]
-    values = {name: row["log_evidence"] for name, row in rows.items()}
+    rows = compare(settings, observed("barrier-crossings")[1], folder).models
+    values = {name: row.log_evidence for name, row in rows.items()}
     print(values)
     assert values["kernel-potential"] > values["physics-only"] + 1000
     assert values["kernel-potential"] - values["neural-potential"] < 100

@@ -14,7 +14,12 @@ import msgspec
 import tyro
 
 from benchmarks.navigate.contest import CONTROLLERS, Contest, contest
-from benchmarks.navigate.tables import outcome_table, text, tracking_table
+from benchmarks.navigate.tables import (
+    outcome_table,
+    successes_and_regrets,
+    text,
+    tracking_table,
+)
 from pinav.commands.parsing import parse
 from pinav.errors import InputError
 from pinav.figures import save_figure
@@ -72,7 +77,7 @@ def main(argv: Sequence[str]) -> None:
         results[name] = contest(name, design, folder)
         print(text(name, results[name]), flush=True)
         if "arrival" in results[name]["controllers"]["oracle"]:
-            figure = outcome_bars(results[name]["controllers"], results[name]["regret"])
+            figure = outcome_bars(*successes_and_regrets(results[name]))
             save_figure(figure, folder.path / "figures", f"outcome-{name}")
     folder.write_json("results.json", results)
     for table, file in ((outcome_table, "outcome"), (tracking_table, "tracking")):

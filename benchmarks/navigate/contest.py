@@ -5,14 +5,16 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import msgspec
 import numpy as np
 
 from pinav.commands.fit.job import fit
 from pinav.commands.fit.plan import plan_fit
 from pinav.commands.fit.settings import FitSettings, ModelName
 from pinav.commands.fitted_run import FittedRun
-from pinav.commands.navigate.tables import controller_row, interval
+from pinav.commands.navigate.metrics import ControllerRow, IntervalRow
 from pinav.commands.system_choice import choose_system
+from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.navigation.control.controller import AbstractController
 from pinav.navigation.control.default import controller
@@ -33,7 +35,7 @@ from pinav.navigation.trials.closed_loop import (
     run,
     run_many,
 )
-from pinav.navigation.trials.metrics import proportion, regret, summary
+from pinav.navigation.trials.metrics import Interval, proportion, regret, summary
 from pinav.runs import RunFolder
 
 MODELS: dict[str, ModelName] = {
@@ -90,6 +92,7 @@ def learned(name: str, draw: int, samples: int, folder: RunFolder) -> Knowledge:
     drawn: list[Any] = []
     if samples and fitted.posterior is not None:
         drawn = fitted.posterior.samples(samples, key=jax.random.key(draw))
+    assert isinstance(model, Swimmer | OverdampedSwimmer)
     known = task(name).truth.dynamics
     baseline = gaussian_process(known, data)
     own = task(name)
@@ -134,7 +137,7 @@ def contest(name: str, design: Contest, folder: RunFolder) -> dict[str, Any]:
         oracle = episodes if title == "oracle" else oracle
         result["controllers"][title] = _row(own, episodes)
         if title != "oracle" and oracle is not None and oracle.reached.any():
-            result["regret"][title] = interval(regret(episodes, oracle))
+            result["regret"][title] = _interval(regret(episodes, oracle))
     steering = CONTROLLERS["learned"](own, draws[0])
     compute = run(own, steering, key=jax.random.key(0)).compute
     result["step"] = {
@@ -164,10 +167,15 @@ def _episodes(
 def _row(own: Task, episodes: Episodes) -> dict[str, Any]:
     """Metrics of a controller, as JSON."""
     found = summary(episodes, own)
-    row = controller_row(found)
+    row = msgspec.to_builtins(ControllerRow.of(found))
     if isinstance(own.objective, FollowPath):
         row |= {"tracking": found.tracking, "tracking_rms": found.tracking_rms}
     else:
         lost = len(episodes.steps) - int(episodes.reached.sum())
-        row["failed"] = interval(proportion(lost, len(episodes.steps)))
+        row["failed"] = _interval(proportion(lost, len(episodes.steps)))
     return row
+
+
+def _interval(interval: Interval) -> dict[str, Any]:
+    """An interval, as JSON."""
+    return msgspec.to_builtins(IntervalRow.of(interval))

@@ -2,6 +2,9 @@
 
 from typing import Any
 
+import msgspec
+
+from pinav.commands.navigate.metrics import ControllerRow, IntervalRow
 from pinav.commands.navigate.tables import controller_table
 from pinav.report import Table, number
 from pinav.report.text import as_text
@@ -9,7 +12,7 @@ from pinav.report.text import as_text
 
 def text(name: str, result: dict[str, Any]) -> str:
     """What was found on one task, for a terminal."""
-    lines = [f"\n{name}", as_text(controller_table(result))]
+    lines = [f"\n{name}", as_text(_controllers(result))]
     tracking = {
         title: row["tracking"]
         for title, row in result["controllers"].items()
@@ -25,6 +28,22 @@ def text(name: str, result: dict[str, Any]) -> str:
         f"first {step['first']:.2g} s"
     )
     return "\n".join(lines)
+
+
+def _controllers(result: dict[str, Any]) -> Table:
+    rows = msgspec.convert(result["controllers"], dict[str, ControllerRow])
+    return controller_table(
+        rows, msgspec.convert(result["regret"], dict[str, IntervalRow])
+    )
+
+
+def successes_and_regrets(
+    result: dict[str, Any],
+) -> tuple[dict[str, IntervalRow], dict[str, IntervalRow]]:
+    """Intervals of the success and of the regret of each controller."""
+    rows = msgspec.convert(result["controllers"], dict[str, ControllerRow])
+    successes = {name: row.success for name, row in rows.items()}
+    return successes, msgspec.convert(result["regret"], dict[str, IntervalRow])
 
 
 def outcome_table(results: dict[str, Any]) -> Table:

@@ -52,13 +52,13 @@ def test_fractions_of_closed_forms(distance):
     assert split(SWIRL).rotational_fraction > 0.999
     assert split(SWIRL).greatest_fraction > 1 - 1e-6
     both = split(GRADIENT + SWIRL)
-    squares = [(part[both.ground] ** 2).sum() for part in (GRADIENT, SWIRL)]
+    squares = [(part[both.region] ** 2).sum() for part in (GRADIENT, SWIRL)]
     true = squares[1] / sum(squares)
     assert both.rotational_fraction == pytest.approx(true, rel=0.01)
     assert both.gradient_fraction == 1.0 - both.rotational_fraction
     assert both.least_fraction <= true <= both.greatest_fraction
     assert both.misfit < 1e-3
-    assert np.allclose(both.gradient[both.ground], GRADIENT[both.ground], atol=0.02)
+    assert np.allclose(both.gradient[both.region], GRADIENT[both.region], atol=0.02)
 
 
 def test_potential_is_found_up_to_a_constant():

@@ -4,11 +4,13 @@ import shutil
 
 import equinox as eqx
 import jax
+import msgspec
 import numpy as np
 import pytest
 
 from pinav import cli
 from pinav.commands.analyse import job as analyse
+from pinav.commands.analyse.metrics import AnalysisMetrics
 from pinav.commands.analyse.settings import AnalyseSettings
 from pinav.errors import InputError
 from pinav.runs import RunFolder
@@ -44,7 +46,7 @@ def inferred(tmp_path_factory):
 @pytest.mark.slow
 def test_the_analysis_of_a_posterior_is_whole(inferred):
     found = RunFolder.open(inferred).read_json("analysis.json")
-    assert found["left_out"] == []
+    assert "left_out" not in found
     parts = found["helmholtz"]
     assert parts["least"] <= parts["rotational"] <= parts["greatest"]
     assert parts["least"] < 0.01  # a potential was learned
@@ -56,7 +58,7 @@ def test_the_analysis_of_a_posterior_is_whole(inferred):
     assert learned == {"damping": True, "gain": False}
     outcomes = {row["outcome"] for row in found["sobol"]}
     assert {"final x", "final y", "least distance"} <= outcomes
-    assert found["stretch"]["horizon"] == pytest.approx(3.0)
+    assert found["lyapunov"]["horizon"] == pytest.approx(3.0)
 
 
 @pytest.mark.slow
@@ -78,7 +80,7 @@ def test_the_report_has_the_figures(inferred):
         "What a rollout depends on",
     ):
         assert title in page
-    names = ("helmholtz", "potential", "influence", "constants", "stretch", "sobol")
+    names = ("helmholtz", "potential", "influence", "constants", "lyapunov", "sobol")
     for name in names:
         assert (inferred / "figures" / f"analysis-{name}.png").stat().st_size > 0
 
@@ -96,7 +98,9 @@ def test_without_a_posterior_the_rest_is_done_and_said(tiny_fit, tmp_path, capsy
     assert np.isfinite(found["helmholtz"]["rotational"])
     page = (copy / "report.html").read_text(encoding="utf-8")
     assert "Left out of the analysis" in page
-    assert "left out: standard deviations" in analyse.text(found)
+    assert "left out: standard deviations" in analyse.text(
+        msgspec.convert(found, AnalysisMetrics)
+    )
 
 
 def test_what_cannot_be_analysed_is_refused(tiny_fit, tmp_path, capsys):
@@ -105,9 +109,9 @@ def test_what_cannot_be_analysed_is_refused(tiny_fit, tmp_path, capsys):
     assert "--reference: expected 0 to 0" in capsys.readouterr().err
     other = tmp_path / "other"
     other.mkdir()
-    (other / "config.toml").write_text('job = "reproduce"\n')
+    (other / "config.toml").write_text('run = {command = "reproduce"}\n')
     assert cli.run(["analyse", str(other)]) == cli.USAGE_ERROR
-    assert "holds no finished fit" in capsys.readouterr().err
+    assert "holds no fitted" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

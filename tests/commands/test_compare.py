@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from pinav import cli
-from pinav.commands.compare.job import checked, positions_alone, table, text, verdicts
+from pinav.commands.compare.job import checked, positions_alone, text, verdicts
+from pinav.commands.compare.metrics import Candidate, CompareMetrics
 from pinav.commands.compare.settings import CompareSettings
 from pinav.commands.fit.settings import FitSettings
 from pinav.commands.fitted_run import ModelHeader, build_model
@@ -29,32 +30,33 @@ from pinav.trajectories import Trajectories
 
 
 def row(value, outcome="converged"):
-    return {"log_evidence": value, "occam": 1.0, "outcome": outcome, "reason": "no"}
+    return Candidate(outcome, log_evidence=value, correction=1.0, reason="no")
 
 
 def test_a_verdict_names_the_model_of_higher_evidence_and_by_how_much():
     rows = {"kernel-potential": row(100.0), "kernel-force": row(112.3)}
     (verdict,) = verdicts(rows)
-    assert verdict["difference"] == pytest.approx(12.3)
-    assert verdict["text"] == (
+    assert verdict.difference == pytest.approx(12.3)
+    assert verdict.text == (
         "The evidence prefers a free force to a potential by 12.3 nats: decisive."
     )
     rows["kernel-force"] = row(98.0, "diverged")
     (verdict,) = verdicts(rows)
     assert (
-        "prefers a potential to a free force by 2.0 nats: not decisive"
-        in verdict["text"]
+        "prefers a potential to a free force by 2.0 nats: not decisive" in verdict.text
     )
-    assert "Caution: the fit of kernel-force diverged" in verdict["text"]
+    assert "Caution: the fit of kernel-force diverged" in verdict.text
 
 
 def test_a_model_without_evidence_gets_no_verdict_but_a_row():
     rows = {"isotropic-drag": row(None, "failed"), "anisotropic-drag": row(5.0)}
     (verdict,) = verdicts(rows)
-    assert verdict["difference"] is None
-    assert "No verdict on isotropic drag or anisotropic drag" in verdict["text"]
-    assert [name for name, _ in table(rows)] == ["anisotropic-drag", "isotropic-drag"]
-    assert "no" in text({"models": rows, "verdicts": [verdict]})
+    assert verdict.difference is None
+    assert "No verdict on isotropic drag or anisotropic drag" in verdict.text
+    metrics = CompareMetrics(rows, (verdict,))
+    names = [cells[0] for cells in metrics.table().rows]
+    assert names == ["anisotropic-drag", "isotropic-drag"]
+    assert "no" in text(metrics)
 
 
 def positions(name, channels=("x", "y")):

@@ -1,3 +1,4 @@
+import msgspec
 import numpy as np
 import pytest
 from matplotlib.mathtext import MathTextParser
@@ -5,7 +6,8 @@ from matplotlib.mathtext import MathTextParser
 from pinav import cli
 from pinav.analysis.discovery.laws import latex
 from pinav.analysis.discovery.potentials import POTENTIALS, TWO_GAUSSIANS
-from pinav.commands.discover.job import LAWS_FILE, SAMPLE_FILE, text, verdict_lines
+from pinav.commands.discover.job import LAWS_FILE, SAMPLE_FILE, text
+from pinav.commands.discover.metrics import DiscoveryMetrics
 from pinav.commands.discover.report import law_sections
 from pinav.runs import RunFolder
 from pinav.scenarios import paper
@@ -40,26 +42,29 @@ def law(name, delta, constants):
     }
 
 
-METRICS = {
-    "verdict": "identified",
-    "laws": [
-        law("Gaussian", 0.0, [constant("height", 5.25, 0.01)]),
-        law("Yukawa", 3.0, [constant("core", 7.0, None)]),
-        law("soft disc", 800.0, [constant("edge", 1.0, 0.1)]),
-        law("double well", None, [constant("height", 1.0, 0.1)]),
-    ],
-    "screened": [],
-    "central": {
-        "verdict": "central",
-        "center": [5.0, 5.0],
-        "center_sd": [0.1, 0.1],
-        "ratio": 0.01,
-        "noise_ratio": 0.02,
-        "p_value": 0.7,
+METRICS = msgspec.convert(
+    {
+        "verdict": "identified",
+        "laws": [
+            law("Gaussian", 0.0, [constant("height", 5.25, 0.01)]),
+            law("Yukawa", 3.0, [constant("core", 7.0, None)]),
+            law("soft disc", 800.0, [constant("edge", 1.0, 0.1)]),
+            law("double well", None, [constant("height", 1.0, 0.1)]),
+        ],
+        "screened": [],
+        "central": {
+            "verdict": "central",
+            "center": [5.0, 5.0],
+            "center_sd": [0.1, 0.1],
+            "ratio": 0.01,
+            "noise_ratio": 0.02,
+            "p_value": 0.7,
+        },
+        "noise": 0.02,
+        "num_effective": 9.0,
     },
-    "noise": 0.02,
-    "num_effective": 9.0,
-}
+    DiscoveryMetrics,
+)
 
 
 def test_text_lists_the_close_laws_with_their_intervals():
@@ -79,7 +84,7 @@ def test_text_lists_the_close_laws_with_their_intervals():
     ],
 )
 def test_every_verdict_is_a_sentence(verdict, words):
-    assert words in verdict_lines(METRICS | {"verdict": verdict})[0]
+    assert words in msgspec.structs.replace(METRICS, verdict=verdict).sentences()[0]
 
 
 def test_report_section_holds_figure_and_tables(tmp_path):
@@ -88,7 +93,7 @@ def test_report_section_holds_figure_and_tables(tmp_path):
     )
     assert law_sections(folder) == []
     save(simulate(paper()), folder.path / "data.npz")
-    folder.write_json(LAWS_FILE, METRICS)
+    folder.write_json(LAWS_FILE, msgspec.to_builtins(METRICS))
     force = np.linspace(-1.0, 1.0, 20).reshape(10, 2)
     arrays = {"learned": force, "sd": 0.1 + 0.0 * force, "law": 1.1 * force}
     folder.write_arrays(SAMPLE_FILE, arrays | {"positions": force})
@@ -100,7 +105,7 @@ def test_report_section_holds_figure_and_tables(tmp_path):
 def test_messages(tmp_path, capsys):
     RunFolder.create(tmp_path / "run", {"run": {"command": "fit"}}, overwrite=False)
     for argv, words in (
-        ([str(tmp_path / "run")], "holds no fitted force"),
+        ([str(tmp_path / "run")], "holds no fitted"),
         ([str(tmp_path)], "holds no run"),
         ([str(tmp_path / "run"), "--refits", "0"], "--refits: expected 1 or more"),
     ):

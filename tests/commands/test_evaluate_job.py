@@ -2,11 +2,13 @@ import csv
 
 import equinox as eqx
 import jax
+import msgspec
 import numpy as np
 import pytest
 
 from pinav import cli
 from pinav.commands.evaluate.job import evaluate
+from pinav.commands.evaluate.metrics import EvaluationMetrics
 from pinav.commands.evaluate.tables import tables
 from pinav.commands.held_out import held_out
 from pinav.errors import InputError
@@ -130,7 +132,9 @@ def test_the_report_and_the_table_hold_the_evaluation(judged, metrics):
         stored = dict(csv.reader(file))
     error = metrics["force"]["model"]["visited"]["error"]
     assert float(stored["force/model/visited/error"]) == error
-    assert "relative L2 error (%)" in "\n".join(as_text(t) for t in tables(metrics))
+    assert "relative L2 error (%)" in "\n".join(
+        as_text(t) for t in tables(msgspec.convert(metrics, EvaluationMetrics))
+    )
 
 
 def test_a_fit_from_its_own_starts_says_so(tiny_fit, capsys):

@@ -4,15 +4,24 @@ import json
 
 import jax
 import jax.numpy as jnp
+import msgspec
 import numpy as np
 import pytest
 
 from pinav import cli
+from pinav.actuation import SaturatingResponse
+from pinav.commands.fitted_run import FittedRun
+from pinav.commands.navigate.metrics import NavigationMetrics
 from pinav.commands.navigate.settings import NavigateSettings, numbers
 from pinav.commands.navigate.setup import navigation_problem
 from pinav.commands.navigate.tables import text
+from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import InputError
+from pinav.fitting.environments.catalogue import ModelChoice
+from pinav.forces import RollingPropulsion, UniformFlow, ZeroForce
 from pinav.runs import RunFolder
+from pinav.systems import System
+from pinav.trajectories import Trajectories
 
 
 def settings(**changes):
@@ -66,13 +75,13 @@ def test_the_words_name_truth_regret_and_suggestion():
         "step": {"first": 2.0, "median": 0.003},
         "suggestion": {"sd": 0.3, "sd_after": 0.1, "sd_after_random": 0.2},
     }
-    found = text(metrics)
+    found = text(msgspec.convert(metrics, NavigationMetrics))
     assert "95 % (85–100)" in found
     assert "1.020 (1.000–∞)" in found
     assert "the true environment of scenario barrier-crossings (synthetic)" in found
     assert "from 0.3 to 0.1, a random one to 0.2" in found
     assert "No run with the model oracle: goal: expected a place" in found
-    unknown = text(metrics | {"truth": None})
+    unknown = text(msgspec.convert(metrics | {"truth": None}, NavigationMetrics))
     assert "the true one is not known" in unknown
 
 
@@ -111,47 +120,51 @@ def test_a_folder_without_a_fit_is_refused(tmp_path, capsys):
     assert "holds no run" in capsys.readouterr().err
 
 
-def recording(path, **track):
-    """The folder of a recording's fit, as far as navigation reads it."""
-    folder = RunFolder.create(path, {"run": {"command": "identify"}}, overwrite=True)
-    folder.write_json(
-        "metrics.json",
-        {"units": {"x": "um", "t": "s"}, "tracks": {"1": {"duration": 9.0, **track}}},
+def rolling_run(tmp_path, **propulsion):
+    """The run of a robot that rolls, as far as navigation needs it."""
+    robot = OverdampedSwimmer(
+        RollingPropulsion(**propulsion),
+        ZeroForce(),
+        1.0,
+        UniformFlow(jnp.array([0.3, 0.0])),
     )
-    return folder
+    data = Trajectories.from_arrays(
+        [np.arange(3.0)],
+        [np.array([[0.0, 0.0], [1.0, 0.5], [2.0, 1.0]])],
+        channels=("x", "y"),
+        units={"x": "um", "y": "um", "t": "s"},
+    )
+    folder = RunFolder.create(
+        tmp_path / "run", {"run": {"command": "identify"}}, overwrite=True
+    )
+    system = System("robot", robot, 2)
+    choice = ModelChoice()
+    return FittedRun(folder, system, data, {"model": robot}, choice, None)
 
 
 def test_a_recording_gives_a_rolling_robot_in_its_drift(tmp_path):
-    folder = recording(
-        tmp_path / "run",
-        gain=[[2.0, -0.5], [0.5, 2.0]],
-        response="saturating",
-        estimates={
-            "corner": {"value": 4.0, "sd": 0.1},
-            "drift x": {"value": 0.3, "sd": 0.1},
-        },
+    run = rolling_run(
+        tmp_path,
+        gain=jnp.array([[2.0, -0.5], [0.5, 2.0]]),
+        response=SaturatingResponse(4.0),
+        delay=0.15,
+        lag=0.05,
     )
     problem = navigation_problem(
-        settings(arena="-5,-5,15,15", keep_out=("4,4,1",)), folder
+        settings(arena="-5,-5,15,15", keep_out=("4,4,1",)), run
     )
     command = jnp.array([3.0, np.pi / 2])
     rate = problem.model(0.0, jnp.zeros(2), command)
     effective = 3.0 / np.sqrt(1 + (3.0 / 4.0) ** 2)
     np.testing.assert_allclose(rate, [0.3 - 0.5 * effective, 2.0 * effective])
     assert problem.task.limits.max_frequency == 10.0
-    assert problem.units == {"x": "um", "t": "s"}
+    assert problem.data.units["x"] == "um"
+    assert problem.task.delay == pytest.approx(0.2)
     assert float(problem.task.keep_out[0].distance(jnp.array([4.0, 6.0]))) == 1.0
 
 
 def test_an_arena_that_is_not_given_holds_both_ends(tmp_path):
-    own = {"gain": [[1.0, 0.0], [0.0, 1.0]], "response": "linear", "estimates": {}}
-    folder = recording(tmp_path / "run", **own)
-    arena = navigation_problem(settings(), folder).task.arena
+    run = rolling_run(tmp_path, gain=jnp.eye(2))
+    arena = navigation_problem(settings(), run).task.arena
     for place in ([0.5, 1.0], [9.5, 9.5]):
         assert float(arena.distance(jnp.array(place))) < -1.0
-
-
-def test_a_recording_without_propulsion_is_refused(tmp_path):
-    folder = recording(tmp_path / "run", gain=None)
-    with pytest.raises(InputError, match="no track has a fitted propulsion"):
-        navigation_problem(settings(), folder)

@@ -42,7 +42,7 @@ def test_regions_of_dimensionless_data_are_fixed_and_others_scale_with_the_exten
 def test_regions_say_what_they_are():
     text = Regions(2.0, 5.0).definition("um")
     assert "within 2 um of an observed position" in text
-    assert "within 5 um, visited ground included" in text
+    assert "within 5 um, visited places included" in text
     with pytest.raises(InputError, match="Regions: expected 0 < visited < near, got"):
         Regions(2.0, 1.0)
     still = Trajectories.from_arrays([0.0, 1.0], np.ones((2, 2)), channels=("x", "y"))

@@ -1,3 +1,5 @@
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -15,14 +17,15 @@ from pinav.evaluation import (
 )
 from pinav.fitting import Outcome
 from pinav.scenarios import barrier_crossings
+from pinav.systems import Observation
 from pinav.trajectories import Trajectories, simulate
 
 
 @pytest.fixture(scope="module")
 def clean():
     shots = barrier_crossings(count=3)
-    short = eqx.tree_at(
-        lambda s: (s.observation.noise, s.times), shots, (0.0, shots.times[:41])
+    short = dataclasses.replace(
+        shots, observation=Observation(), times=shots.times[:41]
     )
     return short, simulate(short)
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image as Picture
 
+from pinav.commands.navigate.metrics import IntervalRow
 from pinav.figures.animation import FRAMES, LAST_FRAME, Trails, save_animation
 from pinav.figures.navigation import (
     Course,
@@ -71,13 +72,13 @@ def test_a_panel_for_each_force_that_is_known(true, sd, panels):
 
 
 def test_bars_show_success_with_its_interval_and_an_endless_regret():
-    share = {"value": 0.5, "lower": 0.3, "upper": 0.7}
-    rows = {name: {"success": share} for name in ("learned", "oracle", "straight line")}
+    success = IntervalRow(0.5, 0.3, 0.7)
+    successes = dict.fromkeys(("learned", "oracle", "straight line"), success)
     regrets = {
-        "learned": {"value": 1.1, "lower": 1.0, "upper": None},
-        "straight line": {"value": None, "lower": None, "upper": None},
+        "learned": IntervalRow(1.1, 1.0, None),
+        "straight line": IntervalRow(None, None, None),
     }
-    left, right = outcome_bars(rows, regrets).axes
+    left, right = outcome_bars(successes, regrets).axes
     assert [bar.get_width() for bar in left.patches] == [50.0] * 3
     assert [text.get_text() for text in right.texts] == ["∞"]
 

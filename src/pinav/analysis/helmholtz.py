@@ -2,11 +2,11 @@ r"""Helmholtz split of a planar force: a gradient part and a rotational part.
 
 $F \approx -\nabla U + \nabla^\perp \psi$ with $\nabla^\perp = (\partial_y,
 -\partial_x)$ and a potential $U$ and a stream function $\psi$ made of Gaussians on a
-grid. Their weights are those of least squares on the ground near the data, with a
+grid. Their weights are those of least squares on the region near the data, with a
 small ridge: what lies elsewhere, and the edge of the map, have no say.
 
 A field that is both a gradient and rotational there (harmonic: a constant force, a
-saddle) is ambiguous on any bounded ground. The ridge shares it equally. How much that
+saddle) is ambiguous on any bounded region. The ridge shares it equally. How much that
 matters is told by two orthogonal projections: on the gradients alone, so that all
 harmonic fields count as gradients (least rotational fraction: what no potential
 explains), and on the rotational fields alone (greatest).
@@ -30,7 +30,7 @@ from pinav.forces import kernel_centers
 
 ACROSS, WIDTH, MARGIN = 18, 1.5, 2.0
 """Gaussians along the map, no closer than two grid points; their width, and how far
-they reach beyond the ground, in spacings."""
+they reach beyond the region, in spacings."""
 
 RIDGE = 1e-9
 """Penalty of the weights, relative to the largest eigenvalue of the normal matrix."""
@@ -42,20 +42,20 @@ class HelmholtzSplit(eqx.Module):
     Attributes:
         gradient: $-\nabla U$ on the grid of the map [L T⁻²].
         rotational: $\nabla^\perp\psi$ there [L T⁻²].
-        potential: $U$ [L² T⁻²]; its least value on the ground is zero.
+        potential: $U$ [L² T⁻²]; its least value on the region is zero.
         stream: $\psi$ [L² T⁻²].
-        ground: grid points that count.
-        rotational_fraction: $|F_r|^2 / (|F_g|^2 + |F_r|^2)$, sums over the ground.
+        region: grid points that count.
+        rotational_fraction: $|F_r|^2 / (|F_g|^2 + |F_r|^2)$, sums over the region.
         least_fraction: rotational fraction where harmonic fields are all gradients.
         greatest_fraction: rotational fraction where they are all rotational.
-        misfit: relative L2 norm of what neither part explains, over the ground.
+        misfit: relative L2 norm of what neither part explains, over the region.
     """
 
     gradient: Float[np.ndarray, "rows columns 2"]
     rotational: Float[np.ndarray, "rows columns 2"]
     potential: Float[np.ndarray, "rows columns"]
     stream: Float[np.ndarray, "rows columns"]
-    ground: Bool[np.ndarray, "rows columns"]
+    region: Bool[np.ndarray, "rows columns"]
     rotational_fraction: float
     least_fraction: float
     greatest_fraction: float
@@ -72,29 +72,29 @@ def helmholtz_split(field: FieldMap, *, reach: float | None = None) -> Helmholtz
 
     Args:
         field: the force on a grid.
-        reach: ground is what lies so near to a sample [L]; the map's own near ground
-            unless given. Everywhere counts if it is infinite.
+        reach: the region is what lies so near to a sample [L]; the map's own near
+            places unless given. Everywhere counts if it is infinite.
 
     Raises:
-        InputError: no force is known on the ground, or it is zero there.
+        InputError: no force is known on the region, or it is zero there.
     """
-    ground = _ground(field, field.force, reach)
-    basis = _Basis.of(field, ground)
-    force = field.force[ground]
-    parts = basis.fitted(force.ravel())
+    region = _region(field, field.force, reach)
+    basis = _Basis.of(field, region)
+    force = field.force[region]
+    parts = basis.fit(force.ravel())
     gradient, rotational = basis.parts(parts)
     potential, stream = basis.functions(parts)
     least, greatest = basis.bounds(force)
     return HelmholtzSplit(
         gradient=gradient,
         rotational=rotational,
-        potential=potential - potential[ground].min(),
+        potential=potential - potential[region].min(),
         stream=stream,
-        ground=ground,
-        rotational_fraction=_fraction(gradient[ground], rotational[ground]),
+        region=region,
+        rotational_fraction=_fraction(gradient[region], rotational[region]),
         least_fraction=least,
         greatest_fraction=greatest,
-        misfit=_norm(force - (gradient + rotational)[ground]) / _norm(force),
+        misfit=_norm(force - (gradient + rotational)[region]) / _norm(force),
     )
 
 
@@ -107,19 +107,22 @@ def rotational_fractions(
     """Rotational fraction of each of several forces, such as draws of a posterior.
 
     Args:
-        field: the map whose grid and ground they share.
+        field: the map whose grid and region they share.
         forces: one force a row [L T⁻²].
         reach: as for `helmholtz_split`.
 
     Raises:
-        InputError: no force is known on the ground, or one is zero there.
+        InputError: no force is known on the region, or one is zero there.
     """
-    ground = _ground(field, forces, reach)
-    basis = _Basis.of(field, ground)
-    weights = basis.fitted(forces[:, ground].reshape(len(forces), -1).T)
+    region = _region(field, forces, reach)
+    basis = _Basis.of(field, region)
+    weights = basis.fit(forces[:, region].reshape(len(forces), -1).T)
     parts = [basis.parts(column) for column in weights.T]
     return np.array(
-        [_fraction(gradient[ground], turned[ground]) for gradient, turned in parts]
+        [
+            _fraction(gradient[region], rotational[region])
+            for gradient, rotational in parts
+        ]
     )
 
 
@@ -153,23 +156,23 @@ def _forces(free, draws, points):
     return jax.lax.map(one, draws)
 
 
-def _ground(field: FieldMap, forces, reach) -> Bool[np.ndarray, "rows columns"]:
+def _region(field: FieldMap, forces, reach) -> Bool[np.ndarray, "rows columns"]:
     reach = field.regions.near if reach is None else reach
     finite = np.isfinite(forces).all(axis=-1)
-    ground = (field.distance <= reach) & finite.reshape(-1, *field.distance.shape).all(
+    region = (field.distance <= reach) & finite.reshape(-1, *field.distance.shape).all(
         axis=0
     )
-    if ground.sum() < 3:
+    if region.sum() < 3:
         raise InputError(
             f"helmholtz_split field: no finite force within {reach:g} of a sample; "
             "raise reach, or draw the map around the data"
         )
-    if not forces[..., ground, :].any(axis=(-2, -1)).all():
+    if not forces[..., region, :].any(axis=(-2, -1)).all():
         raise InputError(
             "helmholtz_split field: the force is zero near the data; there is "
             "nothing to split"
         )
-    return ground
+    return region
 
 
 class _Basis(eqx.Module):
@@ -182,24 +185,24 @@ class _Basis(eqx.Module):
     shape: tuple[int, int] = eqx.field(static=True)
 
     @classmethod
-    def of(cls, field: FieldMap, ground) -> "_Basis":
+    def of(cls, field: FieldMap, region) -> "_Basis":
         points = np.stack(np.meshgrid(field.x, field.y), axis=-1)
         extent = max(np.ptp(field.x), np.ptp(field.y))
-        step = extent / (max(ground.shape) - 1)
+        step = extent / (max(region.shape) - 1)
         spacing = max(extent / ACROSS, 2.0 * step)
         centers = kernel_centers(
-            points[ground], spacing=spacing, margin=MARGIN * spacing
+            points[region], spacing=spacing, margin=MARGIN * spacing
         )
         width = WIDTH * spacing
         offsets = (points.reshape(-1, 1, 2) - centers[None]) / width
         values = np.exp(-0.5 * (offsets**2).sum(axis=-1))
         slopes = -np.moveaxis(offsets, 2, 1) / width * values[:, None]
-        near = slopes[ground.ravel()]
+        near = slopes[region.ravel()]
         gradients = -near.reshape(-1, near.shape[2])
-        rotations = _turned(near).reshape(gradients.shape)
-        return cls(values, slopes, gradients, rotations, ground.shape)
+        rotations = _rotate(near).reshape(gradients.shape)
+        return cls(values, slopes, gradients, rotations, region.shape)
 
-    def fitted(self, force):
+    def fit(self, force):
         """Weights of potential and stream function, by least squares with a ridge."""
         return _ridge(np.concatenate([self.gradients, self.rotations], axis=1), force)
 
@@ -207,7 +210,7 @@ class _Basis(eqx.Module):
         """Gradient and rotational force on the whole grid."""
         of_potential, of_stream = np.split(weights, 2)
         gradient = -self.slopes @ of_potential
-        rotational = _turned(self.slopes) @ of_stream
+        rotational = _rotate(self.slopes) @ of_stream
         return gradient.reshape(*self.shape, 2), rotational.reshape(*self.shape, 2)
 
     def functions(self, weights):
@@ -226,7 +229,7 @@ class _Basis(eqx.Module):
         return float(missed[0] / total), float(1.0 - missed[1] / total)
 
 
-def _turned(slopes):
+def _rotate(slopes):
     """From the slopes of a stream function to its force."""
     return np.stack([slopes[:, 1], -slopes[:, 0]], axis=1)
 

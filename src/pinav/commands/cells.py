@@ -1,14 +1,15 @@
-"""Numbers as cells of tables and of JSON files."""
+"""Numbers of results as JSON and tables hold them."""
 
-from typing import Any
+import math
 
-import numpy as np
+Cell = float | int | str | None
+"""A score: None where it is not defined, "diverged" where it is infinite."""
 
 
-def as_cell(value: float | int) -> Any:
+def as_cell(value: float | int) -> Cell:
     """A number for JSON and tables: NaN is None, infinity the word "diverged"."""
     if isinstance(value, int):
         return value
-    if np.isnan(value):
+    if math.isnan(value):
         return None
-    return "diverged" if np.isinf(value) else float(value)
+    return "diverged" if math.isinf(value) else float(value)

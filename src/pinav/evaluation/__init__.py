@@ -26,6 +26,7 @@ from pinav.evaluation.force_fields import Agreement as Agreement
 from pinav.evaluation.force_fields import FieldMap as FieldMap
 from pinav.evaluation.force_fields import Regions as Regions
 from pinav.evaluation.force_fields import agreement as agreement
+from pinav.evaluation.force_fields import check_planar as check_planar
 from pinav.evaluation.force_fields import default_regions as default_regions
 from pinav.evaluation.force_fields import distances as distances
 from pinav.evaluation.force_fields import extent as extent
@@ -51,4 +52,5 @@ from pinav.evaluation.starts import estimate_starts as estimate_starts
 from pinav.evaluation.starts import first_samples as first_samples
 from pinav.evaluation.starts import without_first as without_first
 from pinav.evaluation.whiteness import Whiteness as Whiteness
+from pinav.evaluation.whiteness import increment_residuals as increment_residuals
 from pinav.evaluation.whiteness import whiteness as whiteness

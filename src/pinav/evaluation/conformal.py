@@ -12,9 +12,10 @@ observed samples with a probability of at least $1-\alpha$, whatever model and
 $\sigma$ are; they only decide how wide the band is.
 
 References:
-    Vovk, Gammerman and Shafer, Algorithmic Learning in a Random World (2005); Lei,
-    G'Sell, Rinaldo, Tibshirani and Wasserman, J. Am. Stat. Assoc. 113, 1094 (2018),
-    section 2.2 (both cited from memory, not checked).
+    Lei, G'Sell, Rinaldo, Tibshirani and Wasserman, Distribution-Free Predictive
+    Inference for Regression, arXiv:1604.04173, split conformal inference;
+    Diquigiovanni, Fontana and Vantini, Statistica Sinica 35, 853 (2025), bands of whole
+    functions.
 """
 
 import enum
@@ -33,7 +34,7 @@ Samples = Float[np.ndarray, "trajectory time state"]
 
 
 class CalibrationOutcome(enum.IntEnum):
-    """Whether a calibration bounds anything."""
+    """The outcome of a calibration."""
 
     BOUNDED = 0
     TOO_FEW = 1
@@ -85,7 +86,7 @@ class Calibration(eqx.Module):
         *,
         horizon: float = math.inf,
     ) -> Bool[np.ndarray, " trajectory"]:
-        """Which trajectories lie inside the band at all their observed samples.
+        """Trajectories that lie inside the band at all their observed samples.
 
         A prediction that diverged promises nothing: it covers only where the radius is
         infinite.
@@ -176,8 +177,8 @@ def trajectory_scores(
             )
     elapsed = trajectories.times - trajectories.times[:, :1]
     counted = trajectories.observed & (elapsed <= horizon)[..., None]
-    for index, own in enumerate(counted):
-        if not own.any():
+    for index, entries in enumerate(counted):
+        if not entries.any():
             raise InputError(
                 f"trajectory {index}: no observed sample within the horizon {horizon:g}"
                 "; drop the trajectory"
@@ -223,14 +224,14 @@ def rollout_bands(
                 "rollout can start there; drop the samples before a complete one"
             )
     bands = [
-        posterior.rollout_band(own[0], times, start_sd=noise, solver=solver)
-        for own, times in zip(trajectories.states, trajectories.times, strict=True)
+        posterior.rollout_band(states[0], times, start_sd=noise, solver=solver)
+        for states, times in zip(trajectories.states, trajectories.times, strict=True)
     ]
     sd = np.sqrt(np.stack([band.sd for band in bands]) ** 2 + noise**2)
     return np.stack([band.ys for band in bands]), sd
 
 
-def _check_miscoverage(miscoverage):
+def _check_miscoverage(miscoverage: float) -> None:
     if not 0 < miscoverage < 1:
         raise InputError(
             f"miscoverage: expected a number between 0 and 1, got {miscoverage}"

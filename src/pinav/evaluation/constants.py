@@ -1,4 +1,4 @@
-"""Whether a learned constant is the true one, or took up what the force left over."""
+"""Parameter recovery: learned constants beside their true values."""
 
 import equinox as eqx
 

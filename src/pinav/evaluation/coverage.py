@@ -1,4 +1,4 @@
-r"""Whether the bands of a fit are as wide as its errors.
+r"""Coverage: the fraction of errors that lie inside the bands of a fit.
 
 To first order a predicted state depends on the parameters $\theta$ and the start s as
 $\delta y = J\,\delta\theta + \Phi\,\delta s$. A start estimated from the first samples
@@ -16,13 +16,21 @@ from statistics import NormalDist
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 
-from pinav.dynamics import FixedStep
+from pinav.dynamics import (
+    FixedStep,
+)
 from pinav.evaluation.force_fields import FieldMap
-from pinav.evaluation.starts import Starts, first_samples
-from pinav.fitting import Observations, ParametricModel, Posterior
-from pinav.fitting.engine.multiple_shooting import linearise, sensitivities
+from pinav.evaluation.starts import (
+    DrivenModel,
+    Starts,
+    driven_models,
+    first_samples,
+    linearise_driven,
+)
+from pinav.fitting import Posterior
+from pinav.fitting.engine.multiple_shooting import sensitivities
 from pinav.trajectories import Trajectories
 
 NOMINAL = 0.95
@@ -84,11 +92,11 @@ def estimated_start_bands(
         solver: how to integrate; `FixedStep()` unless given.
     """
     head = first_samples(trajectories, starts.count)
-    linear = linearise(
+    linear = linearise_driven(
         posterior.free,
         jnp.asarray(posterior.mean),
         jnp.asarray(starts.lifted),
-        Observations.of(head, jnp.float64),
+        head,
         FixedStep() if solver is None else solver,
     )
     rows = -np.asarray(linear.start_rows)[:, :, : len(posterior.mean)]
@@ -97,7 +105,9 @@ def estimated_start_bands(
     return _bands(posterior, trajectories, starts.states, rows, spread, solver)
 
 
-def _inverses(matrices):
+def _inverses(
+    matrices: Float[np.ndarray, "many state state"],
+) -> Float[np.ndarray, "many state state"]:
     """Inverses, NaN where a matrix is not finite or singular."""
     usable = np.isfinite(matrices).all(axis=(1, 2))
     inverses = np.full(matrices.shape, np.nan)
@@ -105,25 +115,38 @@ def _inverses(matrices):
     return inverses
 
 
-def _bands(posterior, trajectories, starts, by_parameter, spread, solver) -> Bands:
+def _bands(
+    posterior: Posterior,
+    trajectories: Trajectories,
+    starts: Float[np.ndarray, "trajectory state"],
+    by_parameter: Float[np.ndarray, "trajectory state parameter"],
+    spread: Float[np.ndarray, "trajectory state state"],
+    solver: FixedStep | None,
+) -> Bands:
     """One trajectory after the other, so that those of equal length compile once."""
     solver = FixedStep() if solver is None else solver
     theta, covariance = map(jnp.asarray, (posterior.mean, posterior.covariance))
+    models = driven_models(posterior.free, theta, trajectories)
+    each = zip(starts, by_parameter, spread, trajectories.times, strict=True)
     rows = [
-        _linear_band(
-            posterior.free, theta, covariance, tuple(map(jnp.asarray, own)), solver
-        )
-        for own in zip(starts, by_parameter, spread, trajectories.times, strict=True)
+        _linear_band(driven, theta, covariance, tuple(map(jnp.asarray, start)), solver)
+        for driven, start in zip(models, each, strict=True)
     ]
     ys, sd = (np.stack(part) for part in zip(*rows, strict=True))
     return Bands(ys, sd)
 
 
 @eqx.filter_jit
-def _linear_band(free: ParametricModel, theta, covariance, start, solver):
+def _linear_band(
+    driven: DrivenModel,
+    theta: Float[Array, " parameter"],
+    covariance: Float[Array, "parameter parameter"],
+    start: tuple[Array, ...],
+    solver: FixedStep,
+) -> tuple[Float[Array, "time state"], Float[Array, "time state"]]:
     y0, by_parameter, spread, times = start
-    ys, _ = solver.solve(free(theta), y0, times)
-    columns = sensitivities(free, theta, ys, times, solver).columns
+    ys, _ = solver.solve(driven(theta), y0, times)
+    columns = sensitivities(driven, theta, ys, times, solver).columns
     to_start = columns[..., len(theta) : -1]
     total = columns[..., : len(theta)] + to_start @ by_parameter
     variance = jnp.sum((total @ covariance) * total, axis=-1)
@@ -134,7 +157,7 @@ def _linear_band(free: ParametricModel, theta, covariance, start, solver):
 def inside_band(
     errors: Float[np.ndarray, "*shape"], sd: Float[np.ndarray, "*shape"]
 ) -> Bool[np.ndarray, "*shape"]:
-    """Which errors lie inside the nominal 95 % band; what is not finite does not."""
+    """Errors that lie inside the nominal 95 % band; what is not finite does not."""
     usable = np.isfinite(errors) & np.isfinite(sd)
     inside = np.abs(np.where(usable, errors, 0.0)) <= normal_quantile() * np.where(
         usable, sd, 0.0
@@ -145,7 +168,7 @@ def inside_band(
 def fraction_inside(
     inside: Bool[np.ndarray, "*shape"], counted: Bool[np.ndarray, "*shape"]
 ) -> float:
-    """Share of the counted entries that are inside; NaN where none is counted."""
+    """Fraction of the counted entries that are inside; NaN where none is counted."""
     return float(inside[counted].mean()) if counted.any() else float("nan")
 
 
@@ -155,7 +178,7 @@ def force_coverage(
     sd: Float[np.ndarray, "rows columns 2"],
     regions: dict[str, Bool[np.ndarray, "rows columns"]],
 ) -> dict[str, float]:
-    """Share of the true force's components inside the band, in each region."""
+    """Fraction of the true force's components inside the band, in each region."""
     inside = inside_band(learned.force - true.force, sd)
     return {
         name: fraction_inside(inside, np.repeat(mask[..., None], 2, axis=-1))
@@ -169,7 +192,7 @@ def rollout_coverage(
     noise: float,
     regions: dict[str, Bool[np.ndarray, "trajectory time"]],
 ) -> dict[str, float]:
-    """Share of the observed values inside the band, by where they were observed.
+    """Fraction of the observed values inside the band, by where they were observed.
 
     Args:
         bands: of the rollouts.

@@ -1,8 +1,8 @@
 r"""Force fields on a grid, and where a learned one agrees with the true one.
 
-Ground counts by its distance d to the nearest observed position of the training data:
-visited, $d \le \ell_1$; near, $d \le \ell_2$, the visited ground included; unvisited,
-$d > \ell_2$. The lengths $\ell_1 < \ell_2$ are those of `Regions`.
+A place belongs to a region by its distance d to the nearest observed position of the
+training data: visited, $d \le \ell_1$; near, $d \le \ell_2$, visited places included;
+unvisited, $d > \ell_2$. The lengths $\ell_1 < \ell_2$ are those of `Regions`.
 """
 
 import dataclasses
@@ -29,7 +29,7 @@ VISITED_FRACTION, NEAR_FRACTION = 1 / 40, 1 / 14
 
 
 class Regions(eqx.Module):
-    r"""How far from the data ground is called visited, and near.
+    r"""Distances from the data up to which places are called visited, and near.
 
     Attributes:
         visited: $\ell_1$ [L], positive.
@@ -42,7 +42,7 @@ class Regions(eqx.Module):
     visited: float = eqx.field(static=True, default=VISITED)
     near: float = eqx.field(static=True, default=NEAR)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if not 0 < self.visited < self.near < np.inf:
             raise InputError(
                 "Regions: expected 0 < visited < near, got "
@@ -68,7 +68,7 @@ class Regions(eqx.Module):
         suffix = "" if unit in ("1", "?", "") else f" {unit}"
         return (
             f"visited: within {self.visited:.3g}{suffix} of an observed position of "
-            f"the training data; near: within {self.near:.3g}{suffix}, visited ground "
+            f"the training data; near: within {self.near:.3g}{suffix}, visited places "
             "included; unvisited: farther away"
         )
 
@@ -96,7 +96,7 @@ def default_regions(trajectories: Trajectories) -> Regions:
 
 
 def extent(trajectories: Trajectories) -> float:
-    """Largest side of the box around all observed planar positions [L]."""
+    """Largest side of the box around all observed positions [L]."""
     samples = _observed_positions(trajectories)[0]
     return float((samples.max(axis=0) - samples.min(axis=0)).max())
 
@@ -125,7 +125,7 @@ class FieldMap(eqx.Module):
         return cls(x, y, arrays[f"field/{name}"], distance)
 
     def showing(self, force: Float[np.ndarray, "rows columns 2"]) -> "FieldMap":
-        """Another force [L T⁻²] on the same ground."""
+        """Another force [L T⁻²] on the same grid."""
         return dataclasses.replace(self, force=force)
 
 
@@ -147,7 +147,11 @@ def field_map(
             favourable to such a field.
         limits: x from, x to, y from, y to [L]; a square around the data unless given.
         points: grid points along each side.
+
+    Raises:
+        InputError: the data are not planar.
     """
+    check_planar(trajectories)
     x_from, x_to, y_from, y_to = square(trajectories) if limits is None else limits
     x, y = np.linspace(x_from, x_to, points), np.linspace(y_from, y_to, points)
     grid = np.stack(np.meshgrid(x, y), axis=-1)
@@ -166,8 +170,21 @@ def field_map(
     )
 
 
+def check_planar(trajectories: Trajectories) -> None:
+    """Refuse data that no map can show.
+
+    Raises:
+        InputError: the positions have not two coordinates.
+    """
+    if trajectories.dim != 2:
+        raise InputError(
+            "force map: expected positions in the plane (x, y), got the channels "
+            f"{', '.join(trajectories.channels)}; maps are drawn of planar data alone"
+        )
+
+
 def square(trajectories: Trajectories) -> tuple[float, float, float, float]:
-    """The smallest square around the observed positions, with the near ground [L].
+    """The smallest square around the observed positions and what is near them [L].
 
     Returns:
         x from, x to, y from, y to.
@@ -180,19 +197,23 @@ def square(trajectories: Trajectories) -> tuple[float, float, float, float]:
 
 
 def distances(
-    points: Float[np.ndarray, "point 2"], trajectories: Trajectories
+    points: Float[np.ndarray, "point dim"], trajectories: Trajectories
 ) -> Float[np.ndarray, " point"]:
     """Distance of each point to the nearest fully observed position [L]."""
     return _nearest_samples(points, trajectories)[0]
 
 
-def _observed_positions(trajectories):
-    """All fully observed planar positions, and their times."""
-    seen = trajectories.observed[..., :2].all(-1)
-    return trajectories.states[..., :2][seen], trajectories.times[seen]
+def _observed_positions(
+    trajectories: Trajectories,
+) -> tuple[Float[np.ndarray, "sample dim"], Float[np.ndarray, " sample"]]:
+    """All fully observed positions, and their times."""
+    seen = trajectories.observed[..., : trajectories.dim].all(-1)
+    return trajectories.positions[seen], trajectories.times[seen]
 
 
-def _nearest_samples(points, trajectories):
+def _nearest_samples(
+    points: Float[np.ndarray, "point dim"], trajectories: Trajectories
+) -> tuple[Float[np.ndarray, " point"], Float[np.ndarray, " point"]]:
     """Distance to, and time of, the nearest fully observed position."""
     from scipy.spatial import KDTree
 
@@ -221,22 +242,22 @@ def agreement(
 ) -> Agreement:
     """Relative error and cosine similarity over the grid points of a region."""
     a, b = learned.force[region], true.force[region]
-    size, true_size = np.linalg.norm(a), np.linalg.norm(b)
+    size, true_size = float(np.linalg.norm(a)), float(np.linalg.norm(b))
     return Agreement(
-        error=_ratio(np.linalg.norm(a - b), true_size),
+        error=_ratio(float(np.linalg.norm(a - b)), true_size),
         cosine=_ratio(np.sum(a * b), size * true_size),
         points=len(a),
     )
 
 
-def _ratio(numerator, denominator) -> float:
+def _ratio(numerator: float, denominator: float) -> float:
     return float(numerator / denominator) if denominator > 0 else float("nan")
 
 
 def force_agreement(
     learned: FieldMap, true: FieldMap, regions: Regions | None = None
 ) -> dict[str, Agreement]:
-    """Agreement on visited, near and unvisited ground and on the whole grid.
+    """Agreement in visited, near and unvisited regions and on the whole grid.
 
     Args:
         learned: the field of a fit.
@@ -258,6 +279,6 @@ def force_error(
 def force_errors(
     learned: FieldMap, true: FieldMap, regions: Regions | None = None
 ) -> dict[str, float]:
-    """Relative L2 force error on visited ground, near it, and on the whole grid."""
-    found = force_agreement(learned, true, regions)
-    return {name: found[name].error for name in ("visited", "near", "everywhere")}
+    """Relative L2 force error in visited and near regions, and on the whole grid."""
+    agreements = force_agreement(learned, true, regions)
+    return {name: agreements[name].error for name in ("visited", "near", "everywhere")}

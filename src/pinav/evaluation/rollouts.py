@@ -2,9 +2,11 @@ r"""Errors of rollouts over time, over many trajectories.
 
 A rollout has diverged from the first time at which its position is not finite or
 farther from the truth than the extent of the domain; its error is infinite from then
-on. A quantile is the smallest value that the given share of trajectories does not
+on. A quantile is the smallest value that the given fraction of trajectories does not
 exceed, so that infinite errors stay infinite and nothing is interpolated.
 """
+
+from collections.abc import Mapping
 
 import equinox as eqx
 import numpy as np
@@ -81,22 +83,22 @@ def position_errors(
 def _paths(trajectories: Trajectories, dim: int) -> np.ndarray:
     """Way along local cubics through the observations: noise hardly lengthens it."""
     ways = np.zeros(trajectories.times.shape)
-    for own, piece in zip(ways, trajectories, strict=True):
+    for way, piece in zip(ways, trajectories, strict=True):
         seen = np.asarray(piece.observed[:, :dim].all(-1))
         if seen.sum() < 2:
-            own[:] = np.nan
+            way[:] = np.nan
             continue
         smooth = [
             local_polynomial(piece.times, piece.states[:, i], seen) for i in range(dim)
         ]
         steps = np.linalg.norm(np.diff(np.stack(smooth, axis=1), axis=0), axis=1)
-        own[1 : len(steps) + 1] = np.cumsum(steps)
-        own[len(steps) + 1 :] = own[len(steps)]
+        way[1 : len(steps) + 1] = np.cumsum(steps)
+        way[len(steps) + 1 :] = way[len(steps)]
     return ways
 
 
 def quantile(values: Float[np.ndarray, " any"], level: float) -> float:
-    """Smallest of the values that a share `level` of them does not exceed."""
+    """Smallest of the values that a fraction `level` of them does not exceed."""
     if not len(values):
         return float("nan")
     return float(np.quantile(values, level, method="inverted_cdf"))
@@ -109,13 +111,23 @@ class ErrorCurve(eqx.Module):
         elapsed: mean time since the start of the samples in each interval [T].
         median: of the root-mean-square error of each trajectory in the interval [L].
         high: 90th percentile [L].
-        diverged: share of the trajectories observed that had diverged.
+        diverged: fraction of the trajectories observed that had diverged.
     """
 
     elapsed: Float[np.ndarray, " bin"]
     median: Float[np.ndarray, " bin"]
     high: Float[np.ndarray, " bin"]
     diverged: Float[np.ndarray, " bin"]
+
+    def as_arrays(self, key: str) -> dict[str, np.ndarray]:
+        """The curve as arrays whose names begin with a key."""
+        return {f"{key}/{name}": values for name, values in vars(self).items()}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, np.ndarray], key: str) -> "ErrorCurve":
+        """The curve that `as_arrays` gave this key."""
+        parts = ("elapsed", "median", "high", "diverged")
+        return cls(*(arrays[f"{key}/{name}"] for name in parts))
 
 
 def error_curve(errors: RolloutErrors, bins: int = BINS) -> ErrorCurve:
@@ -158,7 +170,7 @@ class RolloutSummary(eqx.Module):
         high: its 90th percentile [L].
         median_relative: median of that error over the way travelled by its end.
         high_relative: its 90th percentile.
-        diverged: share of trajectories that diverged by its end.
+        diverged: fraction of trajectories that diverged by its end.
         trajectories: how many have a scored sample in it.
     """
 

@@ -105,7 +105,9 @@ def predict(
     return ys, tuple(Outcome(int(code)) for code in codes)
 
 
-def _first_samples(trajectories: Trajectories):
+def _first_samples(
+    trajectories: Trajectories,
+) -> Float[np.ndarray, "trajectory state"]:
     for index, first in enumerate(trajectories.observed[:, 0]):
         if not first.all():
             raise InputError(

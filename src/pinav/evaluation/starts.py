@@ -10,15 +10,22 @@ References:
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Bool, Float
 
-from pinav.dynamics import AbstractDynamics, FixedStep, with_dtype
+from pinav.dynamics import (
+    AbstractDynamics,
+    FixedStep,
+    commanded_by,
+    takes_commands,
+    with_dtype,
+)
 from pinav.errors import InputError
 from pinav.evaluation.scores import require_x64
 from pinav.fitting import Outcome
-from pinav.fitting.engine.multiple_shooting import advance, linearise
+from pinav.fitting.engine.multiple_shooting import Linearisation, advance, linearise
 from pinav.fitting.engine.parametric_model import ParametricModel
 from pinav.fitting.matching.objectives import Observations
 from pinav.trajectories import Trajectories, smoothed_states
@@ -75,11 +82,10 @@ def estimate_starts(
     states = jnp.asarray(smoothed_states(head, dim))
     scale = np.maximum(np.ptp(np.asarray(states), axis=1), np.finfo(float).tiny)
     free = ParametricModel(with_dtype(dynamics, jnp.float64), _nothing)
-    observations = Observations.of(head, jnp.float64)
     solver = FixedStep(substeps=4) if solver is None else solver
     nothing, settled = jnp.zeros(0), np.zeros(len(head), bool)
     for _ in range(STEPS):
-        linear = linearise(free, nothing, states, observations, solver)
+        linear = linearise_driven(free, nothing, states, head, solver)
         moved = advance(states, linear, nothing)
         change = np.abs(np.asarray(moved - states)).max(axis=1) / scale
         settled = (change < TOLERANCE).all(axis=1)
@@ -89,22 +95,85 @@ def estimate_starts(
     return _starts(np.asarray(states), settled, count)
 
 
-def _nothing(theta):
+def _nothing(theta: Float[Array, "0"]) -> None:
     """No leaf of the model is free."""
     return
 
 
-def _starts(states, settled, count) -> Starts:
-    found = np.isfinite(states).all(axis=(1, 2))
+class DrivenModel(eqx.Module):
+    """A model as a function of its parameters, driven by one trajectory's commands.
+
+    Attributes:
+        free: the model as a function of its parameters.
+        times: of the commands [T].
+        commands: by name; none where the model takes none.
+    """
+
+    free: ParametricModel
+    times: Float[Array, " time"]
+    commands: dict[str, Float[Array, " time"]]
+
+    def __call__(self, theta: Float[Array, " parameter"]) -> AbstractDynamics:
+        """The model with these parameters, under the commands."""
+        return commanded_by(self.free(theta), self.times, self.commands)
+
+
+def driven_models(
+    free: ParametricModel, theta: Float[Array, " parameter"], trajectories: Trajectories
+) -> list[DrivenModel]:
+    """The model under the commands of each trajectory."""
+    commands = trajectories.commands if takes_commands(free(theta)) else {}
+    return [
+        DrivenModel(
+            free,
+            jnp.asarray(times),
+            {name: jnp.asarray(values[index]) for name, values in commands.items()},
+        )
+        for index, times in enumerate(trajectories.times)
+    ]
+
+
+def linearise_driven(
+    free: ParametricModel,
+    theta: Float[Array, " parameter"],
+    states: Float[Array, "trajectory time state"],
+    trajectories: Trajectories,
+    solver: FixedStep,
+) -> Linearisation:
+    """`linearise`, each trajectory under its own commands where the model takes any."""
+    observations = Observations.of(trajectories, jnp.float64)
+    if not takes_commands(free(theta)):
+        return linearise(free, theta, states, observations, solver)
+    parts = []
+    for index, driven in enumerate(driven_models(free, theta, trajectories)):
+        row = jax.tree.map(lambda leaf, i=index: leaf[i : i + 1], observations)
+        parts.append(linearise(driven, theta, states[index : index + 1], row, solver))
+    return Linearisation(
+        hessian=jnp.stack([part.hessian for part in parts]).sum(axis=0),
+        gradient=jnp.stack([part.gradient for part in parts]).sum(axis=0),
+        squares=jnp.stack([part.squares for part in parts]).sum(),
+        columns=jnp.concatenate([part.columns for part in parts]),
+        start_factor=jnp.concatenate([part.start_factor for part in parts]),
+        start_rows=jnp.concatenate([part.start_rows for part in parts]),
+        defects=jnp.max(jnp.stack([part.defects for part in parts]), axis=0),
+    )
+
+
+def _starts(
+    states: Float[np.ndarray, "trajectory sample state"],
+    settled: Bool[np.ndarray, " trajectory"],
+    count: int,
+) -> Starts:
+    finite = np.asarray(np.isfinite(states).all(axis=(1, 2)))
     outcomes = tuple(
         Outcome.DIVERGED
-        if not finite
+        if not usable
         else Outcome.CONVERGED
         if done
         else Outcome.STALLED
-        for finite, done in zip(found, settled, strict=True)
+        for usable, done in zip(finite, settled, strict=True)
     )
-    states = np.where(found[:, None, None], states, np.nan)
+    states = np.where(finite[:, None, None], states, np.nan)
     return Starts(states[:, 0], states, outcomes, count)
 
 
@@ -122,12 +191,16 @@ def first_samples(trajectories: Trajectories, count: int) -> Trajectories:
                 f"trajectory {index}: expected more than {count} samples, from which "
                 f"its start is estimated, got {length}; drop it"
             )
-    kept = (*trajectories.channels, "t")
+    kept = (*trajectories.channels, "t", *trajectories.commands)
     return Trajectories.from_arrays(
         [piece.times[:count] for piece in trajectories],
         [piece.states[:count] for piece in trajectories],
         observed=[piece.observed[:count] for piece in trajectories],
         channels=trajectories.channels,
+        commands={
+            name: [piece.commands[name][:count] for piece in trajectories]
+            for name in trajectories.commands
+        },
         units={name: trajectories.units[name] for name in kept},
         provenance=trajectories.provenance,
     )

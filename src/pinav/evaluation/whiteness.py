@@ -1,4 +1,4 @@
-r"""Whether what a fit leaves over is white, as the noise of a camera would be.
+r"""Tests that the residuals of a fit are white, as the noise of a camera would be.
 
 The normalised residuals $z_t$ of one channel, over all trajectories and wherever both
 partners of a pair were observed, have the autocorrelation
@@ -15,8 +15,13 @@ References:
 """
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
+
+from pinav.dynamics import AbstractDynamics, with_dtype
+from pinav.trajectories import Trajectories
 
 LAGS = 10
 """Largest lag."""
@@ -68,7 +73,53 @@ def whiteness(
     )
 
 
-def _channel(z, observed, lags):
+def increment_residuals(
+    model: AbstractDynamics, trajectories: Trajectories, diffusion: float
+) -> tuple[
+    Float[np.ndarray, "trajectory time state"],
+    Bool[np.ndarray, "trajectory time state"],
+]:
+    r"""Normalised residuals of the increments of stochastic paths.
+
+    $(x_{k+1} - x_k - f(x_k)\,\Delta t) / \sqrt{2 D \Delta t}$, which are independent
+    and standard normal where the force $f$ and the diffusion $D$ are right.
+
+    Args:
+        model: the fitted dynamics of the positions, without noise.
+        trajectories: what it was fitted to.
+        diffusion: $D$ [L² T⁻¹], positive.
+
+    Returns:
+        The residuals, and where both ends of an increment were observed.
+    """
+    rates = _rates(
+        with_dtype(model, jnp.float64),
+        jnp.asarray(trajectories.times, jnp.float64),
+        jnp.asarray(trajectories.states, jnp.float64),
+    )
+    steps = np.diff(trajectories.times, axis=1)[..., None]
+    drifts = np.asarray(rates)[:, :-1] * steps
+    # Padding repeats the last time: such steps are not observed, but divide by zero.
+    scale = np.sqrt(2 * diffusion * np.where(steps > 0, steps, 1.0))
+    observed = trajectories.observed[:, 1:] & trajectories.observed[:, :-1]
+    residuals = (np.diff(trajectories.states, axis=1) - drifts) / scale
+    return residuals, observed & (steps > 0)
+
+
+@eqx.filter_jit
+def _rates(
+    model: AbstractDynamics,
+    times: Float[Array, "trajectory time"],
+    states: Float[Array, "trajectory time state"],
+) -> Float[Array, "trajectory time state"]:
+    return jax.vmap(jax.vmap(model))(times, states)
+
+
+def _channel(
+    z: Float[np.ndarray, "trajectory time"],
+    observed: Bool[np.ndarray, "trajectory time"],
+    lags: int,
+) -> tuple[Float[np.ndarray, " lag"], float, float, int]:
     from scipy.stats import chi2
 
     seen = observed & np.isfinite(z)

@@ -14,6 +14,7 @@ from pinav.figures.force_maps import force_comparison as force_comparison
 from pinav.figures.force_maps import force_error_map as force_error_map
 from pinav.figures.force_maps import force_map as force_map
 from pinav.figures.force_maps import force_sd_map as force_sd_map
+from pinav.figures.laws import formula_figure as formula_figure
 from pinav.figures.laws import law_agreement as law_agreement
 from pinav.figures.laws import law_figure as law_figure
 from pinav.figures.laws import law_ranking as law_ranking

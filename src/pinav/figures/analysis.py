@@ -77,7 +77,7 @@ def trust_map(
 ) -> Axes:
     """Signal to noise: size of a learned force over its standard deviation.
 
-    A line surrounds ground where the force is known to less than half of its size.
+    A line surrounds places where the force is known to better than half of its size.
 
     Args:
         field: the learned force.
@@ -95,7 +95,7 @@ def trust_map(
         line = {"colors": VERMILLION, "linewidths": 1.2}
         drawn = ax.contour(field.x, field.y, ratio, [SIGNIFICANT], **line)
         ax.clabel(drawn, fmt={SIGNIFICANT: f"{SIGNIFICANT:g}"}, fontsize=SMALL)
-    overlay(ax, field, path, units, shade=False)
+    overlay(ax, field, path, units, shade=True)
     return ax
 
 
@@ -142,7 +142,7 @@ def influence_figure(
     field: FieldMap,
     paths: Sequence[Path],
     *,
-    most: int = 6,
+    most: int = 4,
     units: Mapping[str, str] = DIMENSIONLESS,
 ) -> Figure:
     """How the force would change without each of the most influential trajectories.
@@ -158,9 +158,9 @@ def influence_figure(
     sizes = np.linalg.norm(changes, axis=-1)
     order = np.argsort(-(sizes[:, near] ** 2).sum(axis=1))[:most]
     top = float(sizes[order][:, near].max()) or 1.0
-    columns = min(3, len(order))
+    columns = min(2, len(order))
     rows = -(-len(order) // columns)
-    figure = new_figure(2.5 * max(columns, 2), 3.2 * rows)
+    figure = new_figure(2.9 * 2, 3.6 * rows)
     axes = np.ravel(figure.subplots(rows, columns))
     label = with_unit(r"$|\Delta F|$", force_unit(units))
     for ax, index in zip(axes, order, strict=False):
@@ -245,9 +245,9 @@ def sobol_figure(indices: SobolIndices) -> Figure:
     varying = np.flatnonzero(np.isfinite(indices.total).all(axis=1))
     count = max(len(varying), 1)
     height = 1.2 + 0.34 * len(indices.factors)
-    columns = min(count, 3)
+    columns = min(count, 2)
     rows = -(-count // columns)
-    figure = new_figure(2.5 * max(columns, 2), height * rows)
+    figure = new_figure(2.9 * 2, height * rows)
     axes = np.ravel(figure.subplots(rows, columns, sharey=True))
     for ax, outcome in zip(axes, varying, strict=False):
         _bars(prepare_axes(ax), indices, int(outcome))
@@ -279,7 +279,7 @@ def _bars(ax: Axes, indices: SobolIndices, outcome: int) -> None:
     ax.set_yticks(places, indices.factors, fontsize=TEXT)
     ax.set_ylim(len(places) - 0.5, -0.5)
     ax.axvline(0.0, color=BLACK, lw=0.6)
-    label_axes(ax, "share of the variance", "")
+    label_axes(ax, "fraction of the variance", "")
     title_panel(ax, indices.outcomes[outcome])
 
 

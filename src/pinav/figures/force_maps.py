@@ -58,8 +58,8 @@ def force_map(
         path: positions to overlay [L]; a row of NaN separates two trajectories.
         limit: top of the colour scale [L T⁻²], shared between maps that are to be
             compared; the largest magnitude near the data unless given.
-        shade: grey out what is off the near ground. A learned force
-            is a guess there; a true one is not.
+        shade: grey out what is not near the data. A learned force
+            is extrapolated there; a true one is not.
         units: unit of each channel; "1" means dimensionless.
         ax: where to draw; a new figure unless given.
     """
@@ -119,7 +119,7 @@ def force_sd_map(
     size = np.linalg.norm(sd, axis=-1)
     top = largest_near(size, field) if limit is None else limit
     ax = _magnitude_map(size, field, top, ("cividis", r"$\mathrm{sd}(F)$"), units, ax)
-    overlay(ax, field, path, units, shade=False)
+    overlay(ax, field, path, units, shade=True)
     return ax
 
 
@@ -297,14 +297,14 @@ def draw_arrows(ax: Axes, field: FieldMap, top: float) -> None:
 
 
 def overlay(ax: Axes, field: FieldMap, path, units, *, shade: bool) -> None:
-    """Grey ground without data, contours of visited and near ground, the path."""
+    """Grey regions without data, contours of visited and near ones, the path."""
     lowest, highest = float(field.distance.min()), float(field.distance.max())
     visited, near = field.regions.visited, field.regions.near
     with file_settings():
         if shade and highest > near:
-            ground = (field.x, field.y, field.distance, [near, highest])
-            ax.contourf(*ground, colors=["0.85"], alpha=0.85)
-            ax.contourf(*ground, colors="none", hatches=["////"])
+            beyond = (field.x, field.y, field.distance, [near, highest])
+            ax.contourf(*beyond, colors=["0.85"], alpha=0.85)
+            ax.contourf(*beyond, colors="none", hatches=["////"])
     for level, dash in ((visited, "solid"), (near, "dashed")):
         if lowest < level < highest:
             ax.contour(

@@ -13,7 +13,6 @@ from pinav.figures.style import (
     GREY,
     ORANGE,
     SMALL,
-    TEXT,
     VERMILLION,
     add_legend,
     label_axes,
@@ -102,7 +101,6 @@ def law_figure(
     sd: Float[np.ndarray, "point 2"],
     law: Float[np.ndarray, "point 2"],
     *,
-    formula: str = "",
     unit: str = "1",
 ) -> Figure:
     """Ranking of the laws beside the best one's agreement with the learned force.
@@ -113,7 +111,6 @@ def law_figure(
         learned: as for `law_agreement`.
         sd: as for `law_agreement`.
         law: as for `law_agreement`.
-        formula: of the best law, in LaTeX.
         unit: as for `law_agreement`.
     """
     figure = new_figure(7.5, 3.0)
@@ -121,8 +118,19 @@ def law_figure(
     law_ranking(names, differences, ax=left)
     law_agreement(learned, sd, law, unit=unit, ax=right)
     title_panel(left, "(a) candidate laws")
-    title_panel(right, f"(b) {names[0]} on visited ground")
-    if formula and "matrix" not in formula:
-        figure.supxlabel(f"${formula}$", fontsize=TEXT + 1)
+    title_panel(right, f"(b) {names[0]} in visited regions")
     left.tick_params(axis="y", labelsize=SMALL)
+    return figure
+
+
+def formula_figure(formula: str) -> Figure | None:
+    """A formula, drawn; none where matplotlib cannot draw it.
+
+    Args:
+        formula: in LaTeX.
+    """
+    if not formula or "matrix" in formula:
+        return None
+    figure = new_figure(6.5, 0.5)
+    figure.text(0.5, 0.5, f"${formula}$", fontsize=11, ha="center", va="center")
     return figure

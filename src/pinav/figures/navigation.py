@@ -1,7 +1,7 @@
 """Figures of navigation: the plan, routes over the force, and how runs ended."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -273,16 +273,36 @@ def field_of(arrays: Mapping[str, np.ndarray], name: str) -> FieldMap:
     return FieldMap(arrays["field/x"], arrays["field/y"], force, distance)
 
 
+@runtime_checkable
+class Bounded(Protocol):
+    """A value with its interval; None stands for infinity."""
+
+    @property
+    def value(self) -> float | None:
+        """The estimate."""
+        ...
+
+    @property
+    def lower(self) -> float | None:
+        """Lower end of the interval."""
+        ...
+
+    @property
+    def upper(self) -> float | None:
+        """Upper end of the interval."""
+        ...
+
+
 def outcome_bars(
-    rows: Mapping[str, Mapping[str, Any]], regrets: Mapping[str, Mapping[str, Any]]
+    successes: Mapping[str, Bounded], regrets: Mapping[str, Bounded]
 ) -> Figure:
     """Success of each controller, and its regret, with 95 % intervals.
 
     Args:
-        rows: `success` of each controller, with `value`, `lower` and `upper`.
+        successes: proportion of each controller, with its interval.
         regrets: the same of its regret; None stands for infinity.
     """
-    names = list(rows)
+    names = list(successes)
     figure = new_figure(6.4, 0.9 + 0.32 * len(names))
     left, right = figure.subplots(1, 2, sharey=True)
     for ax in (left, right):
@@ -290,9 +310,13 @@ def outcome_bars(
     places = list(reversed(range(len(names))))
     for place, name in zip(places, names, strict=True):
         color = style_of(name).color
-        found = rows[name]["success"]
-        left.barh(place, 100 * found["value"], color=color, height=0.6)
-        left.hlines(place, 100 * found["lower"], 100 * found["upper"], color=BLACK)
+        success = successes[name]
+        value, lower, upper = (
+            100 * (part or 0.0)
+            for part in (success.value, success.lower, success.upper)
+        )
+        left.barh(place, value, color=color, height=0.6)
+        left.hlines(place, lower, upper, color=BLACK)
         _draw_regret(right, place, regrets.get(name), color)
     left.set_yticks(places, names, fontsize=SMALL)
     left.set_xlim(0, 100)
@@ -305,16 +329,16 @@ def outcome_bars(
     return figure
 
 
-def _draw_regret(ax: Axes, place: int, found: Mapping[str, Any] | None, color: str):
-    if found is None:
+def _draw_regret(ax: Axes, place: int, ratio: Bounded | None, color: str) -> None:
+    if ratio is None:
         return
-    if found["value"] is None:
+    if ratio.value is None:
         beside = ax.get_yaxis_transform()
         ax.text(0.97, place, "∞", transform=beside, ha="right", va="center", c=color)
         return
-    ax.plot(found["value"], place, "o", color=color, ms=5)
-    if found["upper"] is not None:
-        ax.hlines(place, found["lower"], found["upper"], color=BLACK)
+    ax.plot(ratio.value, place, "o", color=color, ms=5)
+    if ratio.lower is not None and ratio.upper is not None:
+        ax.hlines(place, ratio.lower, ratio.upper, color=BLACK)
 
 
 def learning_curve(

@@ -5,6 +5,7 @@ Nothing here touches matplotlib's global settings.
 
 import dataclasses
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from typing import Any, Literal
 
 import matplotlib
@@ -141,7 +142,10 @@ def force_unit(units: Mapping[str, str], *, lengths: int = 1) -> str:
 
 def new_figure(width: float, height: float) -> Figure:
     """An empty figure of this size [inch], laid out without overlap."""
-    return Figure(figsize=(width, height), layout="constrained")
+    figure = Figure(figsize=(width, height))
+    # The default pad cuts titles of the first row by a pixel or two.
+    figure.set_layout_engine("constrained", h_pad=0.09, w_pad=0.06)
+    return figure
 
 
 def prepare_axes(ax: Axes | None, *, width: float = 4.0, height: float = 3.2) -> Axes:
@@ -205,6 +209,6 @@ FILE_SETTINGS: dict[Any, Any] = {
 """Text stays text, and the same figure gives the same bytes."""
 
 
-def file_settings():
+def file_settings() -> AbstractContextManager[None]:
     """Context in which figures are written: `FILE_SETTINGS`, then restored."""
     return matplotlib.rc_context(FILE_SETTINGS)

@@ -288,30 +288,37 @@ nav {
 nav ol { margin: 0; padding-left: 1.4rem; columns: 16rem; }
 .wide { overflow-x: auto; margin: 1.25rem 0; }
 table {
-  border-collapse: collapse; font-size: 0.92rem; min-width: 24rem;
+  border-collapse: collapse; font-size: 0.92rem;
   border-top: 2px solid var(--ink); border-bottom: 2px solid var(--ink);
 }
 caption {
   text-align: left; padding-bottom: 0.5rem; color: var(--soft);
-  position: sticky; left: 0; max-width: 46rem;
+  position: sticky; left: 0; max-width: min(46rem, calc(100vw - 2.5rem));
 }
 td:first-child { min-width: 8rem; }
-th, td { padding: 0.35rem 1.25rem 0.35rem 0.25rem; text-align: left; }
+th, td { padding: 0.35rem 1rem; text-align: left; }
+th:first-child, td:first-child { padding-left: 0.25rem; }
 th { font-weight: 600; vertical-align: bottom; }
 thead tr { border-bottom: 1px solid var(--ink); }
 tbody tr + tr { border-top: 1px solid var(--line); }
 .number {
-  text-align: right; padding: 0.35rem 0.25rem 0.35rem 1.25rem;
+  text-align: right;
   font-variant-numeric: tabular-nums; white-space: nowrap;
 }
 figure {
   margin: 1.5rem 0; padding: 1rem; background: #ffffff;
   border: 1px solid var(--line); border-radius: 8px;
 }
+figure { overflow-x: auto; }
 figure img { display: block; margin: 0 auto; height: auto; }
+@media (max-width: 40rem) {
+  figure img { width: auto !important; min-width: 34rem; max-width: none; }
+  figcaption { position: sticky; left: 0; max-width: calc(100vw - 4.5rem); }
+}
 figcaption { margin-top: 0.75rem; color: #4a535d; font-size: 0.9rem; }
 pre {
   overflow-x: auto; padding: 0.9rem 1rem; background: var(--card);
+  white-space: pre-wrap; overflow-wrap: anywhere;
   border: 1px solid var(--line); border-radius: 8px; font-size: 0.85rem;
   line-height: 1.45;
 }

@@ -1,3 +1,5 @@
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -20,6 +22,7 @@ from pinav.errors import FitError, InputError
 from pinav.fitting import Outcome, Posterior
 from pinav.forces import GaussianBarrier
 from pinav.scenarios import barrier_crossings
+from pinav.systems import Observation
 from pinav.trajectories import Trajectories, simulate, smoothed_states
 
 TRUTH = np.array([5.25, 5.0, 5.0, 2.9])
@@ -34,10 +37,11 @@ def environment(model):
 def crossings():
     """Four short noisy crossings of which the positions are seen, and the truth."""
     scenario = barrier_crossings()
-    scenario = eqx.tree_at(
-        lambda s: (s.starts, s.times, s.noise),
+    scenario = dataclasses.replace(
         scenario,
-        (scenario.starts[:4], scenario.times[:61], 0.01),
+        starts=scenario.starts[:4],
+        times=scenario.times[:61],
+        observation=Observation(0.01),
     )
     data = simulate(scenario, key=jax.random.key(1))
     observed = np.broadcast_to(np.arange(4) < 2, data.states.shape)

@@ -46,7 +46,7 @@ def test_the_strong_thrust_crosses_the_barrier_as_quickly_as_can_be():
 
     def move(y, thrust):
         still = eqx.tree_at(lambda s: s.actuator.gain, task.truth, 0.0)
-        held = still.commanded(jnp.zeros(2))
+        held = still.under(jnp.zeros(2))
         held = eqx.tree_at(lambda s: s.propulsion.thrust, held, thrust)
         return FixedStep(RK4, 4).step(held, y, 0.0, step), None
 

@@ -74,7 +74,7 @@ def test_the_truth_moves_as_its_equation_says():
     moving = Moving(GaussianBarrier(0.5, [1.0, 0.3], 0.6), motion)
     task = open_water(inert=True, environment=moving)
     episode = run(task, AHEAD, key=KEY)
-    held = task.truth.commanded(AHEAD.command)
+    held = task.truth.under(AHEAD.command)
     expected = rollout(held, task.start, episode.ts).ys
     np.testing.assert_allclose(episode.states, expected, atol=1e-7)
 

@@ -5,12 +5,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.stats
+from jaxtyping import Float
 
-from pinav.analysis.discovery.refit import Lifted, Refit, RefitProblem
+from pinav.analysis.discovery.refit import LinearisedModel, Refit, RefitProblem
 from pinav.dynamics import FixedStep, Swimmer, with_dtype
 from pinav.errors import FitError
 from pinav.fitting import Outcome, Posterior
-from pinav.fitting.engine.parametric_model import ravel_model
+from pinav.fitting.engine.parametric_model import ParametricModel, ravel_model
 from pinav.fitting.matching.fit import Trainable
 from pinav.trajectories import Trajectories, smoothed_states
 
@@ -42,11 +43,11 @@ class Learned(eqx.Module):
         Raises:
             FitError: no such states were found.
         """
-        problem, lifted = _linearised(
+        problem, local = _linearised(
             posterior.free, posterior.mean, trajectories, solver
         )
-        hessian = lifted.hessian
-        squares, count = lifted.squares, problem.num_residuals
+        hessian = local.hessian
+        squares, count = local.squares, problem.num_residuals
         # the noise and the number of parameters depend on each other
         information = np.sum(hessian * posterior.covariance)
         effective = min(float(len(posterior.mean)), 0.5 * count)
@@ -89,27 +90,32 @@ def laplace_posterior(
     solver = FixedStep() if solver is None else solver
     with jax.enable_x64(new_val=True):
         free, theta = ravel_model(with_dtype(model, jnp.float64), trainable)
-    problem, lifted = _linearised(free, np.asarray(theta), trajectories, solver)
-    values, vectors = np.linalg.eigh(lifted.hessian)
+    problem, local = _linearised(free, np.asarray(theta), trajectories, solver)
+    values, vectors = np.linalg.eigh(local.hessian)
     values = np.maximum(values, 0.0)
-    width = float(np.sqrt(np.mean(lifted.theta**2))) or 1.0
+    width = float(np.sqrt(np.mean(local.theta**2))) or 1.0
     count, noise = problem.num_residuals, 0.0
     for _ in range(20):
         variance = 1.0 / (values / max(noise**2, 1e-300) + width**-2)
         used = min(float(np.sum(1.0 - variance / width**2)), 0.5 * count)
-        noise = np.sqrt(max(lifted.squares, 1e-300) / (count - used))
-    return Posterior(free, lifted.theta, (vectors * variance) @ vectors.T)
+        noise = np.sqrt(max(local.squares, 1e-300) / (count - used))
+    return Posterior(free, local.theta, (vectors * variance) @ vectors.T)
 
 
-def _linearised(free, theta, trajectories, solver):
+def _linearised(
+    free: ParametricModel,
+    theta: Float[np.ndarray, " parameter"],
+    trajectories: Trajectories,
+    solver: FixedStep,
+) -> tuple[RefitProblem, LinearisedModel]:
     """A model about states that fulfil its dynamics, the problem about them too."""
     with jax.enable_x64(new_val=True):
         problem = RefitProblem.of(trajectories, smoothed_states(trajectories), solver)
-        start = Lifted.at(free, theta, problem.states, problem)
-        lifted = problem.closed(start)
-        if not lifted.is_finite or problem.defect(lifted) > 1e-3:
+        start = LinearisedModel.at(free, theta, problem.states, problem)
+        local = problem.closed(start)
+        if not local.is_finite or problem.defect(local) > 1e-3:
             raise FitError(
                 "law discovery: the learned force does not explain the "
                 "trajectories; fit it to them first"
             )
-        return eqx.tree_at(lambda p: p.states, problem, lifted.states), lifted
+        return eqx.tree_at(lambda p: p.states, problem, np.asarray(local.states)), local

@@ -1,11 +1,15 @@
 """Sections of the report on what `pinav analyse` found, from its saved results."""
 
-from typing import Any
+import dataclasses
+from collections.abc import Mapping, Sequence
 
+import msgspec
 import numpy as np
+from jaxtyping import Float
 
 from pinav.analysis import HelmholtzSplit, LyapunovMap, SobolIndices
-from pinav.commands.analyse.job import ANALYSIS_FILE, ARRAYS_FILE
+from pinav.commands.analyse.job import ANALYSIS_FILE, ARRAYS_FILE, rotation_sentence
+from pinav.commands.analyse.metrics import AnalysisMetrics, SobolRow
 from pinav.evaluation import FieldMap, default_regions
 from pinav.figures import (
     constants_figure,
@@ -13,191 +17,165 @@ from pinav.figures import (
     influence_figure,
     lyapunov_figure,
     potential_map,
-    save_figure,
     sobol_figure,
     trust_map,
 )
-from pinav.figures.style import new_figure, title_panel
+from pinav.figures.style import new_figure, title_panel, with_order
 from pinav.report import Image, Paragraph, Section, Table
+from pinav.report.images import Figures
 from pinav.runs import RunFolder
-from pinav.trajectories import Trajectories, load
+from pinav.trajectories import load
 
 Content = list[Paragraph | Image | Table]
 
 
+@dataclasses.dataclass(frozen=True)
+class Results:
+    """The saved results of an analysis.
+
+    Attributes:
+        metrics: the numbers.
+        arrays: maps and curves.
+        field: the learned force.
+        paths: observed positions of each trajectory.
+        units: of the channels, with the order of the dynamics.
+    """
+
+    metrics: AnalysisMetrics
+    arrays: Mapping[str, np.ndarray]
+    field: FieldMap
+    paths: Sequence[Float[np.ndarray, "_ 2"]]
+    units: Mapping[str, str]
+
+    @classmethod
+    def read(cls, folder: RunFolder) -> "Results":
+        """The results in a run."""
+        metrics = msgspec.convert(folder.read_json(ANALYSIS_FILE), AnalysisMetrics)
+        arrays = folder.read_arrays(ARRAYS_FILE)
+        data = load(folder.path / "data.npz")
+        x, y, force, distance = (arrays[n] for n in ("x", "y", "force", "distance"))
+        field = FieldMap(x, y, force, distance, default_regions(data))
+        paths = [np.where(p.observed[:, :2], p.states[:, :2], np.nan) for p in data]
+        units = with_order(data.units, metrics.order)
+        return cls(metrics, arrays, field, paths, units)
+
+    @property
+    def all_paths(self) -> Float[np.ndarray, "_ 2"]:
+        """All paths in one array, a row of NaN between two."""
+        gap = np.full((1, 2), np.nan)
+        return np.concatenate([part for path in self.paths for part in (path, gap)])
+
+
 def analysis_sections(folder: RunFolder) -> list[Section]:
-    """What was learned, and what it depends on; nothing without an analysis."""
+    """Maps of what was learned, and what it depends on; nothing without an analysis."""
     if not folder.has(ANALYSIS_FILE):
         return []
-    found = folder.read_json(ANALYSIS_FILE)
-    arrays = folder.read_arrays(ARRAYS_FILE)
-    data = load(folder.path / "data.npz")
-    x, y, force, distance = (arrays[n] for n in ("x", "y", "force", "distance"))
-    field = FieldMap(x, y, force, distance, default_regions(data))
-    pages = _Pages(folder, found, arrays, data, field)
-    sections = [Section("What was learned", pages.learned())]
-    if "influence" in arrays:
-        sections.append(Section("What the force depends on", pages.influence()))
-    sections.append(Section("What a rollout depends on", pages.rollout()))
-    if found["left_out"]:
-        lines = [Paragraph(line) for line in found["left_out"]]
+    results, figures = Results.read(folder), Figures(folder.path)
+    sections = [
+        Section(
+            "What was learned",
+            [*_parts(results, figures), _potential(results, figures)],
+        )
+    ]
+    if results.metrics.influence:
+        content = [*_influence(results, figures), *_constants(results, figures)]
+        sections.append(Section("What the force depends on", content))
+    content = [_lyapunov(results, figures), *_sobol(results, figures)]
+    sections.append(Section("What a rollout depends on", content))
+    if results.metrics.left_out:
+        lines = [Paragraph(line) for line in results.metrics.left_out]
         sections.append(Section("Left out of the analysis", lines))
     return sections
 
 
-class _Pages:
-    """Figures and tables of one analysis."""
+def _parts(results: Results, figures: Figures) -> Content:
+    """Gradient and rotational part."""
+    parts, arrays = results.metrics.helmholtz, results.arrays
+    split = HelmholtzSplit(
+        gradient=arrays["split/gradient"],
+        rotational=arrays["split/rotational"],
+        potential=arrays["split/potential"],
+        stream=arrays["split/stream"],
+        region=arrays["split/region"],
+        rotational_fraction=parts.rotational,
+        least_fraction=parts.least,
+        greatest_fraction=parts.greatest,
+        misfit=parts.misfit,
+    )
+    figure = helmholtz_figure(
+        split,
+        results.field,
+        spread=parts.sd,
+        path=results.all_paths,
+        units=results.units,
+    )
+    image = figures.image(
+        "analysis-helmholtz",
+        figure,
+        "Helmholtz split of the learned force, by least squares in the region within "
+        f"{parts.reach:g} of the data. Fractions are of the squared force there. "
+        "Harmonic fields are both; they are shared equally.",
+        alt="Gradient part and rotational part of the learned force",
+    )
+    percent = [100 * v for v in (parts.rotational, parts.least, parts.greatest)]
+    spread = "–" if parts.sd is None else 100 * parts.sd
+    table = Table(
+        ("part", "fraction (%)", "least (%)", "greatest (%)", "sd (%)"),
+        [("rotational", *percent, spread)],
+        "Least: harmonic fields all count as gradients, so that this is what no "
+        "potential explains. Greatest: they all count as rotational. sd: over "
+        "posterior samples.",
+    )
+    return [Paragraph(f"{rotation_sentence(parts).capitalize()}."), image, table]
 
-    def __init__(
-        self,
-        folder: RunFolder,
-        found: dict[str, Any],
-        arrays: dict[str, np.ndarray],
-        data: Trajectories,
-        field: FieldMap,
-    ):
-        self.folder, self.found, self.arrays = folder, found, arrays
-        self.data, self.field = data, field
-        self.paths = [
-            np.where(p.observed[:, :2], p.states[:, :2], np.nan) for p in data
-        ]
 
-    def learned(self) -> Content:
-        """Parts, potential and trust."""
-        parts = self.found["helmholtz"]
-        split = HelmholtzSplit(
-            **{
-                name: self.arrays[f"split/{name}"]
-                for name in ("gradient", "rotational", "potential", "stream", "ground")
-            },
-            rotational_fraction=parts["rotational"],
-            least_fraction=parts["least"],
-            greatest_fraction=parts["greatest"],
-            misfit=parts["misfit"],
+def _potential(results: Results, figures: Figures) -> Image:
+    """The potential, and the signal to noise of the force."""
+    options = {"path": results.all_paths, "units": results.units}
+    sd = results.arrays.get("sd")
+    figure = new_figure(3.8 if sd is None else 7.5, 4.6)
+    axes = np.ravel(figure.subplots(1, 1 if sd is None else 2))
+    potential = results.arrays["potential"]
+    potential_map(potential, results.field, ax=axes[0], **options)
+    title_panel(axes[0], f"(a) potential, {results.metrics.potential}")
+    caption = "Potential up to a constant."
+    if sd is not None:
+        trust_map(results.field, sd, ax=axes[1], **options)
+        title_panel(axes[1], "(b) signal to noise")
+        caption += (
+            " Right: size of the force over its standard deviation; outside the "
+            "marked line it is not significantly different from zero. Away from the "
+            "data the standard deviation is that of the assumed prior and is not to "
+            "be trusted."
         )
-        options = {"path": self.joined, "units": self.data.units}
-        figure = helmholtz_figure(split, self.field, spread=parts.get("sd"), **options)
-        return [
-            self._image(
-                figure,
-                "helmholtz",
-                "Gradient part and rotational part of the learned force",
-                "Helmholtz split of the learned force, by least squares on the ground "
-                f"within {parts['reach']:g} of the data. Fractions are of the squared "
-                "force there. Harmonic fields are both; they are shared equally.",
-            ),
-            Table(
-                ("part", "fraction (%)", "least (%)", "greatest (%)", "sd (%)"),
-                [_fractions(parts)],
-                "Least: harmonic fields all count as gradients, so that this is what "
-                "no potential explains. Greatest: they all count as rotational. sd: "
-                "over posterior samples.",
-            ),
-            *self._trust(options),
-        ]
+    alt = "Potential, and where the force is known"
+    return figures.image("analysis-potential", figure, caption, alt=alt)
 
-    def _trust(self, options) -> list[Image]:
-        figure = new_figure(7.5 if "sd" in self.arrays else 3.8, 4.6)
-        axes = np.ravel(figure.subplots(1, 2 if "sd" in self.arrays else 1))
-        potential_map(self.arrays["potential"], self.field, ax=axes[0], **options)
-        title_panel(axes[0], f"(a) potential, {self.found['potential']}")
-        caption = "Potential up to a constant."
-        if "sd" in self.arrays:
-            trust_map(self.field, self.arrays["sd"], ax=axes[1], **options)
-            title_panel(axes[1], "(b) signal to noise")
-            caption += (
-                " Right: size of the force over its standard deviation; within the "
-                "marked line it may as well be zero."
-            )
-        alt = "Potential, and where the force is known"
-        return [self._image(figure, "potential", alt, caption)]
 
-    def influence(self) -> Content:
-        """Trajectories and constants."""
-        units = self.data.units
-        figure = influence_figure(
-            self.arrays["influence"], self.field, self.paths, units=units
-        )
-        content: Content = [
-            self._image(
-                figure,
-                "influence",
-                "Change of the force where one trajectory is left out",
-                "Change of the learned force where the trajectory that is drawn is "
-                "left out of the fit, to first order, the hyperparameters held.",
-            ),
-            self._table("influence", INFLUENCE_CAPTION),
-        ]
-        slopes = {
-            name.removeprefix("constant/"): values
-            for name, values in self.arrays.items()
-            if name.startswith("constant/")
-        }
-        if slopes:
-            options = {"path": self.joined, "units": units}
-            content.append(
-                self._image(
-                    constants_figure(slopes, self.field, **options),
-                    "constants",
-                    "Change of the force with known constants",
-                    "Change of the learned force where a constant is one percent "
-                    "larger and everything else is fitted anew.",
-                )
-            )
-            content.append(self._table("constants", CONSTANTS_CAPTION))
-        return content
-
-    def rollout(self) -> Content:
-        """Start and global sensitivity."""
-        index = self.found["settings"]["reference"]
-        names = ("x", "y", "separation", "final")
-        stretch = LyapunovMap(
-            *(self.arrays[f"lyapunov/{name}"] for name in names),
-            horizon=self.found["stretch"]["horizon"],
-        )
-        units = self.data.units
-        content: Content = [
-            self._image(
-                lyapunov_figure(stretch, path=self.paths[index], units=units),
-                "stretch",
-                "Stretch of the final position over starts",
-                "By how much two rollouts of the model part that start side by side, "
-                f"with the velocity of trajectory {index} at its start. Ridges "
-                "separate starts with different fates.",
-            )
-        ]
-        if "sobol" in self.found:
-            indices = _indices(self.found["sobol"])
-            content += [
-                self._image(
-                    sobol_figure(indices),
-                    "sobol",
-                    "Sobol' indices of the outcome of a rollout",
-                    _sobol_caption(self.found),
-                ),
-                self._table("sobol", "Sobol' indices with 95 % bootstrap intervals."),
-            ]
-        return content
-
-    @property
-    def joined(self) -> np.ndarray:
-        gap = np.full((1, 2), np.nan)
-        return np.concatenate([part for own in self.paths for part in (own, gap)])
-
-    def _image(self, figure, name: str, alt: str, caption: str) -> Image:
-        place = self.folder.path / "figures"
-        return Image(save_figure(figure, place, f"analysis-{name}").svg, alt, caption)
-
-    def _table(self, name: str, caption: str) -> Table:
-        rows = self.found[name]
-        cells = [
-            tuple(
-                "–" if v is None else str(v) if isinstance(v, bool) else v
-                for v in row.values()
-            )
-            for row in rows
-        ]
-        return Table(tuple(key.replace("_", " ") for key in rows[0]), cells, caption)
+def _influence(results: Results, figures: Figures) -> Content:
+    """The influence of each trajectory."""
+    figure = influence_figure(
+        results.arrays["influence"], results.field, results.paths, units=results.units
+    )
+    image = figures.image(
+        "analysis-influence",
+        figure,
+        "Change of the learned force where the trajectory that is drawn is left out of "
+        "the fit, to first order, the hyperparameters held.",
+        alt="Change of the force where one trajectory is left out",
+    )
+    header = (
+        "trajectory",
+        "leverage",
+        "Cook's distance",
+        "change of the force (%)",
+        "change of the final position",
+    )
+    rows = [
+        (row.trajectory, row.leverage, row.cook, 100 * row.force, row.final)
+        for row in results.metrics.influence or ()
+    ]
+    return [image, Table(header, rows, INFLUENCE_CAPTION)]
 
 
 INFLUENCE_CAPTION = (
@@ -205,6 +183,45 @@ INFLUENCE_CAPTION = (
     "distance; root-mean-square change of the force near the data without it, relative "
     "to that of the force; change of the final position of the reference rollout."
 )
+
+
+def _constants(results: Results, figures: Figures) -> Content:
+    """The effect of constants of the physics."""
+    slopes = {
+        name.removeprefix("constant/"): values
+        for name, values in results.arrays.items()
+        if name.startswith("constant/")
+    }
+    if not slopes:
+        return []
+    options = {"path": results.all_paths, "units": results.units}
+    image = figures.image(
+        "analysis-constants",
+        constants_figure(slopes, results.field, **options),
+        "Change of the learned force where a constant is one percent larger and "
+        "everything else is fitted anew.",
+        alt="Change of the force with known constants",
+    )
+    header = (
+        "constant",
+        "value",
+        "learned",
+        "change of the force (%)",
+        "change of the final position",
+    )
+    rows = [
+        (
+            row.constant,
+            row.value,
+            "yes" if row.learned else "no",
+            100 * row.force,
+            row.final,
+        )
+        for row in results.metrics.constants or ()
+    ]
+    return [image, Table(header, rows, CONSTANTS_CAPTION)]
+
+
 CONSTANTS_CAPTION = (
     "Each constant one percent larger: root-mean-square change of the force near the "
     "data, relative to that of the force, and change of the final position of the "
@@ -212,30 +229,80 @@ CONSTANTS_CAPTION = (
 )
 
 
-def _fractions(parts: dict[str, Any]) -> tuple:
-    values = [100 * parts[name] for name in ("rotational", "least", "greatest")]
-    return ("rotational", *values, 100 * parts["sd"] if "sd" in parts else "–")
+def _lyapunov(results: Results, figures: Figures) -> Image:
+    """Finite-time Lyapunov exponents over starts."""
+    index = int(results.metrics.settings["reference"])
+    names = ("x", "y", "separation", "final")
+    exponents = LyapunovMap(
+        *(results.arrays[f"lyapunov/{name}"] for name in names),
+        horizon=results.metrics.lyapunov.horizon,
+    )
+    return figures.image(
+        "analysis-lyapunov",
+        lyapunov_figure(exponents, path=results.paths[index], units=results.units),
+        "Growth of the separation of two rollouts of the model that start side by "
+        f"side, with the velocity of trajectory {index} at its start; its logarithm "
+        "over the time is the finite-time Lyapunov exponent. Ridges separate starts "
+        "with different fates.",
+        alt="Finite-time Lyapunov exponents over starts",
+        width=0.6,
+    )
 
 
-def _sobol_caption(found: dict[str, Any]) -> str:
-    settings = found["settings"]
-    landmark = ", ".join(f"{value:.3g}" for value in found["landmark"])
+def _sobol(results: Results, figures: Figures) -> Content:
+    """Global sensitivity of a rollout."""
+    rows = results.metrics.sobol
+    if not rows:
+        return []
+    image = figures.image(
+        "analysis-sobol",
+        sobol_figure(_indices(rows)),
+        _sobol_caption(results.metrics),
+        alt="Sobol' indices of the outcome of a rollout",
+    )
+    header = ("outcome", "factor", "first order", "95 % interval", "total")
+    cells = [
+        (
+            row.outcome,
+            row.factor,
+            row.first,
+            _interval(row.first_low, row.first_high),
+            row.total,
+            _interval(row.total_low, row.total_high),
+            row.variance,
+        )
+        for row in rows
+    ]
+    header = (*header, "95 % interval", "variance of the outcome")
+    table = Table(header, cells, "Sobol' indices with 95 % bootstrap intervals.")
+    return [image, table]
+
+
+def _interval(low: float | None, high: float | None) -> str:
+    return "–" if low is None or high is None else f"{low:.2f} to {high:.2f}"
+
+
+def _sobol_caption(metrics: AnalysisMetrics) -> str:
+    settings = metrics.settings
+    landmark = ", ".join(f"{value:.3g}" for value in metrics.landmark or ())
     return (
         f"Rollouts of trajectory {settings['reference']} with strengths varied by "
         f"± {settings['relative']:.0%} and the start by ± {settings['shift']:g}, "
         "uniformly and independently. Displacement is from the nominal final position, "
-        "arrival means that it is at most 0.35, and the least distance is to the "
-        f"highest point of the potential near the data, ({landmark})."
+        "arrival means that it is at most the distance that counts as visited, and the "
+        f"least distance is to the highest point of the potential near the data, "
+        f"({landmark})."
     )
 
 
-def _indices(rows: list[dict[str, Any]]) -> SobolIndices:
-    outcomes = list(dict.fromkeys(row["outcome"] for row in rows))
-    factors = list(dict.fromkeys(row["factor"] for row in rows))
+def _indices(rows: Sequence[SobolRow]) -> SobolIndices:
+    outcomes = list(dict.fromkeys(row.outcome for row in rows))
+    factors = list(dict.fromkeys(row.factor for row in rows))
     shape = len(outcomes), len(factors)
 
     def column(name: str) -> np.ndarray:
-        values = [np.nan if row[name] is None else row[name] for row in rows]
+        values = [getattr(row, name) for row in rows]
+        values = [np.nan if value is None else value for value in values]
         return np.array(values, float).reshape(shape)
 
     def interval(name: str) -> np.ndarray:

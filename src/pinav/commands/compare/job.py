@@ -5,6 +5,12 @@ from typing import Any
 
 from pinav.commands.command import CommandResult
 from pinav.commands.compare.command import COMPARE
+from pinav.commands.compare.metrics import (
+    Candidate,
+    CompareMetrics,
+    Estimated,
+    Verdict,
+)
 from pinav.commands.compare.settings import CompareOptions, CompareSettings
 from pinav.commands.fitted_run import rotational_part
 from pinav.commands.progress import BayesReporter
@@ -12,7 +18,7 @@ from pinav.commands.start import fingerprint, start_run
 from pinav.commands.system_choice import choose_system
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import FitError, InputError
-from pinav.fitting import EvidenceFit, fit_bayes, fit_langevin, model_evidence
+from pinav.fitting import EvidenceFit, Outcome, fit_bayes, fit_langevin, model_evidence
 from pinav.fitting.environments.catalogue import (
     TIMED,
     DataSummary,
@@ -23,6 +29,7 @@ from pinav.fitting.environments.catalogue import (
     with_linear_drag,
     with_tensor_drag,
 )
+from pinav.report.text import as_text
 from pinav.runs import RunFolder
 from pinav.systems import System
 from pinav.trajectories import Trajectories, load, with_unobserved
@@ -87,41 +94,46 @@ def checked(settings: CompareSettings, data: Trajectories) -> System:
 
 def compare(
     settings: CompareSettings, data: Trajectories, folder: RunFolder
-) -> dict[str, Any]:
-    """Fit each model and weigh their evidence; a finished fit is not done again.
-
-    Returns:
-        The content of `metrics.json`: a row for each model, and the verdicts.
-    """
+) -> CompareMetrics:
+    """Fit each model and weigh their evidence; a finished fit is not done again."""
     known = checked(settings, data)
-    rows = {}
+    rows: dict[str, Candidate] = {}
     for name in dict.fromkeys(settings.models):
         stored = f"evidence-{name}.json"
         if not folder.has(stored):
-            folder.write_json(stored, _row(name, settings, known, data, folder))
-        rows[name] = folder.read_json(stored)
-    metrics = {"models": rows, "verdicts": verdicts(rows)}
-    folder.write_json("metrics.json", metrics)
+            folder.write_metrics(
+                stored, _candidate(name, settings, known, data, folder)
+            )
+        rows[name] = folder.read_metrics(stored, Candidate)
+    metrics = CompareMetrics(rows, tuple(verdicts(rows)))
+    folder.write_metrics("metrics.json", metrics)
     return metrics
 
 
-def _row(name, settings, known: System, data, folder) -> dict[str, Any]:
+def _candidate(
+    name: str,
+    settings: CompareSettings,
+    known: System,
+    data: Trajectories,
+    folder: RunFolder,
+) -> Candidate:
     """The evidence of one candidate."""
     try:
-        found = fitted(name, settings, known, data, folder)
+        result = fitted(name, settings, known, data, folder)
     except FitError as error:
-        return {"outcome": "failed", "reason": str(error), "log_evidence": None}
-    evidence = model_evidence(found.linear, found.hyperparameters)
-    estimates = rotational_part(found, data)
-    return {
-        "outcome": str(found.outcome),
-        "noise": found.hyperparameters.noise,
-        "weights": int(len(found.posterior.mean)),
-        "best": evidence.best,
-        "occam": evidence.correction,
-        "log_evidence": evidence.log_evidence,
-        **{k: {"value": e.value, "sd": e.sd} for k, e in estimates.items()},
-    }
+        return Candidate("failed", reason=str(error))
+    evidence = model_evidence(result.linear, result.hyperparameters)
+    rotational = rotational_part(result, data).get("rotational fraction")
+    return Candidate(
+        outcome=str(result.outcome),
+        log_evidence=float(evidence.log_evidence),
+        best=float(evidence.best),
+        correction=float(evidence.correction),
+        noise=float(result.hyperparameters.noise),
+        weights=len(result.posterior.mean),
+        rotational_fraction=rotational
+        and Estimated(float(rotational.value), float(rotational.sd)),
+    )
 
 
 def fitted(
@@ -187,28 +199,30 @@ def _positions(data: Trajectories) -> list[str]:
     return list(data.channels[: data.dim])
 
 
-def verdicts(rows: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
-    """What the evidence says on each question that two of the models answer.
+def verdicts(rows: dict[str, Candidate]) -> list[Verdict]:
+    """The answer of the evidence to each question that two of the models answer.
 
-    A difference of less than `DECISIVE` nats is called indecisive.
+    A difference of less than `DECISIVE` nats is called not decisive.
 
     Args:
-        rows: by the name of the model, with `log_evidence` and `outcome`.
+        rows: the candidates by name.
     """
-    found = []
-    for simple, rich, without, with_it in QUESTIONS:
-        if simple in rows and rich in rows:
-            values = [rows[name]["log_evidence"] for name in (simple, rich)]
-            caveats = _caveats(rows, (simple, rich))
-            found.append(_verdict((simple, rich), (without, with_it), values, caveats))
-    return found
+    return [
+        _verdict((simple, rich), meanings, rows)
+        for simple, rich, *meanings in QUESTIONS
+        if simple in rows and rich in rows
+    ]
 
 
-def _verdict(names, meanings, values, caveats) -> dict[str, Any]:
-    if None in values:
+def _verdict(
+    names: tuple[str, str], meanings: list[str], rows: dict[str, Candidate]
+) -> Verdict:
+    simple, rich = (rows[name].log_evidence for name in names)
+    caveats = _caveats(rows, names)
+    if simple is None or rich is None:
         text = f"No verdict on {meanings[0]} or {meanings[1]}: {caveats}."
-        return {"models": names, "difference": None, "text": text}
-    difference = float(values[1] - values[0])
+        return Verdict(names, None, text)
+    difference = rich - simple
     preferred, other = meanings if difference < 0 else meanings[::-1]
     strength = "decisive" if abs(difference) >= DECISIVE else "not decisive"
     text = (
@@ -217,44 +231,27 @@ def _verdict(names, meanings, values, caveats) -> dict[str, Any]:
     )
     if caveats:
         text += f" Caution: {caveats}."
-    return {"models": names, "difference": difference, "text": text}
+    return Verdict(names, difference, text)
 
 
-def _caveats(rows, names) -> str:
-    bad = [n for n in names if rows[n]["outcome"] != "converged"]
-    return " and ".join(f"the fit of {n} {rows[n]['outcome']}" for n in bad)
+def _caveats(rows: dict[str, Candidate], names: tuple[str, str]) -> str:
+    bad = [name for name in names if rows[name].outcome != CONVERGED]
+    return " and ".join(f"the fit of {name} {rows[name].outcome}" for name in bad)
 
 
-def text(metrics: dict[str, Any]) -> str:
+CONVERGED = str(Outcome.CONVERGED)
+
+
+def text(metrics: CompareMetrics) -> str:
     """The table and the verdicts for a terminal."""
-    lines = [f"{'':<25}{'log evidence':>14}{'occam':>8}{'below best':>12}  outcome"]
-    for name, cells in table(metrics["models"]):
-        lines.append(f"{name:<25}" + "".join(cells))
     fractions = [
-        f"rotational fraction of {name} on visited ground: {part['value']:.3f} ± "
-        f"{part['sd']:.2g} (sd)"
-        for name, row in metrics["models"].items()
-        if (part := row.get("rotational fraction"))
+        f"rotational fraction of {name} where there are data: {part.value:.3f} ± "
+        f"{part.sd:.2g} (sd)"
+        for name, row in metrics.models.items()
+        if (part := row.rotational_fraction)
     ]
-    return "\n".join([*lines, *fractions, *(v["text"] for v in metrics["verdicts"])])
-
-
-def table(rows: dict[str, dict[str, Any]]) -> list[tuple[str, list[str]]]:
-    """Cells of each model, the best one first."""
-    values = {name: row["log_evidence"] for name, row in rows.items()}
-    known = {name: value for name, value in values.items() if value is not None}
-    best = max(known.values(), default=0.0)
-    cells = []
-    for name in sorted(known, key=lambda n: -known[n]):
-        row = rows[name]
-        numbers = (f"{known[name]:>14.1f}", f"{row['occam']:>8.1f}")
-        below = f"{best - known[name]:>12.1f}  "
-        cells.append((name, [*numbers, below, row["outcome"]]))
-    failed = [name for name in values if name not in known]
-    return cells + [
-        (name, [f"{'–':>14}", f"{'–':>8}", f"{'–':>12}  ", rows[name]["reason"]])
-        for name in failed
-    ]
+    sentences = [verdict.text for verdict in metrics.verdicts]
+    return "\n".join([as_text(metrics.table()), *fractions, *sentences])
 
 
 def run(options: CompareOptions) -> CommandResult:

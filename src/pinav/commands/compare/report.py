@@ -1,23 +1,21 @@
 """Sections of the report of a comparison of models."""
 
-from pinav.commands.compare.job import table
+from pinav.commands.compare.metrics import CompareMetrics
 from pinav.figures import evidence_bars, save_figure
-from pinav.report import Image, Paragraph, Section, Table
+from pinav.report import Image, Paragraph, Section
 from pinav.runs import RunFolder
 
 
 def comparison_sections(folder: RunFolder) -> list[Section]:
     """The evidence of each model, and the verdicts on it."""
-    metrics = folder.read_json("metrics.json")
-    rows = [(name, *map(str.strip, cells)) for name, cells in table(metrics["models"])]
-    header = ("model", "log evidence", "cost of choices", "below the best", "outcome")
+    metrics = folder.read_metrics("metrics.json", CompareMetrics)
     figure = evidence_bars(
-        {name: row["log_evidence"] for name, row in metrics["models"].items()}
+        {name: row.log_evidence for name, row in metrics.models.items()}
     )
     files = save_figure(figure, folder.path / "figures", "evidence")
     content = [
-        *(Paragraph(verdict["text"]) for verdict in metrics["verdicts"]),
-        Table(header, rows, EVIDENCE_NOTE),
+        *(Paragraph(verdict.text) for verdict in metrics.verdicts),
+        metrics.table(),
         Image(
             files.svg,
             "Bars: by how much the log evidence of each model is below the best",
@@ -25,9 +23,3 @@ def comparison_sections(folder: RunFolder) -> list[Section]:
         ),
     ]
     return [Section("The evidence", content)]
-
-
-EVIDENCE_NOTE = (
-    "Log evidence in nats, hyperparameters integrated out (their cost is the third "
-    "column); starts and learned constants have priors of unit information."
-)

@@ -1,48 +1,53 @@
 """`pinav discover`: the law behind the learned force of a run."""
 
 from pathlib import Path
-from typing import Any
 
+import msgspec
 import numpy as np
 
-from pinav.analysis import Candidate, Discovery
+from pinav.analysis import Candidate, Discovery, EstimatedConstant
 from pinav.analysis import discover as discover_law
 from pinav.analysis.discovery.law_regression import law_force
 from pinav.analysis.discovery.learned_fit import laplace_posterior
 from pinav.commands.command import CommandResult
+from pinav.commands.discover.metrics import (
+    CentralRow,
+    ConstantRow,
+    DiscoveryMetrics,
+    LawRow,
+)
 from pinav.commands.discover.settings import DiscoverOptions
 from pinav.commands.fitted_run import FittedRun
 from pinav.dynamics import Swimmer
 from pinav.errors import InputError
 from pinav.fitting import Posterior
 from pinav.fitting.environments.catalogue import learned_part
+from pinav.forces import AbstractLearnedForce
+from pinav.report import Table
+from pinav.report.text import as_text
 from pinav.runs import RunFolder
 
 LAWS_FILE, SAMPLE_FILE = "laws.json", "laws.npz"
 
 
-def discover(run: Path, refits: int) -> dict[str, Any]:
+def discover(run: Path, refits: int) -> DiscoveryMetrics:
     """Rank the laws of a run's learned force; write `laws.json` and its arrays.
 
     Args:
-        run: folder of `pinav fit`.
+        run: folder of a fitted run.
         refits: number of laws refitted through the equations of motion.
-
-    Returns:
-        The content of `laws.json`.
 
     Raises:
         InputError: the run is no finished fit of a force.
         FitError: the learned force does not explain the trajectories.
     """
     fitted = FittedRun.open(run)
-    folder = fitted.folder
-    found = discover_law(_posterior(fitted), fitted.data, refits=refits)
-    metrics = _metrics(found)
-    best, sample = found.best, found.sample
-    values = np.array([own.value for own in best.constants])
+    discovery = discover_law(_posterior(fitted), fitted.data, refits=refits)
+    metrics = _metrics(discovery)
+    best, sample = discovery.best, discovery.sample
+    values = np.array([constant.value for constant in best.constants])
     variances = np.maximum(np.diag(sample.covariance), 0.0)
-    folder.write_arrays(
+    fitted.folder.write_arrays(
         SAMPLE_FILE,
         {
             "positions": sample.positions,
@@ -51,125 +56,108 @@ def discover(run: Path, refits: int) -> dict[str, Any]:
             "law": law_force(best.law, values, sample.positions),
         },
     )
-    folder.write_json(LAWS_FILE, metrics)
+    fitted.folder.write_json(LAWS_FILE, msgspec.to_builtins(metrics))
     return metrics
 
 
-def _posterior(fitted: FittedRun) -> Posterior:
+def _posterior(run: FittedRun) -> Posterior:
     """The posterior that the run stored, or one by Laplace about its model."""
-    if fitted.posterior is not None:
-        return fitted.posterior
-    model = fitted.model
+    model, path = run.model, run.folder.path
     if not isinstance(model, Swimmer):
         raise InputError(
-            f"{fitted.folder.path}: a black box has no force of its environment; fit "
-            "another --model"
+            f"{path}: laws are refitted to the trajectories of swimmers with inertia; "
+            f"expected such a model, got {type(model).__name__}"
         )
-    return laplace_posterior(model, fitted.data, learned_part)
-
-
-def _metrics(found: Discovery) -> dict[str, Any]:
-    central = found.central
-    return {
-        "verdict": found.verdict.value,
-        "laws": [_candidate(candidate) for candidate in found.candidates],
-        "screened": [list(pair) for pair in found.screened],
-        "central": {
-            "verdict": central.verdict.value,
-            "center": list(central.center),
-            "center_sd": list(central.center_sd),
-            "ratio": central.ratio,
-            "noise_ratio": central.noise_ratio,
-            "p_value": central.p_value,
-        },
-        "noise": found.learned_noise,
-        "num_effective": found.num_effective,
-    }
-
-
-def _candidate(candidate: Candidate) -> dict[str, Any]:
-    return {
-        "name": candidate.name,
-        "num_constants": len(candidate.constants),
-        "bic": candidate.bic,
-        "delta_bic": candidate.delta_bic,
-        "noise": candidate.noise,
-        "outcome": str(candidate.outcome),
-        "fits": candidate.fits,
-        "latex": candidate.latex,
-        "sympy": candidate.sympy,
-        "constants": [
-            {
-                "name": own.name,
-                "symbol": own.symbol,
-                "unit": own.unit,
-                "value": own.value,
-                "sd": own.sd,
-                "low": own.low,
-                "high": own.high,
-                "identifiable": own.identifiable,
-            }
-            for own in candidate.constants
-        ],
-    }
-
-
-def text(metrics: dict[str, Any]) -> str:
-    """The ranking and the constants of the close laws, for a terminal."""
-    laws = metrics["laws"]
-    width = max(len(law["name"]) for law in laws)
-    lines = [f"{'law':<{width}} constants  ΔBIC      noise     refit      explains"]
-    for law in laws:
-        delta = np.inf if law["delta_bic"] is None else law["delta_bic"]
-        fits = "yes" if law["fits"] else "no"
-        lines.append(
-            f"{law['name']:<{width}} {law['num_constants']:<9}  {delta:<8.4g}  "
-            f"{law['noise']:<8.3g}  {law['outcome']:<9}  {fits}"
+    if not isinstance(model.environment, AbstractLearnedForce):
+        raise InputError(
+            f"{path}: its model has no learned force of the environment; fit a kernel "
+            "or neural model"
         )
-    for law in close_laws(metrics):
-        lines.append(f"\n{law['name']}: {law['latex']}")
-        lines += [f"  {constant_text(own)}" for own in law["constants"]]
-    lines += ["", *verdict_lines(metrics)]
-    return "\n".join(lines)
+    if run.posterior is not None:
+        return run.posterior
+    return laplace_posterior(model, run.data, learned_part)
 
 
-def close_laws(metrics: dict[str, Any]) -> list[dict[str, Any]]:
-    """The laws within 6 of the lowest BIC."""
-    deltas = [law["delta_bic"] for law in metrics["laws"]]
-    pairs = zip(metrics["laws"], deltas, strict=True)
-    return [law for law, delta in pairs if delta is not None and delta < 6.0]
+def _metrics(discovery: Discovery) -> DiscoveryMetrics:
+    central = discovery.central
+    sd_x, sd_y = (_finite(sd) for sd in central.center_sd)
+    return DiscoveryMetrics(
+        verdict=discovery.verdict.value,
+        laws=tuple(map(_law_row, discovery.candidates)),
+        screened=tuple((name, _finite(bic)) for name, bic in discovery.screened),
+        central=CentralRow(
+            verdict=central.verdict.value,
+            center=central.center,
+            center_sd=(sd_x, sd_y),
+            ratio=central.ratio,
+            noise_ratio=central.noise_ratio,
+            p_value=central.p_value,
+        ),
+        noise=discovery.learned_noise,
+        num_effective=discovery.num_effective,
+    )
 
 
-def constant_text(constant: dict[str, Any]) -> str:
-    """A constant with its 95 % interval, or that it is not identifiable."""
-    line = f"{constant['name']} = {constant['value']:.6g}"
-    low, high = constant["low"], constant["high"]
-    if low is not None and np.isfinite([low, high]).all():
-        line += f", 95 % from {low:.6g} to {high:.6g}"
-    return line if constant["identifiable"] else f"{line}: not identifiable"
+def _law_row(candidate: Candidate) -> LawRow:
+    return LawRow(
+        name=candidate.name,
+        num_constants=len(candidate.constants),
+        bic=_finite(candidate.bic),
+        delta_bic=_finite(candidate.delta_bic),
+        noise=_finite(candidate.noise),
+        outcome=str(candidate.outcome),
+        fits=candidate.fits,
+        latex=candidate.latex,
+        sympy=candidate.sympy,
+        constants=tuple(map(_constant_row, candidate.constants)),
+    )
 
 
-def verdict_lines(metrics: dict[str, Any]) -> list[str]:
-    """What is known of the law, and whether the force is central, in sentences."""
-    laws, central = metrics["laws"], metrics["central"]
-    names = ", ".join(law["name"] for law in close_laws(metrics))
-    sentences = {
-        "identified": f"law: {names}",
-        "not identifiable": f"law: not identifiable from these data ({names})",
-        "no law fits": "law: no candidate explains the data as well as the learned "
-        f"force; the nearest is {laws[0]['name']}",
-    }
-    (x, y), (sd_x, sd_y) = central["center"], central["center_sd"]
-    return [
-        sentences[metrics["verdict"]],
-        f"central force: {central['verdict']}; tangential over radial "
-        f"{central['ratio']:.3g}, {central['noise_ratio']:.3g} expected of a central "
-        f"one, p = {central['p_value']:.3g}; centre ({x:.5g} ± {sd_x:.2g}, "
-        f"{y:.5g} ± {sd_y:.2g})",
+def _constant_row(constant: EstimatedConstant) -> ConstantRow:
+    return ConstantRow(
+        name=constant.name,
+        symbol=constant.symbol,
+        unit=constant.unit,
+        value=constant.value,
+        sd=_finite(constant.sd),
+        low=_finite(constant.low),
+        high=_finite(constant.high),
+        identifiable=constant.identifiable,
+    )
+
+
+def _finite(value: float) -> float | None:
+    """The number, or none where it is not finite."""
+    return float(value) if np.isfinite(value) else None
+
+
+def ranking(metrics: DiscoveryMetrics) -> Table:
+    """The refitted laws, the best one first."""
+    rows = [
+        (
+            law.name,
+            law.num_constants,
+            law.delta_bic,
+            law.noise,
+            law.outcome,
+            "yes" if law.fits else "no",
+        )
+        for law in metrics.laws
     ]
+    header = ("law", "constants", "ΔBIC", "noise", "refit", "explains the data")
+    return Table(header, rows, "Candidate laws refitted to the trajectories.")
+
+
+def text(metrics: DiscoveryMetrics) -> str:
+    """The ranking and the constants of the close laws, for a terminal."""
+    lines = [as_text(ranking(metrics))]
+    for law in metrics.close_laws:
+        lines.append(f"\n{law.name}: force {law.sympy}")
+        lines += [f"  {constant.text()}" for constant in law.constants]
+    return "\n".join([*lines, "", *metrics.sentences()])
 
 
 def run(options: DiscoverOptions) -> CommandResult:
-    """Discover as the command line does."""
+    """Find laws as the command line does."""
     metrics = discover(options.run, options.refits)
     return CommandResult(metrics, text(metrics), RunFolder.open(options.run))

@@ -1,80 +1,65 @@
 """The section of a report on the law behind a learned force."""
 
-from typing import Any
+import msgspec
 
-import numpy as np
-
-from pinav.commands.discover.job import (
-    LAWS_FILE,
-    SAMPLE_FILE,
-    close_laws,
-    verdict_lines,
-)
-from pinav.figures import law_figure, save_figure
+from pinav.commands.discover.job import LAWS_FILE, SAMPLE_FILE, ranking
+from pinav.commands.discover.metrics import DiscoveryMetrics, LawRow
+from pinav.figures import formula_figure, law_figure
 from pinav.figures.style import force_unit
 from pinav.report import Code, Image, Paragraph, Section, Table
+from pinav.report.images import Figures
 from pinav.runs import RunFolder
 from pinav.trajectories import load
 
 
 def law_sections(folder: RunFolder) -> list[Section]:
-    """The results of `pinav discover`, or nothing where it did not run."""
+    """The findings of `pinav discover`, or nothing where it did not run."""
     if not folder.has(LAWS_FILE):
         return []
+    metrics = msgspec.convert(folder.read_json(LAWS_FILE), DiscoveryMetrics)
+    arrays, figures = folder.read_arrays(SAMPLE_FILE), Figures(folder.path)
     units = load(folder.path / "data.npz").units
-    metrics = folder.read_json(LAWS_FILE)
-    laws, arrays = metrics["laws"], folder.read_arrays(SAMPLE_FILE)
-    deltas = [np.inf if law["delta_bic"] is None else law["delta_bic"] for law in laws]
     figure = law_figure(
-        [law["name"] for law in laws],
-        deltas,
+        [law.name for law in metrics.laws],
+        [law.difference for law in metrics.laws],
         arrays["learned"],
         arrays["sd"],
         arrays["law"],
-        formula=laws[0]["latex"],
         unit=force_unit(units),
     )
-    files = save_figure(figure, folder.path / "figures", "laws")
-    image = Image(
-        files.svg,
-        "Ranking of candidate laws, and the best one against the learned force",
+    image = figures.image(
+        "laws",
+        figure,
         "(a) Difference in BIC of laws refitted to the trajectories. (b) The best law "
-        "and the learned force at points on visited ground, bars 95 %.",
+        "and the learned force at points in visited regions, bars 95 %.",
+        alt="Ranking of candidate laws, and the best one against the learned force",
     )
-    sentences = [Paragraph(line) for line in verdict_lines(metrics)]
-    details = [block for law in close_laws(metrics) for block in _law(law)]
-    content = [*sentences, image, _ranking(laws), *details]
+    sentences = [Paragraph(f"{line.capitalize()}.") for line in metrics.sentences()]
+    details = [
+        block
+        for index, law in enumerate(metrics.close_laws)
+        for block in _law(figures, index, law)
+    ]
+    content = [*sentences, image, ranking(metrics), *details]
     return [Section("The law behind the force", content)]
 
 
-def _ranking(laws: list[dict[str, Any]]) -> Table:
+def _law(figures: Figures, index: int, law: LawRow) -> list[Table | Code | Image]:
     rows = [
         (
-            law["name"],
-            law["num_constants"],
-            law["delta_bic"],
-            law["noise"],
-            law["outcome"],
-            "yes" if law["fits"] else "no",
+            constant.name,
+            constant.value,
+            constant.sd,
+            constant.low,
+            constant.high,
+            "yes" if constant.identifiable else "not identifiable",
         )
-        for law in laws
-    ]
-    header = ("law", "constants", "ΔBIC", "noise", "refit", "explains the data")
-    return Table(header, rows, "Candidate laws refitted to the trajectories.")
-
-
-def _law(law: dict[str, Any]) -> list[Table | Code]:
-    rows = [
-        (
-            own["name"],
-            own["value"],
-            own["sd"],
-            own["low"],
-            own["high"],
-            "yes" if own["identifiable"] else "not identifiable",
-        )
-        for own in law["constants"]
+        for constant in law.constants
     ]
     header = ("constant", "value", "sd", "2.5 %", "97.5 %", "identifiable")
-    caption = f"{law['name']}: constants and 95 % intervals."
-    return [Table(header, rows, caption), Code(f"{law['latex']}\n\n{law['sympy']}")]
+    caption = f"{law.name}: constants and 95 % intervals."
+    blocks: list[Table | Code | Image] = []
+    if (figure := formula_figure(law.latex)) is not None:
+        words = f"Formula of the law: {law.name}."
+        blocks.append(figures.image(f"law-{index}", figure, words, width=0.8))
+    return [*blocks, Table(header, rows, caption), Code(law.sympy)]

@@ -1,33 +1,41 @@
-"""`pinav evaluate`: where the models of a run can be trusted.
+"""`pinav evaluate`: scores that say where the models of a run can be trusted.
 
 Rollouts over time, from the data given and from clean starts that no fit has seen;
 force by region; bands; residuals; learned constants.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
-from pinav.commands.cells import as_cell
+import msgspec
+import numpy as np
+
+from pinav.commands.cells import Cell, as_cell
 from pinav.commands.command import CommandResult
-from pinav.commands.evaluate.judge import conformal, judge_fit
+from pinav.commands.evaluate.judge import (
+    calibrate_band,
+    coverage_rows,
+    recovered_constants,
+    residual_rows,
+    residual_whiteness,
+)
+from pinav.commands.evaluate.metrics import EvaluationMetrics, ForceRow, RolloutRow
 from pinav.commands.evaluate.setting import (
     Prediction,
     Setting,
-    force_fields,
-    prediction,
-    read_data,
-    starts_are_estimated,
-    true_scenario,
+    predict_rollouts,
+    read_setting,
 )
 from pinav.commands.evaluate.settings import EvaluateOptions
 from pinav.commands.evaluate.tables import tables
 from pinav.commands.fitted_run import FittedRun
 from pinav.commands.held_out import held_out
-from pinav.dynamics import AbstractDynamics, Outcome, Swimmer
+from pinav.commands.recording_settings import RecordingSettings
+from pinav.dynamics import AbstractDynamics, Outcome, OverdampedSwimmer, Swimmer
 from pinav.evaluation import (
     START_SAMPLES,
     Regions,
-    default_regions,
+    RolloutSummary,
     error_curve,
     force_agreement,
     position_errors,
@@ -38,8 +46,15 @@ from pinav.report.text import as_text
 from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories
 
+EVALUATION_FILE, ARRAYS_FILE = "evaluation.json", "evaluation.npz"
+
 EXTENSION = 2.0
-"""How many training horizons clean held-out rollouts last."""
+"""Training horizons that clean held-out rollouts last."""
+
+BASELINE = "physics-only"
+"""Name of the known physics alone in the tables."""
+
+Arrays = dict[str, np.ndarray]
 
 
 def evaluate(
@@ -48,153 +63,184 @@ def evaluate(
     *,
     calibration: Path | None = None,
     regions: Regions | None = None,
-) -> dict[str, Any]:
+    recording: RecordingSettings | None = None,
+) -> EvaluationMetrics:
     """Score every model of the run on the trajectories of a file.
 
     Writes `evaluation.json`, `evaluation.csv` and `evaluation.npz` into the run.
 
     Args:
         run: folder of a finished run.
-        data: trajectories to score, which no model was fitted to.
+        data: trajectories to score: others than the run was fitted to, or the scores
+            are said to be training errors.
         calibration: further trajectories, from which conformal bands are calibrated.
-        regions: what counts as visited; chosen from the training data unless given.
+        regions: lengths of the regions; chosen from the training data unless given.
+        recording: how the files are read where they are recordings.
 
     Raises:
-        InputError: the run holds no model, or a file cannot be read.
+        InputError: the run holds no model, a file cannot be read, or `calibration`
+            holds training data.
     """
-    subject = FittedRun.open(run)
-    folder = subject.folder
-    trajectories = read_data(data, subject)
-    setting = Setting(
-        subject,
-        trajectories,
-        true_scenario(trajectories, subject),
-        default_regions(subject.data) if regions is None else regions,
-        starts_are_estimated(subject, trajectories),
-    )
-    metrics, arrays = _header(setting, data), {}
-    clean = _clean(setting)
-    for name, model in (subject.models | _baseline(subject)).items():
-        _score_model(name, model, setting, clean, (metrics, arrays))
-    judge_fit(setting, folder, clean, (metrics, arrays))
-    if calibration is not None:
-        metrics["calibration"] = conformal(setting, calibration)
-    folder.write_json("evaluation.json", metrics)
-    folder.write_arrays("evaluation.npz", arrays)
-    _write_csv(folder, metrics)
-    return metrics
-
-
-def _baseline(subject: FittedRun) -> dict[str, AbstractDynamics]:
-    """The known physics alone, as the least that a model must beat."""
-    return {BASELINE: subject.system.swimmer}
-
-
-BASELINE = "physics-only"
-"""What the tables call it."""
-
-
-def _header(setting: Setting, data: Path) -> dict[str, Any]:
-    subject = setting.subject
-    unit = subject.data.units[subject.data.channels[0]]
-    return {
-        "data": data.name,
-        "trajectories": len(setting.data),
-        "starts": (
+    recording = RecordingSettings() if recording is None else recording
+    setting = read_setting(run, data, regions, recording)
+    fitted, clean = setting.run, clean_trajectories(setting)
+    models = fitted.models | _baseline(fitted)
+    sources = {
+        name: _predictions(model, setting, clean) for name, model in models.items()
+    }
+    rollouts, arrays = _rollouts(sources, setting)
+    single = len(fitted.models) == 1
+    whiteness = residual_whiteness(setting) if single else None
+    if whiteness is not None:
+        arrays["autocorrelation"] = whiteness.autocorrelation
+        arrays["counts"] = np.array(whiteness.counts)
+        arrays["channels"] = np.array(whiteness.channels)
+    metrics = EvaluationMetrics(
+        data=data.name,
+        trajectories=len(setting.data),
+        starts=(
             f"estimated from the first {START_SAMPLES} samples with the model fixed; "
             "only the samples after them are scored"
             if setting.estimate
             else "the first sample of each trajectory"
         ),
-        "regions": setting.regions.definition(unit),
-        "domain": setting.domain,
-        "horizon": subject.horizon,
-        "rmse": {},
-        "rollouts": {},
-        "force": {},
-    }
+        regions=setting.regions.definition(fitted.data.units["x"]),
+        domain=setting.domain,
+        horizon=fitted.horizon,
+        rmse={name: _errors(found["data"]) for name, found in sources.items()},
+        rollouts=rollouts,
+        force=_forces(models, setting),
+        seen=fitted.shared_trajectories(setting.data),
+        unit=fitted.data.units["x"],
+        whiteness=None if whiteness is None else residual_rows(whiteness),
+        constants=recovered_constants(setting) if single else None,
+        coverage=coverage_rows(setting, clean) if single else None,
+        calibration=(
+            None
+            if calibration is None
+            else calibrate_band(setting, calibration, recording)
+        ),
+        notes=setting.notes,
+    )
+    _write(fitted.folder, metrics, arrays)
+    return metrics
 
 
-def _clean(setting: Setting) -> Trajectories | None:
+def _baseline(run: FittedRun) -> dict[str, AbstractDynamics]:
+    """The known physics alone, as the least that a model must beat."""
+    return {BASELINE: run.system.swimmer.without_environment()}
+
+
+def clean_trajectories(setting: Setting) -> Trajectories | None:
     """Held-out trajectories of the truth, beyond the training horizon."""
-    if setting.truth is None:
+    if setting.truth is None or setting.truth.rule is None:
         return None
-    horizon = setting.subject.horizon
-    return held_out(setting.truth, until=EXTENSION * horizon)
+    return held_out(setting.truth, until=EXTENSION * setting.run.horizon)
 
 
-def _score_model(name, model, setting: Setting, clean, results) -> None:
-    """Rollouts and force of one model."""
-    metrics, arrays = results
-    own = prediction(model, setting.data, estimate=setting.estimate)
-    scores = score(own.ys, own.outcomes, own.observed).by_name()
-    diverged = sum(outcome is not Outcome.SUCCESS for outcome in own.outcomes)
-    metrics["rmse"][name] = {k: as_cell(v) for k, v in scores.items()} | {
-        "diverged": diverged
-    }
-    sources = {"data": own}
+def _predictions(
+    model: AbstractDynamics, setting: Setting, clean: Trajectories | None
+) -> dict[str, Prediction]:
+    """Rollouts of a model by the source of their starts."""
+    sources = {"data": predict_rollouts(model, setting.data, estimate=setting.estimate)}
     if clean is not None:
-        sources["clean starts"] = prediction(model, clean, estimate=False)
-    metrics["rollouts"][name] = {
-        source: _rollouts(found, setting, arrays, f"curve/{name}/{source}")
-        for source, found in sources.items()
-    }
-    if isinstance(model, Swimmer) and setting.truth is not None:
-        fields = force_fields(model, setting)
-        found = force_agreement(*fields, setting.regions)
-        metrics["force"][name] = {
-            region: {
-                "error": as_cell(a.error),
-                "cosine": as_cell(a.cosine),
-                "points": a.points,
+        sources["clean starts"] = predict_rollouts(model, clean, estimate=False)
+    return sources
+
+
+def _errors(prediction: Prediction) -> dict[str, Cell]:
+    """Root-mean-square errors by column, and the number that diverged."""
+    scored = score(prediction.ys, prediction.outcomes, prediction.observed)
+    diverged = sum(end is not Outcome.SUCCESS for end in prediction.outcomes)
+    cells = {name: as_cell(value) for name, value in scored.by_name().items()}
+    return cells | {"diverged": diverged}
+
+
+def _rollouts(
+    sources: Mapping[str, Mapping[str, Prediction]], setting: Setting
+) -> tuple[dict[str, dict[str, dict[str, RolloutRow]]], Arrays]:
+    """Errors within the training horizon and beyond it, and their curves over time."""
+    rows, arrays = {}, {}
+    for model, predictions in sources.items():
+        rows[model] = {}
+        for source, prediction in predictions.items():
+            errors = position_errors(
+                prediction.ys, prediction.observed, domain=setting.domain
+            )
+            arrays |= error_curve(errors).as_arrays(f"curve/{model}/{source}")
+            horizon = setting.run.horizon * (1 + 1e-9)
+            parts = {
+                "within the training horizon": summarise(errors, until=horizon),
+                "beyond it": summarise(errors, after=horizon),
             }
-            for region, a in found.items()
-        }
+            rows[model][source] = {
+                part: _rollout_row(summary)
+                for part, summary in parts.items()
+                if summary.trajectories
+            }
+    return rows, arrays
 
 
-def _rollouts(found: Prediction, setting: Setting, arrays, key: str):
-    """Quantiles within the training horizon and beyond it; the curve into arrays."""
-    errors = position_errors(found.ys, found.observed, domain=setting.domain)
-    curve = error_curve(errors)
-    for part in ("elapsed", "median", "high", "diverged"):
-        arrays[f"{key}/{part}"] = getattr(curve, part)
-    horizon = setting.subject.horizon * (1 + 1e-9)
-    parts = {
-        "within the training horizon": summarise(errors, until=horizon),
-        "beyond it": summarise(errors, after=horizon),
-    }
-    return {
-        part: {name: as_cell(value) for name, value in vars(summary).items()}
-        for part, summary in parts.items()
-        if summary.trajectories
-    }
+def _rollout_row(summary: RolloutSummary) -> RolloutRow:
+    return RolloutRow(
+        median=as_cell(summary.median),
+        high=as_cell(summary.high),
+        median_relative=as_cell(summary.median_relative),
+        high_relative=as_cell(summary.high_relative),
+        diverged=as_cell(summary.diverged),
+        trajectories=summary.trajectories,
+    )
 
 
-def _write_csv(folder: RunFolder, metrics: dict[str, Any]) -> None:
-    """Every number of the tables in one long table."""
-    rows: list[tuple] = []
+def _forces(
+    models: Mapping[str, AbstractDynamics], setting: Setting
+) -> dict[str, dict[str, ForceRow]]:
+    """Agreement with the true force by region, of every model that has a force."""
+    if setting.truth is None or not setting.planar:
+        return {}
+    rows = {}
+    for name, model in models.items():
+        if isinstance(model, Swimmer | OverdampedSwimmer):
+            agreements = force_agreement(*setting.force_fields(model), setting.regions)
+            rows[name] = {
+                region: ForceRow(as_cell(a.error), as_cell(a.cosine), a.points)
+                for region, a in agreements.items()
+            }
+    return rows
 
-    def walk(content: Any, path: tuple[str, ...]) -> None:
-        if isinstance(content, dict | list):
-            items = content.items() if isinstance(content, dict) else enumerate(content)
-            for key, value in items:
-                walk(value, (*path, str(key)))
-        else:
-            rows.append(("/".join(path), "" if content is None else content))
 
-    walk(metrics, ())
+def _write(folder: RunFolder, metrics: EvaluationMetrics, arrays: Arrays) -> None:
+    content = msgspec.to_builtins(metrics)
+    folder.write_arrays(ARRAYS_FILE, arrays)
+    rows = _flat_rows(content)
     folder.write_table("evaluation.csv", ("quantity", "value"), rows)
+    folder.write_json(EVALUATION_FILE, content)
 
 
-def text(metrics: dict[str, Any]) -> str:
+def _flat_rows(content: object, path: tuple[str, ...] = ()) -> list[tuple[str, Cell]]:
+    """Every number of the tables as one long table."""
+    if isinstance(content, dict | list | tuple):
+        items = content.items() if isinstance(content, dict) else enumerate(content)
+        parts = [_flat_rows(value, (*path, str(key))) for key, value in items]
+        return [row for part in parts for row in part]
+    value = content if isinstance(content, int | float | str) else ""
+    return [("/".join(path), value)]
+
+
+def text(metrics: EvaluationMetrics) -> str:
     """The metrics for a terminal."""
-    return "\n\n".join(as_text(table) for table in tables(metrics))
+    lines = [metrics.purpose, *metrics.notes]
+    return "\n\n".join([*(as_text(table) for table in tables(metrics)), *lines])
 
 
 def run(options: EvaluateOptions) -> CommandResult:
     """Evaluate as the command line does."""
     regions = None if options.regions is None else Regions(*options.regions)
     metrics = evaluate(
-        options.run, options.data, calibration=options.calibrate, regions=regions
+        options.run,
+        options.data,
+        calibration=options.calibrate,
+        regions=regions,
+        recording=options.recording,
     )
     return CommandResult(metrics, text(metrics), RunFolder.open(options.run))

@@ -1,24 +1,24 @@
-"""What only a run of `pinav fit` leaves to judge: residuals, constants, bands."""
+"""Residuals, constants and bands: the judgement of the one model of a fit."""
 
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from jaxtyping import Bool, Float
 
-from pinav.commands.cells import as_cell
-from pinav.commands.evaluate.setting import (
-    Setting,
-    force_fields,
-    prediction,
-    read_data,
+from pinav.commands.cells import Cell, as_cell
+from pinav.commands.evaluate.metrics import (
+    CalibrationRow,
+    ConstantRow,
+    ResidualRow,
 )
+from pinav.commands.evaluate.setting import Setting, predict_rollouts, read_scored
 from pinav.commands.fitted_run import FittedRun
-from pinav.dynamics import Swimmer
+from pinav.commands.recording_settings import RecordingSettings
+from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.evaluation import (
     Bands,
-    FieldMap,
     ParameterRecovery,
     Whiteness,
     calibrate,
@@ -27,161 +27,193 @@ from pinav.evaluation import (
     exact_start_bands,
     first_samples,
     force_coverage,
+    increment_residuals,
+    predict,
     rollout_coverage,
     trajectory_scores,
     whiteness,
     without_first,
 )
-from pinav.runs import RunFolder
 from pinav.systems import System
 from pinav.trajectories import Trajectories
 
 BANDED = 16
-"""How many clean held-out trajectories get bands, which take their time."""
+"""Number of clean held-out trajectories with bands, which take their time."""
+
+Coverage = dict[str, float]
 
 
-def judge_fit(setting: Setting, folder: RunFolder, clean, results) -> None:
-    """What only `pinav fit` leaves behind: residuals, constants, a posterior."""
-    metrics, arrays = results
-    if "model" not in setting.subject.models:
-        return
-    found = _residuals(setting.subject, folder)
-    metrics["whiteness"] = _whiteness(found)
-    arrays["autocorrelation"] = found.autocorrelation
-    arrays["counts"] = np.array(found.counts)
-    arrays["channels"] = np.array(found.channels)
-    metrics["constants"] = _constants(setting)
-    if setting.subject.posterior is not None:
-        metrics["coverage"] = _coverage(setting, clean)
+def residual_whiteness(setting: Setting) -> Whiteness:
+    """Whiteness of the residuals on the training data.
 
-
-def _residuals(subject: FittedRun, folder: RunFolder) -> Whiteness:
-    """Residuals of the training data, in units of the noise found."""
-    training = subject.data
-    if subject.evidence is None:
-        fitted, noise = folder.read_arrays("results.npz")["ys"], 1.0
+    Observed less fitted states in units of the noise; for stochastic paths their
+    increments, less the drift of the model, in units of the diffusion.
+    """
+    run, training = setting.run, setting.run.data
+    if setting.diffusion is not None:
+        residuals, observed = increment_residuals(
+            run.model, training, setting.diffusion
+        )
+        return whiteness(residuals, observed, training.channels)
+    if run.evidence is None:
+        fitted, noise = predict(run.model, training)[0], 1.0
     else:
-        fitted, noise = subject.evidence.states, subject.noise
+        fitted, noise = run.evidence.states, run.noise
     residuals = (training.states - fitted) / noise
     return whiteness(residuals, training.observed, training.channels)
 
 
-def _whiteness(found: Whiteness) -> dict[str, Any]:
+def residual_rows(test: Whiteness) -> dict[str, ResidualRow]:
+    """The test by channel, for those with residuals."""
     return {
-        name: {
-            "residuals": found.counts[i],
-            "statistic": as_cell(found.statistic[i]),
-            "p_value": as_cell(found.p_value[i]),
-            "autocorrelation": [as_cell(r) for r in found.autocorrelation[i]],
-        }
-        for i, name in enumerate(found.channels)
-        if found.counts[i]
+        name: ResidualRow(
+            residuals=test.counts[i],
+            statistic=as_cell(test.statistic[i]),
+            p_value=as_cell(test.p_value[i]),
+            autocorrelation=tuple(map(as_cell, test.autocorrelation[i])),
+        )
+        for i, name in enumerate(test.channels)
+        if test.counts[i]
     }
 
 
-def _constants(setting: Setting) -> list[dict[str, Any]]:
-    """True and recovered value of each learned constant."""
-    subject, truth = setting.subject, setting.truth
-    paths = subject.choice.paths()
-    if not paths or truth is None:
-        return []
-    constants = subject.constants
-    found = []
-    for name, path in paths.items():
-        value = _true_constant(path, truth)
-        if value is not None:
-            sd = constants[name].sd
-            known = None if np.isnan(sd) else sd
-            found.append(ParameterRecovery(name, value, constants[name].value, known))
-    return [
-        vars(one) | {"relative_error": as_cell(one.relative_error), "z": one.z}
-        for one in found
-    ]
+def recovered_constants(setting: Setting) -> tuple[ConstantRow, ...]:
+    """True and learned value of each learned constant, where the truth is known."""
+    if setting.truth is None:
+        return ()
+    rows = []
+    for name, path in setting.run.choice.paths().items():
+        true = _constant(path, setting.truth)
+        value, sd = _learned_constant(name, path, setting.run)
+        if true is not None and value is not None:
+            pair = ParameterRecovery(name, true, value, sd)
+            error = as_cell(pair.relative_error)
+            rows.append(ConstantRow(name, true, value, sd, error, pair.z))
+    return tuple(rows)
 
 
-def _true_constant(path: str, truth: System) -> float | None:
+def _constant(path: str, truth: System) -> float | None:
     """Its value in the truth; None where the truth has no such number."""
     try:
-        return float(attrgetter(path)(truth.swimmer))
+        return float(attrgetter(path)(truth.true_swimmer))
     except (AttributeError, TypeError):
         return None
 
 
-def _coverage(setting: Setting, clean: Trajectories | None) -> dict[str, Any]:
-    """Share inside the nominal 95 % bands, by region."""
-    subject, noise = setting.subject, setting.subject.noise
-    bands, observed = _bands(setting, setting.data)
-    rows = {
-        "observations of the data": rollout_coverage(
-            bands, observed, noise, _sample_regions(observed, setting)
+def _learned_constant(
+    name: str, path: str, run: FittedRun
+) -> tuple[float | None, float | None]:
+    """Value and standard deviation of a learned constant."""
+    if run.evidence is not None and name in run.evidence.constants:
+        estimate = run.evidence.constants[name]
+        return estimate.value, estimate.sd
+    try:
+        return float(attrgetter(path)(run.model)), None
+    except (AttributeError, TypeError):
+        return None, None
+
+
+def coverage_rows(
+    setting: Setting, clean: Trajectories | None
+) -> dict[str, dict[str, Cell]] | None:
+    """Fraction inside the nominal 95 % bands, by region; None without a posterior.
+
+    Rollouts of stochastic paths have no band: a band of the mean says nothing of one
+    realisation.
+    """
+    run, rows = setting.run, {}
+    if run.posterior is None:
+        return None
+    if setting.diffusion is None:
+        bands, observed = _bands(setting, setting.data)
+        regions = _sample_regions(observed, setting)
+        rows["observations of the data"] = rollout_coverage(
+            bands, observed, run.noise, regions
         )
-    }
-    model = next(iter(subject.models.values()))
-    if clean is not None and subject.posterior is not None:
-        rows["rollouts from clean starts"] = _clean_coverage(setting, clean)
-        if isinstance(model, Swimmer):
-            learned, true = force_fields(model, setting)
-            sd = subject.posterior.force_sd(_grid(true)).reshape(true.force.shape)
-            masks = setting.regions.masks(true.distance)
-            rows["force"] = force_coverage(learned, true, sd, masks)
+        if clean is not None:
+            rows["rollouts from clean starts"] = _clean_coverage(setting, clean)
+    model = run.model
+    known = setting.truth is not None and setting.planar
+    if known and isinstance(model, Swimmer | OverdampedSwimmer):
+        learned, true = setting.force_fields(model)
+        sd = run.force_sd(true)
+        masks = setting.regions.masks(true.distance)
+        rows["force"] = force_coverage(learned, true, sd, masks)
     return {
         what: {region: as_cell(value) for region, value in row.items()}
         for what, row in rows.items()
     }
 
 
-def _clean_coverage(setting: Setting, clean: Trajectories) -> dict[str, float]:
+def _clean_coverage(setting: Setting, clean: Trajectories) -> Coverage:
     """Coverage of the truth; the start itself, which is exact, does not count."""
-    assert setting.subject.posterior is not None
+    assert setting.run.posterior is not None
     elapsed = clean.times[0] - clean.times[0, 0]
-    samples = int((elapsed <= setting.subject.horizon * (1 + 1e-9)).sum())
+    samples = int((elapsed <= setting.run.horizon * (1 + 1e-9)).sum())
     chosen = first_samples(clean.select(range(min(BANDED, len(clean)))), samples)
-    bands = exact_start_bands(setting.subject.posterior, chosen)
+    bands = exact_start_bands(setting.run.posterior, chosen)
     scored = without_first(chosen, 1)
     return rollout_coverage(bands, scored, 0.0, _sample_regions(scored, setting))
 
 
-def _grid(field: FieldMap) -> np.ndarray:
-    return np.stack(np.meshgrid(field.x, field.y), axis=-1).reshape(-1, 2)
-
-
 def _bands(setting: Setting, data: Trajectories) -> tuple[Bands, Trajectories]:
     """Bands of what follows the estimated starts, or of unit width without any."""
-    subject = setting.subject
-    (model,) = subject.models.values()
-    found = prediction(model, data, estimate=setting.estimate)
-    if subject.posterior is None or found.starts is None:
-        return Bands(found.ys, np.ones_like(found.ys)), found.observed
-    bands = estimated_start_bands(subject.posterior, data, found.starts, subject.noise)
-    return bands, found.observed
+    run = setting.run
+    prediction = predict_rollouts(run.model, data, estimate=setting.estimate)
+    if run.posterior is None or prediction.starts is None:
+        unit = np.ones_like(prediction.ys)
+        return Bands(prediction.ys, unit), prediction.observed
+    bands = estimated_start_bands(run.posterior, data, prediction.starts, run.noise)
+    return bands, prediction.observed
 
 
-def _sample_regions(data: Trajectories, setting: Setting) -> dict[str, np.ndarray]:
+def _sample_regions(
+    data: Trajectories, setting: Setting
+) -> dict[str, Bool[np.ndarray, "trajectory time"]]:
     """Region of each sample, by its distance to the training data."""
-    positions = data.states[..., :2]
-    seen = distances(positions.reshape(-1, 2), setting.subject.data)
-    return setting.regions.masks(seen.reshape(positions.shape[:-1]))
+    flat = data.positions.reshape(-1, data.dim)
+    distance = distances(flat, setting.run.data)
+    return setting.regions.masks(distance.reshape(data.positions.shape[:-1]))
 
 
-def conformal(setting: Setting, path: Path) -> dict[str, Any]:
-    """A radius from the trajectories of a file, and how it fares on the data."""
-    if "model" not in setting.subject.models:
+def calibrate_band(
+    setting: Setting, path: Path, recording: RecordingSettings
+) -> CalibrationRow:
+    """A conformal radius from the trajectories of a file, and how it fares.
+
+    Raises:
+        InputError: the run has several models, the file cannot be read, or holds
+            training data.
+    """
+    if len(setting.run.models) != 1:
         raise InputError("--calibrate: expected a run of pinav fit, with one model")
-    noise = setting.subject.noise
-
-    def banded(data: Trajectories):
-        bands, observed = _bands(setting, data)
-        return observed, bands.ys, bands.observable_sd(noise)
-
-    found = calibrate(trajectory_scores(*banded(read_data(path, setting.subject))))
-    covers = found.covers(*banded(setting.data))
-    return {
-        "file": path.name,
-        "radius": as_cell(found.radius),
-        "unit": "standard deviations of the band"
-        if setting.subject.posterior is not None
+    held, _ = read_scored(path, setting.run, recording)
+    if setting.run.is_training_data(held):
+        raise InputError(
+            f"--calibrate {path}: expected trajectories that no fit has seen, got "
+            "training data of the run; give others"
+        )
+    radius = calibrate(trajectory_scores(*_banded(setting, held)))
+    covers = radius.covers(*_banded(setting, setting.data))
+    return CalibrationRow(
+        file=path.name,
+        radius=as_cell(radius.radius),
+        unit="standard deviations of the band"
+        if setting.run.posterior is not None
         else "the unit of each channel",
-        "count": found.count,
-        "says": str(found),
-        "covered": float(covers.mean()),
-    }
+        count=radius.count,
+        says=str(radius),
+        covered=float(covers.mean()),
+    )
+
+
+def _banded(
+    setting: Setting, data: Trajectories
+) -> tuple[
+    Trajectories,
+    Float[np.ndarray, "trajectory time state"],
+    Float[np.ndarray, "trajectory time state"],
+]:
+    """What was observed, predictions and their standard deviations."""
+    bands, observed = _bands(setting, data)
+    return observed, bands.ys, bands.observable_sd(setting.run.noise)

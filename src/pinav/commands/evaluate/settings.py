@@ -5,6 +5,7 @@ from typing import Annotated
 
 import tyro
 
+from pinav.commands.recording_settings import RecordingSettings
 from pinav.commands.settings import (
     AsJson,
     Settings,
@@ -12,20 +13,24 @@ from pinav.commands.settings import (
 
 
 class EvaluateOptions(Settings, frozen=True):
-    """Say where the models of a run can be trusted, on trajectories kept apart.
+    """Score the models of a run on trajectories that it was not fitted to.
 
-    Rollouts over time, also from clean starts beyond the training horizon; the force on
-    visited, near and unvisited ground; coverage of the bands; whiteness of the
-    residuals; learned constants. Where the data are noisy or incomplete, each start is
-    estimated from the first 20 samples and the others are scored. Writes
-    evaluation.json and evaluation.csv into the run, and figures into its report.
+    The scores say where the run can be trusted; those of training data are said to be
+    training errors. They are: rollouts over time, also from clean starts beyond the
+    training horizon; the force in visited, near and unvisited regions; coverage of the
+    bands; whiteness of the residuals; learned constants. Where the data are noisy or
+    incomplete, each start is estimated from the first 20 samples and the others are
+    scored. Writes evaluation.json and evaluation.csv into the run, and figures into
+    its report.
     """
 
     run: Annotated[
         Path, tyro.conf.Positional, tyro.conf.arg(help="Folder of a fitted run.")
     ]
     data: Annotated[
-        Path, tyro.conf.Positional, tyro.conf.arg(help="Trajectories, .npz or .csv.")
+        Path,
+        tyro.conf.Positional,
+        tyro.conf.arg(help="Trajectories, .npz or .csv, or a recording."),
     ]
     calibrate: Annotated[
         Path | None,
@@ -37,8 +42,9 @@ class EvaluateOptions(Settings, frozen=True):
     regions: Annotated[
         tuple[float, float] | None,
         tyro.conf.arg(
-            help="Distances from the data up to which ground is visited, and near; "
+            help="Distances from the data up to which places are visited, and near; "
             "0.35 and 1 for dimensionless data, else 1/40 and 1/14 of their extent."
         ),
     ] = None
+    recording: RecordingSettings = RecordingSettings()
     json: AsJson = False

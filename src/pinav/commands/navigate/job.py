@@ -1,42 +1,56 @@
 """`pinav navigate`: plan on a learned force, and try it in closed loop."""
 
-from typing import Any
+from collections.abc import Mapping
 
 import jax
 import jax.numpy as jnp
+import msgspec
 import numpy as np
-from jaxtyping import PRNGKeyArray, Shaped
+from jaxtyping import Array, Float, PRNGKeyArray, Shaped
 from tqdm import tqdm
 
 from pinav.commands.command import CommandResult
+from pinav.commands.fitted_run import FittedRun
 from pinav.commands.navigate.command import NAVIGATE
+from pinav.commands.navigate.metrics import (
+    ControllerRow,
+    IntervalRow,
+    NavigationMetrics,
+    PlanRow,
+    StepTimes,
+)
 from pinav.commands.navigate.settings import NavigateOptions, NavigateSettings
 from pinav.commands.navigate.setup import NavigationProblem, navigation_problem
-from pinav.commands.navigate.suggestion import suggestion
-from pinav.commands.navigate.tables import controller_row, interval, text
+from pinav.commands.navigate.suggestion import suggest_trajectory
+from pinav.commands.navigate.tables import text
 from pinav.commands.start import start_run
 from pinav.errors import InputError
 from pinav.evaluation import distances
-from pinav.navigation.control.controller import AbstractController
-from pinav.navigation.control.default import controller
-from pinav.navigation.planning.plan import Route, TimeToGo
-from pinav.navigation.task.steering import SteeredSwimmer
-from pinav.navigation.trials.closed_loop import Episodes, concatenate_episodes, run_many
-from pinav.navigation.trials.closed_loop import run as run_episode
-from pinav.navigation.trials.metrics import regret, summary
+from pinav.navigation import (
+    AbstractController,
+    Episodes,
+    Route,
+    SteeredSwimmer,
+    TimeToGo,
+    concatenate_episodes,
+    controller,
+    regret,
+    run_many,
+    summary,
+)
+from pinav.navigation import run as run_episode
 from pinav.runs import RunFolder
 
 MAP_POINTS = 61
 """Points of the maps along each side."""
 
+Arrays = dict[str, np.ndarray]
+
 
 def navigate(
     settings: NavigateSettings, problem: NavigationProblem, folder: RunFolder
-) -> dict[str, Any]:
+) -> NavigationMetrics:
     """Plan, try in closed loop, and write the results.
-
-    Returns:
-        The content of `metrics.json`.
 
     Raises:
         InputError: start or goal are in a wall or outside the arena, or the goal
@@ -46,34 +60,35 @@ def navigate(
     steered = controller(task, problem.model, samples=problem.samples)
     plan = plan_of(steered)
     route = plan.route(task.start, task.step)
-    controllers: dict[str, AbstractController] = {"learned": steered}
     others, refused = _others(problem)
-    controllers |= others
-    found = {}
+    controllers: dict[str, AbstractController] = {"learned": steered, **others}
+    episodes = {}
     for name in tqdm(controllers, desc="closed loop", unit="controller"):
-        found[name] = trials(problem, controllers[name], settings)
-    metrics = {
-        "truth": problem.truth,
-        "units": problem.units,
-        "thrust": settings.thrust,
-        "plan": _planned(plan, route),
-        "controllers": {
-            name: controller_row(summary(episodes, task))
-            for name, episodes in found.items()
-        },
-        "regret": _regrets(found),
-        "refused": refused,
-        "step": _step_times(problem, controllers["learned"], settings),
-    }
-    arrays = _arrays(problem, plan, route, found)
-    if problem.fitted is not None:
-        metrics["suggestion"], path = suggestion(
-            settings, problem, problem.fitted, arrays["route"], folder
+        episodes[name] = trials(problem, controllers[name], settings)
+    arrays, suggestion = _arrays(problem, plan, route, episodes), None
+    if problem.evidence is not None:
+        suggestion, arrays["suggestion"] = suggest_trajectory(
+            settings, problem, problem.evidence, arrays["route"], folder
         )
-        arrays["suggestion"] = path
+    metrics = NavigationMetrics(
+        truth=problem.truth,
+        plan=_plan_row(plan, route),
+        controllers={
+            name: ControllerRow.of(summary(runs, task))
+            for name, runs in episodes.items()
+        },
+        regret=_regrets(episodes),
+        refused=refused,
+        step=_step_times(problem, steered, settings),
+        units=problem.data.units,
+        order=problem.order,
+        thrust=problem.thrust,
+        delay=task.delay,
+        suggestion=suggestion,
+    )
     folder.write_arrays("results.npz", arrays)
-    folder.write_json("metrics.json", metrics)
-    return folder.read_json("metrics.json")
+    folder.write_json("metrics.json", msgspec.to_builtins(metrics))
+    return metrics
 
 
 def plan_of(steered: AbstractController) -> TimeToGo:
@@ -118,40 +133,45 @@ def _keys(settings: NavigateSettings) -> Shaped[PRNGKeyArray, " episode"]:
     return jax.random.split(jax.random.key(settings.seed), settings.seeds)
 
 
-def _planned(plan: TimeToGo, route: Route) -> dict[str, Any]:
-    return {
-        "time": float(plan.at(route.ys[0])),
-        "route_time": float(route.arrival_time),
-        "unreachable": float(np.mean(plan.unreachable)),
-    }
+def _plan_row(plan: TimeToGo, route: Route) -> PlanRow:
+    arrival = float(route.arrival_time)
+    return PlanRow(
+        time=float(plan.at(route.ys[0])),
+        route_time=arrival if np.isfinite(arrival) else None,
+        unreachable=float(np.mean(plan.unreachable)),
+    )
 
 
-def _regrets(found: dict[str, Episodes]) -> dict[str, Any]:
-    """ArrivalTest times over those with the truth, in pairs; medians over seeds."""
-    oracle = found.get("oracle")
+def _regrets(episodes: Mapping[str, Episodes]) -> dict[str, IntervalRow]:
+    """Arrival times over those with the truth, in pairs; medians over seeds."""
+    oracle = episodes.get("oracle")
     if oracle is None or not oracle.reached.any():
         return {}
     return {
-        name: interval(regret(episodes, oracle))
-        for name, episodes in found.items()
+        name: IntervalRow.of(regret(runs, oracle))
+        for name, runs in episodes.items()
         if name != "oracle"
     }
 
 
-def _step_times(problem, steering, settings) -> dict[str, float]:
+def _step_times(
+    problem: NavigationProblem, steering: AbstractController, settings: NavigateSettings
+) -> StepTimes:
     """Time that one command takes to compute [s], and the first one."""
-    key = _keys(settings)[0]
-    compute = run_episode(problem.task, steering, key=key).compute
-    return {"first": float(compute[0]), "median": float(np.median(compute[1:]))}
+    compute = run_episode(problem.task, steering, key=_keys(settings)[0]).compute
+    return StepTimes(first=float(compute[0]), median=float(np.median(compute[1:])))
 
 
 def _arrays(
-    problem: NavigationProblem, plan: TimeToGo, route: Route, found: dict[str, Episodes]
-) -> dict[str, np.ndarray]:
-    """What the figures need."""
+    problem: NavigationProblem,
+    plan: TimeToGo,
+    route: Route,
+    episodes: Mapping[str, Episodes],
+) -> Arrays:
+    """Everything that the figures need."""
     task = problem.task
     end = np.isfinite(float(route.arrival_time)) and float(route.arrival_time)
-    count = int(round(end / task.step)) + 1 if end else len(route.ts)
+    count = round(end / task.step) + 1 if end else len(route.ts)
     arrays = {
         "arena": np.array([task.arena.lower, task.arena.upper]),
         "start": np.asarray(task.start[:2]),
@@ -163,35 +183,40 @@ def _arrays(
         "plan/time": np.where(plan.unreachable, np.inf, plan.map),
         **_maps(problem),
     }
-    for name, episodes in found.items():
-        arrays[f"states/{name}"] = episodes.states
-        arrays[f"steps/{name}"] = episodes.steps
-        arrays[f"reached/{name}"] = episodes.reached
+    for name, runs in episodes.items():
+        arrays[f"states/{name}"] = runs.states
+        arrays[f"steps/{name}"] = runs.steps
+        arrays[f"reached/{name}"] = runs.reached
     return arrays
 
 
-def _maps(problem: NavigationProblem) -> dict[str, np.ndarray]:
-    """Learned and true force on the arena, with its sd and the way to the data."""
+def _maps(problem: NavigationProblem) -> Arrays:
+    """Learned and true force on the arena, with its sd and the distance to the data."""
     corners = problem.task.arena.lower, problem.task.arena.upper
     lower, upper = map(np.asarray, corners)
     x, y = np.linspace(lower, upper, MAP_POINTS).T
     points = np.stack(np.meshgrid(x, y), axis=-1)
     flat, shape = points.reshape(-1, 2), points.shape
-    found = {"field/x": x, "field/y": y}
-    found["field/learned"] = _forces(problem.model, flat).reshape(shape)
+    maps = {
+        "field/x": x,
+        "field/y": y,
+        "field/learned": _forces(problem.model, flat).reshape(shape),
+        "field/distance": distances(flat, problem.data).reshape(shape[:2]),
+    }
     if problem.truth is not None:
-        found["field/true"] = _forces(problem.task.truth, flat).reshape(shape)
-    if problem.fitted is not None:
-        found["field/sd"] = problem.fitted.posterior.force_sd(flat).reshape(shape)
-    if problem.data is not None:
-        found["field/distance"] = distances(flat, problem.data).reshape(shape[:2])
-    return found
+        maps["field/true"] = _forces(problem.task.truth, flat).reshape(shape)
+    if problem.evidence is not None:
+        sd = problem.evidence.posterior.force_sd(flat)
+        maps["field/sd"] = sd.reshape(shape)
+    return maps
 
 
-def _forces(swimmer: SteeredSwimmer, points: np.ndarray) -> np.ndarray:
+def _forces(
+    swimmer: SteeredSwimmer, points: Float[np.ndarray, "point 2"]
+) -> Float[np.ndarray, "point 2"]:
     environment = swimmer.dynamics.environment
 
-    def at(x):
+    def at(x: Float[Array, "2"]) -> Float[Array, "2"]:
         return environment(0.0, x, jnp.zeros_like(x))
 
     return np.asarray(jax.vmap(at)(jnp.asarray(points)))
@@ -200,7 +225,7 @@ def _forces(swimmer: SteeredSwimmer, points: np.ndarray) -> np.ndarray:
 def run(options: NavigateOptions) -> CommandResult:
     """Navigate as the command line does."""
     settings = options.settings
-    problem = navigation_problem(settings, RunFolder.open(options.run))
+    problem = navigation_problem(settings, FittedRun.open(options.run))
     folder = start_run(NAVIGATE, options, settings, fitted=options.run.name)
     metrics = navigate(settings, problem, folder)
     return CommandResult(metrics, text(metrics), folder)

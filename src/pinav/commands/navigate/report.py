@@ -1,50 +1,70 @@
 """Figures and sections of `pinav navigate`."""
 
-from pinav.commands.navigate.tables import controller_table, sentences, where
-from pinav.figures import save_figure
+from collections.abc import Mapping
+
+import msgspec
+import numpy as np
+
+from pinav.commands.navigate.metrics import NavigationMetrics
+from pinav.commands.navigate.tables import (
+    controller_table,
+    environment_words,
+    sentences,
+)
 from pinav.figures.animation import Trails, save_animation
 from pinav.figures.navigation import Course, closed_loop_figure, outcome_bars, plan_map
-from pinav.figures.style import new_figure
+from pinav.figures.style import new_figure, with_order
 from pinav.report import Image, Paragraph, Section
+from pinav.report.images import Figures
 from pinav.runs import RunFolder
 
 DRAWN = 8
 """Runs of each controller on a map."""
 
+Arrays = Mapping[str, np.ndarray]
+
 
 def navigation_sections(folder: RunFolder) -> list[Section]:
     """The sections of a finished run."""
-    metrics = folder.read_json("metrics.json")
-    arrays = folder.read_arrays("results.npz")
-    units = metrics["units"]
+    metrics = msgspec.convert(folder.read_json("metrics.json"), NavigationMetrics)
+    arrays, figures = folder.read_arrays("results.npz"), Figures(folder.path)
     words = [Paragraph(line) for line in sentences(metrics)]
-    bars = outcome_bars(metrics["controllers"], metrics["regret"])
+    bars = outcome_bars(
+        {name: row.success for name, row in metrics.controllers.items()}, metrics.regret
+    )
+    caption = "Success and regret, with 95 % intervals."
     outcome = [
         *words,
-        controller_table(metrics),
-        _saved(folder, bars, "outcome", "Success and regret, with 95 % intervals."),
+        controller_table(metrics.controllers, metrics.regret),
+        figures.image("navigate-outcome", bars, caption),
     ]
     return [
         Section("Outcome", outcome),
-        Section("Plan", [_plan(folder, arrays, units)]),
-        Section("Closed loop", [_loops(folder, arrays, metrics)]),
-        Section("A run", [_animation(folder, arrays, metrics)]),
+        Section("Plan", [_plan(figures, arrays, metrics)]),
+        Section("Closed loop", [_loops(figures, arrays, metrics)]),
+        Section("A run", [_animation(figures, arrays, metrics)]),
     ]
 
 
-def _plan(folder, arrays, units) -> Image:
+def _units(metrics: NavigationMetrics) -> Mapping[str, str]:
+    return with_order(metrics.units, metrics.order)
+
+
+def _plan(figures: Figures, arrays: Arrays, metrics: NavigationMetrics) -> Image:
     figure = new_figure(4.6, 5.0)
-    options = {"route": arrays["route"], "units": units, "ax": figure.add_subplot()}
-    plan_map(arrays["plan/time"], Course(arrays), **options)
+    axes = figure.add_subplot()
+    units = _units(metrics)
+    course, route = Course(arrays), arrays["route"]
+    plan_map(arrays["plan/time"], course, route=route, units=units, ax=axes)
     caption = (
         "Time to the goal (cross) from rest, as planned on the learned force with the "
         "greatest thrust, and the planned way from the start (circle). Hatched: the "
         "goal cannot be reached within the time limit."
     )
-    return _saved(folder, figure, "plan", caption, width=0.6)
+    return figures.image("navigate-plan", figure, caption, width=0.6)
 
 
-def _loops(folder, arrays, metrics) -> Image:
+def _loops(figures: Figures, arrays: Arrays, metrics: NavigationMetrics) -> Image:
     paths = {
         name: [
             states[: steps + 1, :2]
@@ -54,27 +74,23 @@ def _loops(folder, arrays, metrics) -> Image:
                 strict=True,
             )
         ]
-        for name in metrics["controllers"]
+        for name in metrics.controllers
     }
     figure = closed_loop_figure(
-        arrays, paths, thrust=metrics["thrust"], units=metrics["units"]
+        arrays, paths, thrust=metrics.thrust, units=_units(metrics)
     )
     caption = (
-        f"Paths of at most {DRAWN} runs of each controller, in {where(metrics)}. The "
-        "controllers differ in the model with which they plan."
+        f"Paths of at most {DRAWN} runs of each controller, in "
+        f"{environment_words(metrics)}. The controllers differ in the model with which "
+        "they plan."
     )
-    return _saved(folder, figure, "closed-loop", caption)
+    return figures.image("navigate-closed-loop", figure, caption)
 
 
-def _animation(folder, arrays, metrics) -> Image:
-    paths = {n: arrays[f"states/{n}"][0, :, :2] for n in metrics["controllers"]}
+def _animation(figures: Figures, arrays: Arrays, metrics: NavigationMetrics) -> Image:
+    paths = {n: arrays[f"states/{n}"][0, :, :2] for n in metrics.controllers}
     trails = Trails(paths, float(arrays["step"]))
-    file = folder.path / "figures" / "navigate-run.gif"
-    save_animation(arrays, trails, file, units=metrics["units"])
+    file = figures.folder / "navigate-run.gif"
+    save_animation(arrays, trails, file, units=_units(metrics))
     caption = "One run of each controller with the same noise."
     return Image(file, caption, caption)
-
-
-def _saved(folder, figure, name: str, caption: str, width: float = 1.0) -> Image:
-    files = save_figure(figure, folder.path / "figures", f"navigate-{name}")
-    return Image(files.svg, caption, caption, width)

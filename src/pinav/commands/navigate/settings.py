@@ -55,7 +55,12 @@ class NavigateSettings(Settings, frozen=True):
     sensor_noise: Annotated[
         float, tyro.conf.arg(help="Error of what the controller is told of the state.")
     ] = 0.0
-    delay: Annotated[float, tyro.conf.arg(help="From command to thrust.")] = 0.0
+    delay: Annotated[
+        float | None,
+        tyro.conf.arg(
+            help="From command to motion; that of the system's propulsion unless given."
+        ),
+    ] = None
     samples: Annotated[
         int,
         tyro.conf.arg(
@@ -75,8 +80,10 @@ class NavigateSettings(Settings, frozen=True):
         """Raise `InputError` where a setting makes no sense."""
         for name in ("tolerance", "thrust", "step", "time_limit", "frequency"):
             _require(name, getattr(self, name), above=True)
-        for name in ("noise", "sensor_noise", "delay"):
+        for name in ("noise", "sensor_noise"):
             _require(name, getattr(self, name), above=False)
+        if self.delay is not None:
+            _require("delay", self.delay, above=False)
         if self.seeds < 1:
             raise InputError(f"--seeds: expected 1 or more, got {self.seeds}")
         if self.samples < 0 or self.samples == 1:
@@ -112,16 +119,16 @@ def numbers(option: str, text: str, count: int) -> tuple[float, ...]:
         InputError: they are not so many finite numbers.
     """
     try:
-        found = tuple(float(word) for word in text.split(","))
+        values = tuple(float(word) for word in text.split(","))
     except ValueError:
-        found = ()
-    if len(found) != count or not all(map(math.isfinite, found)):
+        values = ()
+    if len(values) != count or not all(map(math.isfinite, values)):
         example = ",".join("1234"[:count])
         raise InputError(
             f"{option}: expected {count} numbers with commas between them, such as "
             f"{example}, got {text!r}"
         )
-    return found
+    return values
 
 
 def _require(name: str, value: float, *, above: bool) -> None:

@@ -1,76 +1,80 @@
-"""What `pinav navigate` works with: a task, and models of its time_cost."""
+"""The navigation problem of a run: a task, and what is known of it."""
 
-from typing import Any
+import dataclasses
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from pinav.actuation import LinearResponse
-from pinav.commands.fitted_run import MODEL_FILE, FittedRun
+from pinav.commands.fitted_run import FittedRun
 from pinav.commands.navigate.settings import NavigateSettings
-from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.dynamics import (
+    AbstractDynamics,
+    OverdampedSwimmer,
+    Swimmer,
+    takes_commands,
+    unbound,
+)
 from pinav.errors import InputError
 from pinav.evaluation import square
 from pinav.fitting import Posterior
-from pinav.fitting.environments.catalogue import KnownSwimmer
-from pinav.forces import UniformFlow, ZeroForce
-from pinav.identification.models import response_of
-from pinav.navigation.control.simple import physics_only
-from pinav.navigation.task.objectives import ReachGoal
-from pinav.navigation.task.steering import (
+from pinav.forces import RollingPropulsion
+from pinav.navigation import (
     CommandLimits,
+    Disc,
+    ReachGoal,
+    Rectangle,
     RollingActuator,
     SteeredSwimmer,
+    Task,
+    physics_only,
 )
-from pinav.navigation.task.task import Task
-from pinav.navigation.task.zones import Disc, Rectangle
-from pinav.runs import RunFolder
+from pinav.navigation.task.steering import greatest_thrust
 from pinav.scenarios import source_system
 from pinav.trajectories import Trajectories
 
 
-class Fitted(eqx.Module):
-    """A fit with a posterior.
+@dataclasses.dataclass(frozen=True)
+class Evidence:
+    """A fit of trajectories with a posterior, which further ones can improve.
 
     Attributes:
         posterior: of the model.
         noise: standard deviation of what was observed.
         states: smoothed states of the data.
-        data: what was fitted.
     """
 
     posterior: Posterior
     noise: float
     states: np.ndarray
-    data: Trajectories
 
 
-class NavigationProblem(eqx.Module):
+@dataclasses.dataclass(frozen=True)
+class NavigationProblem:
     """A task and what is known of it.
 
     Attributes:
-        task: its truth is that of the scenario, or the model where there is none.
+        task: its truth is that of the system, or the model where there is none.
         model: the fitted swimmer.
         samples: of the posterior; none where the run has no posterior.
-        truth: the name of the scenario that is the truth, where there is one.
-        fitted: the fit, where it has a posterior.
+        truth: the name of the system whose environment is the truth, where known.
+        evidence: of the fit, where further trajectories can be suggested.
         goal: the middle of the goal, and its radius.
         discs: that must not be entered.
-        data: what was fitted, where it holds positions of trajectories.
-        units: of positions and times.
+        data: what was fitted.
+        order: of the dynamics in time.
     """
 
     task: Task
     model: SteeredSwimmer
     samples: tuple[SteeredSwimmer, ...]
     truth: str | None
-    fitted: Fitted | None
+    evidence: Evidence | None
     goal: ReachGoal
     discs: tuple[Disc, ...]
-    data: Trajectories | None
-    units: dict[str, str]
+    data: Trajectories
+    order: int
 
     @property
     def physics(self) -> SteeredSwimmer:
@@ -84,99 +88,85 @@ class NavigationProblem(eqx.Module):
             return self.samples
         return (self.task.truth,)
 
+    @property
+    def thrust(self) -> float:
+        """The greatest thrust that can be commanded."""
+        return float(greatest_thrust(self.model.actuator, self.task.limits))
 
-def navigation_problem(settings: NavigateSettings, run: RunFolder) -> NavigationProblem:
-    """The problem of a run.
+
+def navigation_problem(settings: NavigateSettings, run: FittedRun) -> NavigationProblem:
+    """The navigation problem of a run, from its system and model alone.
+
+    The actuator is the system's propulsion where that takes commands; a swimmer whose
+    thrust cannot be steered gets one that can, of the size that the settings state.
 
     Raises:
         InputError: the run holds no fitted swimmer in the plane.
     """
-    if run.has(MODEL_FILE):
-        return _of_fit(settings, run)
-    if run.has("metrics.json") and "tracks" in run.read_json("metrics.json"):
-        return _of_recording(settings, run)
-    raise InputError(
-        f"{run.path} holds no finished fit; give the folder that was the --out of "
-        "pinav fit"
-    )
-
-
-def _of_fit(settings, run: RunFolder) -> NavigationProblem:
-    fitted = FittedRun.open(run.path)
-    model, data = fitted.model, fitted.data
-    if not isinstance(model, KnownSwimmer) or not _is_planar(model, data):
+    model = run.model
+    if not isinstance(model, Swimmer | OverdampedSwimmer) or run.data.dim != 2:
         raise InputError(
-            f"{run.path}: expected a swimmer in the plane with a learned force, got "
-            f"the model {fitted.choice.name} of {', '.join(data.channels)}"
+            f"{run.folder.path}: expected a swimmer in the plane, got the model "
+            f"{run.choice.name} of {', '.join(run.data.channels)}"
         )
-    actuator = RollingActuator(settings.thrust * jnp.eye(2), LinearResponse())
-    evidence = fitted.evidence
-    found = None
-    if evidence is not None:
-        found = Fitted(evidence.posterior, fitted.noise, evidence.states, data)
-    source = source_system(data.provenance)
-    known_truth = source is not None and source.environment is not None
-    known = source.true_swimmer if source is not None and known_truth else model
-    limits = CommandLimits(1.0)
+    actuator, limits, lag = _actuation(settings, model)
+    known, truth, source = model, None, source_system(run.data.provenance)
+    if source is not None and source.environment is not None:
+        known, truth = source.true_swimmer, source.name
+    delay = lag if settings.delay is None else settings.delay
+    steered = SteeredSwimmer(known, actuator)
     return NavigationProblem(
-        task=_task(settings, SteeredSwimmer(known, actuator), limits, data),
+        task=_task(settings, steered, limits, run.data, delay),
         model=SteeredSwimmer(model, actuator),
-        samples=tuple(SteeredSwimmer(one, actuator) for one in _draws(found, settings)),
-        truth=source.name if source is not None and known_truth else None,
-        fitted=found,
+        samples=tuple(
+            SteeredSwimmer(draw, actuator)
+            for draw in _draws(run, settings)
+            if isinstance(draw, Swimmer | OverdampedSwimmer)
+        ),
+        truth=truth,
+        evidence=_evidence(run, model),
         goal=_goal(settings),
         discs=_discs(settings),
-        data=data,
-        units=data.units,
+        data=run.data,
+        order=run.system.order,
     )
 
 
-def _draws(found: Fitted | None, settings: NavigateSettings) -> list[Any]:
-    if found is None or settings.samples == 0:
+def _actuation(
+    settings: NavigateSettings, model: Swimmer | OverdampedSwimmer
+) -> tuple[RollingActuator, CommandLimits, float]:
+    """What commands do, their limits, and the time from command to motion [T].
+
+    A first-order follower of the command is taken for a further delay by its time
+    constant, which is right for commands that change slowly against it.
+    """
+    if not takes_commands(model):
+        gain = settings.thrust * jnp.eye(2)
+        return RollingActuator(gain, LinearResponse()), CommandLimits(1.0), 0.0
+    propulsion = unbound(model)
+    if not isinstance(propulsion, RollingPropulsion):
+        raise InputError(
+            "navigate: expected a propulsion by rolling, got "
+            f"{type(propulsion).__name__}"
+        )
+    actuator = RollingActuator(propulsion.gain, propulsion.response)
+    lag = float(propulsion.delay) + float(propulsion.lag)
+    return actuator, CommandLimits(settings.frequency), lag
+
+
+def _draws(run: FittedRun, settings: NavigateSettings) -> list[AbstractDynamics]:
+    if run.posterior is None or settings.samples == 0:
         return []
     key = jax.random.fold_in(jax.random.key(settings.seed), 1)
-    return found.posterior.samples(settings.samples, key=key)
+    return run.posterior.samples(settings.samples, key=key)
 
 
-def _is_planar(model: KnownSwimmer, data: Trajectories) -> bool:
-    states = 4 if isinstance(model, Swimmer) else 2
-    return data.channels[:2] == ("x", "y") and len(data.channels) in (2, states)
-
-
-def _of_recording(settings: NavigateSettings, run: RunFolder) -> NavigationProblem:
-    metrics = run.read_json("metrics.json")
-    tracks = {k: v for k, v in metrics["tracks"].items() if v.get("gain")}
-    if not tracks:
-        raise InputError(
-            f"{run.path}: no track has a fitted propulsion; navigation needs commands "
-            "in the recording, and a fit of this version of pinav"
-        )
-    name = max(tracks, key=lambda key: tracks[key]["duration"])
-    track = tracks[name]
-    found = {key: pair["value"] for key, pair in track["estimates"].items()}
-    corner = np.log(found["corner"]) if "corner" in found else 0.0
-    residual = _logit(found["residual"]) if "residual" in found else 0.0
-    response = response_of(track["response"], corner, residual)
-    actuator = RollingActuator(jnp.asarray(track["gain"]), response)
-    drift = jnp.asarray([found.get("drift x", 0.0), found.get("drift y", 0.0)])
-    robot = OverdampedSwimmer(ZeroForce(), ZeroForce(), 1.0, UniformFlow(drift))
-    swimmer = SteeredSwimmer(robot, actuator)
-    limits = CommandLimits(settings.frequency)
-    return NavigationProblem(
-        task=_task(settings, swimmer, limits, None),
-        model=swimmer,
-        samples=(),
-        truth=None,
-        fitted=None,
-        goal=_goal(settings),
-        discs=_discs(settings),
-        data=None,
-        units=metrics["units"],
-    )
-
-
-def _logit(share: float) -> float:
-    return float(np.log(share / (1 - share)))
+def _evidence(run: FittedRun, model: AbstractDynamics) -> Evidence | None:
+    """The fit's evidence; none for stochastic paths, whose states are not smoothed."""
+    evidence = run.evidence
+    if evidence is None or "diffusion" in evidence.constants or takes_commands(model):
+        return None
+    return Evidence(evidence.posterior, run.noise, evidence.states)
 
 
 def _goal(settings: NavigateSettings) -> ReachGoal:
@@ -191,7 +181,8 @@ def _task(
     settings: NavigateSettings,
     truth: SteeredSwimmer,
     limits: CommandLimits,
-    data: Trajectories | None,
+    data: Trajectories,
+    delay: float,
 ) -> Task:
     start, _ = settings.places()
     rest = (0.0, 0.0) if isinstance(truth.dynamics, Swimmer) else ()
@@ -207,20 +198,18 @@ def _task(
         time_limit=settings.time_limit,
         noise=settings.noise,
         sensor_noise=settings.sensor_noise,
-        delay=settings.delay,
+        delay=delay,
     )
 
 
-def _arena(settings: NavigateSettings, data: Trajectories | None) -> Rectangle:
+def _arena(settings: NavigateSettings, data: Trajectories) -> Rectangle:
     """The arena that was given, or one around data, start and goal."""
     box = settings.box()
     if box is not None:
         return Rectangle(list(box[:2]), list(box[2:]))
     ends = np.array(settings.places())
     margin = 0.25 * float(np.linalg.norm(ends[1] - ends[0])) + settings.tolerance
-    corners = [ends.min(axis=0) - margin, ends.max(axis=0) + margin]
-    if data is not None:
-        x_from, x_to, y_from, y_to = square(data)
-        corners[0] = np.minimum(corners[0], [x_from, y_from])
-        corners[1] = np.maximum(corners[1], [x_to, y_to])
-    return Rectangle(*corners)
+    x_from, x_to, y_from, y_to = square(data)
+    lower = np.minimum(ends.min(axis=0) - margin, [x_from, y_from])
+    upper = np.maximum(ends.max(axis=0) + margin, [x_to, y_to])
+    return Rectangle(lower, upper)

@@ -1,38 +1,42 @@
-"""Which trajectory to record next, for the route of `pinav navigate`."""
+"""The trajectory to record next, for the route of `pinav navigate`."""
 
-from typing import Any
-
-import equinox as eqx
 import jax
 import numpy as np
+from jaxtyping import Float
 
+from pinav.commands.navigate.metrics import SuggestionRow
 from pinav.commands.navigate.settings import NavigateSettings
-from pinav.commands.navigate.setup import Fitted, NavigationProblem
+from pinav.commands.navigate.setup import Evidence, NavigationProblem
 from pinav.dynamics import FixedStep
-from pinav.navigation.design.candidates import CandidateTrajectories, Experiment
-from pinav.navigation.design.information import rank, suggest
-from pinav.navigation.design.prior import PriorField, prior_uncertainty
-from pinav.navigation.task.zones import Rectangle
+from pinav.navigation import (
+    CandidateTrajectories,
+    Experiment,
+    PriorField,
+    Rectangle,
+    prior_uncertainty,
+    rank,
+    suggest,
+)
 from pinav.runs import RunFolder
 
 CANDIDATES, ROUNDS = 48, 3
-"""CandidateTrajectories in each round, and rounds."""
+"""Candidate trajectories in each round, and rounds."""
 
 SAMPLES = 120
 """Samples of a suggested trajectory at most."""
 
 STRENGTH = 0.5
-"""Forces that there may be where nobody was, in units of the greatest thrust."""
+"""Forces that there may be away from the data, in units of the greatest thrust."""
 
 
-def suggestion(
+def suggest_trajectory(
     settings: NavigateSettings,
     problem: NavigationProblem,
-    fitted: Fitted,
-    route: np.ndarray,
+    evidence: Evidence,
+    route: Float[np.ndarray, "time 2"],
     folder: RunFolder,
-) -> tuple[dict[str, Any], np.ndarray]:
-    """The trajectory that would tell most of the force along the route.
+) -> tuple[SuggestionRow, Float[np.ndarray, "time 2"]]:
+    """The trajectory that would tell most about the force along the route.
 
     Its commands go to `suggestion.csv`.
 
@@ -40,19 +44,18 @@ def suggestion(
         What is expected of it, and its predicted path.
     """
     task = problem.task
-    prior = PriorField(task.arena, STRENGTH * settings.thrust)
     uncertainty = prior_uncertainty(
         problem.model.dynamics,
-        fitted.data,
-        fitted.states,
-        noise=fitted.noise,
-        prior=prior,
+        problem.data,
+        evidence.states,
+        noise=evidence.noise,
+        prior=PriorField(task.arena, STRENGTH * problem.thrust),
     )
-    design = _experiment(settings, problem, fitted)
+    design = _experiment(settings, problem, evidence)
     key = jax.random.fold_in(jax.random.key(settings.seed), 2)
-    candidates = design.draw(CANDIDATES, key=key)
-    random = rank(uncertainty, route, design, candidates, arena=task.arena)
-    found = suggest(
+    drawn = design.draw(CANDIDATES, key=key)
+    random = rank(uncertainty, route, design, drawn, arena=task.arena)
+    ranking = suggest(
         uncertainty,
         route,
         design,
@@ -61,26 +64,27 @@ def suggestion(
         num_candidates=CANDIDATES,
         rounds=ROUNDS,
     )
-    best = found.candidates[found.best]
+    best = ranking.candidates[ranking.best]
     table = [design.knots.tolist(), best.frequency.tolist(), best.heading.tolist()]
     rows = list(zip(*table, strict=True))
     folder.write_table("suggestion.csv", ("t", "frequency", "heading"), rows)
-    stays = np.isfinite(random.worth)
-    expected = {
-        "start": best.starts[:2].tolist(),
-        "duration": design.duration,
-        "sd": found.sd_now,
-        "sd_after": float(found.sd[found.best]),
-        "sd_after_random": float(np.median(random.sd[stays])) if stays.any() else None,
-    }
+    inside = np.isfinite(random.worth)
+    x, y = best.starts[:2].tolist()
+    expected = SuggestionRow(
+        start=(x, y),
+        duration=design.duration,
+        sd=ranking.sd_now,
+        sd_after=float(ranking.sd[ranking.best]),
+        sd_after_random=float(np.median(random.sd[inside])) if inside.any() else None,
+    )
     return expected, _path(problem, design, best)
 
 
 def _experiment(
-    settings: NavigateSettings, problem: NavigationProblem, fitted: Fitted
+    settings: NavigateSettings, problem: NavigationProblem, evidence: Evidence
 ) -> Experiment:
     """Released near the start, observed as the data were."""
-    task, data = problem.task, fitted.data
+    task, data = problem.task, problem.data
     near = np.full(2, settings.tolerance)
     start = np.asarray(task.start[:2])
     spans = [piece.times[-1] - piece.times[0] for piece in data]
@@ -88,7 +92,7 @@ def _experiment(
     duration = min(settings.time_limit, float(np.median(spans)), SAMPLES * interval)
     noise = np.full(len(task.start), np.inf)
     seen = np.flatnonzero(data.observed.any(axis=(0, 1)))
-    noise[seen] = fitted.noise
+    noise[seen] = evidence.noise
     return Experiment(
         actuator=task.truth.actuator,
         limits=task.limits,
@@ -103,10 +107,8 @@ def _experiment(
 
 def _path(
     problem: NavigationProblem, design: Experiment, candidate: CandidateTrajectories
-) -> np.ndarray:
-    """Where the model expects it to go."""
-    driven = eqx.tree_at(
-        lambda m: m.propulsion, problem.model.dynamics, design.thrust(candidate)
-    )
+) -> Float[np.ndarray, "time 2"]:
+    """Its path as the model predicts it."""
+    driven = problem.model.with_propulsion(design.thrust(candidate))
     states, _ = FixedStep().solve(driven, candidate.starts, design.times)
     return np.asarray(states)[:, :2]

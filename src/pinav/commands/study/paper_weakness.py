@@ -12,7 +12,6 @@ import msgspec
 import numpy as np
 
 from pinav.commands.cells import as_cell
-from pinav.commands.evaluate.report import PARTS, curve_of
 from pinav.commands.fitted_run import ModelHeader, build_model, write_model
 from pinav.commands.held_out import held_out
 from pinav.commands.matching import CurriculumSettings, matching
@@ -23,6 +22,7 @@ from pinav.dynamics import AbstractDynamics, Swimmer
 from pinav.evaluation import (
     NEAR,
     VISITED,
+    ErrorCurve,
     error_curve,
     extent,
     field_map,
@@ -156,8 +156,7 @@ def _scores(name, model: Swimmer, training, held, arrays) -> dict[str, Any]:
     found = force_agreement(learned, true)
     errors = position_errors(predict(model, held)[0], held, domain=extent(held))
     curve, whole = error_curve(errors), summarise(errors)
-    for part in PARTS:
-        arrays[f"curve/{name}/{part}"] = getattr(curve, part)
+    arrays |= curve.as_arrays(f"curve/{name}")
     return {
         "force": {region: as_cell(a.error) for region, a in found.items()},
         "cosine": {region: as_cell(a.cosine) for region, a in found.items()},
@@ -174,9 +173,9 @@ def weakness_sections(folder: RunFolder, metrics: dict[str, Any]) -> list[Sectio
     errors_by_region(
         {m: row["force"] for m, row in models.items()}, styles=STYLES, ax=left
     )
-    curves = {name: curve_of(arrays, f"curve/{name}") for name in models}
+    curves = {name: ErrorCurve.from_arrays(arrays, f"curve/{name}") for name in models}
     error_over_time(curves, styles=STYLES, ax=right)
-    title_panel(left, "(a) error of the force by ground")
+    title_panel(left, "(a) error of the force by region")
     title_panel(right, f"(b) rollouts from {metrics['held_out']} held-out starts")
     files = save_figure(figure, folder.path / "figures", "paper-weakness")
     return [

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from pinav.dynamics import FixedStep, linear_recursion
 from pinav.fitting.engine.local_model import Prediction
-from pinav.fitting.engine.parametric_model import ParametricModel
+from pinav.fitting.engine.parametric_model import ModelOfParameters
 from pinav.fitting.matching.objectives import Observations
 
 
@@ -36,7 +36,7 @@ class Sensitivities(eqx.Module):
 
 
 def sensitivities(
-    free: ParametricModel,
+    free: ModelOfParameters,
     theta: Float[Array, " parameter"],
     states: Float[Array, "time state"],
     times: Float[Array, " time"],
@@ -47,33 +47,64 @@ def sensitivities(
     With $A_k = \partial F_k/\partial u$ and $B_k = \partial F_k/\partial\theta$, all
     at once, $E_{k+1} = A_k E_k + [B_k, 0, d_k]$ from $E_0 = [0, I, 0]$.
     """
-    by_parameter = jax.vmap(jax.jacrev(_step_of(free, solver)), (None, 0, 0, 0))(
-        theta, states[:-1], times[:-1], times[1:]
+    return _propagate(_step_derivatives(free, theta, states, times, solver), states)
+
+
+class _StepDerivatives(eqx.Module):
+    """Steps from one sample to the next, and their derivatives."""
+
+    by_parameter: Float[Array, "... step state parameter"]
+    by_state: Float[Array, "... step state state"]
+    ends: Float[Array, "... step state"]
+
+
+FEW = 16
+"""Parameters up to which forward derivatives are cheaper than reverse ones."""
+
+
+def _step_derivatives(
+    parametric: ModelOfParameters,
+    theta: Float[Array, " parameter"],
+    states: Float[Array, "time state"],
+    times: Float[Array, " time"],
+    solver: FixedStep,
+    *,
+    parameters: bool = True,
+) -> _StepDerivatives:
+    """Along one trajectory; without derivatives by the parameters if told so."""
+
+    def step(
+        theta: Float[Array, " parameter"],
+        y: Float[Array, " state"],
+        t0: Float[Array, ""],
+        t1: Float[Array, ""],
+    ) -> Float[Array, " state"]:
+        return solver.looped_step(parametric(theta), y, t0, t1)
+
+    axes, inputs = (None, 0, 0, 0), (theta, states[:-1], times[:-1], times[1:])
+    derivative = jax.jacfwd if theta.shape[0] <= FEW else jax.jacrev
+    ends = jax.vmap(step, axes)(*inputs)
+    nothing = jnp.zeros((*ends.shape, 0), ends.dtype)
+    return _StepDerivatives(
+        by_parameter=jax.vmap(derivative(step), axes)(*inputs)
+        if parameters
+        else nothing,
+        by_state=jax.vmap(jax.jacfwd(step, argnums=1), axes)(*inputs),
+        ends=ends,
     )
-    return _propagated(free, theta, states, times, solver, by_parameter)
 
 
-def _step_of(free, solver):
-    """The step from one sample to the next, as a function of the parameters."""
-
-    def step(theta, y, t0, t1):
-        return solver.looped_step(free(theta), y, t0, t1)
-
-    return step
-
-
-def _propagated(free, theta, states, times, solver, by_parameter):
+def _propagate(
+    steps: _StepDerivatives, states: Float[Array, "time state"]
+) -> Sensitivities:
     """Sensitivities to the parameters whose effect on each step is given."""
-    step, axes = _step_of(free, solver), (None, 0, 0, 0)
-    inputs = (theta, states[:-1], times[:-1], times[1:])
-    by_state = jax.vmap(jax.jacfwd(step, argnums=1), axes)(*inputs)
-    defects = jax.vmap(step, axes)(*inputs) - states[1:]
-    steps, state = defects.shape
-    nothing = jnp.zeros((steps, state, state))
-    sources = jnp.concatenate([by_parameter, nothing, defects[..., None]], axis=2)
-    start = jnp.eye(state, sources.shape[2], k=by_parameter.shape[2])
+    defects = steps.ends - states[1:]
+    count, state = defects.shape
+    nothing = jnp.zeros((count, state, state))
+    sources = jnp.concatenate([steps.by_parameter, nothing, defects[..., None]], axis=2)
+    start = jnp.eye(state, sources.shape[2], k=steps.by_parameter.shape[2])
     recursion = jax.vmap(linear_recursion, (1, None, 2), 2)
-    return Sensitivities(recursion(start, by_state, sources), defects)
+    return Sensitivities(recursion(start, steps.by_state, sources), defects)
 
 
 class Linearisation(eqx.Module):
@@ -101,9 +132,8 @@ class Linearisation(eqx.Module):
     defects: Float[Array, " state"]
 
 
-@eqx.filter_jit
 def linearise(
-    free: ParametricModel,
+    parametric: ModelOfParameters,
     theta: Float[Array, " parameter"],
     states: Float[Array, "trajectory time state"],
     observations: Observations,
@@ -111,23 +141,59 @@ def linearise(
 ) -> Linearisation:
     """Linearise all trajectories about `states` and eliminate their starts.
 
-    Padding, which repeats the last time and state, adds nothing. One trajectory after
-    the other: what a step leaves behind for its derivative would take many times the
-    memory of the result.
+    Padding, which repeats the last time and state, adds nothing. The two halves are
+    compiled apart, for only the first depends on the model: laws that are tried in turn
+    share the second.
+    """
+    times = observations.times
+    steps = _all_step_derivatives(parametric, theta, states, times, solver)
+    return _condense(steps, states, observations)
+
+
+@eqx.filter_jit
+def _all_step_derivatives(
+    parametric: ModelOfParameters,
+    theta: Float[Array, " parameter"],
+    states: Float[Array, "trajectory time state"],
+    times: Float[Array, "trajectory time"],
+    solver: FixedStep,
+) -> _StepDerivatives:
+    """Of all trajectories, one after the other.
+
+    What a step leaves behind for its derivative would take many times the memory of the
+    result.
     """
 
-    def one(total, inputs):
-        states, times, data, observed = inputs
-        local = sensitivities(free, theta, states, times, solver)
+    def one(
+        inputs: tuple[Float[Array, "..."], Float[Array, "..."]],
+    ) -> _StepDerivatives:
+        states, times = inputs
+        return _step_derivatives(parametric, theta, states, times, solver)
+
+    return jax.lax.map(one, (states, times))
+
+
+@eqx.filter_jit
+def _condense(
+    steps: _StepDerivatives,
+    states: Float[Array, "trajectory time state"],
+    observations: Observations,
+) -> Linearisation:
+    """Accumulate the steps and eliminate the starts (Bock's condensing)."""
+    count = steps.by_parameter.shape[-1]
+
+    def one(total: Float[Array, "n n"], inputs: tuple) -> tuple:
+        steps, states, data, observed = inputs
+        local = _propagate(steps, states)
         reach = local.columns
         residuals = states + reach[..., -1] - data
         rows = jnp.concatenate([reach[..., :-1], residuals[..., None]], axis=2)
         rows = jnp.where(observed[..., None], rows, 0.0).reshape(-1, rows.shape[2])
-        rest, factor, start_rows = eliminate(rows, theta.shape[0], states.shape[1])
+        rest, factor, start_rows = eliminate(rows, count, states.shape[1])
         return total + rest.T @ rest, (factor, start_rows, reach, local.defects)
 
-    nothing = jnp.zeros((theta.shape[0] + 1,) * 2, states.dtype)
-    inputs = (states, observations.times, observations.states, observations.observed)
+    nothing = jnp.zeros((count + 1,) * 2, states.dtype)
+    inputs = (steps, states, observations.states, observations.observed)
     total, (factors, start_rows, columns, defects) = jax.lax.scan(one, nothing, inputs)
     return Linearisation(
         hessian=total[:-1, :-1],
@@ -184,7 +250,7 @@ def advance(
 
 @eqx.filter_jit
 def predict(
-    free: ParametricModel,
+    free: ModelOfParameters,
     theta: Float[Array, " parameter"],
     states: Float[Array, "trajectory time state"],
     observations: Observations,
@@ -196,9 +262,9 @@ def predict(
     """
 
     def one(states, times, data, observed):
-        steps, state = len(times) - 1, states.shape[1]
-        no_parameter = jnp.zeros((steps, state, 0))
-        columns = _propagated(free, theta, states, times, solver, no_parameter).columns
+        state = states.shape[1]
+        steps = _step_derivatives(free, theta, states, times, solver, parameters=False)
+        columns = _propagate(steps, states).columns
         seen = observed[..., None]
         by_start = jnp.where(seen, columns[..., :-1], 0.0).reshape(-1, state)
         residuals = jnp.where(observed, states + columns[..., -1] - data, 0.0)

@@ -80,3 +80,7 @@ def parameter_names(parametric: ParametricModel, count: int) -> tuple[str, ...]:
         indices = np.ndindex(*leaf.shape) if leaf.ndim else [None]
         names += [name if i is None else f"{name}{list(i)}" for i in indices]
     return tuple(names)
+
+
+ModelOfParameters = Callable[[Float[Array, " parameter"]], Any]
+"""A `ParametricModel`, or one that the commands of a trajectory drive besides."""

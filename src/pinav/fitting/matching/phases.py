@@ -103,7 +103,8 @@ class Adam(AbstractPhase):
 
     def step(self, loss, params, state):
         value, gradient = jax.value_and_grad(loss)(params)
-        updates, state = optax.adam(self.learning_rate).update(gradient, state)
+        with jax.numpy_dtype_promotion("standard"):  # optax: float32 ** integer
+            updates, state = optax.adam(self.learning_rate).update(gradient, state)
         return eqx.apply_updates(params, updates), state, value
 
     def finish(self, loss, params, state):
@@ -165,9 +166,10 @@ class LBFGS(AbstractPhase):
 
     def step(self, loss, params, state):
         curvature, value, gradient = state
-        ascent, curvature = optax.scale_by_lbfgs(self.memory).update(
-            gradient, curvature, params
-        )
+        with jax.numpy_dtype_promotion("standard"):  # optax mixes integers in
+            ascent, curvature = optax.scale_by_lbfgs(self.memory).update(
+                gradient, curvature, params
+            )
         direction = jax.tree.map(jnp.negative, ascent)
         found = _weak_wolfe_search(
             jax.value_and_grad(loss),

@@ -101,7 +101,7 @@ def cruising_speed(
     thrust = greatest_thrust(model.actuator, limits)
     if state.shape[0] == 2:
         return thrust
-    idle = physics_only(model).commanded(jnp.zeros(2, state.dtype))
+    idle = physics_only(model).under(jnp.zeros(2, state.dtype))
     slopes = jax.jacfwd(lambda v: idle(0.0, jnp.append(state[:2], v))[2:])(state[2:])
     return thrust / (-jnp.trace(slopes) / 2)
 

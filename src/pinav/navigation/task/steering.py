@@ -6,6 +6,7 @@ normal of the plane in which the field rotates to the x axis.
 """
 
 import abc
+import dataclasses
 import math
 
 import equinox as eqx
@@ -147,12 +148,16 @@ class SteeredSwimmer(eqx.Module):
         self, t: Scalar, y: Float[Array, " state"], command: Float[Array, "2"]
     ) -> Float[Array, " state"]:
         """Rate of change of the state `y` at time `t` [T] under a command."""
-        return self.commanded(command)(t, y)
+        return self.under(command)(t, y)
 
-    def commanded(self, command: Float[Array, "2"]) -> Swimmer | OverdampedSwimmer:
+    def under(self, command: Float[Array, "2"]) -> Swimmer | OverdampedSwimmer:
         """The dynamics while a command holds."""
-        thrust = HeldThrust(self.actuator(command))
-        return eqx.tree_at(lambda swimmer: swimmer.propulsion, self.dynamics, thrust)
+        return self.with_propulsion(HeldThrust(self.actuator(command)))
+
+    def with_propulsion(self, thrust: AbstractForce) -> Swimmer | OverdampedSwimmer:
+        """The dynamics with another propulsion."""
+        # Not tree_at: the replaced propulsion may hold leaves under several names.
+        return dataclasses.replace(self.dynamics, propulsion=thrust)
 
     def step(
         self,
@@ -162,7 +167,7 @@ class SteeredSwimmer(eqx.Module):
         duration: Scalar,
     ) -> Float[Array, " state"]:
         """State after a command was held for `duration` [T]; one Runge-Kutta step."""
-        swimmer = self.commanded(command)
+        swimmer = self.under(command)
         return FixedStep(RK4).looped_step(swimmer, y, t, t + jnp.asarray(duration))
 
 

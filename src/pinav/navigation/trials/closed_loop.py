@@ -175,7 +175,7 @@ def advance(
 
     def substep(now, inputs):
         row, t, duration, kick = inputs
-        held = truth.commanded(queue[row])
+        held = truth.under(queue[row])
         later = FixedStep(RK4).step(held, now.state, t, t + duration) + kick
         return _judge(task, now, later, t, duration), None
 

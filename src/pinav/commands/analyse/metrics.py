@@ -1,0 +1,138 @@
+"""The results of `pinav analyse`, as `analysis.json` holds them."""
+
+import msgspec
+
+
+class HelmholtzMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
+    """The Helmholtz split of the learned force.
+
+    Attributes:
+        reach: distance from the data up to which the force was split [L].
+        rotational: fraction of the squared force that is rotational.
+        gradient: fraction that is a gradient.
+        least: rotational fraction where harmonic fields count as gradients.
+        greatest: the same where they count as rotational.
+        misfit: relative error of the split.
+        sd: standard deviation of the rotational fraction over posterior samples.
+    """
+
+    reach: float
+    rotational: float
+    gradient: float
+    least: float
+    greatest: float
+    misfit: float
+    sd: float | None = None
+
+
+class InfluenceRow(msgspec.Struct, frozen=True):
+    """The influence of a trajectory on the fit.
+
+    Attributes:
+        trajectory: its index.
+        leverage: number of parameters that it determines.
+        cook: Cook's distance.
+        force: relative change of the force near the data without it.
+        final: change of the final position of the reference rollout [L].
+    """
+
+    trajectory: int
+    leverage: float
+    cook: float
+    force: float
+    final: float
+
+
+class ConstantEffect(msgspec.Struct, frozen=True):
+    """The effect of a constant that is one percent larger.
+
+    Attributes:
+        constant: its name.
+        value: its value.
+        learned: it was learned beside the force.
+        force: relative change of the force near the data.
+        final: change of the final position of the reference rollout [L].
+    """
+
+    constant: str
+    value: float
+    learned: bool
+    force: float
+    final: float
+
+
+class SobolRow(msgspec.Struct, frozen=True):
+    """Sobol' indices of one outcome by one factor, with 95 % intervals.
+
+    Attributes:
+        outcome: its name.
+        factor: its name.
+        first: first-order index.
+        first_low: lower end of its interval.
+        first_high: upper end of its interval.
+        total: total index.
+        total_low: lower end of its interval.
+        total_high: upper end of its interval.
+        variance: of the outcome.
+    """
+
+    outcome: str
+    factor: str
+    first: float | None
+    first_low: float | None
+    first_high: float | None
+    total: float | None
+    total_low: float | None
+    total_high: float | None
+    variance: float
+
+
+class LyapunovMetrics(msgspec.Struct, frozen=True):
+    """Finite-time Lyapunov exponents of rollouts.
+
+    Attributes:
+        horizon: time over which separations grow [T].
+        median: median growth of separations.
+        greatest: greatest growth of separations.
+        exponent: median exponent [T⁻¹].
+    """
+
+    horizon: float
+    median: float | None
+    greatest: float | None
+    exponent: float | None
+
+
+class AnalysisMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
+    """The numbers of an analysis.
+
+    Attributes:
+        model: name of the model that stands for the unknown.
+        posterior: the run has a posterior.
+        order: of the dynamics in time.
+        settings: of the analysis.
+        helmholtz: the split of the force.
+        potential: origin of the potential, in words.
+        lyapunov: sensitivity of rollouts to their starts.
+        left_out: sentences on what could not be done, and why.
+        above_two_sd: fraction of each region in which the force is above two standard
+            deviations.
+        influence: of each trajectory.
+        constants: effects of constants.
+        sobol: indices of rollouts.
+        landmark: highest point of the potential near the data [L].
+    """
+
+    model: str
+    posterior: bool
+    order: int
+    settings: dict[str, int | float]
+    helmholtz: HelmholtzMetrics
+    potential: str
+    lyapunov: LyapunovMetrics
+    left_out: tuple[str, ...] = ()
+    above_two_sd: dict[str, float] | None = None
+    influence: tuple[InfluenceRow, ...] | None = None
+    constants: tuple[ConstantEffect, ...] | None = None
+    sobol: tuple[SobolRow, ...] | None = None
+    landmark: tuple[float, float] | None = None

@@ -1,0 +1,46 @@
+"""Figures as blocks of a page: saved beside it, then embedded."""
+
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from pinav.errors import InputError
+from pinav.figures import save_figure
+from pinav.report.page import Image
+
+
+class Figures:
+    """The folder of the figures of a run.
+
+    Attributes:
+        folder: where the files are written.
+    """
+
+    def __init__(self, run: Path):
+        self.folder = run / "figures"
+
+    def image(
+        self,
+        name: str,
+        drawn: Figure | Axes,
+        caption: str,
+        *,
+        alt: str = "",
+        width: float = 1.0,
+    ) -> Image:
+        """Write a figure as PNG and SVG, and give the block that shows it.
+
+        Args:
+            name: of the files, without ending.
+            drawn: the figure, or axes of it.
+            caption: the words below it.
+            alt: what it shows, for those who do not see it; the first sentence of the
+                caption unless given.
+            width: share of the page's width.
+        """
+        figure = drawn if isinstance(drawn, Figure) else drawn.get_figure(root=True)
+        if figure is None:
+            raise InputError(f"figure {name}: expected axes that belong to a figure")
+        files = save_figure(figure, self.folder, name)
+        return Image(files.svg, alt or caption.partition(". ")[0], caption, width)

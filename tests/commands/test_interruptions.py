@@ -1,0 +1,128 @@
+"""Interruptions and damaged input at the command line, in processes of their own."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+MAIN = [sys.executable, "-c", "from pinav.cli import main; main()"]
+
+MOMENTS = [0.1 * step for step in range(1, 31)]
+
+
+def pinav(*words, **options):
+    return subprocess.run(
+        [*MAIN, *map(str, words)], capture_output=True, text=True, **options
+    )
+
+
+def one_line(text: str) -> bool:
+    """One line of ours at the end, and no traceback; a bar of progress may precede."""
+    lines = [line for line in text.splitlines() if line.startswith("pinav: ")]
+    return len(lines) == 1 and "Traceback" not in text
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    path = tmp_path_factory.mktemp("data") / "data.csv"
+    words = ("simulate", "barrier-crossings", "--count", "1", "--positions-only")
+    assert pinav(*words, "--out", path).returncode == 0
+    return path
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("moment", MOMENTS)
+def test_an_interrupt_ends_in_one_line_at_any_moment(moment, data, tmp_path):
+    out = tmp_path / "run"
+    words = [*MAIN, "fit", str(data), "--out", str(out), "--max-steps", "3"]
+    process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
+    time.sleep(moment)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=120)
+    assert process.returncode in (0, 130), errors
+    if process.returncode == 130:
+        assert one_line(errors), errors
+    assert not list(out.glob("**/.*.tmp"))
+    again = pinav("fit", data, "--out", out, "--max-steps", "3", "--resume")
+    assert again.returncode == 0, again.stderr
+
+
+@pytest.mark.slow
+def test_a_reader_that_leaves_a_pipe_is_no_error():
+    command = f"{sys.executable} -c 'from pinav.cli import main; main()' fit --help"
+    done = subprocess.run(
+        ["bash", "-c", f"{command} | head -0"], capture_output=True, text=True
+    )
+    assert done.stderr == ""
+
+
+@pytest.mark.slow
+def test_a_device_that_is_not_there_is_named(data, tmp_path):
+    environ = os.environ | {"JAX_PLATFORMS": "cuda"}
+    done = pinav("fit", data, "--out", tmp_path / "run", env=environ)
+    assert done.returncode == 2
+    assert one_line(done.stderr), done.stderr
+    assert "unset it, or set it to cpu" in done.stderr
+
+
+@pytest.mark.slow
+def test_a_limit_of_memory_is_named():
+    words = "python -c 'from pinav.cli import main; main()' report nowhere"
+    words = words.replace("python", sys.executable, 1)
+    done = subprocess.run(
+        ["bash", "-c", f"ulimit -v 1000000; {words}"], capture_output=True, text=True
+    )
+    assert done.returncode == 2
+    assert "raise it to 4 GiB" in done.stderr
+
+
+def damaged(content: bytes, rng: random.Random) -> bytes:
+    """The content cut, with bytes changed, with a part repeated, or empty."""
+    place = rng.randrange(len(content) + 1)
+    junk = bytes(rng.randrange(256) for _ in range(rng.randrange(1, 20)))
+    return rng.choice(
+        (
+            content[:place],
+            content[:place] + junk + content[place + len(junk) :],
+            content[place:] + content[:place],
+            junk,
+            b"",
+        )
+    )
+
+
+COMMANDS_OF_DATA = (
+    ("inspect",),
+    ("identify", "--out", "out"),
+    ("fit", "--out", "out"),
+    ("compare", "--out", "out"),
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(300))
+def test_damaged_data_never_end_in_a_traceback(
+    seed, data, tmp_path, monkeypatch, capsys
+):
+    from pinav import cli
+
+    rng = random.Random(seed)
+    monkeypatch.chdir(tmp_path)
+    name = rng.choice(("data.csv", "data.npz", "system.toml"))
+    (tmp_path / name).write_bytes(damaged(data.read_bytes(), rng))
+    (tmp_path / "mine.txt").write_text("mine")
+    if name == "system.toml":
+        argv = ["fit", str(data), "--system", name, "--out", "out"]
+    else:
+        command, *options = rng.choice(COMMANDS_OF_DATA)
+        argv = [command, name, *options]
+        argv += [] if command == "inspect" else ["--config", "absent.toml"]
+    code = cli.run(argv)
+    assert code in (0, 1, 2)
+    errors = capsys.readouterr().err
+    assert code == 0 or one_line(errors), errors
+    assert (tmp_path / "mine.txt").read_text() == "mine"
