@@ -75,7 +75,7 @@ class SaturatingResponse(AbstractResponse):
 
     corner: Scalar
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_positive(self, "corner")
 
     def __call__(self, frequency):
@@ -102,7 +102,7 @@ class SlippingResponse(AbstractResponse):
     corner: Scalar
     residual: Scalar
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_positive(self, "corner")
         if isinstance(self.residual, float | int) and not 0 < self.residual < 1:
             raise InputError(
@@ -135,7 +135,7 @@ class StepOutResponse(AbstractResponse):
 
     corner: Scalar
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_positive(self, "corner")
 
     def __call__(self, frequency):

@@ -1,6 +1,7 @@
 """Checks and conversions of arguments that several packages share."""
 
 import dataclasses
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -14,7 +15,7 @@ Scalar = float | int | Float[Array, ""]
 """One real number: plain, NumPy's float64, or a JAX array without axes."""
 
 
-def as_point(name: str, value, dim: int | None = None) -> Float[Array, " dim"]:
+def as_point(name: str, value: Any, dim: int | None = None) -> Float[Array, " dim"]:
     """Array of a point given as list, tuple or array; `dim` components if given.
 
     Raises:

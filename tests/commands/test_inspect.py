@@ -11,6 +11,7 @@ import pytest
 from pinav import cli
 from pinav.errors import InputError
 from pinav.recordings import image_positions, read_recording
+from pinav.trajectories import Trajectories, save
 
 
 @pytest.fixture
@@ -165,3 +166,20 @@ def test_real_recordings_pass_without_hand_editing(recording, name, capsys):
     assert cli.run(["inspect", str(path), *REAL[name]]) == 0
     assert time.monotonic() - start < 120
     assert path.name in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npz"])
+def test_files_of_pinav_are_inspected_too(tmp_path, suffix, capsys):
+    times = np.arange(0, 6, 0.1)
+    path = np.cumsum(np.random.default_rng(0).normal(size=(60, 2)), axis=0)
+    data = Trajectories.from_arrays(
+        [times, times],
+        [path, path + 1],
+        channels=("x", "y"),
+        units={"x": "um", "y": "um", "t": "s"},
+    )
+    save(data, tmp_path / f"own{suffix}")
+    assert cli.run(["inspect", str(tmp_path / f"own{suffix}")]) == 0
+    printed = capsys.readouterr().out
+    assert "own" in printed
+    assert "no commands of frequency and heading" in printed

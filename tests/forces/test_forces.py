@@ -1,3 +1,4 @@
+import dataclasses
 import importlib
 import inspect
 import pkgutil
@@ -29,6 +30,7 @@ from pinav.forces import (
     GaussianSwirl,
     HarmonicTrap,
     InFlow,
+    IsotropicTensor,
     KernelForce,
     KernelMixture,
     KernelPotential,
@@ -375,3 +377,18 @@ def test_bad_kernels_are_refused():
         KernelPotential(jnp.zeros(3), centers, 0.0)
     with pytest.raises(InputError, match="kernel_centers spacing: expected > 0"):
         kernel_centers(np.zeros((2, 2)), spacing=0.0, margin=1.0)
+
+
+@pytest.mark.parametrize("make", [LinearDrag, ShearFlow, IsotropicTensor])
+def test_text_is_no_number(make):
+    name = dataclasses.fields(make)[0].name
+    with pytest.raises(InputError, match=rf"\.{name}: expected a number, got '0.8'"):
+        AbstractForce.__check_init__(with_field(make, name, "0.8"))
+
+
+def with_field(make, name, value):
+    """An instance as Python makes it without the checks of types in these tests."""
+    made = object.__new__(make)
+    for field in dataclasses.fields(make):
+        object.__setattr__(made, field.name, value if field.name == name else 0.0)
+    return made

@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pinav.errors import InputError
 from pinav.fitting import Estimate, KernelGrid, kernel_environment
 from pinav.forces import KernelForce
 from pinav.identification import (
@@ -21,7 +20,7 @@ from pinav.identification import (
     tracks,
     with_free,
 )
-from pinav.identification.baselines import stochastic_force_inference
+from pinav.identification.baselines import _negative_log_likelihood
 from pinav.identification.findings import interval, positive_interval
 from pinav.identification.models import DRIFT_ONLY, SLOW_DRIFT
 from pinav.identification.residual_field import positions_of, residual_errors
@@ -104,16 +103,25 @@ def test_a_gaussian_process_predicts_a_commanded_robot(recording):
     assert errors(track, rollouts, found.displacement()).relative < 0.3
 
 
-def test_the_gaussian_process_needs_scikit_learn(recording, monkeypatch):
+def test_the_gaussian_process_learns_the_disturbance(recording):
     track = tracks(recording)[0]
-    monkeypatch.setitem(__import__("sys").modules, "sklearn.gaussian_process", None)
-    with pytest.raises(InputError, match="scikit-learn is not installed"):
-        gaussian_process(track)
+    found = gaussian_process(track, rows=60)
+    rollouts = Rollouts.of(track, 5.0)
+    assert errors(track, rollouts, found.displacement()).relative < 0.3
 
 
-def test_stochastic_force_inference_is_refused(recording):
-    with pytest.raises(InputError, match="no command inputs"):
-        stochastic_force_inference(tracks(recording)[0])
+def test_the_gradient_of_the_marginal_likelihood_is_that_of_differences():
+    random = np.random.default_rng(0)
+    inputs, values = random.normal(size=(12, 2)), random.normal(size=12)
+    squares = ((inputs[:, None] - inputs[None]) ** 2).sum(axis=-1)
+    logs = np.array([0.3, -0.2, -1.0])
+    _, slope = _negative_log_likelihood(logs, squares, values)
+    for index, step in enumerate(1e-6 * np.eye(3)):
+        high, low = (
+            _negative_log_likelihood(logs + sign * step, squares, values)[0]
+            for sign in (1, -1)
+        )
+        assert slope[index] == pytest.approx((high - low) / 2e-6, rel=1e-5)
 
 
 def test_an_interval_has_95_percent():

@@ -61,7 +61,7 @@ class BrownianSwimmer(AbstractDynamics):
     swimmer: OverdampedSwimmer
     thermal_energy: Scalar
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if isinstance(self.thermal_energy, float | int) and self.thermal_energy < 0:
             raise InputError(
                 "BrownianSwimmer.thermal_energy: expected >= 0, got "

@@ -98,7 +98,7 @@ class FixedStep(AbstractSolver):
     tableau: Tableau = TSIT5
     substeps: int = eqx.field(static=True, default=1)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if self.substeps < 1:
             raise InputError(f"FixedStep.substeps: expected >= 1, got {self.substeps}")
 
@@ -180,7 +180,7 @@ class Adaptive(AbstractSolver):
     adjoint: diffrax.AbstractAdjoint = diffrax.RecursiveCheckpointAdjoint()
     max_steps: int = eqx.field(static=True, default=100_000)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         _check_tolerances(self)
 
     def solve(self, vector_field, y0, ts):
@@ -217,7 +217,7 @@ class InterpolatingAdjoint(AbstractSolver):
     method: diffrax.AbstractERK = diffrax.Tsit5()
     max_steps: int = eqx.field(static=True, default=4096)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         _check_tolerances(self)
 
     def solve(self, vector_field, y0, ts):

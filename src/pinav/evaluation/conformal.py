@@ -12,9 +12,10 @@ observed samples with a probability of at least $1-\alpha$, whatever model and
 $\sigma$ are; they only decide how wide the band is.
 
 References:
-    Vovk, Gammerman and Shafer, Algorithmic Learning in a Random World (2005); Lei,
-    G'Sell, Rinaldo, Tibshirani and Wasserman, J. Am. Stat. Assoc. 113, 1094 (2018),
-    section 2.2 (both cited from memory, not checked).
+    Lei, G'Sell, Rinaldo, Tibshirani and Wasserman, Distribution-Free Predictive
+    Inference for Regression, arXiv:1604.04173, split conformal inference;
+    Diquigiovanni, Fontana and Vantini, Statistica Sinica 35, 853 (2025), bands of whole
+    functions.
 """
 
 import enum

@@ -17,6 +17,7 @@ from pinav.forces.force import AbstractForce as AbstractForce
 from pinav.forces.force import AbstractLearnedForce as AbstractLearnedForce
 from pinav.forces.force import SumForce as SumForce
 from pinav.forces.force import ZeroForce as ZeroForce
+from pinav.forces.force import as_learned as as_learned
 from pinav.forces.kernel_mixtures import ChangingPotential as ChangingPotential
 from pinav.forces.kernel_mixtures import KernelMixture as KernelMixture
 from pinav.forces.kernel_mixtures import KernelStream as KernelStream

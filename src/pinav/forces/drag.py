@@ -22,7 +22,7 @@ class LinearDrag(AbstractForce):
 
     damping: Scalar
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if isinstance(self.damping, float | int) and self.damping < 0:
             raise InputError(f"LinearDrag.damping: expected >= 0, got {self.damping}")
 

@@ -12,7 +12,7 @@ from pinav.arguments import Scalar, as_point, check_positive, refuse_text
 class AbstractFlow(eqx.Module):
     """Velocity of the fluid where the swimmer is. No batch axis."""
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         refuse_text(self)
 
     @abc.abstractmethod
@@ -61,7 +61,7 @@ class PoiseuilleFlow(AbstractFlow):
     middle: Scalar
     half_width: Scalar
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_positive(self, "half_width")
 
     def __call__(self, t, x):
@@ -87,7 +87,7 @@ class VortexFlow(AbstractFlow):
     )
     width: Scalar
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_positive(self, "width")
 
     def __call__(self, t, x):

@@ -20,7 +20,7 @@ from pinav.forces.priors import AbstractPrior
 class AbstractForce(eqx.Module):
     """Mass-specific force on one swimmer. No batch axis: batch with `jax.vmap`."""
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         refuse_text(self)
 
     @abc.abstractmethod
@@ -114,6 +114,11 @@ class AbstractLearnedForce(AbstractForce):
             Nothing where no finer grid of kernels could follow the length scale.
         """
         return []
+
+
+def as_learned(force: AbstractForce) -> AbstractLearnedForce | None:
+    """A force that has weights as such; None for any other."""
+    return force if isinstance(force, AbstractLearnedForce) else None
 
 
 class AbstractCommandedForce(AbstractForce):

@@ -35,7 +35,7 @@ class KernelStream(AbstractLearnedForce):
     centers: Float[Array, "kernel dim"]
     width: Scalar
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_kernels(self, np.shape(self.centers)[:1])
         if np.shape(self.centers)[1:] != (2,):
             raise InputError(
@@ -165,7 +165,7 @@ class TimedKernelPotential(AbstractLearnedForce):
     first: Scalar
     last: Scalar
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         count = max(np.shape(self.weights)[-1], 4)
         check_kernels(self, (*np.shape(self.centers)[:1], count))
         times = self.first, self.last

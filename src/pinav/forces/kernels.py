@@ -31,7 +31,7 @@ class KernelForce(AbstractLearnedForce):
     centers: Float[Array, "kernel dim"]
     width: Scalar
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_kernels(self, np.shape(self.centers))
 
     @classmethod
@@ -83,7 +83,7 @@ class KernelPotential(AbstractLearnedForce):
     centers: Float[Array, "kernel dim"]
     width: Scalar
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_kernels(self, np.shape(self.centers)[:1])
 
     @classmethod

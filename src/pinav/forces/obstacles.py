@@ -36,7 +36,7 @@ class GaussianRidge(AbstractForce):
     width: Scalar
     angle: Scalar
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_positive(self, "length", "width")
 
     def potential(self, t: Scalar, x: Float[Array, "2"]) -> Float[Array, ""]:
@@ -73,7 +73,7 @@ class GaussianSwirl(AbstractForce):
     )
     width: Scalar
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_positive(self, "width")
 
     def stream(self, x: Float[Array, "2"]) -> Float[Array, ""]:
@@ -146,7 +146,7 @@ class GaussianBarrier(AbstractForce):
     )
     width: Scalar
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_positive(self, "width")
 
     def potential(self, t: Scalar, x: Float[Array, " dim"]) -> Float[Array, ""]:

@@ -118,7 +118,7 @@ class RollingPropulsion(AbstractCommandedForce):
     delay: Scalar = 0.0
     lag: Scalar = 0.0
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if self.programme is not None and not _is_zero(self.lag):
             raise InputError(
                 "RollingPropulsion.lag: expected 0 beside a programme; leave the "

@@ -24,7 +24,7 @@ class Domain(eqx.Module):
     lower: tuple[float, ...] = eqx.field(static=True)
     upper: tuple[float, ...] = eqx.field(static=True)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         pairs = list(zip(self.lower, self.upper, strict=False))
         if len(self.lower) != len(self.upper) or not all(a < b for a, b in pairs):
             raise InputError(

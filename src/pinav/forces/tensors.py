@@ -19,7 +19,7 @@ from pinav.errors import InputError
 class AbstractTensorField(eqx.Module):
     """A symmetric positive tensor at each position. No batch axis."""
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         refuse_text(self)
 
     @abc.abstractmethod
@@ -47,7 +47,7 @@ class IsotropicTensor(AbstractTensorField):
 
     value: Scalar
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_positive(self, "value")
 
     def __call__(self, x, vector):
@@ -119,7 +119,7 @@ class UniaxialTensor(AbstractTensorField):
     across: Scalar
     director: AbstractDirector
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_positive(self, "along", "across")
 
     def __call__(self, x, vector):
@@ -204,7 +204,7 @@ class BrinkmanTensor(AbstractTensorField):
     centers: Float[Array, "region dim"]
     width: Scalar
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_positive(self, "clear", "width")
 
     def value(self, x: Float[Array, " dim"]) -> Float[Array, ""]:

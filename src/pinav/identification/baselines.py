@@ -1,14 +1,12 @@
-r"""What others do with such recordings, scored alike.
+r"""Other methods for such recordings, for comparison.
 
 Least squares of the velocity; a Gaussian process for the disturbance of
 $v = a_0 f\,n(\theta) + D$, the published method for these robots; a black-box neural
 differential equation.
 """
 
-import importlib
-import threading
+import math
 import time
-import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -18,15 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 from jaxtyping import Float
+from scipy.linalg import cho_solve
+from scipy.optimize import minimize
 
-from pinav.errors import InputError
 from pinav.forces import tanh_network
 from pinav.identification.forecast import Displacement
 from pinav.identification.tracks import Track
 from pinav.trajectories import Trajectory
-
-QUIET = threading.Lock()
-"""Filters of warnings belong to all threads: one at a time may set them."""
 
 WINDOW = 1.0
 """Velocities are central differences over this time [s]."""
@@ -137,20 +133,11 @@ def gaussian_process(
     Args:
         track: what is fitted.
         rows: samples that are kept, evenly spaced; all where None, as published.
-        restarts: of the search of hyperparameters; 10 as published.
-
-    Raises:
-        InputError: scikit-learn is not installed.
+        restarts: further starts of the search of hyperparameters; 10 as published.
 
     References:
         Sokolich et al., arXiv:2406.02722; Beaver et al., arXiv:2212.00188.
     """
-    try:
-        processes_of: Any = importlib.import_module("sklearn.gaussian_process")
-    except ImportError as error:
-        raise InputError(
-            "gaussian_process: scikit-learn is not installed; install pinav[bench]"
-        ) from error
     begin = time.perf_counter()
     samples = Samples.of(track)
     speed = np.hypot(*samples.velocity.T)
@@ -161,38 +148,85 @@ def gaussian_process(
     kept = np.arange(len(inputs))
     if rows is not None and len(kept) > rows:
         kept = np.linspace(0, len(inputs) - 1, rows).astype(int)
-    processes = []
-    for axis in (0, 1):
-        kinds = processes_of.kernels
-        kernel = kinds.ConstantKernel(1.0, (1e-2, 1e2)) * kinds.RBF(1.0, (1e-2, 1e2))
-        kernel = kernel + kinds.WhiteKernel()
-        process = processes_of.GaussianProcessRegressor(
-            kernel=kernel, n_restarts_optimizer=restarts, random_state=0
-        )
-        with QUIET, warnings.catch_warnings():  # of a number at its published bound
-            warnings.simplefilter("ignore")
-            processes.append(process.fit(inputs[kept], disturbance[kept, axis]))
+    means = [
+        _process_mean(inputs[kept], disturbance[kept, axis], restarts)
+        for axis in (0, 1)
+    ]
 
-    def velocity(piece):
+    def velocity(piece: Trajectory) -> Float[np.ndarray, "time 2"]:
         frequency, heading = commands(piece)
         places = np.stack([heading, frequency], axis=1)
-        learned = np.stack([p.predict(places) for p in processes], axis=1)
+        learned = np.stack([mean(places) for mean in means], axis=1)
         return gain * _vector(frequency, heading) + learned
 
     seconds = time.perf_counter() - begin
     return Baseline("Gaussian-process disturbance", velocity, seconds)
 
 
-def stochastic_force_inference(track: Track) -> Baseline:
-    """Always refused, with the reason: the method has no place for commands.
+LEAST, GREATEST = math.log(1e-2), math.log(1e2)
+"""Bounds of the logarithms of variance, length and noise, as published."""
 
-    Raises:
-        InputError: always.
+
+def _process_mean(
+    inputs: Float[np.ndarray, "row 2"], values: Float[np.ndarray, " row"], restarts: int
+) -> Callable[[Float[np.ndarray, "place 2"]], Float[np.ndarray, " place"]]:
+    """Mean of the Gaussian process of highest marginal likelihood.
+
+    References:
+        Rasmussen and Williams, Gaussian Processes for Machine Learning, eq. (2.30).
     """
-    del track
-    raise InputError(
-        "it infers forces that depend on the position and has no command inputs"
-    )
+    squares = ((inputs[:, None] - inputs[None]) ** 2).sum(axis=-1)
+    random = np.random.default_rng(0)
+    starts = [np.zeros(3), *random.uniform(LEAST, GREATEST, (restarts, 3))]
+    ends = [
+        minimize(
+            _negative_log_likelihood,
+            start,
+            args=(squares, values),
+            jac=True,
+            bounds=[(LEAST, GREATEST)] * 2 + [(2 * LEAST, GREATEST)],
+        )
+        for start in starts
+    ]
+    logs = min(ends, key=lambda end: end.fun).x
+    weights = np.linalg.solve(_covariance(logs, squares), values)
+
+    def mean(places: Float[np.ndarray, "place 2"]) -> Float[np.ndarray, " place"]:
+        offsets = ((places[:, None] - inputs[None]) ** 2).sum(axis=-1)
+        return _kernel(logs, offsets) @ weights
+
+    return mean
+
+
+def _kernel(
+    logs: Float[np.ndarray, "3"], squares: Float[np.ndarray, "m n"]
+) -> Float[np.ndarray, "m n"]:
+    """Squared exponential, by log variance, log length and log noise variance."""
+    return np.exp(logs[0] - squares / (2 * np.exp(2 * logs[1])))
+
+
+def _covariance(
+    logs: Float[np.ndarray, "3"], squares: Float[np.ndarray, "n n"]
+) -> Float[np.ndarray, "n n"]:
+    return _kernel(logs, squares) + np.exp(logs[2]) * np.eye(len(squares))
+
+
+def _negative_log_likelihood(
+    logs: Float[np.ndarray, "3"],
+    squares: Float[np.ndarray, "n n"],
+    values: Float[np.ndarray, " n"],
+) -> tuple[float, Float[np.ndarray, "3"]]:
+    """Marginal likelihood and its gradient."""
+    kernel = _kernel(logs, squares)
+    factor = np.linalg.cholesky(kernel + np.exp(logs[2]) * np.eye(len(values)))
+    inverse = cho_solve((factor, True), np.eye(len(values)))
+    weights = inverse @ values
+    value = 0.5 * values @ weights + np.log(np.diag(factor)).sum()
+    # d value / d K = (K^-1 - w w^T) / 2, contracted with dK of each logarithm.
+    outer = 0.5 * (inverse - np.outer(weights, weights))
+    slopes = (kernel, kernel * squares / np.exp(2 * logs[1]))
+    by_noise = np.exp(logs[2]) * np.trace(outer)
+    return float(value), np.array([*(np.sum(outer * k) for k in slopes), by_noise])
 
 
 NETWORK_STEPS, LEARNING_RATE = 1000, 1e-2

@@ -13,6 +13,7 @@ over which the field varies.
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -48,6 +49,7 @@ from pinav.forces import (
     UniformFlow,
     ZeroFlow,
     ZeroForce,
+    as_learned,
     tensor_matrix,
 )
 from pinav.identification.fit import Search
@@ -282,6 +284,7 @@ def _result(
         posterior=posterior,
         constants=_constants(problem, numbers, unknown, covariance),
         states=None,
+        goodness=None,
         linear=linear,
     )
 
@@ -404,7 +407,7 @@ LEAST_SIGNAL = 1e-3
 
 
 def _with_environment(
-    swimmer: OverdampedSwimmer, environment: AbstractLearnedForce | None
+    swimmer: Any, environment: AbstractLearnedForce | None
 ) -> OverdampedSwimmer:
     if isinstance(swimmer.flow, ZeroFlow):
         swimmer = eqx.tree_at(lambda s: s.flow, swimmer, UniformFlow(jnp.zeros(2)))
@@ -432,8 +435,8 @@ def _field(
         (ZeroForce(), ZeroForce(), flow),
     )
     columns = nothing.columns
-    environment = swimmer.environment
-    if isinstance(environment, AbstractLearnedForce):
+    environment = as_learned(swimmer.environment)
+    if environment is not None:
         free, start = ravel_model(environment, lambda e: e.parameters)
         columns = _weight_columns(free, jnp.zeros_like(start), swimmer, blocks)
     return Field(columns, _displacement(passive, blocks), gain, drift)

@@ -17,7 +17,6 @@ from pinav.identification.baselines import (
     black_box,
     gaussian_process,
     least_squares,
-    stochastic_force_inference,
 )
 from pinav.identification.fit import TrackFit, fit_track
 from pinav.identification.forecast import (
@@ -306,6 +305,5 @@ BASELINES: dict[str, Callable[[Track], Baseline]] = {
     "least squares": least_squares,
     "Gaussian-process disturbance": gaussian_process,
     "neural ODE": black_box,
-    "StochasticForceInference": stochastic_force_inference,
 }
 """Baselines by name."""

@@ -193,6 +193,7 @@ def evidence_fit_of(fit: TrackFit, *, jitter: float) -> EvidenceFit:
         posterior=posterior,
         constants=estimates_of(posterior, [n.path for n in _free_numbers(fit)]),
         states=None,
+        goodness=None,
         linear=LinearFit(nothing, NoWeights(), jitter, count, 0.0),
     )
 

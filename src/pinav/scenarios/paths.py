@@ -65,8 +65,10 @@ def _sampled(
     wandering = system.wandering
 
     @eqx.filter_jit
-    def sample(truth, starts, times, indices):
-        def one(y0, index):
+    def sample(
+        truth: BrownianSwimmer, starts: Array, times: Array, indices: Array
+    ) -> Array:
+        def one(y0: Array, index: Array) -> Array:
             own = jax.random.fold_in(key, index)
             wanderer = truth
             if wandering is not None:
@@ -95,7 +97,7 @@ def _wandering(
     kept = jnp.exp(-jnp.diff(grid) / wandering.memory)
     kicks = jax.random.normal(key, (len(grid), system.dim))
 
-    def step(value, inputs):
+    def step(value: Array, inputs: tuple[Array, Array]) -> tuple[Array, Array]:
         part, kick = inputs
         value = part * value + jnp.sqrt(1 - part**2) * kick
         return value, value

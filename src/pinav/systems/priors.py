@@ -15,10 +15,6 @@ from pinav.errors import InputError
 class AbstractNumberPrior(eqx.Module):
     """Probability density of a number before the data are seen."""
 
-    @abc.abstractmethod
-    def log_density(self, value: Scalar) -> Float[Array, ""]:
-        """Logarithm of the density at a value, up to a constant."""
-
     @property
     @abc.abstractmethod
     def log_height(self) -> float:
@@ -33,13 +29,10 @@ class Flat(AbstractNumberPrior):
     """No preference for any value."""
 
     @property
-    def log_height(self):
+    def log_height(self) -> float:
         return 0.0
 
-    def standardised(self, value):
-        return jnp.zeros_like(jnp.asarray(value, float))
-
-    def log_density(self, value):
+    def standardised(self, value: Scalar) -> Float[Array, ""]:
         return jnp.zeros_like(jnp.asarray(value, float))
 
 
@@ -57,18 +50,15 @@ class Normal(AbstractNumberPrior):
     mean: Scalar
     deviation: Scalar
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_positive(self, "deviation")
 
     @property
-    def log_height(self):
+    def log_height(self) -> float:
         return -math.log(self.deviation * math.sqrt(2 * math.pi))
 
-    def standardised(self, value):
+    def standardised(self, value: Scalar) -> Float[Array, ""]:
         return (jnp.asarray(value) - self.mean) / self.deviation
-
-    def log_density(self, value):
-        return -0.5 * ((jnp.asarray(value) - self.mean) / self.deviation) ** 2
 
 
 class LogNormal(AbstractNumberPrior):
@@ -85,21 +75,16 @@ class LogNormal(AbstractNumberPrior):
     median: Scalar
     deviation: Scalar
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_positive(self, "median", "deviation")
 
     @property
-    def log_height(self):
+    def log_height(self) -> float:
         return -math.log(self.median * self.deviation * math.sqrt(2 * math.pi))
 
-    def standardised(self, value):
+    def standardised(self, value: Scalar) -> Float[Array, ""]:
         # the density of log x: its mode is the median, however wide it is
         return jnp.log(jnp.asarray(value) / self.median) / self.deviation
-
-    def log_density(self, value):
-        logarithm = jnp.log(jnp.asarray(value))
-        scaled = (logarithm - math.log(self.median)) / self.deviation
-        return -0.5 * scaled**2 - logarithm
 
 
 class FreeNumber(eqx.Module):

@@ -68,7 +68,9 @@ class RingStarts(AbstractStarts):
     count: int = eqx.field(static=True, default=8)
     seed: int = eqx.field(static=True, default=0)
 
-    def states(self, key, count, order):
+    def states(
+        self, key: PRNGKeyArray, count: int, order: int
+    ) -> Float[Array, "{count} state"]:
         angle_key, offset_key, speed_key = jax.random.split(key, 3)
         center = jnp.array([self.center])
         angles = jax.random.uniform(angle_key, (count,), maxval=2 * np.pi)
@@ -101,7 +103,9 @@ class UniformStarts(AbstractStarts):
     count: int = eqx.field(static=True, default=8)
     seed: int = eqx.field(static=True, default=0)
 
-    def states(self, key, count, order):
+    def states(
+        self, key: PRNGKeyArray, count: int, order: int
+    ) -> Float[Array, "{count} state"]:
         positions = Domain(self.lower, self.upper).points(key, count)
         return jnp.concatenate([positions] + [0 * positions] * (order - 1), axis=1)
 
@@ -126,7 +130,9 @@ class CoastingStarts(AbstractStarts):
     count: int = eqx.field(static=True, default=32)
     seed: int = eqx.field(static=True, default=0)
 
-    def states(self, key, count, order):
+    def states(
+        self, key: PRNGKeyArray, count: int, order: int
+    ) -> Float[Array, "{count} state"]:
         if order == 1:
             raise InputError(
                 "starts: coasting needs inertia, and the system is of first order; "

@@ -40,7 +40,7 @@ class Observation(eqx.Module):
     noise: float = 0.0
     exposure: float = 0.0
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         for name in ("noise", "exposure"):
             value = getattr(self, name)
             if isinstance(value, float | int) and not 0 <= value < np.inf:
@@ -72,7 +72,7 @@ class WanderingVelocity(eqx.Module):
     slow: float = 0.0
     slow_memory: float = 60.0
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_positive(self, "memory", "slow_memory")
         for name in ("still", "driven", "slow"):
             value = getattr(self, name)
@@ -135,7 +135,7 @@ class System(eqx.Module):
     model: str = eqx.field(static=True, default="kernel-potential")
     learn: tuple[FreeNumber, ...] = ()
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if self.dim not in (1, 2, 3):
             raise InputError(f"system.dimension: expected 1, 2 or 3, got {self.dim}")
         if not isinstance(self.swimmer.environment, ZeroForce):

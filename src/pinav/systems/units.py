@@ -37,7 +37,7 @@ class Units(eqx.Module):
     time: str = eqx.field(static=True, default="1")
     force: str = eqx.field(static=True, default="1")
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         for name, known in (("length", LENGTHS), ("time", TIMES), ("force", FORCES)):
             if (unit := getattr(self, name)) not in known:
                 raise InputError(

@@ -53,10 +53,15 @@ class GaussianNoise(AbstractDegradation):
     deviation: float = eqx.field(static=True)
     channels: tuple[str, ...] | None = eqx.field(static=True, default=None)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         _check_range(self, "deviation", 0.0, np.inf)
 
-    def __call__(self, trajectory, channels, random):
+    def __call__(
+        self,
+        trajectory: Trajectory,
+        channels: tuple[str, ...],
+        random: np.random.Generator,
+    ) -> Trajectory:
         noisy = _chosen(self, self.channels or channels, channels)
         noise = self.deviation * random.standard_normal(trajectory.states.shape)
         noise = np.where(trajectory.observed & noisy[None], noise, 0.0)
@@ -77,10 +82,15 @@ class FrameLoss(AbstractDegradation):
 
     probability: float = eqx.field(static=True)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         _check_range(self, "probability", 0.0, 1.0)
 
-    def __call__(self, trajectory, channels, random):
+    def __call__(
+        self,
+        trajectory: Trajectory,
+        channels: tuple[str, ...],
+        random: np.random.Generator,
+    ) -> Trajectory:
         lost = random.random(len(trajectory.times)) < self.probability
         lost[[0, -1]] = False
         return _masked(trajectory, lost[:, None])
@@ -97,7 +107,12 @@ class Unobserved(AbstractDegradation):
     channels: tuple[str, ...] = eqx.field(static=True)
     keep_first: bool = eqx.field(static=True, default=False)
 
-    def __call__(self, trajectory, channels, random):
+    def __call__(
+        self,
+        trajectory: Trajectory,
+        channels: tuple[str, ...],
+        random: np.random.Generator,
+    ) -> Trajectory:
         hidden = np.tile(
             _chosen(self, self.channels, channels), (len(trajectory.times), 1)
         )
@@ -120,11 +135,16 @@ class MotionBlur(AbstractDegradation):
 
     exposure: float = eqx.field(static=True)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if not self.exposure > 0:
             raise InputError(f"MotionBlur.exposure: expected > 0, got {self.exposure}")
 
-    def __call__(self, trajectory, channels, random):
+    def __call__(
+        self,
+        trajectory: Trajectory,
+        channels: tuple[str, ...],
+        random: np.random.Generator,
+    ) -> Trajectory:
         if not trajectory.observed.all():
             raise InputError(
                 "MotionBlur: expected complete samples; apply it before FrameLoss and "
@@ -153,11 +173,16 @@ class Subsample(AbstractDegradation):
 
     every: int = eqx.field(static=True)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if self.every < 1:
             raise InputError(f"Subsample.every: expected 1 or more, got {self.every}")
 
-    def __call__(self, trajectory, channels, random):
+    def __call__(
+        self,
+        trajectory: Trajectory,
+        channels: tuple[str, ...],
+        random: np.random.Generator,
+    ) -> Trajectory:
         if len(trajectory.times) <= self.every:
             raise InputError(
                 f"Subsample: {len(trajectory.times)} samples leave a single one; "

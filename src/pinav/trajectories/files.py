@@ -283,7 +283,7 @@ def _write_csv(trajectories: Trajectories, file: BinaryIO) -> None:
     text.detach()
 
 
-def _cell(value) -> str:
+def _cell(value: Any) -> str:
     return value if isinstance(value, str) else repr(float(value))
 
 

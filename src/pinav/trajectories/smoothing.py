@@ -5,6 +5,7 @@ from jaxtyping import Bool, Float
 
 from pinav.errors import InputError
 from pinav.trajectories.trajectories import Trajectories
+from pinav.trajectories.trajectory import Trajectory
 
 WINDOW, DEGREE = 11, 3
 """Observed samples in each local fit, and degree of its polynomial."""
@@ -43,7 +44,9 @@ def smoothed_states(
     return states
 
 
-def _channel(channels, index, piece, column, dim):
+def _channel(
+    channels: tuple[str, ...], index: int, piece: Trajectory, column: int, dim: int
+) -> Float[np.ndarray, " time"]:
     """One channel of one trajectory: from itself, or as a derivative."""
     source, order = column, 0
     if not piece.observed[:, column].any() and column >= dim:

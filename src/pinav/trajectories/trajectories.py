@@ -435,7 +435,9 @@ def _padded(
     )
 
 
-def _pad(arrays: Sequence[np.ndarray], mode: Literal["edge", "constant"] = "edge"):
+def _pad(
+    arrays: Sequence[np.ndarray], mode: Literal["edge", "constant"] = "edge"
+) -> np.ndarray:
     """The arrays stacked; short ones repeat their last row, or get zeros."""
     longest = max(map(len, arrays))
     padded = [

@@ -1,6 +1,7 @@
 """`pinav fit`: one model of the unknown, fitted to given data."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
@@ -40,7 +41,7 @@ from pinav.evaluation import (
 from pinav.fitting import EvidenceFit, Outcome, fit_bayes, fit_langevin
 from pinav.fitting import fit as match_trajectories
 from pinav.fitting.environments.catalogue import KnownSwimmer, build
-from pinav.forces import AbstractForce, AbstractLearnedForce
+from pinav.forces import AbstractForce, as_learned
 from pinav.identification import fit_commanded, is_commanded
 from pinav.runs import RunFolder
 from pinav.scenarios import source_system
@@ -112,7 +113,7 @@ def fit(plan: FitPlan, folder: RunFolder) -> FitMetrics:
 
 def _infer(plan: FitPlan, folder: RunFolder) -> None:
     """Fit by the evidence."""
-    model = build(plan.choice, plan.system.swimmer, plan.summary)
+    model: Any = build(plan.choice, plan.system.swimmer, plan.summary)
     header = ModelHeader(plan.choice, plan.summary)
     if plan.settings.recipe == "langevin":
         write_fit(folder, header, fit_langevin(model, plan.data), plan.data)
@@ -137,8 +138,7 @@ def _infer(plan: FitPlan, folder: RunFolder) -> None:
 
 def _fit_commanded(plan: FitPlan, environment: AbstractForce) -> EvidenceFit:
     """Fit a field beside commands and a wandering velocity."""
-    learned = environment if isinstance(environment, AbstractLearnedForce) else None
-    result = fit_commanded(plan.system, plan.data, learned)
+    result = fit_commanded(plan.system, plan.data, as_learned(environment))
     # The residuals are whitened, so that their noise is 1; a run keeps the system's.
     noise = plan.system.observation.noise
     chosen = dataclasses.replace(result.hyperparameters, noise=noise)

@@ -1,5 +1,6 @@
 """`pinav inspect`: what a recording holds and how good it is, before any fit."""
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,7 @@ import numpy as np
 
 from pinav import __version__
 from pinav.commands.command import CommandResult
+from pinav.commands.data_file import read_data
 from pinav.commands.inspect.settings import InspectOptions, RecordingSettings
 from pinav.errors import InputError
 from pinav.figures import overlay, recording_figure, save_figure
@@ -45,7 +47,7 @@ def inspect(
         raise InputError(f"{out}: holds a report already; give --overwrite or another")
     if image is not None and out is None:
         raise InputError("--image: is drawn into a report; give --out too")
-    recording = settings.read(path)
+    recording = _with_labels(read_data(path, settings), path)
     found = quality(recording)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
@@ -53,6 +55,27 @@ def inspect(
         write_text(out / JSON_FILE, text, overwrite=True)
         write_text(out / PAGE_FILE, page(recording, found, out, image), overwrite=True)
     return found
+
+
+def _with_labels(data: Trajectories, path: Path) -> Trajectories:
+    """The positions of a file of pinav as one run, each trajectory a particle.
+
+    Raises:
+        InputError: they are not positions in the plane.
+    """
+    if {"trajectories", "concatenated"} & set(data.provenance):
+        return data
+    if data.channels[:2] != ("x", "y") or "z" in data.channels:
+        raise InputError(
+            f"{path}: expected positions x and y in the plane, got "
+            f"{', '.join(data.channels)}; inspect reads nothing else"
+        )
+    labels = [
+        {"run": path.stem, "particle": index, "segment": 0}
+        for index in range(len(data))
+    ]
+    said = {"source": path.name, "form": "pinav", "trajectories": labels}
+    return dataclasses.replace(data.only(("x", "y")), provenance=said)
 
 
 def text(found: Quality) -> str:

@@ -44,7 +44,7 @@ class EvidenceFit(eqx.Module):
     constants: dict[str, Estimate]
     states: Float[np.ndarray, "trajectory time state"] | None
     linear: LinearFit
-    goodness: GoodnessOfFit | None
+    goodness: GoodnessOfFit | None = None
 
 
 def evidence_fit(

@@ -18,7 +18,7 @@ from pinav.fitting.engine.iterate import EvidenceProgress, iterate
 from pinav.fitting.engine.problem import AbstractProblem, Step
 from pinav.fitting.environments.kernels import KernelGrid, lay_kernels, num_weights
 from pinav.fitting.outcome import Outcome
-from pinav.forces import AbstractForce, AbstractLearnedForce
+from pinav.forces import AbstractForce, AbstractLearnedForce, as_learned
 from pinav.trajectories import Trajectories
 
 
@@ -57,9 +57,10 @@ class Refinement(eqx.Module):
             shape: of its prior, as the evidence chose it; empty where its weights were
                 known.
         """
-        if not isinstance(environment, AbstractLearnedForce) or not len(shape):
+        learned = as_learned(environment)
+        if learned is None or not len(shape):
             return False
-        scales = environment.length_scales(shape)
+        scales = learned.length_scales(shape)
         return min(scales, default=np.inf) < self.shortest
 
     def finer(
