@@ -129,7 +129,7 @@ def _mark(
     )
     ax.annotate(
         name,
-        point,
+        (float(point[0]), float(point[1])),
         offset,
         textcoords="offset points",
         ha="left" if offset[0] > 0 else "right",
