@@ -110,11 +110,8 @@ def _stage(
         paths_map(field, Course(arrays), {}, **options)
         title_panel(ax, f"{name} force")
     keys = [
-        ax_line
-        for ax_line in (
-            axes[0].plot([], [], color=style_of(n).color, lw=1.5, label=n)[0]
-            for n in trails.paths
-        )
+        axes[0].plot([], [], color=style_of(name).color, lw=1.5, label=name)[0]
+        for name in trails.paths
     ]
     figure.legend(
         handles=keys,
