@@ -1,6 +1,7 @@
 r"""What a protocol optimisation may change; each a few numbers between 0 and 1."""
 
 import abc
+import itertools
 
 import equinox as eqx
 import jax
@@ -183,7 +184,7 @@ def shells(
     edges = np.linspace(0.0, radius, count + 1)
     balls = [model.grid.ball(float(r)) if r > 0 else None for r in edges]
     rows = []
-    for inner, outer in zip(balls[:-1], balls[1:], strict=True):
+    for inner, outer in itertools.pairwise(balls):
         assert outer is not None
         shell = outer if inner is None else outer - inner
         rows.append(shell * (total / jnp.sum(shell * model.grid.volumes)))

@@ -102,7 +102,7 @@ class _CurveResiduals(eqx.Module):
     values: Float[Array, " temperature"]
     sd: Float[Array, " temperature"]
 
-    def __call__(self, law: AbstractPerfusion) -> Float[Array, "."]:
+    def __call__(self, law: AbstractPerfusion) -> Float[Array, " temperature"]:
         return (law(self.temperatures) - self.values) / self.sd
 
 
