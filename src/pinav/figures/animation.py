@@ -96,7 +96,9 @@ def save_animation(
     return path
 
 
-def _stage(arrays, trails, units) -> tuple[Figure, list[Axes]]:
+def _stage(
+    arrays: Mapping[str, np.ndarray], trails: Trails, units: Mapping[str, str]
+) -> tuple[Figure, list[Axes]]:
     """The maps on which the runs are shown."""
     names = [name for name in ("true", "learned") if f"field/{name}" in arrays]
     figure = new_figure(3.2 * len(names), 4.0)
