@@ -33,6 +33,7 @@ ORDER = [
     "runs",
     "commands",
     "cli",
+    "__main__",
 ]
 ROOT = Path(pinav.__file__).parent
 SOURCES = sorted(p for p in ROOT.rglob("*.py") if p != ROOT / "__init__.py")
