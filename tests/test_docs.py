@@ -4,6 +4,7 @@ import re
 import shlex
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import jax
@@ -71,6 +72,13 @@ def run_commands(text: str) -> None:
 
 RECORDED_IN = {"sessions.csv.gz": "magscope_cellbot_sessions"}
 """Folders of the recordings that the pages name."""
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_the_settings_that_a_page_shows_can_be_read(page):
+    text = page.read_text(encoding="utf-8")
+    for block in re.findall(r"^```toml\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
+        tomllib.loads(block)
 
 
 @pytest.mark.slow

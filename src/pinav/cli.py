@@ -22,9 +22,6 @@ CACHE_BYTES = 256 * 2**20
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the `pinav` command; exits the process."""
     words = sys.argv[1:] if argv is None else list(argv)
-    # Until the run begins nothing is written, and an interrupt inside the imports of
-    # compiled libraries is lost or crashes: leave at once.
-    signal.signal(signal.SIGINT, _leave)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # where a terminal knows ASCII alone
@@ -37,12 +34,6 @@ def main(argv: Sequence[str] | None = None) -> None:
     except KeyboardInterrupt:
         code = _complain("interrupted", code=INTERRUPTED)
     sys.exit(code)
-
-
-def _leave(number: int, frame: object) -> None:
-    del number, frame
-    os.write(2, b"pinav: interrupted\n")
-    os._exit(INTERRUPTED)
 
 
 def _interruptible() -> None:
@@ -85,11 +76,6 @@ def run(argv: Sequence[str], on_start: Callable[[], None] = lambda: None) -> int
     except MemoryError as error:
         return _complain(f"not enough memory: {error}; give less data at once", code=1)
     except RuntimeError as error:
-        if "Unable to initialize backend" in str(error):
-            return _complain(
-                "JAX cannot use the device that JAX_PLATFORMS names "
-                f"({os.environ.get('JAX_PLATFORMS', '')}); unset it, or set it to cpu"
-            )
         if "RESOURCE_EXHAUSTED" in str(error):
             return _complain("not enough memory; give less data at once", code=1)
         raise

@@ -17,6 +17,6 @@ class FitError(RuntimeError):
             arguments of the library, a command names its own options.
     """
 
-    def __init__(self, message: str, outcome: str = ""):
+    def __init__(self, message: str, outcome: str = "") -> None:
         RuntimeError.__init__(self, message)
         self.outcome = outcome

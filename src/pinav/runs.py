@@ -28,7 +28,7 @@ import tomllib
 from collections.abc import Callable, Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 import equinox as eqx
 import msgspec
@@ -67,7 +67,7 @@ class RunFolder:
         path: the folder.
     """
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path) -> None:
         self.path = path
 
     @classmethod
@@ -286,7 +286,9 @@ class RunFolder:
                 f"{self.path / name} is damaged ({error}); {self.repair(name)}"
             ) from error
 
-    def write_table(self, name: str, header: Sequence[str], rows: Sequence[Sequence]):
+    def write_table(
+        self, name: str, header: Sequence[str], rows: Sequence[Sequence]
+    ) -> None:
         """Write a CSV table."""
         buffer = io.StringIO()
         writer = csv.writer(buffer, lineterminator="\n")
@@ -296,7 +298,7 @@ class RunFolder:
     def write_arrays(self, name: str, arrays: dict[str, np.ndarray]) -> None:
         """Write arrays as npz."""
 
-        def write(file):
+        def write(file: BinaryIO) -> None:
             np.savez(file, **arrays)  # pyright: ignore[reportArgumentType]
 
         atomic_write(self.path / name, write, overwrite=True)
@@ -398,10 +400,10 @@ class RunFolder:
 class FileCheckpoint(AbstractCheckpoint):
     """A fit's state in one file: a JSON line, then its leaves."""
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path) -> None:
         self.path = path
 
-    def load(self, like):
+    def load(self, like: Callable[[int], FitState]) -> FitState | None:
         if not self.path.exists():
             return None
         return read_tree(
@@ -409,7 +411,7 @@ class FileCheckpoint(AbstractCheckpoint):
             lambda header: _at(like(len(header["starts"]) - 1), header),
         )
 
-    def save(self, state):
+    def save(self, state: FitState) -> None:
         header = json.dumps({"starts": state.starts, "taken": state.taken})
         write_tree(self.path, header, state)
 
@@ -417,7 +419,7 @@ class FileCheckpoint(AbstractCheckpoint):
 def write_tree(path: Path, header: str, tree: Any) -> None:
     """Write one line of text and the leaves of a tree, atomically."""
 
-    def write(file):
+    def write(file: BinaryIO) -> None:
         file.write(header.encode() + b"\n")
         eqx.tree_serialise_leaves(file, tree)
 

@@ -178,3 +178,47 @@ def test_a_table_is_aligned_on_a_terminal():
         "eleven     –",
         "(Why.)",
     ]
+
+
+def metrics_of(seen, trajectories=4):
+    return EvaluationMetrics(
+        data="data.npz",
+        trajectories=trajectories,
+        starts="the first sample of each trajectory",
+        regions="visited: within 1",
+        domain=3.0,
+        horizon=2.0,
+        rmse={"model": {"x": 0.1}},
+        rollouts={"model": {"data": {}}},
+        force={},
+        seen=seen,
+    )
+
+
+def test_training_data_are_called_so():
+    held, trained, mixed = metrics_of(0), metrics_of(4), metrics_of(1)
+    assert held.error_name == "held-out error"
+    assert "none of those that it was fitted to" in held.purpose
+    assert trained.error_name == "training error"
+    assert "These are the training data" in trained.purpose
+    assert "1 of the 4 trajectories are training data" in mixed.purpose
+    assert "training error" in as_text(tables(trained)[0])
+
+
+def test_evaluating_the_file_that_was_fitted_is_a_training_error(tiny_fit, capsys):
+    run, data = tiny_fit
+    assert cli.run(["evaluate", str(run), str(data)]) == 0
+    out = capsys.readouterr().out
+    assert "These are the training data" in out
+    page = (run / "report.html").read_text(encoding="utf-8")
+    assert "not fitted to" not in page
+    assert cli.run(["evaluate", str(run), str(data), "--calibrate", str(data)]) == 2
+    assert "training data of the run" in capsys.readouterr().err
+
+
+def test_a_stochastic_truth_has_held_out_realisations():
+    held = held_out(scenario("brownian"), until=1.0, count=3)
+    assert held.states.shape[0] == 3
+    assert np.isfinite(held.states).all()
+    again = held_out(scenario("brownian"), until=1.0, count=3)
+    np.testing.assert_array_equal(held.states, again.states)

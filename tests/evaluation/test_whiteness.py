@@ -1,7 +1,10 @@
 import numpy as np
 import pytest
 
-from pinav.evaluation import whiteness
+from pinav.dynamics import OverdampedSwimmer
+from pinav.evaluation import increment_residuals, whiteness
+from pinav.forces import ZeroForce
+from pinav.trajectories import Trajectories
 
 
 def of_one_series(z, lags=10):
@@ -57,3 +60,18 @@ def test_a_channel_that_nobody_observed_has_no_statistic():
     assert found.counts == (5, 0)
     assert np.isnan([found.statistic[1], found.p_value[1]]).all()
     assert np.isnan(found.autocorrelation[0, 4:]).all()
+
+
+def test_increments_of_a_random_walk_are_white_and_of_unit_variance():
+    """Free diffusion: the residuals are the normal numbers that made the path."""
+    diffusion, step = 0.3, 0.1
+    normal = np.random.default_rng(0).standard_normal((2, 4000, 2))
+    moves = np.sqrt(2 * diffusion * step) * normal
+    states = np.concatenate([np.zeros((2, 1, 2)), np.cumsum(moves, axis=1)], axis=1)
+    times = step * np.arange(states.shape[1])
+    paths = Trajectories.from_arrays(times, list(states), channels=("x", "y"))
+    still = OverdampedSwimmer(ZeroForce(), ZeroForce(), 1.0)
+    residuals, observed = increment_residuals(still, paths, diffusion)
+    assert observed.all()
+    np.testing.assert_allclose(residuals, normal, atol=1e-9)
+    assert min(whiteness(residuals, observed, ("x", "y")).p_value) > 1e-3

@@ -1,5 +1,6 @@
 """The way of every command: parse, check, run, print, write the report."""
 
+import os
 import sys
 from collections.abc import Callable, Sequence
 
@@ -8,7 +9,7 @@ import msgspec
 from pinav.commands.command import Command, CommandResult, resolve
 from pinav.commands.parsing import parse
 from pinav.commands.settings import Settings
-from pinav.errors import FitError
+from pinav.errors import FitError, InputError
 
 
 def execute(
@@ -34,7 +35,7 @@ def execute(
     if command.forwards:
         options = msgspec.structs.replace(options, words=tuple(argv[1:]))
     else:
-        _enable_x64()
+        _prepare_jax()
     run = resolve(command.run)
     from pinav.runs import REPAIR
 
@@ -54,10 +55,18 @@ def _repair(command: Command) -> str:
     return f"delete it and {again} with --resume"
 
 
-def _enable_x64() -> None:
+def _prepare_jax() -> None:
     import jax
 
     jax.config.update("jax_enable_x64", val=True)
+    if platforms := os.environ.get("JAX_PLATFORMS"):
+        try:
+            jax.devices()
+        except (RuntimeError, AssertionError) as error:
+            raise InputError(
+                f"JAX cannot use the device that JAX_PLATFORMS names ({platforms}); "
+                "unset it, or set it to cpu"
+            ) from error
 
 
 def _show(result: CommandResult, *, as_json: bool) -> None:

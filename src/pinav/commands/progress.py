@@ -19,7 +19,7 @@ class AbstractReporter(abc.ABC):
         label: name of the model that is fitted.
     """
 
-    def __init__(self, folder: RunFolder, label: str):
+    def __init__(self, folder: RunFolder, label: str) -> None:
         self.folder, self.label = folder, label
         self.bar = tqdm(desc=label, unit="step", leave=True, dynamic_ncols=True)
 

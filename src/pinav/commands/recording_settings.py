@@ -109,4 +109,4 @@ def _pairs(name: str, words: Sequence[str]) -> dict[str, str] | None:
     for word, pair in zip(words, pairs, strict=True):
         if len(pair) != 2 or not all(pair):
             raise InputError(f"--{name}: expected words such as x=X, got {word!r}")
-    return {key: value for key, value in pairs} or None
+    return dict(pairs) or None

@@ -133,7 +133,7 @@ def helmholtz_figure(
         title_panel(ax, title + plus)
     potential_map(split.potential, field, path=path, units=units, ax=axes[2])
     title_panel(axes[2], "(c) potential of (a)")
-    _one_legend(figure, axes)
+    one_legend(figure, axes)
     return figure
 
 
@@ -172,7 +172,7 @@ def influence_figure(
         title_panel(ax, f"without trajectory {index}")
     for ax in axes[len(order) :]:
         ax.set_visible(False)
-    _one_legend(figure, axes)
+    one_legend(figure, axes)
     return figure
 
 
@@ -202,7 +202,7 @@ def constants_figure(
         draw_arrows(ax, field.showing(change), top)
         overlay(ax, field, path, units, shade=True)
         title_panel(ax, f"{name} one percent larger")
-    _one_legend(figure, axes)
+    one_legend(figure, axes)
     return figure
 
 
@@ -283,7 +283,7 @@ def _bars(ax: Axes, indices: SobolIndices, outcome: int) -> None:
     title_panel(ax, indices.outcomes[outcome])
 
 
-def _one_legend(figure: Figure, axes: Sequence[Axes] | np.ndarray) -> None:
+def one_legend(figure: Figure, axes: Sequence[Axes] | np.ndarray) -> None:
     """The legend of the first panel, once, below all of them."""
     legends = [legend for ax in axes if (legend := ax.get_legend()) is not None]
     handles = [handle for handle in legends[0].legend_handles if handle is not None]

@@ -96,7 +96,9 @@ def save_animation(
     return path
 
 
-def _stage(arrays, trails, units) -> tuple[Figure, list[Axes]]:
+def _stage(
+    arrays: Mapping[str, np.ndarray], trails: Trails, units: Mapping[str, str]
+) -> tuple[Figure, list[Axes]]:
     """The maps on which the runs are shown."""
     names = [name for name in ("true", "learned") if f"field/{name}" in arrays]
     figure = new_figure(3.2 * len(names), 4.0)
@@ -108,11 +110,8 @@ def _stage(arrays, trails, units) -> tuple[Figure, list[Axes]]:
         paths_map(field, Course(arrays), {}, **options)
         title_panel(ax, f"{name} force")
     keys = [
-        ax_line
-        for ax_line in (
-            axes[0].plot([], [], color=style_of(n).color, lw=1.5, label=n)[0]
-            for n in trails.paths
-        )
+        axes[0].plot([], [], color=style_of(name).color, lw=1.5, label=name)[0]
+        for name in trails.paths
     ]
     figure.legend(
         handles=keys,

@@ -71,7 +71,7 @@ def _set_log_if_positive(ax: Axes, groups: Sequence) -> None:
         ax.tick_params(which="both", labelsize=SMALL)
 
 
-def _positive(values) -> np.ndarray:
+def _positive(values: np.ndarray) -> np.ndarray:
     values = finite(values)
     return np.where(values > 0, values, np.nan)
 

@@ -1,6 +1,6 @@
 """Maps of planar force fields, which show where there was data and where not."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 
 import numpy as np
@@ -21,7 +21,7 @@ from matplotlib.ticker import (
 )
 
 from pinav.analysis import LyapunovMap
-from pinav.evaluation import FieldMap
+from pinav.evaluation import FieldMap, Regions
 from pinav.figures.style import (
     BLACK,
     DIMENSIONLESS,
@@ -157,7 +157,13 @@ def force_comparison(
     return _arranged(panels, learned.regions, units, path=path is not None)
 
 
-def _arranged(panels, regions, units, *, path: bool) -> Figure:
+def _arranged(
+    panels: Mapping[str, Callable[..., Axes]],
+    regions: Regions,
+    units: Mapping[str, str],
+    *,
+    path: bool,
+) -> Figure:
     """Panels side by side, four of them in a square, over one legend."""
     columns = 2 if len(panels) == 4 else len(panels)
     rows = -(-len(panels) // columns)
@@ -181,14 +187,21 @@ def _arranged(panels, regions, units, *, path: bool) -> Figure:
     return figure
 
 
-def largest_near(magnitude, field: FieldMap) -> float:
+def largest_near(magnitude: np.ndarray, field: FieldMap) -> float:
     """Largest finite magnitude near the data, or anywhere if there is none."""
     near = magnitude[(field.distance <= field.regions.near) & np.isfinite(magnitude)]
     values = near if near.size else magnitude[np.isfinite(magnitude)]
     return float(values.max(initial=0.0)) or 1.0
 
 
-def _magnitude_map(magnitude, field, top, look, units, ax) -> Axes:
+def _magnitude_map(
+    magnitude: np.ndarray,
+    field: FieldMap,
+    top: float,
+    look: tuple[str, str],
+    units: Mapping[str, str],
+    ax: Axes | None,
+) -> Axes:
     cmap, quantity = look
     label = with_unit(quantity, force_unit(units))
     norm = Normalize(0.0, top)
@@ -258,7 +271,7 @@ def _few_labels(bar: Colorbar, norm: Normalize) -> None:
     axis.set_minor_locator(NullLocator())
 
 
-def _extend(values, norm: Normalize) -> str:
+def _extend(values: np.ndarray, norm: Normalize) -> str:
     """Which ends of the colour bar are pointed: where values lie beyond."""
     slack = 1.0 + 1e-9
     above = norm.vmax is not None and bool((values > norm.vmax * slack).any())
@@ -296,7 +309,14 @@ def draw_arrows(ax: Axes, field: FieldMap, top: float) -> None:
     )
 
 
-def overlay(ax: Axes, field: FieldMap, path, units, *, shade: bool) -> None:
+def overlay(
+    ax: Axes,
+    field: FieldMap,
+    path: np.ndarray | None,
+    units: Mapping[str, str],
+    *,
+    shade: bool,
+) -> None:
     """Grey regions without data, contours of visited and near ones, the path."""
     lowest, highest = float(field.distance.min()), float(field.distance.max())
     visited, near = field.regions.visited, field.regions.near
@@ -330,7 +350,9 @@ _PATH = {
 }
 
 
-def _keys(regions, units, *, path: bool, shade: bool) -> list[Artist]:
+def _keys(
+    regions: Regions, units: Mapping[str, str], *, path: bool, shade: bool
+) -> list[Artist]:
     """Legend entries of what `overlay` draws."""
     length = with_unit("", units.get("x", "1")).strip(" []")
     visited, near = (

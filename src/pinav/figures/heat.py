@@ -83,7 +83,7 @@ def dose_profile(
     return ax
 
 
-def _mark_edge(ax, edge):
+def _mark_edge(ax: Axes, edge: float | None) -> None:
     if edge is not None:
         ax.axvline(1e3 * edge, color=GREY, lw=0.8, ls=(0, (4, 2)), zorder=1)
 

@@ -48,7 +48,7 @@ class Course:
         discs: centre and radius of each disc that must not be entered [L].
     """
 
-    def __init__(self, arrays: Mapping[str, np.ndarray]):
+    def __init__(self, arrays: Mapping[str, np.ndarray]) -> None:
         self.start, self.goal = arrays["start"], arrays["goal"]
         self.tolerance = float(arrays["tolerance"])
         self.arena = arrays["arena"]

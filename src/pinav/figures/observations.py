@@ -52,7 +52,7 @@ def observed_paths(
     return ax
 
 
-def _limits(observed):
+def _limits(observed: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """A frame about the observed positions, with a margin of a twentieth."""
     points = np.concatenate(observed)
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)

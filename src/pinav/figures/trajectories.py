@@ -8,7 +8,7 @@ name sets colour, dash and legend text. Any other name is its own legend text.
 """
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -107,7 +107,7 @@ def _outline(ax: Axes, center: Sequence[float], width: float) -> None:
     ax.plot(x, y, "+", color=GREY, markersize=5, zorder=0.5)
 
 
-def _draw_path(ax: Axes, positions, style: LineStyle, width: float) -> None:
+def _draw_path(ax: Axes, positions: np.ndarray, style: LineStyle, width: float) -> None:
     (line,) = ax.plot(
         *positions.T, style.dash, color=style.color, lw=width, label=style.label
     )
@@ -115,7 +115,9 @@ def _draw_path(ax: Axes, positions, style: LineStyle, width: float) -> None:
     ax.plot(*last.T, "s", color=line.get_color(), markersize=3.5)
 
 
-def _mark(ax: Axes, point, marker: str, name: str, offset: tuple[int, int]) -> None:
+def _mark(
+    ax: Axes, point: np.ndarray, marker: str, name: str, offset: tuple[int, int]
+) -> None:
     """A white marker with its name beside it, `offset` points away."""
     ax.plot(
         *point[:, None],
@@ -127,7 +129,7 @@ def _mark(ax: Axes, point, marker: str, name: str, offset: tuple[int, int]) -> N
     )
     ax.annotate(
         name,
-        point,
+        (float(point[0]), float(point[1])),
         offset,
         textcoords="offset points",
         ha="left" if offset[0] > 0 else "right",
@@ -137,7 +139,7 @@ def _mark(ax: Axes, point, marker: str, name: str, offset: tuple[int, int]) -> N
     )
 
 
-def _frame(truth, others) -> np.ndarray:
+def _frame(truth: np.ndarray, others: Iterable[np.ndarray]) -> np.ndarray:
     """Corners of the view, one per row: all of the truth, and others near it."""
     low, high = np.nanmin(truth, axis=0), np.nanmax(truth, axis=0)
     extent = float(np.max(high - low)) or 1.0
@@ -150,14 +152,14 @@ def _frame(truth, others) -> np.ndarray:
     return np.array([np.fmin.reduce(corners) - pad, np.fmax.reduce(corners) + pad])
 
 
-def _within_reach(positions, frame) -> np.ndarray:
+def _within_reach(positions: np.ndarray, frame: np.ndarray) -> np.ndarray:
     """Positions without those so far off that a renderer would overflow."""
     positions = finite(positions)
     far = np.abs(positions) > 1e3 * (1.0 + np.abs(frame).max())
     return np.where(far.any(1, keepdims=True), np.nan, positions)
 
 
-def _fate(positions, frame) -> str:
+def _fate(positions: np.ndarray, frame: np.ndarray) -> str:
     """What the legend adds where the frame does not show how a path ends."""
     if not np.isfinite(positions).all():
         return "\n(diverged)"
@@ -203,7 +205,9 @@ def velocity(
     return ax
 
 
-def _value_range(truth, others) -> tuple[float, float]:
+def _value_range(
+    truth: np.ndarray, others: Iterable[np.ndarray]
+) -> tuple[float, float]:
     """Limits that show all of the truth and others within `REACH` of it."""
     low, high = float(np.nanmin(truth)), float(np.nanmax(truth))
     reach = REACH * ((high - low) or 1.0)

@@ -123,7 +123,7 @@ def _scale(tracks: Tracks, reading: Reading) -> tuple[float, str]:
 
 def _conventions(tracks: Tracks, reading: Reading) -> dict[str, Any]:
     """What was done to positions, times and commands."""
-    scale, unit = _scale(tracks, reading)
+    scale, _unit = _scale(tracks, reading)
     jump = reading.jump or JUMPS.get(tracks.length_unit)
     return {
         "positions": {

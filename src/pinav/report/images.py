@@ -17,7 +17,7 @@ class Figures:
         folder: where the files are written.
     """
 
-    def __init__(self, run: Path):
+    def __init__(self, run: Path) -> None:
         self.folder = run / "figures"
 
     def image(

@@ -99,7 +99,7 @@ class Table(AbstractBlock):
     rows: Sequence[Sequence[Cell]]
     caption: str = ""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for index, row in enumerate(self.rows):
             if len(row) != len(self.header):
                 raise InputError(
@@ -159,7 +159,7 @@ class Image(AbstractBlock):
     caption: str = ""
     width: float = 1.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if Path(self.path).suffix.lower() not in _MEDIA_TYPES:
             raise InputError(f"image {self.path}: expected a .png, .svg or .gif file")
         if not 0.0 < self.width <= 1.0:

@@ -1,6 +1,7 @@
 r"""What a protocol optimisation may change; each a few numbers between 0 and 1."""
 
 import abc
+import itertools
 
 import equinox as eqx
 import jax
@@ -149,6 +150,7 @@ class FreePlacement(AbstractDesignVariable):
         return np.full(self.patterns.shape[0], 0.5)
 
     def apply(self, numbers: Float[Array, " number"], run: Run) -> Run:
+        # a softmax keeps the total and cannot become negative, without a constraint
         shares = jax.nn.softmax(RANGE * (numbers - 0.5))
         field = jnp.tensordot(shares, self.patterns, axes=1)
         first, *others = run.model.sources
@@ -183,7 +185,7 @@ def shells(
     edges = np.linspace(0.0, radius, count + 1)
     balls = [model.grid.ball(float(r)) if r > 0 else None for r in edges]
     rows = []
-    for inner, outer in zip(balls[:-1], balls[1:], strict=True):
+    for inner, outer in itertools.pairwise(balls):
         assert outer is not None
         shell = outer if inner is None else outer - inner
         rows.append(shell * (total / jnp.sum(shell * model.grid.volumes)))

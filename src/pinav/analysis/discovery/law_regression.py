@@ -78,8 +78,16 @@ def fit_two_gaussians(single: FieldFit, sample: ForceSample) -> FieldFit:
     """Two Gaussians: one beside the first, or the first one split in two."""
     height, x, y, width = single.constants
     split = [
-        (0.6 * height, x + dx, y + dy, 0.8 * width, 0.6 * height)
-        + (x - dx, y - dy, 0.8 * width)
+        (
+            0.6 * height,
+            x + dx,
+            y + dy,
+            0.8 * width,
+            0.6 * height,
+            x - dx,
+            y - dy,
+            0.8 * width,
+        )
         for angle in (0.0, 0.25 * np.pi, 0.5 * np.pi, 0.75 * np.pi)
         for dx, dy in [(0.7 * width * np.cos(angle), 0.7 * width * np.sin(angle))]
     ]

@@ -20,6 +20,7 @@ from pinav.figures import (
     sobol_figure,
     trust_map,
 )
+from pinav.figures.analysis import one_legend
 from pinav.figures.style import new_figure, title_panel, with_order
 from pinav.report import Image, Paragraph, Section, Table
 from pinav.report.images import Figures
@@ -148,6 +149,7 @@ def _potential(results: Results, figures: Figures) -> Image:
             "data the standard deviation is that of the assumed prior and is not to "
             "be trusted."
         )
+    one_legend(figure, axes)
     alt = "Potential, and where the force is known"
     return figures.image("analysis-potential", figure, caption, alt=alt)
 

@@ -87,7 +87,7 @@ def fit(plan: FitPlan, folder: RunFolder) -> FitMetrics:
     save_data(folder, plan.data)
     write_system_of(folder, plan.system)
     by_evidence = plan.settings.recipe in EVIDENCE_RECIPES
-    if not folder.has(MODEL_FILE) or by_evidence and not folder.has(POSTERIOR_FILE):
+    if not folder.has(MODEL_FILE) or (by_evidence and not folder.has(POSTERIOR_FILE)):
         (_infer if by_evidence else _match)(plan, folder)
     fitted = FittedRun.open(folder.path)
     starts = None if fitted.evidence is None else fitted.evidence.states[:, 0]

@@ -54,7 +54,9 @@ def _tables(metrics: FitMetrics) -> list[Table]:
     return tables
 
 
-def _paths(folder: RunFolder, data: Trajectories, arrays) -> Image:
+def _paths(
+    folder: RunFolder, data: Trajectories, arrays: dict[str, np.ndarray]
+) -> Image:
     """All trajectories, and the loss where the recipe has one."""
     with_loss = folder.has("losses-model.npz")
     figure = new_figure(7.5 if with_loss else 4.2, 3.4)
@@ -74,7 +76,12 @@ def _paths(folder: RunFolder, data: Trajectories, arrays) -> Image:
     return Image(files.svg, "Observed trajectories and rollouts of the model", caption)
 
 
-def _learned_force(folder, data, arrays, metrics) -> list[Paragraph | Image | Table]:
+def _learned_force(
+    folder: RunFolder,
+    data: Trajectories,
+    arrays: dict[str, np.ndarray],
+    metrics: FitMetrics,
+) -> list[Paragraph | Image | Table]:
     """Maps of the force, with what is known of its truth and of its uncertainty."""
     true = FieldMap.of_arrays(arrays, "true") if "field/true" in arrays else None
     figure = force_comparison(

@@ -171,7 +171,7 @@ def _arrays(
     """Everything that the figures need."""
     task = problem.task
     end = np.isfinite(float(route.arrival_time)) and float(route.arrival_time)
-    count = int(round(end / task.step)) + 1 if end else len(route.ts)
+    count = round(end / task.step) + 1 if end else len(route.ts)
     arrays = {
         "arena": np.array([task.arena.lower, task.arena.upper]),
         "start": np.asarray(task.start[:2]),

@@ -121,7 +121,9 @@ def model_file(label: str) -> str:
     return f"model-{label}.eqx"
 
 
-def _write_fits(entry: Entry, settings, data, folder: RunFolder) -> None:
+def _write_fits(
+    entry: Entry, settings: ReproduceSettings, data: Trajectories, folder: RunFolder
+) -> None:
     """Train, and write losses first: a model file says that all of its fit is there."""
     known, summary = scenario("paper").swimmer, summarise_data(data)
     method = matching(settings, data)
@@ -142,10 +144,17 @@ def _write_fits(entry: Entry, settings, data, folder: RunFolder) -> None:
         write_model(folder, header, fit.model, model_file(label))
 
 
-def _evaluate(benchmark, data, chosen: Sequence[Entry], folder: RunFolder):
+def _evaluate(
+    benchmark: System,
+    data: Trajectories,
+    chosen: Sequence[Entry],
+    folder: RunFolder,
+) -> tuple[list[Row], dict[str, np.ndarray]]:
     """Score every model; return the rows and the arrays behind the figures."""
     arrays = {"times": data.times[0], "truth": data.states[0]}
-    arrays |= _true_arrays(benchmark.true_swimmer, data)
+    truth = benchmark.true_swimmer
+    assert isinstance(truth, Swimmer)
+    arrays |= _true_arrays(truth, data)
     summary, fitted = summarise_data(data), FittedRun.open(folder.path)
 
     def scored(model: str, seed: int | None, dynamics: AbstractDynamics) -> Row:
@@ -182,7 +191,9 @@ def _true_arrays(truth: Swimmer, data: Trajectories) -> dict[str, np.ndarray]:
     }
 
 
-def _force_arrays(swimmer: Swimmer, label: str, data: Trajectories):
+def _force_arrays(
+    swimmer: Swimmer, label: str, data: Trajectories
+) -> dict[str, np.ndarray]:
     """The learned force on the grid, and the parts of the acceleration."""
     learned = field_map(swimmer.environment, data)
     parts = decompose(swimmer, data.times[0], data.states[0])
@@ -195,7 +206,12 @@ def key_of(model: str, seed: int | None) -> str:
     return model if seed is None else f"{model}-{seed}"
 
 
-def _metrics(settings, rows, arrays, folder) -> dict[str, Any]:
+def _metrics(
+    settings: ReproduceSettings,
+    rows: list[Row],
+    arrays: dict[str, np.ndarray],
+    folder: RunFolder,
+) -> dict[str, Any]:
     """Everything that a script would ask for; nothing that varies with the clock."""
     chosen = entries(settings)
     labels = [label for entry in chosen for label in entry.labels()]
@@ -239,7 +255,7 @@ def _losses(entry: Entry, folder: RunFolder) -> dict[str, dict[str, Any]]:
     }
 
 
-def _own_total(arrays, label: str) -> float:
+def _own_total(arrays: dict[str, np.ndarray], label: str) -> float:
     """Total error as one step per sample of the plain integrator sees it."""
     difference = arrays[f"{label}/own"] - arrays["truth"]
     return float(np.sqrt(np.mean(difference**2)))

@@ -115,7 +115,7 @@ def _figure1(
     )
 
 
-def _kernel_figure(folder, arrays) -> list[Section]:
+def _kernel_figure(folder: RunFolder, arrays: dict[str, np.ndarray]) -> list[Section]:
     if "ude-kernel" not in arrays:
         return []
     text = (
@@ -126,7 +126,12 @@ def _kernel_figure(folder, arrays) -> list[Section]:
     return [Section("Figure 1 for the kernel residual", [Paragraph(text), image])]
 
 
-def _forces(folder, metrics, arrays, seed) -> list[Paragraph | Image | Table]:
+def _forces(
+    folder: RunFolder,
+    metrics: dict[str, Any],
+    arrays: dict[str, np.ndarray],
+    seed: int,
+) -> list[Paragraph | Image | Table]:
     rows = [
         (label, *(100 * errors[k] for k in ("visited", "near", "everywhere")))
         for label, errors in metrics["force_error"].items()
@@ -151,7 +156,7 @@ def _forces(folder, metrics, arrays, seed) -> list[Paragraph | Image | Table]:
     ]
 
 
-def _force(folder, arrays, label: str) -> Image:
+def _force(folder: RunFolder, arrays: dict[str, np.ndarray], label: str) -> Image:
     true, learned = (
         FieldMap.of_arrays(arrays, "true"),
         FieldMap.of_arrays(arrays, label),
@@ -165,7 +170,7 @@ def _force(folder, arrays, label: str) -> Image:
     )
 
 
-def _parts(folder, arrays, seed) -> Image:
+def _parts(folder: RunFolder, arrays: dict[str, np.ndarray], seed: int) -> Image:
     prefix = f"parts/ude-{seed}/"
     terms = {
         name.removeprefix(prefix): values

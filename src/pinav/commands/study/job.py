@@ -198,7 +198,9 @@ def _row(
     return row | scores(model, known, clean, held)
 
 
-def _fitted(cell: Cell, settings: StudySettings, known: System, data: Trajectories):
+def _fitted(
+    cell: Cell, settings: StudySettings, known: System, data: Trajectories
+) -> tuple[AbstractDynamics, str]:
     if cell.model == "sfi":
         found = infer_force(known.swimmer, data, cell.sigma)
         return found, "functions selected by PASTIS"

@@ -148,7 +148,13 @@ def _fit_kernel(
     return ModelHeader(choice, summary), result.model
 
 
-def _scores(name, model: Swimmer, training, held, arrays) -> dict[str, Any]:
+def _scores(
+    name: str,
+    model: Swimmer,
+    training: Trajectories,
+    held: Trajectories,
+    arrays: dict[str, np.ndarray],
+) -> dict[str, Any]:
     """Force by region of its own training data, and rollouts from held-out starts."""
     limits = square(held)
     learned = field_map(model.environment, training, limits=limits)

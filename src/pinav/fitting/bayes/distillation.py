@@ -1,7 +1,7 @@
-r"""A network taught by another force, by Gauss-Newton regression.
+r"""Distillation of a force into a network, by Gauss-Newton regression.
 
-From random weights a network fits noisy trajectories badly: its steps creep. Taught the
-force of a kernel fit first, it is a few steps from its own best fit.
+From random weights a network fits noisy trajectories badly: its steps converge slowly.
+Distilled from the force of a kernel fit, it is a few steps from its own best fit.
 """
 
 from typing import Any
@@ -21,10 +21,10 @@ STEPS, RANK, CHORD_STEPS, NUM_DAMPINGS = 16, 256, 5, 5
 """Gauss-Newton steps, and the size of each."""
 
 DAMPING = 1e3
-"""Of the first step: with less, a third of the networks saturate and teach no more."""
+"""Of the first step: with less, a third of the networks saturate and learn no more."""
 
 SPACING, MARGIN = 0.7, 4.0
-"""Of the grid on which is taught, in widths."""
+"""Of the grid of targets, in widths."""
 
 NUM_SAMPLES, NUM_POINTS = 400, 1200
 """Samples, and points of the grid, at most."""
@@ -45,17 +45,17 @@ class DistillationTargets(eqx.Module):
 
 
 def distillation_targets(
-    teacher: AbstractForce,
+    force: AbstractForce,
     trajectories: Trajectories,
     states: Float[np.ndarray, "trajectory time state"],
     *,
     dim: int,
     width: float,
 ) -> DistillationTargets:
-    """The force of `teacher` at the samples, and on a grid around them.
+    """Values of a force at the samples, and on a grid around them.
 
     Args:
-        teacher: the force.
+        force: the force.
         trajectories: when it was sampled.
         states: at those times, smoothed.
         dim: how many of the states are positions.
@@ -72,15 +72,15 @@ def distillation_targets(
     when = np.concatenate([times[::stride], rng.choice(times, len(grid))])
     where = np.concatenate([samples[::stride], grid])
     when, where = jnp.asarray(when), jnp.asarray(where)
-    return DistillationTargets(when, where, forces(teacher, when, where))
+    return DistillationTargets(when, where, forces(force, when, where))
 
 
-def distil(network: Any, taught: DistillationTargets) -> Any:
-    """The neural force after a regression on what it is taught."""
+def distil(network: Any, targets: DistillationTargets) -> Any:
+    """The neural force after a regression on targets."""
     free, theta = ravel_model(network, lambda force: force.parameters)
     damping = jnp.asarray(DAMPING)
     for _ in range(STEPS):
-        theta, damping = _step(free, theta, damping, taught)
+        theta, damping = _step(free, theta, damping, targets)
     return free(theta)
 
 
@@ -93,9 +93,14 @@ def forces(
 
 
 @eqx.filter_jit
-def _step(free: ParametricModel, theta, damping, taught: DistillationTargets):
+def _step(
+    free: ParametricModel,
+    theta: Float[Array, " parameter"],
+    damping: Float[Array, ""],
+    targets: DistillationTargets,
+) -> tuple[Float[Array, " parameter"], Float[Array, ""]]:
     """The best of several damped chord steps, and its damping."""
-    size = jnp.sqrt(jnp.mean(taught.forces**2))
+    size = jnp.sqrt(jnp.mean(targets.forces**2))
     size = jnp.where(size > 0, size, 1.0)
 
     def force(theta, t, x):
@@ -103,11 +108,11 @@ def _step(free: ParametricModel, theta, damping, taught: DistillationTargets):
 
     def residuals(theta):
         axes = (None, 0, 0)
-        found = jax.vmap(force, axes)(theta, taught.times, taught.positions)
-        return (found - taught.forces / size).reshape(-1)
+        found = jax.vmap(force, axes)(theta, targets.times, targets.positions)
+        return (found - targets.forces / size).reshape(-1)
 
     jacobian = jax.vmap(jax.jacrev(force), (None, 0, 0))(
-        theta, taught.times, taught.positions
+        theta, targets.times, targets.positions
     ).reshape(-1, theta.shape[0])
     left, scale, right = low_rank(jacobian, RANK)
     before = residuals(theta)

@@ -43,12 +43,13 @@ def fit_bayes(
     r"""Fit the environment of a swimmer, and constants, to noisy trajectories.
 
     The weights of a kernel environment have a Gaussian-process prior. A network is
-    taught by a kernel fit first, whose process is then the prior of its forces; a
+    distilled from a kernel fit, whose process is then the prior of its forces; a
     network that sees the time has independent weights of one variance instead, and
-    bands that are too wide (docs/fitting.md). Constants, parametric environments and
-    all starts have a flat prior. The rollout is a strong constraint: no process
-    noise. The result needs neither velocities nor regular times. A constant force
-    along the thrust is hard to tell from a wide slope of the environment: where the
+    bands that are too wide (docs/fitting.md). All starts have a flat prior, as have
+    constants and parametric environments unless a prior is given. The rollout is a
+    strong constraint: no process noise. The result needs neither velocities nor regular
+    times. A constant force along the thrust is hard to tell from a wide slope of the
+    environment; where the
     thrust is learned, its standard deviation says so.
 
     Args:
@@ -61,8 +62,9 @@ def fit_bayes(
             of a swimmer with inertia altogether.
         learn: picks a constant to learn too, such as `lambda m: m.drag.damping`, or
             a tuple of them; `lambda m: m.environment` picks all numbers of a
-            parametric force. None where all of the model is known: the starts alone
-            are sought, and its evidence.
+            parametric force. Numbers with priors are given as `FreeNumber` values, such
+            as those of `System.learn`. None where all of the model is known: the starts
+            alone are sought, and its evidence.
         noise: standard deviation of the observations; estimated unless given.
         solver: steps between samples; `FixedStep()` unless given.
         refine: when kernels turn out too coarse, and the fit begins anew on finer
@@ -128,14 +130,14 @@ def _first_problem(
         specification.problem,
         refine,
         specification.trajectories,
-        TEACHING_STEPS,
+        KERNEL_STEPS,
     )
     if outcome is Outcome.DIVERGED:
         return specification.problem(model)
     return specification.distilled_from(kernels, steps[-1])
 
 
-TEACHING_STEPS = 20
+KERNEL_STEPS = 20
 """Of the kernel fit at most."""
 
 

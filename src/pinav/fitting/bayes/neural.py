@@ -1,4 +1,4 @@
-"""What kernels teach a network: the force to start from, and the prior of its forces.
+"""Networks distilled from kernels: the force to start from, and a prior of forces.
 
 The kernel environment of the same kind is fitted to the same data first. A static
 network gets the Gaussian process of these kernels as the prior of its forces

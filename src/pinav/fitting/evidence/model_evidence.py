@@ -83,8 +83,8 @@ def model_evidence(linear: LinearFit, chosen: Hyperparameters) -> ModelEvidence:
         linear: the problem of the fit.
         chosen: its best hyperparameters.
 
-    The prior of a taught network is the process that its teacher chose, and costs what
-    it cost there.
+    The prior of a distilled network is the process of its kernel model, and is charged
+    that model's correction.
     """
     quadratic = linear.quadratic
     flat = linear.num_observed - quadratic.num_free

@@ -192,9 +192,10 @@ class _Windows(eqx.Module):
         return cls(problem, phase.linearisation, restart, ravel_pytree(params)[1])
 
     @property
-    def count(self) -> Int[Array, ""]:
-        """Number of observed entries."""
-        return jnp.sum(self.problem.observations.observed)
+    def count(self) -> Float[Array, ""]:
+        """Number of observed entries, in the precision of the fit."""
+        data = self.problem.observations
+        return jnp.sum(data.observed, dtype=data.states.dtype)
 
     def rollouts(self, theta, solver, restart):
         """State before and after each step, from the data wherever it restarts."""

@@ -287,7 +287,7 @@ def iterate_sweeps(
     """
 
     def again(state):
-        values, change, count = state
+        values, _change, count = state
         new = sweep(values)
         return new, jnp.max(jnp.abs(new - values)), count + 1
 

@@ -8,6 +8,7 @@ References:
     Phys. Med. Biol. 33, 785 (1988), the point source.
 """
 
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -81,7 +82,7 @@ def heated_sphere_kernels(
     $\frac{1}{\rho c} \int e^{-ps} b(r, s)\, ds$: the adjoint of the heated sphere.
     """
     modes = []
-    for begin, end in zip(edges[:-1], edges[1:], strict=True):
+    for begin, end in itertools.pairwise(edges):
         low, high = max(0.0, t - end), max(0.0, t - begin)
         value = _integral(lambda s: kernel(r, s, medium, radius), low, high, medium)
         modes.append(value / medium.capacity)
