@@ -9,6 +9,7 @@ import pytest
 from pinav import __version__
 from pinav.errors import InputError
 from pinav.scenarios import paper
+from pinav.systems import Observation, system_text
 from pinav.trajectories import (
     Trajectories,
     bootstrap,
@@ -141,6 +142,7 @@ def test_simulation_says_how_it_was_made(paper_trajectories):
     np.testing.assert_array_equal(data.states[0, 0], paper().starts[0])
     assert data.provenance == {
         "scenario": "paper",
+        "system": system_text(paper()),
         "noise": 0.0,
         "key": None,
         "solver": "Dopri8",
@@ -151,7 +153,7 @@ def test_simulation_says_how_it_was_made(paper_trajectories):
 
 
 def test_simulated_noise_is_gaussian_of_its_size(paper_trajectories):
-    noisy = dataclasses.replace(paper(), noise=0.25)
+    noisy = dataclasses.replace(paper(), observation=Observation(noise=0.25))
     key = jax.random.key(7)
     data = simulate(noisy, key=key)
     residual = data.states - paper_trajectories.states
@@ -162,7 +164,7 @@ def test_simulated_noise_is_gaussian_of_its_size(paper_trajectories):
 
 
 def test_simulation_refuses_noise_without_a_key_and_float32():
-    noisy = dataclasses.replace(paper(), noise=0.25)
+    noisy = dataclasses.replace(paper(), observation=Observation(noise=0.25))
     with pytest.raises(InputError, match=r"'paper' adds noise of 0.25; pass key="):
         simulate(noisy)
     coarse = dataclasses.replace(paper(), starts=jnp.zeros((1, 4), jnp.float32))
