@@ -157,6 +157,7 @@ class HeatBalance(eqx.Module):
         gain, lost = jnp.zeros_like(temperature), jnp.asarray(0.0)
         for axis, conductance in enumerate(self.conductances):
             count = temperature.shape[axis]
+            # flux from each cell to the next: added to one, taken from the other
             inner = _part(conductance, axis, 1, count) * jnp.diff(
                 temperature, axis=axis
             )
@@ -204,6 +205,7 @@ class HeatBalance(eqx.Module):
         def steeper(steepest: Field, celsius: Scalar) -> tuple[Field, None]:
             return jnp.maximum(steepest, self._sink_slope(celsius)), None
 
+        # in a scan, because all trials at once would hold a grid for each temperature
         trials = jnp.arange(COLDEST, WARMEST, 0.5)
         steepest, _ = jax.lax.scan(steeper, jnp.zeros_like(total), trials)
         return jnp.max((total + steepest * self.volumes) * self.inverse_capacity)
@@ -223,6 +225,7 @@ def _conductances(grid: AbstractGrid, k: Field, axis: int, sides: Sides) -> Fiel
     """Across all faces of one axis, the sides included."""
     area, resistance = grid.faces(axis), grid.half_widths(axis) / k
     count = k.shape[axis]
+    # half cells in series: the harmonic mean, exact where the conductivity jumps
     series = _part(resistance, axis, 0, count - 1) + _part(resistance, axis, 1, count)
     low = sides.low.conductance(_part(area, axis, 0, 1), _part(resistance, axis, 0, 1))
     high = sides.high.conductance(

@@ -150,6 +150,7 @@ class FreePlacement(AbstractDesignVariable):
         return np.full(self.patterns.shape[0], 0.5)
 
     def apply(self, numbers: Float[Array, " number"], run: Run) -> Run:
+        # a softmax keeps the total and cannot become negative, without a constraint
         shares = jax.nn.softmax(RANGE * (numbers - 0.5))
         field = jnp.tensordot(shares, self.patterns, axes=1)
         first, *others = run.model.sources

@@ -132,7 +132,7 @@ class EddyTemperatureLimit(AbstractLimit):
 
     def exposure(self, protocol: AbstractProtocol) -> Float[Array, " part"]:
         model = Bioheat(
-            RadialGrid.slab(0.03, 3),
+            RadialGrid.slab(0.03, 3),  # uniform, so that three cells are enough
             eqx.tree_at(lambda t: t.metabolic, self.tissue, 0.0),
             self.blood,
             self.perfusion,

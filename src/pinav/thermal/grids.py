@@ -266,6 +266,7 @@ def _ball_shares(grid: "CartesianGrid", radius: Scalar, middle: Array) -> Array:
     offsets = (np.arange(SUBCELLS) + 0.5) / SUBCELLS - 0.5
     shifts = np.stack(np.meshgrid(*[offsets] * axes, indexing="ij"), -1)
     sizes = jnp.stack([jnp.asarray(h, float) for h in grid.spacing])
+    # each point counts as a ramp of this width: a step has no derivative
     width = jnp.max(sizes) / SUBCELLS
 
     def add(total: Array, shift: Array) -> tuple[Array, None]:

@@ -143,6 +143,7 @@ def learn(
         constants=flat,
         scale=data.spread,
         noise=noise,
+        # nats of log evidence: half of one moves a law by little of its band
         tolerance=0.5 if count else 1e-2,
         max_iterations=max_iterations,
         throw=throw,
@@ -210,7 +211,7 @@ def visited_range(
         protocol: the field.
         share: volume fraction of the tissue in each cell.
     """
-    inside = np.asarray(share) > 0.5
+    inside = np.asarray(share) > 0.5  # cells cut by the edge would mix two tissues
     hottest = solve(
         model,
         protocol,

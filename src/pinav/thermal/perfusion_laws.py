@@ -138,6 +138,7 @@ def rank_laws(
     )
     fits = []
     for name, start in candidates.items():
+        # first to the curve, which is quick, so that the run starts near the optimum
         shaped = fit_regression(
             start, curve_residuals, constants=lambda m: m, throw=False
         )
@@ -150,6 +151,7 @@ def rank_laws(
             throw=False,
         )
         count, free = int(data.observed.sum()), len(refit.constants)
+        # the noise is that of the restricted likelihood: its divisor is count - free
         squares = refit.hyperparameters.noise**2 * (count - free)
         bic = count * np.log(squares / count) + free * np.log(count)
         converged = refit.outcome is Outcome.CONVERGED

@@ -109,6 +109,7 @@ def _stages(
     def step(begin: Cells, inputs: tuple[Array, Array]) -> tuple[Cells, _Stages]:
         dt, (level, later) = inputs
         slope = jax.jvp(balance.sink, (begin,), (jnp.ones_like(begin),))[1]
+        # the sink is local: its Jacobian is diagonal, and one jvp with ones gives it
         taken = slope * balance.volumes * balance.inverse_capacity
         drift = _shift(balance, level, later).temperature
 
@@ -116,6 +117,7 @@ def _stages(
             return matrices.solve(GAMMA * dt, taken, right)
 
         k1 = solve(balance.rates(begin, level).temperature + drift)
+        # both stages share one matrix, that at the begin: ROS2 keeps its order with it
         end = balance.rates(begin + dt * k1, later).temperature
         k2 = solve(end - 2 * k1 - drift)
         after = begin + 0.5 * dt * (3 * k1 + k2)
@@ -130,6 +132,8 @@ def _stages_jvp(
 ) -> tuple[_Stages, _Stages]:
     stages = _stages(*primals)
     _, moved = eqx.filter_jvp(lambda *p: _defects(stages, *p), primals, tangents)
+    # custom_linear_solve transposes the solve for reverse mode: no residuals of the
+    # scan are stored, and nothing is recomputed
     linear = _Linearised.of(stages, *primals)
     change = jax.lax.custom_linear_solve(
         lambda d: jax.jvp(lambda s: _defects(s, *primals), (stages,), (d,))[1],

@@ -62,6 +62,7 @@ def plan_steps(
     times = _saved_times(start, end, save_every, save_at)
     inner = [t for t in protocol.edges if start < t < end]
     events = _merge(np.concatenate([[start, end], inner, times]), end)
+    # less a little, so that rounding does not add a step
     counts = np.maximum(np.ceil(np.diff(events) / longest - 1e-9), 1).astype(int)
     steps = np.repeat(np.diff(events) / counts, counts)
     starts = np.concatenate(
@@ -70,10 +71,12 @@ def plan_steps(
             for a, b, n in zip(events[:-1], events[1:], counts, strict=True)
         ]
     )
+    # by the middle of a step, because its ends may coincide with edges up to rounding
     middles = starts + 0.5 * steps
     intervals = np.searchsorted(protocol.edges, middles) - 1
     ends = np.append(0, np.cumsum(counts)) - 1
     nearest = np.abs(events[:, None] - times[None]).argmin(axis=0)
+    # the square root balances kept and recomputed states in reverse mode
     block = max(1, int(np.ceil(np.sqrt(len(steps)))))
     padding = -len(steps) % block
     return Schedule(

@@ -190,6 +190,7 @@ def run(
     blocks = jax.tree.map(lambda a: a.reshape(*shape, *a.shape[1:]), (steps, each))
     end, (kept, flows) = jax.lax.scan(advance, start, blocks)
     observed, hottest = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), kept)
+    # observed after every step and picked here: a scan cannot save at some steps alone
     saved = jnp.asarray(schedule.saved)
     return Solution(
         times=jnp.asarray(schedule.times),

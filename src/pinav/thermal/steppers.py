@@ -183,6 +183,7 @@ class RKL2(AbstractStepper):
         self, balance: HeatBalance, temperature: Field, dt: Scalar, levels: Array
     ) -> Rates:
         rows, first = _rkl2_coefficients(self.stages)
+        # heat flows are further components of the same stages, so that they balance
         initial = _Stage(temperature, jnp.zeros(3))
         start = _slope(balance, initial, levels[0])
         after = jax.tree.map(lambda y, r: y + first * dt * r, initial, start)
@@ -231,7 +232,7 @@ def _rkl2_coefficients(s: int) -> tuple[Any, float]:
     mu = (2 * j - 1) / j * b0 / b1
     nu = -(j - 1) / j * b0 / b2
     mu_tilde = mu * w
-    gamma = -(1 - b1) * mu_tilde
+    gamma = -(1 - b1) * mu_tilde  # weight of the slope at the begin of the step
     columns = np.stack([mu, nu, 1 - mu - nu, mu_tilde, gamma], axis=1)
     return jnp.asarray(columns), b[1] * w
 
