@@ -61,7 +61,7 @@ def test_inspect_prints_a_table_and_writes_a_report(circles, tmp_path, capsys):
 def test_inspect_prints_json_alone(circles, capsys):
     assert cli.run(["inspect", str(circles), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert found["form"] == "tidy"
+    assert found["format"] == "tidy"
     assert "positions are in pixels: give mpp" in " ".join(found["warnings"])
 
 
@@ -85,7 +85,7 @@ BAD = {
         ["{file}", "--columns", "x"],
         "--columns: expected words such as x=X, got 'x'",
     ),
-    "unknown format": (["{file}", "--form", "excel"], "form: expected one of tidy"),
+    "unknown format": (["{file}", "--format", "excel"], "format: expected one of tidy"),
     "number": (["{file}", "--fps", "-1"], "fps: expected > 0, got -1"),
 }
 

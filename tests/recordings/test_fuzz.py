@@ -15,8 +15,8 @@ FILES = {
     "DeepLabCut": "\n".join(LINES),
     "TrackMate, XML": GOOD,
 }
-FORMS = {
-    **{name: sample.form for name, sample in SAMPLES.items()},
+FORMATS = {
+    **{name: sample.format for name, sample in SAMPLES.items()},
     "DeepLabCut": "deeplabcut",
     "TrackMate, XML": "trackmate-xml",
 }
@@ -45,10 +45,10 @@ def test_damaged_text_is_read_or_refused_with_one_line(tmp_path_factory, name, d
     path = tmp_path_factory.mktemp("fuzz") / "a.csv"
     path.write_bytes(data.draw(damaged(FILES[name].encode())))
     reading = SAMPLES[name].reading if name in SAMPLES else {}
-    form = data.draw(st.sampled_from([None, FORMS[name]]))
+    format = data.draw(st.sampled_from([None, FORMATS[name]]))
     complaint = ""
     try:
-        read_recording(path, form=form, **reading)
+        read_recording(path, format=format, **reading)
     except InputError as error:
         complaint = str(error)
     assert "\n" not in complaint

@@ -43,7 +43,7 @@ def test_trackpy_comes_back_whole(tmp_path_factory, truth):
 def test_without_rate_and_scale_units_are_frames_and_pixels():
     data = read_recording(trackpy_frame(EXAMPLE))
     assert data.units == {"x": "px", "y": "px", "t": "frame"}
-    assert data.provenance["form"] == "trackpy"
+    assert data.provenance["format"] == "trackpy"
     assert data.provenance["source"] == "DataFrame"
 
 

@@ -12,7 +12,7 @@ from pinav.errors import InputError
 class Sample(NamedTuple):
     """A sound file of a format, in parts."""
 
-    form: str
+    format: str
     header: list[str]
     columns: dict[str, str]  # name, frame, x, y
     reading: dict = {}
@@ -29,7 +29,7 @@ class Sample(NamedTuple):
     def row(self, header, name, frame, x, y):
         known = {"name": name, "frame": str(frame), "x": str(x), "y": str(y)}
         roles = {column: known[role] for role, column in self.columns.items()}
-        if self.form == "tidy":
+        if self.format == "tidy":
             roles["t_s"] = str(frame / 10)
         return [roles.get(column, self.blank) for column in header]
 
@@ -240,7 +240,7 @@ def test_damage_is_named_with_its_place(read, name, damage):
     content = damaged(sample)
     if isinstance(content, str):
         content = content.encode("utf-8", "surrogateescape")
-    reading = {"form": sample.form, **sample.reading}
+    reading = {"format": sample.format, **sample.reading}
     with pytest.raises(InputError, match=rf"a\.csv: .*{message(sample)}") as caught:
         read(content, name="a.csv", **reading)
     assert "\n" not in str(caught.value)
@@ -251,5 +251,5 @@ def test_the_sample_itself_is_sound(read, name):
     """So that each refusal is for its damage alone."""
     sample = SAMPLES[name]
     text = sample.text(sample.lines())
-    assert len(read(text, form=sample.form, **sample.reading)) == 1
+    assert len(read(text, format=sample.format, **sample.reading)) == 1
     assert len(read(text, **sample.reading)) == 1  # the format is found, too

@@ -237,7 +237,9 @@ def systems(draw):
     )
 
 
-@settings(max_examples=40)
+# Beartype samples the items of containers at random, which changes no value here.
+@pytest.mark.filterwarnings("ignore:Do not use the `random` module inside strategies")
+@settings(max_examples=15)
 @given(systems())
 def test_any_system_comes_back_exactly(system):
     again = parse_system(system_text(system))

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 class RecordingSettings(Settings, frozen=True):
     """What a file does not say of itself."""
 
-    form: Annotated[
+    format: Annotated[
         str | None,
         tyro.conf.arg(help="Format of the file; found from its content by default."),
     ] = None
@@ -89,7 +89,7 @@ class RecordingSettings(Settings, frozen=True):
 
         return read_recording(
             path,
-            form=self.form,
+            format=self.format,
             columns=_pairs("columns", self.columns),
             units=self.stated_units(),
             fps=self.fps,

@@ -3,6 +3,6 @@
 from pinav.recordings.labels import groups as groups
 from pinav.recordings.labels import labels as labels
 from pinav.recordings.overlays import image_positions as image_positions
-from pinav.recordings.reading import FORMS as FORMS
+from pinav.recordings.reading import FORMATS as FORMATS
 from pinav.recordings.reading import read_recording as read_recording
 from pinav.recordings.rows import COMMAND_UNITS as COMMAND_UNITS

@@ -26,7 +26,7 @@ class _Piece(NamedTuple):
 
 
 def assembled(
-    tracks: Tracks, reading: Reading, source: Source, form: str
+    tracks: Tracks, reading: Reading, source: Source, format: str
 ) -> Trajectories:
     """The trajectories of a recording, in um and s with y up where scales are known.
 
@@ -34,7 +34,7 @@ def assembled(
         tracks: rows of the file.
         reading: how they are to be read.
         source: the file.
-        form: name of its format.
+        format: name of its format.
 
     Raises:
         InputError: rows contradict each other, or nothing is long enough to be a
@@ -74,7 +74,7 @@ def assembled(
         },
         provenance={
             "source": source.path.name,
-            "form": form,
+            "format": format,
             "pinav": __version__,
             **_conventions(tracks, reading),
             **tracks.facts,

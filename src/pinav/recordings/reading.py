@@ -7,7 +7,7 @@ from pinav.errors import InputError
 from pinav.recordings.assembly import assembled
 from pinav.recordings.formats.column_map import MappedTable
 from pinav.recordings.formats.deeplabcut import DeepLabCut
-from pinav.recordings.formats.format import AbstractForm
+from pinav.recordings.formats.format import AbstractFormat
 from pinav.recordings.formats.imagej import ImageJ
 from pinav.recordings.formats.magscope import MagScope
 from pinav.recordings.formats.matlab import Matlab
@@ -19,7 +19,7 @@ from pinav.recordings.rows import Reading
 from pinav.recordings.source import DataFrame, Source
 from pinav.trajectories import Trajectories
 
-FORMS: tuple[AbstractForm, ...] = (
+FORMATS: tuple[AbstractFormat, ...] = (
     Tidy(),
     TrackMateCSV(),
     TrackMateXML(),
@@ -37,7 +37,7 @@ FORMS: tuple[AbstractForm, ...] = (
 def read_recording(
     path: str | os.PathLike[str] | DataFrame,
     *,
-    form: str | None = None,
+    format: str | None = None,
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
     fps: float | None = None,
@@ -60,7 +60,7 @@ def read_recording(
 
     Args:
         path: the file, gzip is unpacked; or a DataFrame.
-        form: name of the format; found from the content unless given.
+        format: name of the format; found from the content unless given.
         columns: the file's name of each quantity, for tables of any make.
         units: unit of a quantity in such a table, where it is not the usual one.
         fps: frames per second [1/s]; times become frame / fps.
@@ -95,7 +95,7 @@ def read_recording(
         source = (
             Source.of_frame(path) if isinstance(path, DataFrame) else Source.read(path)
         )
-        chosen = _form(form, source, reading)
+        chosen = _format(format, source, reading)
         return assembled(chosen.tracks(source, reading), reading, source, chosen.name)
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
@@ -106,21 +106,21 @@ def read_recording(
         ) from error
 
 
-def _form(name: str | None, source: Source, reading: Reading) -> AbstractForm:
+def _format(name: str | None, source: Source, reading: Reading) -> AbstractFormat:
     """The format of that name, or the first that suits the content."""
-    by_name = {form.name: form for form in FORMS}
+    by_name = {format.name: format for format in FORMATS}
     if name is None and reading.columns and "variable" not in reading.columns:
         name = MappedTable.name
     if name is not None:
         if name not in by_name:
             raise InputError(
-                f"form: expected one of {', '.join(by_name)}; got {name!r}"
+                f"format: expected one of {', '.join(by_name)}; got {name!r}"
             )
         return by_name[name]
-    for form in FORMS:
-        if form.suits(source):
-            return form
+    for format in FORMATS:
+        if format.suits(source):
+            return format
     raise InputError(
-        "the format is not known; give its name as form, one of "
+        "the format is not known; give its name as format, one of "
         f"{', '.join(by_name)}, or describe the table by columns"
     )

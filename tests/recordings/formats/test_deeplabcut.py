@@ -170,7 +170,7 @@ BAD = {
 def test_damaged_csv_is_named_with_its_place(read, content, message):
     content = content.encode("utf-8", "surrogateescape")
     with pytest.raises(InputError, match=rf"tracks\.csv: .*{message}") as caught:
-        read(content, form="deeplabcut")
+        read(content, format="deeplabcut")
     assert "\n" not in str(caught.value)
 
 

@@ -35,7 +35,7 @@ from pinav.commands.analyse.metrics import (
 from pinav.commands.analyse.settings import AnalyseOptions, AnalyseSettings
 from pinav.commands.command import CommandResult
 from pinav.commands.fitted_run import EvidenceResult, FittedRun
-from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.dynamics import OverdampedSwimmer, Swimmer, commanded
 from pinav.errors import FitError, InputError
 from pinav.evaluation import FieldMap, check_planar, field_map
 from pinav.fitting.environments.catalogue import CONSTANTS
@@ -156,6 +156,7 @@ def _subject(settings: AnalyseSettings, run: FittedRun) -> Subject:
             f"{run.folder.path}, got {settings.reference}"
         )
     check_planar(run.data)
+    model = commanded(model, run.data.trajectory(settings.reference))
     field = field_map(model.environment, run.data, points=settings.points)
     return Subject(run, model, field, settings)
 

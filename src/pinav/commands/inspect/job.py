@@ -74,13 +74,13 @@ def _with_labels(data: Trajectories, path: Path) -> Trajectories:
         {"run": path.stem, "particle": index, "segment": 0}
         for index in range(len(data))
     ]
-    said = {"source": path.name, "form": "pinav", "trajectories": labels}
+    said = {"source": path.name, "format": "pinav", "trajectories": labels}
     return dataclasses.replace(data.only(("x", "y")), provenance=said)
 
 
 def text(found: Quality) -> str:
     """The report for a terminal."""
-    lines = [f"{found.source}, format {found.form}", "", as_text(runs_table(found))]
+    lines = [f"{found.source}, format {found.format}", "", as_text(runs_table(found))]
     if found.warnings or any(run.warnings for run in found.runs):
         lines += ["", "What a fit cannot tell:", *map(_item, verdicts(found))]
     if found.notes:

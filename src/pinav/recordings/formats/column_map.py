@@ -5,7 +5,7 @@ from typing import final
 
 from pinav.errors import InputError
 from pinav.recordings import units
-from pinav.recordings.formats.format import AbstractForm
+from pinav.recordings.formats.format import AbstractFormat
 from pinav.recordings.rows import COMMAND_UNITS, Reading, Tracks
 from pinav.recordings.source import Source
 
@@ -24,7 +24,7 @@ QUANTITIES = (
 
 
 @final
-class MappedTable(AbstractForm):
+class MappedTable(AbstractFormat):
     """A CSV or parquet table whose columns the user names.
 
     Needed are x, y and one of t and frame. `units` states those that are not the

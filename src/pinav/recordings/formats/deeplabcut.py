@@ -8,7 +8,7 @@ from typing import Any, final
 import numpy as np
 
 from pinav.errors import InputError
-from pinav.recordings.formats.format import AbstractForm
+from pinav.recordings.formats.format import AbstractFormat
 from pinav.recordings.formats.hdf5 import opened
 from pinav.recordings.rows import Reading, Tracks
 from pinav.recordings.source import Source
@@ -19,7 +19,7 @@ _COORDS = ("x", "y", "likelihood")
 
 
 @final
-class DeepLabCut(AbstractForm):
+class DeepLabCut(AbstractFormat):
     """Header rows `scorer`, (`individuals`,) `bodyparts`, `coords`; pixels, y down.
 
     Each body part of each individual is a particle. Where the likelihood is below that

@@ -6,7 +6,7 @@ from pinav.recordings.rows import Reading, Tracks
 from pinav.recordings.source import Source
 
 
-class AbstractForm(abc.ABC):
+class AbstractFormat(abc.ABC):
     """A format: how it is known, and how it is read.
 
     Attributes:

@@ -3,13 +3,13 @@
 from typing import final
 
 from pinav.errors import InputError
-from pinav.recordings.formats.format import AbstractForm
+from pinav.recordings.formats.format import AbstractFormat
 from pinav.recordings.rows import Reading, Tracks
 from pinav.recordings.source import Source
 
 
 @final
-class ImageJ(AbstractForm):
+class ImageJ(AbstractFormat):
     """`X, Y` or `XM, YM` with a `Slice` (Results); `Track n°, Slice n°, X, Y`.
 
     The table does not say whether it is calibrated: state `units={"x": "px"}` or give

@@ -11,7 +11,7 @@ from jaxtyping import Float64
 
 from pinav.errors import InputError
 from pinav.recordings import units
-from pinav.recordings.formats.format import AbstractForm
+from pinav.recordings.formats.format import AbstractFormat
 from pinav.recordings.rows import COMMAND_UNITS, Reading, Tracks
 from pinav.recordings.source import Source
 from pinav.recordings.table import Table
@@ -32,7 +32,7 @@ _COMMANDS = {
 
 
 @final
-class MagScope(AbstractForm):
+class MagScope(AbstractFormat):
     """The three dialects of the recorder, told apart by the units in their headers.
 
     2024: `Times` is the interval of each frame, positions in px. 2024-12 and 2025:

@@ -6,7 +6,7 @@ from typing import Any, final
 import numpy as np
 
 from pinav.errors import InputError
-from pinav.recordings.formats.format import AbstractForm
+from pinav.recordings.formats.format import AbstractFormat
 from pinav.recordings.formats.hdf5 import opened
 from pinav.recordings.rows import Reading, Tracks
 from pinav.recordings.source import Source
@@ -19,7 +19,7 @@ _NAMES = ("x", "y", "frame", "id")
 
 
 @final
-class Matlab(AbstractForm):
+class Matlab(AbstractFormat):
     """One matrix with x and y first and frame and id last, or a cell array of tracks.
 
     The matrix is that of Crocker and Grier's `track`: px and y down unless stated

@@ -4,7 +4,7 @@ import re
 from typing import final
 
 from pinav.errors import InputError
-from pinav.recordings.formats.format import AbstractForm
+from pinav.recordings.formats.format import AbstractFormat
 from pinav.recordings.rows import COMMAND_UNITS, Reading, Tracks
 from pinav.recordings.source import Source
 from pinav.recordings.table import read_delimited
@@ -14,7 +14,7 @@ _PREFIX = re.compile(r"^(?:TG|TP|G|P)_")
 
 
 @final
-class SFI(AbstractForm):
+class SFI(AbstractFormat):
     """`# dt: 0.01` above `particle_id, frame, x, y`, in units that nobody states.
 
     Time is frame times dt, y points as it is. An extra column with the name of a

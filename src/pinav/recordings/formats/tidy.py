@@ -6,7 +6,7 @@ from typing import final
 import numpy as np
 
 from pinav.errors import InputError
-from pinav.recordings.formats.format import AbstractForm
+from pinav.recordings.formats.format import AbstractFormat
 from pinav.recordings.rows import Reading, Tracks
 from pinav.recordings.source import Source
 from pinav.recordings.table import Table
@@ -25,7 +25,7 @@ COMMANDS: Mapping[str, str] = {
 
 
 @final
-class Tidy(AbstractForm):
+class Tidy(AbstractFormat):
     """`t_s, x_um, y_um` (y up) or `x_px, y_px` (y down), and what else is known.
 
     Optional: `run, kind, particle, segment, frame` and the columns of `COMMANDS`.

@@ -6,7 +6,7 @@ import numpy as np
 
 from pinav.errors import InputError
 from pinav.recordings import units
-from pinav.recordings.formats.format import AbstractForm
+from pinav.recordings.formats.format import AbstractFormat
 from pinav.recordings.rows import Reading, Tracks
 from pinav.recordings.source import Source
 from pinav.recordings.table import Table, read_delimited
@@ -22,7 +22,7 @@ UNCALIBRATED = (
 
 
 @final
-class TrackMateCSV(AbstractForm):
+class TrackMateCSV(AbstractFormat):
     """`TRACK_ID, POSITION_X, POSITION_Y, POSITION_T, FRAME`, y down.
 
     A raw export has four header rows, the last with the units; a re-saved file has one
@@ -108,7 +108,7 @@ def _times(
 
 
 @final
-class TrackMateXML(AbstractForm):
+class TrackMateXML(AbstractFormat):
     """`<Tracks>` of `<particle>` of `<detection t x y z/>` ("Export tracks to XML")."""
 
     name = "trackmate-xml"

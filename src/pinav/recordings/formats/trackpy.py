@@ -3,7 +3,7 @@
 from typing import final
 
 from pinav.errors import InputError
-from pinav.recordings.formats.format import AbstractForm
+from pinav.recordings.formats.format import AbstractFormat
 from pinav.recordings.rows import Reading, Tracks
 from pinav.recordings.source import Source
 
@@ -12,7 +12,7 @@ _FEATURES = {"mass", "size", "ecc", "signal", "raw_mass", "ep"}
 
 
 @final
-class Trackpy(AbstractForm):
+class Trackpy(AbstractFormat):
     """What `trackpy.link` returns, as CSV, parquet or DataFrame.
 
     Times need `fps`, micrometres `mpp`: names and meaning are those of trackpy.

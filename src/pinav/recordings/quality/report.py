@@ -105,7 +105,7 @@ class Quality:
 
     Attributes:
         source: name of the file.
-        form: its format.
+        format: its format.
         units: of lengths and times.
         runs: in the order of the file.
         tracks: every particle of every run.
@@ -115,7 +115,7 @@ class Quality:
     """
 
     source: str
-    form: str
+    format: str
     units: dict[str, str]
     runs: list[Run]
     tracks: list[Track]
@@ -148,7 +148,7 @@ def quality(recording: Trajectories) -> Quality:
     provenance = recording.provenance
     return Quality(
         source=str(provenance.get("source", "")),
-        form=str(provenance.get("form", "")),
+        format=str(provenance.get("format", "")),
         units=dict(recording.units),
         runs=runs,
         tracks=tracks,

@@ -1,0 +1,57 @@
+"""One recording through inspect, identify, fit, evaluate, analyse and navigate."""
+
+import jax
+import numpy as np
+import pytest
+
+from pinav import cli
+from pinav.commands.fitted_run import FittedRun
+from pinav.systems import read_system
+from pinav.trajectories import Trajectories, save
+
+
+def robot():
+    """Sixty seconds of a robot that random headings drive about a trap."""
+    random = np.random.default_rng(0)
+    times = np.arange(0.0, 60.0, 0.1)
+    heading = np.cumsum(random.normal(0, 0.35, len(times)))
+    x, path = np.zeros(2), []
+    for angle, kick in zip(heading, random.normal(size=(600, 2)), strict=True):
+        path.append(x)
+        push = 3.0 * np.array([np.cos(angle), np.sin(angle)])
+        x = x + 0.1 * (push - 0.25 * x + 0.5 * kick)
+    seen = np.array(path) + 0.05 * random.normal(size=(600, 2))
+    return Trajectories.from_arrays(
+        [times],
+        [seen],
+        channels=("x", "y"),
+        commands={"frequency": [np.ones(600)], "heading": [heading]},
+        units={"x": "um", "y": "um", "t": "s"},
+    )
+
+
+@pytest.mark.slow
+def test_a_recording_goes_through_all_commands_on_the_same_runs(tmp_path, capsys):
+    jax.config.update("jax_numpy_dtype_promotion", "standard")
+    file, response, force = (str(tmp_path / n) for n in ("robot.csv", "I", "F"))
+    save(robot(), tmp_path / "robot.csv")
+    try:
+        for words in (
+            ["inspect", file],
+            ["identify", file, "--out", response],
+            ["fit", file, "--system", f"{response}/system.toml", "--out", force],
+            ["evaluate", response, file],
+            ["evaluate", force, file],
+            ["analyse", force],
+            ["navigate", force, "--from=-3,-3", "--to=4,4", "--out", f"{force}-there"],
+        ):
+            assert cli.run(words) == 0, capsys.readouterr().err
+    finally:
+        jax.config.update("jax_numpy_dtype_promotion", "strict")
+    system = read_system(tmp_path / "I" / "system.toml")
+    assert system.wandering is not None
+    run = FittedRun.open(tmp_path / "I")
+    assert run.posterior is not None
+    np.testing.assert_allclose(
+        run.model.propulsion.gain, system.swimmer.propulsion.gain
+    )
