@@ -122,7 +122,7 @@ def test_no_name_of_a_command_is_spelled_outside_its_folder():
         (["reproduce", "--resume", "--overwrite"], "--resume and --overwrite: choose"),
         (
             ["simulate", "papre", "--out", "x.npz"],
-            "scenario 'papre' is unknown; choose",
+            "system 'papre' is unknown; name a file",
         ),
         (["simulate", "paper", "--out", "x.doc"], "x.doc"),
         (

@@ -2,8 +2,6 @@
 
 from pathlib import Path
 
-import msgspec
-
 from pinav.commands.command import CommandResult
 from pinav.commands.heat.case import Case, read_case
 from pinav.commands.heat.command import HEAT
@@ -31,7 +29,8 @@ def run(options: HeatOptions) -> CommandResult:
     folder.write_arrays(RESULTS, result.arrays)
     if result.readings is not None:
         save_probes(result.readings, folder.path / READINGS, overwrite=True)
-    folder.write_json("metrics.json", msgspec.to_builtins(result.metrics))
+        folder.record(READINGS)
+    folder.write_metrics("metrics.json", result.metrics)
     return CommandResult(result.metrics, text(result.metrics), folder)
 
 
