@@ -64,11 +64,12 @@ def test_an_evaluation_has_physics_alone_beside_its_models(tiny_fit):
     run, data = tiny_fit
     with jax.numpy_dtype_promotion("standard"):
         metrics = evaluate(run, data)
-    for table in ("rmse", "rollouts", "force"):
-        assert list(metrics[table]) == ["model", "physics-only"]
-    for region in metrics["force"]["physics-only"].values():
-        assert region["error"] == pytest.approx(1.0)
-        assert region["cosine"] is None
+    assert metrics.force is not None
+    for table in (metrics.rmse, metrics.rollouts, metrics.force):
+        assert list(table) == ["model", "physics-only"]
+    for region in metrics.force["physics-only"].values():
+        assert region.error == pytest.approx(1.0)
+        assert region.cosine is None
 
 
 def without_sfi(monkeypatch):
@@ -84,11 +85,11 @@ def test_a_study_says_why_another_tool_has_no_row(monkeypatch, tmp_path):
         tmp_path / "run", {"run": {"command": "study"}}, overwrite=False
     )
     settings = StudySettings(models=("sfi",), counts=(1,), held_out=2)
-    (row,) = study("data-efficiency", "barrier-crossings", settings, folder)
-    assert row["outcome"] == (
+    (row,) = study("data-efficiency", "barrier-crossings", settings, folder).rows
+    assert row.outcome == (
         "failed: StochasticForceInference is not installed; pip install 'pinav[bench]'"
     )
-    assert row["rollouts median"] is None
+    assert row.rollouts_median is None
 
 
 def test_another_tool_that_is_not_installed_is_named(monkeypatch, crossings):

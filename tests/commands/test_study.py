@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from pinav import cli
-from pinav.commands.fit.settings import FitSettings
 from pinav.commands.study import job
 from pinav.commands.study import paper_weakness as weakness_job
-from pinav.commands.study.job import cells, clean_data, fitted, with_noise
+from pinav.commands.study.job import cells, clean_data, fit_choice, with_noise
 from pinav.commands.study.settings import StudySettings
 from pinav.errors import FitError
 from pinav.figures.errors import scaling_figure
+from pinav.fitting.environments.catalogue import ModelChoice
 from pinav.runs import RunFolder
 from pinav.scenarios import barrier_crossings
 from pinav.scenarios.crossings import paper_barrier, paper_swimmer
@@ -86,19 +86,19 @@ def test_a_resumed_study_does_nothing_again(noise_study, capsys, monkeypatch):
     before = (out / "metrics.json").read_bytes()
     (out / "metrics.json").unlink()
 
-    def refuse(*_):
+    def refuse(*_, **__):
         raise AssertionError("fitted again")
 
-    monkeypatch.setattr(job, "fitted", refuse)
+    monkeypatch.setattr(job, "fit_choice", refuse)
     assert cli.run([*argv, "--resume"]) == 0
     assert (out / "metrics.json").read_bytes() == before
 
 
 def test_a_model_that_fails_is_a_row_that_says_so(tmp_path, monkeypatch, capsys):
-    def fail(*_):
+    def fail(*_, **__):
         raise FitError("the fit is singular")
 
-    monkeypatch.setattr(job, "fitted", fail)
+    monkeypatch.setattr(job, "fit_choice", fail)
     argv = ["study", "data-efficiency", "swirl", "--out", str(tmp_path / "s"), *TINY]
     assert cli.run([*argv, "--counts", "1"]) == 0
     (row, _) = RunFolder.open(tmp_path / "s").read_json("metrics.json")["rows"]
@@ -110,9 +110,8 @@ def test_a_model_that_fails_is_a_row_that_says_so(tmp_path, monkeypatch, capsys)
 def test_a_fit_of_a_study_that_diverged_is_an_error(clean):
     known = barrier_crossings().swimmer
     broken = eqx.tree_at(lambda m: m.drag.damping, known, jax.numpy.asarray(np.nan))
-    settings = FitSettings(model="kernel-potential", max_steps=2)
     with pytest.raises(FitError, match="diverged"):
-        fitted(settings, broken, clean)
+        fit_choice(ModelChoice("kernel-potential"), broken, clean, max_steps=2)
 
 
 @pytest.mark.parametrize(

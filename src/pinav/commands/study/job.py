@@ -6,15 +6,22 @@ trajectories from starts that no fit has seen. A cell that is done is not done a
 
 import time
 from collections.abc import Iterator
-from typing import Any
 
 import equinox as eqx
 import jax
+import msgspec
 from tqdm import tqdm
 
 from pinav.commands.cells import as_cell
 from pinav.commands.held_out import held_out
 from pinav.commands.matching import CurriculumSettings, matching
+from pinav.commands.study.metrics import (
+    HEADER,
+    DataEfficiencyMetrics,
+    FinishedCells,
+    NoiseMetrics,
+    StudyRow,
+)
 from pinav.commands.study.settings import StudyModel, StudySettings
 from pinav.commands.study.stochastic_force_inference import infer_force
 from pinav.dynamics import AbstractDynamics
@@ -43,22 +50,6 @@ from pinav.systems import System
 from pinav.trajectories import GaussianNoise, Trajectories, degrade, simulate
 
 ROWS = "rows.json"
-
-HEADER = (
-    "model",
-    "seed",
-    "trajectories",
-    "sigma",
-    "outcome",
-    "force visited",
-    "force near",
-    "force unvisited",
-    "cosine visited",
-    "rollouts median",
-    "rollouts 90 %",
-    "rollouts diverged",
-)
-"""Columns of the table of a study; a cell that failed has no numbers."""
 
 
 class Cell(eqx.Module):
@@ -95,7 +86,7 @@ def cells(name: str, settings: StudySettings) -> Iterator[Cell]:
 
 def study(
     name: str, world: str, settings: StudySettings, folder: RunFolder
-) -> list[dict[str, Any]]:
+) -> DataEfficiencyMetrics | NoiseMetrics:
     """Fit and score every cell, and write the table.
 
     Args:
@@ -105,13 +96,13 @@ def study(
         folder: the run; what it holds is not done again.
 
     Returns:
-        The rows of the table, by the names of `HEADER`.
+        The content of `metrics.json`.
 
     Raises:
         InputError: the scenario is unknown, or of a kind that `pinav fit` cannot use.
     """
     known = scenario(world)
-    rows = folder.read_json(ROWS) if folder.has(ROWS) else {}
+    rows = folder.read_metrics(ROWS, FinishedCells).rows if folder.has(ROWS) else {}
     clean = held_out(scenario(world), count=settings.held_out)
     chosen = list(cells(name, settings))
     most = max(cell.count for cell in chosen)
@@ -124,17 +115,19 @@ def study(
                 rows[cell.label] = _row(
                     cell, known, several[cell.seed], clean, settings
                 )
-                folder.write_json(ROWS, rows)
+                folder.write_metrics(ROWS, FinishedCells(rows))
                 seconds = round(time.perf_counter() - began, 2)
                 folder.append_record({"model": cell.label, "seconds": seconds})
-    table = [rows[cell.label] for cell in chosen]
+    table = tuple(rows[cell.label] for cell in chosen)
     folder.write_table(
         "study.csv",
         HEADER,
-        [["" if v is None else v for v in r.values()] for r in table],
+        [["" if v is None else v for v in msgspec.structs.astuple(r)] for r in table],
     )
-    folder.write_json("metrics.json", {"study": name, "scenario": world, "rows": table})
-    return table
+    kind = NoiseMetrics if name == NoiseMetrics.name else DataEfficiencyMetrics
+    metrics = kind(world, table)
+    folder.write_metrics("metrics.json", metrics)
+    return metrics
 
 
 def check(name: str, world: str, settings: StudySettings) -> None:
@@ -149,8 +142,8 @@ def check(name: str, world: str, settings: StudySettings) -> None:
         chosen = scenario(world, count=cell.count)
         if chosen.thermal_energy is not None:
             raise InputError(
-                f"study: scenario {world!r} is stochastic, so that clean trajectories "
-                f"to score against do not exist; choose another scenario"
+                f"study: system {world!r} is stochastic, so that clean trajectories "
+                "to score against do not exist; choose another one"
             )
 
 
@@ -185,17 +178,16 @@ def _row(
     several: Trajectories,
     held: Trajectories,
     settings: StudySettings,
-) -> dict[str, Any]:
+) -> StudyRow:
     clean = several.select(range(cell.count))
     data = with_noise(clean, cell.sigma, cell.seed)
-    row: dict[str, Any] = dict.fromkeys(HEADER)
-    row |= {"model": cell.model, "seed": cell.seed}
-    row |= {"trajectories": cell.count, "sigma": cell.sigma}
+    row = StudyRow(cell.model, cell.seed, cell.count, cell.sigma)
     try:
-        model, row["outcome"] = _fitted(cell, settings, known, data)
+        model, outcome = _fitted(cell, settings, known, data)
     except FitError as error:
-        return row | {"outcome": f"failed: {error}"}
-    return row | scores(model, known, clean, held)
+        return msgspec.structs.replace(row, outcome=f"failed: {error}")
+    row = msgspec.structs.replace(row, outcome=outcome)
+    return with_scores(row, model, known, clean, held)
 
 
 def _fitted(
@@ -244,15 +236,17 @@ def fit_choice(
     return result.model, str(result.outcome)
 
 
-def scores(
+def with_scores(
+    row: StudyRow,
     model: AbstractDynamics,
     known: System,
     training: Trajectories,
     held: Trajectories,
-) -> dict[str, Any]:
-    """Force by region, and rollouts, as columns of the table.
+) -> StudyRow:
+    """The row with the errors of the force by region, and of rollouts.
 
     Args:
+        row: of the table.
         model: a fitted one.
         known: the scenario, whose force is the truth.
         training: what the model was fitted to, without noise: the regions are the same
@@ -261,17 +255,22 @@ def scores(
     """
     ys, _ = predict(model, held)
     whole = summarise(position_errors(ys, held, domain=extent(held)))
-    row = {
-        "rollouts median": as_cell(whole.median),
-        "rollouts 90 %": as_cell(whole.high),
-        "rollouts diverged": whole.diverged,
-    }
+    row = msgspec.structs.replace(
+        row,
+        rollouts_median=as_cell(whole.median),
+        rollouts_high=as_cell(whole.high),
+        rollouts_diverged=as_cell(whole.diverged),
+    )
     if not isinstance(model, KnownSwimmer):
         return row
     limits = square(held)
     learned = field_map(model.environment, training, limits=limits)
     true = field_map(known.true_swimmer.environment, training, limits=limits)
-    found = force_agreement(learned, true, default_regions(training))
-    for region in ("visited", "near", "unvisited"):
-        row[f"force {region}"] = as_cell(found[region].error)
-    return row | {"cosine visited": as_cell(found["visited"].cosine)}
+    agreements = force_agreement(learned, true, default_regions(training))
+    return msgspec.structs.replace(
+        row,
+        force_visited=as_cell(agreements["visited"].error),
+        force_near=as_cell(agreements["near"].error),
+        force_unvisited=as_cell(agreements["unvisited"].error),
+        cosine_visited=as_cell(agreements["visited"].cosine),
+    )

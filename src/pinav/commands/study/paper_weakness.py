@@ -6,17 +6,18 @@ a static kernel potential that was fitted to a few noisy crossings of the same b
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import msgspec
 import numpy as np
 
-from pinav.commands.cells import as_cell
+from pinav.commands.cells import Cell, as_cell
+from pinav.commands.evaluate.metrics import RolloutRow
 from pinav.commands.fitted_run import ModelHeader, build_model, write_model
 from pinav.commands.held_out import held_out
 from pinav.commands.matching import CurriculumSettings, matching
 from pinav.commands.progress import BayesReporter, FitReporter
 from pinav.commands.study.job import clean_data, with_noise
+from pinav.commands.study.metrics import ModelScores, WeaknessMetrics
 from pinav.commands.study.settings import StudySettings
 from pinav.dynamics import AbstractDynamics, Swimmer
 from pinav.evaluation import (
@@ -59,7 +60,7 @@ STYLES = {
 }
 
 
-def weakness(settings: StudySettings, folder: RunFolder) -> dict[str, Any]:
+def weakness(settings: StudySettings, folder: RunFolder) -> WeaknessMetrics:
     """Fit both models, score them and write the results.
 
     Returns:
@@ -77,16 +78,21 @@ def weakness(settings: StudySettings, folder: RunFolder) -> dict[str, Any]:
     physics = paper().swimmer
     held = held_out(paper(), until=20.0, count=settings.held_out)
     chosen = {UDE: (ude, single), KERNEL: (kernel, clean), PHYSICS: (physics, single)}
-    metrics: dict[str, Any] = {"study": "paper-weakness", "models": {}}
-    metrics |= {"recipe": settings.recipe, "seed": seed, "count": settings.count}
-    metrics |= {"sigma": settings.sigma, "held_out": settings.held_out}
     arrays: dict[str, np.ndarray] = {}
-    for name, (model, training) in chosen.items():
-        metrics["models"][name] = _scores(name, model, training, held, arrays)
-    fitted = score(*predict(ude, single), single)
-    metrics["own_trajectory"] = as_cell(fitted.position)
+    metrics = WeaknessMetrics(
+        models={
+            name: _scores(name, model, training, held, arrays)
+            for name, (model, training) in chosen.items()
+        },
+        recipe=settings.recipe,
+        seed=seed,
+        count=settings.count,
+        sigma=settings.sigma,
+        held_out=settings.held_out,
+        own_trajectory=as_cell(score(*predict(ude, single), single).position),
+    )
     folder.write_arrays("results.npz", arrays)
-    folder.write_json("metrics.json", metrics)
+    folder.write_metrics("metrics.json", metrics)
     return metrics
 
 
@@ -154,35 +160,42 @@ def _scores(
     training: Trajectories,
     held: Trajectories,
     arrays: dict[str, np.ndarray],
-) -> dict[str, Any]:
+) -> ModelScores:
     """Force by region of its own training data, and rollouts from held-out starts."""
     limits = square(held)
     learned = field_map(model.environment, training, limits=limits)
     true = field_map(paper().true_swimmer.environment, training, limits=limits)
-    found = force_agreement(learned, true)
+    agreements = force_agreement(learned, true)
     errors = position_errors(predict(model, held)[0], held, domain=extent(held))
     curve, whole = error_curve(errors), summarise(errors)
     arrays |= curve.as_arrays(f"curve/{name}")
-    return {
-        "force": {region: as_cell(a.error) for region, a in found.items()},
-        "cosine": {region: as_cell(a.cosine) for region, a in found.items()},
-        "rollouts": {key: as_cell(value) for key, value in vars(whole).items()},
-    }
+    return ModelScores(
+        force={region: as_cell(a.error) for region, a in agreements.items()},
+        cosine={region: as_cell(a.cosine) for region, a in agreements.items()},
+        rollouts=RolloutRow(
+            median=as_cell(whole.median),
+            high=as_cell(whole.high),
+            median_relative=as_cell(whole.median_relative),
+            high_relative=as_cell(whole.high_relative),
+            diverged=as_cell(whole.diverged),
+            trajectories=whole.trajectories,
+        ),
+    )
 
 
-def weakness_sections(folder: RunFolder, metrics: dict[str, Any]) -> list[Section]:
+def weakness_sections(folder: RunFolder, metrics: WeaknessMetrics) -> list[Section]:
     """The figure and its table."""
     arrays = folder.read_arrays("results.npz")
     figure = new_figure(7.5, 3.6)
     left, right = figure.subplots(1, 2)
-    models = metrics["models"]
+    models = metrics.models
     errors_by_region(
-        {m: row["force"] for m, row in models.items()}, styles=STYLES, ax=left
+        {m: row.force for m, row in models.items()}, styles=STYLES, ax=left
     )
     curves = {name: ErrorCurve.from_arrays(arrays, f"curve/{name}") for name in models}
     error_over_time(curves, styles=STYLES, ax=right)
     title_panel(left, "(a) error of the force by region")
-    title_panel(right, f"(b) rollouts from {metrics['held_out']} held-out starts")
+    title_panel(right, f"(b) rollouts from {metrics.held_out} held-out starts")
     files = save_figure(figure, folder.path / "figures", "paper-weakness")
     return [
         Section(
@@ -204,45 +217,45 @@ def weakness_sections(folder: RunFolder, metrics: dict[str, Any]) -> list[Sectio
     ]
 
 
-def _introduction(metrics: dict[str, Any]) -> str:
+def _introduction(metrics: WeaknessMetrics) -> str:
     recipe = {
         "default": "the Gauss-Newton curriculum of pinav, not the paper's optimiser",
         "paper": "the paper's own recipe, Adam and then L-BFGS",
-    }[metrics["recipe"]]
-    own = metrics["own_trajectory"]
+    }[metrics.recipe]
+    own = metrics.own_trajectory
     shown = f"{own:.2g}" if isinstance(own, float) else own
     return (
         "The paper's network of position and time, trained on its single trajectory by "
         f"{recipe}, reproduces that trajectory to a position error of {shown}. The "
-        f"kernel potential was fitted to {metrics['count']} other crossings of the "
-        f"same barrier with noise of {metrics['sigma']:g}. At a grid point the network "
+        f"kernel potential was fitted to {metrics.count} other crossings of the "
+        f"same barrier with noise of {metrics.sigma:g}. At a grid point the network "
         "sees the time of its nearest sample, the reading most favourable to it."
     )
 
 
-def weakness_table(metrics: dict[str, Any]) -> Table:
+def weakness_table(metrics: WeaknessMetrics) -> Table:
     """Force errors in percent and rollout errors of each model."""
-    regions = ("visited", "near", "unvisited", "everywhere")
-    rows = []
-    for name, row in metrics["models"].items():
-        force = [row["force"][region] for region in regions]
-        percent = [100 * v if isinstance(v, float) else v for v in force]
-        rollouts = row["rollouts"]
-        rows.append(
-            (
-                name,
-                *percent,
-                rollouts["median"],
-                rollouts["high"],
-                100 * rollouts["diverged"],
-            )
+    regions = list(next(iter(metrics.models.values())).force)
+    rows = [
+        (
+            name,
+            *map(_percent, row.force.values()),
+            row.rollouts.median,
+            row.rollouts.high,
+            _percent(row.rollouts.diverged),
         )
+        for name, row in metrics.models.items()
+    ]
     header = ("model", *(f"force {region} (%)" for region in regions))
     header += ("rollouts median", "rollouts 90 %", "diverged (%)")
     return Table(
         header,
         rows,
         "Relative L2 error of the force, and root-mean-square position error of "
-        f"rollouts from {metrics['held_out']} clean held-out starts: median and 90th "
+        f"rollouts from {metrics.held_out} clean held-out starts: median and 90th "
         "percentile, share farther off than the extent of the domain.",
     )
+
+
+def _percent(value: Cell) -> Cell:
+    return 100 * value if isinstance(value, float) else value

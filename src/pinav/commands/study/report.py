@@ -1,9 +1,19 @@
 """Figures and sections of the studies."""
 
 from collections import defaultdict
-from typing import Any
+from collections.abc import Iterable
 
-from pinav.commands.study.job import HEADER
+import msgspec
+
+from pinav.commands.cells import Cell
+from pinav.commands.study.metrics import (
+    HEADER,
+    NoiseMetrics,
+    ScalingMetrics,
+    StudyMetrics,
+    StudyRow,
+    WeaknessMetrics,
+)
 from pinav.commands.study.paper_weakness import weakness_sections, weakness_table
 from pinav.figures import save_figure
 from pinav.figures.errors import scaling_figure
@@ -11,33 +21,27 @@ from pinav.report import Image, Paragraph, Section, Table
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
 
-AXES = {
-    "data-efficiency": ("trajectories", "number of trajectories"),
-    "noise": ("sigma", "noise of the observations"),
-}
-"""Column and label of the x axis of each study."""
-
 
 def study_sections(folder: RunFolder) -> list[Section]:
     """The sections of a study's report."""
-    metrics = folder.read_json("metrics.json")
-    if metrics["study"] == "paper-weakness":
+    metrics = msgspec.convert(folder.read_json("metrics.json"), StudyMetrics)
+    if isinstance(metrics, WeaknessMetrics):
         return weakness_sections(folder, metrics)
-    column, label = AXES[metrics["study"]]
-    rows = metrics["rows"]
+    noise = isinstance(metrics, NoiseMetrics)
+    places = [row.sigma if noise else float(row.trajectories) for row in metrics.rows]
     figure = scaling_figure(
-        _series(rows, column, "force visited"),
-        _series(rows, column, "rollouts median"),
-        quantity=label,
+        _series(metrics, places, [row.force_visited for row in metrics.rows]),
+        _series(metrics, places, [row.rollouts_median for row in metrics.rows]),
+        quantity=metrics.quantity,
     )
-    files = save_figure(figure, folder.path / "figures", metrics["study"])
+    files = save_figure(figure, folder.path / "figures", metrics.name)
     return [
         Section(
-            f"{metrics['study'].capitalize()} on {metrics['scenario']}",
+            f"{metrics.name.capitalize()} on {metrics.scenario}",
             [
                 Image(
                     files.svg,
-                    f"Force and rollout error over the {label}",
+                    f"Force and rollout error over the {metrics.quantity}",
                     "Synthetic data, dimensionless. Lines: median over seeds. A model "
                     "without points failed, diverged or has no force; the table says "
                     "which.",
@@ -47,32 +51,36 @@ def study_sections(folder: RunFolder) -> list[Section]:
                     "data. Rollouts: median over held-out clean starts of the "
                     "root-mean-square position error."
                 ),
-                table(rows),
+                table(metrics.rows),
             ],
         )
     ]
 
 
-def _series(rows: list[dict[str, Any]], x: str, y: str) -> dict[str, list]:
-    found: dict[str, list] = defaultdict(list)
-    for row in rows:
-        points = found[row["model"]]
-        if isinstance(row[y], float):
-            points.append((row[x], row[y]))
-    return found
+def _series(
+    metrics: ScalingMetrics, places: Iterable[float], errors: Iterable[Cell]
+) -> dict[str, list[tuple[float, float]]]:
+    """The points of each model that are numbers."""
+    series: dict[str, list[tuple[float, float]]] = defaultdict(list)
+    for row, place, error in zip(metrics.rows, places, errors, strict=True):
+        points = series[row.model]
+        if isinstance(error, float):
+            points.append((place, error))
+    return series
 
 
-def table(rows: list[dict[str, Any]]) -> Table:
+def table(rows: Iterable[StudyRow]) -> Table:
     """All cells of a study, errors of the force in percent."""
-    percent = [name for name in HEADER if name.startswith("force")]
-    header = tuple(f"{name} (%)" if name in percent else name for name in HEADER)
+    percent = [name.startswith("force") for name in HEADER]
+    header = [
+        f"{name} (%)" if scaled else name
+        for name, scaled in zip(HEADER, percent, strict=True)
+    ]
     cells = [
-        tuple(
-            100 * row[name]
-            if name in percent and isinstance(row[name], float)
-            else row[name]
-            for name in HEADER
-        )
+        [
+            100 * value if scaled and isinstance(value, float) else value
+            for value, scaled in zip(msgspec.structs.astuple(row), percent, strict=True)
+        ]
         for row in rows
     ]
     return Table(
@@ -83,8 +91,8 @@ def table(rows: list[dict[str, Any]]) -> Table:
     )
 
 
-def text(metrics: dict[str, Any]) -> str:
+def text(metrics: StudyMetrics) -> str:
     """The table of a study for a terminal."""
-    if metrics["study"] == "paper-weakness":
+    if isinstance(metrics, WeaknessMetrics):
         return as_text(weakness_table(metrics))
-    return as_text(table(metrics["rows"]))
+    return as_text(table(metrics.rows))

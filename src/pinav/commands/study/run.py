@@ -15,8 +15,7 @@ def run(options: StudyOptions) -> CommandResult:
     check(name, world, settings)
     folder = start_run(STUDY, options, settings, study=name, scenario=world)
     if name == "paper-weakness":
-        weakness(settings, folder)
+        metrics = weakness(settings, folder)
     else:
-        study(name, world, settings, folder)
-    metrics = folder.read_json("metrics.json")
+        metrics = study(name, world, settings, folder)
     return CommandResult(metrics, text(metrics), folder)

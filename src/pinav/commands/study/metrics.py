@@ -1,0 +1,121 @@
+"""The results of `pinav study`, as `metrics.json` holds them."""
+
+from typing import ClassVar
+
+import msgspec
+
+from pinav.commands.cells import Cell
+from pinav.commands.evaluate.metrics import RolloutRow
+
+
+class StudyRow(msgspec.Struct, frozen=True):
+    """One fit of a study; one that failed has no scores.
+
+    Attributes:
+        model: name of the model.
+        seed: of starts, noise and network.
+        trajectories: how many it was fitted to.
+        sigma: standard deviation of the observations.
+        outcome: the word for how the fit ended, or why it failed.
+        force_visited, force_near, force_unvisited: relative L2 error of the force by
+            the distance to the data.
+        cosine_visited: cosine similarity of the force.
+        rollouts_median, rollouts_high: median and 90th percentile of the
+            root-mean-square position error over held-out starts [L].
+        rollouts_diverged: fraction of them that diverged.
+    """
+
+    model: str
+    seed: int
+    trajectories: int
+    sigma: float
+    outcome: str = ""
+    force_visited: Cell = msgspec.field(default=None, name="force visited")
+    force_near: Cell = msgspec.field(default=None, name="force near")
+    force_unvisited: Cell = msgspec.field(default=None, name="force unvisited")
+    cosine_visited: Cell = msgspec.field(default=None, name="cosine visited")
+    rollouts_median: Cell = msgspec.field(default=None, name="rollouts median")
+    rollouts_high: Cell = msgspec.field(default=None, name="rollouts 90 %")
+    rollouts_diverged: Cell = msgspec.field(default=None, name="rollouts diverged")
+
+
+HEADER = tuple(field.encode_name for field in msgspec.structs.fields(StudyRow))
+"""Columns of the table of a study."""
+
+
+class FinishedCells(msgspec.Struct, frozen=True):
+    """The fits that a study has made so far, by the label of their cell."""
+
+    rows: dict[str, StudyRow]
+
+
+class ScalingMetrics(msgspec.Struct, frozen=True):
+    """The numbers of a study over the size or the noise of the data.
+
+    Attributes:
+        scenario: that the data are of.
+        rows: one for each fit.
+    """
+
+    scenario: str
+    rows: tuple[StudyRow, ...]
+
+    name: ClassVar[str]
+    quantity: ClassVar[str]
+
+
+class DataEfficiencyMetrics(
+    ScalingMetrics, frozen=True, tag="data-efficiency", tag_field="study"
+):
+    """A study over the number of trajectories."""
+
+    name: ClassVar[str] = "data-efficiency"
+    quantity: ClassVar[str] = "number of trajectories"
+
+
+class NoiseMetrics(ScalingMetrics, frozen=True, tag="noise", tag_field="study"):
+    """A study over the noise of the observations."""
+
+    name: ClassVar[str] = "noise"
+    quantity: ClassVar[str] = "noise of the observations"
+
+
+class ModelScores(msgspec.Struct, frozen=True):
+    """What a model learned of the force, and how well it predicts.
+
+    Attributes:
+        force: relative L2 error of the force by region.
+        cosine: cosine similarity of the force by region.
+        rollouts: position errors from held-out starts.
+    """
+
+    force: dict[str, Cell]
+    cosine: dict[str, Cell]
+    rollouts: RolloutRow
+
+
+class WeaknessMetrics(
+    msgspec.Struct, frozen=True, tag="paper-weakness", tag_field="study"
+):
+    """The numbers of the study of the paper's weakness.
+
+    Attributes:
+        models: scores of each model by its name.
+        recipe: how the paper's network was trained.
+        seed: of starts, noise and network.
+        count: number of trajectories that the kernel potential was fitted to.
+        sigma: standard deviation of their observations.
+        held_out: number of clean starts to predict from.
+        own_trajectory: position error of the network on the trajectory that it knows.
+    """
+
+    models: dict[str, ModelScores]
+    recipe: str
+    seed: int
+    count: int
+    sigma: float
+    held_out: int
+    own_trajectory: Cell
+
+
+StudyMetrics = DataEfficiencyMetrics | NoiseMetrics | WeaknessMetrics
