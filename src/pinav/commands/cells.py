@@ -2,6 +2,8 @@
 
 import math
 
+import msgspec
+
 Cell = float | int | str | None
 """A score: None where it is not defined, "diverged" where it is infinite."""
 
@@ -13,3 +15,23 @@ def as_cell(value: float | int) -> Cell:
     if math.isnan(value):
         return None
     return "diverged" if math.isinf(value) else float(value)
+
+
+class RolloutRow(msgspec.Struct, frozen=True):
+    """Position errors of rollouts within an interval of time, over trajectories.
+
+    Attributes:
+        median: of the root-mean-square error of each trajectory [L].
+        high: its 90th percentile [L].
+        median_relative: median of that error over the way travelled.
+        high_relative: its 90th percentile.
+        diverged: fraction of trajectories that diverged.
+        trajectories: how many were scored.
+    """
+
+    median: Cell
+    high: Cell
+    median_relative: Cell
+    high_relative: Cell
+    diverged: Cell
+    trajectories: int

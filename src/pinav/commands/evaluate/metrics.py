@@ -2,27 +2,7 @@
 
 import msgspec
 
-from pinav.commands.cells import Cell
-
-
-class RolloutRow(msgspec.Struct, frozen=True):
-    """Position errors of rollouts within an interval of time, over trajectories.
-
-    Attributes:
-        median: of the root-mean-square error of each trajectory [L].
-        high: its 90th percentile [L].
-        median_relative: median of that error over the way travelled.
-        high_relative: its 90th percentile.
-        diverged: fraction of trajectories that diverged.
-        trajectories: how many were scored.
-    """
-
-    median: Cell
-    high: Cell
-    median_relative: Cell
-    high_relative: Cell
-    diverged: Cell
-    trajectories: int
+from pinav.commands.cells import Cell, RolloutRow
 
 
 class ForceRow(msgspec.Struct, frozen=True):

@@ -4,8 +4,7 @@ from typing import ClassVar
 
 import msgspec
 
-from pinav.commands.cells import Cell
-from pinav.commands.evaluate.metrics import RolloutRow
+from pinav.commands.cells import Cell, RolloutRow
 
 
 class StudyRow(msgspec.Struct, frozen=True):

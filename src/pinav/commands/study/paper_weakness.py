@@ -10,8 +10,7 @@ from collections.abc import Callable
 import msgspec
 import numpy as np
 
-from pinav.commands.cells import Cell, as_cell
-from pinav.commands.evaluate.metrics import RolloutRow
+from pinav.commands.cells import Cell, RolloutRow, as_cell
 from pinav.commands.fitted_run import ModelHeader, build_model, write_model
 from pinav.commands.held_out import held_out
 from pinav.commands.matching import CurriculumSettings, matching
