@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -12,14 +11,21 @@ from pinav.commands.matching import matching, read_losses, write_losses
 from pinav.commands.progress import FitReporter
 from pinav.commands.reproduce import table2
 from pinav.commands.reproduce.command import REPRODUCE
+from pinav.commands.reproduce.metrics import (
+    ForceErrors,
+    ReproduceMetrics,
+    Row,
+    TrainingLoss,
+)
 from pinav.commands.reproduce.settings import ReproduceOptions, ReproduceSettings
 from pinav.commands.reproduce.table2 import (
     HEADER,
     PAPER,
     PAPER_LOSS,
     ROWS,
-    Row,
+    cells,
     improvements,
+    scored_row,
     summary,
 )
 from pinav.commands.start import start_run
@@ -104,9 +110,9 @@ def reproduce(settings: ReproduceSettings, folder: RunFolder) -> list[Row]:
         if not all(folder.has(model_file(label)) for label in entry.labels()):
             _write_fits(entry, settings, data, folder)
     rows, arrays = _evaluate(benchmark, data, chosen, folder)
-    folder.write_table("table2.csv", HEADER, [row.cells for row in rows])
+    folder.write_table("table2.csv", HEADER, [cells(row) for row in rows])
     folder.write_arrays("results.npz", arrays)
-    folder.write_json("metrics.json", _metrics(settings, rows, arrays, folder))
+    folder.write_metrics("metrics.json", _metrics(settings, rows, arrays, folder))
     return rows
 
 
@@ -160,7 +166,7 @@ def _evaluate(
     def scored(model: str, seed: int | None, dynamics: AbstractDynamics) -> Row:
         predictions, outcomes = predict(dynamics, data)
         arrays[key_of(model, seed)] = predictions[0]
-        return Row(model, seed, score(predictions, outcomes, data))
+        return scored_row(model, seed, score(predictions, outcomes, data))
 
     rows = [scored("physics-only", None, benchmark.swimmer)]
     for entry in chosen:
@@ -211,46 +217,40 @@ def _metrics(
     rows: list[Row],
     arrays: dict[str, np.ndarray],
     folder: RunFolder,
-) -> dict[str, Any]:
+) -> ReproduceMetrics:
     """Everything that a script would ask for; nothing that varies with the clock."""
     chosen = entries(settings)
     labels = [label for entry in chosen for label in entry.labels()]
     with_force = [label for label in labels if f"field/{label}" in arrays]
     true = FieldMap.of_arrays(arrays, "true")
-    return {
-        "recipe": settings.recipe,
-        "seeds": list(settings.seeds),
-        "table2": [
-            {"model": row.model, "seed": row.seed}
-            | dict(zip(HEADER[2:], row.errors, strict=True))
-            for row in rows
-        ],
-        "paper_table2": {
-            k: dict(zip(HEADER[2:], v, strict=True)) for k, v in PAPER.items()
-        },
-        "summary_total": summary(rows),
-        "improvement": improvements(rows),
-        "loss": {entry.name: _losses(entry, folder) for entry in chosen},
-        "paper_loss": PAPER_LOSS,
-        "own_integrator_total": {label: _own_total(arrays, label) for label in labels},
-        "force_error": {
-            label: force_errors(FieldMap.of_arrays(arrays, label), true)
+    return ReproduceMetrics(
+        recipe=settings.recipe,
+        seeds=settings.seeds,
+        table2=tuple(rows),
+        paper_table2=PAPER,
+        summary_total=summary(rows),
+        improvement=dict(improvements(rows)),
+        loss={entry.name: _losses(entry, folder) for entry in chosen},
+        paper_loss=PAPER_LOSS,
+        own_integrator_total={label: _own_total(arrays, label) for label in labels},
+        force_error={
+            label: ForceErrors(**force_errors(FieldMap.of_arrays(arrays, label), true))
             for label in with_force
         },
-    }
+    )
 
 
-def _losses(entry: Entry, folder: RunFolder) -> dict[str, dict[str, Any]]:
+def _losses(entry: Entry, folder: RunFolder) -> dict[str, TrainingLoss]:
     stored = read_losses(entry.name, folder)
     curves = zip(entry.seeds, stored.values, stored.outcomes, strict=True)
     return {
-        "-" if seed is None else str(seed): {
-            "start": float(losses[0]),
-            "end": float(losses[-1]),
-            "decades": float(np.log10(losses[0] / losses[-1])),
-            "iterations": int(losses.size - 1),
-            "outcome": str(outcome),
-        }
+        "-" if seed is None else str(seed): TrainingLoss(
+            start=float(losses[0]),
+            end=float(losses[-1]),
+            decades=float(np.log10(losses[0] / losses[-1])),
+            iterations=int(losses.size - 1),
+            outcome=str(outcome),
+        )
         for seed, losses, outcome in curves
     }
 
@@ -266,4 +266,5 @@ def run(options: ReproduceOptions) -> CommandResult:
     folder = start_run(REPRODUCE, options, options.settings, system="paper")
     rows = reproduce(options.settings, folder)
     text = "\n".join([table2.text(rows), *table2.summary_lines(rows)])
-    return CommandResult(folder.read_json("metrics.json"), text, folder)
+    metrics = folder.read_metrics("metrics.json", ReproduceMetrics)
+    return CommandResult(metrics, text, folder)

@@ -1,12 +1,11 @@
 """Sections of the report of a reproduction: Table 2, Figure 1, the learned force."""
 
-from typing import Any
-
 import numpy as np
 
 from pinav.commands.matching import read_losses
 from pinav.commands.reproduce.job import key_of
-from pinav.commands.reproduce.table2 import DIFFERENCES, PAPER, ROWS
+from pinav.commands.reproduce.metrics import ReproduceMetrics
+from pinav.commands.reproduce.table2 import DIFFERENCES, HEADER, ROWS
 from pinav.evaluation import Decomposition, FieldMap
 from pinav.figures import acceleration_figure, figure1, force_comparison, save_figure
 from pinav.report import Image, Paragraph, Section, Table
@@ -18,9 +17,9 @@ BARRIER = ([5.0, 5.0], 2.9)
 
 def reproduction_sections(folder: RunFolder) -> list[Section]:
     """The sections of the report of `pinav reproduce`."""
-    metrics = folder.read_json("metrics.json")
+    metrics = folder.read_metrics("metrics.json", ReproduceMetrics)
     arrays = folder.read_arrays("results.npz")
-    seed = metrics["seeds"][0]
+    seed = metrics.seeds[0]
     return [
         Section("Table 2", _table2(metrics)),
         Section("Figure 1: the UDE", [_figure1(folder, arrays, seed, "ude")]),
@@ -37,20 +36,17 @@ def reproduction_sections(folder: RunFolder) -> list[Section]:
     ]
 
 
-def _table2(metrics: dict[str, Any]) -> list[Paragraph | Table]:
-    columns = ("x", "y", "vx", "vy", "total", "position")
+def _table2(metrics: ReproduceMetrics) -> list[Paragraph | Table]:
     rows: list[tuple] = []
-    for row in metrics["table2"]:
-        label = "–" if row["seed"] is None else str(row["seed"])
-        rows.append((row["model"], label, *(row[name] for name in columns)))
-    for model in PAPER:
-        printed = metrics["paper_table2"][model]
-        cells = ("–" if printed[n] is None else f"{printed[n]:g}" for n in columns)
+    for row in metrics.table2:
+        label = "–" if row.seed is None else str(row.seed)
+        rows.append((row.model, label, *row.errors))
+    for model, printed in metrics.paper_table2.items():
+        cells = ("–" if value is None else f"{value:g}" for value in printed.values)
         rows.append((f"{model}, as printed in the paper", "–", *cells))
-    factors = [(name, factor) for name, factor in metrics["improvement"].items()]
     return [
         Table(
-            ("model", "seed", *columns),
+            HEADER,
             [row for model in ROWS for row in rows if row[0].split(",")[0] == model],
             "Root-mean-square errors of rollouts from the true start, dimensionless. "
             "Total is the root mean square of the four columns.",
@@ -59,33 +55,33 @@ def _table2(metrics: dict[str, Any]) -> list[Paragraph | Table]:
         _spread(metrics),
         Table(
             ("ratio of median total errors", "factor"),
-            factors,
+            list(metrics.improvement.items()),
             "How many times smaller the trained UDE's error is.",
         ),
         _losses(metrics),
     ]
 
 
-def _spread(metrics: dict[str, Any]) -> Table:
+def _spread(metrics: ReproduceMetrics) -> Table:
     rows = [
-        (model, spread["median"], spread["best"], spread["worst"])
-        for model, spread in metrics["summary_total"].items()
+        (model, spread.median, spread.best, spread.worst)
+        for model, spread in metrics.summary_total.items()
         if model not in ("physics-only", "ude-kernel")
     ]
-    seeds = ", ".join(map(str, metrics["seeds"]))
+    seeds = ", ".join(map(str, metrics.seeds))
     caption = f"Total error over the seeds {seeds}."
     return Table(("model", "median", "best", "worst"), rows, caption)
 
 
-def _losses(metrics: dict[str, Any]) -> Table:
+def _losses(metrics: ReproduceMetrics) -> Table:
     rows = [
-        (model, seed, loss["start"], loss["end"], loss["decades"], loss["iterations"])
-        for model, losses in metrics["loss"].items()
+        (model, seed, loss.start, loss.end, loss.decades, loss.iterations)
+        for model, losses in metrics.loss.items()
         for seed, loss in losses.items()
     ]
-    paper = metrics["paper_loss"]
-    decades = float(np.log10(paper["start"] / paper["end"]))
-    printed = (paper["start"], paper["end"], decades, 8000)
+    paper = metrics.paper_loss
+    decades = float(np.log10(paper.start / paper.end))
+    printed = (paper.start, paper.end, decades, 8000)
     rows.append(("ude, as printed", "42", *printed))
     header = ("model", "seed", "loss at start", "at end", "decades", "iterations")
     return Table(header, rows, "Training loss, the sum of squares of eq. (3).")
@@ -128,14 +124,11 @@ def _kernel_figure(folder: RunFolder, arrays: dict[str, np.ndarray]) -> list[Sec
 
 def _forces(
     folder: RunFolder,
-    metrics: dict[str, Any],
+    metrics: ReproduceMetrics,
     arrays: dict[str, np.ndarray],
     seed: int,
 ) -> list[Paragraph | Image | Table]:
-    rows = [
-        (label, *(100 * errors[k] for k in ("visited", "near", "everywhere")))
-        for label, errors in metrics["force_error"].items()
-    ]
+    rows = [(label, *errors.percent) for label, errors in metrics.force_error.items()]
     drawn = [
         name for name in (f"ude-{seed}", "ude-kernel") if f"field/{name}" in arrays
     ]

@@ -1,27 +1,27 @@
 """Table 2 of the paper: its printed values, and ours beside them."""
 
+import math
 from collections.abc import Sequence
-from typing import Any
 
-import equinox as eqx
 import numpy as np
 
+from pinav.commands.reproduce.metrics import Errors, PrintedLoss, Row, Spread
 from pinav.evaluation import Score
 
 HEADER = ("model", "seed", "x", "y", "vx", "vy", "total", "position")
 
 PAPER = {
-    "physics-only": (4.34, 2.46, 0.49, 0.39, 2.52, 3.53),
-    "nn-only": (0.27, 0.27, 0.32, 0.28, 0.285, None),
-    "ude-untrained": (3.71, 25.61, 0.59, 0.97, 12.95, None),
-    "ude": (0.012, 0.013, 0.017, 0.017, 0.015, 0.0126),
+    "physics-only": Errors(4.34, 2.46, 0.49, 0.39, 2.52, 3.53),
+    "nn-only": Errors(0.27, 0.27, 0.32, 0.28, 0.285, None),
+    "ude-untrained": Errors(3.71, 25.61, 0.59, 0.97, 12.95, None),
+    "ude": Errors(0.012, 0.013, 0.017, 0.017, 0.015, 0.0126),
 }
 """The paper's printed errors: x, y, vx, vy, total; position-only from its text."""
 
 ROWS = (*PAPER, "ude-kernel")
 """Models in the order of our table: the paper's, then what it does not have."""
 
-PAPER_LOSS = {"start": 3.9e4, "end": 4.5e-1}
+PAPER_LOSS = PrintedLoss(start=3.9e4, end=4.5e-1)
 """The paper's training loss (section 3.1)."""
 
 DIFFERENCES = (
@@ -39,49 +39,32 @@ DIFFERENCES = (
 """Where our table and the paper's differ, and why."""
 
 
-class Row(eqx.Module):
-    """One line of the table.
-
-    Attributes:
-        model: name of the model.
-        seed: seed of its network, or None where there is no network.
-        score: its errors.
-    """
-
-    model: str
-    seed: int | None
-    score: Score
-
-    @property
-    def errors(self) -> tuple[float, ...]:
-        """Errors of the components, total, and position-only."""
-        return (*map(float, self.score.rmse), self.score.total, self.score.position)
-
-    @property
-    def cells(self) -> tuple[Any, ...]:
-        """The line as it stands in `table2.csv`."""
-        seed = "" if self.seed is None else self.seed
-        return (self.model, seed, *(repr(error) for error in self.errors))
+def scored_row(model: str, seed: int | None, score: Score) -> Row:
+    """The line of a model with these errors."""
+    x, y, vx, vy = map(float, score.rmse)
+    return Row(model, seed, x, y, vx, vy, score.total, score.position)
 
 
-def summary(rows: Sequence[Row]) -> dict[str, dict[str, float]]:
+def cells(row: Row) -> tuple[str | int, ...]:
+    """A line as it stands in `table2.csv`."""
+    seed = "" if row.seed is None else row.seed
+    return (row.model, seed, *(repr(error) for error in row.errors))
+
+
+def summary(rows: Sequence[Row]) -> dict[str, Spread]:
     """Median, best and worst total error of each model over its seeds."""
     totals: dict[str, list[float]] = {}
     for row in rows:
-        totals.setdefault(row.model, []).append(row.score.total)
+        totals.setdefault(row.model, []).append(_total(row.total))
     return {
-        model: {
-            "median": float(np.median(values)),
-            "best": min(values),
-            "worst": max(values),
-        }
+        model: Spread(float(np.median(values)), min(values), max(values))
         for model, values in totals.items()
     }
 
 
 def improvements(rows: Sequence[Row]) -> dict[str, float]:
     """How many times smaller the trained UDE's total error is (median over seeds)."""
-    median = {model: values["median"] for model, values in summary(rows).items()}
+    median = {model: _total(one.median) for model, one in summary(rows).items()}
     factors = {
         f"{model} / ude": median[model] / median["ude"]
         for model in median
@@ -98,7 +81,7 @@ def text(rows: Sequence[Row]) -> str:
     for row in rows:
         lines.append(_line((row.model, _seed(row), *map(number, row.errors))))
         if row.model in PAPER and _is_last(row, rows):
-            printed = ("-" if v is None else number(v) for v in PAPER[row.model])
+            printed = ("-" if v is None else number(v) for v in PAPER[row.model].values)
             lines.append(_line(("  paper", "", *printed)))
     return "\n".join(lines)
 
@@ -111,8 +94,9 @@ def summary_lines(rows: Sequence[Row]) -> list[str]:
     for model, spread in summary(rows).items():
         if sum(row.model == model for row in rows) > 2:
             lines.append(
-                f"{model} over seeds: median {number(spread['median'])}, "
-                f"best {number(spread['best'])}, worst {number(spread['worst'])}"
+                f"{model} over seeds: median {number(_total(spread.median))}, "
+                f"best {number(_total(spread.best))}, "
+                f"worst {number(_total(spread.worst))}"
             )
     return lines
 
@@ -120,6 +104,11 @@ def summary_lines(rows: Sequence[Row]) -> list[str]:
 def number(value: float) -> str:
     """Three significant digits, or "diverged"."""
     return f"{value:.3g}" if np.isfinite(value) else "diverged"
+
+
+def _total(value: float | None) -> float:
+    """An error that is null in a file is that of a rollout that diverged."""
+    return math.inf if value is None else value
 
 
 def _seed(row: Row) -> str:
