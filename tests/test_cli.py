@@ -173,11 +173,11 @@ def test_an_interruption_says_how_to_go_on(capsys, monkeypatch):
 
 def test_a_config_file_of_a_recording_sets_how_it_is_read_and_split(tmp_path):
     config = tmp_path / "c.toml"
-    config.write_text('share = 0.6\nfps = 20.0\n[run]\ncommand = "identify"\n')
-    argv = ["d.csv", "--out", "o", "--config", str(config), "--share", "0.8"]
+    config.write_text('train_fraction = 0.6\nfps = 20.0\n[run]\ncommand = "identify"\n')
+    argv = ["d.csv", "--out", "o", "--config", str(config), "--train-fraction", "0.8"]
     parsed = parse(IdentifyOptions, argv, "pinav identify")
     assert parsed is not None
-    assert parsed.settings.share == 0.8
+    assert parsed.settings.train_fraction == 0.8
     assert parsed.recording.fps == 20.0
 
 

@@ -108,8 +108,7 @@ def test_what_cannot_be_analysed_is_refused(tiny_fit, tmp_path, capsys):
     assert cli.run(["analyse", run, "--reference", "1"]) == cli.USAGE_ERROR
     assert "--reference: expected 0 to 0" in capsys.readouterr().err
     other = tmp_path / "other"
-    other.mkdir()
-    (other / "config.toml").write_text('run = {command = "reproduce"}\n')
+    RunFolder.create(other, {"run": {"command": "reproduce"}}, overwrite=False)
     assert cli.run(["analyse", str(other)]) == cli.USAGE_ERROR
     assert "holds no fitted" in capsys.readouterr().err
 

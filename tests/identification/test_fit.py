@@ -147,10 +147,10 @@ def test_a_split_keeps_all_samples_and_their_order(track):
     assert train.width == held_out.width == track.width
 
 
-@pytest.mark.parametrize("share", [0.0, 1.0, -1.0])
-def test_split_refuses_a_share(track, share):
-    with pytest.raises(InputError, match="split share: expected between 0 and 1"):
-        split(track, share)
+@pytest.mark.parametrize("fraction", [0.0, 1.0, -1.0])
+def test_split_refuses_a_fraction(track, fraction):
+    with pytest.raises(InputError, match="split fraction: expected between 0 and 1"):
+        split(track, fraction)
 
 
 def test_a_part_that_is_too_short_is_refused(track):

@@ -35,7 +35,7 @@ from pinav.commands.analyse.metrics import (
 from pinav.commands.analyse.settings import AnalyseOptions, AnalyseSettings
 from pinav.commands.command import CommandResult
 from pinav.commands.fitted_run import EvidenceResult, FittedRun
-from pinav.dynamics import OverdampedSwimmer, Swimmer, commanded
+from pinav.dynamics import OverdampedSwimmer, Swimmer, commanded, takes_commands
 from pinav.errors import FitError, InputError
 from pinav.evaluation import FieldMap, check_planar, field_map
 from pinav.fitting.environments.catalogue import CONSTANTS
@@ -52,6 +52,9 @@ ANALYSIS_FILE, ARRAYS_FILE = "analysis.json", "analysis.npz"
 
 LYAPUNOV_POINTS = 25
 """Starts along each side of the map of Lyapunov exponents."""
+
+COMMANDED_SAMPLES = 250
+"""Samples of the reference trajectory that a model driven by commands is rolled out."""
 
 NO_POSTERIOR = "the run has no posterior; fit with --recipe bayes"
 
@@ -81,9 +84,13 @@ class Subject:
 
     @property
     def times(self) -> Float[np.ndarray, " time"]:
-        """Times of the reference trajectory [T]."""
+        """Times of the reference trajectory [T]; its beginning under commands.
+
+        Every jump of a command ends a step of the solver, for each start of a map.
+        """
         index = self.settings.reference
-        return self.run.data.times[index][: self.run.data.lengths[index]]
+        times = self.run.data.times[index][: self.run.data.lengths[index]]
+        return times[:COMMANDED_SAMPLES] if takes_commands(self.run.model) else times
 
     @property
     def near(self) -> np.ndarray:
@@ -233,6 +240,9 @@ def trace_influence(subject: Subject) -> Effects:
         return Effects(left_out=(f"{what}: {NO_POSTERIOR}",))
     if "diffusion" in evidence.constants:
         reason = "it is defined for fits of trajectories, not of stochastic increments"
+        return Effects(left_out=(f"{what}: {reason}",))
+    if takes_commands(subject.run.model):
+        reason = "it is defined for fits without commands and wandering velocity"
         return Effects(left_out=(f"{what}: {reason}",))
     try:
         effects = _influence(subject, evidence)
