@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import jax.numpy as jnp
 import numpy as np
@@ -82,10 +82,6 @@ class Matching:
     def precision(self) -> str:
         """Name of the floating-point type, for files."""
         return jnp.dtype(self.dtype).name
-
-    def options(self) -> dict[str, Any]:
-        """As keyword arguments of `fit_many`, the recipe apart."""
-        return {"objective": self.objective, "dtype": self.dtype}
 
 
 def matching(settings: MatchingSettings, data: Trajectories) -> Matching:

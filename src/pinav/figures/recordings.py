@@ -1,7 +1,6 @@
 """A recording at a glance: paths, speed against frequency, clock, commands."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -119,7 +118,9 @@ def speeds(recording: Trajectories, found: Quality, ax: Axes) -> Axes:
             continue
         frequency, middle, low, high = table.T
         alike = len(names) > len(_COLORS)
-        ax.plot(frequency, middle, "-" if alike else f"-{mark}", **_line(color))
+        ax.plot(
+            frequency, middle, "-" if alike else f"-{mark}", color=color, lw=0.8, ms=3
+        )
         if len(names) == 1:
             ax.fill_between(frequency, low, high, color=color, alpha=0.2, lw=0)
     ax.set_ylim(bottom=0)
@@ -194,10 +195,6 @@ def errors_of_tracks(recording: Trajectories, found: Quality, ax: Axes) -> Axes:
 def _count(ax: Axes) -> None:
     """Whole numbers along the horizontal axis."""
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
-
-
-def _line(color: str) -> dict[str, Any]:
-    return {"color": color, "lw": 0.8, "ms": 3}
 
 
 def _look(names: Sequence[str], name: str) -> tuple[str, str]:

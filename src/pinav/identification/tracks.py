@@ -158,7 +158,7 @@ def _too_short(recording: Trajectories) -> str:
     )
 
 
-def _labels(recording: Trajectories) -> list[dict[str, Any]]:
+def _labels(recording: Trajectories) -> list[dict[str, str | int]]:
     """Run and particle of each trajectory; numbers where nothing is known of them."""
     if "trajectories" in recording.provenance or "concatenated" in recording.provenance:
         return labels(recording)

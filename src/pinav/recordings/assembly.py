@@ -18,7 +18,7 @@ from pinav.trajectories import Trajectories
 class _Piece(NamedTuple):
     """One trajectory, and what it is called."""
 
-    label: dict[str, Any]
+    label: dict[str, str | int]
     times: Float64[np.ndarray, " time"]
     positions: Float64[np.ndarray, "time 2"]
     seen: Bool[np.ndarray, " time"]
@@ -151,7 +151,7 @@ def _pieces(
 ) -> Iterator[_Piece]:
     """The segments of a particle, from their first to their last position."""
     run, kind, particle_name = name
-    label: dict[str, Any] = {"run": run, "particle": particle_name}
+    label: dict[str, str | int] = {"run": run, "particle": particle_name}
     if kind:
         label |= {"particle": f"{kind} {particle_name}", "kind": kind}
     numbers = segments(tracks, particle, jump=reading.jump, gap=reading.gap)

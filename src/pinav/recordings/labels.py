@@ -7,7 +7,7 @@ from pinav.errors import InputError
 from pinav.trajectories import Trajectories
 
 
-def labels(trajectories: Trajectories) -> list[dict[str, Any]]:
+def labels(trajectories: Trajectories) -> list[dict[str, str | int]]:
     """Run, particle and segment of each trajectory, after selections and joins too.
 
     Args:
@@ -25,7 +25,7 @@ def labels(trajectories: Trajectories) -> list[dict[str, Any]]:
     return found
 
 
-def _labels(provenance: Mapping[str, Any]) -> list[dict[str, Any]] | None:
+def _labels(provenance: Mapping[str, Any]) -> list[dict[str, str | int]] | None:
     if "concatenated" in provenance:
         parts = [_labels(part) for part in provenance["concatenated"]]
         known = [label for part in parts if part is not None for label in part]

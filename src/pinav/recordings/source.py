@@ -180,7 +180,7 @@ def _numbered(columns: Mapping[str, Any]) -> Table:
     return Table(dict(columns), np.arange(count), "row")
 
 
-def _parquet(content: bytes) -> dict[str, Any]:
+def _parquet(content: bytes) -> dict[str, list[Any]]:
     import pyarrow
     import pyarrow.parquet
 

@@ -1,7 +1,6 @@
 """The paths of a system's truth, before anybody observes them."""
 
 import dataclasses
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -26,7 +25,7 @@ SUBSTEPS = 8
 
 def true_paths(
     system: System, key: PRNGKeyArray | None
-) -> tuple[Float64[np.ndarray, "trajectory time state"], dict[str, Any]]:
+) -> tuple[Float64[np.ndarray, "trajectory time state"], dict[str, str | float]]:
     """States at the times of a system, and the method by which they were found.
 
     Args:

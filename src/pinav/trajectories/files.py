@@ -16,9 +16,9 @@ import math
 import os
 import zipfile
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
@@ -28,6 +28,8 @@ from pinav.files import atomic_write, check_regular
 from pinav.trajectories.tables import split_headings
 from pinav.trajectories.trajectories import Trajectories
 from pinav.trajectories.trajectory import check_increasing
+
+Function = TypeVar("Function", bound=Callable)
 
 FORMAT = 1
 """Version of both formats; a newer one is refused."""
@@ -114,7 +116,9 @@ def _delimiter(header: str) -> str:
     return ";" if ";" in header and "," not in header else ","
 
 
-def _by_suffix(path: str | os.PathLike[str], functions: dict[str, Any]) -> Any:
+def _by_suffix(
+    path: str | os.PathLike[str], functions: dict[str, Function]
+) -> Function:
     suffix = Path(path).suffix.lower()
     if suffix not in functions:
         known = " or ".join(functions)

@@ -1,7 +1,5 @@
 """Trajectories of a system, with observation noise."""
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -68,7 +66,7 @@ def _text(system: System) -> str | None:
     return None if ".py:" in text else text  # data must not run a file of Python
 
 
-def _commands(system: System) -> dict[str, Any]:
+def _commands(system: System) -> dict[str, np.ndarray]:
     """What the operator commanded, where the system states it."""
     propulsion = system.swimmer.propulsion
     if not isinstance(propulsion, RollingPropulsion) or propulsion.programme is None:

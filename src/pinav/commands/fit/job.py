@@ -157,7 +157,8 @@ def _match(plan: FitPlan, folder: RunFolder) -> None:
             checkpoint=folder.checkpoint(plan.choice.name),
             on_chunk=report,
             throw=False,
-            **method.options(),
+            objective=method.objective,
+            dtype=method.dtype,
         )
     if result.outcome is Outcome.DIVERGED:
         raise FitError(DIVERGED)

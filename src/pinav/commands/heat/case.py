@@ -316,7 +316,7 @@ BOUND = re.compile(r"Expected `(?:float|int)` (\S+ \S+) - at `\$\.?(.*)`")
 ELSEWHERE = re.compile(r"(.*) - at `\$\.?(.*)`")
 
 
-def _explain(message: str, content: dict[str, Any]) -> str:
+def _explain(message: str, content: object) -> str:
     """A message of msgspec with the key first, and the value that misses a bound."""
     if bound := BOUND.fullmatch(message):
         words = f"expected a number {bound[1].removesuffix('.0')}"

@@ -3,7 +3,6 @@
 import dataclasses
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -178,6 +177,7 @@ def page(
     recording: Trajectories, found: Quality, out: Path, still: Path | None = None
 ) -> str:
     """The report as one HTML page; its figures are written into `out`."""
+    provenance = json.dumps(found.provenance, indent=2, ensure_ascii=False)
     image = save_figure(
         recording_figure(recording, found), out / "figures", "recording"
     )
@@ -192,7 +192,7 @@ def page(
         *([] if still is None else [_on_image(recording, still, out)]),
         *_speed_sections(found),
         Section("Particles", [_tracks_table(found)]),
-        Section("How it was read", [Code(_pretty(found.provenance))]),
+        Section("How it was read", [Code(provenance)]),
     ]
     return render(f"Recording {found.source}", f"pinav {__version__}", sections)
 
@@ -281,10 +281,6 @@ def _tracks_table(found: Quality) -> Table:
 def _localised(track: Track) -> list[float | None]:
     own = track.localisation
     return [None] * 3 if own is None else [own.scatter, own.deviation, own.diffusion]
-
-
-def _pretty(provenance: dict[str, Any]) -> str:
-    return json.dumps(provenance, indent=2, ensure_ascii=False)
 
 
 def run(options: InspectOptions) -> CommandResult:

@@ -140,7 +140,8 @@ def _write_fits(
             data,
             method.recipe,
             trainable=learned_part,
-            **method.options(),
+            objective=method.objective,
+            dtype=method.dtype,
             checkpoint=folder.checkpoint(entry.name),
             on_chunk=report,
         )

@@ -229,7 +229,8 @@ def fit_choice(
             method.recipe,
             trainable=choice.trainable,
             throw=False,
-            **method.options(),
+            objective=method.objective,
+            dtype=method.dtype,
         )
     if result.outcome is Outcome.DIVERGED:
         raise FitError("the fit diverged")

@@ -132,7 +132,8 @@ def _fit_ude(
             trainable=learned_part,
             checkpoint=folder.checkpoint("ude"),
             on_chunk=report,
-            **method.options(),
+            objective=method.objective,
+            dtype=method.dtype,
         )
     return ModelHeader(choice, summary, method.precision), result.model
 

@@ -51,7 +51,7 @@ class NavigationEnv(gymnasium.Env):
         InputError: the action is not a pair of numbers, or `step` comes before `reset`.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
+    metadata: ClassVar[dict[str, list[str]]] = {"render_modes": []}
 
     def __init__(self, task: Task, *, truth: SteeredSwimmer | None = None):
         self.task = task
@@ -65,7 +65,7 @@ class NavigationEnv(gymnasium.Env):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Float32[np.ndarray, " observation"], dict[str, Any]]:
+    ) -> tuple[Float32[np.ndarray, " observation"], dict[str, float | bool]]:
         """Begin an episode; a seed makes it the same again."""
         gymnasium.Env.reset(self, seed=seed, options=options)
         self._key = jax.random.key(int(self.np_random.integers(2**31)))
@@ -74,7 +74,9 @@ class NavigationEnv(gymnasium.Env):
 
     def step(
         self, action: Any
-    ) -> tuple[Float32[np.ndarray, " observation"], float, bool, bool, dict[str, Any]]:
+    ) -> tuple[
+        Float32[np.ndarray, " observation"], float, bool, bool, dict[str, float | bool]
+    ]:
         """One control step: observation, reward, whether it ended or time is up."""
         before, key = self._situation, self._key
         if before is None or key is None:
@@ -94,7 +96,7 @@ class NavigationEnv(gymnasium.Env):
         sensing = jax.random.split(jax.random.fold_in(self._key, situation.step), 3)[0]
         return np.array(_features(self.task, situation, sensing), np.float32)
 
-    def _info(self, situation) -> dict[str, Any]:
+    def _info(self, situation) -> dict[str, float | bool]:
         return {
             "time": self.task.step * int(situation.step),
             "reached": bool(situation.reached),

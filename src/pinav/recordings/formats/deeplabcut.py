@@ -110,7 +110,7 @@ def _parts(
     names: Sequence[tuple[str, str]], columns: Sequence[Any], table: Table
 ) -> dict[str, Table]:
     """A table of x, y and likelihood for each particle."""
-    found: dict[str, dict[str, Any]] = {}
+    found: dict[str, dict[str, Sequence[Any] | np.ndarray]] = {}
     for (name, coord), cells in zip(names, columns, strict=True):
         if coord in found.setdefault(name, {}):
             raise InputError(f"header: {name!r} has {coord!r} twice; delete one")
