@@ -76,7 +76,7 @@ def paths(recording: Trajectories, found: Quality, ax: Axes) -> Axes:
     """Every segment as a line, its first position as a dot; y up."""
     names = [run.name for run in found.runs]
     for label, segment in zip(labels(recording), recording, strict=True):
-        color, mark = _look(names, label["run"])
+        color, mark = _look(names, str(label["run"]))
         way = positions(segment)
         ax.plot(*way.T, color=color, lw=0.7, alpha=0.8)
         ax.plot(*way[:1].T, mark, ms=2.5, color=color)
@@ -146,7 +146,7 @@ def commands(recording: Trajectories, found: Quality, ax: Axes) -> Axes:
     names = [run.name for run in found.runs]
     every = max(1, int(recording.lengths.sum()) // _DOTS)
     for label, segment in zip(labels(recording), recording, strict=True):
-        color, mark = _look(names, label["run"])
+        color, mark = _look(names, str(label["run"]))
         drives = vector(segment)[::every]
         ax.plot(*drives.T, mark, ms=1.6, mew=0, color=color, alpha=0.6)
     ax.set_aspect("equal", adjustable="datalim")

@@ -25,7 +25,7 @@ SUBSTEPS = 8
 
 def true_paths(
     system: System, key: PRNGKeyArray | None
-) -> tuple[Float64[np.ndarray, "trajectory time state"], dict[str, str | float]]:
+) -> tuple[Float64[np.ndarray, "trajectory time state"], dict[str, str | float | int]]:
     """States at the times of a system, and the method by which they were found.
 
     Args:
