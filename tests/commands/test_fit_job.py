@@ -36,7 +36,8 @@ def test_evaluate_scores_the_stored_model(tiny_fit, capsys):
     fitted = RunFolder.open(run).read_json("metrics.json")["rmse"]
     assert {name: rmse[name] for name in fitted} == fitted
     assert cli.run(["evaluate", str(run), str(data)]) == 0
-    assert capsys.readouterr().out.split()[:4] == ["RMSE", "of", "x", "y"]
+    heading = capsys.readouterr().out.splitlines()[0]
+    assert heading.split()[:5] == ["RMSE,", "training", "error", "x", "y"]
 
 
 def test_resume_refuses_other_data(tiny_fit, tmp_path, capsys):

@@ -47,8 +47,9 @@ def test_an_interrupt_ends_in_one_line_at_any_moment(moment, data, tmp_path):
     if process.returncode == 130:
         assert one_line(errors), errors
     assert not list(out.glob("**/.*.tmp"))
-    again = pinav("fit", data, "--out", out, "--max-steps", "3", "--resume")
-    assert again.returncode == 0, again.stderr
+    if moment in MOMENTS[::6]:  # each of these is a whole fit
+        again = pinav("fit", data, "--out", out, "--max-steps", "3", "--resume")
+        assert again.returncode == 0, again.stderr
 
 
 @pytest.mark.slow
