@@ -4,6 +4,8 @@ import math
 
 import msgspec
 
+from pinav.evaluation import RolloutSummary
+
 Cell = float | int | str | None
 """A score: None where it is not defined, "diverged" where it is infinite."""
 
@@ -35,3 +37,15 @@ class RolloutRow(msgspec.Struct, frozen=True):
     high_relative: Cell
     diverged: Cell
     trajectories: int
+
+    @classmethod
+    def of(cls, summary: RolloutSummary) -> "RolloutRow":
+        """The row of a summary of rollouts."""
+        return cls(
+            median=as_cell(summary.median),
+            high=as_cell(summary.high),
+            median_relative=as_cell(summary.median_relative),
+            high_relative=as_cell(summary.high_relative),
+            diverged=as_cell(summary.diverged),
+            trajectories=summary.trajectories,
+        )

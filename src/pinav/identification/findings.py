@@ -6,6 +6,7 @@ import equinox as eqx
 import numpy as np
 
 from pinav.fitting import Estimate
+from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.identification.fit import TrackFit, fit_track
 from pinav.identification.models import (
     BOTH,
@@ -17,7 +18,7 @@ from pinav.identification.models import (
     with_free,
     with_response,
 )
-from pinav.identification.selection import DECISIVE, Selection
+from pinav.identification.selection import Selection
 from pinav.identification.tracks import Track
 
 NORMAL_95 = 1.96

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from pinav.errors import FitError, InputError
 from pinav.fitting import KernelGrid, kernel_environment, neural_environment
+from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.forces import KernelForce, KernelPotential, NeuralForce
 from pinav.identification.baselines import (
     Baseline,
@@ -46,9 +47,6 @@ from pinav.identification.residual_field import (
     residual_errors,
 )
 from pinav.identification.tracks import Track, after, before
-
-DECISIVE = 5.0
-"""Nats from which a richer candidate is taken; see `pinav compare`."""
 
 ENCLOSING = "slipping"
 """The response kept where the evidence is not decisive: it contains the others."""

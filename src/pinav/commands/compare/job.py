@@ -29,15 +29,11 @@ from pinav.fitting.environments.catalogue import (
     with_linear_drag,
     with_tensor_drag,
 )
+from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
 from pinav.systems import System
 from pinav.trajectories import Trajectories, load, with_unobserved
-
-DECISIVE = 5.0
-"""Nats from which a verdict is called decisive: odds of 150 to 1.
-
-Reference: Kass and Raftery, J. Am. Stat. Assoc. 90, 773 (1995)."""
 
 QUESTIONS = (
     ("physics-only", "kernel-potential", "no environment", "an environment"),

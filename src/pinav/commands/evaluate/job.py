@@ -35,7 +35,6 @@ from pinav.dynamics import AbstractDynamics, Outcome, OverdampedSwimmer, Swimmer
 from pinav.evaluation import (
     START_SAMPLES,
     Regions,
-    RolloutSummary,
     error_curve,
     force_agreement,
     position_errors,
@@ -174,22 +173,11 @@ def _rollouts(
                 "beyond it": summarise(errors, after=horizon),
             }
             rows[model][source] = {
-                part: _rollout_row(summary)
+                part: RolloutRow.of(summary)
                 for part, summary in parts.items()
                 if summary.trajectories
             }
     return rows, arrays
-
-
-def _rollout_row(summary: RolloutSummary) -> RolloutRow:
-    return RolloutRow(
-        median=as_cell(summary.median),
-        high=as_cell(summary.high),
-        median_relative=as_cell(summary.median_relative),
-        high_relative=as_cell(summary.high_relative),
-        diverged=as_cell(summary.diverged),
-        trajectories=summary.trajectories,
-    )
 
 
 def _forces(

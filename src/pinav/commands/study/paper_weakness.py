@@ -172,14 +172,7 @@ def _scores(
     return ModelScores(
         force={region: as_cell(a.error) for region, a in agreements.items()},
         cosine={region: as_cell(a.cosine) for region, a in agreements.items()},
-        rollouts=RolloutRow(
-            median=as_cell(whole.median),
-            high=as_cell(whole.high),
-            median_relative=as_cell(whole.median_relative),
-            high_relative=as_cell(whole.high_relative),
-            diverged=as_cell(whole.diverged),
-            trajectories=whole.trajectories,
-        ),
+        rollouts=RolloutRow.of(whole),
     )
 
 

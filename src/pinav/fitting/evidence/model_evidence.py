@@ -30,6 +30,11 @@ from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import AbstractWeights, GaussianWeights
 from pinav.forces.priors import AbstractPrior
 
+DECISIVE = 5.0
+"""Nats from which a verdict is called decisive: odds of 150 to 1.
+
+Reference: Kass and Raftery, J. Am. Stat. Assoc. 90, 773 (1995)."""
+
 LOG_RANGE = 8.0
 """Range of the logarithms of amplitude and noise: a factor of 3000."""
 
