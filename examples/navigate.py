@@ -25,7 +25,7 @@ from pinav.figures.navigation import Course, plan_map
 from pinav.fitting import fit_bayes, kernel_environment
 from pinav.forces import KernelPotential
 from pinav.navigation.control.default import controller
-from pinav.navigation.control.simple import StraightLine, steered
+from pinav.navigation.control.simple import StraightLine, steered_swimmer
 from pinav.navigation.design.candidates import Experiment
 from pinav.navigation.design.information import suggest
 from pinav.navigation.design.prior import PriorField, prior_uncertainty
@@ -47,7 +47,7 @@ unknown = crossing.truth.dynamics.with_environment(
     kernel_environment(KernelPotential, data)
 )
 fit = fit_bayes(unknown, data)
-model = steered(crossing, fit.model)
+model = steered_swimmer(crossing, fit.model)
 
 # %% [markdown]
 # ## The plan

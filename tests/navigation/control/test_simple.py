@@ -98,7 +98,7 @@ def test_gaussian_process_finds_the_current():
 
 @pytest.mark.slow
 def test_gaussian_process_finds_the_force_and_nothing_far_away():
-    known = scenario("barrier-crossings").swimmer
+    known = scenario("barrier-crossings").true_swimmer
     data = tasks.training("barrier-weak", KEY, count=2)
     found = gaussian_process(known, data).environment
     truth = jax.vmap(lambda x: known.environment(0.0, x, x))(found.centers)

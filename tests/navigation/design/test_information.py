@@ -132,7 +132,7 @@ def test_information_is_the_gain_of_normal_distributions():
 
 def test_suggestions_only_improve_from_round_to_round():
     known, design = posterior(), experiment()
-    options = {"arena": ARENA, "key": jax.random.key(6), "candidates": 4}
+    options = {"arena": ARENA, "key": jax.random.key(6), "num_candidates": 4}
     worths = []
     for rounds in (1, 2, 3):
         found = suggest(known, ROUTE, design, rounds=rounds, **options)
@@ -234,17 +234,17 @@ def test_doubt_is_the_prior_far_from_the_data_and_little_near_them():
     design = experiment()
     model, data, states = recorded(design, posterior().model)
     wide = Rectangle([-8.0, -8.0], [12.0, 12.0])
-    unknown = PriorField(wide, strength=0.7, length=3.0)
-    found = prior_uncertainty(model, data, states, noise=0.002, unknown=unknown)
+    prior = PriorField(wide, strength=0.7, length=3.0)
+    posterior_force = prior_uncertainty(model, data, states, noise=0.002, prior=prior)
     far, near = (
-        found.force_sd(np.array([[10.0, -6.0]])),
-        found.force_sd(states[0, 10:11, :2]),
+        posterior_force.force_sd(np.array([[10.0, -6.0]])),
+        posterior_force.force_sd(states[0, 10:11, :2]),
     )
     assert np.sqrt(np.mean(far**2)) == pytest.approx(0.7, rel=0.1)
     assert np.all(near < 0.1)
-    same = found.model.environment(0.0, states[0, 5, :2], jnp.zeros(2))
-    own = model.environment(0.0, states[0, 5, :2], jnp.zeros(2))
-    np.testing.assert_allclose(same, own, rtol=1e-12)
+    mean = posterior_force.model.environment(0.0, states[0, 5, :2], jnp.zeros(2))
+    fitted = model.environment(0.0, states[0, 5, :2], jnp.zeros(2))
+    np.testing.assert_allclose(mean, fitted, rtol=1e-12)
 
 
 def test_doubt_vanishes_as_the_noise_does_and_returns_with_it():
@@ -259,12 +259,12 @@ def test_doubt_vanishes_as_the_noise_does_and_returns_with_it():
         for s in (1e-3, 1e-1, 1e4)
     ]
     assert sizes[0] < sizes[1] < sizes[2]
-    kernels = options["unknown"].kernels()
+    kernels = options["prior"].kernels()
     free, theta = ravel_model(
         model.with_environment(kernels),
         lambda m: m.environment.parameters,
     )
-    variance = options["unknown"].amplitude(kernels) ** 2 * np.eye(len(theta))
+    variance = options["prior"].amplitude(kernels) ** 2 * np.eye(len(theta))
     prior = Posterior(free, np.asarray(theta), variance).force_sd(ROUTE)
     assert sizes[2] == pytest.approx(np.mean(prior**2), rel=1e-4)
     with pytest.raises(InputError, match="prior_uncertainty noise: expected > 0"):

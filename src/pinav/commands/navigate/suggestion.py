@@ -35,7 +35,7 @@ def suggest_trajectory(
     evidence: Evidence,
     route: Float[np.ndarray, "time 2"],
     folder: RunFolder,
-) -> tuple[SuggestionRow, Float[np.ndarray, "time 2"]]:
+) -> tuple[SuggestionRow, Float[np.ndarray, "sample 2"]]:
     """The trajectory that would tell most about the force along the route.
 
     Its commands go to `suggestion.csv`.
