@@ -14,9 +14,9 @@ class BenchOptions(Settings, frozen=True, forbid_unknown_fields=True):
         str,
         tyro.conf.Positional,
         tyro.conf.arg(
-            help="Name of the benchmark: fit, gradient, growth, heat, navigate or "
-            "recordings. What follows it are options of its own: pinav bench fit "
-            "--help."
+            help="Name of the benchmark: fit, gradient, growth, heat, navigate, "
+            "recordings or trainer. What follows it are options of its own: pinav "
+            "bench fit --help."
         ),
     ]
     words: tyro.conf.Suppress[tuple[str, ...]] = ()

@@ -33,7 +33,7 @@ class ReproduceSettings(Settings, frozen=True):
         tyro.conf.arg(help="Seeds of the networks; several train in one batch."),
     ] = (42,)
     max_steps: Annotated[
-        int, tyro.conf.arg(help="Default recipe: steps of each window at most.")
+        int, tyro.conf.arg(help="Default recipe: steps of each phase at most.")
     ] = 20
     adam_steps: Annotated[
         int, tyro.conf.arg(help="Paper's recipe: steps of Adam (7500 in the paper).")

@@ -36,7 +36,7 @@ from pinav.evaluation import (
     square,
     summarise,
 )
-from pinav.fitting import Outcome, fit, fit_bayes
+from pinav.fitting import Outcome, fit_bayes, fit_in_turns
 from pinav.fitting.environments.catalogue import (
     KnownSwimmer,
     ModelChoice,
@@ -222,13 +222,13 @@ def fit_choice(
         start = build(choice, swimmer, summarise_for(choice, data))
         result = fit_bayes(start, data, max_iterations=max_steps, throw=False)
     else:
-        method = matching(CurriculumSettings(max_steps=max_steps), data)
-        result = fit(
-            build(choice, swimmer, summarise_data(data)),
+        model = build(choice, swimmer, summarise_data(data))
+        method = matching(CurriculumSettings(max_steps=max_steps), data, model)
+        (result,) = fit_in_turns(
+            [model],
             data,
-            method.recipe,
+            method.recipes,
             trainable=choice.trainable,
-            throw=False,
             objective=method.objective,
             dtype=method.dtype,
         )

@@ -36,7 +36,7 @@ from pinav.evaluation import (
 from pinav.figures import save_figure
 from pinav.figures.errors import error_over_time, errors_by_region
 from pinav.figures.style import new_figure, style_of, title_panel
-from pinav.fitting import fit, fit_bayes
+from pinav.fitting import fit_bayes, fit_in_turns
 from pinav.fitting.environments.catalogue import (
     ModelChoice,
     build,
@@ -116,19 +116,16 @@ def _fit_ude(
     settings: StudySettings, data: Trajectories, folder: RunFolder
 ) -> tuple[ModelHeader, AbstractDynamics]:
     paper_recipe = settings.recipe == "paper"
-    method = matching(
-        CurriculumSettings(
-            "paper" if paper_recipe else "curriculum", settings.max_steps
-        ),
-        data,
-    )
     choice = ModelChoice("paper-ude" if paper_recipe else "ude", settings.seeds[0])
     summary = summarise_data(data)
+    model = build(choice, paper().swimmer, summary)
+    recipe = "paper" if paper_recipe else "curriculum"
+    method = matching(CurriculumSettings(recipe, settings.max_steps), data, model)
     with FitReporter(folder, "ude") as report:
-        result = fit(
-            build(choice, paper().swimmer, summary),
+        (result,) = fit_in_turns(
+            [model],
             data,
-            method.recipe,
+            method.recipes,
             trainable=learned_part,
             checkpoint=folder.checkpoint("ude"),
             on_chunk=report,
