@@ -17,6 +17,7 @@ from pinav.figures.style import (
     DIMENSIONLESS,
     SMALL,
     new_figure,
+    share_legend,
     style_of,
     title_panel,
 )
@@ -48,7 +49,7 @@ class Trails:
             np.flatnonzero(np.any(np.diff(path, axis=0) != 0, axis=1))
             for path in self.paths.values()
         ]
-        return max((int(own[-1]) + 1 for own in moving if own.size), default=0)
+        return max((int(steps[-1]) + 1 for steps in moving if steps.size), default=0)
 
 
 def save_animation(
@@ -113,13 +114,7 @@ def _stage(
         axes[0].plot([], [], color=style_of(name).color, lw=1.5, label=name)[0]
         for name in trails.paths
     ]
-    figure.legend(
-        handles=keys,
-        loc="outside lower center",
-        ncols=len(keys),
-        fontsize=SMALL,
-        frameon=False,
-    )
+    share_legend(figure, keys, columns=len(keys))
     return figure, axes
 
 

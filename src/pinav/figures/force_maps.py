@@ -27,13 +27,12 @@ from pinav.figures.style import (
     DIMENSIONLESS,
     SMALL,
     TEXT,
-    channel_label,
     file_settings,
     force_unit,
-    label_axes,
+    label_plane,
     new_figure,
     prepare_axes,
-    round_ticks,
+    share_legend,
     title_panel,
     with_unit,
 )
@@ -177,13 +176,8 @@ def _arranged(
             legend.remove()
         if index % columns:
             ax.set_ylabel("")
-    figure.legend(
-        handles=_keys(regions, units, path=path, shade=True),
-        loc="outside lower center",
-        ncols=4 if columns > 2 else 2,
-        fontsize=SMALL,
-        frameon=False,
-    )
+    keys = _keys(regions, units, path=path, shade=True)
+    share_legend(figure, keys, columns=4 if columns > 2 else 2)
     return figure
 
 
@@ -250,9 +244,7 @@ def heat_map(
     bar.ax.xaxis.get_offset_text().set_fontsize(SMALL)
     bar.outline.set_linewidth(0.6)
     _few_labels(bar, norm)
-    ax.set_aspect("equal", adjustable="box")
-    round_ticks(ax)
-    label_axes(ax, channel_label("x", units), channel_label("y", units))
+    label_plane(ax, units, adjustable="box")
     return ax
 
 
@@ -362,17 +354,10 @@ def _keys(
     keys: list[Artist] = []
     if path:
         keys.append(Line2D([], [], label="trajectory", **_PATH))
-    keys += [
-        Line2D(
-            [],
-            [],
-            color="white",
-            lw=0.8,
-            path_effects=outline,
-            label=f"visited ({visited})",
-        ),
-        Line2D([], [], color=BLACK, lw=0.8, ls="dashed", label=f"near ({near})"),
-    ]
+    seen = {"color": "white", "lw": 0.8, "path_effects": outline}
+    keys.append(Line2D([], [], label=f"visited ({visited})", **seen))
+    dashed = {"color": BLACK, "lw": 0.8, "ls": "dashed"}
+    keys.append(Line2D([], [], label=f"near ({near})", **dashed))
     if shade:
         with file_settings():
             label = "no data: extrapolation"

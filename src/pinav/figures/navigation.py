@@ -17,20 +17,18 @@ from pinav.evaluation import FieldMap
 from pinav.figures.force_maps import draw_arrows, heat_map
 from pinav.figures.style import (
     BLACK,
-    BLUE,
     DIMENSIONLESS,
     GREY,
     ORANGE,
     SMALL,
     THIN,
-    VERMILLION,
     WIDE,
-    add_legend,
     file_settings,
     force_unit,
     label_axes,
     new_figure,
     prepare_axes,
+    share_legend,
     style_of,
     title_panel,
     with_unit,
@@ -251,13 +249,7 @@ def closed_loop_figure(
         title_panel(ax, f"({next(letters)}) its standard deviation")
     keys = [Line2D([], [], color=style_of(n).color, lw=1.5, label=n) for n in paths]
     keys += figure.axes[panels - 1].get_legend_handles_labels()[0]
-    figure.legend(
-        handles=keys,
-        loc="outside lower center",
-        ncols=min(max(len(keys), 1), 2 * panels),
-        fontsize=SMALL,
-        frameon=False,
-    )
+    share_legend(figure, keys, columns=min(max(len(keys), 1), 2 * panels))
     return figure
 
 
@@ -339,27 +331,3 @@ def _draw_regret(ax: Axes, place: int, ratio: Bounded | None, color: str) -> Non
     ax.plot(ratio.value, place, "o", color=color, ms=5)
     if ratio.lower is not None and ratio.upper is not None:
         ax.hlines(place, ratio.lower, ratio.upper, color=BLACK)
-
-
-def learning_curve(
-    errors: Mapping[str, Float[np.ndarray, "seed count"]],
-    counts: Sequence[int],
-    *,
-    ax: Axes | None = None,
-) -> Axes:
-    """Force error along a route over the number of trajectories: median and seeds.
-
-    Args:
-        errors: relative error of each seed, by how trajectories were chosen.
-        counts: of trajectories.
-        ax: where to draw; a new figure unless given.
-    """
-    ax = prepare_axes(ax)
-    for color, (name, values) in zip((BLUE, VERMILLION), errors.items(), strict=False):
-        ax.plot(counts, values.T, color=color, lw=0.6, alpha=0.35)
-        ax.plot(counts, np.median(values, axis=0), color=color, lw=2, label=name)
-    ax.set_xticks(list(counts))
-    ax.set_ylim(0.0, None)
-    label_axes(ax, "trajectories", "relative force error along the route")
-    add_legend(ax)
-    return ax

@@ -16,7 +16,7 @@ from pinav.actuation import (
     LinearResponse,
     followed,
 )
-from pinav.arguments import Scalar, as_point
+from pinav.arguments import Scalar, point
 from pinav.errors import InputError
 from pinav.forces.force import AbstractCommandedForce, AbstractForce
 
@@ -51,12 +51,10 @@ class MagneticPropulsion(AbstractForce):
 
     field: AbstractField
     moment: Float[Array, "3"] = eqx.field(
-        converter=lambda value: as_point("MagneticPropulsion.moment", value, 3)
+        converter=point("MagneticPropulsion.moment", 3)
     )
     gain: Scalar
-    axis: Float[Array, " dim"] = eqx.field(
-        converter=lambda value: as_point("MagneticPropulsion.axis", value)
-    )
+    axis: Float[Array, " dim"] = eqx.field(converter=point("MagneticPropulsion.axis"))
 
     def torque(self, t: Scalar) -> Float[Array, "3"]:
         r"""Magnetic torque $m \times B(t)$ per mass [L² T⁻²]."""
@@ -76,9 +74,7 @@ class ConstantForce(AbstractForce):
         InputError: `force` is not a vector.
     """
 
-    force: Float[Array, " dim"] = eqx.field(
-        converter=lambda value: as_point("ConstantForce.force", value)
-    )
+    force: Float[Array, " dim"] = eqx.field(converter=point("ConstantForce.force"))
 
     @classmethod
     def of(cls, magnitude: float, degrees: float) -> "ConstantForce":

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar
-from pinav.thermal.quantities import Number
+from pinav.thermal.quantities import Field, Number
 
 BREAK = 43.0
 """Temperature [°C] at which the rate of CEM43 changes."""
@@ -27,8 +27,6 @@ GAS_CONSTANT = 8.314462618
 
 ZERO_CELSIUS = 273.15
 """In kelvin."""
-
-Field = Float[Array, "..."]
 
 
 def cem43_rate(temperature: Field) -> Field:

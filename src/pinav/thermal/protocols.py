@@ -126,11 +126,6 @@ class Piecewise(AbstractProtocol):
             frequency=self.frequency,
         )
 
-    def with_cooling(self, duration: Number) -> "Piecewise":
-        """This protocol, then no field for a while [s]."""
-        off = Piecewise.constant((0.0, duration), [0.0], self.frequency)
-        return self.then(off)
-
     @property
     def largest(self) -> float:
         """Largest amplitude [A m⁻¹]."""

@@ -17,15 +17,8 @@ from jaxtyping import Array, Float
 from pinav.arguments import Scalar
 from pinav.errors import InputError
 from pinav.thermal.bioheat import Bioheat, HeatBalance, Rates
-from pinav.thermal.quantities import Number
-from pinav.thermal.steppers import (
-    AbstractStepper,
-    Field,
-    Levels,
-    March,
-    Watch,
-    check_step,
-)
+from pinav.thermal.quantities import Field, Number
+from pinav.thermal.steppers import AbstractStepper, Levels, March, Watch, check_step
 
 GAMMA = 1 - 1 / np.sqrt(2.0)
 """For which the method is L-stable."""
@@ -267,7 +260,7 @@ class _Step(eqx.Module):
         bends: by how much both stages change the first equation's matrix [s⁻¹].
     """
 
-    length: Float[Array, "..."]
+    length: Field
     first: Float[Array, "... cell"]
     second: Float[Array, "... cell"]
     bends: tuple[Float[Array, "... cell"], Float[Array, "... cell"]]

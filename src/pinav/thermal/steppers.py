@@ -17,9 +17,8 @@ from jaxtyping import Array, Float, PyTree
 from pinav.arguments import Scalar
 from pinav.errors import InputError
 from pinav.thermal.bioheat import Bioheat, HeatBalance, Rates, fastest_rate
-from pinav.thermal.quantities import Number
+from pinav.thermal.quantities import Field, Number
 
-Field = Float[Array, "..."]
 Levels = Float[Array, "step node source"]
 Watch = Callable[[Field, Field, Scalar], tuple[Field, PyTree]]
 """Of temperatures before and after a step, and its length: an addend, an output."""

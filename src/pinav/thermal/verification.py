@@ -303,15 +303,7 @@ def _sensitivities() -> Iterator[Check]:
             plain,
             (k, perfusion / 3617.0),
         )
-        begin = State.at_rest(model)
-        solution = run(
-            model,
-            protocol,
-            schedule,
-            stepper=Rosenbrock(),
-            observe=jnp.max,
-            start=begin,
-        )
+        solution = run(model, protocol, schedule, stepper=Rosenbrock(), observe=jnp.max)
         return probe @ solution.final.temperature
 
     at = jnp.array([SET_S.conductivity, SET_S.perfusion, 0.005, 4e5])

@@ -12,6 +12,7 @@ import jax
 import numpy as np
 from jaxtyping import Float64, PRNGKeyArray
 
+from pinav.arguments import check_positive
 from pinav.errors import InputError
 from pinav.trajectories.trajectories import Trajectories
 from pinav.trajectories.trajectory import Trajectory
@@ -136,8 +137,7 @@ class MotionBlur(AbstractDegradation):
     exposure: float = eqx.field(static=True)
 
     def __check_init__(self) -> None:
-        if not self.exposure > 0:
-            raise InputError(f"MotionBlur.exposure: expected > 0, got {self.exposure}")
+        check_positive(self, "exposure")
 
     def __call__(
         self,

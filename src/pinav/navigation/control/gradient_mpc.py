@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float
 
-from pinav.errors import InputError
+from pinav.arguments import check_positive
 from pinav.navigation.control.controller import AbstractController
 from pinav.navigation.control.costs import AbstractCost
 from pinav.navigation.control.prediction import AbstractGuide, TrajectoryPrediction
@@ -43,10 +43,7 @@ class GradientMPC(AbstractController[Float[Array, "step 2"]]):
     rate: float = 0.15
 
     def __check_init__(self):
-        for name in ("iterations", "rate"):
-            value = getattr(self, name)
-            if not value > 0:
-                raise InputError(f"GradientMPC.{name}: expected > 0, got {value}")
+        check_positive(self, "iterations", "rate")
 
     def start(self, observation):
         ahead = SMALL * direction(observation.pending[-1, 1])

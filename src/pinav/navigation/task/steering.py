@@ -16,7 +16,6 @@ from jaxtyping import Array, Float
 from pinav.actuation import AbstractField, AbstractResponse, StepOutResponse
 from pinav.arguments import Scalar, check_positive
 from pinav.dynamics import RK4, FixedStep, OverdampedSwimmer, Swimmer
-from pinav.errors import InputError
 from pinav.forces import AbstractForce
 
 
@@ -196,10 +195,7 @@ class CommandLimits(eqx.Module):
     max_amplitude: float = math.inf
 
     def __check_init__(self):
-        for name in ("max_frequency", "max_turning_rate", "max_amplitude"):
-            value = getattr(self, name)
-            if not value > 0:
-                raise InputError(f"CommandLimits.{name}: expected > 0, got {value}")
+        check_positive(self, "max_frequency", "max_turning_rate", "max_amplitude")
 
     def clip(
         self,

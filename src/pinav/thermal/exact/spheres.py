@@ -89,14 +89,6 @@ def heated_sphere_kernels(
     return modes
 
 
-def heated_sphere_by_rate(
-    r: Number, t: Number, medium: Medium, source: Number, radius: Number
-) -> float:
-    r"""Derivative by $p$ [K s], $-\frac{Q}{\rho c}\int_0^t s\,e^{-ps}\,b\,ds$."""
-    value = _integral(lambda s: s * kernel(r, s, medium, radius), 0.0, t, medium)
-    return -source / medium.capacity * value
-
-
 def heated_sphere_sensitivities(
     medium: Medium, source: Number, radius: Number
 ) -> dict[str, float]:
