@@ -228,25 +228,23 @@ def closed_loop_figure(
     course, learned = Course(arrays), field_of(arrays, "field/learned")
     panels = 1 + ("field/true" in arrays) + ("field/sd" in arrays)
     figure = new_figure(2.7 * max(panels, 2), 3.7)
-    axes = iter(np.ravel(figure.subplots(1, panels)))
-    letters = iter("abc")
+    axes = np.ravel(figure.subplots(1, panels))
     truth = arrays.get("field/true", arrays["field/learned"])
     limit = max(float(np.linalg.norm(truth, axis=-1).max()), 1e-12)
     shared = {"limit": limit, "units": units}
+    titles = ["learned force"]
     if "field/true" in arrays:
-        ax = next(axes)
-        paths_map(field_of(arrays, "field/true"), course, paths, ax=ax, **shared)
-        title_panel(ax, f"({next(letters)}) true force")
-    ax = next(axes)
-    paths_map(learned, course, paths, ax=ax, **shared)
-    title_panel(ax, f"({next(letters)}) learned force")
+        truth_map = field_of(arrays, "field/true")
+        paths_map(truth_map, course, paths, ax=axes[0], **shared)
+        titles = ["true force", *titles]
+    paths_map(learned, course, paths, ax=axes[len(titles) - 1], **shared)
     if "field/sd" in arrays:
-        ax = next(axes)
         options = {"thrust": thrust, "route": arrays["route"], "units": units}
-        suggestion = arrays.get("suggestion")
-        sd = arrays["field/sd"]
-        spread_map(learned, sd, course, suggestion=suggestion, ax=ax, **options)
-        title_panel(ax, f"({next(letters)}) its standard deviation")
+        options |= {"suggestion": arrays.get("suggestion"), "ax": axes[-1]}
+        spread_map(learned, arrays["field/sd"], course, **options)
+        titles.append("its standard deviation")
+    for ax, letter, title in zip(axes, "abc", titles, strict=False):
+        title_panel(ax, f"({letter}) {title}")
     keys = [Line2D([], [], color=style_of(n).color, lw=1.5, label=n) for n in paths]
     keys += figure.axes[panels - 1].get_legend_handles_labels()[0]
     share_legend(figure, keys, columns=min(max(len(keys), 1), 2 * panels))

@@ -68,12 +68,12 @@ def _sampled(
         truth: BrownianSwimmer, starts: Array, times: Array, indices: Array
     ) -> Array:
         def one(y0: Array, index: Array) -> Array:
-            own = jax.random.fold_in(key, index)
+            path_key = jax.random.fold_in(key, index)
             wanderer = truth
             if wandering is not None:
-                drift_key = jax.random.fold_in(own, 1)
+                drift_key = jax.random.fold_in(path_key, 1)
                 wanderer = _wandering(truth, system, wandering, drift_key)
-            return sample_path(wanderer, y0, times, key=own, substeps=SUBSTEPS).ys
+            return sample_path(wanderer, y0, times, key=path_key, substeps=SUBSTEPS).ys
 
         return jax.vmap(one)(starts, indices)
 

@@ -158,4 +158,10 @@ class Exposure(eqx.Module):
 def limit_constraint(limit: AbstractLimit) -> AtMost:
     """The constraint that the field keeps a limit; one kelvin matters, or the bound."""
     scale = 1.0 if limit.unit == "°C" else limit.bound
-    return AtMost(limit.name, Exposure(limit), limit.bound, limit.unit, scale)
+    return AtMost(
+        name=limit.name,
+        function=Exposure(limit),
+        bound=limit.bound,
+        unit=limit.unit,
+        scale=scale,
+    )

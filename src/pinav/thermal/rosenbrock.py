@@ -101,9 +101,7 @@ def _stages(
 
     def step(begin: Cells, inputs: tuple[Array, Array]) -> tuple[Cells, _Stages]:
         dt, (level, later) = inputs
-        slope = jax.jvp(balance.sink, (begin,), (jnp.ones_like(begin),))[1]
-        # the sink is local: its Jacobian is diagonal, and one jvp with ones gives it
-        taken = slope * balance.volumes * balance.inverse_capacity
+        taken = _sink_slope(balance, begin)
         drift = _shift(balance, level, later).temperature
 
         def solve(right: Cells) -> Cells:
@@ -135,6 +133,13 @@ def _stages_jvp(
         transpose_solve=lambda _, right: linear.backward(right),
     )
     return stages, change
+
+
+def _sink_slope(balance: HeatBalance, at: Cells) -> Cells:
+    """Change of what blood takes from each cell with its temperature [s⁻¹]."""
+    # The sink is local: its Jacobian is diagonal, and one jvp with ones gives it.
+    slope = jax.jvp(balance.sink, (at,), (jnp.ones_like(at),))[1]
+    return slope * balance.volumes * balance.inverse_capacity
 
 
 def _negative(like: Array, tangent: Array | None) -> Array:
@@ -200,13 +205,11 @@ def _shift(balance: HeatBalance, level: Array, later: Array) -> Rates:
 
 
 class _Matrices(eqx.Module):
-    """Conduction between neighbours over the capacity of each, and its transpose."""
+    """Conduction between neighbours over the capacity of each."""
 
     lower: Cells
     diagonal: Cells
     upper: Cells
-    lower_transposed: Cells
-    upper_transposed: Cells
 
     @classmethod
     def of(cls, balance: HeatBalance) -> "_Matrices":
@@ -214,24 +217,15 @@ class _Matrices(eqx.Module):
         inverse, zero = balance.inverse_capacity, jnp.zeros(1)
         below = jnp.concatenate([zero, conductance[1:-1]])
         above = jnp.concatenate([conductance[1:-1], zero])
-        lower, upper = below * inverse, above * inverse
-        return cls(
-            lower=lower,
-            diagonal=(conductance[1:] + conductance[:-1]) * inverse,
-            upper=upper,
-            lower_transposed=jnp.concatenate([zero, upper[:-1]]),
-            upper_transposed=jnp.concatenate([lower[1:], zero]),
-        )
+        diagonal = (conductance[1:] + conductance[:-1]) * inverse
+        return cls(below * inverse, diagonal, above * inverse)
 
     @property
     def transposed(self) -> "_Matrices":
-        return _Matrices(
-            self.lower_transposed,
-            self.diagonal,
-            self.upper_transposed,
-            self.lower,
-            self.upper,
-        )
+        zero = jnp.zeros(1)
+        lower = jnp.concatenate([zero, self.upper[:-1]])
+        upper = jnp.concatenate([self.lower[1:], zero])
+        return _Matrices(lower, self.diagonal, upper)
 
     def solve(self, weight: Scalar, taken: Cells, right: Cells) -> Cells:
         """Solve 1 - weight * J, where blood takes `taken` of each degree."""
@@ -281,10 +275,8 @@ class _Linearised(eqx.Module):
         steps: Array,
         levels: Levels,
     ) -> "_Linearised":
-        rate = balance.volumes * balance.inverse_capacity
-
         def slope(at: Cells) -> Cells:
-            return rate * jax.jvp(balance.sink, (at,), (jnp.ones_like(at),))[1]
+            return _sink_slope(balance, at)
 
         def each(begin: Cells, k1: Cells, k2: Cells, dt: Array) -> _Step:
             first, bend = jax.jvp(slope, (begin,), (jnp.ones_like(begin),))

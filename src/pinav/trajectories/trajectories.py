@@ -229,12 +229,12 @@ class Trajectories(eqx.Module):
     def trajectory(self, index: int) -> Trajectory:
         """The trajectory at `index` without its padding; a view, not a copy."""
         index = _checked_indices([index], len(self))[0]
-        own = slice(self.lengths[index])
+        rows = slice(self.lengths[index])
         return Trajectory(
-            times=self.times[index, own],
-            states=self.states[index, own],
-            observed=self.observed[index, own],
-            commands={name: c[index, own] for name, c in self.commands.items()},
+            times=self.times[index, rows],
+            states=self.states[index, rows],
+            observed=self.observed[index, rows],
+            commands={name: c[index, rows] for name, c in self.commands.items()},
         )
 
     def select(self, indices: Sequence[int] | np.ndarray) -> "Trajectories":
@@ -345,7 +345,7 @@ def bootstrap(
         raise InputError(f"bootstrap count: expected 1 or more, got {count}")
     shape = (count, len(trajectories))
     chosen = jax.random.randint(key, shape, 0, len(trajectories))
-    return [trajectories.select(np.asarray(own)) for own in chosen]
+    return [trajectories.select(np.asarray(indices)) for indices in chosen]
 
 
 def concatenate(several: Sequence[Trajectories]) -> Trajectories:

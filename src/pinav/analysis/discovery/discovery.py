@@ -274,7 +274,7 @@ def _verdict(candidates):
     rivals = sum(candidate.delta_bic < CLOSE for candidate in candidates)
     if not best.fits:
         return Verdict.NO_LAW_FITS
-    if rivals > 1 or not all(own.identifiable for own in best.constants):
+    if rivals > 1 or not all(constant.identifiable for constant in best.constants):
         return Verdict.NOT_IDENTIFIABLE
     return Verdict.IDENTIFIED
 
@@ -291,22 +291,22 @@ def estimates(result: Refit, extent: float) -> tuple[EstimatedConstant, ...]:
         extent: of the data [L].
     """
     sd = np.sqrt(np.diag(result.covariance))
-    found = []
-    for own, value, spread in zip(
+    estimated = []
+    for constant, value, spread in zip(
         result.law.constants, result.constants, sd, strict=True
     ):
         reach = {Role.POSITION: 0.5 * extent, Role.ANGLE: 0.25 * np.pi}
         half = normal_quantile() * float(spread)
-        found.append(
+        estimated.append(
             EstimatedConstant(
-                name=own.name,
-                symbol=own.symbol,
-                unit=own.unit,
+                name=constant.name,
+                symbol=constant.symbol,
+                unit=constant.unit,
                 value=float(value),
                 sd=float(spread),
                 low=float(value) - half,
                 high=float(value) + half,
-                identifiable=bool(half < reach.get(own.role, abs(float(value)))),
+                identifiable=bool(half < reach.get(constant.role, abs(float(value)))),
             )
         )
-    return tuple(found)
+    return tuple(estimated)

@@ -180,8 +180,8 @@ def _influence(problem, model, chosen, learn, constants) -> Influence:
         problem, hessian[np.ix_(learned, learned)], chosen
     )
     removed = [
-        _removal(own, gradient, covariance, chosen.noise, index)
-        for index, (own, gradient) in enumerate(each)
+        _removal(normal, gradient, covariance, chosen.noise, index)
+        for index, (normal, gradient) in enumerate(each)
     ]
     leverages = np.array([one.leverage for one in removed])
     slopes = {
@@ -220,9 +220,9 @@ def _linearised(problem: BayesProblem, free, theta):
     """Normal matrix and gradient of each trajectory."""
     each = []
     for index in range(problem.states.shape[0]):
-        own = slice(index, index + 1)
-        data = jax.tree.map(lambda array, own=own: array[own], problem.observations)
-        linear = linearise(free, theta, problem.states[own], data, problem.solver)
+        rows = slice(index, index + 1)
+        data = jax.tree.map(lambda array, rows=rows: array[rows], problem.observations)
+        linear = linearise(free, theta, problem.states[rows], data, problem.solver)
         each.append((np.asarray(linear.hessian), np.asarray(linear.gradient)))
     return each
 
@@ -252,8 +252,8 @@ def _removal(hessian, gradient, covariance, noise, index) -> _Removal:
     rows = roots[:, None] * vectors.T / noise
     residuals = vectors.T @ gradient / roots / noise
     gain = covariance @ rows.T
-    own = rows @ gain
-    left = np.eye(len(own)) - own
+    leverage = rows @ gain
+    left = np.eye(len(leverage)) - leverage
     if np.linalg.eigvalsh(left)[0] < 1e-8:
         raise FitError(
             f"influence: without trajectory {index} the data do not determine all "
@@ -263,8 +263,8 @@ def _removal(hessian, gradient, covariance, noise, index) -> _Removal:
     return _Removal(
         change=gain @ pulled,
         first_order=gain @ residuals,
-        leverage=float(np.trace(own)),
-        distance=float(pulled @ own @ pulled),
+        leverage=float(np.trace(leverage)),
+        distance=float(pulled @ leverage @ pulled),
     )
 
 
