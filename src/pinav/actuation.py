@@ -173,7 +173,7 @@ class AbstractProgramme(eqx.Module):
         r"""$\int s(f)\, n(\theta)\, dt$ from the first time to `ts` [cycles]."""
         commands = self.commands(response)
         steps = self.between(commands) * jnp.diff(self.times)[:, None]
-        return _interpolated(ts, self.times, steps, (commands[0], commands[-1]))
+        return _interpolate(ts, self.times, steps, (commands[0], commands[-1]))
 
     def commands(self, response: AbstractResponse) -> Float[Array, "time 2"]:
         r"""$s(f)\, n(\theta)$ at the programme's own times [Hz]."""
@@ -216,12 +216,12 @@ class HeldProgramme(AbstractProgramme):
             lag: T [s], positive.
         """
         commands = self.commands(response)
-        behind = followed(self.times, commands, lag)[:-1]
+        behind = follow(self.times, commands, lag)[:-1]
         intervals = jnp.diff(self.times)[:, None]
         decay = jnp.exp(-intervals / lag)
         missed = (behind - commands[:-1]) * lag * (1 - decay)
         steps = commands[:-1] * intervals + missed
-        return _interpolated(ts, self.times, steps, (commands[0], commands[-1]))
+        return _interpolate(ts, self.times, steps, (commands[0], commands[-1]))
 
 
 class LinearProgramme(AbstractProgramme):
@@ -250,7 +250,7 @@ class LinearProgramme(AbstractProgramme):
         return (commands[:-1] + commands[1:]) / 2
 
 
-def _interpolated(ts, times, steps, ends):
+def _interpolate(ts, times, steps, ends):
     """A cumulated integral between its knots, and beyond them at the end rates."""
     total = jnp.concatenate([jnp.zeros_like(steps[:1]), jnp.cumsum(steps, axis=0)])
     inside = jnp.stack([jnp.interp(ts, times, column) for column in total.T], axis=1)
@@ -259,7 +259,7 @@ def _interpolated(ts, times, steps, ends):
     return inside + before + after
 
 
-def followed(
+def follow(
     times: Float[Array, " time"], commands: Float[Array, "time 2"], lag: Scalar
 ) -> Float[Array, "time 2"]:
     r"""State of a first-order follower, $T \dot c' = c - c'$, at each command's time.

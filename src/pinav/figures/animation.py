@@ -77,7 +77,7 @@ def save_animation(
     moving = [_actors(ax, trails) for ax in axes]
     clock = figure.text(0.99, 0.99, "", fontsize=SMALL, ha="right", va="top")
     frames = []
-    for step in _shown(trails.steps):
+    for step in _frame_steps(trails.steps):
         clock.set_text(f"t = {step * trails.step:.2f}")
         for actors in moving:
             _move(actors, trails, step)
@@ -137,7 +137,7 @@ def _move(actors: dict, trails: Trails, step: int) -> None:
         dot.set_data(*seen[-1:].T)
 
 
-def _shown(steps: int) -> list[int]:
+def _frame_steps(steps: int) -> list[int]:
     """Steps of which there is a frame."""
     count = min(FRAMES, steps + 1)
     return sorted(set(np.linspace(0, steps, count).round().astype(int).tolist()))

@@ -153,10 +153,10 @@ def force_comparison(
         panels = {"true": truth, **panels, "error": error}
     if sd is not None:
         panels["standard deviation"] = partial(force_sd_map, learned, sd, **shared)
-    return _arranged(panels, learned.regions, units, path=path is not None)
+    return _arrange_panels(panels, learned.regions, units, path=path is not None)
 
 
-def _arranged(
+def _arrange_panels(
     panels: Mapping[str, Callable[..., Axes]],
     regions: Regions,
     units: Mapping[str, str],

@@ -14,7 +14,7 @@ from pinav.actuation import (
     AbstractResponse,
     HeldProgramme,
     LinearResponse,
-    followed,
+    follow,
 )
 from pinav.arguments import Scalar, point
 from pinav.errors import InputError
@@ -169,7 +169,7 @@ class RollingPropulsion(AbstractCommandedForce):
             )
         programme = HeldProgramme(times, commands["frequency"], commands["heading"])
         wanted = programme.commands(self.response)
-        reached = wanted if _is_zero(self.lag) else _followed(times, wanted, self.lag)
+        reached = wanted if _is_zero(self.lag) else _follow(times, wanted, self.lag)
         turned = self.gain.astype(wanted.dtype).T
         return ScheduledThrust(
             times, wanted @ turned, reached @ turned, self.delay, self.lag
@@ -212,12 +212,12 @@ class ScheduledThrust(AbstractForce):
         return (asked + (reached - asked) * behind).astype(x.dtype)
 
 
-def _followed(
+def _follow(
     times: Float[Array, " time"], commands: Float[Array, "time 2"], lag: Scalar
 ) -> Float[Array, "time 2"]:
     """What a follower has reached; the commands themselves where the lag is 0."""
     # The untaken branch of a division by zero would make gradients NaN.
-    behind = followed(times, commands, jnp.where(lag > 0, lag, 1.0))
+    behind = follow(times, commands, jnp.where(lag > 0, lag, 1.0))
     return jnp.where(lag > 0, behind, commands)
 
 

@@ -54,10 +54,10 @@ def true_paths(
         assert isinstance(truth, OverdampedSwimmer)
         truth = BrownianSwimmer(truth, 0.0)
     method = {"solver": "Euler-Maruyama", "substeps": SUBSTEPS}
-    return _sampled(system, truth, key), method
+    return _sample_paths(system, truth, key), method
 
 
-def _sampled(
+def _sample_paths(
     system: System, truth: BrownianSwimmer, key: PRNGKeyArray
 ) -> Float64[np.ndarray, "trajectory time state"]:
     key = jax.random.fold_in(key, 1)  # apart from the noise of observation

@@ -177,7 +177,7 @@ class HeatBalance(eqx.Module):
         total = jnp.stack([jnp.sum(heat), jnp.sum(taken), lost])
         return Rates(change, total)
 
-    def stored(self, begin: Field, end: Field) -> Float[Array, ""]:
+    def stored_heat(self, begin: Field, end: Field) -> Float[Array, ""]:
         """Heat stored between two temperatures [J]."""
         return jnp.sum((end - begin) / self.inverse_capacity)
 

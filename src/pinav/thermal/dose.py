@@ -84,8 +84,8 @@ def _mean_rate_jvp(
     mean = _mean_rate(begin, end, cutoff)
     change = end - begin
     first, last = (_counted_rate(t, cutoff) for t in (begin, end))
-    crossed = _crossed(begin, end, cutoff)
-    small = (jnp.abs(change) < SMALL_CHANGE) & ~(crossed | _crossed(begin, end, BREAK))
+    crossed = _crosses(begin, end, cutoff)
+    small = (jnp.abs(change) < SMALL_CHANGE) & ~(crossed | _crosses(begin, end, BREAK))
     divisor = jnp.where(small | (change == 0), 1.0, change)
     by_end = jnp.where(small, _series(end, last, change), (last - mean) / divisor)
     by_begin = jnp.where(
@@ -114,7 +114,7 @@ def _counted_rate(temperature: Any, cutoff: Any) -> Field:
     return jnp.where(temperature >= cutoff, rate, 0.0)
 
 
-def _crossed(begin: Any, end: Any, bound: Any) -> Any:
+def _crosses(begin: Any, end: Any, bound: Any) -> Any:
     return (begin < bound) != (end < bound)
 
 

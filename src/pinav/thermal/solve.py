@@ -198,7 +198,7 @@ def run(
         final=State(jnp.asarray(schedule.times[-1]), end.temperature, end.dose),
         energy=EnergyBalance(
             *jnp.sum(flows, axis=0),
-            stored=balance.stored(start.temperature, end.temperature),
+            stored=balance.stored_heat(start.temperature, end.temperature),
         ),
     )
 

@@ -63,7 +63,7 @@ class GaussianNoise(AbstractDegradation):
         channels: tuple[str, ...],
         random: np.random.Generator,
     ) -> Trajectory:
-        noisy = _chosen(self, self.channels or channels, channels)
+        noisy = _channel_mask(self, self.channels or channels, channels)
         noise = self.deviation * random.standard_normal(trajectory.states.shape)
         noise = np.where(trajectory.observed & noisy[None], noise, 0.0)
         return _with(trajectory, states=trajectory.states + noise)
@@ -94,7 +94,7 @@ class FrameLoss(AbstractDegradation):
     ) -> Trajectory:
         lost = random.random(len(trajectory.times)) < self.probability
         lost[[0, -1]] = False
-        return _masked(trajectory, lost[:, None])
+        return _hide(trajectory, lost[:, None])
 
 
 class Unobserved(AbstractDegradation):
@@ -115,10 +115,10 @@ class Unobserved(AbstractDegradation):
         random: np.random.Generator,
     ) -> Trajectory:
         hidden = np.tile(
-            _chosen(self, self.channels, channels), (len(trajectory.times), 1)
+            _channel_mask(self, self.channels, channels), (len(trajectory.times), 1)
         )
         hidden[0] &= not self.keep_first
-        return _masked(trajectory, hidden)
+        return _hide(trajectory, hidden)
 
 
 class MotionBlur(AbstractDegradation):
@@ -248,12 +248,12 @@ def _with(trajectory: Trajectory, states: np.ndarray) -> Trajectory:
     return eqx.tree_at(lambda t: t.states, trajectory, states)
 
 
-def _masked(trajectory: Trajectory, hidden: np.ndarray) -> Trajectory:
+def _hide(trajectory: Trajectory, hidden: np.ndarray) -> Trajectory:
     observed = trajectory.observed & ~hidden
     return eqx.tree_at(lambda t: t.observed, trajectory, observed)
 
 
-def _chosen(
+def _channel_mask(
     step: AbstractDegradation, names: Sequence[str], channels: tuple[str, ...]
 ) -> np.ndarray:
     """Which channels are meant."""

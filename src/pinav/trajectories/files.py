@@ -354,7 +354,7 @@ def _table(
         header, stated = split_headings(header)
         units = {**stated, **units}
     place = f"line {num_comments + 1}"
-    channels = _checked_header(place, header, metadata)
+    channels = _check_header(place, header, metadata)
     rows = []
     for cells in reader:
         line = num_comments + reader.line_num
@@ -370,7 +370,7 @@ def _table(
     return msgspec.structs.replace(metadata, channels=channels, units=units), rows
 
 
-def _checked_header(
+def _check_header(
     place: str, header: Sequence[str], metadata: _Metadata
 ) -> tuple[str, ...]:
     """The channels among the columns, in the order of the metadata if it has one."""

@@ -187,8 +187,8 @@ def discover(
     learned = Learned.of(posterior, trajectories, solver)
     sample = force_sample(posterior, trajectories, learned.num_effective)
     screened = screen(sample, potentials, rotations)
-    refitted = _refitted(screened, model, learned, refits)
-    candidates = _ranked(refitted, learned)
+    refitted = _refit_best(screened, model, learned, refits)
+    candidates = _rank(refitted, learned)
     return Discovery(
         candidates=candidates,
         screened=tuple((fit.law.name, fit.bic) for fit in screened),
@@ -222,7 +222,7 @@ def screen(
     return sorted([*conservative, *pairs, *alone, *sums], key=lambda fit: fit.bic)
 
 
-def _refitted(screened, model, learned, refits):
+def _refit_best(screened, model, learned, refits):
     """The most promising laws, refitted; sums first where they gained on their terms.
 
     Where none of them explains the data, the best sums that were left out come too.
@@ -246,7 +246,7 @@ def _refitted(screened, model, learned, refits):
     return results
 
 
-def _ranked(refitted, learned):
+def _rank(refitted, learned):
     """Candidates in the order of their criterion on the trajectories."""
     pairs = sorted(refitted, key=lambda pair: pair[1].bic)
     least = pairs[0][1].bic

@@ -130,7 +130,7 @@ class SumLaw(AbstractLaw):
     def __post_init__(self):
         numbers = [(i, c) for i, t in enumerate(self.terms, 1) for c in t.constants]
         names = [constant.name for _, constant in numbers]
-        numbered = tuple(_numbered(c, i, names.count(c.name)) for i, c in numbers)
+        numbered = tuple(_number(c, i, names.count(c.name)) for i, c in numbers)
         object.__setattr__(self, "name", " + ".join(t.name for t in self.terms))
         object.__setattr__(self, "constants", numbered)
 
@@ -255,7 +255,7 @@ def _terms(law: AbstractLaw) -> tuple[AbstractLaw, ...]:
     return law.terms if isinstance(law, SumLaw) else (law,)
 
 
-def _numbered(constant: Constant, term: int, count: int) -> Constant:
+def _number(constant: Constant, term: int, count: int) -> Constant:
     """The constant with the number of its term, where several share its name."""
     if count == 1:
         return constant

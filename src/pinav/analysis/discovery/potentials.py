@@ -81,7 +81,7 @@ class AnisotropicGaussian(AbstractPotential):
     )
 
     def potential(self, c, x, y, ops):
-        u, w = turned(x - c[1], y - c[2], c[5], ops)
+        u, w = rotate_axes(x - c[1], y - c[2], c[5], ops)
         return c[0] * ops.exp(-(u**2) / (2 * c[3] ** 2) - w**2 / (2 * c[4] ** 2))
 
     def shapes(self, landscape):
@@ -168,7 +168,7 @@ class Wall(AbstractPotential):
     constants = (HEIGHT, ANGLE, OFFSET, Constant("edge", "w", Role.SCALE))
 
     def potential(self, c, x, y, ops):
-        u, _ = turned(x, y, c[1], ops)
+        u, _ = rotate_axes(x, y, c[1], ops)
         return c[0] * _logistic((u - c[2]) / c[3], ops)
 
     def shapes(self, landscape):
@@ -226,7 +226,7 @@ class DoubleWell(AbstractPotential):
     )
 
     def potential(self, c, x, y, ops):
-        u, w = turned(x - c[2], y - c[3], c[5], ops)
+        u, w = rotate_axes(x - c[2], y - c[3], c[5], ops)
         return c[0] * (u**2 / c[4] ** 2 - 1) ** 2 + c[1] * w**2 / 2
 
     def shapes(self, landscape):
@@ -272,7 +272,7 @@ def square(dx: Any, dy: Any) -> Any:
     return dx**2 + dy**2
 
 
-def turned(x: Any, y: Any, angle: Any, ops: Any) -> tuple[Any, Any]:
+def rotate_axes(x: Any, y: Any, angle: Any, ops: Any) -> tuple[Any, Any]:
     """Coordinates along axes turned by `angle`."""
     cos, sin = ops.cos(angle), ops.sin(angle)
     return x * cos + y * sin, y * cos - x * sin

@@ -9,8 +9,8 @@ from pinav.analysis.discovery.potentials import (
     OFFSET,
     WIDTH,
     central_shapes,
+    rotate_axes,
     square,
-    turned,
 )
 
 
@@ -49,7 +49,7 @@ class Shear(AbstractRotation):
     constants = (Constant("rate", r"\gamma", Role.AMPLITUDE, "T⁻²"), ANGLE, OFFSET)
 
     def rotation(self, c, x, y, ops):
-        size = c[0] * (turned(x, y, c[1], ops)[1] - c[2])
+        size = c[0] * (rotate_axes(x, y, c[1], ops)[1] - c[2])
         return size * ops.cos(c[1]), size * ops.sin(c[1])
 
     def shapes(self, landscape):

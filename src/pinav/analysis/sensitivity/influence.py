@@ -169,11 +169,11 @@ def _is_linear(model) -> bool:
 def _influence(problem, model, chosen, learn, constants) -> Influence:
     picked = tuple(constants.values())
     free, theta = ravel_model(
-        model, lambda m: (*_selected(m, learn), *(pick(m) for pick in picked))
+        model, lambda m: (*_learned_leaves(m, learn), *(pick(m) for pick in picked))
     )
-    learned = selected_entries(free, len(theta), lambda m: _selected(m, learn))
+    learned = selected_entries(free, len(theta), lambda m: _learned_leaves(m, learn))
     places = {name: _place(name, free, theta, constants[name]) for name in constants}
-    each = _linearised(problem, free, theta)
+    each = _linearise_each(problem, free, theta)
     hessian = np.sum([hessian for hessian, _ in each], axis=0)
     covariance = np.zeros_like(hessian)
     covariance[np.ix_(learned, learned)] = _covariance(
@@ -199,7 +199,7 @@ def _influence(problem, model, chosen, learn, constants) -> Influence:
     )
 
 
-def _selected(model, learn):
+def _learned_leaves(model, learn):
     """What the fit learned: weights of the environment, and what `learn` picks."""
     environment, picked = learned_environment(model), learn(model)
     weights = () if environment is None else (environment.parameters,)
@@ -216,7 +216,7 @@ def _place(name, free: ParametricModel, theta, pick) -> int:
     return int(places[0])
 
 
-def _linearised(problem: BayesProblem, free, theta):
+def _linearise_each(problem: BayesProblem, free, theta):
     """Normal matrix and gradient of each trajectory."""
     each = []
     for index in range(problem.states.shape[0]):

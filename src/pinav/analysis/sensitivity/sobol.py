@@ -111,13 +111,13 @@ def sobol_indices(
     mixed = np.repeat(first[None], len(factors), axis=0)
     for index in range(len(factors)):
         mixed[index, :, index] = second[:, index]
-    values = _evaluated(function, np.concatenate([first, second, *mixed]), outcomes)
+    values = _evaluate(function, np.concatenate([first, second, *mixed]), outcomes)
     varies = values.std(axis=0) > 1e-12 * np.abs(values).max(axis=0)
     stacked = values.reshape(-1, samples, len(outcomes))
     blank = np.where(varies, 0.0, np.nan)[:, None]
     intervals = [
         np.quantile(draws, [0.5 - confidence / 2, 0.5 + confidence / 2], axis=0)
-        for draws in _resampled(stacked, resamples, generator)
+        for draws in _resample(stacked, resamples, generator)
     ]
     first_order, total = (blank + index for index in _indices(stacked))
     return SobolIndices(
@@ -132,7 +132,7 @@ def sobol_indices(
     )
 
 
-def _evaluated(function, parameters, outcomes):
+def _evaluate(function, parameters, outcomes):
     values = np.asarray(function(parameters), float)
     if values.shape != (len(parameters), len(outcomes)):
         raise InputError(
@@ -148,7 +148,7 @@ def _evaluated(function, parameters, outcomes):
     return values
 
 
-def _resampled(stacked, resamples, generator):
+def _resample(stacked, resamples, generator):
     """First-order and total indices of bootstrap samples."""
     samples = stacked.shape[1]
     draws = [

@@ -51,7 +51,7 @@ def controller(
     tables = tabulate_model(task, model, samples=samples, risk_aversion=risk_aversion)
     filtered = task.sensor_noise > 0 or bool(drift)
     predictor = Drifting(tables.predictor) if filtered else tables.predictor
-    steered = _steered(task, model, tables, predictor)
+    steered = _undelayed_controller(task, model, tables, predictor)
     timing = Timing(task.step, task.delay)
     if task.delay > 0:
         steered = DelayCompensation(steered, predictor, timing)
@@ -67,7 +67,7 @@ def controller(
     return steered
 
 
-def _steered(
+def _undelayed_controller(
     task: Task,
     model: SteeredSwimmer,
     tables: TabulatedModel,

@@ -111,7 +111,7 @@ def y_junction() -> Task:
 
     The vessel is 1.04 wide; images, and so commands, are late by 0.2.
     """
-    return _carried("y-junction", [0.7, 5.0], ReachGoal([7.5, 8.25], 0.3), _vessel())
+    return _drift_task("y-junction", [0.7, 5.0], ReachGoal([7.5, 8.25], 0.3), _vessel())
 
 
 TASKS: dict[str, tuple[Callable[[], Task], str]] = {
@@ -166,7 +166,7 @@ def _known(name: str) -> str:
     return name
 
 
-def _driven(
+def _screw_task(
     name: str,
     thrust: float,
     start: Any,
@@ -193,25 +193,25 @@ def _driven(
 
 def _crossing(name: str, thrust: float, zones: tuple[AbstractZone, ...] = ()) -> Task:
     goal = ReachGoal([9.5, 9.5], 0.3)
-    task = _driven(name, thrust, [0.5, 1.0, 0.0, 0.0], goal, (-4.0, 14.0), 24.0)
+    task = _screw_task(name, thrust, [0.5, 1.0, 0.0, 0.0], goal, (-4.0, 14.0), 24.0)
     return dataclasses.replace(task, keep_out=zones)
 
 
 def _traverse(name: str) -> Task:
     goal = ReachGoal([18.5, 18.5], 0.4)
-    return _driven(name, 0.6, [1.5, 1.5, 0.0, 0.0], goal, (-2.0, 22.0), 60.0)
+    return _screw_task(name, 0.6, [1.5, 1.5, 0.0, 0.0], goal, (-2.0, 22.0), 60.0)
 
 
 def _zermelo(name: str, *, start: list[float], goal: list[float]) -> Task:
-    task = _driven(name, 1.0, start, ReachGoal(goal, 0.3), (-1.0, 11.0), 30.0)
+    task = _screw_task(name, 1.0, start, ReachGoal(goal, 0.3), (-1.0, 11.0), 30.0)
     return dataclasses.replace(task, noise=0.02)
 
 
 def _following(name: str, path: AbstractPath, duration: float) -> Task:
-    return _carried(name, path(0.0), FollowPath(path), time_limit=duration)
+    return _drift_task(name, path(0.0), FollowPath(path), time_limit=duration)
 
 
-def _carried(
+def _drift_task(
     name: str,
     start: Any,
     objective: AbstractObjective,
@@ -219,7 +219,7 @@ def _carried(
     time_limit: float = 30.0,
 ) -> Task:
     """With an unknown drift, a camera's error and delay, and coils that turn slowly."""
-    task = _driven(name, 1.0, start, objective, (-1.0, 11.0), time_limit)
+    task = _screw_task(name, 1.0, start, objective, (-1.0, 11.0), time_limit)
     return dataclasses.replace(
         task,
         limits=CommandLimits(task.limits.max_frequency, max_turning_rate=4.0),
