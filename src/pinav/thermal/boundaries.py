@@ -84,6 +84,7 @@ class Robin(AbstractBoundary):
             )
 
     def conductance(self, area: Field, resistance: Field) -> Field:
+        # Film and half cell in series; the form stays finite for an infinite exchange.
         return area / (1 / jnp.asarray(self.exchange) + resistance)
 
     @property

@@ -142,6 +142,7 @@ class EddyTemperatureLimit(AbstractLimit):
             stepper=Rosenbrock(LONGEST),
             observe=jnp.max,
         )
+        # One number: heat of one interval stays for the next, so none counts by itself.
         return jnp.max(solution.hottest, keepdims=True)
 
 

@@ -99,6 +99,7 @@ class KernelPerfusion(AbstractLearnedPerfusion):
         return self.values
 
     def variation(self, temperature: Field) -> Field:
+        # Whitened weights: their prior is the identity, whatever the length scale.
         factors = jax.scipy.linalg.solve_triangular(self.root.T, self.values)
         flat = temperature.reshape(-1)
         offsets = (flat[:, None] - self.centers[None]) / self.length_scale
@@ -153,6 +154,7 @@ def kernel_perfusion(
     count = max(3, round(2 * (high - low) / length_scale) + 1)
     centers = np.linspace(low, high, count)
     squares = ((centers[:, None] - centers[None]) / length_scale) ** 2
+    # Kernels every half length scale are nearly dependent: a ridge makes the root real.
     root = np.linalg.cholesky(np.exp(-0.5 * squares) + 1e-8 * np.eye(count))
     return KernelPerfusion(
         values=jnp.zeros(count),

@@ -197,6 +197,7 @@ class PowerLawHeating(AbstractHeating):
 
     def slp(self, amplitude: Scalar, frequency: Scalar) -> Float[Array, ""]:
         positive = jnp.asarray(amplitude, float) > 0
+        # The untaken branch of a power of zero would make the gradient NaN.
         safe = jnp.where(positive, amplitude, 1.0)
         return jnp.where(positive, self.factor * frequency * safe**self.exponent, 0.0)
 

@@ -56,6 +56,7 @@ def mass_perfusion(value: Scalar, *, unit: str, blood: Blood, tissue: Tissue) ->
             f"perfusion unit {unit!r} is unknown; choose one of: {', '.join(UNITS)}"
         )
     mass = value * factors[unit]
+    # Checked after the conversion: a wrong unit is off by a factor of 10 or more.
     size = least_known(mass)
     if size is not None and size != 0 and not PLAUSIBLE[0] <= size <= PLAUSIBLE[1]:
         raise InputError(

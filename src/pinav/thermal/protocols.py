@@ -134,6 +134,7 @@ class Piecewise(AbstractProtocol):
     def amplitude(
         self, t: Float[Array, ""], interval: Int[Array, ""]
     ) -> Float[Array, ""]:
+        # By the interval, not by a search in time: at an edge both sides are needed.
         times = jnp.asarray(self.edges)
         begin, end = times[interval], times[interval + 1]
         share = (t - begin) / (end - begin)

@@ -85,6 +85,7 @@ class GaussianSource(AbstractSource):
     center: Float[Array, " axis"] | None = None
 
     def shape(self, grid: AbstractGrid) -> Field:
+        # Logarithms keep both numbers positive without a constraint on the fit.
         width = jnp.exp(jnp.asarray(self.log_width))
         scaled = grid.distances(self.center) / width
         return jnp.exp(self.log_peak - 0.5 * scaled**2)

@@ -177,6 +177,7 @@ def mix(share: Field, inside: Tissue, outside: Tissue) -> Tissue:
 
     density = average(inside.density, outside.density)
     capacity = average(inside.capacity, outside.capacity)
+    # Density comes first: the specific heat is the ratio that keeps the capacity exact.
     return Tissue(
         conductivity=1 / average(1 / inside.conductivity, 1 / outside.conductivity),
         density=density,

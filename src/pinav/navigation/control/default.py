@@ -53,6 +53,7 @@ def controller(
     predictor = Drifting(tables.predictor) if filtered else tables.predictor
     steered = _undelayed_controller(task, model, tables, predictor)
     timing = Timing(task.step, task.delay)
+    # The filter stands outside: it must see observations as they are, not ahead.
     if task.delay > 0:
         steered = DelayCompensation(steered, predictor, timing)
     if filtered:

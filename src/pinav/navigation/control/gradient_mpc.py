@@ -78,6 +78,7 @@ class GradientMPC(AbstractController[Float[Array, "step 2"]]):
             better = value < least
             best = jnp.where(better, controls, best)
             least = jnp.where(better, value, least)
+            # One step of a lost rollout must not poison Adam's moments for all others.
             slope = jnp.where(jnp.isfinite(slope), slope, 0.0)
             with jax.numpy_dtype_promotion("standard"):  # as optax expects
                 change, progress = method.update(slope, progress)

@@ -91,6 +91,7 @@ class PathIntegral(AbstractController[Float[Array, "step 2"]]):
     def _costs(self, observation, many):
         ts, ys = jax.vmap(lambda controls: self.prediction(observation, controls))(many)
         costs = jax.vmap(self.cost)(ts, ys, many)
+        # Finite, so that the median and the differences below remain numbers.
         return jnp.where(jnp.isfinite(costs), costs, jnp.finfo(costs.dtype).max / 4)
 
     def _changes(self, key: PRNGKeyArray) -> Float[Array, "sample step 2"]:

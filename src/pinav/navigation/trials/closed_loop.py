@@ -84,7 +84,7 @@ class Episodes(eqx.Module):
     violated: Bool[np.ndarray, "*run"]
     arrival_time: Float[np.ndarray, "*run"]
     clearance: Float[np.ndarray, "*run"]
-    compute: Float[np.ndarray, " control"]
+    compute: Float[np.ndarray, " timed"]
 
     @classmethod
     def of(

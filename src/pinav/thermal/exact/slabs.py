@@ -36,6 +36,7 @@ def perfused_slab(
     """
     m = medium.inverse_length
     steady = source / medium.perfusion * (1 - np.cosh(m * x) / np.cosh(m * length))
+    # The steady part in closed form: the series of it alone converges slowly.
     if np.isinf(t):
         return steady
     n = np.arange(MODES)
