@@ -104,8 +104,8 @@ class KernelMixture(AbstractLearnedForce):
         cls, centers: Float[np.ndarray, "kernel dim"], width: float
     ) -> "KernelMixture":
         """Both parts without weight yet: kernels at places, of a width [L]."""
-        parts = (KernelPotential, KernelStream)
-        return cls(*(part.untrained(centers, width) for part in parts))
+        gradient = KernelPotential.untrained(centers, width)
+        return cls(gradient, KernelStream.untrained(centers, width))
 
     @property
     def parameters(self):
