@@ -74,12 +74,22 @@ class Rosenbrock(AbstractStepper):
         levels: Levels,
         watch: Watch,
     ) -> "March":
-        stages = _stages(balance, temperature, steps, levels)
+        inputs = _Inputs(balance, temperature, steps, levels)
+        stages = _stages(inputs)
         before = stages.before(temperature)
         added, kept = jax.vmap(watch)(before, stages.after, steps)
-        first, second = _slopes(stages, balance, temperature, steps, levels)
+        first, second = _slopes(stages, inputs)
         flows = 0.5 * steps @ (3 * first.energy + second.energy)
         return March(stages.after[-1], jnp.sum(added, axis=0), flows, kept)
+
+
+class _Inputs(eqx.Module):
+    """The equation, the temperature at the begin, and what each step is given."""
+
+    balance: HeatBalance
+    temperature: Cells
+    steps: Float[Array, " step"]
+    levels: Levels
 
 
 class _Stages(eqx.Module):
@@ -94,13 +104,11 @@ class _Stages(eqx.Module):
 
 
 @eqx.filter_custom_jvp
-def _stages(
-    balance: HeatBalance, temperature: Cells, steps: Array, levels: Levels
-) -> _Stages:
-    matrices = _Matrices.of(balance)
+def _stages(inputs: _Inputs) -> _Stages:
+    balance, matrices = inputs.balance, _Matrices.of(inputs.balance)
 
-    def step(begin: Cells, inputs: tuple[Array, Array]) -> tuple[Cells, _Stages]:
-        dt, (level, later) = inputs
+    def step(begin: Cells, forced: tuple[Array, Array]) -> tuple[Cells, _Stages]:
+        dt, (level, later) = forced
         taken = _sink_slope(balance, begin)
         drift = _shift(balance, level, later).temperature
 
@@ -114,15 +122,15 @@ def _stages(
         after = begin + 0.5 * dt * (3 * k1 + k2)
         return after, _Stages(k1, k2, after)
 
-    return jax.lax.scan(step, temperature, (steps, levels))[1]
+    return jax.lax.scan(step, inputs.temperature, (inputs.steps, inputs.levels))[1]
 
 
 @_stages.def_jvp
 def _stages_jvp(
-    primals: tuple[Any, ...], tangents: tuple[Any, ...]
+    primals: tuple[_Inputs], tangents: tuple[Any]
 ) -> tuple[_Stages, _Stages]:
     stages = _stages(*primals)
-    _, moved = eqx.filter_jvp(lambda *p: _defects(stages, *p), primals, tangents)
+    _, moved = eqx.filter_jvp(lambda i: _defects(stages, i), primals, tangents)
     # custom_linear_solve transposes the solve for reverse mode: no residuals of the
     # scan are stored, and nothing is recomputed
     linear = _Linearised.of(stages, *primals)
@@ -147,31 +155,20 @@ def _negative(like: Array, tangent: Array | None) -> Array:
     return jnp.zeros_like(like) if tangent is None else -tangent
 
 
-def _defects(
-    stages: _Stages,
-    balance: HeatBalance,
-    temperature: Cells,
-    steps: Array,
-    levels: Levels,
-) -> _Stages:
+def _defects(stages: _Stages, inputs: _Inputs) -> _Stages:
     """What is zero of the stages of a run."""
-    first, second = _slopes(stages, balance, temperature, steps, levels)
-    rise = 0.5 * steps[:, None] * (3 * stages.first + stages.second)
+    first, second = _slopes(stages, inputs)
+    rise = 0.5 * inputs.steps[:, None] * (3 * stages.first + stages.second)
     return _Stages(
         stages.first - first.temperature,
         stages.second - second.temperature,
-        stages.after - stages.before(temperature) - rise,
+        stages.after - stages.before(inputs.temperature) - rise,
     )
 
 
-def _slopes(
-    stages: _Stages,
-    balance: HeatBalance,
-    temperature: Cells,
-    steps: Array,
-    levels: Levels,
-) -> tuple[Rates, Rates]:
+def _slopes(stages: _Stages, inputs: _Inputs) -> tuple[Rates, Rates]:
     """Both stages of every step from the equations of which they are the solution."""
+    balance = inputs.balance
 
     def each(
         begin: Cells, k1: Cells, k2: Cells, dt: Scalar, level: Array
@@ -188,8 +185,9 @@ def _slopes(
         given = Rates(k1, first.energy)
         return first, jax.tree.map(lambda b, a: b - 2 * a, second, given)
 
-    before = stages.before(temperature)
-    return jax.vmap(each)(before, stages.first, stages.second, steps, levels)
+    before = stages.before(inputs.temperature)
+    forced = inputs.steps, inputs.levels
+    return jax.vmap(each)(before, stages.first, stages.second, *forced)
 
 
 def _add(rates: Rates, along: Rates, shift: Rates, weight: Scalar) -> Rates:
@@ -267,25 +265,18 @@ class _Linearised(eqx.Module):
     steps: _Step
 
     @classmethod
-    def of(
-        cls,
-        stages: _Stages,
-        balance: HeatBalance,
-        temperature: Cells,
-        steps: Array,
-        levels: Levels,
-    ) -> "_Linearised":
+    def of(cls, stages: _Stages, inputs: _Inputs) -> "_Linearised":
         def slope(at: Cells) -> Cells:
-            return _sink_slope(balance, at)
+            return _sink_slope(inputs.balance, at)
 
         def each(begin: Cells, k1: Cells, k2: Cells, dt: Array) -> _Step:
             first, bend = jax.jvp(slope, (begin,), (jnp.ones_like(begin),))
             bends = GAMMA * dt * bend * k1, GAMMA * dt * bend * k2
             return _Step(dt, first, slope(begin + dt * k1), bends)
 
-        before = stages.before(temperature)
-        every = jax.vmap(each)(before, stages.first, stages.second, steps)
-        return cls(_Matrices.of(balance), every)
+        before = stages.before(inputs.temperature)
+        every = jax.vmap(each)(before, stages.first, stages.second, inputs.steps)
+        return cls(_Matrices.of(inputs.balance), every)
 
     def forward(self, right: _Stages) -> _Stages:
         """Solve for changes of the stages, from the first step on."""

@@ -17,16 +17,16 @@ from pinav.errors import InputError
 from pinav.trajectories.trajectories import Trajectories
 from pinav.trajectories.trajectory import Trajectory
 
+Channels = tuple[str, ...]
+Random = np.random.Generator
+
 
 class AbstractDegradation(eqx.Module):
     """One step from the truth to what is observed."""
 
     @abc.abstractmethod
     def __call__(
-        self,
-        trajectory: Trajectory,
-        channels: tuple[str, ...],
-        random: np.random.Generator,
+        self, trajectory: Trajectory, channels: Channels, random: Random
     ) -> Trajectory:
         """The trajectory after this step.
 
@@ -58,10 +58,7 @@ class GaussianNoise(AbstractDegradation):
         _check_range(self, "deviation", 0.0, np.inf)
 
     def __call__(
-        self,
-        trajectory: Trajectory,
-        channels: tuple[str, ...],
-        random: np.random.Generator,
+        self, trajectory: Trajectory, channels: Channels, random: Random
     ) -> Trajectory:
         noisy = _channel_mask(self, self.channels or channels, channels)
         noise = self.deviation * random.standard_normal(trajectory.states.shape)
@@ -87,10 +84,7 @@ class FrameLoss(AbstractDegradation):
         _check_range(self, "probability", 0.0, 1.0)
 
     def __call__(
-        self,
-        trajectory: Trajectory,
-        channels: tuple[str, ...],
-        random: np.random.Generator,
+        self, trajectory: Trajectory, channels: Channels, random: Random
     ) -> Trajectory:
         lost = random.random(len(trajectory.times)) < self.probability
         lost[[0, -1]] = False
@@ -109,10 +103,7 @@ class Unobserved(AbstractDegradation):
     keep_first: bool = eqx.field(static=True, default=False)
 
     def __call__(
-        self,
-        trajectory: Trajectory,
-        channels: tuple[str, ...],
-        random: np.random.Generator,
+        self, trajectory: Trajectory, channels: Channels, random: Random
     ) -> Trajectory:
         hidden = np.tile(
             _channel_mask(self, self.channels, channels), (len(trajectory.times), 1)
@@ -140,10 +131,7 @@ class MotionBlur(AbstractDegradation):
         check_positive(self, "exposure")
 
     def __call__(
-        self,
-        trajectory: Trajectory,
-        channels: tuple[str, ...],
-        random: np.random.Generator,
+        self, trajectory: Trajectory, channels: Channels, random: Random
     ) -> Trajectory:
         if not trajectory.observed.all():
             raise InputError(
@@ -178,10 +166,7 @@ class Subsample(AbstractDegradation):
             raise InputError(f"Subsample.every: expected 1 or more, got {self.every}")
 
     def __call__(
-        self,
-        trajectory: Trajectory,
-        channels: tuple[str, ...],
-        random: np.random.Generator,
+        self, trajectory: Trajectory, channels: Channels, random: Random
     ) -> Trajectory:
         if len(trajectory.times) <= self.every:
             raise InputError(
