@@ -57,11 +57,7 @@ def paper_swimmer(
     )
 
 
-def planar_system(
-    name: str,
-    truth: Swimmer,
-    rule: AbstractStarts,
-) -> System:
+def planar_system(name: str, truth: Swimmer, rule: AbstractStarts) -> System:
     """A dimensionless system in the plane, observed every 0.1 up to t = 20.
 
     Args:

@@ -38,10 +38,7 @@ PREFIX = "# pinav:"
 
 
 def save(
-    trajectories: Trajectories,
-    path: str | os.PathLike[str],
-    *,
-    overwrite: bool = False,
+    trajectories: Trajectories, path: str | os.PathLike[str], *, overwrite: bool = False
 ) -> None:
     """Write trajectories to a `.npz` or `.csv` file; either keeps every digit.
 

@@ -198,10 +198,7 @@ class CommandLimits(eqx.Module):
         check_positive(self, "max_frequency", "max_turning_rate", "max_amplitude")
 
     def clip(
-        self,
-        command: Float[Array, "2"],
-        previous: Float[Array, "2"],
-        duration: Scalar,
+        self, command: Float[Array, "2"], previous: Float[Array, "2"], duration: Scalar
     ) -> Float[Array, "2"]:
         """The nearest allowed command after `previous` has held for `duration` [T]."""
         frequency = jnp.clip(command[0], 0.0, self.max_frequency)
