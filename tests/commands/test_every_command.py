@@ -52,7 +52,15 @@ WORDS: dict[str, Callable[[Folder], tuple[str, ...]]] = {
 }
 
 
-@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.name)
+SLOW = {"navigate"}  # it compiles its controllers for a minute
+
+
+def cases():
+    marks = {name: [pytest.mark.slow] for name in SLOW}
+    return [pytest.param(c, marks=marks.get(c.name, []), id=c.name) for c in COMMANDS]
+
+
+@pytest.mark.parametrize("command", cases())
 def test_a_command_ends_with_success(command, tmp_path, fitted_run, capsys):
     words = WORDS[command.name](Folder(tmp_path, fitted_run))
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
