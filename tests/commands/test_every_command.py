@@ -1,6 +1,5 @@
 """Each command runs once, on the smallest work that it accepts."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 
