@@ -1,19 +1,19 @@
 """The commands of the command line: one folder and one entry of `COMMANDS` for each."""
 
-from pinav.commands.analyse.command import ANALYSE
-from pinav.commands.bench.command import BENCH
-from pinav.commands.compare.command import COMPARE
-from pinav.commands.discover.command import DISCOVER
-from pinav.commands.evaluate.command import EVALUATE
-from pinav.commands.fit.command import FIT
-from pinav.commands.heat.command import HEAT
-from pinav.commands.identify.command import IDENTIFY
-from pinav.commands.inspect.command import INSPECT
-from pinav.commands.navigate.command import NAVIGATE
-from pinav.commands.report.command import REPORT
-from pinav.commands.reproduce.command import REPRODUCE
-from pinav.commands.simulate.command import SIMULATE
-from pinav.commands.study.command import STUDY
+from pinav.commands.analyse import ANALYSE
+from pinav.commands.bench import BENCH
+from pinav.commands.compare import COMPARE
+from pinav.commands.discover import DISCOVER
+from pinav.commands.evaluate import EVALUATE
+from pinav.commands.fit import FIT
+from pinav.commands.heat import HEAT
+from pinav.commands.identify import IDENTIFY
+from pinav.commands.inspect import INSPECT
+from pinav.commands.navigate import NAVIGATE
+from pinav.commands.report import REPORT
+from pinav.commands.reproduce import REPRODUCE
+from pinav.commands.simulate import SIMULATE
+from pinav.commands.study import STUDY
 
 COMMANDS = (
     REPRODUCE,

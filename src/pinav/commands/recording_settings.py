@@ -2,9 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
-
-import tyro
+from typing import TYPE_CHECKING, Literal
 
 from pinav.commands.settings import (
     Settings,
@@ -16,60 +14,36 @@ if TYPE_CHECKING:
 
 
 class RecordingSettings(Settings, frozen=True):
-    """What a file does not say of itself."""
+    """What a file does not say of itself.
 
-    format: Annotated[
-        str | None,
-        tyro.conf.arg(help="Format of the file; found from its content by default."),
-    ] = None
-    columns: Annotated[
-        tuple[str, ...],
-        tyro.conf.arg(
-            help="For any other table: quantity=column, such as x=X y=Y t=Time "
-            "heading=alpha frequency=f."
-        ),
-    ] = ()
-    units: Annotated[
-        tuple[str, ...],
-        tyro.conf.arg(
-            help="Units that the file does not state, such as x=px t=ms heading=deg."
-        ),
-    ] = ()
-    fps: Annotated[
-        float | None,
-        tyro.conf.arg(help="Frames per second; times become frame / fps."),
-    ] = None
-    mpp: Annotated[float | None, tyro.conf.arg(help="Micrometres per pixel.")] = None
-    y: Annotated[
-        Literal["down", "up"] | None,
-        tyro.conf.arg(
-            help="Whether y grows downwards in the file, as in images, or upwards; "
-            "usual for the format by default."
-        ),
-    ] = None
-    heading_offset: Annotated[
-        float,
-        tyro.conf.arg(
-            help="Added to the logged heading, in rad: pi/2 = 1.5708 where the log "
-            "holds the azimuth of the rotation axis."
-        ),
-    ] = 0.0
-    delay: Annotated[
-        float, tyro.conf.arg(help="By how many seconds commands act late.")
-    ] = 0.0
-    jump: Annotated[
-        float | None,
-        tyro.conf.arg(
-            help="Displacement between rows that splits a track; 40 px or 15 um by "
-            "default."
-        ),
-    ] = None
-    gap: Annotated[
-        int, tyro.conf.arg(help="Frames without the particle that split a track.")
-    ] = 10
-    likelihood: Annotated[
-        float, tyro.conf.arg(help="Below it a position counts as lost (DeepLabCut).")
-    ] = 0.6
+    Attributes:
+        format: Format of the file; found from its content by default.
+        columns: For any other table: quantity=column, such as x=X y=Y t=Time
+            heading=alpha frequency=f.
+        units: Units that the file does not state, such as x=px t=ms heading=deg.
+        fps: Frames per second; times become frame / fps.
+        mpp: Micrometres per pixel.
+        y: Whether y grows downwards in the file, as in images, or upwards; usual for
+            the format by default.
+        heading_offset: Added to the logged heading, in rad: pi/2 = 1.5708 where the log
+            holds the azimuth of the rotation axis.
+        delay: By how many seconds commands act late.
+        jump: Displacement between rows that splits a track; 40 px or 15 um by default.
+        gap: Frames without the particle that split a track.
+        likelihood: Below it a position counts as lost (DeepLabCut).
+    """
+
+    format: str | None = None
+    columns: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
+    fps: float | None = None
+    mpp: float | None = None
+    y: Literal["down", "up"] | None = None
+    heading_offset: float = 0.0
+    delay: float = 0.0
+    jump: float | None = None
+    gap: int = 10
+    likelihood: float = 0.6
 
     def stated_units(self) -> dict[str, str] | None:
         """Units by quantity, as the option gives them.

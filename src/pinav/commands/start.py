@@ -1,31 +1,16 @@
 """The start of a run: a new folder, or one that is continued."""
 
 import hashlib
-from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import msgspec
 import numpy as np
 
 from pinav.commands.command import Command
+from pinav.commands.settings import ResumableOptions, RunOptions
 from pinav.errors import InputError
 from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories
-
-
-@runtime_checkable
-class RunOptions(Protocol):
-    """The options of every command that makes a run."""
-
-    @property
-    def out(self) -> Path:
-        """The folder of the run."""
-        ...
-
-    @property
-    def overwrite(self) -> bool:
-        """Replace the run that the folder holds."""
-        ...
 
 
 def start_run(
@@ -35,14 +20,14 @@ def start_run(
 
     Args:
         command: what makes the run.
-        options: of the command line; `resume` where the command is resumable.
+        options: of the command line.
         settings: what decides the numbers of the run.
         identity: what else tells this run from others, such as a hash of its data.
 
     Raises:
         InputError: the folder cannot be used, or holds a run with other settings.
     """
-    resume = getattr(options, "resume", False)
+    resume = isinstance(options, ResumableOptions) and options.resume
     if resume and options.overwrite:
         raise InputError("--resume and --overwrite: choose one of them")
     content = [item for s in settings for item in msgspec.to_builtins(s).items()]

@@ -19,10 +19,12 @@ class Commands(Protocol):
     @property
     def times(self) -> Any:
         """When each command was given [T]."""
+        ...
 
     @property
     def commands(self) -> Mapping[str, Any]:
         """What was commanded, by name."""
+        ...
 
 
 def takes_commands(model: PyTree) -> bool:

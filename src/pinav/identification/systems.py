@@ -1,6 +1,7 @@
 """A fitted response as a system, and a system as a candidate model."""
 
 import math
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -241,7 +242,7 @@ def posterior_over(
     """
     numbers = [FreeNumber(path) for path in paths if path != "environment"]
 
-    def select(model: OverdampedSwimmer) -> tuple:
+    def select(model: Any) -> tuple:
         weights = () if "environment" not in paths else model.environment.parameters
         weights = weights if isinstance(weights, tuple) else (weights,)
         return *weights, *(number.pick(model) for number in numbers)

@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Sequence
 from html import escape
+from importlib.resources import files
 from pathlib import Path
 
 from pinav.errors import InputError
@@ -212,8 +213,8 @@ def render(title: str, subtitle: str, sections: Sequence[Section]) -> str:
     body = "\n".join(
         _section(index, section) for index, section in enumerate(sections, start=1)
     )
-    return _PAGE.format(
-        style=_STYLE,
+    return _source("page.html").format(
+        style="\n" + _source("page.css"),
         title=escape(title),
         subtitle=escape(subtitle),
         contents=contents,
@@ -227,113 +228,6 @@ def _section(index: int, section: Section) -> str:
     return f'<section id="section-{index}">\n<h2>{heading}</h2>\n{blocks}\n</section>'
 
 
-_PAGE = """<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta name="color-scheme" content="light dark">
-<title>{title}</title>
-<style>{style}</style>
-</head>
-<body>
-<header>
-<h1>{title}</h1>
-<p class="subtitle">{subtitle}</p>
-</header>
-<nav aria-label="Contents">
-<ol>
-{contents}
-</ol>
-</nav>
-<main>
-{body}
-</main>
-</body>
-</html>
-"""
-
-_STYLE = """
-:root {
-  --ground: #ffffff; --ink: #1b1f24; --soft: #59636e; --line: #d5dbe1;
-  --card: #f5f7f9; --accent: #0063a0;
-}
-@media (prefers-color-scheme: dark) {
-  :root {
-    --ground: #14181d; --ink: #e4e8ec; --soft: #9aa5b1; --line: #333c46;
-    --card: #1d232a; --accent: #6cb8ee;
-  }
-}
-* { box-sizing: border-box; }
-body {
-  margin: 0 auto; max-width: 60rem; padding: 2.5rem 1.25rem 4rem;
-  background: var(--ground); color: var(--ink); line-height: 1.55;
-  font-family: system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue",
-    Arial, sans-serif;
-}
-h1, h2 { line-height: 1.25; text-wrap: balance; overflow-wrap: anywhere; }
-h1 { font-size: 1.9rem; margin: 0; }
-h2 {
-  font-size: 1.3rem; margin: 2.75rem 0 0.75rem; padding-bottom: 0.3rem;
-  border-bottom: 1px solid var(--line);
-}
-p { max-width: 46rem; margin: 0.75rem 0; overflow-wrap: anywhere; }
-.subtitle { color: var(--soft); margin-top: 0.35rem; }
-a { color: var(--accent); text-decoration: none; }
-a:hover, a:focus-visible { text-decoration: underline; }
-nav {
-  margin-top: 1.5rem; padding: 0.75rem 1rem; background: var(--card);
-  border-radius: 8px; font-size: 0.92rem;
-}
-nav ol { margin: 0; padding-left: 1.4rem; columns: 16rem; }
-.wide { overflow-x: auto; margin: 1.25rem 0; }
-table {
-  border-collapse: collapse; font-size: 0.92rem;
-  border-top: 2px solid var(--ink); border-bottom: 2px solid var(--ink);
-}
-caption {
-  text-align: left; padding-bottom: 0.5rem; color: var(--soft);
-  position: sticky; left: 0; max-width: min(46rem, calc(100vw - 2.5rem));
-}
-td:first-child { min-width: 8rem; }
-th, td { padding: 0.35rem 1rem; text-align: left; }
-th:first-child, td:first-child { padding-left: 0.25rem; }
-th { font-weight: 600; vertical-align: bottom; }
-thead tr { border-bottom: 1px solid var(--ink); }
-tbody tr + tr { border-top: 1px solid var(--line); }
-.number {
-  text-align: right;
-  font-variant-numeric: tabular-nums; white-space: nowrap;
-}
-figure {
-  margin: 1.5rem 0; padding: 1rem; background: #ffffff;
-  border: 1px solid var(--line); border-radius: 8px;
-}
-figure { overflow-x: auto; }
-figure img { display: block; margin: 0 auto; height: auto; }
-@media (max-width: 40rem) {
-  figure img { width: auto !important; min-width: 34rem; max-width: none; }
-  figcaption { position: sticky; left: 0; max-width: calc(100vw - 4.5rem); }
-}
-figcaption { margin-top: 0.75rem; color: #4a535d; font-size: 0.9rem; }
-pre {
-  overflow-x: auto; padding: 0.9rem 1rem; background: var(--card);
-  white-space: pre-wrap; overflow-wrap: anywhere;
-  border: 1px solid var(--line); border-radius: 8px; font-size: 0.85rem;
-  line-height: 1.45;
-}
-code { font-family: ui-monospace, Menlo, Consolas, "DejaVu Sans Mono", monospace; }
-@media print {
-  :root {
-    --ground: #ffffff; --ink: #000000; --soft: #444444; --line: #bbbbbb;
-    --card: #ffffff; --accent: #000000;
-  }
-  body { max-width: none; padding: 0; font-size: 10pt; }
-  nav { border: 1px solid var(--line); }
-  h2 { break-after: avoid; }
-  figure, tr, pre { break-inside: avoid; }
-  figure { border: 0; padding: 0; }
-  pre { white-space: pre-wrap; }
-  .wide { overflow: visible; }
-}
-"""
+def _source(name: str) -> str:
+    """A file that stands beside this module."""
+    return files("pinav.report").joinpath(name).read_text(encoding="utf-8")

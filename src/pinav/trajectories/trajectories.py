@@ -7,21 +7,19 @@ The one data type of the package. Simulated scenarios and recordings become
 import dataclasses
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import equinox as eqx
-import jax
 import numpy as np
-from jaxtyping import Bool, Float64, Int64, PRNGKeyArray
+from jaxtyping import Bool, Float64, Int64
 
 from pinav.errors import InputError
-from pinav.systems import velocity_unit
 from pinav.trajectories.tables import split_headings, table_columns
 from pinav.trajectories.trajectory import (
     Ragged,
     Trajectory,
     arrays_per_trajectory,
-    checked_trajectory,
+    check_trajectory,
 )
 
 UNKNOWN_UNIT = "?"
@@ -87,7 +85,7 @@ class Trajectories(eqx.Module):
                 not come after the one before it.
         """
         commands = dict(commands or {})
-        channels = _checked_names(channels, commands)
+        channels = check_names(channels, commands)
         tables = arrays_per_trajectory("states", states, 2)
         vectors = arrays_per_trajectory("times", times, 1, len(tables))
         masks = [None] * len(tables)
@@ -98,7 +96,7 @@ class Trajectories(eqx.Module):
             for name, values in commands.items()
         }
         pieces = [
-            checked_trajectory(
+            check_trajectory(
                 f"trajectory {i}",
                 channels,
                 (vectors[i], tables[i], masks[i]),
@@ -107,7 +105,30 @@ class Trajectories(eqx.Module):
             for i in range(len(tables))
         ]
         units = _all_units(units or {}, (*channels, "t", *commands))
-        return _padded(pieces, channels, units, provenance or {})
+        return cls.from_pieces(pieces, channels, units, provenance or {})
+
+    @classmethod
+    def from_pieces(
+        cls,
+        pieces: Sequence[Trajectory],
+        channels: tuple[str, ...],
+        units: Mapping[str, str],
+        provenance: Mapping[str, Any],
+    ) -> "Trajectories":
+        """Trajectories that were checked before, padded no more than needed."""
+        return cls(
+            times=_pad([piece.times for piece in pieces]),
+            states=_pad([piece.states for piece in pieces]),
+            observed=_pad([piece.observed for piece in pieces], mode="constant"),
+            lengths=_read_only(np.array([len(p.times) for p in pieces], np.int64)),
+            commands={
+                name: _pad([piece.commands[name] for piece in pieces])
+                for name in pieces[0].commands
+            },
+            channels=channels,
+            units=dict(units),
+            provenance=_as_json(provenance),
+        )
 
     @classmethod
     def from_table(
@@ -228,13 +249,13 @@ class Trajectories(eqx.Module):
 
     def trajectory(self, index: int) -> Trajectory:
         """The trajectory at `index` without its padding; a view, not a copy."""
-        index = _checked_indices([index], len(self))[0]
-        own = slice(self.lengths[index])
+        index = _check_indices([index], len(self))[0]
+        rows = slice(self.lengths[index])
         return Trajectory(
-            times=self.times[index, own],
-            states=self.states[index, own],
-            observed=self.observed[index, own],
-            commands={name: c[index, own] for name, c in self.commands.items()},
+            times=self.times[index, rows],
+            states=self.states[index, rows],
+            observed=self.observed[index, rows],
+            commands={name: c[index, rows] for name, c in self.commands.items()},
         )
 
     def select(self, indices: Sequence[int] | np.ndarray) -> "Trajectories":
@@ -242,138 +263,22 @@ class Trajectories(eqx.Module):
 
         The provenance remembers, as `selection`, where each of them stood at first.
         """
-        chosen = _checked_indices(indices, len(self))
+        chosen = _check_indices(indices, len(self))
         before = self.provenance.get("selection", range(len(self)))
         selection = [before[i] for i in chosen]
         provenance = self.provenance | {"selection": selection}
         pieces = [self.trajectory(i) for i in chosen]
-        return _padded(pieces, self.channels, self.units, provenance)
+        return self.from_pieces(pieces, self.channels, self.units, provenance)
 
 
-def with_unobserved(
-    trajectories: Trajectories, units: Mapping[str, str]
-) -> Trajectories:
-    """The trajectories with more channels, of which nothing was observed.
-
-    A tracker gives positions; a swimmer with inertia has velocities too.
-
-    Args:
-        trajectories: what was observed.
-        units: unit of each new channel, by its name.
-    """
-    extra = len(units)
-
-    def widened(piece: Trajectory) -> Trajectory:
-        blank = np.zeros((len(piece.times), extra))
-        return Trajectory(
-            times=piece.times,
-            states=np.concatenate([piece.states, blank], axis=1),
-            observed=np.concatenate([piece.observed, blank > 0], axis=1),
-            commands=piece.commands,
-        )
-
-    channels = _checked_names((*trajectories.channels, *units), trajectories.commands)
-    return _padded(
-        [widened(piece) for piece in trajectories],
-        channels,
-        {**trajectories.units, **units},
-        trajectories.provenance,
-    )
-
-
-def with_velocities(trajectories: Trajectories) -> Trajectories:
-    """The trajectories of positions alone with velocities that nobody observed."""
-    if trajectories.dim != len(trajectories.channels):
-        return trajectories
-    length, time = (
-        trajectories.units[name] for name in (trajectories.channels[0], "t")
-    )
-    unit = velocity_unit(length, time)
-    units = {f"v{name}": unit for name in trajectories.channels}
-    return with_unobserved(trajectories, units)
-
-
-class Split(NamedTuple):
-    """Trajectories for training, and those kept for testing."""
-
-    train: Trajectories
-    held_out: Trajectories
-
-
-def split(trajectories: Trajectories, fraction: float, *, key: PRNGKeyArray) -> Split:
-    """Split by whole trajectories, at random.
-
-    Args:
-        trajectories: at least two.
-        fraction: share of them to train on, between 0 and 1; rounded so that
-            neither part is empty.
-        key: random key of the choice.
-
-    Raises:
-        InputError: there is one trajectory, or `fraction` is not between 0 and 1.
-    """
-    count = len(trajectories)
-    if not 0.0 < fraction < 1.0:
-        raise InputError(f"split fraction: expected between 0 and 1, got {fraction}")
-    if count < 2:
-        raise InputError("split: expected two or more trajectories, got 1")
-    num_train = min(max(round(fraction * count), 1), count - 1)
-    order = np.asarray(jax.random.permutation(key, count))
-    train, held_out = np.sort(order[:num_train]), np.sort(order[num_train:])
-    return Split(trajectories.select(train), trajectories.select(held_out))
-
-
-def bootstrap(
-    trajectories: Trajectories, count: int, *, key: PRNGKeyArray
-) -> list[Trajectories]:
-    """Resamples of whole trajectories, with replacement, for intervals.
-
-    Args:
-        trajectories: at least two.
-        count: number of resamples, each of as many trajectories.
-        key: random key of the choice.
-
-    Raises:
-        InputError: there is one trajectory, or `count` is not positive.
-
-    References:
-        Efron and Tibshirani, An Introduction to the Bootstrap (1993).
-    """
-    if len(trajectories) < 2:
-        raise InputError("bootstrap: expected two or more trajectories, got 1")
-    if count < 1:
-        raise InputError(f"bootstrap count: expected 1 or more, got {count}")
-    shape = (count, len(trajectories))
-    chosen = jax.random.randint(key, shape, 0, len(trajectories))
-    return [trajectories.select(np.asarray(own)) for own in chosen]
-
-
-def concatenate(several: Sequence[Trajectories]) -> Trajectories:
-    """The trajectories of all, in order; provenances are kept side by side.
-
-    Raises:
-        InputError: there is nothing to join, or channels, commands or units differ.
-    """
-    if not several:
-        raise InputError("concatenate: expected one or more Trajectories, got none")
-    first = several[0]
-    for other in several[1:]:
-        for name in ("channels", "units"):
-            expected, got = getattr(first, name), getattr(other, name)
-            if expected != got:
-                raise InputError(
-                    f"concatenate: {name} differ, {expected} and {got}; "
-                    "bring them to one form first"
-                )
-    provenance = {"concatenated": [part.provenance for part in several]}
-    pieces = [piece for part in several for piece in part]
-    return _padded(pieces, first.channels, first.units, provenance)
-
-
-def _checked_names(
+def check_names(
     channels: Sequence[str], commands: Mapping[str, Any]
 ) -> tuple[str, ...]:
-    """The channels, when they and the commands can be the columns of a table."""
+    """The channels, when they and the commands can be the columns of a table.
+
+    Raises:
+        InputError: they cannot; the message names the channel.
+    """
     if isinstance(channels, str) or not channels:
         raise InputError(
             f"channels: expected names such as ('x', 'y'), got {channels!r}"
@@ -401,7 +306,7 @@ def _all_units(units: Mapping[str, str], names: Sequence[str]) -> dict[str, str]
     return {name: str(units.get(name, UNKNOWN_UNIT)) for name in names}
 
 
-def _checked_indices(indices: Sequence[int] | np.ndarray, count: int) -> list[int]:
+def _check_indices(indices: Sequence[int] | np.ndarray, count: int) -> list[int]:
     """The indices as integers from 0, negative ones counted from the end."""
     chosen = np.asarray(indices)
     if chosen.ndim != 1 or chosen.size == 0 or chosen.dtype.kind not in "iu":
@@ -412,27 +317,6 @@ def _checked_indices(indices: Sequence[int] | np.ndarray, count: int) -> list[in
         if not -count <= index < count:
             raise InputError(f"trajectory {index}: there are {count}, counted from 0")
     return (chosen % count).tolist()
-
-
-def _padded(
-    pieces: Sequence[Trajectory],
-    channels: tuple[str, ...],
-    units: Mapping[str, str],
-    provenance: Mapping[str, Any],
-) -> Trajectories:
-    return Trajectories(
-        times=_pad([piece.times for piece in pieces]),
-        states=_pad([piece.states for piece in pieces]),
-        observed=_pad([piece.observed for piece in pieces], mode="constant"),
-        lengths=_read_only(np.array([len(p.times) for p in pieces], np.int64)),
-        commands={
-            name: _pad([piece.commands[name] for piece in pieces])
-            for name in pieces[0].commands
-        },
-        channels=channels,
-        units=dict(units),
-        provenance=_as_json(provenance),
-    )
 
 
 def _pad(

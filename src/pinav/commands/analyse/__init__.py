@@ -1,1 +1,11 @@
 """The command `pinav analyse`."""
+
+from pinav.commands.command import Command
+
+ANALYSE = Command(
+    name="analyse",
+    summary="map what a fit learned, and what it depends on",
+    options="pinav.commands.analyse.settings:AnalyseOptions",
+    run="pinav.commands.analyse.job:run",
+    report="pinav.commands.analyse.report:analysis_sections",
+)

@@ -1,15 +1,14 @@
 """Options of `pinav bench`."""
 
-from typing import Annotated
-
 import tyro
 
 from pinav.commands.settings import Settings
 
 
 class BenchOptions(Settings, frozen=True, forbid_unknown_fields=True):
-    """Run a benchmark of a source checkout and print its table."""
+    """Run a benchmark of a source checkout and print its table.
 
+<<<<<<< HEAD
     name: Annotated[
         str,
         tyro.conf.Positional,
@@ -19,4 +18,12 @@ class BenchOptions(Settings, frozen=True, forbid_unknown_fields=True):
             "bench fit --help."
         ),
     ]
+=======
+    Attributes:
+        name: Name of the benchmark: fit, gradient, growth, heat, navigate or
+            recordings. What follows it are options of its own: pinav bench fit --help.
+    """
+
+    name: tyro.conf.Positional[str]
+>>>>>>> main
     words: tyro.conf.Suppress[tuple[str, ...]] = ()

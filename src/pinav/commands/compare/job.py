@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 from pinav.commands.command import CommandResult
-from pinav.commands.compare.command import COMPARE
+from pinav.commands.compare import COMPARE
 from pinav.commands.compare.metrics import (
     Candidate,
     CompareMetrics,

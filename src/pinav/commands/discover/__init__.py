@@ -1,1 +1,11 @@
 """The command `pinav discover`."""
+
+from pinav.commands.command import Command
+
+DISCOVER = Command(
+    name="discover",
+    summary="find the law behind the learned force of a run",
+    options="pinav.commands.discover.settings:DiscoverOptions",
+    run="pinav.commands.discover.job:run",
+    report="pinav.commands.discover.report:law_sections",
+)

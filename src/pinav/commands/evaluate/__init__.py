@@ -1,1 +1,11 @@
 """The command `pinav evaluate`."""
+
+from pinav.commands.command import Command
+
+EVALUATE = Command(
+    name="evaluate",
+    summary="say where a fitted run can be trusted, on other trajectories",
+    options="pinav.commands.evaluate.settings:EvaluateOptions",
+    run="pinav.commands.evaluate.job:run",
+    report="pinav.commands.evaluate.report:evaluation_sections",
+)

@@ -1,7 +1,6 @@
 """Options of `pinav evaluate`."""
 
 from pathlib import Path
-from typing import Annotated
 
 import tyro
 
@@ -22,29 +21,19 @@ class EvaluateOptions(Settings, frozen=True):
     incomplete, each start is estimated from the first 20 samples and the others are
     scored. Writes evaluation.json and evaluation.csv into the run, and figures into
     its report.
+
+    Attributes:
+        run: Folder of a fitted run.
+        data: Trajectories, .npz or .csv, or a recording.
+        calibrate: Further trajectories, from which bands that hold 95 % of new
+            trajectories are calibrated (split-conformal).
+        regions: Distances from the data up to which places are visited, and near; 0.35
+            and 1 for dimensionless data, else 1/40 and 1/14 of their extent.
     """
 
-    run: Annotated[
-        Path, tyro.conf.Positional, tyro.conf.arg(help="Folder of a fitted run.")
-    ]
-    data: Annotated[
-        Path,
-        tyro.conf.Positional,
-        tyro.conf.arg(help="Trajectories, .npz or .csv, or a recording."),
-    ]
-    calibrate: Annotated[
-        Path | None,
-        tyro.conf.arg(
-            help="Further trajectories, from which bands that hold 95 % of new "
-            "trajectories are calibrated (split-conformal)."
-        ),
-    ] = None
-    regions: Annotated[
-        tuple[float, float] | None,
-        tyro.conf.arg(
-            help="Distances from the data up to which places are visited, and near; "
-            "0.35 and 1 for dimensionless data, else 1/40 and 1/14 of their extent."
-        ),
-    ] = None
+    run: tyro.conf.Positional[Path]
+    data: tyro.conf.Positional[Path]
+    calibrate: Path | None = None
+    regions: tuple[float, float] | None = None
     recording: RecordingSettings = RecordingSettings()
     json: AsJson = False

@@ -7,7 +7,7 @@ import numpy as np
 
 from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
-from pinav.commands.fit.command import FIT
+from pinav.commands.fit import FIT
 from pinav.commands.fit.metrics import FitMetrics, Learned, Loss
 from pinav.commands.fit.plan import FitPlan, plan_fit
 from pinav.commands.fit.settings import EVIDENCE_RECIPES, FitOptions

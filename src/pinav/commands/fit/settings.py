@@ -7,15 +7,11 @@ import tyro
 
 from pinav.commands.recording_settings import RecordingSettings
 from pinav.commands.settings import (
-    AsJson,
-    ConfigFile,
     ModelName,
-    OutFolder,
-    Overwrite,
-    Resume,
+    Range,
+    ResumableOptions,
     Settings,
     SystemName,
-    check_counts,
 )
 from pinav.errors import InputError
 
@@ -30,63 +26,46 @@ MATCHED_MODELS = ("ude", "nn-only")
 
 
 class FitSettings(Settings, frozen=True):
-    """Settings of `pinav fit`."""
+    """Settings of `pinav fit`.
 
-    model: Annotated[
-        ModelName | None,
-        tyro.conf.arg(
-            help="What stands for the unknown. kernel-, neural-: a force that depends "
-            "on position alone, -potential: that is conservative, -mixture: with a "
-            "gradient and a rotational part, -time: that changes with time; ude: the "
-            "paper's "
-            "network of position and time; physics-only: nothing (fits --train); "
-            "nn-only: a black box in place of all physics. The model that the system "
-            "names unless given."
-        ),
-    ] = None
-    recipe: Annotated[
-        FitRecipeName,
-        tyro.conf.arg(
-            help="bayes: noisy or incomplete data, every setting chosen by the "
-            "evidence, with uncertainty; langevin: the same for thermal motion without "
-            "inertia, with the diffusion coefficient; curriculum: noise-free data, "
-            "Gauss-Newton from one-step matching to the full rollout; paper: Adam, "
-            "then L-BFGS. The default is what suits the data: langevin for Brownian "
-            "paths, curriculum for ude and nn-only, else bayes."
-        ),
-    ] = "default"
-    noise: Annotated[
-        float | None,
-        tyro.conf.arg(
-            help="Recipe bayes: standard deviation of the observations; estimated "
-            "unless given."
-        ),
-    ] = None
-    train: Annotated[
-        tuple[Literal["damping", "gain", "drag"], ...],
-        tyro.conf.arg(
-            help="Known constants to learn beside the unknown; drag: an anisotropic "
-            "drag tensor in place of the known drag."
-        ),
-    ] = ()
+    Attributes:
+        model: What stands for the unknown. kernel-, neural-: a force that depends on
+            position alone, -potential: that is conservative, -mixture: with a gradient
+            and a rotational part, -time: that changes with time; ude: the paper's
+            network of position and time; physics-only: nothing (fits --train); nn-only:
+            a black box in place of all physics. The model that the system names unless
+            given.
+        recipe: bayes: noisy or incomplete data, every setting chosen by the evidence,
+            with uncertainty; langevin: the same for thermal motion without inertia,
+            with the diffusion coefficient; curriculum: noise-free data, Gauss-Newton
+            from one-step matching to the full rollout; paper: Adam, then L-BFGS. The
+            default is what suits the data: langevin for Brownian paths, curriculum for
+            ude and nn-only, else bayes.
+        noise: Recipe bayes: standard deviation of the observations; estimated unless
+            given.
+        train: Known constants to learn beside the unknown; drag: an anisotropic drag
+            tensor in place of the known drag.
+        seed: Seed of the network.
+        width: Neurons of each hidden layer.
+        depth: Number of hidden layers.
+        max_steps: Recipes bayes, curriculum: steps (of a window) at most.
+        adam_steps: Paper's recipe: steps of Adam.
+        lbfgs_steps: Paper's recipe: steps of L-BFGS.
+    """
+
+    model: ModelName | None = None
+    recipe: FitRecipeName = "default"
+    noise: Annotated[float | None, Range(above=0)] = None
+    train: tuple[Literal["damping", "gain", "drag"], ...] = ()
     system: SystemName = None
-    seed: Annotated[int, tyro.conf.arg(help="Seed of the network.")] = 0
-    width: Annotated[int, tyro.conf.arg(help="Neurons of each hidden layer.")] = 32
-    depth: Annotated[int, tyro.conf.arg(help="Number of hidden layers.")] = 2
-    max_steps: Annotated[
-        int,
-        tyro.conf.arg(help="Recipes bayes, curriculum: steps (of a window) at most."),
-    ] = 20
-    adam_steps: Annotated[int, tyro.conf.arg(help="Paper's recipe: steps of Adam.")] = (
-        7500
-    )
-    lbfgs_steps: Annotated[
-        int, tyro.conf.arg(help="Paper's recipe: steps of L-BFGS.")
-    ] = 500
+    seed: int = 0
+    width: Annotated[int, Range(1)] = 32
+    depth: Annotated[int, Range(1)] = 2
+    max_steps: Annotated[int, Range(1)] = 20
+    adam_steps: Annotated[int, Range(1)] = 7500
+    lbfgs_steps: Annotated[int, Range(1)] = 500
 
-    def check(self) -> None:
-        """Raise `InputError` where a setting makes no sense."""
-        check_counts(self, "width", "depth", "max_steps", "adam_steps", "lbfgs_steps")
+    def check_together(self) -> None:
         if self.model == "nn-only" and self.train:
             raise InputError(
                 "--train: the model nn-only has no physical constants; drop --train or "
@@ -110,8 +89,6 @@ class FitSettings(Settings, frozen=True):
             self._check_langevin()
         if self.noise is not None and (matched or self.recipe == "langevin"):
             raise InputError("--noise: only the recipe bayes uses it; drop --noise")
-        if self.noise is not None and not 0 < self.noise < float("inf"):
-            raise InputError(f"--noise: expected a number > 0, got {self.noise}")
         self._check_unused()
 
     def _check_langevin(self) -> None:
@@ -145,7 +122,7 @@ class FitSettings(Settings, frozen=True):
                 )
 
 
-class FitOptions(Settings, frozen=True):
+class FitOptions(ResumableOptions, frozen=True):
     """Fit a model of the unknown force to trajectories or to a recording.
 
     Trajectories: an .npz or .csv file of pinav. A CSV file has the columns t, x, y, vx,
@@ -155,17 +132,11 @@ class FitOptions(Settings, frozen=True):
     A recording: the file of a tracker (pinav inspect says what it holds); the options
     of pinav inspect say how it is read. First pinav identify finds how the swimmer
     responds to its commands.
+
+    Attributes:
+        data: Trajectories, .npz or .csv, or a recording of a tracker.
     """
 
-    data: Annotated[
-        Path,
-        tyro.conf.Positional,
-        tyro.conf.arg(help="Trajectories, .npz or .csv, or a recording of a tracker."),
-    ]
-    out: OutFolder
+    data: tyro.conf.Positional[Path]
     settings: FitSettings = FitSettings()
     recording: RecordingSettings = RecordingSettings()
-    config: ConfigFile = None
-    resume: Resume = False
-    overwrite: Overwrite = False
-    json: AsJson = False

@@ -1,1 +1,13 @@
 """The command `pinav heat`."""
+
+from pinav.commands.command import Command
+
+HEAT = Command(
+    name="heat",
+    summary="bioheat: simulate a case, learn perfusion, optimise a protocol",
+    options="pinav.commands.heat.settings:HeatOptions",
+    run="pinav.commands.heat.job:run",
+    title="Bioheat",
+    report="pinav.commands.heat.report:heat_sections",
+    compiler_flags=False,  # small to compile, and its gradient runs slower with them
+)

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from pinav.commands.command import CommandResult
+from pinav.commands.heat import HEAT
 from pinav.commands.heat.case import Case, read_case
-from pinav.commands.heat.command import HEAT
 from pinav.commands.heat.learn import LearnTask
 from pinav.commands.heat.optimise import OptimiseTask
 from pinav.commands.heat.settings import HeatOptions

@@ -9,7 +9,7 @@ import numpy as np
 from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
 from pinav.commands.fitted_run import DATA_FILE, ModelHeader, save_data, write_fit
-from pinav.commands.identify.command import IDENTIFY
+from pinav.commands.identify import IDENTIFY
 from pinav.commands.identify.figures import figure_arrays
 from pinav.commands.identify.metrics import (
     CandidateRow,

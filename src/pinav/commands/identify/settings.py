@@ -6,74 +6,39 @@ from typing import Annotated, Literal
 import tyro
 
 from pinav.commands.recording_settings import RecordingSettings
-from pinav.commands.settings import (
-    AsJson,
-    ConfigFile,
-    OutFolder,
-    Overwrite,
-    Resume,
-    Settings,
-)
-from pinav.errors import InputError
+from pinav.commands.settings import Range, ResumableOptions, Settings
 
 
 class IdentifySettings(Settings, frozen=True):
-    """How a recording is split, and how much is fitted."""
+    """How a recording is split, and how much is fitted.
 
-    train_fraction: Annotated[
-        float,
-        tyro.conf.arg(help="First part of each track's time that trains."),
-    ] = 0.7
-    candidates: Annotated[
-        Literal["responses", "all"],
-        tyro.conf.arg(
-            help="responses: first-order models from drift to a delayed, slipping "
-            "propulsion; all: also fields of position, and other methods for "
-            "comparison."
-        ),
-    ] = "responses"
-    max_tracks: Annotated[
-        int,
-        tyro.conf.arg(
-            help="With --candidates all: at most so many tracks, the longest ones, get "
-            "all of them."
-        ),
-    ] = 9
-    track: Annotated[
-        str | None,
-        tyro.conf.arg(
-            help="Name of the track whose system the run holds; the longest one that "
-            "was driven by default."
-        ),
-    ] = None
+    Attributes:
+        train_fraction: First part of each track's time that trains.
+        candidates: responses: first-order models from drift to a delayed, slipping
+            propulsion; all: also fields of position, and other methods for comparison.
+        max_tracks: With --candidates all: at most so many tracks, the longest ones, get
+            all of them.
+        track: Name of the track whose system the run holds; the longest one that was
+            driven by default.
+    """
 
-    def check(self) -> None:
-        """Raise `InputError` where a setting makes no sense."""
-        if not 0 < self.train_fraction < 1:
-            raise InputError(
-                f"--train-fraction: expected between 0 and 1, got {self.train_fraction}"
-            )
-        if self.max_tracks < 0:
-            raise InputError(f"--max-tracks: expected 0 or more, got {self.max_tracks}")
+    train_fraction: Annotated[float, Range(above=0, below=1)] = 0.7
+    candidates: Literal["responses", "all"] = "responses"
+    max_tracks: Annotated[int, Range(0)] = 9
+    track: str | None = None
 
 
-class IdentifyOptions(Settings, frozen=True):
+class IdentifyOptions(ResumableOptions, frozen=True):
     """Find which response to its commands a recorded swimmer shows.
 
     First-order models from drift to a delayed, slipping propulsion are fitted to the
     first part of each track of a recording and rolled out on the rest; the evidence
     chooses. RUN/system.toml is the swimmer that it finds, for pinav fit --system.
+
+    Attributes:
+        data: Recording: a file of a tracker, or of pinav.
     """
 
-    data: Annotated[
-        Path,
-        tyro.conf.Positional,
-        tyro.conf.arg(help="Recording: a file of a tracker, or of pinav."),
-    ]
-    out: OutFolder
+    data: tyro.conf.Positional[Path]
     settings: IdentifySettings = IdentifySettings()
     recording: RecordingSettings = RecordingSettings()
-    config: ConfigFile = None
-    resume: Resume = False
-    overwrite: Overwrite = False
-    json: AsJson = False

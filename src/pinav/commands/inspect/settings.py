@@ -1,7 +1,6 @@
 """Options of `pinav inspect`; imports no numerical library."""
 
 from pathlib import Path
-from typing import Annotated
 
 import tyro
 
@@ -16,25 +15,18 @@ class InspectOptions(Settings, frozen=True):
     frequency, coverage of the commands, and what a fit cannot tell. The format is
     found from the content: trackpy, TrackMate, MagScope, MATLAB, DeepLabCut, ImageJ,
     StochasticForceInference, tidy tables, any table by --columns; docs/recordings.md.
+
+    Attributes:
+        file: File of the tracker.
+        out: Folder for inspection.json, inspection.html and a figure.
+        image: A still of the film (PNG, JPEG), to draw the paths over it.
+        overwrite: Replace the report that --out already holds.
+        json: Print the report as JSON, for scripts.
     """
 
-    file: Annotated[
-        Path, tyro.conf.Positional, tyro.conf.arg(help="File of the tracker.")
-    ]
-    out: Annotated[
-        Path | None,
-        tyro.conf.arg(help="Folder for inspection.json, inspection.html and a figure."),
-    ] = None
+    file: tyro.conf.Positional[Path]
+    out: Path | None = None
     settings: RecordingSettings = RecordingSettings()
-    image: Annotated[
-        Path | None,
-        tyro.conf.arg(
-            help="A still of the film (PNG, JPEG), to draw the paths over it."
-        ),
-    ] = None
-    overwrite: Annotated[
-        bool, tyro.conf.arg(help="Replace the report that --out already holds.")
-    ] = False
-    json: Annotated[
-        bool, tyro.conf.arg(help="Print the report as JSON, for scripts.")
-    ] = False
+    image: Path | None = None
+    overwrite: bool = False
+    json: bool = False

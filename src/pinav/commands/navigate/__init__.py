@@ -1,1 +1,12 @@
 """The command `pinav navigate`."""
+
+from pinav.commands.command import Command
+
+NAVIGATE = Command(
+    name="navigate",
+    summary="plan and steer through the force that a run has learned",
+    options="pinav.commands.navigate.settings:NavigateOptions",
+    run="pinav.commands.navigate.job:run",
+    title="Navigation",
+    report="pinav.commands.navigate.report:navigation_sections",
+)

@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from pinav.commands.command import CommandResult
 from pinav.commands.fitted_run import FittedRun
-from pinav.commands.navigate.command import NAVIGATE
+from pinav.commands.navigate import NAVIGATE
 from pinav.commands.navigate.metrics import (
     ControllerRow,
     IntervalRow,

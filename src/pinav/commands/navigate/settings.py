@@ -6,86 +6,52 @@ from typing import Annotated
 
 import tyro
 
-from pinav.commands.settings import AsJson, OutFolder, Overwrite, Settings
+from pinav.commands.settings import Range, RunOptions, Settings
 from pinav.errors import InputError
 
 
 class NavigateSettings(Settings, frozen=True):
-    """Where to go, with which swimmer, and how it is tried."""
+    """Where to go, with which swimmer, and how it is tried.
 
-    start: Annotated[
-        str, tyro.conf.arg(name="from", metavar="X,Y", help="Where the run begins.")
-    ]
-    goal: Annotated[
-        str, tyro.conf.arg(name="to", metavar="X,Y", help="Where it should end.")
-    ]
-    tolerance: Annotated[
-        float, tyro.conf.arg(help="Distance from the goal that counts as there.")
-    ] = 0.3
-    thrust: Annotated[
-        float,
-        tyro.conf.arg(
-            help="Greatest thrust: an acceleration where the model has inertia, else "
-            "a force. A recording's robot has its own."
-        ),
-    ] = 0.8
-    keep_out: Annotated[
-        tuple[str, ...],
-        tyro.conf.arg(metavar="X,Y,R", help="Discs that must not be entered."),
-    ] = ()
-    arena: Annotated[
-        str | None,
-        tyro.conf.arg(
-            metavar="X0,Y0,X1,Y1",
-            help="Rectangle that must not be left; around data, start and goal unless "
-            "given.",
-        ),
-    ] = None
-    step: Annotated[float, tyro.conf.arg(help="How long a command holds.")] = 0.1
-    time_limit: Annotated[
-        float, tyro.conf.arg(help="When a run has failed; also horizon of the plan.")
-    ] = 20.0
-    noise: Annotated[
-        float,
-        tyro.conf.arg(
-            help="White noise of the true swimmer: it adds noise * sqrt(dt) to the "
-            "velocity, or to the position where there is no inertia."
-        ),
-    ] = 0.1
-    sensor_noise: Annotated[
-        float, tyro.conf.arg(help="Error of what the controller is told of the state.")
-    ] = 0.0
-    delay: Annotated[
-        float | None,
-        tyro.conf.arg(
-            help="From command to motion; that of the system's propulsion unless given."
-        ),
-    ] = None
-    samples: Annotated[
-        int,
-        tyro.conf.arg(
-            help="Models drawn from the posterior, whose spread makes uncertain "
-            "regions cost more; 0 takes the model for true."
-        ),
-    ] = 8
-    seeds: Annotated[
-        int, tyro.conf.arg(help="Runs of each controller, each with its own noise.")
-    ] = 20
-    seed: Annotated[int, tyro.conf.arg(help="Seed of all noise.")] = 0
-    frequency: Annotated[
-        float, tyro.conf.arg(help="Recording: greatest frequency commanded [Hz].")
-    ] = 10.0
+    Attributes:
+        start: Where the run begins.
+        goal: Where it should end.
+        tolerance: Distance from the goal that counts as there.
+        thrust: Greatest thrust: an acceleration where the model has inertia, else a
+            force. A recording's robot has its own.
+        keep_out: Discs that must not be entered.
+        arena: Rectangle that must not be left; around data, start and goal unless
+            given.
+        step: How long a command holds.
+        time_limit: When a run has failed; also horizon of the plan.
+        noise: White noise of the true swimmer: it adds noise * sqrt(dt) to the
+            velocity, or to the position where there is no inertia.
+        sensor_noise: Error of what the controller is told of the state.
+        delay: From command to motion; that of the system's propulsion unless given.
+        samples: Models drawn from the posterior, whose spread makes uncertain regions
+            cost more; 0 takes the model for true.
+        seeds: Runs of each controller, each with its own noise.
+        seed: Seed of all noise.
+        frequency: Recording: greatest frequency commanded [Hz].
+    """
 
-    def check(self) -> None:
-        """Raise `InputError` where a setting makes no sense."""
-        for name in ("tolerance", "thrust", "step", "time_limit", "frequency"):
-            _require(name, getattr(self, name), above=True)
-        for name in ("noise", "sensor_noise"):
-            _require(name, getattr(self, name), above=False)
-        if self.delay is not None:
-            _require("delay", self.delay, above=False)
-        if self.seeds < 1:
-            raise InputError(f"--seeds: expected 1 or more, got {self.seeds}")
+    start: Annotated[str, tyro.conf.arg(name="from", metavar="X,Y")]
+    goal: Annotated[str, tyro.conf.arg(name="to", metavar="X,Y")]
+    tolerance: Annotated[float, Range(above=0)] = 0.3
+    thrust: Annotated[float, Range(above=0)] = 0.8
+    keep_out: Annotated[tuple[str, ...], tyro.conf.arg(metavar="X,Y,R")] = ()
+    arena: Annotated[str | None, tyro.conf.arg(metavar="X0,Y0,X1,Y1")] = None
+    step: Annotated[float, Range(above=0)] = 0.1
+    time_limit: Annotated[float, Range(above=0)] = 20.0
+    noise: Annotated[float, Range(0)] = 0.1
+    sensor_noise: Annotated[float, Range(0)] = 0.0
+    delay: Annotated[float | None, Range(0)] = None
+    samples: int = 8
+    seeds: Annotated[int, Range(1)] = 20
+    seed: int = 0
+    frequency: Annotated[float, Range(above=0)] = 10.0
+
+    def check_together(self) -> None:
         if self.samples < 0 or self.samples == 1:
             raise InputError(
                 f"--samples: expected 0, or 2 and more, got {self.samples}"
@@ -131,16 +97,7 @@ def numbers(option: str, text: str, count: int) -> tuple[float, ...]:
     return values
 
 
-def _require(name: str, value: float, *, above: bool) -> None:
-    right = value > 0 if above else value >= 0
-    if not (right and math.isfinite(value)):
-        option = name.replace("_", "-")
-        raise InputError(
-            f"--{option}: expected a number {'> 0' if above else '>= 0'}, got {value}"
-        )
-
-
-class NavigateOptions(Settings, frozen=True):
+class NavigateOptions(RunOptions, frozen=True):
     """Go from a place to a place through the force that a run has learned.
 
     Plans on the learned force (from where the goal cannot be reached, and where the
@@ -151,14 +108,10 @@ class NavigateOptions(Settings, frozen=True):
     trajectory that would tell most about the force along the route. Writes
     metrics.json, report.html, figures and an animation. A negative number takes an
     equals sign: --from=-1,2.
+
+    Attributes:
+        run: Folder of pinav fit, of trajectories or of a recording.
     """
 
-    run: Annotated[
-        Path,
-        tyro.conf.Positional,
-        tyro.conf.arg(help="Folder of pinav fit, of trajectories or of a recording."),
-    ]
+    run: tyro.conf.Positional[Path]
     settings: NavigateSettings
-    out: OutFolder
-    overwrite: Overwrite = False
-    json: AsJson = False

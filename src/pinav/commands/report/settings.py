@@ -1,7 +1,6 @@
 """Options of `pinav report`."""
 
 from pathlib import Path
-from typing import Annotated
 
 import tyro
 
@@ -11,8 +10,10 @@ from pinav.commands.settings import (
 
 
 class ReportOptions(Settings, frozen=True):
-    """Draw the figures and the HTML page of a finished run again."""
+    """Draw the figures and the HTML page of a finished run again.
 
-    run: Annotated[
-        Path, tyro.conf.Positional, tyro.conf.arg(help="Folder of a finished run.")
-    ]
+    Attributes:
+        run: Folder of a finished run.
+    """
+
+    run: tyro.conf.Positional[Path]

@@ -9,8 +9,7 @@ from pinav.commands.command import CommandResult
 from pinav.commands.fitted_run import FittedRun, ModelHeader, write_model
 from pinav.commands.matching import matching, read_losses, write_losses
 from pinav.commands.progress import FitReporter
-from pinav.commands.reproduce import table2
-from pinav.commands.reproduce.command import REPRODUCE
+from pinav.commands.reproduce import REPRODUCE, table2
 from pinav.commands.reproduce.metrics import (
     ForceErrors,
     ReproduceMetrics,

@@ -2,7 +2,7 @@
 
 from pinav.commands.command import CommandResult
 from pinav.commands.start import start_run
-from pinav.commands.study.command import STUDY
+from pinav.commands.study import STUDY
 from pinav.commands.study.job import check, study
 from pinav.commands.study.paper_weakness import weakness
 from pinav.commands.study.report import text

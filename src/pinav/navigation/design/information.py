@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray
 
+from pinav.arguments import check_positive
 from pinav.dynamics import AbstractDynamics, FixedStep
 from pinav.errors import InputError
 from pinav.fitting.engine.multiple_shooting import eliminate, sensitivities
@@ -65,10 +66,7 @@ class InformationGain(AbstractCriterion):
     resolution: float
 
     def __check_init__(self):
-        if not self.resolution > 0:
-            raise InputError(
-                f"InformationGain.resolution: expected > 0, got {self.resolution}"
-            )
+        check_positive(self, "resolution")
 
     def __call__(self, before, after):
         floor = self.resolution**2 * jnp.eye(before.shape[0], dtype=before.dtype)
@@ -199,7 +197,9 @@ def suggest(
     for later in keys[1:]:
         best = ranking.candidates[ranking.best]
         varied = experiment.vary(best, num_candidates - 1, key=later)
-        candidates = jax.tree.map(_prepend, best, varied)
+        candidates = jax.tree.map(
+            lambda first, others: jnp.concatenate([first[None], others]), best, varied
+        )
         ranking = rank(posterior, route, experiment, candidates, **options)
     return ranking
 
@@ -324,10 +324,6 @@ def _root(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n rank"]:
     values, vectors = np.linalg.eigh(covariance)
     kept = values > 1e-12 * max(values[-1], 0.0)
     return vectors[:, kept] * np.sqrt(values[kept])
-
-
-def _prepend(first, others):
-    return jnp.concatenate([first[None], others])
 
 
 def _check_route(route: ArrayLike) -> Float[np.ndarray, "point 2"]:
