@@ -65,6 +65,7 @@ def _by_matching(model: str, recipe: str) -> Callable[..., tuple[Any, str]]:
             trainable=learned_part,
             objective=method.objective,
             dtype=method.dtype,
+            enough=method.enough,
         )
         return result.model, str(result.outcome)
 

@@ -107,7 +107,7 @@ def benchmark_system(key: int) -> BenchmarkSystem:
         environment=truth.environment,
         observation=Observation(noise=0.0),
         starts=jnp.asarray(starts),
-        rule=RingStarts((5.0, 5.0), radius=7.0, spread=2.0, speeds=(1.0, 5.0)),
+        rule=RingStarts(center=(5.0, 5.0), radius=7.0, spread=2.0, speeds=(1.0, 5.0)),
         times=times,
     )
     return BenchmarkSystem(key, encounter, form, width, system)

@@ -74,11 +74,13 @@ class Matching:
         recipes: the phases of each attempt.
         objective: what they minimise.
         dtype: floating-point type of the fit.
+        enough: loss below which no other attempt is made.
     """
 
     recipes: tuple[tuple[AbstractPhase, ...], ...]
     objective: AbstractObjective
     dtype: type
+    enough: float = 0.0
 
     @property
     def precision(self) -> str:
@@ -108,7 +110,14 @@ def matching(
         )
         # Kernels are linear in their weights, so that the rates alone all but fit them.
         recipes = (after, plain) if _is_linear(model) else (plain, after)
-    return Matching(recipes, TrajectoryLoss(FixedStep(substeps=2)), jnp.float64)
+    spread = float(np.std(data.states[data.observed]))
+    enough = data.num_observed * (ENOUGH * spread) ** 2
+    objective = TrajectoryLoss(FixedStep(substeps=2))
+    return Matching(recipes, objective, jnp.float64, enough)
+
+
+ENOUGH = 1e-3
+"""Residual of a fit that is kept as it is, in units of the spread of the data."""
 
 
 def _is_linear(model: AbstractDynamics) -> bool:

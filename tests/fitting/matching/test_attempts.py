@@ -5,7 +5,7 @@ import pytest
 
 from pinav.dynamics import Adaptive, Swimmer
 from pinav.fitting import Adam, Distillation, Outcome, Rates, curriculum, fit_in_turns
-from pinav.fitting.matching.attempts import _joined
+from pinav.fitting.matching.attempts import _has_failed, _joined
 from pinav.fitting.matching.state import Fit
 from pinav.forces import GaussianBarrier, LinearDrag, ZeroForce
 from pinav.trajectories import Trajectories
@@ -49,6 +49,14 @@ def test_what_converged_waits_for_the_others():
     other = ended(Outcome.STALLED, 9.0, 8.0, 7.0)
     kept = _joined(ended(Outcome.CONVERGED, 9.0, 1.0), None, other)
     assert kept.losses.tolist() == [9.0, 1.0, 1.0, 1.0, 1.0]
+
+
+def test_little_loss_is_enough_however_the_fit_ended():
+    stalled = ended(Outcome.STALLED, 9.0, 1.0)
+    assert _has_failed(stalled, 0.5)
+    assert not _has_failed(stalled, 1.0)
+    assert not _has_failed(ended(Outcome.CONVERGED, 9.0, 1.0), 0.0)
+    assert _has_failed(ended(Outcome.DIVERGED, 9.0, np.nan), 1e9)
 
 
 def test_a_fit_that_ended_well_has_one_attempt(data):

@@ -170,6 +170,7 @@ def _match(plan: FitPlan, folder: RunFolder) -> None:
             on_chunk=report,
             objective=method.objective,
             dtype=method.dtype,
+            enough=method.enough,
         )
     if result.outcome is Outcome.DIVERGED:
         raise FitError(DIVERGED)

@@ -142,6 +142,7 @@ def _write_fits(
             trainable=learned_part,
             objective=method.objective,
             dtype=method.dtype,
+            enough=method.enough,
             checkpoint=folder.checkpoint(entry.name),
             on_chunk=report,
         )

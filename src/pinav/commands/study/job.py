@@ -231,6 +231,7 @@ def fit_choice(
             trainable=choice.trainable,
             objective=method.objective,
             dtype=method.dtype,
+            enough=method.enough,
         )
     if result.outcome is Outcome.DIVERGED:
         raise FitError("the fit diverged")

@@ -131,6 +131,7 @@ def _fit_ude(
             on_chunk=report,
             objective=method.objective,
             dtype=method.dtype,
+            enough=method.enough,
         )
     return ModelHeader(choice, summary, method.precision), result.model
 

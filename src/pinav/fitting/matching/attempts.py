@@ -25,6 +25,7 @@ def fit_in_turns(
     trainable: Trainable,
     objective: AbstractObjective | None = None,
     dtype: type = jnp.float32,
+    enough: float = 0.0,
     checkpoint: AbstractCheckpoint | None = None,
     on_chunk: Callable[[FitProgress], None] | None = None,
 ) -> list[Fit]:
@@ -40,6 +41,7 @@ def fit_in_turns(
         trainable: see `fit_many`, as the other arguments.
         objective: what is minimised.
         dtype: precision of the fit.
+        enough: loss below which no other recipe is tried, however the fit ended.
         checkpoint: of the first recipe; later ones begin anew after an interruption.
         on_chunk: called after each chunk of steps.
     """
@@ -53,7 +55,7 @@ def fit_in_turns(
         **options,
     )
     for recipe in recipes[1:]:
-        failed = [i for i, fit in enumerate(fits) if fit.outcome not in ENDED]
+        failed = [i for i, fit in enumerate(fits) if _has_failed(fit, enough)]
         if not failed:
             break
         chosen = [models[i] for i in failed]
@@ -61,6 +63,10 @@ def fit_in_turns(
         others = dict(zip(failed, again, strict=True))
         fits = [_joined(fit, others.get(i), again[0]) for i, fit in enumerate(fits)]
     return fits
+
+
+def _has_failed(fit: Fit, enough: float) -> bool:
+    return fit.outcome not in ENDED and not fit.losses[-1] <= enough
 
 
 def _joined(before: Fit, after: Fit | None, example: Fit) -> Fit:
