@@ -252,7 +252,7 @@ class RunFolder:
 
     def write_json(self, name: str, content: Any) -> None:
         """Write a JSON file; a number that is not finite becomes null."""
-        text = json.dumps(_finite_json(content), indent=2, allow_nan=False)
+        text = json.dumps(finite_json(content), indent=2, allow_nan=False)
         self.write_text(name, text + "\n")
 
     def read_json(self, name: str) -> Any:
@@ -321,7 +321,7 @@ class RunFolder:
 
     def append_record(self, record: dict[str, Any]) -> None:
         """Append a line to `metrics.jsonl`."""
-        line = json.dumps(_finite_json(record), allow_nan=False)
+        line = json.dumps(finite_json(record), allow_nan=False)
         path = self.path / "metrics.jsonl"
         if not path.exists():
             self.record(path.name)
@@ -499,14 +499,14 @@ def _make_folder(path: Path) -> None:
         ) from error
 
 
-def _finite_json(content: Any) -> Any:
+def finite_json(content: Any) -> Any:
     """The content with every non-finite number replaced by None."""
     if isinstance(content, dict):
-        return {str(key): _finite_json(value) for key, value in content.items()}
+        return {str(key): finite_json(value) for key, value in content.items()}
     if isinstance(content, list | tuple):
-        return [_finite_json(value) for value in content]
+        return [finite_json(value) for value in content]
     if isinstance(content, np.ndarray):
-        return _finite_json(content.tolist())
+        return finite_json(content.tolist())
     if isinstance(content, float | np.floating):
         return float(content) if np.isfinite(content) else None
     return content

@@ -1,10 +1,14 @@
 """Numbers of results as JSON and tables hold them."""
 
+import enum
 import math
+from typing import Any, Self
 
 import msgspec
+import numpy as np
 
 from pinav.evaluation import RolloutSummary
+from pinav.runs import finite_json
 
 Cell = float | int | str | None
 """A score: None where it is not defined, "diverged" where it is infinite."""
@@ -17,6 +21,42 @@ def as_cell(value: float | int) -> Cell:
     if math.isnan(value):
         return None
     return "diverged" if math.isinf(value) else float(value)
+
+
+class Row(msgspec.Struct, frozen=True):
+    """A result as a file holds it; a number that is not finite is none."""
+
+    @classmethod
+    def of(cls, value: Any, **others: Any) -> Self:
+        """The row of a value of the library that has the fields as attributes.
+
+        Args:
+            value: such as an estimate; the attributes of its parts are taken, too.
+            others: fields that are no attributes of it.
+        """
+        names = (name for name in cls.__struct_fields__ if name not in others)
+        content = {name: _builtin(getattr(value, name)) for name in names} | others
+        row = msgspec.convert(content, cls, from_attributes=True)
+        return msgspec.convert(finite_json(msgspec.to_builtins(row)), cls)
+
+
+def _builtin(value: Any) -> Any:
+    """The word of an enumeration, or the number of a scalar of NumPy."""
+    if isinstance(value, enum.Enum):
+        return str(value.value)
+    return value.item() if isinstance(value, np.generic) else value
+
+
+class EstimateRow(Row, frozen=True):
+    """A number that was learned.
+
+    Attributes:
+        value: its best value.
+        sd: its standard deviation; none where the fit has no posterior.
+    """
+
+    value: float | None
+    sd: float | None
 
 
 class RolloutRow(msgspec.Struct, frozen=True):
@@ -41,11 +81,4 @@ class RolloutRow(msgspec.Struct, frozen=True):
     @classmethod
     def of(cls, summary: RolloutSummary) -> "RolloutRow":
         """The row of a summary of rollouts."""
-        return cls(
-            median=as_cell(summary.median),
-            high=as_cell(summary.high),
-            median_relative=as_cell(summary.median_relative),
-            high_relative=as_cell(summary.high_relative),
-            diverged=as_cell(summary.diverged),
-            trajectories=summary.trajectories,
-        )
+        return cls(*(as_cell(getattr(summary, n)) for n in cls.__struct_fields__))

@@ -76,6 +76,11 @@ class Errors(eqx.Module):
         return float(np.median(ratio)) if len(ratio) else float("nan")
 
     @property
+    def rollouts(self) -> int:
+        """Number of rollouts."""
+        return len(self.distance)
+
+    @property
     def median(self) -> float:
         """Median distance [L]; NaN without rollouts."""
         return float(np.median(self.distance)) if len(self.distance) else float("nan")
@@ -313,12 +318,12 @@ class Coverage(eqx.Module):
     Attributes:
         inside: share of all coordinates at all samples after the start.
         at_end: the same at the last sample alone.
-        count: number of rollouts.
+        rollouts: their number.
     """
 
     inside: float
     at_end: float
-    count: int
+    rollouts: int
 
 
 NORMAL_90 = 1.6448536269514722

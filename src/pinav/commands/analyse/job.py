@@ -414,7 +414,7 @@ def _write(folder: RunFolder, metrics: AnalysisMetrics, arrays: Arrays) -> None:
             table = [msgspec.structs.astuple(row) for row in rows]
             header = rows[0].__struct_fields__
             folder.write_table(f"analysis-{name}.csv", header, table)
-    folder.write_json(ANALYSIS_FILE, msgspec.to_builtins(metrics))
+    folder.write_metrics(ANALYSIS_FILE, metrics)
 
 
 def text(metrics: AnalysisMetrics) -> str:

@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 
-import msgspec
 import numpy as np
 from jaxtyping import Float
 
@@ -51,7 +50,7 @@ class Results:
     @classmethod
     def read(cls, folder: RunFolder) -> "Results":
         """The results in a run."""
-        metrics = msgspec.convert(folder.read_json(ANALYSIS_FILE), AnalysisMetrics)
+        metrics = folder.read_metrics(ANALYSIS_FILE, AnalysisMetrics)
         arrays = folder.read_arrays(ARRAYS_FILE)
         data = load(folder.path / "data.npz")
         x, y, force, distance = (arrays[n] for n in ("x", "y", "force", "distance"))

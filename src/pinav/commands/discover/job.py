@@ -2,17 +2,15 @@
 
 from pathlib import Path
 
-import msgspec
 import numpy as np
 
-from pinav.analysis import Candidate, Discovery, EstimatedConstant
+from pinav.analysis import Discovery
 from pinav.analysis import discover as discover_law
 from pinav.analysis.discovery.law_regression import law_force
 from pinav.analysis.discovery.learned_fit import laplace_posterior
 from pinav.commands.command import CommandResult
 from pinav.commands.discover.metrics import (
     CentralRow,
-    ConstantRow,
     DiscoveryMetrics,
     LawRow,
 )
@@ -56,7 +54,7 @@ def discover(run: Path, refits: int) -> DiscoveryMetrics:
             "law": law_force(best.law, values, sample.positions),
         },
     )
-    fitted.folder.write_json(LAWS_FILE, msgspec.to_builtins(metrics))
+    fitted.folder.write_metrics(LAWS_FILE, metrics)
     return metrics
 
 
@@ -79,56 +77,15 @@ def _posterior(run: FittedRun) -> Posterior:
 
 
 def _metrics(discovery: Discovery) -> DiscoveryMetrics:
-    central = discovery.central
-    sd_x, sd_y = (_finite(sd) for sd in central.center_sd)
-    return DiscoveryMetrics(
-        verdict=discovery.verdict.value,
-        laws=tuple(map(_law_row, discovery.candidates)),
-        screened=tuple((name, _finite(bic)) for name, bic in discovery.screened),
-        central=CentralRow(
-            verdict=central.verdict.value,
-            center=central.center,
-            center_sd=(sd_x, sd_y),
-            ratio=central.ratio,
-            noise_ratio=central.noise_ratio,
-            p_value=central.p_value,
+    return DiscoveryMetrics.of(
+        discovery,
+        laws=tuple(
+            LawRow.of(law, num_constants=len(law.constants), outcome=str(law.outcome))
+            for law in discovery.candidates
         ),
+        central=CentralRow.of(discovery.central),
         noise=discovery.learned_noise,
-        num_effective=discovery.num_effective,
     )
-
-
-def _law_row(candidate: Candidate) -> LawRow:
-    return LawRow(
-        name=candidate.name,
-        num_constants=len(candidate.constants),
-        bic=_finite(candidate.bic),
-        delta_bic=_finite(candidate.delta_bic),
-        noise=_finite(candidate.noise),
-        outcome=str(candidate.outcome),
-        fits=candidate.fits,
-        latex=candidate.latex,
-        sympy=candidate.sympy,
-        constants=tuple(map(_constant_row, candidate.constants)),
-    )
-
-
-def _constant_row(constant: EstimatedConstant) -> ConstantRow:
-    return ConstantRow(
-        name=constant.name,
-        symbol=constant.symbol,
-        unit=constant.unit,
-        value=constant.value,
-        sd=_finite(constant.sd),
-        low=_finite(constant.low),
-        high=_finite(constant.high),
-        identifiable=constant.identifiable,
-    )
-
-
-def _finite(value: float) -> float | None:
-    """The number, or none where it is not finite."""
-    return float(value) if np.isfinite(value) else None
 
 
 def ranking(metrics: DiscoveryMetrics) -> Table:

@@ -1,7 +1,5 @@
 """The section of a report on the law behind a learned force."""
 
-import msgspec
-
 from pinav.commands.discover.job import LAWS_FILE, SAMPLE_FILE, ranking
 from pinav.commands.discover.metrics import DiscoveryMetrics, LawRow
 from pinav.figures import formula_figure, law_figure
@@ -16,7 +14,7 @@ def law_sections(folder: RunFolder) -> list[Section]:
     """The findings of `pinav discover`, or nothing where it did not run."""
     if not folder.has(LAWS_FILE):
         return []
-    metrics = msgspec.convert(folder.read_json(LAWS_FILE), DiscoveryMetrics)
+    metrics = folder.read_metrics(LAWS_FILE, DiscoveryMetrics)
     arrays, figures = folder.read_arrays(SAMPLE_FILE), Figures(folder.path)
     units = load(folder.path / "data.npz").units
     figure = law_figure(

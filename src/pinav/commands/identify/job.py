@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
+from pinav.commands.cells import EstimateRow
 from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
 from pinav.commands.fitted_run import DATA_FILE, ModelHeader, save_data, write_fit
@@ -17,7 +18,6 @@ from pinav.commands.identify.metrics import (
     DelayMetrics,
     IdentifyMetrics,
     TrackMetrics,
-    Value,
     summarise_tracks,
 )
 from pinav.commands.identify.settings import IdentifyOptions, IdentifySettings
@@ -195,8 +195,8 @@ def _identify_track(
         free=whole.candidate.free,
         gain=whole.gain.tolist() if whole.candidate.gains else None,
         duration=track.duration,
-        rows=tuple(map(CandidateRow.of, selection.rows)),
-        estimates={name: Value.of(value) for name, value in estimates.items()},
+        rows=tuple(map(CandidateRow.of_candidate, selection.rows)),
+        estimates={n: EstimateRow.of(one) for n, one in estimates.items()},
         coverage=CoverageOfBands.of(bands),
         findings=tuple(finding_sentences(selection, estimates, delays)),
         delay=None if delays is None else DelayMetrics.of(delays),

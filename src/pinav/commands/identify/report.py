@@ -7,6 +7,7 @@ from pinav.commands.identify.metrics import IdentifyMetrics, TrackMetrics
 from pinav.figures import save_figure
 from pinav.figures.identification import horizon_errors, rollout_paths, speed_law
 from pinav.figures.style import new_figure
+from pinav.fitting import Estimate
 from pinav.identification import interval, positive_interval
 from pinav.identification.forecast import HORIZONS
 from pinav.report import Image, Paragraph, Section, Table
@@ -140,7 +141,7 @@ POSITIVE = (
 def _estimates(result: TrackMetrics, units: dict[str, str]) -> Table:
     rows = []
     for name, value in result.estimates.items():
-        estimate = value.estimate()
+        estimate = Estimate(_number(value.value), _number(value.sd))
         between = positive_interval if name in POSITIVE else interval
         row = (name, _unit(name, units), estimate.value, *between(estimate))
         rows.append((*row, MEANINGS.get(name, "")))
