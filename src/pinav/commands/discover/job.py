@@ -1,5 +1,6 @@
 """`pinav discover`: the law behind the learned force of a run."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from pinav.errors import InputError
 from pinav.fitting import Posterior
 from pinav.fitting.environments.catalogue import learned_part
 from pinav.forces import AbstractLearnedForce
-from pinav.report import Table
+from pinav.report import Cell, Table
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
 
@@ -90,19 +91,16 @@ def _metrics(discovery: Discovery) -> DiscoveryMetrics:
 
 def ranking(metrics: DiscoveryMetrics) -> Table:
     """The refitted laws, the best one first."""
-    rows = [
-        (
-            law.name,
-            law.num_constants,
-            law.delta_bic,
-            law.noise,
-            law.outcome,
-            "yes" if law.fits else "no",
-        )
-        for law in metrics.laws
-    ]
-    header = ("law", "constants", "ΔBIC", "noise", "refit", "explains the data")
-    return Table(header, rows, "Candidate laws refitted to the trajectories.")
+    columns: dict[str, Callable[[LawRow], Cell]] = {
+        "law": lambda law: law.name,
+        "constants": lambda law: law.num_constants,
+        "ΔBIC": lambda law: law.delta_bic,
+        "noise": lambda law: law.noise,
+        "refit": lambda law: law.outcome,
+        "explains the data": lambda law: "yes" if law.fits else "no",
+    }
+    caption = "Candidate laws refitted to the trajectories."
+    return Table.of(metrics.laws, columns, caption)
 
 
 def text(metrics: DiscoveryMetrics) -> str:

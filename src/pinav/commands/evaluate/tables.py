@@ -1,5 +1,7 @@
 """The tables of an evaluation, the same on a terminal and in the report."""
 
+from collections.abc import Callable
+
 from pinav.commands.cells import Cell
 from pinav.commands.evaluate.metrics import (
     CalibrationRow,
@@ -136,20 +138,17 @@ def _whiteness(whiteness: dict[str, ResidualRow]) -> Table:
 
 
 def _constants(constants: tuple[ConstantRow, ...]) -> Table:
-    rows = [
-        (
-            row.name,
-            row.true,
-            row.value,
-            row.sd,
-            _percent(row.relative_error),
-            row.z,
-        )
-        for row in constants
-    ]
-    return Table(
-        ("constant", "true", "recovered", "sd", "error (%)", "z"),
-        rows,
+    columns: dict[str, Callable[[ConstantRow], Cell]] = {
+        "constant": lambda row: row.name,
+        "true": lambda row: row.true,
+        "recovered": lambda row: row.value,
+        "sd": lambda row: row.sd,
+        "error (%)": lambda row: _percent(row.relative_error),
+        "z": lambda row: row.z,
+    }
+    return Table.of(
+        constants,
+        columns,
         "Constants trained beside the force, against the truth of the system: an error "
         "that the force could compensate shows here; |z| above 2 or 3 says that the "
         "interval is too narrow.",

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,9 @@ from pinav.errors import InputError
 from pinav.figures import overlay, recording_figure, save_figure
 from pinav.figures.style import new_figure
 from pinav.files import write_text
+from pinav.recordings.quality.commands import Drive
 from pinav.recordings.quality.report import Quality, Run, Track, quality
-from pinav.report import Code, Image, Paragraph, Section, Table, number, render
+from pinav.report import Cell, Code, Image, Paragraph, Section, Table, number, render
 from pinav.report.text import as_text
 from pinav.trajectories import Trajectories
 
@@ -112,26 +114,21 @@ def _of(names: list[str], warning: str, found: Quality) -> str:
 def runs_table(found: Quality) -> Table:
     """One row for each run."""
     length, time = found.units["x"], found.units["t"]
-    header = [
-        "run",
-        "particles",
-        "segments",
-        "rows",
-        f"duration [{time}]",
-        f"rate [1/{time}]",
-        "jitter [%]",
-        "gaps",
-        f"scatter [{length}]",
-        f"error [{length}]",
-    ]
-    driven = any(run.drive for run in found.runs)
-    if driven:
-        header += ["f [Hz]", "off [%]", "headings", "condition", "delay [%]"]
-    return Table(
-        header,
-        [[*_row(run), *(_drive_cells(run) if driven else [])] for run in found.runs],
-        _CAPTION + (_DRIVE_CAPTION if driven else ""),
-    )
+    columns: dict[str, Callable[[Run], Cell]] = {
+        "run": lambda run: run.name,
+        "particles": lambda run: run.particles,
+        "segments": lambda run: run.segments,
+        "rows": lambda run: run.samples,
+        f"duration [{time}]": lambda run: run.duration,
+        f"rate [1/{time}]": lambda run: run.clock.rate,
+        "jitter [%]": lambda run: round(100 * run.clock.jitter, 3),
+        "gaps": lambda run: run.clock.gaps,
+        f"scatter [{length}]": lambda run: run.scatter,
+        f"error [{length}]": lambda run: run.deviation,
+    }
+    if not any(run.drive for run in found.runs):
+        return Table.of(found.runs, columns, _CAPTION)
+    return Table.of(found.runs, columns | _DRIVE_COLUMNS, _CAPTION + _DRIVE_CAPTION)
 
 
 _CAPTION = (
@@ -144,33 +141,25 @@ _DRIVE_CAPTION = (
 )
 
 
-def _row(run: Run) -> list[str | float | int | None]:
-    return [
-        run.name,
-        run.particles,
-        run.segments,
-        run.samples,
-        run.duration,
-        run.clock.rate,
-        round(100 * run.clock.jitter, 3),
-        run.clock.gaps,
-        run.scatter,
-        run.deviation,
-    ]
+def _of_drive(cell: Callable[[Drive], Cell]) -> Callable[[Run], Cell]:
+    """A cell of a run that was driven, and an empty one of others."""
+    return lambda run: None if run.drive is None else cell(run.drive)
 
 
-def _drive_cells(run: Run) -> list[str | float | int | None]:
-    own = run.drive
-    if own is None:
-        return [None] * 5
-    low, high = (number(value, 3) for value in own.frequency)
-    return [
-        f"{low}–{high}",
-        100 * own.off,
-        own.sectors,
-        "∞" if own.condition == float("inf") else own.condition,
-        100 * own.delay,
-    ]
+def _frequencies(drive: Drive) -> str:
+    low, high = (number(value, 3) for value in drive.frequency)
+    return f"{low}–{high}"
+
+
+_DRIVE_COLUMNS = {
+    "f [Hz]": _of_drive(_frequencies),
+    "off [%]": _of_drive(lambda drive: 100 * drive.off),
+    "headings": _of_drive(lambda drive: drive.sectors),
+    "condition": _of_drive(
+        lambda drive: "∞" if drive.condition == float("inf") else drive.condition
+    ),
+    "delay [%]": _of_drive(lambda drive: 100 * drive.delay),
+}
 
 
 def page(
@@ -247,40 +236,26 @@ def _speed_sections(found: Quality) -> list[Section]:
 
 def _tracks_table(found: Quality) -> Table:
     length, time = found.units["x"], found.units["t"]
-    rows = [
-        (
-            track.run,
-            track.particle,
-            track.segments,
-            track.samples,
-            track.lost,
-            track.duration,
-            track.path,
-            track.speed,
-            *_localised(track),
-        )
-        for track in found.tracks
-    ]
-    header = (
-        "run",
-        "particle",
-        "segments",
-        "rows",
-        "lost",
-        f"duration [{time}]",
-        f"path [{length}]",
-        f"speed [{length}/{time}]",
-        f"scatter [{length}]",
-        f"error [{length}]",
-        f"D [{length}²/{time}]",
-    )
+    columns: dict[str, Callable[[Track], Cell]] = {
+        "run": lambda track: track.run,
+        "particle": lambda track: track.particle,
+        "segments": lambda track: track.segments,
+        "rows": lambda track: track.samples,
+        "lost": lambda track: track.lost,
+        f"duration [{time}]": lambda track: track.duration,
+        f"path [{length}]": lambda track: track.path,
+        f"speed [{length}/{time}]": lambda track: track.speed,
+        f"scatter [{length}]": _localised("scatter"),
+        f"error [{length}]": _localised("deviation"),
+        f"D [{length}²/{time}]": _localised("diffusion"),
+    }
     caption = "D: diffusion or jitter, as far as error and motion leave it."
-    return Table(header, rows, caption)
+    return Table.of(found.tracks, columns, caption)
 
 
-def _localised(track: Track) -> list[float | None]:
-    own = track.localisation
-    return [None] * 3 if own is None else [own.scatter, own.deviation, own.diffusion]
+def _localised(name: str) -> Callable[[Track], Cell]:
+    """A number of the localisation, where there is one."""
+    return lambda track: getattr(track.localisation, name, None)
 
 
 def run(options: InspectOptions) -> CommandResult:

@@ -33,7 +33,6 @@ from pinav.evaluation import (
     square,
     summarise,
 )
-from pinav.figures import save_figure
 from pinav.figures.errors import error_over_time, errors_by_region
 from pinav.figures.style import new_figure, style_of, title_panel
 from pinav.fitting import fit, fit_bayes
@@ -44,7 +43,8 @@ from pinav.fitting.environments.catalogue import (
     summarise_data,
     summarise_for,
 )
-from pinav.report import Image, Paragraph, Section, Table
+from pinav.report import Paragraph, Section, Table
+from pinav.report.images import Figures
 from pinav.runs import RunFolder
 from pinav.scenarios import paper
 from pinav.trajectories import Trajectories, simulate
@@ -189,20 +189,20 @@ def weakness_sections(folder: RunFolder, metrics: WeaknessMetrics) -> list[Secti
     error_over_time(curves, styles=STYLES, ax=right)
     title_panel(left, "(a) error of the force by region")
     title_panel(right, f"(b) rollouts from {metrics.held_out} held-out starts")
-    files = save_figure(figure, folder.path / "figures", "paper-weakness")
     return [
         Section(
             "The paper's weakness in one figure",
             [
                 Paragraph(_introduction(metrics)),
-                Image(
-                    files.svg,
-                    "Force error by region and rollout error over time",
+                Figures(folder.path).image(
+                    "paper-weakness",
+                    figure,
                     "(a) Relative L2 error of the force; ground counts by its distance "
                     f"to the data that the model was fitted to: visited within "
                     f"{VISITED:g}, near within {NEAR:g}, unvisited farther. (b) Median "
                     "position error (line) and 90th percentile (dotted); a line ends "
                     "where that share has diverged. Synthetic data, dimensionless.",
+                    alt="Force error by region and rollout error over time",
                 ),
                 weakness_table(metrics),
             ],
