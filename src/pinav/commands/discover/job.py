@@ -17,11 +17,12 @@ from pinav.commands.discover.metrics import (
 )
 from pinav.commands.discover.settings import DiscoverOptions
 from pinav.commands.fitted_run import FittedRun
-from pinav.dynamics import Swimmer
+from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.fitting import Posterior
 from pinav.fitting.environments.catalogue import learned_part
 from pinav.forces import AbstractLearnedForce
+from pinav.identification import is_commanded
 from pinav.report import Cell, Table
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
@@ -62,10 +63,13 @@ def discover(run: Path, refits: int) -> DiscoveryMetrics:
 def _posterior(run: FittedRun) -> Posterior:
     """The posterior that the run stored, or one by Laplace about its model."""
     model, path = run.model, run.folder.path
-    if not isinstance(model, Swimmer):
+    known = isinstance(model, Swimmer | OverdampedSwimmer)
+    stochastic = run.system.thermal_energy is not None or "diffusion" in run.constants
+    if not known or stochastic or is_commanded(run.system):
         raise InputError(
-            f"{path}: laws are refitted to the trajectories of swimmers with inertia; "
-            f"expected such a model, got {type(model).__name__}"
+            f"{path}: laws are refitted to trajectories that follow from their starts; "
+            "expected a swimmer without thermal noise, commands or wandering velocity, "
+            f"got the model {run.choice.name} of system {run.system.name}"
         )
     if not isinstance(model.environment, AbstractLearnedForce):
         raise InputError(

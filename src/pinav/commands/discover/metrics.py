@@ -14,7 +14,7 @@ class ConstantRow(Row, frozen=True):
     Attributes:
         name: in words.
         symbol: in LaTeX.
-        unit: dimension in length L and time T; "1" means dimensionless.
+        unit: dimension in length L, time T and force F; "1" means dimensionless.
         value: best value.
         sd: standard deviation; none where the data say nothing.
         low: lower end of the 95 % interval.
