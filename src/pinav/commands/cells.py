@@ -2,7 +2,7 @@
 
 import enum
 import math
-from typing import Any, Self
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -23,11 +23,14 @@ def as_cell(value: float | int) -> Cell:
     return "diverged" if math.isinf(value) else float(value)
 
 
+Kind = TypeVar("Kind", bound="Row")
+
+
 class Row(msgspec.Struct, frozen=True):
     """A result as a file holds it; a number that is not finite is none."""
 
     @classmethod
-    def of(cls, value: Any, **others: Any) -> Self:
+    def of(cls: type[Kind], value: Any, **others: Any) -> Kind:
         """The row of a value of the library that has the fields as attributes.
 
         Args:

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import Float
+from jaxtyping import Array, Float
 from scipy.linalg import cho_solve
 from scipy.optimize import minimize
 
@@ -100,7 +100,7 @@ def commands(piece: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-def _vector(frequency, heading):
+def _vector(frequency: np.ndarray, heading: np.ndarray) -> np.ndarray:
     return frequency[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
 
 
@@ -109,13 +109,13 @@ def least_squares(track: Track) -> Baseline:
     begin = time.perf_counter()
     samples = Samples.of(track)
 
-    def rows(command):
+    def rows(command: np.ndarray) -> np.ndarray:
         return np.concatenate([command, np.ones((len(command), 1))], axis=1)
 
     design = rows(samples.command())
     best = np.linalg.lstsq(design, samples.velocity, rcond=None)[0]
 
-    def velocity(piece):
+    def velocity(piece: Trajectory) -> np.ndarray:
         return rows(_vector(*commands(piece))) @ best
 
     return Baseline("least squares", velocity, time.perf_counter() - begin)
@@ -252,7 +252,7 @@ def black_box(track: Track, *, seed: int = 0) -> Baseline:
         float(samples.velocity.std()) or 1.0,
     )
 
-    def features(position, command):
+    def features(position: np.ndarray, command: np.ndarray) -> np.ndarray:
         scaled = (position - center) / scales[0], command / scales[1]
         return np.concatenate(scaled, axis=1)
 
@@ -263,7 +263,7 @@ def black_box(track: Track, *, seed: int = 0) -> Baseline:
         jnp.asarray(samples.velocity / scales[2]),
     )
 
-    def velocity(piece):
+    def velocity(piece: Trajectory) -> np.ndarray:
         places = features(piece.states, _vector(*commands(piece)))
         return np.asarray(jax.vmap(network)(jnp.asarray(places))) * scales[2]
 
@@ -271,15 +271,15 @@ def black_box(track: Track, *, seed: int = 0) -> Baseline:
 
 
 @eqx.filter_jit
-def _trained(network, inputs, targets):
+def _trained(network: Any, inputs: Array, targets: Array) -> Any:
     optimiser = optax.adam(optax.cosine_decay_schedule(LEARNING_RATE, NETWORK_STEPS))
     weights, static = eqx.partition(network, eqx.is_inexact_array)
 
-    def loss(weights):
+    def loss(weights: Any) -> Array:
         predicted = jax.vmap(eqx.combine(weights, static))(inputs)
         return jnp.mean((predicted - targets) ** 2)
 
-    def step(state, _):
+    def step(state: tuple, _: None) -> tuple[tuple, None]:
         weights, memory = state
         updates, memory = optimiser.update(jax.grad(loss)(weights), memory, weights)
         return (optax.apply_updates(weights, updates), memory), None

@@ -125,7 +125,7 @@ def delay_findings(track: Track, fit: TrackFit) -> DelayFindings:
 
 
 def finding_sentences(
-    selection: Selection, estimates: dict[str, Estimate], delays
+    selection: Selection, estimates: dict[str, Estimate], delays: DelayFindings | None
 ) -> list[str]:
     """The verdict on one track.
 
@@ -203,7 +203,7 @@ def _propulsion(selection: Selection) -> str:
     )
 
 
-def _response(selection: Selection, estimates) -> str:
+def _response(selection: Selection, estimates: dict[str, Estimate]) -> str:
     linear = selection.row(MATRIX.name).log_evidence
     chosen = selection.best.candidate.response
     if chosen == "linear":
@@ -221,7 +221,7 @@ def _response(selection: Selection, estimates) -> str:
     return text + "."
 
 
-def _delay(delays) -> str:
+def _delay(delays: DelayFindings) -> str:
     if delays.confounded:
         offset, rate = delays.offset_without_delay, delays.turning_rate
         text = (

@@ -150,7 +150,7 @@ class Search:
         candidate: CandidateModel,
         prior: Prior,
         field: Field | None = None,
-    ):
+    ) -> None:
         self.design, self.candidate, self.prior = design, candidate, prior
         self.field = field
         self.places = np.array([NAMES.index(name) for name in candidate.learned])
@@ -295,16 +295,20 @@ def _unknown(fit: TrackFit) -> Float[Array, " unknown"]:
 
 
 @eqx.filter_jit
-def _quantities_about(candidate: CandidateModel, unknown: Float[Array, " unknown"]):
+def _quantities_about(
+    candidate: CandidateModel, unknown: Float[Array, " unknown"]
+) -> tuple[dict[str, Array], dict[str, Array]]:
     """Quantities with a meaning, and their derivatives."""
 
-    def quantities(unknown):
+    def quantities(unknown: Array) -> dict[str, Array]:
         return _quantities(candidate, unknown)
 
     return quantities(unknown), jax.jacrev(quantities)(unknown)
 
 
-def _quantities(candidate: CandidateModel, unknown) -> dict[str, Float[Array, ""]]:
+def _quantities(
+    candidate: CandidateModel, unknown: Array
+) -> dict[str, Float[Array, ""]]:
     count = len(candidate.learned)
     matrices, velocities = (
         jnp.asarray(candidate.matrices()),
@@ -330,7 +334,7 @@ def _quantities(candidate: CandidateModel, unknown) -> dict[str, Float[Array, ""
     return found
 
 
-def _speed(fit: TrackFit, frequency):
+def _speed(fit: TrackFit, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     held = [fit.parameter(name) for name in ("log_corner", "logit_residual")]
     with jax.enable_x64(new_val=True):
         values, slopes = _speed_about(
@@ -342,11 +346,13 @@ def _speed(fit: TrackFit, frequency):
 
 
 @eqx.filter_jit
-def _speed_about(candidate: CandidateModel, unknown, held, frequency):
+def _speed_about(
+    candidate: CandidateModel, unknown: Array, held: Array, frequency: Array
+) -> tuple[Array, Array]:
     """Speed by frequency, and its derivative; what is not learned is held."""
     learned, matrices = candidate.learned, jnp.asarray(candidate.matrices())
 
-    def law(unknown):
+    def law(unknown: Array) -> Array:
         values = dict(zip(learned, unknown[: len(learned)], strict=True))
         corner = values.get("log_corner", held[0])
         residual = values.get("logit_residual", held[1])

@@ -6,11 +6,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from pinav.actuation import HeldProgramme
 from pinav.identification.fit import TrackFit
-from pinav.identification.kalman import Disturbance, transitions
+from pinav.identification.kalman import Disturbance, Transition, transitions
 from pinav.identification.models import NAMES, RESPONSES, SwitchedResponse
 from pinav.identification.tracks import Track, padded_to
 from pinav.trajectories import Trajectory
@@ -102,7 +102,7 @@ def errors(track: Track, rollouts: Rollouts, displacement: Displacement) -> Erro
     return Errors(np.array(distance), np.array(path))
 
 
-def _cumulated_length(positions):
+def _cumulated_length(positions: np.ndarray) -> np.ndarray:
     steps = np.hypot(*np.diff(positions, axis=0).T)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
@@ -135,7 +135,7 @@ def cycles(fit: TrackFit, piece: Trajectory) -> Float[np.ndarray, "time 2"]:
 
 
 @eqx.filter_jit
-def _cycles(programme: HeldProgramme, index, drive):
+def _cycles(programme: HeldProgramme, index: Array, drive: Array) -> Array:
     corner, residual, delay, lag = drive
     response = SwitchedResponse(index, corner, residual)
     times = programme.times - delay
@@ -207,15 +207,15 @@ class FrameJitter(eqx.Module):
         return np.where(_rolling(piece)[:, None], rolling, self.still)
 
 
-def _rolling(piece) -> Bool[np.ndarray, " time"]:
+def _rolling(piece: Trajectory) -> Bool[np.ndarray, " time"]:
     return piece.commands.get("frequency", np.zeros_like(piece.times)) > 0
 
 
-def _mean_square(values) -> float:
+def _mean_square(values: np.ndarray) -> float:
     return float(np.mean(values**2)) if len(values) else 0.0
 
 
-def _running_mean(times, values, width):
+def _running_mean(times: np.ndarray, values: np.ndarray, width: float) -> np.ndarray:
     total = np.concatenate([np.zeros((1, 2)), np.cumsum(values, axis=0)])
     low = np.searchsorted(times, times - width / 2)
     high = np.searchsorted(times, times + width / 2, side="right")
@@ -262,7 +262,7 @@ class Forecast(eqx.Module):
         frame = self.frame[own]
         return self._wandering(own)[:, None] + unknown + frame + frame[:1]
 
-    def _wandering(self, own) -> Float[np.ndarray, " sample"]:
+    def _wandering(self, own: slice) -> Float[np.ndarray, " sample"]:
         """What the disturbance adds from a start without knowledge of it."""
         times = self.piece.times[own]
         frequency = self.piece.commands.get(
@@ -286,11 +286,15 @@ class Forecast(eqx.Module):
 
 
 @eqx.filter_jit
-def _transitions(intervals, frequency, disturbance: Disturbance):
+def _transitions(
+    intervals: Array, frequency: Array, disturbance: Disturbance
+) -> Transition:
     return transitions(intervals, disturbance.strength(frequency), disturbance)
 
 
-def _slopes(piece, fit, path):
+def _slopes(
+    piece: Trajectory, fit: TrackFit, path: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Of a displacement by each unknown, and the covariance of the unknowns."""
     learned = fit.candidate.learned
     drive = [name for name in NAMES[:4] if name in learned]
@@ -304,7 +308,9 @@ def _slopes(piece, fit, path):
     return slopes, fit.covariance[np.ix_(places, places)]
 
 
-def _drive_slope(piece, fit, path, name):
+def _drive_slope(
+    piece: Trajectory, fit: TrackFit, path: np.ndarray, name: str
+) -> np.ndarray:
     step = 1e-3
     theta = np.array(fit.theta)
     theta[NAMES.index(name)] += step

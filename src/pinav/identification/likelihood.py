@@ -17,7 +17,12 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from pinav.actuation import HeldProgramme
-from pinav.identification.kalman import Disturbance, innovations, transitions
+from pinav.identification.kalman import (
+    Disturbance,
+    Innovations,
+    innovations,
+    transitions,
+)
 from pinav.identification.models import (
     COMMAND_RESPONSE,
     NAMES,
@@ -188,62 +193,68 @@ def disturbance_of(theta: Float[Array, " parameter"]) -> Disturbance:
     return Disturbance(*values)
 
 
-def displacements(theta, design: Design) -> Float[Array, "sample 2"]:
+def displacements(theta: Array, design: Design) -> Float[Array, "sample 2"]:
     """Integral of the response along the heading, delayed and lagged [cycles]."""
     return _displacements(theta[: len(COMMAND_RESPONSE)], design)
 
 
 @eqx.filter_custom_vjp
-def _displacements(drive, design):
+def _displacements(drive: Array, design: Design) -> Array:
     return jax.lax.cond(_lags(drive), _lagged, _prompt, drive, design)
 
 
 @_displacements.def_fwd
-def _displacements_forward(perturbed, drive, design):
+def _displacements_forward(
+    perturbed: Any, drive: Array, design: Design
+) -> tuple[Array, None]:
     del perturbed
     return _displacements(drive, design), None
 
 
 @_displacements.def_bwd
-def _displacements_reverse(residuals, cotangent, perturbed, drive, design):
+def _displacements_reverse(
+    residuals: None, cotangent: Array, perturbed: Any, drive: Array, design: Design
+) -> Array:
     """Differentiates the branch that was taken, without room for the other one.
 
     Without a lag in forward mode: few parameters stand before thousands of samples.
     """
     del residuals, perturbed
 
-    def lagged(drive, cotangent):
+    def lagged(drive: Array, cotangent: Array) -> Array:
         return jax.vjp(lambda d: _lagged(d, design), drive)[1](cotangent)[0]
 
-    def prompt(drive, cotangent):
+    def prompt(drive: Array, cotangent: Array) -> Array:
         jacobian = jax.jacfwd(lambda d: _prompt(d, design))(drive)
         return jnp.einsum("sa,sad->d", cotangent, jacobian)
 
     return jax.lax.cond(_lags(drive), lagged, prompt, drive, cotangent)
 
 
-def _lags(drive):
+def _lags(drive: Array) -> Array:
     return jnp.exp(drive[3]) > 2e-4
 
 
-def _lagged(drive, design):
+def _lagged(drive: Array, design: Design) -> Array:
     programme, response, ts = _driven(drive, design)
     return programme.lagged_integral(response, ts, jnp.exp(drive[3]))
 
 
-def _prompt(drive, design):
+def _prompt(drive: Array, design: Design) -> Array:
     programme, response, ts = _driven(drive, design)
     return programme.integral(response, ts)
 
 
-def _driven(drive, design):
+def _driven(
+    drive: Array, design: Design
+) -> tuple[HeldProgramme, SwitchedResponse, Array]:
     blocks: Any = design.blocks  # as JAX arrays
     programme = HeldProgramme(blocks.times, blocks.frequency, blocks.heading)
     response = SwitchedResponse(design.response, drive[0], drive[1])
     return programme, response, blocks.times - drive[2]
 
 
-def block_means(values, blocks: Blocks):
+def block_means(values: Array, blocks: Blocks) -> Array:
     """Means over the samples of each block; zero in padding."""
     total = jnp.zeros((blocks.counts.shape[0], values.shape[1]))
     total = total.at[blocks.block].add(jnp.where(blocks.real[:, None], values, 0.0))
@@ -281,7 +292,9 @@ def whitened(
     )
 
 
-def filtered_columns(theta, columns, frequency, blocks: Any):
+def filtered_columns(
+    theta: Array, columns: Array, frequency: Array, blocks: Any
+) -> Innovations:
     """Innovations of columns given at each block; the fifth column is the time."""
     disturbance = disturbance_of(theta)
     present = (blocks.counts > 0).astype(columns.dtype)

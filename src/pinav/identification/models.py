@@ -135,7 +135,7 @@ class SwitchedResponse(AbstractResponse):
     log_corner: Float[Array, ""]
     logit_residual: Float[Array, ""]
 
-    def __call__(self, frequency):
+    def __call__(self, frequency: Array) -> Array:
         branches = [lambda f, a, b, make=make: make(a, b)(f) for make in _RESPONSES]
         return jax.lax.switch(
             self.index, branches, frequency, self.log_corner, self.logit_residual

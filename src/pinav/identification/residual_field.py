@@ -28,7 +28,7 @@ from pinav.identification.likelihood import (
     filtered_columns,
 )
 from pinav.identification.tracks import Blocks, Track
-from pinav.trajectories import Trajectories
+from pinav.trajectories import Trajectories, Trajectory
 
 NETWORK_STEPS = 5
 """Gauss-Newton steps of a network; kernels need one."""
@@ -186,13 +186,17 @@ def _block_displacement(environment: Any, blocks: Blocks) -> Float[Array, "block
     return block_means(path, blocks)
 
 
-def _filtered_rows(theta, columns, blocks) -> Float[Array, "row column"]:
+def _filtered_rows(
+    theta: Array, columns: Array, blocks: Blocks
+) -> Float[Array, "row column"]:
     rest = block_means(jnp.stack([blocks.times, blocks.frequency], axis=-1), blocks)
     whitened = [_filtered_axis(theta, columns[:, a], rest, blocks) for a in (0, 1)]
     return jnp.concatenate(whitened)
 
 
-def _filtered_axis(theta, columns, rest, blocks) -> Float[Array, "step column"]:
+def _filtered_axis(
+    theta: Array, columns: Array, rest: Array, blocks: Blocks
+) -> Float[Array, "step column"]:
     """The columns of one axis through the filter, which wants the time as the fifth."""
     padded = jnp.concatenate(
         [jnp.zeros((columns.shape[0], 4)), rest[:, :1], columns], axis=-1
@@ -222,7 +226,12 @@ def residual_errors(track: Track, rollouts: Rollouts, fit: ResidualFit) -> Error
     )
 
 
-def _rolled_out(environment, piece, path, ends):
+def _rolled_out(
+    environment: Any,
+    piece: Trajectory,
+    path: np.ndarray,
+    ends: tuple[np.ndarray, np.ndarray],
+) -> np.ndarray:
     """Ends of rollouts by the midpoint rule, from frame to frame."""
     first, last = ends
     count = int((last - first).max())
@@ -236,10 +245,12 @@ def _rolled_out(environment, piece, path, ends):
 
 
 @eqx.filter_jit
-def _integrated(environment, starts, steps, intervals):
+def _integrated(
+    environment: Any, starts: Array, steps: Array, intervals: Array
+) -> Array:
     velocity = jax.vmap(lambda x: environment(0.0, x, jnp.zeros_like(x)))
 
-    def step(x, inputs):
+    def step(x: Array, inputs: tuple[Array, Array]) -> tuple[Array, None]:
         known, interval = inputs
         half = x + (known + velocity(x) * interval[:, None]) / 2
         return x + known + velocity(half) * interval[:, None], None

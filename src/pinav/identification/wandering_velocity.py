@@ -41,13 +41,13 @@ def drift_over_time(track: Track, fit: TrackFit) -> DriftOverTime:
     return DriftOverTime(*map(np.concatenate, zip(*parts, strict=True)))
 
 
-def _piece(piece: Trajectory, width: float, fit: TrackFit):
+def _piece(piece: Trajectory, width: float, fit: TrackFit) -> tuple[np.ndarray, ...]:
     index = np.unique(
         np.floor((piece.times - piece.times[0]) / width + 1e-9), return_inverse=True
     )[1]
     counts = np.bincount(index)
 
-    def means(values):
+    def means(values: np.ndarray) -> np.ndarray:
         return np.bincount(index, values) / counts
 
     left = piece.states - cycles(fit, piece) @ fit.gain.T

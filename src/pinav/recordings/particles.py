@@ -1,7 +1,7 @@
 """One particle of a recording: its rows in order of time, with its commands."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import final
 
 import numpy as np
@@ -55,7 +55,7 @@ def particles(tracks: Tracks, reading: Reading) -> dict[Name, Particle]:
     }
 
 
-def _names(tracks: Tracks):
+def _names(tracks: Tracks) -> Iterator[Name]:
     blank = [""] * len(tracks.x)
     return zip(
         tracks.run or blank, tracks.kind or blank, tracks.particle or blank, strict=True
@@ -83,7 +83,9 @@ def _times(tracks: Tracks, reading: Reading) -> Float64[np.ndarray, " row"]:
     return tracks.frame.astype(np.float64)
 
 
-def _particle(tracks: Tracks, reading: Reading, times, rows) -> Particle:
+def _particle(
+    tracks: Tracks, reading: Reading, times: np.ndarray, rows: np.ndarray
+) -> Particle:
     rows = _ordered(tracks, rows)
     kept = _advancing(tracks, times, rows)
     repeats = len(rows) - len(kept)

@@ -231,7 +231,7 @@ def _check_header(header: Sequence[str], line: int) -> None:
 
 
 def _rows(
-    reader, header: Sequence[str], skip: int, below: int
+    reader: Any, header: Sequence[str], skip: int, below: int
 ) -> tuple[list[list[str]], list[int]]:
     """The rows that are not empty, and the line of each."""
     rows, numbers = [], []

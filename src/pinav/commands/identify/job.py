@@ -163,7 +163,7 @@ class _Result:
         arrays: dict[str, np.ndarray] | None = None,
         fit: TrackFit | None = None,
         jitter: float = 0.0,
-    ):
+    ) -> None:
         self.metrics, self.arrays = metrics, arrays or {}
         self.fit, self.jitter = fit, jitter
 

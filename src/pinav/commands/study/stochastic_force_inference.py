@@ -16,7 +16,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import FitError
@@ -99,11 +99,11 @@ def infer_force(
     )
 
 
-def _functions(centers, width, direction) -> Any:
+def _functions(centers: Array, width: float, direction: Array) -> Any:
     """Gradients of the radial basis, drag and thrust."""
     make = importlib.import_module("SFI.statefunc").make_basis
 
-    def radial(x):
+    def radial(x: Array) -> Array:
         offsets = (x[None] - centers) / width
         bumps = jnp.exp(-0.5 * jnp.sum(offsets**2, axis=1))
         return (bumps[:, None] * offsets / width).T
@@ -116,7 +116,7 @@ def _functions(centers, width, direction) -> Any:
 
 
 def _inferred(
-    positions, times, noise, functions, count: int
+    positions: np.ndarray, times: np.ndarray, noise: float, functions: Any, count: int
 ) -> Float[np.ndarray, " function"]:
     """Coefficients by the parametric estimator, then sparse selection."""
     tool: Any = importlib.import_module("SFI")
