@@ -134,25 +134,25 @@ def finding_sentences(
         estimates: of the chosen candidate.
         delays: from `delay_findings`; None where nothing was commanded.
     """
-    found = [f"The evidence chooses: {selection.chosen}."]
+    sentences = [f"The evidence chooses: {selection.chosen}."]
     if delays is None:
         recorded = "frequency" in selection.train.pieces[0].commands
         idle = "The commands ask for no motion" if recorded else "No commands recorded"
-        found.append(f"{idle}: gain, delay and heading cannot be known.")
+        sentences.append(f"{idle}: gain, delay and heading cannot be known.")
     else:
-        found += [
+        sentences += [
             _propulsion(selection),
             _response(selection, estimates),
             _delay(delays),
         ]
-        found.append(_gain(selection, "lag", "a lag of the heading"))
-        found.append(extrapolation(selection.train, selection.held_out))
-    found.append(_gain(selection, "time-dependent drift", "a drift that changes"))
-    found += [
+        sentences.append(_gain(selection, "lag", "a lag of the heading"))
+        sentences.append(extrapolation(selection.train, selection.held_out))
+    sentences.append(_gain(selection, "time-dependent drift", "a drift that changes"))
+    sentences += [
         _gain(selection, name, f"a velocity that depends on position ({name})")
         for name in ("Gaussian process", "potential")
     ]
-    return [sentence for sentence in found if sentence]
+    return [sentence for sentence in sentences if sentence]
 
 
 def extrapolation(train: Track, held_out: Track) -> str:

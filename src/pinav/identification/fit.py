@@ -280,12 +280,12 @@ DIFFERENCE, ACROSS_KINKS = 0.02, 0.25
 def _estimates(fit: TrackFit) -> dict[str, Estimate]:
     with jax.enable_x64(new_val=True):
         values, slopes = _quantities_about(fit.candidate, _unknown(fit))
-    found = {}
+    estimates = {}
     for name, value in values.items():
         slope = np.asarray(slopes[name])
         variance = max(float(slope @ fit.covariance @ slope), 0.0)
-        found[name] = Estimate(float(value), math.sqrt(variance))
-    return found
+        estimates[name] = Estimate(float(value), math.sqrt(variance))
+    return estimates
 
 
 def _unknown(fit: TrackFit) -> Float[Array, " unknown"]:
@@ -314,24 +314,24 @@ def _quantities(
         jnp.asarray(candidate.matrices()),
         jnp.asarray(candidate.velocities()),
     )
-    found = {}
+    quantities = {}
     if candidate.gains:
         gain = jnp.einsum("g,gab->ab", unknown[count : count + 4], matrices)
-        found["gain"] = mean_gain(gain)
-        found["gain x/y"] = jnp.linalg.norm(gain[0]) / jnp.linalg.norm(gain[1])
-        found["heading offset"] = heading_offset(gain)
+        quantities["gain"] = mean_gain(gain)
+        quantities["gain x/y"] = jnp.linalg.norm(gain[0]) / jnp.linalg.norm(gain[1])
+        quantities["heading offset"] = heading_offset(gain)
     if candidate.drifts:
         drift = unknown[count + 4 :] @ velocities
-        found["drift x"], found["drift y"] = drift[0], drift[1]
+        quantities["drift x"], quantities["drift y"] = drift[0], drift[1]
     for index, name in enumerate(candidate.learned):
         value = unknown[index]
         if name.startswith("log_"):
-            found[name.removeprefix("log_").replace("_", " ")] = jnp.exp(value)
+            quantities[name.removeprefix("log_").replace("_", " ")] = jnp.exp(value)
         elif name == "logit_residual":
-            found["residual"] = jax.nn.sigmoid(value)
+            quantities["residual"] = jax.nn.sigmoid(value)
         else:
-            found[name] = value
-    return found
+            quantities[name] = value
+    return quantities
 
 
 def _speed(fit: TrackFit, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

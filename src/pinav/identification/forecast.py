@@ -41,17 +41,17 @@ class Rollouts(eqx.Module):
     @classmethod
     def of(cls, track: Track, horizon: float) -> "Rollouts":
         """Starts every `STRIDE` seconds of each segment, where the horizon fits."""
-        found = []
+        places = []
         for index, piece in enumerate(track.pieces):
             times = piece.times
             starts = np.arange(times[0], times[-1] - horizon + 1e-9, STRIDE)
             first = np.searchsorted(times, starts - 1e-9)
             last = np.searchsorted(times, times[first] + horizon - 1e-9)
             fits = (last < len(times)) & (first < last)
-            found += [
+            places += [
                 (index, a, b) for a, b in zip(first[fits], last[fits], strict=True)
             ]
-        rows = np.array(found, np.int64).reshape(-1, 3)
+        rows = np.array(places, np.int64).reshape(-1, 3)
         return cls(*rows.T)
 
     def __len__(self) -> int:
@@ -130,8 +130,8 @@ def cycles(fit: TrackFit, piece: Trajectory) -> Float[np.ndarray, "time 2"]:
     index = RESPONSES.index(fit.candidate.response)
     with jax.enable_x64(new_val=True):
         programme, drive = programme_of(piece), jnp.asarray(fit.theta[:4])
-        found = _cycles(programme, jnp.asarray(index), drive)
-    return np.asarray(found)[: len(piece.times)]
+        integral = _cycles(programme, jnp.asarray(index), drive)
+    return np.asarray(integral)[: len(piece.times)]
 
 
 @eqx.filter_jit
@@ -256,15 +256,15 @@ class Forecast(eqx.Module):
 
     def variance(self, first: int, last: int) -> Float[np.ndarray, "sample 2"]:
         """Of a rollout: disturbance, unknowns, jitter at start and end [L²]."""
-        own = slice(first, last + 1)
-        slopes = self.slopes[own] - self.slopes[first]
+        samples = slice(first, last + 1)
+        slopes = self.slopes[samples] - self.slopes[first]
         unknown = np.einsum("tap,pq,taq->ta", slopes, self.covariance, slopes)
-        frame = self.frame[own]
-        return self._wandering(own)[:, None] + unknown + frame + frame[:1]
+        frame = self.frame[samples]
+        return self._wandering(samples)[:, None] + unknown + frame + frame[:1]
 
-    def _wandering(self, own: slice) -> Float[np.ndarray, " sample"]:
+    def _wandering(self, samples: slice) -> Float[np.ndarray, " sample"]:
         """What the disturbance adds from a start without knowledge of it."""
-        times = self.piece.times[own]
+        times = self.piece.times[samples]
         frequency = self.piece.commands.get(
             "frequency", np.zeros_like(self.frame[:, 0])
         )
@@ -273,7 +273,7 @@ class Forecast(eqx.Module):
         with jax.enable_x64(new_val=True):
             steps = _transitions(
                 jnp.asarray(np.pad(intervals, more, constant_values=1.0)),
-                jnp.asarray(np.pad(frequency[own][:-1], more)),
+                jnp.asarray(np.pad(frequency[samples][:-1], more)),
                 self.disturbance,
             )
         matrices, noises = np.asarray(steps.matrix), np.asarray(steps.noise)

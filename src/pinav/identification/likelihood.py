@@ -73,9 +73,9 @@ class Prior(eqx.Module):
     def bounds(self) -> Float[np.ndarray, "parameter 2"]:
         """Five standard deviations either way; a delay is not negative."""
         reach = 5 * self.sd
-        found = np.stack([self.mean - reach, self.mean + reach], axis=1)
-        found[NAMES.index("delay"), 0] = 0.0
-        return found
+        bounds = np.stack([self.mean - reach, self.mean + reach], axis=1)
+        bounds[NAMES.index("delay"), 0] = 0.0
+        return bounds
 
 
 def _typical_speed(track: Track) -> float:
@@ -319,10 +319,10 @@ def rolling_about(frequency: Float[Array, " block"]) -> Float[Array, " step"]:
     padded = jnp.concatenate([frequency[:1], frequency, frequency[-1:]])
     later = padded[1:], padded[2:], padded[3:]
     steps = frequency.shape[0] - 1
-    found = padded[:steps]
+    highest = padded[:steps]
     for shifted in later:
-        found = jnp.maximum(found, shifted[:steps])
-    return found
+        highest = jnp.maximum(highest, shifted[:steps])
+    return highest
 
 
 def negative_log_evidence(

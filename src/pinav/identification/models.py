@@ -78,17 +78,17 @@ class CandidateModel(eqx.Module):
 
     def matrices(self) -> Float[np.ndarray, "4 2 2"]:
         """The gain matrices, with zeros for those that are absent."""
-        found = np.zeros((4, 2, 2))
+        matrices = np.zeros((4, 2, 2))
         if self.gains:
-            found[: len(self.gains)] = self.gains
-        return found
+            matrices[: len(self.gains)] = self.gains
+        return matrices
 
     def velocities(self) -> Float[np.ndarray, "2 2"]:
         """The drift velocities, with zeros for those that are absent."""
-        found = np.zeros((2, 2))
+        velocities = np.zeros((2, 2))
         if self.drifts:
-            found[: len(self.drifts)] = self.drifts
-        return found
+            velocities[: len(self.drifts)] = self.drifts
+        return velocities
 
 
 ISOTROPIC = (((1.0, 0.0), (0.0, 1.0)),)

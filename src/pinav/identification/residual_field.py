@@ -210,11 +210,11 @@ def residual_errors(track: Track, rollouts: Rollouts, fit: ResidualFit) -> Error
     paths = [displacement(piece) for piece in track.pieces]
     distance, length = [], []
     for index in range(len(track.pieces)):
-        own = np.flatnonzero(rollouts.piece == index)
-        if not len(own):
+        chosen = np.flatnonzero(rollouts.piece == index)
+        if not len(chosen):
             continue
         piece = track.pieces[index]
-        first, last = rollouts.first[own], rollouts.last[own]
+        first, last = rollouts.first[chosen], rollouts.last[chosen]
         ends = _rolled_out(fit.environment, piece, paths[index], (first, last))
         distance.append(np.hypot(*(ends - piece.states[last]).T))
         steps = np.hypot(*np.diff(piece.states, axis=0).T)

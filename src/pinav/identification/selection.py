@@ -209,12 +209,12 @@ class _Comparison:
             self._refuse(label, str(error))
             return
         seconds = time.perf_counter() - begin
-        found = {
+        by_horizon = {
             horizon: residual_errors(self.held_out, self._rollouts(horizon), fit)
             for horizon in HORIZONS
         }
         r2 = self._r2_of_residual(fit)
-        self._append(Row(label, fit.log_evidence, seconds, found, r2))
+        self._append(Row(label, fit.log_evidence, seconds, by_horizon, r2))
 
     def _r2_of_residual(self, fit: ResidualFit) -> float:
         path = path_of(fit.corrected)
@@ -232,11 +232,11 @@ class _Comparison:
     def baseline(self, name: str) -> None:
         """A baseline."""
         try:
-            found = BASELINES[name](self.train)
+            fitted = BASELINES[name](self.train)
         except InputError as error:
             self._refuse(name, str(error))
             return
-        self._add(name, float("nan"), found.seconds, found.displacement())
+        self._add(name, float("nan"), fitted.seconds, fitted.displacement())
 
     def _rollouts(self, horizon: float) -> Rollouts:
         return Rollouts.of(self.held_out, horizon)
@@ -245,12 +245,12 @@ class _Comparison:
         self, name: str, log_evidence: float, seconds: float, displacement: Displacement
     ) -> None:
         displacement = computed_once(displacement)
-        found = {
+        by_horizon = {
             horizon: errors(self.held_out, self._rollouts(horizon), displacement)
             for horizon in HORIZONS
         }
         r2 = velocity_r2(self.held_out, displacement)
-        self._append(Row(name, log_evidence, seconds, found, r2))
+        self._append(Row(name, log_evidence, seconds, by_horizon, r2))
 
     def _refuse(self, name: str, reason: str) -> None:
         self._append(Row(name, float("nan"), float("nan"), {}, float("nan"), reason))

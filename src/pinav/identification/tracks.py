@@ -101,7 +101,7 @@ def trajectories_of(
         pooled: see `tracks`.
     """
     names = _names(recording, pooled=pooled)
-    chosen = [index for index, own in enumerate(names) if own == name]
+    chosen = [index for index, other in enumerate(names) if other == name]
     return recording.select(chosen) if chosen else recording
 
 
@@ -289,10 +289,12 @@ class Blocks(eqx.Module):
     @classmethod
     def of(cls, track: Track) -> "Blocks":
         """The blocks of a track; sizes are rounded up, to compile seldom."""
-        own = [_block_indices(piece.times, track.width) for piece in track.pieces]
+        indices = [_block_indices(piece.times, track.width) for piece in track.pieces]
         samples, blocks = track.sizes
-        first = np.cumsum([0, *(int(index[-1]) + 1 for index in own)])
-        index = np.concatenate([i + f for i, f in zip(own, first[:-1], strict=True)])
+        first = np.cumsum([0, *(int(index[-1]) + 1 for index in indices)])
+        index = np.concatenate(
+            [i + f for i, f in zip(indices, first[:-1], strict=True)]
+        )
         length = len(index)
         begins, counts = np.zeros((2, blocks))
         begins[first[:-1]] = 1.0

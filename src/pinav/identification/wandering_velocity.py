@@ -63,5 +63,5 @@ def _piece(piece: Trajectory, width: float, fit: TrackFit) -> tuple[np.ndarray, 
         velocity, slow, sd = smoothed_velocity(
             jnp.asarray(positions), strength, steps, disturbance
         )
-    found = np.asarray(velocity) + fit.drift, np.asarray(slow) + fit.drift
-    return times, *found, np.asarray(sd)
+    velocities = np.asarray(velocity) + fit.drift, np.asarray(slow) + fit.drift
+    return times, *velocities, np.asarray(sd)

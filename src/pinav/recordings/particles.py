@@ -90,16 +90,16 @@ def _particle(
     kept = _advancing(tracks, times, rows)
     repeats = len(rows) - len(kept)
     rows = kept
-    own = times[rows]
+    ordered = times[rows]
     positions = np.stack([tracks.x[rows], tracks.y[rows]], axis=1)
     commands = {n: c[rows] for n, c in tracks.commands.items()}
     unknown = [np.isnan(values) for values in commands.values()]
     return Particle(
         rows=rows,
-        times=own,
+        times=ordered,
         positions=positions,
         seen=np.asarray(np.isfinite(positions).all(axis=1)),
-        commands=_acting(commands, own, reading),
+        commands=_acting(commands, ordered, reading),
         repeats=repeats,
         silent=int(np.any(unknown, axis=0).sum()),
     )
@@ -126,8 +126,10 @@ def _advancing(tracks: Tracks, times: np.ndarray, rows: np.ndarray) -> np.ndarra
 
     Clocks with coarse ticks may give two frames one time; the second is left out.
     """
-    own = times[rows]
-    late = np.flatnonzero(np.diff(own) < (0 if tracks.frame is not None else 1e-300))
+    ordered = times[rows]
+    late = np.flatnonzero(
+        np.diff(ordered) < (0 if tracks.frame is not None else 1e-300)
+    )
     if late.size:
         before, row = rows[[late[0], late[0] + 1]].tolist()
         fault = "repeats" if times[row] == times[before] else "is before"
@@ -136,7 +138,7 @@ def _advancing(tracks: Tracks, times: np.ndarray, rows: np.ndarray) -> np.ndarra
             f"{times[before]:g} of {tracks.place(before)}; sort the rows by time and "
             "delete repeats"
         )
-    return rows[np.concatenate([[True], np.diff(own) > 0])]
+    return rows[np.concatenate([[True], np.diff(ordered) > 0])]
 
 
 def _acting(

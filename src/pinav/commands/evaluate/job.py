@@ -106,7 +106,9 @@ def evaluate(
         regions=setting.regions.definition(fitted.data.units["x"]),
         domain=setting.domain,
         horizon=fitted.horizon,
-        rmse={name: _errors(found["data"]) for name, found in sources.items()},
+        rmse={name: _errors(source["data"]) for name, source in sources.items()},
+            name: _errors(predictions["data"]) for name, predictions in sources.items()
+        },
         rollouts=rollouts,
         force=_forces(models, setting),
         seen=fitted.shared_trajectories(setting.data),

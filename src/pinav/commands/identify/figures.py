@@ -24,9 +24,9 @@ def figure_arrays(
         arrays[f"observed/{index}"] = piece.states
     ends = zip(rollouts.piece, rollouts.first, rollouts.last, strict=True)
     forecasts = [Forecast.of(piece, fit, jitter) for piece in held_out.pieces]
-    for index, (own, a, b) in enumerate(ends):
-        arrays[f"predicted/{index}"] = forecasts[own].rollout(int(a), int(b))
-        arrays[f"sd/{index}"] = np.sqrt(forecasts[own].variance(int(a), int(b))[-1])
+    for index, (segment, a, b) in enumerate(ends):
+        arrays[f"predicted/{index}"] = forecasts[segment].rollout(int(a), int(b))
+        arrays[f"sd/{index}"] = np.sqrt(forecasts[segment].variance(int(a), int(b))[-1])
     if whole.candidate.gains:
         arrays |= _speed_law(selection.track, whole)
     return arrays

@@ -117,8 +117,8 @@ def identify(
     chosen = _system_track(settings.track, results)
     if chosen is not None:
         index = [track.name for track in several].index(chosen)
-        own = trajectories_of(recording, chosen, pooled=pooled)
-        _write_system(folder, index, chosen, results[chosen], own)
+        trajectories = trajectories_of(recording, chosen, pooled=pooled)
+        _write_system(folder, index, chosen, results[chosen], trajectories)
     metrics = IdentifyMetrics(
         units={name: recording.units[name] for name in ("x", "t")},
         system=chosen,

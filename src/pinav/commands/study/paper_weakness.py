@@ -215,8 +215,8 @@ def _introduction(metrics: WeaknessMetrics) -> str:
         "default": "the Gauss-Newton curriculum of pinav, not the paper's optimiser",
         "paper": "the paper's own recipe, Adam and then L-BFGS",
     }[metrics.recipe]
-    own = metrics.own_trajectory
-    shown = f"{own:.2g}" if isinstance(own, float) else own
+    error = metrics.own_trajectory
+    shown = f"{error:.2g}" if isinstance(error, float) else error
     return (
         "The paper's network of position and time, trained on its single trajectory by "
         f"{recipe}, reproduces that trajectory to a position error of {shown}. The "

@@ -88,14 +88,14 @@ def infer_force(
     weights = _inferred(
         positions, trajectories.times[0], noise, functions, len(centers) + 2
     )
-    found = (
+    learned = (
         LinearDrag(float(weights[-2])),
         KernelPotential(jnp.asarray(weights[:-2]), jnp.asarray(centers), basis.width),
     )
     propulsion: Any = known.propulsion
     gain = float(propulsion.gain * weights[-1] / np.linalg.norm(thrust))
     return eqx.tree_at(
-        lambda s: (s.propulsion.gain, s.drag, s.environment), known, (gain, *found)
+        lambda s: (s.propulsion.gain, s.drag, s.environment), known, (gain, *learned)
     )
 
 
