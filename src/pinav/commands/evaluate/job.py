@@ -107,8 +107,6 @@ def evaluate(
         domain=setting.domain,
         horizon=fitted.horizon,
         rmse={name: _errors(source["data"]) for name, source in sources.items()},
-            name: _errors(predictions["data"]) for name, predictions in sources.items()
-        },
         rollouts=rollouts,
         force=_forces(models, setting),
         seen=fitted.shared_trajectories(setting.data),
