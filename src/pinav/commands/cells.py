@@ -23,6 +23,11 @@ def as_cell(value: float | int) -> Cell:
     return "diverged" if math.isinf(value) else float(value)
 
 
+def percent(value: Cell) -> Cell:
+    """A fraction in percent; what is no number stays as it is."""
+    return 100 * value if isinstance(value, float) else value
+
+
 Kind = TypeVar("Kind", bound="Row")
 
 
@@ -84,4 +89,6 @@ class RolloutRow(msgspec.Struct, frozen=True):
     @classmethod
     def of(cls, summary: RolloutSummary) -> "RolloutRow":
         """The row of a summary of rollouts."""
-        return cls(*(as_cell(getattr(summary, n)) for n in cls.__struct_fields__))
+        names = cls.__struct_fields__
+        cells = {name: as_cell(getattr(summary, name)) for name in names}
+        return msgspec.convert(cells, cls)

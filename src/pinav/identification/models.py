@@ -92,10 +92,9 @@ class CandidateModel(eqx.Module):
 
 
 ISOTROPIC = (((1.0, 0.0), (0.0, 1.0)),)
-TURNED = (*ISOTROPIC, ((0.0, -1.0), (1.0, 0.0)))
 DIAGONAL = (((1.0, 0.0), (0.0, 0.0)), ((0.0, 0.0), (0.0, 1.0)))
 FULL = (*DIAGONAL, ((0.0, 1.0), (0.0, 0.0)), ((0.0, 0.0), (1.0, 0.0)))
-"""Gains: a number; with a heading offset; one for each axis; any matrix."""
+"""Gains: a number; one for each axis; any matrix."""
 
 BOTH = ((1.0, 0.0), (0.0, 1.0))
 """A drift in any direction."""

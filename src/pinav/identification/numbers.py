@@ -1,5 +1,7 @@
 """Learned numbers of a swimmer and of its noise, in the units of a system."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -146,7 +148,7 @@ def posterior_over(
     free_numbers = [FreeNumber(n.path) for n in numbers if n.path != WEIGHTS]
     has_weights = len(free_numbers) < len(numbers)
 
-    def select(model: OverdampedSwimmer) -> tuple:
+    def select(model: Any) -> tuple:
         weights = model.environment.parameters if has_weights else ()
         weights = weights if isinstance(weights, tuple) else (weights,)
         return *weights, *(number.pick(model) for number in free_numbers)

@@ -19,6 +19,7 @@ from pinav.fitting.engine.iterate import iterate
 from pinav.fitting.engine.steps import FullStep, ShortenedStep
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.least_squares import Regression
+from pinav.identification.displacement_field import path_displacement
 from pinav.identification.fit import TrackFit
 from pinav.identification.forecast import Errors, Rollouts, path_of
 from pinav.identification.likelihood import (
@@ -122,7 +123,9 @@ class FilteredDisplacement(eqx.Module):
 
     def displacement(self, environment: Any) -> Float[Array, " row"]:
         """Integral of the environment's velocity along the path, filtered."""
-        moved = _block_displacement(environment, self.blocks)
+        moved = path_displacement(
+            lambda t, x: environment(t, x, jnp.zeros_like(x)), self.blocks
+        )
         return _filtered_rows(self.theta, moved[..., None], self.blocks)[:, 0]
 
     def __call__(self, environment: Any) -> Float[Array, " row"]:
@@ -175,15 +178,6 @@ class _BaseDesign(eqx.Module):
         left = np.asarray(self.residuals.target - moved)
         coefficients[self.present] = np.linalg.lstsq(self.rows, left, rcond=None)[0]
         return coefficients
-
-
-def _block_displacement(environment: Any, blocks: Blocks) -> Float[Array, "block 2"]:
-    velocity = jax.vmap(lambda x: environment(0.0, x, jnp.zeros_like(x)))
-    rates = velocity(blocks.positions)
-    middle = (rates[1:] + rates[:-1]) / 2
-    steps = middle * jnp.diff(blocks.times)[:, None]  # leaps between segments: reset
-    path = jnp.concatenate([jnp.zeros((1, 2)), jnp.cumsum(steps, axis=0)])
-    return block_means(path, blocks)
 
 
 def _filtered_rows(

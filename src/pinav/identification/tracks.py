@@ -176,7 +176,7 @@ def _block_width(pieces: Sequence[Trajectory]) -> float:
 
 def _counts(pieces: Sequence[Trajectory], width: float) -> tuple[int, int]:
     """Samples and blocks."""
-    blocks = sum(int(_block_indices(piece.times, width)[-1]) + 1 for piece in pieces)
+    blocks = sum(int(block_indices(piece.times, width)[-1]) + 1 for piece in pieces)
     return sum(len(piece.times) for piece in pieces), blocks
 
 
@@ -289,7 +289,7 @@ class Blocks(eqx.Module):
     @classmethod
     def of(cls, track: Track) -> "Blocks":
         """The blocks of a track; sizes are rounded up, to compile seldom."""
-        indices = [_block_indices(piece.times, track.width) for piece in track.pieces]
+        indices = [block_indices(piece.times, track.width) for piece in track.pieces]
         samples, blocks = track.sizes
         first = np.cumsum([0, *(int(index[-1]) + 1 for index in indices)])
         index = np.concatenate(
@@ -322,7 +322,7 @@ class Blocks(eqx.Module):
         )
 
 
-def _block_indices(times: np.ndarray, width: float) -> np.ndarray:
+def block_indices(times: np.ndarray, width: float) -> np.ndarray:
     """Number of the block of each sample; empty blocks are left out."""
     raw = np.floor((times - times[0]) / width + 1e-9).astype(np.int64)
     return np.unique(raw, return_inverse=True)[1]

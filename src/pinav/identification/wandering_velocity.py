@@ -10,7 +10,7 @@ from pinav.identification.fit import TrackFit
 from pinav.identification.forecast import cycles
 from pinav.identification.kalman import smoothed_velocity, transitions
 from pinav.identification.likelihood import rolling_about
-from pinav.identification.tracks import Track
+from pinav.identification.tracks import Track, block_indices
 from pinav.trajectories import Trajectory
 
 
@@ -42,9 +42,7 @@ def drift_over_time(track: Track, fit: TrackFit) -> DriftOverTime:
 
 
 def _piece(piece: Trajectory, width: float, fit: TrackFit) -> tuple[np.ndarray, ...]:
-    index = np.unique(
-        np.floor((piece.times - piece.times[0]) / width + 1e-9), return_inverse=True
-    )[1]
+    index = block_indices(piece.times, width)
     counts = np.bincount(index)
 
     def means(values: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from pinav.commands.cells import Cell
+from pinav.commands.cells import Cell, percent
 from pinav.commands.evaluate.metrics import (
     CalibrationRow,
     ConstantRow,
@@ -51,9 +51,9 @@ def _rollouts(metrics: EvaluationMetrics) -> Table:
             f"{model}, {source}, {part}",
             row.median,
             row.high,
-            _percent(row.median_relative),
-            _percent(row.high_relative),
-            _percent(row.diverged),
+            percent(row.median_relative),
+            percent(row.high_relative),
+            percent(row.diverged),
             row.trajectories,
         )
         for model, sources in metrics.rollouts.items()
@@ -75,15 +75,11 @@ def _rollouts(metrics: EvaluationMetrics) -> Table:
     )
 
 
-def _percent(value: Cell) -> Cell:
-    return 100 * value if isinstance(value, float) else value
-
-
 def _force(metrics: EvaluationMetrics) -> Table:
     rows = [
         (
             f"{model}, {region}",
-            _percent(row.error),
+            percent(row.error),
             f"{row.cosine:.5f}" if isinstance(row.cosine, float) else "–",
             row.points,
         )
@@ -102,7 +98,7 @@ def _coverage(coverage: dict[str, dict[str, Cell]]) -> Table:
     rows = [
         (
             what,
-            *(_percent(row[region]) for region in ("visited", "near", "unvisited")),
+            *(percent(row[region]) for region in ("visited", "near", "unvisited")),
         )
         for what, row in coverage.items()
     ]
@@ -143,7 +139,7 @@ def _constants(constants: tuple[ConstantRow, ...]) -> Table:
         "true": lambda row: row.true,
         "recovered": lambda row: row.value,
         "sd": lambda row: row.sd,
-        "error (%)": lambda row: _percent(row.relative_error),
+        "error (%)": lambda row: percent(row.relative_error),
         "z": lambda row: row.z,
     }
     return Table.of(

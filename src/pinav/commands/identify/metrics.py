@@ -196,13 +196,14 @@ def summarise_tracks(tracks: Iterable[TrackMetrics]) -> dict[str, SummaryRow]:
     return {name: SummaryRow.of(group) for name, group in rows.items()}
 
 
-def _float(value: NUMBER) -> float:
+def as_float(value: NUMBER) -> float:
+    """A number; NaN where there is none."""
     return float("nan") if value is None else value
 
 
 def _finite(values: Iterable[NUMBER]) -> tuple[np.ndarray, bool]:
     """The finite ones, and whether all are."""
-    array = np.array([_float(value) for value in values], float)
+    array = np.array([as_float(value) for value in values], float)
     finite = np.isfinite(array)
     return array[finite], bool(finite.all())
 
@@ -240,7 +241,7 @@ def _track_lines(track: TrackMetrics) -> list[str]:
     lines, bands = list(track.findings), track.coverage
     if bands is not None and bands.rollouts:
         lines.append(
-            f"Nominal 90 % bands hold {100 * _float(bands.inside):.0f} % of the "
+            f"Nominal 90 % bands hold {100 * as_float(bands.inside):.0f} % of the "
             f"held-out positions ({bands.rollouts} rollouts of 10 s)."
         )
     return lines

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import msgspec
 import numpy as np
 
-from pinav.commands.cells import Cell, RolloutRow, as_cell
+from pinav.commands.cells import RolloutRow, as_cell, percent
 from pinav.commands.fitted_run import ModelHeader, build_model, write_model
 from pinav.commands.held_out import held_out
 from pinav.commands.matching import CurriculumSettings, matching
@@ -232,10 +232,10 @@ def weakness_table(metrics: WeaknessMetrics) -> Table:
     rows = [
         (
             name,
-            *map(_percent, row.force.values()),
+            *map(percent, row.force.values()),
             row.rollouts.median,
             row.rollouts.high,
-            _percent(row.rollouts.diverged),
+            percent(row.rollouts.diverged),
         )
         for name, row in metrics.models.items()
     ]
@@ -248,7 +248,3 @@ def weakness_table(metrics: WeaknessMetrics) -> Table:
         f"rollouts from {metrics.held_out} clean held-out starts: median and 90th "
         "percentile, share farther off than the extent of the domain.",
     )
-
-
-def _percent(value: Cell) -> Cell:
-    return 100 * value if isinstance(value, float) else value

@@ -71,15 +71,17 @@ def _series(
 
 def table(rows: Iterable[StudyRow]) -> Table:
     """All cells of a study, errors of the force in percent."""
-    percent = [name.startswith("force") for name in HEADER]
+    in_percent = [name.startswith("force") for name in HEADER]
     header = [
         f"{name} (%)" if scaled else name
-        for name, scaled in zip(HEADER, percent, strict=True)
+        for name, scaled in zip(HEADER, in_percent, strict=True)
     ]
     cells = [
         [
-            100 * value if scaled and isinstance(value, float) else value
-            for value, scaled in zip(msgspec.structs.astuple(row), percent, strict=True)
+            percent(value) if scaled else value
+            for value, scaled in zip(
+                msgspec.structs.astuple(row), in_percent, strict=True
+            )
         ]
         for row in rows
     ]
