@@ -5,7 +5,7 @@ from collections.abc import Iterable
 
 import msgspec
 
-from pinav.commands.cells import Cell
+from pinav.commands.cells import Cell, percent
 from pinav.commands.study.metrics import (
     HEADER,
     NoiseMetrics,
@@ -71,17 +71,15 @@ def _series(
 
 def table(rows: Iterable[StudyRow]) -> Table:
     """All cells of a study, errors of the force in percent."""
-    in_percent = [name.startswith("force") for name in HEADER]
+    scales = [name.startswith("force") for name in HEADER]
     header = [
         f"{name} (%)" if scaled else name
-        for name, scaled in zip(HEADER, in_percent, strict=True)
+        for name, scaled in zip(HEADER, scales, strict=True)
     ]
     cells = [
         [
             percent(value) if scaled else value
-            for value, scaled in zip(
-                msgspec.structs.astuple(row), in_percent, strict=True
-            )
+            for value, scaled in zip(msgspec.structs.astuple(row), scales, strict=True)
         ]
         for row in rows
     ]
