@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.analysis import HelmholtzSplit, LyapunovMap, SobolIndices
-from pinav.commands.analyse.job import ANALYSIS_FILE, ARRAYS_FILE, rotation_sentence
+from pinav.commands.analyse.job import ANALYSIS_FILE, ARRAYS_FILE
 from pinav.commands.analyse.metrics import (
     AnalysisMetrics,
     ConstantEffect,
@@ -131,7 +131,7 @@ def _parts(results: Results, figures: Figures) -> Content:
         "potential explains. Greatest: they all count as rotational. sd: over "
         "posterior samples.",
     )
-    return [Paragraph(f"{rotation_sentence(parts).capitalize()}."), image, table]
+    return [Paragraph(f"{parts.sentence().capitalize()}."), image, table]
 
 
 def _potential(results: Results, figures: Figures) -> Image:
