@@ -30,6 +30,7 @@ ORDER = [
     "thermal",
     "figures",
     "report",
+    "checkpoints",
     "runs",
     "commands",
     "cli",
@@ -156,6 +157,7 @@ def test_import_reader_sees_every_form():
     assert sorted(imported_modules(source)) == [
         "cli",
         "fitting.matching.phases.Adam",
+        "checkpoints",
         "runs",
     ]
 

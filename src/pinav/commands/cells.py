@@ -8,7 +8,6 @@ import msgspec
 import numpy as np
 
 from pinav.evaluation import RolloutSummary
-from pinav.runs import finite_json
 
 Cell = float | int | str | None
 """A score: None where it is not defined, "diverged" where it is infinite."""
@@ -45,7 +44,7 @@ class Row(msgspec.Struct, frozen=True):
         names = (name for name in cls.__struct_fields__ if name not in others)
         content = {name: _builtin(getattr(value, name)) for name in names} | others
         row = msgspec.convert(content, cls, from_attributes=True)
-        return msgspec.convert(finite_json(msgspec.to_builtins(row)), cls)
+        return msgspec.json.decode(msgspec.json.encode(row), type=cls)
 
 
 def _builtin(value: Any) -> Any:
