@@ -21,7 +21,7 @@ from scipy.optimize import minimize
 
 from pinav.forces import tanh_network
 from pinav.identification.forecast import Displacement
-from pinav.identification.tracks import Track
+from pinav.identification.tracks import Track, commands_of
 from pinav.trajectories import Trajectory
 
 WINDOW = 1.0
@@ -80,7 +80,7 @@ class Samples(eqx.Module):
             low, high = low[inner], high[inner]
             interval = (times[high] - times[low])[:, None]
             velocity = (piece.states[high] - piece.states[low]) / interval
-            frequency, heading = commands(piece)
+            frequency, heading = commands_of(piece)
             parts.append(
                 (velocity, piece.states[inner], frequency[inner], heading[inner])
             )
@@ -89,15 +89,6 @@ class Samples(eqx.Module):
     def command(self) -> Float[np.ndarray, "sample 2"]:
         r"""$f\,n(\theta)$ [Hz]."""
         return _vector(self.frequency, self.heading)
-
-
-def commands(piece: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Frequency and heading of a segment; zeros where nothing was commanded."""
-    nothing = np.zeros_like(piece.times)
-    return (
-        piece.commands.get("frequency", nothing),
-        piece.commands.get("heading", nothing),
-    )
 
 
 def _vector(frequency: np.ndarray, heading: np.ndarray) -> np.ndarray:
@@ -116,7 +107,7 @@ def least_squares(track: Track) -> Baseline:
     best = np.linalg.lstsq(design, samples.velocity, rcond=None)[0]
 
     def velocity(piece: Trajectory) -> np.ndarray:
-        return rows(_vector(*commands(piece))) @ best
+        return rows(_vector(*commands_of(piece))) @ best
 
     return Baseline("least squares", velocity, time.perf_counter() - begin)
 
@@ -154,7 +145,7 @@ def gaussian_process(
     ]
 
     def velocity(piece: Trajectory) -> Float[np.ndarray, "time 2"]:
-        frequency, heading = commands(piece)
+        frequency, heading = commands_of(piece)
         places = np.stack([heading, frequency], axis=1)
         learned = np.stack([mean(places) for mean in means], axis=1)
         return gain * _vector(frequency, heading) + learned
@@ -264,7 +255,7 @@ def black_box(track: Track, *, seed: int = 0) -> Baseline:
     )
 
     def velocity(piece: Trajectory) -> np.ndarray:
-        places = features(piece.states, _vector(*commands(piece)))
+        places = features(piece.states, _vector(*commands_of(piece)))
         return np.asarray(jax.vmap(network)(jnp.asarray(places))) * scales[2]
 
     return Baseline("neural ODE", velocity, time.perf_counter() - begin)

@@ -5,6 +5,7 @@ import math
 import equinox as eqx
 import numpy as np
 
+from pinav.evaluation import normal_quantile
 from pinav.fitting import Estimate
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.identification.fit import TrackFit, fit_track
@@ -21,9 +22,6 @@ from pinav.identification.models import (
 from pinav.identification.selection import Selection
 from pinav.identification.tracks import Track
 
-NORMAL_95 = 1.96
-"""Half width of an interval of 95 % in standard deviations."""
-
 TURNING_WINDOW = 2.0
 """Turning rates are taken over this time [s]."""
 
@@ -36,7 +34,7 @@ ALIGNED = math.radians(30.0)
 
 def interval(estimate: Estimate) -> tuple[float, float]:
     """Interval of 95 %."""
-    half = NORMAL_95 * estimate.sd
+    half = normal_quantile() * estimate.sd
     return estimate.value - half, estimate.value + half
 
 
@@ -45,7 +43,7 @@ def positive_interval(estimate: Estimate) -> tuple[float, float]:
 
     Its logarithm is what was fitted; the interval is symmetric there.
     """
-    factor = math.exp(min(NORMAL_95 * estimate.sd / estimate.value, 50.0))
+    factor = math.exp(min(normal_quantile() * estimate.sd / estimate.value, 50.0))
     return estimate.value / factor, estimate.value * factor
 
 
@@ -262,4 +260,4 @@ def _words(difference: float) -> str:
 
 
 def _plus_minus(estimate: Estimate) -> str:
-    return f"{estimate.value:.3g} ± {NORMAL_95 * estimate.sd:.2g}"
+    return f"{estimate.value:.3g} ± {normal_quantile() * estimate.sd:.2g}"

@@ -6,13 +6,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from pinav.actuation import HeldProgramme
+from pinav.evaluation import normal_quantile
 from pinav.identification.fit import TrackFit
-from pinav.identification.kalman import Disturbance, Transition, transitions
+from pinav.identification.kalman import Disturbance, transitions
 from pinav.identification.models import NAMES, RESPONSES, SwitchedResponse
-from pinav.identification.tracks import Track, padded_to
+from pinav.identification.tracks import Track, commands_of, padded_to
 from pinav.trajectories import Trajectory
 
 HORIZONS = (1.0, 5.0, 10.0, 30.0)
@@ -113,11 +114,9 @@ def programme_of(piece: Trajectory) -> HeldProgramme:
     The last one is held for as many times more as make the number of times round, so
     that what is compiled for one segment serves others.
     """
-    nothing = np.zeros_like(piece.times)
-    more = padded_to(len(nothing), LEAST_SIZE) - len(nothing)
+    more = padded_to(len(piece.times), LEAST_SIZE) - len(piece.times)
     later = piece.times[-1] + 1.0 + np.arange(more)
-    values = [piece.commands.get(name, nothing) for name in ("frequency", "heading")]
-    held = [jnp.asarray(np.pad(value, (0, more), "edge")) for value in values]
+    held = [jnp.asarray(np.pad(v, (0, more), "edge")) for v in commands_of(piece)]
     return HeldProgramme(jnp.asarray(np.concatenate([piece.times, later])), *held)
 
 
@@ -187,8 +186,8 @@ class FrameJitter(eqx.Module):
         for piece in track.pieces:
             left = piece.states - displacement(piece)
             scatter = left - _running_mean(piece.times, left, track.width)
-            on = _rolling(piece)
-            heading = piece.commands.get("heading", np.zeros_like(piece.times))
+            frequency, heading = commands_of(piece)
+            on = frequency > 0
             cosine, sine = np.cos(heading), np.sin(heading)
             along.append((scatter[:, 0] * cosine + scatter[:, 1] * sine)[on])
             across.append((scatter[:, 1] * cosine - scatter[:, 0] * sine)[on])
@@ -200,15 +199,11 @@ class FrameJitter(eqx.Module):
 
     def variance(self, piece: Trajectory) -> Float[np.ndarray, "time 2"]:
         """Variance of each coordinate at each sample."""
-        heading = piece.commands.get("heading", np.zeros_like(piece.times))
+        frequency, heading = commands_of(piece)
         squares = np.stack([np.cos(heading), np.sin(heading)], axis=1) ** 2
         along, across = self.driven
         rolling = along * squares + across * (1 - squares)
-        return np.where(_rolling(piece)[:, None], rolling, self.still)
-
-
-def _rolling(piece: Trajectory) -> Bool[np.ndarray, " time"]:
-    return piece.commands.get("frequency", np.zeros_like(piece.times)) > 0
+        return np.where(frequency[:, None] > 0, rolling, self.still)
 
 
 def _mean_square(values: np.ndarray) -> float:
@@ -264,32 +259,32 @@ class Forecast(eqx.Module):
 
     def _wandering(self, samples: slice) -> Float[np.ndarray, " sample"]:
         """What the disturbance adds from a start without knowledge of it."""
-        times = self.piece.times[samples]
-        frequency = self.piece.commands.get(
-            "frequency", np.zeros_like(self.frame[:, 0])
-        )
-        intervals = np.diff(times)
+        frequency, _ = commands_of(self.piece)
+        intervals = np.diff(self.piece.times[samples])
         more = (0, padded_to(len(intervals), LEAST_SIZE) - len(intervals))
         with jax.enable_x64(new_val=True):
-            steps = _transitions(
+            variances = _wandering_variances(
                 jnp.asarray(np.pad(intervals, more, constant_values=1.0)),
                 jnp.asarray(np.pad(frequency[samples][:-1], more)),
                 self.disturbance,
             )
-        matrices, noises = np.asarray(steps.matrix), np.asarray(steps.noise)
-        spread, variances = np.diag([0.0, 1.0, 1.0]), [0.0]
-        count = len(intervals)
-        for matrix, noise in zip(matrices[:count], noises[:count], strict=True):
-            spread = matrix @ spread @ matrix.T + noise
-            variances.append(spread[0, 0])
-        return np.array(variances)
+        return np.concatenate([[0.0], np.asarray(variances)[: len(intervals)]])
 
 
 @eqx.filter_jit
-def _transitions(
+def _wandering_variances(
     intervals: Array, frequency: Array, disturbance: Disturbance
-) -> Transition:
-    return transitions(intervals, disturbance.strength(frequency), disturbance)
+) -> Array:
+    """Variance of the way after each interval, of velocities unknown at first."""
+    steps = transitions(intervals, disturbance.strength(frequency), disturbance)
+
+    def step(spread: Array, inputs: tuple[Array, Array]) -> tuple[Array, Array]:
+        matrix, noise = inputs
+        spread = matrix @ spread @ matrix.T + noise
+        return spread, spread[0, 0]
+
+    unknown = jnp.diag(jnp.array([0.0, 1.0, 1.0]))
+    return jax.lax.scan(step, unknown, (steps.matrix, steps.noise))[1]
 
 
 def _slopes(
@@ -332,10 +327,6 @@ class Coverage(eqx.Module):
     rollouts: int
 
 
-NORMAL_90 = 1.6448536269514722
-"""Half width of a band of 90 % in standard deviations."""
-
-
 def coverage(
     track: Track, rollouts: Rollouts, fit: TrackFit, jitter: FrameJitter
 ) -> Coverage:
@@ -346,7 +337,7 @@ def coverage(
         forecast = forecasts[index]
         miss = track.pieces[index].states[a : b + 1] - forecast.rollout(int(a), int(b))
         sd = np.sqrt(forecast.variance(int(a), int(b)))
-        within = np.abs(miss[1:]) <= NORMAL_90 * sd[1:]
+        within = np.abs(miss[1:]) <= normal_quantile(0.9) * sd[1:]
         inside.append(within.ravel())
         ends.append(within[-1])
     if not inside:

@@ -241,6 +241,15 @@ def _cut(piece: Trajectory, kept: Any) -> Trajectory:
     )
 
 
+def commands_of(piece: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Frequency and heading of a segment; zeros where nothing was commanded."""
+    nothing = np.zeros_like(piece.times)
+    return (
+        piece.commands.get("frequency", nothing),
+        piece.commands.get("heading", nothing),
+    )
+
+
 def before(track: Track, time: float) -> Track:
     """The part of a track before a time; blocks keep their length."""
     cut = [_cut(piece, np.less(piece.times, time)) for piece in track.pieces]

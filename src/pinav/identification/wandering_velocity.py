@@ -10,7 +10,7 @@ from pinav.identification.fit import TrackFit
 from pinav.identification.forecast import cycles
 from pinav.identification.kalman import smoothed_velocity, transitions
 from pinav.identification.likelihood import rolling_about
-from pinav.identification.tracks import Track, block_indices
+from pinav.identification.tracks import Track, block_indices, commands_of
 from pinav.trajectories import Trajectory
 
 
@@ -51,7 +51,7 @@ def _piece(piece: Trajectory, width: float, fit: TrackFit) -> tuple[np.ndarray, 
     left = piece.states - cycles(fit, piece) @ fit.gain.T
     left = left - np.outer(piece.times - piece.times[0], fit.drift)
     times = means(piece.times)
-    frequency = means(piece.commands.get("frequency", np.zeros_like(piece.times)))
+    frequency = means(commands_of(piece)[0])
     positions = np.stack([means(column) for column in left.T], axis=1)
     with jax.enable_x64(new_val=True):
         disturbance, rate = fit.disturbance, jnp.asarray(frequency)
