@@ -51,7 +51,6 @@ from pinav.identification.displacement_field import (
 from pinav.identification.fit import Search
 from pinav.identification.likelihood import (
     Design,
-    Prior,
     compiled_whitened,
 )
 from pinav.identification.numbers import (
@@ -61,6 +60,7 @@ from pinav.identification.numbers import (
     numbers_of,
     posterior_over,
 )
+from pinav.identification.priors import Prior
 from pinav.identification.systems import candidate_of, prior_about
 from pinav.identification.tracks import Blocks, Track, one_track
 from pinav.systems import System

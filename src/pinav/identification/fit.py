@@ -24,12 +24,12 @@ from pinav.identification.kalman import Disturbance
 from pinav.identification.likelihood import (
     Design,
     Field,
-    Prior,
     compiled_whitened,
     disturbance_of,
     value_and_slope,
 )
 from pinav.identification.models import ABSENT, NAMES, CandidateModel, response_of
+from pinav.identification.priors import Prior
 from pinav.identification.quantities import estimates_about, speed_about
 from pinav.identification.tracks import Blocks, Track
 

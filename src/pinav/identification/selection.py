@@ -29,7 +29,6 @@ from pinav.identification.forecast import (
     errors,
     path_of,
 )
-from pinav.identification.likelihood import Prior
 from pinav.identification.models import (
     DRIFT_ONLY,
     MATRIX,
@@ -40,6 +39,7 @@ from pinav.identification.models import (
     with_free,
     with_response,
 )
+from pinav.identification.priors import Prior
 from pinav.identification.residual_field import (
     ResidualFit,
     fit_residual,

@@ -31,7 +31,6 @@ from pinav.forces import (
     ZeroForce,
 )
 from pinav.identification.fit import TrackFit
-from pinav.identification.likelihood import Prior
 from pinav.identification.models import (
     ABSENT,
     BOTH,
@@ -52,6 +51,7 @@ from pinav.identification.numbers import (
     numbers_of,
     posterior_over,
 )
+from pinav.identification.priors import Prior
 from pinav.systems import (
     Flat,
     FreeNumber,

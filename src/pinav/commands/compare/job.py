@@ -8,7 +8,7 @@ from pinav.commands.command import CommandResult
 from pinav.commands.compare import COMPARE
 from pinav.commands.compare.metrics import Candidate, CompareMetrics, Verdict
 from pinav.commands.compare.settings import CompareOptions, CompareSettings
-from pinav.commands.fitted_run import rotational_part
+from pinav.commands.constants import rotational_part
 from pinav.commands.progress import BayesReporter
 from pinav.commands.start import fingerprint, start_run
 from pinav.commands.system_choice import choose_system
