@@ -10,6 +10,9 @@ OUT ?= runs/reproduce
 reproduce: .venv/installed
 	$(BIN)/pinav reproduce --seeds $(SEEDS) --out $(OUT) --resume
 
+# Most of the time of these goes into compiling: without LLVM's optimisations, a quarter
+# less.
+test: export XLA_FLAGS = --xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0
 test: .venv/installed-dev
 	$(PYTEST) -m "not slow"
 

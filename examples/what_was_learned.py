@@ -26,7 +26,7 @@ from pinav.analysis import (
     influence,
     lyapunov_map,
     rotational_fractions,
-    sampled_forces,
+    sample_forces,
 )
 from pinav.evaluation import field_map
 from pinav.figures import helmholtz_figure, save_figure
@@ -57,7 +57,7 @@ print(f"{fit.outcome} after {fit.iterations} iterations")
 # %%
 field = field_map(fit.model.environment, data, points=31)
 split = helmholtz_split(field)
-forces = sampled_forces(fit.posterior, field, 32, key=jax.random.key(2))
+forces = sample_forces(fit.posterior, field, 32, key=jax.random.key(2))
 spread = rotational_fractions(field, forces).std()
 print(f"rotational fraction {split.rotational_fraction:.1%} ± {spread:.1%} (sd)")
 # The standard deviation is that of the noise alone: harmonic fields, which are gradient

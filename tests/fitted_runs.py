@@ -82,7 +82,7 @@ def identified(folder: Path) -> list[str]:
         units={"x": "um", "y": "um", "t": "s"},
     )
     save(recording, folder / DATA)
-    return ["fit", str(folder / DATA), "--selection"]
+    return ["identify", str(folder / DATA)]
 
 
 RUNS: dict[str, Callable[[Path], list[str]]] = {

@@ -164,10 +164,16 @@ class AbstractProgramme(eqx.Module):
         """Frequency [Hz] and heading [rad] at time `t` [s]."""
 
     @abc.abstractmethod
+    def between(self, commands: Float[Array, "time 2"]) -> Float[Array, "interval 2"]:
+        """Mean of a command between two of the programme's times."""
+
     def integral(
         self, response: AbstractResponse, ts: Float[Array, " query"]
     ) -> Float[Array, "query 2"]:
         r"""$\int s(f)\, n(\theta)\, dt$ from the first time to `ts` [cycles]."""
+        commands = self.commands(response)
+        steps = self.between(commands) * jnp.diff(self.times)[:, None]
+        return _interpolate(ts, self.times, steps, (commands[0], commands[-1]))
 
     def commands(self, response: AbstractResponse) -> Float[Array, "time 2"]:
         r"""$s(f)\, n(\theta)$ at the programme's own times [Hz]."""
@@ -194,16 +200,11 @@ class HeldProgramme(AbstractProgramme):
         index = jnp.clip(index, 0, last)
         return self.frequency[index], self.heading[index]
 
-    def integral(self, response, ts):
-        commands = self.commands(response)
-        steps = commands[:-1] * jnp.diff(self.times)[:, None]
-        return _interpolated(ts, self.times, steps, (commands[0], commands[-1]))
+    def between(self, commands):
+        return commands[:-1]
 
     def lagged_integral(
-        self,
-        response: AbstractResponse,
-        ts: Float[Array, " query"],
-        lag: Scalar,
+        self, response: AbstractResponse, ts: Float[Array, " query"], lag: Scalar
     ) -> Float[Array, "query 2"]:
         r"""The integral of a command followed with a lag T, $T \dot c' = c - c'$.
 
@@ -215,12 +216,12 @@ class HeldProgramme(AbstractProgramme):
             lag: T [s], positive.
         """
         commands = self.commands(response)
-        behind = followed(self.times, commands, lag)[:-1]
+        behind = follow(self.times, commands, lag)[:-1]
         intervals = jnp.diff(self.times)[:, None]
         decay = jnp.exp(-intervals / lag)
         missed = (behind - commands[:-1]) * lag * (1 - decay)
         steps = commands[:-1] * intervals + missed
-        return _interpolated(ts, self.times, steps, (commands[0], commands[-1]))
+        return _interpolate(ts, self.times, steps, (commands[0], commands[-1]))
 
 
 class LinearProgramme(AbstractProgramme):
@@ -244,15 +245,12 @@ class LinearProgramme(AbstractProgramme):
             jnp.interp(t, self.times, turned),
         )
 
-    def integral(self, response, ts):
-        """By the trapezoidal rule between the programme's times."""
-        commands = self.commands(response)
-        middle = (commands[:-1] + commands[1:]) / 2
-        steps = middle * jnp.diff(self.times)[:, None]
-        return _interpolated(ts, self.times, steps, (commands[0], commands[-1]))
+    def between(self, commands):
+        """By the trapezoidal rule."""
+        return (commands[:-1] + commands[1:]) / 2
 
 
-def _interpolated(ts, times, steps, ends):
+def _interpolate(ts, times, steps, ends):
     """A cumulated integral between its knots, and beyond them at the end rates."""
     total = jnp.concatenate([jnp.zeros_like(steps[:1]), jnp.cumsum(steps, axis=0)])
     inside = jnp.stack([jnp.interp(ts, times, column) for column in total.T], axis=1)
@@ -261,10 +259,8 @@ def _interpolated(ts, times, steps, ends):
     return inside + before + after
 
 
-def followed(
-    times: Float[Array, " time"],
-    commands: Float[Array, "time 2"],
-    lag: Scalar,
+def follow(
+    times: Float[Array, " time"], commands: Float[Array, "time 2"], lag: Scalar
 ) -> Float[Array, "time 2"]:
     r"""State of a first-order follower, $T \dot c' = c - c'$, at each command's time.
 

@@ -1,6 +1,7 @@
 """Checks and conversions of arguments that several packages share."""
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -15,17 +16,23 @@ Scalar = float | int | Float[Array, ""]
 """One real number: plain, NumPy's float64, or a JAX array without axes."""
 
 
-def as_point(name: str, value: Any, dim: int | None = None) -> Float[Array, " dim"]:
-    """Array of a point given as list, tuple or array; `dim` components if given.
+def point(name: str, dim: int | None = None) -> Callable[[Any], Float[Array, " dim"]]:
+    """Converter of a field that takes a point as list, tuple or array.
 
-    Raises:
-        InputError: it is no point; the message calls it `name`.
+    It raises `InputError`, which calls the field `name`, where that is no point of
+    `dim` components, or of any number unless given.
     """
-    shape = np.shape(value)
-    if len(shape) != 1 or (dim is not None and shape != (dim,)):
-        expected = "(dim,)" if dim is None else f"({dim},)"
-        raise InputError(f"{name}: expected a point of shape {expected}, got {shape}")
-    return value if isinstance(value, jax.Array) else jnp.asarray(value, float)
+
+    def convert(value: Any) -> Float[Array, " dim"]:
+        shape = np.shape(value)
+        if len(shape) != 1 or (dim is not None and shape != (dim,)):
+            expected = "(dim,)" if dim is None else f"({dim},)"
+            raise InputError(
+                f"{name}: expected a point of shape {expected}, got {shape}"
+            )
+        return value if isinstance(value, jax.Array) else jnp.asarray(value, float)
+
+    return convert
 
 
 def refuse_text(module: eqx.Module) -> None:
@@ -41,7 +48,7 @@ def check_positive(module: eqx.Module, *names: str) -> None:
     """Raise `InputError` where a field of a module is a number <= 0."""
     for name in names:
         value = getattr(module, name)
-        if isinstance(value, float | int) and value <= 0:
+        if isinstance(value, float | int) and not value > 0:
             raise InputError(
                 f"{type(module).__name__}.{name}: expected > 0, got {value}"
             )

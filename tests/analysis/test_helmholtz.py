@@ -2,7 +2,7 @@ import jax
 import numpy as np
 import pytest
 
-from pinav.analysis import helmholtz_split, rotational_fractions, sampled_forces
+from pinav.analysis import helmholtz_split, rotational_fractions, sample_forces
 from pinav.errors import InputError
 from pinav.evaluation import FieldMap
 from pinav.fitting import Posterior, ravel_model
@@ -99,7 +99,7 @@ def test_sampled_forces_have_the_posterior_s_mean_and_spread():
     posterior = Posterior(free, np.asarray(theta), np.array([[0.04]]))
     axis = np.linspace(3.0, 8.0, 3)
     grid = FieldMap(axis, axis, np.zeros((3, 3, 2)), np.zeros((3, 3)))
-    forces = sampled_forces(posterior, grid, 400, key=jax.random.key(0))
+    forces = sample_forces(posterior, grid, 400, key=jax.random.key(0))
     points = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     sd = posterior.force_sd(points).reshape(3, 3, 2)
     assert np.allclose(forces.std(axis=0), sd, rtol=0.15)

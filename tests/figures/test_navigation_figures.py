@@ -9,7 +9,6 @@ from pinav.figures.animation import FRAMES, LAST_FRAME, Trails, save_animation
 from pinav.figures.navigation import (
     Course,
     closed_loop_figure,
-    learning_curve,
     outcome_bars,
     plan_map,
 )
@@ -81,13 +80,6 @@ def test_bars_show_success_with_its_interval_and_an_endless_regret():
     left, right = outcome_bars(successes, regrets).axes
     assert [bar.get_width() for bar in left.patches] == [50.0] * 3
     assert [text.get_text() for text in right.texts] == ["∞"]
-
-
-def test_the_curve_is_the_median_over_seeds():
-    errors = {"suggested": np.array([[1.0, 0.4], [0.8, 0.2], [0.9, 0.9]])}
-    ax = learning_curve(errors, [2, 3])
-    median = next(line for line in ax.lines if line.get_label() == "suggested")
-    np.testing.assert_allclose(median.get_ydata(), [0.9, 0.4])
 
 
 @pytest.mark.slow

@@ -3,6 +3,18 @@
 import numpy as np
 import pytest
 import scipy.integrate
+from tests.thermal.exact_solutions import (
+    discrete_eigenmode_rate,
+    eigenmode_rate,
+    heated_sphere_by_rate,
+    least_energy,
+    least_energy_control,
+    lumped_by_perfusion,
+    on_off_cycle,
+    perfused_slab_flux,
+    perfused_slab_sensitivities,
+    saturate_and_ride,
+)
 
 from pinav.thermal import exact
 from pinav.thermal.exact import SET_S, Medium
@@ -22,7 +34,7 @@ def test_the_slab_at_its_printed_places_and_times():
     for t, values in early.items():
         found = exact.perfused_slab(x[[0, 3]], t, SET_S, 2e4, 0.03)
         assert found == pytest.approx(values, abs=1e-9)
-    flux = exact.perfused_slab_flux(SET_S, 2e4, 0.03)
+    flux = perfused_slab_flux(SET_S, 2e4, 0.03)
     assert flux == pytest.approx(227.03473628, abs=1e-7)
 
 
@@ -189,7 +201,7 @@ def test_the_nonlinear_rise_is_the_linear_one_without_nonlinearity():
 
 
 def test_the_cycle_repeats_itself():
-    high, low, mean = exact.on_off_cycle(SET_S, 3e4, 50.0, 100.0)
+    high, low, mean = on_off_cycle(SET_S, 3e4, 50.0, 100.0)
     cooled = high * np.exp(-SET_S.rate * 100.0)
     assert low == pytest.approx(cooled)
     heated = low * np.exp(-SET_S.rate * 50.0) + exact.lumped_rise(50.0, SET_S, 3e4)
@@ -210,7 +222,7 @@ def test_sensitivities_are_derivatives():
         return lambda value: dataclasses.replace(DRAWN, **{name: value})
 
     own = exact.heated_sphere_sensitivities(DRAWN, 4e5, 0.005)
-    slab = exact.perfused_slab_sensitivities(DRAWN, 2e4, 0.03)
+    slab = perfused_slab_sensitivities(DRAWN, 2e4, 0.03)
     zero = np.zeros(1)
     for name in ("conductivity", "perfusion"):
         change, value = media(name), getattr(DRAWN, name)
@@ -236,7 +248,7 @@ def test_sensitivities_are_derivatives():
         lambda v: float(exact.perfused_slab(zero, np.inf, DRAWN, 2e4, v)[0]), 0.03
     )
     assert slab["length"] == pytest.approx(by_length, rel=1e-6)
-    by_rate = exact.heated_sphere_by_rate(0.003, 300.0, DRAWN, 4e5, 0.005)
+    by_rate = heated_sphere_by_rate(0.003, 300.0, DRAWN, 4e5, 0.005)
     change = media("perfusion")
     by_perfusion = slope(
         lambda v: exact.heated_sphere(0.003, 300.0, change(v), 4e5, 0.005), 2100.0
@@ -244,7 +256,7 @@ def test_sensitivities_are_derivatives():
     assert by_rate / DRAWN.capacity == pytest.approx(by_perfusion, rel=1e-6)
     printed = {600.0: -970.300882889, 1800.0: -4263.10206162}
     for t, value in printed.items():
-        found = exact.lumped_by_perfusion(t, SET_S, 3e4) * 1050.0 * 3617.0
+        found = lumped_by_perfusion(t, SET_S, 3e4) * 1050.0 * 3617.0
         assert found == pytest.approx(value, rel=1e-9)
 
 
@@ -257,30 +269,28 @@ def test_the_least_energy_control_arrives():
     decay, gain, rises, end = 1e-3, 1 / 3.78e6, (0.0, 6.0), 1800.0
 
     def control(t):
-        return exact.least_energy_control(t, decay, gain, rises, end)
+        return least_energy_control(t, decay, gain, rises, end)
 
     arrived, _ = scipy.integrate.quad(
         lambda t: np.exp(-decay * (end - t)) * gain * control(t), 0, end
     )
     energy, _ = scipy.integrate.quad(lambda t: control(t) ** 2, 0, end)
     assert arrived == pytest.approx(6.0, rel=1e-9)
-    assert energy == pytest.approx(
-        exact.least_energy(decay, gain, rises, end), rel=1e-9
-    )
+    assert energy == pytest.approx(least_energy(decay, gain, rises, end), rel=1e-9)
     constant = decay * 6.0 / (gain * -np.expm1(-decay * end))
     assert energy < constant**2 * end
 
 
 def test_saturating_reaches_the_limit_and_holds_it():
     decay, gain = 1e-3, 1 / 3.78e6
-    switch, hold = exact.saturate_and_ride(decay, gain, 6.0, 5e4)
+    switch, hold = saturate_and_ride(decay, gain, 6.0, 5e4)
     assert gain * 5e4 / decay * -np.expm1(-decay * switch) == pytest.approx(6.0)
     assert -decay * 6.0 + gain * hold == pytest.approx(0, abs=1e-15)
 
 
 def test_eigenmodes_of_the_grid_approach_those_of_the_slab():
-    true = exact.eigenmode_rate(SET_S, 3, 0.03)
-    errors = [exact.discrete_eigenmode_rate(SET_S, 3, 0.03, n) - true for n in (32, 64)]
+    true = eigenmode_rate(SET_S, 3, 0.03)
+    errors = [discrete_eigenmode_rate(SET_S, 3, 0.03, n) - true for n in (32, 64)]
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=1e-2)
 
 

@@ -13,7 +13,6 @@ from pinav.thermal.magnetics import (
     PowerLawHeating,
     TabulatedHeating,
     langevin_ratio,
-    slp_table,
 )
 
 FIELD = (1e4, 1e5)
@@ -90,7 +89,9 @@ def test_a_narrow_distribution_is_its_median():
 
 def test_a_table_of_a_law_repeats_it_at_its_nodes_and_falls_below_them():
     own = LinearResponse(12e-9)
-    table = slp_table(own, [2e3, 4e3, 8e3], [1e5, 2e5])
+    amplitudes, frequencies = [2e3, 4e3, 8e3], [1e5, 2e5]
+    slps = [[own.slp(h, f) for f in frequencies] for h in amplitudes]
+    table = TabulatedHeating(amplitudes, frequencies, slps)
     assert float(table.slp(4e3, 2e5)) == pytest.approx(float(own.slp(4e3, 2e5)))
     low = float(table.slp(1e3, 1e5)) / float(table.slp(2e3, 1e5))
     assert low == pytest.approx(0.25)

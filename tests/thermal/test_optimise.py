@@ -4,10 +4,14 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.thermal.exact_solutions import (
+    least_energy,
+    least_energy_control,
+    saturate_and_ride,
+)
 
 from pinav.errors import FitError, InputError
 from pinav.fitting import Outcome
-from pinav.thermal import exact
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.boundaries import Dirichlet, Insulated, Sides, outer
 from pinav.thermal.constraints import (
@@ -86,18 +90,16 @@ def test_least_energy_is_that_of_the_exact_control():
     )
     powers = power * (np.asarray(found.run.protocol.starts) / 1e4) ** 2
     middles = (np.array(EDGES[1:]) + np.array(EDGES[:-1])) / 2
-    true = [
-        exact.least_energy_control(t, DECAY, GAIN, (0.0, 6.0), END) for t in middles
-    ]
+    true = [least_energy_control(t, DECAY, GAIN, (0.0, 6.0), END) for t in middles]
     assert powers == pytest.approx(true, rel=1e-2)
-    least = exact.least_energy(DECAY, GAIN, (0.0, 6.0), END)
+    least = least_energy(DECAY, GAIN, (0.0, 6.0), END)
     assert -found.value * power**2 == pytest.approx(least, rel=5e-3)
     assert found.constraints[0].active
 
 
 def test_most_dose_saturates_and_then_rides_the_limit():
     power = 5e4
-    switch, hold = exact.saturate_and_ride(DECAY, GAIN, 8.0, power)
+    switch, hold = saturate_and_ride(DECAY, GAIN, 8.0, power)
     found = optimise(
         half_power(lumped(power)),
         [FreeAmplitudes(1e4, COUNT, 0.5)],

@@ -114,7 +114,8 @@ def test_protocols_are_put_together():
     bursts = Piecewise.on_off(1e4, 1e5, on=50.0, off=100.0, duration=260.0)
     assert bursts.edges == (0.0, 50.0, 150.0, 200.0, 260.0)
     assert bursts.starts.tolist() == [1e4, 0.0, 1e4, 0.0]
-    ramp = Piecewise.ramp((0, 100), [0.0, 2e4], 1e5).with_cooling(60.0)
+    off = Piecewise.constant((0.0, 60.0), [0.0], 1e5)
+    ramp = Piecewise.ramp((0, 100), [0.0, 2e4], 1e5).then(off)
     assert ramp.edges == (0.0, 100.0, 160.0)
     half = ramp.amplitude(jnp.asarray(50.0), jnp.asarray(0))
     assert float(half) == pytest.approx(1e4)

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.thermal.exact_solutions import discrete_eigenmode_rate, on_off_cycle
 
 from pinav.thermal import exact
 from pinav.thermal.bioheat import Bioheat
@@ -336,7 +337,7 @@ def test_on_and_off_become_periodic(medium, switched):
         save_at=edges[-3:].tolist(),
         stepper=Rosenbrock(5.0),
     )
-    high, low, _ = exact.on_off_cycle(SET_S, 3e4, 50.0, 100.0)
+    high, low, _ = on_off_cycle(SET_S, 3e4, 50.0, 100.0)
     ends = np.asarray(found.observed)[:, 0] - 37.0
     assert ends == pytest.approx([low, high, low], abs=1e-4)
 
@@ -358,7 +359,7 @@ def test_an_eigenmode_decays_as_the_grid_says(medium, switched):
     model = medium(grid, 0.0, (Sides(Insulated(), Insulated()),))
     shape = jnp.cos(3 * jnp.pi * grid.centers / 0.03)
     begin = State(jnp.asarray(0.0), 37 + shape, jnp.zeros(64))
-    rate = exact.discrete_eigenmode_rate(SET_S, 3, 0.03, 64)
+    rate = discrete_eigenmode_rate(SET_S, 3, 0.03, 64)
     found = solve(
         model, switched((0, 300), [0.0]), start=begin, stepper=Rosenbrock(0.5)
     )

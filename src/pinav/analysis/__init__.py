@@ -13,7 +13,7 @@ from pinav.analysis.discovery.laws import LawForce as LawForce
 from pinav.analysis.helmholtz import HelmholtzSplit as HelmholtzSplit
 from pinav.analysis.helmholtz import helmholtz_split as helmholtz_split
 from pinav.analysis.helmholtz import rotational_fractions as rotational_fractions
-from pinav.analysis.helmholtz import sampled_forces as sampled_forces
+from pinav.analysis.helmholtz import sample_forces as sample_forces
 from pinav.analysis.sensitivity.influence import Influence as Influence
 from pinav.analysis.sensitivity.influence import influence as influence
 from pinav.analysis.sensitivity.lyapunov import LyapunovMap as LyapunovMap

@@ -126,7 +126,7 @@ def rotational_fractions(
     )
 
 
-def sampled_forces(
+def sample_forces(
     posterior: Posterior, field: FieldMap, count: int, *, key: PRNGKeyArray
 ) -> Float[np.ndarray, "sample rows columns 2"]:
     """Forces on the grid of a map, of models drawn from a posterior, at time zero.

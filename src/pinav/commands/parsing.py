@@ -41,14 +41,10 @@ def parse(options: type[Options], argv: Sequence[str], prog: str) -> Options | N
 
 
 def _one_line(box: str) -> str:
-    """The first paragraph of a boxed message, without its box."""
-    words = []
-    for line in box.splitlines()[1:]:
-        inner = line.strip("│╭╮╰╯ ")
-        if not inner.strip("─"):
-            break
-        words.append(inner)
-    return " ".join(words).rstrip(".")
+    """A boxed message without its title, its rules, its frame and its last advice."""
+    lines = (line.strip("│╭╮╰╯├┤─ ") for line in box.splitlines()[1:])
+    message = " ".join(line for line in lines if line)
+    return message.partition("For full helptext")[0].strip().rstrip(".")
 
 
 def _defaults(options: type[Options], argv: Sequence[str]) -> dict[str, Any]:

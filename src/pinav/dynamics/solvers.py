@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree
 
-from pinav.arguments import Scalar
+from pinav.arguments import Scalar, check_positive
 from pinav.errors import InputError
 from pinav.forces import ScheduledThrust
 
@@ -181,7 +181,7 @@ class Adaptive(AbstractSolver):
     max_steps: int = eqx.field(static=True, default=100_000)
 
     def __check_init__(self) -> None:
-        _check_tolerances(self)
+        check_positive(self, "rtol", "atol")
 
     def solve(self, vector_field, y0, ts):
         solution = _diffeqsolve(
@@ -218,7 +218,7 @@ class InterpolatingAdjoint(AbstractSolver):
     max_steps: int = eqx.field(static=True, default=4096)
 
     def __check_init__(self) -> None:
-        _check_tolerances(self)
+        check_positive(self, "rtol", "atol")
 
     def solve(self, vector_field, y0, ts):
         parameters, static = eqx.partition(vector_field, eqx.is_inexact_array)
@@ -367,15 +367,6 @@ def _looped_runge_kutta_step(tableau, vector_field, y, t, h):
 def _combine(weights, slopes):
     terms = zip(weights, slopes, strict=True)
     return sum(weight * slope for weight, slope in terms if weight != 0.0)
-
-
-def _check_tolerances(solver):
-    for name in ("rtol", "atol"):
-        if not getattr(solver, name) > 0:
-            raise InputError(
-                f"{type(solver).__name__}.{name}: expected > 0, "
-                f"got {getattr(solver, name)}"
-            )
 
 
 def _controller(

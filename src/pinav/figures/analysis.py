@@ -30,6 +30,7 @@ from pinav.figures.style import (
     label_axes,
     new_figure,
     prepare_axes,
+    share_legend,
     title_panel,
     with_unit,
 )
@@ -164,11 +165,8 @@ def influence_figure(
     axes = np.ravel(figure.subplots(rows, columns))
     label = with_unit(r"$|\Delta F|$", force_unit(units))
     for ax, index in zip(axes, order, strict=False):
-        shown = field.showing(changes[index])
-        norm = Normalize(0.0, top)
-        heat_map(sizes[index], field, norm, ("magma", label), units=units, ax=ax)
-        draw_arrows(ax, shown, top)
-        overlay(ax, field, paths[index], units, shade=True)
+        change = field.showing(changes[index])
+        _draw_change(ax, change, label, top, paths[index], units)
         title_panel(ax, f"without trajectory {index}")
     for ax in axes[len(order) :]:
         ax.set_visible(False)
@@ -195,15 +193,26 @@ def constants_figure(
     axes = np.ravel(figure.subplots(1, len(slopes)))
     label = with_unit(r"$|\Delta F|$ per percent", force_unit(units))
     for ax, (name, change) in zip(axes, slopes.items(), strict=True):
-        size = np.linalg.norm(change, axis=-1)
-        top = largest_near(size, field)
-        look = ("magma", label)
-        heat_map(size, field, Normalize(0.0, top), look, units=units, ax=ax)
-        draw_arrows(ax, field.showing(change), top)
-        overlay(ax, field, path, units, shade=True)
+        top = largest_near(np.linalg.norm(change, axis=-1), field)
+        _draw_change(ax, field.showing(change), label, top, path, units)
         title_panel(ax, f"{name} one percent larger")
     one_legend(figure, axes)
     return figure
+
+
+def _draw_change(
+    ax: Axes,
+    change: FieldMap,
+    label: str,
+    top: float,
+    path: Path | None,
+    units: Mapping[str, str],
+) -> None:
+    """A change of a force: its size in colour, its direction in arrows."""
+    size, norm = np.linalg.norm(change.force, axis=-1), Normalize(0.0, top)
+    heat_map(size, change, norm, ("magma", label), units=units, ax=ax)
+    draw_arrows(ax, change, top)
+    overlay(ax, change, path, units, shade=True)
 
 
 def lyapunov_figure(
@@ -254,8 +263,7 @@ def sobol_figure(indices: SobolIndices) -> Figure:
     for ax in axes[len(varying) :]:
         ax.set_visible(False)
     handles, labels = axes[0].get_legend_handles_labels()
-    place = {"loc": "outside lower center", "ncols": 2, "fontsize": SMALL}
-    figure.legend(handles, labels, frameon=False, **place)
+    share_legend(figure, handles, labels=labels)
     return figure
 
 
@@ -265,11 +273,11 @@ def _bars(ax: Axes, indices: SobolIndices, outcome: int) -> None:
         (-0.2, "first order", BLUE, indices.first, indices.first_interval),
         (0.2, "total", ORANGE, indices.total, indices.total_interval),
     ):
-        own, (low, high) = values[outcome], interval[outcome].T
-        error = np.maximum([own - low, high - own], 0.0)
+        value, (low, high) = values[outcome], interval[outcome].T
+        error = np.maximum([value - low, high - value], 0.0)
         ax.barh(
             places + shift,
-            own,
+            value,
             0.36,
             xerr=error,
             color=color,
@@ -294,5 +302,4 @@ def one_legend(figure: Figure, axes: Sequence[Axes] | np.ndarray) -> None:
     for ax in axes:
         if ax.get_position().x0 > left + 1e-6:
             ax.set_ylabel("")
-    place = {"loc": "outside lower center", "ncols": 2, "fontsize": SMALL}
-    figure.legend(handles, labels, frameon=False, **place)
+    share_legend(figure, handles, labels=labels)

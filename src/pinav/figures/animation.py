@@ -17,6 +17,7 @@ from pinav.figures.style import (
     DIMENSIONLESS,
     SMALL,
     new_figure,
+    share_legend,
     style_of,
     title_panel,
 )
@@ -48,7 +49,7 @@ class Trails:
             np.flatnonzero(np.any(np.diff(path, axis=0) != 0, axis=1))
             for path in self.paths.values()
         ]
-        return max((int(own[-1]) + 1 for own in moving if own.size), default=0)
+        return max((int(steps[-1]) + 1 for steps in moving if steps.size), default=0)
 
 
 def save_animation(
@@ -76,7 +77,7 @@ def save_animation(
     moving = [_actors(ax, trails) for ax in axes]
     clock = figure.text(0.99, 0.99, "", fontsize=SMALL, ha="right", va="top")
     frames = []
-    for step in _shown(trails.steps):
+    for step in _frame_steps(trails.steps):
         clock.set_text(f"t = {step * trails.step:.2f}")
         for actors in moving:
             _move(actors, trails, step)
@@ -113,13 +114,7 @@ def _stage(
         axes[0].plot([], [], color=style_of(name).color, lw=1.5, label=name)[0]
         for name in trails.paths
     ]
-    figure.legend(
-        handles=keys,
-        loc="outside lower center",
-        ncols=len(keys),
-        fontsize=SMALL,
-        frameon=False,
-    )
+    share_legend(figure, keys, columns=len(keys))
     return figure, axes
 
 
@@ -142,7 +137,7 @@ def _move(actors: dict, trails: Trails, step: int) -> None:
         dot.set_data(*seen[-1:].T)
 
 
-def _shown(steps: int) -> list[int]:
+def _frame_steps(steps: int) -> list[int]:
     """Steps of which there is a frame."""
     count = min(FRAMES, steps + 1)
     return sorted(set(np.linspace(0, steps, count).round().astype(int).tolist()))

@@ -13,12 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import (
-    FuncFormatter,
-    LogLocator,
-    NullLocator,
-    ScalarFormatter,
-)
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator, ScalarFormatter
 
 from pinav.analysis import LyapunovMap
 from pinav.evaluation import FieldMap, Regions
@@ -27,13 +22,12 @@ from pinav.figures.style import (
     DIMENSIONLESS,
     SMALL,
     TEXT,
-    channel_label,
     file_settings,
     force_unit,
-    label_axes,
+    label_plane,
     new_figure,
     prepare_axes,
-    round_ticks,
+    share_legend,
     title_panel,
     with_unit,
 )
@@ -154,10 +148,10 @@ def force_comparison(
         panels = {"true": truth, **panels, "error": error}
     if sd is not None:
         panels["standard deviation"] = partial(force_sd_map, learned, sd, **shared)
-    return _arranged(panels, learned.regions, units, path=path is not None)
+    return _arrange_panels(panels, learned.regions, units, path=path is not None)
 
 
-def _arranged(
+def _arrange_panels(
     panels: Mapping[str, Callable[..., Axes]],
     regions: Regions,
     units: Mapping[str, str],
@@ -177,13 +171,8 @@ def _arranged(
             legend.remove()
         if index % columns:
             ax.set_ylabel("")
-    figure.legend(
-        handles=_keys(regions, units, path=path, shade=True),
-        loc="outside lower center",
-        ncols=4 if columns > 2 else 2,
-        fontsize=SMALL,
-        frameon=False,
-    )
+    keys = _keys(regions, units, path=path, shade=True)
+    share_legend(figure, keys, columns=4 if columns > 2 else 2)
     return figure
 
 
@@ -250,9 +239,7 @@ def heat_map(
     bar.ax.xaxis.get_offset_text().set_fontsize(SMALL)
     bar.outline.set_linewidth(0.6)
     _few_labels(bar, norm)
-    ax.set_aspect("equal", adjustable="box")
-    round_ticks(ax)
-    label_axes(ax, channel_label("x", units), channel_label("y", units))
+    label_plane(ax, units, adjustable="box")
     return ax
 
 
@@ -362,17 +349,10 @@ def _keys(
     keys: list[Artist] = []
     if path:
         keys.append(Line2D([], [], label="trajectory", **_PATH))
-    keys += [
-        Line2D(
-            [],
-            [],
-            color="white",
-            lw=0.8,
-            path_effects=outline,
-            label=f"visited ({visited})",
-        ),
-        Line2D([], [], color=BLACK, lw=0.8, ls="dashed", label=f"near ({near})"),
-    ]
+    seen = {"color": "white", "lw": 0.8, "path_effects": outline}
+    keys.append(Line2D([], [], label=f"visited ({visited})", **seen))
+    dashed = {"color": BLACK, "lw": 0.8, "ls": "dashed"}
+    keys.append(Line2D([], [], label=f"near ({near})", **dashed))
     if shade:
         with file_settings():
             label = "no data: extrapolation"

@@ -16,10 +16,9 @@ from pinav.figures.style import (
     THIN,
     WIDE,
     add_legend,
-    channel_label,
     label_axes,
+    label_plane,
     prepare_axes,
-    round_ticks,
     style_of,
     with_unit,
 )
@@ -70,9 +69,7 @@ def rollout_paths(
             )
         )
         ax.plot([], [], "o", color=ORANGE, alpha=0.35, label="90 % of each coordinate")
-    ax.set_aspect("equal", adjustable="datalim")
-    round_ticks(ax)
-    label_axes(ax, channel_label("x", units), channel_label("y", units))
+    label_plane(ax, units)
     add_legend(ax)
     return ax
 

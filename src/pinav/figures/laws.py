@@ -27,10 +27,7 @@ CLOSE, FLOOR = 6.0, 0.5
 
 
 def law_ranking(
-    names: Sequence[str],
-    differences: Sequence[float],
-    *,
-    ax: Axes | None = None,
+    names: Sequence[str], differences: Sequence[float], *, ax: Axes | None = None
 ) -> Axes:
     """Bars of the difference in BIC to the best law, on a logarithmic scale.
 

@@ -17,20 +17,18 @@ from pinav.evaluation import FieldMap
 from pinav.figures.force_maps import draw_arrows, heat_map
 from pinav.figures.style import (
     BLACK,
-    BLUE,
     DIMENSIONLESS,
     GREY,
     ORANGE,
     SMALL,
     THIN,
-    VERMILLION,
     WIDE,
-    add_legend,
     file_settings,
     force_unit,
     label_axes,
     new_figure,
     prepare_axes,
+    share_legend,
     style_of,
     title_panel,
     with_unit,
@@ -230,34 +228,26 @@ def closed_loop_figure(
     course, learned = Course(arrays), field_of(arrays, "field/learned")
     panels = 1 + ("field/true" in arrays) + ("field/sd" in arrays)
     figure = new_figure(2.7 * max(panels, 2), 3.7)
-    axes = iter(np.ravel(figure.subplots(1, panels)))
-    letters = iter("abc")
+    axes = np.ravel(figure.subplots(1, panels))
     truth = arrays.get("field/true", arrays["field/learned"])
     limit = max(float(np.linalg.norm(truth, axis=-1).max()), 1e-12)
     shared = {"limit": limit, "units": units}
+    titles = ["learned force"]
     if "field/true" in arrays:
-        ax = next(axes)
-        paths_map(field_of(arrays, "field/true"), course, paths, ax=ax, **shared)
-        title_panel(ax, f"({next(letters)}) true force")
-    ax = next(axes)
-    paths_map(learned, course, paths, ax=ax, **shared)
-    title_panel(ax, f"({next(letters)}) learned force")
+        truth_map = field_of(arrays, "field/true")
+        paths_map(truth_map, course, paths, ax=axes[0], **shared)
+        titles = ["true force", *titles]
+    paths_map(learned, course, paths, ax=axes[len(titles) - 1], **shared)
     if "field/sd" in arrays:
-        ax = next(axes)
         options = {"thrust": thrust, "route": arrays["route"], "units": units}
-        suggestion = arrays.get("suggestion")
-        sd = arrays["field/sd"]
-        spread_map(learned, sd, course, suggestion=suggestion, ax=ax, **options)
-        title_panel(ax, f"({next(letters)}) its standard deviation")
+        options |= {"suggestion": arrays.get("suggestion"), "ax": axes[-1]}
+        spread_map(learned, arrays["field/sd"], course, **options)
+        titles.append("its standard deviation")
+    for ax, letter, title in zip(axes, "abc", titles, strict=False):
+        title_panel(ax, f"({letter}) {title}")
     keys = [Line2D([], [], color=style_of(n).color, lw=1.5, label=n) for n in paths]
     keys += figure.axes[panels - 1].get_legend_handles_labels()[0]
-    figure.legend(
-        handles=keys,
-        loc="outside lower center",
-        ncols=min(max(len(keys), 1), 2 * panels),
-        fontsize=SMALL,
-        frameon=False,
-    )
+    share_legend(figure, keys, columns=min(max(len(keys), 1), 2 * panels))
     return figure
 
 
@@ -339,27 +329,3 @@ def _draw_regret(ax: Axes, place: int, ratio: Bounded | None, color: str) -> Non
     ax.plot(ratio.value, place, "o", color=color, ms=5)
     if ratio.lower is not None and ratio.upper is not None:
         ax.hlines(place, ratio.lower, ratio.upper, color=BLACK)
-
-
-def learning_curve(
-    errors: Mapping[str, Float[np.ndarray, "seed count"]],
-    counts: Sequence[int],
-    *,
-    ax: Axes | None = None,
-) -> Axes:
-    """Force error along a route over the number of trajectories: median and seeds.
-
-    Args:
-        errors: relative error of each seed, by how trajectories were chosen.
-        counts: of trajectories.
-        ax: where to draw; a new figure unless given.
-    """
-    ax = prepare_axes(ax)
-    for color, (name, values) in zip((BLUE, VERMILLION), errors.items(), strict=False):
-        ax.plot(counts, values.T, color=color, lw=0.6, alpha=0.35)
-        ax.plot(counts, np.median(values, axis=0), color=color, lw=2, label=name)
-    ax.set_xticks(list(counts))
-    ax.set_ylim(0.0, None)
-    label_axes(ax, "trajectories", "relative force error along the route")
-    add_legend(ax)
-    return ax

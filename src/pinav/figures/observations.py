@@ -12,10 +12,8 @@ from pinav.figures.style import (
     DIMENSIONLESS,
     THIN,
     add_legend,
-    channel_label,
-    label_axes,
+    label_plane,
     prepare_axes,
-    round_ticks,
 )
 
 
@@ -45,9 +43,7 @@ def observed_paths(
     ax.plot(*starts.T, "o", mfc="white", mec=BLACK, markersize=4, label="start")
     low, high = _limits(observed)
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    ax.set_aspect("equal", adjustable="box")
-    round_ticks(ax)
-    label_axes(ax, channel_label("x", units), channel_label("y", units))
+    label_plane(ax, units, adjustable="box")
     add_legend(ax)
     return ax
 

@@ -16,14 +16,15 @@ from pinav.figures.style import (
     ORANGE,
     PURPLE,
     SKY,
-    SMALL,
     VERMILLION,
     add_legend,
     channel_label,
     label_axes,
+    label_plane,
     new_figure,
     prepare_axes,
     round_ticks,
+    share_legend,
     title_panel,
     with_unit,
 )
@@ -39,51 +40,39 @@ _MARKS = ("o", "s", "^", "D", "v", "P", "X")
 _DOTS = 4000
 
 
-def recording_figure(recording: Trajectories, found: Quality) -> Figure:
+def recording_figure(recording: Trajectories, quality: Quality) -> Figure:
     """Four panels; those of the commands give way where there are none.
 
     Args:
         recording: what was read.
-        found: its quality report.
+        quality: the report on its quality.
     """
     figure = new_figure(7.5, 6.6)
     axes = [prepare_axes(ax) for ax in np.ravel(figure.subplots(2, 2))]
-    paths(recording, found, axes[0])
-    driven = any(run.speeds for run in found.runs)
-    second, fourth = (
-        (speeds, commands) if driven else (speeds_of_tracks, errors_of_tracks)
-    )
-    second(recording, found, axes[1])
-    intervals(recording, found, axes[2])
-    fourth(recording, found, axes[3])
-    for ax, letter, title in zip(
-        axes,
-        "abcd",
-        (
-            "paths",
-            "speed against frequency" if driven else "speed of each particle",
-            "intervals between rows",
-            "commands" if driven else "scatter of each particle",
-        ),
-        strict=True,
-    ):
+    panels = {"paths": paths}
+    if any(run.speeds for run in quality.runs):
+        panels |= {"speed against frequency": speeds}
+        panels |= {"intervals between rows": intervals, "commands": commands}
+    else:
+        panels |= {"speed of each particle": speeds_of_tracks}
+        panels |= {"intervals between rows": intervals}
+        panels |= {"scatter of each particle": errors_of_tracks}
+    for ax, letter, (title, draw) in zip(axes, "abcd", panels.items(), strict=True):
+        draw(recording, quality, ax)
         title_panel(ax, f"({letter}) {title}")
-    _name_runs(figure, [run.name for run in found.runs])
+    _name_runs(figure, [run.name for run in quality.runs])
     return figure
 
 
-def paths(recording: Trajectories, found: Quality, ax: Axes) -> Axes:
+def paths(recording: Trajectories, quality: Quality, ax: Axes) -> Axes:
     """Every segment as a line, its first position as a dot; y up."""
-    names = [run.name for run in found.runs]
+    names = [run.name for run in quality.runs]
     for label, segment in zip(labels(recording), recording, strict=True):
         color, mark = _look(names, str(label["run"]))
         way = positions(segment)
         ax.plot(*way.T, color=color, lw=0.7, alpha=0.8)
         ax.plot(*way[:1].T, mark, ms=2.5, color=color)
-    ax.set_aspect("equal", adjustable="datalim")
-    round_ticks(ax)
-    units = recording.units
-    label_axes(ax, channel_label("x", units), channel_label("y", units))
+    label_plane(ax, recording.units)
     return ax
 
 
@@ -108,10 +97,10 @@ def overlay(recording: Trajectories, image: np.ndarray, ax: Axes | None = None) 
     return ax
 
 
-def speeds(recording: Trajectories, found: Quality, ax: Axes) -> Axes:
+def speeds(recording: Trajectories, quality: Quality, ax: Axes) -> Axes:
     """Median speed at each frequency, and 80 % of the windows of a single run."""
-    names = [run.name for run in found.runs]
-    for run in found.runs:
+    names = [run.name for run in quality.runs]
+    for run in quality.runs:
         color, mark = _look(names, run.name)
         table = np.array([(s.frequency, s.median, s.low, s.high) for s in run.speeds])
         if not len(table):
@@ -128,7 +117,7 @@ def speeds(recording: Trajectories, found: Quality, ax: Axes) -> Axes:
     return ax
 
 
-def intervals(recording: Trajectories, found: Quality, ax: Axes) -> Axes:
+def intervals(recording: Trajectories, quality: Quality, ax: Axes) -> Axes:
     """How often which interval between rows occurs, within segments."""
     steps = np.concatenate([np.diff(segment.times) for segment in recording])
     middle = float(np.median(steps))
@@ -141,9 +130,9 @@ def intervals(recording: Trajectories, found: Quality, ax: Axes) -> Axes:
     return ax
 
 
-def commands(recording: Trajectories, found: Quality, ax: Axes) -> Axes:
+def commands(recording: Trajectories, quality: Quality, ax: Axes) -> Axes:
     """The drive, as points in the plane: frequency outwards, heading around."""
-    names = [run.name for run in found.runs]
+    names = [run.name for run in quality.runs]
     every = max(1, int(recording.lengths.sum()) // _DOTS)
     for label, segment in zip(labels(recording), recording, strict=True):
         color, mark = _look(names, str(label["run"]))
@@ -155,9 +144,9 @@ def commands(recording: Trajectories, found: Quality, ax: Axes) -> Axes:
     return ax
 
 
-def speeds_of_tracks(recording: Trajectories, found: Quality, ax: Axes) -> Axes:
+def speeds_of_tracks(recording: Trajectories, quality: Quality, ax: Axes) -> Axes:
     """Median speed of each particle, in the order of the file."""
-    values = [np.nan if t.speed is None else t.speed for t in found.tracks]
+    values = [np.nan if t.speed is None else t.speed for t in quality.tracks]
     ax.plot(np.arange(1, len(values) + 1), values, "o", ms=3, color=BLUE)
     ax.set_ylim(bottom=0)
     _count(ax)
@@ -165,12 +154,12 @@ def speeds_of_tracks(recording: Trajectories, found: Quality, ax: Axes) -> Axes:
     return ax
 
 
-def errors_of_tracks(recording: Trajectories, found: Quality, ax: Axes) -> Axes:
+def errors_of_tracks(recording: Trajectories, quality: Quality, ax: Axes) -> Axes:
     """Scatter and localisation error of each particle, the latter with its error."""
     rows = [
-        (number, own.scatter, own.deviation, own.error)
-        for number, track in enumerate(found.tracks, start=1)
-        if (own := track.localisation) is not None
+        (number, error.scatter, error.deviation, error.error)
+        for number, track in enumerate(quality.tracks, start=1)
+        if (error := track.localisation) is not None
     ]
     if rows:
         number, scatter, deviation, error = np.array(rows).T
@@ -214,13 +203,7 @@ def _name_runs(figure: Figure, names: Sequence[str]) -> None:
         for name in names
         for color, mark in [_look(names, name)]
     ]
-    figure.legend(
-        handles=handles,
-        loc="outside lower center",
-        ncols=4,
-        fontsize=SMALL,
-        edgecolor="none",
-    )
+    share_legend(figure, handles, columns=4)
 
 
 def _short(name: str) -> str:

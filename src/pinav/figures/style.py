@@ -4,12 +4,13 @@ Nothing here touches matplotlib's global settings.
 """
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any, Literal
 
 import matplotlib
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
@@ -175,6 +176,18 @@ def round_ticks(ax: Axes) -> None:
         axis.set_major_locator(MaxNLocator(nbins=6, steps=[1, 2, 5, 10]))
 
 
+def label_plane(
+    ax: Axes,
+    units: Mapping[str, str],
+    *,
+    adjustable: Literal["box", "datalim"] = "datalim",
+) -> None:
+    """Equal scales, round ticks and the labels of the coordinates x and y."""
+    ax.set_aspect("equal", adjustable=adjustable)
+    round_ticks(ax)
+    label_axes(ax, channel_label("x", units), channel_label("y", units))
+
+
 LegendPlace = Literal["best", "upper left", "upper right"]
 
 
@@ -191,6 +204,26 @@ def add_legend(ax: Axes, *, columns: int = 1, loc: LegendPlace = "best") -> None
         columnspacing=1.2,
         borderaxespad=0.3,
     )
+
+
+def share_legend(
+    figure: Figure,
+    handles: Sequence[Artist],
+    *,
+    labels: Sequence[str] | None = None,
+    columns: int = 2,
+) -> None:
+    """One legend below all panels.
+
+    Args:
+        figure: that holds the panels.
+        handles: what is explained.
+        labels: their texts; their own labels unless given.
+        columns: in how many columns they stand.
+    """
+    names = [str(h.get_label()) for h in handles] if labels is None else labels
+    place = {"loc": "outside lower center", "ncols": columns, "fontsize": SMALL}
+    figure.legend(handles, names, frameon=False, **place)
 
 
 def finite(values: np.ndarray) -> np.ndarray:

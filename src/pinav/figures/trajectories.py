@@ -30,10 +30,10 @@ from pinav.figures.style import (
     finite,
     force_unit,
     label_axes,
+    label_plane,
     new_figure,
     pale,
     prepare_axes,
-    round_ticks,
     style_of,
     symbol,
     title_panel,
@@ -83,9 +83,7 @@ def trajectory(
     _mark(ax, observed[-1], "s", "end", (-6, -1))
     ax.set_xlim(*frame[:, 0], auto=True)
     ax.set_ylim(*frame[:, 1], auto=True)
-    ax.set_aspect("equal", adjustable="datalim")
-    round_ticks(ax)
-    label_axes(ax, channel_label("x", units), channel_label("y", units))
+    label_plane(ax, units)
     add_legend(ax)
     return ax
 

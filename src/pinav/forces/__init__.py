@@ -20,11 +20,11 @@ from pinav.forces.force import ZeroForce as ZeroForce
 from pinav.forces.force import as_learned as as_learned
 from pinav.forces.kernel_mixtures import ChangingPotential as ChangingPotential
 from pinav.forces.kernel_mixtures import KernelMixture as KernelMixture
-from pinav.forces.kernel_mixtures import KernelStream as KernelStream
 from pinav.forces.kernel_mixtures import TimedKernelPotential as TimedKernelPotential
 from pinav.forces.kernel_mixtures import cubic_spline as cubic_spline
 from pinav.forces.kernels import KernelForce as KernelForce
 from pinav.forces.kernels import KernelPotential as KernelPotential
+from pinav.forces.kernels import KernelStream as KernelStream
 from pinav.forces.kernels import check_kernels as check_kernels
 from pinav.forces.kernels import kernel_centers as kernel_centers
 from pinav.forces.kernels import kernel_values as kernel_values

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from pinav.arguments import Scalar, as_point, check_positive, refuse_text
+from pinav.arguments import Scalar, check_positive, point, refuse_text
 
 
 class AbstractFlow(eqx.Module):
@@ -82,9 +82,7 @@ class VortexFlow(AbstractFlow):
     """
 
     rate: Scalar
-    center: Float[Array, "2"] = eqx.field(
-        converter=lambda value: as_point("VortexFlow.center", value, 2)
-    )
+    center: Float[Array, "2"] = eqx.field(converter=point("VortexFlow.center", 2))
     width: Scalar
 
     def __check_init__(self) -> None:
@@ -135,9 +133,7 @@ class UniformFlow(AbstractFlow):
         velocity: of the fluid [L T⁻¹].
     """
 
-    velocity: Float[Array, " dim"] = eqx.field(
-        converter=lambda value: as_point("UniformFlow.velocity", value)
-    )
+    velocity: Float[Array, " dim"] = eqx.field(converter=point("UniformFlow.velocity"))
 
     def __call__(self, t, x):
         return self.velocity.astype(x.dtype)

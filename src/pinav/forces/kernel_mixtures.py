@@ -1,7 +1,7 @@
-"""Kernel environments that are not the gradient of a static potential.
+"""Kernel environments of several parts, and those that change with time.
 
-A stream function makes the rotational part of a planar force, a mixture holds it beside
-a potential, and splines in time let a potential change.
+A mixture holds a stream function beside a potential, for the rotational part of a
+planar force; splines in time let a potential change.
 """
 
 import jax.numpy as jnp
@@ -11,75 +11,13 @@ from jaxtyping import Array, Float
 from pinav.arguments import Scalar
 from pinav.errors import InputError
 from pinav.forces.force import AbstractLearnedForce
-from pinav.forces.kernels import KernelPotential, check_kernels, kernel_values
+from pinav.forces.kernels import (
+    KernelPotential,
+    KernelStream,
+    check_kernels,
+    kernel_values,
+)
 from pinav.forces.priors import ABSENT, MixturePrior, TimedPrior, WeightPrior
-
-
-class KernelStream(AbstractLearnedForce):
-    r"""Rotational force $(\partial_y \psi, -\partial_x \psi)$ in the plane.
-
-    With $\psi(x) = \sum_j w_j \exp(-|x - c_j|^2 / 2 b^2)$: it has no divergence, and no
-    potential.
-
-    Attributes:
-        weights: $w_j$ [L² T⁻²], what trains.
-        centers: $c_j$ [L]; fixed.
-        width: $b$ [L], positive; fixed.
-
-    Raises:
-        InputError: shapes disagree, the space is not a plane, or `width` is a
-            number <= 0.
-    """
-
-    weights: Float[Array, " kernel"]
-    centers: Float[Array, "kernel dim"]
-    width: Scalar
-
-    def __check_init__(self) -> None:
-        check_kernels(self, np.shape(self.centers)[:1])
-        if np.shape(self.centers)[1:] != (2,):
-            raise InputError(
-                "KernelStream.centers: expected points in the plane, shape (n, 2), got "
-                f"{np.shape(self.centers)}; choose a KernelForce"
-            )
-
-    @classmethod
-    def untrained(
-        cls, centers: Float[np.ndarray, "kernel dim"], width: float
-    ) -> "KernelStream":
-        """A stream function without weight yet: kernels at places, of a width [L]."""
-        places = jnp.asarray(centers)
-        return cls(jnp.zeros(len(places)), places, width)
-
-    @property
-    def parameters(self):
-        return self.weights
-
-    @property
-    def dim(self):
-        return self.centers.shape[1]
-
-    @property
-    def kernels(self):
-        return self
-
-    def length_scales(self, shape):
-        return [float(np.exp(shape[0]))]
-
-    def prior(self):
-        return WeightPrior(self.centers, self.width)
-
-    def kernels_on(self, centers, width):
-        return KernelStream.untrained(centers, width)
-
-    def stream(self, x: Float[Array, "2"]) -> Float[Array, ""]:
-        r"""Stream function $\psi(x)$ [L² T⁻²]; positive turns counter-clockwise."""
-        return self.weights @ kernel_values(x, self.centers, self.width)
-
-    def __call__(self, t, x, v):
-        strengths = self.weights * kernel_values(x, self.centers, self.width)
-        offset = strengths @ (x[None] - self.centers) / self.width**2
-        return jnp.stack([-offset[1], offset[0]])
 
 
 class KernelMixture(AbstractLearnedForce):

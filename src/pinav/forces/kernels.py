@@ -1,7 +1,10 @@
 """Forces and potentials that are sums of Gaussian kernels."""
 
-from typing import Any
+import abc
+import math
+from typing import Any, TypeVar
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -11,8 +14,65 @@ from pinav.errors import InputError
 from pinav.forces.force import AbstractLearnedForce
 from pinav.forces.priors import WeightPrior
 
+Kernels = TypeVar("Kernels", bound="AbstractKernels")
 
-class KernelForce(AbstractLearnedForce):
+
+class AbstractKernels(AbstractLearnedForce):
+    """Static kernels at places; each class says how their weights make a force.
+
+    Attributes:
+        weights: of the kernels, what trains.
+        centers: $c_j$ [L]; fixed.
+        width: $b$ [L], positive; fixed.
+
+    Raises:
+        InputError: shapes disagree, or `width` is a number <= 0.
+    """
+
+    weights: eqx.AbstractVar[Float[Array, "kernel ..."]]
+    centers: eqx.AbstractVar[Float[Array, "kernel dim"]]
+    width: eqx.AbstractVar[Scalar]
+
+    def __check_init__(self) -> None:
+        check_kernels(self, self.weight_shape(np.shape(self.centers)))
+
+    @staticmethod
+    @abc.abstractmethod
+    def weight_shape(centers: tuple[int, ...]) -> tuple[int, ...]:
+        """Shape of the weights of kernels whose centres have a shape."""
+
+    @classmethod
+    def untrained(
+        cls: type[Kernels], centers: Float[np.ndarray, "kernel dim"], width: float
+    ) -> Kernels:
+        """A force without weight yet: kernels at places, of a width [L]."""
+        places = jnp.asarray(centers)
+        return cls(jnp.zeros(cls.weight_shape(places.shape)), places, width)
+
+    @property
+    def parameters(self):
+        return self.weights
+
+    @property
+    def dim(self):
+        return self.centers.shape[1]
+
+    @property
+    def kernels(self):
+        return self
+
+    def length_scales(self, shape):
+        return [float(np.exp(shape[0]))]
+
+    def prior(self):
+        components = math.prod(self.weights.shape[1:])
+        return WeightPrior(self.centers, self.width, components)
+
+    def kernels_on(self, centers, width):
+        return self.untrained(centers, width)
+
+
+class KernelForce(AbstractKernels):
     r"""Free force field $F(x) = \sum_j w_j \exp(-|x - c_j|^2 / 2 b^2)$.
 
     Linear in its weights. With a Gaussian prior on them it is a Gaussian process:
@@ -22,98 +82,36 @@ class KernelForce(AbstractLearnedForce):
         weights: $w_j$ [L T⁻²], what trains.
         centers: $c_j$ [L]; fixed.
         width: $b$ [L], positive; fixed.
-
-    Raises:
-        InputError: shapes disagree, or `width` is a number <= 0.
     """
 
     weights: Float[Array, "kernel dim"]
     centers: Float[Array, "kernel dim"]
     width: Scalar
 
-    def __check_init__(self) -> None:
-        check_kernels(self, np.shape(self.centers))
-
-    @classmethod
-    def untrained(
-        cls, centers: Float[np.ndarray, "kernel dim"], width: float
-    ) -> "KernelForce":
-        """A force field without weight yet: kernels at places, of a width [L]."""
-        places = jnp.asarray(centers)
-        return cls(jnp.zeros_like(places), places, width)
-
-    @property
-    def parameters(self):
-        return self.weights
-
-    @property
-    def dim(self):
-        return self.centers.shape[1]
-
-    @property
-    def kernels(self):
-        return self
-
-    def length_scales(self, shape):
-        return [float(np.exp(shape[0]))]
-
-    def prior(self):
-        return WeightPrior(self.centers, self.width, self.dim)
-
-    def kernels_on(self, centers, width):
-        return KernelForce.untrained(centers, width)
+    @staticmethod
+    def weight_shape(centers):
+        return centers
 
     def __call__(self, t, x, v):
         return kernel_values(x, self.centers, self.width) @ self.weights
 
 
-class KernelPotential(AbstractLearnedForce):
+class KernelPotential(AbstractKernels):
     r"""Conservative force $-\nabla U$, $U(x) = \sum_j w_j \exp(-|x - c_j|^2 / 2 b^2)$.
 
     Attributes:
         weights: $w_j$ [L² T⁻²], what trains.
         centers: $c_j$ [L]; fixed.
         width: $b$ [L], positive; fixed.
-
-    Raises:
-        InputError: shapes disagree, or `width` is a number <= 0.
     """
 
     weights: Float[Array, " kernel"]
     centers: Float[Array, "kernel dim"]
     width: Scalar
 
-    def __check_init__(self) -> None:
-        check_kernels(self, np.shape(self.centers)[:1])
-
-    @classmethod
-    def untrained(
-        cls, centers: Float[np.ndarray, "kernel dim"], width: float
-    ) -> "KernelPotential":
-        """A potential without weight yet: kernels at places, of a width [L]."""
-        places = jnp.asarray(centers)
-        return cls(jnp.zeros(len(places)), places, width)
-
-    @property
-    def parameters(self):
-        return self.weights
-
-    @property
-    def dim(self):
-        return self.centers.shape[1]
-
-    @property
-    def kernels(self):
-        return self
-
-    def length_scales(self, shape):
-        return [float(np.exp(shape[0]))]
-
-    def prior(self):
-        return WeightPrior(self.centers, self.width)
-
-    def kernels_on(self, centers, width):
-        return KernelPotential.untrained(centers, width)
+    @staticmethod
+    def weight_shape(centers):
+        return centers[:1]
 
     def potential(self, t: Scalar, x: Float[Array, " dim"]) -> Float[Array, ""]:
         """Potential energy per mass $U(x)$ [L² T⁻²]."""
@@ -122,6 +120,46 @@ class KernelPotential(AbstractLearnedForce):
     def __call__(self, t, x, v):
         strengths = self.weights * kernel_values(x, self.centers, self.width)
         return strengths @ (x[None] - self.centers) / self.width**2
+
+
+class KernelStream(AbstractKernels):
+    r"""Rotational force $(\partial_y \psi, -\partial_x \psi)$ in the plane.
+
+    With $\psi(x) = \sum_j w_j \exp(-|x - c_j|^2 / 2 b^2)$: it has no divergence, and no
+    potential.
+
+    Attributes:
+        weights: $w_j$ [L² T⁻²], what trains.
+        centers: $c_j$ [L]; fixed.
+        width: $b$ [L], positive; fixed.
+
+    Raises:
+        InputError: the space is not a plane.
+    """
+
+    weights: Float[Array, " kernel"]
+    centers: Float[Array, "kernel dim"]
+    width: Scalar
+
+    def __check_init__(self) -> None:
+        if np.shape(self.centers)[1:] != (2,):
+            raise InputError(
+                "KernelStream.centers: expected points in the plane, shape (n, 2), got "
+                f"{np.shape(self.centers)}; choose a KernelForce"
+            )
+
+    @staticmethod
+    def weight_shape(centers):
+        return centers[:1]
+
+    def stream(self, x: Float[Array, "2"]) -> Float[Array, ""]:
+        r"""Stream function $\psi(x)$ [L² T⁻²]; positive turns counter-clockwise."""
+        return self.weights @ kernel_values(x, self.centers, self.width)
+
+    def __call__(self, t, x, v):
+        strengths = self.weights * kernel_values(x, self.centers, self.width)
+        offset = strengths @ (x[None] - self.centers) / self.width**2
+        return jnp.stack([-offset[1], offset[0]])
 
 
 def kernel_centers(

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from pinav.arguments import Scalar, as_point
+from pinav.arguments import Scalar, point
 from pinav.forces.force import AbstractForce
 
 
@@ -28,9 +28,7 @@ class LinearMotion(AbstractMotion):
         InputError: `velocity` is not a vector.
     """
 
-    velocity: Float[Array, " dim"] = eqx.field(
-        converter=lambda value: as_point("LinearMotion.velocity", value)
-    )
+    velocity: Float[Array, " dim"] = eqx.field(converter=point("LinearMotion.velocity"))
 
     def __call__(self, t):
         return self.velocity * t

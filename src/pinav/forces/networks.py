@@ -40,6 +40,15 @@ class AbstractFeatures(eqx.Module):
     ) -> Float[Array, " features"]:
         """Dimensionless inputs of the network."""
 
+    def standardise(
+        self, inputs: Float[Array, " features"]
+    ) -> Float[Array, " features"]:
+        """Inputs less the centre, over the scale."""
+        center, scale = (
+            jnp.asarray(a, inputs.dtype) for a in (self.center, self.scale)
+        )
+        return (inputs - center) / scale
+
 
 class PositionFeatures(AbstractFeatures):
     """Position alone: a static environment.
@@ -61,9 +70,7 @@ class PositionFeatures(AbstractFeatures):
         return True
 
     def __call__(self, t, x, v):
-        return (x - jnp.asarray(self.center, x.dtype)) / jnp.asarray(
-            self.scale, x.dtype
-        )
+        return self.standardise(x)
 
 
 class PositionTimeFeatures(AbstractFeatures):
@@ -86,13 +93,37 @@ class PositionTimeFeatures(AbstractFeatures):
         return False
 
     def __call__(self, t, x, v):
-        inputs = jnp.append(x, jnp.asarray(t, x.dtype))
-        return (inputs - jnp.asarray(self.center, x.dtype)) / jnp.asarray(
-            self.scale, x.dtype
-        )
+        return self.standardise(jnp.append(x, jnp.asarray(t, x.dtype)))
 
 
-class NeuralForce(AbstractLearnedForce):
+class AbstractNeuralForce(AbstractLearnedForce):
+    """A network of features, whose weights train; each class says what it gives."""
+
+    network: eqx.AbstractVar[eqx.nn.MLP]
+    features: eqx.AbstractVar[AbstractFeatures]
+
+    @property
+    def parameters(self):
+        return self.network
+
+    @property
+    def dim(self):
+        return self.features.dim
+
+    @property
+    def is_linear(self):
+        return False
+
+    @property
+    def is_static(self):
+        return self.features.is_static
+
+    def prior(self):
+        leaves = jax.tree.leaves(eqx.filter(self.network, eqx.is_array))
+        return IsotropicPrior(sum(leaf.size for leaf in leaves))
+
+
+class NeuralForce(AbstractNeuralForce):
     r"""Free force field $F(t, x) = f_0\,\mathrm{NN}_\theta(\text{features})$.
 
     It need not be the gradient of anything. Where no trajectory went its values
@@ -108,25 +139,6 @@ class NeuralForce(AbstractLearnedForce):
     features: AbstractFeatures
     scale: float = eqx.field(static=True, default=1.0)
 
-    @property
-    def parameters(self):
-        return self.network
-
-    @property
-    def dim(self):
-        return self.features.dim
-
-    @property
-    def is_linear(self):
-        return False
-
-    @property
-    def is_static(self):
-        return self.features.is_static
-
-    def prior(self):
-        return _network_prior(self.network)
-
     def kernels_on(self, centers, width):
         return KernelForce.untrained(centers, width)
 
@@ -134,7 +146,7 @@ class NeuralForce(AbstractLearnedForce):
         return self.scale * self.network(self.features(t, x, v))
 
 
-class NeuralPotential(AbstractLearnedForce):
+class NeuralPotential(AbstractNeuralForce):
     r"""Conservative force $-\nabla U$, $U = f_0\,\mathrm{NN}_\theta(\text{features})$.
 
     Attributes:
@@ -147,25 +159,6 @@ class NeuralPotential(AbstractLearnedForce):
     features: AbstractFeatures
     scale: float = eqx.field(static=True, default=1.0)
 
-    @property
-    def parameters(self):
-        return self.network
-
-    @property
-    def dim(self):
-        return self.features.dim
-
-    @property
-    def is_linear(self):
-        return False
-
-    @property
-    def is_static(self):
-        return self.features.is_static
-
-    def prior(self):
-        return _network_prior(self.network)
-
     def kernels_on(self, centers, width):
         return KernelPotential.untrained(centers, width)
 
@@ -176,11 +169,6 @@ class NeuralPotential(AbstractLearnedForce):
 
     def __call__(self, t, x, v):
         return -jax.grad(self.potential, argnums=1)(t, x)
-
-
-def _network_prior(network: eqx.nn.MLP) -> IsotropicPrior:
-    leaves = jax.tree.leaves(eqx.filter(network, eqx.is_array))
-    return IsotropicPrior(sum(leaf.size for leaf in leaves))
 
 
 def tanh_network(

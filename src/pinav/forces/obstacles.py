@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from pinav.arguments import Scalar, as_point, check_positive
+from pinav.arguments import Scalar, check_positive, point
 from pinav.errors import InputError
 from pinav.forces.force import AbstractForce
 
@@ -29,9 +29,7 @@ class GaussianRidge(AbstractForce):
     """
 
     height: Scalar
-    center: Float[Array, "2"] = eqx.field(
-        converter=lambda value: as_point("GaussianRidge.center", value, 2)
-    )
+    center: Float[Array, "2"] = eqx.field(converter=point("GaussianRidge.center", 2))
     length: Scalar
     width: Scalar
     angle: Scalar
@@ -68,9 +66,7 @@ class GaussianSwirl(AbstractForce):
     """
 
     strength: Scalar
-    center: Float[Array, "2"] = eqx.field(
-        converter=lambda value: as_point("GaussianSwirl.center", value, 2)
-    )
+    center: Float[Array, "2"] = eqx.field(converter=point("GaussianSwirl.center", 2))
     width: Scalar
 
     def __check_init__(self) -> None:
@@ -141,9 +137,7 @@ class GaussianBarrier(AbstractForce):
     """
 
     height: Scalar
-    center: Float[Array, " dim"] = eqx.field(
-        converter=lambda value: as_point("GaussianBarrier.center", value)
-    )
+    center: Float[Array, " dim"] = eqx.field(converter=point("GaussianBarrier.center"))
     width: Scalar
 
     def __check_init__(self) -> None:
@@ -170,9 +164,7 @@ class HarmonicTrap(AbstractForce):
     """
 
     stiffness: Scalar
-    center: Float[Array, " dim"] = eqx.field(
-        converter=lambda value: as_point("HarmonicTrap.center", value)
-    )
+    center: Float[Array, " dim"] = eqx.field(converter=point("HarmonicTrap.center"))
 
     def potential(self, t: Scalar, x: Float[Array, " dim"]) -> Float[Array, ""]:
         """Potential energy per mass $U(t, x)$ [L² T⁻²], here the same at all times."""

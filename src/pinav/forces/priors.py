@@ -156,11 +156,12 @@ class MixturePrior(AbstractPrior):
 
     def slopes(self, shape):
         half, ratio = len(self.first.start), np.exp(2 * shape[-1])
-        own, other = self.first.slopes(shape[:half]), self.second.slopes(shape[half:-1])
+        first = self.first.slopes(shape[:half])
+        second = self.second.slopes(shape[half:-1])
         covariance = ratio * self.second.covariance(shape[half:-1])
-        nothing, absent = np.zeros_like(own[0]), np.zeros_like(covariance)
-        slopes: list[np.ndarray] = [_blocks(slope, absent) for slope in own]
-        slopes += [_blocks(nothing, ratio * slope) for slope in other]
+        nothing, absent = np.zeros_like(first[0]), np.zeros_like(covariance)
+        slopes: list[np.ndarray] = [_blocks(slope, absent) for slope in first]
+        slopes += [_blocks(nothing, ratio * slope) for slope in second]
         return np.stack([*slopes, _blocks(nothing, 2 * covariance)])
 
 

@@ -14,9 +14,9 @@ from pinav.actuation import (
     AbstractResponse,
     HeldProgramme,
     LinearResponse,
-    followed,
+    follow,
 )
-from pinav.arguments import Scalar, as_point
+from pinav.arguments import Scalar, point
 from pinav.errors import InputError
 from pinav.forces.force import AbstractCommandedForce, AbstractForce
 
@@ -51,12 +51,10 @@ class MagneticPropulsion(AbstractForce):
 
     field: AbstractField
     moment: Float[Array, "3"] = eqx.field(
-        converter=lambda value: as_point("MagneticPropulsion.moment", value, 3)
+        converter=point("MagneticPropulsion.moment", 3)
     )
     gain: Scalar
-    axis: Float[Array, " dim"] = eqx.field(
-        converter=lambda value: as_point("MagneticPropulsion.axis", value)
-    )
+    axis: Float[Array, " dim"] = eqx.field(converter=point("MagneticPropulsion.axis"))
 
     def torque(self, t: Scalar) -> Float[Array, "3"]:
         r"""Magnetic torque $m \times B(t)$ per mass [L² T⁻²]."""
@@ -76,9 +74,7 @@ class ConstantForce(AbstractForce):
         InputError: `force` is not a vector.
     """
 
-    force: Float[Array, " dim"] = eqx.field(
-        converter=lambda value: as_point("ConstantForce.force", value)
-    )
+    force: Float[Array, " dim"] = eqx.field(converter=point("ConstantForce.force"))
 
     @classmethod
     def of(cls, magnitude: float, degrees: float) -> "ConstantForce":
@@ -173,7 +169,7 @@ class RollingPropulsion(AbstractCommandedForce):
             )
         programme = HeldProgramme(times, commands["frequency"], commands["heading"])
         wanted = programme.commands(self.response)
-        reached = wanted if _is_zero(self.lag) else _followed(times, wanted, self.lag)
+        reached = wanted if _is_zero(self.lag) else _follow(times, wanted, self.lag)
         turned = self.gain.astype(wanted.dtype).T
         return ScheduledThrust(
             times, wanted @ turned, reached @ turned, self.delay, self.lag
@@ -216,12 +212,12 @@ class ScheduledThrust(AbstractForce):
         return (asked + (reached - asked) * behind).astype(x.dtype)
 
 
-def _followed(
+def _follow(
     times: Float[Array, " time"], commands: Float[Array, "time 2"], lag: Scalar
 ) -> Float[Array, "time 2"]:
     """What a follower has reached; the commands themselves where the lag is 0."""
     # The untaken branch of a division by zero would make gradients NaN.
-    behind = followed(times, commands, jnp.where(lag > 0, lag, 1.0))
+    behind = follow(times, commands, jnp.where(lag > 0, lag, 1.0))
     return jnp.where(lag > 0, behind, commands)
 
 

@@ -77,10 +77,8 @@ def random_barriers(
     _check_count("random_barriers", count)
     where, how_high, how_wide = jax.random.split(key, 3)
     centers = domain.spread_points(where, count)
-    height, width = (
-        _uniform(how_high, heights, count),
-        _uniform(how_wide, widths, count),
-    )
+    height = _uniform(how_high, heights, count)
+    width = _uniform(how_wide, widths, count)
     return Superposition(eqx.filter_vmap(GaussianBarrier)(height, centers, width))
 
 
@@ -109,10 +107,8 @@ def random_fibres(
     _check_count("random_fibres", count)
     where, how_high, direction = jax.random.split(key, 3)
     centers = domain.spread_points(where, count)
-    height, angle = (
-        _uniform(how_high, heights, count),
-        _uniform(direction, (0.0, np.pi), count),
-    )
+    height = _uniform(how_high, heights, count)
+    angle = _uniform(direction, (0.0, np.pi), count)
     sizes = jnp.full((count,), length), jnp.full((count,), width)
     return Superposition(eqx.filter_vmap(GaussianRidge)(height, centers, *sizes, angle))
 

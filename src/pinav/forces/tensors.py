@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.arguments import Scalar, as_point, check_positive, refuse_text
+from pinav.arguments import Scalar, check_positive, point, refuse_text
 from pinav.errors import InputError
 
 
@@ -93,7 +93,7 @@ class WavyDirector(AbstractDirector):
     angle: Scalar
     amplitude: Scalar
     wavevector: Float[Array, "2"] = eqx.field(
-        converter=lambda value: as_point("WavyDirector.wavevector", value, 2)
+        converter=point("WavyDirector.wavevector", 2)
     )
 
     def __call__(self, x):

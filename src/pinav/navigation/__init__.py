@@ -64,7 +64,6 @@ from pinav.navigation.task.zones import AbstractZone as AbstractZone
 from pinav.navigation.task.zones import Disc as Disc
 from pinav.navigation.task.zones import Rectangle as Rectangle
 from pinav.navigation.task.zones import Wall as Wall
-from pinav.navigation.trials.closed_loop import Episode as Episode
 from pinav.navigation.trials.closed_loop import Episodes as Episodes
 from pinav.navigation.trials.closed_loop import (
     concatenate_episodes as concatenate_episodes,

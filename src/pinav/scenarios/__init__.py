@@ -1,45 +1,23 @@
 """Named true systems with their starts, times and noise."""
 
-from pinav.scenarios.brownian import brownian
-from pinav.scenarios.catalogue import SCENARIOS, scenario
-from pinav.scenarios.crossings import barrier_crossings, moving_barrier, paper, swirl
-from pinav.scenarios.currents import (
-    channel_current,
-    drift_current,
-    shear_current,
-    vortex_current,
-)
-from pinav.scenarios.find import find_system, source_system
-from pinav.scenarios.media import (
-    anisotropic_drag,
-    poiseuille,
-    porous,
-    shear,
-    varying_director,
-)
-from pinav.scenarios.paths import true_paths
-from pinav.scenarios.random_fields import fibres, many_barriers
-
-__all__ = [
-    "SCENARIOS",
-    "anisotropic_drag",
-    "barrier_crossings",
-    "brownian",
-    "channel_current",
-    "drift_current",
-    "fibres",
-    "find_system",
-    "many_barriers",
-    "moving_barrier",
-    "paper",
-    "poiseuille",
-    "porous",
-    "scenario",
-    "shear",
-    "shear_current",
-    "source_system",
-    "swirl",
-    "true_paths",
-    "varying_director",
-    "vortex_current",
-]
+from pinav.scenarios.brownian import brownian as brownian
+from pinav.scenarios.catalogue import SCENARIOS as SCENARIOS
+from pinav.scenarios.catalogue import scenario as scenario
+from pinav.scenarios.crossings import barrier_crossings as barrier_crossings
+from pinav.scenarios.crossings import moving_barrier as moving_barrier
+from pinav.scenarios.crossings import paper as paper
+from pinav.scenarios.crossings import swirl as swirl
+from pinav.scenarios.currents import channel_current as channel_current
+from pinav.scenarios.currents import drift_current as drift_current
+from pinav.scenarios.currents import shear_current as shear_current
+from pinav.scenarios.currents import vortex_current as vortex_current
+from pinav.scenarios.find import find_system as find_system
+from pinav.scenarios.find import source_system as source_system
+from pinav.scenarios.media import anisotropic_drag as anisotropic_drag
+from pinav.scenarios.media import poiseuille as poiseuille
+from pinav.scenarios.media import porous as porous
+from pinav.scenarios.media import shear as shear
+from pinav.scenarios.media import varying_director as varying_director
+from pinav.scenarios.paths import true_paths as true_paths
+from pinav.scenarios.random_fields import fibres as fibres
+from pinav.scenarios.random_fields import many_barriers as many_barriers

@@ -2,11 +2,11 @@
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PRNGKeyArray
 
 from pinav.actuation import RotatingField
 from pinav.dynamics import OverdampedSwimmer, stokes_drag, thermal_energy
 from pinav.forces import GaussianBarrier, MagneticPropulsion, ZeroForce
+from pinav.scenarios.random_starts import with_random_starts
 from pinav.systems import System, UniformStarts, Units
 
 RADIUS, VISCOSITY, TEMPERATURE = 1.0, 0.89, 298.15
@@ -16,7 +16,8 @@ CRUISING_SPEED = 1.0
 """Speed without obstacles [um/s]."""
 
 
-def brownian(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
+@with_random_starts
+def brownian() -> System:
     r"""A bead of 1 um in water, driven over a low barrier, in um, s and pN.
 
     Drag $\gamma$ = 1.68e-2 pN s/um (1.68e-8 N s/m), $k_B T$ = 4.12e-3 pN um and by
@@ -29,9 +30,7 @@ def brownian(key: PRNGKeyArray | None = None, count: int | None = None) -> Syste
     Expected: the squared displacement of a frame is mostly diffusion, 4 D / 24 =
     0.041 um², against 0.002 um² of drift.
 
-    Args:
-        key: random key of the starts; `jax.random.key(0)` unless given.
-        count: number of trajectories; 32 unless given.
+    It has 32 trajectories unless another number is given.
     """
     heat, drag = thermal_energy(TEMPERATURE), stokes_drag(RADIUS, VISCOSITY)
     swimmer = OverdampedSwimmer(
@@ -44,7 +43,7 @@ def brownian(key: PRNGKeyArray | None = None, count: int | None = None) -> Syste
         ),
         mobility=1 / drag,
     )
-    system = System(
+    return System(
         name="brownian",
         swimmer=swimmer,
         dim=2,
@@ -54,4 +53,3 @@ def brownian(key: PRNGKeyArray | None = None, count: int | None = None) -> Syste
         times=jnp.linspace(0.0, 10.0, 241),
         base_units=Units("um", "s", "pN"),
     )
-    return system.with_starts(key, count)

@@ -19,9 +19,10 @@ from pinav.scenarios.media import (
     varying_director,
 )
 from pinav.scenarios.random_fields import fibres, many_barriers
+from pinav.scenarios.random_starts import Scenario
 from pinav.systems import System
 
-SCENARIOS = {
+SCENARIOS: dict[str, Scenario] = {
     "paper": paper,
     "barrier-crossings": barrier_crossings,
     "many-barriers": many_barriers,

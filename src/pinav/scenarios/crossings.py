@@ -19,6 +19,7 @@ from pinav.forces import (
     Moving,
     SumForce,
 )
+from pinav.scenarios.random_starts import with_random_starts
 from pinav.systems import AbstractStarts, Observation, RingStarts, System
 
 DAMPING = 0.36
@@ -56,23 +57,15 @@ def paper_swimmer(
     )
 
 
-def planar_system(
-    name: str,
-    truth: Swimmer,
-    rule: AbstractStarts,
-    key: PRNGKeyArray | None = None,
-    count: int | None = None,
-) -> System:
+def planar_system(name: str, truth: Swimmer, rule: AbstractStarts) -> System:
     """A dimensionless system in the plane, observed every 0.1 up to t = 20.
 
     Args:
         name: what the command line calls it.
         truth: the swimmer in its true environment.
         rule: draws the starts.
-        key: random key of the starts.
-        count: number of trajectories.
     """
-    system = System(
+    return System(
         name=name,
         swimmer=truth.without_environment(),
         dim=2,
@@ -81,7 +74,6 @@ def planar_system(
         rule=rule,
         times=jnp.linspace(0.0, 20.0, 201),
     )
-    return system.with_starts(key, count)
 
 
 def paper(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
@@ -120,9 +112,8 @@ def paper(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
     )
 
 
-def barrier_crossings(
-    key: PRNGKeyArray | None = None, count: int | None = None
-) -> System:
+@with_random_starts
+def barrier_crossings() -> System:
     r"""Noisy shots at the paper's barrier, from all around it.
 
     The swimmers start on the circle of radius 7 about the barrier's centre, at
@@ -132,14 +123,13 @@ def barrier_crossings(
     conservative kernel fit of `pinav.fitting.fit_bayes` finds the force to about 0.1 %
     on visited ground and around it.
 
-    Args:
-        key: random key of the starts; `jax.random.key(0)` unless given.
-        count: number of trajectories; 8 unless given.
+    It has 8 trajectories unless another number is given.
     """
-    return planar_system("barrier-crossings", paper_swimmer(), RING, key, count)
+    return planar_system("barrier-crossings", paper_swimmer(), RING)
 
 
-def swirl(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
+@with_random_starts
+def swirl() -> System:
     r"""The paper's barrier and a swirl beside it: a force without a potential.
 
     The swirl has strength $S = 3$, width 2.5 and centre (6, 4). Over the whole plane
@@ -147,25 +137,22 @@ def swirl(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
     Starts, times and noise are those of `barrier_crossings`. Expected: a potential
     cannot explain the data; swimmers are turned counter-clockwise about the swirl.
 
-    Args:
-        key: random key of the starts; `jax.random.key(0)` unless given.
-        count: number of trajectories; 16 unless given.
+    It has 16 trajectories unless another number is given.
     """
     rotation = GaussianSwirl(strength=3.0, center=[6.0, 4.0], width=2.5)
     truth = paper_swimmer(SumForce((paper_barrier(), rotation)))
-    return planar_system("swirl", truth, MANY, key, count)
+    return planar_system("swirl", truth, MANY)
 
 
-def moving_barrier(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
+@with_random_starts
+def moving_barrier() -> System:
     r"""The paper's barrier on a circle of radius 2 about (5, 5), once in 20 time units.
 
     Starts, times and noise are those of `barrier_crossings`. Expected: a static force
     cannot explain the data, because the same place pushes first one way, then another.
 
-    Args:
-        key: random key of the starts; `jax.random.key(0)` unless given.
-        count: number of trajectories; 16 unless given.
+    It has 16 trajectories unless another number is given.
     """
     motion = CircularMotion(radius=2.0, frequency=2 * np.pi / 20)
     truth = paper_swimmer(Moving(paper_barrier(), motion))
-    return planar_system("moving-barrier", truth, MANY, key, count)
+    return planar_system("moving-barrier", truth, MANY)

@@ -7,7 +7,6 @@ is the environment of an `OverdampedSwimmer` of mobility 1.
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PRNGKeyArray
 
 from pinav.actuation import LinearProgramme, LinearResponse
 from pinav.dynamics import OverdampedSwimmer
@@ -24,6 +23,7 @@ from pinav.forces import (
     VortexFlow,
     ZeroForce,
 )
+from pinav.scenarios.random_starts import with_random_starts
 from pinav.systems import Observation, System, UniformStarts
 
 BASIN = Domain((0.0, 0.0), (10.0, 10.0))
@@ -36,56 +36,48 @@ TURN = 8.0
 """Time of one turn of the heading [T]."""
 
 
-def shear_current(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
+@with_random_starts
+def shear_current() -> System:
     """A shear of rate 0.2, at rest on the line y = 5: as fast as the swimmer at y = 0.
 
-    Args:
-        key: random key of the starts; `jax.random.key(0)` unless given.
-        count: number of trajectories; 8 unless given.
+    It has 8 trajectories unless another number is given.
     """
     flow = ShearFlow(rate=0.2, origin=5.0)
-    return _current("shear-current", Advection(flow), key, count)
+    return _current("shear-current", Advection(flow))
 
 
-def channel_current(
-    key: PRNGKeyArray | None = None, count: int | None = None
-) -> System:
+@with_random_starts
+def channel_current() -> System:
     """A channel flow of speed 0.7 between y = -3 and y = 13.
 
-    Args:
-        key: random key of the starts; `jax.random.key(0)` unless given.
-        count: number of trajectories; 8 unless given.
+    It has 8 trajectories unless another number is given.
     """
     flow = PoiseuilleFlow(peak=0.7, middle=5.0, half_width=8.0)
-    return _current("channel-current", Advection(flow), key, count)
+    return _current("channel-current", Advection(flow))
 
 
-def vortex_current(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
+@with_random_starts
+def vortex_current() -> System:
     """A vortex of width 2 in the middle, counter-clockwise, 0.85 where it is fastest.
 
-    Args:
-        key: random key of the starts; `jax.random.key(0)` unless given.
-        count: number of trajectories; 8 unless given.
+    It has 8 trajectories unless another number is given.
     """
     flow = VortexFlow(rate=0.7, center=[5.0, 5.0], width=2.0)
-    return _current("vortex-current", Advection(flow), key, count)
+    return _current("vortex-current", Advection(flow))
 
 
-def drift_current(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
+@with_random_starts
+def drift_current() -> System:
     """A drift of (0.25, -0.15) and a swirl of at most 0.24 around (6, 5).
 
-    Args:
-        key: random key of the starts; `jax.random.key(0)` unless given.
-        count: number of trajectories; 8 unless given.
+    It has 8 trajectories unless another number is given.
     """
     drift = Advection(UniformFlow([0.25, -0.15]))
     swirl = GaussianSwirl(strength=1.0, center=[6.0, 5.0], width=2.5)
-    return _current("drift-current", SumForce((drift, swirl)), key, count)
+    return _current("drift-current", SumForce((drift, swirl)))
 
 
-def _current(
-    name: str, current: AbstractForce, key: PRNGKeyArray | None, count: int | None
-) -> System:
+def _current(name: str, current: AbstractForce) -> System:
     times = jnp.linspace(0.0, DURATION, 41)
     programme = LinearProgramme(times, jnp.ones_like(times), 2 * np.pi * times / TURN)
     swimmer = OverdampedSwimmer(
@@ -93,7 +85,7 @@ def _current(
         environment=ZeroForce(),
         mobility=1.0,
     )
-    system = System(
+    return System(
         name=name,
         swimmer=swimmer,
         dim=2,
@@ -102,4 +94,3 @@ def _current(
         rule=UniformStarts(lower=BASIN.lower, upper=BASIN.upper),
         times=jnp.linspace(0.0, DURATION, round(10 * DURATION) + 1),
     )
-    return system.with_starts(key, count)

@@ -2,11 +2,8 @@
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PRNGKeyArray
 
 from pinav.forces import (
-    AbstractFlow,
-    AbstractTensorField,
     BrinkmanTensor,
     ConstantDirector,
     InFlow,
@@ -18,44 +15,44 @@ from pinav.forces import (
     WavyDirector,
 )
 from pinav.scenarios.crossings import DAMPING, MANY, RING, paper_swimmer, planar_system
-from pinav.systems import RingStarts, System
+from pinav.scenarios.random_starts import with_random_starts
+from pinav.systems import System
 
 
-def anisotropic_drag(
-    key: PRNGKeyArray | None = None, count: int | None = None
-) -> System:
+@with_random_starts
+def anisotropic_drag() -> System:
     """The paper's barrier in aligned fibres, at 30 degrees to the x axis.
 
     The drag is 0.24 along and 0.48 across them; the ratio of 2 is that of slender
     bodies. Starts, thrust, times and noise are those of `barrier_crossings`. Expected:
     swimmers turn towards the fibres while they slow down.
 
-    Args:
-        key: random key of the starts; `jax.random.key(0)` unless given.
-        count: number of trajectories; 8 unless given.
+    It has 8 trajectories unless another number is given.
     """
     tensor = UniaxialTensor(0.24, 0.48, ConstantDirector(np.pi / 6))
-    return _scenario("anisotropic-drag", tensor, key, count)
+    return planar_system(
+        "anisotropic-drag", paper_swimmer(drag=TensorDrag(tensor)), RING
+    )
 
 
-def varying_director(
-    key: PRNGKeyArray | None = None, count: int | None = None
-) -> System:
+@with_random_starts
+def varying_director() -> System:
     """As `anisotropic_drag`, with a director that sways by 45 degrees about 30.
 
     It sways along x with a wavelength of 12. Expected: no constant tensor explains the
     data.
 
-    Args:
-        key: random key of the starts; `jax.random.key(0)` unless given.
-        count: number of trajectories; 16 unless given.
+    It has 16 trajectories unless another number is given.
     """
     director = WavyDirector(np.pi / 6, np.pi / 4, [2 * np.pi / 12, 0.0])
     tensor = UniaxialTensor(0.24, 0.48, director)
-    return _scenario("varying-director", tensor, key, count, MANY)
+    return planar_system(
+        "varying-director", paper_swimmer(drag=TensorDrag(tensor)), MANY
+    )
 
 
-def porous(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
+@with_random_starts
+def porous() -> System:
     """The paper's barrier with four dense regions of a gel around it.
 
     Brinkman drag: 0.36 in the clear fluid, 2.8 times that in the middle of a region of
@@ -63,9 +60,7 @@ def porous(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
     times and noise are those of `barrier_crossings`. Expected: swimmers that enter a
     dense region slow down there and leave it late.
 
-    Args:
-        key: random key of the starts; `jax.random.key(0)` unless given.
-        count: number of trajectories; 16 unless given.
+    It has 16 trajectories unless another number is given.
     """
     tensor = BrinkmanTensor(
         clear=DAMPING,
@@ -74,51 +69,33 @@ def porous(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
         centers=jnp.array([[1.0, 3.0], [8.0, 1.0], [9.5, 7.5], [3.0, 9.5]]),
         width=1.5,
     )
-    return _scenario("porous", tensor, key, count, MANY)
+    return planar_system("porous", paper_swimmer(drag=TensorDrag(tensor)), MANY)
 
 
-def shear(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
+@with_random_starts
+def shear() -> System:
     """The paper's barrier in a shear flow of rate 0.06, at rest on the line y = 5.
 
     Drag acts on the velocity relative to the fluid. Starts, thrust, times and noise are
     those of `barrier_crossings`. Expected: swimmers above y = 5 are carried to the
     right, those below to the left, up to 10 length units.
 
-    Args:
-        key: random key of the starts; `jax.random.key(0)` unless given.
-        count: number of trajectories; 16 unless given.
+    It has 16 trajectories unless another number is given.
     """
-    return _in_flow("shear", ShearFlow(rate=0.06, origin=5.0), key, count)
+    drag = InFlow(LinearDrag(DAMPING), ShearFlow(rate=0.06, origin=5.0))
+    return planar_system("shear", paper_swimmer(drag=drag), MANY)
 
 
-def poiseuille(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
+@with_random_starts
+def poiseuille() -> System:
     """The paper's barrier in a channel flow of speed 0.6 between y = -5 and y = 15.
 
     Drag acts on the velocity relative to the fluid. Starts, thrust, times and noise are
     those of `barrier_crossings`. Expected: all swimmers are carried to the right, those
     in the middle of the channel farthest; the flow presses them against the barrier.
 
-    Args:
-        key: random key of the starts; `jax.random.key(0)` unless given.
-        count: number of trajectories; 16 unless given.
+    It has 16 trajectories unless another number is given.
     """
     flow = PoiseuilleFlow(peak=0.6, middle=5.0, half_width=10.0)
-    return _in_flow("poiseuille", flow, key, count)
-
-
-def _scenario(
-    name: str,
-    tensor: AbstractTensorField,
-    key: PRNGKeyArray | None,
-    count: int | None,
-    rule: RingStarts = RING,
-) -> System:
-    truth = paper_swimmer(drag=TensorDrag(tensor))
-    return planar_system(name, truth, rule, key, count)
-
-
-def _in_flow(
-    name: str, flow: AbstractFlow, key: PRNGKeyArray | None, count: int | None
-) -> System:
-    truth = paper_swimmer(drag=InFlow(LinearDrag(DAMPING), flow))
-    return planar_system(name, truth, MANY, key, count)
+    drag = InFlow(LinearDrag(DAMPING), flow)
+    return planar_system("poiseuille", paper_swimmer(drag=drag), MANY)

@@ -54,10 +54,10 @@ def true_paths(
         assert isinstance(truth, OverdampedSwimmer)
         truth = BrownianSwimmer(truth, 0.0)
     method = {"solver": "Euler-Maruyama", "substeps": SUBSTEPS}
-    return _sampled(system, truth, key), method
+    return _sample_paths(system, truth, key), method
 
 
-def _sampled(
+def _sample_paths(
     system: System, truth: BrownianSwimmer, key: PRNGKeyArray
 ) -> Float64[np.ndarray, "trajectory time state"]:
     key = jax.random.fold_in(key, 1)  # apart from the noise of observation
@@ -68,12 +68,12 @@ def _sampled(
         truth: BrownianSwimmer, starts: Array, times: Array, indices: Array
     ) -> Array:
         def one(y0: Array, index: Array) -> Array:
-            own = jax.random.fold_in(key, index)
+            path_key = jax.random.fold_in(key, index)
             wanderer = truth
             if wandering is not None:
-                drift_key = jax.random.fold_in(own, 1)
+                drift_key = jax.random.fold_in(path_key, 1)
                 wanderer = _wandering(truth, system, wandering, drift_key)
-            return sample_path(wanderer, y0, times, key=own, substeps=SUBSTEPS).ys
+            return sample_path(wanderer, y0, times, key=path_key, substeps=SUBSTEPS).ys
 
         return jax.vmap(one)(starts, indices)
 

@@ -1,10 +1,10 @@
 """Random fields of barriers and of fibres on a square of 20 by 20."""
 
 import jax
-from jaxtyping import PRNGKeyArray
 
 from pinav.forces import Domain, random_barriers, random_fibres
 from pinav.scenarios.crossings import DAMPING, paper_swimmer, planar_system
+from pinav.scenarios.random_starts import with_random_starts
 from pinav.systems import CoastingStarts, System
 
 SQUARE = Domain((0.0, 0.0), (20.0, 20.0))
@@ -14,7 +14,8 @@ FIELD_SEED = 12
 """Each field is drawn once: keys of a scenario change its starts, not its world."""
 
 
-def many_barriers(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
+@with_random_starts
+def many_barriers() -> System:
     """Twelve barriers of random height and width, at places that keep apart.
 
     Heights are uniform in [1, 3], widths in [1, 1.6]; the field is the same for every
@@ -24,9 +25,7 @@ def many_barriers(key: PRNGKeyArray | None = None, count: int | None = None) -> 
     swimmers are deflected several times, slow ones settle between the barriers and
     drift upwards with the thrust.
 
-    Args:
-        key: random key of the starts; `jax.random.key(0)` unless given.
-        count: number of trajectories; 32 unless given.
+    It has 32 trajectories unless another number is given.
     """
     field = random_barriers(
         SQUARE,
@@ -36,19 +35,18 @@ def many_barriers(key: PRNGKeyArray | None = None, count: int | None = None) -> 
         key=jax.random.key(FIELD_SEED),
     )
     starts = CoastingStarts(lower=SQUARE.lower, upper=SQUARE.upper, damping=DAMPING)
-    return planar_system("many-barriers", paper_swimmer(field), starts, key, count)
+    return planar_system("many-barriers", paper_swimmer(field), starts)
 
 
-def fibres(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
+@with_random_starts
+def fibres() -> System:
     """Twelve fibres in random directions: ridges of length 2.5 and width 0.7.
 
     Heights are uniform in [1, 3]; the field is the same for every key. Starts, thrust,
     drag and observation are those of `many_barriers`. Expected: swimmers are reflected
     by the flanks of the ridges and slip past their ends.
 
-    Args:
-        key: random key of the starts; `jax.random.key(0)` unless given.
-        count: number of trajectories; 32 unless given.
+    It has 32 trajectories unless another number is given.
     """
     field = random_fibres(
         SQUARE,
@@ -59,4 +57,4 @@ def fibres(key: PRNGKeyArray | None = None, count: int | None = None) -> System:
         key=jax.random.key(FIELD_SEED),
     )
     starts = CoastingStarts(lower=SQUARE.lower, upper=SQUARE.upper, damping=DAMPING)
-    return planar_system("fibres", paper_swimmer(field), starts, key, count)
+    return planar_system("fibres", paper_swimmer(field), starts)

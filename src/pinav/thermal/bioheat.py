@@ -22,10 +22,9 @@ from pinav.thermal.boundaries import Sides
 from pinav.thermal.grids import AbstractGrid
 from pinav.thermal.perfusion import AbstractPerfusion
 from pinav.thermal.protocols import AbstractProtocol
+from pinav.thermal.quantities import Field
 from pinav.thermal.sources import AbstractSource
 from pinav.thermal.tissues import Blood, Tissue
-
-Field = Float[Array, "..."]
 
 COLDEST, WARMEST = 20.0, 60.0
 """Temperatures [°C] between which the steepest slope of perfusion is sought."""
@@ -68,10 +67,7 @@ class Bioheat(eqx.Module):
                 )
 
     def levels(
-        self,
-        protocol: AbstractProtocol,
-        t: Float[Array, ""],
-        interval: Int[Array, ""],
+        self, protocol: AbstractProtocol, t: Float[Array, ""], interval: Int[Array, ""]
     ) -> Float[Array, " source"]:
         """Level of each source at a time [s] in an interval of the protocol."""
         amplitude = protocol.amplitude(t, interval)
@@ -181,7 +177,7 @@ class HeatBalance(eqx.Module):
         total = jnp.stack([jnp.sum(heat), jnp.sum(taken), lost])
         return Rates(change, total)
 
-    def stored(self, begin: Field, end: Field) -> Float[Array, ""]:
+    def stored_heat(self, begin: Field, end: Field) -> Float[Array, ""]:
         """Heat stored between two temperatures [J]."""
         return jnp.sum((end - begin) / self.inverse_capacity)
 

@@ -9,20 +9,18 @@ import abc
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar
 from pinav.errors import InputError
 from pinav.thermal.grids import AbstractGrid
+from pinav.thermal.quantities import Field
 
 
 class AbstractBoundary(eqx.Module):
     """One side of a grid."""
 
     @abc.abstractmethod
-    def conductance(
-        self, area: Float[Array, "..."], resistance: Float[Array, "..."]
-    ) -> Float[Array, "..."]:
+    def conductance(self, area: Field, resistance: Field) -> Field:
         """Heat flow per degree [W K⁻¹].
 
         Args:
@@ -45,9 +43,7 @@ class Dirichlet(AbstractBoundary):
 
     temperature: Scalar
 
-    def conductance(
-        self, area: Float[Array, "..."], resistance: Float[Array, "..."]
-    ) -> Float[Array, "..."]:
+    def conductance(self, area: Field, resistance: Field) -> Field:
         return area / resistance
 
     @property
@@ -58,9 +54,7 @@ class Dirichlet(AbstractBoundary):
 class Insulated(AbstractBoundary):
     """No heat passes: insulation, or a plane of symmetry."""
 
-    def conductance(
-        self, area: Float[Array, "..."], resistance: Float[Array, "..."]
-    ) -> Float[Array, "..."]:
+    def conductance(self, area: Field, resistance: Field) -> Field:
         return jnp.zeros_like(area)
 
     @property
@@ -89,9 +83,8 @@ class Robin(AbstractBoundary):
                 "Insulated() where no heat passes"
             )
 
-    def conductance(
-        self, area: Float[Array, "..."], resistance: Float[Array, "..."]
-    ) -> Float[Array, "..."]:
+    def conductance(self, area: Field, resistance: Field) -> Field:
+        # Film and half cell in series; the form stays finite for an infinite exchange.
         return area / (1 / jnp.asarray(self.exchange) + resistance)
 
     @property

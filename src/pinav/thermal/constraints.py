@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from pinav.thermal.design_variables import Run
 from pinav.thermal.dose import exceeded_by
 from pinav.thermal.exposure_limits import AbstractLimit
-from pinav.thermal.quantities import Number
+from pinav.thermal.quantities import Field, Number
 from pinav.thermal.solve import Solution
 
 LEAST_DOSE = 1e-9
@@ -30,12 +30,12 @@ class RunResult(eqx.Module):
     solution: Solution
     hottest: Float[Array, " interval"]
 
-    def volumes(self, share: Float[Array, "..."]) -> Float[Array, "..."]:
+    def volumes(self, share: Field) -> Field:
         """Volume [m³] of a tissue in each cell."""
         return share * self.run.model.grid.volumes
 
 
-Quantity = Callable[[RunResult], Float[Array, "..."]]
+Quantity = Callable[[RunResult], Field]
 
 
 class LogD90(eqx.Module):
@@ -45,12 +45,13 @@ class LogD90(eqx.Module):
         target: volume fraction of the target in each cell.
     """
 
-    target: Float[Array, "..."]
+    target: Field
 
     def __call__(self, result: RunResult) -> Float[Array, ""]:
         """Its value for a run."""
         dose = result.solution.final.dose
         d90 = exceeded_by(dose, result.volumes(self.target), 0.9)
+        # Doses span decades; without the offset a cold start would have no gradient.
         return jnp.log(d90 + LEAST_DOSE)
 
 
@@ -68,10 +69,10 @@ class AbstractConstraint(eqx.Module):
     unit: eqx.AbstractVar[str]
 
     @abc.abstractmethod
-    def quantity(self, result: RunResult) -> Float[Array, "..."]:
+    def quantity(self, result: RunResult) -> Field:
         """What is bounded; several numbers are all bounded."""
 
-    def excess(self, result: RunResult) -> Float[Array, "..."]:
+    def excess(self, result: RunResult) -> Field:
         """By how much it exceeds, such that a change of one matters."""
         return self.quantity(result) - self.bound
 
@@ -89,7 +90,7 @@ class MaxTemperature(AbstractConstraint):
     name: str = eqx.field(static=True, default="maximum temperature")
     unit: str = eqx.field(static=True, default="°C")
 
-    def quantity(self, result: RunResult) -> Float[Array, "..."]:
+    def quantity(self, result: RunResult) -> Field:
         return result.hottest
 
 
@@ -104,41 +105,17 @@ class HealthyDose(AbstractConstraint):
     """
 
     bound: Number
-    share: Float[Array, "..."]
+    share: Field
     name: str = eqx.field(static=True, default="healthy tissue dose")
     unit: str = eqx.field(static=True, default="min")
 
-    def quantity(self, result: RunResult) -> Float[Array, "..."]:
+    def quantity(self, result: RunResult) -> Field:
         dose = jnp.where(self.share > 0.5, result.solution.final.dose, 0.0)
         return jnp.max(dose)
 
-    def excess(self, result: RunResult) -> Float[Array, "..."]:
+    def excess(self, result: RunResult) -> Field:
         # a dose spans many decades; its logarithm is nearly linear in the temperature
         return jnp.log((self.quantity(result) + LEAST_DOSE) / self.bound)
-
-
-class WithinLimit(AbstractConstraint):
-    """The field keeps a limit.
-
-    Attributes:
-        limit: of the field.
-        name: of the limit.
-        bound: of the limit.
-        unit: of the limit.
-        scale: one kelvin, or the bound.
-    """
-
-    limit: AbstractLimit
-    name: str = eqx.field(static=True)
-    bound: Number
-    unit: str = eqx.field(static=True)
-    scale: Number
-
-    def quantity(self, result: RunResult) -> Float[Array, "..."]:
-        return self.limit.exposure(result.run.protocol)
-
-    def excess(self, result: RunResult) -> Float[Array, "..."]:
-        return (self.quantity(result) - self.bound) / self.scale
 
 
 class AtMost(AbstractConstraint):
@@ -158,16 +135,34 @@ class AtMost(AbstractConstraint):
     unit: str = eqx.field(static=True)
     scale: Number = 1.0
 
-    def quantity(self, result: RunResult) -> Float[Array, "..."]:
+    def quantity(self, result: RunResult) -> Field:
         return self.function(result)
 
-    def excess(self, result: RunResult) -> Float[Array, "..."]:
+    def excess(self, result: RunResult) -> Field:
         return (self.quantity(result) - self.bound) / self.scale
 
 
-def limit_constraint(limit: AbstractLimit) -> WithinLimit:
-    """The constraint that the field keeps a limit."""
+class Exposure(eqx.Module):
+    """What a limit of the field bounds.
+
+    Attributes:
+        limit: of the field.
+    """
+
+    limit: AbstractLimit
+
+    def __call__(self, result: RunResult) -> Field:
+        """Its value for a run."""
+        return self.limit.exposure(result.run.protocol)
+
+
+def limit_constraint(limit: AbstractLimit) -> AtMost:
+    """The constraint that the field keeps a limit; one kelvin matters, or the bound."""
     scale = 1.0 if limit.unit == "°C" else limit.bound
-    return WithinLimit(
-        limit=limit, name=limit.name, bound=limit.bound, unit=limit.unit, scale=scale
+    return AtMost(
+        name=limit.name,
+        function=Exposure(limit),
+        bound=limit.bound,
+        unit=limit.unit,
+        scale=scale,
     )

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar
-from pinav.thermal.quantities import Number
+from pinav.thermal.quantities import Field, Number
 
 BREAK = 43.0
 """Temperature [°C] at which the rate of CEM43 changes."""
@@ -27,8 +27,6 @@ GAS_CONSTANT = 8.314462618
 
 ZERO_CELSIUS = 273.15
 """In kelvin."""
-
-Field = Float[Array, "..."]
 
 
 def cem43_rate(temperature: Field) -> Field:
@@ -86,8 +84,8 @@ def _mean_rate_jvp(
     mean = _mean_rate(begin, end, cutoff)
     change = end - begin
     first, last = (_counted_rate(t, cutoff) for t in (begin, end))
-    crossed = _crossed(begin, end, cutoff)
-    small = (jnp.abs(change) < SMALL_CHANGE) & ~(crossed | _crossed(begin, end, BREAK))
+    crossed = _crosses(begin, end, cutoff)
+    small = (jnp.abs(change) < SMALL_CHANGE) & ~(crossed | _crosses(begin, end, BREAK))
     divisor = jnp.where(small | (change == 0), 1.0, change)
     by_end = jnp.where(small, _series(end, last, change), (last - mean) / divisor)
     by_begin = jnp.where(
@@ -116,7 +114,7 @@ def _counted_rate(temperature: Any, cutoff: Any) -> Field:
     return jnp.where(temperature >= cutoff, rate, 0.0)
 
 
-def _crossed(begin: Any, end: Any, bound: Any) -> Any:
+def _crosses(begin: Any, end: Any, bound: Any) -> Any:
     return (begin < bound) != (end < bound)
 
 

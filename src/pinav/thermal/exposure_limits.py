@@ -21,7 +21,7 @@ from pinav.thermal.protocols import AbstractProtocol, Piecewise
 from pinav.thermal.quantities import Number
 from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.schedule import plan_steps
-from pinav.thermal.solve import State, run
+from pinav.thermal.solve import run
 from pinav.thermal.sources import EddySource
 from pinav.thermal.tissues import Blood, Tissue
 
@@ -82,10 +82,6 @@ class HfLimit(AbstractLimit):
     def exposure(self, protocol: AbstractProtocol) -> Float[Array, " part"]:
         return peak_amplitudes(protocol) * protocol.frequency
 
-    def largest_amplitude(self, frequency: Number) -> float:
-        """The amplitude [A m⁻¹] that the limit leaves at a frequency [Hz]."""
-        return float(self.product / frequency)
-
 
 ATKINSON_BREZOVICH = HfLimit(product=4.85e8, name="Atkinson-Brezovich limit")
 """Tolerated for over an hour by a torso of some 30 cm: Atkinson, Brezovich and
@@ -145,8 +141,8 @@ class EddyTemperatureLimit(AbstractLimit):
             plan_steps(protocol, LONGEST),
             stepper=Rosenbrock(LONGEST),
             observe=jnp.max,
-            start=State.at_rest(model),
         )
+        # One number: heat of one interval stays for the next, so none counts by itself.
         return jnp.max(solution.hottest, keepdims=True)
 
 

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar
 from pinav.errors import InputError
-from pinav.thermal.quantities import Number, Numbers
+from pinav.thermal.quantities import Field, Number, Numbers
 
 SOLID_ANGLES = (1.0, 2 * np.pi, 4 * np.pi)
 """Area of the unit slab, cylinder and sphere."""
@@ -35,25 +35,23 @@ class AbstractGrid(eqx.Module):
 
     @property
     @abc.abstractmethod
-    def volumes(self) -> Float[Array, "..."]:
+    def volumes(self) -> Field:
         """Volume of each cell [m³]."""
 
     @abc.abstractmethod
-    def faces(self, axis: int) -> Float[Array, "..."]:
+    def faces(self, axis: int) -> Field:
         """Area [m²] of the faces across an axis, one more than cells along it."""
 
     @abc.abstractmethod
-    def half_widths(self, axis: int) -> Float[Array, "..."]:
+    def half_widths(self, axis: int) -> Field:
         """Distance [m] from the centre of each cell to its faces across an axis."""
 
     @abc.abstractmethod
-    def ball(
-        self, radius: Scalar, *, center: Numbers | None = None
-    ) -> Float[Array, "..."]:
+    def ball(self, radius: Scalar, *, center: Numbers | None = None) -> Field:
         """Share of each cell that lies in a ball about `center`; see `sphere`."""
 
     @abc.abstractmethod
-    def distances(self, center: Numbers | None = None) -> Float[Array, "..."]:
+    def distances(self, center: Numbers | None = None) -> Field:
         """Distance [m] of each cell's centre from a point, or from the middle."""
 
     @abc.abstractmethod
@@ -107,26 +105,24 @@ class RadialGrid(AbstractGrid):
         return 0.5 * (self.edges[1:] + self.edges[:-1])
 
     @property
-    def volumes(self) -> Float[Array, "..."]:
+    def volumes(self) -> Field:
         power = self.edges ** (self.exponent + 1) / (self.exponent + 1)
         return SOLID_ANGLES[self.exponent] * jnp.diff(power)
 
-    def faces(self, axis: int) -> Float[Array, "..."]:
+    def faces(self, axis: int) -> Field:
         return SOLID_ANGLES[self.exponent] * self.edges**self.exponent
 
-    def half_widths(self, axis: int) -> Float[Array, "..."]:
+    def half_widths(self, axis: int) -> Field:
         return 0.5 * jnp.diff(self.edges)
 
-    def ball(
-        self, radius: Scalar, *, center: Numbers | None = None
-    ) -> Float[Array, "..."]:
+    def ball(self, radius: Scalar, *, center: Numbers | None = None) -> Field:
         _check_center(center)
         power = self.exponent + 1
         inside = jnp.clip(radius, self.edges[:-1], self.edges[1:])
         low, high = self.edges[:-1] ** power, self.edges[1:] ** power
         return (inside**power - low) / (high - low)
 
-    def distances(self, center: Numbers | None = None) -> Float[Array, "..."]:
+    def distances(self, center: Numbers | None = None) -> Field:
         _check_center(center)
         return self.centers
 
@@ -196,7 +192,7 @@ class CartesianGrid(AbstractGrid):
         return jnp.stack([count * jnp.asarray(size, float) for count, size in pairs])
 
     @property
-    def volumes(self) -> Float[Array, "..."]:
+    def volumes(self) -> Field:
         return jnp.full(self.cells, self._volume)
 
     @property
@@ -206,23 +202,21 @@ class CartesianGrid(AbstractGrid):
             volume = volume * size
         return volume
 
-    def faces(self, axis: int) -> Float[Array, "..."]:
+    def faces(self, axis: int) -> Field:
         count = tuple(n + (i == axis) for i, n in enumerate(self.cells))
         return jnp.full(count, self._volume / self.spacing[axis])
 
-    def half_widths(self, axis: int) -> Float[Array, "..."]:
+    def half_widths(self, axis: int) -> Field:
         return jnp.full(self.cells, 0.5 * jnp.asarray(self.spacing[axis]))
 
-    def ball(
-        self, radius: Scalar, *, center: Numbers | None = None
-    ) -> Float[Array, "..."]:
+    def ball(self, radius: Scalar, *, center: Numbers | None = None) -> Field:
         r"""From $8^d$ points of each cell, each a ramp of its own width.
 
         A step at each point would have no derivative by the radius.
         """
         return _ball_shares(self, radius, self._center(center))
 
-    def distances(self, center: Numbers | None = None) -> Float[Array, "..."]:
+    def distances(self, center: Numbers | None = None) -> Field:
         return self._distances(self._center(center))
 
     def _center(self, center: Numbers | None) -> Array:
@@ -302,9 +296,7 @@ def _check_center(center: Numbers | None) -> None:
         )
 
 
-def scale_to(
-    field: Float[Array, "..."], grid: AbstractGrid, total: Scalar
-) -> Float[Array, "..."]:
+def scale_to(field: Field, grid: AbstractGrid, total: Scalar) -> Field:
     """The field times a factor that makes its integral `total`.
 
     A volume-fraction mask times a concentration misses the injected mass by the error

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 from pinav.arguments import Scalar
 from pinav.errors import InputError
 from pinav.thermal.perfusion import AbstractPerfusion
-from pinav.thermal.quantities import Number
+from pinav.thermal.quantities import Field, Number
 
 MIDDLE, UNIT = 41.0, 4.0
 """Temperature [°C] that a network sees as 0, and change [K] that it sees as 1."""
@@ -41,10 +41,10 @@ class AbstractLearnedPerfusion(AbstractPerfusion):
         """The leaves with a Gaussian prior."""
 
     @abc.abstractmethod
-    def variation(self, temperature: Float[Array, "..."]) -> Float[Array, "..."]:
+    def variation(self, temperature: Field) -> Field:
         """$g$ at temperatures within the range."""
 
-    def __call__(self, temperature: Float[Array, "..."]) -> Float[Array, "..."]:
+    def __call__(self, temperature: Field) -> Field:
         inside = jnp.clip(temperature, *self.range)
         return jnp.exp(self.log_level + self.variation(inside))
 
@@ -66,7 +66,7 @@ class NeuralPerfusion(AbstractLearnedPerfusion):
     def weights(self) -> PyTree:
         return self.network
 
-    def variation(self, temperature: Float[Array, "..."]) -> Float[Array, "..."]:
+    def variation(self, temperature: Field) -> Field:
         scaled = (temperature.reshape(-1, 1) - MIDDLE) / UNIT
         return jax.vmap(self.network)(scaled).reshape(temperature.shape)
 
@@ -98,7 +98,8 @@ class KernelPerfusion(AbstractLearnedPerfusion):
     def weights(self) -> PyTree:
         return self.values
 
-    def variation(self, temperature: Float[Array, "..."]) -> Float[Array, "..."]:
+    def variation(self, temperature: Field) -> Field:
+        # Whitened weights: their prior is the identity, whatever the length scale.
         factors = jax.scipy.linalg.solve_triangular(self.root.T, self.values)
         flat = temperature.reshape(-1)
         offsets = (flat[:, None] - self.centers[None]) / self.length_scale
@@ -153,6 +154,7 @@ def kernel_perfusion(
     count = max(3, round(2 * (high - low) / length_scale) + 1)
     centers = np.linspace(low, high, count)
     squares = ((centers[:, None] - centers[None]) / length_scale) ** 2
+    # Kernels every half length scale are nearly dependent: a ridge makes the root real.
     root = np.linalg.cholesky(np.exp(-0.5 * squares) + 1e-8 * np.eye(count))
     return KernelPerfusion(
         values=jnp.zeros(count),

@@ -24,9 +24,9 @@ from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.learned_perfusion import AbstractLearnedPerfusion
 from pinav.thermal.probes import ProbeData
 from pinav.thermal.protocols import AbstractProtocol
-from pinav.thermal.quantities import Number, Numbers
+from pinav.thermal.quantities import Field, Number, Numbers
 from pinav.thermal.schedule import Schedule, plan_steps
-from pinav.thermal.solve import Probes, State, default_stepper, run, solve
+from pinav.thermal.solve import Probes, default_stepper, run, solve
 from pinav.thermal.steppers import AbstractStepper
 
 Laws = Callable[[Any], tuple[AbstractLearnedPerfusion, ...]]
@@ -60,7 +60,6 @@ class ProbeResiduals(eqx.Module):
             self.schedule,
             stepper=self.stepper,
             observe=self.probes,
-            start=State.at_rest(model),
         )
         return solution.observed.reshape(-1)[self.index] - self.values
 
@@ -202,7 +201,7 @@ def perfusion_curve(
 
 
 def visited_range(
-    model: Bioheat, protocol: AbstractProtocol, share: Float[Array, "..."]
+    model: Bioheat, protocol: AbstractProtocol, share: Field
 ) -> tuple[float, float]:
     """Lowest and highest temperature [°C] of the cells that a mask holds mostly.
 

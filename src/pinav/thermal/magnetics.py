@@ -14,9 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.arguments import Scalar
+from pinav.arguments import Scalar, check_positive
 from pinav.errors import InputError
-from pinav.thermal.quantities import Numbers
+from pinav.thermal.quantities import Field
 
 VACUUM_PERMEABILITY = 4e-7 * np.pi
 """$\\mu_0$ [T m A⁻¹]."""
@@ -80,10 +80,7 @@ class LinearResponse(AbstractHeating):
     temperature: Scalar = 310.15
 
     def __check_init__(self) -> None:
-        for name in ("diameter", "anisotropy", "magnetisation", "density"):
-            value = getattr(self, name)
-            if isinstance(value, float | int) and not value > 0:
-                raise InputError(f"LinearResponse.{name}: expected > 0, got {value}")
+        check_positive(self, "diameter", "anisotropy", "magnetisation", "density")
         if isinstance(self.diameter, float) and self.diameter > 1e-6:
             raise InputError(
                 f"LinearResponse.diameter: expected metres, such as 14e-9, got "
@@ -132,7 +129,7 @@ class LinearResponse(AbstractHeating):
         return jnp.asarray(power / self.density)
 
 
-def langevin_ratio(field: Float[Array, "..."]) -> Float[Array, "..."]:
+def langevin_ratio(field: Field) -> Field:
     r"""$\frac{3}{\xi}(\coth\xi - 1/\xi)$, one at zero."""
     small = jnp.abs(field) < 1e-2
     safe = jnp.where(small, 1.0, field)
@@ -200,6 +197,7 @@ class PowerLawHeating(AbstractHeating):
 
     def slp(self, amplitude: Scalar, frequency: Scalar) -> Float[Array, ""]:
         positive = jnp.asarray(amplitude, float) > 0
+        # The untaken branch of a power of zero would make the gradient NaN.
         safe = jnp.where(positive, amplitude, 1.0)
         return jnp.where(positive, self.factor * frequency * safe**self.exponent, 0.0)
 
@@ -244,12 +242,3 @@ class TabulatedHeating(AbstractHeating):
 
     def validity(self, amplitude: Scalar) -> Float[Array, ""]:
         return jnp.asarray(amplitude / self.amplitudes[-1])
-
-
-def slp_table(
-    heating: AbstractHeating, amplitudes: Numbers, frequencies: Numbers
-) -> TabulatedHeating:
-    """The SLP of a model on a grid, as if it had been measured."""
-    rows, columns = jnp.asarray(amplitudes, float), jnp.asarray(frequencies, float)
-    along = jax.vmap(heating.slp, (None, 0))
-    return TabulatedHeating(rows, columns, jax.vmap(along, (0, None))(rows, columns))

@@ -21,7 +21,7 @@ from pinav.thermal.constraints import AbstractConstraint, Quantity, RunResult
 from pinav.thermal.design_variables import AbstractDesignVariable, Run
 from pinav.thermal.quantities import Number
 from pinav.thermal.schedule import Schedule, plan_steps
-from pinav.thermal.solve import Solution, State, default_stepper, run
+from pinav.thermal.solve import Solution, default_stepper, run
 from pinav.thermal.steppers import AbstractStepper
 
 VIOLATION, ACTIVE = 0.01, 0.02
@@ -196,7 +196,6 @@ class _Problem(eqx.Module):
             self.schedule,
             stepper=self.stepper,
             observe=jnp.max,
-            start=State.at_rest(trial.model),
         )
         intervals = jnp.asarray(self.schedule.intervals)
         count = len(trial.protocol.edges) - 1

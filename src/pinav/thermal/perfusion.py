@@ -12,10 +12,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from pinav.arguments import Scalar
 from pinav.errors import InputError
+from pinav.thermal.quantities import Field
 from pinav.thermal.tissues import Blood, Property, Tissue, least_known
 
 UNITS = {
@@ -55,6 +56,7 @@ def mass_perfusion(value: Scalar, *, unit: str, blood: Blood, tissue: Tissue) ->
             f"perfusion unit {unit!r} is unknown; choose one of: {', '.join(UNITS)}"
         )
     mass = value * factors[unit]
+    # Checked after the conversion: a wrong unit is off by a factor of 10 or more.
     size = least_known(mass)
     if size is not None and size != 0 and not PLAUSIBLE[0] <= size <= PLAUSIBLE[1]:
         raise InputError(
@@ -68,7 +70,7 @@ class AbstractPerfusion(eqx.Module):
     """Mass perfusion as a function of the local temperature."""
 
     @abc.abstractmethod
-    def __call__(self, temperature: Float[Array, "..."]) -> Float[Array, "..."]:
+    def __call__(self, temperature: Field) -> Field:
         """Mass perfusion $w$ [kg m⁻³ s⁻¹] at temperatures [°C], one for each cell."""
 
 
@@ -91,7 +93,7 @@ class ConstantPerfusion(AbstractPerfusion):
                 f"ConstantPerfusion: expected >= 0 kg/(m³ s), got {least:g}"
             )
 
-    def __call__(self, temperature: Float[Array, "..."]) -> Float[Array, "..."]:
+    def __call__(self, temperature: Field) -> Field:
         return jnp.broadcast_to(jnp.asarray(self.value, float), temperature.shape)
 
 
@@ -115,7 +117,7 @@ class RisingPerfusion(AbstractPerfusion):
     plateau: Scalar = 45.0
     spread: Scalar = 12.0
 
-    def __call__(self, temperature: Float[Array, "..."]) -> Float[Array, "..."]:
+    def __call__(self, temperature: Field) -> Field:
         below = jnp.minimum(temperature - self.plateau, 0.0)
         return self.rest + self.gain * jnp.exp(-(below**2) / self.spread)
 
@@ -145,7 +147,7 @@ class CollapsingPerfusion(AbstractPerfusion):
     end: Scalar = 42.0
     scale: Scalar = 5438.0
 
-    def __call__(self, temperature: Float[Array, "..."]) -> Float[Array, "..."]:
+    def __call__(self, temperature: Field) -> Field:
         above = jnp.clip(temperature - self.onset, 0.0, self.end - self.onset)
         # the power of zero has no derivative by itself: kept out, then put back
         positive = above > 0
@@ -192,17 +194,14 @@ class MixedPerfusion(AbstractPerfusion):
             share is zero; the whole grid unless given.
     """
 
-    share: Float[Array, "..."]
+    share: Field
     inside: AbstractPerfusion
     outside: AbstractPerfusion
     box: tuple[tuple[int, int], ...] | None = eqx.field(static=True, default=None)
 
     @classmethod
     def on_mask(
-        cls,
-        share: Float[Array, "..."],
-        inside: AbstractPerfusion,
-        outside: AbstractPerfusion,
+        cls, share: Field, inside: AbstractPerfusion, outside: AbstractPerfusion
     ) -> "MixedPerfusion":
         """The same with the smallest box; the whole grid for a share being traced."""
         if isinstance(share, Tracer) or not np.any(np.asarray(share)):
@@ -211,7 +210,7 @@ class MixedPerfusion(AbstractPerfusion):
         box = tuple((int(indices.min()), int(indices.max()) + 1) for indices in places)
         return cls(share, inside, outside, box)
 
-    def __call__(self, temperature: Float[Array, "..."]) -> Float[Array, "..."]:
+    def __call__(self, temperature: Field) -> Field:
         without = self.outside(temperature)
         if self.box is None:
             return self._mix(self.share, temperature, without)

@@ -27,6 +27,7 @@ from pinav.thermal.perfusion import (
 )
 from pinav.thermal.probes import ProbeData
 from pinav.thermal.protocols import AbstractProtocol
+from pinav.thermal.quantities import Field
 from pinav.thermal.steppers import AbstractStepper
 
 
@@ -41,7 +42,7 @@ class ExponentialPerfusion(AbstractPerfusion):
     level: Scalar
     growth: Scalar
 
-    def __call__(self, temperature: Float[Array, "..."]) -> Float[Array, "..."]:
+    def __call__(self, temperature: Field) -> Field:
         return self.level * jnp.exp(self.growth * (temperature - 37.0))
 
 
@@ -60,7 +61,7 @@ class LogisticPerfusion(AbstractPerfusion):
     middle: Scalar
     width: Scalar
 
-    def __call__(self, temperature: Float[Array, "..."]) -> Float[Array, "..."]:
+    def __call__(self, temperature: Field) -> Field:
         slope = jnp.tanh(0.5 * (temperature - self.middle) / self.width)
         return self.rest + 0.5 * self.gain * (1 + slope)
 

@@ -174,6 +174,7 @@ def _to_grid(path: Path, cells: np.ndarray) -> ProbeData:
         )
     times, when = np.unique(cells[:, 0], return_inverse=True)
     points, where = np.unique(cells[:, 1:-1], axis=0, return_inverse=True)
+    # What no row names stays NaN, and counts as not read.
     values = np.full((len(times), len(points)), np.nan)
     values[when.reshape(-1), where.reshape(-1)] = cells[:, -1]
     return ProbeData(times, points, values)

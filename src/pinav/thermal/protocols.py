@@ -126,11 +126,6 @@ class Piecewise(AbstractProtocol):
             frequency=self.frequency,
         )
 
-    def with_cooling(self, duration: Number) -> "Piecewise":
-        """This protocol, then no field for a while [s]."""
-        off = Piecewise.constant((0.0, duration), [0.0], self.frequency)
-        return self.then(off)
-
     @property
     def largest(self) -> float:
         """Largest amplitude [A m⁻¹]."""
@@ -139,6 +134,7 @@ class Piecewise(AbstractProtocol):
     def amplitude(
         self, t: Float[Array, ""], interval: Int[Array, ""]
     ) -> Float[Array, ""]:
+        # By the interval, not by a search in time: at an edge both sides are needed.
         times = jnp.asarray(self.edges)
         begin, end = times[interval], times[interval + 1]
         share = (t - begin) / (end - begin)

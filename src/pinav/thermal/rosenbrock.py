@@ -17,15 +17,8 @@ from jaxtyping import Array, Float
 from pinav.arguments import Scalar
 from pinav.errors import InputError
 from pinav.thermal.bioheat import Bioheat, HeatBalance, Rates
-from pinav.thermal.quantities import Number
-from pinav.thermal.steppers import (
-    AbstractStepper,
-    Field,
-    Levels,
-    March,
-    Watch,
-    check_step,
-)
+from pinav.thermal.quantities import Field, Number
+from pinav.thermal.steppers import AbstractStepper, Levels, March, Watch, check_step
 
 GAMMA = 1 - 1 / np.sqrt(2.0)
 """For which the method is L-stable."""
@@ -81,12 +74,22 @@ class Rosenbrock(AbstractStepper):
         levels: Levels,
         watch: Watch,
     ) -> "March":
-        stages = _stages(balance, temperature, steps, levels)
+        inputs = _Inputs(balance, temperature, steps, levels)
+        stages = _stages(inputs)
         before = stages.before(temperature)
         added, kept = jax.vmap(watch)(before, stages.after, steps)
-        first, second = _slopes(stages, balance, temperature, steps, levels)
+        first, second = _slopes(stages, inputs)
         flows = 0.5 * steps @ (3 * first.energy + second.energy)
         return March(stages.after[-1], jnp.sum(added, axis=0), flows, kept)
+
+
+class _Inputs(eqx.Module):
+    """The equation, the temperature at the begin, and what each step is given."""
+
+    balance: HeatBalance
+    temperature: Cells
+    steps: Float[Array, " step"]
+    levels: Levels
 
 
 class _Stages(eqx.Module):
@@ -101,16 +104,12 @@ class _Stages(eqx.Module):
 
 
 @eqx.filter_custom_jvp
-def _stages(
-    balance: HeatBalance, temperature: Cells, steps: Array, levels: Levels
-) -> _Stages:
-    matrices = _Matrices.of(balance)
+def _stages(inputs: _Inputs) -> _Stages:
+    balance, matrices = inputs.balance, _Matrices.of(inputs.balance)
 
-    def step(begin: Cells, inputs: tuple[Array, Array]) -> tuple[Cells, _Stages]:
-        dt, (level, later) = inputs
-        slope = jax.jvp(balance.sink, (begin,), (jnp.ones_like(begin),))[1]
-        # the sink is local: its Jacobian is diagonal, and one jvp with ones gives it
-        taken = slope * balance.volumes * balance.inverse_capacity
+    def step(begin: Cells, forced: tuple[Array, Array]) -> tuple[Cells, _Stages]:
+        dt, (level, later) = forced
+        taken = _sink_slope(balance, begin)
         drift = _shift(balance, level, later).temperature
 
         def solve(right: Cells) -> Cells:
@@ -123,15 +122,15 @@ def _stages(
         after = begin + 0.5 * dt * (3 * k1 + k2)
         return after, _Stages(k1, k2, after)
 
-    return jax.lax.scan(step, temperature, (steps, levels))[1]
+    return jax.lax.scan(step, inputs.temperature, (inputs.steps, inputs.levels))[1]
 
 
 @_stages.def_jvp
 def _stages_jvp(
-    primals: tuple[Any, ...], tangents: tuple[Any, ...]
+    primals: tuple[_Inputs], tangents: tuple[Any]
 ) -> tuple[_Stages, _Stages]:
     stages = _stages(*primals)
-    _, moved = eqx.filter_jvp(lambda *p: _defects(stages, *p), primals, tangents)
+    _, moved = eqx.filter_jvp(lambda i: _defects(stages, i), primals, tangents)
     # custom_linear_solve transposes the solve for reverse mode: no residuals of the
     # scan are stored, and nothing is recomputed
     linear = _Linearised.of(stages, *primals)
@@ -144,36 +143,32 @@ def _stages_jvp(
     return stages, change
 
 
+def _sink_slope(balance: HeatBalance, at: Cells) -> Cells:
+    """Change of what blood takes from each cell with its temperature [s⁻¹]."""
+    # The sink is local: its Jacobian is diagonal, and one jvp with ones gives it.
+    slope = jax.jvp(balance.sink, (at,), (jnp.ones_like(at),))[1]
+    return slope * balance.volumes * balance.inverse_capacity
+
+
 def _negative(like: Array, tangent: Array | None) -> Array:
     """The negative of a tangent, of which nothing is zero."""
     return jnp.zeros_like(like) if tangent is None else -tangent
 
 
-def _defects(
-    stages: _Stages,
-    balance: HeatBalance,
-    temperature: Cells,
-    steps: Array,
-    levels: Levels,
-) -> _Stages:
+def _defects(stages: _Stages, inputs: _Inputs) -> _Stages:
     """What is zero of the stages of a run."""
-    first, second = _slopes(stages, balance, temperature, steps, levels)
-    rise = 0.5 * steps[:, None] * (3 * stages.first + stages.second)
+    first, second = _slopes(stages, inputs)
+    rise = 0.5 * inputs.steps[:, None] * (3 * stages.first + stages.second)
     return _Stages(
         stages.first - first.temperature,
         stages.second - second.temperature,
-        stages.after - stages.before(temperature) - rise,
+        stages.after - stages.before(inputs.temperature) - rise,
     )
 
 
-def _slopes(
-    stages: _Stages,
-    balance: HeatBalance,
-    temperature: Cells,
-    steps: Array,
-    levels: Levels,
-) -> tuple[Rates, Rates]:
+def _slopes(stages: _Stages, inputs: _Inputs) -> tuple[Rates, Rates]:
     """Both stages of every step from the equations of which they are the solution."""
+    balance = inputs.balance
 
     def each(
         begin: Cells, k1: Cells, k2: Cells, dt: Scalar, level: Array
@@ -190,8 +185,9 @@ def _slopes(
         given = Rates(k1, first.energy)
         return first, jax.tree.map(lambda b, a: b - 2 * a, second, given)
 
-    before = stages.before(temperature)
-    return jax.vmap(each)(before, stages.first, stages.second, steps, levels)
+    before = stages.before(inputs.temperature)
+    forced = inputs.steps, inputs.levels
+    return jax.vmap(each)(before, stages.first, stages.second, *forced)
 
 
 def _add(rates: Rates, along: Rates, shift: Rates, weight: Scalar) -> Rates:
@@ -207,13 +203,11 @@ def _shift(balance: HeatBalance, level: Array, later: Array) -> Rates:
 
 
 class _Matrices(eqx.Module):
-    """Conduction between neighbours over the capacity of each, and its transpose."""
+    """Conduction between neighbours over the capacity of each."""
 
     lower: Cells
     diagonal: Cells
     upper: Cells
-    lower_transposed: Cells
-    upper_transposed: Cells
 
     @classmethod
     def of(cls, balance: HeatBalance) -> "_Matrices":
@@ -221,24 +215,15 @@ class _Matrices(eqx.Module):
         inverse, zero = balance.inverse_capacity, jnp.zeros(1)
         below = jnp.concatenate([zero, conductance[1:-1]])
         above = jnp.concatenate([conductance[1:-1], zero])
-        lower, upper = below * inverse, above * inverse
-        return cls(
-            lower=lower,
-            diagonal=(conductance[1:] + conductance[:-1]) * inverse,
-            upper=upper,
-            lower_transposed=jnp.concatenate([zero, upper[:-1]]),
-            upper_transposed=jnp.concatenate([lower[1:], zero]),
-        )
+        diagonal = (conductance[1:] + conductance[:-1]) * inverse
+        return cls(below * inverse, diagonal, above * inverse)
 
     @property
     def transposed(self) -> "_Matrices":
-        return _Matrices(
-            self.lower_transposed,
-            self.diagonal,
-            self.upper_transposed,
-            self.lower,
-            self.upper,
-        )
+        zero = jnp.zeros(1)
+        lower = jnp.concatenate([zero, self.upper[:-1]])
+        upper = jnp.concatenate([self.lower[1:], zero])
+        return _Matrices(lower, self.diagonal, upper)
 
     def solve(self, weight: Scalar, taken: Cells, right: Cells) -> Cells:
         """Solve 1 - weight * J, where blood takes `taken` of each degree."""
@@ -267,7 +252,7 @@ class _Step(eqx.Module):
         bends: by how much both stages change the first equation's matrix [s⁻¹].
     """
 
-    length: Float[Array, "..."]
+    length: Field
     first: Float[Array, "... cell"]
     second: Float[Array, "... cell"]
     bends: tuple[Float[Array, "... cell"], Float[Array, "... cell"]]
@@ -280,27 +265,18 @@ class _Linearised(eqx.Module):
     steps: _Step
 
     @classmethod
-    def of(
-        cls,
-        stages: _Stages,
-        balance: HeatBalance,
-        temperature: Cells,
-        steps: Array,
-        levels: Levels,
-    ) -> "_Linearised":
-        rate = balance.volumes * balance.inverse_capacity
-
+    def of(cls, stages: _Stages, inputs: _Inputs) -> "_Linearised":
         def slope(at: Cells) -> Cells:
-            return rate * jax.jvp(balance.sink, (at,), (jnp.ones_like(at),))[1]
+            return _sink_slope(inputs.balance, at)
 
         def each(begin: Cells, k1: Cells, k2: Cells, dt: Array) -> _Step:
             first, bend = jax.jvp(slope, (begin,), (jnp.ones_like(begin),))
             bends = GAMMA * dt * bend * k1, GAMMA * dt * bend * k2
             return _Step(dt, first, slope(begin + dt * k1), bends)
 
-        before = stages.before(temperature)
-        every = jax.vmap(each)(before, stages.first, stages.second, steps)
-        return cls(_Matrices.of(balance), every)
+        before = stages.before(inputs.temperature)
+        every = jax.vmap(each)(before, stages.first, stages.second, inputs.steps)
+        return cls(_Matrices.of(inputs.balance), every)
 
     def forward(self, right: _Stages) -> _Stages:
         """Solve for changes of the stages, from the first step on."""

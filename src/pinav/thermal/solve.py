@@ -13,12 +13,10 @@ from pinav.errors import InputError
 from pinav.thermal.bioheat import Bioheat, HeatBalance
 from pinav.thermal.dose import cem43_segment
 from pinav.thermal.protocols import AbstractProtocol
-from pinav.thermal.quantities import Number, Numbers
+from pinav.thermal.quantities import Field, Number, Numbers
 from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.schedule import Schedule, plan_steps
 from pinav.thermal.steppers import RKL2, AbstractStepper
-
-Field = Float[Array, "..."]
 
 
 class State(eqx.Module):
@@ -154,7 +152,7 @@ def run(
     *,
     stepper: AbstractStepper,
     observe: Observe,
-    start: State,
+    start: State | None = None,
     cutoff: Number = 37.0,
 ) -> Solution:
     """Run a protocol with a given schedule; see `solve`.
@@ -163,6 +161,7 @@ def run(
     and of one block at a time, about twice the square root of the number of steps.
     """
     balance = HeatBalance.of(model)
+    start = State.at_rest(model) if start is None else start
     nodes = jnp.asarray(stepper.nodes)
 
     def levels(begin: Array, dt: Array, interval: Array) -> Array:
@@ -199,7 +198,7 @@ def run(
         final=State(jnp.asarray(schedule.times[-1]), end.temperature, end.dose),
         energy=EnergyBalance(
             *jnp.sum(flows, axis=0),
-            stored=balance.stored(start.temperature, end.temperature),
+            stored=balance.stored_heat(start.temperature, end.temperature),
         ),
     )
 

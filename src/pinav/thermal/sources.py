@@ -10,13 +10,14 @@ from jaxtyping import Array, Float
 from pinav.arguments import Scalar
 from pinav.thermal.grids import AbstractGrid
 from pinav.thermal.magnetics import VACUUM_PERMEABILITY, AbstractHeating
+from pinav.thermal.quantities import Field
 
 
 class AbstractSource(eqx.Module):
     """Power per volume, `shape * level` [W m⁻³]."""
 
     @abc.abstractmethod
-    def shape(self, grid: AbstractGrid) -> Float[Array, "..."]:
+    def shape(self, grid: AbstractGrid) -> Field:
         """The part that depends on the cell."""
 
     @abc.abstractmethod
@@ -35,11 +36,11 @@ class ParticleSource(AbstractSource):
             state it cannot be told from perfusion: learn it from steps of the power.
     """
 
-    concentration: Float[Array, "..."]
+    concentration: Field
     heating: AbstractHeating
     scale: Scalar = 1.0
 
-    def shape(self, grid: AbstractGrid) -> Float[Array, "..."]:
+    def shape(self, grid: AbstractGrid) -> Field:
         return self.concentration
 
     def level(self, amplitude: Scalar, frequency: Scalar) -> Float[Array, ""]:
@@ -55,11 +56,11 @@ class PowerSource(AbstractSource):
         scale: a factor, to be learned.
     """
 
-    power: Float[Array, "..."]
+    power: Field
     reference: Scalar
     scale: Scalar = 1.0
 
-    def shape(self, grid: AbstractGrid) -> Float[Array, "..."]:
+    def shape(self, grid: AbstractGrid) -> Field:
         return self.power
 
     def level(self, amplitude: Scalar, frequency: Scalar) -> Float[Array, ""]:
@@ -83,7 +84,8 @@ class GaussianSource(AbstractSource):
     reference: Scalar
     center: Float[Array, " axis"] | None = None
 
-    def shape(self, grid: AbstractGrid) -> Float[Array, "..."]:
+    def shape(self, grid: AbstractGrid) -> Field:
+        # Logarithms keep both numbers positive without a constraint on the fit.
         width = jnp.exp(jnp.asarray(self.log_width))
         scaled = grid.distances(self.center) / width
         return jnp.exp(self.log_peak - 0.5 * scaled**2)
@@ -106,7 +108,7 @@ class EddySource(AbstractSource):
     radius: Scalar
     conductivity: Scalar
 
-    def shape(self, grid: AbstractGrid) -> Float[Array, "..."]:
+    def shape(self, grid: AbstractGrid) -> Field:
         return jnp.ones(grid.shape)
 
     def level(self, amplitude: Scalar, frequency: Scalar) -> Float[Array, ""]:

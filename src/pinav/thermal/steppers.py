@@ -17,9 +17,8 @@ from jaxtyping import Array, Float, PyTree
 from pinav.arguments import Scalar
 from pinav.errors import InputError
 from pinav.thermal.bioheat import Bioheat, HeatBalance, Rates, fastest_rate
-from pinav.thermal.quantities import Number
+from pinav.thermal.quantities import Field, Number
 
-Field = Float[Array, "..."]
 Levels = Float[Array, "step node source"]
 Watch = Callable[[Field, Field, Scalar], tuple[Field, PyTree]]
 """Of temperatures before and after a step, and its length: an addend, an output."""
@@ -184,16 +183,16 @@ class RKL2(AbstractStepper):
     ) -> Rates:
         rows, first = _rkl2_coefficients(self.stages)
         # heat flows are further components of the same stages, so that they balance
-        initial = _Stage(temperature, jnp.zeros(3))
-        start = _slope(balance, initial, levels[0])
+        initial = Rates(temperature, jnp.zeros(3))
+        start = balance.rates(temperature, levels[0])
         after = jax.tree.map(lambda y, r: y + first * dt * r, initial, start)
 
         def stage(
-            carry: tuple[_Stage, _Stage], inputs: PyTree
-        ) -> tuple[tuple[_Stage, _Stage], None]:
+            carry: tuple[Rates, Rates], inputs: PyTree
+        ) -> tuple[tuple[Rates, Rates], None]:
             (mu, nu, rest, of_slope, of_start), level = inputs
             last, before = carry
-            slope = _slope(balance, last, level)
+            slope = balance.rates(last.temperature, level)
 
             def combine(
                 y: Array, y_before: Array, y0: Array, rate: Array, rate0: Array
@@ -210,16 +209,6 @@ class RKL2(AbstractStepper):
 
 def _stable_step(stages: int, rate: float) -> float:
     return 0.5 * (stages**2 + stages - 2) / rate
-
-
-class _Stage(eqx.Module):
-    temperature: Field
-    energy: Float[Array, "3"]
-
-
-def _slope(balance: HeatBalance, stage: _Stage, level: Array) -> _Stage:
-    rates = balance.rates(stage.temperature, level)
-    return _Stage(rates.temperature, rates.energy)
 
 
 def _rkl2_coefficients(s: int) -> tuple[Any, float]:

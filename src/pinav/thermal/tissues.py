@@ -11,12 +11,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar
 from pinav.errors import InputError
+from pinav.thermal.quantities import Field
 
-Property = Scalar | Float[Array, "..."]
+Property = Scalar | Field
 """The same everywhere, or one value for each cell."""
 
 
@@ -160,7 +160,7 @@ def preset(name: str) -> Preset:
     return PRESETS[name]
 
 
-def mix(share: Float[Array, "..."], inside: Tissue, outside: Tissue) -> Tissue:
+def mix(share: Field, inside: Tissue, outside: Tissue) -> Tissue:
     r"""Two tissues in the cells that a mask shares between them.
 
     $1/k$, $\rho$, $\rho c$ and $Q_{met}$ are averaged by volume: heat that crosses a
@@ -177,6 +177,7 @@ def mix(share: Float[Array, "..."], inside: Tissue, outside: Tissue) -> Tissue:
 
     density = average(inside.density, outside.density)
     capacity = average(inside.capacity, outside.capacity)
+    # Density comes first: the specific heat is the ratio that keeps the capacity exact.
     return Tissue(
         conductivity=1 / average(1 / inside.conductivity, 1 / outside.conductivity),
         density=density,

@@ -218,6 +218,7 @@ def _two_shells() -> Iterator[Check]:
 
 def _point() -> Iterator[Check]:
     grid = RadialGrid.sphere(0.05, 400)
+    # All power in the innermost cell: a point, as far as the grid can show one.
     model = reference_model(grid, jnp.zeros(400).at[0].set(0.1 / grid.volumes[0]))
     points = np.asarray(grid.centers)[[16, 40, 80]]
     true = [exact.point_source(float(r), np.inf, SET_S, 0.1) for r in points]
@@ -250,6 +251,7 @@ def _spots() -> Iterator[Check]:
 
 
 def _lumped() -> Iterator[Check]:
+    # Uniform, so that the fewest cells there are have the lumped solution.
     model = reference_model(RadialGrid.slab(0.01, 3), 3e4, CLOSED)
     for name, stepper in (("RKL2", RKL2(5, 10.0)), ("Rosenbrock", Rosenbrock(10.0))):
         plain = solve(model, powers((0.0, 600.0), [1.0]), stepper=stepper)
@@ -303,15 +305,7 @@ def _sensitivities() -> Iterator[Check]:
             plain,
             (k, perfusion / 3617.0),
         )
-        begin = State.at_rest(model)
-        solution = run(
-            model,
-            protocol,
-            schedule,
-            stepper=Rosenbrock(),
-            observe=jnp.max,
-            start=begin,
-        )
+        solution = run(model, protocol, schedule, stepper=Rosenbrock(), observe=jnp.max)
         return probe @ solution.final.temperature
 
     at = jnp.array([SET_S.conductivity, SET_S.perfusion, 0.005, 4e5])

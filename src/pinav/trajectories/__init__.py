@@ -28,4 +28,4 @@ from pinav.trajectories.trajectory import Ragged as Ragged
 from pinav.trajectories.trajectory import Trajectory as Trajectory
 from pinav.trajectories.trajectory import arrays_per_trajectory as arrays_per_trajectory
 from pinav.trajectories.trajectory import check_increasing as check_increasing
-from pinav.trajectories.trajectory import checked_trajectory as checked_trajectory
+from pinav.trajectories.trajectory import check_trajectory as check_trajectory

@@ -12,9 +12,13 @@ import jax
 import numpy as np
 from jaxtyping import Float64, PRNGKeyArray
 
+from pinav.arguments import check_positive
 from pinav.errors import InputError
 from pinav.trajectories.trajectories import Trajectories
 from pinav.trajectories.trajectory import Trajectory
+
+Channels = tuple[str, ...]
+Random = np.random.Generator
 
 
 class AbstractDegradation(eqx.Module):
@@ -22,10 +26,7 @@ class AbstractDegradation(eqx.Module):
 
     @abc.abstractmethod
     def __call__(
-        self,
-        trajectory: Trajectory,
-        channels: tuple[str, ...],
-        random: np.random.Generator,
+        self, trajectory: Trajectory, channels: Channels, random: Random
     ) -> Trajectory:
         """The trajectory after this step.
 
@@ -57,12 +58,9 @@ class GaussianNoise(AbstractDegradation):
         _check_range(self, "deviation", 0.0, np.inf)
 
     def __call__(
-        self,
-        trajectory: Trajectory,
-        channels: tuple[str, ...],
-        random: np.random.Generator,
+        self, trajectory: Trajectory, channels: Channels, random: Random
     ) -> Trajectory:
-        noisy = _chosen(self, self.channels or channels, channels)
+        noisy = _channel_mask(self, self.channels or channels, channels)
         noise = self.deviation * random.standard_normal(trajectory.states.shape)
         noise = np.where(trajectory.observed & noisy[None], noise, 0.0)
         return _with(trajectory, states=trajectory.states + noise)
@@ -86,14 +84,11 @@ class FrameLoss(AbstractDegradation):
         _check_range(self, "probability", 0.0, 1.0)
 
     def __call__(
-        self,
-        trajectory: Trajectory,
-        channels: tuple[str, ...],
-        random: np.random.Generator,
+        self, trajectory: Trajectory, channels: Channels, random: Random
     ) -> Trajectory:
         lost = random.random(len(trajectory.times)) < self.probability
         lost[[0, -1]] = False
-        return _masked(trajectory, lost[:, None])
+        return _hide(trajectory, lost[:, None])
 
 
 class Unobserved(AbstractDegradation):
@@ -108,16 +103,13 @@ class Unobserved(AbstractDegradation):
     keep_first: bool = eqx.field(static=True, default=False)
 
     def __call__(
-        self,
-        trajectory: Trajectory,
-        channels: tuple[str, ...],
-        random: np.random.Generator,
+        self, trajectory: Trajectory, channels: Channels, random: Random
     ) -> Trajectory:
         hidden = np.tile(
-            _chosen(self, self.channels, channels), (len(trajectory.times), 1)
+            _channel_mask(self, self.channels, channels), (len(trajectory.times), 1)
         )
         hidden[0] &= not self.keep_first
-        return _masked(trajectory, hidden)
+        return _hide(trajectory, hidden)
 
 
 class MotionBlur(AbstractDegradation):
@@ -136,14 +128,10 @@ class MotionBlur(AbstractDegradation):
     exposure: float = eqx.field(static=True)
 
     def __check_init__(self) -> None:
-        if not self.exposure > 0:
-            raise InputError(f"MotionBlur.exposure: expected > 0, got {self.exposure}")
+        check_positive(self, "exposure")
 
     def __call__(
-        self,
-        trajectory: Trajectory,
-        channels: tuple[str, ...],
-        random: np.random.Generator,
+        self, trajectory: Trajectory, channels: Channels, random: Random
     ) -> Trajectory:
         if not trajectory.observed.all():
             raise InputError(
@@ -178,10 +166,7 @@ class Subsample(AbstractDegradation):
             raise InputError(f"Subsample.every: expected 1 or more, got {self.every}")
 
     def __call__(
-        self,
-        trajectory: Trajectory,
-        channels: tuple[str, ...],
-        random: np.random.Generator,
+        self, trajectory: Trajectory, channels: Channels, random: Random
     ) -> Trajectory:
         if len(trajectory.times) <= self.every:
             raise InputError(
@@ -248,12 +233,12 @@ def _with(trajectory: Trajectory, states: np.ndarray) -> Trajectory:
     return eqx.tree_at(lambda t: t.states, trajectory, states)
 
 
-def _masked(trajectory: Trajectory, hidden: np.ndarray) -> Trajectory:
+def _hide(trajectory: Trajectory, hidden: np.ndarray) -> Trajectory:
     observed = trajectory.observed & ~hidden
     return eqx.tree_at(lambda t: t.observed, trajectory, observed)
 
 
-def _chosen(
+def _channel_mask(
     step: AbstractDegradation, names: Sequence[str], channels: tuple[str, ...]
 ) -> np.ndarray:
     """Which channels are meant."""

@@ -38,10 +38,7 @@ PREFIX = "# pinav:"
 
 
 def save(
-    trajectories: Trajectories,
-    path: str | os.PathLike[str],
-    *,
-    overwrite: bool = False,
+    trajectories: Trajectories, path: str | os.PathLike[str], *, overwrite: bool = False
 ) -> None:
     """Write trajectories to a `.npz` or `.csv` file; either keeps every digit.
 
@@ -354,7 +351,7 @@ def _table(
         header, stated = split_headings(header)
         units = {**stated, **units}
     place = f"line {num_comments + 1}"
-    channels = _checked_header(place, header, metadata)
+    channels = _check_header(place, header, metadata)
     rows = []
     for cells in reader:
         line = num_comments + reader.line_num
@@ -370,7 +367,7 @@ def _table(
     return msgspec.structs.replace(metadata, channels=channels, units=units), rows
 
 
-def _checked_header(
+def _check_header(
     place: str, header: Sequence[str], metadata: _Metadata
 ) -> tuple[str, ...]:
     """The channels among the columns, in the order of the metadata if it has one."""

@@ -50,7 +50,7 @@ def simulate(system: System, *, key: PRNGKeyArray | None = None) -> Trajectories
     commands = _commands(system)
     return Trajectories.from_arrays(
         system.times,
-        _exposed(system, states) + noise,
+        _expose(system, states) + noise,
         channels=system.channels,
         commands=commands,
         units={**system.units, **{name: _UNITS[name] for name in commands}},
@@ -75,7 +75,7 @@ def _commands(system: System) -> dict[str, np.ndarray]:
     return {"frequency": np.asarray(frequency), "heading": np.asarray(heading)}
 
 
-def _exposed(
+def _expose(
     system: System, states: Float64[np.ndarray, "trajectory time state"]
 ) -> Float64[np.ndarray, "trajectory time state"]:
     """The states as a camera averages them, which is before its noise."""

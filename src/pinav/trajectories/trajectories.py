@@ -21,7 +21,7 @@ from pinav.trajectories.trajectory import (
     Ragged,
     Trajectory,
     arrays_per_trajectory,
-    checked_trajectory,
+    check_trajectory,
 )
 
 UNKNOWN_UNIT = "?"
@@ -87,7 +87,7 @@ class Trajectories(eqx.Module):
                 not come after the one before it.
         """
         commands = dict(commands or {})
-        channels = _checked_names(channels, commands)
+        channels = _check_names(channels, commands)
         tables = arrays_per_trajectory("states", states, 2)
         vectors = arrays_per_trajectory("times", times, 1, len(tables))
         masks = [None] * len(tables)
@@ -98,7 +98,7 @@ class Trajectories(eqx.Module):
             for name, values in commands.items()
         }
         pieces = [
-            checked_trajectory(
+            check_trajectory(
                 f"trajectory {i}",
                 channels,
                 (vectors[i], tables[i], masks[i]),
@@ -107,7 +107,7 @@ class Trajectories(eqx.Module):
             for i in range(len(tables))
         ]
         units = _all_units(units or {}, (*channels, "t", *commands))
-        return _padded(pieces, channels, units, provenance or {})
+        return _pad_pieces(pieces, channels, units, provenance or {})
 
     @classmethod
     def from_table(
@@ -228,13 +228,13 @@ class Trajectories(eqx.Module):
 
     def trajectory(self, index: int) -> Trajectory:
         """The trajectory at `index` without its padding; a view, not a copy."""
-        index = _checked_indices([index], len(self))[0]
-        own = slice(self.lengths[index])
+        index = _check_indices([index], len(self))[0]
+        rows = slice(self.lengths[index])
         return Trajectory(
-            times=self.times[index, own],
-            states=self.states[index, own],
-            observed=self.observed[index, own],
-            commands={name: c[index, own] for name, c in self.commands.items()},
+            times=self.times[index, rows],
+            states=self.states[index, rows],
+            observed=self.observed[index, rows],
+            commands={name: c[index, rows] for name, c in self.commands.items()},
         )
 
     def select(self, indices: Sequence[int] | np.ndarray) -> "Trajectories":
@@ -242,12 +242,12 @@ class Trajectories(eqx.Module):
 
         The provenance remembers, as `selection`, where each of them stood at first.
         """
-        chosen = _checked_indices(indices, len(self))
+        chosen = _check_indices(indices, len(self))
         before = self.provenance.get("selection", range(len(self)))
         selection = [before[i] for i in chosen]
         provenance = self.provenance | {"selection": selection}
         pieces = [self.trajectory(i) for i in chosen]
-        return _padded(pieces, self.channels, self.units, provenance)
+        return _pad_pieces(pieces, self.channels, self.units, provenance)
 
 
 def with_unobserved(
@@ -263,7 +263,7 @@ def with_unobserved(
     """
     extra = len(units)
 
-    def widened(piece: Trajectory) -> Trajectory:
+    def widen(piece: Trajectory) -> Trajectory:
         blank = np.zeros((len(piece.times), extra))
         return Trajectory(
             times=piece.times,
@@ -272,9 +272,9 @@ def with_unobserved(
             commands=piece.commands,
         )
 
-    channels = _checked_names((*trajectories.channels, *units), trajectories.commands)
-    return _padded(
-        [widened(piece) for piece in trajectories],
+    channels = _check_names((*trajectories.channels, *units), trajectories.commands)
+    return _pad_pieces(
+        [widen(piece) for piece in trajectories],
         channels,
         {**trajectories.units, **units},
         trajectories.provenance,
@@ -345,7 +345,7 @@ def bootstrap(
         raise InputError(f"bootstrap count: expected 1 or more, got {count}")
     shape = (count, len(trajectories))
     chosen = jax.random.randint(key, shape, 0, len(trajectories))
-    return [trajectories.select(np.asarray(own)) for own in chosen]
+    return [trajectories.select(np.asarray(indices)) for indices in chosen]
 
 
 def concatenate(several: Sequence[Trajectories]) -> Trajectories:
@@ -367,10 +367,10 @@ def concatenate(several: Sequence[Trajectories]) -> Trajectories:
                 )
     provenance = {"concatenated": [part.provenance for part in several]}
     pieces = [piece for part in several for piece in part]
-    return _padded(pieces, first.channels, first.units, provenance)
+    return _pad_pieces(pieces, first.channels, first.units, provenance)
 
 
-def _checked_names(
+def _check_names(
     channels: Sequence[str], commands: Mapping[str, Any]
 ) -> tuple[str, ...]:
     """The channels, when they and the commands can be the columns of a table."""
@@ -401,7 +401,7 @@ def _all_units(units: Mapping[str, str], names: Sequence[str]) -> dict[str, str]
     return {name: str(units.get(name, UNKNOWN_UNIT)) for name in names}
 
 
-def _checked_indices(indices: Sequence[int] | np.ndarray, count: int) -> list[int]:
+def _check_indices(indices: Sequence[int] | np.ndarray, count: int) -> list[int]:
     """The indices as integers from 0, negative ones counted from the end."""
     chosen = np.asarray(indices)
     if chosen.ndim != 1 or chosen.size == 0 or chosen.dtype.kind not in "iu":
@@ -414,7 +414,7 @@ def _checked_indices(indices: Sequence[int] | np.ndarray, count: int) -> list[in
     return (chosen % count).tolist()
 
 
-def _padded(
+def _pad_pieces(
     pieces: Sequence[Trajectory],
     channels: tuple[str, ...],
     units: Mapping[str, str],

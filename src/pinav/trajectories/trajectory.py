@@ -77,7 +77,7 @@ def _array(name: str, values: Any, ndim: int, dtype: type) -> np.ndarray:
     return array.astype(dtype)
 
 
-def checked_trajectory(
+def check_trajectory(
     name: str,
     channels: tuple[str, ...],
     samples: tuple[np.ndarray, np.ndarray, np.ndarray | None],

@@ -62,6 +62,7 @@ def episodes_that_took(times):
         violated=~arrived,
         arrival_time=times,
         clearance=np.zeros(many),
+        compute=np.zeros(0),
     )
 
 

@@ -187,8 +187,8 @@ def discover(
     learned = Learned.of(posterior, trajectories, solver)
     sample = force_sample(posterior, trajectories, learned.num_effective)
     screened = screen(sample, potentials, rotations)
-    refitted = _refitted(screened, model, learned, refits)
-    candidates = _ranked(refitted, learned, inertia=isinstance(model, Swimmer))
+    refitted = _refit_best(screened, model, learned, refits)
+    candidates = _rank(refitted, learned, inertia=isinstance(model, Swimmer))
     return Discovery(
         candidates=candidates,
         screened=tuple((fit.law.name, fit.bic) for fit in screened),
@@ -222,7 +222,7 @@ def screen(
     return sorted([*conservative, *pairs, *alone, *sums], key=lambda fit: fit.bic)
 
 
-def _refitted(screened, model, learned, refits):
+def _refit_best(screened, model, learned, refits):
     """The most promising laws, refitted; sums first where they gained on their terms.
 
     Where none of them explains the data, the best sums that were left out come too.
@@ -246,7 +246,7 @@ def _refitted(screened, model, learned, refits):
     return results
 
 
-def _ranked(
+def _rank(
     refitted: list[tuple[FieldFit, Refit]], learned: Learned, *, inertia: bool
 ) -> tuple[Candidate, ...]:
     """Candidates in the order of their criterion on the trajectories."""
@@ -276,13 +276,18 @@ def _verdict(candidates):
     rivals = sum(candidate.delta_bic < CLOSE for candidate in candidates)
     if not best.fits:
         return Verdict.NO_LAW_FITS
-    if rivals > 1 or not all(own.identifiable for own in best.constants):
+    if rivals > 1 or not all(constant.identifiable for constant in best.constants):
         return Verdict.NOT_IDENTIFIABLE
     return Verdict.IDENTIFIED
 
 
 FORCES = {"L² T⁻²": "F L", "L T⁻²": "F", "T⁻²": "F L⁻¹"}
 """Dimensions of a force, with F, for those of an acceleration."""
+
+
+def _force_unit(unit: str) -> str:
+    """The dimension of a constant of a force, from that of an acceleration."""
+    return FORCES.get(unit, unit)
 
 
 def estimates(
@@ -300,22 +305,22 @@ def estimates(
         inertia: the law is an acceleration; else it is a force, of dimension F.
     """
     sd = np.sqrt(np.diag(result.covariance))
-    found = []
-    for own, value, spread in zip(
+    estimated = []
+    for constant, value, spread in zip(
         result.law.constants, result.constants, sd, strict=True
     ):
         reach = {Role.POSITION: 0.5 * extent, Role.ANGLE: 0.25 * np.pi}
         half = normal_quantile() * float(spread)
-        found.append(
+        estimated.append(
             EstimatedConstant(
-                name=own.name,
-                symbol=own.symbol,
-                unit=own.unit if inertia else FORCES.get(own.unit, own.unit),
+                name=constant.name,
+                symbol=constant.symbol,
+                unit=constant.unit if inertia else _force_unit(constant.unit),
                 value=float(value),
                 sd=float(spread),
                 low=float(value) - half,
                 high=float(value) + half,
-                identifiable=bool(half < reach.get(own.role, abs(float(value)))),
+                identifiable=bool(half < reach.get(constant.role, abs(float(value)))),
             )
         )
-    return tuple(found)
+    return tuple(estimated)

@@ -101,7 +101,7 @@ def force_sample(
     Raises:
         InputError: the trajectories are not planar, or visit fewer than four points.
     """
-    positions, times = _visited(trajectories)
+    positions, times = _visited_positions(trajectories)
     chosen = spread_points(positions, MAX_POINTS)
     with jax.enable_x64(new_val=True):
         force, jacobians = _force_and_jacobian(
@@ -129,7 +129,7 @@ def _force_and_jacobian(free, theta, points, times):
     return values, jax.vmap(jax.jacrev(force), axes)(theta, points, times)
 
 
-def _visited(trajectories):
+def _visited_positions(trajectories):
     """Observed positions, and when."""
     if len(trajectories.channels) not in (2, 4):
         raise InputError(
@@ -208,7 +208,7 @@ def central_test(sample: ForceSample) -> CentralTest:
     tangents = np.stack([-outward[:, 1], outward[:, 0]], axis=1)
     tangential = np.sum(tangents * sample.force, axis=1)
     radial = np.sum(outward * sample.force, axis=1)
-    covariance = projected(sample.total_covariance, tangents)
+    covariance = project_covariance(sample.total_covariance, tangents)
     mean, variance = np.trace(covariance), 2 * np.sum(covariance**2)
     statistic = float(np.sum(tangential**2))
     p_value = scipy.stats.chi2.sf(
@@ -247,7 +247,7 @@ def _center(sample):
     def factor(center):
         offsets = sample.positions - center
         arms = np.stack([offsets[:, 1], -offsets[:, 0]], axis=1)
-        covariance = projected(sample.total_covariance, arms)
+        covariance = project_covariance(sample.total_covariance, arms)
         ridge = 1e-9 * np.trace(covariance) / len(rows) + np.finfo(float).tiny
         return np.linalg.cholesky(covariance + ridge * np.eye(len(rows)))
 
@@ -265,7 +265,7 @@ def _center(sample):
     return center, np.sqrt(np.diag(normal))
 
 
-def projected(
+def project_covariance(
     covariance: Float[np.ndarray, "component component"],
     directions: Float[np.ndarray, "point dim"],
 ) -> Float[np.ndarray, "point point"]:

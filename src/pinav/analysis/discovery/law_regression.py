@@ -167,11 +167,11 @@ def _bounds(law, sample):
     reach, middle = 5 * sample.extent, (low + high) / 2
     corner = float(np.abs(middle).max())
     limits = []
-    for own in law.constants:
-        if own.role is Role.SCALE:
-            unit = sample.extent if own.unit == "L" else 1.0
+    for constant in law.constants:
+        if constant.role is Role.SCALE:
+            unit = sample.extent if constant.unit == "L" else 1.0
             limits.append((5e-3 * unit, 50 * unit))
-        elif own.role is Role.POSITION:
+        elif constant.role is Role.POSITION:
             limits.append((-corner - reach, corner + reach))
         else:
             limits.append((-np.inf, np.inf))

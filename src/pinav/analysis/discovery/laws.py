@@ -96,7 +96,7 @@ class AbstractLaw(abc.ABC):
 
     def indices(self, role: Role) -> list[int]:
         """Where the constants of that role stand."""
-        return [i for i, own in enumerate(self.constants) if own.role is role]
+        return [i for i, constant in enumerate(self.constants) if constant.role is role]
 
 
 class AbstractPotential(AbstractLaw):
@@ -128,17 +128,17 @@ class SumLaw(AbstractLaw):
     constants: tuple[Constant, ...] = dataclasses.field(init=False)
 
     def __post_init__(self):
-        own = [(i, c) for i, t in enumerate(self.terms, 1) for c in t.constants]
-        names = [constant.name for _, constant in own]
-        numbered = tuple(_numbered(c, i, names.count(c.name)) for i, c in own)
+        numbers = [(i, c) for i, t in enumerate(self.terms, 1) for c in t.constants]
+        names = [constant.name for _, constant in numbers]
+        numbered = tuple(_number(c, i, names.count(c.name)) for i, c in numbers)
         object.__setattr__(self, "name", " + ".join(t.name for t in self.terms))
         object.__setattr__(self, "constants", numbered)
 
     def potential(self, c, x, y, ops):
-        return sum(t.potential(own, x, y, ops) for t, own in self._split(c))
+        return sum(t.potential(values, x, y, ops) for t, values in self._split(c))
 
     def rotation(self, c, x, y, ops):
-        parts = [t.rotation(own, x, y, ops) for t, own in self._split(c)]
+        parts = [t.rotation(values, x, y, ops) for t, values in self._split(c)]
         return sum(part[0] for part in parts), sum(part[1] for part in parts)
 
     def shapes(self, landscape):
@@ -209,10 +209,12 @@ def expressions(law: AbstractLaw) -> LawExpressions:
 
     x, y = sympy.symbols("x y", real=True)
     constants = {
-        own.name: sympy.Symbol(
-            own.symbol, real=True, positive=True if own.role is Role.SCALE else None
+        constant.name: sympy.Symbol(
+            constant.symbol,
+            real=True,
+            positive=True if constant.role is Role.SCALE else None,
         )
-        for own in law.constants
+        for constant in law.constants
     }
     values = tuple(constants.values())
     potential = sympy.sympify(law.potential(values, x, y, sympy))
@@ -241,7 +243,7 @@ def sympy_text(law: AbstractLaw, constants: Float[np.ndarray, " constant"]) -> s
     import sympy
 
     formulas = expressions(law)
-    names = [own.name for own in law.constants]
+    names = [constant.name for constant in law.constants]
     values = {
         formulas.symbols[name]: sympy.Float(float(value), 8)
         for name, value in zip(names, constants, strict=True)
@@ -253,7 +255,7 @@ def _terms(law: AbstractLaw) -> tuple[AbstractLaw, ...]:
     return law.terms if isinstance(law, SumLaw) else (law,)
 
 
-def _numbered(constant: Constant, term: int, count: int) -> Constant:
+def _number(constant: Constant, term: int, count: int) -> Constant:
     """The constant with the number of its term, where several share its name."""
     if count == 1:
         return constant

@@ -43,7 +43,7 @@ class Learned(eqx.Module):
         Raises:
             FitError: no such states were found.
         """
-        problem, local = _linearised(
+        problem, local = _linearise(
             posterior.free, posterior.mean, trajectories, solver
         )
         hessian = local.hessian
@@ -90,7 +90,7 @@ def laplace_posterior(
     solver = FixedStep() if solver is None else solver
     with jax.enable_x64(new_val=True):
         free, theta = ravel_model(with_dtype(model, jnp.float64), trainable)
-    problem, local = _linearised(free, np.asarray(theta), trajectories, solver)
+    problem, local = _linearise(free, np.asarray(theta), trajectories, solver)
     values, vectors = np.linalg.eigh(local.hessian)
     values = np.maximum(values, 0.0)
     width = float(np.sqrt(np.mean(local.theta**2))) or 1.0
@@ -102,7 +102,7 @@ def laplace_posterior(
     return Posterior(free, local.theta, (vectors * variance) @ vectors.T)
 
 
-def _linearised(
+def _linearise(
     free: ParametricModel,
     theta: Float[np.ndarray, " parameter"],
     trajectories: Trajectories,
@@ -113,7 +113,7 @@ def _linearised(
         states = smoothed_states(trajectories, trajectories.dim)
         problem = RefitProblem.of(trajectories, states, solver)
         start = LinearisedModel.at(free, theta, problem.states, problem)
-        local = problem.closed(start)
+        local = problem.close_defects(start)
         if not local.is_finite or problem.defect(local) > 1e-3:
             raise FitError(
                 "law discovery: the learned force does not explain the "

@@ -16,8 +16,10 @@ from pinav.analysis.discovery.laws import (
     SumLaw,
 )
 
-CENTER_X = Constant("center_x", "c_x", Role.POSITION)
-CENTER_Y = Constant("center_y", "c_y", Role.POSITION)
+CENTER = (
+    Constant("center_x", "c_x", Role.POSITION),
+    Constant("center_y", "c_y", Role.POSITION),
+)
 HEIGHT = Constant("height", "U_0", Role.AMPLITUDE, "L² T⁻²")
 WIDTH = Constant("width", r"\sigma", Role.SCALE)
 ANGLE = Constant("angle", r"\phi", Role.ANGLE, "1")
@@ -44,11 +46,7 @@ class Harmonic(AbstractPotential):
     r"""$U = \tfrac12 k r^2$: a trap, or with k < 0 a hill without end."""
 
     name = "harmonic"
-    constants = (
-        Constant("stiffness", "k", Role.AMPLITUDE, "T⁻²"),
-        CENTER_X,
-        CENTER_Y,
-    )
+    constants = (Constant("stiffness", "k", Role.AMPLITUDE, "T⁻²"), *CENTER)
 
     def potential(self, c, x, y, ops):
         return c[0] * square(x - c[1], y - c[2]) / 2
@@ -61,7 +59,7 @@ class Gaussian(AbstractPotential):
     r"""$U = U_0 \exp(-r^2 / 2\sigma^2)$: the paper's barrier, eq. (1)."""
 
     name = "Gaussian"
-    constants = (HEIGHT, CENTER_X, CENTER_Y, WIDTH)
+    constants = (HEIGHT, *CENTER, WIDTH)
 
     def potential(self, c, x, y, ops):
         return c[0] * ops.exp(-square(x - c[1], y - c[2]) / (2 * c[3] ** 2))
@@ -76,15 +74,14 @@ class AnisotropicGaussian(AbstractPotential):
     name = "anisotropic Gaussian"
     constants = (
         HEIGHT,
-        CENTER_X,
-        CENTER_Y,
+        *CENTER,
         Constant("width_u", r"\sigma_u", Role.SCALE),
         Constant("width_w", r"\sigma_w", Role.SCALE),
         ANGLE,
     )
 
     def potential(self, c, x, y, ops):
-        u, w = turned(x - c[1], y - c[2], c[5], ops)
+        u, w = rotate_axes(x - c[1], y - c[2], c[5], ops)
         return c[0] * ops.exp(-(u**2) / (2 * c[3] ** 2) - w**2 / (2 * c[4] ** 2))
 
     def shapes(self, landscape):
@@ -101,7 +98,7 @@ class Lorentzian(AbstractPotential):
     r"""$U = U_0 / (1 + r^2/s^2)$."""
 
     name = "Lorentzian"
-    constants = (HEIGHT, CENTER_X, CENTER_Y, Constant("core", "s", Role.SCALE))
+    constants = (HEIGHT, *CENTER, Constant("core", "s", Role.SCALE))
 
     def potential(self, c, x, y, ops):
         return c[0] / (1 + square(x - c[1], y - c[2]) / c[3] ** 2)
@@ -114,10 +111,7 @@ class InversePower(AbstractPotential):
     r"""$U = U_0 (1 + r^2/s^2)^{-n/2}$: $1/r^n$ beyond a soft core."""
 
     name = "inverse power"
-    constants = (
-        *Lorentzian.constants,
-        Constant("exponent", "n", Role.SCALE, "1"),
-    )
+    constants = (*Lorentzian.constants, Constant("exponent", "n", Role.SCALE, "1"))
 
     def potential(self, c, x, y, ops):
         base = 1 + square(x - c[1], y - c[2]) / c[3] ** 2
@@ -131,10 +125,7 @@ class Yukawa(AbstractPotential):
     r"""$U = U_0\, s\, e^{-(\rho - s)/\lambda}/\rho$, $\rho = \sqrt{r^2 + s^2}$."""
 
     name = "Yukawa"
-    constants = (
-        *Lorentzian.constants,
-        Constant("range", r"\lambda", Role.SCALE),
-    )
+    constants = (*Lorentzian.constants, Constant("range", r"\lambda", Role.SCALE))
 
     def potential(self, c, x, y, ops):
         distance = ops.sqrt(square(x - c[1], y - c[2]) + c[3] ** 2)
@@ -157,8 +148,7 @@ class SoftDisc(AbstractPotential):
     name = "soft disc"
     constants = (
         HEIGHT,
-        CENTER_X,
-        CENTER_Y,
+        *CENTER,
         Constant("radius", "R", Role.SCALE),
         Constant("edge", "w", Role.SCALE),
     )
@@ -178,7 +168,7 @@ class Wall(AbstractPotential):
     constants = (HEIGHT, ANGLE, OFFSET, Constant("edge", "w", Role.SCALE))
 
     def potential(self, c, x, y, ops):
-        u, _ = turned(x, y, c[1], ops)
+        u, _ = rotate_axes(x, y, c[1], ops)
         return c[0] * _logistic((u - c[2]) / c[3], ops)
 
     def shapes(self, landscape):
@@ -230,14 +220,13 @@ class DoubleWell(AbstractPotential):
     constants = (
         HEIGHT,
         Constant("stiffness", "k", Role.AMPLITUDE, "T⁻²"),
-        CENTER_X,
-        CENTER_Y,
+        *CENTER,
         Constant("half_distance", "a", Role.SCALE),
         ANGLE,
     )
 
     def potential(self, c, x, y, ops):
-        u, w = turned(x - c[2], y - c[3], c[5], ops)
+        u, w = rotate_axes(x - c[2], y - c[3], c[5], ops)
         return c[0] * (u**2 / c[4] ** 2 - 1) ** 2 + c[1] * w**2 / 2
 
     def shapes(self, landscape):
@@ -283,7 +272,7 @@ def square(dx: Any, dy: Any) -> Any:
     return dx**2 + dy**2
 
 
-def turned(x: Any, y: Any, angle: Any, ops: Any) -> tuple[Any, Any]:
+def rotate_axes(x: Any, y: Any, angle: Any, ops: Any) -> tuple[Any, Any]:
     """Coordinates along axes turned by `angle`."""
     cos, sin = ops.cos(angle), ops.sin(angle)
     return x * cos + y * sin, y * cos - x * sin

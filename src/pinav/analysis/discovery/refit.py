@@ -152,7 +152,9 @@ class RefitProblem(eqx.Module):
         """The largest defect, relative to the spread of its channel."""
         return float(np.max(np.asarray(local.linear.defects) / self.scale))
 
-    def closed(self, local: LinearisedModel, iterations: int = 6) -> LinearisedModel:
+    def close_defects(
+        self, local: LinearisedModel, iterations: int = 6
+    ) -> LinearisedModel:
         """States that fulfil the dynamics, for the same constants."""
         for _ in range(iterations):
             if not local.is_finite or self.defect(local) < 1e-9:

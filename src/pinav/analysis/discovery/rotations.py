@@ -5,13 +5,12 @@ import math
 from pinav.analysis.discovery.laws import AbstractLaw, AbstractRotation, Constant, Role
 from pinav.analysis.discovery.potentials import (
     ANGLE,
-    CENTER_X,
-    CENTER_Y,
+    CENTER,
     OFFSET,
     WIDTH,
     central_shapes,
+    rotate_axes,
     square,
-    turned,
 )
 
 
@@ -19,12 +18,7 @@ class Swirl(AbstractRotation):
     r"""$R = \Omega\,(-(y - c_y),\ x - c_x)\exp(-r^2/2\sigma^2)$: a Gaussian vortex."""
 
     name = "Gaussian swirl"
-    constants = (
-        Constant("rate", r"\Omega", Role.AMPLITUDE, "T⁻²"),
-        CENTER_X,
-        CENTER_Y,
-        WIDTH,
-    )
+    constants = (Constant("rate", r"\Omega", Role.AMPLITUDE, "T⁻²"), *CENTER, WIDTH)
 
     def rotation(self, c, x, y, ops):
         dx, dy = x - c[1], y - c[2]
@@ -39,11 +33,7 @@ class SolidRotation(AbstractRotation):
     r"""$R = \Omega\,(-(y - c_y),\ x - c_x)$: it grows with the distance."""
 
     name = "solid rotation"
-    constants = (
-        Constant("rate", r"\Omega", Role.AMPLITUDE, "T⁻²"),
-        CENTER_X,
-        CENTER_Y,
-    )
+    constants = (Constant("rate", r"\Omega", Role.AMPLITUDE, "T⁻²"), *CENTER)
 
     def rotation(self, c, x, y, ops):
         return -c[0] * (y - c[2]), c[0] * (x - c[1])
@@ -56,14 +46,10 @@ class Shear(AbstractRotation):
     r"""$R = \gamma\,(w - d)\,(\cos\phi, \sin\phi)$, $w = -x\sin\phi + y\cos\phi$."""
 
     name = "shear"
-    constants = (
-        Constant("rate", r"\gamma", Role.AMPLITUDE, "T⁻²"),
-        ANGLE,
-        OFFSET,
-    )
+    constants = (Constant("rate", r"\gamma", Role.AMPLITUDE, "T⁻²"), ANGLE, OFFSET)
 
     def rotation(self, c, x, y, ops):
-        size = c[0] * (turned(x, y, c[1], ops)[1] - c[2])
+        size = c[0] * (rotate_axes(x, y, c[1], ops)[1] - c[2])
         return size * ops.cos(c[1]), size * ops.sin(c[1])
 
     def shapes(self, landscape):

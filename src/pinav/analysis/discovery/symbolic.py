@@ -16,7 +16,7 @@ from pinav.analysis.discovery.force_sample import (
     CentralTest,
     ForceSample,
     central_test,
-    projected,
+    project_covariance,
 )
 from pinav.errors import InputError
 
@@ -79,7 +79,7 @@ def search_radial_law(
     radius = np.linalg.norm(offsets, axis=1)
     outward = offsets / np.maximum(radius, 1e-12)[:, None]
     force = np.sum(outward * sample.force, axis=1)
-    inverse = np.linalg.inv(projected(sample.total_covariance, outward))
+    inverse = np.linalg.inv(project_covariance(sample.total_covariance, outward))
     regressor = _regressor(seconds, max_length, seed).fit(radius[:, None], force)
     forms = {}
     for member in regressor.pareto_front_:

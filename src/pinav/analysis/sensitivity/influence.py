@@ -169,19 +169,19 @@ def _is_linear(model) -> bool:
 def _influence(problem, model, chosen, learn, constants) -> Influence:
     picked = tuple(constants.values())
     free, theta = ravel_model(
-        model, lambda m: (*_selected(m, learn), *(pick(m) for pick in picked))
+        model, lambda m: (*_learned_leaves(m, learn), *(pick(m) for pick in picked))
     )
-    learned = selected_entries(free, len(theta), lambda m: _selected(m, learn))
+    learned = selected_entries(free, len(theta), lambda m: _learned_leaves(m, learn))
     places = {name: _place(name, free, theta, constants[name]) for name in constants}
-    each = _linearised(problem, free, theta)
+    each = _linearise_each(problem, free, theta)
     hessian = np.sum([hessian for hessian, _ in each], axis=0)
     covariance = np.zeros_like(hessian)
     covariance[np.ix_(learned, learned)] = _covariance(
         problem, hessian[np.ix_(learned, learned)], chosen
     )
     removed = [
-        _removal(own, gradient, covariance, chosen.noise, index)
-        for index, (own, gradient) in enumerate(each)
+        _removal(normal, gradient, covariance, chosen.noise, index)
+        for index, (normal, gradient) in enumerate(each)
     ]
     leverages = np.array([one.leverage for one in removed])
     slopes = {
@@ -199,7 +199,7 @@ def _influence(problem, model, chosen, learn, constants) -> Influence:
     )
 
 
-def _selected(model, learn):
+def _learned_leaves(model, learn):
     """What the fit learned: weights of the environment, and what `learn` picks."""
     environment, picked = learned_environment(model), learn(model)
     weights = () if environment is None else (environment.parameters,)
@@ -216,13 +216,13 @@ def _place(name, free: ParametricModel, theta, pick) -> int:
     return int(places[0])
 
 
-def _linearised(problem: BayesProblem, free, theta):
+def _linearise_each(problem: BayesProblem, free, theta):
     """Normal matrix and gradient of each trajectory."""
     each = []
     for index in range(problem.states.shape[0]):
-        own = slice(index, index + 1)
-        data = jax.tree.map(lambda array, own=own: array[own], problem.observations)
-        linear = linearise(free, theta, problem.states[own], data, problem.solver)
+        rows = slice(index, index + 1)
+        data = jax.tree.map(lambda array, rows=rows: array[rows], problem.observations)
+        linear = linearise(free, theta, problem.states[rows], data, problem.solver)
         each.append((np.asarray(linear.hessian), np.asarray(linear.gradient)))
     return each
 
@@ -252,8 +252,8 @@ def _removal(hessian, gradient, covariance, noise, index) -> _Removal:
     rows = roots[:, None] * vectors.T / noise
     residuals = vectors.T @ gradient / roots / noise
     gain = covariance @ rows.T
-    own = rows @ gain
-    left = np.eye(len(own)) - own
+    leverage = rows @ gain
+    left = np.eye(len(leverage)) - leverage
     if np.linalg.eigvalsh(left)[0] < 1e-8:
         raise FitError(
             f"influence: without trajectory {index} the data do not determine all "
@@ -263,8 +263,8 @@ def _removal(hessian, gradient, covariance, noise, index) -> _Removal:
     return _Removal(
         change=gain @ pulled,
         first_order=gain @ residuals,
-        leverage=float(np.trace(own)),
-        distance=float(pulled @ own @ pulled),
+        leverage=float(np.trace(leverage)),
+        distance=float(pulled @ leverage @ pulled),
     )
 
 

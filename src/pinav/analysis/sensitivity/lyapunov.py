@@ -28,10 +28,7 @@ def start_jacobians(
     ts: ArrayLike,
     *,
     solver: FixedStep | None = None,
-) -> tuple[
-    Float[np.ndarray, "start state"],
-    Float[np.ndarray, "start state state"],
-]:
+) -> tuple[Float[np.ndarray, "start state"], Float[np.ndarray, "start state state"]]:
     r"""Last states of rollouts and their derivatives $\Phi$ by the starts.
 
     Args:

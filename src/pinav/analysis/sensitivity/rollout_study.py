@@ -80,11 +80,7 @@ class RolloutStudy(eqx.Module):
         return np.column_stack([final, *rest])
 
     def indices(
-        self,
-        factors: tuple[Factor, ...],
-        *,
-        samples: int = 256,
-        seed: int = 0,
+        self, factors: tuple[Factor, ...], *, samples: int = 256, seed: int = 0
     ) -> SobolIndices:
         """Sobol' indices of all outcomes.
 

@@ -111,15 +111,15 @@ def sobol_indices(
     mixed = np.repeat(first[None], len(factors), axis=0)
     for index in range(len(factors)):
         mixed[index, :, index] = second[:, index]
-    values = _evaluated(function, np.concatenate([first, second, *mixed]), outcomes)
+    values = _evaluate(function, np.concatenate([first, second, *mixed]), outcomes)
     varies = values.std(axis=0) > 1e-12 * np.abs(values).max(axis=0)
     stacked = values.reshape(-1, samples, len(outcomes))
     blank = np.where(varies, 0.0, np.nan)[:, None]
     intervals = [
         np.quantile(draws, [0.5 - confidence / 2, 0.5 + confidence / 2], axis=0)
-        for draws in _resampled(stacked, resamples, generator)
+        for draws in _resample(stacked, resamples, generator)
     ]
-    first_order, total = (blank + own for own in _indices(stacked))
+    first_order, total = (blank + index for index in _indices(stacked))
     return SobolIndices(
         factors=tuple(factor.name for factor in factors),
         outcomes=tuple(outcomes),
@@ -132,7 +132,7 @@ def sobol_indices(
     )
 
 
-def _evaluated(function, parameters, outcomes):
+def _evaluate(function, parameters, outcomes):
     values = np.asarray(function(parameters), float)
     if values.shape != (len(parameters), len(outcomes)):
         raise InputError(
@@ -148,14 +148,14 @@ def _evaluated(function, parameters, outcomes):
     return values
 
 
-def _resampled(stacked, resamples, generator):
+def _resample(stacked, resamples, generator):
     """First-order and total indices of bootstrap samples."""
     samples = stacked.shape[1]
     draws = [
         _indices(stacked[:, generator.integers(0, samples, samples)])
         for _ in range(resamples)
     ]
-    return tuple(np.stack(own) for own in zip(*draws, strict=True))
+    return tuple(np.stack(index) for index in zip(*draws, strict=True))
 
 
 def _indices(stacked):
@@ -163,11 +163,11 @@ def _indices(stacked):
     samples = stacked.shape[1]
     first, second, *mixed = np.moveaxis(stacked, 2, 1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        found = stats.sobol_indices(
+        indices = stats.sobol_indices(
             func={"f_A": first, "f_B": second, "f_AB": np.stack(mixed)}, n=samples
         )
     shape = first.shape[0], len(mixed)  # SciPy drops the axis of a single outcome
-    return found.first_order.reshape(shape), found.total_order.reshape(shape)
+    return indices.first_order.reshape(shape), indices.total_order.reshape(shape)
 
 
 def _check(factors, samples, confidence):

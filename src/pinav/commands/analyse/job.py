@@ -20,7 +20,7 @@ from pinav.analysis import (
     helmholtz_split,
     influence,
     rotational_fractions,
-    sampled_forces,
+    sample_forces,
 )
 from pinav.commands.analyse.metrics import (
     AnalysisMetrics,
@@ -154,7 +154,7 @@ def judge_significance(
         if name != "unvisited" and mask.any()
     }
     key = jax.random.key(subject.settings.seed)
-    forces = sampled_forces(run.posterior, field, subject.settings.draws, key=key)
+    forces = sample_forces(run.posterior, field, subject.settings.draws, key=key)
     return fractions, {"sd": sd}, float(rotational_fractions(field, forces).std())
 
 

@@ -32,6 +32,7 @@ class Timing(eqx.Module):
     @property
     def remainder(self) -> float:
         """How long the oldest pending command stays in force [T]."""
+        # Less a little, so that rounding does not add a step to a delay of whole ones.
         whole = max(math.ceil(self.delay / self.step - 1e-9), 1)
         return max(self.delay - (whole - 1) * self.step, 0.0)
 
@@ -157,6 +158,7 @@ class DriftEstimation(AbstractController[Belief[Inner]], Generic[Inner]):
         known = observation.state.shape[0]
         new = mean + gain @ (observation.state - mean[:known])
         spread = covariance - gain @ covariance[:known]
+        # Rounding makes the difference lopsided, and later steps would amplify that.
         spread = (spread + spread.T) / 2
         first = elapsed <= 0
         return (
@@ -177,6 +179,7 @@ class DriftEstimation(AbstractController[Belief[Inner]], Generic[Inner]):
                 moved = self.predictor.step(t + first, moved, command, second)
             return moved, moved
 
+        # Forward mode, for few inputs; the step itself comes out beside its slope.
         slope, mean = jax.jacfwd(onward, has_aux=True)(memory.mean)
         return mean, slope @ memory.covariance @ slope.T + self._process_noise(mean)
 

@@ -48,6 +48,7 @@ class ArrivalCost(AbstractCost):
         fraction = jax.vmap(entry_fraction, (0, 0, None, None))(
             ys[:-1, :2], ways, plan.goal, plan.tolerance
         )
+        # One until the goal is entered, zero ever after: what follows costs nothing.
         away = jnp.cumprod(jnp.isinf(fraction).astype(ys.dtype))
         before = jnp.concatenate([jnp.ones_like(away[:1]), away[:-1]])
         time_cost = plan.tables.time_cost

@@ -51,8 +51,9 @@ def controller(
     tables = tabulate_model(task, model, samples=samples, risk_aversion=risk_aversion)
     filtered = task.sensor_noise > 0 or bool(drift)
     predictor = Drifting(tables.predictor) if filtered else tables.predictor
-    steered = _steered(task, model, tables, predictor)
+    steered = _undelayed_controller(task, model, tables, predictor)
     timing = Timing(task.step, task.delay)
+    # The filter stands outside: it must see observations as they are, not ahead.
     if task.delay > 0:
         steered = DelayCompensation(steered, predictor, timing)
     if filtered:
@@ -67,7 +68,7 @@ def controller(
     return steered
 
 
-def _steered(
+def _undelayed_controller(
     task: Task,
     model: SteeredSwimmer,
     tables: TabulatedModel,

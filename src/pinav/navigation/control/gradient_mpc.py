@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float
 
-from pinav.errors import InputError
+from pinav.arguments import check_positive
 from pinav.navigation.control.controller import AbstractController
 from pinav.navigation.control.costs import AbstractCost
 from pinav.navigation.control.prediction import AbstractGuide, TrajectoryPrediction
@@ -43,10 +43,7 @@ class GradientMPC(AbstractController[Float[Array, "step 2"]]):
     rate: float = 0.15
 
     def __check_init__(self):
-        for name in ("iterations", "rate"):
-            value = getattr(self, name)
-            if not value > 0:
-                raise InputError(f"GradientMPC.{name}: expected > 0, got {value}")
+        check_positive(self, "iterations", "rate")
 
     def start(self, observation):
         ahead = SMALL * direction(observation.pending[-1, 1])
@@ -81,6 +78,7 @@ class GradientMPC(AbstractController[Float[Array, "step 2"]]):
             better = value < least
             best = jnp.where(better, controls, best)
             least = jnp.where(better, value, least)
+            # One step of a lost rollout must not poison Adam's moments for all others.
             slope = jnp.where(jnp.isfinite(slope), slope, 0.0)
             with jax.numpy_dtype_promotion("standard"):  # as optax expects
                 change, progress = method.update(slope, progress)

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from pinav.arguments import check_positive
 from pinav.errors import InputError
 from pinav.navigation.control.controller import AbstractController
 from pinav.navigation.control.costs import AbstractCost
@@ -55,11 +56,7 @@ class PathIntegral(AbstractController[Float[Array, "step 2"]]):
                     f"PathIntegral.{name}: expected >= {least}, got "
                     f"{getattr(self, name)}"
                 )
-        for name in ("spread", "temperature"):
-            if not getattr(self, name) > 0:
-                raise InputError(
-                    f"PathIntegral.{name}: expected > 0, got {getattr(self, name)}"
-                )
+        check_positive(self, "spread", "temperature")
 
     def start(self, observation):
         return jnp.zeros((self.prediction.steps, 2), observation.state.dtype)
@@ -94,6 +91,7 @@ class PathIntegral(AbstractController[Float[Array, "step 2"]]):
     def _costs(self, observation, many):
         ts, ys = jax.vmap(lambda controls: self.prediction(observation, controls))(many)
         costs = jax.vmap(self.cost)(ts, ys, many)
+        # Finite, so that the median and the differences below remain numbers.
         return jnp.where(jnp.isfinite(costs), costs, jnp.finfo(costs.dtype).max / 4)
 
     def _changes(self, key: PRNGKeyArray) -> Float[Array, "sample step 2"]:

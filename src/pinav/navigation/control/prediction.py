@@ -42,6 +42,7 @@ class TrajectoryPrediction(eqx.Module):
     ) -> tuple[Float[Array, " time"], Float[Array, "time state"]]:
         """Times [T] and states that follow from a sequence of controls."""
         y0, previous = observation.state, observation.pending[-1]
+        # By multiples, not by a running sum: times then agree with those of the trial.
         ts = observation.time + self.step * jnp.arange(
             controls.shape[0] + 1, dtype=y0.dtype
         )

@@ -103,6 +103,7 @@ def cruising_speed(
         return thrust
     idle = physics_only(model).under(jnp.zeros(2, state.dtype))
     slopes = jax.jacfwd(lambda v: idle(0.0, jnp.append(state[:2], v))[2:])(state[2:])
+    # The mean of both directions: the tensor of an anisotropic drag has no single one.
     return thrust / (-jnp.trace(slopes) / 2)
 
 
@@ -123,6 +124,7 @@ def command_of(
         made = actuator(jnp.stack([frequencies[-1], heading]))
         return heading + toward - jnp.arctan2(made[1], made[0])
 
+    # A fixed number of corrections, so that it can be batched and differentiated.
     heading = jax.lax.fori_loop(0, TURNS, correct, toward)
     thrusts = jax.vmap(lambda f: actuator(jnp.stack([f, heading])))(frequencies)
     sizes = jnp.linalg.norm(thrusts, axis=1)

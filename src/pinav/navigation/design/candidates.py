@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from pinav.actuation import AbstractProgramme, LinearProgramme
+from pinav.arguments import check_positive
 from pinav.errors import InputError
 from pinav.forces import AbstractForce
 from pinav.navigation.task.steering import AbstractActuator, CommandLimits
@@ -81,11 +82,7 @@ class Experiment(eqx.Module):
     turning: float = eqx.field(static=True, default=0.6)
 
     def __check_init__(self):
-        for name in ("duration", "interval", "knot", "turning"):
-            if not getattr(self, name) > 0:
-                raise InputError(
-                    f"Experiment.{name}: expected > 0, got {getattr(self, name)}"
-                )
+        check_positive(self, "duration", "interval", "knot", "turning")
         if isinstance(self.noise, np.ndarray) and not np.all(self.noise > 0):
             raise InputError(
                 f"Experiment.noise: expected numbers > 0, got {self.noise.tolist()}; "

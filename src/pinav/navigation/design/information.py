@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray
 
+from pinav.arguments import check_positive
 from pinav.dynamics import AbstractDynamics, FixedStep
 from pinav.errors import InputError
 from pinav.fitting.engine.multiple_shooting import eliminate, sensitivities
@@ -65,10 +66,7 @@ class InformationGain(AbstractCriterion):
     resolution: float
 
     def __check_init__(self):
-        if not self.resolution > 0:
-            raise InputError(
-                f"InformationGain.resolution: expected > 0, got {self.resolution}"
-            )
+        check_positive(self, "resolution")
 
     def __call__(self, before, after):
         floor = self.resolution**2 * jnp.eye(before.shape[0], dtype=before.dtype)

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
+from pinav.arguments import check_positive
 from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.fitting import Observations, Posterior, ravel_model
@@ -46,10 +47,7 @@ class PriorField(eqx.Module):
     length: float | None = None
 
     def __check_init__(self):
-        for name in ("strength", "length"):
-            value = getattr(self, name)
-            if value is not None and not value > 0:
-                raise InputError(f"PriorField.{name}: expected > 0, got {value}")
+        check_positive(self, "strength", "length")
 
     def kernels(self) -> KernelPotential:
         r"""Kernels whose independent weights make such a process, all zero.

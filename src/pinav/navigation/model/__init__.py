@@ -1,1 +1,1 @@
-"""Models of the time_cost that planning and control evaluate."""
+"""Models of the surroundings that planning and control evaluate."""

@@ -269,23 +269,34 @@ def _position_plan(task, tables, arrival, grid):
     speeds = _speeds(tables.table, arrival.thrusts, grid)
     speeds = jnp.maximum(speeds, SLOWEST * jnp.max(speeds))
     steps = CELLS * float(jnp.min(grid.spacing)) / speeds
-    times = None
-    if tables.table.values.shape[0] > 1:
-        steps = jnp.full_like(steps, jnp.min(steps))
-        times = jnp.arange(0.0, task.time_limit, float(jnp.min(steps)))
+    shortest = float(jnp.min(steps))
+    times = _sweep_times(task, tables, shortest)
+    if times is not None:
+        steps = jnp.full_like(steps, shortest)
     values = _positions(tables.table, arrival, grid, steps, times)
     lattice = (grid.lower, grid.spacing)
-    return _assemble(task, tables, arrival, values, lattice, float(jnp.min(steps)))
+    return _assemble(task, tables, arrival, values, lattice, shortest)
 
 
 @eqx.filter_jit
 def _positions(table, arrival, grid, steps, times):
+    def sweep_at(t):
+        return position_sweep(table, arrival, grid, t, steps)
+
+    return _settle(sweep_at, grid.shape, 20 * max(grid.shape), times)
+
+
+def _sweep_times(task, tables, step):
+    """When a plan is swept, as far apart as its steps; None for a steady model."""
+    steady = tables.table.values.shape[0] == 1
+    return None if steady else jnp.arange(0.0, task.time_limit, step)
+
+
+def _settle(sweep_at, shape, most, times):
+    """Values at each time; at one time, after `most` sweeps, for a steady model."""
     if times is None:
-        sweep = position_sweep(table, arrival, grid, 0.0, steps)
-        return iterate_sweeps(sweep, grid.shape, 20 * max(grid.shape), SETTLED)[None]
-    return sweep_back(
-        lambda t: position_sweep(table, arrival, grid, t, steps), times, grid.shape
-    )
+        return iterate_sweeps(sweep_at(0.0), shape, most, SETTLED)[None]
+    return sweep_back(sweep_at, times, shape)
 
 
 SETTLED = 1e-5
@@ -313,9 +324,7 @@ def _phase_plan(task, tables, arrival, grid, speeds):
     velocities = jnp.linspace(-top, top, speeds)
     width = float(velocities[1] - velocities[0])
     step = 0.7 * width / float(jnp.max(jnp.linalg.norm(arrival.thrusts, axis=1)))
-    times = None
-    if tables.table.values.shape[0] > 1:
-        times = jnp.arange(0.0, task.time_limit, step)
+    times = _sweep_times(task, tables, step)
     most = math.ceil(task.time_limit / step)  # as many steps as there is time for
     values = _phases(tables.table, arrival, grid, velocities, (step, most), times)
     spacing = jnp.concatenate([jnp.full(2, width), grid.spacing])
@@ -327,12 +336,11 @@ def _phase_plan(task, tables, arrival, grid, speeds):
 def _phases(table, arrival, grid, velocities, steps, times):
     step, most = steps
     shape = (velocities.shape[0], velocities.shape[0], *grid.shape)
-    if times is None:
-        sweep = phase_sweep(table, arrival, grid, 0.0, velocities, step)
-        return iterate_sweeps(sweep, shape, most, SETTLED)[None]
-    return sweep_back(
-        lambda t: phase_sweep(table, arrival, grid, t, velocities, step), times, shape
-    )
+
+    def sweep_at(t):
+        return phase_sweep(table, arrival, grid, t, velocities, step)
+
+    return _settle(sweep_at, shape, most, times)
 
 
 def _top_speed(task, tables, arrival):

@@ -15,7 +15,7 @@ from scipy.signal import savgol_filter
 
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
-from pinav.forces import KernelForce, ZeroForce
+from pinav.forces import KernelForce
 from pinav.trajectories import Trajectories
 
 WINDOW, ORDER = 7, 2
@@ -62,13 +62,12 @@ def gaussian_process(
     explained = jnp.linalg.solve(_covariance(logs, given[0]), given[1])
     weights = jnp.exp(2 * logs[1]) * explained
     width = float(np.exp(optimum.x[0]))
-    return _with(known, KernelForce(weights, jnp.asarray(xs), width))
+    return known.with_environment(KernelForce(weights, jnp.asarray(xs), width))
 
 
 def _residuals(known, trajectories):
     """Positions, and the observed rate less that of known physics."""
-    alone = _with(known, ZeroForce())
-    rate = eqx.filter_jit(eqx.filter_vmap(alone))
+    rate = eqx.filter_jit(eqx.filter_vmap(known.without_environment()))
     xs, residuals = [], []
     for index in range(len(trajectories.lengths)):
         each = trajectories.trajectory(index)
@@ -110,7 +109,3 @@ def _negative_log_likelihood(logs, squares, residuals):
     white = jax.scipy.linalg.solve_triangular(factor, residuals, lower=True)
     log_det = jnp.sum(jnp.log(jnp.diagonal(factor)))
     return jnp.sum(white**2) / 2 + residuals.shape[1] * log_det
-
-
-def _with(known, environment):
-    return known.with_environment(environment)

@@ -35,7 +35,7 @@ class QuickestWay(eqx.Module):
         time: of arrival [T].
         states: at the ends of the intervals, positions and velocities.
         thrusts: during each interval [L T⁻²].
-        times: times of arrival from every first guess that iterate_sweeps [T].
+        times: times of arrival from every first guess that converges [T].
     """
 
     time: float
@@ -58,7 +58,7 @@ def minimum_time(task: Task, *, intervals: int = INTERVALS) -> QuickestWay:
 
     Raises:
         InputError: the task is of another kind.
-        FitError: CasADi is not installed, or no first guess iterate_sweeps.
+        FitError: CasADi is not installed, or no first guess converges.
     """
     problem = _Problem.of(task)
     if not is_available():

@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.optimize import root
 
+from pinav.arguments import Scalar
 from pinav.dynamics import RK4, FixedStep
 from pinav.errors import FitError, InputError
 from pinav.navigation.task.objectives import ReachGoal
@@ -106,12 +107,13 @@ def quickest(
     extremal = _Extremal(current, start, speed, longest)
     headings = jnp.linspace(0.0, 2 * math.pi, FAN, endpoint=False)
     fan = np.asarray(eqx.filter_jit(eqx.filter_vmap(extremal))(headings))
-    ends = fan[..., :2] + tolerance * _directions(fan[..., 2])
+    cos, sin = np.cos(fan[..., 2]), np.sin(fan[..., 2])
+    ends = fan[..., :2] + tolerance * np.stack([cos, sin], axis=-1)
     misses = np.linalg.norm(ends - np.asarray(goal), axis=-1)
     best = math.inf, math.nan
 
     def miss(unknown):
-        y = extremal.end(unknown[0], unknown[1] * longest)
+        y = extremal.until(unknown[0], unknown[1] * longest)[-1]
         return y[:2] + tolerance * direction(y[2]) - goal
 
     residual = jax.jit(miss)
@@ -166,18 +168,13 @@ class _Extremal(eqx.Module):
     longest: float
 
     def __call__(self, heading: Float[Array, ""]) -> Float[Array, "time 3"]:
-        ts = jnp.linspace(0.0, self.longest, STEPS + 1)
-        states, _ = FixedStep(RK4).solve(self._rate, self._first(heading), ts)
-        return states
+        return self.until(heading, self.longest)
 
-    def end(self, heading, time) -> Float[Array, "3"]:
-        """State at a time, in as many steps."""
+    def until(self, heading: Scalar, time: Scalar) -> Float[Array, "time 3"]:
+        """States up to a time, in `STEPS` steps."""
         ts = jnp.linspace(0.0, 1.0, STEPS + 1) * time
-        states, _ = FixedStep(RK4).solve(self._rate, self._first(heading), ts)
-        return states[-1]
-
-    def _first(self, heading):
-        return jnp.append(self.start, heading)
+        first = jnp.append(self.start, heading)
+        return FixedStep(RK4).solve(self._rate, first, ts)[0]
 
     def _rate(self, t, y):
         x, heading = y[:2], y[2]
@@ -197,11 +194,6 @@ def _approaches(misses):
 
 
 def _crossing(extremal, time, heading) -> Crossing:
-    scaled = eqx.tree_at(lambda e: e.longest, extremal, time)
-    states = np.asarray(eqx.filter_jit(scaled)(jnp.asarray(heading)))
+    states = np.asarray(eqx.filter_jit(extremal.until)(jnp.asarray(heading), time))
     ts = np.linspace(0.0, time, STEPS + 1)
     return Crossing(time, heading, ts, states[:, :2], states[:, 2])
-
-
-def _directions(headings):
-    return np.stack([np.cos(headings), np.sin(headings)], axis=-1)

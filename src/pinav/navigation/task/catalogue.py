@@ -5,6 +5,7 @@ know is the environment, or the current: `training` gives the trajectories from 
 it is learned.
 """
 
+import dataclasses
 import math
 from collections.abc import Callable
 from typing import Any
@@ -110,7 +111,7 @@ def y_junction() -> Task:
 
     The vessel is 1.04 wide; images, and so commands, are late by 0.2.
     """
-    return _carried("y-junction", [0.7, 5.0], ReachGoal([7.5, 8.25], 0.3), _vessel())
+    return _drift_task("y-junction", [0.7, 5.0], ReachGoal([7.5, 8.25], 0.3), _vessel())
 
 
 TASKS: dict[str, tuple[Callable[[], Task], str]] = {
@@ -128,7 +129,7 @@ TASKS: dict[str, tuple[Callable[[], Task], str]] = {
     "follow-eight": (follow_eight, "drift-current"),
     "y-junction": (y_junction, "drift-current"),
 }
-"""Each task by its name, and the scenario in which its time_cost are observed."""
+"""Each task by its name, and the scenario in which its swimmers are observed."""
 
 
 def task(name: str) -> Task:
@@ -141,7 +142,7 @@ def task(name: str) -> Task:
 
 
 def training(name: str, key: PRNGKeyArray, *, count: int = 8) -> Trajectories:
-    """Noisy trajectories in the time_cost of a task, as of a fit before the run.
+    """Noisy trajectories in the surroundings of a task, as of a fit before the run.
 
     They do not know of the task: starts are those of the scenario, and the standard
     deviation of each observed state is 0.02.
@@ -165,59 +166,52 @@ def _known(name: str) -> str:
     return name
 
 
-def _crossing(name: str, thrust: float, zones: tuple[AbstractZone, ...] = ()) -> Task:
+def _screw_task(
+    name: str,
+    thrust: float,
+    start: Any,
+    objective: AbstractObjective,
+    sides: tuple[float, float],
+    time_limit: float,
+) -> Task:
+    """A screw in a square arena without zones, in noise that a swimmer feels."""
     actuator, limits = _screw(thrust)
+    low, high = sides
     return Task(
         name=name,
-        truth=_truth(name, actuator),
-        start=jnp.array([0.5, 1.0, 0.0, 0.0]),
-        objective=ReachGoal([9.5, 9.5], 0.3),
+        truth=SteeredSwimmer(scenario(TASKS[name][1]).true_swimmer, actuator),
+        start=jnp.asarray(start),
+        objective=objective,
         limits=limits,
-        arena=Rectangle([-4.0, -4.0], [14.0, 14.0]),
-        keep_out=zones,
+        arena=Rectangle([low, low], [high, high]),
+        keep_out=(),
         step=STEP,
-        time_limit=24.0,
+        time_limit=time_limit,
         noise=0.1,
     )
+
+
+def _crossing(name: str, thrust: float, zones: tuple[AbstractZone, ...] = ()) -> Task:
+    goal = ReachGoal([9.5, 9.5], 0.3)
+    task = _screw_task(name, thrust, [0.5, 1.0, 0.0, 0.0], goal, (-4.0, 14.0), 24.0)
+    return dataclasses.replace(task, keep_out=zones)
 
 
 def _traverse(name: str) -> Task:
-    actuator, limits = _screw(0.6)
-    return Task(
-        name=name,
-        truth=_truth(name, actuator),
-        start=jnp.array([1.5, 1.5, 0.0, 0.0]),
-        objective=ReachGoal([18.5, 18.5], 0.4),
-        limits=limits,
-        arena=Rectangle([-2.0, -2.0], [22.0, 22.0]),
-        keep_out=(),
-        step=STEP,
-        time_limit=60.0,
-        noise=0.1,
-    )
+    goal = ReachGoal([18.5, 18.5], 0.4)
+    return _screw_task(name, 0.6, [1.5, 1.5, 0.0, 0.0], goal, (-2.0, 22.0), 60.0)
 
 
 def _zermelo(name: str, *, start: list[float], goal: list[float]) -> Task:
-    actuator, limits = _screw(1.0)
-    return Task(
-        name=name,
-        truth=_truth(name, actuator),
-        start=jnp.asarray(start),
-        objective=ReachGoal(goal, 0.3),
-        limits=limits,
-        arena=Rectangle([-1.0, -1.0], [11.0, 11.0]),
-        keep_out=(),
-        step=STEP,
-        time_limit=30.0,
-        noise=0.02,
-    )
+    task = _screw_task(name, 1.0, start, ReachGoal(goal, 0.3), (-1.0, 11.0), 30.0)
+    return dataclasses.replace(task, noise=0.02)
 
 
 def _following(name: str, path: AbstractPath, duration: float) -> Task:
-    return _carried(name, path(0.0), FollowPath(path), time_limit=duration)
+    return _drift_task(name, path(0.0), FollowPath(path), time_limit=duration)
 
 
-def _carried(
+def _drift_task(
     name: str,
     start: Any,
     objective: AbstractObjective,
@@ -225,17 +219,11 @@ def _carried(
     time_limit: float = 30.0,
 ) -> Task:
     """With an unknown drift, a camera's error and delay, and coils that turn slowly."""
-    actuator, limits = _screw(1.0, max_turning_rate=4.0)
-    return Task(
-        name=name,
-        truth=_truth(name, actuator),
-        start=jnp.asarray(start),
-        objective=objective,
-        limits=limits,
-        arena=Rectangle([-1.0, -1.0], [11.0, 11.0]),
+    task = _screw_task(name, 1.0, start, objective, (-1.0, 11.0), time_limit)
+    return dataclasses.replace(
+        task,
+        limits=CommandLimits(task.limits.max_frequency, max_turning_rate=4.0),
         keep_out=zones,
-        step=STEP,
-        time_limit=time_limit,
         noise=0.05,
         sensor_noise=0.02,
         delay=0.2,
@@ -253,13 +241,7 @@ def _vessel() -> tuple[AbstractZone, ...]:
     return tuple(Wall(start, end, 0.08) for start, end in (*lines, *mirrored))
 
 
-def _truth(name: str, actuator: HelicalActuator) -> SteeredSwimmer:
-    return SteeredSwimmer(scenario(TASKS[name][1]).true_swimmer, actuator)
-
-
-def _screw(
-    thrust: float, max_turning_rate: float = math.inf
-) -> tuple[HelicalActuator, CommandLimits]:
+def _screw(thrust: float) -> tuple[HelicalActuator, CommandLimits]:
     """A screw with this greatest thrust, driven at most as fast as that takes."""
     frequencies = jnp.linspace(0.0, 1.2 * STEP_OUT, 1201)
     turning = StepOutResponse(STEP_OUT)(frequencies)
@@ -271,4 +253,4 @@ def _screw(
         amplitude=STEP_OUT,
         rotational_drag=torque_per_rate,
     )
-    return actuator, CommandLimits(float(frequencies[best]), max_turning_rate)
+    return actuator, CommandLimits(float(frequencies[best]))

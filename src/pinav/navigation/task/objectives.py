@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from pinav.arguments import Scalar, as_point, check_positive
+from pinav.arguments import Scalar, check_positive, point
 
 
 class AbstractPath(eqx.Module):
@@ -28,12 +28,8 @@ class LinePath(AbstractPath):
         duration: from start to end [T], positive.
     """
 
-    start: Float[Array, "2"] = eqx.field(
-        converter=lambda value: as_point("LinePath.start", value, 2)
-    )
-    end: Float[Array, "2"] = eqx.field(
-        converter=lambda value: as_point("LinePath.end", value, 2)
-    )
+    start: Float[Array, "2"] = eqx.field(converter=point("LinePath.start", 2))
+    end: Float[Array, "2"] = eqx.field(converter=point("LinePath.end", 2))
     duration: Scalar
 
     def __check_init__(self):
@@ -54,9 +50,7 @@ class CirclePath(AbstractPath):
         phase: $\phi_0$ [rad].
     """
 
-    center: Float[Array, "2"] = eqx.field(
-        converter=lambda value: as_point("CirclePath.center", value, 2)
-    )
+    center: Float[Array, "2"] = eqx.field(converter=point("CirclePath.center", 2))
     radius: Scalar
     period: Scalar
     phase: Scalar = 0.0
@@ -78,9 +72,7 @@ class FigureEightPath(AbstractPath):
         period: $T$ [T], positive.
     """
 
-    center: Float[Array, "2"] = eqx.field(
-        converter=lambda value: as_point("FigureEightPath.center", value, 2)
-    )
+    center: Float[Array, "2"] = eqx.field(converter=point("FigureEightPath.center", 2))
     radius: Scalar
     period: Scalar
 
@@ -136,9 +128,7 @@ class ReachGoal(AbstractObjective):
         InputError: `goal` is not a point in the plane, or `tolerance` is not positive.
     """
 
-    goal: Float[Array, "2"] = eqx.field(
-        converter=lambda value: as_point("ReachGoal.goal", value, 2)
-    )
+    goal: Float[Array, "2"] = eqx.field(converter=point("ReachGoal.goal", 2))
     tolerance: Scalar
 
     def __check_init__(self):

@@ -16,7 +16,6 @@ from jaxtyping import Array, Float
 from pinav.actuation import AbstractField, AbstractResponse, StepOutResponse
 from pinav.arguments import Scalar, check_positive
 from pinav.dynamics import RK4, FixedStep, OverdampedSwimmer, Swimmer
-from pinav.errors import InputError
 from pinav.forces import AbstractForce
 
 
@@ -196,16 +195,10 @@ class CommandLimits(eqx.Module):
     max_amplitude: float = math.inf
 
     def __check_init__(self):
-        for name in ("max_frequency", "max_turning_rate", "max_amplitude"):
-            value = getattr(self, name)
-            if not value > 0:
-                raise InputError(f"CommandLimits.{name}: expected > 0, got {value}")
+        check_positive(self, "max_frequency", "max_turning_rate", "max_amplitude")
 
     def clip(
-        self,
-        command: Float[Array, "2"],
-        previous: Float[Array, "2"],
-        duration: Scalar,
+        self, command: Float[Array, "2"], previous: Float[Array, "2"], duration: Scalar
     ) -> Float[Array, "2"]:
         """The nearest allowed command after `previous` has held for `duration` [T]."""
         frequency = jnp.clip(command[0], 0.0, self.max_frequency)

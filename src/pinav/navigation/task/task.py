@@ -15,7 +15,7 @@ class Task(eqx.Module):
 
     Attributes:
         name: what the command line calls it.
-        truth: the swimmer and its time_cost.
+        truth: the swimmer and its surroundings.
         start: its first state.
         objective: what is to be done.
         limits: what may be commanded.

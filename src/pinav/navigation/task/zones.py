@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from pinav.arguments import Scalar, as_point, check_positive
+from pinav.arguments import Scalar, check_positive, point
 from pinav.errors import InputError
 
 
@@ -30,9 +30,7 @@ class Disc(AbstractZone):
         InputError: `center` is not a point in the plane, or `radius` a number <= 0.
     """
 
-    center: Float[Array, "2"] = eqx.field(
-        converter=lambda value: as_point("Disc.center", value, 2)
-    )
+    center: Float[Array, "2"] = eqx.field(converter=point("Disc.center", 2))
     radius: Scalar
 
     def __check_init__(self):
@@ -54,12 +52,8 @@ class Wall(AbstractZone):
         InputError: an end is not a point in the plane, or `half_width` a number <= 0.
     """
 
-    start: Float[Array, "2"] = eqx.field(
-        converter=lambda value: as_point("Wall.start", value, 2)
-    )
-    end: Float[Array, "2"] = eqx.field(
-        converter=lambda value: as_point("Wall.end", value, 2)
-    )
+    start: Float[Array, "2"] = eqx.field(converter=point("Wall.start", 2))
+    end: Float[Array, "2"] = eqx.field(converter=point("Wall.end", 2))
     half_width: Scalar
 
     def __check_init__(self):
@@ -83,12 +77,8 @@ class Rectangle(AbstractZone):
             `upper`.
     """
 
-    lower: Float[Array, "2"] = eqx.field(
-        converter=lambda value: as_point("Rectangle.lower", value, 2)
-    )
-    upper: Float[Array, "2"] = eqx.field(
-        converter=lambda value: as_point("Rectangle.upper", value, 2)
-    )
+    lower: Float[Array, "2"] = eqx.field(converter=point("Rectangle.lower", 2))
+    upper: Float[Array, "2"] = eqx.field(converter=point("Rectangle.upper", 2))
 
     def __check_init__(self):
         lower, upper = self.lower, self.upper

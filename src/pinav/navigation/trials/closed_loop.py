@@ -18,7 +18,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
+from jaxtyping import Array, ArrayLike, Bool, Float, Int, PRNGKeyArray, Shaped
 
 from pinav.arguments import Scalar
 from pinav.dynamics import RK4, FixedStep
@@ -57,8 +57,10 @@ class Situation(eqx.Module):
         return self.reached | self.violated | (self.step >= control_steps(task))
 
 
-class Episode(eqx.Module):
-    """What happened in one run; after its end the last state stays.
+class Episodes(eqx.Module):
+    """What happened in one run, or in many: then runs are the first axis of all but ts.
+
+    After the end of a run its last state stays.
 
     Attributes:
         ts: times of the control steps [T].
@@ -69,50 +71,50 @@ class Episode(eqx.Module):
         violated: whether it ended in a forbidden place.
         arrival_time: when the task was done [T]; else infinite.
         clearance: least distance from forbidden places [L].
-        compute: time that each command took to compute [s]; the first one includes
-            the compilation, unless the controller was compiled before.
+        compute: time that each command of a single run took to compute [s]; the first
+            one includes the compilation, unless the controller was compiled before.
+            Empty for many runs.
     """
 
     ts: Float[np.ndarray, " time"]
-    states: Float[np.ndarray, "time state"]
-    commands: Float[np.ndarray, "control 2"]
-    steps: int
-    reached: bool
-    violated: bool
-    arrival_time: float
-    clearance: float
-    compute: Float[np.ndarray, " control"]
+    states: Float[np.ndarray, "*run time state"]
+    commands: Float[np.ndarray, "*run control 2"]
+    steps: Int[np.ndarray, "*run"]
+    reached: Bool[np.ndarray, "*run"]
+    violated: Bool[np.ndarray, "*run"]
+    arrival_time: Float[np.ndarray, "*run"]
+    clearance: Float[np.ndarray, "*run"]
+    compute: Float[np.ndarray, " timed"]
 
-
-class Episodes(eqx.Module):
-    """The same of many runs, one a key.
-
-    Attributes:
-        ts: times of the control steps [T].
-        states: true states then.
-        commands: what was commanded.
-        steps: control steps until it ended.
-        reached: whether the task was done.
-        violated: whether it ended in a forbidden place.
-        arrival_time: when the task was done [T]; else infinite.
-        clearance: least distance from forbidden places [L].
-    """
-
-    ts: Float[np.ndarray, " time"]
-    states: Float[np.ndarray, "episode time state"]
-    commands: Float[np.ndarray, "episode control 2"]
-    steps: Int[np.ndarray, " episode"]
-    reached: Bool[np.ndarray, " episode"]
-    violated: Bool[np.ndarray, " episode"]
-    arrival_time: Float[np.ndarray, " episode"]
-    clearance: Float[np.ndarray, " episode"]
+    @classmethod
+    def of(
+        cls,
+        task: Task,
+        last: Situation,
+        states: ArrayLike,
+        commands: ArrayLike,
+        compute: Sequence[float] = (),
+    ) -> "Episodes":
+        """Runs by their last situations and what led there."""
+        paths = np.asarray(states, float)
+        return cls(
+            ts=task.step * np.arange(paths.shape[-2], dtype=float),
+            states=paths,
+            commands=np.asarray(commands, float),
+            steps=np.asarray(last.step),
+            reached=np.asarray(last.reached),
+            violated=np.asarray(last.violated),
+            arrival_time=np.asarray(last.arrival_time, float),
+            clearance=np.asarray(last.clearance, float),
+            compute=np.asarray(compute, float),
+        )
 
 
 def concatenate_episodes(parts: Sequence[Episodes]) -> Episodes:
     """Episodes of one task, one part after the other."""
-    fields = {name: [getattr(part, name) for part in parts] for name in vars(parts[0])}
-    times = fields.pop("ts")[0]
-    return Episodes(ts=times, **{name: np.concatenate(a) for name, a in fields.items()})
+    first = parts[0]
+    joined = jax.tree.map(lambda *arrays: np.concatenate(arrays), *parts)
+    return eqx.tree_at(lambda episodes: episodes.ts, joined, first.ts)
 
 
 def control_steps(task: Task) -> int:
@@ -193,7 +195,7 @@ def run(
     *,
     key: PRNGKeyArray,
     truth: SteeredSwimmer | None = None,
-) -> Episode:
+) -> Episodes:
     """One episode, step by step, with the time that each command takes.
 
     Args:
@@ -219,17 +221,8 @@ def run(
         now, allowed = _advance(task, truth, now, command, moving)
         states.append(now.state)
         commands.append(allowed)
-    return Episode(
-        ts=task.step * np.arange(len(states), dtype=float),
-        states=np.stack(states).astype(float),
-        commands=np.asarray(commands, float).reshape(-1, 2),
-        steps=int(now.step),
-        reached=bool(now.reached),
-        violated=bool(now.violated),
-        arrival_time=float(now.arrival_time),
-        clearance=float(now.clearance),
-        compute=np.asarray(compute, float),
-    )
+    paths, controls = np.stack(states), np.asarray(commands, float).reshape(-1, 2)
+    return Episodes.of(task, now, paths, controls, compute)
 
 
 def run_many(
@@ -254,16 +247,7 @@ def run_many(
     last, states, commands = jax.block_until_ready(
         _episodes(task, controller, truth, keys)
     )
-    return Episodes(
-        ts=task.step * np.arange(states.shape[1], dtype=float),
-        states=np.asarray(states, float),
-        commands=np.asarray(commands, float),
-        steps=np.asarray(last.step),
-        reached=np.asarray(last.reached),
-        violated=np.asarray(last.violated),
-        arrival_time=np.asarray(last.arrival_time, float),
-        clearance=np.asarray(last.clearance, float),
-    )
+    return Episodes.of(task, last, states, commands)
 
 
 @eqx.filter_jit

@@ -66,9 +66,10 @@ def summary(episodes: Episodes, task: Task) -> Summary:
     follows = isinstance(task.objective, FollowPath)
     done = ~episodes.violated if follows else episodes.reached
     arrived = episodes.arrival_time[episodes.reached]
-    tracking = tracking_errors(episodes, task) if follows else np.full(count, np.nan)
-    squares = (
-        tracking_errors(episodes, task, power=2) if follows else np.full(count, np.nan)
+    nothing = np.full(count, np.nan)
+    tracking, squares = (
+        tracking_errors(episodes, task, power=power) if follows else nothing
+        for power in (1, 2)
     )
     return Summary(
         count=count,

@@ -36,6 +36,7 @@ def perfused_slab(
     """
     m = medium.inverse_length
     steady = source / medium.perfusion * (1 - np.cosh(m * x) / np.cosh(m * length))
+    # The steady part in closed form: the series of it alone converges slowly.
     if np.isinf(t):
         return steady
     n = np.arange(MODES)
@@ -44,33 +45,6 @@ def perfused_slab(
     size = (-1.0) ** n / b * np.exp(-decay * t) / decay
     sums = np.cos(b * np.asarray(x)[:, None]) @ size
     return steady - 2 * source / (medium.capacity * length) * sums
-
-
-def perfused_slab_flux(medium: Medium, source: Number, length: Number) -> float:
-    r"""Heat that leaves the steady slab at $L$, $(Q/m) \tanh mL$ [W m⁻²]."""
-    m = medium.inverse_length
-    return float(source / m * np.tanh(m * length))
-
-
-def perfused_slab_sensitivities(
-    medium: Medium, source: Number, length: Number
-) -> dict[str, float]:
-    r"""Derivatives of the steady rise at 0, $\frac{Q}{W}(1 - \mathrm{sech}\, mL)$.
-
-    Returns:
-        By `conductivity`, `perfusion` ($W$), `length` and `source`.
-    """
-    m, W = medium.inverse_length, medium.perfusion
-    reach = m * length
-    sech = 1 / np.cosh(reach)
-    value = source / W * (1 - sech)
-    by_reach = source / W * sech * np.tanh(reach)
-    return {
-        "conductivity": float(-by_reach * reach / (2 * medium.conductivity)),
-        "perfusion": float(-value / W + by_reach * reach / (2 * W)),
-        "length": float(by_reach * m),
-        "source": float(value / source),
-    }
 
 
 def perfused_cylinder(
@@ -121,19 +95,6 @@ def skin(
     right = [exchange * (far - ambient), core - far]
     a, b = np.linalg.solve(np.array(rows), np.array(right))
     return far + a * np.cosh(m * x) + b * np.sinh(m * x)
-
-
-def eigenmode_rate(medium: Medium, mode: int, length: Number) -> float:
-    r"""Decay of $\cos(n \pi x/L)$ between insulated ends, $\alpha (n\pi/L)^2 + p$."""
-    return medium.diffusivity * (mode * np.pi / length) ** 2 + medium.rate
-
-
-def discrete_eigenmode_rate(
-    medium: Medium, mode: int, length: Number, num_cells: int
-) -> float:
-    r"""The same of second differences, $\alpha (2 - 2\cos(n\pi/N))/h^2 + p$."""
-    curvature = (2 - 2 * np.cos(mode * np.pi / num_cells)) * (num_cells / length) ** 2
-    return float(medium.diffusivity * curvature + medium.rate)
 
 
 def _sinhc(x: Any) -> Any:

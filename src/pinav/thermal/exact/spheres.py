@@ -89,14 +89,6 @@ def heated_sphere_kernels(
     return modes
 
 
-def heated_sphere_by_rate(
-    r: Number, t: Number, medium: Medium, source: Number, radius: Number
-) -> float:
-    r"""Derivative by $p$ [K s], $-\frac{Q}{\rho c}\int_0^t s\,e^{-ps}\,b\,ds$."""
-    value = _integral(lambda s: s * kernel(r, s, medium, radius), 0.0, t, medium)
-    return -source / medium.capacity * value
-
-
 def heated_sphere_sensitivities(
     medium: Medium, source: Number, radius: Number
 ) -> dict[str, float]:
@@ -139,6 +131,7 @@ def _integral(
         s = u * u
         return 2 * u * np.exp(-medium.rate * s) * function(s) if s > 0 else 0.0
 
+    # In the square root of time the integrand is smooth at zero.
     value, _ = scipy.integrate.quad(
         scaled, np.sqrt(low), np.sqrt(high), epsabs=1e-13, epsrel=1e-13, limit=400
     )
@@ -275,5 +268,6 @@ def _two_shells(r: Any, inner: Any, outer: Any, radii: Any) -> Any:
 
 
 def _invert(transform: Callable, t: Number) -> float:
+    # Talbot's sum cancels half of its digits, so that doubles would keep too few.
     with mpmath.workdps(30):
         return float(mpmath.invertlaplace(transform, mpmath.mpf(t), method="talbot"))

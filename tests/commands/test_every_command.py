@@ -1,0 +1,71 @@
+"""Each command runs once, on the smallest work that it accepts."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import jax
+import pytest
+from tests.commands.test_heat import small
+
+from pinav import cli
+from pinav.commands import COMMANDS
+
+STEPS = ("--recipe", "paper", "--adam-steps", "12", "--lbfgs-steps", "3")
+NARROW = ("--thrust", "1", "--time-limit", "8", "--step", "0.5", "--seeds", "1")
+
+
+class Folder:
+    """A folder of a test and the shared runs that it may copy."""
+
+    def __init__(self, path: Path, fitted_run: Callable[[str], tuple[Path, Path]]):
+        self.path = path
+        self.out = ("--out", str(path / "out"))
+        self.fitted_run = fitted_run
+
+    def run(self, name: str) -> str:
+        return str(self.fitted_run(name)[0])
+
+    def data(self, name: str) -> str:
+        return str(self.fitted_run(name)[1])
+
+
+WORDS: dict[str, Callable[[Folder], tuple[str, ...]]] = {
+    "reproduce": lambda f: ("--seeds", "0", *STEPS, *f.out),
+    "simulate": lambda f: ("paper", "--out", str(f.path / "data.csv")),
+    "inspect": lambda f: (f.data("identified"), *f.out),
+    "identify": lambda f: (f.data("identified"), *f.out),
+    "fit": lambda f: (f.data("kernel"), "--train", "damping", *f.out),
+    "evaluate": lambda f: (f.run("kernel"), f.data("kernel")),
+    "analyse": lambda f: (f.run("kernel"), "--points", "5", "--samples", "4"),
+    "compare": lambda f: (
+        *(f.data("kernel"), "--models", "physics-only", "kernel-potential", *f.out),
+    ),
+    "discover": lambda f: (f.run("kernel"), "--refits", "1"),
+    "study": lambda f: ("noise", "--models", "physics-only", "--count", "1", *f.out),
+    "heat": lambda f: ("simulate", str(small("tumour", f.path)), *f.out),
+    "navigate": lambda f: (
+        *(f.run("kernel"), "--from", "1,1", "--to", "2,2", *NARROW, *f.out),
+    ),
+    "report": lambda f: (f.run("network"),),
+    "bench": lambda f: ("gradient", "--help"),
+}
+
+
+SLOW = {"navigate"}  # it compiles its controllers for a minute
+
+
+def cases():
+    marks = {name: [pytest.mark.slow] for name in SLOW}
+    return [pytest.param(c, marks=marks.get(c.name, []), id=c.name) for c in COMMANDS]
+
+
+@pytest.mark.parametrize("command", cases())
+def test_a_command_ends_with_success(command, tmp_path, fitted_run, capsys):
+    words = WORDS[command.name](Folder(tmp_path, fitted_run))
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        assert cli.run([command.name, *words]) == 0
+    assert capsys.readouterr().out
+
+
+def test_each_command_has_its_words():
+    assert set(WORDS) == {command.name for command in COMMANDS}
