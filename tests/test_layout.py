@@ -157,7 +157,6 @@ def test_import_reader_sees_every_form():
     assert sorted(imported_modules(source)) == [
         "cli",
         "fitting.matching.phases.Adam",
-        "checkpoints",
         "runs",
     ]
 
