@@ -5,10 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from pinav.commands.cells import EstimateRow
 from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
 from pinav.commands.fit import FIT
-from pinav.commands.fit.metrics import FitMetrics, Learned, Loss
+from pinav.commands.fit.metrics import FitMetrics, Loss
 from pinav.commands.fit.plan import FitPlan, plan_fit
 from pinav.commands.fit.settings import EVIDENCE_RECIPES, FitOptions
 from pinav.commands.fitted_run import (
@@ -186,10 +187,7 @@ def _metrics(
     fields: dict[str, FieldMap],
 ) -> FitMetrics:
     evidence = fitted.evidence
-    learned = {
-        name: Learned(one.value, None if np.isnan(one.sd) else one.sd)
-        for name, one in fitted.constants.items()
-    }
+    learned = {name: EstimateRow.of(one) for name, one in fitted.constants.items()}
     common = {
         "model": plan.choice.name,
         "recipe": plan.settings.recipe,

@@ -194,8 +194,8 @@ def _fitted(
     cell: Cell, settings: StudySettings, known: System, data: Trajectories
 ) -> tuple[AbstractDynamics, str]:
     if cell.model == "sfi":
-        found = infer_force(known.swimmer, data, cell.sigma)
-        return found, "functions selected by PASTIS"
+        swimmer = infer_force(known.swimmer, data, cell.sigma)
+        return swimmer, "functions selected by PASTIS"
     choice = ModelChoice(cell.model, seed=cell.seed)
     return fit_choice(choice, known.swimmer, data, max_steps=settings.max_steps)
 
