@@ -97,6 +97,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             value = getattr(self, name)
             if isinstance(value, Settings):
                 value.check()
+                continue
             for allowed in getattr(hints[name], "__metadata__", ()):
                 if isinstance(allowed, Range):
                     allowed.check(name, value)
