@@ -30,6 +30,7 @@ ORDER = [
     "thermal",
     "figures",
     "report",
+    "checkpoints",
     "runs",
     "commands",
     "cli",

@@ -167,7 +167,7 @@ def _episodes(
 def _row(own: Task, episodes: Episodes) -> dict[str, Any]:
     """Metrics of a controller, as JSON."""
     found = summary(episodes, own)
-    row = msgspec.to_builtins(ControllerRow.of(found))
+    row = msgspec.to_builtins(ControllerRow.of_summary(found))
     if isinstance(own.objective, FollowPath):
         row |= {"tracking": found.tracking, "tracking_rms": found.tracking_rms}
     else:

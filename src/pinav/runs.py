@@ -16,7 +16,6 @@ Files are written under a temporary name and renamed, so that none is ever half
 written; nothing is pickled.
 """
 
-import contextlib
 import contextvars
 import csv
 import hashlib
@@ -30,17 +29,15 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
-import equinox as eqx
 import msgspec
 import numpy as np
 import tomli_w
 
 from pinav import __version__
+from pinav.checkpoints import FileCheckpoint, Tree, read_tree, write_tree
 from pinav.errors import InputError
 from pinav.files import atomic_write, write_text
-from pinav.fitting import AbstractCheckpoint, FitState
 
-Tree = TypeVar("Tree")
 Metrics = TypeVar("Metrics", bound=msgspec.Struct)
 
 METRICS_FILE, MANIFEST_FILE = "metrics.json", "manifest.json"
@@ -252,7 +249,7 @@ class RunFolder:
 
     def write_json(self, name: str, content: Any) -> None:
         """Write a JSON file; a number that is not finite becomes null."""
-        text = json.dumps(_finite_json(content), indent=2, allow_nan=False)
+        text = msgspec.json.format(_as_json(content), indent=2).decode()
         self.write_text(name, text + "\n")
 
     def read_json(self, name: str) -> Any:
@@ -271,7 +268,7 @@ class RunFolder:
 
     def write_metrics(self, name: str, metrics: msgspec.Struct) -> None:
         """Write results as JSON."""
-        self.write_json(name, msgspec.to_builtins(metrics, enc_hook=_plain))
+        self.write_json(name, metrics)
 
     def read_metrics(self, name: str, kind: type[Metrics]) -> Metrics:
         """Read what `write_metrics` wrote.
@@ -321,25 +318,13 @@ class RunFolder:
 
     def append_record(self, record: dict[str, Any]) -> None:
         """Append a line to `metrics.jsonl`."""
-        line = json.dumps(_finite_json(record), allow_nan=False)
         path = self.path / "metrics.jsonl"
         if not path.exists():
             self.record(path.name)
         with open(path, "a+b") as file:
             if file.tell() and not _ends_with_newline(path):
                 file.write(b"\n")  # the line before was cut off by a kill
-            file.write(line.encode() + b"\n")
-
-    def records(self) -> list[dict[str, Any]]:
-        """Lines of `metrics.jsonl`; where a chunk was run twice, its last one."""
-        path = self.path / "metrics.jsonl"
-        latest = {}
-        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-        for line in lines:
-            with contextlib.suppress(json.JSONDecodeError):  # cut off by a kill
-                record = json.loads(line)
-                latest[record.get("model"), record.get("step")] = record
-        return list(latest.values())
+            file.write(_as_json(record) + b"\n")
 
     def write_model(self, name: str, header: dict[str, Any], model: Any) -> None:
         """Write a model: a JSON line that says how to build it, then its leaves."""
@@ -397,61 +382,6 @@ class RunFolder:
                     file.unlink()
 
 
-class FileCheckpoint(AbstractCheckpoint):
-    """A fit's state in one file: a JSON line, then its leaves."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def load(self, like: Callable[[int], FitState]) -> FitState | None:
-        if not self.path.exists():
-            return None
-        return read_tree(
-            self.path,
-            lambda header: _at(like(len(header["starts"]) - 1), header),
-        )
-
-    def save(self, state: FitState) -> None:
-        header = json.dumps({"starts": state.starts, "taken": state.taken})
-        write_tree(self.path, header, state)
-
-
-def write_tree(path: Path, header: str, tree: Any) -> None:
-    """Write one line of text and the leaves of a tree, atomically."""
-
-    def write(file: BinaryIO) -> None:
-        file.write(header.encode() + b"\n")
-        eqx.tree_serialise_leaves(file, tree)
-
-    atomic_write(path, write, overwrite=True)
-
-
-def read_tree(
-    path: Path,
-    build: Callable[[dict[str, Any]], Tree],
-    repair: str = "delete it and run again with --resume",
-) -> Tree:
-    """Read what `write_tree` wrote; `build(header)` gives a tree of the same shape.
-
-    Args:
-        path: the file.
-        build: gives a tree of the same shape from the header.
-        repair: how the file is made again, for messages.
-
-    Raises:
-        InputError: the file is missing or damaged.
-    """
-    try:
-        with open(path, "rb") as file:
-            like = build(json.loads(file.readline()))
-            return eqx.tree_deserialise_leaves(file, like)
-    except InputError:
-        raise
-    except Exception as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"{path} cannot be read ({reason}); {repair}") from error
-
-
 def environment() -> dict[str, Any]:
     """Versions and platform, for the record."""
     versions = {name: metadata.version(name) for name in REPORTED_PACKAGES}
@@ -463,15 +393,9 @@ def environment() -> dict[str, Any]:
     }
 
 
-def _at(shape: FitState, header: dict[str, Any]) -> FitState:
-    """A state of this shape at the place that the header of its file names."""
-    return FitState(
-        shape.params,
-        shape.minimiser,
-        shape.losses,
-        tuple(header["starts"]),
-        header["taken"],
-    )
+def _as_json(content: Any) -> bytes:
+    """The content in one line; a number that is not finite becomes null."""
+    return msgspec.json.encode(content, enc_hook=_plain)
 
 
 def _plain(value: Any) -> Any:
@@ -497,16 +421,3 @@ def _make_folder(path: Path) -> None:
         raise InputError(
             f"{path} cannot be made ({error.strerror}); choose another --out"
         ) from error
-
-
-def _finite_json(content: Any) -> Any:
-    """The content with every non-finite number replaced by None."""
-    if isinstance(content, dict):
-        return {str(key): _finite_json(value) for key, value in content.items()}
-    if isinstance(content, list | tuple):
-        return [_finite_json(value) for value in content]
-    if isinstance(content, np.ndarray):
-        return _finite_json(content.tolist())
-    if isinstance(content, float | np.floating):
-        return float(content) if np.isfinite(content) else None
-    return content

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pinav import cli
-from pinav.commands.analyse import job as analyse
+from pinav.commands.analyse import rollouts
 from pinav.commands.analyse.metrics import AnalysisMetrics
 from pinav.commands.analyse.settings import AnalyseSettings
 from pinav.errors import InputError
@@ -23,7 +23,7 @@ SMALL = ["--points", "21", "--draws", "4", "--samples", "8"]
 @pytest.fixture(autouse=True, scope="module")
 def few_starts():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(analyse, "LYAPUNOV_POINTS", 5)
+        patch.setattr(rollouts, "LYAPUNOV_POINTS", 5)
         yield
 
 
@@ -98,8 +98,8 @@ def test_without_a_posterior_the_rest_is_done_and_said(tiny_fit, tmp_path, capsy
     assert np.isfinite(found["helmholtz"]["rotational"])
     page = (copy / "report.html").read_text(encoding="utf-8")
     assert "Left out of the analysis" in page
-    assert "left out: standard deviations" in analyse.text(
-        msgspec.convert(found, AnalysisMetrics)
+    assert "left out: standard deviations" in (
+        msgspec.convert(found, AnalysisMetrics).text()
     )
 
 

@@ -117,3 +117,44 @@ def test_messages(tmp_path, capsys):
 def test_every_formula_can_be_drawn(law):
     parsed = MathTextParser("path").parse(f"${latex(law)}$")
     assert parsed.width > 10
+
+
+TRAP = """
+name = "trap"
+dimension = 2
+order = 1
+mobility = 0.5
+observation = {noise = 0.01}
+truth = {kind = "harmonic-trap", stiffness = 2.0, center = [1.0, -0.5]}
+times = {first = 0.0, last = 3.0, samples = 61}
+
+[starts]
+kind = "uniform-starts"
+lower = [-2.0, -2.0]
+upper = [3.0, 3.0]
+count = 6
+"""
+
+
+@pytest.mark.slow
+def test_the_law_of_a_swimmer_without_inertia_is_a_force(tmp_path):
+    (tmp_path / "trap.toml").write_text(TRAP)
+    data, run = str(tmp_path / "trap.npz"), str(tmp_path / "run")
+    for words in (
+        ["simulate", str(tmp_path / "trap.toml"), "--out", data],
+        ["fit", data, "--out", run],
+        ["discover", run, "--refits", "2"],
+    ):
+        assert cli.run(words) == 0
+    best = RunFolder.open(tmp_path / "run").read_metrics(LAWS_FILE, DiscoveryMetrics)
+    assert best.laws[0].name == "harmonic"
+    stiffness = best.laws[0].constants[0]
+    assert stiffness.low < 2.0 < stiffness.high
+    assert stiffness.unit == "F L⁻¹"
+
+
+@pytest.mark.slow
+def test_a_law_of_stochastic_paths_is_refused(fitted_run, capsys):
+    run, _ = fitted_run("langevin")
+    assert cli.run(["discover", str(run)]) == cli.USAGE_ERROR
+    assert "expected a swimmer without thermal noise" in capsys.readouterr().err

@@ -13,7 +13,8 @@ import tomli_w
 from pinav import cli
 from pinav.commands.heat.build import build_case
 from pinav.commands.heat.case import read_case
-from pinav.commands.heat.tables import check_metrics, verification_table
+from pinav.commands.heat.metrics import CheckMetrics
+from pinav.commands.heat.tables import verification_table
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
 from pinav.thermal.verification import CASES, Check
@@ -287,8 +288,8 @@ def test_verification_prints_its_table_and_fails_honestly(monkeypatch, capsys):
     rows = json.loads(capsys.readouterr().out)
     assert all(row["within"] for row in rows)
     bad = Check("a case", 1.0, 2.0, 0.5, "K")
-    assert "NO" in as_text(verification_table([check_metrics(bad)]))
-    assert check_metrics(bad).error == 1.0
+    assert "NO" in as_text(verification_table([CheckMetrics.of(bad)]))
+    assert CheckMetrics.of(bad).error == 1.0
     monkeypatch.setattr(
         "pinav.thermal.verification.CASES", {"bad": lambda: iter([bad])}
     )

@@ -1,8 +1,11 @@
 """Numbers of results as JSON and tables hold them."""
 
+import enum
 import math
+from typing import Any, TypeVar
 
 import msgspec
+import numpy as np
 
 from pinav.evaluation import RolloutSummary
 
@@ -17,6 +20,50 @@ def as_cell(value: float | int) -> Cell:
     if math.isnan(value):
         return None
     return "diverged" if math.isinf(value) else float(value)
+
+
+def percent(value: Cell) -> Cell:
+    """A fraction in percent; what is no number stays as it is."""
+    return 100 * value if isinstance(value, float) else value
+
+
+Kind = TypeVar("Kind", bound="Row")
+
+
+class Row(msgspec.Struct, frozen=True):
+    """A result as a file holds it; a number that is not finite is none."""
+
+    @classmethod
+    def of(cls: type[Kind], value: Any, **others: Any) -> Kind:
+        """The row of a value of the library that has the fields as attributes.
+
+        Args:
+            value: such as an estimate; the attributes of its parts are taken, too.
+            others: fields that are no attributes of it.
+        """
+        names = (name for name in cls.__struct_fields__ if name not in others)
+        content = {name: _builtin(getattr(value, name)) for name in names} | others
+        row = msgspec.convert(content, cls, from_attributes=True)
+        return msgspec.json.decode(msgspec.json.encode(row), type=cls)
+
+
+def _builtin(value: Any) -> Any:
+    """The word of an enumeration, or the number of a scalar of NumPy."""
+    if isinstance(value, enum.Enum):
+        return str(value.value)
+    return value.item() if isinstance(value, np.generic) else value
+
+
+class EstimateRow(Row, frozen=True):
+    """A number that was learned.
+
+    Attributes:
+        value: its best value.
+        sd: its standard deviation; none where the fit has no posterior.
+    """
+
+    value: float | None
+    sd: float | None
 
 
 class RolloutRow(msgspec.Struct, frozen=True):
@@ -41,11 +88,6 @@ class RolloutRow(msgspec.Struct, frozen=True):
     @classmethod
     def of(cls, summary: RolloutSummary) -> "RolloutRow":
         """The row of a summary of rollouts."""
-        return cls(
-            median=as_cell(summary.median),
-            high=as_cell(summary.high),
-            median_relative=as_cell(summary.median_relative),
-            high_relative=as_cell(summary.high_relative),
-            diverged=as_cell(summary.diverged),
-            trajectories=summary.trajectories,
-        )
+        names = cls.__struct_fields__
+        cells = {name: as_cell(getattr(summary, name)) for name in names}
+        return msgspec.convert(cells, cls)

@@ -12,27 +12,25 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
+from pinav.commands.constants import estimated_constants, rotational_part
 from pinav.commands.system_choice import read_system_of
 from pinav.dynamics import AbstractDynamics, with_dtype
 from pinav.errors import InputError
-from pinav.evaluation import FieldMap, field_map
+from pinav.evaluation import FieldMap
 from pinav.fitting import (
     Estimate,
     EvidenceFit,
     Hyperparameters,
     Posterior,
-    principal_drags,
     ravel_model,
-    rotational_fraction,
 )
 from pinav.fitting.bayes.function_prior import TangentWeights
 from pinav.fitting.environments.catalogue import (
-    CONSTANTS,
     DataSummary,
     ModelChoice,
     build,
 )
-from pinav.forces import KernelForce, KernelMixture, KernelPotential
+from pinav.forces import KernelForce, KernelPotential
 from pinav.runs import RunFolder
 from pinav.systems import System
 from pinav.trajectories import Trajectories, load, save
@@ -257,31 +255,6 @@ def write_fit(
     summary = header.data.with_kernels_of(fit.model.environment)
     header = msgspec.structs.replace(header, data=summary)
     write_model(folder, header, fit.model)
-
-
-def estimated_constants(fit: EvidenceFit, choice: ModelChoice) -> dict[str, Estimate]:
-    """Each learned constant, by its name; the drag by its principal values."""
-    paths, estimates = choice.paths(), dict(fit.constants)
-    named = {
-        name: estimates.pop(path)
-        for name, path in paths.items()
-        if path in estimates and path != CONSTANTS["drag"]
-    }
-    if CONSTANTS["drag"] in paths.values():
-        drags = principal_drags(fit.posterior)
-        return named | {f"drag {name}": value for name, value in drags.items()}
-    return named | estimates
-
-
-def rotational_part(fit: EvidenceFit, data: Trajectories) -> dict[str, Estimate]:
-    """The rotational fraction of a mixture where there are data; else nothing."""
-    environment = fit.model.environment
-    if not isinstance(environment, KernelMixture):
-        return {}
-    field = field_map(environment, data)
-    points = np.stack(np.meshgrid(field.x, field.y), axis=-1)
-    visited = points[field.distance <= field.regions.visited]
-    return {"rotational fraction": rotational_fraction(fit.posterior, visited)}
 
 
 def _process_arrays(fit: EvidenceFit) -> dict[str, np.ndarray]:

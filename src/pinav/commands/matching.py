@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from pinav.dynamics import FixedStep
+from pinav.dynamics import AbstractDynamics, FixedStep
 from pinav.errors import InputError
 from pinav.fitting import (
     AbstractObjective,
@@ -16,8 +16,10 @@ from pinav.fitting import (
     Fit,
     TrajectoryLoss,
     curriculum,
+    distillation_rates,
     paper_recipe,
 )
+from pinav.forces import ZeroForce, as_learned
 from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories
 
@@ -33,7 +35,7 @@ class MatchingSettings(Protocol):
 
     @property
     def max_steps(self) -> int:
-        """Steps of each window of the curriculum at most."""
+        """Steps of each phase of the curriculum at most."""
         ...
 
     @property
@@ -53,7 +55,7 @@ class CurriculumSettings:
 
     Attributes:
         recipe: `curriculum` or `paper`.
-        max_steps: steps of each window of the curriculum at most.
+        max_steps: steps of each phase of the curriculum at most.
         adam_steps: of the paper's recipe.
         lbfgs_steps: of the paper's recipe.
     """
@@ -66,17 +68,19 @@ class CurriculumSettings:
 
 @dataclasses.dataclass(frozen=True)
 class Matching:
-    """Everything of `fit_many` that a recipe's name decides.
+    """Everything of `fit_in_turns` that a recipe's name decides.
 
     Attributes:
-        recipe: the phases.
+        recipes: the phases of each attempt.
         objective: what they minimise.
         dtype: floating-point type of the fit.
+        enough: loss below which no other attempt is made.
     """
 
-    recipe: tuple[AbstractPhase, ...]
+    recipes: tuple[tuple[AbstractPhase, ...], ...]
     objective: AbstractObjective
     dtype: type
+    enough: float = 0.0
 
     @property
     def precision(self) -> str:
@@ -84,13 +88,42 @@ class Matching:
         return jnp.dtype(self.dtype).name
 
 
-def matching(settings: MatchingSettings, data: Trajectories) -> Matching:
-    """The paper's recipe as the paper has it, or the Gauss-Newton curriculum."""
+def matching(
+    settings: MatchingSettings, data: Trajectories, model: AbstractDynamics
+) -> Matching:
+    """The paper's recipe as the paper has it, or the Gauss-Newton curriculum.
+
+    Args:
+        settings: name and steps of the recipe.
+        data: the trajectories.
+        model: one of those to be fitted, untrained.
+    """
     if settings.recipe == "paper":
         recipe = paper_recipe(settings.adam_steps, settings.lbfgs_steps)
-        return Matching(recipe, TrajectoryLoss(FixedStep()), jnp.float32)
-    recipe = curriculum(data, max_steps=settings.max_steps)
-    return Matching(recipe, TrajectoryLoss(FixedStep(substeps=2)), jnp.float64)
+        return Matching((recipe,), TrajectoryLoss(FixedStep()), jnp.float32)
+    plain = curriculum(data, max_steps=settings.max_steps)
+    rates = distillation_rates(model, data)
+    recipes = (plain,)
+    if rates is not None:
+        after = curriculum(
+            data, rates=rates, max_steps=settings.max_steps, precision=3e-8
+        )
+        # Kernels are linear in their weights, so that the rates alone all but fit them.
+        recipes = (after, plain) if _is_linear(model) else (plain, after)
+    spread = float(np.std(data.states[data.observed]))
+    enough = data.num_observed * (ENOUGH * spread) ** 2
+    objective = TrajectoryLoss(FixedStep(substeps=2))
+    return Matching(recipes, objective, jnp.float64, enough)
+
+
+ENOUGH = 1e-3
+"""Residual of a fit that is kept as it is, in units of the spread of the data."""
+
+
+def _is_linear(model: AbstractDynamics) -> bool:
+    environment = getattr(model, "environment", ZeroForce())
+    learned = as_learned(environment)
+    return learned is not None and learned.is_linear
 
 
 def check_starts(data: Trajectories) -> None:

@@ -80,14 +80,14 @@ def _grouped(content: dict[str, Any], fields: dict[str, Any]) -> dict[str, Any]:
         for name, field in fields.items()
         if isinstance(field.type, type) and issubclass(field.type, msgspec.Struct)
     }
-    own = {name: set(kind.__struct_fields__) for name, kind in groups.items()}
-    known = set.union(*own.values())
+    names = {name: set(kind.__struct_fields__) for name, kind in groups.items()}
+    known = set.union(*names.values())
     return {
         name: msgspec.convert(
             {
                 key: value
                 for key, value in content.items()
-                if key in own[name] or (name == "settings" and key not in known)
+                if key in names[name] or (name == "settings" and key not in known)
             },
             kind,
         )

@@ -12,6 +12,12 @@ from pinav.fitting.engine.parametric_model import ravel_model as ravel_model
 from pinav.fitting.engine.posterior import Band as Band
 from pinav.fitting.engine.posterior import Estimate as Estimate
 from pinav.fitting.engine.posterior import Posterior as Posterior
+from pinav.fitting.environments.gradient_matching import (
+    distillation_rates as distillation_rates,
+)
+from pinav.fitting.environments.gradient_matching import (
+    simpler_models as simpler_models,
+)
 from pinav.fitting.environments.kernels import WITHOUT_PRIOR as WITHOUT_PRIOR
 from pinav.fitting.environments.kernels import KernelGrid as KernelGrid
 from pinav.fitting.environments.kernels import (
@@ -28,6 +34,9 @@ from pinav.fitting.evidence.model_evidence import LinearFit as LinearFit
 from pinav.fitting.evidence.model_evidence import ModelEvidence as ModelEvidence
 from pinav.fitting.evidence.model_evidence import model_evidence as model_evidence
 from pinav.fitting.langevin import fit_langevin as fit_langevin
+from pinav.fitting.matching.attempts import fit_in_turns as fit_in_turns
+from pinav.fitting.matching.distillation import Distillation as Distillation
+from pinav.fitting.matching.distillation import Rates as Rates
 from pinav.fitting.matching.fit import Problem as Problem
 from pinav.fitting.matching.fit import fit as fit
 from pinav.fitting.matching.fit import fit_many as fit_many

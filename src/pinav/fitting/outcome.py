@@ -15,6 +15,8 @@ class Outcome(enum.IntEnum):
             promised more.
         UNDER_RESOLVED: converged, but the kernels are coarser than what the data show
             and finer ones would be too many.
+        MISFIT: another step would change nothing, and yet the residuals are no noise:
+            the model is too small, or the known physics are wrong.
     """
 
     COMPLETED = 0
@@ -22,6 +24,7 @@ class Outcome(enum.IntEnum):
     CONVERGED = 2
     STALLED = 3
     UNDER_RESOLVED = 4
+    MISFIT = 5
 
     def __str__(self):
         return self.name.lower().replace("_", "-")

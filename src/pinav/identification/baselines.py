@@ -15,13 +15,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import Float
+from jaxtyping import Array, Float
 from scipy.linalg import cho_solve
 from scipy.optimize import minimize
 
 from pinav.forces import tanh_network
 from pinav.identification.forecast import Displacement
-from pinav.identification.tracks import Track
+from pinav.identification.tracks import Track, commands_of
 from pinav.trajectories import Trajectory
 
 WINDOW = 1.0
@@ -80,7 +80,7 @@ class Samples(eqx.Module):
             low, high = low[inner], high[inner]
             interval = (times[high] - times[low])[:, None]
             velocity = (piece.states[high] - piece.states[low]) / interval
-            frequency, heading = commands(piece)
+            frequency, heading = commands_of(piece)
             parts.append(
                 (velocity, piece.states[inner], frequency[inner], heading[inner])
             )
@@ -91,16 +91,7 @@ class Samples(eqx.Module):
         return _vector(self.frequency, self.heading)
 
 
-def commands(piece: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Frequency and heading of a segment; zeros where nothing was commanded."""
-    nothing = np.zeros_like(piece.times)
-    return (
-        piece.commands.get("frequency", nothing),
-        piece.commands.get("heading", nothing),
-    )
-
-
-def _vector(frequency, heading):
+def _vector(frequency: np.ndarray, heading: np.ndarray) -> np.ndarray:
     return frequency[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
 
 
@@ -109,14 +100,14 @@ def least_squares(track: Track) -> Baseline:
     begin = time.perf_counter()
     samples = Samples.of(track)
 
-    def rows(command):
+    def rows(command: np.ndarray) -> np.ndarray:
         return np.concatenate([command, np.ones((len(command), 1))], axis=1)
 
     design = rows(samples.command())
     best = np.linalg.lstsq(design, samples.velocity, rcond=None)[0]
 
-    def velocity(piece):
-        return rows(_vector(*commands(piece))) @ best
+    def velocity(piece: Trajectory) -> np.ndarray:
+        return rows(_vector(*commands_of(piece))) @ best
 
     return Baseline("least squares", velocity, time.perf_counter() - begin)
 
@@ -154,7 +145,7 @@ def gaussian_process(
     ]
 
     def velocity(piece: Trajectory) -> Float[np.ndarray, "time 2"]:
-        frequency, heading = commands(piece)
+        frequency, heading = commands_of(piece)
         places = np.stack([heading, frequency], axis=1)
         learned = np.stack([mean(places) for mean in means], axis=1)
         return gain * _vector(frequency, heading) + learned
@@ -252,7 +243,7 @@ def black_box(track: Track, *, seed: int = 0) -> Baseline:
         float(samples.velocity.std()) or 1.0,
     )
 
-    def features(position, command):
+    def features(position: np.ndarray, command: np.ndarray) -> np.ndarray:
         scaled = (position - center) / scales[0], command / scales[1]
         return np.concatenate(scaled, axis=1)
 
@@ -263,23 +254,23 @@ def black_box(track: Track, *, seed: int = 0) -> Baseline:
         jnp.asarray(samples.velocity / scales[2]),
     )
 
-    def velocity(piece):
-        places = features(piece.states, _vector(*commands(piece)))
+    def velocity(piece: Trajectory) -> np.ndarray:
+        places = features(piece.states, _vector(*commands_of(piece)))
         return np.asarray(jax.vmap(network)(jnp.asarray(places))) * scales[2]
 
     return Baseline("neural ODE", velocity, time.perf_counter() - begin)
 
 
 @eqx.filter_jit
-def _trained(network, inputs, targets):
+def _trained(network: Any, inputs: Array, targets: Array) -> Any:
     optimiser = optax.adam(optax.cosine_decay_schedule(LEARNING_RATE, NETWORK_STEPS))
     weights, static = eqx.partition(network, eqx.is_inexact_array)
 
-    def loss(weights):
+    def loss(weights: Any) -> Array:
         predicted = jax.vmap(eqx.combine(weights, static))(inputs)
         return jnp.mean((predicted - targets) ** 2)
 
-    def step(state, _):
+    def step(state: tuple, _: None) -> tuple[tuple, None]:
         weights, memory = state
         updates, memory = optimiser.update(jax.grad(loss)(weights), memory, weights)
         return (optax.apply_updates(weights, updates), memory), None

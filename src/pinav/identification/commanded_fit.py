@@ -13,22 +13,18 @@ over which the field varies.
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import FitError, InputError
 from pinav.fitting import (
-    Estimate,
     EvidenceFit,
     LinearFit,
     Outcome,
-    ravel_model,
 )
 from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED, Refinement
 from pinav.fitting.evidence.quadratic import (
@@ -45,32 +41,28 @@ from pinav.fitting.evidence.weights import (
 )
 from pinav.forces import (
     AbstractLearnedForce,
-    RollingPropulsion,
-    UniformFlow,
-    ZeroFlow,
-    ZeroForce,
-    as_learned,
     tensor_matrix,
+)
+from pinav.identification.displacement_field import (
+    displacements_by,
+    informed_root,
+    with_environment,
 )
 from pinav.identification.fit import Search
 from pinav.identification.likelihood import (
     Design,
-    Field,
-    Prior,
-    block_means,
     compiled_whitened,
 )
-from pinav.identification.models import CandidateModel
-from pinav.identification.systems import (
-    DRIFT,
+from pinav.identification.numbers import (
     GAIN,
-    PATHS,
-    candidate_of,
-    natural,
+    estimates_of,
+    noise_of,
+    numbers_of,
     posterior_over,
-    prior_about,
 )
-from pinav.identification.tracks import Blocks, Track, one_track, padded_to
+from pinav.identification.priors import Prior
+from pinav.identification.systems import candidate_of, prior_about
+from pinav.identification.tracks import Blocks, Track, one_track
 from pinav.systems import System
 from pinav.trajectories import Trajectories
 
@@ -136,18 +128,20 @@ class _Problem:
         system: System,
         track: Track,
         environment: AbstractLearnedForce | None,
-    ):
+    ) -> None:
         self.candidate, stated = candidate_of(system)
         wide = Prior.of(track)
         prior = prior_about(stated, wide)
-        swimmer = _with_environment(system.swimmer, environment)
+        swimmer = with_environment(system.swimmer, environment)
         design = Design.of(self.candidate, Blocks.of(track))
         # The propulsion is a force: what the gain moves passes through the mobility.
         mobility = tensor_matrix(swimmer.mobility, jnp.zeros(2))
         gains = jnp.einsum("ab,gbc->gac", mobility, design.gains)
         self.design = eqx.tree_at(lambda d: d.gains, design, gains)
         self.swimmer, self.environment = swimmer, environment
-        self.field = _field(swimmer, self.candidate, self.design.blocks, mobility)
+        self.field = displacements_by(
+            swimmer, self.candidate, self.design.blocks, mobility
+        )
         self.weights: AbstractWeights = NoWeights()
         if environment is not None:
             self.weights = GaussianWeights(environment.prior())
@@ -193,7 +187,7 @@ class _Problem:
             chosen = inference.hyperparameters
             covariance = self.weights.prior.covariance(chosen.shape)
             hessian = self.quadratic(learned)[0].hessian
-            root = _informed_root(chosen.amplitude**2 * covariance, hessian)
+            root = informed_root(chosen.amplitude**2 * covariance, hessian)
             columns = self.field.columns @ jnp.asarray(root)
             self.search.field = eqx.tree_at(
                 lambda field: field.columns, self.field, columns
@@ -260,14 +254,9 @@ def _result(
     cross = slopes @ spread
     unknown = np.concatenate([learned, mean])
     covariance = np.block([[spread, cross.T], [cross, alone + cross @ slopes.T]])
-    numbers = _numbers(problem, unknown)
-    rows = np.concatenate([number.slopes for number in numbers])
-    posterior = posterior_over(
-        problem.swimmer,
-        [number.path for number in numbers],
-        {number.path: number.values for number in numbers},
-        rows @ covariance @ rows.T,
-    )
+    numbers = numbers_of(problem.candidate, unknown)
+    posterior = posterior_over(problem.swimmer, numbers, covariance)
+    constants = [*numbers, *noise_of(problem.candidate, unknown)]
     quadratic, _, information = problem.quadratic(learned)
     log_prior = _log_prior(problem.search, learned)
     linear = LinearFit(
@@ -283,7 +272,7 @@ def _result(
         iterations=rounds,
         hyperparameters=chosen,
         posterior=posterior,
-        constants=_constants(problem, numbers, unknown, covariance),
+        constants=estimates_of(constants, covariance),
         states=None,
         goodness=None,
         linear=linear,
@@ -295,177 +284,3 @@ def _log_prior(search: Search, learned: np.ndarray) -> float:
     offset = (learned - search.prior.mean[search.places]) / sd
     constant = np.log(sd).sum() + 0.5 * len(sd) * np.log(2 * np.pi)
     return float(-0.5 * offset @ offset - constant)
-
-
-class _Number(eqx.Module):
-    """Learned numbers of a swimmer: a gain matrix, a delay, all weights.
-
-    Attributes:
-        path: where they stand, or the name of a parameter of the noise.
-        values: flattened.
-        slopes: derivatives by nonlinear parameters, present coefficients and weights.
-    """
-
-    path: str = eqx.field(static=True)
-    values: Float[np.ndarray, " number"]
-    slopes: Float[np.ndarray, "number unknown"]
-
-
-def _numbers(problem: _Problem, unknown: np.ndarray) -> list[_Number]:
-    """Numbers of the swimmer; the unknowns in the order of `_Number.slopes`."""
-    candidate = problem.candidate
-    numbers = [
-        _nonlinear(PATHS[name], name, index, unknown)
-        for index, name in enumerate(candidate.learned)
-        if name in PATHS
-    ]
-    first = len(candidate.learned)
-    linear = [(GAIN, np.reshape(candidate.gains, (-1, 4)))] if candidate.gains else []
-    if candidate.drifts:
-        linear.append((DRIFT, np.reshape(candidate.drifts, (-1, 2))))
-    for path, basis in linear:
-        slopes = np.zeros((basis.shape[1], len(unknown)))
-        slopes[:, first : first + len(basis)] = basis.T
-        numbers.append(_Number(path, slopes @ unknown, slopes))
-        first += len(basis)
-    if problem.environment is not None:
-        slopes = np.eye(len(unknown))[first:]
-        numbers.append(_Number(WEIGHTS, unknown[first:], slopes))
-    return numbers
-
-
-WEIGHTS = "environment"
-"""Path of all weights of the environment."""
-
-
-def _nonlinear(path: str, name: str, index: int, unknown: np.ndarray) -> _Number:
-    """A nonlinear parameter in the units of a system."""
-    at = jnp.asarray(unknown[index])
-    slopes = np.zeros((1, len(unknown)))
-    slopes[0, index] = jax.grad(lambda value: natural(name, value))(at)
-    return _Number(path, np.asarray(natural(name, at)).reshape(1), slopes)
-
-
-def _constants(
-    problem: _Problem,
-    numbers: list[_Number],
-    unknown: np.ndarray,
-    covariance: np.ndarray,
-) -> dict[str, Estimate]:
-    """Numbers of the swimmer and of its noise by name."""
-    noise = [
-        _nonlinear(NOISE_PATHS[name], name, index, unknown)
-        for index, name in enumerate(problem.candidate.learned)
-        if name in NOISE_PATHS
-    ]
-    estimates = {}
-    for number in (*numbers, *noise):
-        if number.path == WEIGHTS:
-            continue
-        spread = number.slopes @ covariance @ number.slopes.T
-        deviations = np.sqrt(np.maximum(np.diag(spread), 0.0))
-        several = zip(number.values, deviations, strict=True)
-        for index, (value, sd) in enumerate(several):
-            label = _label(number.path, index, len(deviations))
-            estimates[label] = Estimate(float(value), float(sd))
-    return estimates
-
-
-def _label(path: str, index: int, count: int) -> str:
-    """The path of one number: entries of a matrix or a vector by their place."""
-    places = {1: "", 2: f"[{index}]", 4: f"[{index // 2}, {index % 2}]"}
-    return path + places[count]
-
-
-NOISE_PATHS = {
-    "log_still": "wandering.still",
-    "log_driven": "wandering.driven",
-    "log_memory": "wandering.memory",
-    "log_slow": "wandering.slow",
-    "log_slow_memory": "wandering.slow_memory",
-    "log_noise": "noise of a block",
-}
-"""Names of the parameters of the noise among the constants of a fit."""
-
-
-def _informed_root(covariance: np.ndarray, hessian: np.ndarray) -> np.ndarray:
-    """Directions of unit prior variance of which the data tell anything.
-
-    A smooth prior has hundreds of weights and some tens of such directions; only they
-    pass through the filter at each step of the search for the noise.
-    """
-    values, vectors = np.linalg.eigh(covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    signal, turned = np.linalg.eigh(root.T @ hessian @ root)
-    kept = signal > LEAST_SIGNAL
-    columns = root @ turned[:, kept]
-    # Widths in round numbers: one compiled likelihood serves all rounds.
-    return np.pad(columns, ((0, 0), (0, padded_to(columns.shape[1], 16) - kept.sum())))
-
-
-LEAST_SIGNAL = 1e-3
-"""Information of the data on a direction, in units of its prior, that counts."""
-
-
-def _with_environment(
-    swimmer: Any, environment: AbstractLearnedForce | None
-) -> OverdampedSwimmer:
-    if isinstance(swimmer.flow, ZeroFlow):
-        swimmer = eqx.tree_at(lambda s: s.flow, swimmer, UniformFlow(jnp.zeros(2)))
-    return swimmer if environment is None else swimmer.with_environment(environment)
-
-
-def _field(
-    swimmer: OverdampedSwimmer,
-    candidate: CandidateModel,
-    blocks: Blocks,
-    mobility: Float[Array, "2 2"],
-) -> Field:
-    """Displacements by the weights of the environment and by what is known."""
-    nothing = Field.nothing(blocks)
-    gain, drift = nothing.gain, nothing.drift
-    propulsion, flow = swimmer.propulsion, swimmer.flow
-    if isinstance(propulsion, RollingPropulsion) and not candidate.gains:
-        gain = mobility @ propulsion.gain
-    if isinstance(flow, UniformFlow):
-        drift = drift if candidate.drifts else flow.velocity
-        flow = ZeroFlow()
-    passive = eqx.tree_at(
-        lambda s: (s.propulsion, s.environment, s.flow),
-        swimmer,
-        (ZeroForce(), ZeroForce(), flow),
-    )
-    columns = nothing.columns
-    environment = as_learned(swimmer.environment)
-    if environment is not None:
-        free, start = ravel_model(environment, lambda e: e.parameters)
-        columns = _weight_columns(free, jnp.zeros_like(start), swimmer, blocks)
-    return Field(columns, _displacement(passive, blocks), gain, drift)
-
-
-@eqx.filter_jit
-def _weight_columns(free, theta, swimmer, blocks) -> Float[Array, "block 2 weight"]:
-    """Mean displacement in each block for each weight."""
-
-    def along(theta: Float[Array, " weight"]) -> Float[Array, "block 2"]:
-        environment = free(theta)
-
-        def velocity(t, x):
-            return swimmer.mobility(x, environment(t, x, jnp.zeros_like(x)))
-
-        return _displacement(velocity, blocks)
-
-    _, linear = jax.linearize(along, theta)
-    # A few weights at a time: all of them at every sample would take gigabytes.
-    columns = jax.lax.map(linear, jnp.eye(theta.shape[0]), batch_size=32)
-    return jnp.moveaxis(columns, 0, -1)
-
-
-def _displacement(velocity, blocks: Blocks) -> Float[Array, "block 2"]:
-    """Block means of a velocity field integrated along the observed path."""
-    rates = jax.vmap(velocity)(blocks.times, blocks.positions)
-    middle = (rates[1:] + rates[:-1]) / 2
-    # Leaps between segments add a constant, which the filter forgets at each begin.
-    steps = middle * jnp.diff(blocks.times)[:, None]
-    path = jnp.concatenate([jnp.zeros((1, 2)), jnp.cumsum(steps, axis=0)])
-    return block_means(path, blocks)

@@ -5,6 +5,7 @@ import math
 import equinox as eqx
 import numpy as np
 
+from pinav.evaluation import normal_quantile
 from pinav.fitting import Estimate
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.identification.fit import TrackFit, fit_track
@@ -21,9 +22,6 @@ from pinav.identification.models import (
 from pinav.identification.selection import Selection
 from pinav.identification.tracks import Track
 
-NORMAL_95 = 1.96
-"""Half width of an interval of 95 % in standard deviations."""
-
 TURNING_WINDOW = 2.0
 """Turning rates are taken over this time [s]."""
 
@@ -36,7 +34,7 @@ ALIGNED = math.radians(30.0)
 
 def interval(estimate: Estimate) -> tuple[float, float]:
     """Interval of 95 %."""
-    half = NORMAL_95 * estimate.sd
+    half = normal_quantile() * estimate.sd
     return estimate.value - half, estimate.value + half
 
 
@@ -45,7 +43,7 @@ def positive_interval(estimate: Estimate) -> tuple[float, float]:
 
     Its logarithm is what was fitted; the interval is symmetric there.
     """
-    factor = math.exp(min(NORMAL_95 * estimate.sd / estimate.value, 50.0))
+    factor = math.exp(min(normal_quantile() * estimate.sd / estimate.value, 50.0))
     return estimate.value / factor, estimate.value * factor
 
 
@@ -125,7 +123,7 @@ def delay_findings(track: Track, fit: TrackFit) -> DelayFindings:
 
 
 def finding_sentences(
-    selection: Selection, estimates: dict[str, Estimate], delays
+    selection: Selection, estimates: dict[str, Estimate], delays: DelayFindings | None
 ) -> list[str]:
     """The verdict on one track.
 
@@ -134,25 +132,25 @@ def finding_sentences(
         estimates: of the chosen candidate.
         delays: from `delay_findings`; None where nothing was commanded.
     """
-    found = [f"The evidence chooses: {selection.chosen}."]
+    sentences = [f"The evidence chooses: {selection.chosen}."]
     if delays is None:
         recorded = "frequency" in selection.train.pieces[0].commands
         idle = "The commands ask for no motion" if recorded else "No commands recorded"
-        found.append(f"{idle}: gain, delay and heading cannot be known.")
+        sentences.append(f"{idle}: gain, delay and heading cannot be known.")
     else:
-        found += [
+        sentences += [
             _propulsion(selection),
             _response(selection, estimates),
             _delay(delays),
         ]
-        found.append(_gain(selection, "lag", "a lag of the heading"))
-        found.append(extrapolation(selection.train, selection.held_out))
-    found.append(_gain(selection, "time-dependent drift", "a drift that changes"))
-    found += [
+        sentences.append(_gain(selection, "lag", "a lag of the heading"))
+        sentences.append(extrapolation(selection.train, selection.held_out))
+    sentences.append(_gain(selection, "time-dependent drift", "a drift that changes"))
+    sentences += [
         _gain(selection, name, f"a velocity that depends on position ({name})")
         for name in ("Gaussian process", "potential")
     ]
-    return [sentence for sentence in found if sentence]
+    return [sentence for sentence in sentences if sentence]
 
 
 def extrapolation(train: Track, held_out: Track) -> str:
@@ -203,7 +201,7 @@ def _propulsion(selection: Selection) -> str:
     )
 
 
-def _response(selection: Selection, estimates) -> str:
+def _response(selection: Selection, estimates: dict[str, Estimate]) -> str:
     linear = selection.row(MATRIX.name).log_evidence
     chosen = selection.best.candidate.response
     if chosen == "linear":
@@ -221,7 +219,7 @@ def _response(selection: Selection, estimates) -> str:
     return text + "."
 
 
-def _delay(delays) -> str:
+def _delay(delays: DelayFindings) -> str:
     if delays.confounded:
         offset, rate = delays.offset_without_delay, delays.turning_rate
         text = (
@@ -262,4 +260,4 @@ def _words(difference: float) -> str:
 
 
 def _plus_minus(estimate: Estimate) -> str:
-    return f"{estimate.value:.3g} ± {NORMAL_95 * estimate.sd:.2g}"
+    return f"{estimate.value:.3g} ± {normal_quantile() * estimate.sd:.2g}"

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 from scipy.optimize import minimize
 
 from pinav.actuation import HeldProgramme
@@ -19,19 +19,18 @@ from pinav.forces import (
     RollingPropulsion,
     UniformFlow,
     ZeroForce,
-    heading_offset,
-    mean_gain,
 )
 from pinav.identification.kalman import Disturbance
 from pinav.identification.likelihood import (
     Design,
     Field,
-    Prior,
     compiled_whitened,
     disturbance_of,
     value_and_slope,
 )
 from pinav.identification.models import ABSENT, NAMES, CandidateModel, response_of
+from pinav.identification.priors import Prior
+from pinav.identification.quantities import estimates_about, speed_about
 from pinav.identification.tracks import Blocks, Track
 
 
@@ -90,11 +89,20 @@ class TrackFit(eqx.Module):
         self, frequency: Float[np.ndarray, " place"]
     ) -> tuple[Float[np.ndarray, " place"], Float[np.ndarray, " place"]]:
         """Speed along the command by frequency [Hz], with its standard deviation."""
-        return _speed(self, frequency)
+        names = ("log_corner", "logit_residual")
+        held = np.array([self.parameter(name) for name in names])
+        return speed_about(
+            self.candidate, self._unknown(), self.covariance, held, frequency
+        )
 
     def estimates(self) -> dict[str, Estimate]:
         """Quantities with a meaning, by name, with their standard deviations."""
-        return _estimates(self)
+        return estimates_about(self.candidate, self._unknown(), self.covariance)
+
+    def _unknown(self) -> Float[np.ndarray, " unknown"]:
+        """What was learned, then all coefficients."""
+        learned = [self.parameter(name) for name in self.candidate.learned]
+        return np.concatenate([learned, self.coefficients])
 
 
 def fit_track(
@@ -150,7 +158,7 @@ class Search:
         candidate: CandidateModel,
         prior: Prior,
         field: Field | None = None,
-    ):
+    ) -> None:
         self.design, self.candidate, self.prior = design, candidate, prior
         self.field = field
         self.places = np.array([NAMES.index(name) for name in candidate.learned])
@@ -275,85 +283,3 @@ class Search:
 
 DIFFERENCE, ACROSS_KINKS = 0.02, 0.25
 """Steps of central differences, in standard deviations of the prior."""
-
-
-def _estimates(fit: TrackFit) -> dict[str, Estimate]:
-    with jax.enable_x64(new_val=True):
-        values, slopes = _quantities_about(fit.candidate, _unknown(fit))
-    found = {}
-    for name, value in values.items():
-        slope = np.asarray(slopes[name])
-        variance = max(float(slope @ fit.covariance @ slope), 0.0)
-        found[name] = Estimate(float(value), math.sqrt(variance))
-    return found
-
-
-def _unknown(fit: TrackFit) -> Float[Array, " unknown"]:
-    """What was learned, then all coefficients."""
-    learned = [fit.parameter(name) for name in fit.candidate.learned]
-    return jnp.asarray(np.concatenate([learned, fit.coefficients]))
-
-
-@eqx.filter_jit
-def _quantities_about(candidate: CandidateModel, unknown: Float[Array, " unknown"]):
-    """Quantities with a meaning, and their derivatives."""
-
-    def quantities(unknown):
-        return _quantities(candidate, unknown)
-
-    return quantities(unknown), jax.jacrev(quantities)(unknown)
-
-
-def _quantities(candidate: CandidateModel, unknown) -> dict[str, Float[Array, ""]]:
-    count = len(candidate.learned)
-    matrices, velocities = (
-        jnp.asarray(candidate.matrices()),
-        jnp.asarray(candidate.velocities()),
-    )
-    found = {}
-    if candidate.gains:
-        gain = jnp.einsum("g,gab->ab", unknown[count : count + 4], matrices)
-        found["gain"] = mean_gain(gain)
-        found["gain x/y"] = jnp.linalg.norm(gain[0]) / jnp.linalg.norm(gain[1])
-        found["heading offset"] = heading_offset(gain)
-    if candidate.drifts:
-        drift = unknown[count + 4 :] @ velocities
-        found["drift x"], found["drift y"] = drift[0], drift[1]
-    for index, name in enumerate(candidate.learned):
-        value = unknown[index]
-        if name.startswith("log_"):
-            found[name.removeprefix("log_").replace("_", " ")] = jnp.exp(value)
-        elif name == "logit_residual":
-            found["residual"] = jax.nn.sigmoid(value)
-        else:
-            found[name] = value
-    return found
-
-
-def _speed(fit: TrackFit, frequency):
-    held = [fit.parameter(name) for name in ("log_corner", "logit_residual")]
-    with jax.enable_x64(new_val=True):
-        values, slopes = _speed_about(
-            fit.candidate, _unknown(fit), jnp.asarray(held), jnp.asarray(frequency)
-        )
-    slopes = np.asarray(slopes)
-    variance = np.einsum("fp,pq,fq->f", slopes, fit.covariance, slopes)
-    return np.asarray(values), np.sqrt(np.maximum(variance, 0.0))
-
-
-@eqx.filter_jit
-def _speed_about(candidate: CandidateModel, unknown, held, frequency):
-    """Speed by frequency, and its derivative; what is not learned is held."""
-    learned, matrices = candidate.learned, jnp.asarray(candidate.matrices())
-
-    def law(unknown):
-        values = dict(zip(learned, unknown[: len(learned)], strict=True))
-        corner = values.get("log_corner", held[0])
-        residual = values.get("logit_residual", held[1])
-        gain = jnp.einsum(
-            "g,gab->ab", unknown[len(learned) : len(learned) + 4], matrices
-        )
-        response = response_of(candidate.response, corner, residual)
-        return mean_gain(gain) * response(frequency)
-
-    return law(unknown), jax.jacrev(law)(unknown)

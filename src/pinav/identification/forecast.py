@@ -6,13 +6,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from pinav.actuation import HeldProgramme
+from pinav.evaluation import normal_quantile
 from pinav.identification.fit import TrackFit
 from pinav.identification.kalman import Disturbance, transitions
 from pinav.identification.models import NAMES, RESPONSES, SwitchedResponse
-from pinav.identification.tracks import Track, padded_to
+from pinav.identification.tracks import Track, commands_of, padded_to
 from pinav.trajectories import Trajectory
 
 HORIZONS = (1.0, 5.0, 10.0, 30.0)
@@ -41,17 +42,17 @@ class Rollouts(eqx.Module):
     @classmethod
     def of(cls, track: Track, horizon: float) -> "Rollouts":
         """Starts every `STRIDE` seconds of each segment, where the horizon fits."""
-        found = []
+        places = []
         for index, piece in enumerate(track.pieces):
             times = piece.times
             starts = np.arange(times[0], times[-1] - horizon + 1e-9, STRIDE)
             first = np.searchsorted(times, starts - 1e-9)
             last = np.searchsorted(times, times[first] + horizon - 1e-9)
             fits = (last < len(times)) & (first < last)
-            found += [
+            places += [
                 (index, a, b) for a, b in zip(first[fits], last[fits], strict=True)
             ]
-        rows = np.array(found, np.int64).reshape(-1, 3)
+        rows = np.array(places, np.int64).reshape(-1, 3)
         return cls(*rows.T)
 
     def __len__(self) -> int:
@@ -76,6 +77,11 @@ class Errors(eqx.Module):
         return float(np.median(ratio)) if len(ratio) else float("nan")
 
     @property
+    def rollouts(self) -> int:
+        """Number of rollouts."""
+        return len(self.distance)
+
+    @property
     def median(self) -> float:
         """Median distance [L]; NaN without rollouts."""
         return float(np.median(self.distance)) if len(self.distance) else float("nan")
@@ -97,7 +103,7 @@ def errors(track: Track, rollouts: Rollouts, displacement: Displacement) -> Erro
     return Errors(np.array(distance), np.array(path))
 
 
-def _cumulated_length(positions):
+def _cumulated_length(positions: np.ndarray) -> np.ndarray:
     steps = np.hypot(*np.diff(positions, axis=0).T)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
@@ -108,11 +114,9 @@ def programme_of(piece: Trajectory) -> HeldProgramme:
     The last one is held for as many times more as make the number of times round, so
     that what is compiled for one segment serves others.
     """
-    nothing = np.zeros_like(piece.times)
-    more = padded_to(len(nothing), LEAST_SIZE) - len(nothing)
+    more = padded_to(len(piece.times), LEAST_SIZE) - len(piece.times)
     later = piece.times[-1] + 1.0 + np.arange(more)
-    values = [piece.commands.get(name, nothing) for name in ("frequency", "heading")]
-    held = [jnp.asarray(np.pad(value, (0, more), "edge")) for value in values]
+    held = [jnp.asarray(np.pad(v, (0, more), "edge")) for v in commands_of(piece)]
     return HeldProgramme(jnp.asarray(np.concatenate([piece.times, later])), *held)
 
 
@@ -125,12 +129,12 @@ def cycles(fit: TrackFit, piece: Trajectory) -> Float[np.ndarray, "time 2"]:
     index = RESPONSES.index(fit.candidate.response)
     with jax.enable_x64(new_val=True):
         programme, drive = programme_of(piece), jnp.asarray(fit.theta[:4])
-        found = _cycles(programme, jnp.asarray(index), drive)
-    return np.asarray(found)[: len(piece.times)]
+        integral = _cycles(programme, jnp.asarray(index), drive)
+    return np.asarray(integral)[: len(piece.times)]
 
 
 @eqx.filter_jit
-def _cycles(programme: HeldProgramme, index, drive):
+def _cycles(programme: HeldProgramme, index: Array, drive: Array) -> Array:
     corner, residual, delay, lag = drive
     response = SwitchedResponse(index, corner, residual)
     times = programme.times - delay
@@ -182,8 +186,8 @@ class FrameJitter(eqx.Module):
         for piece in track.pieces:
             left = piece.states - displacement(piece)
             scatter = left - _running_mean(piece.times, left, track.width)
-            on = _rolling(piece)
-            heading = piece.commands.get("heading", np.zeros_like(piece.times))
+            frequency, heading = commands_of(piece)
+            on = frequency > 0
             cosine, sine = np.cos(heading), np.sin(heading)
             along.append((scatter[:, 0] * cosine + scatter[:, 1] * sine)[on])
             across.append((scatter[:, 1] * cosine - scatter[:, 0] * sine)[on])
@@ -195,22 +199,18 @@ class FrameJitter(eqx.Module):
 
     def variance(self, piece: Trajectory) -> Float[np.ndarray, "time 2"]:
         """Variance of each coordinate at each sample."""
-        heading = piece.commands.get("heading", np.zeros_like(piece.times))
+        frequency, heading = commands_of(piece)
         squares = np.stack([np.cos(heading), np.sin(heading)], axis=1) ** 2
         along, across = self.driven
         rolling = along * squares + across * (1 - squares)
-        return np.where(_rolling(piece)[:, None], rolling, self.still)
+        return np.where(frequency[:, None] > 0, rolling, self.still)
 
 
-def _rolling(piece) -> Bool[np.ndarray, " time"]:
-    return piece.commands.get("frequency", np.zeros_like(piece.times)) > 0
-
-
-def _mean_square(values) -> float:
+def _mean_square(values: np.ndarray) -> float:
     return float(np.mean(values**2)) if len(values) else 0.0
 
 
-def _running_mean(times, values, width):
+def _running_mean(times: np.ndarray, values: np.ndarray, width: float) -> np.ndarray:
     total = np.concatenate([np.zeros((1, 2)), np.cumsum(values, axis=0)])
     low = np.searchsorted(times, times - width / 2)
     high = np.searchsorted(times, times + width / 2, side="right")
@@ -251,41 +251,45 @@ class Forecast(eqx.Module):
 
     def variance(self, first: int, last: int) -> Float[np.ndarray, "sample 2"]:
         """Of a rollout: disturbance, unknowns, jitter at start and end [L²]."""
-        own = slice(first, last + 1)
-        slopes = self.slopes[own] - self.slopes[first]
+        samples = slice(first, last + 1)
+        slopes = self.slopes[samples] - self.slopes[first]
         unknown = np.einsum("tap,pq,taq->ta", slopes, self.covariance, slopes)
-        frame = self.frame[own]
-        return self._wandering(own)[:, None] + unknown + frame + frame[:1]
+        frame = self.frame[samples]
+        return self._wandering(samples)[:, None] + unknown + frame + frame[:1]
 
-    def _wandering(self, own) -> Float[np.ndarray, " sample"]:
+    def _wandering(self, samples: slice) -> Float[np.ndarray, " sample"]:
         """What the disturbance adds from a start without knowledge of it."""
-        times = self.piece.times[own]
-        frequency = self.piece.commands.get(
-            "frequency", np.zeros_like(self.frame[:, 0])
-        )
-        intervals = np.diff(times)
+        frequency, _ = commands_of(self.piece)
+        intervals = np.diff(self.piece.times[samples])
         more = (0, padded_to(len(intervals), LEAST_SIZE) - len(intervals))
         with jax.enable_x64(new_val=True):
-            steps = _transitions(
+            variances = _wandering_variances(
                 jnp.asarray(np.pad(intervals, more, constant_values=1.0)),
-                jnp.asarray(np.pad(frequency[own][:-1], more)),
+                jnp.asarray(np.pad(frequency[samples][:-1], more)),
                 self.disturbance,
             )
-        matrices, noises = np.asarray(steps.matrix), np.asarray(steps.noise)
-        spread, variances = np.diag([0.0, 1.0, 1.0]), [0.0]
-        count = len(intervals)
-        for matrix, noise in zip(matrices[:count], noises[:count], strict=True):
-            spread = matrix @ spread @ matrix.T + noise
-            variances.append(spread[0, 0])
-        return np.array(variances)
+        return np.concatenate([[0.0], np.asarray(variances)[: len(intervals)]])
 
 
 @eqx.filter_jit
-def _transitions(intervals, frequency, disturbance: Disturbance):
-    return transitions(intervals, disturbance.strength(frequency), disturbance)
+def _wandering_variances(
+    intervals: Array, frequency: Array, disturbance: Disturbance
+) -> Array:
+    """Variance of the way after each interval, of velocities unknown at first."""
+    steps = transitions(intervals, disturbance.strength(frequency), disturbance)
+
+    def step(spread: Array, inputs: tuple[Array, Array]) -> tuple[Array, Array]:
+        matrix, noise = inputs
+        spread = matrix @ spread @ matrix.T + noise
+        return spread, spread[0, 0]
+
+    unknown = jnp.diag(jnp.array([0.0, 1.0, 1.0]))
+    return jax.lax.scan(step, unknown, (steps.matrix, steps.noise))[1]
 
 
-def _slopes(piece, fit, path):
+def _slopes(
+    piece: Trajectory, fit: TrackFit, path: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Of a displacement by each unknown, and the covariance of the unknowns."""
     learned = fit.candidate.learned
     drive = [name for name in NAMES[:4] if name in learned]
@@ -299,7 +303,9 @@ def _slopes(piece, fit, path):
     return slopes, fit.covariance[np.ix_(places, places)]
 
 
-def _drive_slope(piece, fit, path, name):
+def _drive_slope(
+    piece: Trajectory, fit: TrackFit, path: np.ndarray, name: str
+) -> np.ndarray:
     step = 1e-3
     theta = np.array(fit.theta)
     theta[NAMES.index(name)] += step
@@ -313,16 +319,12 @@ class Coverage(eqx.Module):
     Attributes:
         inside: share of all coordinates at all samples after the start.
         at_end: the same at the last sample alone.
-        count: number of rollouts.
+        rollouts: their number.
     """
 
     inside: float
     at_end: float
-    count: int
-
-
-NORMAL_90 = 1.6448536269514722
-"""Half width of a band of 90 % in standard deviations."""
+    rollouts: int
 
 
 def coverage(
@@ -335,7 +337,7 @@ def coverage(
         forecast = forecasts[index]
         miss = track.pieces[index].states[a : b + 1] - forecast.rollout(int(a), int(b))
         sd = np.sqrt(forecast.variance(int(a), int(b)))
-        within = np.abs(miss[1:]) <= NORMAL_90 * sd[1:]
+        within = np.abs(miss[1:]) <= normal_quantile(0.9) * sd[1:]
         inside.append(within.ravel())
         ends.append(within[-1])
     if not inside:

@@ -84,11 +84,11 @@ def transitions(
     return Transition(*(_stacked(rows) for rows in (matrix, noise)))
 
 
-def _stacked(rows):
+def _stacked(rows: list[list[Array]]) -> Array:
     return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def _integrated(interval, memory, strength):
+def _integrated(interval: Array, memory: Array, strength: Array) -> tuple[Array, ...]:
     """What one process of variance 1 adds: reach, decay, and three covariances."""
     ratio = interval / memory
     decay = jnp.exp(-ratio)
@@ -136,30 +136,46 @@ def innovations(
         transition: from each block to the next.
         noise: standard deviation of an observed position.
     """
-    unit = jnp.zeros_like(columns[0])
-    mean = jnp.stack([columns[0], unit, unit])
-    covariance = jnp.diag(jnp.stack([noise**2, jnp.ones(()), jnp.ones(())]))
-    start = covariance
 
-    def step(state, inputs):
-        mean, covariance = state
+    def step(state: State, inputs: tuple[Array, ...]) -> tuple[State, tuple]:
         matrix, added, row, here, new = inputs
-        mean = matrix @ mean
-        covariance = matrix @ covariance @ matrix.T + added
-        variance = covariance[0, 0] + noise**2
-        gain = covariance[:, 0] / variance
-        innovation = row - mean[0]
-        mean = mean + gain[:, None] * innovation[None]
-        covariance = covariance - jnp.outer(gain, gain) * variance
+        ahead = _predict(state, matrix, added)
+        innovation, variance, updated = _update(ahead, row, noise)
+        begun = _begin(row, noise)
+        after = [jnp.where(new > 0, a, b) for a, b in zip(begun, updated, strict=True)]
         whitened = here * innovation / jnp.sqrt(variance)
-        mean = jnp.where(new > 0, jnp.stack([row, unit, unit]), mean)
-        covariance = jnp.where(new > 0, start, covariance)
-        return (mean, covariance), (whitened, here * jnp.log(variance))
+        return (after[0], after[1]), (whitened, here * jnp.log(variance))
 
     here = present[1:] * (1 - begins[1:])
     rows = transition.matrix, transition.noise, columns[1:], here, begins[1:]
-    _, (whitened, log_variance) = jax.lax.scan(step, (mean, covariance), rows)
+    _, (whitened, log_variance) = jax.lax.scan(step, _begin(columns[0], noise), rows)
     return Innovations(whitened, log_variance)
+
+
+State = tuple[Array, Array]
+"""Mean of (p, z, u) for each column, and their covariance."""
+
+
+def _begin(row: Array, noise: Array) -> State:
+    """The state at the first block of a segment."""
+    unit = jnp.zeros_like(row)
+    one = jnp.ones(())
+    return jnp.stack([row, unit, unit]), jnp.diag(jnp.stack([noise**2, one, one]))
+
+
+def _predict(state: State, matrix: Array, added: Array) -> State:
+    mean, covariance = state
+    return matrix @ mean, matrix @ covariance @ matrix.T + added
+
+
+def _update(ahead: State, row: Array, noise: Array) -> tuple[Array, Array, State]:
+    """What an observation adds, its variance, and the state that knows it."""
+    mean, covariance = ahead
+    variance = covariance[0, 0] + noise**2
+    gain = covariance[:, 0] / variance
+    innovation = row - mean[0]
+    mean = mean + gain[:, None] * innovation[None]
+    return innovation, variance, (mean, covariance - jnp.outer(gain, gain) * variance)
 
 
 def smoothed_velocity(
@@ -183,19 +199,26 @@ def smoothed_velocity(
     References:
         Rauch, Tung and Striebel, AIAA J. 3, 1445 (1965).
     """
-    own, ahead = _filtered(positions, transition, disturbance.noise)
+    noise, start = disturbance.noise, _begin(positions[0], disturbance.noise)
 
-    def back(later, inputs):
+    def forth(state: State, inputs: tuple[Array, ...]) -> tuple[State, tuple]:
+        matrix, added, row = inputs
+        ahead = _predict(state, matrix, added)
+        _, _, updated = _update(ahead, row, noise)
+        return updated, (state, ahead)
+
+    def back(later: State, inputs: tuple) -> tuple[State, State]:
         mean, covariance = later
-        own_mean, own_spread, ahead_mean, ahead_spread, matrix = inputs
-        gain = jnp.linalg.solve(ahead_spread, matrix @ own_spread).T
-        mean = own_mean + gain @ (mean - ahead_mean)
-        covariance = own_spread + gain @ (covariance - ahead_spread) @ gain.T
+        (past_mean, past_spread), (ahead_mean, ahead_spread), matrix = inputs
+        gain = jnp.linalg.solve(ahead_spread, matrix @ past_spread).T
+        mean = past_mean + gain @ (mean - ahead_mean)
+        covariance = past_spread + gain @ (covariance - ahead_spread) @ gain.T
         return (mean, covariance), (mean, covariance)
 
-    last = own[0][-1], own[1][-1]
-    rows = own[0][:-1], own[1][:-1], *ahead, transition.matrix
-    _, (means, spreads) = jax.lax.scan(back, last, rows, reverse=True)
+    rows = transition.matrix, transition.noise, positions[1:]
+    last, (states, ahead) = jax.lax.scan(forth, start, rows)
+    passed = states, ahead, transition.matrix
+    _, (means, spreads) = jax.lax.scan(back, last, passed, reverse=True)
     means = jnp.concatenate([means, last[0][None]])
     spreads = jnp.concatenate([spreads, last[1][None]])
     slow = jnp.broadcast_to(disturbance.slow, strength.shape)
@@ -204,27 +227,3 @@ def smoothed_velocity(
     alone = slow[:, None] * means[:, 2]
     variance = jnp.einsum("bs,bst,bt->b", weights, spreads, weights)
     return both, alone, jnp.sqrt(variance)
-
-
-def _filtered(positions, transition, noise):
-    """Mean and covariance given the past and the present, and those given the past."""
-    unit = jnp.zeros_like(positions[0])
-    mean = jnp.stack([positions[0], unit, unit])
-    covariance = jnp.diag(jnp.stack([noise**2, jnp.ones(()), jnp.ones(())]))
-
-    def step(state, inputs):
-        mean, covariance = state
-        matrix, added, row = inputs
-        mean = matrix @ mean
-        covariance = matrix @ covariance @ matrix.T + added
-        variance = covariance[0, 0] + noise**2
-        gain = covariance[:, 0] / variance
-        updated = mean + gain[:, None] * (row - mean[0])[None]
-        narrowed = covariance - jnp.outer(gain, gain) * variance
-        return (updated, narrowed), (updated, narrowed, mean, covariance)
-
-    rows = transition.matrix, transition.noise, positions[1:]
-    _, (means, spreads, *ahead) = jax.lax.scan(step, (mean, covariance), rows)
-    means = jnp.concatenate([mean[None], means])
-    spreads = jnp.concatenate([covariance[None], spreads])
-    return (means, spreads), tuple(ahead)

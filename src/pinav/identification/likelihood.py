@@ -7,17 +7,20 @@ n innovations, k coefficients whose priors hold the information of one observati
 normal priors of the nonlinear parameters $\theta$.
 """
 
-import math
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int
 
 from pinav.actuation import HeldProgramme
-from pinav.identification.kalman import Disturbance, innovations, transitions
+from pinav.identification.kalman import (
+    Disturbance,
+    Innovations,
+    innovations,
+    transitions,
+)
 from pinav.identification.models import (
     COMMAND_RESPONSE,
     NAMES,
@@ -25,74 +28,7 @@ from pinav.identification.models import (
     CandidateModel,
     SwitchedResponse,
 )
-from pinav.identification.tracks import Blocks, Track
-
-
-class Prior(eqx.Module):
-    """Normal priors of the nonlinear parameters, in the order of `NAMES`.
-
-    Attributes:
-        mean: their centres.
-        sd: their standard deviations.
-    """
-
-    mean: Float[np.ndarray, " parameter"]
-    sd: Float[np.ndarray, " parameter"]
-
-    @classmethod
-    def of(cls, track: Track) -> "Prior":
-        """Wide priors about the scales of a track.
-
-        Speeds about a tenth of the track's, within a factor of 20 (two sd); the
-        corner about the geometric mean of the commanded frequencies, within a factor
-        of 20; delays of a camera and its computer, 0.2 ± 0.2 s; lags about 0.1 s.
-        """
-        speed = _typical_speed(track)
-        jitter = math.log(0.2 * speed * track.width)
-        quick = math.log(0.1 * speed)
-        table = {
-            "log_corner": (math.log(_typical_frequency(track)), 1.5),
-            "logit_residual": (0.0, 1.5),
-            "delay": (0.2, 0.2),
-            "log_lag": (math.log(0.1), 1.0),
-            "log_still": (quick - 1.0, 1.5),
-            "log_driven": (quick, 1.5),
-            "log_memory": (math.log(2.0 * track.width), 1.0),
-            "log_noise": (jitter, 1.5),
-            "log_slow": (quick, 1.5),
-            "log_slow_memory": (math.log(30.0 * track.width), 1.0),
-        }
-        mean, sd = np.array([table[name] for name in NAMES]).T
-        return cls(mean, sd)
-
-    def bounds(self) -> Float[np.ndarray, "parameter 2"]:
-        """Five standard deviations either way; a delay is not negative."""
-        reach = 5 * self.sd
-        found = np.stack([self.mean - reach, self.mean + reach], axis=1)
-        found[NAMES.index("delay"), 0] = 0.0
-        return found
-
-
-def _typical_speed(track: Track) -> float:
-    """Median speed over blocks."""
-    speeds = []
-    for piece in track.pieces:
-        index = np.arange(0, len(piece.times))
-        later = np.searchsorted(piece.times, piece.times + track.width)
-        fits = later < len(index)
-        step = piece.states[later[fits]] - piece.states[index[fits]]
-        interval = piece.times[later[fits]] - piece.times[index[fits]]
-        speeds.append(np.hypot(*step.T) / interval)
-    values = np.concatenate(speeds)
-    return max(float(np.sqrt(np.mean(values**2))) if len(values) else 0.0, 1e-6)
-
-
-def _typical_frequency(track: Track) -> float:
-    if not track.commanded:
-        return 1.0
-    values = np.concatenate([p.commands["frequency"] for p in track.pieces])
-    values = values[values > 0]
-    return float(np.exp(np.log(values).mean())) if len(values) else 1.0
+from pinav.identification.tracks import Blocks
 
 
 class Design(eqx.Module):
@@ -188,62 +124,68 @@ def disturbance_of(theta: Float[Array, " parameter"]) -> Disturbance:
     return Disturbance(*values)
 
 
-def displacements(theta, design: Design) -> Float[Array, "sample 2"]:
+def displacements(theta: Array, design: Design) -> Float[Array, "sample 2"]:
     """Integral of the response along the heading, delayed and lagged [cycles]."""
     return _displacements(theta[: len(COMMAND_RESPONSE)], design)
 
 
 @eqx.filter_custom_vjp
-def _displacements(drive, design):
+def _displacements(drive: Array, design: Design) -> Array:
     return jax.lax.cond(_lags(drive), _lagged, _prompt, drive, design)
 
 
 @_displacements.def_fwd
-def _displacements_forward(perturbed, drive, design):
+def _displacements_forward(
+    perturbed: Any, drive: Array, design: Design
+) -> tuple[Array, None]:
     del perturbed
     return _displacements(drive, design), None
 
 
 @_displacements.def_bwd
-def _displacements_reverse(residuals, cotangent, perturbed, drive, design):
+def _displacements_reverse(
+    residuals: None, cotangent: Array, perturbed: Any, drive: Array, design: Design
+) -> Array:
     """Differentiates the branch that was taken, without room for the other one.
 
     Without a lag in forward mode: few parameters stand before thousands of samples.
     """
     del residuals, perturbed
 
-    def lagged(drive, cotangent):
+    def lagged(drive: Array, cotangent: Array) -> Array:
         return jax.vjp(lambda d: _lagged(d, design), drive)[1](cotangent)[0]
 
-    def prompt(drive, cotangent):
+    def prompt(drive: Array, cotangent: Array) -> Array:
         jacobian = jax.jacfwd(lambda d: _prompt(d, design))(drive)
         return jnp.einsum("sa,sad->d", cotangent, jacobian)
 
     return jax.lax.cond(_lags(drive), lagged, prompt, drive, cotangent)
 
 
-def _lags(drive):
+def _lags(drive: Array) -> Array:
     return jnp.exp(drive[3]) > 2e-4
 
 
-def _lagged(drive, design):
+def _lagged(drive: Array, design: Design) -> Array:
     programme, response, ts = _driven(drive, design)
     return programme.lagged_integral(response, ts, jnp.exp(drive[3]))
 
 
-def _prompt(drive, design):
+def _prompt(drive: Array, design: Design) -> Array:
     programme, response, ts = _driven(drive, design)
     return programme.integral(response, ts)
 
 
-def _driven(drive, design):
+def _driven(
+    drive: Array, design: Design
+) -> tuple[HeldProgramme, SwitchedResponse, Array]:
     blocks: Any = design.blocks  # as JAX arrays
     programme = HeldProgramme(blocks.times, blocks.frequency, blocks.heading)
     response = SwitchedResponse(design.response, drive[0], drive[1])
     return programme, response, blocks.times - drive[2]
 
 
-def block_means(values, blocks: Blocks):
+def block_means(values: Array, blocks: Blocks) -> Array:
     """Means over the samples of each block; zero in padding."""
     total = jnp.zeros((blocks.counts.shape[0], values.shape[1]))
     total = total.at[blocks.block].add(jnp.where(blocks.real[:, None], values, 0.0))
@@ -281,7 +223,9 @@ def whitened(
     )
 
 
-def filtered_columns(theta, columns, frequency, blocks: Any):
+def filtered_columns(
+    theta: Array, columns: Array, frequency: Array, blocks: Any
+) -> Innovations:
     """Innovations of columns given at each block; the fifth column is the time."""
     disturbance = disturbance_of(theta)
     present = (blocks.counts > 0).astype(columns.dtype)
@@ -306,10 +250,10 @@ def rolling_about(frequency: Float[Array, " block"]) -> Float[Array, " step"]:
     padded = jnp.concatenate([frequency[:1], frequency, frequency[-1:]])
     later = padded[1:], padded[2:], padded[3:]
     steps = frequency.shape[0] - 1
-    found = padded[:steps]
+    highest = padded[:steps]
     for shifted in later:
-        found = jnp.maximum(found, shifted[:steps])
-    return found
+        highest = jnp.maximum(highest, shifted[:steps])
+    return highest
 
 
 def negative_log_evidence(

@@ -78,24 +78,23 @@ class CandidateModel(eqx.Module):
 
     def matrices(self) -> Float[np.ndarray, "4 2 2"]:
         """The gain matrices, with zeros for those that are absent."""
-        found = np.zeros((4, 2, 2))
+        matrices = np.zeros((4, 2, 2))
         if self.gains:
-            found[: len(self.gains)] = self.gains
-        return found
+            matrices[: len(self.gains)] = self.gains
+        return matrices
 
     def velocities(self) -> Float[np.ndarray, "2 2"]:
         """The drift velocities, with zeros for those that are absent."""
-        found = np.zeros((2, 2))
+        velocities = np.zeros((2, 2))
         if self.drifts:
-            found[: len(self.drifts)] = self.drifts
-        return found
+            velocities[: len(self.drifts)] = self.drifts
+        return velocities
 
 
 ISOTROPIC = (((1.0, 0.0), (0.0, 1.0)),)
-TURNED = (*ISOTROPIC, ((0.0, -1.0), (1.0, 0.0)))
 DIAGONAL = (((1.0, 0.0), (0.0, 0.0)), ((0.0, 0.0), (0.0, 1.0)))
 FULL = (*DIAGONAL, ((0.0, 1.0), (0.0, 0.0)), ((0.0, 0.0), (1.0, 0.0)))
-"""Gains: a number; with a heading offset; one for each axis; any matrix."""
+"""Gains: a number; one for each axis; any matrix."""
 
 BOTH = ((1.0, 0.0), (0.0, 1.0))
 """A drift in any direction."""
@@ -135,7 +134,7 @@ class SwitchedResponse(AbstractResponse):
     log_corner: Float[Array, ""]
     logit_residual: Float[Array, ""]
 
-    def __call__(self, frequency):
+    def __call__(self, frequency: Array) -> Array:
         branches = [lambda f, a, b, make=make: make(a, b)(f) for make in _RESPONSES]
         return jax.lax.switch(
             self.index, branches, frequency, self.log_corner, self.logit_residual

@@ -19,6 +19,7 @@ from pinav.fitting.engine.iterate import iterate
 from pinav.fitting.engine.steps import FullStep, ShortenedStep
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.least_squares import Regression
+from pinav.identification.displacement_field import path_displacement
 from pinav.identification.fit import TrackFit
 from pinav.identification.forecast import Errors, Rollouts, path_of
 from pinav.identification.likelihood import (
@@ -28,7 +29,7 @@ from pinav.identification.likelihood import (
     filtered_columns,
 )
 from pinav.identification.tracks import Blocks, Track
-from pinav.trajectories import Trajectories
+from pinav.trajectories import Trajectories, Trajectory
 
 NETWORK_STEPS = 5
 """Gauss-Newton steps of a network; kernels need one."""
@@ -122,7 +123,9 @@ class FilteredDisplacement(eqx.Module):
 
     def displacement(self, environment: Any) -> Float[Array, " row"]:
         """Integral of the environment's velocity along the path, filtered."""
-        moved = _block_displacement(environment, self.blocks)
+        moved = path_displacement(
+            lambda t, x: environment(t, x, jnp.zeros_like(x)), self.blocks
+        )
         return _filtered_rows(self.theta, moved[..., None], self.blocks)[:, 0]
 
     def __call__(self, environment: Any) -> Float[Array, " row"]:
@@ -177,22 +180,17 @@ class _BaseDesign(eqx.Module):
         return coefficients
 
 
-def _block_displacement(environment: Any, blocks: Blocks) -> Float[Array, "block 2"]:
-    velocity = jax.vmap(lambda x: environment(0.0, x, jnp.zeros_like(x)))
-    rates = velocity(blocks.positions)
-    middle = (rates[1:] + rates[:-1]) / 2
-    steps = middle * jnp.diff(blocks.times)[:, None]  # leaps between segments: reset
-    path = jnp.concatenate([jnp.zeros((1, 2)), jnp.cumsum(steps, axis=0)])
-    return block_means(path, blocks)
-
-
-def _filtered_rows(theta, columns, blocks) -> Float[Array, "row column"]:
+def _filtered_rows(
+    theta: Array, columns: Array, blocks: Blocks
+) -> Float[Array, "row column"]:
     rest = block_means(jnp.stack([blocks.times, blocks.frequency], axis=-1), blocks)
     whitened = [_filtered_axis(theta, columns[:, a], rest, blocks) for a in (0, 1)]
     return jnp.concatenate(whitened)
 
 
-def _filtered_axis(theta, columns, rest, blocks) -> Float[Array, "step column"]:
+def _filtered_axis(
+    theta: Array, columns: Array, rest: Array, blocks: Blocks
+) -> Float[Array, "step column"]:
     """The columns of one axis through the filter, which wants the time as the fifth."""
     padded = jnp.concatenate(
         [jnp.zeros((columns.shape[0], 4)), rest[:, :1], columns], axis=-1
@@ -206,11 +204,11 @@ def residual_errors(track: Track, rollouts: Rollouts, fit: ResidualFit) -> Error
     paths = [displacement(piece) for piece in track.pieces]
     distance, length = [], []
     for index in range(len(track.pieces)):
-        own = np.flatnonzero(rollouts.piece == index)
-        if not len(own):
+        chosen = np.flatnonzero(rollouts.piece == index)
+        if not len(chosen):
             continue
         piece = track.pieces[index]
-        first, last = rollouts.first[own], rollouts.last[own]
+        first, last = rollouts.first[chosen], rollouts.last[chosen]
         ends = _rolled_out(fit.environment, piece, paths[index], (first, last))
         distance.append(np.hypot(*(ends - piece.states[last]).T))
         steps = np.hypot(*np.diff(piece.states, axis=0).T)
@@ -222,7 +220,12 @@ def residual_errors(track: Track, rollouts: Rollouts, fit: ResidualFit) -> Error
     )
 
 
-def _rolled_out(environment, piece, path, ends):
+def _rolled_out(
+    environment: Any,
+    piece: Trajectory,
+    path: np.ndarray,
+    ends: tuple[np.ndarray, np.ndarray],
+) -> np.ndarray:
     """Ends of rollouts by the midpoint rule, from frame to frame."""
     first, last = ends
     count = int((last - first).max())
@@ -236,10 +239,12 @@ def _rolled_out(environment, piece, path, ends):
 
 
 @eqx.filter_jit
-def _integrated(environment, starts, steps, intervals):
+def _integrated(
+    environment: Any, starts: Array, steps: Array, intervals: Array
+) -> Array:
     velocity = jax.vmap(lambda x: environment(0.0, x, jnp.zeros_like(x)))
 
-    def step(x, inputs):
+    def step(x: Array, inputs: tuple[Array, Array]) -> tuple[Array, None]:
         known, interval = inputs
         half = x + (known + velocity(x) * interval[:, None]) / 2
         return x + known + velocity(half) * interval[:, None], None

@@ -29,7 +29,6 @@ from pinav.identification.forecast import (
     errors,
     path_of,
 )
-from pinav.identification.likelihood import Prior
 from pinav.identification.models import (
     DRIFT_ONLY,
     MATRIX,
@@ -40,6 +39,7 @@ from pinav.identification.models import (
     with_free,
     with_response,
 )
+from pinav.identification.priors import Prior
 from pinav.identification.residual_field import (
     ResidualFit,
     fit_residual,
@@ -47,6 +47,7 @@ from pinav.identification.residual_field import (
     residual_errors,
 )
 from pinav.identification.tracks import Track, after, before
+from pinav.trajectories import Trajectory
 
 ENCLOSING = "slipping"
 """The response kept where the evidence is not decisive: it contains the others."""
@@ -149,7 +150,9 @@ def select_model(
 class _Comparison:
     """The selection so far."""
 
-    def __init__(self, train: Track, held_out: Track, on_row):
+    def __init__(
+        self, train: Track, held_out: Track, on_row: Callable[[Row], None] | None
+    ) -> None:
         self.train, self.held_out, self.on_row = train, held_out, on_row
         self.prior = Prior.of(train)
         self.rows: list[Row] = []
@@ -206,17 +209,17 @@ class _Comparison:
             self._refuse(label, str(error))
             return
         seconds = time.perf_counter() - begin
-        found = {
+        by_horizon = {
             horizon: residual_errors(self.held_out, self._rollouts(horizon), fit)
             for horizon in HORIZONS
         }
         r2 = self._r2_of_residual(fit)
-        self._append(Row(label, fit.log_evidence, seconds, found, r2))
+        self._append(Row(label, fit.log_evidence, seconds, by_horizon, r2))
 
     def _r2_of_residual(self, fit: ResidualFit) -> float:
         path = path_of(fit.corrected)
 
-        def displacement(piece):
+        def displacement(piece: Trajectory) -> np.ndarray:
             at = jax.vmap(lambda x: fit.environment(0.0, x, 0 * x))
             velocity = np.asarray(at(jax.numpy.asarray(piece.states)))[:-1]
             steps = velocity * np.diff(piece.times)[:, None]
@@ -229,25 +232,27 @@ class _Comparison:
     def baseline(self, name: str) -> None:
         """A baseline."""
         try:
-            found = BASELINES[name](self.train)
+            fitted = BASELINES[name](self.train)
         except InputError as error:
             self._refuse(name, str(error))
             return
-        self._add(name, float("nan"), found.seconds, found.displacement())
+        self._add(name, float("nan"), fitted.seconds, fitted.displacement())
 
-    def _rollouts(self, horizon):
+    def _rollouts(self, horizon: float) -> Rollouts:
         return Rollouts.of(self.held_out, horizon)
 
-    def _add(self, name, log_evidence, seconds, displacement: Displacement) -> None:
+    def _add(
+        self, name: str, log_evidence: float, seconds: float, displacement: Displacement
+    ) -> None:
         displacement = computed_once(displacement)
-        found = {
+        by_horizon = {
             horizon: errors(self.held_out, self._rollouts(horizon), displacement)
             for horizon in HORIZONS
         }
         r2 = velocity_r2(self.held_out, displacement)
-        self._append(Row(name, log_evidence, seconds, found, r2))
+        self._append(Row(name, log_evidence, seconds, by_horizon, r2))
 
-    def _refuse(self, name, reason) -> None:
+    def _refuse(self, name: str, reason: str) -> None:
         self._append(Row(name, float("nan"), float("nan"), {}, float("nan"), reason))
 
     def _append(self, row: Row) -> None:

@@ -1,13 +1,11 @@
 """A fitted response as a system, and a system as a candidate model."""
 
 import math
-from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from pinav.actuation import (
     AbstractResponse,
@@ -19,16 +17,12 @@ from pinav.actuation import (
 from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import InputError
 from pinav.fitting import (
-    Estimate,
     EvidenceFit,
     Hyperparameters,
     LinearFit,
     Outcome,
-    ParametricModel,
     Posterior,
-    ravel_model,
 )
-from pinav.fitting.engine.parametric_model import selected_entries
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import NoWeights
 from pinav.forces import (
@@ -37,7 +31,6 @@ from pinav.forces import (
     ZeroForce,
 )
 from pinav.identification.fit import TrackFit
-from pinav.identification.likelihood import Prior
 from pinav.identification.models import (
     ABSENT,
     BOTH,
@@ -48,6 +41,17 @@ from pinav.identification.models import (
     CandidateModel,
     response_of,
 )
+from pinav.identification.numbers import (
+    DRIFT,
+    GAIN,
+    PATHS,
+    LearnedNumber,
+    estimates_of,
+    natural,
+    numbers_of,
+    posterior_over,
+)
+from pinav.identification.priors import Prior
 from pinav.systems import (
     Flat,
     FreeNumber,
@@ -59,17 +63,6 @@ from pinav.systems import (
     WanderingVelocity,
 )
 
-PATHS = {
-    "log_corner": "propulsion.response.corner",
-    "logit_residual": "propulsion.response.residual",
-    "delay": "propulsion.delay",
-    "log_lag": "propulsion.lag",
-}
-"""Where the nonlinear parameters of the propulsion stand in a swimmer."""
-
-GAIN, DRIFT = "propulsion.gain", "flow.velocity"
-"""Where the numbers stand in which displacements are linear."""
-
 RESPONSE_NAMES: dict[type[AbstractResponse], str] = {
     LinearResponse: "linear",
     SaturatingResponse: "saturating",
@@ -77,13 +70,6 @@ RESPONSE_NAMES: dict[type[AbstractResponse], str] = {
     StepOutResponse: "step-out",
 }
 """Name of each response among the candidate models."""
-
-
-def natural(name: str, value: Float[Array, ""]) -> Float[Array, ""]:
-    """A nonlinear parameter as a system states it, by its name in `NAMES`."""
-    if name.startswith("log_"):
-        return jnp.exp(value)
-    return jax.nn.sigmoid(value) if name == "logit_residual" else value
 
 
 def system_of(
@@ -159,14 +145,25 @@ def _prior(name: str, fit: TrackFit, sd: float) -> Normal | LogNormal:
     return Normal(mean=value, deviation=sd)
 
 
+def learned_numbers(
+    fit: TrackFit,
+) -> tuple[list[LearnedNumber], Float[np.ndarray, "unknown unknown"]]:
+    """Numbers of a fitted swimmer, and the covariance of what they depend on."""
+    candidate, count = fit.candidate, len(fit.candidate.learned)
+    several = [count + i for i in range(len(candidate.gains))]
+    several += [count + 4 + i for i in range(len(candidate.drifts))]
+    present = np.array([*range(count), *several])
+    learned = [fit.parameter(name) for name in candidate.learned]
+    unknown = np.concatenate([learned, fit.coefficients])[present]
+    with jax.enable_x64(new_val=True):
+        numbers = numbers_of(candidate, unknown)
+    return numbers, fit.covariance[np.ix_(present, present)]
+
+
 def posterior_of(fit: TrackFit) -> Posterior:
     """Distribution of the numbers of a fitted swimmer, in their own units."""
     with jax.enable_x64(new_val=True):
-        paths = [number.path for number in _free_numbers(fit)]
-        rows = np.concatenate([number_slopes(fit, path) for path in paths])
-        covariance = rows @ fit.covariance @ rows.T
-        values = {path: number_values(fit, path) for path in paths}
-        return posterior_over(swimmer_of(fit), paths, values, covariance)
+        return posterior_over(swimmer_of(fit), *learned_numbers(fit))
 
 
 def evidence_fit_of(fit: TrackFit, *, jitter: float) -> EvidenceFit:
@@ -192,74 +189,11 @@ def evidence_fit_of(fit: TrackFit, *, jitter: float) -> EvidenceFit:
         iterations=fit.evaluations,
         hyperparameters=Hyperparameters(np.zeros(0), 0.0, jitter, fit.log_evidence),
         posterior=posterior,
-        constants=estimates_of(posterior, [n.path for n in _free_numbers(fit)]),
+        constants=estimates_of(*learned_numbers(fit)),
         states=None,
         goodness=None,
         linear=LinearFit(nothing, NoWeights(), jitter, count, 0.0),
     )
-
-
-def number_values(fit: TrackFit, path: str) -> Float[np.ndarray, " number"]:
-    """Numbers of a fitted swimmer by their path, flattened."""
-    if path == GAIN:
-        return fit.gain.ravel()
-    if path == DRIFT:
-        return fit.drift
-    name = next(name for name, place in PATHS.items() if place == path)
-    return np.asarray(natural(name, jnp.asarray(fit.parameter(name)))).reshape(1)
-
-
-def number_slopes(fit: TrackFit, path: str) -> Float[np.ndarray, "number unknown"]:
-    """Derivatives of these numbers by what is learned, then by all coefficients."""
-    learned = fit.candidate.learned
-    blank = np.zeros((4 if path == GAIN else 2, len(learned)))
-    if path == GAIN:
-        by_gain = fit.candidate.matrices().reshape(4, 4).T
-        return np.concatenate([blank, by_gain, np.zeros((4, 2))], axis=1)
-    if path == DRIFT:
-        by_drift = fit.candidate.velocities().T
-        return np.concatenate([blank, np.zeros((2, 4)), by_drift], axis=1)
-    name = next(name for name, place in PATHS.items() if place == path)
-    row = np.zeros((1, len(learned) + 6))
-    at = jnp.asarray(fit.parameter(name))
-    row[0, learned.index(name)] = jax.grad(lambda x: natural(name, x))(at)
-    return row
-
-
-def posterior_over(
-    swimmer: OverdampedSwimmer,
-    paths: list[str],
-    values: dict[str, Float[np.ndarray, " _"]],
-    covariance: Float[np.ndarray, "number number"],
-) -> Posterior:
-    """A posterior over numbers of a swimmer, those of `paths` in this order.
-
-    Args:
-        swimmer: the model.
-        paths: where the numbers stand; the environment's weights are `environment`.
-        values: best values by path, each flattened.
-        covariance: of all of them, one after the other.
-    """
-    numbers = [FreeNumber(path) for path in paths if path != "environment"]
-
-    def select(model: Any) -> tuple:
-        weights = () if "environment" not in paths else model.environment.parameters
-        weights = weights if isinstance(weights, tuple) else (weights,)
-        return *weights, *(number.pick(model) for number in numbers)
-
-    exact = eqx.tree_at(select, swimmer, replace_fn=lambda x: jnp.asarray(x, float))
-    free, theta = ravel_model(exact, select)
-    order = np.concatenate([_places(free, len(theta), path) for path in paths])
-    mean, full = np.array(theta), np.zeros((len(theta),) * 2)
-    mean[order] = np.concatenate([np.ravel(values[path]) for path in paths])
-    full[np.ix_(order, order)] = covariance
-    return Posterior(free, mean, full)
-
-
-def _places(free: ParametricModel, count: int, path: str) -> np.ndarray:
-    """Where the numbers of a path stand in the vector of a model."""
-    chosen = selected_entries(free, count, FreeNumber(path).pick)
-    return np.flatnonzero(chosen)
 
 
 def candidate_of(
@@ -337,20 +271,6 @@ def prior_about(theta: Float[np.ndarray, " parameter"], wide: Prior) -> Prior:
     """Priors as wide as those of a track, about what a system states."""
     stated = np.isfinite(theta)
     return Prior(np.where(stated, theta, wide.mean), wide.sd)
-
-
-def estimates_of(posterior: Posterior, paths: list[str]) -> dict[str, Estimate]:
-    """Learned numbers by name, with their standard deviations."""
-    values: dict[str, Estimate] = {}
-    sd = np.sqrt(np.maximum(np.diag(posterior.covariance), 0.0))
-    for path in paths:
-        places = _places(posterior.free, len(sd), path)
-        for index, place in enumerate(places):
-            label = path if len(places) == 1 else f"{path}[{index}]"
-            if path == GAIN:
-                label = f"{path}[{index // 2}, {index % 2}]"
-            values[label] = Estimate(float(posterior.mean[place]), float(sd[place]))
-    return values
 
 
 def is_commanded(system: System) -> bool:

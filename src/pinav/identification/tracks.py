@@ -101,7 +101,7 @@ def trajectories_of(
         pooled: see `tracks`.
     """
     names = _names(recording, pooled=pooled)
-    chosen = [index for index, own in enumerate(names) if own == name]
+    chosen = [index for index, other in enumerate(names) if other == name]
     return recording.select(chosen) if chosen else recording
 
 
@@ -176,7 +176,7 @@ def _block_width(pieces: Sequence[Trajectory]) -> float:
 
 def _counts(pieces: Sequence[Trajectory], width: float) -> tuple[int, int]:
     """Samples and blocks."""
-    blocks = sum(int(_block_indices(piece.times, width)[-1]) + 1 for piece in pieces)
+    blocks = sum(int(block_indices(piece.times, width)[-1]) + 1 for piece in pieces)
     return sum(len(piece.times) for piece in pieces), blocks
 
 
@@ -241,6 +241,15 @@ def _cut(piece: Trajectory, kept: Any) -> Trajectory:
     )
 
 
+def commands_of(piece: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Frequency and heading of a segment; zeros where nothing was commanded."""
+    nothing = np.zeros_like(piece.times)
+    return (
+        piece.commands.get("frequency", nothing),
+        piece.commands.get("heading", nothing),
+    )
+
+
 def before(track: Track, time: float) -> Track:
     """The part of a track before a time; blocks keep their length."""
     cut = [_cut(piece, np.less(piece.times, time)) for piece in track.pieces]
@@ -289,10 +298,12 @@ class Blocks(eqx.Module):
     @classmethod
     def of(cls, track: Track) -> "Blocks":
         """The blocks of a track; sizes are rounded up, to compile seldom."""
-        own = [_block_indices(piece.times, track.width) for piece in track.pieces]
+        indices = [block_indices(piece.times, track.width) for piece in track.pieces]
         samples, blocks = track.sizes
-        first = np.cumsum([0, *(int(index[-1]) + 1 for index in own)])
-        index = np.concatenate([i + f for i, f in zip(own, first[:-1], strict=True)])
+        first = np.cumsum([0, *(int(index[-1]) + 1 for index in indices)])
+        index = np.concatenate(
+            [i + f for i, f in zip(indices, first[:-1], strict=True)]
+        )
         length = len(index)
         begins, counts = np.zeros((2, blocks))
         begins[first[:-1]] = 1.0
@@ -320,7 +331,7 @@ class Blocks(eqx.Module):
         )
 
 
-def _block_indices(times: np.ndarray, width: float) -> np.ndarray:
+def block_indices(times: np.ndarray, width: float) -> np.ndarray:
     """Number of the block of each sample; empty blocks are left out."""
     raw = np.floor((times - times[0]) / width + 1e-9).astype(np.int64)
     return np.unique(raw, return_inverse=True)[1]

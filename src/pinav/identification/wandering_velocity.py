@@ -10,7 +10,7 @@ from pinav.identification.fit import TrackFit
 from pinav.identification.forecast import cycles
 from pinav.identification.kalman import smoothed_velocity, transitions
 from pinav.identification.likelihood import rolling_about
-from pinav.identification.tracks import Track
+from pinav.identification.tracks import Track, block_indices, commands_of
 from pinav.trajectories import Trajectory
 
 
@@ -41,19 +41,17 @@ def drift_over_time(track: Track, fit: TrackFit) -> DriftOverTime:
     return DriftOverTime(*map(np.concatenate, zip(*parts, strict=True)))
 
 
-def _piece(piece: Trajectory, width: float, fit: TrackFit):
-    index = np.unique(
-        np.floor((piece.times - piece.times[0]) / width + 1e-9), return_inverse=True
-    )[1]
+def _piece(piece: Trajectory, width: float, fit: TrackFit) -> tuple[np.ndarray, ...]:
+    index = block_indices(piece.times, width)
     counts = np.bincount(index)
 
-    def means(values):
+    def means(values: np.ndarray) -> np.ndarray:
         return np.bincount(index, values) / counts
 
     left = piece.states - cycles(fit, piece) @ fit.gain.T
     left = left - np.outer(piece.times - piece.times[0], fit.drift)
     times = means(piece.times)
-    frequency = means(piece.commands.get("frequency", np.zeros_like(piece.times)))
+    frequency = means(commands_of(piece)[0])
     positions = np.stack([means(column) for column in left.T], axis=1)
     with jax.enable_x64(new_val=True):
         disturbance, rate = fit.disturbance, jnp.asarray(frequency)
@@ -63,5 +61,5 @@ def _piece(piece: Trajectory, width: float, fit: TrackFit):
         velocity, slow, sd = smoothed_velocity(
             jnp.asarray(positions), strength, steps, disturbance
         )
-    found = np.asarray(velocity) + fit.drift, np.asarray(slow) + fit.drift
-    return times, *found, np.asarray(sd)
+    velocities = np.asarray(velocity) + fit.drift, np.asarray(slow) + fit.drift
+    return times, *velocities, np.asarray(sd)

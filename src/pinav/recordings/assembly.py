@@ -42,12 +42,12 @@ def assembled(
     """
     tracks = in_known_units(tracks, reading)
     _check_commands(tracks, reading)
-    found = particles(tracks, reading)
+    by_name = particles(tracks, reading)
     pieces = [
         piece
-        for (run, kind, particle), own in found.items()
+        for (run, kind, particle), particle_rows in by_name.items()
         for piece in _pieces(
-            tracks, own, reading, (run or source.stem, kind, particle or "1")
+            tracks, particle_rows, reading, (run or source.stem, kind, particle or "1")
         )
     ]
     whole = [piece for piece in pieces if len(piece.times) > 1]
@@ -78,8 +78,8 @@ def assembled(
             "pinav": __version__,
             **_conventions(tracks, reading),
             **tracks.facts,
-            "repeated times left out": sum(p.repeats for p in found.values()),
-            "rows without a command": sum(p.silent for p in found.values()),
+            "repeated times left out": sum(p.repeats for p in by_name.values()),
+            "rows without a command": sum(p.silent for p in by_name.values()),
             "segments left out": [p.label for p in pieces if len(p.times) < 2],
             "notes": [*tracks.notes, *_rate_notes(tracks, reading)],
             "trajectories": [piece.label for piece in whole],
@@ -92,10 +92,10 @@ def _rate_notes(tracks: Tracks, reading: Reading) -> list[str]:
     if reading.fps is None or tracks.time is None or tracks.frame is None:
         return []
     span = np.ptp(tracks.time), np.ptp(tracks.frame)
-    own = span[1] / span[0] if span[0] > 0 else np.inf
-    if abs(own / reading.fps - 1) < 0.01:
+    rate = span[1] / span[0] if span[0] > 0 else np.inf
+    if abs(rate / reading.fps - 1) < 0.01:
         return []
-    return [f"fps {reading.fps:g} was given, the times of the file say {own:.4g}"]
+    return [f"fps {reading.fps:g} was given, the times of the file say {rate:.4g}"]
 
 
 def _check_commands(tracks: Tracks, reading: Reading) -> None:
@@ -159,11 +159,11 @@ def _pieces(
         rows = np.flatnonzero((numbers == number) & particle.seen)
         if not rows.size:
             continue
-        own = slice(rows[0], rows[-1] + 1)
+        extent = slice(rows[0], rows[-1] + 1)
         yield _Piece(
             {**label, "segment": number},
-            particle.times[own],
-            particle.positions[own],
-            particle.seen[own],
-            {name: values[own] for name, values in particle.commands.items()},
+            particle.times[extent],
+            particle.positions[extent],
+            particle.seen[extent],
+            {name: values[extent] for name, values in particle.commands.items()},
         )

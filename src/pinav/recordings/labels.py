@@ -16,25 +16,25 @@ def labels(trajectories: Trajectories) -> list[dict[str, str | int]]:
     Raises:
         InputError: they were not read from a recording.
     """
-    found = _labels(trajectories.provenance)
-    if found is None or len(found) != len(trajectories):
+    several = _labels(trajectories.provenance)
+    if several is None or len(several) != len(trajectories):
         raise InputError(
             "labels: these trajectories say nothing of runs and particles; expected "
             "those that read_recording gives"
         )
-    return found
+    return several
 
 
 def _labels(provenance: Mapping[str, Any]) -> list[dict[str, str | int]] | None:
     if "concatenated" in provenance:
         parts = [_labels(part) for part in provenance["concatenated"]]
         known = [label for part in parts if part is not None for label in part]
-        found = known if None not in parts else None
+        several = known if None not in parts else None
     else:
-        found = provenance.get("trajectories")
-    if found is None or "selection" not in provenance:
-        return found
-    return [found[index] for index in provenance["selection"]]
+        several = provenance.get("trajectories")
+    if several is None or "selection" not in provenance:
+        return several
+    return [several[index] for index in provenance["selection"]]
 
 
 def groups(
@@ -50,12 +50,12 @@ def groups(
         InputError: they were not read from a recording, or have no such label.
     """
     names = names or ("run", "particle")
-    found: dict[tuple[str | int, ...], list[int]] = {}
+    indices: dict[tuple[str | int, ...], list[int]] = {}
     for index, label in enumerate(labels(trajectories)):
         for name in names:
             if name not in label:
                 raise InputError(
                     f"groups: no label {name!r}; expected some of {', '.join(label)}"
                 )
-        found.setdefault(tuple(label[name] for name in names), []).append(index)
-    return found
+        indices.setdefault(tuple(label[name] for name in names), []).append(index)
+    return indices

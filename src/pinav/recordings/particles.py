@@ -1,7 +1,7 @@
 """One particle of a recording: its rows in order of time, with its commands."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import final
 
 import numpy as np
@@ -55,7 +55,7 @@ def particles(tracks: Tracks, reading: Reading) -> dict[Name, Particle]:
     }
 
 
-def _names(tracks: Tracks):
+def _names(tracks: Tracks) -> Iterator[Name]:
     blank = [""] * len(tracks.x)
     return zip(
         tracks.run or blank, tracks.kind or blank, tracks.particle or blank, strict=True
@@ -83,21 +83,23 @@ def _times(tracks: Tracks, reading: Reading) -> Float64[np.ndarray, " row"]:
     return tracks.frame.astype(np.float64)
 
 
-def _particle(tracks: Tracks, reading: Reading, times, rows) -> Particle:
+def _particle(
+    tracks: Tracks, reading: Reading, times: np.ndarray, rows: np.ndarray
+) -> Particle:
     rows = _ordered(tracks, rows)
     kept = _advancing(tracks, times, rows)
     repeats = len(rows) - len(kept)
     rows = kept
-    own = times[rows]
+    ordered = times[rows]
     positions = np.stack([tracks.x[rows], tracks.y[rows]], axis=1)
     commands = {n: c[rows] for n, c in tracks.commands.items()}
     unknown = [np.isnan(values) for values in commands.values()]
     return Particle(
         rows=rows,
-        times=own,
+        times=ordered,
         positions=positions,
         seen=np.asarray(np.isfinite(positions).all(axis=1)),
-        commands=_acting(commands, own, reading),
+        commands=_acting(commands, ordered, reading),
         repeats=repeats,
         silent=int(np.any(unknown, axis=0).sum()),
     )
@@ -124,8 +126,10 @@ def _advancing(tracks: Tracks, times: np.ndarray, rows: np.ndarray) -> np.ndarra
 
     Clocks with coarse ticks may give two frames one time; the second is left out.
     """
-    own = times[rows]
-    late = np.flatnonzero(np.diff(own) < (0 if tracks.frame is not None else 1e-300))
+    ordered = times[rows]
+    late = np.flatnonzero(
+        np.diff(ordered) < (0 if tracks.frame is not None else 1e-300)
+    )
     if late.size:
         before, row = rows[[late[0], late[0] + 1]].tolist()
         fault = "repeats" if times[row] == times[before] else "is before"
@@ -134,7 +138,7 @@ def _advancing(tracks: Tracks, times: np.ndarray, rows: np.ndarray) -> np.ndarra
             f"{times[before]:g} of {tracks.place(before)}; sort the rows by time and "
             "delete repeats"
         )
-    return rows[np.concatenate([[True], np.diff(own) > 0])]
+    return rows[np.concatenate([[True], np.diff(ordered) > 0])]
 
 
 def _acting(

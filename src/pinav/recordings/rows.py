@@ -110,7 +110,7 @@ class Reading:
     gap: int = 10
     likelihood: float = 0.6
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name in ("fps", "mpp", "jump", "gap"):
             value = getattr(self, name)
             if value is not None and not 0 < value < np.inf:

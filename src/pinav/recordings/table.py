@@ -208,8 +208,8 @@ def read_delimited(
     delimiter = max(DELIMITERS, key=lines[0].count)
     reader = csv.reader(lines, delimiter=delimiter, strict=True)
     try:
-        found = [name.strip() for name in next(reader)]
-        header = found if names is None else list(names)
+        stated = [name.strip() for name in next(reader)]
+        header = stated if names is None else list(names)
         _check_header(header, skip + 1)
         rows, numbers = _rows(reader, header, skip, below)
     except csv.Error as error:
@@ -231,7 +231,7 @@ def _check_header(header: Sequence[str], line: int) -> None:
 
 
 def _rows(
-    reader, header: Sequence[str], skip: int, below: int
+    reader: Any, header: Sequence[str], skip: int, below: int
 ) -> tuple[list[list[str]], list[int]]:
     """The rows that are not empty, and the line of each."""
     rows, numbers = [], []

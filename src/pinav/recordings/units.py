@@ -1,6 +1,6 @@
 """Units that files are written in, and those that recordings are read into."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 from pinav.errors import InputError
 
@@ -80,7 +80,12 @@ def stated_duration(units: Mapping[str, str] | None) -> tuple[float, str] | None
     return _stated(units, "t", duration, (*_SECONDS, "frame"))
 
 
-def _stated(units, name, read, known) -> tuple[float, str] | None:
+def _stated(
+    units: Mapping[str, str] | None,
+    name: str,
+    read: Callable[[str], tuple[float, str]],
+    known: Sequence[str],
+) -> tuple[float, str] | None:
     if units is None or name not in units:
         return None
     factor, unit = read(units[name])

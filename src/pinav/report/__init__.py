@@ -1,5 +1,6 @@
 """One self-contained HTML page of sections, tables and figures."""
 
+from pinav.report.page import Cell as Cell
 from pinav.report.page import Code as Code
 from pinav.report.page import Image as Image
 from pinav.report.page import Paragraph as Paragraph

@@ -8,12 +8,15 @@ import base64
 import dataclasses
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
 from importlib.resources import files
 from pathlib import Path
+from typing import TypeVar
 
 from pinav.errors import InputError
+
+Item = TypeVar("Item")
 
 Cell = str | float | int | None
 """A table cell; `number` formats what is not text."""
@@ -99,6 +102,23 @@ class Table(AbstractBlock):
     header: Sequence[str]
     rows: Sequence[Sequence[Cell]]
     caption: str = ""
+
+    @classmethod
+    def of(
+        cls,
+        items: Iterable[Item],
+        columns: Mapping[str, Callable[[Item], Cell]],
+        caption: str = "",
+    ) -> "Table":
+        """A table with a row for each item.
+
+        Args:
+            items: what the rows are about.
+            columns: the cell of an item in each column, by the name of the column.
+            caption: what the table shows.
+        """
+        rows = [[cell(item) for cell in columns.values()] for item in items]
+        return cls(tuple(columns), rows, caption)
 
     def __post_init__(self) -> None:
         for index, row in enumerate(self.rows):

@@ -98,8 +98,8 @@ def encode(key: str, value: Any) -> Any:
 
 def _encode_module(key: str, value: eqx.Module) -> TOML:
     cls = type(value)
-    own = cls.__module__.startswith("pinav.")
-    kind = kebab(cls) if own else python_reference(key, cls)
+    is_ours = cls.__module__.startswith("pinav.")
+    kind = kebab(cls) if is_ours else python_reference(key, cls)
     fields = _friendly(value) or {
         field.name: getattr(value, field.name)
         for field in dataclasses.fields(cls)

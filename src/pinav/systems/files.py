@@ -6,36 +6,22 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import tomli_w
 
-from pinav.dynamics import OverdampedSwimmer, Swimmer, stokes_drag, thermal_energy
 from pinav.errors import InputError
 from pinav.files import check_regular, write_text
-from pinav.forces import (
-    AbstractCommandedForce,
-    AbstractFlow,
-    AbstractForce,
-    AbstractTensorField,
-    InFlow,
-    IsotropicTensor,
-    LinearDrag,
-    SumForce,
-    ZeroFlow,
-    ZeroForce,
-)
 from pinav.systems.codec import (
     TOML,
     Context,
     check_keys,
     decode,
     decode_module,
-    encode,
     number,
 )
+from pinav.systems.document import document_of
+from pinav.systems.known_physics import force_of, section_of, swimmer_of
 from pinav.systems.priors import AbstractNumberPrior, FreeNumber
 from pinav.systems.python import load_name
 from pinav.systems.starts import AbstractStarts
@@ -110,7 +96,7 @@ def write_system(
 
 def system_text(system: System) -> str:
     """A system as the text of a TOML file; errors as of `write_system`."""
-    document = {key: part for key, part in _document(system).items() if part != {}}
+    document = {key: part for key, part in document_of(system).items() if part != {}}
     rows = re.compile(r"\[\s+(-?[\d.e+-]+,\s+)+\]")  # numbers of a vector in one line
     return rows.sub(_in_one_line, tomli_w.dumps(document))
 
@@ -165,13 +151,13 @@ def parse_system(text: str, *, folder: Path | None = None, name: str = "") -> Sy
             raise InputError(f"{key}: expected {known}, got {value}")
     context = Context(dim, folder)
     units = _plain(Units, "units", table, context) or Units()
-    swimmer, energy = _swimmer(table, order, units, context)
+    swimmer, energy = swimmer_of(table, order, units, context)
     rule, starts = _starts(table, order, context)
     return System(
         name=decode("name", str, table.get("name", name), context),
         swimmer=swimmer,
         dim=dim,
-        environment=_force("truth", table["truth"], context)
+        environment=force_of("truth", table["truth"], context)
         if "truth" in table
         else None,
         thermal_energy=energy,
@@ -192,7 +178,7 @@ def _plain(cls: Any, key: str, table: TOML, context: Context) -> Any:
 
 
 def _model(table: TOML, context: Context) -> str:
-    unknown = _section(table, "unknown", ("model",))
+    unknown = section_of(table, "unknown", ("model",))
     default = System.__dataclass_fields__["model"].default
     model = decode("unknown.model", str, unknown.get("model", default), context)
     if model not in MODELS:
@@ -200,151 +186,6 @@ def _model(table: TOML, context: Context) -> str:
             f"unknown.model: expected one of {', '.join(MODELS)}; got {model!r}"
         )
     return model
-
-
-def _section(table: TOML, key: str, known: tuple[str, ...]) -> TOML:
-    section = table.get(key, {})
-    if not isinstance(section, dict):
-        raise InputError(f"{key}: expected a table [{key}], got {section!r}")
-    check_keys(key, section, dict.fromkeys(known))
-    return section
-
-
-def _force(key: str, value: Any, context: Context) -> AbstractForce:
-    """One force, or the sum of several; checked in the space of the system."""
-    if isinstance(value, list):
-        if not value:
-            raise InputError(f"{key}: expected one or more tables [[{key}]], got none")
-        terms = [_force(f"{key}[{i}]", part, context) for i, part in enumerate(value)]
-        return SumForce(tuple(terms)) if len(terms) > 1 else terms[0]
-    force = decode_module(key, AbstractForce, value, context)
-    if not (isinstance(force, AbstractCommandedForce) and force.unbound):
-        _check_space(key, lambda x: force(0.0, x, x), context.dim)
-    return force
-
-
-def _check_space(key: str, function: Any, dim: int) -> None:
-    point = jax.ShapeDtypeStruct((dim,), jnp.zeros(()).dtype)
-    try:
-        shape = jax.eval_shape(function, point).shape
-    except (TypeError, ValueError, IndexError) as error:
-        shape = f"an error ({' '.join(str(error).split())[:80]})"
-    if shape != (dim,):
-        raise InputError(
-            f"{key}: expected {dim} components, as dimension = {dim} says, got "
-            f"{shape}; choose a kind for that dimension"
-        )
-
-
-def _swimmer(
-    table: TOML, order: int, units: Units, context: Context
-) -> tuple[Swimmer | OverdampedSwimmer, float | None]:
-    """The known physics, and its thermal energy."""
-    absent, needed = ("mobility", "drag") if order == 2 else ("drag", "mobility")
-    if absent in table:
-        raise InputError(
-            f"{absent}: a system of order {order} has {needed} in its place; rename it"
-        )
-    thermal = _section(
-        table, "thermal", ("energy", "diffusion", "temperature", "radius", "viscosity")
-    )
-    thermal = {key: number(f"thermal.{key}", part) for key, part in thermal.items()}
-    sphere = "radius" in thermal or "viscosity" in thermal
-    if needed not in table and not sphere:
-        raise InputError(
-            f"{needed}: this key is missing; state the {needed} of the swimmer, a "
-            "number or a table"
-        )
-    propulsion, known = (
-        _force(key, table[key], context) if key in table else ZeroForce()
-        for key in ("propulsion", "forces")
-    )
-    flow = ZeroFlow()
-    if "flow" in table:
-        flow = decode_module("flow", AbstractFlow, table["flow"], context)
-        _check_space("flow", lambda x: flow(0.0, x), context.dim)
-    if order == 2:
-        if thermal:
-            raise InputError(
-                "thermal: thermal noise needs order = 1, a swimmer without inertia; "
-                "drop the table"
-            )
-        drag = _drag(table["drag"], context)
-        drag = drag if isinstance(flow, ZeroFlow) else InFlow(drag, flow)
-        return Swimmer(propulsion, drag, ZeroForce(), known), None
-    mobility = _mobility(table, thermal, units, context)
-    swimmer = OverdampedSwimmer(propulsion, ZeroForce(), mobility, flow, known)
-    return swimmer, _thermal_energy(thermal, mobility, units)
-
-
-def _drag(value: Any, context: Context) -> AbstractForce:
-    if isinstance(value, dict):
-        return _force("drag", value, context)
-    damping = number("drag", value)
-    if damping < 0:
-        raise InputError(f"drag: expected >= 0, got {value}")
-    return LinearDrag(damping)
-
-
-def _mobility(
-    table: TOML, thermal: TOML, units: Units, context: Context
-) -> AbstractTensorField:
-    if "radius" in thermal or "viscosity" in thermal:
-        if "mobility" in table:
-            raise InputError(
-                "mobility: thermal.radius and thermal.viscosity give it; drop one"
-            )
-        return IsotropicTensor(1 / _stokes_drag(thermal, units))
-    value = table["mobility"]
-    if not isinstance(value, dict):
-        mobility = number("mobility", value)
-        if mobility <= 0:
-            raise InputError(f"mobility: expected > 0, got {value}")
-        return IsotropicTensor(mobility)
-    tensor = decode_module("mobility", AbstractTensorField, value, context)
-    _check_space("mobility", lambda x: tensor(x, x), context.dim)
-    return tensor
-
-
-def _stokes_drag(thermal: TOML, units: Units) -> float:
-    _check_si("thermal.radius and thermal.viscosity", units)
-    for key in ("radius", "viscosity"):
-        if thermal.get(key, 0.0) <= 0:
-            raise InputError(
-                f"thermal.{key}: expected > 0 ({'um' if key == 'radius' else 'mPa s'}) "
-                f"beside the other of radius and viscosity, got {thermal.get(key)}"
-            )
-    return stokes_drag(thermal["radius"], thermal["viscosity"])
-
-
-def _check_si(key: str, units: Units) -> None:
-    if (units.length, units.time, units.force) != ("um", "s", "pN"):
-        raise InputError(
-            f"{key}: expected the units um, s and pN, got {units.length}, {units.time} "
-            f"and {units.force}; state them in [units], or thermal.diffusion instead"
-        )
-
-
-def _thermal_energy(
-    thermal: TOML, mobility: AbstractTensorField, units: Units
-) -> float | None:
-    stated = [k for k in ("energy", "diffusion", "temperature") if k in thermal]
-    if len(stated) > 1:
-        raise InputError(f"thermal.{stated[1]}: {stated[0]} says it already; drop one")
-    for key in stated:
-        if thermal[key] < 0:
-            raise InputError(f"thermal.{key}: expected >= 0, got {thermal[key]}")
-    if "temperature" in thermal:
-        _check_si("thermal.temperature", units)
-        return thermal_energy(thermal["temperature"])
-    if "diffusion" in thermal:
-        if not isinstance(mobility, IsotropicTensor):
-            raise InputError(
-                "thermal.diffusion: expected a mobility that is a number; state "
-                "thermal.energy, which times the mobility is the diffusion tensor"
-            )
-        return float(thermal["diffusion"] / mobility.value)
-    return thermal.get("energy")
 
 
 def _learn(table: TOML, context: Context) -> tuple[FreeNumber, ...]:
@@ -392,7 +233,7 @@ def _starts(
 
 
 def _times(table: TOML) -> Any:
-    section = _section(table, "times", ("values", "first", "last", "samples", "step"))
+    section = section_of(table, "times", ("values", "first", "last", "samples", "step"))
     if not section:
         return ()
     if "values" in section:
@@ -424,66 +265,3 @@ def _even_times(section: TOML) -> np.ndarray:
     if not 2 <= samples <= 10**7:
         raise InputError(f"times: expected 2 to 10000000 samples, got {samples}")
     return np.asarray(jnp.linspace(first, last, samples))
-
-
-def _document(system: System) -> TOML:
-    """What a file states of a system."""
-    swimmer = system.swimmer
-    document: TOML = {"name": system.name, "dimension": system.dim}
-    document |= {"order": system.order, "units": _fields("units", system.base_units)}
-    if not isinstance(swimmer.propulsion, ZeroForce):
-        document["propulsion"] = encode("propulsion", swimmer.propulsion)
-    if isinstance(swimmer, Swimmer):
-        drag, flow = swimmer.drag, ZeroFlow()
-        if isinstance(drag, InFlow):
-            drag, flow = drag.force, drag.flow
-        document["drag"] = encode("drag", drag)
-    else:
-        flow = swimmer.flow
-        document["mobility"] = encode("mobility", swimmer.mobility)
-    if not isinstance(flow, ZeroFlow):
-        document["flow"] = encode("flow", flow)
-    if not isinstance(swimmer.known_force, ZeroForce):
-        document["forces"] = _forces("forces", swimmer.known_force)
-    if system.thermal_energy is not None:
-        document["thermal"] = {"energy": float(system.thermal_energy)}
-    document["observation"] = _fields("observation", system.observation)
-    if system.wandering is not None:
-        document["wandering"] = _fields("wandering", system.wandering)
-    if system.learn:
-        document["learn"] = {
-            one.path: encode(f"learn.{one.path}", one.prior) for one in system.learn
-        }
-    document["unknown"] = {"model": system.model}
-    if system.environment is not None:
-        document["truth"] = _forces("truth", system.environment)
-    return document | _sampling(system)
-
-
-def _sampling(system: System) -> TOML:
-    tables: TOML = {}
-    if system.rule is not None:
-        tables["starts"] = encode("starts", system.rule)
-    if len(system.starts) and not system.starts_follow_rule:
-        states = encode("starts", system.starts)
-        tables["starts"] = {**tables.get("starts", {}), "states": states}
-    if len(system.times):
-        first, last = float(system.times[0]), float(system.times[-1])
-        samples = len(system.times)
-        if np.array_equal(jnp.linspace(first, last, samples), system.times):
-            tables["times"] = {"first": first, "last": last, "samples": samples}
-        else:
-            tables["times"] = {"values": encode("times", system.times)}
-    return tables
-
-
-def _fields(key: str, value: eqx.Module) -> TOML:
-    """A table without kind."""
-    table = encode(key, value)
-    return {name: part for name, part in table.items() if name != "kind"}
-
-
-def _forces(key: str, force: AbstractForce) -> Any:
-    if isinstance(force, SumForce):
-        return [encode(key, term) for term in force.terms]
-    return encode(key, force)

@@ -1,5 +1,6 @@
 """Observed and simulated trajectories, and their files."""
 
+from pinav.trajectories.csv_files import PREFIX as PREFIX
 from pinav.trajectories.degradation import AbstractDegradation as AbstractDegradation
 from pinav.trajectories.degradation import FrameLoss as FrameLoss
 from pinav.trajectories.degradation import GaussianNoise as GaussianNoise
@@ -7,23 +8,22 @@ from pinav.trajectories.degradation import MotionBlur as MotionBlur
 from pinav.trajectories.degradation import Subsample as Subsample
 from pinav.trajectories.degradation import Unobserved as Unobserved
 from pinav.trajectories.degradation import degrade as degrade
-from pinav.trajectories.files import FORMAT as FORMAT
-from pinav.trajectories.files import PREFIX as PREFIX
 from pinav.trajectories.files import is_trajectories as is_trajectories
 from pinav.trajectories.files import load as load
 from pinav.trajectories.files import save as save
+from pinav.trajectories.metadata import FORMAT as FORMAT
+from pinav.trajectories.selection import Split as Split
+from pinav.trajectories.selection import bootstrap as bootstrap
+from pinav.trajectories.selection import concatenate as concatenate
+from pinav.trajectories.selection import split as split
+from pinav.trajectories.selection import with_unobserved as with_unobserved
+from pinav.trajectories.selection import with_velocities as with_velocities
 from pinav.trajectories.simulation import simulate as simulate
 from pinav.trajectories.smoothing import local_polynomial as local_polynomial
 from pinav.trajectories.smoothing import smoothed_states as smoothed_states
 from pinav.trajectories.trajectories import POSITION_CHANNELS as POSITION_CHANNELS
 from pinav.trajectories.trajectories import UNKNOWN_UNIT as UNKNOWN_UNIT
-from pinav.trajectories.trajectories import Split as Split
 from pinav.trajectories.trajectories import Trajectories as Trajectories
-from pinav.trajectories.trajectories import bootstrap as bootstrap
-from pinav.trajectories.trajectories import concatenate as concatenate
-from pinav.trajectories.trajectories import split as split
-from pinav.trajectories.trajectories import with_unobserved as with_unobserved
-from pinav.trajectories.trajectories import with_velocities as with_velocities
 from pinav.trajectories.trajectory import Ragged as Ragged
 from pinav.trajectories.trajectory import Trajectory as Trajectory
 from pinav.trajectories.trajectory import arrays_per_trajectory as arrays_per_trajectory

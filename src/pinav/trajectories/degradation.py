@@ -5,7 +5,6 @@ Each leaves its input untouched and notes itself in the provenance.
 
 import abc
 from collections.abc import Sequence
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -200,7 +199,11 @@ def degrade(
             piece = step(piece, trajectories.channels, random)
         pieces[index] = piece
     before = trajectories.provenance.get("degradation", [])
-    notes = [{"step": type(step).__name__, **_fields(step)} for step in steps]
+    notes = [
+        {"step": type(step).__name__}
+        | {name: value for name, value in vars(step).items() if value is not None}
+        for step in steps
+    ]
     return Trajectories.from_arrays(
         [piece.times for piece in pieces],
         [piece.states for piece in pieces],
@@ -249,10 +252,6 @@ def _channel_mask(
                 f"some of {', '.join(channels)}"
             )
     return np.array([channel in names for channel in channels])
-
-
-def _fields(step: AbstractDegradation) -> dict[str, Any]:
-    return {name: value for name, value in vars(step).items() if value is not None}
 
 
 def _check_range(step: AbstractDegradation, name: str, low: float, high: float) -> None:

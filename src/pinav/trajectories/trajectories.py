@@ -7,15 +7,13 @@ The one data type of the package. Simulated scenarios and recordings become
 import dataclasses
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import equinox as eqx
-import jax
 import numpy as np
-from jaxtyping import Bool, Float64, Int64, PRNGKeyArray
+from jaxtyping import Bool, Float64, Int64
 
 from pinav.errors import InputError
-from pinav.systems import velocity_unit
 from pinav.trajectories.tables import split_headings, table_columns
 from pinav.trajectories.trajectory import (
     Ragged,
@@ -87,7 +85,7 @@ class Trajectories(eqx.Module):
                 not come after the one before it.
         """
         commands = dict(commands or {})
-        channels = _check_names(channels, commands)
+        channels = check_names(channels, commands)
         tables = arrays_per_trajectory("states", states, 2)
         vectors = arrays_per_trajectory("times", times, 1, len(tables))
         masks = [None] * len(tables)
@@ -107,7 +105,30 @@ class Trajectories(eqx.Module):
             for i in range(len(tables))
         ]
         units = _all_units(units or {}, (*channels, "t", *commands))
-        return _pad_pieces(pieces, channels, units, provenance or {})
+        return cls.from_pieces(pieces, channels, units, provenance or {})
+
+    @classmethod
+    def from_pieces(
+        cls,
+        pieces: Sequence[Trajectory],
+        channels: tuple[str, ...],
+        units: Mapping[str, str],
+        provenance: Mapping[str, Any],
+    ) -> "Trajectories":
+        """Trajectories that were checked before, padded no more than needed."""
+        return cls(
+            times=_pad([piece.times for piece in pieces]),
+            states=_pad([piece.states for piece in pieces]),
+            observed=_pad([piece.observed for piece in pieces], mode="constant"),
+            lengths=_read_only(np.array([len(p.times) for p in pieces], np.int64)),
+            commands={
+                name: _pad([piece.commands[name] for piece in pieces])
+                for name in pieces[0].commands
+            },
+            channels=channels,
+            units=dict(units),
+            provenance=_as_json(provenance),
+        )
 
     @classmethod
     def from_table(
@@ -247,133 +268,17 @@ class Trajectories(eqx.Module):
         selection = [before[i] for i in chosen]
         provenance = self.provenance | {"selection": selection}
         pieces = [self.trajectory(i) for i in chosen]
-        return _pad_pieces(pieces, self.channels, self.units, provenance)
+        return self.from_pieces(pieces, self.channels, self.units, provenance)
 
 
-def with_unobserved(
-    trajectories: Trajectories, units: Mapping[str, str]
-) -> Trajectories:
-    """The trajectories with more channels, of which nothing was observed.
-
-    A tracker gives positions; a swimmer with inertia has velocities too.
-
-    Args:
-        trajectories: what was observed.
-        units: unit of each new channel, by its name.
-    """
-    extra = len(units)
-
-    def widen(piece: Trajectory) -> Trajectory:
-        blank = np.zeros((len(piece.times), extra))
-        return Trajectory(
-            times=piece.times,
-            states=np.concatenate([piece.states, blank], axis=1),
-            observed=np.concatenate([piece.observed, blank > 0], axis=1),
-            commands=piece.commands,
-        )
-
-    channels = _check_names((*trajectories.channels, *units), trajectories.commands)
-    return _pad_pieces(
-        [widen(piece) for piece in trajectories],
-        channels,
-        {**trajectories.units, **units},
-        trajectories.provenance,
-    )
-
-
-def with_velocities(trajectories: Trajectories) -> Trajectories:
-    """The trajectories of positions alone with velocities that nobody observed."""
-    if trajectories.dim != len(trajectories.channels):
-        return trajectories
-    length, time = (
-        trajectories.units[name] for name in (trajectories.channels[0], "t")
-    )
-    unit = velocity_unit(length, time)
-    units = {f"v{name}": unit for name in trajectories.channels}
-    return with_unobserved(trajectories, units)
-
-
-class Split(NamedTuple):
-    """Trajectories for training, and those kept for testing."""
-
-    train: Trajectories
-    held_out: Trajectories
-
-
-def split(trajectories: Trajectories, fraction: float, *, key: PRNGKeyArray) -> Split:
-    """Split by whole trajectories, at random.
-
-    Args:
-        trajectories: at least two.
-        fraction: share of them to train on, between 0 and 1; rounded so that
-            neither part is empty.
-        key: random key of the choice.
-
-    Raises:
-        InputError: there is one trajectory, or `fraction` is not between 0 and 1.
-    """
-    count = len(trajectories)
-    if not 0.0 < fraction < 1.0:
-        raise InputError(f"split fraction: expected between 0 and 1, got {fraction}")
-    if count < 2:
-        raise InputError("split: expected two or more trajectories, got 1")
-    num_train = min(max(round(fraction * count), 1), count - 1)
-    order = np.asarray(jax.random.permutation(key, count))
-    train, held_out = np.sort(order[:num_train]), np.sort(order[num_train:])
-    return Split(trajectories.select(train), trajectories.select(held_out))
-
-
-def bootstrap(
-    trajectories: Trajectories, count: int, *, key: PRNGKeyArray
-) -> list[Trajectories]:
-    """Resamples of whole trajectories, with replacement, for intervals.
-
-    Args:
-        trajectories: at least two.
-        count: number of resamples, each of as many trajectories.
-        key: random key of the choice.
-
-    Raises:
-        InputError: there is one trajectory, or `count` is not positive.
-
-    References:
-        Efron and Tibshirani, An Introduction to the Bootstrap (1993).
-    """
-    if len(trajectories) < 2:
-        raise InputError("bootstrap: expected two or more trajectories, got 1")
-    if count < 1:
-        raise InputError(f"bootstrap count: expected 1 or more, got {count}")
-    shape = (count, len(trajectories))
-    chosen = jax.random.randint(key, shape, 0, len(trajectories))
-    return [trajectories.select(np.asarray(indices)) for indices in chosen]
-
-
-def concatenate(several: Sequence[Trajectories]) -> Trajectories:
-    """The trajectories of all, in order; provenances are kept side by side.
-
-    Raises:
-        InputError: there is nothing to join, or channels, commands or units differ.
-    """
-    if not several:
-        raise InputError("concatenate: expected one or more Trajectories, got none")
-    first = several[0]
-    for other in several[1:]:
-        for name in ("channels", "units"):
-            expected, got = getattr(first, name), getattr(other, name)
-            if expected != got:
-                raise InputError(
-                    f"concatenate: {name} differ, {expected} and {got}; "
-                    "bring them to one form first"
-                )
-    provenance = {"concatenated": [part.provenance for part in several]}
-    pieces = [piece for part in several for piece in part]
-    return _pad_pieces(pieces, first.channels, first.units, provenance)
-
-
-def _check_names(
+def check_names(
     channels: Sequence[str], commands: Mapping[str, Any]
 ) -> tuple[str, ...]:
-    """The channels, when they and the commands can be the columns of a table."""
+    """The channels, when they and the commands can be the columns of a table.
+
+    Raises:
+        InputError: they cannot; the message names the channel.
+    """
     if isinstance(channels, str) or not channels:
         raise InputError(
             f"channels: expected names such as ('x', 'y'), got {channels!r}"
@@ -412,27 +317,6 @@ def _check_indices(indices: Sequence[int] | np.ndarray, count: int) -> list[int]
         if not -count <= index < count:
             raise InputError(f"trajectory {index}: there are {count}, counted from 0")
     return (chosen % count).tolist()
-
-
-def _pad_pieces(
-    pieces: Sequence[Trajectory],
-    channels: tuple[str, ...],
-    units: Mapping[str, str],
-    provenance: Mapping[str, Any],
-) -> Trajectories:
-    return Trajectories(
-        times=_pad([piece.times for piece in pieces]),
-        states=_pad([piece.states for piece in pieces]),
-        observed=_pad([piece.observed for piece in pieces], mode="constant"),
-        lengths=_read_only(np.array([len(p.times) for p in pieces], np.int64)),
-        commands={
-            name: _pad([piece.commands[name] for piece in pieces])
-            for name in pieces[0].commands
-        },
-        channels=channels,
-        units=dict(units),
-        provenance=_as_json(provenance),
-    )
 
 
 def _pad(

@@ -169,7 +169,7 @@ def test_messages(crossings):
     network = eqx.nn.MLP(5, 4, 2, 1, key=jax.random.key(0))
     black_box = NeuralDynamics(network, (0.0,) * 5, (1.0,) * 5)
     wrong = eqx.tree_at(lambda p: p.free, posterior, lambda theta: black_box)
-    with pytest.raises(InputError, match="expected that of a Swimmer"):
+    with pytest.raises(InputError, match="expected that of a swimmer"):
         discover(wrong, data)
     cliff = GaussianBarrier(height=np.inf, center=[5.0, 5.0], width=0.1)
     with pytest.raises(FitError, match="does not explain the trajectories"):

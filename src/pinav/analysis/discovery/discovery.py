@@ -35,7 +35,7 @@ from pinav.analysis.discovery.learned_fit import Learned
 from pinav.analysis.discovery.potentials import GAUSSIAN, POTENTIALS
 from pinav.analysis.discovery.refit import Refit, refit
 from pinav.analysis.discovery.rotations import ROTATIONS
-from pinav.dynamics import FixedStep, Swimmer
+from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.evaluation import normal_quantile
 from pinav.fitting import Outcome, Posterior
@@ -51,7 +51,7 @@ class EstimatedConstant(eqx.Module):
     Attributes:
         name: in words.
         symbol: in LaTeX.
-        unit: dimension in length L and time T; "1" means dimensionless.
+        unit: dimension in length L, time T and force F; "1" means dimensionless.
         value: best value.
         sd: standard deviation; infinite where the data say nothing.
         low: lower end of the 95 % interval.
@@ -179,16 +179,16 @@ def discover(
         )
     solver = FixedStep() if solver is None else solver
     model = posterior.model
-    if not isinstance(model, Swimmer):
+    if not isinstance(model, Swimmer | OverdampedSwimmer):
         raise InputError(
-            "discover posterior: expected that of a Swimmer with a learned "
+            "discover posterior: expected that of a swimmer with a learned "
             f"environment, got {type(model).__name__}"
         )
     learned = Learned.of(posterior, trajectories, solver)
     sample = force_sample(posterior, trajectories, learned.num_effective)
     screened = screen(sample, potentials, rotations)
     refitted = _refit_best(screened, model, learned, refits)
-    candidates = _rank(refitted, learned)
+    candidates = _rank(refitted, learned, inertia=isinstance(model, Swimmer))
     return Discovery(
         candidates=candidates,
         screened=tuple((fit.law.name, fit.bic) for fit in screened),
@@ -246,7 +246,9 @@ def _refit_best(screened, model, learned, refits):
     return results
 
 
-def _rank(refitted, learned):
+def _rank(
+    refitted: list[tuple[FieldFit, Refit]], learned: Learned, *, inertia: bool
+) -> tuple[Candidate, ...]:
     """Candidates in the order of their criterion on the trajectories."""
     pairs = sorted(refitted, key=lambda pair: pair[1].bic)
     least = pairs[0][1].bic
@@ -254,7 +256,7 @@ def _rank(refitted, learned):
         Candidate(
             name=result.law.name,
             law=result.law,
-            constants=estimates(result, learned.problem.extent),
+            constants=estimates(result, learned.problem.extent, inertia=inertia),
             force=LawForce(result.law, jnp.asarray(result.constants)),
             bic=result.bic,
             delta_bic=result.bic - least if np.isfinite(result.bic) else np.inf,
@@ -279,7 +281,18 @@ def _verdict(candidates):
     return Verdict.IDENTIFIED
 
 
-def estimates(result: Refit, extent: float) -> tuple[EstimatedConstant, ...]:
+FORCES = {"L² T⁻²": "F L", "L T⁻²": "F", "T⁻²": "F L⁻¹"}
+"""Dimensions of a force, with F, for those of an acceleration."""
+
+
+def _force_unit(unit: str) -> str:
+    """The dimension of a constant of a force, from that of an acceleration."""
+    return FORCES.get(unit, unit)
+
+
+def estimates(
+    result: Refit, extent: float, *, inertia: bool = True
+) -> tuple[EstimatedConstant, ...]:
     """The constants of a refit with their 95 % intervals.
 
     A constant is not identifiable where its interval is wider than: zero to twice its
@@ -289,6 +302,7 @@ def estimates(result: Refit, extent: float) -> tuple[EstimatedConstant, ...]:
     Args:
         result: of a law.
         extent: of the data [L].
+        inertia: the law is an acceleration; else it is a force, of dimension F.
     """
     sd = np.sqrt(np.diag(result.covariance))
     estimated = []
@@ -301,7 +315,7 @@ def estimates(result: Refit, extent: float) -> tuple[EstimatedConstant, ...]:
             EstimatedConstant(
                 name=constant.name,
                 symbol=constant.symbol,
-                unit=constant.unit,
+                unit=constant.unit if inertia else _force_unit(constant.unit),
                 value=float(value),
                 sd=float(spread),
                 low=float(value) - half,

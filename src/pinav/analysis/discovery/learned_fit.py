@@ -8,7 +8,7 @@ import scipy.stats
 from jaxtyping import Float
 
 from pinav.analysis.discovery.refit import LinearisedModel, Refit, RefitProblem
-from pinav.dynamics import FixedStep, Swimmer, with_dtype
+from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer, with_dtype
 from pinav.errors import FitError
 from pinav.fitting import Outcome, Posterior
 from pinav.fitting.engine.parametric_model import ParametricModel, ravel_model
@@ -68,7 +68,7 @@ class Learned(eqx.Module):
 
 
 def laplace_posterior(
-    model: Swimmer,
+    model: Swimmer | OverdampedSwimmer,
     trajectories: Trajectories,
     trainable: Trainable,
     *,
@@ -112,7 +112,8 @@ def _linearise(
 ) -> tuple[RefitProblem, LinearisedModel]:
     """A model about states that fulfil its dynamics, the problem about them too."""
     with jax.enable_x64(new_val=True):
-        problem = RefitProblem.of(trajectories, smoothed_states(trajectories), solver)
+        states = smoothed_states(trajectories, trajectories.dim)
+        problem = RefitProblem.of(trajectories, states, solver)
         start = LinearisedModel.at(free, theta, problem.states, problem)
         local = problem.close_defects(start)
         if not local.is_finite or problem.defect(local) > 1e-3:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.analysis.discovery.laws import AbstractLaw, LawForce, Role
-from pinav.dynamics import FixedStep, Swimmer, with_dtype
+from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer, with_dtype
 from pinav.fitting import Outcome
 from pinav.fitting.engine.multiple_shooting import Linearisation, advance, linearise
 from pinav.fitting.engine.parametric_model import ParametricModel, ravel_model
@@ -166,7 +166,7 @@ class RefitProblem(eqx.Module):
 def refit(
     law: AbstractLaw,
     constants: Float[np.ndarray, " constant"],
-    model: Swimmer,
+    model: Swimmer | OverdampedSwimmer,
     problem: RefitProblem,
 ) -> Refit:
     """Least squares of a law through the dynamics, by damped local Gauss-Newton.
@@ -174,7 +174,7 @@ def refit(
     Args:
         law: the formula.
         constants: where to start.
-        model: its propulsion and drag are kept.
+        model: its propulsion and drag, or mobility, are kept.
         problem: the trajectories.
     """
     with jax.enable_x64(new_val=True):

@@ -154,16 +154,12 @@ def influence(
     with jax.enable_x64(new_val=True):
         solver = FixedStep() if solver is None else solver
         request = FitSpecification(model, trajectories, learn, None, solver)
-        weights = None
-        if not _is_linear(model) and len(hyperparameters.shape):
+        weights, environment = None, learned_environment(model)
+        linear = environment is None or environment.is_linear
+        if not linear and len(hyperparameters.shape):
             weights = function_prior(request, states, hyperparameters, kernels)
         problem = request.problem(model, states=states, weights=weights)
         return _influence(problem, model, hyperparameters, learn, dict(constants or {}))
-
-
-def _is_linear(model) -> bool:
-    environment = learned_environment(model)
-    return environment is None or environment.is_linear
 
 
 def _influence(problem, model, chosen, learn, constants) -> Influence:

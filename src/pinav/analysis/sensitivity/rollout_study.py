@@ -115,17 +115,15 @@ def _paths(swimmer, start, ts, names, parameters):
         varied = swimmer
         for name, pick in _STRENGTHS.items():
             if name in chosen:
-                varied = eqx.tree_at(pick, varied, chosen[name], is_leaf=_is_none)
+                factor = chosen[name]
+                varied = eqx.tree_at(pick, varied, factor, is_leaf=lambda x: x is None)
         shifts = [chosen.get(f"start {axis}", jnp.zeros(())) for axis in "xy"]
         y0 = start.at[:2].add(jnp.stack(shifts))
         return FixedStep().solve(varied, y0, ts)[0][:, :2]
 
-    swimmer = Swimmer(*(_Scaled(force) for force in _forces(swimmer)))
+    forces = swimmer.propulsion, swimmer.drag, swimmer.environment
+    swimmer = Swimmer(*map(_Scaled, forces))
     return jax.lax.map(one, parameters, batch_size=256)
-
-
-def _forces(swimmer: Swimmer) -> tuple[AbstractForce, ...]:
-    return swimmer.propulsion, swimmer.drag, swimmer.environment
 
 
 _STRENGTHS = {
@@ -144,7 +142,3 @@ class _Scaled(AbstractForce):
     def __call__(self, t, x, v) -> Float[Array, " dim"]:
         value = self.force(t, x, v)
         return value if self.factor is None else self.factor * value
-
-
-def _is_none(leaf) -> bool:
-    return leaf is None

@@ -6,6 +6,7 @@ Each part is a function of the fitted run; `analyse` puts their results together
 import dataclasses
 from operator import attrgetter
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,11 +17,8 @@ from tqdm import tqdm
 
 from pinav.analysis import (
     Influence,
-    RolloutStudy,
-    SobolIndices,
     helmholtz_split,
     influence,
-    lyapunov_map,
     rotational_fractions,
     sample_forces,
 )
@@ -29,79 +27,26 @@ from pinav.commands.analyse.metrics import (
     ConstantEffect,
     HelmholtzMetrics,
     InfluenceRow,
-    LyapunovMetrics,
-    SobolRow,
 )
+from pinav.commands.analyse.rollouts import vary_rollouts
 from pinav.commands.analyse.settings import AnalyseOptions, AnalyseSettings
+from pinav.commands.analyse.subject import Arrays, Subject
 from pinav.commands.command import CommandResult
 from pinav.commands.fitted_run import EvidenceResult, FittedRun
 from pinav.dynamics import OverdampedSwimmer, Swimmer, commanded, takes_commands
 from pinav.errors import FitError, InputError
-from pinav.evaluation import FieldMap, check_planar, field_map
+from pinav.evaluation import check_planar, field_map
 from pinav.fitting.environments.catalogue import CONSTANTS
 from pinav.forces import (
     AbstractLearnedForce,
-    KernelPotential,
     LinearDrag,
     MagneticPropulsion,
-    NeuralPotential,
 )
 from pinav.runs import RunFolder
 
 ANALYSIS_FILE, ARRAYS_FILE = "analysis.json", "analysis.npz"
 
-LYAPUNOV_POINTS = 25
-"""Starts along each side of the map of Lyapunov exponents."""
-
-COMMANDED_SAMPLES = 250
-"""Samples of the reference trajectory that a model driven by commands is rolled out."""
-
 NO_POSTERIOR = "the run has no posterior; fit with --recipe bayes"
-
-Arrays = dict[str, np.ndarray]
-
-
-@dataclasses.dataclass(frozen=True)
-class Subject:
-    """The run that is analysed, as all parts need it.
-
-    Attributes:
-        run: the fitted run.
-        model: its swimmer with the learned force.
-        field: the learned force on a grid.
-        settings: of the analysis.
-    """
-
-    run: FittedRun
-    model: Swimmer | OverdampedSwimmer
-    field: FieldMap
-    settings: AnalyseSettings
-
-    @property
-    def start(self) -> Float[np.ndarray, " state"]:
-        """Start of the reference trajectory."""
-        return self.run.start(self.settings.reference)
-
-    @property
-    def times(self) -> Float[np.ndarray, " time"]:
-        """Times of the reference trajectory [T]; its beginning under commands.
-
-        Every jump of a command ends a step of the solver, for each start of a map.
-        """
-        index = self.settings.reference
-        times = self.run.data.times[index][: self.run.data.lengths[index]]
-        return times[:COMMANDED_SAMPLES] if takes_commands(self.run.model) else times
-
-    @property
-    def near(self) -> np.ndarray:
-        """Grid points near the data."""
-        return self.field.distance <= self.field.regions.near
-
-    @property
-    def grid(self) -> Float[np.ndarray, "point 2"]:
-        """The points of the grid."""
-        grid = np.stack(np.meshgrid(self.field.x, self.field.y), axis=-1)
-        return grid.reshape(-1, 2)
 
 
 def analyse(settings: AnalyseSettings, run: Path) -> AnalysisMetrics:
@@ -126,16 +71,13 @@ def analyse(settings: AnalyseSettings, run: Path) -> AnalysisMetrics:
         bar.update()
     arrays |= split_arrays | sd_arrays | effects.arrays | rollouts.arrays
     left_out = () if fitted.evidence else (f"standard deviations: {NO_POSTERIOR}",)
-    learned_potential = isinstance(
-        subject.model.environment, KernelPotential | NeuralPotential
-    )
     metrics = AnalysisMetrics(
         model=fitted.choice.name,
         posterior=fitted.evidence is not None,
         order=fitted.system.order,
         settings=msgspec.to_builtins(settings),
         helmholtz=msgspec.structs.replace(split, sd=sd),
-        potential="learned" if learned_potential else "of the gradient part",
+        potential="learned" if subject.has_potential else "of the gradient part",
         left_out=(*left_out, *effects.left_out, *rollouts.left_out),
         above_two_sd=significance,
         influence=effects.influence,
@@ -170,7 +112,8 @@ def _subject(settings: AnalyseSettings, run: FittedRun) -> Subject:
 
 def split_force(subject: Subject) -> tuple[HelmholtzMetrics, Arrays]:
     """Gradient and rotational part of the force, with the potential."""
-    field, force = subject.field, subject.model.environment
+    field = subject.field
+    force: Any = subject.model.environment
     split = helmholtz_split(field)
     metrics = HelmholtzMetrics(
         reach=field.regions.near,
@@ -183,7 +126,7 @@ def split_force(subject: Subject) -> tuple[HelmholtzMetrics, Arrays]:
     names = ("gradient", "rotational", "stream", "region", "potential")
     arrays = {f"split/{name}": getattr(split, name) for name in names}
     arrays["potential"] = split.potential
-    if isinstance(force, KernelPotential | NeuralPotential):
+    if subject.has_potential:
         at = jax.vmap(lambda x: force.potential(0.0, x))
         values = np.asarray(at(jnp.asarray(subject.grid)), float)
         arrays["potential"] = values.reshape(field.distance.shape)
@@ -311,99 +254,8 @@ def _constant_effects(
     return tuple(rows), arrays
 
 
-@dataclasses.dataclass(frozen=True)
-class RolloutSensitivity:
-    """The dependence of a rollout on its start and on all parameters.
-
-    Attributes:
-        lyapunov: exponents over starts.
-        arrays: their map.
-        sobol: indices of the reference rollout.
-        landmark: highest point of the potential near the data [L].
-        left_out: what could not be found, and why.
-    """
-
-    lyapunov: LyapunovMetrics
-    arrays: Arrays
-    sobol: tuple[SobolRow, ...] | None = None
-    landmark: tuple[float, float] | None = None
-    left_out: tuple[str, ...] = ()
-
-
-def vary_rollouts(
-    subject: Subject, potential: Float[np.ndarray, "rows columns"]
-) -> RolloutSensitivity:
-    """Dependence of the reference rollout on its start and on all parameters.
-
-    Args:
-        subject: the run.
-        potential: on its grid; its top near the data is the landmark.
-    """
-    lyapunov, arrays = _lyapunov(subject)
-    field = subject.field
-    top = np.where(subject.near, potential, -np.inf).argmax()
-    row, column = np.unravel_index(top, potential.shape)
-    landmark = np.array([field.x[column], field.y[row]])
-    plain = RolloutSensitivity(lyapunov, arrays)
-    if not isinstance(subject.model, Swimmer):
-        reason = "they are varied for swimmers with inertia alone"
-        return dataclasses.replace(plain, left_out=(f"Sobol' indices: {reason}",))
-    study = RolloutStudy(
-        subject.model, subject.start, subject.times, landmark, field.regions.visited
-    )
-    settings = subject.settings
-    factors = study.factors(relative=settings.relative, shift=settings.shift)
-    try:
-        indices = study.indices(factors, samples=settings.samples, seed=settings.seed)
-    except InputError as error:
-        return dataclasses.replace(plain, left_out=(f"Sobol' indices: {error}",))
-    place = (float(landmark[0]), float(landmark[1]))
-    return dataclasses.replace(plain, sobol=_sobol_rows(indices), landmark=place)
-
-
-def _lyapunov(subject: Subject) -> tuple[LyapunovMetrics, Arrays]:
-    x, y = (
-        np.linspace(axis[0], axis[-1], LYAPUNOV_POINTS)
-        for axis in (subject.field.x, subject.field.y)
-    )
-    velocity = subject.start[2:]
-    growth = lyapunov_map(
-        subject.model,
-        x,
-        y,
-        subject.times,
-        velocity=(lambda _: velocity) if len(velocity) else None,
-    )
-    names = ("x", "y", "separation", "final")
-    metrics = LyapunovMetrics(
-        horizon=growth.horizon,
-        median=float(np.nanmedian(growth.separation)),
-        greatest=float(np.nanmax(growth.separation)),
-        exponent=float(np.nanmedian(growth.exponent)),
-    )
-    return metrics, {f"lyapunov/{name}": getattr(growth, name) for name in names}
-
-
 def _rms(values: Float[np.ndarray, "... 2"]) -> float:
     return float(np.sqrt(np.mean(np.sum(values**2, axis=-1))))
-
-
-def _sobol_rows(indices: SobolIndices) -> tuple[SobolRow, ...]:
-    return tuple(
-        SobolRow(
-            outcome=outcome,
-            factor=factor,
-            first=float(indices.first[i, j]),
-            first_low=float(indices.first_interval[i, j, 0]),
-            first_high=float(indices.first_interval[i, j, 1]),
-            total=float(indices.total[i, j]),
-            total_low=float(indices.total_interval[i, j, 0]),
-            total_high=float(indices.total_interval[i, j, 1]),
-            variance=float(indices.variance[i]),
-        )
-        for i, outcome in enumerate(indices.outcomes)
-        for j, factor in enumerate(indices.factors)
-    )
 
 
 def _write(folder: RunFolder, metrics: AnalysisMetrics, arrays: Arrays) -> None:
@@ -414,47 +266,10 @@ def _write(folder: RunFolder, metrics: AnalysisMetrics, arrays: Arrays) -> None:
             table = [msgspec.structs.astuple(row) for row in rows]
             header = rows[0].__struct_fields__
             folder.write_table(f"analysis-{name}.csv", header, table)
-    folder.write_json(ANALYSIS_FILE, msgspec.to_builtins(metrics))
-
-
-def text(metrics: AnalysisMetrics) -> str:
-    """The findings for a terminal."""
-    lines = [rotation_sentence(metrics.helmholtz)]
-    if metrics.above_two_sd is not None:
-        parts = ", ".join(f"{k} {v:.0%}" for k, v in metrics.above_two_sd.items())
-        lines.append(f"force above two standard deviations: {parts} of the region")
-    if metrics.influence:
-        most = max(metrics.influence, key=lambda row: row.force)
-        lines.append(
-            f"most influential: trajectory {most.trajectory}; without it the force "
-            f"changes by {most.force:.2%}"
-        )
-    for row in metrics.constants or ():
-        lines.append(
-            f"{row.constant} one percent larger: force {row.force:.2%}, final "
-            f"position {row.final:.3g}"
-        )
-    growth = metrics.lyapunov
-    lines.append(
-        f"separations of neighbouring starts grow by {growth.median:.3g} (median) to "
-        f"{growth.greatest:.3g} (greatest) over {growth.horizon:.4g}; median "
-        f"finite-time Lyapunov exponent {growth.exponent:.3g}"
-    )
-    return "\n".join([*lines, *(f"left out: {line}" for line in metrics.left_out)])
-
-
-def rotation_sentence(parts: HelmholtzMetrics) -> str:
-    """The rotational fraction in words, and what its bounds mean."""
-    spread = "" if parts.sd is None else f" ± {parts.sd:.2%} (sd)"
-    return (
-        f"rotational part: {parts.rotational:.2%}{spread} of the squared force within "
-        f"{parts.reach:g} of the data. Near the data alone some fields are gradient "
-        "and rotational at once (harmonic fields): counted as gradient they leave "
-        f"{parts.least:.2%}, counted as rotational {parts.greatest:.2%}"
-    )
+    folder.write_metrics(ANALYSIS_FILE, metrics)
 
 
 def run(options: AnalyseOptions) -> CommandResult:
     """Analyse as the command line does."""
     metrics = analyse(options.settings, options.run)
-    return CommandResult(metrics, text(metrics), RunFolder.open(options.run))
+    return CommandResult(metrics, metrics.text(), RunFolder.open(options.run))

@@ -24,6 +24,16 @@ class HelmholtzMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
     misfit: float
     sd: float | None = None
 
+    def sentence(self) -> str:
+        """The rotational fraction in words, and what its bounds mean."""
+        spread = "" if self.sd is None else f" ± {self.sd:.2%} (sd)"
+        return (
+            f"rotational part: {self.rotational:.2%}{spread} of the squared force "
+            f"within {self.reach:g} of the data. Near the data alone some fields are "
+            "gradient and rotational at once (harmonic fields): counted as gradient "
+            f"they leave {self.least:.2%}, counted as rotational {self.greatest:.2%}"
+        )
+
 
 class InfluenceRow(msgspec.Struct, frozen=True):
     """The influence of a trajectory on the fit.
@@ -136,3 +146,28 @@ class AnalysisMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
     constants: tuple[ConstantEffect, ...] | None = None
     sobol: tuple[SobolRow, ...] | None = None
     landmark: tuple[float, float] | None = None
+
+    def text(self) -> str:
+        """The findings for a terminal."""
+        lines = [self.helmholtz.sentence()]
+        if self.above_two_sd is not None:
+            parts = ", ".join(f"{k} {v:.0%}" for k, v in self.above_two_sd.items())
+            lines.append(f"force above two standard deviations: {parts} of the region")
+        if self.influence:
+            most = max(self.influence, key=lambda row: row.force)
+            lines.append(
+                f"most influential: trajectory {most.trajectory}; without it the force "
+                f"changes by {most.force:.2%}"
+            )
+        for row in self.constants or ():
+            lines.append(
+                f"{row.constant} one percent larger: force {row.force:.2%}, final "
+                f"position {row.final:.3g}"
+            )
+        growth = self.lyapunov
+        lines.append(
+            f"separations of neighbouring starts grow by {growth.median:.3g} (median) "
+            f"to {growth.greatest:.3g} (greatest) over {growth.horizon:.4g}; median "
+            f"finite-time Lyapunov exponent {growth.exponent:.3g}"
+        )
+        return "\n".join([*lines, *(f"left out: {line}" for line in self.left_out)])

@@ -1,15 +1,19 @@
 """Sections of the report on what `pinav analyse` found, from its saved results."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
-import msgspec
 import numpy as np
 from jaxtyping import Float
 
 from pinav.analysis import HelmholtzSplit, LyapunovMap, SobolIndices
-from pinav.commands.analyse.job import ANALYSIS_FILE, ARRAYS_FILE, rotation_sentence
-from pinav.commands.analyse.metrics import AnalysisMetrics, SobolRow
+from pinav.commands.analyse.job import ANALYSIS_FILE, ARRAYS_FILE
+from pinav.commands.analyse.metrics import (
+    AnalysisMetrics,
+    ConstantEffect,
+    InfluenceRow,
+    SobolRow,
+)
 from pinav.evaluation import FieldMap, default_regions
 from pinav.figures import (
     constants_figure,
@@ -22,7 +26,7 @@ from pinav.figures import (
 )
 from pinav.figures.analysis import one_legend
 from pinav.figures.style import new_figure, title_panel, with_order
-from pinav.report import Image, Paragraph, Section, Table
+from pinav.report import Cell, Image, Paragraph, Section, Table
 from pinav.report.images import Figures
 from pinav.runs import RunFolder
 from pinav.trajectories import load
@@ -51,7 +55,7 @@ class Results:
     @classmethod
     def read(cls, folder: RunFolder) -> "Results":
         """The results in a run."""
-        metrics = msgspec.convert(folder.read_json(ANALYSIS_FILE), AnalysisMetrics)
+        metrics = folder.read_metrics(ANALYSIS_FILE, AnalysisMetrics)
         arrays = folder.read_arrays(ARRAYS_FILE)
         data = load(folder.path / "data.npz")
         x, y, force, distance = (arrays[n] for n in ("x", "y", "force", "distance"))
@@ -127,7 +131,7 @@ def _parts(results: Results, figures: Figures) -> Content:
         "potential explains. Greatest: they all count as rotational. sd: over "
         "posterior samples.",
     )
-    return [Paragraph(f"{rotation_sentence(parts).capitalize()}."), image, table]
+    return [Paragraph(f"{parts.sentence().capitalize()}."), image, table]
 
 
 def _potential(results: Results, figures: Figures) -> Image:
@@ -166,18 +170,15 @@ def _influence(results: Results, figures: Figures) -> Content:
         "the fit, to first order, the hyperparameters held.",
         alt="Change of the force where one trajectory is left out",
     )
-    header = (
-        "trajectory",
-        "leverage",
-        "Cook's distance",
-        "change of the force (%)",
-        "change of the final position",
-    )
-    rows = [
-        (row.trajectory, row.leverage, row.cook, 100 * row.force, row.final)
-        for row in results.metrics.influence or ()
-    ]
-    return [image, Table(header, rows, INFLUENCE_CAPTION)]
+    columns: dict[str, Callable[[InfluenceRow], Cell]] = {
+        "trajectory": lambda row: row.trajectory,
+        "leverage": lambda row: row.leverage,
+        "Cook's distance": lambda row: row.cook,
+        "change of the force (%)": lambda row: 100 * row.force,
+        "change of the final position": lambda row: row.final,
+    }
+    rows = results.metrics.influence or ()
+    return [image, Table.of(rows, columns, INFLUENCE_CAPTION)]
 
 
 INFLUENCE_CAPTION = (
@@ -204,24 +205,15 @@ def _constants(results: Results, figures: Figures) -> Content:
         "everything else is fitted anew.",
         alt="Change of the force with known constants",
     )
-    header = (
-        "constant",
-        "value",
-        "learned",
-        "change of the force (%)",
-        "change of the final position",
-    )
-    rows = [
-        (
-            row.constant,
-            row.value,
-            "yes" if row.learned else "no",
-            100 * row.force,
-            row.final,
-        )
-        for row in results.metrics.constants or ()
-    ]
-    return [image, Table(header, rows, CONSTANTS_CAPTION)]
+    columns: dict[str, Callable[[ConstantEffect], Cell]] = {
+        "constant": lambda row: row.constant,
+        "value": lambda row: row.value,
+        "learned": lambda row: "yes" if row.learned else "no",
+        "change of the force (%)": lambda row: 100 * row.force,
+        "change of the final position": lambda row: row.final,
+    }
+    rows = results.metrics.constants or ()
+    return [image, Table.of(rows, columns, CONSTANTS_CAPTION)]
 
 
 CONSTANTS_CAPTION = (

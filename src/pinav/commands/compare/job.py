@@ -3,16 +3,12 @@
 from collections.abc import Callable
 from typing import Any
 
+from pinav.commands.cells import EstimateRow
 from pinav.commands.command import CommandResult
 from pinav.commands.compare import COMPARE
-from pinav.commands.compare.metrics import (
-    Candidate,
-    CompareMetrics,
-    Estimated,
-    Verdict,
-)
+from pinav.commands.compare.metrics import Candidate, CompareMetrics, Verdict
 from pinav.commands.compare.settings import CompareOptions, CompareSettings
-from pinav.commands.fitted_run import rotational_part
+from pinav.commands.constants import rotational_part
 from pinav.commands.progress import BayesReporter
 from pinav.commands.start import fingerprint, start_run
 from pinav.commands.system_choice import choose_system
@@ -127,8 +123,7 @@ def _candidate(
         correction=float(evidence.correction),
         noise=float(result.hyperparameters.noise),
         weights=len(result.posterior.mean),
-        rotational_fraction=rotational
-        and Estimated(float(rotational.value), float(rotational.sd)),
+        rotational_fraction=rotational and EstimateRow.of(rotational),
     )
 
 

@@ -2,14 +2,8 @@
 
 import msgspec
 
+from pinav.commands.cells import EstimateRow
 from pinav.report import Table
-
-
-class Estimated(msgspec.Struct, frozen=True):
-    """A number and its standard deviation."""
-
-    value: float
-    sd: float
 
 
 class Candidate(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -32,7 +26,7 @@ class Candidate(msgspec.Struct, frozen=True, omit_defaults=True):
     correction: float | None = None
     noise: float | None = None
     weights: int | None = None
-    rotational_fraction: Estimated | None = None
+    rotational_fraction: EstimateRow | None = None
     reason: str = ""
 
 

@@ -1,8 +1,9 @@
 """Sections of the report of a comparison of models."""
 
 from pinav.commands.compare.metrics import CompareMetrics
-from pinav.figures import evidence_bars, save_figure
-from pinav.report import Image, Paragraph, Section
+from pinav.figures import evidence_bars
+from pinav.report import Paragraph, Section
+from pinav.report.images import Figures
 from pinav.runs import RunFolder
 
 
@@ -12,14 +13,14 @@ def comparison_sections(folder: RunFolder) -> list[Section]:
     figure = evidence_bars(
         {name: row.log_evidence for name, row in metrics.models.items()}
     )
-    files = save_figure(figure, folder.path / "figures", "evidence")
     content = [
         *(Paragraph(verdict.text) for verdict in metrics.verdicts),
         metrics.table(),
-        Image(
-            files.svg,
-            "Bars: by how much the log evidence of each model is below the best",
+        Figures(folder.path).image(
+            "evidence",
+            figure,
             "Nats below the best model; the scale is logarithmic above one.",
+            alt="Bars: by how much the log evidence of each model is below the best",
         ),
     ]
     return [Section("The evidence", content)]

@@ -1,29 +1,29 @@
 """`pinav discover`: the law behind the learned force of a run."""
 
+from collections.abc import Callable
 from pathlib import Path
 
-import msgspec
 import numpy as np
 
-from pinav.analysis import Candidate, Discovery, EstimatedConstant
+from pinav.analysis import Discovery
 from pinav.analysis import discover as discover_law
 from pinav.analysis.discovery.law_regression import law_force
 from pinav.analysis.discovery.learned_fit import laplace_posterior
 from pinav.commands.command import CommandResult
 from pinav.commands.discover.metrics import (
     CentralRow,
-    ConstantRow,
     DiscoveryMetrics,
     LawRow,
 )
 from pinav.commands.discover.settings import DiscoverOptions
 from pinav.commands.fitted_run import FittedRun
-from pinav.dynamics import Swimmer
+from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.fitting import Posterior
 from pinav.fitting.environments.catalogue import learned_part
 from pinav.forces import AbstractLearnedForce
-from pinav.report import Table
+from pinav.identification import is_commanded
+from pinav.report import Cell, Table
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
 
@@ -56,17 +56,20 @@ def discover(run: Path, refits: int) -> DiscoveryMetrics:
             "law": law_force(best.law, values, sample.positions),
         },
     )
-    fitted.folder.write_json(LAWS_FILE, msgspec.to_builtins(metrics))
+    fitted.folder.write_metrics(LAWS_FILE, metrics)
     return metrics
 
 
 def _posterior(run: FittedRun) -> Posterior:
     """The posterior that the run stored, or one by Laplace about its model."""
     model, path = run.model, run.folder.path
-    if not isinstance(model, Swimmer):
+    known = isinstance(model, Swimmer | OverdampedSwimmer)
+    stochastic = run.system.thermal_energy is not None or "diffusion" in run.constants
+    if not known or stochastic or is_commanded(run.system):
         raise InputError(
-            f"{path}: laws are refitted to the trajectories of swimmers with inertia; "
-            f"expected such a model, got {type(model).__name__}"
+            f"{path}: laws are refitted to trajectories that follow from their starts; "
+            "expected a swimmer without thermal noise, commands or wandering velocity, "
+            f"got the model {run.choice.name} of system {run.system.name}"
         )
     if not isinstance(model.environment, AbstractLearnedForce):
         raise InputError(
@@ -79,73 +82,29 @@ def _posterior(run: FittedRun) -> Posterior:
 
 
 def _metrics(discovery: Discovery) -> DiscoveryMetrics:
-    central = discovery.central
-    sd_x, sd_y = (_finite(sd) for sd in central.center_sd)
-    return DiscoveryMetrics(
-        verdict=discovery.verdict.value,
-        laws=tuple(map(_law_row, discovery.candidates)),
-        screened=tuple((name, _finite(bic)) for name, bic in discovery.screened),
-        central=CentralRow(
-            verdict=central.verdict.value,
-            center=central.center,
-            center_sd=(sd_x, sd_y),
-            ratio=central.ratio,
-            noise_ratio=central.noise_ratio,
-            p_value=central.p_value,
+    return DiscoveryMetrics.of(
+        discovery,
+        laws=tuple(
+            LawRow.of(law, num_constants=len(law.constants), outcome=str(law.outcome))
+            for law in discovery.candidates
         ),
+        central=CentralRow.of(discovery.central),
         noise=discovery.learned_noise,
-        num_effective=discovery.num_effective,
     )
-
-
-def _law_row(candidate: Candidate) -> LawRow:
-    return LawRow(
-        name=candidate.name,
-        num_constants=len(candidate.constants),
-        bic=_finite(candidate.bic),
-        delta_bic=_finite(candidate.delta_bic),
-        noise=_finite(candidate.noise),
-        outcome=str(candidate.outcome),
-        fits=candidate.fits,
-        latex=candidate.latex,
-        sympy=candidate.sympy,
-        constants=tuple(map(_constant_row, candidate.constants)),
-    )
-
-
-def _constant_row(constant: EstimatedConstant) -> ConstantRow:
-    return ConstantRow(
-        name=constant.name,
-        symbol=constant.symbol,
-        unit=constant.unit,
-        value=constant.value,
-        sd=_finite(constant.sd),
-        low=_finite(constant.low),
-        high=_finite(constant.high),
-        identifiable=constant.identifiable,
-    )
-
-
-def _finite(value: float) -> float | None:
-    """The number, or none where it is not finite."""
-    return float(value) if np.isfinite(value) else None
 
 
 def ranking(metrics: DiscoveryMetrics) -> Table:
     """The refitted laws, the best one first."""
-    rows = [
-        (
-            law.name,
-            law.num_constants,
-            law.delta_bic,
-            law.noise,
-            law.outcome,
-            "yes" if law.fits else "no",
-        )
-        for law in metrics.laws
-    ]
-    header = ("law", "constants", "ΔBIC", "noise", "refit", "explains the data")
-    return Table(header, rows, "Candidate laws refitted to the trajectories.")
+    columns: dict[str, Callable[[LawRow], Cell]] = {
+        "law": lambda law: law.name,
+        "constants": lambda law: law.num_constants,
+        "ΔBIC": lambda law: law.delta_bic,
+        "noise": lambda law: law.noise,
+        "refit": lambda law: law.outcome,
+        "explains the data": lambda law: "yes" if law.fits else "no",
+    }
+    caption = "Candidate laws refitted to the trajectories."
+    return Table.of(metrics.laws, columns, caption)
 
 
 def text(metrics: DiscoveryMetrics) -> str:

@@ -1,19 +1,20 @@
 """The results of `pinav discover`, as `laws.json` holds them."""
 
-import msgspec
 import numpy as np
+
+from pinav.commands.cells import Row
 
 CLOSE = 6.0
 """Laws within this difference of BIC to the best one are not told apart."""
 
 
-class ConstantRow(msgspec.Struct, frozen=True):
+class ConstantRow(Row, frozen=True):
     """A constant of a law, as the trajectories determine it.
 
     Attributes:
         name: in words.
         symbol: in LaTeX.
-        unit: dimension in length L and time T; "1" means dimensionless.
+        unit: dimension in length L, time T and force F; "1" means dimensionless.
         value: best value.
         sd: standard deviation; none where the data say nothing.
         low: lower end of the 95 % interval.
@@ -38,7 +39,7 @@ class ConstantRow(msgspec.Struct, frozen=True):
         return line if self.identifiable else f"{line}: not identifiable"
 
 
-class LawRow(msgspec.Struct, frozen=True):
+class LawRow(Row, frozen=True):
     """A law refitted to the trajectories.
 
     Attributes:
@@ -71,7 +72,7 @@ class LawRow(msgspec.Struct, frozen=True):
         return np.inf if self.delta_bic is None else self.delta_bic
 
 
-class CentralRow(msgspec.Struct, frozen=True):
+class CentralRow(Row, frozen=True):
     """The test for a central force.
 
     Attributes:
@@ -103,7 +104,7 @@ class CentralRow(msgspec.Struct, frozen=True):
         return f"{line}; centre ({x:.5g} ± {sd_x:.2g}, {y:.5g} ± {sd_y:.2g})"
 
 
-class DiscoveryMetrics(msgspec.Struct, frozen=True):
+class DiscoveryMetrics(Row, frozen=True):
     """The numbers of a discovery.
 
     Attributes:

@@ -1,12 +1,12 @@
 """The section of a report on the law behind a learned force."""
 
-import msgspec
+from collections.abc import Callable
 
 from pinav.commands.discover.job import LAWS_FILE, SAMPLE_FILE, ranking
-from pinav.commands.discover.metrics import DiscoveryMetrics, LawRow
+from pinav.commands.discover.metrics import ConstantRow, DiscoveryMetrics, LawRow
 from pinav.figures import formula_figure, law_figure
 from pinav.figures.style import force_unit
-from pinav.report import Code, Image, Paragraph, Section, Table
+from pinav.report import Cell, Code, Image, Paragraph, Section, Table
 from pinav.report.images import Figures
 from pinav.runs import RunFolder
 from pinav.trajectories import load
@@ -16,7 +16,7 @@ def law_sections(folder: RunFolder) -> list[Section]:
     """The findings of `pinav discover`, or nothing where it did not run."""
     if not folder.has(LAWS_FILE):
         return []
-    metrics = msgspec.convert(folder.read_json(LAWS_FILE), DiscoveryMetrics)
+    metrics = folder.read_metrics(LAWS_FILE, DiscoveryMetrics)
     arrays, figures = folder.read_arrays(SAMPLE_FILE), Figures(folder.path)
     units = load(folder.path / "data.npz").units
     figure = law_figure(
@@ -45,21 +45,17 @@ def law_sections(folder: RunFolder) -> list[Section]:
 
 
 def _law(figures: Figures, index: int, law: LawRow) -> list[Table | Code | Image]:
-    rows = [
-        (
-            constant.name,
-            constant.value,
-            constant.sd,
-            constant.low,
-            constant.high,
-            "yes" if constant.identifiable else "not identifiable",
-        )
-        for constant in law.constants
-    ]
-    header = ("constant", "value", "sd", "2.5 %", "97.5 %", "identifiable")
+    columns: dict[str, Callable[[ConstantRow], Cell]] = {
+        "constant": lambda one: one.name,
+        "value": lambda one: one.value,
+        "sd": lambda one: one.sd,
+        "2.5 %": lambda one: one.low,
+        "97.5 %": lambda one: one.high,
+        "identifiable": lambda one: "yes" if one.identifiable else "not identifiable",
+    }
     caption = f"{law.name}: constants and 95 % intervals."
     blocks: list[Table | Code | Image] = []
     if (figure := formula_figure(law.latex)) is not None:
         words = f"Formula of the law: {law.name}."
         blocks.append(figures.image(f"law-{index}", figure, words, width=0.8))
-    return [*blocks, Table(header, rows, caption), Code(law.sympy)]
+    return [*blocks, Table.of(law.constants, columns, caption), Code(law.sympy)]

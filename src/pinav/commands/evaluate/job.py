@@ -106,7 +106,7 @@ def evaluate(
         regions=setting.regions.definition(fitted.data.units["x"]),
         domain=setting.domain,
         horizon=fitted.horizon,
-        rmse={name: _errors(found["data"]) for name, found in sources.items()},
+        rmse={name: _errors(source["data"]) for name, source in sources.items()},
         rollouts=rollouts,
         force=_forces(models, setting),
         seen=fitted.shared_trajectories(setting.data),
@@ -198,11 +198,10 @@ def _forces(
 
 
 def _write(folder: RunFolder, metrics: EvaluationMetrics, arrays: Arrays) -> None:
-    content = msgspec.to_builtins(metrics)
     folder.write_arrays(ARRAYS_FILE, arrays)
-    rows = _flat_rows(content)
+    rows = _flat_rows(msgspec.to_builtins(metrics))
     folder.write_table("evaluation.csv", ("quantity", "value"), rows)
-    folder.write_json(EVALUATION_FILE, content)
+    folder.write_metrics(EVALUATION_FILE, metrics)
 
 
 def _flat_rows(content: object, path: tuple[str, ...] = ()) -> list[tuple[str, Cell]]:

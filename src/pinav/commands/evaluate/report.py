@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 
-import msgspec
 import numpy as np
 
 from pinav.commands.evaluate.job import ARRAYS_FILE, EVALUATION_FILE
@@ -20,7 +19,7 @@ def evaluation_sections(folder: RunFolder) -> list[Section]:
     """Tables and figures of `pinav evaluate`, where it was run."""
     if not (folder.has(EVALUATION_FILE) and folder.has(ARRAYS_FILE)):
         return []
-    metrics = msgspec.convert(folder.read_json(EVALUATION_FILE), EvaluationMetrics)
+    metrics = folder.read_metrics(EVALUATION_FILE, EvaluationMetrics)
     arrays = folder.read_arrays(ARRAYS_FILE)
     figures = Figures(folder.path)
     words = (metrics.purpose, f"{metrics.regions.capitalize()}.", *metrics.notes)

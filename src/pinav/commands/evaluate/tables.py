@@ -1,6 +1,8 @@
 """The tables of an evaluation, the same on a terminal and in the report."""
 
-from pinav.commands.cells import Cell
+from collections.abc import Callable
+
+from pinav.commands.cells import Cell, percent
 from pinav.commands.evaluate.metrics import (
     CalibrationRow,
     ConstantRow,
@@ -49,9 +51,9 @@ def _rollouts(metrics: EvaluationMetrics) -> Table:
             f"{model}, {source}, {part}",
             row.median,
             row.high,
-            _percent(row.median_relative),
-            _percent(row.high_relative),
-            _percent(row.diverged),
+            percent(row.median_relative),
+            percent(row.high_relative),
+            percent(row.diverged),
             row.trajectories,
         )
         for model, sources in metrics.rollouts.items()
@@ -73,15 +75,11 @@ def _rollouts(metrics: EvaluationMetrics) -> Table:
     )
 
 
-def _percent(value: Cell) -> Cell:
-    return 100 * value if isinstance(value, float) else value
-
-
 def _force(metrics: EvaluationMetrics) -> Table:
     rows = [
         (
             f"{model}, {region}",
-            _percent(row.error),
+            percent(row.error),
             f"{row.cosine:.5f}" if isinstance(row.cosine, float) else "–",
             row.points,
         )
@@ -100,7 +98,7 @@ def _coverage(coverage: dict[str, dict[str, Cell]]) -> Table:
     rows = [
         (
             what,
-            *(_percent(row[region]) for region in ("visited", "near", "unvisited")),
+            *(percent(row[region]) for region in ("visited", "near", "unvisited")),
         )
         for what, row in coverage.items()
     ]
@@ -136,20 +134,17 @@ def _whiteness(whiteness: dict[str, ResidualRow]) -> Table:
 
 
 def _constants(constants: tuple[ConstantRow, ...]) -> Table:
-    rows = [
-        (
-            row.name,
-            row.true,
-            row.value,
-            row.sd,
-            _percent(row.relative_error),
-            row.z,
-        )
-        for row in constants
-    ]
-    return Table(
-        ("constant", "true", "recovered", "sd", "error (%)", "z"),
-        rows,
+    columns: dict[str, Callable[[ConstantRow], Cell]] = {
+        "constant": lambda row: row.name,
+        "true": lambda row: row.true,
+        "recovered": lambda row: row.value,
+        "sd": lambda row: row.sd,
+        "error (%)": lambda row: percent(row.relative_error),
+        "z": lambda row: row.z,
+    }
+    return Table.of(
+        constants,
+        columns,
         "Constants trained beside the force, against the truth of the system: an error "
         "that the force could compensate shows here; |z| above 2 or 3 says that the "
         "interval is too narrow.",

@@ -5,10 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from pinav.commands.cells import EstimateRow
 from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
 from pinav.commands.fit import FIT
-from pinav.commands.fit.metrics import FitMetrics, Learned, Loss
+from pinav.commands.fit.metrics import FitMetrics, Loss
 from pinav.commands.fit.plan import FitPlan, plan_fit
 from pinav.commands.fit.settings import EVIDENCE_RECIPES, FitOptions
 from pinav.commands.fitted_run import (
@@ -38,8 +39,14 @@ from pinav.evaluation import (
     predict,
     score,
 )
-from pinav.fitting import EvidenceFit, Outcome, fit_bayes, fit_langevin
-from pinav.fitting import fit as match_trajectories
+from pinav.fitting import (
+    EvidenceFit,
+    Outcome,
+    fit_bayes,
+    fit_in_turns,
+    fit_langevin,
+    simpler_models,
+)
 from pinav.fitting.environments.catalogue import KnownSwimmer, build
 from pinav.forces import AbstractForce, as_learned
 from pinav.identification import fit_commanded, is_commanded
@@ -50,6 +57,11 @@ REMARKS = {
     str(Outcome.STALLED): (
         "The fit stalled before its steps stopped to matter. If the errors above are "
         "not at the level of the noise, raise --max-steps or choose another --model."
+    ),
+    str(Outcome.MISFIT): (
+        "The fit has found its best parameters, and yet the residuals are no noise: "
+        "the model is too small for these data (--width, or another --model), or the "
+        "known physics (--system) are wrong."
     ),
     str(Outcome.UNDER_RESOLVED): (
         "The kernels are coarser than what the data show, and finer ones would be too "
@@ -147,18 +159,19 @@ def _fit_commanded(plan: FitPlan, environment: AbstractForce) -> EvidenceFit:
 
 def _match(plan: FitPlan, folder: RunFolder) -> None:
     """Match the trajectories."""
-    method = matching(plan.settings, plan.data)
+    model = build(plan.choice, plan.system.swimmer, plan.summary)
+    method = matching(plan.settings, plan.data, model)
     with FitReporter(folder, plan.choice.name) as report:
-        result = match_trajectories(
-            build(plan.choice, plan.system.swimmer, plan.summary),
+        (result,) = fit_in_turns(
+            [model],
             plan.data,
-            method.recipe,
+            method.recipes,
             trainable=plan.choice.trainable,
             checkpoint=folder.checkpoint(plan.choice.name),
             on_chunk=report,
-            throw=False,
             objective=method.objective,
             dtype=method.dtype,
+            enough=method.enough,
         )
     if result.outcome is Outcome.DIVERGED:
         raise FitError(DIVERGED)
@@ -174,10 +187,7 @@ def _metrics(
     fields: dict[str, FieldMap],
 ) -> FitMetrics:
     evidence = fitted.evidence
-    learned = {
-        name: Learned(one.value, None if np.isnan(one.sd) else one.sd)
-        for name, one in fitted.constants.items()
-    }
+    learned = {name: EstimateRow.of(one) for name, one in fitted.constants.items()}
     common = {
         "model": plan.choice.name,
         "recipe": plan.settings.recipe,
@@ -190,7 +200,7 @@ def _metrics(
         curve, outcome = losses.values[0], losses.outcomes[0]
         return FitMetrics(
             outcome=outcome,
-            remarks=_remarks(outcome),
+            remarks=(*_remarks(outcome), *_simpler(plan, outcome, rmse)),
             loss=Loss(float(curve[0]), float(curve[-1])),
             **common,
         )
@@ -207,6 +217,26 @@ def _metrics(
 
 def _remarks(outcome: str) -> tuple[str, ...]:
     return (REMARKS[outcome],) if outcome in REMARKS else ()
+
+
+def _simpler(plan: FitPlan, outcome: str, rmse: dict[str, float]) -> tuple[str, ...]:
+    """What explains the data far better than a fit that did not converge."""
+    if outcome == str(Outcome.CONVERGED):
+        return ()
+    total = rmse["total"]
+    for name, model in simpler_models(plan.system.swimmer, plan.data).items():
+        simple = score(*predict(model, plan.data), plan.data).total
+        if FAR_BETTER * simple < total or not np.isfinite(total):
+            return (
+                f"The fit failed: its rollouts miss the data by {total:.2g}, those of "
+                f"{name} by {simple:.2g}; choose --model kernel-potential or another "
+                "--seed.",
+            )
+    return ()
+
+
+FAR_BETTER = 3.0
+"""Ratio of errors beyond which a simpler model is recommended."""
 
 
 def _fields(model: KnownSwimmer, plan: FitPlan) -> dict[str, FieldMap]:

@@ -2,19 +2,8 @@
 
 import msgspec
 
+from pinav.commands.cells import EstimateRow
 from pinav.report import number
-
-
-class Learned(msgspec.Struct, frozen=True):
-    """A learned constant.
-
-    Attributes:
-        value: its best value.
-        sd: standard deviation; none where the recipe has no posterior.
-    """
-
-    value: float | None
-    sd: float | None
 
 
 class Loss(msgspec.Struct, frozen=True):
@@ -52,7 +41,7 @@ class FitMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
     recipe: str
     outcome: str
     rmse: dict[str, float | None]
-    learned: dict[str, Learned]
+    learned: dict[str, EstimateRow]
     remarks: tuple[str, ...] = ()
     force_error: dict[str, float | None] | None = None
     loss: Loss | None = None

@@ -15,8 +15,8 @@ from pinav.fitting.environments.catalogue import (
     DataSummary,
     ModelChoice,
     mean_drag,
-    summarise_data,
     summarise_for,
+    summarise_for_matching,
 )
 from pinav.forces import LinearDrag
 from pinav.identification import is_commanded, trajectories_of
@@ -94,7 +94,7 @@ def plan_fit(settings: FitSettings, system: System, data: Trajectories) -> FitPl
     if settings.recipe in EVIDENCE_RECIPES:
         summary = summarise_for(choice, data)
     else:
-        summary = summarise_data(data)
+        summary = summarise_for_matching(choice, system.swimmer, data)
     check_memory(data, summary)
     return FitPlan(settings, system, data, choice, summary)
 

@@ -10,8 +10,7 @@ from pinav.commands.matching import read_losses
 from pinav.evaluation import FieldMap
 from pinav.figures import force_comparison, loss_curve, observed_paths, save_figure
 from pinav.figures.style import new_figure
-from pinav.report import Image, Paragraph, Section, Table
-from pinav.report.page import Cell
+from pinav.report import Cell, Image, Paragraph, Section, Table
 from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories, load
 

@@ -35,38 +35,29 @@ class _Strict(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """An unknown key is a mistake."""
 
 
-class Sphere(_Strict, frozen=True, tag="sphere", tag_field="kind"):
+class _Round(_Strict, frozen=True):
+    """A grid over the radius [m]."""
+
+    radius: Length
+    cells: Cells
+
+    @property
+    def lengths(self) -> tuple[float, ...]:
+        """Extent along each axis [m]."""
+        return (self.radius,)
+
+    @property
+    def size(self) -> float:
+        """Size of a cell [m]."""
+        return self.radius / self.cells
+
+
+class Sphere(_Round, frozen=True, tag="sphere", tag_field="kind"):
     """A sphere, everything a function of the radius [m]."""
 
-    radius: Length
-    cells: Cells
 
-    @property
-    def lengths(self) -> tuple[float, ...]:
-        """Extent along each axis [m]."""
-        return (self.radius,)
-
-    @property
-    def size(self) -> float:
-        """Size of a cell [m]."""
-        return self.radius / self.cells
-
-
-class Cylinder(_Strict, frozen=True, tag="cylinder", tag_field="kind"):
+class Cylinder(_Round, frozen=True, tag="cylinder", tag_field="kind"):
     """A long cylinder, everything a function of the radius [m]."""
-
-    radius: Length
-    cells: Cells
-
-    @property
-    def lengths(self) -> tuple[float, ...]:
-        """Extent along each axis [m]."""
-        return (self.radius,)
-
-    @property
-    def size(self) -> float:
-        """Size of a cell [m]."""
-        return self.radius / self.cells
 
 
 class Box(_Strict, frozen=True, tag="box", tag_field="kind"):

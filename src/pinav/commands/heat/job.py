@@ -6,10 +6,11 @@ from pinav.commands.command import CommandResult
 from pinav.commands.heat import HEAT
 from pinav.commands.heat.case import Case, read_case
 from pinav.commands.heat.learn import LearnTask
+from pinav.commands.heat.metrics import CheckMetrics
 from pinav.commands.heat.optimise import OptimiseTask
 from pinav.commands.heat.settings import HeatOptions
 from pinav.commands.heat.simulate import SimulateTask
-from pinav.commands.heat.tables import check_metrics, text, verification_table
+from pinav.commands.heat.tables import text, verification_table
 from pinav.commands.heat.task import READINGS, RESULTS, AbstractTask
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
@@ -41,7 +42,7 @@ def _task(name: str, case: Case, path: Path) -> AbstractTask:
 
 
 def _verify() -> CommandResult:
-    checks = [check_metrics(check) for check in verify()]
+    checks = [CheckMetrics.of(check) for check in verify()]
     missed = [check.case for check in checks if not check.within]
     return CommandResult(
         checks,

@@ -10,12 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from pinav.commands.cells import EstimateRow
 from pinav.commands.heat.build import CaseModel, build_case
 from pinav.commands.heat.case import Case, Learn
 from pinav.commands.heat.metrics import (
     HeldOutMetrics,
     LawMetrics,
-    LearnedNumber,
     LearnMetrics,
 )
 from pinav.commands.heat.task import AbstractTask, TaskResult
@@ -93,10 +93,7 @@ class LearnTask(AbstractTask):
             residual=_rms(residuals(fit.model)),
             noise=float(noise),
             log_evidence=fit.hyperparameters.log_evidence,
-            constants={
-                name: LearnedNumber(float(number.value), float(number.sd))
-                for name, number in fit.constants.items()
-            },
+            constants={n: EstimateRow.of(one) for n, one in fit.constants.items()},
             laws=_curves(setup, settings, fit, arrays),
             constant_residual=_rms(residuals(constant.model)),
             held_out=tuple(

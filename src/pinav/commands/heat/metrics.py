@@ -2,6 +2,8 @@
 
 import msgspec
 
+from pinav.commands.cells import EstimateRow, Row
+
 
 class RunMetrics(msgspec.Struct, frozen=True, tag="simulate", tag_field="task"):
     """Temperatures and doses that a run reached.
@@ -31,7 +33,7 @@ class RunMetrics(msgspec.Struct, frozen=True, tag="simulate", tag_field="task"):
     warnings: tuple[str, ...]
 
 
-class ConstraintMetrics(msgspec.Struct, frozen=True):
+class ConstraintMetrics(Row, frozen=True):
     """A constraint at the optimum.
 
     Attributes:
@@ -71,18 +73,6 @@ class OptimumMetrics(
     constraints: tuple[ConstraintMetrics, ...]
     amplitudes: tuple[float, ...]
     max_temperature: float
-
-
-class LearnedNumber(msgspec.Struct, frozen=True):
-    """A learned number.
-
-    Attributes:
-        value: best value.
-        sd: standard deviation.
-    """
-
-    value: float
-    sd: float
 
 
 class LawMetrics(msgspec.Struct, frozen=True):
@@ -140,7 +130,7 @@ class LearnMetrics(
     residual: float
     noise: float
     log_evidence: float | None
-    constants: dict[str, LearnedNumber]
+    constants: dict[str, EstimateRow]
     laws: dict[str, LawMetrics]
     constant_residual: float
     held_out: tuple[HeldOutMetrics, ...] = ()
@@ -149,7 +139,7 @@ class LearnMetrics(
 HeatMetrics = RunMetrics | OptimumMetrics | LearnMetrics
 
 
-class CheckMetrics(msgspec.Struct, frozen=True):
+class CheckMetrics(Row, frozen=True):
     """A quantity of the solver beside its exact value.
 
     Attributes:

@@ -49,17 +49,13 @@ class OptimiseTask(AbstractTask):
         )
         protocol = optimum.run.protocol
         metrics, arrays = simulate_run(setup, optimum.run.model, protocol)
-        constraints = tuple(
-            ConstraintMetrics(c.name, float(c.value), float(c.bound), c.unit, c.active)
-            for c in optimum.constraints
-        )
         return TaskResult(
             OptimumMetrics(
                 result=metrics,
                 outcome=str(optimum.outcome),
                 evaluations=optimum.evaluations,
                 start_d90=float(np.exp(optimum.start_value)),
-                constraints=constraints,
+                constraints=tuple(map(ConstraintMetrics.of, optimum.constraints)),
                 amplitudes=tuple(np.asarray(protocol.starts).tolist()),
                 max_temperature=self.settings.max_temperature,
             ),

@@ -13,7 +13,6 @@ from pinav.commands.heat.metrics import (
 )
 from pinav.commands.heat.tables import constraint_table, fit_table, run_table
 from pinav.commands.heat.task import RESULTS
-from pinav.figures import save_figure
 from pinav.figures.heat import (
     DOSES,
     ISOTHERMS,
@@ -26,6 +25,7 @@ from pinav.figures.heat import (
 )
 from pinav.figures.style import new_figure
 from pinav.report import Image, Paragraph, Section
+from pinav.report.images import Figures
 from pinav.runs import RunFolder
 
 Arrays = dict[str, np.ndarray]
@@ -157,5 +157,4 @@ def _place(point: np.ndarray) -> str:
 
 
 def _image(folder: RunFolder, figure: Any, name: str, caption: str) -> Image:
-    files = save_figure(figure, folder.path / "figures", f"heat-{name}")
-    return Image(files.svg, caption, caption)
+    return Figures(folder.path).image(f"heat-{name}", figure, caption, alt=caption)

@@ -11,7 +11,6 @@ from pinav.commands.heat.metrics import (
 )
 from pinav.report import Table
 from pinav.report.text import as_text
-from pinav.thermal.verification import Check
 
 SYNTHETIC = "Synthetic data of a research code."
 
@@ -69,19 +68,6 @@ def fit_table(metrics: LearnMetrics) -> Table:
         rows.append((name, row.learned))
         rows.append((f"{name}, constant perfusion", row.constant))
     return Table(("quantity", "value"), rows, SYNTHETIC)
-
-
-def check_metrics(check: Check) -> CheckMetrics:
-    """A check as it is printed for scripts."""
-    return CheckMetrics(
-        case=check.case,
-        value=float(check.value),
-        exact=float(check.exact),
-        error=float(check.error),
-        tolerance=float(check.tolerance),
-        unit=check.unit,
-        within=bool(check.within),
-    )
 
 
 def verification_table(checks: Sequence[CheckMetrics]) -> Table:

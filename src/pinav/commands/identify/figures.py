@@ -10,8 +10,8 @@ from pinav.identification import (
     Track,
     TrackFit,
 )
-from pinav.identification.baselines import commands
 from pinav.identification.forecast import cycles
+from pinav.identification.tracks import commands_of
 
 
 def figure_arrays(
@@ -24,9 +24,9 @@ def figure_arrays(
         arrays[f"observed/{index}"] = piece.states
     ends = zip(rollouts.piece, rollouts.first, rollouts.last, strict=True)
     forecasts = [Forecast.of(piece, fit, jitter) for piece in held_out.pieces]
-    for index, (own, a, b) in enumerate(ends):
-        arrays[f"predicted/{index}"] = forecasts[own].rollout(int(a), int(b))
-        arrays[f"sd/{index}"] = np.sqrt(forecasts[own].variance(int(a), int(b))[-1])
+    for index, (segment, a, b) in enumerate(ends):
+        arrays[f"predicted/{index}"] = forecasts[segment].rollout(int(a), int(b))
+        arrays[f"sd/{index}"] = np.sqrt(forecasts[segment].variance(int(a), int(b))[-1])
     if whole.candidate.gains:
         arrays |= _speed_law(selection.track, whole)
     return arrays
@@ -49,7 +49,7 @@ def _speed_law(track: Track, fit: TrackFit) -> dict[str, np.ndarray]:
         rolling = size > 0
         speed.append(((moved * step).sum(axis=1) / np.where(rolling, size, 1))[rolling])
         speed[-1] = speed[-1] / interval[rolling]
-        frequency.append(commands(piece)[0][index][rolling])
+        frequency.append(commands_of(piece)[0][index][rolling])
     places = np.linspace(0, max(float(np.concatenate(frequency).max()), 1e-3), 60)
     fitted, sd = fit.speed(places)
     return {

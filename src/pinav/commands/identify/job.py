@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
+from pinav.commands.cells import EstimateRow
 from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
 from pinav.commands.fitted_run import DATA_FILE, ModelHeader, save_data, write_fit
@@ -17,7 +18,6 @@ from pinav.commands.identify.metrics import (
     DelayMetrics,
     IdentifyMetrics,
     TrackMetrics,
-    Value,
     summarise_tracks,
 )
 from pinav.commands.identify.settings import IdentifyOptions, IdentifySettings
@@ -117,8 +117,8 @@ def identify(
     chosen = _system_track(settings.track, results)
     if chosen is not None:
         index = [track.name for track in several].index(chosen)
-        own = trajectories_of(recording, chosen, pooled=pooled)
-        _write_system(folder, index, chosen, results[chosen], own)
+        trajectories = trajectories_of(recording, chosen, pooled=pooled)
+        _write_system(folder, index, chosen, results[chosen], trajectories)
     metrics = IdentifyMetrics(
         units={name: recording.units[name] for name in ("x", "t")},
         system=chosen,
@@ -163,7 +163,7 @@ class _Result:
         arrays: dict[str, np.ndarray] | None = None,
         fit: TrackFit | None = None,
         jitter: float = 0.0,
-    ):
+    ) -> None:
         self.metrics, self.arrays = metrics, arrays or {}
         self.fit, self.jitter = fit, jitter
 
@@ -195,8 +195,8 @@ def _identify_track(
         free=whole.candidate.free,
         gain=whole.gain.tolist() if whole.candidate.gains else None,
         duration=track.duration,
-        rows=tuple(map(CandidateRow.of, selection.rows)),
-        estimates={name: Value.of(value) for name, value in estimates.items()},
+        rows=tuple(map(CandidateRow.of_candidate, selection.rows)),
+        estimates={n: EstimateRow.of(one) for n, one in estimates.items()},
         coverage=CoverageOfBands.of(bands),
         findings=tuple(finding_sentences(selection, estimates, delays)),
         delay=None if delays is None else DelayMetrics.of(delays),

@@ -5,36 +5,15 @@ from collections.abc import Iterable
 import msgspec
 import numpy as np
 
-from pinav.fitting import Estimate
-from pinav.identification import DelayFindings, Row
-from pinav.identification.forecast import HORIZONS, Coverage
+from pinav import identification
+from pinav.commands.cells import EstimateRow, Row
+from pinav.identification.forecast import HORIZONS
 
 NUMBER = float | None
 """A number, or none where it is not finite."""
 
 
-class Value(msgspec.Struct, frozen=True):
-    """A number that was learned.
-
-    Attributes:
-        value: its best value.
-        sd: its standard deviation.
-    """
-
-    value: NUMBER
-    sd: NUMBER
-
-    @classmethod
-    def of(cls, estimate: Estimate) -> "Value":
-        """The value of an estimate."""
-        return cls(estimate.value, estimate.sd)
-
-    def estimate(self) -> Estimate:
-        """The value as an estimate."""
-        return Estimate(_float(self.value), _float(self.sd))
-
-
-class HorizonErrors(msgspec.Struct, frozen=True):
+class HorizonErrors(Row, frozen=True):
     """Errors of the held-out rollouts of one length.
 
     Attributes:
@@ -48,7 +27,7 @@ class HorizonErrors(msgspec.Struct, frozen=True):
     rollouts: int
 
 
-class CandidateRow(msgspec.Struct, frozen=True):
+class CandidateRow(Row, frozen=True):
     """A line of the table of a track.
 
     Attributes:
@@ -68,16 +47,10 @@ class CandidateRow(msgspec.Struct, frozen=True):
     horizons: dict[str, HorizonErrors]
 
     @classmethod
-    def of(cls, row: Row) -> "CandidateRow":
+    def of_candidate(cls, row: identification.Row) -> "CandidateRow":
         """The line of a candidate."""
-        horizons = {
-            f"{horizon:g}": HorizonErrors(
-                errors.relative, errors.median, len(errors.distance)
-            )
-            for horizon, errors in row.errors.items()
-        }
-        numbers = (row.log_evidence, row.seconds, row.velocity_r2)
-        return cls(row.name, *numbers, row.reason, horizons)
+        horizons = {f"{horizon:g}": errors for horizon, errors in row.errors.items()}
+        return cls.of(row, horizons=horizons)
 
     @property
     def label(self) -> str:
@@ -85,7 +58,7 @@ class CandidateRow(msgspec.Struct, frozen=True):
         return label(self.name)
 
 
-class CoverageOfBands(msgspec.Struct, frozen=True):
+class CoverageOfBands(Row, frozen=True):
     """How often held-out positions lie within nominal bands of 90 %.
 
     Attributes:
@@ -98,34 +71,16 @@ class CoverageOfBands(msgspec.Struct, frozen=True):
     at_end: NUMBER
     rollouts: int
 
-    @classmethod
-    def of(cls, coverage: Coverage) -> "CoverageOfBands":
-        """The coverage of a track."""
-        return cls(coverage.inside, coverage.at_end, coverage.count)
 
-
-class DelayMetrics(msgspec.Struct, frozen=True):
+class DelayMetrics(Row, frozen=True):
     """Delay and heading offset; see `DelayFindings`."""
 
-    free: Value
-    offset: Value
-    offset_without_delay: Value
-    zero_offset: Value | None
+    free: EstimateRow
+    offset: EstimateRow
+    offset_without_delay: EstimateRow
+    zero_offset: EstimateRow | None
     turning_rate: float
     confounded: bool
-
-    @classmethod
-    def of(cls, delays: DelayFindings) -> "DelayMetrics":
-        """The findings of a track."""
-        aligned = delays.zero_offset
-        return cls(
-            free=Value.of(delays.free),
-            offset=Value.of(delays.offset),
-            offset_without_delay=Value.of(delays.offset_without_delay),
-            zero_offset=None if aligned is None else Value.of(aligned),
-            turning_rate=delays.turning_rate,
-            confounded=delays.confounded,
-        )
 
 
 class TrackMetrics(msgspec.Struct, frozen=True):
@@ -153,7 +108,7 @@ class TrackMetrics(msgspec.Struct, frozen=True):
     gain: list[list[float]] | None = None
     duration: float = 0.0
     rows: tuple[CandidateRow, ...] = ()
-    estimates: dict[str, Value] = {}
+    estimates: dict[str, EstimateRow] = {}
     coverage: CoverageOfBands | None = None
     findings: tuple[str, ...] = ()
     delay: DelayMetrics | None = None
@@ -241,13 +196,14 @@ def summarise_tracks(tracks: Iterable[TrackMetrics]) -> dict[str, SummaryRow]:
     return {name: SummaryRow.of(group) for name, group in rows.items()}
 
 
-def _float(value: NUMBER) -> float:
+def as_float(value: NUMBER) -> float:
+    """A number; NaN where there is none."""
     return float("nan") if value is None else value
 
 
 def _finite(values: Iterable[NUMBER]) -> tuple[np.ndarray, bool]:
     """The finite ones, and whether all are."""
-    array = np.array([_float(value) for value in values], float)
+    array = np.array([as_float(value) for value in values], float)
     finite = np.isfinite(array)
     return array[finite], bool(finite.all())
 
@@ -285,7 +241,7 @@ def _track_lines(track: TrackMetrics) -> list[str]:
     lines, bands = list(track.findings), track.coverage
     if bands is not None and bands.rollouts:
         lines.append(
-            f"Nominal 90 % bands hold {100 * _float(bands.inside):.0f} % of the "
+            f"Nominal 90 % bands hold {100 * as_float(bands.inside):.0f} % of the "
             f"held-out positions ({bands.rollouts} rollouts of 10 s)."
         )
     return lines

@@ -3,10 +3,11 @@
 import numpy as np
 from matplotlib.axes import Axes
 
-from pinav.commands.identify.metrics import IdentifyMetrics, TrackMetrics
+from pinav.commands.identify.metrics import IdentifyMetrics, TrackMetrics, as_float
 from pinav.figures import save_figure
 from pinav.figures.identification import horizon_errors, rollout_paths, speed_law
 from pinav.figures.style import new_figure
+from pinav.fitting import Estimate
 from pinav.identification import interval, positive_interval
 from pinav.identification.forecast import HORIZONS
 from pinav.report import Image, Paragraph, Section, Table
@@ -67,7 +68,7 @@ def _overview(
         for name, row in metrics.summary.items()
     ]
     relative = {
-        name: [_number(value) for value in metrics.summary[name].relative.values()]
+        name: [as_float(value) for value in metrics.summary[name].relative.values()]
         for name in DRAWN
         if name in metrics.summary
     }
@@ -92,10 +93,6 @@ def _overview(
     ]
 
 
-def _number(value: float | None) -> float:
-    return float("nan") if value is None else value
-
-
 def _cell(value: float | None) -> float | str:
     return "–" if value is None else value
 
@@ -110,8 +107,8 @@ def _track(
     if bands is not None and bands.rollouts:
         content.append(
             Paragraph(
-                f"Nominal bands of 90 % hold {100 * _number(bands.inside):.1f} % of "
-                f"the held-out positions, {100 * _number(bands.at_end):.1f} % at the "
+                f"Nominal bands of 90 % hold {100 * as_float(bands.inside):.1f} % of "
+                f"the held-out positions, {100 * as_float(bands.at_end):.1f} % at the "
                 f"end of {bands.rollouts} rollouts of 10 s."
             )
         )
@@ -140,7 +137,7 @@ POSITIVE = (
 def _estimates(result: TrackMetrics, units: dict[str, str]) -> Table:
     rows = []
     for name, value in result.estimates.items():
-        estimate = value.estimate()
+        estimate = Estimate(as_float(value.value), as_float(value.sd))
         between = positive_interval if name in POSITIVE else interval
         row = (name, _unit(name, units), estimate.value, *between(estimate))
         rows.append((*row, MEANINGS.get(name, "")))

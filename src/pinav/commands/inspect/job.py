@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,9 @@ from pinav.errors import InputError
 from pinav.figures import overlay, recording_figure, save_figure
 from pinav.figures.style import new_figure
 from pinav.files import write_text
+from pinav.recordings.quality.commands import Drive
 from pinav.recordings.quality.report import Quality, Run, Track, quality
-from pinav.report import Code, Image, Paragraph, Section, Table, number, render
+from pinav.report import Cell, Code, Image, Paragraph, Section, Table, number, render
 from pinav.report.text import as_text
 from pinav.trajectories import Trajectories
 
@@ -47,13 +49,13 @@ def inspect(
     if image is not None and out is None:
         raise InputError("--image: is drawn into a report; give --out too")
     recording = _with_labels(read_data(path, settings), path)
-    found = quality(recording)
+    report = quality(recording)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-        text = json.dumps(found.as_json(), indent=2, allow_nan=False)
+        text = json.dumps(report.as_json(), indent=2, allow_nan=False)
         write_text(out / JSON_FILE, text, overwrite=True)
-        write_text(out / PAGE_FILE, page(recording, found, out, image), overwrite=True)
-    return found
+        write_text(out / PAGE_FILE, page(recording, report, out, image), overwrite=True)
+    return report
 
 
 def _with_labels(data: Trajectories, path: Path) -> Trajectories:
@@ -77,13 +79,17 @@ def _with_labels(data: Trajectories, path: Path) -> Trajectories:
     return dataclasses.replace(data.only(("x", "y")), provenance=said)
 
 
-def text(found: Quality) -> str:
+def text(report: Quality) -> str:
     """The report for a terminal."""
-    lines = [f"{found.source}, format {found.format}", "", as_text(runs_table(found))]
-    if found.warnings or any(run.warnings for run in found.runs):
-        lines += ["", "What a fit cannot tell:", *map(_item, verdicts(found))]
-    if found.notes:
-        lines += ["", "Notes:", *map(_item, found.notes)]
+    lines = [
+        f"{report.source}, format {report.format}",
+        "",
+        as_text(runs_table(report)),
+    ]
+    if report.warnings or any(run.warnings for run in report.runs):
+        lines += ["", "What a fit cannot tell:", *map(_item, verdicts(report))]
+    if report.notes:
+        lines += ["", "Notes:", *map(_item, report.notes)]
     return "\n".join(lines)
 
 
@@ -91,47 +97,42 @@ def _item(words: str) -> str:
     return f"- {words}"
 
 
-def verdicts(found: Quality) -> list[str]:
+def verdicts(report: Quality) -> list[str]:
     """Each warning once, with the runs that it holds for."""
     runs: dict[str, list[str]] = {}
-    for run in found.runs:
+    for run in report.runs:
         for warning in run.warnings:
             runs.setdefault(warning, []).append(run.name)
-    return [*found.warnings, *(_of(names, w, found) for w, names in runs.items())]
+    return [*report.warnings, *(_of(names, w, report) for w, names in runs.items())]
 
 
-def _of(names: list[str], warning: str, found: Quality) -> str:
-    if len(found.runs) == 1:
+def _of(names: list[str], warning: str, report: Quality) -> str:
+    if len(report.runs) == 1:
         return warning
-    if len(names) == len(found.runs):
+    if len(names) == len(report.runs):
         return f"all {len(names)} runs: {warning}"
     shown = ", ".join(names[:4]) + (", ..." if len(names) > 4 else "")
-    return f"{len(names)} of {len(found.runs)} runs ({shown}): {warning}"
+    return f"{len(names)} of {len(report.runs)} runs ({shown}): {warning}"
 
 
-def runs_table(found: Quality) -> Table:
+def runs_table(report: Quality) -> Table:
     """One row for each run."""
-    length, time = found.units["x"], found.units["t"]
-    header = [
-        "run",
-        "particles",
-        "segments",
-        "rows",
-        f"duration [{time}]",
-        f"rate [1/{time}]",
-        "jitter [%]",
-        "gaps",
-        f"scatter [{length}]",
-        f"error [{length}]",
-    ]
-    driven = any(run.drive for run in found.runs)
-    if driven:
-        header += ["f [Hz]", "off [%]", "headings", "condition", "delay [%]"]
-    return Table(
-        header,
-        [[*_row(run), *(_drive_cells(run) if driven else [])] for run in found.runs],
-        _CAPTION + (_DRIVE_CAPTION if driven else ""),
-    )
+    length, time = report.units["x"], report.units["t"]
+    columns: dict[str, Callable[[Run], Cell]] = {
+        "run": lambda run: run.name,
+        "particles": lambda run: run.particles,
+        "segments": lambda run: run.segments,
+        "rows": lambda run: run.samples,
+        f"duration [{time}]": lambda run: run.duration,
+        f"rate [1/{time}]": lambda run: run.clock.rate,
+        "jitter [%]": lambda run: round(100 * run.clock.jitter, 3),
+        "gaps": lambda run: run.clock.gaps,
+        f"scatter [{length}]": lambda run: run.scatter,
+        f"error [{length}]": lambda run: run.deviation,
+    }
+    if not any(run.drive for run in report.runs):
+        return Table.of(report.runs, columns, _CAPTION)
+    return Table.of(report.runs, columns | _DRIVE_COLUMNS, _CAPTION + _DRIVE_CAPTION)
 
 
 _CAPTION = (
@@ -144,57 +145,49 @@ _DRIVE_CAPTION = (
 )
 
 
-def _row(run: Run) -> list[str | float | int | None]:
-    return [
-        run.name,
-        run.particles,
-        run.segments,
-        run.samples,
-        run.duration,
-        run.clock.rate,
-        round(100 * run.clock.jitter, 3),
-        run.clock.gaps,
-        run.scatter,
-        run.deviation,
-    ]
+def _of_drive(cell: Callable[[Drive], Cell]) -> Callable[[Run], Cell]:
+    """A cell of a run that was driven, and an empty one of others."""
+    return lambda run: None if run.drive is None else cell(run.drive)
 
 
-def _drive_cells(run: Run) -> list[str | float | int | None]:
-    own = run.drive
-    if own is None:
-        return [None] * 5
-    low, high = (number(value, 3) for value in own.frequency)
-    return [
-        f"{low}–{high}",
-        100 * own.off,
-        own.sectors,
-        "∞" if own.condition == float("inf") else own.condition,
-        100 * own.delay,
-    ]
+def _frequencies(drive: Drive) -> str:
+    low, high = (number(value, 3) for value in drive.frequency)
+    return f"{low}–{high}"
+
+
+_DRIVE_COLUMNS = {
+    "f [Hz]": _of_drive(_frequencies),
+    "off [%]": _of_drive(lambda drive: 100 * drive.off),
+    "headings": _of_drive(lambda drive: drive.sectors),
+    "condition": _of_drive(
+        lambda drive: "∞" if drive.condition == float("inf") else drive.condition
+    ),
+    "delay [%]": _of_drive(lambda drive: 100 * drive.delay),
+}
 
 
 def page(
-    recording: Trajectories, found: Quality, out: Path, still: Path | None = None
+    recording: Trajectories, report: Quality, out: Path, still: Path | None = None
 ) -> str:
     """The report as one HTML page; its figures are written into `out`."""
-    provenance = json.dumps(found.provenance, indent=2, ensure_ascii=False)
+    provenance = json.dumps(report.provenance, indent=2, ensure_ascii=False)
     image = save_figure(
-        recording_figure(recording, found), out / "figures", "recording"
+        recording_figure(recording, report), out / "figures", "recording"
     )
     sections = [
-        Section("What it holds", [runs_table(found), *map(Paragraph, found.notes)]),
+        Section("What it holds", [runs_table(report), *map(Paragraph, report.notes)]),
         Section(
             "What a fit cannot tell",
-            [Paragraph(words) for words in verdicts(found)]
+            [Paragraph(words) for words in verdicts(report)]
             or [Paragraph("Nothing speaks against a fit of gains, drift and delay.")],
         ),
-        Section("At a glance", [Image(image.png, "Four panels", _caption(found))]),
+        Section("At a glance", [Image(image.png, "Four panels", _caption(report))]),
         *([] if still is None else [_on_image(recording, still, out)]),
-        *_speed_sections(found),
-        Section("Particles", [_tracks_table(found)]),
+        *_speed_sections(report),
+        Section("Particles", [_tracks_table(report)]),
         Section("How it was read", [Code(provenance)]),
     ]
-    return render(f"Recording {found.source}", f"pinav {__version__}", sections)
+    return render(f"Recording {report.source}", f"pinav {__version__}", sections)
 
 
 def _on_image(recording: Trajectories, still: Path, out: Path) -> Section:
@@ -211,8 +204,8 @@ def _on_image(recording: Trajectories, still: Path, out: Path) -> Section:
     return Section("In the image", [Image(image.png, "Paths on the image", caption)])
 
 
-def _caption(found: Quality) -> str:
-    driven = any(run.speeds for run in found.runs)
+def _caption(report: Quality) -> str:
+    driven = any(run.speeds for run in report.runs)
     second = (
         "(b) median speed over half a second at each commanded frequency; the band "
         "holds 80 % where there is one run; "
@@ -231,11 +224,11 @@ def _caption(found: Quality) -> str:
     )
 
 
-def _speed_sections(found: Quality) -> list[Section]:
-    unit = f"{found.units['x']}/{found.units['t']}"
+def _speed_sections(report: Quality) -> list[Section]:
+    unit = f"{report.units['x']}/{report.units['t']}"
     rows = [
         (run.name, s.frequency, s.median, s.low, s.high, s.windows)
-        for run in found.runs
+        for run in report.runs
         for s in run.speeds
     ]
     if not rows:
@@ -245,42 +238,28 @@ def _speed_sections(found: Quality) -> list[Section]:
     return [Section("Speed against frequency", [Table(header, rows, caption)])]
 
 
-def _tracks_table(found: Quality) -> Table:
-    length, time = found.units["x"], found.units["t"]
-    rows = [
-        (
-            track.run,
-            track.particle,
-            track.segments,
-            track.samples,
-            track.lost,
-            track.duration,
-            track.path,
-            track.speed,
-            *_localised(track),
-        )
-        for track in found.tracks
-    ]
-    header = (
-        "run",
-        "particle",
-        "segments",
-        "rows",
-        "lost",
-        f"duration [{time}]",
-        f"path [{length}]",
-        f"speed [{length}/{time}]",
-        f"scatter [{length}]",
-        f"error [{length}]",
-        f"D [{length}²/{time}]",
-    )
+def _tracks_table(report: Quality) -> Table:
+    length, time = report.units["x"], report.units["t"]
+    columns: dict[str, Callable[[Track], Cell]] = {
+        "run": lambda track: track.run,
+        "particle": lambda track: track.particle,
+        "segments": lambda track: track.segments,
+        "rows": lambda track: track.samples,
+        "lost": lambda track: track.lost,
+        f"duration [{time}]": lambda track: track.duration,
+        f"path [{length}]": lambda track: track.path,
+        f"speed [{length}/{time}]": lambda track: track.speed,
+        f"scatter [{length}]": _localised("scatter"),
+        f"error [{length}]": _localised("deviation"),
+        f"D [{length}²/{time}]": _localised("diffusion"),
+    }
     caption = "D: diffusion or jitter, as far as error and motion leave it."
-    return Table(header, rows, caption)
+    return Table.of(report.tracks, columns, caption)
 
 
-def _localised(track: Track) -> list[float | None]:
-    own = track.localisation
-    return [None] * 3 if own is None else [own.scatter, own.deviation, own.diffusion]
+def _localised(name: str) -> Callable[[Track], Cell]:
+    """A number of the localisation, where there is one."""
+    return lambda track: getattr(track.localisation, name, None)
 
 
 def run(options: InspectOptions) -> CommandResult:

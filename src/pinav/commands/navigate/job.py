@@ -4,7 +4,6 @@ from collections.abc import Mapping
 
 import jax
 import jax.numpy as jnp
-import msgspec
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, Shaped
 from tqdm import tqdm
@@ -74,7 +73,7 @@ def navigate(
         truth=problem.truth,
         plan=_plan_row(plan, route),
         controllers={
-            name: ControllerRow.of(summary(runs, task))
+            name: ControllerRow.of_summary(summary(runs, task))
             for name, runs in episodes.items()
         },
         regret=_regrets(episodes),
@@ -87,7 +86,7 @@ def navigate(
         suggestion=suggestion,
     )
     folder.write_arrays("results.npz", arrays)
-    folder.write_json("metrics.json", msgspec.to_builtins(metrics))
+    folder.write_metrics("metrics.json", metrics)
     return metrics
 
 

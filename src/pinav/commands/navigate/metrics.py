@@ -1,13 +1,12 @@
 """The results of `pinav navigate`, as `metrics.json` holds them."""
 
-import math
-
 import msgspec
 
-from pinav.navigation import Interval, Summary
+from pinav.commands.cells import Row
+from pinav.navigation import Summary
 
 
-class IntervalRow(msgspec.Struct, frozen=True):
+class IntervalRow(Row, frozen=True):
     """A value with its 95 % interval; None stands for infinity.
 
     Attributes:
@@ -19,12 +18,6 @@ class IntervalRow(msgspec.Struct, frozen=True):
     value: float | None
     lower: float | None
     upper: float | None
-
-    @classmethod
-    def of(cls, interval: Interval) -> "IntervalRow":
-        """The row of an interval."""
-        parts = (interval.value, interval.lower, interval.upper)
-        return cls(*(part if math.isfinite(part) else None for part in parts))
 
     def percent(self) -> str:
         """The interval of a proportion, in words."""
@@ -39,7 +32,7 @@ class IntervalRow(msgspec.Struct, frozen=True):
         return f"{value} ({lower}–{upper})"
 
 
-class ArrivalRow(msgspec.Struct, frozen=True):
+class ArrivalRow(Row, frozen=True):
     """Arrival times of those that arrived [T]; None where nobody did.
 
     Attributes:
@@ -53,7 +46,7 @@ class ArrivalRow(msgspec.Struct, frozen=True):
     high: float | None
 
 
-class ControllerRow(msgspec.Struct, frozen=True):
+class ControllerRow(Row, frozen=True):
     """The performance of a controller in closed loop.
 
     Attributes:
@@ -77,19 +70,11 @@ class ControllerRow(msgspec.Struct, frozen=True):
     turning: float | None = None
 
     @classmethod
-    def of(cls, summary: Summary) -> "ControllerRow":
+    def of_summary(cls, summary: Summary) -> "ControllerRow":
         """The row of a summary."""
-        low, middle, high = map(_finite, summary.arrival)
-        return cls(
-            runs=summary.count,
-            success=IntervalRow.of(summary.success),
-            violation=IntervalRow.of(summary.violation),
-            arrival=ArrivalRow(low, middle, high),
-            efficiency=_finite(summary.efficiency),
-            clearance=_finite(summary.clearance),
-            effort=_finite(summary.effort),
-            turning=_finite(summary.turning),
-        )
+        names = ArrivalRow.__struct_fields__
+        arrival = dict(zip(names, summary.arrival, strict=True))
+        return cls.of(summary, runs=summary.count, arrival=arrival)
 
 
 class PlanRow(msgspec.Struct, frozen=True):
@@ -164,7 +149,3 @@ class NavigationMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
     thrust: float = 1.0
     delay: float = 0.0
     suggestion: SuggestionRow | None = None
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 
-import msgspec
 import numpy as np
 
 from pinav.commands.navigate.metrics import NavigationMetrics
@@ -26,7 +25,7 @@ Arrays = Mapping[str, np.ndarray]
 
 def navigation_sections(folder: RunFolder) -> list[Section]:
     """The sections of a finished run."""
-    metrics = msgspec.convert(folder.read_json("metrics.json"), NavigationMetrics)
+    metrics = folder.read_metrics("metrics.json", NavigationMetrics)
     arrays, figures = folder.read_arrays("results.npz"), Figures(folder.path)
     words = [Paragraph(line) for line in sentences(metrics)]
     bars = outcome_bars(

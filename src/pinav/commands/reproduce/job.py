@@ -38,12 +38,12 @@ from pinav.evaluation import (
     predict,
     score,
 )
-from pinav.fitting import fit_many
+from pinav.fitting import fit_in_turns
 from pinav.fitting.environments.catalogue import (
     ModelChoice,
     build,
     learned_part,
-    summarise_data,
+    summarise_for_matching,
 )
 from pinav.runs import RunFolder
 from pinav.scenarios import scenario
@@ -130,17 +130,19 @@ def _write_fits(
     entry: Entry, settings: ReproduceSettings, data: Trajectories, folder: RunFolder
 ) -> None:
     """Train, and write losses first: a model file says that all of its fit is there."""
-    known, summary = scenario("paper").swimmer, summarise_data(data)
-    method = matching(settings, data)
+    known = scenario("paper").swimmer
+    summary = summarise_for_matching(entry.choice(None), known, data)
     models = [build(entry.choice(seed), known, summary) for seed in entry.seeds]
+    method = matching(settings, data, models[0])
     with FitReporter(folder, entry.name) as report:
-        fits = fit_many(
+        fits = fit_in_turns(
             models,
             data,
-            method.recipe,
+            method.recipes,
             trainable=learned_part,
             objective=method.objective,
             dtype=method.dtype,
+            enough=method.enough,
             checkpoint=folder.checkpoint(entry.name),
             on_chunk=report,
         )
@@ -161,7 +163,7 @@ def _evaluate(
     truth = benchmark.true_swimmer
     assert isinstance(truth, Swimmer)
     arrays |= _true_arrays(truth, data)
-    summary, fitted = summarise_data(data), FittedRun.open(folder.path)
+    fitted = FittedRun.open(folder.path)
 
     def scored(model: str, seed: int | None, dynamics: AbstractDynamics) -> Row:
         predictions, outcomes = predict(dynamics, data)
@@ -170,6 +172,7 @@ def _evaluate(
 
     rows = [scored("physics-only", None, benchmark.swimmer)]
     for entry in chosen:
+        summary = summarise_for_matching(entry.choice(None), benchmark.swimmer, data)
         for seed, label in zip(entry.seeds, entry.labels(), strict=True):
             before = build(entry.choice(seed), benchmark.swimmer, summary)
             trained = fitted.models[f"model-{label}"]
@@ -223,6 +226,7 @@ def _metrics(
     labels = [label for entry in chosen for label in entry.labels()]
     with_force = [label for label in labels if f"field/{label}" in arrays]
     true = FieldMap.of_arrays(arrays, "true")
+    losses = {entry.name: _losses(entry, folder) for entry in chosen}
     return ReproduceMetrics(
         recipe=settings.recipe,
         seeds=settings.seeds,
@@ -230,7 +234,8 @@ def _metrics(
         paper_table2=PAPER,
         summary_total=summary(rows),
         improvement=dict(improvements(rows)),
-        loss={entry.name: _losses(entry, folder) for entry in chosen},
+        loss=losses,
+        remarks=tuple(table2.failures(rows, losses)),
         paper_loss=PAPER_LOSS,
         own_integrator_total={label: _own_total(arrays, label) for label in labels},
         force_error={
@@ -265,6 +270,7 @@ def run(options: ReproduceOptions) -> CommandResult:
     """Run the experiment of the paper, as the command line does."""
     folder = start_run(REPRODUCE, options, options.settings, system="paper")
     rows = reproduce(options.settings, folder)
-    text = "\n".join([table2.text(rows), *table2.summary_lines(rows)])
     metrics = folder.read_metrics("metrics.json", ReproduceMetrics)
+    lines = [table2.text(rows), *table2.summary_lines(rows), *metrics.remarks]
+    text = "\n".join(lines)
     return CommandResult(metrics, text, folder)

@@ -116,6 +116,7 @@ class ReproduceMetrics(msgspec.Struct, frozen=True):
         paper_loss: what the paper states.
         own_integrator_total: total error as the integrator of the training sees it.
         force_error: of each model with a force of its own.
+        remarks: sentences on trainings that failed, each with a remedy.
     """
 
     recipe: str
@@ -128,3 +129,4 @@ class ReproduceMetrics(msgspec.Struct, frozen=True):
     paper_loss: PrintedLoss
     own_integrator_total: dict[str, float | None]
     force_error: dict[str, ForceErrors]
+    remarks: tuple[str, ...] = ()

@@ -51,6 +51,7 @@ def _table2(metrics: ReproduceMetrics) -> list[Paragraph | Table]:
             "Root-mean-square errors of rollouts from the true start, dimensionless. "
             "Total is the root mean square of the four columns.",
         ),
+        *map(Paragraph, metrics.remarks),
         *(Paragraph(text) for text in DIFFERENCES),
         _spread(metrics),
         Table(

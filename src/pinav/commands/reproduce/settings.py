@@ -19,7 +19,7 @@ class ReproduceSettings(Settings, frozen=True):
         recipe: default: Gauss-Newton, from one-step matching to the full rollout;
             paper: Adam, then L-BFGS, as in its Table 1.
         seeds: Seeds of the networks; several train in one batch.
-        max_steps: Default recipe: steps of each window at most.
+        max_steps: Default recipe: steps of each phase at most.
         adam_steps: Paper's recipe: steps of Adam (7500 in the paper).
         lbfgs_steps: Paper's recipe: steps of L-BFGS (500 in the paper).
     """

@@ -1,12 +1,19 @@
 """Table 2 of the paper: its printed values, and ours beside them."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from pinav.commands.reproduce.metrics import Errors, PrintedLoss, Row, Spread
+from pinav.commands.reproduce.metrics import (
+    Errors,
+    PrintedLoss,
+    Row,
+    Spread,
+    TrainingLoss,
+)
 from pinav.evaluation import Score
+from pinav.fitting import Outcome
 
 HEADER = ("model", "seed", "x", "y", "vx", "vy", "total", "position")
 
@@ -73,6 +80,26 @@ def improvements(rows: Sequence[Row]) -> dict[str, float]:
     if "ude-kernel" in median:
         factors["ude / ude-kernel"] = median["ude"] / median["ude-kernel"]
     return factors
+
+
+def failures(
+    rows: Sequence[Row], losses: Mapping[str, Mapping[str, TrainingLoss]]
+) -> list[str]:
+    """A sentence for each training that did not converge and misses the data."""
+    return [
+        f"{row.model}, seed {_seed(row)}: the fit failed ({ended.outcome}), its "
+        f"rollouts miss the data by {number(_total(row.total))}; choose other --seeds."
+        for row in rows
+        for ended in [losses.get(row.model, {}).get(_seed(row))]
+        if ended and ended.outcome in FAILED and _total(row.total) > FAILED_ERROR
+    ]
+
+
+FAILED = tuple(map(str, (Outcome.STALLED, Outcome.MISFIT, Outcome.DIVERGED)))
+"""Words for trainings that ended before the data were explained."""
+
+FAILED_ERROR = 1e-2
+"""Total error beyond which such a training failed; the paper's own is 1.5e-2."""
 
 
 def text(rows: Sequence[Row]) -> str:

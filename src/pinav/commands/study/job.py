@@ -36,7 +36,7 @@ from pinav.evaluation import (
     square,
     summarise,
 )
-from pinav.fitting import Outcome, fit, fit_bayes
+from pinav.fitting import Outcome, fit_bayes, fit_in_turns
 from pinav.fitting.environments.catalogue import (
     KnownSwimmer,
     ModelChoice,
@@ -194,8 +194,8 @@ def _fitted(
     cell: Cell, settings: StudySettings, known: System, data: Trajectories
 ) -> tuple[AbstractDynamics, str]:
     if cell.model == "sfi":
-        found = infer_force(known.swimmer, data, cell.sigma)
-        return found, "functions selected by PASTIS"
+        swimmer = infer_force(known.swimmer, data, cell.sigma)
+        return swimmer, "functions selected by PASTIS"
     choice = ModelChoice(cell.model, seed=cell.seed)
     return fit_choice(choice, known.swimmer, data, max_steps=settings.max_steps)
 
@@ -222,15 +222,16 @@ def fit_choice(
         start = build(choice, swimmer, summarise_for(choice, data))
         result = fit_bayes(start, data, max_iterations=max_steps, throw=False)
     else:
-        method = matching(CurriculumSettings(max_steps=max_steps), data)
-        result = fit(
-            build(choice, swimmer, summarise_data(data)),
+        model = build(choice, swimmer, summarise_data(data))
+        method = matching(CurriculumSettings(max_steps=max_steps), data, model)
+        (result,) = fit_in_turns(
+            [model],
             data,
-            method.recipe,
+            method.recipes,
             trainable=choice.trainable,
-            throw=False,
             objective=method.objective,
             dtype=method.dtype,
+            enough=method.enough,
         )
     if result.outcome is Outcome.DIVERGED:
         raise FitError("the fit diverged")

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import msgspec
 import numpy as np
 
-from pinav.commands.cells import Cell, RolloutRow, as_cell
+from pinav.commands.cells import RolloutRow, as_cell, percent
 from pinav.commands.fitted_run import ModelHeader, build_model, write_model
 from pinav.commands.held_out import held_out
 from pinav.commands.matching import CurriculumSettings, matching
@@ -33,10 +33,9 @@ from pinav.evaluation import (
     square,
     summarise,
 )
-from pinav.figures import save_figure
 from pinav.figures.errors import error_over_time, errors_by_region
 from pinav.figures.style import new_figure, style_of, title_panel
-from pinav.fitting import fit, fit_bayes
+from pinav.fitting import fit_bayes, fit_in_turns
 from pinav.fitting.environments.catalogue import (
     ModelChoice,
     build,
@@ -44,7 +43,8 @@ from pinav.fitting.environments.catalogue import (
     summarise_data,
     summarise_for,
 )
-from pinav.report import Image, Paragraph, Section, Table
+from pinav.report import Paragraph, Section, Table
+from pinav.report.images import Figures
 from pinav.runs import RunFolder
 from pinav.scenarios import paper
 from pinav.trajectories import Trajectories, simulate
@@ -116,24 +116,22 @@ def _fit_ude(
     settings: StudySettings, data: Trajectories, folder: RunFolder
 ) -> tuple[ModelHeader, AbstractDynamics]:
     paper_recipe = settings.recipe == "paper"
-    method = matching(
-        CurriculumSettings(
-            "paper" if paper_recipe else "curriculum", settings.max_steps
-        ),
-        data,
-    )
     choice = ModelChoice("paper-ude" if paper_recipe else "ude", settings.seeds[0])
     summary = summarise_data(data)
+    model = build(choice, paper().swimmer, summary)
+    recipe = "paper" if paper_recipe else "curriculum"
+    method = matching(CurriculumSettings(recipe, settings.max_steps), data, model)
     with FitReporter(folder, "ude") as report:
-        result = fit(
-            build(choice, paper().swimmer, summary),
+        (result,) = fit_in_turns(
+            [model],
             data,
-            method.recipe,
+            method.recipes,
             trainable=learned_part,
             checkpoint=folder.checkpoint("ude"),
             on_chunk=report,
             objective=method.objective,
             dtype=method.dtype,
+            enough=method.enough,
         )
     return ModelHeader(choice, summary, method.precision), result.model
 
@@ -189,20 +187,20 @@ def weakness_sections(folder: RunFolder, metrics: WeaknessMetrics) -> list[Secti
     error_over_time(curves, styles=STYLES, ax=right)
     title_panel(left, "(a) error of the force by region")
     title_panel(right, f"(b) rollouts from {metrics.held_out} held-out starts")
-    files = save_figure(figure, folder.path / "figures", "paper-weakness")
     return [
         Section(
             "The paper's weakness in one figure",
             [
                 Paragraph(_introduction(metrics)),
-                Image(
-                    files.svg,
-                    "Force error by region and rollout error over time",
+                Figures(folder.path).image(
+                    "paper-weakness",
+                    figure,
                     "(a) Relative L2 error of the force; ground counts by its distance "
                     f"to the data that the model was fitted to: visited within "
                     f"{VISITED:g}, near within {NEAR:g}, unvisited farther. (b) Median "
                     "position error (line) and 90th percentile (dotted); a line ends "
                     "where that share has diverged. Synthetic data, dimensionless.",
+                    alt="Force error by region and rollout error over time",
                 ),
                 weakness_table(metrics),
             ],
@@ -215,8 +213,8 @@ def _introduction(metrics: WeaknessMetrics) -> str:
         "default": "the Gauss-Newton curriculum of pinav, not the paper's optimiser",
         "paper": "the paper's own recipe, Adam and then L-BFGS",
     }[metrics.recipe]
-    own = metrics.own_trajectory
-    shown = f"{own:.2g}" if isinstance(own, float) else own
+    error = metrics.own_trajectory
+    shown = f"{error:.2g}" if isinstance(error, float) else error
     return (
         "The paper's network of position and time, trained on its single trajectory by "
         f"{recipe}, reproduces that trajectory to a position error of {shown}. The "
@@ -232,10 +230,10 @@ def weakness_table(metrics: WeaknessMetrics) -> Table:
     rows = [
         (
             name,
-            *map(_percent, row.force.values()),
+            *map(percent, row.force.values()),
             row.rollouts.median,
             row.rollouts.high,
-            _percent(row.rollouts.diverged),
+            percent(row.rollouts.diverged),
         )
         for name, row in metrics.models.items()
     ]
@@ -248,7 +246,3 @@ def weakness_table(metrics: WeaknessMetrics) -> Table:
         f"rollouts from {metrics.held_out} clean held-out starts: median and 90th "
         "percentile, share farther off than the extent of the domain.",
     )
-
-
-def _percent(value: Cell) -> Cell:
-    return 100 * value if isinstance(value, float) else value

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 
 import msgspec
 
-from pinav.commands.cells import Cell
+from pinav.commands.cells import Cell, percent
 from pinav.commands.study.metrics import (
     HEADER,
     NoiseMetrics,
@@ -15,9 +15,9 @@ from pinav.commands.study.metrics import (
     WeaknessMetrics,
 )
 from pinav.commands.study.paper_weakness import weakness_sections, weakness_table
-from pinav.figures import save_figure
 from pinav.figures.errors import scaling_figure
-from pinav.report import Image, Paragraph, Section, Table
+from pinav.report import Paragraph, Section, Table
+from pinav.report.images import Figures
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
 
@@ -34,17 +34,17 @@ def study_sections(folder: RunFolder) -> list[Section]:
         _series(metrics, places, [row.rollouts_median for row in metrics.rows]),
         quantity=metrics.quantity,
     )
-    files = save_figure(figure, folder.path / "figures", metrics.name)
     return [
         Section(
             f"{metrics.name.capitalize()} on {metrics.scenario}",
             [
-                Image(
-                    files.svg,
-                    f"Force and rollout error over the {metrics.quantity}",
+                Figures(folder.path).image(
+                    metrics.name,
+                    figure,
                     "Synthetic data, dimensionless. Lines: median over seeds. A model "
                     "without points failed, diverged or has no force; the table says "
                     "which.",
+                    alt=f"Force and rollout error over the {metrics.quantity}",
                 ),
                 Paragraph(
                     "Force: relative L2 error on ground within 0.35 of the training "
@@ -71,15 +71,15 @@ def _series(
 
 def table(rows: Iterable[StudyRow]) -> Table:
     """All cells of a study, errors of the force in percent."""
-    percent = [name.startswith("force") for name in HEADER]
+    scales = [name.startswith("force") for name in HEADER]
     header = [
         f"{name} (%)" if scaled else name
-        for name, scaled in zip(HEADER, percent, strict=True)
+        for name, scaled in zip(HEADER, scales, strict=True)
     ]
     cells = [
         [
-            100 * value if scaled and isinstance(value, float) else value
-            for value, scaled in zip(msgspec.structs.astuple(row), percent, strict=True)
+            percent(value) if scaled else value
+            for value, scaled in zip(msgspec.structs.astuple(row), scales, strict=True)
         ]
         for row in rows
     ]

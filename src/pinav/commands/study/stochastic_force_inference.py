@@ -16,7 +16,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import FitError
@@ -88,22 +88,22 @@ def infer_force(
     weights = _inferred(
         positions, trajectories.times[0], noise, functions, len(centers) + 2
     )
-    found = (
+    learned = (
         LinearDrag(float(weights[-2])),
         KernelPotential(jnp.asarray(weights[:-2]), jnp.asarray(centers), basis.width),
     )
     propulsion: Any = known.propulsion
     gain = float(propulsion.gain * weights[-1] / np.linalg.norm(thrust))
     return eqx.tree_at(
-        lambda s: (s.propulsion.gain, s.drag, s.environment), known, (gain, *found)
+        lambda s: (s.propulsion.gain, s.drag, s.environment), known, (gain, *learned)
     )
 
 
-def _functions(centers, width, direction) -> Any:
+def _functions(centers: Array, width: float, direction: Array) -> Any:
     """Gradients of the radial basis, drag and thrust."""
     make = importlib.import_module("SFI.statefunc").make_basis
 
-    def radial(x):
+    def radial(x: Array) -> Array:
         offsets = (x[None] - centers) / width
         bumps = jnp.exp(-0.5 * jnp.sum(offsets**2, axis=1))
         return (bumps[:, None] * offsets / width).T
@@ -116,7 +116,7 @@ def _functions(centers, width, direction) -> Any:
 
 
 def _inferred(
-    positions, times, noise, functions, count: int
+    positions: np.ndarray, times: np.ndarray, noise: float, functions: Any, count: int
 ) -> Float[np.ndarray, " function"]:
     """Coefficients by the parametric estimator, then sparse selection."""
     tool: Any = importlib.import_module("SFI")

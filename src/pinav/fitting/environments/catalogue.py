@@ -22,6 +22,7 @@ from pinav.dynamics import (
     paper_black_box,
 )
 from pinav.errors import InputError
+from pinav.fitting.environments.gradient_matching import matched_grid
 from pinav.fitting.environments.kernels import (
     WITHOUT_PRIOR,
     KernelGrid,
@@ -159,6 +160,21 @@ def summarise_data(data: Trajectories, grid: KernelGrid = WITHOUT_PRIOR) -> Data
         centers=np.asarray(kernels.centers).tolist(),
         kernel_width=float(kernels.width),
     )
+
+
+def summarise_for_matching(
+    choice: ModelChoice, swimmer: Any, data: Trajectories
+) -> DataSummary:
+    """The summary of trajectories without noise; kernels as fine as they ask for.
+
+    Args:
+        choice: the model.
+        swimmer: the known physics.
+        data: the trajectories.
+    """
+    kernels = choice.name.startswith("kernel-")
+    grid = matched_grid(swimmer, data) if kernels else None
+    return summarise_data(data, grid or WITHOUT_PRIOR)
 
 
 def summarise_for(choice: ModelChoice, data: Trajectories) -> DataSummary:

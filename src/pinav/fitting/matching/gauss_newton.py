@@ -7,6 +7,7 @@ where the rollout restarts. The Jacobian of a trained network has a numerical ra
 some tens, so one random projection captures it, and any damping costs nothing more.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -42,6 +43,8 @@ class GaussNewton(AbstractPhase):
             in it alone share one compilation.
         target: root-mean-square residual of the full rollout at which the phase ends.
         patience: slow steps in a row after which it ends.
+        converged: residual of the full rollout below which a fit that ended counts as
+            converged, whatever ended it.
         steps: number of steps at most.
         rank: columns of the random projection.
         chord_steps: inner iterations with the Jacobian held.
@@ -60,6 +63,9 @@ class GaussNewton(AbstractPhase):
     window: Int[Array, ""] = eqx.field(converter=jnp.asarray)
     target: Float[Array, ""] = eqx.field(converter=lambda x: jnp.asarray(x, float))
     patience: Int[Array, ""] = eqx.field(converter=jnp.asarray, default=2)
+    converged: Float[Array, ""] = eqx.field(
+        converter=lambda x: jnp.asarray(x, float), default=0.0
+    )
     steps: int = eqx.field(static=True, default=20)
     rank: int = eqx.field(static=True, default=64)
     chord_steps: int = eqx.field(static=True, default=5)
@@ -92,6 +98,7 @@ class GaussNewton(AbstractPhase):
             slow=jnp.zeros((), int),
             full=jnp.sqrt(value / _Windows.of(loss, params, self).count),
             promised=jnp.ones((), theta.dtype),
+            coloured=jnp.ones((), bool),
             done=jnp.zeros((), bool),
         )
 
@@ -112,29 +119,20 @@ class GaussNewton(AbstractPhase):
         """Parameters and state after a step that is taken."""
         theta, unravel = ravel_pytree(params)
         starts, residual, surrogate = windows.surrogate(theta)
-        left, scale, right = low_rank(windows.jacobian(theta, starts), self.rank)
-        exponents = jnp.arange(self.num_dampings) - (self.num_dampings - 2)
-        dampings = state.damping * 10.0 ** exponents.astype(theta.dtype)
-
-        def try_damping(damping):
-            return chord(
-                lambda z: surrogate(theta + right @ z),
-                (residual, left, scale),
-                damping,
-                self.chord_steps,
-            )
-
-        moves, costs = jax.vmap(try_damping)(dampings)
-        best = jnp.argmin(costs)
-        cost = residual @ residual
-        lower = costs[best] < cost
-        moved = jnp.where(lower, theta + right @ moves[best], theta)
-        full = windows.full_error(moved)
-        slow = jnp.where(costs[best] > 0.81 * cost, state.slow + 1, 0)
+        step = damped_step(
+            surrogate,
+            theta,
+            (residual, windows.jacobian(theta, starts)),
+            state.damping,
+            rank=self.rank,
+            num_dampings=self.num_dampings,
+            chord_steps=self.chord_steps,
+        )
+        full, coloured = windows.full_error(step.theta)
+        slow = jnp.where(step.left > 0.81, state.slow + 1, 0)
         done = (full < self.target) | (slow >= self.patience)
-        damping = jnp.where(lower, dampings[best], 100.0 * state.damping)
-        promised = _promised(residual, left, scale, dampings[0]) / cost
-        return unravel(moved), _State(damping, slow, full, promised, done)
+        state = _State(step.damping, slow, full, step.promised, coloured, done)
+        return unravel(step.theta), state
 
     def finish(self, loss, params, state):
         return params
@@ -143,12 +141,18 @@ class GaussNewton(AbstractPhase):
         return state.done
 
     def outcome(self, state):
-        there = (state.full < self.target) | (state.promised < NEGLIGIBLE)
-        return jnp.where(there, Outcome.CONVERGED, Outcome.STALLED)
+        exact = state.full < jnp.maximum(self.target, self.converged)
+        spent = state.promised < NEGLIGIBLE
+        noise = spent & ~state.coloured
+        ended = jnp.where(spent, Outcome.MISFIT, Outcome.STALLED)
+        return jnp.where(exact | noise, Outcome.CONVERGED, ended)
 
 
 NEGLIGIBLE = 1e-3
 """Share of the squares that a linear step promises to save, below which none counts."""
+
+COLOURED = 0.5
+"""Correlation of neighbouring residuals above which they are no noise."""
 
 
 class _State(eqx.Module):
@@ -159,6 +163,7 @@ class _State(eqx.Module):
         slow: slow steps in a row.
         full: root-mean-square residual of the full rollout.
         promised: share of the squares that the linear model promised to save.
+        coloured: whether neighbouring residuals of the full rollout are alike.
         done: whether the phase has ended.
     """
 
@@ -166,6 +171,7 @@ class _State(eqx.Module):
     slow: Int[Array, ""]
     full: Float[Array, ""]
     promised: Float[Array, ""]
+    coloured: Bool[Array, ""]
     done: Bool[Array, ""]
 
 
@@ -230,11 +236,14 @@ class _Windows(eqx.Module):
 
         return starts, self._differences(ends).reshape(-1), residuals
 
-    def full_error(self, theta) -> Float[Array, ""]:
-        """Root-mean-square residual of rollouts that restart nowhere."""
+    def full_error(self, theta) -> tuple[Float[Array, ""], Bool[Array, ""]]:
+        """Root-mean-square residual without restarts; whether neighbours are alike."""
         nowhere = jnp.zeros_like(self.restart)
         _, ends = self.rollouts(theta, self.problem.objective.solver, nowhere)
-        return jnp.sqrt(jnp.sum(self._differences(ends) ** 2) / self.count)
+        residuals = self._differences(ends)
+        squares = jnp.sum(residuals**2)
+        neighbours = jnp.sum(residuals[:, 1:] * residuals[:, :-1])
+        return jnp.sqrt(squares / self.count), neighbours > COLOURED * squares
 
     def jacobian(self, theta, starts) -> Float[Array, "residual parameter"]:
         """Derivative of the residuals, by all local sensitivities at once."""
@@ -275,6 +284,67 @@ def _sensitivities(matrices, sources):
         return after, after
 
     return jax.lax.scan(advance, jnp.zeros_like(sources[0]), (matrices, sources))[1]
+
+
+class DampedStep(eqx.Module):
+    """Where the best of several damped steps leads.
+
+    Attributes:
+        theta: the parameters; those before where no step lowers the squares.
+        damping: of that step, or of the next one to try.
+        left: share of the sum of squares that is left.
+        promised: share of the squares that the linear model promised to save.
+    """
+
+    theta: Float[Array, " parameter"]
+    damping: Float[Array, ""]
+    left: Float[Array, ""]
+    promised: Float[Array, ""]
+
+
+def damped_step(
+    residuals: Callable[[Float[Array, " parameter"]], Float[Array, " residual"]],
+    theta: Float[Array, " parameter"],
+    linear: tuple[Float[Array, " residual"], Float[Array, "residual parameter"]],
+    damping: Float[Array, ""],
+    *,
+    rank: int,
+    num_dampings: int,
+    chord_steps: int,
+) -> DampedStep:
+    """The best of several damped Gauss-Newton steps with chord iterations.
+
+    Args:
+        residuals: as a function of the parameters.
+        theta: the parameters.
+        linear: the residuals there, and their Jacobian.
+        damping: of the last step.
+        rank: of the random projection.
+        num_dampings: tried at once, a factor of ten apart.
+        chord_steps: iterations with the Jacobian held.
+    """
+    residual, jacobian = linear
+    left, scale, right = low_rank(jacobian, rank)
+    exponents = jnp.arange(num_dampings) - (num_dampings - 2)
+    dampings = damping * 10.0 ** exponents.astype(theta.dtype)
+
+    def attempt(damping):
+        return chord(
+            lambda z: residuals(theta + right @ z),
+            (residual, left, scale),
+            damping,
+            chord_steps,
+        )
+
+    moves, costs = jax.vmap(attempt)(dampings)
+    best, cost = jnp.argmin(costs), residual @ residual
+    lower = costs[best] < cost
+    return DampedStep(
+        theta=jnp.where(lower, theta + right @ moves[best], theta),
+        damping=jnp.where(lower, dampings[best], 100.0 * damping),
+        left=costs[best] / cost,
+        promised=_promised(residual, left, scale, dampings[0]) / cost,
+    )
 
 
 def low_rank(jacobian, rank):

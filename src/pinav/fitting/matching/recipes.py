@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pinav.errors import InputError
+from pinav.fitting.matching.distillation import Distillation, Rates
 from pinav.fitting.matching.gauss_newton import GaussNewton
 from pinav.fitting.matching.phases import LBFGS, AbstractPhase, Adam
 from pinav.trajectories import Trajectories
@@ -25,7 +26,11 @@ def paper_recipe(
 
 
 def curriculum(
-    trajectories: Trajectories, *, max_steps: int = 20, precision: float = 1e-7
+    trajectories: Trajectories,
+    *,
+    rates: Rates | None = None,
+    max_steps: int = 20,
+    precision: float = 1e-7,
 ) -> tuple[AbstractPhase, ...]:
     """The default recipe: Gauss-Newton from one-step matching to the full rollout.
 
@@ -36,6 +41,8 @@ def curriculum(
 
     Args:
         trajectories: their length and spread set windows and tolerances.
+        rates: of change from which the model is distilled before its first rollout,
+            such as `distillation_rates` makes.
         max_steps: steps of each phase at most.
         precision: root-mean-square residual at which the fit ends, in units of the
             spread of the data (rounding and the solver's error set the floor).
@@ -49,6 +56,7 @@ def curriculum(
     windows = [5**power for power in range(20) if 5**power < last]
     values = trajectories.states[trajectories.observed]
     spread = float(np.std(values)) or 1.0
+    first: tuple[AbstractPhase, ...] = () if rates is None else (Distillation(rates),)
     steps = [
         GaussNewton(jnp.asarray(w), target=spread / 500, steps=max_steps)
         for w in windows
@@ -57,6 +65,11 @@ def curriculum(
         jnp.asarray(last),
         target=precision * spread,
         patience=jnp.asarray(3),
+        converged=CONVERGED * spread,
         steps=max_steps,
     )
-    return *steps, full
+    return *first, *steps, full
+
+
+CONVERGED = 1e-4
+"""Residual of a full rollout that counts as converged, in units of the spread."""

@@ -197,7 +197,9 @@ def suggest(
     for later in keys[1:]:
         best = ranking.candidates[ranking.best]
         varied = experiment.vary(best, num_candidates - 1, key=later)
-        candidates = jax.tree.map(_prepend, best, varied)
+        candidates = jax.tree.map(
+            lambda first, others: jnp.concatenate([first[None], others]), best, varied
+        )
         ranking = rank(posterior, route, experiment, candidates, **options)
     return ranking
 
@@ -322,10 +324,6 @@ def _root(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n rank"]:
     values, vectors = np.linalg.eigh(covariance)
     kept = values > 1e-12 * max(values[-1], 0.0)
     return vectors[:, kept] * np.sqrt(values[kept])
-
-
-def _prepend(first, others):
-    return jnp.concatenate([first[None], others])
 
 
 def _check_route(route: ArrayLike) -> Float[np.ndarray, "point 2"]:

@@ -44,7 +44,9 @@ def gaussian_process(
         Rasmussen and Williams, Gaussian Processes for Machine Learning, eq. (2.30);
         arXiv:2212.00188 for mismatch models of magnetic microrobots.
     """
-    xs, residuals = _thin(*_residuals(known, trajectories))
+    xs, residuals = _residuals(known, trajectories)
+    chosen = np.unique(np.linspace(0, len(xs) - 1, POINTS).round().astype(int))
+    xs, residuals = xs[chosen], residuals[chosen]
     scale = float(np.mean(np.std(xs, axis=0)))
     size = float(np.std(residuals)) or 1.0
     first = np.log([scale / 2, size, size / 4])
@@ -89,11 +91,6 @@ def _uniform_step(index, trajectory) -> float:
             f"steps and {WINDOW + 2} samples long; choose another one"
         )
     return float(steps[0])
-
-
-def _thin(xs, residuals):
-    chosen = np.unique(np.linspace(0, len(xs) - 1, POINTS).round().astype(int))
-    return xs[chosen], residuals[chosen]
 
 
 def _covariance(

@@ -66,6 +66,7 @@ def summary(episodes: Episodes, task: Task) -> Summary:
     follows = isinstance(task.objective, FollowPath)
     done = ~episodes.violated if follows else episodes.reached
     arrived = episodes.arrival_time[episodes.reached]
+    efficiencies = _efficiencies(episodes, task)[episodes.reached]
     nothing = np.full(count, np.nan)
     tracking, squares = (
         tracking_errors(episodes, task, power=power) if follows else nothing
@@ -76,7 +77,7 @@ def summary(episodes: Episodes, task: Task) -> Summary:
         success=proportion(int(done.sum()), count),
         violation=proportion(int(episodes.violated.sum()), count),
         arrival=_quantiles(arrived),
-        efficiency=_mean(_efficiencies(episodes, task)[episodes.reached]),
+        efficiency=float(np.mean(efficiencies)) if len(efficiencies) else math.nan,
         tracking=float(np.mean(tracking)),
         tracking_rms=float(np.sqrt(np.mean(squares))),
         clearance=float(np.min(episodes.clearance)),
@@ -192,7 +193,3 @@ def _quantiles(values) -> tuple[float, float, float]:
         return math.nan, math.nan, math.nan
     low, middle, high = np.quantile(values, [0.05, 0.5, 0.95], method="inverted_cdf")
     return float(low), float(middle), float(high)
-
-
-def _mean(values) -> float:
-    return float(np.mean(values)) if len(values) else math.nan

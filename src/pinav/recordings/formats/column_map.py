@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import final
 
+import numpy as np
+
 from pinav.errors import InputError
 from pinav.recordings import units
 from pinav.recordings.formats.format import AbstractFormat
@@ -41,15 +43,15 @@ class MappedTable(AbstractFormat):
         columns = _checked(reading.columns or {}, reading.units or {})
         table = source.table()
 
-        def numbers(name: str, *, lost: bool = True):
+        def numbers(name: str, *, lost: bool = True) -> np.ndarray | None:
             return table.numbers(columns[name], lost=lost) if name in columns else None
 
-        def whole(name: str):
+        def whole(name: str) -> np.ndarray | None:
             if name not in columns:
                 return None
             return table.whole_numbers(columns[name], least=0)
 
-        def words(name: str):
+        def words(name: str) -> list[str] | None:
             return table.labels(columns[name]) if name in columns else None
 
         stated = reading.units or {}

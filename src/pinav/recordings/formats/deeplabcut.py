@@ -110,21 +110,21 @@ def _parts(
     names: Sequence[tuple[str, str]], columns: Sequence[Any], table: Table
 ) -> dict[str, Table]:
     """A table of x, y and likelihood for each particle."""
-    found: dict[str, dict[str, Sequence[Any] | np.ndarray]] = {}
+    particles: dict[str, dict[str, Sequence[Any] | np.ndarray]] = {}
     for (name, coord), cells in zip(names, columns, strict=True):
-        if coord in found.setdefault(name, {}):
+        if coord in particles.setdefault(name, {}):
             raise InputError(f"header: {name!r} has {coord!r} twice; delete one")
-        found[name][coord] = cells
-    for name, own in found.items():
+        particles[name][coord] = cells
+    for name, columns_of in particles.items():
         for coord in _COORDS:
-            if coord not in own:
+            if coord not in columns_of:
                 raise InputError(
                     f"header: column {coord!r} of {name!r} is missing; got "
-                    f"{', '.join(own)}; export the file again"
+                    f"{', '.join(columns_of)}; export the file again"
                 )
     return {
-        name: Table(own, table.rows, f"{name!r}, {table.place}")
-        for name, own in found.items()
+        name: Table(columns_of, table.rows, f"{name!r}, {table.place}")
+        for name, columns_of in particles.items()
     }
 
 
@@ -152,9 +152,9 @@ def _from_hdf5(source: Source) -> tuple[np.ndarray, dict[str, Table]]:
         raise InputError(
             f"table: {len(columns)} names for {values.shape[1]} columns; export as CSV"
         )
-    own = Table({"frame": frame}, np.arange(len(frame)), "row")
+    frames = Table({"frame": frame}, np.arange(len(frame)), "row")
     names = [(" ".join(words[1:-1]), words[-1]) for words in columns]
-    return own.whole_numbers("frame", least=0), _parts(names, list(values.T), own)
+    return frames.whole_numbers("frame", least=0), _parts(names, list(values.T), frames)
 
 
 def _column_names(content: bytes) -> list[tuple[str, ...]]:

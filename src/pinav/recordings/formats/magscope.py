@@ -186,13 +186,13 @@ def _kept(table: Table) -> list[str]:
 
 def _length_unit(tables: list[Table]) -> str:
     """Unit of the positions, which all sheets share; px where none is written."""
-    found = {_unit_of(_named(table, "Pos X")) for table in tables}
-    if len(found) > 1:
+    words = {_unit_of(_named(table, "Pos X")) for table in tables}
+    if len(words) > 1:
         raise InputError(
-            f"sheets 'Robot ...': positions in {' and '.join(sorted(found))}; bring "
+            f"sheets 'Robot ...': positions in {' and '.join(sorted(words))}; bring "
             "them to one unit"
         )
-    word = found.pop()
+    word = words.pop()
     return units.length(word)[1] if word else "px"
 
 
@@ -240,14 +240,14 @@ def _commands(
     index = np.searchsorted(logged[order], frame, "right") - 1
     row = order[np.maximum(index, 0)]
     known = (index >= 0) & (logged[row] == frame)
-    found = {}
+    commands = {}
     for column in table.columns:
         name = _COMMANDS.get(_UNIT.sub("", column))
         if name is not None:
             target = COMMAND_UNITS[name]
             factor = units.command(name, target, _unit_of(column) or target)
             values = factor * table.numbers(column, lost=True)
-            found[name] = np.where(known, values[row], np.nan)
+            commands[name] = np.where(known, values[row], np.nan)
     missing = int((~known).sum())
     notes = (f"{missing} rows without an action of their frame keep the last one",)
-    return found, notes if missing else ()
+    return commands, notes if missing else ()

@@ -53,7 +53,7 @@ def _variables(source: Source) -> dict[str, np.ndarray]:
     from scipy.io import loadmat
 
     try:
-        found = loadmat(io.BytesIO(source.content))
+        variables = loadmat(io.BytesIO(source.content))
     except Exception as error:  # zlib's, scipy's and Python's own share no base
         reason = str(error).partition("\n")[0] or type(error).__name__
         raise InputError(
@@ -61,7 +61,7 @@ def _variables(source: Source) -> dict[str, np.ndarray]:
         ) from error
     return {
         name: value
-        for name, value in found.items()
+        for name, value in variables.items()
         if not name.startswith("__") and isinstance(value, np.ndarray)
     }
 

@@ -176,7 +176,7 @@ def _root(content: bytes) -> Any:
     return root
 
 
-def _check_count(particle, index: int, count: int) -> None:
+def _check_count(particle: Any, index: int, count: int) -> None:
     stated = particle.get("nSpots")
     if stated is not None and stated.strip() != str(count):
         raise InputError(
@@ -185,7 +185,7 @@ def _check_count(particle, index: int, count: int) -> None:
         )
 
 
-def _attribute(spot, name: str, where: str) -> float:
+def _attribute(spot: Any, name: str, where: str) -> float:
     text = spot.get(name)
     try:
         number = float(text) if text is not None and "_" not in text else np.nan
@@ -212,7 +212,7 @@ def _frames(values: np.ndarray, places: list[str]) -> np.ndarray:
 
 
 def _calibrated(
-    root, frame: np.ndarray
+    root: Any, frame: np.ndarray
 ) -> tuple[np.ndarray | None, str, tuple[str, ...]]:
     """Times from the frame interval, unless it is the 1 of a film never calibrated."""
     text = root.get("frameInterval") or "1"

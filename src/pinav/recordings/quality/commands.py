@@ -62,13 +62,13 @@ class Drive:
         """What a fit to this run cannot tell, in words."""
         if self.frequency[1] == 0:
             return [WARNINGS["off"]]
-        found = {
+        holds = {
             "frequency": self.levels == 1 and self.off == 0,
             "heading": self.sectors < LEAST_SECTORS,
             "drift": self.condition > WORST_CONDITION,
             "delay": self.delay < LEAST_SHARE,
         }
-        return [WARNINGS[name] for name, true in found.items() if true]
+        return [WARNINGS[name] for name, true in holds.items() if true]
 
 
 def drive(segments: Sequence[Trajectory]) -> Drive | None:

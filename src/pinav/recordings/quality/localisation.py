@@ -64,8 +64,8 @@ def localisation(
         positions: of each segment, NaN where the particle was lost [L].
     """
     parts = [
-        _products(own[seen], path[seen])
-        for own, path in zip(times, positions, strict=True)
+        _products(moments[seen], path[seen])
+        for moments, path in zip(times, positions, strict=True)
         if (seen := np.isfinite(path).all(axis=1)).sum() > _SAMPLES + _LAGS
     ]
     if not parts or sum(len(part) for part in parts) < LEAST_SAMPLES:
@@ -137,23 +137,23 @@ def _solved(table: Float[np.ndarray, "window 12"]) -> tuple[float, float]:
     measured, error, diffusion = np.split(table.mean(axis=0), 3)
     design = np.stack([error, diffusion / diffusion[0]], axis=1)
     root = np.eye(_LAGS)
-    found = np.zeros(2)
+    variances = np.zeros(2)
     for _ in range(_REFINEMENTS):
-        found = _least_squares(root @ design, root @ measured)
-        root = np.linalg.inv(np.linalg.cholesky(_sampling(design @ found)))
-    variance = min(found[0], max(measured[0], 0.0))  # not above what all causes make
-    return float(variance), float(found[1] / diffusion[0])
+        variances = _least_squares(root @ design, root @ measured)
+        root = np.linalg.inv(np.linalg.cholesky(_sampling(design @ variances)))
+    variance = min(variances[0], max(measured[0], 0.0))  # of all causes
+    return float(variance), float(variances[1] / diffusion[0])
 
 
 def _least_squares(design: np.ndarray, measured: np.ndarray) -> np.ndarray:
     """Coefficients of two columns, neither of them negative."""
-    found = np.linalg.lstsq(design, measured)[0]
-    for negative in np.flatnonzero(found < 0):
+    coefficients = np.linalg.lstsq(design, measured)[0]
+    for negative in np.flatnonzero(coefficients < 0):
         other = design[:, 1 - negative]
-        found = np.zeros(2)
-        found[1 - negative] = max(other @ measured / (other @ other), 0.0)
+        coefficients = np.zeros(2)
+        coefficients[1 - negative] = max(other @ measured / (other @ other), 0.0)
         break
-    return found
+    return coefficients
 
 
 def _sampling(covariances: np.ndarray) -> np.ndarray:

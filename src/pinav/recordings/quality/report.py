@@ -138,12 +138,12 @@ def quality(recording: Trajectories) -> Quality:
         InputError: the trajectories are of no recording.
     """
     tracks = [
-        _track(str(run), str(particle), [recording.trajectory(i) for i in own])
-        for (run, particle), own in groups(recording).items()
+        _track(str(run), str(particle), [recording.trajectory(i) for i in indices])
+        for (run, particle), indices in groups(recording).items()
     ]
     runs = [
-        _run(str(name), [recording.trajectory(i) for i in own], tracks)
-        for (name,), own in groups(recording, "run").items()
+        _run(str(name), [recording.trajectory(i) for i in indices], tracks)
+        for (name,), indices in groups(recording, "run").items()
     ]
     provenance = recording.provenance
     return Quality(
@@ -160,35 +160,35 @@ def quality(recording: Trajectories) -> Quality:
 
 def _warnings(recording: Trajectories) -> list[str]:
     """What holds for every run."""
-    found = []
+    warnings = []
     if not {"frequency", "heading"} <= set(recording.commands):
-        found.append(
+        warnings.append(
             "no commands of frequency and heading: a drift and an environment can be "
             "found, a gain cannot"
         )
     if recording.units["t"] == "frame":
-        found.append("times are numbers of frames: give fps to have seconds")
+        warnings.append("times are numbers of frames: give fps to have seconds")
     elif recording.units["t"] == UNKNOWN_UNIT:
-        found.append("the unit of time is unknown: state it by units, such as t=s")
+        warnings.append("the unit of time is unknown: state it by units, such as t=s")
     if recording.units["x"] == "px":
-        found.append("positions are in pixels: give mpp to have micrometres")
+        warnings.append("positions are in pixels: give mpp to have micrometres")
     elif recording.units["x"] == UNKNOWN_UNIT:
-        found.append(
+        warnings.append(
             "the unit of length is unknown: state it by units, such as x=um, or give "
             "mpp where it is the pixel"
         )
-    return found
+    return warnings
 
 
 def _counts(provenance: dict[str, Any]) -> list[str]:
     """What was left out, in words."""
-    found = []
+    counts = []
     for key in ("repeated times left out", "rows without a command"):
         if provenance.get(key):
-            found.append(f"{provenance[key]} {key}")
+            counts.append(f"{provenance[key]} {key}")
     if left_out := provenance.get("segments left out"):
-        found.append(f"{len(left_out)} segments of a single row left out")
-    return found
+        counts.append(f"{len(left_out)} segments of a single row left out")
+    return counts
 
 
 def positions(segment: Trajectory) -> Float[np.ndarray, "time 2"]:
@@ -214,15 +214,15 @@ def _track(run: str, particle: str, segments: list[Trajectory]) -> Track:
 
 
 def _run(name: str, segments: list[Trajectory], tracks: list[Track]) -> Run:
-    own = [track for track in tracks if track.run == name]
-    known = [t.localisation for t in own if t.localisation is not None]
+    particles = [track for track in tracks if track.run == name]
+    known = [t.localisation for t in particles if t.localisation is not None]
     covered = drive(segments)
     ends = [time for segment in segments for time in segment.times[[0, -1]]]
     return Run(
         name=name,
-        particles=len(own),
+        particles=len(particles),
         segments=len(segments),
-        samples=sum(track.samples for track in own),
+        samples=sum(track.samples for track in particles),
         duration=float(max(ends) - min(ends)),
         clock=_clock(segments),
         scatter=_median([one.scatter for one in known]),

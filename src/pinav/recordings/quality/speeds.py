@@ -84,15 +84,15 @@ def speeds_by_frequency(segments: list[Trajectory]) -> list[Speed]:
     logged = np.concatenate([segment.commands["frequency"] for segment in segments])
     levels = np.unique(np.round(logged, 2))
     tolerance = 0.1 if len(levels) > _FEW else 0.0
-    frequencies, found = [], []
+    frequencies, speeds = [], []
     for segment in segments:
         speed, first, last = window_speeds(segment)
         frequency = np.round(segment.commands["frequency"], 2)
         change = np.abs(frequency[last] - frequency[first])
         steady = change <= tolerance * frequency[first]
         frequencies.append(0.5 * (frequency[first] + frequency[last])[steady])
-        found.append(speed[steady])
-    frequency, speed = np.concatenate(frequencies), np.concatenate(found)
+        speeds.append(speed[steady])
+    frequency, speed = np.concatenate(frequencies), np.concatenate(speeds)
     if len(levels) > _FEW and len(frequency):
         levels = np.quantile(frequency, np.arange(_BINS) / _BINS)
     bins = np.searchsorted(levels, frequency, "right")

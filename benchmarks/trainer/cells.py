@@ -1,0 +1,128 @@
+"""One cell of the benchmark: a system, a way to fit it, a seed."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import msgspec
+
+from benchmarks.trainer.systems import BenchmarkSystem, benchmark_system
+from pinav.commands.matching import CurriculumSettings, matching
+from pinav.evaluation import predict, score
+from pinav.files import write_text
+from pinav.fitting import fit_bayes, fit_in_turns, kernel_environment
+from pinav.fitting.environments.catalogue import (
+    ModelChoice,
+    build,
+    learned_part,
+    summarise_for_matching,
+)
+from pinav.forces import KernelPotential
+from pinav.trajectories import Trajectories, simulate
+
+
+class Measurement(msgspec.Struct, frozen=True):
+    """What a fit achieved.
+
+    Attributes:
+        key: of the system.
+        column: the way it was fitted.
+        seed: of the network.
+        rmse: of rollouts from the true starts, all states; infinite when diverged.
+        seconds: of the fit, compilation included.
+        outcome: the word for how the fit ended.
+        encounter: what the first trajectory does.
+        form: of the potential.
+        width: of the potential [L].
+    """
+
+    key: int
+    column: str
+    seed: int
+    rmse: float
+    seconds: float
+    outcome: str
+    encounter: str
+    form: str
+    width: float
+
+
+def _by_matching(model: str, recipe: str) -> Callable[..., tuple[Any, str]]:
+    def run(drawn: BenchmarkSystem, data: Trajectories, seed: int) -> tuple[Any, str]:
+        choice = ModelChoice(model, seed=seed)
+        known: Any = drawn.system.swimmer
+        summary = summarise_for_matching(choice, known, data)
+        untrained = build(choice, known, summary)
+        method = matching(CurriculumSettings(recipe), data, untrained)
+        (result,) = fit_in_turns(
+            [untrained],
+            data,
+            method.recipes,
+            trainable=learned_part,
+            objective=method.objective,
+            dtype=method.dtype,
+            enough=method.enough,
+        )
+        return result.model, str(result.outcome)
+
+    return run
+
+
+def _by_evidence(
+    drawn: BenchmarkSystem, data: Trajectories, seed: int
+) -> tuple[Any, str]:
+    del seed
+    known: Any = drawn.system.swimmer
+    model = known.with_environment(kernel_environment(KernelPotential, data))
+    result = fit_bayes(model, data, throw=False)
+    return result.model, str(result.outcome)
+
+
+COLUMNS: dict[str, Callable[..., tuple[Any, str]]] = {
+    "network": _by_matching("ude", "curriculum"),
+    "kernel": _by_matching("kernel-potential", "curriculum"),
+    "black-box": _by_matching("nn-only", "curriculum"),
+    "paper": _by_matching("paper-ude", "paper"),
+    "noisy-kernel": _by_evidence,
+}
+"""Ways to fit by name; the last one is given data with noise."""
+
+SEEDLESS = ("kernel", "noisy-kernel")
+"""Ways without a network, which has a seed."""
+
+NOISE = 1e-3
+"""Of the noisy data."""
+
+
+def measure(key: int, column: str, seed: int, folder: Path) -> Measurement:
+    """Fit and score one cell, or read what was measured before."""
+    file = folder / f"{column}-{key}-{seed}.json"
+    if file.exists():
+        return msgspec.json.decode(file.read_bytes(), type=Measurement)
+    drawn = benchmark_system(key)
+    clean = data = simulate(drawn.system)
+    if column == "noisy-kernel":
+        noisy = eqx.tree_at(lambda s: s.observation.noise, drawn.system, NOISE)
+        data = simulate(noisy, key=jax.random.key(key))
+    start = time.perf_counter()
+    model, outcome = COLUMNS[column](drawn, data, seed)
+    jax.block_until_ready(eqx.filter(model, eqx.is_array))
+    seconds = time.perf_counter() - start
+    rmse = score(*predict(model, clean), clean).total
+    result = Measurement(
+        key=key,
+        column=column,
+        seed=seed,
+        rmse=rmse if jnp.isfinite(rmse) else 1e300,
+        seconds=seconds,
+        outcome=outcome,
+        encounter=drawn.encounter,
+        form=drawn.form,
+        width=drawn.width,
+    )
+    write_text(file, msgspec.json.encode(result).decode())
+    return result

@@ -1,0 +1,111 @@
+"""Runs the cells of the benchmark and prints their table."""
+
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Annotated, Literal
+
+import jax
+import msgspec
+import numpy as np
+import tyro
+
+from benchmarks.trainer.cells import COLUMNS, SEEDLESS, Measurement, measure
+from benchmarks.trainer.systems import DEVELOPMENT, JUDGED, NUM_SYSTEMS
+from pinav.commands.parsing import parse
+from pinav.errors import InputError
+
+
+class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Fit sixty systems that are drawn by key, by the default recipe and the paper's.
+
+    Every finished cell (system, column, seed) is a file in --out and is not run again.
+    """
+
+    out: Annotated[Path, tyro.conf.arg(help="Folder of the results.")] = Path(
+        "runs/bench-trainer"
+    )
+    half: Annotated[
+        Literal["development", "judged"],
+        tyro.conf.arg(help="Even keys, on which recipes are tried, or odd ones."),
+    ] = "development"
+    keys: Annotated[
+        tuple[int, ...], tyro.conf.arg(help="Keys of systems; those of --half if none.")
+    ] = ()
+    columns: Annotated[
+        tuple[str, ...], tyro.conf.arg(help="Any of: " + ", ".join(COLUMNS) + ".")
+    ] = tuple(COLUMNS)
+    seeds: Annotated[tuple[int, ...], tyro.conf.arg(help="Seeds of networks.")] = (0,)
+    workers: Annotated[int, tyro.conf.arg(help="Processes at once.")] = 1
+
+    def check(self) -> None:
+        """Raise `InputError` where an option makes no sense."""
+        for name in self.columns:
+            if name not in COLUMNS:
+                known = ", ".join(COLUMNS)
+                raise InputError(
+                    f"--columns: {name!r} is unknown; choose some of: {known}"
+                )
+        for key in self.keys:
+            if not 0 <= key < NUM_SYSTEMS:
+                raise InputError(f"--keys: expected 0 to {NUM_SYSTEMS - 1}, got {key}")
+        if self.workers < 1 or not self.seeds:
+            raise InputError("--workers and --seeds: expected one or more")
+
+
+def main(argv: Sequence[str]) -> None:
+    options = parse(Options, argv, prog="pinav bench trainer")
+    if options is None:
+        return
+    options.check()
+    options.out.mkdir(parents=True, exist_ok=True)
+    measurements: list[Measurement] = []
+    for measurement in _measurements(options):
+        measurements.append(measurement)
+        print(line(measurement), flush=True)
+    print("\n" + summary(measurements))
+
+
+def cells(options: Options) -> list[tuple[int, str, int, Path]]:
+    """The cells that the options ask for, system by system."""
+    half = DEVELOPMENT if options.half == "development" else JUDGED
+    return [
+        (key, column, seed, options.out)
+        for key in options.keys or half
+        for column in options.columns
+        for seed in (options.seeds[:1] if column in SEEDLESS else options.seeds)
+    ]
+
+
+def _measurements(options: Options):
+    if options.workers == 1:
+        return map(_measure, cells(options))
+    pool = ProcessPoolExecutor(options.workers, mp_context=get_context("spawn"))
+    return pool.map(_measure, cells(options))
+
+
+def _measure(cell: tuple[int, str, int, Path]) -> Measurement:
+    jax.config.update("jax_enable_x64", val=True)
+    return measure(*cell)
+
+
+def line(one: Measurement) -> str:
+    """One measurement for a terminal."""
+    name = f"{one.key:>3} {one.encounter:<6}{one.form:<9}{one.width:>5.2f}"
+    fit = f"{one.column:<13}{one.seed:>3}{one.rmse:>10.1e}{one.seconds:>7.1f} s"
+    return f"{name}  {fit}  {one.outcome}"
+
+
+def summary(measurements: Sequence[Measurement]) -> str:
+    """Quantiles of the errors and times of each column."""
+    head = ("column", "fits", "median", "90 %", "95 %", "worst", "time", "worst time")
+    lines = [f"{head[0]:<13}" + "".join(f"{word:>11}" for word in head[1:])]
+    for column in dict.fromkeys(one.column for one in measurements):
+        chosen = [one for one in measurements if one.column == column]
+        errors = np.quantile([one.rmse for one in chosen], (0.5, 0.9, 0.95, 1.0))
+        times = np.quantile([one.seconds for one in chosen], (0.5, 1.0))
+        cells = [f"{len(chosen):>11}", *(f"{error:>11.1e}" for error in errors)]
+        cells += [f"{seconds:>9.1f} s" for seconds in times]
+        lines.append(f"{column:<13}" + "".join(cells))
+    return "\n".join(lines)

@@ -1,0 +1,68 @@
+"""The run that is analysed, as all parts of an analysis need it."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float
+
+from pinav.commands.analyse.settings import AnalyseSettings
+from pinav.commands.fitted_run import FittedRun
+from pinav.dynamics import OverdampedSwimmer, Swimmer, takes_commands
+from pinav.evaluation import FieldMap
+from pinav.forces import (
+    KernelPotential,
+    NeuralPotential,
+)
+
+COMMANDED_SAMPLES = 250
+"""Samples of the reference trajectory that a model driven by commands is rolled out."""
+
+Arrays = dict[str, np.ndarray]
+
+
+@dataclasses.dataclass(frozen=True)
+class Subject:
+    """The run that is analysed, as all parts need it.
+
+    Attributes:
+        run: the fitted run.
+        model: its swimmer with the learned force.
+        field: the learned force on a grid.
+        settings: of the analysis.
+    """
+
+    run: FittedRun
+    model: Swimmer | OverdampedSwimmer
+    field: FieldMap
+    settings: AnalyseSettings
+
+    @property
+    def start(self) -> Float[np.ndarray, " state"]:
+        """Start of the reference trajectory."""
+        return self.run.start(self.settings.reference)
+
+    @property
+    def times(self) -> Float[np.ndarray, " time"]:
+        """Times of the reference trajectory [T]; its beginning under commands.
+
+        Every jump of a command ends a step of the solver, for each start of a map.
+        """
+        index = self.settings.reference
+        times = self.run.data.times[index][: self.run.data.lengths[index]]
+        return times[:COMMANDED_SAMPLES] if takes_commands(self.run.model) else times
+
+    @property
+    def near(self) -> np.ndarray:
+        """Grid points near the data."""
+        return self.field.distance <= self.field.regions.near
+
+    @property
+    def grid(self) -> Float[np.ndarray, "point 2"]:
+        """The points of the grid."""
+        grid = np.stack(np.meshgrid(self.field.x, self.field.y), axis=-1)
+        return grid.reshape(-1, 2)
+
+    @property
+    def has_potential(self) -> bool:
+        """The learned force is the gradient of a learned potential."""
+        return isinstance(self.model.environment, KernelPotential | NeuralPotential)

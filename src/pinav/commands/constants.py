@@ -1,0 +1,42 @@
+"""Learned constants by the names that tables and files give them."""
+
+import numpy as np
+
+from pinav.evaluation import field_map
+from pinav.fitting import (
+    Estimate,
+    EvidenceFit,
+    principal_drags,
+    rotational_fraction,
+)
+from pinav.fitting.environments.catalogue import (
+    CONSTANTS,
+    ModelChoice,
+)
+from pinav.forces import KernelMixture
+from pinav.trajectories import Trajectories
+
+
+def estimated_constants(fit: EvidenceFit, choice: ModelChoice) -> dict[str, Estimate]:
+    """Each learned constant, by its name; the drag by its principal values."""
+    paths, estimates = choice.paths(), dict(fit.constants)
+    named = {
+        name: estimates.pop(path)
+        for name, path in paths.items()
+        if path in estimates and path != CONSTANTS["drag"]
+    }
+    if CONSTANTS["drag"] in paths.values():
+        drags = principal_drags(fit.posterior)
+        return named | {f"drag {name}": value for name, value in drags.items()}
+    return named | estimates
+
+
+def rotational_part(fit: EvidenceFit, data: Trajectories) -> dict[str, Estimate]:
+    """The rotational fraction of a mixture where there are data; else nothing."""
+    environment = fit.model.environment
+    if not isinstance(environment, KernelMixture):
+        return {}
+    field = field_map(environment, data)
+    points = np.stack(np.meshgrid(field.x, field.y), axis=-1)
+    visited = points[field.distance <= field.regions.visited]
+    return {"rotational fraction": rotational_fraction(fit.posterior, visited)}

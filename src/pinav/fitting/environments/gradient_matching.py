@@ -1,0 +1,217 @@
+r"""Gradient matching: the unknown along the observed paths, without a rollout.
+
+Complete states that are all but exact give their own rates of change, by splines, and
+with the known physics the unknown force at every sample. Kernels as fine as held-out
+samples ask for carry it to the places beside the paths, where it decides how fast
+neighbouring rollouts depart from each other. Networks are distilled from these rates
+before their first rollout (`Distillation`).
+
+References:
+    Varah, SIAM J. Sci. Stat. Comput. 3, 28 (1982); Ramsay et al., J. R. Stat. Soc. B
+    69, 741 (2007).
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.linalg
+from jaxtyping import Float
+from scipy.interpolate import make_interp_spline
+
+from pinav.dynamics import AbstractDynamics, Swimmer
+from pinav.fitting.environments.kernels import KernelGrid, lay_kernels
+from pinav.fitting.matching.distillation import Rates
+from pinav.forces import KernelForce, KernelPotential, ZeroForce
+from pinav.trajectories import Trajectories
+
+DEGREE = 7
+"""Of the splines: exact states deserve more than a cubic."""
+
+ACROSS = (6, 8, 11, 15, 20, 27, 36, 48)
+"""Intervals of the grids of kernels that are tried, along the extent of the data."""
+
+MOST_KERNELS, MOST_SAMPLES = 900, 600
+"""Kernels of a grid, and samples that enter a regression, at most."""
+
+RIDGE = 1e-11
+"""Relative to the largest diagonal entry of the normal equations."""
+
+GOOD_ENOUGH, AS_GOOD = 1e-4, 2.0
+"""Relative error of held-out samples that needs no finer kernels, and the factor within
+which an error counts as that of the best grid."""
+
+
+def observed_rates(trajectories: Trajectories) -> Rates | None:
+    """Rates of the complete samples by splines; None where there are too few."""
+    parts: list[Rates] = []
+    for one in trajectories:
+        complete = one.observed.all(axis=1)
+        times, states = one.times[complete], one.states[complete]
+        if len(times) > DEGREE:
+            spline = make_interp_spline(times, states, k=DEGREE)
+            parts.append(Rates(times, states, spline(times, nu=1)))
+    if not parts:
+        return None
+    whole = jax.tree.map(lambda *arrays: np.concatenate(arrays), *parts)
+    stride = -(-len(whole.times) // MOST_SAMPLES)
+    return jax.tree.map(lambda array: array[::stride], whole)
+
+
+def match_kernels(
+    swimmer: Swimmer, rates: Rates, trajectories: Trajectories
+) -> tuple[KernelPotential | KernelForce, KernelGrid]:
+    """The force that the known physics leave unexplained, and the grid of its kernels.
+
+    The coarsest grid is taken whose error at held-out samples is all but the smallest;
+    a potential, unless a force without one explains them far better.
+
+    Args:
+        swimmer: the known physics; its environment is left out.
+        rates: at observed states.
+        trajectories: what the kernels are laid around.
+    """
+    dim = rates.states.shape[1] // 2
+    positions, forces = rates.states[:, :dim], _unexplained(swimmer, rates)
+    held_out = np.arange(len(positions)) % 4 == 2
+    size = float(np.sqrt(np.mean(forces[held_out] ** 2))) or 1.0
+    trials: list[tuple[float, Any, KernelGrid]] = []
+    for kind in (KernelPotential, KernelForce):
+        for across in ACROSS:
+            grid = KernelGrid(across, width=1.5, margin=2.0)
+            centers, width = lay_kernels(trajectories, grid, dim)
+            if len(centers) * (1 if kind is KernelPotential else dim) > MOST_KERNELS:
+                break
+            columns = _columns(kind, positions, centers, width)
+            weights = _ridge(columns[~held_out], forces[~held_out])
+            missed = columns[held_out] @ weights - forces[held_out]
+            error = float(np.sqrt(np.mean(missed**2))) / size
+            environment = kind(
+                jnp.asarray(_ridge(columns, forces).reshape(_shape(kind, centers))),
+                jnp.asarray(centers),
+                width,
+            )
+            trials.append((error, environment, grid))
+            if error < GOOD_ENOUGH:
+                return environment, grid
+    best = min(error for error, *_ in trials)
+    chosen = next(trial for trial in trials if trial[0] <= AS_GOOD * best)
+    return chosen[1], chosen[2]
+
+
+def matched_grid(swimmer: Any, trajectories: Trajectories) -> KernelGrid | None:
+    """The grid of kernels that exact data ask for; None where gradients do not tell."""
+    rates = observed_rates(trajectories) if isinstance(swimmer, Swimmer) else None
+    return None if rates is None else match_kernels(swimmer, rates, trajectories)[1]
+
+
+def simpler_models(
+    swimmer: AbstractDynamics, trajectories: Trajectories
+) -> dict[str, Swimmer]:
+    """Models without a network by their names: matched kernels, and physics alone.
+
+    Args:
+        swimmer: the known physics.
+        trajectories: what they are to explain.
+    """
+    rates = observed_rates(trajectories)
+    if rates is None or not isinstance(swimmer, Swimmer):
+        return {}
+    kernels, _ = match_kernels(swimmer, rates, trajectories)
+    return {
+        "a kernel field": swimmer.with_environment(kernels),
+        "the known physics": swimmer.with_environment(ZeroForce()),
+    }
+
+
+def distillation_rates(model: Any, trajectories: Trajectories) -> Rates | None:
+    """Rates that a model is distilled from, at and beside the observed states.
+
+    Beside them the force of a swimmer is that of the matched kernels. A model without
+    known physics is asked for the same rates there as at the samples, so that its
+    rollouts do not depart from each other.
+
+    Args:
+        model: whose unknown part is to be learned.
+        trajectories: what was observed.
+
+    Returns:
+        The rates, or None where samples are too few to tell them.
+    """
+    rates = observed_rates(trajectories)
+    if rates is None:
+        return None
+    rng = np.random.default_rng(0)
+    dim = rates.states.shape[1] // 2
+    spread = rates.states.std(axis=0)
+    if not isinstance(model, Swimmer):
+        offsets = BESIDE * spread * rng.normal(size=rates.states.shape)
+        beside = Rates(rates.times, rates.states + offsets, rates.rates)
+        return jax.tree.map(lambda *a: np.concatenate(a), rates, beside)
+    environment, _ = match_kernels(model, rates, trajectories)
+    teacher = model.with_environment(environment)
+    reach = TUBE * float(environment.width)
+    moved = [rates.states] * 3
+    for factor in (1.0, 2.0):
+        shift = np.zeros_like(rates.states)
+        shift[:, :dim] = factor * reach * rng.normal(size=(len(shift), dim))
+        moved[int(factor)] = rates.states + shift
+    times, states = np.tile(rates.times, 3), np.concatenate(moved)
+    return Rates(times, states, _rates_of(teacher, times, states)[:, dim:])
+
+
+BESIDE = 0.02
+"""Distance of states beside the paths, in standard deviations of each channel."""
+
+TUBE = 0.25
+"""Distance of the nearer positions beside the paths, in widths of a kernel."""
+
+
+def _unexplained(swimmer: Swimmer, rates: Rates) -> Float[np.ndarray, "point dim"]:
+    known = swimmer.with_environment(ZeroForce())
+    explained = _rates_of(known, rates.times, rates.states)
+    return (rates.rates - explained)[:, rates.states.shape[1] // 2 :]
+
+
+def _rates_of(
+    model: Any, times: Float[np.ndarray, " point"], states: Float[np.ndarray, "point n"]
+) -> Float[np.ndarray, "point n"]:
+    with jax.enable_x64(new_val=True):
+        return np.asarray(_all_rates(model, jnp.asarray(times), jnp.asarray(states)))
+
+
+@eqx.filter_jit
+def _all_rates(model, times, states):
+    return jax.vmap(lambda t, y: model(t, y))(times, states)
+
+
+def _shape(kind: type, centers: Float[np.ndarray, "kernel dim"]) -> tuple[int, ...]:
+    return centers.shape if kind is KernelForce else centers.shape[:1]
+
+
+def _columns(
+    kind: type,
+    positions: Float[np.ndarray, "point dim"],
+    centers: Float[np.ndarray, "kernel dim"],
+    width: float,
+) -> Float[np.ndarray, "point dim weight"]:
+    """Force of each weight at each position."""
+    offsets = (positions[:, None] - centers[None]) / width
+    values = np.exp(-0.5 * np.sum(offsets**2, axis=2))
+    if kind is KernelPotential:
+        return np.moveaxis(offsets * values[..., None] / width, 2, 1)
+    dim = positions.shape[1]
+    columns = values[:, None, :, None] * np.eye(dim)[None, :, None, :]
+    return columns.reshape(len(positions), dim, -1)
+
+
+def _ridge(
+    columns: Float[np.ndarray, "point dim weight"],
+    forces: Float[np.ndarray, "point dim"],
+) -> Float[np.ndarray, " weight"]:
+    rows = columns.reshape(-1, columns.shape[-1])
+    normal = rows.T @ rows
+    normal[np.diag_indices_from(normal)] += RIDGE * normal.diagonal().max()
+    return scipy.linalg.solve(normal, rows.T @ forces.reshape(-1), assume_a="sym")

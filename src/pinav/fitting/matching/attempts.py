@@ -1,0 +1,91 @@
+"""Several recipes in turn: what one of them does not fit, the next one tries."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import jax.numpy as jnp
+import numpy as np
+
+from pinav.dynamics import AbstractDynamics
+from pinav.fitting.matching.fit import Recipe, Trainable, fit_many
+from pinav.fitting.matching.objectives import AbstractObjective
+from pinav.fitting.matching.state import AbstractCheckpoint, Fit, FitProgress
+from pinav.fitting.outcome import Outcome
+from pinav.trajectories import Trajectories
+
+ENDED = (Outcome.CONVERGED, Outcome.COMPLETED)
+"""Outcomes after which no other recipe is tried."""
+
+
+def fit_in_turns(
+    models: Sequence[AbstractDynamics],
+    trajectories: Trajectories,
+    recipes: Sequence[Recipe],
+    *,
+    trainable: Trainable,
+    objective: AbstractObjective | None = None,
+    dtype: type = jnp.float32,
+    enough: float = 0.0,
+    checkpoint: AbstractCheckpoint | None = None,
+    on_chunk: Callable[[FitProgress], None] | None = None,
+) -> list[Fit]:
+    """Fit several models; those that fail begin anew by the next recipe.
+
+    Of the attempts at a model the one with the smallest loss is kept. The loss curves
+    of all models are those of all attempts, one after the other.
+
+    Args:
+        models: starts of the fit.
+        trajectories: what is observed.
+        recipes: in the order in which they are tried, one or more.
+        trainable: see `fit_many`, as the other arguments.
+        objective: what is minimised.
+        dtype: precision of the fit.
+        enough: loss below which no other recipe is tried, however the fit ended.
+        checkpoint: of the first recipe; later ones begin anew after an interruption.
+        on_chunk: called after each chunk of steps.
+    """
+    options = {"trainable": trainable, "objective": objective, "dtype": dtype}
+    fits = fit_many(
+        models,
+        trajectories,
+        recipes[0],
+        checkpoint=checkpoint,
+        on_chunk=on_chunk,
+        **options,
+    )
+    for recipe in recipes[1:]:
+        failed = [i for i, fit in enumerate(fits) if _has_failed(fit, enough)]
+        if not failed:
+            break
+        chosen = [models[i] for i in failed]
+        again = fit_many(chosen, trajectories, recipe, on_chunk=on_chunk, **options)
+        others = dict(zip(failed, again, strict=True))
+        fits = [_joined(fit, others.get(i), again[0]) for i, fit in enumerate(fits)]
+    return fits
+
+
+def _has_failed(fit: Fit, enough: float) -> bool:
+    return fit.outcome not in ENDED and not fit.losses[-1] <= enough
+
+
+def _joined(before: Fit, after: Fit | None, example: Fit) -> Fit:
+    """The better of two attempts, with the losses of both.
+
+    A model that was fitted already keeps its last loss over the steps of the others.
+    """
+    taken = len(before.losses)
+    phases = tuple((name, taken + start) for name, start in example.phases)
+    if after is None:
+        losses = np.full(len(example.losses), before.losses[-1])
+        chosen = before
+    else:
+        losses, chosen = after.losses.copy(), after
+        if not after.losses[-1] <= before.losses[-1] and np.isfinite(before.losses[-1]):
+            chosen = before
+            losses[-1] = before.losses[-1]
+    return dataclasses.replace(
+        chosen,
+        losses=np.concatenate([before.losses, losses]),
+        phases=(*before.phases, *phases),
+    )

@@ -1,0 +1,188 @@
+"""Trajectories as text: one sample a row, a first line for what columns cannot say."""
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+import msgspec
+import numpy as np
+
+from pinav.errors import InputError
+from pinav.trajectories.metadata import Metadata, metadata_text, parse_metadata
+from pinav.trajectories.tables import split_headings
+from pinav.trajectories.trajectories import Trajectories
+from pinav.trajectories.trajectory import check_increasing
+
+PREFIX = "# pinav:"
+
+
+def delimiter_of(header: str) -> str:
+    """What separates the cells: a comma, or a semicolon where there is no comma."""
+    return ";" if ";" in header and "," not in header else ","
+
+
+def write_csv(trajectories: Trajectories, file: BinaryIO) -> None:
+    """Write trajectories as text."""
+    text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+    text.write(f"{PREFIX} {metadata_text(trajectories)}\n")
+    writer = csv.writer(text, lineterminator="\n")
+    names = (*trajectories.channels, *trajectories.commands)
+    writer.writerow(("trajectory", "t", *names))
+    for index, piece in enumerate(trajectories):
+        cells = np.where(piece.observed, piece.states.astype(object), "")
+        columns = (*cells.T, *piece.commands.values())
+        for row in zip(piece.times, *columns, strict=True):
+            writer.writerow((index, *(_cell(value) for value in row)))
+    text.flush()
+    text.detach()
+
+
+def _cell(value: Any) -> str:
+    return value if isinstance(value, str) else repr(float(value))
+
+
+class _Row(NamedTuple):
+    line: int
+    cells: dict[str, str]
+
+
+def read_csv(file: BinaryIO) -> Trajectories:
+    """Read trajectories from text.
+
+    Raises:
+        InputError: the file is at fault; the message names the line.
+    """
+    try:
+        text = file.read().decode("utf-8-sig")  # spreadsheets put a mark before it
+        lines = io.StringIO(text, newline="").readlines()
+        num_comments, metadata = _leading_comments(lines)
+        metadata, rows = _table(lines, num_comments, metadata)
+    except UnicodeDecodeError as error:
+        raise InputError(f"expected UTF-8 text: {error}; save it as such") from error
+    except csv.Error as error:
+        raise InputError(f"not a CSV file: {error}") from error
+    groups: dict[str, list[_Row]] = {}
+    for row in rows:
+        groups.setdefault(row.cells.get("trajectory", ""), []).append(row)
+    if not groups:
+        raise InputError("no rows below the header; expected two or more samples")
+    tables = [_observations(group, metadata.channels) for group in groups.values()]
+    return Trajectories.from_arrays(
+        [_times(group) for group in groups.values()],
+        [states for states, _ in tables],
+        observed=[observed for _, observed in tables],
+        commands={
+            name: [_column(group, name) for group in groups.values()]
+            for name in metadata.commands
+        },
+        channels=metadata.channels,
+        units=metadata.units,
+        provenance={"source": Path(file.name).name}
+        if metadata.provenance is None
+        else metadata.provenance,
+    )
+
+
+def _leading_comments(lines: Sequence[str]) -> tuple[int, Metadata]:
+    """How many lines precede the header, and the metadata among them."""
+    metadata = Metadata()
+    for index, line in enumerate(lines):
+        if not line.startswith("#"):
+            return index, metadata
+        if line.startswith(PREFIX):
+            metadata = parse_metadata(f"line {index + 1}", line[len(PREFIX) :])
+    return len(lines), metadata
+
+
+def _table(
+    lines: Sequence[str], num_comments: int, metadata: Metadata
+) -> tuple[Metadata, list[_Row]]:
+    """The rows by column name, and the metadata with the channels filled in."""
+    # A file of ours says its channels, whose names may hold semicolons and brackets.
+    plain = not metadata.channels
+    first = lines[num_comments] if plain and num_comments < len(lines) else ""
+    delimiter = delimiter_of(first)
+    reader = csv.reader(lines[num_comments:], strict=True, delimiter=delimiter)
+    header = [name.strip() for name in next(reader, [])]
+    units = metadata.units
+    if plain:
+        header, stated = split_headings(header)
+        units = {**stated, **units}
+    place = f"line {num_comments + 1}"
+    channels = _check_header(place, header, metadata)
+    rows = []
+    for cells in reader:
+        line = num_comments + reader.line_num
+        if cells and len(cells) != len(header):
+            raise InputError(
+                f"line {line}: expected {len(header)} cells "
+                f"({', '.join(header)}), got {len(cells)}"
+            )
+        if delimiter == ";":
+            cells = [cell.replace(",", ".") for cell in cells]
+        if cells:
+            rows.append(_Row(line, dict(zip(header, cells, strict=True))))
+    return msgspec.structs.replace(metadata, channels=channels, units=units), rows
+
+
+def _check_header(
+    place: str, header: Sequence[str], metadata: Metadata
+) -> tuple[str, ...]:
+    """The channels among the columns, in the order of the metadata if it has one."""
+    got = ", ".join(header) or "nothing"
+    for name in header:
+        if header.count(name) > 1:
+            raise InputError(f"{place}: column {name!r} stands twice in {got}")
+    others = ("trajectory", "t", *metadata.commands)
+    channels = metadata.channels or tuple(n for n in header if n not in others)
+    needed = ("t", *channels, *metadata.commands)
+    if not channels or set(header) | {"trajectory"} != {*needed, "trajectory"}:
+        expected = ", ".join(needed if metadata.channels else ("t", "x", "y", "..."))
+        raise InputError(
+            f"{place}: expected the columns {expected}, got {got}; the first line "
+            "names the columns, separated by commas"
+        )
+    return channels
+
+
+def _times(rows: Sequence[_Row]) -> np.ndarray:
+    times = _column(rows, "t")
+    check_increasing(times, lambda index: f"line {rows[index].line}, column t")
+    return times
+
+
+def _column(rows: Sequence[_Row], name: str) -> np.ndarray:
+    numbers = [_number(row, name, "give its value") for row in rows]
+    return np.array(numbers, np.float64)
+
+
+def _observations(
+    rows: Sequence[_Row], channels: Sequence[str]
+) -> tuple[np.ndarray, np.ndarray]:
+    """States and mask; an empty cell is a missing observation."""
+    observed = np.array(
+        [[bool(row.cells[c].strip()) for c in channels] for row in rows]
+    )
+    remedy = "leave the cell empty to mark a missing observation"
+    states = [
+        [_number(row, c, remedy) if row.cells[c].strip() else 0.0 for c in channels]
+        for row in rows
+    ]
+    return np.array(states, np.float64), observed
+
+
+def _number(row: _Row, column: str, remedy: str) -> float:
+    text = row.cells[column].strip()
+    try:
+        number = math.nan if "_" in text else float(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise InputError(
+            f"line {row.line}, column {column}: expected a finite number, "
+            f"got {text!r}; {remedy}"
+        )
+    return number

@@ -1,0 +1,133 @@
+"""Parts of trajectories, several put together, and channels that nobody observed."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import PRNGKeyArray
+
+from pinav.errors import InputError
+from pinav.systems import velocity_unit
+from pinav.trajectories.trajectories import Trajectories, check_names
+from pinav.trajectories.trajectory import Trajectory
+
+
+def with_unobserved(
+    trajectories: Trajectories, units: Mapping[str, str]
+) -> Trajectories:
+    """The trajectories with more channels, of which nothing was observed.
+
+    A tracker gives positions; a swimmer with inertia has velocities too.
+
+    Args:
+        trajectories: what was observed.
+        units: unit of each new channel, by its name.
+    """
+    extra = len(units)
+
+    def widen(piece: Trajectory) -> Trajectory:
+        blank = np.zeros((len(piece.times), extra))
+        return Trajectory(
+            times=piece.times,
+            states=np.concatenate([piece.states, blank], axis=1),
+            observed=np.concatenate([piece.observed, blank > 0], axis=1),
+            commands=piece.commands,
+        )
+
+    channels = check_names((*trajectories.channels, *units), trajectories.commands)
+    return Trajectories.from_pieces(
+        [widen(piece) for piece in trajectories],
+        channels,
+        {**trajectories.units, **units},
+        trajectories.provenance,
+    )
+
+
+def with_velocities(trajectories: Trajectories) -> Trajectories:
+    """The trajectories of positions alone with velocities that nobody observed."""
+    if trajectories.dim != len(trajectories.channels):
+        return trajectories
+    length, time = (
+        trajectories.units[name] for name in (trajectories.channels[0], "t")
+    )
+    unit = velocity_unit(length, time)
+    units = {f"v{name}": unit for name in trajectories.channels}
+    return with_unobserved(trajectories, units)
+
+
+class Split(NamedTuple):
+    """Trajectories for training, and those kept for testing."""
+
+    train: Trajectories
+    held_out: Trajectories
+
+
+def split(trajectories: Trajectories, fraction: float, *, key: PRNGKeyArray) -> Split:
+    """Split by whole trajectories, at random.
+
+    Args:
+        trajectories: at least two.
+        fraction: share of them to train on, between 0 and 1; rounded so that
+            neither part is empty.
+        key: random key of the choice.
+
+    Raises:
+        InputError: there is one trajectory, or `fraction` is not between 0 and 1.
+    """
+    count = len(trajectories)
+    if not 0.0 < fraction < 1.0:
+        raise InputError(f"split fraction: expected between 0 and 1, got {fraction}")
+    if count < 2:
+        raise InputError("split: expected two or more trajectories, got 1")
+    num_train = min(max(round(fraction * count), 1), count - 1)
+    order = np.asarray(jax.random.permutation(key, count))
+    train, held_out = np.sort(order[:num_train]), np.sort(order[num_train:])
+    return Split(trajectories.select(train), trajectories.select(held_out))
+
+
+def bootstrap(
+    trajectories: Trajectories, count: int, *, key: PRNGKeyArray
+) -> list[Trajectories]:
+    """Resamples of whole trajectories, with replacement, for intervals.
+
+    Args:
+        trajectories: at least two.
+        count: number of resamples, each of as many trajectories.
+        key: random key of the choice.
+
+    Raises:
+        InputError: there is one trajectory, or `count` is not positive.
+
+    References:
+        Efron and Tibshirani, An Introduction to the Bootstrap (1993).
+    """
+    if len(trajectories) < 2:
+        raise InputError("bootstrap: expected two or more trajectories, got 1")
+    if count < 1:
+        raise InputError(f"bootstrap count: expected 1 or more, got {count}")
+    shape = (count, len(trajectories))
+    chosen = jax.random.randint(key, shape, 0, len(trajectories))
+    return [trajectories.select(np.asarray(indices)) for indices in chosen]
+
+
+def concatenate(several: Sequence[Trajectories]) -> Trajectories:
+    """The trajectories of all, in order; provenances are kept side by side.
+
+    Raises:
+        InputError: there is nothing to join, or channels, commands or units differ.
+    """
+    if not several:
+        raise InputError("concatenate: expected one or more Trajectories, got none")
+    first = several[0]
+    for other in several[1:]:
+        for name in ("channels", "units"):
+            expected, got = getattr(first, name), getattr(other, name)
+            if expected != got:
+                raise InputError(
+                    f"concatenate: {name} differ, {expected} and {got}; "
+                    "bring them to one form first"
+                )
+    provenance = {"concatenated": [part.provenance for part in several]}
+    pieces = [piece for part in several for piece in part]
+    return Trajectories.from_pieces(pieces, first.channels, first.units, provenance)

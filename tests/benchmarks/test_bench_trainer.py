@@ -1,0 +1,56 @@
+import numpy as np
+import pytest
+from benchmarks.trainer import main
+from benchmarks.trainer.cells import Measurement
+from benchmarks.trainer.systems import DEVELOPMENT, JUDGED, benchmark_system
+from benchmarks.trainer.table import Options, cells, line, summary
+
+from pinav.errors import InputError
+
+
+def measurement(**changes):
+    values = {"key": 4, "column": "kernel", "seed": 0, "rmse": 1e-6, "seconds": 2.0}
+    drawn = {"encounter": "turn", "form": "gaussian", "width": 1.5}
+    return Measurement(**(values | {"outcome": "converged"} | drawn | changes))
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--columns", "magic"], "--columns: 'magic' is unknown; choose some of"),
+        (["--keys", "60"], "--keys: expected 0 to 59, got 60"),
+        (["--workers", "0"], "--workers and --seeds: expected one or more"),
+    ],
+)
+def test_bad_options_are_refused(words, message, tmp_path):
+    with pytest.raises(InputError, match=message):
+        main([*words, "--out", str(tmp_path)])
+
+
+def test_no_system_is_both_for_development_and_for_judging():
+    assert not set(DEVELOPMENT) & set(JUDGED)
+    assert sorted(DEVELOPMENT + JUDGED) == list(range(60))
+
+
+def test_kernels_are_fitted_once_and_networks_for_each_seed():
+    options = Options(keys=(4,), columns=("network", "kernel"), seeds=(0, 1))
+    asked = [(key, column, seed) for key, column, seed, _ in cells(options)]
+    assert asked == [(4, "network", 0), (4, "network", 1), (4, "kernel", 0)]
+    assert {key for key, *_ in cells(Options(half="judged"))} == set(JUDGED)
+
+
+@pytest.mark.parametrize("key", [0, 2, 4, 8])
+def test_a_system_is_drawn_by_its_key_alone(key):
+    one, other = benchmark_system(key), benchmark_system(key)
+    np.testing.assert_array_equal(one.system.starts, other.system.starts)
+    assert 0.5 <= one.width <= 5.0
+    assert 1 <= len(one.system.starts) <= 4
+    assert 19.8 <= float(one.system.times[-1]) <= 50.0
+
+
+def test_the_table_gives_quantiles_of_each_column():
+    several = [measurement(rmse=10.0**-power) for power in range(3, 8)]
+    assert "1.0e-05" in summary(several)
+    assert "1.0e-03" in summary(several)
+    assert "turn" in line(several[0])
+    assert "converged" in line(several[0])

@@ -1,0 +1,100 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.dynamics import Adaptive, NeuralDynamics, Swimmer
+from pinav.evaluation import predict, score
+from pinav.fitting import distillation_rates
+from pinav.fitting.environments.gradient_matching import (
+    match_kernels,
+    matched_grid,
+    observed_rates,
+    simpler_models,
+)
+from pinav.fitting.environments.kernels import KernelGrid
+from pinav.forces import (
+    ConstantForce,
+    GaussianBarrier,
+    GaussianSwirl,
+    KernelForce,
+    KernelPotential,
+    LinearDrag,
+    tanh_network,
+)
+from pinav.trajectories import Trajectories
+
+BARRIER = GaussianBarrier(3.0, [2.0, 0.3], 0.8)
+TRUTH = Swimmer(ConstantForce([0.0, 0.05]), LinearDrag(0.3), BARRIER)
+
+
+def observe(truth: Swimmer, count: int = 2) -> Trajectories:
+    times = jnp.arange(0.0, 8.0, 0.1)
+    starts = [jnp.asarray([-1.0, 0.4 * i, 2.2 - 0.3 * i, 0.1]) for i in range(count)]
+    states = [np.asarray(Adaptive().solve(truth, y0, times)[0]) for y0 in starts]
+    channels = ("x", "y", "vx", "vy")
+    many = [np.asarray(times)] * count
+    return Trajectories.from_arrays(many, states, channels=channels)
+
+
+def total(model, data):
+    return score(*predict(model, data), data).total
+
+
+@pytest.fixture(scope="module")
+def data():
+    return observe(TRUTH)
+
+
+def test_splines_give_the_rates_of_exact_states(data):
+    rates = observed_rates(data)
+    true = jax.vmap(TRUTH)(jnp.asarray(rates.times), jnp.asarray(rates.states))
+    inside = (rates.times > 0.5) & (rates.times < 7.0)
+    np.testing.assert_allclose(rates.rates[inside], true[inside], atol=1e-3)
+
+
+def test_matched_kernels_explain_the_data_without_a_rollout(data):
+    environment, grid = match_kernels(TRUTH, observed_rates(data), data)
+    assert isinstance(environment, KernelPotential)
+    assert isinstance(grid, KernelGrid)
+    assert total(TRUTH.with_environment(environment), data) < 5e-3
+
+
+def test_narrow_obstacles_ask_for_finer_kernels(data):
+    wide = TRUTH.with_environment(GaussianBarrier(3.0, [2.0, 0.3], 3.0))
+    widths = []
+    for truth in (TRUTH, wide):
+        seen = observe(truth)
+        widths.append(match_kernels(truth, observed_rates(seen), seen)[0].width)
+    assert widths[0] < widths[1]
+
+
+def test_a_force_without_potential_is_told_from_one_with():
+    truth = TRUTH.with_environment(GaussianSwirl(3.0, [2.0, 0.3], 1.5))
+    seen = observe(truth, count=4)
+    environment, _ = match_kernels(truth, observed_rates(seen), seen)
+    assert isinstance(environment, KernelForce)
+
+
+def test_too_few_samples_give_no_rates(data):
+    short = Trajectories.from_arrays(
+        [data.times[0, :5]], [data.states[0, :5]], channels=data.channels
+    )
+    assert observed_rates(short) is None
+    assert matched_grid(TRUTH, short) is None
+    assert distillation_rates(TRUTH, short) is None
+    assert simpler_models(TRUTH, short) == {}
+
+
+def test_a_black_box_is_asked_for_the_same_rates_beside_the_path(data):
+    network = tanh_network(5, 4, width=4, depth=1, key=jax.random.key(0))
+    box = NeuralDynamics(network, (0.0,) * 5, (1.0,) * 5)
+    targets = distillation_rates(box, data)
+    half = len(targets.times) // 2
+    np.testing.assert_array_equal(targets.rates[:half], targets.rates[half:])
+    assert simpler_models(box, data) == {}
+
+
+def test_physics_alone_is_among_the_simpler_models(data):
+    errors = {name: total(m, data) for name, m in simpler_models(TRUTH, data).items()}
+    assert errors["a kernel field"] < 0.01 * errors["the known physics"]

@@ -1,0 +1,80 @@
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.dynamics import Adaptive, Swimmer
+from pinav.fitting import Adam, Distillation, Outcome, Rates, curriculum, fit_in_turns
+from pinav.fitting.matching.attempts import _has_failed, _joined
+from pinav.fitting.matching.state import Fit
+from pinav.forces import GaussianBarrier, LinearDrag, ZeroForce
+from pinav.trajectories import Trajectories
+
+TRUTH = Swimmer(ZeroForce(), LinearDrag(0.5), GaussianBarrier(2.0, [1.0, 0.2], 0.8))
+START = eqx.tree_at(lambda s: s.environment.height, TRUTH, 1.0)
+
+
+@pytest.fixture(scope="module")
+def data():
+    times = jnp.arange(0.0, 2.0, 0.1)
+    states = np.asarray(
+        Adaptive().solve(TRUTH, jnp.asarray([-1.0, 0.1, 1.5, 0.1]), times)[0]
+    )
+    channels = ("x", "y", "vx", "vy")
+    return Trajectories.from_arrays([np.asarray(times)], [states], channels=channels)
+
+
+def ended(outcome, *losses):
+    return Fit(TRUTH, START, np.asarray(losses), (("Adam", 0),), outcome)
+
+
+def test_the_better_attempt_is_kept_with_the_losses_of_both():
+    first = ended(Outcome.STALLED, 9.0, 1.0)
+    worse, better = (ended(Outcome.MISFIT, 9.0, x) for x in (2.0, 0.5))
+    kept = _joined(first, worse, worse)
+    assert kept.outcome is Outcome.STALLED
+    assert kept.losses.tolist() == [9.0, 1.0, 9.0, 1.0]
+    assert kept.phases == (("Adam", 0), ("Adam", 2))
+    assert _joined(first, better, better).outcome is Outcome.MISFIT
+
+
+def test_a_diverged_attempt_gives_way_and_never_wins():
+    lost = ended(Outcome.DIVERGED, 9.0, np.nan)
+    fine = ended(Outcome.STALLED, 9.0, 3.0)
+    assert _joined(lost, fine, fine).outcome is Outcome.STALLED
+    assert _joined(fine, lost, lost).outcome is Outcome.STALLED
+
+
+def test_what_converged_waits_for_the_others():
+    other = ended(Outcome.STALLED, 9.0, 8.0, 7.0)
+    kept = _joined(ended(Outcome.CONVERGED, 9.0, 1.0), None, other)
+    assert kept.losses.tolist() == [9.0, 1.0, 1.0, 1.0, 1.0]
+
+
+def test_little_loss_is_enough_however_the_fit_ended():
+    stalled = ended(Outcome.STALLED, 9.0, 1.0)
+    assert _has_failed(stalled, 0.5)
+    assert not _has_failed(stalled, 1.0)
+    assert not _has_failed(ended(Outcome.CONVERGED, 9.0, 1.0), 0.0)
+    assert _has_failed(ended(Outcome.DIVERGED, 9.0, np.nan), 1e9)
+
+
+def test_a_fit_that_ended_well_has_one_attempt(data):
+    options = {"trainable": lambda m: m.environment.height, "dtype": jnp.float64}
+    recipes = ((Adam(1e-2, 2),), (Adam(1e-2, 3),))
+    (fit,) = fit_in_turns([START], data, recipes, **options)
+    assert len(fit.losses) == 3
+
+
+@pytest.mark.slow
+def test_a_fit_that_failed_is_tried_again(data):
+    at = jnp.asarray(data.states[0])
+    rates = np.asarray(jnp.stack([TRUTH(0.0, y) for y in at]))
+    targets = Rates(data.times[0], data.states[0], rates)
+    hasty = curriculum(data, max_steps=1)[:1]
+    recipes = (hasty, (Distillation(targets), *curriculum(data)))
+    options = {"trainable": lambda m: m.environment, "dtype": jnp.float64}
+    (fit,) = fit_in_turns([START], data, recipes, **options)
+    assert fit.outcome is Outcome.CONVERGED
+    assert fit.model.environment.height == pytest.approx(2.0, rel=1e-4)
+    assert [name for name, _ in fit.phases][:2] == ["L = 1", "Distillation"]
