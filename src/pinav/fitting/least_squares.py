@@ -28,6 +28,7 @@ from pinav.fitting.engine.parametric_model import (
 )
 from pinav.fitting.engine.problem import AbstractProblem
 from pinav.fitting.engine.steps import AbstractStepRule, ChordSteps
+from pinav.fitting.evidence.model_evidence import LinearFit
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import AbstractWeights, GaussianWeights, NoWeights
 from pinav.fitting.outcome import Outcome
@@ -122,6 +123,8 @@ class Regression(AbstractProblem):
         flat: which of them are no weights.
         noise: standard deviation of the residuals, where it is known.
         scale: size of what is observed.
+        first_noise: the scale, for all that is observed may be noise.
+        least_noise: rounding of what is observed.
         tolerance: change of the log evidence at which the fit ends.
         step_rule: how to step.
         is_linear: whether one step is all there is to do.
@@ -129,6 +132,7 @@ class Regression(AbstractProblem):
         log_determinant: of what was integrated out before.
         priors: what is known of the constants.
         states: none, for there are no dynamics.
+        teacher: none.
     """
 
     parametric: ParametricModel
@@ -139,13 +143,16 @@ class Regression(AbstractProblem):
     flat: Bool[np.ndarray, " parameter"]
     noise: float | None
     scale: float
+    first_noise: float
+    least_noise: float
     tolerance: float
     step_rule: AbstractStepRule
     is_linear: bool = False
     num_projected: int = 0
     log_determinant: float = 0.0
     priors: ConstantPriors = ConstantPriors()
-    states: None = None
+    states: Float[Array, "trajectory time state"] | None = None
+    teacher: LinearFit | None = None
 
     @classmethod
     def of(
@@ -204,20 +211,12 @@ class Regression(AbstractProblem):
             flat=flat,
             noise=noise,
             scale=scale,
+            first_noise=scale,
+            least_noise=float(np.finfo(float).eps) * scale,
             tolerance=tolerance,
             step_rule=damped if step_rule is None else step_rule,
             **options,
         )
-
-    @property
-    def first_noise(self) -> float:
-        """The size of what is observed: all of it may be noise."""
-        return self.scale
-
-    @property
-    def least_noise(self) -> float:
-        """Rounding of what is observed."""
-        return float(np.finfo(float).eps) * self.scale
 
     def linearise(self, theta, states):
         residuals, jacobian = _linearised(

@@ -213,9 +213,10 @@ def _fit(
 ) -> tuple[EvidenceFit, Float[np.ndarray, " shape"]]:
     problem = _Problem(system, one_track(data, system.name), environment)
     learned = problem.search.base[problem.search.places]
-    shape, before, outcome = problem.weights.start, -np.inf, Outcome.STALLED
-    for done in range(1, ROUNDS + 1):
-        inference = problem.infer(learned, shape)
+    inference, before = problem.infer(learned, problem.weights.start), -np.inf
+    done = 0
+    while True:
+        done += 1
         shape = inference.hyperparameters.shape
         learned, value = problem.with_prior_of(learned, inference).descend(learned)
         if not np.isfinite(value):
@@ -225,11 +226,11 @@ def _fit(
             )
         if on_round:
             on_round(done, -value)
-        if abs(-value - before) < TOLERANCE:
-            outcome = Outcome.CONVERGED
-            break
-        before = -value
-    return _result(problem, learned, inference, outcome, done), shape
+        converged = abs(-value - before) < TOLERANCE
+        if converged or done == ROUNDS:
+            outcome = Outcome.CONVERGED if converged else Outcome.STALLED
+            return _result(problem, learned, inference, outcome, done), shape
+        inference, before = problem.infer(learned, shape), -value
 
 
 def _result(

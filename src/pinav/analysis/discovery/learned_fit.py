@@ -51,6 +51,7 @@ class Learned(eqx.Module):
         # the noise and the number of parameters depend on each other
         information = np.sum(hessian * posterior.covariance)
         effective = min(float(len(posterior.mean)), 0.5 * count)
+        noise = 0.0
         for _ in range(50):
             noise = np.sqrt(max(squares, 1e-300) / max(count - effective, 1.0))
             ceiling = min(float(len(posterior.mean)), 0.5 * count)
@@ -95,6 +96,7 @@ def laplace_posterior(
     values = np.maximum(values, 0.0)
     width = float(np.sqrt(np.mean(local.theta**2))) or 1.0
     count, noise = problem.num_residuals, 0.0
+    variance = np.full_like(values, width**2)
     for _ in range(20):
         variance = 1.0 / (values / max(noise**2, 1e-300) + width**-2)
         used = min(float(np.sum(1.0 - variance / width**2)), 0.5 * count)

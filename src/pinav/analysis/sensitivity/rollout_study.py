@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike, Float
+from jaxtyping import Array, Float
 
 from pinav.analysis.sensitivity.sobol import Factor, SobolIndices, sobol_indices
 from pinav.dynamics import FixedStep, Swimmer, with_dtype
@@ -137,8 +137,8 @@ class _Scaled(AbstractForce):
     """A force times a factor: thrust by its gain, linear drag by its damping."""
 
     force: AbstractForce
-    factor: ArrayLike | None = None
+    factor: Float[Array, ""] | float | None = None
 
-    def __call__(self, t, x, v):
+    def __call__(self, t, x, v) -> Float[Array, " dim"]:
         value = self.force(t, x, v)
         return value if self.factor is None else self.factor * value

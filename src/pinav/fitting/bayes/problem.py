@@ -109,7 +109,7 @@ class BayesProblem(AbstractProblem):
 
     parametric: ParametricModel
     theta: Float[np.ndarray, " parameter"]
-    states: States
+    states: Float[Array, "trajectory time state"] | None
     weights: AbstractWeights
     priors: ConstantPriors
     step_rule: AbstractStepRule
@@ -177,8 +177,8 @@ class BayesProblem(AbstractProblem):
     @property
     def num_free(self) -> int:
         """Observations less starts."""
-        observed = int(np.asarray(self.observations.observed).sum())
-        return observed - self.states[:, 0].size
+        observed = np.asarray(self.observations.observed)
+        return int(observed.sum()) - len(observed) * len(self.scale)
 
     def linearise(self, theta, states: Any):  # with dynamics there are states
         linear = linearise(
@@ -217,7 +217,7 @@ class BayesProblem(AbstractProblem):
 
     def flat_information(self):
         counts = np.asarray(self.observations.observed).sum(axis=(1, 2))
-        total, state = int(counts.sum()), self.states.shape[2]
+        total, state = int(counts.sum()), len(self.scale)
         starts = state * float(np.log(counts).sum())
         return total, starts + float(self.flat.sum() * np.log(total))
 
@@ -259,9 +259,9 @@ def _spread(
 def _check_starts(linear: Linearisation) -> None:
     for index, factor in enumerate(np.asarray(linear.start_factor)):
         lengths = np.linalg.norm(factor, axis=0)
-        if lengths.all():
-            values = np.linalg.svd(factor / lengths, compute_uv=False)
-        if not lengths.all() or values[-1] < 1e-13 * values[0]:
+        scaled = factor / np.where(lengths > 0, lengths, 1.0)
+        values = np.linalg.svd(scaled, compute_uv=False)
+        if values[-1] < 1e-13 * values[0]:
             raise FitError(
                 f"the fit is singular: the observations of trajectory {index} do not "
                 "determine its start; drop the trajectory"

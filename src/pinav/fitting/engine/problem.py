@@ -4,7 +4,7 @@ import abc
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 
 from pinav.fitting.engine.constant_priors import ConstantPriors
 from pinav.fitting.engine.local_model import (
@@ -76,11 +76,12 @@ class AbstractProblem(eqx.Module):
         noise: standard deviation of the residuals, where it is known.
         first_noise: a guess of it, for the first step.
         least_noise: below which residuals are rounding.
+        teacher: the fit that chose the prior of the weights, where it was another.
     """
 
     parametric: eqx.AbstractVar[ParametricModel]
     theta: eqx.AbstractVar[Float[np.ndarray, " parameter"]]
-    states: eqx.AbstractVar[States]
+    states: eqx.AbstractVar[Float[Array, "trajectory time state"] | None]
     weights: eqx.AbstractVar[AbstractWeights]
     priors: eqx.AbstractVar[ConstantPriors]
     step_rule: eqx.AbstractVar[AbstractStepRule]
@@ -90,6 +91,7 @@ class AbstractProblem(eqx.Module):
     noise: eqx.AbstractVar[float | None]
     first_noise: eqx.AbstractVar[float]
     least_noise: eqx.AbstractVar[float]
+    teacher: eqx.AbstractVar[LinearFit | None]
 
     @abc.abstractmethod
     def linearise(
@@ -112,11 +114,6 @@ class AbstractProblem(eqx.Module):
         self, step: Step
     ) -> list[Float[np.ndarray, "_ channel"]] | None:
         """Residuals after a step in the order of time; None where they have none."""
-        return None
-
-    @property
-    def teacher(self) -> LinearFit | None:
-        """The fit that chose the prior of the weights, where it was another."""
         return None
 
     def step(self, move: Move, before: Hyperparameters | None) -> Step | None:

@@ -6,7 +6,7 @@ gets there.
 """
 
 import math
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import gymnasium
@@ -50,8 +50,6 @@ class NavigationEnv(gymnasium.Env):
     Raises:
         InputError: the action is not a pair of numbers, or `step` comes before `reset`.
     """
-
-    metadata: ClassVar[dict[str, list[str]]] = {"render_modes": []}
 
     def __init__(self, task: Task, *, truth: SteeredSwimmer | None = None):
         self.task = task
