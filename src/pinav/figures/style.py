@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
+from matplotlib.container import Container
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -208,7 +209,7 @@ def add_legend(ax: Axes, *, columns: int = 1, loc: LegendPlace = "best") -> None
 
 def share_legend(
     figure: Figure,
-    handles: Sequence[Artist],
+    handles: Sequence[Artist | Container],
     *,
     labels: Sequence[str] | None = None,
     columns: int = 2,
