@@ -75,9 +75,10 @@ def test_nominal_bands_of_90_percent_hold(sessions):
     for selection in sessions:
         jitter = FrameJitter.of(selection.train, path_of(selection.best))
         rollouts = Rollouts.of(selection.held_out, 10.0)
-        found = coverage(selection.held_out, rollouts, selection.best, jitter)
-        print(f"{selection.track.name}: {found.inside:.3f} of {found.rollouts} rollouts")
-        inside += [found.inside] * found.rollouts
+        result = coverage(selection.held_out, rollouts, selection.best, jitter)
+        name, count = selection.track.name, result.rollouts
+        print(f"{name}: {result.inside:.3f} of {count} rollouts")
+        inside += [result.inside] * count
     print(f"all rollouts: {np.mean(inside):.3f}")
     assert 0.85 <= np.mean(inside) <= 0.95
 
