@@ -67,7 +67,7 @@ class DiffraxFixedStep(AbstractSolver):
             max_steps=1024,
             throw=False,
         )
-        return solution.ys, solution.result == diffrax.RESULTS.successful
+        return jnp.asarray(solution.ys), solution.result == diffrax.RESULTS.successful
 
 
 def adaptive(adjoint: diffrax.AbstractAdjoint, tolerance: float = 1e-6) -> Adaptive:

@@ -76,8 +76,8 @@ def test_nominal_bands_of_90_percent_hold(sessions):
         jitter = FrameJitter.of(selection.train, path_of(selection.best))
         rollouts = Rollouts.of(selection.held_out, 10.0)
         found = coverage(selection.held_out, rollouts, selection.best, jitter)
-        print(f"{selection.track.name}: {found.inside:.3f} of {found.count} rollouts")
-        inside += [found.inside] * found.count
+        print(f"{selection.track.name}: {found.inside:.3f} of {found.rollouts} rollouts")
+        inside += [found.inside] * found.rollouts
     print(f"all rollouts: {np.mean(inside):.3f}")
     assert 0.85 <= np.mean(inside) <= 0.95
 

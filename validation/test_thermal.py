@@ -185,7 +185,7 @@ def test_a_protocol_that_pauses_is_worse(edge_weighted, listed):
     bursts = Piecewise.on_off(1e4, 1e5, on=50.0, off=100.0, duration=1800.0)
     results = {}
     for name, protocol in (("still", still), ("bursts", bursts)):
-        low, high = 5e4, 1e6
+        low, high, reached = 5e4, 1e6, 0.0
         for _ in range(14):
             middle = 0.5 * (low + high)
             hot, reached = dose(protocol, middle)

@@ -80,3 +80,16 @@ def test_kernels_on_other_places_are_untrained_and_of_that_width(force):
     assert made.kernels.width == 0.5
     assert not np.any(made.kernels.weights)
     assert made.is_linear
+
+
+@every_force
+def test_length_scales_and_prior_need_no_weights(force):
+    """A fit asks the fixed part of a model, from which the weights are taken out."""
+    if not force.is_linear:
+        pytest.skip("the prior of a network is over its weights")
+    weights = jax.tree.leaves(force.parameters)
+    fixed = jax.tree.map(
+        lambda leaf: None if any(leaf is w for w in weights) else leaf, force
+    )
+    shape = force.prior().start
+    assert fixed.length_scales(shape) == force.length_scales(shape)

@@ -10,10 +10,8 @@ from typing import Any, Literal
 
 import matplotlib
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
-from matplotlib.container import Container
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -209,7 +207,7 @@ def add_legend(ax: Axes, *, columns: int = 1, loc: LegendPlace = "best") -> None
 
 def share_legend(
     figure: Figure,
-    handles: Sequence[Artist | Container],
+    handles: Sequence[Any],
     *,
     labels: Sequence[str] | None = None,
     columns: int = 2,
@@ -218,7 +216,7 @@ def share_legend(
 
     Args:
         figure: that holds the panels.
-        handles: what is explained.
+        handles: what is explained: artists, or bars.
         labels: their texts; their own labels unless given.
         columns: in how many columns they stand.
     """

@@ -65,7 +65,8 @@ class AbstractKernels(AbstractLearnedForce):
         return [float(np.exp(shape[0]))]
 
     def prior(self):
-        components = math.prod(self.weights.shape[1:])
+        # Not from the weights, which are left out of the fixed part of a model.
+        components = math.prod(self.weight_shape(self.centers.shape)[1:])
         return WeightPrior(self.centers, self.width, components)
 
     def kernels_on(self, centers, width):

@@ -214,11 +214,11 @@ def _place(name, free: ParametricModel, theta, pick) -> int:
 
 def _linearise_each(problem: BayesProblem, free, theta):
     """Normal matrix and gradient of each trajectory."""
-    each = []
-    for index in range(problem.states.shape[0]):
+    each, states = [], jnp.asarray(problem.states)
+    for index in range(len(states)):
         rows = slice(index, index + 1)
         data = jax.tree.map(lambda array, rows=rows: array[rows], problem.observations)
-        linear = linearise(free, theta, problem.states[rows], data, problem.solver)
+        linear = linearise(free, theta, states[rows], data, problem.solver)
         each.append((np.asarray(linear.hessian), np.asarray(linear.gradient)))
     return each
 
