@@ -85,12 +85,22 @@ def identified(folder: Path) -> list[str]:
     return ["identify", str(folder / DATA)]
 
 
+SHORT = ("--seeds", "42", "1", "--recipe", "paper", "--adam-steps", "12")
+"""A reproduction of a few steps."""
+
+
+def reproduced(folder: Path) -> list[str]:
+    """The paper's experiment with two seeds and a few steps; there is no data file."""
+    return ["reproduce", *SHORT, "--lbfgs-steps", "3"]
+
+
 RUNS: dict[str, Callable[[Path], list[str]]] = {
     "network": network,
     "kernel": kernel,
     "positions": positions,
     "langevin": langevin,
     "identified": identified,
+    "reproduced": reproduced,
 }
 
 

@@ -9,8 +9,8 @@ from tests.commands.test_heat import small
 
 from pinav import cli
 from pinav.commands import COMMANDS
+from pinav.runs import RunFolder
 
-STEPS = ("--recipe", "paper", "--adam-steps", "12", "--lbfgs-steps", "3")
 NARROW = ("--thrust", "1", "--time-limit", "8", "--step", "0.5", "--seeds", "1")
 
 
@@ -30,11 +30,8 @@ class Folder:
 
 
 WORDS: dict[str, Callable[[Folder], tuple[str, ...]]] = {
-    "reproduce": lambda f: ("--seeds", "0", *STEPS, *f.out),
     "simulate": lambda f: ("paper", "--out", str(f.path / "data.csv")),
     "inspect": lambda f: (f.data("identified"), *f.out),
-    "identify": lambda f: (f.data("identified"), *f.out),
-    "fit": lambda f: (f.data("kernel"), "--train", "damping", *f.out),
     "evaluate": lambda f: (f.run("kernel"), f.data("kernel")),
     "analyse": lambda f: (f.run("kernel"), "--points", "5", "--samples", "4"),
     "compare": lambda f: (
@@ -51,21 +48,30 @@ WORDS: dict[str, Callable[[Folder], tuple[str, ...]]] = {
 }
 
 
+SHARED = {"reproduce": "reproduced", "identify": "identified", "fit": "kernel"}
+"""Commands whose runs are made once for all tests, and those runs."""
+
 SLOW = {"navigate"}  # it compiles its controllers for a minute
 
 
 def cases():
     marks = {name: [pytest.mark.slow] for name in SLOW}
-    return [pytest.param(c, marks=marks.get(c.name, []), id=c.name) for c in COMMANDS]
+    return [pytest.param(name, marks=marks.get(name, [])) for name in WORDS]
 
 
 @pytest.mark.parametrize("command", cases())
 def test_a_command_ends_with_success(command, tmp_path, fitted_run, capsys):
-    words = WORDS[command.name](Folder(tmp_path, fitted_run))
+    words = WORDS[command](Folder(tmp_path, fitted_run))
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-        assert cli.run([command.name, *words]) == 0
+        assert cli.run([command, *words]) == 0
     assert capsys.readouterr().out
 
 
+@pytest.mark.parametrize("command", SHARED)
+def test_a_shared_run_is_that_of_its_command(command, fitted_run):
+    folder, _ = fitted_run(SHARED[command])
+    assert RunFolder.open(folder).command == command
+
+
 def test_each_command_has_its_words():
-    assert set(WORDS) == {command.name for command in COMMANDS}
+    assert set(WORDS) | set(SHARED) == {command.name for command in COMMANDS}

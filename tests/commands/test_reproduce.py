@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from tests.fitted_runs import reproduced
 
 from pinav import cli, figures, files
 from pinav.commands.fitted_run import FittedRun
@@ -14,16 +15,14 @@ from pinav.runs import RunFolder
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory) -> RunFolder:
-    """A whole run of the command with a few steps, written once for this module."""
-    out = tmp_path_factory.mktemp("reproduce") / "run"
-    assert cli.run(words(out)) == 0
-    return RunFolder.open(out)
+def run(fitted_runs, tmp_path_factory) -> RunFolder:
+    """A whole run of the command with a few steps, made once for all tests."""
+    folder, _ = fitted_runs.copy("reproduced", tmp_path_factory.mktemp("reproduce"))
+    return RunFolder.open(folder)
 
 
 def words(out, *more):
-    steps = ["--recipe", "paper", "--adam-steps", "12", "--lbfgs-steps", "3"]
-    return ["reproduce", "--seeds", "42", "1", *steps, "--out", str(out), *more]
+    return [*reproduced(out), "--out", str(out), *more]
 
 
 def results(folder: RunFolder) -> dict[str, bytes]:
