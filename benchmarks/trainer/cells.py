@@ -14,7 +14,7 @@ from benchmarks.trainer.systems import BenchmarkSystem, benchmark_system
 from pinav.commands.matching import CurriculumSettings, matching
 from pinav.evaluation import predict, score
 from pinav.files import write_text
-from pinav.fitting import fit_bayes, fit_in_turns, kernel_environment
+from pinav.fitting import fit_bayes, kernel_environment
 from pinav.fitting.environments.catalogue import (
     ModelChoice,
     build,
@@ -58,14 +58,10 @@ def _by_matching(model: str, recipe: str) -> Callable[..., tuple[Any, str]]:
         summary = summarise_for_matching(choice, known, data)
         untrained = build(choice, known, summary)
         method = matching(CurriculumSettings(recipe), data, untrained)
-        (result,) = fit_in_turns(
+        (result,) = method.fit(
             [untrained],
             data,
-            method.recipes,
             trainable=learned_part,
-            objective=method.objective,
-            dtype=method.dtype,
-            enough=method.enough,
         )
         return result.model, str(result.outcome)
 

@@ -1,7 +1,7 @@
 """Trajectory matching by the name of its recipe, and its losses on disk."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol, runtime_checkable
 
 import jax.numpy as jnp
@@ -17,8 +17,11 @@ from pinav.fitting import (
     TrajectoryLoss,
     curriculum,
     distillation_rates,
+    fit_in_turns,
     paper_recipe,
 )
+from pinav.fitting.matching.fit import Trainable
+from pinav.fitting.matching.state import AbstractCheckpoint, FitProgress
 from pinav.forces import ZeroForce, as_learned
 from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories
@@ -86,6 +89,28 @@ class Matching:
     def precision(self) -> str:
         """Name of the floating-point type, for files."""
         return jnp.dtype(self.dtype).name
+
+    def fit(
+        self,
+        models: Sequence[AbstractDynamics],
+        data: Trajectories,
+        *,
+        trainable: Trainable,
+        checkpoint: AbstractCheckpoint | None = None,
+        on_chunk: Callable[[FitProgress], None] | None = None,
+    ) -> list[Fit]:
+        """Fit several models; see `fit_in_turns`."""
+        return fit_in_turns(
+            models,
+            data,
+            self.recipes,
+            trainable=trainable,
+            objective=self.objective,
+            dtype=self.dtype,
+            enough=self.enough,
+            checkpoint=checkpoint,
+            on_chunk=on_chunk,
+        )
 
 
 def matching(

@@ -5,7 +5,7 @@ import pytest
 
 from pinav.dynamics import Adaptive, Swimmer
 from pinav.fitting import Adam, Distillation, Outcome, Rates, curriculum, fit_in_turns
-from pinav.fitting.matching.attempts import _has_failed, _joined
+from pinav.fitting.matching.attempts import _has_failed, _join
 from pinav.fitting.matching.state import Fit
 from pinav.forces import GaussianBarrier, LinearDrag, ZeroForce
 from pinav.trajectories import Trajectories
@@ -31,23 +31,23 @@ def ended(outcome, *losses):
 def test_the_better_attempt_is_kept_with_the_losses_of_both():
     first = ended(Outcome.STALLED, 9.0, 1.0)
     worse, better = (ended(Outcome.MISFIT, 9.0, x) for x in (2.0, 0.5))
-    kept = _joined(first, worse, worse)
+    kept = _join(first, worse, worse)
     assert kept.outcome is Outcome.STALLED
     assert kept.losses.tolist() == [9.0, 1.0, 9.0, 1.0]
     assert kept.phases == (("Adam", 0), ("Adam", 2))
-    assert _joined(first, better, better).outcome is Outcome.MISFIT
+    assert _join(first, better, better).outcome is Outcome.MISFIT
 
 
 def test_a_diverged_attempt_gives_way_and_never_wins():
     lost = ended(Outcome.DIVERGED, 9.0, np.nan)
     fine = ended(Outcome.STALLED, 9.0, 3.0)
-    assert _joined(lost, fine, fine).outcome is Outcome.STALLED
-    assert _joined(fine, lost, lost).outcome is Outcome.STALLED
+    assert _join(lost, fine, fine).outcome is Outcome.STALLED
+    assert _join(fine, lost, lost).outcome is Outcome.STALLED
 
 
 def test_what_converged_waits_for_the_others():
     other = ended(Outcome.STALLED, 9.0, 8.0, 7.0)
-    kept = _joined(ended(Outcome.CONVERGED, 9.0, 1.0), None, other)
+    kept = _join(ended(Outcome.CONVERGED, 9.0, 1.0), None, other)
     assert kept.losses.tolist() == [9.0, 1.0, 1.0, 1.0, 1.0]
 
 

@@ -43,7 +43,6 @@ from pinav.fitting import (
     EvidenceFit,
     Outcome,
     fit_bayes,
-    fit_in_turns,
     fit_langevin,
     simpler_models,
 )
@@ -162,16 +161,12 @@ def _match(plan: FitPlan, folder: RunFolder) -> None:
     model = build(plan.choice, plan.system.swimmer, plan.summary)
     method = matching(plan.settings, plan.data, model)
     with FitReporter(folder, plan.choice.name) as report:
-        (result,) = fit_in_turns(
+        (result,) = method.fit(
             [model],
             plan.data,
-            method.recipes,
             trainable=plan.choice.trainable,
             checkpoint=folder.checkpoint(plan.choice.name),
             on_chunk=report,
-            objective=method.objective,
-            dtype=method.dtype,
-            enough=method.enough,
         )
     if result.outcome is Outcome.DIVERGED:
         raise FitError(DIVERGED)

@@ -249,15 +249,15 @@ def _tracks_table(report: Quality) -> Table:
         f"duration [{time}]": lambda track: track.duration,
         f"path [{length}]": lambda track: track.path,
         f"speed [{length}/{time}]": lambda track: track.speed,
-        f"scatter [{length}]": _localised("scatter"),
-        f"error [{length}]": _localised("deviation"),
-        f"D [{length}²/{time}]": _localised("diffusion"),
+        f"scatter [{length}]": _localisation("scatter"),
+        f"error [{length}]": _localisation("deviation"),
+        f"D [{length}²/{time}]": _localisation("diffusion"),
     }
     caption = "D: diffusion or jitter, as far as error and motion leave it."
     return Table.of(report.tracks, columns, caption)
 
 
-def _localised(name: str) -> Callable[[Track], Cell]:
+def _localisation(name: str) -> Callable[[Track], Cell]:
     """A number of the localisation, where there is one."""
     return lambda track: getattr(track.localisation, name, None)
 

@@ -38,7 +38,6 @@ from pinav.evaluation import (
     predict,
     score,
 )
-from pinav.fitting import fit_in_turns
 from pinav.fitting.environments.catalogue import (
     ModelChoice,
     build,
@@ -135,14 +134,10 @@ def _write_fits(
     models = [build(entry.choice(seed), known, summary) for seed in entry.seeds]
     method = matching(settings, data, models[0])
     with FitReporter(folder, entry.name) as report:
-        fits = fit_in_turns(
+        fits = method.fit(
             models,
             data,
-            method.recipes,
             trainable=learned_part,
-            objective=method.objective,
-            dtype=method.dtype,
-            enough=method.enough,
             checkpoint=folder.checkpoint(entry.name),
             on_chunk=report,
         )

@@ -36,7 +36,7 @@ from pinav.evaluation import (
     square,
     summarise,
 )
-from pinav.fitting import Outcome, fit_bayes, fit_in_turns
+from pinav.fitting import Outcome, fit_bayes
 from pinav.fitting.environments.catalogue import (
     KnownSwimmer,
     ModelChoice,
@@ -224,14 +224,10 @@ def fit_choice(
     else:
         model = build(choice, swimmer, summarise_data(data))
         method = matching(CurriculumSettings(max_steps=max_steps), data, model)
-        (result,) = fit_in_turns(
+        (result,) = method.fit(
             [model],
             data,
-            method.recipes,
             trainable=choice.trainable,
-            objective=method.objective,
-            dtype=method.dtype,
-            enough=method.enough,
         )
     if result.outcome is Outcome.DIVERGED:
         raise FitError("the fit diverged")

@@ -19,6 +19,7 @@ from pinav.commands.study.job import clean_data, with_noise
 from pinav.commands.study.metrics import ModelScores, WeaknessMetrics
 from pinav.commands.study.settings import StudySettings
 from pinav.dynamics import AbstractDynamics, Swimmer
+from pinav.errors import FitError
 from pinav.evaluation import (
     NEAR,
     VISITED,
@@ -35,7 +36,7 @@ from pinav.evaluation import (
 )
 from pinav.figures.errors import error_over_time, errors_by_region
 from pinav.figures.style import new_figure, style_of, title_panel
-from pinav.fitting import fit_bayes, fit_in_turns
+from pinav.fitting import Outcome, fit_bayes
 from pinav.fitting.environments.catalogue import (
     ModelChoice,
     build,
@@ -122,17 +123,15 @@ def _fit_ude(
     recipe = "paper" if paper_recipe else "curriculum"
     method = matching(CurriculumSettings(recipe, settings.max_steps), data, model)
     with FitReporter(folder, "ude") as report:
-        (result,) = fit_in_turns(
+        (result,) = method.fit(
             [model],
             data,
-            method.recipes,
             trainable=learned_part,
             checkpoint=folder.checkpoint("ude"),
             on_chunk=report,
-            objective=method.objective,
-            dtype=method.dtype,
-            enough=method.enough,
         )
+    if result.outcome is Outcome.DIVERGED:
+        raise FitError("the fit diverged")
     return ModelHeader(choice, summary, method.precision), result.model
 
 

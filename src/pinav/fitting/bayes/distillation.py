@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.fitting.engine.parametric_model import ParametricModel, ravel_model
-from pinav.fitting.matching.gauss_newton import chord, low_rank
+from pinav.fitting.matching.gauss_newton import damped_step
 from pinav.forces import AbstractForce, kernel_centers
 from pinav.trajectories import Trajectories
 
@@ -108,27 +108,19 @@ def _step(
 
     def residuals(theta):
         axes = (None, 0, 0)
-        found = jax.vmap(force, axes)(theta, targets.times, targets.positions)
-        return (found - targets.forces / size).reshape(-1)
+        computed = jax.vmap(force, axes)(theta, targets.times, targets.positions)
+        return (computed - targets.forces / size).reshape(-1)
 
     jacobian = jax.vmap(jax.jacrev(force), (None, 0, 0))(
         theta, targets.times, targets.positions
     ).reshape(-1, theta.shape[0])
-    left, scale, right = low_rank(jacobian, RANK)
-    before = residuals(theta)
-    dampings = damping * 10.0 ** (jnp.arange(float(NUM_DAMPINGS)) - (NUM_DAMPINGS - 2))
-
-    def attempt(damping):
-        return chord(
-            lambda z: residuals(theta + right @ z),
-            (before, left, scale),
-            damping,
-            CHORD_STEPS,
-        )
-
-    moves, costs = jax.vmap(attempt)(dampings)
-    costs = jnp.where(jnp.isfinite(costs), costs, jnp.inf)
-    best = jnp.argmin(costs)
-    lower = costs[best] < before @ before
-    moved = jnp.where(lower, theta + right @ moves[best], theta)
-    return moved, jnp.where(lower, dampings[best], 100.0 * damping)
+    step = damped_step(
+        residuals,
+        theta,
+        (residuals(theta), jacobian),
+        damping,
+        rank=RANK,
+        num_dampings=NUM_DAMPINGS,
+        chord_steps=CHORD_STEPS,
+    )
+    return step.theta, step.damping

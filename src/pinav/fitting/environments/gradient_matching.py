@@ -74,7 +74,7 @@ def match_kernels(
         trajectories: what the kernels are laid around.
     """
     dim = rates.states.shape[1] // 2
-    positions, forces = rates.states[:, :dim], _unexplained(swimmer, rates)
+    positions, forces = rates.states[:, :dim], _residual_forces(swimmer, rates)
     held_out = np.arange(len(positions)) % 4 == 2
     size = float(np.sqrt(np.mean(forces[held_out] ** 2))) or 1.0
     trials: list[tuple[float, Any, KernelGrid]] = []
@@ -169,7 +169,7 @@ TUBE = 0.25
 """Distance of the nearer positions beside the paths, in widths of a kernel."""
 
 
-def _unexplained(swimmer: Swimmer, rates: Rates) -> Float[np.ndarray, "point dim"]:
+def _residual_forces(swimmer: Swimmer, rates: Rates) -> Float[np.ndarray, "point dim"]:
     known = swimmer.with_environment(ZeroForce())
     explained = _rates_of(known, rates.times, rates.states)
     return (rates.rates - explained)[:, rates.states.shape[1] // 2 :]

@@ -61,7 +61,7 @@ def fit_in_turns(
         chosen = [models[i] for i in failed]
         again = fit_many(chosen, trajectories, recipe, on_chunk=on_chunk, **options)
         others = dict(zip(failed, again, strict=True))
-        fits = [_joined(fit, others.get(i), again[0]) for i, fit in enumerate(fits)]
+        fits = [_join(fit, others.get(i), again[0]) for i, fit in enumerate(fits)]
     return fits
 
 
@@ -69,7 +69,7 @@ def _has_failed(fit: Fit, enough: float) -> bool:
     return fit.outcome not in ENDED and not fit.losses[-1] <= enough
 
 
-def _joined(before: Fit, after: Fit | None, example: Fit) -> Fit:
+def _join(before: Fit, after: Fit | None, example: Fit) -> Fit:
     """The better of two attempts, with the losses of both.
 
     A model that was fitted already keeps its last loss over the steps of the others.

@@ -82,10 +82,10 @@ class Distillation(AbstractPhase):
         return jax.lax.cond(
             state.done,
             lambda: (params, state, state.value),
-            lambda: self._moved(loss, params, state),
+            lambda: self._take_step(loss, params, state),
         )
 
-    def _moved(self, loss, params, state):
+    def _take_step(self, loss, params, state):
         theta, unravel = ravel_pytree(params)
 
         targets = self.targets.rates

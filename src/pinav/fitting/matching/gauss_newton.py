@@ -112,10 +112,10 @@ class GaussNewton(AbstractPhase):
         return jax.lax.cond(
             state.done,
             lambda: (params, state, value),
-            lambda: (*self._moved(windows, params, state), value),
+            lambda: (*self._take_step(windows, params, state), value),
         )
 
-    def _moved(self, windows: "_Windows", params, state):
+    def _take_step(self, windows: "_Windows", params, state):
         """Parameters and state after a step that is taken."""
         theta, unravel = ravel_pytree(params)
         starts, residual, surrogate = windows.surrogate(theta)
