@@ -18,6 +18,9 @@ Scalar = float | int | Float[Array, ""]
 Vector = Float[Array, " dim"]
 """A vector of the space: a position, a velocity, a force."""
 
+Planar = Float[Array, "2"]
+"""A vector of the plane, likewise."""
+
 State = Float[Array, " state"]
 """State y of a swimmer: its position, and its velocity where it has inertia."""
 
