@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
-import scipy.stats
+import scipy.special
 from jaxtyping import Array, Float
 
 from pinav.analysis.discovery.laws import Landscape
@@ -219,8 +219,8 @@ def central_test(sample: ForceSample) -> CentralTest:
     covariance = project_covariance(sample.total_covariance, tangents)
     mean, variance = np.trace(covariance), 2 * np.sum(covariance**2)
     statistic = float(np.sum(tangential**2))
-    p_value = scipy.stats.chi2.sf(
-        2 * mean * statistic / variance, 2 * mean**2 / variance
+    p_value = scipy.special.chdtrc(
+        2 * mean**2 / variance, 2 * mean * statistic / variance
     )
     strength = max(float(np.sqrt(np.sum(radial**2))), np.finfo(float).tiny)
     return CentralTest(

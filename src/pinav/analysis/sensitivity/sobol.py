@@ -16,7 +16,6 @@ from collections.abc import Callable, Sequence
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
-from scipy import stats
 
 from pinav.errors import InputError
 
@@ -110,7 +109,9 @@ def sobol_indices(
     """
     _check(factors, samples, confidence)
     generator = np.random.default_rng(seed)
-    points = stats.qmc.Sobol(2 * len(factors), rng=generator).random(samples)
+    from scipy.stats import qmc  # seconds of imports that few commands need
+
+    points = qmc.Sobol(2 * len(factors), rng=generator).random(samples)
     low = np.array([factor.low for factor in factors])
     high = np.array([factor.high for factor in factors])
     halves = np.split(points, 2, axis=1)
@@ -179,10 +180,12 @@ def _indices(
     stacked: Float[np.ndarray, "matrix sample outcome"],
 ) -> tuple[Indices, Indices]:
     """Indices from the outcomes of both matrices and of the mixed ones."""
+    from scipy.stats import sobol_indices as saltelli
+
     samples = stacked.shape[1]
     first, second, *mixed = np.moveaxis(stacked, 2, 1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        indices = stats.sobol_indices(
+        indices = saltelli(
             func={"f_A": first, "f_B": second, "f_AB": np.stack(mixed)}, n=samples
         )
     shape = first.shape[0], len(mixed)  # SciPy drops the axis of a single outcome

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.stats import binom, binomtest
 
 from pinav.errors import InputError
 from pinav.navigation.task.objectives import FollowPath
@@ -104,6 +103,8 @@ def proportion(successes: int, count: int) -> Interval:
             "proportion: expected 0 <= successes <= count and count >= 1, got "
             f"{successes} of {count}"
         )
+    from scipy.stats import binomtest  # seconds of imports
+
     interval = binomtest(successes, count).proportion_ci(method="wilson")
     return Interval(successes / count, float(interval.low), float(interval.high))
 
@@ -138,6 +139,8 @@ def regret(learned: Episodes, oracle: Episodes) -> Interval:
 
 def median(values: Float[np.ndarray, " value"]) -> Interval:
     """Median, and an interval between order statistics that holds it with 95 %."""
+    from scipy.stats import binom
+
     ordered, count = np.sort(values), len(values)
     below = int(binom.ppf(0.025, count, 0.5))
     ends = max(below - 1, 0), min(count - below, count - 1)
