@@ -140,13 +140,21 @@ def tabulate(
     Raises:
         InputError: a value is not finite.
     """
-    at = _rates if isinstance(model.dynamics, Swimmer) else _velocities
-    at = jax.vmap(jax.vmap(at, (None, None, 0)), (None, None, 0))
-    compute = eqx.filter_jit(lambda swimmer, t: at(swimmer, t, grid.points))
-    values = np.stack([np.asarray(compute(model.dynamics, t)) for t in times])
+    values = np.stack(
+        [np.asarray(_map(model.dynamics, t, grid.points)) for t in jnp.asarray(times)]
+    )
     _check_finite(values, grid)
     interval = float(times[1] - times[0]) if len(times) > 1 else 1.0
     return FieldTable(grid, jnp.asarray(values), float(times[0]), interval)
+
+
+@eqx.filter_jit
+def _map(
+    dynamics: Swimmer | OverdampedSwimmer, t: Scalar, points: Float[Array, "x y 2"]
+) -> Float[Array, "x y channel"]:
+    """Channels at many points; compiled once for all models of one form."""
+    at = _rates if isinstance(dynamics, Swimmer) else _velocities
+    return jax.vmap(jax.vmap(at, (None, None, 0)), (None, None, 0))(dynamics, t, points)
 
 
 def _rates(

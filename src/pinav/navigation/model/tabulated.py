@@ -72,7 +72,10 @@ def tabulate_model(
     inertial = isinstance(model.dynamics, Swimmer)
     predictor = (InertialTable if inertial else OverdampedTable)(table, model.actuator)
     drive = ControlMap.of(model.actuator, task.limits)
-    spread = None
+    # A table of zeros instead of none: one compiled program serves all models.
+    spread = eqx.tree_at(
+        lambda s: s.values, table, jnp.zeros_like(table.values[..., :1])
+    )
     if samples:
         spread = force_spread([tabulate(one, grid, moments) for one in samples])
         thrust = _greatest_rate(table, drive, inertial=inertial)

@@ -22,7 +22,7 @@ class TimeCost(eqx.Module):
         arena: what must not be left.
         margin: m, from a wall, over which time costs more [L], positive.
         steepness: k.
-        spread: s / u, dimensionless; None where the model is taken for true.
+        spread: s / u, dimensionless; zeros where the model is taken for true.
         risk_aversion: $\rho$ to what is not known.
     """
 
@@ -30,8 +30,8 @@ class TimeCost(eqx.Module):
     arena: Rectangle
     margin: Scalar
     steepness: float
-    spread: FieldTable | None = None
-    risk_aversion: float = 0.0
+    spread: FieldTable
+    risk_aversion: Scalar
 
     def clearance(self, x: Planar) -> Float[Array, ""]:
         """Distance from the nearest forbidden place [L]."""
@@ -40,12 +40,8 @@ class TimeCost(eqx.Module):
     def running_cost(self, t: Scalar, x: Planar) -> Float[Array, ""]:
         """Cost of a unit of time, at time `t` [T] and position `x` [L]."""
         lack = jnp.maximum(0.0, 1 - self.clearance(x) / self.margin)
-        return 1 + self.steepness * lack**2 + self._risk(t, x)
-
-    def _risk(self, t: Scalar, x: Planar) -> Float[Array, ""]:
-        if self.spread is None or self.risk_aversion == 0:
-            return jnp.zeros((), x.dtype)
-        return self.risk_aversion * self.spread(t, x)[0] ** 2
+        risk = self.risk_aversion * self.spread(t, x)[0] ** 2
+        return 1 + self.steepness * lack**2 + risk
 
 
 def entry_fraction(

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from pinav.arguments import Planar, Scalar, State
 from pinav.errors import InputError
@@ -63,9 +63,8 @@ class TimeToGo(eqx.Module):
         lower: first point of the lattice.
         spacing: of the lattice.
         scale: $\tau$ [T].
-        interval: between the times [T].
+        step: of the plan [T]: between its times; the policy looks as far ahead.
         horizon: what takes longer counts as out of reach [T].
-        step: of the plan [T]; the policy looks as far ahead.
         tables: the model, the drive, the walls.
         goal: middle of the goal [L].
         tolerance: its radius [L].
@@ -75,9 +74,8 @@ class TimeToGo(eqx.Module):
     lower: State
     spacing: State
     scale: Float[Array, ""]
-    interval: float
+    step: Float[Array, ""]
     horizon: float = eqx.field(static=True)
-    step: float = eqx.field(static=True)
     tables: TabulatedModel
     goal: Planar
     tolerance: Float[Array, ""]
@@ -91,7 +89,7 @@ class TimeToGo(eqx.Module):
         state = jnp.roll(y[:4], 2) if self.lower.shape[0] == 4 else y[:2]
         place = (state - self.lower.astype(y.dtype)) / self.spacing.astype(y.dtype)
         if self.values.shape[0] > 1:
-            moment = jnp.asarray(t, y.dtype) / self.interval
+            moment = jnp.asarray(t, y.dtype) / self.step.astype(y.dtype)
             place = jnp.concatenate([moment[None], place])
         values = self.values if self.values.shape[0] > 1 else self.values[0]
         value = _interpolate(values, place).astype(y.dtype)
@@ -123,11 +121,12 @@ class TimeToGo(eqx.Module):
             predictor: says what comes of a thrust.
         """
         controls = self.tables.control_map.controls(HEADINGS)
+        step = self.step.astype(y.dtype)
 
         def after(control: Planar) -> Float[Array, ""]:
-            command = self.tables.control_map.command(control, previous, self.step)
-            ahead = predictor.step(t, y, command, self.step)
-            return self.at(ahead, jnp.asarray(t) + self.step)
+            command = self.tables.control_map.command(control, previous, step)
+            ahead = predictor.step(t, y, command, step)
+            return self.at(ahead, jnp.asarray(t, y.dtype) + step)
 
         return controls[jnp.argmin(jax.vmap(after)(controls))]
 
@@ -314,7 +313,7 @@ def _sweep_times(
 def _settle(
     sweep_at: Callable[[Scalar], Sweep],
     shape: tuple[int, ...],
-    most: int,
+    most: int | Int[Array, ""],
     times: Float[Array, " moment"] | None,
 ) -> Float[Array, "moment ..."]:
     """Values at each time; at one time, after `most` sweeps, for a steady model."""
@@ -354,7 +353,8 @@ def _phase_plan(
     step = 0.7 * width / float(jnp.max(jnp.linalg.norm(arrival.thrusts, axis=1)))
     times = _sweep_times(task, tables, step)
     most = math.ceil(task.time_limit / step)  # as many steps as there is time for
-    values = _phases(tables.table, arrival, grid, velocities, (step, most), times)
+    steps = jnp.asarray(step), jnp.asarray(most)
+    values = _phases(tables.table, arrival, grid, velocities, steps, times)
     spacing = jnp.concatenate([jnp.full(2, width), grid.spacing])
     lattice = (jnp.concatenate([jnp.full(2, -top), grid.lower]), spacing)
     return _assemble(task, tables, arrival, values, lattice, step)
@@ -366,7 +366,7 @@ def _phases(
     arrival: ArrivalTest,
     grid: Grid,
     velocities: Float[Array, " velocity"],
-    steps: tuple[float, int],
+    steps: tuple[Float[Array, ""], Int[Array, ""]],
     times: Float[Array, " moment"] | None,
 ) -> Float[Array, "moment velocity velocity x y"]:
     step, most = steps
@@ -402,9 +402,8 @@ def _assemble(
         values,
         *lattice,
         scale=arrival.scale,
-        interval=step,
+        step=jnp.asarray(step),
         horizon=float(task.time_limit),
-        step=step,
         tables=tables,
         goal=arrival.goal,
         tolerance=arrival.tolerance,

@@ -295,7 +295,10 @@ def _best_thrust(values: PhaseValues, shifts: Float[Array, "heading 2"]) -> Phas
 
 
 def iterate_sweeps(
-    sweep: Sweep, shape: tuple[int, ...], most: int, tolerance: float
+    sweep: Sweep,
+    shape: tuple[int, ...],
+    most: int | Int[Array, ""],
+    tolerance: float,
 ) -> Values:
     """Values that a sweep no longer changes by more than `tolerance`.
 
