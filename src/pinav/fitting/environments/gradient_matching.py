@@ -33,8 +33,9 @@ DEGREE = 7
 ACROSS = (6, 8, 11, 15, 20, 27, 36, 48)
 """Intervals of the grids of kernels that are tried, along the extent of the data."""
 
-MOST_KERNELS, MOST_SAMPLES = 900, 600
-"""Kernels of a grid, and samples that enter a regression, at most."""
+MOST_KERNELS, MOST_SAMPLES, MOST_DISTILLED = 900, 600, 250
+"""Kernels of a grid, and samples that enter a regression or the distillation of a
+network, at most."""
 
 RIDGE = 1e-11
 """Relative to the largest diagonal entry of the normal equations."""
@@ -56,8 +57,12 @@ def observed_rates(trajectories: Trajectories) -> Rates | None:
     if not parts:
         return None
     whole = jax.tree.map(lambda *arrays: np.concatenate(arrays), *parts)
-    stride = -(-len(whole.times) // MOST_SAMPLES)
-    return jax.tree.map(lambda array: array[::stride], whole)
+    return _thin(whole, MOST_SAMPLES)
+
+
+def _thin(rates: Rates, most: int) -> Rates:
+    stride = -(-len(rates.times) // most)
+    return jax.tree.map(lambda array: array[::stride], rates)
 
 
 def match_kernels(
@@ -88,17 +93,17 @@ def match_kernels(
             weights = _ridge(columns[~held_out], forces[~held_out])
             missed = columns[held_out] @ weights - forces[held_out]
             error = float(np.sqrt(np.mean(missed**2))) / size
-            environment = kind(
-                jnp.asarray(_ridge(columns, forces).reshape(_shape(kind, centers))),
-                jnp.asarray(centers),
-                width,
-            )
-            trials.append((error, environment, grid))
+            trials.append((error, kind, grid))
             if error < GOOD_ENOUGH:
-                return environment, grid
-    best = min(error for error, *_ in trials)
-    chosen = next(trial for trial in trials if trial[0] <= AS_GOOD * best)
-    return chosen[1], chosen[2]
+                break
+        if trials[-1][0] < GOOD_ENOUGH:
+            break
+    most = max(GOOD_ENOUGH, AS_GOOD * min(error for error, *_ in trials))
+    _, kind, grid = next(trial for trial in trials if trial[0] <= most)
+    centers, width = lay_kernels(trajectories, grid, dim)
+    weights = _ridge(_columns(kind, positions, centers, width), forces)
+    shape = _shape(kind, centers)
+    return kind(jnp.asarray(weights.reshape(shape)), jnp.asarray(centers), width), grid
 
 
 def matched_grid(swimmer: Any, trajectories: Trajectories) -> KernelGrid | None:
@@ -151,6 +156,7 @@ def distillation_rates(model: Any, trajectories: Trajectories) -> Rates | None:
         beside = Rates(rates.times, rates.states + offsets, rates.rates)
         return jax.tree.map(lambda *a: np.concatenate(a), rates, beside)
     environment, _ = match_kernels(model, rates, trajectories)
+    rates = _thin(rates, MOST_DISTILLED)
     teacher = model.with_environment(environment)
     reach = TUBE * float(environment.width)
     moved = [rates.states] * 3

@@ -96,7 +96,9 @@ class GaussNewton(AbstractPhase):
         return _State(
             damping=jnp.asarray(1e-2, theta.dtype),
             slow=jnp.zeros((), int),
-            full=jnp.sqrt(value / _Windows.of(loss, params, self).count),
+            full=jnp.sqrt(
+                value / Windows.of(loss, params, self.window, self.linearisation).count
+            ),
             promised=jnp.ones((), theta.dtype),
             coloured=jnp.ones((), bool),
             done=jnp.zeros((), bool),
@@ -107,7 +109,7 @@ class GaussNewton(AbstractPhase):
         return False
 
     def step(self, loss, params, state):
-        windows = _Windows.of(loss, params, self)
+        windows = Windows.of(loss, params, self.window, self.linearisation)
         value = windows.count * state.full**2
         return jax.lax.cond(
             state.done,
@@ -115,7 +117,7 @@ class GaussNewton(AbstractPhase):
             lambda: (*self._take_step(windows, params, state), value),
         )
 
-    def _take_step(self, windows: "_Windows", params, state):
+    def _take_step(self, windows: "Windows", params, state):
         """Parameters and state after a step that is taken."""
         theta, unravel = ravel_pytree(params)
         starts, residual, surrogate = windows.surrogate(theta)
@@ -175,7 +177,7 @@ class _State(eqx.Module):
     done: Bool[Array, ""]
 
 
-class _Windows(eqx.Module):
+class Windows(eqx.Module):
     """Windowed rollouts of a model as a function of its flat parameters."""
 
     problem: Any
@@ -184,7 +186,9 @@ class _Windows(eqx.Module):
     unravel: Any = eqx.field(static=True)
 
     @classmethod
-    def of(cls, problem, params: PyTree, phase: GaussNewton) -> "_Windows":
+    def of(
+        cls, problem, params: PyTree, window: Int[Array, ""], solver: FixedStep
+    ) -> "Windows":
         if not isinstance(problem.objective.solver, FixedStep):
             raise InputError(
                 "GaussNewton: expected an objective with a FixedStep solver, got "
@@ -194,8 +198,8 @@ class _Windows(eqx.Module):
         observed = problem.observations.observed
         index = jnp.arange(observed.shape[1] - 1)
         known = jnp.all(observed[:, :-1], axis=-1)
-        restart = known & ((index % phase.window) == 0)[None]
-        return cls(problem, phase.linearisation, restart, ravel_pytree(params)[1])
+        restart = known & ((index % window) == 0)[None]
+        return cls(problem, solver, restart, ravel_pytree(params)[1])
 
     @property
     def count(self) -> Float[Array, ""]:
@@ -268,6 +272,36 @@ class _Windows(eqx.Module):
         each = data.times, starts, self.restart, data.observed
         rows = jax.lax.map(one, each, batch_size=BATCH)
         return rows.reshape(-1, theta.shape[0])
+
+    def propagated_defects(
+        self, theta: Float[Array, " parameter"]
+    ) -> Callable[[Float[Array, " parameter"]], Float[Array, " residual"]]:
+        """Errors of rollouts to first order, linearised about the data.
+
+        The defect of a step is where it leads from one sample, less the next sample;
+        $e_{k+1} = A_k e_k + d_k$, from zero wherever the rollout restarts. The
+        matrices are those of `theta`, the defects those of the parameters asked for.
+        """
+        data = self.problem.observations
+        inputs = data.states[:, :-1], data.times[:, :-1], data.times[:, 1:]
+
+        def of_all(function):
+            return jax.vmap(jax.vmap(function))(*inputs)
+
+        def matrix(y, t0, t1):
+            model = self.problem.model(self.unravel(theta))
+            return jax.jacfwd(lambda y: self.solver.step(model, y, t0, t1))(y)
+
+        matrices = jnp.where(self.restart[..., None, None], 0.0, of_all(matrix))
+
+        def errors(theta):
+            model = self.problem.model(self.unravel(theta))
+            step = self.problem.objective.solver.looped_step
+            defects = self._differences(of_all(lambda *at: step(model, *at)))
+            rows = jax.vmap(_sensitivities)(matrices, defects[..., None])[..., 0]
+            return jnp.where(data.observed[:, 1:], rows, 0.0).reshape(-1)
+
+        return errors
 
     def _differences(self, ends):
         data = self.problem.observations
