@@ -131,9 +131,11 @@ def matching(
     recipes = (curriculum(data, max_steps=settings.max_steps),)
     if is_complete(data):
         # What is linear in its weights needs no rates to begin with.
-        rates = None if _is_linear(model) else distillation_rates(model, data)
-        exact = defect_recipe(data, rates=rates, max_steps=settings.max_steps)
-        recipes = (exact, *recipes)
+        linear = _is_linear(model)
+        rates = None if linear else distillation_rates(model, data)
+        if linear or rates is not None:
+            exact = defect_recipe(data, rates=rates, max_steps=settings.max_steps)
+            recipes = (exact, *recipes) if linear else (*recipes, exact)
     spread = float(np.std(data.states[data.observed]))
     enough = data.num_observed * (ENOUGH * spread) ** 2
     objective = TrajectoryLoss(FixedStep(substeps=2))

@@ -17,7 +17,7 @@ from pinav.fitting import (
 )
 from pinav.fitting.matching.defects import DAMPINGS, full_step
 from pinav.fitting.matching.fit import split_trainable
-from pinav.fitting.matching.gauss_newton import Windows
+from pinav.fitting.matching.windows import Windows
 from pinav.forces import GaussianBarrier, LinearDrag, ZeroForce
 from pinav.trajectories import Trajectories
 

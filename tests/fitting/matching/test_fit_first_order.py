@@ -15,7 +15,7 @@ from pinav.fitting import (
     fit,
 )
 from pinav.fitting.matching.fit import split_trainable
-from pinav.fitting.matching.gauss_newton import Windows
+from pinav.fitting.matching.windows import Windows
 from pinav.forces import (
     GaussianBarrier,
     HarmonicTrap,

@@ -21,7 +21,8 @@ from pinav.fitting import (
     kernel_environment,
 )
 from pinav.fitting.matching.fit import _run_chunk, split_trainable
-from pinav.fitting.matching.gauss_newton import Windows, low_rank
+from pinav.fitting.matching.gauss_newton import low_rank
+from pinav.fitting.matching.windows import Windows
 from pinav.forces import (
     GaussianBarrier,
     KernelPotential,

@@ -20,8 +20,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from pinav.dynamics import RK4, FixedStep
 from pinav.errors import InputError
-from pinav.fitting.matching.gauss_newton import DampedStep, Windows
+from pinav.fitting.matching.gauss_newton import DampedStep
 from pinav.fitting.matching.phases import AbstractPhase
+from pinav.fitting.matching.windows import Windows
 from pinav.fitting.outcome import Outcome
 
 

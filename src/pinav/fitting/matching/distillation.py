@@ -8,7 +8,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from pinav.errors import InputError
-from pinav.fitting.matching.defects import full_step
+from pinav.fitting.matching.gauss_newton import damped_step
 from pinav.fitting.matching.phases import AbstractPhase
 from pinav.fitting.outcome import Outcome
 
@@ -42,6 +42,7 @@ class Distillation(AbstractPhase):
     Attributes:
         targets: the rates.
         steps: number of steps at most.
+        rank: columns of the random projection.
         patience: steps in a row that gain less than a fiftieth, after which it ends.
 
     Raises:
@@ -50,6 +51,7 @@ class Distillation(AbstractPhase):
 
     targets: Rates = eqx.field(converter=_on_device)
     steps: int = eqx.field(static=True, default=40)
+    rank: int = eqx.field(static=True, default=192)
     patience: int = eqx.field(static=True, default=5)
 
     def __check_init__(self):
@@ -103,8 +105,15 @@ class Distillation(AbstractPhase):
         jacobian = jax.vmap(jax.jacrev(rate), (None, 0, 0))(
             theta, self.targets.times, self.targets.states
         ).reshape(-1, theta.shape[0])
-        linear = residuals(theta), jacobian
-        step = full_step(residuals, theta, linear, state.damping)
+        step = damped_step(
+            residuals,
+            theta,
+            (residuals(theta), jacobian),
+            state.damping,
+            rank=self.rank,
+            num_dampings=5,
+            chord_steps=5,
+        )
         slow = jnp.where(step.left < 0.96, 0, state.slow + 1)
         error = jnp.sqrt(jnp.mean(residuals(step.theta) ** 2))
         done = (slow >= self.patience) | (error < DISTILLED)
