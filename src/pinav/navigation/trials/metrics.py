@@ -6,8 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
-from scipy.stats import binom, binomtest
+from jaxtyping import Bool, Float
 
 from pinav.errors import InputError
 from pinav.navigation.task.objectives import FollowPath
@@ -104,6 +103,8 @@ def proportion(successes: int, count: int) -> Interval:
             "proportion: expected 0 <= successes <= count and count >= 1, got "
             f"{successes} of {count}"
         )
+    from scipy.stats import binomtest  # seconds of imports
+
     interval = binomtest(successes, count).proportion_ci(method="wilson")
     return Interval(successes / count, float(interval.low), float(interval.high))
 
@@ -138,6 +139,8 @@ def regret(learned: Episodes, oracle: Episodes) -> Interval:
 
 def median(values: Float[np.ndarray, " value"]) -> Interval:
     """Median, and an interval between order statistics that holds it with 95 %."""
+    from scipy.stats import binom
+
     ordered, count = np.sort(values), len(values)
     below = int(binom.ppf(0.025, count, 0.5))
     ends = max(below - 1, 0), min(count - below, count - 1)
@@ -161,7 +164,7 @@ def tracking_errors(
     return np.mean(distances**power, axis=1, where=during)
 
 
-def _efficiencies(episodes, task):
+def _efficiencies(episodes: Episodes, task: Task) -> Float[np.ndarray, " episode"]:
     """Straight distance over the length of the way."""
     steps = np.diff(episodes.states[..., :2], axis=1)
     lengths = np.sum(np.linalg.norm(steps, axis=-1), axis=1)
@@ -171,24 +174,26 @@ def _efficiencies(episodes, task):
     return straight / np.maximum(lengths, np.finfo(float).tiny)
 
 
-def _efforts(episodes, task):
+def _efforts(episodes: Episodes, task: Task) -> Float[np.ndarray, " episode"]:
     during = _during(episodes, episodes.commands.shape[1])
     squares = np.where(during, episodes.commands[..., 0] ** 2, 0.0)
     return task.step * np.sum(squares, axis=1)
 
 
-def _turnings(episodes):
+def _turnings(episodes: Episodes) -> Float[np.ndarray, " episode"]:
     turns = np.abs(np.diff(episodes.commands[..., 1], axis=1))
     during = _during(episodes, turns.shape[1], offset=-1)
     return np.sum(np.where(during, turns, 0.0), axis=1)
 
 
-def _during(episodes, count, offset=0):
+def _during(
+    episodes: Episodes, count: int, offset: int = 0
+) -> Bool[np.ndarray, "episode step"]:
     """Which entries belong to the episode, before its end."""
     return np.arange(count)[None] < episodes.steps[:, None] + offset
 
 
-def _quantiles(values) -> tuple[float, float, float]:
+def _quantiles(values: Float[np.ndarray, " arrival"]) -> tuple[float, float, float]:
     if not len(values):
         return math.nan, math.nan, math.nan
     low, middle, high = np.quantile(values, [0.05, 0.5, 0.95], method="inverted_cdf")
