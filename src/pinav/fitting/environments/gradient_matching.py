@@ -11,7 +11,7 @@ References:
     69, 741 (2007).
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -83,7 +83,7 @@ def match_kernels(
     positions, forces = rates.states[:, :dim], _residual_forces(swimmer, rates)
     held_out = np.arange(len(positions)) % 4 == 2
     size = float(np.sqrt(np.mean(forces[held_out] ** 2))) or 1.0
-    trials: list[tuple[float, Any, KernelGrid]] = []
+    trials: list[_Trial] = []
     for kind in (KernelPotential, KernelForce):
         for across in ACROSS:
             grid = KernelGrid(across, width=1.5, margin=2.0)
@@ -92,19 +92,60 @@ def match_kernels(
                 break
             columns = _columns(kind, positions, centers, width)
             weights = _ridge(columns[~held_out], forces[~held_out])
-            missed = columns[held_out] @ weights - forces[held_out]
-            error = float(np.sqrt(np.mean(missed**2))) / size
-            trials.append((error, kind, grid))
-            if error < GOOD_ENOUGH:
+            missed = np.square(columns @ weights - forces)
+            held, within = (
+                float(np.sqrt(missed[part].mean())) / size
+                for part in (held_out, ~held_out)
+            )
+            trials.append(_Trial(held, within, kind, grid))
+            if held < GOOD_ENOUGH:
                 break
-        if trials[-1][0] < GOOD_ENOUGH:
+        if trials[-1].held_out < GOOD_ENOUGH:
             break
-    most = max(GOOD_ENOUGH, AS_GOOD * min(error for error, *_ in trials))
-    _, kind, grid = next(trial for trial in trials if trial[0] <= most)
+    kind, grid = _choose(trials)
     centers, width = lay_kernels(trajectories, grid, dim)
     weights = _ridge(_columns(kind, positions, centers, width), forces)
     shape = _shape(kind, centers)
     return kind(jnp.asarray(weights.reshape(shape)), jnp.asarray(centers), width), grid
+
+
+class _Trial(NamedTuple):
+    """A grid and its relative errors.
+
+    Attributes:
+        held_out: error at samples that were left out.
+        within: error at the others.
+        kind: of the kernels.
+        grid: the grid.
+    """
+
+    held_out: float
+    within: float
+    kind: type[KernelPotential] | type[KernelForce]
+    grid: KernelGrid
+
+
+def _choose(
+    trials: list[_Trial],
+) -> tuple[type[KernelPotential] | type[KernelForce], KernelGrid]:
+    """The coarsest grid that does all but as well as the best.
+
+    Where samples are too far apart to predict each other, the ones that are left out
+    tell nothing; then a potential has to explain the samples themselves.
+    """
+    if min(trial.held_out for trial in trials) < TELLING:
+        errors = [trial.held_out for trial in trials]
+    else:
+        trials = [trial for trial in trials if trial.kind is KernelPotential]
+        errors = [trial.within for trial in trials]
+    most = max(GOOD_ENOUGH, AS_GOOD * min(errors))
+    pairs = zip(errors, trials, strict=True)
+    chosen = next(trial for error, trial in pairs if error <= most)
+    return chosen.kind, chosen.grid
+
+
+TELLING = 0.5
+"""Relative error of held-out samples above which they cannot judge a grid."""
 
 
 def matched_grid(swimmer: Any, trajectories: Trajectories) -> KernelGrid | None:
