@@ -44,6 +44,7 @@ class TrackFit(eqx.Module):
         covariance: joint, of `candidate.learned` and then of all coefficients.
         log_evidence: the nonlinear parameters integrated out by Laplace's method.
         evaluations: of the likelihood.
+        fastest: highest frequency that was commanded while it was fitted [Hz].
     """
 
     candidate: CandidateModel
@@ -52,6 +53,7 @@ class TrackFit(eqx.Module):
     covariance: Float[np.ndarray, "unknown unknown"]
     log_evidence: float
     evaluations: int
+    fastest: float
 
     @property
     def gain(self) -> Float[np.ndarray, "2 2"]:
@@ -244,6 +246,7 @@ class Search:
             covariance=covariance,
             log_evidence=volume - value,
             evaluations=self.evaluations,
+            fastest=float(np.max(self.design.blocks.frequency)),
         )
 
     def steps(self) -> Float[np.ndarray, "learned learned"]:

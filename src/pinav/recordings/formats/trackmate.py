@@ -9,7 +9,7 @@ from pinav.recordings import units
 from pinav.recordings.formats.format import AbstractFormat
 from pinav.recordings.rows import Reading, Tracks
 from pinav.recordings.source import Source
-from pinav.recordings.table import Table, read_delimited
+from pinav.recordings.table import Table
 
 _COLUMNS = ("TRACK_ID", "POSITION_X", "POSITION_Y", "FRAME")
 _ABOVE = 3
@@ -36,11 +36,11 @@ class TrackMateCSV(AbstractFormat):
         return {"TRACK_ID", "POSITION_X", "FRAME"} <= set(source.column_names)
 
     def tracks(self, source: Source, reading: Reading) -> Tracks:
-        table = read_delimited(source.text)
+        table = source.delimited()
         stated: dict[str, str] = {}
         if "POSITION_X" in table.columns and _is_raw(table):
             stated = _units(table)
-            table = read_delimited(source.text, below=_ABOVE)
+            table = source.delimited(below=_ABOVE)
         for name in _COLUMNS:
             table.column(name)
         tracked = np.array(
@@ -54,7 +54,7 @@ class TrackMateCSV(AbstractFormat):
         spots = table.taken(tracked)
         factor, unit = units.length(stated.get("POSITION_X"))
         frame = spots.whole_numbers("FRAME", least=0)
-        time, time_unit, notes = _times(spots, frame, stated)
+        time, time_unit, notes = _times(spots, frame, stated, reading)
         if not tracked.all():
             notes = (*notes, f"{int((~tracked).sum())} spots without a track left out")
         if not stated:
@@ -94,7 +94,7 @@ def _units(table: Table) -> dict[str, str]:
 
 
 def _times(
-    spots: Table, frame: np.ndarray, stated: dict[str, str]
+    spots: Table, frame: np.ndarray, stated: dict[str, str], reading: Reading
 ) -> tuple[np.ndarray | None, str, tuple[str, ...]]:
     """Times, their unit, and what is wrong with them; no times where only frames."""
     if "POSITION_T" not in spots.columns:
@@ -103,8 +103,13 @@ def _times(
     times = spots.numbers("POSITION_T")
     if np.array_equal(times, frame):
         word = units.bare(stated.get("POSITION_T")) or "a unit of time"
-        return None, "frame", (UNCALIBRATED.format(unit=word),)
+        return None, "frame", _uncalibrated(word, reading)
     return factor * times, unit, ()
+
+
+def _uncalibrated(unit: str, reading: Reading) -> tuple[str, ...]:
+    """That times are frames, unless the user says how many there are in a second."""
+    return () if reading.fps is not None else (UNCALIBRATED.format(unit=unit),)
 
 
 @final
@@ -135,7 +140,7 @@ class TrackMateXML(AbstractFormat):
         table = np.array(numbers, np.float64)
         factor, unit = units.length(root.get("spaceUnits"))
         frame = _frames(table[:, 0], [where for _, where in rows])
-        time, time_unit, notes = _calibrated(root, frame)
+        time, time_unit, notes = _calibrated(root, frame, reading)
         return Tracks(
             x=factor * table[:, 1],
             y=factor * table[:, 2],
@@ -212,7 +217,7 @@ def _frames(values: np.ndarray, places: list[str]) -> np.ndarray:
 
 
 def _calibrated(
-    root: Any, frame: np.ndarray
+    root: Any, frame: np.ndarray, reading: Reading
 ) -> tuple[np.ndarray | None, str, tuple[str, ...]]:
     """Times from the frame interval, unless it is the 1 of a film never calibrated."""
     text = root.get("frameInterval") or "1"
@@ -229,6 +234,6 @@ def _calibrated(
     if unit == "frame":
         return None, unit, ()
     if interval == 1.0:
-        note = UNCALIBRATED.format(unit=root.get("timeUnits") or "a unit of time")
-        return None, "frame", (note,)
+        unit = root.get("timeUnits") or "a unit of time"
+        return None, "frame", _uncalibrated(unit, reading)
     return factor * interval * frame, unit, ()
