@@ -9,14 +9,21 @@ from pinav.recordings.assembly import assembled
 from pinav.recordings.command_log import read_log, with_commands
 from pinav.recordings.formats.column_map import MappedTable
 from pinav.recordings.formats.deeplabcut import DeepLabCut
+from pinav.recordings.formats.described import DESCRIBED
 from pinav.recordings.formats.format import AbstractFormat
+from pinav.recordings.formats.icy import Icy
 from pinav.recordings.formats.imagej import ImageJ
 from pinav.recordings.formats.magscope import MagScope
 from pinav.recordings.formats.matlab import Matlab
+from pinav.recordings.formats.mtrackj import MTrackJ
 from pinav.recordings.formats.sfi import SFI
+from pinav.recordings.formats.sleap import Sleap
 from pinav.recordings.formats.tidy import Tidy
 from pinav.recordings.formats.trackmate import TrackMateCSV, TrackMateXML
+from pinav.recordings.formats.trackmate_project import TrackMateProject
 from pinav.recordings.formats.trackpy import Trackpy
+from pinav.recordings.formats.trex import TRex
+from pinav.recordings.formats.utrack import UTrack
 from pinav.recordings.layout import Layout
 from pinav.recordings.rows import COMMAND_UNITS, Reading
 from pinav.recordings.source import DataFrame, Source
@@ -26,12 +33,19 @@ from pinav.trajectories import Trajectories
 FORMATS: tuple[AbstractFormat, ...] = (
     Tidy(),
     TrackMateCSV(),
+    TrackMateProject(),
+    Icy(),
     TrackMateXML(),
     MagScope(),
+    *DESCRIBED,
     Trackpy(),
     SFI(),
+    MTrackJ(),
+    Sleap(),
     DeepLabCut(),
     ImageJ(),
+    TRex(),
+    UTrack(),
     Matlab(),
     MappedTable(),
 )

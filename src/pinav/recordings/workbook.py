@@ -33,7 +33,7 @@ def read_sheets(content: bytes) -> dict[str, list[tuple[Any, ...]]]:
         book = openpyxl.load_workbook(
             io.BytesIO(content), read_only=True, data_only=True, keep_links=False
         )
-        return {sheet.title: list(_cells(sheet)) for sheet in book.worksheets}
+        return {s.title: [tuple(row) for row in _cells(s)] for s in book.worksheets}
     except (InvalidFileException, *_DAMAGED) as error:
         reason = str(error).partition("\n")[0] or type(error).__name__
         raise InputError(

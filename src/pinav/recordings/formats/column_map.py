@@ -51,7 +51,7 @@ class MappedTable(AbstractFormat):
 
     def tracks(self, source: Source, reading: Reading) -> Tracks:
         columns = _checked(reading.columns or {}, reading.units or {})
-        table, columns = _long(source.table(), columns)
+        table, columns = long_table(source.table(), columns)
         units_of = _units(table, columns, reading)
 
         def whole(name: str) -> np.ndarray | None:
@@ -159,7 +159,9 @@ def _doubts(
     return doubts
 
 
-def _long(table: Table, columns: Mapping[str, str]) -> tuple[Table, dict[str, str]]:
+def long_table(
+    table: Table, columns: Mapping[str, str]
+) -> tuple[Table, dict[str, str]]:
     """A table with columns for each particle as one with rows for each particle."""
     wide = {name: column for name, column in columns.items() if _STAR in column}
     if not wide:

@@ -7,6 +7,7 @@ import numpy as np
 from pinav.errors import InputError
 from pinav.recordings import units
 from pinav.recordings.formats.format import AbstractFormat
+from pinav.recordings.formats.xml_tree import number, parse_xml
 from pinav.recordings.rows import Reading, Tracks
 from pinav.recordings.source import Source
 from pinav.recordings.table import Table
@@ -131,10 +132,10 @@ class TrackMateXML(AbstractFormat):
         for index, particle in enumerate(particles, start=1):
             spots = particle.findall("detection")
             _check_count(particle, index, len(spots))
-            for number, spot in enumerate(spots, start=1):
-                where = f"particle {index}, detection {number}"
+            for count, spot in enumerate(spots, start=1):
+                where = f"particle {index}, detection {count}"
                 rows.append((str(index - 1), where))
-                numbers.append([_attribute(spot, name, where) for name in "txy"])
+                numbers.append([number(spot, name, where) for name in "txy"])
         if not numbers:
             raise InputError("element <particle>: no <detection>; export again")
         table = np.array(numbers, np.float64)
@@ -156,23 +157,8 @@ class TrackMateXML(AbstractFormat):
 
 
 def _root(content: bytes) -> Any:
-    """The element <Tracks>, parsed without entities or anything from outside."""
-    from defusedxml import DefusedXmlException
-    from defusedxml.ElementTree import ParseError, fromstring
-
-    try:
-        root = fromstring(content, forbid_dtd=True)
-    except ParseError as error:
-        line, column = error.position
-        raise InputError(
-            f"line {line}, column {column}: not well-formed XML "
-            f"({str(error).partition(':')[0]}); export the tracks again"
-        ) from error
-    except DefusedXmlException as error:
-        raise InputError(
-            "the XML declares entities or a document type, which is not read; "
-            "export the tracks again"
-        ) from error
+    """The element <Tracks>."""
+    root = parse_xml(content)
     if root.tag != "Tracks":
         raise InputError(
             f"element <{root.tag}>: expected <Tracks>; in TrackMate choose 'Export "
@@ -188,21 +174,6 @@ def _check_count(particle: Any, index: int, count: int) -> None:
             f"particle {index}, attribute 'nSpots': expected {stated} detections, got "
             f"{count}; export the tracks again"
         )
-
-
-def _attribute(spot: Any, name: str, where: str) -> float:
-    text = spot.get(name)
-    try:
-        number = float(text) if text is not None and "_" not in text else np.nan
-    except ValueError:
-        number = np.nan
-    if not np.isfinite(number):
-        got = "nothing" if text is None else repr(text)
-        raise InputError(
-            f"{where}, attribute {name!r}: expected a finite number, got {got}; "
-            "export the tracks again"
-        )
-    return number
 
 
 def _frames(values: np.ndarray, places: list[str]) -> np.ndarray:
