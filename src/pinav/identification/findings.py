@@ -5,6 +5,7 @@ import math
 import equinox as eqx
 import numpy as np
 
+from pinav.errors import InputError
 from pinav.evaluation import normal_quantile
 from pinav.fitting import Estimate
 from pinav.fitting.evidence.model_evidence import DECISIVE
@@ -21,7 +22,8 @@ from pinav.identification.models import (
     with_free,
     with_response,
 )
-from pinav.identification.selection import Selection
+from pinav.identification.restoring import restoring_force
+from pinav.identification.selection import Row, Selection
 from pinav.identification.tracks import Track
 
 TURNING_WINDOW = 2.0
@@ -134,11 +136,15 @@ def finding_sentences(
         estimates: of the chosen candidate.
         delays: from `delay_findings`; None where nothing was commanded.
     """
-    sentences = [f"The evidence chooses: {selection.chosen}.", *shortcomings(selection)]
+    sentences = [
+        f"The evidence chooses: {selection.chosen}.",
+        *_shortcomings(selection),
+    ]
     if delays is None:
         recorded = "frequency" in selection.train.pieces[0].commands
         idle = "The commands ask for no motion" if recorded else "No commands recorded"
         sentences.append(f"{idle}: gain, delay and heading cannot be known.")
+        sentences.append(_restoring(selection))
     else:
         sentences += [
             _propulsion(selection),
@@ -162,13 +168,24 @@ HORIZON = 10.0
 """Length of the rollouts by which a model is judged [s]."""
 
 
-def shortcomings(selection: Selection) -> list[str]:
+def _shortcomings(selection: Selection) -> list[str]:
+    names = [row.name for row in selection.rows]
+    if LEAST_SQUARES not in names:
+        return []
+    return shortcomings(selection.row(selection.chosen), selection.row(LEAST_SQUARES))
+
+
+LEAST_SQUARES = "least squares"
+"""Name of the baseline that no model should lose to."""
+
+
+def shortcomings(row: Row, baseline: Row) -> list[str]:
     """Sentences on a prediction that is poor, or judged on little; mostly none.
 
     Args:
-        selection: of a track.
+        row: of the chosen candidate.
+        baseline: of least squares.
     """
-    row, baseline = selection.row(selection.chosen), selection.row("least squares")
     sentences = []
     if row.velocity_r2 < FEEBLE:
         sentences.append(
@@ -292,6 +309,15 @@ def _offset(offset: Estimate) -> str:
     if offset.sd > VAGUE:
         return f"not known to within {sd:.0f} degrees"
     return f"{math.degrees(offset.value):.1f} ± {sd:.1f} degrees"
+
+
+def _restoring(selection: Selection) -> str:
+    """A force that pulls back, or nothing where the track is too short to tell."""
+    try:
+        force = restoring_force(selection.train, selection.held_out)
+    except InputError:
+        return ""
+    return force.sentence(DECISIVE)
 
 
 def _gain(selection: Selection, label: str, meaning: str) -> str:

@@ -1,5 +1,6 @@
 """MTrackJ: tracks drawn by hand, as text."""
 
+from collections.abc import Sequence
 from typing import final
 
 import numpy as np
@@ -49,7 +50,9 @@ class MTrackJ(AbstractFormat):
                 cells.append(words[2:6])
         if not cells:
             raise InputError("no line begins with Point; save the tracks again")
-        columns = dict(zip(_NAMES, zip(*cells, strict=True), strict=True))
+        columns: dict[str, Sequence[str]] = dict(
+            zip(_NAMES, zip(*cells, strict=True), strict=True)
+        )
         table = Table(columns, np.array(lines), faults=source.faults)
         z = table.numbers("z")
         return Tracks(

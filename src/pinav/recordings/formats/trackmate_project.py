@@ -53,8 +53,9 @@ class TrackMateProject(AbstractFormat):
         factor, unit = units.length(model.get("spatialunits"))
         rate, time_unit = units.duration(model.get("timeunits"))
         interval = _interval(root)
-        timed = interval is not None and time_unit != "frame"
         frames = np.round(frame).astype(np.int64)
+        timed = interval is not None and time_unit != "frame"
+        time = rate * interval * frames if interval is not None and timed else None
         return Tracks(
             x=factor * x,
             y=factor * y,
@@ -62,7 +63,7 @@ class TrackMateProject(AbstractFormat):
             place=places.__getitem__,
             particle=[name for name, _ in rows],
             frame=frames,
-            time=rate * interval * frames if timed else None,
+            time=time,
             length_unit=unit,
             time_unit=time_unit if timed else "frame",
             columns={"frame": "FRAME"},
