@@ -230,10 +230,18 @@ class Search:
                 for s in steps
             ]
         )
-        values, vectors = np.linalg.eigh((rows + rows.T) / 2)
-        values = np.maximum(values, 1e-8)
+        curvature = (rows + rows.T) / 2
+        values = np.maximum(np.linalg.eigvalsh(curvature), 1e-8)
         volume = 0.5 * (len(values) * math.log(2 * math.pi) - np.log(values).sum())
-        return vectors / values @ vectors.T, float(volume)
+        return self._spread(curvature), float(volume)
+
+    def _spread(
+        self, curvature: Float[np.ndarray, "learned learned"]
+    ) -> Float[np.ndarray, "learned learned"]:
+        """Covariance of a curvature; nothing is less certain than its prior was."""
+        sd = self.prior.sd[self.places]
+        values, vectors = np.linalg.eigh(sd[:, None] * curvature * sd)
+        return sd[:, None] * (vectors / np.maximum(values, 1.0) @ vectors.T) * sd
 
     def result(self, learned: Float[np.ndarray, " learned"], value: float) -> TrackFit:
         """Evidence and posterior about the maximum."""
