@@ -16,7 +16,7 @@ from pinav.thermal.quantities import Number
 from pinav.thermal.solve import probes_at, solve
 from pinav.thermal.steppers import AbstractStepper
 
-HOTTEST_READING = 200.0
+HOTTEST_READING = 150.0
 """Magnitude [°C] of a reading that is taken for kelvins."""
 
 AXES = {("r",): 1, ("x",): 1, ("x", "y"): 2, ("x", "y", "z"): 3}
@@ -159,12 +159,7 @@ def _to_grid(path: Path, cells: np.ndarray) -> ProbeData:
     """One row for each time, one column for each probe, missing where nothing was."""
     if not len(cells):
         raise InputError(f"{path}: expected readings, got a header alone")
-    hot = np.abs(cells[:, -1]) > HOTTEST_READING
-    if hot.any():
-        raise InputError(
-            f"{path}: expected temperatures in °C, got {cells[hot, -1][0]:g}; subtract "
-            "273.15 from kelvins"
-        )
+    _check_rows(path, cells)
     keys, counts = np.unique(cells[:, :-1], axis=0, return_counts=True)
     if counts.max() > 1:
         t, *place = keys[counts.argmax()]
@@ -178,3 +173,28 @@ def _to_grid(path: Path, cells: np.ndarray) -> ProbeData:
     values = np.full((len(times), len(points)), np.nan)
     values[when.reshape(-1), where.reshape(-1)] = cells[:, -1]
     return ProbeData(times, points, values)
+
+
+def _check_rows(path: Path, cells: np.ndarray) -> None:
+    """Refuse times, places and temperatures that no reading has."""
+    numbers, readings = cells[:, :-1], cells[:, -1]
+    for wrong, expected, values in (
+        (~np.isfinite(numbers).all(axis=1), "finite times and places", numbers),
+        (numbers[:, 0] <= 0, "times > 0 s, the begin of the protocol", numbers[:, 0]),
+        (np.isinf(readings), "finite temperatures, or an empty cell", readings),
+        (
+            np.abs(readings) > HOTTEST_READING,
+            "temperatures in °C, which are kelvins less 273.15",
+            readings,
+        ),
+    ):
+        if wrong.any():
+            row = int(wrong.argmax())
+            raise InputError(
+                f"{path}, row {row + 2}: expected {expected}, got {values[row]}; "
+                "correct or remove the row"
+            )
+    if not np.isfinite(readings).any():
+        raise InputError(
+            f"{path}: expected a reading, got empty cells alone; fill the column T"
+        )

@@ -6,8 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.commands.heat import case as cases
-from pinav.errors import InputError
+from pinav.commands.heat.case import Case
+from pinav.commands.heat.field import Field
+from pinav.commands.heat.geometry import Box, Grid, Sphere, Wall
+from pinav.commands.heat.matter import Medium, Particles
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.boundaries import (
     AbstractBoundary,
@@ -66,11 +68,11 @@ class CaseModel(eqx.Module):
         return self.model.perfusion
 
 
-def build_case(case: cases.Case) -> CaseModel:
+def build_case(case: Case) -> CaseModel:
     """The values of a case.
 
     Raises:
-        InputError: a number makes no sense; a unit is unknown or implausible.
+        InputError: a name or a unit is unknown, or a perfusion implausible.
     """
     grid, blood = _grid(case.grid), Blood(arterial=case.arterial)
     target = grid.ball(case.tumour.radius, center=case.tumour.center)
@@ -105,15 +107,15 @@ def build_case(case: cases.Case) -> CaseModel:
     )
 
 
-def _grid(grid: cases.Sphere | cases.Cylinder | cases.Box) -> AbstractGrid:
-    if isinstance(grid, cases.Sphere):
+def _grid(grid: Grid) -> AbstractGrid:
+    if isinstance(grid, Box):
+        return CartesianGrid.cubes(grid.cells, grid.size)
+    if isinstance(grid, Sphere):
         return RadialGrid.sphere(grid.radius, grid.cells)
-    if isinstance(grid, cases.Cylinder):
-        return RadialGrid.cylinder(grid.radius, grid.cells)
-    return CartesianGrid.cubes(grid.cells, grid.size)
+    return RadialGrid.cylinder(grid.radius, grid.cells)
 
 
-def _stepper(case: cases.Case, model: Bioheat) -> AbstractStepper:
+def _stepper(case: Case, model: Bioheat) -> AbstractStepper:
     if case.step is None:
         return default_stepper(model)
     if len(model.grid.shape) == 1:
@@ -121,39 +123,31 @@ def _stepper(case: cases.Case, model: Bioheat) -> AbstractStepper:
     return RKL2(longest=case.step)
 
 
-def _tissue(medium: cases.Medium) -> Tissue:
+def _tissue(medium: Medium) -> Tissue:
     base = None if medium.preset is None else preset(medium.preset).tissue
     values = {}
     for name in ("conductivity", "density", "specific_heat", "metabolic"):
         value = getattr(medium, name)
-        if value is None and base is None and name != "metabolic":
-            raise InputError(
-                f"tissue: expected a preset or {name}, got neither; presets are listed "
-                "in docs/thermal.md"
-            )
         inherited = 0.0 if base is None else getattr(base, name)
         values[name] = inherited if value is None else value
     return Tissue(**values)
 
 
-def _perfusion(medium: cases.Medium, blood: Blood, tissue: Tissue) -> AbstractPerfusion:
+def _perfusion(medium: Medium, blood: Blood, tissue: Tissue) -> AbstractPerfusion:
     flow = medium.perfusion
-    if flow.law is not None and flow.value is None:
+    if flow.law is not None:
         return lang(flow.law)
-    if flow.law is not None or flow.value is None or flow.unit is None:
-        raise InputError(
-            "perfusion: expected a law, or a value with its unit, such as "
-            '{value = 6.7e-4, unit = "1/s"}'
-        )
+    assert flow.value is not None
+    assert flow.unit is not None
     value = mass_perfusion(flow.value, unit=flow.unit, blood=blood, tissue=tissue)
     return ConstantPerfusion(value)
 
 
 def _source(
-    case: cases.Case, grid: AbstractGrid, target: Float[Array, "..."]
+    case: Case, grid: AbstractGrid, target: Float[Array, "..."]
 ) -> AbstractSource:
     heating, radius = case.heating, case.tumour.radius
-    if isinstance(heating, cases.Particles):
+    if isinstance(heating, Particles):
         response = LinearResponse(
             1e-9 * heating.diameter, viscosity=float("inf") if heating.bound else 1e-3
         )
@@ -173,7 +167,7 @@ def _source(
     return PowerSource(density, heating.reference)
 
 
-def _sides(wall: cases.Wall, grid: AbstractGrid) -> tuple[Sides, ...]:
+def _sides(wall: Wall, grid: AbstractGrid) -> tuple[Sides, ...]:
     side: AbstractBoundary
     if wall.exchange is not None and wall.ambient is not None:
         side = Robin(wall.exchange, wall.ambient)
@@ -182,7 +176,7 @@ def _sides(wall: cases.Wall, grid: AbstractGrid) -> tuple[Sides, ...]:
     return outer(side) if isinstance(grid, RadialGrid) else around(grid, side)
 
 
-def _protocol(field: cases.Field) -> Piecewise:
+def _protocol(field: Field) -> Piecewise:
     if field.on is None or field.off is None:
         return Piecewise.constant(field.times, field.amplitudes, field.frequency)
     return Piecewise.on_off(

@@ -53,11 +53,19 @@ class LearnTask(AbstractTask):
 
     def __init__(self, case: Case, source: Path) -> None:
         self.settings = case.learn or Learn()
-        self.setup = build_case(case)
         self.every = None if case.probes is None else case.probes.every
         self.data = None
         if self.settings.data is not None:
             self.data = load_probes(source.parent / self.settings.data)
+        self.setup = build_case(case)
+        for name in self.settings.laws:
+            _value_at_rest(self.setup, name)
+        if not self.setup.protocol.largest > 0:
+            raise InputError(
+                "field.amplitudes: expected one > 0 A/m, got none; tissue that is not "
+                "heated tells nothing of its perfusion"
+            )
+        if self.data is not None:
             # refuses readings outside the grid or after the end of the protocol
             probe_residuals(
                 self.setup.model,
@@ -131,8 +139,8 @@ def _fit_constant(setup: CaseModel, settings: Learn, data: ProbeData) -> Evidenc
     """The baseline: a perfusion of each tissue that does not depend on temperature."""
     laws = tuple(LAWS[name] for name in settings.laws)
     start = setup.model
-    for law in laws:
-        rest = ConstantPerfusion(jnp.asarray(_value_at_rest(setup, law(start))))
+    for name, law in zip(settings.laws, laws, strict=True):
+        rest = ConstantPerfusion(jnp.asarray(_value_at_rest(setup, name)))
         start = eqx.tree_at(law, start, rest)
     scale = _power_scale(settings)
     return learn(
@@ -151,9 +159,16 @@ def _power_scale(settings: Learn) -> Callable[[Any], Any]:
     return lambda model: ()
 
 
-def _value_at_rest(setup: CaseModel, law: AbstractPerfusion) -> float:
-    arterial = jnp.full(setup.model.grid.shape, float(setup.model.blood.arterial))
-    return float(law(arterial).reshape(-1)[0])
+def _value_at_rest(setup: CaseModel, name: str) -> float:
+    """Perfusion of a tissue at the arterial temperature [kg m⁻³ s⁻¹]."""
+    law: AbstractPerfusion = LAWS[name](setup.model)
+    value = float(law(jnp.asarray([float(setup.model.blood.arterial)]))[0])
+    if not value > 0:
+        raise InputError(
+            f"perfusion of the {name}: expected > 0 where a fit starts, got {value:g}; "
+            "give a small value, or leave the tissue out of learn.laws"
+        )
+    return value
 
 
 def _initial_model(setup: CaseModel, settings: Learn, data: ProbeData) -> Bioheat:
@@ -167,7 +182,7 @@ def _initial_model(setup: CaseModel, settings: Learn, data: ProbeData) -> Biohea
     probes = {"tumour": tumour > 0.5, "tissue": tumour <= 0.5}
     for index, name in enumerate(settings.laws):
         law, readings = LAWS[name], data.values[:, probes[name]]
-        rest = _value_at_rest(setup, law(model))
+        rest = _value_at_rest(setup, name)
         top = float(np.nanmax(readings)) if readings.size else arterial + DEFAULT_RISE
         span = (arterial, max(top, arterial + 1.0))
         key = jax.random.fold_in(jax.random.key(settings.seed), index)

@@ -20,6 +20,7 @@ from pinav.thermal.design_variables import (
     AbstractDesignVariable,
     FreeAmplitudes,
     FreePlacement,
+    FreeScale,
     Run,
     shells,
 )
@@ -69,6 +70,9 @@ def _variables(
     intervals = len(setup.protocol.edges) - 1
     variables: list[AbstractDesignVariable] = [
         FreeAmplitudes(settings.largest, intervals, settings.start)
+        if case.field.on is None
+        # pauses stay pauses
+        else FreeScale(settings.largest / case.field.amplitudes[0], settings.start)
     ]
     if settings.placement is not None:
         grid, source = setup.model.grid, setup.model.sources[0]

@@ -33,3 +33,7 @@ class HeatOptions(RunOptions, frozen=True, kw_only=True):
                 f"heat {self.task}: expected the TOML file of a case, got none; "
                 "examples/heat has some"
             )
+        if self.case is not None and self.task == "verify":
+            raise InputError(
+                f"heat verify: expected no case, got {self.case}; leave it out"
+            )

@@ -19,7 +19,6 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
 from jaxtyping import Float
-from scipy.interpolate import make_interp_spline
 
 from pinav.dynamics import AbstractDynamics, Swimmer
 from pinav.fitting.environments.kernels import KernelGrid, lay_kernels
@@ -46,6 +45,8 @@ which an error counts as that of the best grid."""
 
 def observed_rates(trajectories: Trajectories) -> Rates | None:
     """Rates of the complete samples by splines; None where there are too few."""
+    from scipy.interpolate import make_interp_spline  # a tenth of all imports
+
     parts: list[Rates] = []
     for one in trajectories:
         complete = one.observed.all(axis=1)

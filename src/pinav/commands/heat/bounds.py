@@ -1,0 +1,87 @@
+"""The numbers that a case of `pinav heat` may hold, and what to do about others."""
+
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+Length = Annotated[float, Meta(gt=0, le=10)]
+"""[m]"""
+Place = Annotated[float, Meta(ge=-10, le=10)]
+"""[m]"""
+Time = Annotated[float, Meta(gt=0, le=1e7)]
+"""[s]"""
+Celsius = Annotated[float, Meta(ge=-50, le=100)]
+"""[°C]; the bounds refuse kelvins."""
+Arterial = Annotated[float, Meta(ge=10, le=45)]
+"""[°C]"""
+Amplitude = Annotated[float, Meta(ge=0, le=1e6)]
+"""[A m⁻¹]; 1e6 are 1.3 T."""
+Reference = Annotated[float, Meta(gt=0, le=1e6)]
+"""[A m⁻¹]"""
+Frequency = Annotated[float, Meta(ge=1e3, le=1e9)]
+"""[Hz]; the bounds refuse kilohertz."""
+Positive = Annotated[float, Meta(gt=0, le=1e15)]
+Magnitude = Annotated[float, Meta(ge=0, le=1e15)]
+PowerDensity = Annotated[float, Meta(ge=0, le=1e10)]
+"""[W m⁻³]"""
+Conductivity = Annotated[float, Meta(gt=0, le=1000)]
+"""[W m⁻¹ K⁻¹]"""
+Density = Annotated[float, Meta(ge=1, le=30_000)]
+"""[kg m⁻³]; the bounds refuse grams per cubic centimetre."""
+SpecificHeat = Annotated[float, Meta(ge=10, le=50_000)]
+"""[J kg⁻¹ K⁻¹]; the bounds refuse kilojoules."""
+Concentration = Annotated[float, Meta(ge=0, le=5180)]
+"""[mg cm⁻³]; solid magnetite has 5180."""
+Fraction = Annotated[float, Meta(gt=0, le=1)]
+Noise = Annotated[float, Meta(ge=0, le=100)]
+"""[K]"""
+Seed = Annotated[int, Meta(ge=0, le=2**32 - 1)]
+Cells = Annotated[int, Meta(ge=3, le=100_000)]
+
+
+class Strict(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A table in which an unknown key is a mistake."""
+
+
+ADVICE = {
+    "ambient": "give it in °C, which is kelvins less 273.15",
+    "amplitudes": "give A/m; 1 mT are 796 A/m",
+    "anisotropy": "give kJ/m³",
+    "arterial": "give it in °C, which is kelvins less 273.15",
+    "cells": "give the number of cells along each axis",
+    "center": "give metres",
+    "coating": "give nanometres",
+    "concentration": "give mg/cm³, the same as kg/m³",
+    "conductivity": "give W/(m K), or S/m of eddy currents",
+    "density": "give kg/m³ of a tissue, W/m³ of a power",
+    "diameter": "give nanometres",
+    "every": "give seconds",
+    "exchange": "give W/(m² K)",
+    "frequency": "give hertz",
+    "healthy_dose": "give CEM43 minutes",
+    "held_out": "give powers relative to that of the fit",
+    "largest": "give A/m; 1 mT are 796 A/m",
+    "magnetisation": "give kA/m",
+    "margin": "give metres",
+    "max_temperature": "give it in °C, which is kelvins less 273.15",
+    "metabolic": "give W/m³",
+    "noise": "give the standard deviation of a reading in kelvin",
+    "off": "give seconds",
+    "on": "give seconds",
+    "points": "give metres",
+    "radius": "give metres",
+    "ramp": "give A/m; 1 mT are 796 A/m",
+    "reference": "give A/m; 1 mT are 796 A/m",
+    "size": "give metres",
+    "specific_heat": "give J/(kg K)",
+    "spread": "give the standard deviation of the logarithm of the diameter",
+    "start": "give a fraction of the largest amplitude",
+    "step": "give seconds",
+    "temperature": "give it in °C, which is kelvins less 273.15",
+    "times": "give seconds",
+    "value": "give a perfusion in its unit",
+    "viscosity": "give Pa s",
+    "width": "give metres",
+}
+"""What a number under a key is; keys of the same name are of the same kind."""

@@ -1,0 +1,143 @@
+"""Where things are in a case of `pinav heat`: grid, tumour, walls and probes."""
+
+import math
+from typing import Annotated
+
+from msgspec import Meta
+
+from pinav.commands.heat.bounds import Cells, Celsius, Length, Place, Strict, Time
+
+
+class _Round(Strict, frozen=True):
+    """A grid over the radius [m]."""
+
+    radius: Length
+    cells: Cells
+
+    @property
+    def lengths(self) -> tuple[float, ...]:
+        """Extent along each axis [m]."""
+        return (self.radius,)
+
+    @property
+    def size(self) -> float:
+        """Size of a cell [m]."""
+        return self.radius / self.cells
+
+    @property
+    def count(self) -> int:
+        """Number of cells."""
+        return self.cells
+
+
+class Sphere(_Round, frozen=True, tag="sphere", tag_field="kind"):
+    """A sphere, everything a function of the radius [m]."""
+
+
+class Cylinder(_Round, frozen=True, tag="cylinder", tag_field="kind"):
+    """A long cylinder, everything a function of the radius [m]."""
+
+
+class Box(Strict, frozen=True, tag="box", tag_field="kind"):
+    """Two or three axes with cubic cells of a size [m]."""
+
+    cells: tuple[Cells, ...]
+    size: Length
+
+    def __post_init__(self) -> None:
+        if len(self.cells) not in (2, 3):
+            raise ValueError(
+                f"cells: expected two or three numbers, got {len(self.cells)}; take a "
+                "sphere or a cylinder for one axis"
+            )
+
+    @property
+    def lengths(self) -> tuple[float, ...]:
+        """Extent along each axis [m]."""
+        return tuple(count * self.size for count in self.cells)
+
+    @property
+    def count(self) -> int:
+        """Number of cells."""
+        return math.prod(self.cells)
+
+
+Grid = Sphere | Cylinder | Box
+
+
+class Wall(Strict, frozen=True):
+    """The outer sides: a temperature [°C], or an exchange [W/m²/K] with an ambient.
+
+    Unless one of them is given, the wall is at 37 °C.
+    """
+
+    temperature: Celsius | None = None
+    exchange: Annotated[float, Meta(gt=0, le=1e6)] | None = None
+    ambient: Celsius | None = None
+
+    def __post_init__(self) -> None:
+        if (self.exchange is None) != (self.ambient is None):
+            raise ValueError(
+                "expected an ambient temperature with an exchange, and an exchange "
+                "with an ambient temperature"
+            )
+        if self.temperature is not None and self.exchange is not None:
+            raise ValueError(
+                "expected a temperature or an exchange, got both; remove one"
+            )
+
+
+class Probes(Strict, frozen=True):
+    """Where [m] and how often [s] temperature is read."""
+
+    points: tuple[tuple[Place, ...], ...]
+    every: Time = 10.0
+
+    def __post_init__(self) -> None:
+        if len(set(self.points)) < len(self.points):
+            raise ValueError("points: expected different places, got one twice")
+
+
+def check_point(
+    name: str, point: tuple[float, ...], lengths: tuple[float, ...]
+) -> None:
+    """Refuse a point that is not inside a grid of these lengths [m]."""
+    if len(point) != len(lengths):
+        raise ValueError(
+            f"{name}: expected {len(lengths)} coordinates, one for each axis of "
+            f"the grid, got {list(point)}"
+        )
+    for value, length in zip(point, lengths, strict=True):
+        if not 0 <= value <= length:
+            raise ValueError(
+                f"{name}: expected between 0 and {length:g} m, the extent of the "
+                f"grid, got {value:g} m"
+            )
+
+
+def check_ball(grid: Grid, radius: float, center: tuple[float, ...] | None) -> None:
+    """Refuse a tumour that is not within the grid, or smaller than a cell."""
+    lengths = grid.lengths
+    if isinstance(grid, Box):
+        middle = center or tuple(0.5 * length for length in lengths)
+        check_point("tumour.center", middle, lengths)
+        largest = min(
+            min(x, length - x) for x, length in zip(middle, lengths, strict=True)
+        )
+    elif center is not None:
+        raise ValueError(
+            "tumour.center: expected none on a sphere or cylinder, whose tumour is at "
+            "its centre; take a box for another place"
+        )
+    else:
+        largest = lengths[0]
+    if radius < 0.5 * grid.size:
+        raise ValueError(
+            f"tumour.radius: expected at least half a cell, {grid.size / 2:g} "
+            f"m, got {radius:g} m; take smaller cells"
+        )
+    if radius > largest * (1 + 1e-9):
+        raise ValueError(
+            f"tumour.radius: expected within the grid, <= {largest:g} m, got "
+            f"{radius:g} m; take a larger grid or move the tumour"
+        )

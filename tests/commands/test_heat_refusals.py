@@ -1,0 +1,288 @@
+"""`pinav heat`: bad cases, readings and options are refused before anything is done."""
+
+import copy
+import re
+import tomllib
+from pathlib import Path
+
+import jax
+import pytest
+import tomli_w
+
+from pinav import cli
+
+NAN, INF = float("nan"), float("inf")
+EXAMPLES = Path(__file__).parents[2] / "examples" / "heat"
+GONE = object()
+"""In place of a value: the key is not there."""
+
+PLANE = {
+    "grid": {"kind": "box", "cells": [24, 24], "size": 2e-3},
+    "probes.points": [[0.02, 0.02]],
+}
+SPACE = {
+    "grid": {"kind": "box", "cells": [24] * 3, "size": 2e-3},
+    "probes.points": [[0.02] * 3],
+}
+PARTICLES = {"heating": {"kind": "particles", "concentration": 5.0, "diameter": 14.0}}
+BURSTS = {"field.on": 50.0, "field.off": 100.0}
+FLOW = "tissue.perfusion"
+LEARN = {"learn.noise": 0.1}
+BEST = {"optimise.largest": 2e4}
+
+
+def bad_numbers(key, *values, base=None, words=""):
+    """One refusal for each value under a key, whose name the line holds."""
+    name = key.split(".", 1)[-1] if "[" in key else key
+    return [((base or {}) | {key: v}, words or re.escape(name)) for v in values]
+
+
+CASES = [
+    *bad_numbers("title", 3, GONE),
+    *bad_numbers("colour", "red", words="unknown field `colour`"),
+    # grid
+    *bad_numbers("grid.kind", "torus", GONE, words="grid"),
+    *bad_numbers(
+        "grid.radius", 0.0, -0.05, NAN, INF, 50.0, "5 cm", GONE, words="radius"
+    ),
+    *bad_numbers("grid.cells", 2, 0, -5, 10_000_000, 24.5, words="grid.cells"),
+    ({"grid": {"kind": "box", "cells": [24], "size": 1e-3}}, "two or three numbers"),
+    ({"grid": {"kind": "box", "cells": [24] * 4, "size": 1e-3}}, "two or three"),
+    ({"grid": {"kind": "box", "cells": [4000] * 3, "size": 1e-5}}, "memory of this"),
+    *bad_numbers("grid.size", 0.0, -1e-3, NAN, 1e3, base=PLANE),
+    # tissue
+    *bad_numbers("tissue.conductivity", -1.0, 0.0, NAN, INF, 1e15),
+    *bad_numbers(
+        "tissue.conductivity", GONE, words="expected a preset or conductivity"
+    ),
+    *bad_numbers("tissue.density", 0.0, NAN, 1e9, GONE, words="density"),
+    *bad_numbers("tissue.specific_heat", -1.0, 3.4, NAN, GONE, words="specific_heat"),
+    *bad_numbers("tissue.metabolic", -700.0, NAN, 1e12),
+    *bad_numbers("tissue.preset", "bone", words="tissue preset 'bone' is unknown"),
+    *bad_numbers("tissue.colour", 1, words="tissue: .*unknown field `colour`"),
+    *bad_numbers(FLOW, {}, {"value": 0.5}, {"unit": "1/s"}, words="expected a law, or"),
+    *bad_numbers(FLOW, {"law": "fat", "unit": "1/s"}, words="expected a law, or"),
+    *bad_numbers(FLOW, {"law": "bone"}, words="no perfusion law for 'bone'"),
+    *bad_numbers(FLOW, {"value": 0.5, "unit": "1/s"}, words="check the unit"),
+    *bad_numbers(FLOW, {"value": 1.0, "unit": "l/s"}, words="unit 'l/s' is unknown"),
+    *bad_numbers(FLOW, {"value": -1.0, "unit": "kg/m3/s"}, words="perfusion.value"),
+    *bad_numbers(FLOW, {"value": NAN, "unit": "kg/m3/s"}, words="perfusion.value"),
+    # tumour
+    *bad_numbers("tumour.radius", 0.0, -0.01, NAN, 0.06, 1e-4, GONE, words="radius"),
+    *bad_numbers("tumour.center", [0.01], words="expected none on a sphere"),
+    *bad_numbers("tumour.center", [0.02], [0.1, 0.02], [NAN, 0.02], base=PLANE),
+    *bad_numbers("tumour.radius", 0.03, base=PLANE),
+    *bad_numbers("tumour.center", [0.004, 0.02], base=PLANE, words="within the grid"),
+    *bad_numbers("tumour.center", [0.02, 0.02], base=SPACE),
+    *bad_numbers("tumour.tissue", GONE, words="tissue"),
+    # heating
+    *bad_numbers("heating.kind", "laser", words="heating"),
+    *bad_numbers("heating.density", -1.0, NAN, INF, 1e14),
+    *bad_numbers("heating.reference", 0.0, -1e4, NAN, 1e9),
+    *bad_numbers("heating.width", 0.0, NAN, 100.0),
+    ({"heating.width": 0.01, "heating.edge_weighted": True}, "width or edge_weighted"),
+    *bad_numbers("heating.diameter", 1.4e-8, 0.0, NAN, 1e4, base=PARTICLES),
+    *bad_numbers("heating.concentration", -5.0, NAN, 1e4, base=PARTICLES),
+    *bad_numbers("heating.spread", 0.0, -0.2, 5.0, base=PARTICLES),
+    *bad_numbers("heating.scale", -1.0, NAN, base=PARTICLES),
+    # field
+    *bad_numbers("field.frequency", 0.0, 100.0, NAN, 1e12),
+    *bad_numbers("field.times", [0.0], [], [10.0, 20.0], [0.0, -5.0]),
+    *bad_numbers("field.times", [0.0, 9.0, 9.0], [0.0, NAN], [0.0, INF]),
+    *bad_numbers("field.times", [0.0, 1e-9, 1800.0], [0.0, 1e9], [0, "1 h"]),
+    *bad_numbers("field.amplitudes", [NAN], [-1e4], [1e8], [1e4] * 3, []),
+    *bad_numbers("field.on", 5.0, words="expected on and off together"),
+    *bad_numbers("field.off", 0.0, NAN, base=BURSTS),
+    *bad_numbers(
+        "field.on", 1e-4, base=BURSTS | {"field.off": 1e-4}, words="intervals"
+    ),
+    # sides, blood, eddy currents, limit, step
+    *bad_numbers("arterial", NAN, 310.0, 0.0, -37.0),
+    *bad_numbers("wall.temperature", NAN, 293.15, -200.0),
+    ({"wall": {"temperature": 20.0, "exchange": 5.0, "ambient": 20.0}}, "got both"),
+    *bad_numbers(
+        "wall", {"exchange": 5.0}, {"ambient": 20.0}, words="wall: expected an"
+    ),
+    *bad_numbers("wall.exchange", -5.0, 0.0, NAN, base={"wall": {"ambient": 20.0}}),
+    *bad_numbers("wall.ambient", 293.15, NAN, base={"wall": {"exchange": 20.0}}),
+    *bad_numbers("eddy.radius", 0.0, NAN, base={"eddy": {"conductivity": 0.4}}),
+    *bad_numbers("eddy.conductivity", -1.0, 1e6, base={"eddy": {"radius": 0.1}}),
+    *bad_numbers("limit", "ieee", words="limit.*ieee"),
+    *bad_numbers("limit", "atkinson-brezovich", words="exceeds the Atkinson-Brezovich"),
+    *bad_numbers("step", 0.0, -5.0, NAN),
+    *bad_numbers("step", 1e-4, words="at most 1,000,000 time steps"),
+    # probes
+    *bad_numbers("probes.points", [[0.2]], [[-0.01]], [[NAN]], [[0.01, 0.02]], ["a"]),
+    *bad_numbers(
+        "probes.points", [[0.01], [0.01]], words="points: .* different places"
+    ),
+    *bad_numbers("probes.every", 0.0, NAN, 3600.0),
+    *bad_numbers("probes.every", 1e-4, words="at most 1,000,000 time steps"),
+]
+TASKS = [
+    *(("learn", *row) for row in bad_numbers("learn.noise", -0.1, NAN, 1e3)),
+    *(("learn", *row) for row in bad_numbers("learn.seed", -1, 2**40, 1.5)),
+    *(("learn", *row) for row in bad_numbers("learn.kind", "forest")),
+    *(("learn", *row) for row in bad_numbers("learn.held_out", [0.0], [NAN], [-1.0])),
+    ("learn", {"learn.laws": []}, "expected something to learn"),
+    ("learn", {"learn.laws": ["bone"]}, "learn.laws"),
+    ("learn", {"learn.laws": ["tissue"] * 2}, "laws: expected each once"),
+    ("learn", LEARN | {"probes": GONE}, "learn: expected data, a CSV file, or probes"),
+    (
+        "learn",
+        LEARN | {"field.amplitudes": [0.0]},
+        "field.amplitudes: expected one > 0",
+    ),
+    (
+        "learn",
+        LEARN | {FLOW: {"value": 0.0, "unit": "1/s"}},
+        "perfusion of the tissue: expected > 0",
+    ),
+    ("learn", {"learn.data": "no.csv"}, "no.csv: cannot be read"),
+    ("learn", {"learn.data": "."}, "cannot be read"),
+    (
+        "learn",
+        {"learn.data": "a.csv", "learn.held_out": [1.3]},
+        "held_out: expected no",
+    ),
+    ("optimise", {}, r"expected a table \[optimise\]"),
+    *(("optimise", *r) for r in bad_numbers("optimise.largest", NAN, 0.0, -1e4, 1e9)),
+    *(
+        ("optimise", BEST | c, m)
+        for c, m in bad_numbers("optimise.start", 0.0, 2.0, NAN)
+    ),
+    ("optimise", BEST | {"optimise.max_temperature": 36.0}, "above the arterial"),
+    (
+        "optimise",
+        BEST | {"optimise.max_temperature": 320.15},
+        "optimise.max_temperature",
+    ),
+    ("optimise", BEST | {"optimise.healthy_dose": 0.0}, "optimise.healthy_dose"),
+    ("optimise", BEST | {"optimise.margin": -1.0}, "optimise.margin"),
+    ("optimise", BEST | {"optimise.placement": 1}, "optimise.placement"),
+]
+READINGS = [
+    ("", "expected the columns t, r, T"),
+    ("t,r,T\n", "got a header alone"),
+    ("time,r,T\n1,0,37\n", "expected the columns"),
+    ("t,x,y,T\n1,0,0,37\n2,0,0,37.5\n", "1 coordinates .*t, r, T"),
+    ("t,r,T\n1,0\n", "row 2: expected 3 cells, got 2"),
+    ("t,r,T\n1,0,warm\n", "row 2, column 3: expected a number, got 'warm'"),
+    ("t,r,T\n1,0,310.15\n", "temperatures in °C, which are kelvins less"),
+    ("t,r,T\n1,0,37\n1,0,38\n", "one reading for each time and place"),
+    ("t,r,T\n0,0,37\n1,0,37\n", "row 2: expected times > 0 s"),
+    ("t,r,T\n-5,0,37\n", "row 2: expected times > 0 s"),
+    ("t,r,T\nnan,0,37\n", "row 2: expected finite times and places"),
+    ("t,r,T\n1,inf,37\n", "row 2: expected finite times and places"),
+    ("t,r,T\n1,0,inf\n", "row 2: expected finite temperatures"),
+    ("t,r,T\n1,0,\n", "expected a reading, got empty cells"),
+    ("t,r,T\n1,0.2,37\n", "probe at 0.2 m: expected between"),
+    ("t,r,T\n1,-0.1,37\n", "probe at -0.1 m: expected between"),
+    ("t,r,T\n5000,0,37\n", "saved time 5000 s: expected after"),
+]
+COMMAND_LINES = [
+    ([], "Missing from pinav heat"),
+    (["melt"], "melt"),
+    (["simulate"], "expected the TOML file of a case"),
+    (["learn"], "expected the TOML file of a case"),
+    (["optimise"], "expected the TOML file of a case"),
+    (["simulate", "no.toml"], "no.toml: cannot be read"),
+    (["simulate", "."], "cannot be read"),
+    (["simulate", "case.toml", "--colour", "red"], "--colour"),
+    (["simulate", "case.toml", "case.toml"], "case.toml"),
+    (["verify", "case.toml"], "heat verify: expected no case"),
+]
+FILES = [
+    (b"", "title"),
+    (b"\xff\xfe\x00", "cannot be read"),
+    (b"title = ", "cannot be read"),
+    (b"title = 1979-05-27", "title"),
+    (b"grid = []", "grid"),
+    (b"[field]\n[field]", "cannot be read"),
+]
+
+
+def change(content, key, value):
+    """Set, or remove, what stands under a dotted key."""
+    *tables, last = key.split(".")
+    for table in tables:
+        content = content.setdefault(table, {})
+    if value is GONE:
+        content.pop(last, None)
+    else:
+        content[last] = copy.deepcopy(value)
+
+
+def written(folder, changes):
+    """The file of the example, changed."""
+    content = tomllib.loads((EXAMPLES / "tumour.toml").read_text())
+    content["grid"]["cells"] = 24
+    for key, value in changes.items():
+        change(content, key, value)
+    path = folder / "case.toml"
+    path.write_text(tomli_w.dumps(content))
+    return path
+
+
+def refusal(capsys, *argv):
+    """The one line that a command is refused with."""
+    with jax.numpy_dtype_promotion("standard"):
+        assert cli.run(["heat", *map(str, argv)]) == cli.USAGE_ERROR
+    captured = capsys.readouterr()
+    assert not captured.out
+    (line,) = captured.err.strip().splitlines()
+    assert line.startswith("pinav: ")
+    return line
+
+
+def name_of(value):
+    return str(value)[:50] if isinstance(value, dict) else None
+
+
+@pytest.mark.parametrize(("changes", "message"), CASES, ids=name_of)
+def test_bad_cases(tmp_path, capsys, changes, message):
+    path = written(tmp_path, changes)
+    line = refusal(capsys, "simulate", path, "--out", tmp_path / "run")
+    assert re.search(message, line), line
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["case.toml"]
+
+
+@pytest.mark.parametrize(("task", "changes", "message"), TASKS, ids=name_of)
+def test_bad_tasks(tmp_path, capsys, task, changes, message):
+    path = written(tmp_path, changes)
+    line = refusal(capsys, task, path, "--out", tmp_path / "run")
+    assert re.search(message, line), line
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["case.toml"]
+
+
+@pytest.mark.parametrize(("text", "message"), READINGS)
+def test_bad_readings(tmp_path, capsys, text, message):
+    path = written(tmp_path, {"learn.data": "readings.csv"})
+    (tmp_path / "readings.csv").write_text(text)
+    line = refusal(capsys, "learn", path, "--out", tmp_path / "run")
+    assert re.search(message, line), line
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(("argv", "message"), COMMAND_LINES)
+def test_bad_command_lines(tmp_path, capsys, monkeypatch, argv, message):
+    written(tmp_path, {})
+    monkeypatch.chdir(tmp_path)
+    line = refusal(capsys, *argv)
+    assert re.search(message, line), line
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["case.toml"]
+
+
+@pytest.mark.parametrize(("content", "message"), FILES)
+def test_bad_files(tmp_path, capsys, content, message):
+    path = tmp_path / "case.toml"
+    path.write_bytes(content)
+    line = refusal(capsys, "simulate", path, "--out", tmp_path / "run")
+    assert re.search(message, line), line
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_step_that_is_not_stable_is_refused(tmp_path, capsys):
+    path = written(tmp_path, PLANE | {"step": 900.0})
+    line = refusal(capsys, "simulate", path, "--out", tmp_path / "run")
+    assert re.search("RKL2.longest: .* stable on this grid, got 900 s", line)
