@@ -306,7 +306,7 @@ def iterate_sweeps(
         tolerance: greatest change.
     """
 
-    def again(
+    def improve(
         state: tuple[Values, Float[Array, ""], Int[Array, ""]],
     ) -> tuple[Values, Float[Array, ""], Int[Array, ""]]:
         values, _change, count = state
@@ -319,7 +319,7 @@ def iterate_sweeps(
         jnp.zeros((), int),
     )
     return jax.lax.while_loop(
-        lambda state: (state[1] > tolerance) & (state[2] < most), again, begin
+        lambda state: (state[1] > tolerance) & (state[2] < most), improve, begin
     )[0]
 
 
