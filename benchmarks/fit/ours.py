@@ -15,8 +15,8 @@ from pinav.fitting import (
     Fit,
     FitProgress,
     TrajectoryLoss,
+    curriculum,
     defect_recipe,
-    distillation_rates,
     fit,
     fit_bayes,
     kernel_environment,
@@ -107,9 +107,7 @@ def network(problem: Problem, seed: int, effort: Effort) -> Trained:
     """The paper's network, our default recipe."""
     data, known = _data(problem)
     model = _model("ude", known, seed, data)
-    rates = distillation_rates(model, data)
-    steps = effort.gauss_newton_steps
-    recipe = defect_recipe(data, rates=rates, max_steps=steps)
+    recipe = curriculum(data, max_steps=effort.gauss_newton_steps)
     return _network(*_fit(problem, data, model, recipe, exact=True))
 
 
