@@ -11,7 +11,16 @@ from jaxtyping import Array
 
 from pinav.thermal import exact
 from pinav.thermal.bioheat import Bioheat
-from pinav.thermal.boundaries import Dirichlet, Insulated, Robin, Sides, around, outer
+from pinav.thermal.boundaries import (
+    AbstractEnds,
+    Dirichlet,
+    Insulated,
+    Periodic,
+    Robin,
+    Sides,
+    around,
+    outer,
+)
 from pinav.thermal.dose import cem43_segment
 from pinav.thermal.exact import SET_S, Medium
 from pinav.thermal.grids import AbstractGrid, CartesianGrid, RadialGrid
@@ -21,8 +30,10 @@ from pinav.thermal.protocols import Piecewise, Waveform
 from pinav.thermal.quantities import Number, Numbers
 from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.schedule import plan_steps
-from pinav.thermal.solve import State, probes_at, run, solve
+from pinav.thermal.solve import probes_at, run, solve
 from pinav.thermal.sources import PowerSource
+from pinav.thermal.starts import State
+from pinav.thermal.steady import steady_state
 from pinav.thermal.steppers import RKL2
 from pinav.thermal.tissues import Blood, Tissue, mix
 
@@ -67,7 +78,7 @@ class Check(eqx.Module):
 def reference_model(
     grid: AbstractGrid,
     power: Number | Numbers,
-    sides: tuple[Sides, ...] | None = None,
+    sides: tuple[AbstractEnds, ...] | None = None,
     perfusion: Number = 1.05,
 ) -> Bioheat:
     """The reference medium on a grid, heated by a power density [W m⁻³].
@@ -317,6 +328,22 @@ def _sensitivities() -> Iterator[Check]:
         yield Check(f"sensitivity to {name}, relative", ratio, 1.0, 1e-3, "1")
 
 
+def _rests() -> Iterator[Check]:
+    points = np.array([0.0, 0.01, 0.02])
+    slab = reference_model(RadialGrid.slab(0.03, 320), 2e4)
+    rise = probes_at(slab, points)(steady_state(slab, AMPLITUDE).temperature) - 37.0
+    true = exact.perfused_slab(points, np.inf, SET_S, 2e4, 0.03)
+    yield from _checks("perfused slab, steady solver", points, rise, true, 1e-4)
+    grid = CartesianGrid.cubes((64, 3), 0.03 / 64)
+    fluid = Sides(Robin(10.0, 25.0), Dirichlet(37.0))
+    strip = reference_model(grid, 420.0, (fluid, Periodic()), 0.525)
+    half = Medium(0.5, SET_S.capacity, 0.5 * SET_S.perfusion)
+    at = (np.arange(64) + 0.5)[[0, 20, 40]] * 0.03 / 64
+    true = exact.skin(at, half, 420.0, 0.03, 10.0, 25.0) - 37.0
+    rise = steady_state(strip, AMPLITUDE).temperature[np.array([0, 20, 40]), 1] - 37.0
+    yield from _checks("skin of a periodic strip, steady", at, rise, true, 1e-3)
+
+
 CASES: dict[str, Callable[[], Iterator[Check]]] = {
     "slabs": _slabs,
     "round": _round,
@@ -326,6 +353,7 @@ CASES: dict[str, Callable[[], Iterator[Check]]] = {
     "point": _point,
     "spots": _spots,
     "lumped": _lumped,
+    "rests": _rests,
     "doses": _doses,
     "sensitivities": _sensitivities,
 }

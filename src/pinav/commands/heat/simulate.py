@@ -1,5 +1,7 @@
 """`pinav heat simulate`: temperature and dose of a case."""
 
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,8 +25,8 @@ SAVED_TIMES = 180
 class SimulateTask(AbstractTask):
     """Run a case as it is."""
 
-    def __init__(self, case: Case) -> None:
-        self.case, self.setup = case, build_case(case)
+    def __init__(self, case: Case, source: Path) -> None:
+        self.case, self.setup = case, build_case(case, source.parent)
         require(self.setup.protocol, *self.setup.limits)
 
     def run(self) -> TaskResult:
@@ -43,6 +45,7 @@ class SimulateTask(AbstractTask):
             stepper=setup.stepper,
             observe=Probes(setup.model.grid.interpolation(setup.points)),
             save_every=self.case.probes.every,
+            start=setup.start,
         )
         times = np.asarray(solution.times)
         return ProbeData(times, setup.points, np.asarray(solution.observed))
@@ -70,6 +73,7 @@ def simulate_run(
         stepper=setup.stepper,
         observe=observe,
         save_every=protocol.duration / SAVED_TIMES,
+        start=setup.start,
     )
     arrays = {
         "times": np.asarray(solution.times),
