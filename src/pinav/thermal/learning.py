@@ -26,7 +26,7 @@ from pinav.thermal.probes import ProbeData
 from pinav.thermal.protocols import AbstractProtocol
 from pinav.thermal.quantities import Field, Number, Numbers
 from pinav.thermal.schedule import Schedule, plan_steps
-from pinav.thermal.solve import Probes, default_stepper, run, solve
+from pinav.thermal.solve import Observe, default_stepper, probes_at, run, solve
 from pinav.thermal.starts import AT_REST, AbstractStart
 from pinav.thermal.steppers import AbstractStepper
 
@@ -50,7 +50,7 @@ class ProbeResiduals(eqx.Module):
     protocol: AbstractProtocol
     schedule: Schedule
     stepper: AbstractStepper
-    probes: Probes
+    probes: Observe
     values: Float[Array, " reading"]
     index: Int[Array, " reading"]
     start: AbstractStart = AT_REST
@@ -94,7 +94,7 @@ def probe_residuals(
         protocol=protocol,
         schedule=plan_steps(protocol, longest, save_at=data.times.tolist()),
         stepper=stepper,
-        probes=Probes(model.grid.interpolation(data.points)),
+        probes=probes_at(model, data.points),
         values=jnp.asarray(data.values[data.observed]),
         index=jnp.asarray(np.flatnonzero(data.observed)),
         start=start,

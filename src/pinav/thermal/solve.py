@@ -6,6 +6,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from pinav.arguments import Scalar
@@ -231,16 +232,18 @@ def _levels(
 
 
 def probes_at(model: Bioheat, points: Any) -> Observe:
-    """Temperatures at points [m], as an `observe`.
+    """Temperatures at points [m], as an `observe`; for a model that is not traced.
 
     Raises:
         InputError: a point is outside the grid.
     """
-    return Probes(model.grid.interpolation(points))
+    return Probes(
+        model.grid.interpolation(points, np.asarray(model.tissue.conductivity))
+    )
 
 
 class Probes(eqx.Module):
-    """Temperatures at points, by linear interpolation.
+    """Temperatures at points, by the weights of `AbstractGrid.interpolation`.
 
     Attributes:
         weights: of the cells, for each point.

@@ -344,6 +344,53 @@ def _rests() -> Iterator[Check]:
     yield from _checks("skin of a periodic strip, steady", at, rise, true, 1e-3)
 
 
+def _interfaces() -> Iterator[Check]:
+    """Temperatures beside a threefold jump of the conductivity, wherever it lies."""
+    radius, count = 3.15e-3, 400
+    media = Medium(0.2, 1660.0 * 2540.0), Medium(0.642, 3.72e6)
+    for share in (0.0, 0.3, 0.5):
+        end = radius / (40 + share) * count
+        grid = RadialGrid.sphere(end, count)
+        ball = grid.ball(radius)
+        model = Bioheat(
+            grid,
+            mix(ball, Tissue(0.2, 1660.0, 2540.0), Tissue(0.642, 1000.0, 3720.0)),
+            Blood(),
+            ConstantPerfusion(0.0),
+            (PowerSource(6.15e5 * ball, AMPLITUDE),),
+            outer(Dirichlet(37.0)),
+        )
+        points = radius + np.array([-0.6, 0.0, 0.6]) * end / count
+        rise = probes_at(model, points)(steady_state(model, AMPLITUDE).temperature)
+        true = [
+            exact.two_conductivities(
+                float(r), np.inf, *media, 6.15e5, radius, outer_radius=end
+            )
+            for r in points
+        ]
+        name = f"beside a jump, {share:g} of a cell from a face"
+        yield from _checks(name, points, rise - 37.0, true, 4e-3)
+
+
+def _derivatives_by_radius() -> Iterator[Check]:
+    """By the radius of a heated ball, with its surface on a face, near one, and in."""
+    true = exact.heated_sphere_sensitivities(SET_S, 4e5, 0.005)["radius"]
+    for share in (0.0, 1e-9, 0.1, 0.5, 0.75):
+        end = 0.005 / (20 + share) * 200
+
+        def rise(radius: Array, end: float = end) -> Array:
+            grid = RadialGrid.sphere(end, 200)
+            model = reference_model(grid, 4e5 * grid.ball(radius))
+            return (
+                grid.interpolation([0.0])[0]
+                @ steady_state(model, AMPLITUDE).temperature
+            )
+
+        ratio = float(jax.grad(rise)(jnp.asarray(0.005)) / true)
+        name = f"sensitivity to a radius {share:g} of a cell from a face, relative"
+        yield Check(name, ratio, 1.0, 2e-3, "1")
+
+
 CASES: dict[str, Callable[[], Iterator[Check]]] = {
     "slabs": _slabs,
     "round": _round,
@@ -354,6 +401,8 @@ CASES: dict[str, Callable[[], Iterator[Check]]] = {
     "spots": _spots,
     "lumped": _lumped,
     "rests": _rests,
+    "interfaces": _interfaces,
+    "radii": _derivatives_by_radius,
     "doses": _doses,
     "sensitivities": _sensitivities,
 }

@@ -95,5 +95,8 @@ def _constraints(
         # the margin leaves out tissue that conduction from the tumour heats anyway
         radius = case.tumour.radius + settings.margin
         away = 1 - setup.model.grid.ball(radius, center=case.tumour.center)
-        constraints.append(HealthyDose(bound=settings.healthy_dose, share=away))
+        name = f"dose of tissue {1e3 * settings.margin:g} mm or more from the tumour"
+        constraints.append(
+            HealthyDose(bound=settings.healthy_dose, share=away, name=name)
+        )
     return constraints + [limit_constraint(limit) for limit in setup.limits]
