@@ -38,7 +38,7 @@ class RotatingField(AbstractField):
     amplitude: Scalar
     frequency: Scalar
 
-    def __call__(self, t):
+    def __call__(self, t: Scalar) -> Float[Array, "3"]:
         phase = self.frequency * jnp.asarray(t)
         direction = jnp.stack([jnp.cos(phase), jnp.sin(phase), jnp.zeros_like(phase)])
         return self.amplitude * direction
@@ -59,7 +59,7 @@ class AbstractResponse(eqx.Module):
 class LinearResponse(AbstractResponse):
     """Speed in proportion to the frequency."""
 
-    def __call__(self, frequency):
+    def __call__(self, frequency: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
         return frequency
 
 
@@ -78,7 +78,7 @@ class SaturatingResponse(AbstractResponse):
     def __check_init__(self) -> None:
         check_positive(self, "corner")
 
-    def __call__(self, frequency):
+    def __call__(self, frequency: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
         return frequency / jnp.sqrt(1 + (frequency / self.corner) ** 2)
 
 
@@ -111,7 +111,7 @@ class SlippingResponse(AbstractResponse):
                 "LinearResponse"
             )
 
-    def __call__(self, frequency):
+    def __call__(self, frequency: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
         saturated = SaturatingResponse(self.corner)(frequency)
         return self.residual * frequency + (1 - self.residual) * saturated
 
@@ -138,7 +138,7 @@ class StepOutResponse(AbstractResponse):
     def __check_init__(self) -> None:
         check_positive(self, "corner")
 
-    def __call__(self, frequency):
+    def __call__(self, frequency: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
         above = (frequency / self.corner) ** 2 - 1
         rounded = (above + jnp.sqrt(above**2 + ROUNDING**2)) / 2
         start = (jnp.sqrt(1 + ROUNDING**2) - 1) / 2  # no slip at rest
@@ -194,13 +194,13 @@ class HeldProgramme(AbstractProgramme):
     frequency: Float[Array, " time"]
     heading: Float[Array, " time"]
 
-    def __call__(self, t):
+    def __call__(self, t: Scalar) -> tuple[Float[Array, ""], Float[Array, ""]]:
         last = self.times.shape[0] - 1
         index = jnp.searchsorted(self.times, jnp.asarray(t), side="right") - 1
         index = jnp.clip(index, 0, last)
         return self.frequency[index], self.heading[index]
 
-    def between(self, commands):
+    def between(self, commands: Float[Array, "time 2"]) -> Float[Array, "interval 2"]:
         return commands[:-1]
 
     def lagged_integral(
@@ -237,7 +237,7 @@ class LinearProgramme(AbstractProgramme):
     frequency: Float[Array, " time"]
     heading: Float[Array, " time"]
 
-    def __call__(self, t):
+    def __call__(self, t: Scalar) -> tuple[Float[Array, ""], Float[Array, ""]]:
         turned = jnp.unwrap(self.heading)
         t = jnp.asarray(t, self.times.dtype)
         return (
@@ -245,12 +245,17 @@ class LinearProgramme(AbstractProgramme):
             jnp.interp(t, self.times, turned),
         )
 
-    def between(self, commands):
+    def between(self, commands: Float[Array, "time 2"]) -> Float[Array, "interval 2"]:
         """By the trapezoidal rule."""
         return (commands[:-1] + commands[1:]) / 2
 
 
-def _interpolate(ts, times, steps, ends):
+def _interpolate(
+    ts: Float[Array, " query"],
+    times: Float[Array, " time"],
+    steps: Float[Array, "interval 2"],
+    ends: tuple[Float[Array, "2"], Float[Array, "2"]],
+) -> Float[Array, "query 2"]:
     """A cumulated integral between its knots, and beyond them at the end rates."""
     total = jnp.concatenate([jnp.zeros_like(steps[:1]), jnp.cumsum(steps, axis=0)])
     inside = jnp.stack([jnp.interp(ts, times, column) for column in total.T], axis=1)

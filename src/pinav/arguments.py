@@ -15,15 +15,24 @@ from pinav.errors import InputError
 Scalar = float | int | Float[Array, ""]
 """One real number: plain, NumPy's float64, or a JAX array without axes."""
 
+Vector = Float[Array, " dim"]
+"""A vector of the space: a position, a velocity, a force."""
 
-def point(name: str, dim: int | None = None) -> Callable[[Any], Float[Array, " dim"]]:
+Planar = Float[Array, "2"]
+"""A vector of the plane, likewise."""
+
+State = Float[Array, " state"]
+"""State y of a swimmer: its position, and its velocity where it has inertia."""
+
+
+def point(name: str, dim: int | None = None) -> Callable[[Any], Vector]:
     """Converter of a field that takes a point as list, tuple or array.
 
     It raises `InputError`, which calls the field `name`, where that is no point of
     `dim` components, or of any number unless given.
     """
 
-    def convert(value: Any) -> Float[Array, " dim"]:
+    def convert(value: Any) -> Vector:
         shape = np.shape(value)
         if len(shape) != 1 or (dim is not None and shape != (dim,)):
             expected = "(dim,)" if dim is None else f"({dim},)"

@@ -5,6 +5,7 @@ import sys
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
@@ -347,16 +348,16 @@ def test_saved_figures_are_whole_and_the_same_every_time(tmp_path, name):
     ]
 
 
-def test_failed_write_keeps_the_old_file_and_leaves_no_part(tmp_path):
+def test_failed_write_keeps_the_old_file_and_leaves_no_part(tmp_path, monkeypatch):
     figure = Figure()
     paths = figures.save_figure(figure, tmp_path, "f")
     before = paths.png.read_bytes()
 
-    def fail(to, **_):
+    def fail(canvas, to, **_):
         to.write(b"half")
         raise OSError("disk full")
 
-    figure.savefig = fail
+    monkeypatch.setattr(FigureCanvasAgg, "print_png", fail)
     with pytest.raises(OSError, match="disk full"):
         figures.save_figure(figure, tmp_path, "f")
     assert paths.png.read_bytes() == before

@@ -21,11 +21,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
-from jaxtyping import Bool, Float, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from pinav.errors import InputError
 from pinav.evaluation import FieldMap
-from pinav.fitting import Posterior
+from pinav.fitting import ParametricModel, Posterior
 from pinav.forces import kernel_centers
 
 ACROSS, WIDTH, MARGIN = 18, 1.5, 2.0
@@ -148,15 +148,23 @@ def sample_forces(
 
 
 @eqx.filter_jit
-def _forces(free, draws, points):
-    def one(theta):
+def _forces(
+    free: ParametricModel,
+    draws: Float[Array, "sample parameter"],
+    points: Float[Array, "point 2"],
+) -> Float[Array, "sample point 2"]:
+    def one(theta: Float[Array, " parameter"]) -> Float[Array, "point 2"]:
         force = free(theta).environment
         return jax.vmap(lambda x: force(0.0, x, jnp.zeros_like(x)))(points)
 
     return jax.lax.map(one, draws)
 
 
-def _region(field: FieldMap, forces, reach) -> Bool[np.ndarray, "rows columns"]:
+def _region(
+    field: FieldMap,
+    forces: Float[np.ndarray, "*sample rows columns 2"],
+    reach: float | None,
+) -> Bool[np.ndarray, "rows columns"]:
     reach = field.regions.near if reach is None else reach
     finite = np.isfinite(forces).all(axis=-1)
     region = (field.distance <= reach) & finite.reshape(-1, *field.distance.shape).all(
@@ -185,7 +193,7 @@ class _Basis(eqx.Module):
     shape: tuple[int, int] = eqx.field(static=True)
 
     @classmethod
-    def of(cls, field: FieldMap, region) -> "_Basis":
+    def of(cls, field: FieldMap, region: Bool[np.ndarray, "rows columns"]) -> "_Basis":
         points = np.stack(np.meshgrid(field.x, field.y), axis=-1)
         extent = max(np.ptp(field.x), np.ptp(field.y))
         step = extent / (max(region.shape) - 1)
@@ -202,24 +210,34 @@ class _Basis(eqx.Module):
         rotations = _rotate(near).reshape(gradients.shape)
         return cls(values, slopes, gradients, rotations, region.shape)
 
-    def fit(self, force):
+    def fit(
+        self, force: Float[np.ndarray, "row ..."]
+    ) -> Float[np.ndarray, "weight ..."]:
         """Weights of potential and stream function, by least squares with a ridge."""
         return _ridge(np.concatenate([self.gradients, self.rotations], axis=1), force)
 
-    def parts(self, weights):
+    def parts(
+        self, weights: Float[np.ndarray, " weight"]
+    ) -> tuple[
+        Float[np.ndarray, "rows columns 2"], Float[np.ndarray, "rows columns 2"]
+    ]:
         """Gradient and rotational force on the whole grid."""
         of_potential, of_stream = np.split(weights, 2)
         gradient = -self.slopes @ of_potential
         rotational = _rotate(self.slopes) @ of_stream
         return gradient.reshape(*self.shape, 2), rotational.reshape(*self.shape, 2)
 
-    def functions(self, weights):
+    def functions(
+        self, weights: Float[np.ndarray, " weight"]
+    ) -> tuple[Float[np.ndarray, "rows columns"], Float[np.ndarray, "rows columns"]]:
         """Potential and stream function on the whole grid."""
-        return tuple(
-            (self.values @ part).reshape(self.shape) for part in np.split(weights, 2)
+        potential, stream = np.split(weights, 2)
+        return (
+            (self.values @ potential).reshape(self.shape),
+            (self.values @ stream).reshape(self.shape),
         )
 
-    def bounds(self, force):
+    def bounds(self, force: Float[np.ndarray, "near 2"]) -> tuple[float, float]:
         """Rotational fraction left by all gradients, and by no rotation."""
         total = _norm(force) ** 2
         missed = [
@@ -229,12 +247,16 @@ class _Basis(eqx.Module):
         return float(missed[0] / total), float(1.0 - missed[1] / total)
 
 
-def _rotate(slopes):
+def _rotate(
+    slopes: Float[np.ndarray, "point 2 kernel"],
+) -> Float[np.ndarray, "point 2 kernel"]:
     """From the slopes of a stream function to its force."""
     return np.stack([slopes[:, 1], -slopes[:, 0]], axis=1)
 
 
-def _ridge(rows, force):
+def _ridge(
+    rows: Float[np.ndarray, "row kernel"], force: Float[np.ndarray, "row ..."]
+) -> Float[np.ndarray, "kernel ..."]:
     normal = rows.T @ rows
     largest = scipy.linalg.eigvalsh(normal, subset_by_index=[len(normal) - 1] * 2)[0]
     normal[np.diag_indices_from(normal)] += RIDGE * largest
@@ -242,10 +264,12 @@ def _ridge(rows, force):
     return scipy.linalg.cho_solve(factor, rows.T @ force)
 
 
-def _fraction(gradient, rotational) -> float:
+def _fraction(
+    gradient: Float[np.ndarray, "near 2"], rotational: Float[np.ndarray, "near 2"]
+) -> float:
     squares = _norm(gradient) ** 2, _norm(rotational) ** 2
     return float(squares[1] / sum(squares))
 
 
-def _norm(values) -> float:
+def _norm(values: Float[np.ndarray, "..."]) -> float:
     return float(np.linalg.norm(values))

@@ -6,14 +6,15 @@ set apart from the temperature.
 """
 
 import math
+from collections.abc import Callable
 from typing import cast
 
 import diffrax
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
+from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray, PyTree
 
-from pinav.arguments import Scalar
+from pinav.arguments import Scalar, State, Vector
 from pinav.dynamics.rollout import Outcome, Rollout
 from pinav.dynamics.swimmers import AbstractDynamics, OverdampedSwimmer
 from pinav.errors import InputError
@@ -68,21 +69,19 @@ class BrownianSwimmer(AbstractDynamics):
                 f"{self.thermal_energy}"
             )
 
-    def __call__(self, t, y):
-        def mobility(x):
+    def __call__(self, t: Scalar, y: State) -> State:
+        def mobility(x: Vector) -> Float[Array, "dim dim"]:
             return tensor_matrix(self.swimmer.mobility, x)
 
         divergence = jnp.trace(jax.jacfwd(mobility)(y), axis1=1, axis2=2)
         return self.swimmer(t, y) + self.thermal_energy * divergence
 
-    def noise(
-        self, y: Float[Array, " dim"], kick: Float[Array, " dim"]
-    ) -> Float[Array, " dim"]:
+    def noise(self, y: Vector, kick: Vector) -> Vector:
         r"""$\sqrt{2 k_B T M}$ at the position `y`, applied to an increment of $W$."""
         scale = jnp.sqrt(2 * jnp.asarray(self.thermal_energy, y.dtype))
         return scale * self.swimmer.mobility.factor(y, kick)
 
-    def diffusion(self, y: Float[Array, " dim"]) -> Float[Array, "dim dim"]:
+    def diffusion(self, y: Vector) -> Float[Array, "dim dim"]:
         """Diffusion tensor $D = k_B T M$ [L² T⁻¹] at the position `y`."""
         return self.thermal_energy * tensor_matrix(self.swimmer.mobility, y)
 
@@ -148,8 +147,10 @@ def sample_path(
     return Rollout(ts, ys, jnp.where(finite, Outcome.SUCCESS, Outcome.DIVERGED))
 
 
-def _noise_matrix(dynamics: BrownianSwimmer):
-    def matrix(t, y, args):
+def _noise_matrix(
+    dynamics: BrownianSwimmer,
+) -> Callable[[ArrayLike, Vector, PyTree], Float[Array, "dim dim"]]:
+    def matrix(t: ArrayLike, y: Vector, args: PyTree) -> Float[Array, "dim dim"]:
         units = jnp.eye(y.shape[0], dtype=y.dtype)
         return jax.vmap(lambda unit: dynamics.noise(y, unit), out_axes=1)(units)
 

@@ -8,6 +8,8 @@
 """
 
 import abc
+import functools
+import operator
 from collections.abc import Callable
 from typing import Any, cast
 
@@ -16,14 +18,20 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, PyTree
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from pinav.arguments import Scalar, check_positive
+from pinav.arguments import Scalar, State, check_positive
 from pinav.errors import InputError
 from pinav.forces import ScheduledThrust
 
-VectorField = Callable[[Scalar, Float[Array, " state"]], Float[Array, " state"]]
+VectorField = Callable[[Scalar, State], State]
 """Right-hand side f(t, y); a pytree, so that its leaves can be differentiated."""
+
+Times = Float[Array, " time"]
+"""Times at which the state is saved [T]."""
+
+Path = tuple[Float[Array, "time state"], Bool[Array, ""]]
+"""States at the times, and whether the solver reached the last of them."""
 
 
 class Tableau(eqx.Module):
@@ -65,12 +73,7 @@ class AbstractSolver(eqx.Module):
     """Integrates a vector field from `ts[0]` and saves the state at every time."""
 
     @abc.abstractmethod
-    def solve(
-        self,
-        vector_field: VectorField,
-        y0: Float[Array, " state"],
-        ts: Float[Array, " time"],
-    ) -> tuple[Float[Array, "time state"], Bool[Array, ""]]:
+    def solve(self, vector_field: VectorField, y0: State, ts: Times) -> Path:
         """States at `ts` [T], and whether the solver reached the last of them.
 
         It reached the last time also when the states on the way are not finite.
@@ -103,33 +106,27 @@ class FixedStep(AbstractSolver):
             raise InputError(f"FixedStep.substeps: expected >= 1, got {self.substeps}")
 
     def step(
-        self,
-        vector_field: VectorField,
-        y: Float[Array, " state"],
-        t0: Scalar,
-        t1: Scalar,
-    ) -> Float[Array, " state"]:
+        self, vector_field: VectorField, y: State, t0: Scalar, t1: Scalar
+    ) -> State:
         """State at `t1` from the state `y` at `t0` [T]; quick to run."""
-        return _substeps(_runge_kutta_step, self, vector_field, (y, t0, t1))
+        return _substeps(_runge_kutta_step, self, vector_field, y, t0, t1)
 
     def looped_step(
-        self,
-        vector_field: VectorField,
-        y: Float[Array, " state"],
-        t0: Scalar,
-        t1: Scalar,
-    ) -> Float[Array, " state"]:
+        self, vector_field: VectorField, y: State, t0: Scalar, t1: Scalar
+    ) -> State:
         """The same up to rounding; quick to compile."""
-        return _substeps(_looped_runge_kutta_step, self, vector_field, (y, t0, t1))
+        return _substeps(_looped_runge_kutta_step, self, vector_field, y, t0, t1)
 
-    def solve(self, vector_field, y0, ts):
+    def solve(self, vector_field: VectorField, y0: State, ts: Times) -> Path:
         states = _fixed_step_solve(vector_field, y0, ts, self)
         return states, jnp.ones((), bool)
 
 
 @eqx.filter_custom_jvp
-def _fixed_step_solve(vector_field, y0, ts, solver):
-    def record(y, interval):
+def _fixed_step_solve(
+    vector_field: VectorField, y0: State, ts: Times, solver: FixedStep
+) -> Float[Array, "time state"]:
+    def record(y: State, interval: Float[Array, "2"]) -> tuple[State, State]:
         y_next = solver.step(vector_field, y, interval[0], interval[1])
         return y_next, y_next
 
@@ -138,17 +135,20 @@ def _fixed_step_solve(vector_field, y0, ts, solver):
 
 
 @_fixed_step_solve.def_jvp
-def _fixed_step_jvp(primals, tangents):
+def _fixed_step_jvp(
+    primals: tuple[VectorField, State, Times, FixedStep],
+    tangents: tuple[PyTree, State | None, Times | None, PyTree],
+) -> tuple[Float[Array, "time state"], Float[Array, "time state"]]:
     """All steps are linearised at once; a short recursion joins them."""
     vector_field, y0, ts, solver = primals
     field_tangent, y0_tangent, ts_tangent, _ = tangents
     states = _fixed_step_solve(vector_field, y0, ts, solver)
     starts = states[:-1]
 
-    def jacobian(y, t0, t1):
+    def jacobian(y: State, t0: Scalar, t1: Scalar) -> Float[Array, "state state"]:
         return jax.jacfwd(lambda y: solver.step(vector_field, y, t0, t1))(y)
 
-    def one_step(field, ts):
+    def one_step(field: VectorField, ts: Times) -> Float[Array, "step state"]:
         return jax.vmap(solver.step, (None, 0, 0, 0))(field, starts, ts[:-1], ts[1:])
 
     jacobians = jax.vmap(jacobian)(starts, ts[:-1], ts[1:])
@@ -183,7 +183,7 @@ class Adaptive(AbstractSolver):
     def __check_init__(self) -> None:
         check_positive(self, "rtol", "atol")
 
-    def solve(self, vector_field, y0, ts):
+    def solve(self, vector_field: VectorField, y0: State, ts: Times) -> Path:
         solution = _diffeqsolve(
             self, vector_field, y0, ts, diffrax.SaveAt(ts=ts), self.adjoint
         )
@@ -220,19 +220,30 @@ class InterpolatingAdjoint(AbstractSolver):
     def __check_init__(self) -> None:
         check_positive(self, "rtol", "atol")
 
-    def solve(self, vector_field, y0, ts):
+    def solve(self, vector_field: VectorField, y0: State, ts: Times) -> Path:
         parameters, static = eqx.partition(vector_field, eqx.is_inexact_array)
         return _interpolating_solve((parameters, y0), static, ts, self)
 
 
 @eqx.filter_custom_vjp
-def _interpolating_solve(parameters_and_y0, static, ts, solver):
+def _interpolating_solve(
+    parameters_and_y0: tuple[PyTree, State],
+    static: PyTree,
+    ts: Times,
+    solver: InterpolatingAdjoint,
+) -> Path:
     solution = _dense_solution(parameters_and_y0, static, ts, solver)
     return _states_and_reached(solution)
 
 
 @_interpolating_solve.def_fwd
-def _interpolating_forward(perturbed, parameters_and_y0, static, ts, solver):
+def _interpolating_forward(
+    perturbed: PyTree,
+    parameters_and_y0: tuple[PyTree, State],
+    static: PyTree,
+    ts: Times,
+    solver: InterpolatingAdjoint,
+) -> tuple[Path, diffrax.DenseInterpolation | None]:
     del perturbed
     solution = _dense_solution(parameters_and_y0, static, ts, solver)
     return _states_and_reached(solution), solution.interpolation
@@ -240,8 +251,14 @@ def _interpolating_forward(perturbed, parameters_and_y0, static, ts, solver):
 
 @_interpolating_solve.def_bwd
 def _interpolating_backward(
-    interpolation, gradients, perturbed, parameters_and_y0, static, ts, solver
-):
+    interpolation: diffrax.DenseInterpolation,
+    gradients: tuple[Float[Array, "time state"] | None, PyTree],
+    perturbed: PyTree,
+    parameters_and_y0: tuple[PyTree, State],
+    static: PyTree,
+    ts: Times,
+    solver: InterpolatingAdjoint,
+) -> tuple[PyTree, State]:
     """Integrate the adjoint from each sample to the one before it."""
     del perturbed
     parameters, y0 = parameters_and_y0
@@ -249,18 +266,24 @@ def _interpolating_backward(
     if loss_gradients is None:
         loss_gradients = jnp.zeros((ts.shape[0], *y0.shape), y0.dtype)
 
-    def adjoint_field(t, adjoint, args):
+    def adjoint_field(
+        t: Scalar,
+        adjoint: tuple[PyTree, State],
+        args: tuple[PyTree, diffrax.DenseInterpolation],
+    ) -> tuple[PyTree, State]:
         parameters, interpolation = args
         y = interpolation.evaluate(t)
 
-        def field(parameters, y):
+        def field(parameters: PyTree, y: State) -> State:
             return eqx.combine(parameters, static)(t, y)
 
         _, pull_back = jax.vjp(field, parameters, y)
         parameter_slope, state_slope = pull_back(adjoint[1])
         return jax.tree.map(jnp.negative, (parameter_slope, state_slope))
 
-    def one_interval(adjoint, inputs):
+    def one_interval(
+        adjoint: tuple[PyTree, State], inputs: tuple[Scalar, Scalar, State]
+    ) -> tuple[tuple[PyTree, State], None]:
         t_late, t_early, loss_gradient = inputs
         accumulated, costate = adjoint
         solution = diffrax.diffeqsolve(
@@ -284,7 +307,12 @@ def _interpolating_backward(
     return accumulated, costate + loss_gradients[0]
 
 
-def _dense_solution(parameters_and_y0, static, ts, solver):
+def _dense_solution(
+    parameters_and_y0: tuple[PyTree, State],
+    static: PyTree,
+    ts: Times,
+    solver: InterpolatingAdjoint,
+) -> diffrax.Solution:
     parameters, y0 = parameters_and_y0
     saveat = diffrax.SaveAt(ts=ts, dense=True)
     return _diffeqsolve(
@@ -292,15 +320,13 @@ def _dense_solution(parameters_and_y0, static, ts, solver):
     )
 
 
-def _states_and_reached(
-    solution: diffrax.Solution,
-) -> tuple[Float[Array, "time state"], Bool[Array, ""]]:
+def _states_and_reached(solution: diffrax.Solution) -> Path:
     states = cast(Array, solution.ys)
     return states, solution.result == diffrax.RESULTS.successful
 
 
 def linear_recursion(
-    start: Float[Array, " state"],
+    start: State,
     matrices: Float[Array, "step state state"],
     sources: Float[Array, "step state"],
 ) -> Float[Array, "step+1 state"]:
@@ -310,7 +336,9 @@ def linear_recursion(
     faster on a CPU than a small matrix product.
     """
 
-    def advance(delta, inputs):
+    def advance(
+        delta: State, inputs: tuple[Float[Array, "state state"], State]
+    ) -> tuple[State, State]:
         matrix, source = inputs
         columns = (matrix[:, i] * delta[i] for i in range(delta.shape[0]))
         delta = sum(columns, source)
@@ -320,21 +348,30 @@ def linear_recursion(
     return jnp.concatenate([start[None], deltas])
 
 
-def _substeps(step, solver, vector_field, inputs):
-    """State at t1, by `solver.substeps` equal steps from (y, t0, t1)."""
-    y, t0, t1 = inputs
+def _substeps(
+    step: Callable[[Tableau, VectorField, State, Scalar, Scalar], State],
+    solver: FixedStep,
+    vector_field: VectorField,
+    y: State,
+    t0: Scalar,
+    t1: Scalar,
+) -> State:
+    """State at t1, by `solver.substeps` equal steps from the state y at t0."""
     h = (t1 - t0) / solver.substeps
     if solver.substeps == 1:
         return step(solver.tableau, vector_field, y, t0, h)
 
-    def substep(y, index):  # a loop compiles faster than the steps in a row
+    def substep(y: State, index: Int[Array, ""]) -> tuple[State, None]:
+        # A loop compiles faster than the steps in a row.
         t = t0 + index.astype(y.dtype) * h
         return step(solver.tableau, vector_field, y, t, h), None
 
     return jax.lax.scan(substep, y, jnp.arange(solver.substeps))[0]
 
 
-def _runge_kutta_step(tableau, vector_field, y, t, h):
+def _runge_kutta_step(
+    tableau: Tableau, vector_field: VectorField, y: State, t: Scalar, h: Scalar
+) -> State:
     """The stages in a row: the quickest to run."""
     slopes = [vector_field(t, y)]
     for node, row in zip(tableau.nodes[1:], tableau.stages, strict=True):
@@ -343,7 +380,9 @@ def _runge_kutta_step(tableau, vector_field, y, t, h):
     return y + h * _combine(tableau.weights, slopes)
 
 
-def _looped_runge_kutta_step(tableau, vector_field, y, t, h):
+def _looped_runge_kutta_step(
+    tableau: Tableau, vector_field: VectorField, y: State, t: Scalar, h: Scalar
+) -> State:
     """The stages as a loop: the quickest to compile, a sixth of the code."""
     count = len(tableau.nodes)
     rows = np.zeros((count, count))
@@ -354,7 +393,10 @@ def _looped_runge_kutta_step(tableau, vector_field, y, t, h):
         for numbers in (tableau.nodes, rows, tableau.weights)
     )
 
-    def stage(slopes, inputs):
+    def stage(
+        slopes: Float[Array, "stage state"],
+        inputs: tuple[Int[Array, ""], Scalar, Float[Array, " stage"]],
+    ) -> tuple[Float[Array, "stage state"], None]:
         index, node, row = inputs
         slope = vector_field(t + node * h, y + h * (row @ slopes))
         return slopes.at[index].set(slope), None
@@ -364,9 +406,10 @@ def _looped_runge_kutta_step(tableau, vector_field, y, t, h):
     return y + h * (weights @ slopes)
 
 
-def _combine(weights, slopes):
+def _combine(weights: tuple[float, ...], slopes: list[State]) -> State:
     terms = zip(weights, slopes, strict=True)
-    return sum(weight * slope for weight, slope in terms if weight != 0.0)
+    products = (weight * slope for weight, slope in terms if weight != 0.0)
+    return functools.reduce(operator.add, products)
 
 
 def _controller(
@@ -391,7 +434,14 @@ def jump_times(model: PyTree) -> Float[Array, " jump"] | None:
     return jnp.sort(jnp.concatenate(times)) if times else None
 
 
-def _diffeqsolve(solver, vector_field, y0, ts, saveat, adjoint):
+def _diffeqsolve(
+    solver: "Adaptive | InterpolatingAdjoint",
+    vector_field: VectorField,
+    y0: State,
+    ts: Times,
+    saveat: diffrax.SaveAt,
+    adjoint: diffrax.AbstractAdjoint,
+) -> diffrax.Solution:
     return diffrax.diffeqsolve(
         diffrax.ODETerm(lambda t, y, field: field(t, y)),  # pyright: ignore
         solver.method,

@@ -12,9 +12,9 @@ from typing import TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray, PyTree
+from jaxtyping import PRNGKeyArray, PyTree
 
-from pinav.arguments import Scalar
+from pinav.arguments import Scalar, State
 from pinav.forces import (
     AbstractFlow,
     AbstractForce,
@@ -32,7 +32,7 @@ class AbstractDynamics(eqx.Module):
     """Right-hand side of an ordinary differential equation for the state y."""
 
     @abc.abstractmethod
-    def __call__(self, t: Scalar, y: Float[Array, " state"]) -> Float[Array, " state"]:
+    def __call__(self, t: Scalar, y: State) -> State:
         """Rate of change of the state `y` at time `t` [T]."""
 
 
@@ -58,7 +58,7 @@ class Swimmer(AbstractDynamics):
     environment: AbstractForce
     known_force: AbstractForce = ZeroForce()
 
-    def __call__(self, t, y):
+    def __call__(self, t: Scalar, y: State) -> State:
         x, v = jnp.split(y, 2)
         acceleration = (
             self.propulsion(t, x, v) + self.drag(t, x, v) + self.environment(t, x, v)
@@ -102,7 +102,7 @@ class OverdampedSwimmer(AbstractDynamics):
     flow: AbstractFlow = ZeroFlow()
     known_force: AbstractForce = ZeroForce()
 
-    def __call__(self, t, y):
+    def __call__(self, t: Scalar, y: State) -> State:
         at_rest = jnp.zeros_like(y)
         force = self.propulsion(t, y, at_rest) + self.environment(t, y, at_rest)
         force = force + self.known_force(t, y, at_rest)
@@ -135,7 +135,7 @@ class NeuralDynamics(AbstractDynamics):
         """The leaves that train."""
         return self.network
 
-    def __call__(self, t, y):
+    def __call__(self, t: Scalar, y: State) -> State:
         inputs = jnp.append(y, jnp.asarray(t, y.dtype))
         center, scale = (jnp.asarray(a, y.dtype) for a in (self.center, self.scale))
         return self.network((inputs - center) / scale)

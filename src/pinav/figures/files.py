@@ -5,10 +5,14 @@ import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from pinav.figures.style import file_settings
 from pinav.files import write_whole
+
+DPI = 150
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,29 +44,32 @@ def save_figure(figure: Figure, folder: str | Path, name: str) -> FigureFiles:
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     files = FigureFiles(folder / f"{name}.png", folder / f"{name}.svg")
-    with file_settings(), _laid_out(figure):
+    with file_settings(), _drawing(figure):
+        raster, vector = FigureCanvasAgg(figure), FigureCanvasSVG(figure)
         write_whole(
-            files.png,
-            lambda to: figure.savefig(
-                to, format="png", dpi=150, metadata={"Software": None}
-            ),
+            files.png, lambda to: raster.print_png(to, metadata={"Software": None})
         )
         write_whole(
             files.svg,
-            lambda to: figure.savefig(
-                to, format="svg", dpi=150, metadata={"Date": None, "Creator": None}
-            ),
+            lambda to: vector.print_svg(to, metadata={"Date": None, "Creator": None}),
         )
     return files
 
 
 @contextlib.contextmanager
-def _laid_out(figure: Figure) -> Iterator[None]:
-    """The layout is found once, not again for every file: it is half of the work."""
-    engine = figure.get_layout_engine()
+def _drawing(figure: Figure) -> Iterator[None]:
+    """The layout is found once, not again for every file: it is half of the work.
+
+    For the same reason the canvases write by themselves: `Figure.savefig` draws twice,
+    once to find the layout.
+    """
+    engine, canvas, dpi = figure.get_layout_engine(), figure.canvas, figure.dpi
+    figure.dpi = DPI
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
     try:
         yield
     finally:
         figure.set_layout_engine(engine)
+        figure.set_canvas(canvas)
+        figure.dpi = dpi

@@ -1,6 +1,6 @@
 """Drag: linear, by a tensor, and relative to a flow."""
 
-from pinav.arguments import Scalar
+from pinav.arguments import Scalar, Vector
 from pinav.errors import InputError
 from pinav.forces.flows import AbstractFlow
 from pinav.forces.force import AbstractForce
@@ -26,7 +26,7 @@ class LinearDrag(AbstractForce):
         if isinstance(self.damping, float | int) and self.damping < 0:
             raise InputError(f"LinearDrag.damping: expected >= 0, got {self.damping}")
 
-    def __call__(self, t, x, v):
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return -self.damping * v
 
 
@@ -43,7 +43,7 @@ class TensorDrag(AbstractForce):
 
     tensor: AbstractTensorField
 
-    def __call__(self, t, x, v):
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return -self.tensor(x, v)
 
 
@@ -58,7 +58,7 @@ class InFlow(AbstractForce):
     force: AbstractForce
     flow: AbstractFlow
 
-    def __call__(self, t, x, v):
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return self.force(t, x, v - self.flow(t, x))
 
 
@@ -74,5 +74,5 @@ class Advection(AbstractForce):
 
     flow: AbstractFlow
 
-    def __call__(self, t, x, v):
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return self.flow(t, x)

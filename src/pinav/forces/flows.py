@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from pinav.arguments import Scalar, check_positive, point, refuse_text
+from pinav.arguments import Scalar, Vector, check_positive, point, refuse_text
 
 
 class AbstractFlow(eqx.Module):
@@ -16,14 +16,14 @@ class AbstractFlow(eqx.Module):
         refuse_text(self)
 
     @abc.abstractmethod
-    def __call__(self, t: Scalar, x: Float[Array, " dim"]) -> Float[Array, " dim"]:
+    def __call__(self, t: Scalar, x: Vector) -> Vector:
         """Velocity [L T⁻¹] at time `t` [T] and position `x` [L]."""
 
 
 class ZeroFlow(AbstractFlow):
     """A fluid at rest."""
 
-    def __call__(self, t, x):
+    def __call__(self, t: Scalar, x: Vector) -> Vector:
         return jnp.zeros_like(x)
 
 
@@ -38,7 +38,7 @@ class ShearFlow(AbstractFlow):
     rate: Scalar
     origin: Scalar = 0.0
 
-    def __call__(self, t, x):
+    def __call__(self, t: Scalar, x: Vector) -> Vector:
         return jnp.stack([self.rate * (x[1] - self.origin), jnp.zeros_like(x[0])])
 
 
@@ -64,7 +64,7 @@ class PoiseuilleFlow(AbstractFlow):
     def __check_init__(self) -> None:
         check_positive(self, "half_width")
 
-    def __call__(self, t, x):
+    def __call__(self, t: Scalar, x: Vector) -> Vector:
         profile = 1 - ((x[1] - self.middle) / self.half_width) ** 2
         return jnp.stack([self.peak * jnp.maximum(profile, 0), jnp.zeros_like(x[0])])
 
@@ -88,7 +88,7 @@ class VortexFlow(AbstractFlow):
     def __check_init__(self) -> None:
         check_positive(self, "width")
 
-    def __call__(self, t, x):
+    def __call__(self, t: Scalar, x: Vector) -> Vector:
         offset = x - self.center
         fading = jnp.exp(-0.5 * (offset @ offset) / self.width**2)
         return self.rate * fading * jnp.stack([-offset[1], offset[0]])
@@ -105,7 +105,7 @@ class SampledFlow(AbstractFlow):
     times: Float[Array, " time"]
     velocities: Float[Array, "time dim"]
 
-    def __call__(self, t, x):
+    def __call__(self, t: Scalar, x: Vector) -> Vector:
         components = [
             jnp.interp(jnp.asarray(t, self.times.dtype), self.times, column)
             for column in self.velocities.T
@@ -122,7 +122,7 @@ class SumFlow(AbstractFlow):
 
     terms: tuple[AbstractFlow, ...]
 
-    def __call__(self, t, x):
+    def __call__(self, t: Scalar, x: Vector) -> Vector:
         return sum((flow(t, x) for flow in self.terms), jnp.zeros_like(x))
 
 
@@ -133,7 +133,7 @@ class UniformFlow(AbstractFlow):
         velocity: of the fluid [L T⁻¹].
     """
 
-    velocity: Float[Array, " dim"] = eqx.field(converter=point("UniformFlow.velocity"))
+    velocity: Vector = eqx.field(converter=point("UniformFlow.velocity"))
 
-    def __call__(self, t, x):
+    def __call__(self, t: Scalar, x: Vector) -> Vector:
         return self.velocity.astype(x.dtype)

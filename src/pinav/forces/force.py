@@ -6,15 +6,13 @@ $-\nabla U$.
 
 import abc
 from collections.abc import Mapping
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, PyTree
 
-from pinav.arguments import Scalar, refuse_text
-from pinav.forces.priors import AbstractPrior
+from pinav.arguments import Scalar, Vector, refuse_text
+from pinav.forces.priors import AbstractPrior, Centers, Shape
 
 
 class AbstractForce(eqx.Module):
@@ -24,9 +22,7 @@ class AbstractForce(eqx.Module):
         refuse_text(self)
 
     @abc.abstractmethod
-    def __call__(
-        self, t: Scalar, x: Float[Array, " dim"], v: Float[Array, " dim"]
-    ) -> Float[Array, " dim"]:
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         """Force [L T⁻²] at time `t` [T], position `x` [L], velocity `v` [L T⁻¹]."""
 
     def __add__(self, other: "AbstractForce") -> "SumForce":
@@ -43,14 +39,14 @@ class SumForce(AbstractForce):
 
     terms: tuple[AbstractForce, ...]
 
-    def __call__(self, t, x, v):
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return sum((force(t, x, v) for force in self.terms), jnp.zeros_like(x))
 
 
 class ZeroForce(AbstractForce):
     """No force: what the physics-only baseline puts where the unknown stands."""
 
-    def __call__(self, t, x, v):
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return jnp.zeros_like(x)
 
 
@@ -80,9 +76,7 @@ class AbstractLearnedForce(AbstractForce):
         """Prior of the weights, flattened as they are."""
 
     @abc.abstractmethod
-    def kernels_on(
-        self, centers: Float[np.ndarray, "kernel dim"], width: float
-    ) -> "AbstractLearnedForce":
+    def kernels_on(self, centers: Centers, width: float) -> "AbstractLearnedForce":
         """The same kind of force, untrained, from static kernels at other places.
 
         Finer kernels for a force of kernels; for a network the kernels that stand for
@@ -100,11 +94,11 @@ class AbstractLearnedForce(AbstractForce):
         return True
 
     @property
-    def kernels(self) -> Any:
-        """Its kernels on a grid that may be refined; None where there are none."""
+    def kernel_width(self) -> Scalar | None:
+        """Width [L] of its kernels on a grid that may be refined; None without."""
         return None
 
-    def length_scales(self, shape: Float[np.ndarray, " shape"]) -> list[float]:
+    def length_scales(self, shape: Shape) -> list[float]:
         """Length scale of each part that contributes, in widths of its kernels.
 
         Args:

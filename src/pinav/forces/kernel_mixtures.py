@@ -6,9 +6,9 @@ planar force; splines in time let a potential change.
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
-from pinav.arguments import Scalar
+from pinav.arguments import Scalar, Vector
 from pinav.errors import InputError
 from pinav.forces.force import AbstractLearnedForce
 from pinav.forces.kernels import (
@@ -17,7 +17,14 @@ from pinav.forces.kernels import (
     check_kernels,
     kernel_values,
 )
-from pinav.forces.priors import ABSENT, MixturePrior, TimedPrior, WeightPrior
+from pinav.forces.priors import (
+    ABSENT,
+    Centers,
+    MixturePrior,
+    Shape,
+    TimedPrior,
+    WeightPrior,
+)
 
 
 class KernelMixture(AbstractLearnedForce):
@@ -38,39 +45,37 @@ class KernelMixture(AbstractLearnedForce):
     rotation: KernelStream
 
     @classmethod
-    def untrained(
-        cls, centers: Float[np.ndarray, "kernel dim"], width: float
-    ) -> "KernelMixture":
+    def untrained(cls, centers: Centers, width: float) -> "KernelMixture":
         """Both parts without weight yet: kernels at places, of a width [L]."""
         gradient = KernelPotential.untrained(centers, width)
         return cls(gradient, KernelStream.untrained(centers, width))
 
     @property
-    def parameters(self):
+    def parameters(self) -> PyTree:
         return self.gradient.weights, self.rotation.weights
 
     @property
-    def dim(self):
+    def dim(self) -> int:
         return self.gradient.dim
 
     @property
-    def kernels(self):
-        return self.gradient
+    def kernel_width(self) -> Scalar:
+        return self.gradient.width
 
-    def length_scales(self, shape):
+    def length_scales(self, shape: Shape) -> list[float]:
         parts = [] if shape[-1] > ABSENT else self.gradient.length_scales(shape)
         if shape[-1] > -ABSENT:
             second = len(self.gradient.prior().start)
             parts = parts + self.rotation.length_scales(shape[second:])
         return parts
 
-    def prior(self):
+    def prior(self) -> MixturePrior:
         return MixturePrior(self.gradient.prior(), self.rotation.prior())
 
-    def kernels_on(self, centers, width):
+    def kernels_on(self, centers: Centers, width: float) -> "KernelMixture":
         return KernelMixture.untrained(centers, width)
 
-    def __call__(self, t, x, v):
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return self.gradient(t, x, v) + self.rotation(t, x, v)
 
 
@@ -114,21 +119,21 @@ class TimedKernelPotential(AbstractLearnedForce):
             )
 
     @property
-    def parameters(self):
+    def parameters(self) -> PyTree:
         return self.weights
 
     @property
-    def dim(self):
+    def dim(self) -> int:
         return self.centers.shape[1]
 
     @property
-    def is_static(self):
+    def is_static(self) -> bool:
         return False
 
-    def prior(self):
+    def prior(self) -> TimedPrior:
         return TimedPrior(WeightPrior(self.centers, self.width), self.weights.shape[1])
 
-    def kernels_on(self, centers, width):
+    def kernels_on(self, centers: Centers, width: float) -> KernelPotential:
         return KernelPotential.untrained(centers, width)
 
     def splines(self, t: Scalar) -> Float[Array, " spline"]:
@@ -139,7 +144,7 @@ class TimedKernelPotential(AbstractLearnedForce):
         place = jnp.clip(share, 0.0, 1.0) * (count - 3)
         return cubic_spline(place - jnp.arange(-1, count - 1, dtype=dtype))
 
-    def potential(self, t: Scalar, x: Float[Array, " dim"]) -> Float[Array, ""]:
+    def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
         """Potential energy per mass $U(t, x)$ [L² T⁻²]."""
         values = kernel_values(x, self.centers, self.width)
         return values @ self.weights @ self.splines(t)
@@ -148,7 +153,7 @@ class TimedKernelPotential(AbstractLearnedForce):
         """The static potential that it is at time `t` [T]."""
         return KernelPotential(self.weights @ self.splines(t), self.centers, self.width)
 
-    def __call__(self, t, x, v):
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return self.at(t)(t, x, v)
 
 
@@ -167,36 +172,36 @@ class ChangingPotential(AbstractLearnedForce):
     change: TimedKernelPotential
 
     @property
-    def parameters(self):
+    def parameters(self) -> PyTree:
         return self.static.weights, self.change.weights
 
     @property
-    def dim(self):
+    def dim(self) -> int:
         return self.static.dim
 
     @property
-    def is_static(self):
+    def is_static(self) -> bool:
         return False
 
     @property
-    def kernels(self):
-        return self.static
+    def kernel_width(self) -> Scalar:
+        return self.static.width
 
-    def length_scales(self, shape):
+    def length_scales(self, shape: Shape) -> list[float]:
         return [] if shape[-1] > ABSENT else self.static.length_scales(shape)
 
-    def prior(self):
+    def prior(self) -> MixturePrior:
         return MixturePrior(self.static.prior(), self.change.prior())
 
-    def kernels_on(self, centers, width):
+    def kernels_on(self, centers: Centers, width: float) -> "ChangingPotential":
         """The part that changes with time stays as it is."""
         return ChangingPotential(KernelPotential.untrained(centers, width), self.change)
 
-    def potential(self, t: Scalar, x: Float[Array, " dim"]) -> Float[Array, ""]:
+    def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
         """Potential energy per mass $U(t, x)$ [L² T⁻²]."""
         return self.static.potential(t, x) + self.change.potential(t, x)
 
-    def __call__(self, t, x, v):
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return self.static(t, x, v) + self.change(t, x, v)
 
 

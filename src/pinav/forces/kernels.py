@@ -7,12 +7,12 @@ from typing import Any, TypeVar
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
-from pinav.arguments import Scalar
+from pinav.arguments import Scalar, Vector
 from pinav.errors import InputError
 from pinav.forces.force import AbstractLearnedForce
-from pinav.forces.priors import WeightPrior
+from pinav.forces.priors import Centers, Shape, WeightPrior
 
 Kernels = TypeVar("Kernels", bound="AbstractKernels")
 
@@ -42,34 +42,32 @@ class AbstractKernels(AbstractLearnedForce):
         """Shape of the weights of kernels whose centres have a shape."""
 
     @classmethod
-    def untrained(
-        cls: type[Kernels], centers: Float[np.ndarray, "kernel dim"], width: float
-    ) -> Kernels:
+    def untrained(cls: type[Kernels], centers: Centers, width: float) -> Kernels:
         """A force without weight yet: kernels at places, of a width [L]."""
         places = jnp.asarray(centers)
         return cls(jnp.zeros(cls.weight_shape(places.shape)), places, width)
 
     @property
-    def parameters(self):
+    def parameters(self) -> PyTree:
         return self.weights
 
     @property
-    def dim(self):
+    def dim(self) -> int:
         return self.centers.shape[1]
 
     @property
-    def kernels(self):
-        return self
+    def kernel_width(self) -> Scalar:
+        return self.width
 
-    def length_scales(self, shape):
+    def length_scales(self, shape: Shape) -> list[float]:
         return [float(np.exp(shape[0]))]
 
-    def prior(self):
+    def prior(self) -> WeightPrior:
         # Not from the weights, which are left out of the fixed part of a model.
         components = math.prod(self.weight_shape(self.centers.shape)[1:])
         return WeightPrior(self.centers, self.width, components)
 
-    def kernels_on(self, centers, width):
+    def kernels_on(self: Kernels, centers: Centers, width: float) -> Kernels:
         return self.untrained(centers, width)
 
 
@@ -90,10 +88,10 @@ class KernelForce(AbstractKernels):
     width: Scalar
 
     @staticmethod
-    def weight_shape(centers):
+    def weight_shape(centers: tuple[int, ...]) -> tuple[int, ...]:
         return centers
 
-    def __call__(self, t, x, v):
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return kernel_values(x, self.centers, self.width) @ self.weights
 
 
@@ -111,14 +109,14 @@ class KernelPotential(AbstractKernels):
     width: Scalar
 
     @staticmethod
-    def weight_shape(centers):
+    def weight_shape(centers: tuple[int, ...]) -> tuple[int, ...]:
         return centers[:1]
 
-    def potential(self, t: Scalar, x: Float[Array, " dim"]) -> Float[Array, ""]:
+    def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
         """Potential energy per mass $U(x)$ [L² T⁻²]."""
         return self.weights @ kernel_values(x, self.centers, self.width)
 
-    def __call__(self, t, x, v):
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         strengths = self.weights * kernel_values(x, self.centers, self.width)
         return strengths @ (x[None] - self.centers) / self.width**2
 
@@ -150,14 +148,14 @@ class KernelStream(AbstractKernels):
             )
 
     @staticmethod
-    def weight_shape(centers):
+    def weight_shape(centers: tuple[int, ...]) -> tuple[int, ...]:
         return centers[:1]
 
     def stream(self, x: Float[Array, "2"]) -> Float[Array, ""]:
         r"""Stream function $\psi(x)$ [L² T⁻²]; positive turns counter-clockwise."""
         return self.weights @ kernel_values(x, self.centers, self.width)
 
-    def __call__(self, t, x, v):
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         strengths = self.weights * kernel_values(x, self.centers, self.width)
         offset = strengths @ (x[None] - self.centers) / self.width**2
         return jnp.stack([-offset[1], offset[0]])
@@ -165,7 +163,7 @@ class KernelStream(AbstractKernels):
 
 def kernel_centers(
     positions: Float[np.ndarray, "sample dim"], *, spacing: float, margin: float
-) -> Float[np.ndarray, "kernel dim"]:
+) -> Centers:
     """Points of a square grid that lie within `margin` of an observed position.
 
     Args:
@@ -189,7 +187,7 @@ def kernel_centers(
 
 
 def kernel_values(
-    x: Float[Array, " dim"], centers: Float[Array, "kernel dim"], width: Scalar
+    x: Vector, centers: Float[Array, "kernel dim"], width: Scalar
 ) -> Float[Array, " kernel"]:
     r"""Radial basis functions $\exp(-|x - c_j|^2 / 2 b^2)$ at one point."""
     offsets = (x[None] - centers) / width

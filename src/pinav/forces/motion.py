@@ -4,9 +4,8 @@ import abc
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
-from pinav.arguments import Scalar, point
+from pinav.arguments import Scalar, Vector, point
 from pinav.forces.force import AbstractForce
 
 
@@ -14,7 +13,7 @@ class AbstractMotion(eqx.Module):
     """How a thing moves."""
 
     @abc.abstractmethod
-    def __call__(self, t: Scalar) -> Float[Array, " dim"]:
+    def __call__(self, t: Scalar) -> Vector:
         """Displacement [L] at time `t` [T]."""
 
 
@@ -28,9 +27,9 @@ class LinearMotion(AbstractMotion):
         InputError: `velocity` is not a vector.
     """
 
-    velocity: Float[Array, " dim"] = eqx.field(converter=point("LinearMotion.velocity"))
+    velocity: Vector = eqx.field(converter=point("LinearMotion.velocity"))
 
-    def __call__(self, t):
+    def __call__(self, t: Scalar) -> Vector:
         return self.velocity * t
 
 
@@ -47,7 +46,7 @@ class CircularMotion(AbstractMotion):
     frequency: Scalar
     phase: Scalar = 0.0
 
-    def __call__(self, t):
+    def __call__(self, t: Scalar) -> Vector:
         angle = jnp.asarray(self.frequency * t + self.phase)
         return self.radius * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
 
@@ -63,5 +62,5 @@ class Moving(AbstractForce):
     force: AbstractForce
     motion: AbstractMotion
 
-    def __call__(self, t, x, v):
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return self.force(t, x - self.motion(t).astype(x.dtype), v)

@@ -9,13 +9,13 @@ import abc
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
-from pinav.arguments import Scalar
+from pinav.arguments import Scalar, Vector
 from pinav.errors import InputError
 from pinav.forces.force import AbstractLearnedForce
 from pinav.forces.kernels import KernelForce, KernelPotential
-from pinav.forces.priors import IsotropicPrior
+from pinav.forces.priors import Centers, IsotropicPrior
 
 
 class AbstractFeatures(eqx.Module):
@@ -35,9 +35,7 @@ class AbstractFeatures(eqx.Module):
         """Whether the features do not depend on time."""
 
     @abc.abstractmethod
-    def __call__(
-        self, t: Scalar, x: Float[Array, " dim"], v: Float[Array, " dim"]
-    ) -> Float[Array, " features"]:
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Float[Array, " features"]:
         """Dimensionless inputs of the network."""
 
     def standardise(
@@ -62,14 +60,14 @@ class PositionFeatures(AbstractFeatures):
     scale: tuple[float, ...] = eqx.field(static=True)
 
     @property
-    def dim(self):
+    def dim(self) -> int:
         return len(self.center)
 
     @property
-    def is_static(self):
+    def is_static(self) -> bool:
         return True
 
-    def __call__(self, t, x, v):
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Float[Array, " features"]:
         return self.standardise(x)
 
 
@@ -85,14 +83,14 @@ class PositionTimeFeatures(AbstractFeatures):
     scale: tuple[float, ...] = eqx.field(static=True)
 
     @property
-    def dim(self):
+    def dim(self) -> int:
         return len(self.center) - 1
 
     @property
-    def is_static(self):
+    def is_static(self) -> bool:
         return False
 
-    def __call__(self, t, x, v):
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Float[Array, " features"]:
         return self.standardise(jnp.append(x, jnp.asarray(t, x.dtype)))
 
 
@@ -103,22 +101,22 @@ class AbstractNeuralForce(AbstractLearnedForce):
     features: eqx.AbstractVar[AbstractFeatures]
 
     @property
-    def parameters(self):
+    def parameters(self) -> PyTree:
         return self.network
 
     @property
-    def dim(self):
+    def dim(self) -> int:
         return self.features.dim
 
     @property
-    def is_linear(self):
+    def is_linear(self) -> bool:
         return False
 
     @property
-    def is_static(self):
+    def is_static(self) -> bool:
         return self.features.is_static
 
-    def prior(self):
+    def prior(self) -> IsotropicPrior:
         leaves = jax.tree.leaves(eqx.filter(self.network, eqx.is_array))
         return IsotropicPrior(sum(leaf.size for leaf in leaves))
 
@@ -139,10 +137,10 @@ class NeuralForce(AbstractNeuralForce):
     features: AbstractFeatures
     scale: float = eqx.field(static=True, default=1.0)
 
-    def kernels_on(self, centers, width):
+    def kernels_on(self, centers: Centers, width: float) -> KernelForce:
         return KernelForce.untrained(centers, width)
 
-    def __call__(self, t, x, v):
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return self.scale * self.network(self.features(t, x, v))
 
 
@@ -159,15 +157,15 @@ class NeuralPotential(AbstractNeuralForce):
     features: AbstractFeatures
     scale: float = eqx.field(static=True, default=1.0)
 
-    def kernels_on(self, centers, width):
+    def kernels_on(self, centers: Centers, width: float) -> KernelPotential:
         return KernelPotential.untrained(centers, width)
 
-    def potential(self, t: Scalar, x: Float[Array, " dim"]) -> Float[Array, ""]:
+    def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
         """Potential energy per mass $U(t, x)$ [L² T⁻²]."""
         features = self.features(t, x, jnp.zeros_like(x))
         return self.scale * self.network(features)[0]
 
-    def __call__(self, t, x, v):
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return -jax.grad(self.potential, argnums=1)(t, x)
 
 

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from pinav.arguments import Scalar, check_positive, point
+from pinav.arguments import Scalar, Vector, check_positive, point
 from pinav.errors import InputError
 from pinav.forces.force import AbstractForce
 
@@ -45,7 +45,7 @@ class GaussianRidge(AbstractForce):
         across = (cos * offset[1] - sin * offset[0]) / self.width
         return self.height * jnp.exp(-0.5 * (along**2 + across**2))
 
-    def __call__(self, t, x, v):
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return -jax.grad(self.potential, argnums=1)(t, x)
 
 
@@ -77,7 +77,7 @@ class GaussianSwirl(AbstractForce):
         offset = (x - self.center) / self.width
         return self.strength * jnp.exp(-0.5 * offset @ offset)
 
-    def __call__(self, t, x, v):
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         offset = (x - self.center) / self.width**2
         return self.stream(x) * jnp.stack([-offset[1], offset[0]])
 
@@ -116,7 +116,7 @@ class Superposition(AbstractForce):
             for i in range(count)
         )
 
-    def __call__(self, t, x, v):
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         one = eqx.filter_vmap(lambda f: f(t, x, v), in_axes=(eqx.if_array(0),))
         return jnp.sum(one(self.stacked), axis=0)
 
@@ -137,18 +137,18 @@ class GaussianBarrier(AbstractForce):
     """
 
     height: Scalar
-    center: Float[Array, " dim"] = eqx.field(converter=point("GaussianBarrier.center"))
+    center: Vector = eqx.field(converter=point("GaussianBarrier.center"))
     width: Scalar
 
     def __check_init__(self) -> None:
         check_positive(self, "width")
 
-    def potential(self, t: Scalar, x: Float[Array, " dim"]) -> Float[Array, ""]:
+    def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
         """Potential energy per mass $U(t, x)$ [L² T⁻²], here the same at all times."""
         offset = (x - self.center) / self.width
         return self.height * jnp.exp(-0.5 * offset @ offset)
 
-    def __call__(self, t, x, v):
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return self.potential(t, x) * (x - self.center) / self.width**2
 
 
@@ -164,12 +164,12 @@ class HarmonicTrap(AbstractForce):
     """
 
     stiffness: Scalar
-    center: Float[Array, " dim"] = eqx.field(converter=point("HarmonicTrap.center"))
+    center: Vector = eqx.field(converter=point("HarmonicTrap.center"))
 
-    def potential(self, t: Scalar, x: Float[Array, " dim"]) -> Float[Array, ""]:
+    def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
         """Potential energy per mass $U(t, x)$ [L² T⁻²], here the same at all times."""
         offset = x - self.center
         return 0.5 * self.stiffness * (offset @ offset)
 
-    def __call__(self, t, x, v):
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return -self.stiffness * (x - self.center)

@@ -10,7 +10,22 @@ import abc
 import equinox as eqx
 import numpy as np
 import scipy.linalg
-from jaxtyping import Float
+from jaxtyping import ArrayLike, Float
+
+Shape = Float[np.ndarray, " shape"]
+"""What a prior depends on: logarithms of length scales, envelopes, ratios."""
+
+Matrix = Float[np.ndarray, "weight weight"]
+"""A covariance of weights, or its derivative by one entry of the shape."""
+
+Matrices = Float[np.ndarray, "shape weight weight"]
+"""Derivatives of a covariance by every entry of the shape."""
+
+Gram = Float[np.ndarray, "kernel kernel"]
+"""A number for each pair of kernels."""
+
+Centers = Float[np.ndarray, "kernel dim"]
+"""Places of kernels [L]."""
 
 
 class AbstractPrior(eqx.Module):
@@ -18,7 +33,7 @@ class AbstractPrior(eqx.Module):
 
     @property
     @abc.abstractmethod
-    def start(self) -> Float[np.ndarray, " shape"]:
+    def start(self) -> Shape:
         """Shape at which the search begins."""
 
     @property
@@ -27,19 +42,15 @@ class AbstractPrior(eqx.Module):
         """Between which the shape is sought."""
 
     @abc.abstractmethod
-    def covariance(
-        self, shape: Float[np.ndarray, " shape"]
-    ) -> Float[np.ndarray, "weight weight"]:
+    def covariance(self, shape: Shape) -> Matrix:
         """Covariance of the weights, flattened as they are."""
 
     @abc.abstractmethod
-    def slopes(
-        self, shape: Float[np.ndarray, " shape"]
-    ) -> Float[np.ndarray, "shape weight weight"]:
+    def slopes(self, shape: Shape) -> Matrices:
         """Derivative of the covariance by each entry of the shape."""
 
 
-def _exact(values) -> Float[np.ndarray, "kernel dim"]:
+def _exact(values: Float[ArrayLike, "kernel dim"]) -> Centers:
     return np.asarray(values, float)
 
 
@@ -61,25 +72,25 @@ class WeightPrior(AbstractPrior):
         components: weights of each kernel, independent of each other.
     """
 
-    centers: Float[np.ndarray, "kernel dim"] = eqx.field(converter=_exact)
+    centers: Centers = eqx.field(converter=_exact)
     width: float = eqx.field(converter=float)
     components: int = 1
 
     @property
-    def start(self):
+    def start(self) -> Shape:
         return np.append([0.5, np.log(0.5 * self._extent)], np.zeros(self._dim))
 
     @property
-    def bounds(self):
+    def bounds(self) -> Float[np.ndarray, "shape 2"]:
         extent = self._extent
         half = 0.5 * extent
         scales = [(-1.2, np.log(10 * extent)), (0.0, np.log(10 * extent))]
         return np.array(scales + [(-half, half)] * self._dim)
 
-    def covariance(self, shape):
+    def covariance(self, shape: Shape) -> Matrix:
         return self._per_component(self._scalar(shape))
 
-    def slopes(self, shape):
+    def slopes(self, shape: Shape) -> Matrices:
         length_scale, reach = np.exp(shape[:2])
         from_middle = self._scaled_centers - shape[2:]
         squares = (from_middle**2).sum(axis=-1)
@@ -91,7 +102,7 @@ class WeightPrior(AbstractPrior):
         scalar = self._scalar(shape)
         return np.stack([self._per_component(scalar * factor) for factor in factors])
 
-    def _scalar(self, shape):
+    def _scalar(self, shape: Shape) -> Gram:
         """Covariance of one component."""
         length_scale, reach = np.exp(shape[:2])
         from_middle = self._scaled_centers - shape[2:]
@@ -99,27 +110,27 @@ class WeightPrior(AbstractPrior):
         covariance = np.exp(-0.5 * self._squares / length_scale**2)
         return covariance * np.outer(envelope, envelope)
 
-    def _per_component(self, scalar):
+    def _per_component(self, scalar: Gram) -> Matrix:
         if self.components > 1:
             return np.kron(scalar, np.eye(self.components))
         return scalar
 
     @property
-    def _squares(self):
+    def _squares(self) -> Gram:
         centers = self._scaled_centers
         return ((centers[:, None] - centers[None]) ** 2).sum(axis=-1)
 
     @property
-    def _scaled_centers(self):
+    def _scaled_centers(self) -> Centers:
         middle = (self.centers.min(axis=0) + self.centers.max(axis=0)) / 2
         return (self.centers - middle) / self.width
 
     @property
-    def _extent(self):
+    def _extent(self) -> float:
         return float(max(np.ptp(self._scaled_centers, axis=0).max(), 1.0))
 
     @property
-    def _dim(self):
+    def _dim(self) -> int:
         return self.centers.shape[1]
 
 
@@ -139,22 +150,22 @@ class MixturePrior(AbstractPrior):
     second: AbstractPrior
 
     @property
-    def start(self):
+    def start(self) -> Shape:
         return np.concatenate([self.first.start, self.second.start, [0.0]])
 
     @property
-    def bounds(self):
+    def bounds(self) -> Float[np.ndarray, "shape 2"]:
         ratio = [[-LOG_RATIO, LOG_RATIO]]
         return np.concatenate([self.first.bounds, self.second.bounds, ratio])
 
-    def covariance(self, shape):
+    def covariance(self, shape: Shape) -> Matrix:
         half = len(self.first.start)
         return _blocks(
             self.first.covariance(shape[:half]),
             np.exp(2 * shape[-1]) * self.second.covariance(shape[half:-1]),
         )
 
-    def slopes(self, shape):
+    def slopes(self, shape: Shape) -> Matrices:
         half, ratio = len(self.first.start), np.exp(2 * shape[-1])
         first = self.first.slopes(shape[:half])
         second = self.second.slopes(shape[half:-1])
@@ -165,7 +176,9 @@ class MixturePrior(AbstractPrior):
         return np.stack([*slopes, _blocks(nothing, 2 * covariance)])
 
 
-def _blocks(first, second) -> np.ndarray:
+def _blocks(
+    first: Float[np.ndarray, "first first"], second: Float[np.ndarray, "second second"]
+) -> Matrix:
     return np.asarray(scipy.linalg.block_diag(first, second))
 
 
@@ -192,25 +205,25 @@ class TimedPrior(AbstractPrior):
     splines: int
 
     @property
-    def start(self):
+    def start(self) -> Shape:
         return np.append(self.space.start, 1.0)
 
     @property
-    def bounds(self):
+    def bounds(self) -> Float[np.ndarray, "shape 2"]:
         return np.concatenate([self.space.bounds, [[-0.5, LOG_STATIC]]])
 
-    def covariance(self, shape):
+    def covariance(self, shape: Shape) -> Matrix:
         space = self.space.covariance(shape[:-1])
         return np.kron(space, np.exp(-0.5 * self._gaps(shape)))
 
-    def slopes(self, shape):
+    def slopes(self, shape: Shape) -> Matrices:
         gaps = self._gaps(shape)
         time = np.exp(-0.5 * gaps)
         slopes = [np.kron(s, time) for s in self.space.slopes(shape[:-1])]
         space = self.space.covariance(shape[:-1])
         return np.stack([*slopes, np.kron(space, gaps * time)])
 
-    def _gaps(self, shape):
+    def _gaps(self, shape: Shape) -> Float[np.ndarray, "spline spline"]:
         """Squared distances in time, in correlation times."""
         index = np.arange(self.splines)
         return ((index[:, None] - index[None]) / np.exp(shape[-1])) ** 2
@@ -233,15 +246,15 @@ class IsotropicPrior(AbstractPrior):
     count: int
 
     @property
-    def start(self):
+    def start(self) -> Shape:
         return np.zeros(0)
 
     @property
-    def bounds(self):
+    def bounds(self) -> Float[np.ndarray, "shape 2"]:
         return np.zeros((0, 2))
 
-    def covariance(self, shape):
+    def covariance(self, shape: Shape) -> Matrix:
         return np.eye(self.count)
 
-    def slopes(self, shape):
+    def slopes(self, shape: Shape) -> Matrices:
         return np.zeros((0, self.count, self.count))

@@ -1,6 +1,7 @@
 """Forces by which a swimmer is driven: magnetic torque, rolling."""
 
 import math
+from collections.abc import Mapping
 
 import equinox as eqx
 import jax
@@ -16,7 +17,7 @@ from pinav.actuation import (
     LinearResponse,
     follow,
 )
-from pinav.arguments import Scalar, point
+from pinav.arguments import Scalar, Vector, point
 from pinav.errors import InputError
 from pinav.forces.force import AbstractCommandedForce, AbstractForce
 
@@ -54,13 +55,13 @@ class MagneticPropulsion(AbstractForce):
         converter=point("MagneticPropulsion.moment", 3)
     )
     gain: Scalar
-    axis: Float[Array, " dim"] = eqx.field(converter=point("MagneticPropulsion.axis"))
+    axis: Vector = eqx.field(converter=point("MagneticPropulsion.axis"))
 
     def torque(self, t: Scalar) -> Float[Array, "3"]:
         r"""Magnetic torque $m \times B(t)$ per mass [L² T⁻²]."""
         return jnp.cross(self.moment, self.field(t))
 
-    def __call__(self, t, x, v):
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return self.gain * jnp.linalg.norm(self.torque(t)) * self.axis.astype(x.dtype)
 
 
@@ -74,7 +75,7 @@ class ConstantForce(AbstractForce):
         InputError: `force` is not a vector.
     """
 
-    force: Float[Array, " dim"] = eqx.field(converter=point("ConstantForce.force"))
+    force: Vector = eqx.field(converter=point("ConstantForce.force"))
 
     @classmethod
     def of(cls, magnitude: float, degrees: float) -> "ConstantForce":
@@ -82,7 +83,7 @@ class ConstantForce(AbstractForce):
         angle = math.radians(degrees)
         return cls([magnitude * math.cos(angle), magnitude * math.sin(angle)])
 
-    def __call__(self, t, x, v):
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return self.force.astype(x.dtype)
 
 
@@ -138,10 +139,10 @@ class RollingPropulsion(AbstractCommandedForce):
         return cls(gain, response, programme, delay, lag)
 
     @property
-    def unbound(self):
+    def unbound(self) -> bool:
         return self.programme is None
 
-    def __call__(self, t, x, v):
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return self.gain.astype(x.dtype) @ self.command(t).astype(x.dtype)
 
     def command(self, t: Scalar) -> Float[Array, "2"]:
@@ -159,7 +160,11 @@ class RollingPropulsion(AbstractCommandedForce):
         direction = jnp.stack([jnp.cos(heading), jnp.sin(heading)])
         return self.response(frequency) * direction
 
-    def driven_by(self, times, commands):
+    def driven_by(
+        self,
+        times: Float[Array, " time"],
+        commands: Mapping[str, Float[Array, " time"]],
+    ) -> AbstractForce:
         missing = [name for name in ("frequency", "heading") if name not in commands]
         if missing:
             raise InputError(
@@ -201,7 +206,7 @@ class ScheduledThrust(AbstractForce):
         """Times at which the thrust, or its derivative, jumps [T]."""
         return self.times + self.delay
 
-    def __call__(self, t, x, v):
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         t = jnp.asarray(t, self.times.dtype) - self.delay
         last = self.times.shape[0] - 1
         index = jnp.searchsorted(self.times, t, side="right") - 1

@@ -113,10 +113,12 @@ def random_fibres(
     return Superposition(eqx.filter_vmap(GaussianRidge)(height, centers, *sizes, angle))
 
 
-def _uniform(key, limits, count):
+def _uniform(
+    key: PRNGKeyArray, limits: tuple[float, float], count: int
+) -> Float[Array, " {count}"]:
     return jax.random.uniform(key, (count,), minval=limits[0], maxval=limits[1])
 
 
-def _check_count(name, count):
+def _check_count(name: str, count: int) -> None:
     if count < 1:
         raise InputError(f"{name} count: expected 1 or more, got {count}")

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.arguments import Scalar, check_positive, point, refuse_text
+from pinav.arguments import Scalar, Vector, check_positive, point, refuse_text
 from pinav.errors import InputError
 
 
@@ -23,15 +23,11 @@ class AbstractTensorField(eqx.Module):
         refuse_text(self)
 
     @abc.abstractmethod
-    def __call__(
-        self, x: Float[Array, " dim"], vector: Float[Array, " dim"]
-    ) -> Float[Array, " dim"]:
+    def __call__(self, x: Vector, vector: Vector) -> Vector:
         """The tensor at position `x` [L] applied to a vector."""
 
     @abc.abstractmethod
-    def factor(
-        self, x: Float[Array, " dim"], vector: Float[Array, " dim"]
-    ) -> Float[Array, " dim"]:
+    def factor(self, x: Vector, vector: Vector) -> Vector:
         r"""A factor $L$ with $L L^\top$ = the tensor at `x`, applied to a vector."""
 
 
@@ -50,10 +46,10 @@ class IsotropicTensor(AbstractTensorField):
     def __check_init__(self) -> None:
         check_positive(self, "value")
 
-    def __call__(self, x, vector):
+    def __call__(self, x: Vector, vector: Vector) -> Vector:
         return self.value * vector
 
-    def factor(self, x, vector):
+    def factor(self, x: Vector, vector: Vector) -> Vector:
         return jnp.sqrt(self.value) * vector
 
 
@@ -74,7 +70,7 @@ class ConstantDirector(AbstractDirector):
 
     angle: Scalar
 
-    def __call__(self, x):
+    def __call__(self, x: Float[Array, "2"]) -> Float[Array, ""]:
         return jnp.asarray(self.angle, x.dtype)
 
 
@@ -96,7 +92,7 @@ class WavyDirector(AbstractDirector):
         converter=point("WavyDirector.wavevector", 2)
     )
 
-    def __call__(self, x):
+    def __call__(self, x: Float[Array, "2"]) -> Float[Array, ""]:
         return self.angle + self.amplitude * jnp.sin(self.wavevector @ x)
 
 
@@ -122,13 +118,15 @@ class UniaxialTensor(AbstractTensorField):
     def __check_init__(self) -> None:
         check_positive(self, "along", "across")
 
-    def __call__(self, x, vector):
-        return self._with(self.along, self.across, x, vector)
+    def __call__(self, x: Vector, vector: Vector) -> Vector:
+        return self._apply(self.along, self.across, x, vector)
 
-    def factor(self, x, vector):
-        return self._with(jnp.sqrt(self.along), jnp.sqrt(self.across), x, vector)
+    def factor(self, x: Vector, vector: Vector) -> Vector:
+        return self._apply(jnp.sqrt(self.along), jnp.sqrt(self.across), x, vector)
 
-    def _with(self, along, across, x, vector):
+    def _apply(
+        self, along: Scalar, across: Scalar, x: Vector, vector: Vector
+    ) -> Vector:
         angle = self.director(x)
         axis = jnp.stack([jnp.cos(angle), jnp.sin(angle)])
         return across * vector + (along - across) * (axis @ vector) * axis
@@ -145,7 +143,7 @@ class CholeskyTensor(AbstractTensorField):
         below: entries of $L$ below its diagonal, row by row.
     """
 
-    log_diagonal: Float[Array, " dim"]
+    log_diagonal: Vector
     below: Float[Array, " pair"]
 
     @classmethod
@@ -170,10 +168,10 @@ class CholeskyTensor(AbstractTensorField):
         rows, columns = np.tril_indices(self.log_diagonal.shape[0], -1)
         return jnp.diag(jnp.exp(self.log_diagonal)).at[rows, columns].set(self.below)
 
-    def __call__(self, x, vector):
+    def __call__(self, x: Vector, vector: Vector) -> Vector:
         return self.lower() @ (self.lower().T @ vector)
 
-    def factor(self, x, vector):
+    def factor(self, x: Vector, vector: Vector) -> Vector:
         return self.lower() @ vector
 
 
@@ -207,23 +205,21 @@ class BrinkmanTensor(AbstractTensorField):
     def __check_init__(self) -> None:
         check_positive(self, "clear", "width")
 
-    def value(self, x: Float[Array, " dim"]) -> Float[Array, ""]:
+    def value(self, x: Vector) -> Float[Array, ""]:
         r"""$\eta(x)$."""
         offsets = (x[None] - self.centers) / self.width
         bumps = jnp.exp(-0.5 * jnp.sum(offsets**2, axis=1))
         thickness = self.radius * (self.screening @ bumps)
         return self.clear * (1 + thickness + thickness**2 / 9)
 
-    def __call__(self, x, vector):
+    def __call__(self, x: Vector, vector: Vector) -> Vector:
         return self.value(x) * vector
 
-    def factor(self, x, vector):
+    def factor(self, x: Vector, vector: Vector) -> Vector:
         return jnp.sqrt(self.value(x)) * vector
 
 
-def tensor_matrix(
-    tensor: AbstractTensorField, x: Float[Array, " dim"]
-) -> Float[Array, "dim dim"]:
+def tensor_matrix(tensor: AbstractTensorField, x: Vector) -> Float[Array, "dim dim"]:
     """The matrix of a tensor at position `x` [L]."""
     return jax.vmap(lambda unit: tensor(x, unit), out_axes=1)(
         jnp.eye(x.shape[0], dtype=x.dtype)

@@ -114,7 +114,7 @@ def test_slopes_by_constants_are_those_of_real_refits(parametric, name):
 
 def test_final_position_follows_parameters_and_constants(parametric):
     data, _, fitted, found = parametric
-    y0, ts = fitted.states[0, 0], data.times[0][:31]
+    y0, ts = fitted.states[0, 0], jnp.asarray(data.times[0][:31])
     changes = np.stack([found.constants["damping"], found.removals[1]])
     slopes = found.final_changes(y0, ts, changes)
 

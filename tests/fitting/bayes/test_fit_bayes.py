@@ -119,7 +119,8 @@ def test_the_band_of_a_rollout_is_the_spread_of_sampled_rollouts(fitted, data):
     assert np.all(fixed.sd <= band.sd)
     from pinav.dynamics import FixedStep
 
-    solve = eqx.filter_jit(lambda m: FixedStep().solve(m, jnp.asarray(start), times)[0])
+    ts = jnp.asarray(times)
+    solve = eqx.filter_jit(lambda m: FixedStep().solve(m, jnp.asarray(start), ts)[0])
     models = fitted.posterior.samples(200, key=jax.random.key(1))
     draws = np.stack([solve(model) for model in models])
     np.testing.assert_allclose(draws[:, -1].std(axis=0), fixed.sd[-1], rtol=0.25)

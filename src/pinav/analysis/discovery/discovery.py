@@ -222,27 +222,32 @@ def screen(
     return sorted([*conservative, *pairs, *alone, *sums], key=lambda fit: fit.bic)
 
 
-def _refit_best(screened, model, learned, refits):
+def _refit_best(
+    screened: list[FieldFit],
+    model: Swimmer | OverdampedSwimmer,
+    learned: Learned,
+    refits: int,
+) -> list[tuple[FieldFit, Refit]]:
     """The most promising laws, refitted; sums first where they gained on their terms.
 
     Where none of them explains the data, the best sums that were left out come too.
     """
     alone = {fit.law: fit.bic for fit in screened}
 
-    def gains(fit):
+    def gains(fit: FieldFit) -> bool:
         terms = fit.law.terms if isinstance(fit.law, SumLaw) else ()
         return all(fit.bic < alone.get(term, np.inf) for term in terms)
 
-    def through_the_dynamics(fits):
+    def refit_each(fits: list[FieldFit]) -> list[tuple[FieldFit, Refit]]:
         return [
             (fit, refit(fit.law, fit.constants, model, learned.problem)) for fit in fits
         ]
 
     chosen = [fit for fit in screened if gains(fit)][:refits]
-    results = through_the_dynamics(chosen)
+    results = refit_each(chosen)
     if not any(learned.explained_by(result) for _, result in results):
         rest = [f for f in screened if isinstance(f.law, SumLaw) and f not in chosen]
-        results += through_the_dynamics(rest[:3])
+        results += refit_each(rest[:3])
     return results
 
 
@@ -271,7 +276,7 @@ def _rank(
     )
 
 
-def _verdict(candidates):
+def _verdict(candidates: tuple[Candidate, ...]) -> Verdict:
     best = candidates[0]
     rivals = sum(candidate.delta_bic < CLOSE for candidate in candidates)
     if not best.fits:

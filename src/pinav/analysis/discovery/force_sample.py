@@ -11,12 +11,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
-import scipy.stats
-from jaxtyping import Float
+import scipy.special
+from jaxtyping import Array, Float
 
 from pinav.analysis.discovery.laws import Landscape
+from pinav.arguments import Scalar, Vector
 from pinav.errors import InputError
-from pinav.fitting import Posterior
+from pinav.fitting import ParametricModel, Posterior
 from pinav.trajectories import Trajectories
 
 FLOOR = 0.01
@@ -46,7 +47,7 @@ class ForceSample(eqx.Module):
     covariance: Float[np.ndarray, "component component"]
     num_effective: float
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         points, size = len(self.positions), self.force.size
         if (
             points < 4
@@ -120,8 +121,13 @@ def force_sample(
 
 
 @eqx.filter_jit
-def _force_and_jacobian(free, theta, points, times):
-    def force(theta, x, t):
+def _force_and_jacobian(
+    free: ParametricModel,
+    theta: Float[Array, " parameter"],
+    points: Float[Array, "point dim"],
+    times: Float[Array, " point"],
+) -> tuple[Float[Array, "point dim"], Float[Array, "point dim parameter"]]:
+    def force(theta: Float[Array, " parameter"], x: Vector, t: Scalar) -> Vector:
         return free(theta).environment(t, x, jnp.zeros_like(x))
 
     axes = (None, 0, 0)
@@ -129,7 +135,9 @@ def _force_and_jacobian(free, theta, points, times):
     return values, jax.vmap(jax.jacrev(force), axes)(theta, points, times)
 
 
-def _visited_positions(trajectories):
+def _visited_positions(
+    trajectories: Trajectories,
+) -> tuple[Float[np.ndarray, "sample 2"], Float[np.ndarray, " sample"]]:
     """Observed positions, and when."""
     if len(trajectories.channels) not in (2, 4):
         raise InputError(
@@ -211,8 +219,8 @@ def central_test(sample: ForceSample) -> CentralTest:
     covariance = project_covariance(sample.total_covariance, tangents)
     mean, variance = np.trace(covariance), 2 * np.sum(covariance**2)
     statistic = float(np.sum(tangential**2))
-    p_value = scipy.stats.chi2.sf(
-        2 * mean * statistic / variance, 2 * mean**2 / variance
+    p_value = scipy.special.chdtrc(
+        2 * mean**2 / variance, 2 * mean * statistic / variance
     )
     strength = max(float(np.sqrt(np.sum(radial**2))), np.finfo(float).tiny)
     return CentralTest(
@@ -225,18 +233,22 @@ def central_test(sample: ForceSample) -> CentralTest:
     )
 
 
-def _conditions(sample):
+def _conditions(
+    sample: ForceSample,
+) -> tuple[Float[np.ndarray, "point 2"], Float[np.ndarray, " point"]]:
     """F × (x − c) = 0 as rows and targets of a linear problem for c."""
     (x, y), (fx, fy) = sample.positions.T, sample.force.T
     return np.stack([-fy, fx], axis=1), fx * y - fy * x
 
 
-def _linear_center(sample):
+def _linear_center(sample: ForceSample) -> Float[np.ndarray, "2"]:
     """Where the conditions are fulfilled best, all weighted alike."""
     return np.linalg.lstsq(*_conditions(sample), rcond=1e-12)[0]
 
 
-def _center(sample):
+def _center(
+    sample: ForceSample,
+) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
     """The centre and its standard deviations.
 
     Linear least squares first. Errors of the force pull that towards the data, so the
@@ -244,14 +256,14 @@ def _center(sample):
     """
     rows, targets = _conditions(sample)
 
-    def factor(center):
+    def factor(center: Float[np.ndarray, "2"]) -> Float[np.ndarray, "point point"]:
         offsets = sample.positions - center
         arms = np.stack([offsets[:, 1], -offsets[:, 0]], axis=1)
         covariance = project_covariance(sample.total_covariance, arms)
         ridge = 1e-9 * np.trace(covariance) / len(rows) + np.finfo(float).tiny
         return np.linalg.cholesky(covariance + ridge * np.eye(len(rows)))
 
-    def misfit(center):
+    def misfit(center: Float[np.ndarray, "2"]) -> float:
         white = np.linalg.solve(factor(center), rows @ center - targets)
         return float(white @ white)
 

@@ -16,6 +16,9 @@ from pinav.analysis.discovery.potentials import GAUSSIAN, TWO_GAUSSIANS
 STARTS = 3
 """Best starts from which a fit is run to its end."""
 
+Bounds = tuple[Float[np.ndarray, " constant"], Float[np.ndarray, " constant"]]
+"""Least and greatest value of each constant."""
+
 
 class FieldFit(eqx.Module):
     """A law fitted to a sampled force.
@@ -77,17 +80,9 @@ def fit_sum(first: FieldFit, term: AbstractLaw, sample: ForceSample) -> FieldFit
 def fit_two_gaussians(single: FieldFit, sample: ForceSample) -> FieldFit:
     """Two Gaussians: one beside the first, or the first one split in two."""
     height, x, y, width = single.constants
+    lower, narrower = 0.6 * height, 0.8 * width
     split = [
-        (
-            0.6 * height,
-            x + dx,
-            y + dy,
-            0.8 * width,
-            0.6 * height,
-            x - dx,
-            y - dy,
-            0.8 * width,
-        )
+        (lower, x + dx, y + dy, narrower, lower, x - dx, y - dy, narrower)
         for angle in (0.0, 0.25 * np.pi, 0.5 * np.pi, 0.75 * np.pi)
         for dx, dy in [(0.7 * width * np.cos(angle), 0.7 * width * np.sin(angle))]
     ]
@@ -110,19 +105,27 @@ def law_force(
 
 
 @eqx.filter_jit
-def _force(law, constants, positions):
+def _force(
+    law: AbstractLaw,
+    constants: Float[Array, " constant"],
+    positions: Float[Array, "point dim"],
+) -> Float[Array, "point dim"]:
     force = LawForce(law, constants)
     return jax.vmap(lambda x: force(0.0, x, jnp.zeros_like(x)))(positions)
 
 
 @eqx.filter_jit
-def _residuals(problem, constants):
+def _residuals(
+    problem: "_Regression", constants: Float[Array, " constant"]
+) -> Float[Array, " component"]:
     force = _force(problem.law, constants, problem.positions)
     return problem.whitener @ (force - problem.force).reshape(-1)
 
 
 @eqx.filter_jit
-def _jacobian(problem, constants):
+def _jacobian(
+    problem: "_Regression", constants: Float[Array, " constant"]
+) -> Float[Array, "component constant"]:
     return jax.jacfwd(lambda c: _residuals(problem, c))(constants)
 
 
@@ -134,13 +137,19 @@ class _Regression(eqx.Module):
     force: Float[Array, "point dim"]
     whitener: Float[Array, "component component"]
 
-    def residuals(self, constants):
+    def residuals(
+        self, constants: Float[np.ndarray, " constant"]
+    ) -> Float[np.ndarray, " component"]:
         return np.asarray(_residuals(self, jnp.asarray(constants)))
 
-    def jacobian(self, constants):
+    def jacobian(
+        self, constants: Float[np.ndarray, " constant"]
+    ) -> Float[np.ndarray, "component constant"]:
         return np.asarray(_jacobian(self, jnp.asarray(constants)))
 
-    def with_best_amplitudes(self, constants):
+    def with_best_amplitudes(
+        self, constants: Float[np.ndarray, " constant"]
+    ) -> Float[np.ndarray, " constant"]:
         """The constants with the amplitudes, which are linear, at their best."""
         chosen = self.law.indices(Role.AMPLITUDE)
         values = np.array(constants, float)
@@ -150,7 +159,9 @@ class _Regression(eqx.Module):
         values[chosen] = np.linalg.lstsq(columns, -rest, rcond=1e-10)[0]
         return values
 
-    def fit(self, start, bounds):
+    def fit(
+        self, start: Float[np.ndarray, " constant"], bounds: Bounds
+    ) -> scipy.optimize.OptimizeResult:
         return scipy.optimize.least_squares(
             self.residuals,
             start,
@@ -161,7 +172,7 @@ class _Regression(eqx.Module):
         )
 
 
-def _bounds(law, sample):
+def _bounds(law: AbstractLaw, sample: ForceSample) -> Bounds:
     """Between which each constant is sought: wide, but finite numbers throughout."""
     low, high = sample.positions.min(axis=0), sample.positions.max(axis=0)
     reach, middle = 5 * sample.extent, (low + high) / 2
@@ -175,4 +186,5 @@ def _bounds(law, sample):
             limits.append((-corner - reach, corner + reach))
         else:
             limits.append((-np.inf, np.inf))
-    return np.array(limits).T
+    low, high = np.array(limits).T
+    return low, high

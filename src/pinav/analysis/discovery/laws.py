@@ -8,6 +8,8 @@ and the formula that is printed cannot disagree.
 import abc
 import dataclasses
 import enum
+from collections.abc import Iterator, Sequence
+from types import ModuleType
 from typing import Any
 
 import equinox as eqx
@@ -16,9 +18,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.arguments import Scalar
+from pinav.arguments import Scalar, Vector
 from pinav.errors import InputError
 from pinav.forces import AbstractForce
+
+Expr = Any
+"""What formulas are made of: JAX arrays without axes, numbers, or those of SymPy."""
+
+Constants = Sequence[Expr] | Float[Array, " constant"]
+"""Values or symbols of the constants of a law, in their order."""
+
+Components = tuple[Expr, Expr]
+"""The two components of a force."""
 
 
 class Role(enum.Enum):
@@ -79,11 +90,11 @@ class AbstractLaw(abc.ABC):
     constants: tuple[Constant, ...]
 
     @abc.abstractmethod
-    def potential(self, c: Any, x: Any, y: Any, ops: Any) -> Any:
+    def potential(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Expr:
         """Potential energy per mass U [L² T⁻²] of the conservative part."""
 
     @abc.abstractmethod
-    def rotation(self, c: Any, x: Any, y: Any, ops: Any) -> tuple[Any, Any]:
+    def rotation(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Components:
         """Components of the part R [L T⁻²] that has no potential."""
 
     @abc.abstractmethod
@@ -102,14 +113,14 @@ class AbstractLaw(abc.ABC):
 class AbstractPotential(AbstractLaw):
     """A conservative law: all of it has a potential."""
 
-    def rotation(self, c, x, y, ops):
+    def rotation(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Components:
         return 0, 0
 
 
 class AbstractRotation(AbstractLaw):
     """A law without any potential."""
 
-    def potential(self, c, x, y, ops):
+    def potential(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Expr:
         return 0
 
 
@@ -127,25 +138,25 @@ class SumLaw(AbstractLaw):
     name: str = dataclasses.field(init=False)
     constants: tuple[Constant, ...] = dataclasses.field(init=False)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         numbers = [(i, c) for i, t in enumerate(self.terms, 1) for c in t.constants]
         names = [constant.name for _, constant in numbers]
         numbered = tuple(_number(c, i, names.count(c.name)) for i, c in numbers)
         object.__setattr__(self, "name", " + ".join(t.name for t in self.terms))
         object.__setattr__(self, "constants", numbered)
 
-    def potential(self, c, x, y, ops):
+    def potential(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Expr:
         return sum(t.potential(values, x, y, ops) for t, values in self._split(c))
 
-    def rotation(self, c, x, y, ops):
+    def rotation(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Components:
         parts = [t.rotation(values, x, y, ops) for t, values in self._split(c)]
         return sum(part[0] for part in parts), sum(part[1] for part in parts)
 
-    def shapes(self, landscape):
+    def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
         """The first shape of every term; sums start from fits of their terms."""
         return [sum((term.shapes(landscape)[0] for term in self.terms), ())]
 
-    def _split(self, c):
+    def _split(self, c: Constants) -> Iterator[tuple[AbstractLaw, Constants]]:
         start = 0
         for term in self.terms:
             end = start + len(term.constants)
@@ -167,7 +178,7 @@ class LawForce(AbstractForce):
     law: AbstractLaw = eqx.field(static=True)
     constants: Float[Array, " constant"]
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         expected = (len(self.law.constants),)
         if np.shape(self.constants) != expected:
             raise InputError(
@@ -180,7 +191,7 @@ class LawForce(AbstractForce):
         value = self.law.potential(self.constants, x[0], x[1], jnp)
         return jnp.zeros((), x.dtype) + value
 
-    def __call__(self, t, x, v):
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         rotation = self.law.rotation(self.constants, x[0], x[1], jnp)
         return -jax.grad(self.potential, argnums=1)(t, x) + jnp.stack(
             [jnp.zeros((), x.dtype) + part for part in rotation]
@@ -197,10 +208,10 @@ class LawExpressions(eqx.Module):
         force: the two components of the whole force.
     """
 
-    symbols: dict[str, Any]
-    potential: Any
-    rotation: tuple[Any, Any]
-    force: tuple[Any, Any]
+    symbols: dict[str, Expr]
+    potential: Expr
+    rotation: Components
+    force: Components
 
 
 def expressions(law: AbstractLaw) -> LawExpressions:

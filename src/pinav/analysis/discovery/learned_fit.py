@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.stats
+import scipy.special
 from jaxtyping import Float
 
 from pinav.analysis.discovery.refit import LinearisedModel, Refit, RefitProblem
@@ -63,7 +63,7 @@ class Learned(eqx.Module):
         if law.outcome is Outcome.DIVERGED:
             return False
         excess = (law.squares - self.squares) / self.noise**2
-        chance = scipy.stats.chi2.sf(max(excess, 0.0), max(self.num_effective, 1.0))
+        chance = scipy.special.chdtrc(max(self.num_effective, 1.0), max(excess, 0.0))
         return bool(chance > MISFIT_PROBABILITY)
 
 

@@ -5,12 +5,15 @@ $r$ is the distance from the centre $(c_x, c_y)$.
 
 import itertools
 import math
-from typing import Any
+from types import ModuleType
 
 from pinav.analysis.discovery.laws import (
     AbstractLaw,
     AbstractPotential,
+    Components,
     Constant,
+    Constants,
+    Expr,
     Landscape,
     Role,
     SumLaw,
@@ -35,10 +38,10 @@ class ConstantForce(AbstractPotential):
         Constant("force_y", "b", Role.AMPLITUDE, "L T⁻²"),
     )
 
-    def potential(self, c, x, y, ops):
+    def potential(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Expr:
         return -c[0] * x - c[1] * y
 
-    def shapes(self, landscape):
+    def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
         return [(1.0, 1.0)]
 
 
@@ -48,10 +51,10 @@ class Harmonic(AbstractPotential):
     name = "harmonic"
     constants = (Constant("stiffness", "k", Role.AMPLITUDE, "T⁻²"), *CENTER)
 
-    def potential(self, c, x, y, ops):
+    def potential(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Expr:
         return c[0] * square(x - c[1], y - c[2]) / 2
 
-    def shapes(self, landscape):
+    def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
         return [(1.0, *center) for center in landscape.centers]
 
 
@@ -61,10 +64,10 @@ class Gaussian(AbstractPotential):
     name = "Gaussian"
     constants = (HEIGHT, *CENTER, WIDTH)
 
-    def potential(self, c, x, y, ops):
+    def potential(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Expr:
         return c[0] * ops.exp(-square(x - c[1], y - c[2]) / (2 * c[3] ** 2))
 
-    def shapes(self, landscape):
+    def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
         return central_shapes(landscape)
 
 
@@ -80,11 +83,11 @@ class AnisotropicGaussian(AbstractPotential):
         ANGLE,
     )
 
-    def potential(self, c, x, y, ops):
+    def potential(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Expr:
         u, w = rotate_axes(x - c[1], y - c[2], c[5], ops)
         return c[0] * ops.exp(-(u**2) / (2 * c[3] ** 2) - w**2 / (2 * c[4] ** 2))
 
-    def shapes(self, landscape):
+    def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
         angles = [landscape.direction + turn for turn in (0.0, math.pi / 4)]
         return [
             (1.0, *center, ratio * length, length / ratio, angle)
@@ -100,10 +103,10 @@ class Lorentzian(AbstractPotential):
     name = "Lorentzian"
     constants = (HEIGHT, *CENTER, Constant("core", "s", Role.SCALE))
 
-    def potential(self, c, x, y, ops):
+    def potential(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Expr:
         return c[0] / (1 + square(x - c[1], y - c[2]) / c[3] ** 2)
 
-    def shapes(self, landscape):
+    def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
         return central_shapes(landscape)
 
 
@@ -113,11 +116,11 @@ class InversePower(AbstractPotential):
     name = "inverse power"
     constants = (*Lorentzian.constants, Constant("exponent", "n", Role.SCALE, "1"))
 
-    def potential(self, c, x, y, ops):
+    def potential(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Expr:
         base = 1 + square(x - c[1], y - c[2]) / c[3] ** 2
         return c[0] * ops.exp(-c[4] * ops.log(base) / 2)
 
-    def shapes(self, landscape):
+    def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
         return [(*start, n) for start in central_shapes(landscape) for n in (1.0, 3.0)]
 
 
@@ -127,11 +130,11 @@ class Yukawa(AbstractPotential):
     name = "Yukawa"
     constants = (*Lorentzian.constants, Constant("range", r"\lambda", Role.SCALE))
 
-    def potential(self, c, x, y, ops):
+    def potential(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Expr:
         distance = ops.sqrt(square(x - c[1], y - c[2]) + c[3] ** 2)
         return c[0] * c[3] * ops.exp(-(distance - c[3]) / c[4]) / distance
 
-    def shapes(self, landscape):
+    def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
         return [
             (*start, times * start[3])
             for start in central_shapes(landscape)
@@ -153,11 +156,11 @@ class SoftDisc(AbstractPotential):
         Constant("edge", "w", Role.SCALE),
     )
 
-    def potential(self, c, x, y, ops):
+    def potential(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Expr:
         distance = ops.sqrt(square(x - c[1], y - c[2]) + c[4] ** 2)
         return c[0] * _logistic((c[3] - distance) / c[4], ops)
 
-    def shapes(self, landscape):
+    def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
         return [(*start, 0.4 * start[3]) for start in central_shapes(landscape)]
 
 
@@ -167,11 +170,11 @@ class Wall(AbstractPotential):
     name = "logistic wall"
     constants = (HEIGHT, ANGLE, OFFSET, Constant("edge", "w", Role.SCALE))
 
-    def potential(self, c, x, y, ops):
+    def potential(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Expr:
         u, _ = rotate_axes(x, y, c[1], ops)
         return c[0] * _logistic((u - c[2]) / c[3], ops)
 
-    def shapes(self, landscape):
+    def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
         angles = [landscape.direction + turn for turn in (0.0, math.pi / 2)]
         places = [
             (x * math.cos(angle) + y * math.sin(angle), angle)
@@ -198,11 +201,11 @@ class PlaneWave(AbstractPotential):
         Constant("wavenumber_y", "k_y", Role.ANGLE, "L⁻¹"),
     )
 
-    def potential(self, c, x, y, ops):
+    def potential(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Expr:
         phase = c[2] * x + c[3] * y
         return c[0] * ops.cos(phase) + c[1] * ops.sin(phase)
 
-    def shapes(self, landscape):
+    def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
         numbers = [math.pi * waves / landscape.extent for waves in (1, 2, 3, 4, 6, 8)]
         turns = [math.pi * i / 8 for i in range(8)]
         return [
@@ -225,11 +228,11 @@ class DoubleWell(AbstractPotential):
         ANGLE,
     )
 
-    def potential(self, c, x, y, ops):
+    def potential(self, c: Constants, x: Expr, y: Expr, ops: ModuleType) -> Expr:
         u, w = rotate_axes(x - c[2], y - c[3], c[5], ops)
         return c[0] * (u**2 / c[4] ** 2 - 1) ** 2 + c[1] * w**2 / 2
 
-    def shapes(self, landscape):
+    def shapes(self, landscape: Landscape) -> list[tuple[float, ...]]:
         angles = [landscape.direction + math.pi * i / 4 for i in range(4)]
         return [
             (1.0, 1.0, *center, length, angle)
@@ -267,17 +270,17 @@ def central_shapes(landscape: Landscape) -> list[tuple[float, ...]]:
     ]
 
 
-def square(dx: Any, dy: Any) -> Any:
+def square(dx: Expr, dy: Expr) -> Expr:
     """Squared length of a vector."""
     return dx**2 + dy**2
 
 
-def rotate_axes(x: Any, y: Any, angle: Any, ops: Any) -> tuple[Any, Any]:
+def rotate_axes(x: Expr, y: Expr, angle: Expr, ops: ModuleType) -> Components:
     """Coordinates along axes turned by `angle`."""
     cos, sin = ops.cos(angle), ops.sin(angle)
     return x * cos + y * sin, y * cos - x * sin
 
 
-def _logistic(z, ops):
+def _logistic(z: Expr, ops: ModuleType) -> Expr:
     """1/(1 + exp(-z)), which no z overflows."""
     return (1 + ops.tanh(z / 2)) / 2

@@ -7,6 +7,7 @@ The front of short and exact formulas is ranked again by the covariance of the f
 
 import importlib
 import re
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -97,7 +98,7 @@ def search_radial_law(
     return central, tuple(sorted(forms.values(), key=lambda form: form.bic))
 
 
-def _regressor(seconds, max_length, seed):
+def _regressor(seconds: int, max_length: int, seed: int) -> Any:
     try:
         regression = importlib.import_module("pyoperon.sklearn")
     except ImportError as error:

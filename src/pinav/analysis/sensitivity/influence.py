@@ -23,8 +23,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike, Float, PyTree
+from jaxtyping import Array, ArrayLike, Float, PyTree
 
+from pinav.arguments import Scalar, State
 from pinav.dynamics import FixedStep
 from pinav.errors import FitError, InputError
 from pinav.fitting import Hyperparameters, ParametricModel, ravel_model
@@ -39,6 +40,9 @@ from pinav.trajectories import Trajectories
 
 Pick = Callable[[Any], PyTree]
 """Picks a number of a model, or several."""
+
+Hessian = Float[np.ndarray, "parameter parameter"]
+"""Normal matrix of the parameters, or their covariance."""
 
 
 class Influence(eqx.Module):
@@ -162,7 +166,13 @@ def influence(
         return _influence(problem, model, hyperparameters, learn, dict(constants or {}))
 
 
-def _influence(problem, model, chosen, learn, constants) -> Influence:
+def _influence(
+    problem: BayesProblem,
+    model: Any,
+    chosen: Hyperparameters,
+    learn: Pick,
+    constants: dict[str, Pick],
+) -> Influence:
     picked = tuple(constants.values())
     free, theta = ravel_model(
         model, lambda m: (*_learned_leaves(m, learn), *(pick(m) for pick in picked))
@@ -195,14 +205,16 @@ def _influence(problem, model, chosen, learn, constants) -> Influence:
     )
 
 
-def _learned_leaves(model, learn):
+def _learned_leaves(model: Any, learn: Pick) -> tuple[PyTree, ...]:
     """What the fit learned: weights of the environment, and what `learn` picks."""
     environment, picked = learned_environment(model), learn(model)
     weights = () if environment is None else (environment.parameters,)
     return *weights, *(picked if isinstance(picked, tuple | list) else (picked,))
 
 
-def _place(name, free: ParametricModel, theta, pick) -> int:
+def _place(
+    name: str, free: ParametricModel, theta: Float[Array, " parameter"], pick: Pick
+) -> int:
     """Where a constant stands in the parameter vector."""
     places = np.flatnonzero(selected_entries(free, len(theta), pick))
     if len(places) != 1:
@@ -212,7 +224,9 @@ def _place(name, free: ParametricModel, theta, pick) -> int:
     return int(places[0])
 
 
-def _linearise_each(problem: BayesProblem, free, theta):
+def _linearise_each(
+    problem: BayesProblem, free: ParametricModel, theta: Float[Array, " parameter"]
+) -> list[tuple[Hessian, Float[np.ndarray, " parameter"]]]:
     """Normal matrix and gradient of each trajectory."""
     each, states = [], jnp.asarray(problem.states)
     for index in range(len(states)):
@@ -223,7 +237,9 @@ def _linearise_each(problem: BayesProblem, free, theta):
     return each
 
 
-def _covariance(problem: BayesProblem, hessian, chosen: Hyperparameters):
+def _covariance(
+    problem: BayesProblem, hessian: Hessian, chosen: Hyperparameters
+) -> Hessian:
     """Covariance of what was learned, given the hyperparameters."""
     nothing = np.zeros(len(hessian))
     whole = Quadratic(problem.theta, hessian, nothing, 0.0, problem.num_free, 0.0)
@@ -241,7 +257,13 @@ class _Removal(eqx.Module):
     distance: float
 
 
-def _removal(hessian, gradient, covariance, noise, index) -> _Removal:
+def _removal(
+    hessian: Hessian,
+    gradient: Float[np.ndarray, " parameter"],
+    covariance: Hessian,
+    noise: float,
+    index: int,
+) -> _Removal:
     values, vectors = np.linalg.eigh(hessian)
     kept = values > 1e-14 * values[-1]
     roots, vectors = np.sqrt(values[kept]), vectors[:, kept]
@@ -264,7 +286,9 @@ def _removal(hessian, gradient, covariance, noise, index) -> _Removal:
     )
 
 
-def _slope(covariance, hessian, place, noise, *, known):
+def _slope(
+    covariance: Hessian, hessian: Hessian, place: int, noise: float, *, known: bool
+) -> Float[np.ndarray, " parameter"]:
     """Change of all parameters per unit of the one at `place`."""
     if not known:
         return covariance[:, place] / covariance[place, place]
@@ -274,8 +298,14 @@ def _slope(covariance, hessian, place, noise, *, known):
 
 
 @eqx.filter_jit
-def _force_changes(free, theta, points, changes, time):
-    def forces(theta):
+def _force_changes(
+    free: ParametricModel,
+    theta: Float[Array, " parameter"],
+    points: Float[Array, "point dim"],
+    changes: Float[Array, "change parameter"],
+    time: Scalar,
+) -> Float[Array, "change point dim"]:
+    def forces(theta: Float[Array, " parameter"]) -> Float[Array, "point dim"]:
         force = free(theta).environment
         return jax.vmap(lambda x: force(time, x, jnp.zeros_like(x)))(points)
 
@@ -284,6 +314,12 @@ def _force_changes(free, theta, points, changes, time):
 
 
 @eqx.filter_jit
-def _final_columns(free, theta, y0, ts, solver):
+def _final_columns(
+    free: ParametricModel,
+    theta: Float[Array, " parameter"],
+    y0: State,
+    ts: Float[Array, " time"],
+    solver: FixedStep,
+) -> Float[Array, "state column"]:
     ys, _ = solver.solve(free(theta), y0, ts)
     return sensitivities(free, theta, ys, ts, solver).columns[-1]

@@ -16,8 +16,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float
 
+from pinav.arguments import Scalar, State
 from pinav.dynamics import AbstractDynamics, FixedStep, linear_recursion, with_dtype
 from pinav.errors import InputError
 
@@ -58,11 +59,16 @@ def start_jacobians(
 
 
 @eqx.filter_jit
-def _jacobians(dynamics, starts, ts, solver):
-    def one(y0):
+def _jacobians(
+    dynamics: AbstractDynamics,
+    starts: Float[Array, "start state"],
+    ts: Float[Array, " time"],
+    solver: FixedStep,
+) -> tuple[Float[Array, "start state"], Float[Array, "start state state"]]:
+    def one(y0: State) -> tuple[State, Float[Array, "state state"]]:
         ys, _ = solver.solve(dynamics, y0, ts)
 
-        def slope(y, t0, t1):
+        def slope(y: State, t0: Scalar, t1: Scalar) -> Float[Array, "state state"]:
             return jax.jacfwd(lambda y: solver.looped_step(dynamics, y, t0, t1))(y)
 
         steps = jax.vmap(slope)(ys[:-1], ts[:-1], ts[1:])

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.analysis.sensitivity.sobol import Factor, SobolIndices, sobol_indices
+from pinav.arguments import Scalar, State, Vector
 from pinav.dynamics import FixedStep, Swimmer, with_dtype
 from pinav.errors import InputError
 from pinav.forces import AbstractForce, LinearDrag, MagneticPropulsion
@@ -71,7 +72,9 @@ class RolloutStudy(eqx.Module):
             paths = _paths(swimmer, start, ts, names, jnp.asarray(parameters))
         return self._outcomes(np.asarray(paths), np.asarray(nominal)[0, -1])
 
-    def _outcomes(self, paths, goal):
+    def _outcomes(
+        self, paths: Float[np.ndarray, "sample time 2"], goal: Float[np.ndarray, "2"]
+    ) -> Float[np.ndarray, "sample outcome"]:
         final = paths[:, -1]
         displacement = np.linalg.norm(final - goal, axis=1)
         distances = np.linalg.norm(paths - self.landmark, axis=2)
@@ -109,8 +112,14 @@ class RolloutStudy(eqx.Module):
 
 
 @eqx.filter_jit
-def _paths(swimmer, start, ts, names, parameters):
-    def one(values):
+def _paths(
+    swimmer: Swimmer,
+    start: State,
+    ts: Float[Array, " time"],
+    names: tuple[str, ...],
+    parameters: Float[Array, "sample factor"],
+) -> Float[Array, "sample time 2"]:
+    def one(values: Float[Array, " factor"]) -> Float[Array, "time 2"]:
         chosen = dict(zip(names, values, strict=True))
         varied = swimmer
         for name, pick in _STRENGTHS.items():
@@ -122,7 +131,7 @@ def _paths(swimmer, start, ts, names, parameters):
         return FixedStep().solve(varied, y0, ts)[0][:, :2]
 
     forces = swimmer.propulsion, swimmer.drag, swimmer.environment
-    swimmer = Swimmer(*map(_Scaled, forces))
+    swimmer = Swimmer(*map(_ScaledForce, forces))
     return jax.lax.map(one, parameters, batch_size=256)
 
 
@@ -133,12 +142,12 @@ _STRENGTHS = {
 }
 
 
-class _Scaled(AbstractForce):
+class _ScaledForce(AbstractForce):
     """A force times a factor: thrust by its gain, linear drag by its damping."""
 
     force: AbstractForce
     factor: Float[Array, ""] | float | None = None
 
-    def __call__(self, t, x, v) -> Float[Array, " dim"]:
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         value = self.force(t, x, v)
         return value if self.factor is None else self.factor * value

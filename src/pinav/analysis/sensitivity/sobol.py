@@ -16,9 +16,17 @@ from collections.abc import Callable, Sequence
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
-from scipy import stats
 
 from pinav.errors import InputError
+
+Samples = Float[np.ndarray, "sample factor"]
+"""Values of the factors, one row a sample."""
+
+Model = Callable[[Samples], Float[np.ndarray, "sample outcome"]]
+"""Outcomes, one column each, of parameters, one row a sample."""
+
+Indices = Float[np.ndarray, "outcome factor"]
+"""An index for each outcome and factor."""
 
 
 class Factor(eqx.Module):
@@ -37,7 +45,7 @@ class Factor(eqx.Module):
     low: float
     high: float
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if not (np.isfinite(self.low) and np.isfinite(self.high)) or not (
             self.low < self.high
         ):
@@ -65,18 +73,16 @@ class SobolIndices(eqx.Module):
 
     factors: tuple[str, ...] = eqx.field(static=True)
     outcomes: tuple[str, ...] = eqx.field(static=True)
-    first: Float[np.ndarray, "outcome factor"]
+    first: Indices
     first_interval: Float[np.ndarray, "outcome factor 2"]
-    total: Float[np.ndarray, "outcome factor"]
+    total: Indices
     total_interval: Float[np.ndarray, "outcome factor 2"]
     confidence: float
     variance: Float[np.ndarray, " outcome"]
 
 
 def sobol_indices(
-    function: Callable[
-        [Float[np.ndarray, "sample factor"]], Float[np.ndarray, "sample outcome"]
-    ],
+    function: Model,
     factors: Sequence[Factor],
     outcomes: Sequence[str],
     *,
@@ -103,7 +109,9 @@ def sobol_indices(
     """
     _check(factors, samples, confidence)
     generator = np.random.default_rng(seed)
-    points = stats.qmc.Sobol(2 * len(factors), rng=generator).random(samples)
+    from scipy.stats import qmc  # seconds of imports that few commands need
+
+    points = qmc.Sobol(2 * len(factors), rng=generator).random(samples)
     low = np.array([factor.low for factor in factors])
     high = np.array([factor.high for factor in factors])
     halves = np.split(points, 2, axis=1)
@@ -132,7 +140,9 @@ def sobol_indices(
     )
 
 
-def _evaluate(function, parameters, outcomes):
+def _evaluate(
+    function: Model, parameters: Samples, outcomes: Sequence[str]
+) -> Float[np.ndarray, "sample outcome"]:
     values = np.asarray(function(parameters), float)
     if values.shape != (len(parameters), len(outcomes)):
         raise InputError(
@@ -148,29 +158,41 @@ def _evaluate(function, parameters, outcomes):
     return values
 
 
-def _resample(stacked, resamples, generator):
+def _resample(
+    stacked: Float[np.ndarray, "matrix sample outcome"],
+    resamples: int,
+    generator: np.random.Generator,
+) -> tuple[
+    Float[np.ndarray, "resample outcome factor"],
+    Float[np.ndarray, "resample outcome factor"],
+]:
     """First-order and total indices of bootstrap samples."""
     samples = stacked.shape[1]
     draws = [
         _indices(stacked[:, generator.integers(0, samples, samples)])
         for _ in range(resamples)
     ]
-    return tuple(np.stack(index) for index in zip(*draws, strict=True))
+    first, total = zip(*draws, strict=True)
+    return np.stack(first), np.stack(total)
 
 
-def _indices(stacked):
+def _indices(
+    stacked: Float[np.ndarray, "matrix sample outcome"],
+) -> tuple[Indices, Indices]:
     """Indices from the outcomes of both matrices and of the mixed ones."""
+    from scipy.stats import sobol_indices as saltelli
+
     samples = stacked.shape[1]
     first, second, *mixed = np.moveaxis(stacked, 2, 1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        indices = stats.sobol_indices(
+        indices = saltelli(
             func={"f_A": first, "f_B": second, "f_AB": np.stack(mixed)}, n=samples
         )
     shape = first.shape[0], len(mixed)  # SciPy drops the axis of a single outcome
     return indices.first_order.reshape(shape), indices.total_order.reshape(shape)
 
 
-def _check(factors, samples, confidence):
+def _check(factors: Sequence[Factor], samples: int, confidence: float) -> None:
     if not factors:
         raise InputError("sobol_indices factors: expected one or more, got none")
     if samples < 2 or samples & (samples - 1):

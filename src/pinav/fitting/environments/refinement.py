@@ -75,10 +75,12 @@ class Refinement(eqx.Module):
             environment: one whose kernels are too coarse.
             trajectories: what it is fitted to.
         """
-        dim, width = environment.dim, float(environment.kernels.width)
+        dim, width = environment.dim, environment.kernel_width
+        if width is None:
+            return None
         seen = trajectories.observed[..., :dim].all(axis=-1)
         extent = np.ptp(trajectories.states[..., :dim][seen], axis=0).max()
-        grid = KernelGrid(across=round(self.factor * extent / width))
+        grid = KernelGrid(across=round(self.factor * extent / float(width)))
         made = environment.kernels_on(*lay_kernels(trajectories, grid, dim))
         return made if num_weights(made) <= self.max_weights else None
 

@@ -10,10 +10,12 @@ from typing import Generic, TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
+from pinav.arguments import Scalar, State
 from pinav.navigation.control.controller import AbstractController, Observation
 from pinav.navigation.model.predictors import AbstractPredictor
+from pinav.navigation.task.steering import Command
 
 Inner = TypeVar("Inner", bound=PyTree)
 
@@ -49,7 +51,9 @@ class Timing(eqx.Module):
         pending = observation.pending
         durations = jnp.full(pending.shape[0], self.step).at[0].set(self.remainder)
 
-        def move(carry, inputs):
+        def move(
+            carry: tuple[Scalar, State], inputs: tuple[Command, Scalar]
+        ) -> tuple[tuple[Scalar, State], None]:
             t, y = carry
             command, duration = inputs
             return (t + duration, predictor.step(t, y, command, duration)), None
@@ -77,10 +81,12 @@ class DelayCompensation(AbstractController[Inner], Generic[Inner]):
     predictor: AbstractPredictor
     timing: Timing
 
-    def start(self, observation):
+    def start(self, observation: Observation) -> Inner:
         return self.controller.start(self.timing.predict(self.predictor, observation))
 
-    def __call__(self, observation, memory, *, key):
+    def __call__(
+        self, observation: Observation, memory: Inner, *, key: PRNGKeyArray
+    ) -> tuple[Command, Inner]:
         ahead = self.timing.predict(self.predictor, observation)
         return self.controller(ahead, memory, key=key)
 
@@ -98,7 +104,7 @@ class Belief(eqx.Module, Generic[Inner]):
 
     mean: Float[Array, " all"]
     covariance: Float[Array, "all all"]
-    command: Float[Array, "2"]
+    command: Command
     time: Float[Array, ""]
     inner: Inner
 
@@ -132,7 +138,7 @@ class DriftEstimation(AbstractController[Belief[Inner]], Generic[Inner]):
     prior: float
     wandering: float = 0.0
 
-    def start(self, observation):
+    def start(self, observation: Observation) -> Belief[Inner]:
         state = observation.state
         mean = jnp.concatenate([state, jnp.zeros(2, state.dtype)])
         known = jnp.full(state.shape[0], self.sensor_noise**2 + LEAST, state.dtype)
@@ -142,7 +148,9 @@ class DriftEstimation(AbstractController[Belief[Inner]], Generic[Inner]):
         inner = self.controller.start(Observation(time, mean, observation.pending))
         return Belief(mean, covariance, observation.pending[0], time, inner)
 
-    def __call__(self, observation, memory, *, key):
+    def __call__(
+        self, observation: Observation, memory: Belief[Inner], *, key: PRNGKeyArray
+    ) -> tuple[Command, Belief[Inner]]:
         mean, covariance = self._update(observation, memory)
         seen = Observation(observation.time, mean, observation.pending)
         command, inner = self.controller(seen, memory.inner, key=key)
@@ -150,7 +158,9 @@ class DriftEstimation(AbstractController[Belief[Inner]], Generic[Inner]):
         belief = Belief(mean, covariance, observation.pending[0], time, inner)
         return command, belief
 
-    def _update(self, observation, memory):
+    def _update(
+        self, observation: Observation, memory: Belief[Inner]
+    ) -> tuple[Float[Array, " all"], Float[Array, "all all"]]:
         """Mean and covariance after an observation; as they were at the first one."""
         elapsed = observation.time - memory.time
         mean, covariance = self._predict(observation, memory)
@@ -166,11 +176,15 @@ class DriftEstimation(AbstractController[Belief[Inner]], Generic[Inner]):
             jnp.where(first, memory.covariance, spread),
         )
 
-    def _predict(self, observation, memory):
+    def _predict(
+        self, observation: Observation, memory: Belief[Inner]
+    ) -> tuple[Float[Array, " all"], Float[Array, "all all"]]:
         """Mean and covariance one step on, under the commands that were in force."""
         first, second = self.timing.remainder, self.timing.rest
 
-        def onward(mean):
+        def onward(
+            mean: Float[Array, " all"],
+        ) -> tuple[Float[Array, " all"], Float[Array, " all"]]:
             t, moved = memory.time, mean
             if first > 0:
                 moved = self.predictor.step(t, moved, memory.command, first)
@@ -183,7 +197,7 @@ class DriftEstimation(AbstractController[Belief[Inner]], Generic[Inner]):
         slope, mean = jax.jacfwd(onward, has_aux=True)(memory.mean)
         return mean, slope @ memory.covariance @ slope.T + self._process_noise(mean)
 
-    def _process_noise(self, mean):
+    def _process_noise(self, mean: Float[Array, " all"]) -> Float[Array, "all all"]:
         """What a step adds to the covariance."""
         size, step = mean.shape[0], self.timing.step
         variances = jnp.full(size, LEAST, mean.dtype)
@@ -191,7 +205,7 @@ class DriftEstimation(AbstractController[Belief[Inner]], Generic[Inner]):
         variances = variances.at[-2:].add(self.wandering**2 * step)
         return jnp.diag(variances)
 
-    def _gain(self, covariance):
+    def _gain(self, covariance: Float[Array, "all all"]) -> Float[Array, "all known"]:
         known = covariance.shape[0] - 2
         seen = covariance[:known, :known]
         error = (self.sensor_noise**2 + LEAST) * jnp.eye(known, dtype=seen.dtype)

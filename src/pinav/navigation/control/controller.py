@@ -6,7 +6,11 @@ from typing import Generic, TypeVar
 import equinox as eqx
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
-from pinav.arguments import Scalar
+from pinav.arguments import Scalar, State
+from pinav.navigation.task.steering import Command
+
+Controls = Float[Array, "step 2"]
+"""Thrusts of the coming steps, in units of the greatest one."""
 
 Memory = TypeVar("Memory", bound=PyTree)
 
@@ -23,7 +27,7 @@ class Observation(eqx.Module):
     """
 
     time: Scalar
-    state: Float[Array, " state"]
+    state: State
     pending: Float[Array, "command 2"]
 
 
@@ -40,5 +44,5 @@ class AbstractController(eqx.Module, Generic[Memory]):
     @abc.abstractmethod
     def __call__(
         self, observation: Observation, memory: Memory, *, key: PRNGKeyArray
-    ) -> tuple[Float[Array, "2"], Memory]:
+    ) -> tuple[Command, Memory]:
         """Command for the coming step, not yet clipped, and memory for the next."""

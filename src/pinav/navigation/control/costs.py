@@ -7,21 +7,23 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from pinav.navigation.control.controller import Controls
 from pinav.navigation.model.time_cost import TimeCost, entry_fraction
 from pinav.navigation.planning.plan import TimeToGo
 from pinav.navigation.task.objectives import AbstractObjective
+
+Times = Float[Array, " time"]
+"""Times [T], the first of which is now."""
+
+Course = Float[Array, "time state"]
+"""States at these times."""
 
 
 class AbstractCost(eqx.Module):
     """The cost of a course of states; no batch axis."""
 
     @abc.abstractmethod
-    def __call__(
-        self,
-        ts: Float[Array, " time"],
-        ys: Float[Array, "time state"],
-        controls: Float[Array, "step 2"],
-    ) -> Float[Array, ""]:
+    def __call__(self, ts: Times, ys: Course, controls: Controls) -> Float[Array, ""]:
         """Cost of a course.
 
         Args:
@@ -43,7 +45,7 @@ class ArrivalCost(AbstractCost):
 
     plan: TimeToGo
 
-    def __call__(self, ts, ys, controls):
+    def __call__(self, ts: Times, ys: Course, controls: Controls) -> Float[Array, ""]:
         plan, ways = self.plan, jnp.diff(ys[:, :2], axis=0)
         fraction = jax.vmap(entry_fraction, (0, 0, None, None))(
             ys[:-1, :2], ways, plan.goal, plan.tolerance
@@ -71,7 +73,7 @@ class TrackingCost(AbstractCost):
     time_cost: TimeCost
     effort: float = 0.0
 
-    def __call__(self, ts, ys, controls):
+    def __call__(self, ts: Times, ys: Course, controls: Controls) -> Float[Array, ""]:
         targets = jax.vmap(self.objective.target)(ts[1:])
         error = jnp.sum((ys[1:, :2] - targets) ** 2, axis=1)
         running_cost = jax.vmap(self.time_cost.running_cost)(ts[1:], ys[1:, :2]) - 1
@@ -84,7 +86,7 @@ COLLISION = 1e3
 """Cost of a unit of time in a wall, where a path is followed [L²]."""
 
 
-def _collisions(time_cost, ys):
+def _collisions(time_cost: TimeCost, ys: Course) -> Float[Array, " step"]:
     """One for each later state in a wall."""
     clearance = jax.vmap(time_cost.clearance)(ys[1:, :2])
     return (clearance < 0).astype(ys.dtype)

@@ -4,21 +4,30 @@ References:
     Kingma and Ba, ICLR 2015, for the steps.
 """
 
+from typing import cast
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from pinav.arguments import check_positive
-from pinav.navigation.control.controller import AbstractController
+from pinav.navigation.control.controller import (
+    AbstractController,
+    Controls,
+    Observation,
+)
 from pinav.navigation.control.costs import AbstractCost
 from pinav.navigation.control.prediction import AbstractGuide, TrajectoryPrediction
 from pinav.navigation.model.predictors import within_disc
-from pinav.navigation.task.steering import direction
+from pinav.navigation.task.steering import Command, direction
+
+_Descent = tuple[Controls, optax.OptState, Controls, Float[Array, ""]]
+"""Controls, moments of Adam's steps, the best controls so far, and their cost."""
 
 
-class GradientMPC(AbstractController[Float[Array, "step 2"]]):
+class GradientMPC(AbstractController[Controls]):
     r"""Improves sequences of thrusts by steps along the gradient of their cost.
 
     Each sequence that is kept, and that of the guide, takes Adam's steps whose length
@@ -42,16 +51,18 @@ class GradientMPC(AbstractController[Float[Array, "step 2"]]):
     iterations: int = eqx.field(static=True, default=20)
     rate: float = 0.15
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_positive(self, "iterations", "rate")
 
-    def start(self, observation):
+    def start(self, observation: Observation) -> Controls:
         ahead = SMALL * direction(observation.pending[-1, 1])
         return jnp.tile(
             ahead.astype(observation.state.dtype), (self.prediction.steps, 1)
         )
 
-    def __call__(self, observation, memory, *, key):
+    def __call__(
+        self, observation: Observation, memory: Controls, *, key: PRNGKeyArray
+    ) -> tuple[Command, Controls]:
         del key
         guesses = jnp.concatenate([memory[1:], memory[-1:]])[None]
         if self.guide is not None:
@@ -63,16 +74,18 @@ class GradientMPC(AbstractController[Float[Array, "step 2"]]):
         best = solutions[jnp.argmin(costs)]
         return self.prediction.command(observation, best[0]), best
 
-    def _descend(self, observation, controls):
+    def _descend(
+        self, observation: Observation, controls: Controls
+    ) -> tuple[Controls, Float[Array, ""]]:
         """The best sequence met on the way down, and its cost."""
 
-        def cost(controls):
+        def cost(controls: Controls) -> Float[Array, ""]:
             value = self.cost(*self.prediction(observation, controls), controls)
             return jnp.where(jnp.isfinite(value), value, jnp.inf)
 
         method = optax.scale_by_adam()
 
-        def descend(carry, length):
+        def descend(carry: _Descent, length: Float[Array, ""]) -> tuple[_Descent, None]:
             controls, progress, best, least = carry
             value, slope = jax.value_and_grad(cost)(controls)
             better = value < least
@@ -82,7 +95,7 @@ class GradientMPC(AbstractController[Float[Array, "step 2"]]):
             slope = jnp.where(jnp.isfinite(slope), slope, 0.0)
             with jax.numpy_dtype_promotion("standard"):  # as optax expects
                 change, progress = method.update(slope, progress)
-            controls = within_disc(controls - length * change)
+            controls = within_disc(controls - length * cast(Array, change))
             return (controls, progress, best, least), None
 
         least = jnp.asarray(jnp.inf, controls.dtype)
@@ -93,7 +106,7 @@ class GradientMPC(AbstractController[Float[Array, "step 2"]]):
         final = cost(last)
         return jnp.where(final < least, last, best), jnp.minimum(final, least)
 
-    def _lengths(self, controls):
+    def _lengths(self, controls: Controls) -> Float[Array, " iteration"]:
         """Of the steps of descent: half a period of a cosine, from the rate to zero."""
         done = jnp.arange(self.iterations, dtype=controls.dtype) / self.iterations
         return self.rate * (1 + jnp.cos(jnp.pi * done)) / 2

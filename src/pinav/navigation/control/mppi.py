@@ -9,15 +9,20 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from pinav.arguments import check_positive
+from pinav.arguments import Scalar, check_positive
 from pinav.errors import InputError
-from pinav.navigation.control.controller import AbstractController
+from pinav.navigation.control.controller import (
+    AbstractController,
+    Controls,
+    Observation,
+)
 from pinav.navigation.control.costs import AbstractCost
 from pinav.navigation.control.prediction import AbstractGuide, TrajectoryPrediction
 from pinav.navigation.model.predictors import within_disc
+from pinav.navigation.task.steering import Command
 
 
-class PathIntegral(AbstractController[Float[Array, "step 2"]]):
+class PathIntegral(AbstractController[Controls]):
     r"""Improves a sequence of thrusts by a weighted mean of random changes of it.
 
     The weights are $\exp(-(J - J_{min}) / \lambda)$; $\lambda$ is `temperature` times
@@ -49,7 +54,7 @@ class PathIntegral(AbstractController[Float[Array, "step 2"]]):
     spread: float = 0.6
     temperature: float = 0.05
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         for name, least in (("samples", 2), ("rounds", 1)):
             if getattr(self, name) < least:
                 raise InputError(
@@ -58,16 +63,21 @@ class PathIntegral(AbstractController[Float[Array, "step 2"]]):
                 )
         check_positive(self, "spread", "temperature")
 
-    def start(self, observation):
+    def start(self, observation: Observation) -> Controls:
         return jnp.zeros((self.prediction.steps, 2), observation.state.dtype)
 
-    def __call__(self, observation, memory, *, key):
+    def __call__(
+        self, observation: Observation, memory: Controls, *, key: PRNGKeyArray
+    ) -> tuple[Command, Controls]:
         nominal = jnp.concatenate([memory[1:], memory[-1:]])
         other = nominal
         if self.guide is not None:
             other = self.guide(observation, self.prediction)
 
-        def improve(centers, inputs):
+        def improve(
+            centers: Float[Array, "2 step 2"],
+            inputs: tuple[Float[Array, ""], PRNGKeyArray],
+        ) -> tuple[Float[Array, "2 step 2"], None]:
             better = self._improve(observation, centers, *inputs)
             return jnp.stack([better, better]), None
 
@@ -77,7 +87,13 @@ class PathIntegral(AbstractController[Float[Array, "step 2"]]):
         centers, _ = jax.lax.scan(improve, centers, (widths, keys))
         return self.prediction.command(observation, centers[0, 0]), centers[0]
 
-    def _improve(self, observation, centers, width, key):
+    def _improve(
+        self,
+        observation: Observation,
+        centers: Float[Array, "2 step 2"],
+        width: Scalar,
+        key: PRNGKeyArray,
+    ) -> Controls:
         """Mean of the two centres and of changes of either, by the weights."""
         changes = width * self._changes(key).astype(centers.dtype)
         around = centers[jnp.arange(self.samples) % 2] + changes
@@ -88,7 +104,9 @@ class PathIntegral(AbstractController[Float[Array, "step 2"]]):
         weights = jax.nn.softmax(-(costs - least) / unit)
         return jnp.tensordot(weights, tried, 1)
 
-    def _costs(self, observation, many):
+    def _costs(
+        self, observation: Observation, many: Float[Array, "sample step 2"]
+    ) -> Float[Array, " sample"]:
         ts, ys = jax.vmap(lambda controls: self.prediction(observation, controls))(many)
         costs = jax.vmap(self.cost)(ts, ys, many)
         # Finite, so that the median and the differences below remain numbers.

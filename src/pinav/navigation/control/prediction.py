@@ -7,10 +7,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from pinav.arguments import Planar, Scalar, State
 from pinav.errors import InputError
-from pinav.navigation.control.controller import Observation
+from pinav.navigation.control.controller import Controls, Observation
 from pinav.navigation.model.predictors import AbstractPredictor, ControlMap
 from pinav.navigation.planning.plan import TimeToGo
+from pinav.navigation.task.steering import Command
 
 
 class TrajectoryPrediction(eqx.Module):
@@ -31,14 +33,14 @@ class TrajectoryPrediction(eqx.Module):
     step: float = eqx.field(static=True)
     steps: int = eqx.field(static=True, default=20)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if self.steps < 1:
             raise InputError(
                 f"TrajectoryPrediction.steps: expected >= 1, got {self.steps}"
             )
 
     def __call__(
-        self, observation: Observation, controls: Float[Array, "step 2"]
+        self, observation: Observation, controls: Controls
     ) -> tuple[Float[Array, " time"], Float[Array, "time state"]]:
         """Times [T] and states that follow from a sequence of controls."""
         y0, previous = observation.state, observation.pending[-1]
@@ -47,7 +49,9 @@ class TrajectoryPrediction(eqx.Module):
             controls.shape[0] + 1, dtype=y0.dtype
         )
 
-        def move(carry, inputs):
+        def move(
+            carry: tuple[State, Command], inputs: tuple[Scalar, Planar]
+        ) -> tuple[tuple[State, Command], State]:
             y, previous = carry
             t, control = inputs
             command = self.control_map.command(control, previous, self.step)
@@ -57,9 +61,7 @@ class TrajectoryPrediction(eqx.Module):
         _, ys = jax.lax.scan(move, (y0, previous), (ts[:-1], controls))
         return ts, jnp.concatenate([y0[None], ys])
 
-    def command(
-        self, observation: Observation, control: Float[Array, "2"]
-    ) -> Float[Array, "2"]:
+    def command(self, observation: Observation, control: Planar) -> Command:
         """The command now that a control stands for."""
         return self.control_map.command(control, observation.pending[-1], self.step)
 
@@ -70,7 +72,7 @@ class AbstractGuide(eqx.Module):
     @abc.abstractmethod
     def __call__(
         self, observation: Observation, prediction: TrajectoryPrediction
-    ) -> Float[Array, "step 2"]:
+    ) -> Controls:
         """Controls for the steps of a prediction."""
 
 
@@ -83,8 +85,12 @@ class GradientGuide(AbstractGuide):
 
     plan: TimeToGo
 
-    def __call__(self, observation, prediction):
-        def move(carry, t):
+    def __call__(
+        self, observation: Observation, prediction: TrajectoryPrediction
+    ) -> Controls:
+        def move(
+            carry: tuple[State, Command], t: Scalar
+        ) -> tuple[tuple[State, Command], Planar]:
             y, previous = carry
             control = self.plan.control(t, y, previous, prediction.predictor)
             command = prediction.control_map.command(control, previous, prediction.step)

@@ -6,14 +6,15 @@ the truth of the task.
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from pinav.arguments import Scalar
+from pinav.arguments import Planar, Scalar, State
 from pinav.dynamics import OverdampedSwimmer, Swimmer
-from pinav.navigation.control.controller import AbstractController
+from pinav.navigation.control.controller import AbstractController, Observation
 from pinav.navigation.task.objectives import AbstractObjective
 from pinav.navigation.task.steering import (
     AbstractActuator,
+    Command,
     CommandLimits,
     SteeredSwimmer,
     greatest_thrust,
@@ -30,7 +31,7 @@ REACTION = 0.5
 """Time in which a swimmer with inertia is to take the wanted velocity [T]."""
 
 
-class StraightLine(AbstractController):
+class StraightLine(AbstractController[tuple[()]]):
     """Straight to the target with all thrust, whatever is in between.
 
     Attributes:
@@ -41,17 +42,19 @@ class StraightLine(AbstractController):
     objective: AbstractObjective
     limits: CommandLimits
 
-    def start(self, observation):
+    def start(self, observation: Observation) -> tuple[()]:
         return ()
 
-    def __call__(self, observation, memory, *, key):
+    def __call__(
+        self, observation: Observation, memory: tuple[()], *, key: PRNGKeyArray
+    ) -> tuple[Command, tuple[()]]:
         offset = self.objective.target(observation.time) - observation.state[:2]
         heading = jnp.arctan2(offset[1], offset[0])
         frequency = jnp.full_like(heading, self.limits.max_frequency)
         return jnp.stack([frequency, heading]), ()
 
 
-class LineOfSight(AbstractController):
+class LineOfSight(AbstractController[tuple[()]]):
     r"""Line of sight with compensation of the modelled drift.
 
     Without inertia the thrust is $v_{ref} - u(x)$, with the velocity u that the model
@@ -76,10 +79,12 @@ class LineOfSight(AbstractController):
         speed = cruising_speed(model, task.limits, task.start)
         return cls(task.objective, model, task.limits, speed)
 
-    def start(self, observation):
+    def start(self, observation: Observation) -> tuple[()]:
         return ()
 
-    def __call__(self, observation, memory, *, key):
+    def __call__(
+        self, observation: Observation, memory: tuple[()], *, key: PRNGKeyArray
+    ) -> tuple[Command, tuple[()]]:
         t, y = observation.time, observation.state
         rate = self.objective.guidance(t, y[:2], self.speed)
         if y.shape[0] > 2:
@@ -89,7 +94,7 @@ class LineOfSight(AbstractController):
 
 
 def cruising_speed(
-    model: SteeredSwimmer, limits: CommandLimits, state: Float[Array, " state"]
+    model: SteeredSwimmer, limits: CommandLimits, state: State
 ) -> Float[Array, ""]:
     """Speed that the greatest thrust keeps up against drag alone [L T⁻¹].
 
@@ -108,8 +113,8 @@ def cruising_speed(
 
 
 def command_of(
-    actuator: AbstractActuator, limits: CommandLimits, thrust: Float[Array, "2"]
-) -> Float[Array, "2"]:
+    actuator: AbstractActuator, limits: CommandLimits, thrust: Planar
+) -> Command:
     """The command whose thrust is the wanted one, or the nearest in its direction.
 
     Args:
@@ -120,7 +125,7 @@ def command_of(
     frequencies = jnp.linspace(0.0, limits.max_frequency, TABULATED, dtype=thrust.dtype)
     toward = jnp.arctan2(thrust[1], thrust[0])
 
-    def correct(_, heading):
+    def correct(_: Int[Array, ""], heading: Float[Array, ""]) -> Float[Array, ""]:
         made = actuator(jnp.stack([frequencies[-1], heading]))
         return heading + toward - jnp.arctan2(made[1], made[0])
 

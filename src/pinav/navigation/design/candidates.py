@@ -4,10 +4,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, ArrayLike, Float, Int, PRNGKeyArray
 
 from pinav.actuation import AbstractProgramme, LinearProgramme
-from pinav.arguments import check_positive
+from pinav.arguments import Scalar, Vector, check_positive
 from pinav.errors import InputError
 from pinav.forces import AbstractForce
 from pinav.navigation.task.steering import AbstractActuator, CommandLimits
@@ -25,7 +25,7 @@ class CommandedThrust(AbstractForce):
     programme: AbstractProgramme
     actuator: AbstractActuator
 
-    def __call__(self, t, x, v):
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return self.actuator(jnp.stack(self.programme(t))).astype(x.dtype)
 
 
@@ -42,7 +42,9 @@ class CandidateTrajectories(eqx.Module):
     frequency: Float[Array, "*candidate knot"]
     heading: Float[Array, "*candidate knot"]
 
-    def __getitem__(self, index) -> "CandidateTrajectories":
+    def __getitem__(
+        self, index: int | slice | Int[ArrayLike, " chosen"]
+    ) -> "CandidateTrajectories":
         """One candidate, or some of them."""
         return jax.tree.map(lambda leaf: leaf[index], self)
 
@@ -81,7 +83,7 @@ class Experiment(eqx.Module):
     knot: float = eqx.field(static=True, default=1.0)
     turning: float = eqx.field(static=True, default=0.6)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_positive(self, "duration", "interval", "knot", "turning")
         if isinstance(self.noise, np.ndarray) and not np.all(self.noise > 0):
             raise InputError(
@@ -170,7 +172,9 @@ class Experiment(eqx.Module):
         """Standard deviation of the change of heading between two knots [rad]."""
         return self.turning * self.knot**0.5
 
-    def _clip_turns(self, turns):
+    def _clip_turns(
+        self, turns: Float[Array, "candidate step"]
+    ) -> Float[Array, "candidate step"]:
         """Changes of heading that the coils can follow, less than half a turn."""
         most = min(self.limits.max_turning_rate * self.knot, 0.99 * np.pi)
         return jnp.clip(turns, -most, most)

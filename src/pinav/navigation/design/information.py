@@ -17,15 +17,19 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray
+from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray, PyTree
 
-from pinav.arguments import check_positive
+from pinav.arguments import Planar, check_positive
 from pinav.dynamics import AbstractDynamics, FixedStep
 from pinav.errors import InputError
 from pinav.fitting.engine.multiple_shooting import eliminate, sensitivities
 from pinav.fitting.engine.parametric_model import ParametricModel
 from pinav.fitting.engine.posterior import Posterior
-from pinav.navigation.design.candidates import CandidateTrajectories, Experiment
+from pinav.navigation.design.candidates import (
+    CandidateTrajectories,
+    CommandedThrust,
+    Experiment,
+)
 from pinav.navigation.task.zones import Rectangle
 
 Covariance = Float[Array, "force force"]
@@ -45,7 +49,7 @@ class VarianceReduction(AbstractCriterion):
     In [L² T⁻⁴] for each of the $n$ components along the route.
     """
 
-    def __call__(self, before, after):
+    def __call__(self, before: Covariance, after: Covariance) -> Float[Array, ""]:
         return (jnp.trace(before) - jnp.trace(after)) / before.shape[0]
 
 
@@ -65,10 +69,10 @@ class InformationGain(AbstractCriterion):
 
     resolution: float
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_positive(self, "resolution")
 
-    def __call__(self, before, after):
+    def __call__(self, before: Covariance, after: Covariance) -> Float[Array, ""]:
         floor = self.resolution**2 * jnp.eye(before.shape[0], dtype=before.dtype)
         logs = (jnp.linalg.slogdet(s + floor)[1] for s in (before, after))
         return 0.5 * (next(logs) - next(logs))
@@ -232,16 +236,18 @@ class _Request(eqx.Module):
     route: Float[Array, "point 2"]
     experiment: Experiment
 
-    def forces(self, theta):
+    def forces(self, theta: Float[Array, " parameter"]) -> Float[Array, "force rank"]:
         """Derivatives of all forces along the route by the whitened parameters."""
 
-        def force(theta, x):
+        def force(theta: Float[Array, " parameter"], x: Planar) -> Planar:
             return self.free(theta).environment(0.0, x, jnp.zeros_like(x))
 
         jacobians = jax.vmap(jax.jacrev(force), (None, 0))(theta, self.route)
         return jacobians.reshape(-1, theta.shape[0]) @ self.root
 
-    def rollout(self, theta, candidate: CandidateTrajectories):
+    def rollout(
+        self, theta: Float[Array, " parameter"], candidate: CandidateTrajectories
+    ) -> tuple[Float[Array, "time state"], Float[Array, "row rank"]]:
         """States of a candidate, and what it tells: rows in whitened parameters."""
         driven = _with_thrust(self.free, self.experiment.thrust(candidate))
         times, solver = self.experiment.times, FixedStep()
@@ -252,18 +258,34 @@ class _Request(eqx.Module):
         rest, _, _ = eliminate(rows.reshape(-1, rows.shape[2]), count, states.shape[1])
         return states, rest @ self.root
 
-    def factor(self, rows):
+    def factor(self, rows: Float[Array, "row rank"]) -> Float[Array, "rank rank"]:
         r"""Cholesky factor of $1 + R^\top R$, the precision of the whitened ones."""
         unit = jnp.eye(rows.shape[1], dtype=rows.dtype)
         return jnp.linalg.cholesky(unit + rows.T @ rows)
 
 
 @eqx.filter_jit
-def _rank(request, thetas, candidates, arena, criterion):
+def _rank(
+    request: _Request,
+    thetas: Float[Array, "draw parameter"],
+    candidates: CandidateTrajectories,
+    arena: Rectangle,
+    criterion: AbstractCriterion,
+) -> tuple[
+    Float[Array, "candidate draw"],
+    Float[Array, "candidate draw"],
+    Bool[Array, "candidate draw"],
+    Float[Array, ""],
+]:
     forces = jax.vmap(request.forces)(thetas)
     prior = jax.vmap(lambda rows: rows @ rows.T)(forces)
 
-    def one(candidate, theta, rows, before):
+    def one(
+        candidate: CandidateTrajectories,
+        theta: Float[Array, " parameter"],
+        rows: Float[Array, "force rank"],
+        before: Covariance,
+    ) -> tuple[Float[Array, ""], Float[Array, ""], Bool[Array, ""]]:
         states, rows_of_data = request.rollout(theta, candidate)
         left = jax.scipy.linalg.solve_triangular(
             request.factor(rows_of_data), rows.T, lower=True
@@ -273,7 +295,9 @@ def _rank(request, thetas, candidates, arena, criterion):
         inside = jnp.all(jax.vmap(arena.distance)(states[:, :2]) <= 0) & finite
         return criterion(before, after), jnp.trace(after), inside
 
-    def each(candidate):
+    def each(
+        candidate: CandidateTrajectories,
+    ) -> tuple[Float[Array, " draw"], Float[Array, " draw"], Bool[Array, " draw"]]:
         several = jax.vmap(one, (None, 0, 0, 0))
         return several(candidate, thetas, forces, prior)
 
@@ -282,33 +306,39 @@ def _rank(request, thetas, candidates, arena, criterion):
 
 
 @eqx.filter_jit
-def _root_after(request, theta, candidate):
+def _root_after(
+    request: _Request,
+    theta: Float[Array, " parameter"],
+    candidate: CandidateTrajectories,
+) -> Float[Array, "parameter rank"]:
     """Root of the covariance after a candidate."""
     _, rows_of_data = request.rollout(theta, candidate)
     factor = request.factor(rows_of_data)
     return jax.scipy.linalg.solve_triangular(factor, request.root.T, lower=True).T
 
 
-def _with_thrust(free: ParametricModel, thrust) -> ParametricModel:
+def _with_thrust(free: ParametricModel, thrust: CommandedThrust) -> ParametricModel:
     """The model as a function of its parameters, its propulsion replaced.
 
     A learned constant of the old propulsion is then a parameter without effect.
     """
 
-    def propulsion(tree):
+    def propulsion(tree: PyTree) -> PyTree:
         return tree.propulsion
 
     nothing = jax.tree.map(lambda _: None, thrust)
     static = eqx.tree_at(propulsion, free.static, thrust, is_leaf=lambda x: x is None)
 
-    def unravel(theta):
+    def unravel(theta: Float[Array, " parameter"]) -> PyTree:
         leaves = free.unravel(theta)
         return eqx.tree_at(propulsion, leaves, nothing, is_leaf=lambda x: x is None)
 
     return ParametricModel(static, unravel)
 
 
-def _thetas(posterior: Posterior, draws: int, key) -> Float[Array, "draw parameter"]:
+def _thetas(
+    posterior: Posterior, draws: int, key: PRNGKeyArray | None
+) -> Float[Array, "draw parameter"]:
     mean = jnp.asarray(posterior.mean)
     if draws == 1:
         return mean[None]
@@ -344,7 +374,7 @@ def inside(
 ) -> Bool[Array, " candidate"]:
     """Which candidates stay inside the arena, as far as a model knows."""
 
-    def one(candidate):
+    def one(candidate: CandidateTrajectories) -> Bool[Array, ""]:
         driven = eqx.tree_at(
             lambda m: m.propulsion, model, experiment.thrust(candidate)
         )

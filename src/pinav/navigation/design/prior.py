@@ -13,9 +13,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float
 
-from pinav.arguments import check_positive
+from pinav.arguments import Planar, check_positive
 from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.fitting import Observations, Posterior, ravel_model
@@ -46,7 +46,7 @@ class PriorField(eqx.Module):
     strength: float
     length: float | None = None
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_positive(self, "strength", "length")
 
     def kernels(self) -> KernelPotential:
@@ -69,7 +69,7 @@ class PriorField(eqx.Module):
         """Standard deviation of the weights that gives the strength."""
         middle = (self.arena.lower + self.arena.upper) / 2
 
-        def force(weights):
+        def force(weights: Float[Array, " kernel"]) -> Planar:
             filled = eqx.tree_at(lambda k: k.weights, kernels, weights)
             return filled(0.0, middle, jnp.zeros_like(middle))
 
@@ -119,7 +119,7 @@ def prior_uncertainty(
 
 
 def _weight_covariance(
-    hessian, noise: float, amplitude: float
+    hessian: Float[Array, "n n"], noise: float, amplitude: float
 ) -> Float[np.ndarray, "n n"]:
     """Covariance of the weights, given the data."""
     values, vectors = np.linalg.eigh(np.asarray(hessian))

@@ -9,11 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.arguments import Scalar
+from pinav.arguments import Planar, Scalar, State
 from pinav.errors import InputError
 from pinav.navigation.model.tables import FieldTable
 from pinav.navigation.task.steering import (
     AbstractActuator,
+    Command,
     CommandLimits,
     SteeredSwimmer,
     direction,
@@ -24,13 +25,7 @@ class AbstractPredictor(eqx.Module):
     """Where the swimmer will be."""
 
     @abc.abstractmethod
-    def step(
-        self,
-        t: Scalar,
-        y: Float[Array, " state"],
-        command: Float[Array, "2"],
-        duration: Scalar,
-    ) -> Float[Array, " state"]:
+    def step(self, t: Scalar, y: State, command: Command, duration: Scalar) -> State:
         """State after a command was held for `duration` [T] from time `t` [T]."""
 
 
@@ -43,7 +38,7 @@ class SwimmerPredictor(AbstractPredictor):
 
     swimmer: SteeredSwimmer
 
-    def step(self, t, y, command, duration):
+    def step(self, t: Scalar, y: State, command: Command, duration: Scalar) -> State:
         return self.swimmer.step(t, y, command, duration)
 
 
@@ -62,7 +57,7 @@ class InertialTable(AbstractPredictor):
     table: FieldTable
     actuator: AbstractActuator
 
-    def step(self, t, y, command, duration):
+    def step(self, t: Scalar, y: State, command: Command, duration: Scalar) -> State:
         half = jnp.asarray(duration, y.dtype) / 2
         x, v = y[:2] + half * y[2:], y[2:]
         rates = self.table(jnp.asarray(t, y.dtype) + half, x)
@@ -84,13 +79,13 @@ class OverdampedTable(AbstractPredictor):
     table: FieldTable
     actuator: AbstractActuator
 
-    def step(self, t, y, command, duration):
+    def step(self, t: Scalar, y: State, command: Command, duration: Scalar) -> State:
         t, duration = jnp.asarray(t, y.dtype), jnp.asarray(duration, y.dtype)
         thrust = self.actuator(command)
         middle = y + duration / 2 * self._velocity(t, y, thrust)
         return y + duration * self._velocity(t + duration / 2, middle, thrust)
 
-    def _velocity(self, t, x, thrust):
+    def _velocity(self, t: Scalar, x: Planar, thrust: Planar) -> Planar:
         rates = self.table(t, x)
         return rates[:2] + rates[2:].reshape(2, 2) @ thrust
 
@@ -108,7 +103,7 @@ class Drifting(AbstractPredictor):
 
     predictor: AbstractPredictor
 
-    def step(self, t, y, command, duration):
+    def step(self, t: Scalar, y: State, command: Command, duration: Scalar) -> State:
         state, drift = y[:-2], y[-2:]
         half = jnp.asarray(duration, y.dtype) / 2 * drift
         state = state.at[-2:].add(half)
@@ -150,9 +145,7 @@ class ControlMap(eqx.Module):
             )
         return cls(float(frequencies[best]), limits, actuator)
 
-    def command(
-        self, control: Float[Array, "2"], previous: Float[Array, "2"], duration: Scalar
-    ) -> Float[Array, "2"]:
+    def command(self, control: Planar, previous: Command, duration: Scalar) -> Command:
         """The allowed command for a control, `duration` [T] after the previous one."""
         length = jnp.sqrt(control @ control + 1e-12)
         idle = control @ control < 1e-12  # where the heading has no derivative
@@ -183,7 +176,7 @@ def within_disc(controls: Float[Array, "*many 2"]) -> Float[Array, "*many 2"]:
     return controls / jnp.maximum(length, 1.0)
 
 
-def _solve(matrix, vector):
+def _solve(matrix: Float[Array, "2 2"], vector: Planar) -> Planar:
     """Solution of two linear equations."""
     a, b, c, d = matrix[0, 0], matrix[0, 1], matrix[1, 0], matrix[1, 1]
     x, y = vector[0], vector[1]

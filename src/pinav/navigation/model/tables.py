@@ -4,15 +4,15 @@ A plan asks for the force at millions of points and a controller at thousands of
 in every step; a table answers at the same price whatever the model is.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
-from pinav.arguments import Scalar
+from pinav.arguments import Planar, Scalar
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.navigation.task.steering import HeldThrust, SteeredSwimmer
@@ -28,8 +28,8 @@ class Grid(eqx.Module):
         shape: how many points along x and y.
     """
 
-    lower: Float[Array, "2"]
-    spacing: Float[Array, "2"]
+    lower: Planar
+    spacing: Planar
     shape: tuple[int, int] = eqx.field(static=True)
 
     @classmethod
@@ -59,7 +59,7 @@ class Grid(eqx.Module):
         steps = jnp.stack(jnp.meshgrid(*along, indexing="ij"), axis=-1)
         return self.lower[None, None] + steps * self.spacing[None, None]
 
-    def coordinates(self, x: Float[Array, "2"]) -> Float[Array, "2"]:
+    def coordinates(self, x: Planar) -> Planar:
         """Where a position [L] is, counted in cells from the first point."""
         return (x - self.lower) / self.spacing.astype(x.dtype)
 
@@ -87,7 +87,7 @@ class FieldTable(eqx.Module):
     start: Scalar = 0.0
     interval: Scalar = 1.0
 
-    def __call__(self, t: Scalar, x: Float[Array, "2"]) -> Float[Array, " channel"]:
+    def __call__(self, t: Scalar, x: Planar) -> Float[Array, " channel"]:
         """Values at time `t` [T] and position `x` [L]."""
         most = jnp.asarray(self.grid.shape, x.dtype)
         place = jnp.clip(self.grid.coordinates(x), 1.0, most - 2.0)
@@ -97,7 +97,7 @@ class FieldTable(eqx.Module):
         weights = across[:, None] * along[None, :]
         return jnp.tensordot(weights, self._block(t, corner), 2)
 
-    def _block(self, t, corner):
+    def _block(self, t: Scalar, corner: Int[Array, "2"]) -> Float[Array, "4 4 channel"]:
         """The four by four values around a place, at one time."""
         count, channels = self.values.shape[0], self.values.shape[-1]
         shape = (min(count, 2), 4, 4, channels)
@@ -111,7 +111,7 @@ class FieldTable(eqx.Module):
         return block[0] + weight * (block[1] - block[0])
 
 
-def _cubic_weights(s):
+def _cubic_weights(s: Float[Array, ""]) -> Float[Array, "4"]:
     """Weights of four neighbours for a place between the inner two."""
     return 0.5 * jnp.stack(
         [
@@ -149,26 +149,32 @@ def tabulate(
     return FieldTable(grid, jnp.asarray(values), float(times[0]), interval)
 
 
-def _rates(dynamics, t, x):
+def _rates(
+    dynamics: Swimmer | OverdampedSwimmer, t: Scalar, x: Planar
+) -> Float[Array, " channel"]:
     """Acceleration at rest, and minus its change by a unit of velocity."""
     swimmer = _with_thrust(dynamics, jnp.zeros_like(x))
 
-    def acceleration(v):
+    def acceleration(v: Planar) -> Planar:
         return swimmer(t, jnp.concatenate([x, v]))[2:]
 
     return _linear(acceleration, -jnp.ones((), x.dtype), x)
 
 
-def _velocities(dynamics, t, x):
+def _velocities(
+    dynamics: Swimmer | OverdampedSwimmer, t: Scalar, x: Planar
+) -> Float[Array, " channel"]:
     """Velocity without thrust, and its change by a unit of thrust."""
 
-    def velocity(thrust):
+    def velocity(thrust: Planar) -> Planar:
         return _with_thrust(dynamics, thrust)(t, x)
 
     return _linear(velocity, jnp.ones((), x.dtype), x)
 
 
-def _linear(function, sign, x):
+def _linear(
+    function: Callable[[Planar], Planar], sign: Scalar, x: Planar
+) -> Float[Array, " channel"]:
     """Value at zero and signed matrix of a function that is linear.
 
     By two evaluations, not by a derivative: XLA 0.10 compiles the derivative of many
@@ -179,11 +185,13 @@ def _linear(function, sign, x):
     return jnp.concatenate([zero, (sign * jnp.stack(columns, axis=1)).ravel()])
 
 
-def _with_thrust(dynamics: Swimmer | OverdampedSwimmer, thrust: Float[Array, "2"]):
+def _with_thrust(
+    dynamics: Swimmer | OverdampedSwimmer, thrust: Planar
+) -> Swimmer | OverdampedSwimmer:
     return eqx.tree_at(lambda swimmer: swimmer.propulsion, dynamics, HeldThrust(thrust))
 
 
-def _check_finite(values, grid):
+def _check_finite(values: Float[np.ndarray, "time x y channel"], grid: Grid) -> None:
     bad = np.argwhere(~np.isfinite(values).all(axis=(0, 3)))
     if len(bad):
         x, y = np.asarray(grid.points[tuple(bad[0])])

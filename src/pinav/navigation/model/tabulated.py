@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from pinav.dynamics import Swimmer
 from pinav.navigation.model.predictors import ControlMap, InertialTable, OverdampedTable
@@ -99,7 +100,9 @@ def noise_margin(task: Task) -> float:
     return 3 * math.hypot(task.noise * noise, task.sensor_noise) + 0.1
 
 
-def _greatest_rate(table, drive, *, inertial):
+def _greatest_rate(
+    table: FieldTable, drive: ControlMap, *, inertial: bool
+) -> Float[Array, ""]:
     """Greatest acceleration, or velocity, that thrust gives."""
     thrusts = drive.thrusts(HEADINGS)
     if not inertial:

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from pinav.arguments import Scalar
+from pinav.arguments import Planar, Scalar
 from pinav.navigation.model.tables import FieldTable
 from pinav.navigation.task.zones import AbstractZone, Rectangle, clearance
 
@@ -33,26 +33,23 @@ class TimeCost(eqx.Module):
     spread: FieldTable | None = None
     risk_aversion: float = 0.0
 
-    def clearance(self, x: Float[Array, "2"]) -> Float[Array, ""]:
+    def clearance(self, x: Planar) -> Float[Array, ""]:
         """Distance from the nearest forbidden place [L]."""
         return clearance(x, self.keep_out, self.arena)
 
-    def running_cost(self, t: Scalar, x: Float[Array, "2"]) -> Float[Array, ""]:
+    def running_cost(self, t: Scalar, x: Planar) -> Float[Array, ""]:
         """Cost of a unit of time, at time `t` [T] and position `x` [L]."""
         lack = jnp.maximum(0.0, 1 - self.clearance(x) / self.margin)
         return 1 + self.steepness * lack**2 + self._risk(t, x)
 
-    def _risk(self, t, x):
+    def _risk(self, t: Scalar, x: Planar) -> Float[Array, ""]:
         if self.spread is None or self.risk_aversion == 0:
             return jnp.zeros((), x.dtype)
         return self.risk_aversion * self.spread(t, x)[0] ** 2
 
 
 def entry_fraction(
-    x: Float[Array, "2"],
-    displacement: Float[Array, "2"],
-    goal: Float[Array, "2"],
-    tolerance: Scalar,
+    x: Planar, displacement: Planar, goal: Planar, tolerance: Scalar
 ) -> Float[Array, ""]:
     """Fraction of a straight step after which it enters a disc; infinite if never.
 

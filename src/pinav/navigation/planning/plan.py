@@ -1,6 +1,7 @@
 r"""The global plan: how long it takes to the goal from anywhere, and the way there."""
 
 import math
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -8,21 +9,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from pinav.arguments import Scalar
+from pinav.arguments import Planar, Scalar, State
 from pinav.errors import InputError
 from pinav.navigation.model.predictors import AbstractPredictor, InertialTable
-from pinav.navigation.model.tables import Grid
+from pinav.navigation.model.tables import FieldTable, Grid
 from pinav.navigation.model.tabulated import TabulatedModel, tabulate_model
 from pinav.navigation.model.time_cost import entry_fraction
 from pinav.navigation.planning.value_iteration import (
     ArrivalTest,
+    Sweep,
     iterate_sweeps,
     phase_sweep,
     position_sweep,
     sweep_back,
 )
 from pinav.navigation.task.objectives import ReachGoal
-from pinav.navigation.task.steering import SteeredSwimmer
+from pinav.navigation.task.steering import Command, SteeredSwimmer
 from pinav.navigation.task.task import Task
 
 HEADINGS = 24
@@ -70,17 +72,17 @@ class TimeToGo(eqx.Module):
     """
 
     values: Float[Array, "moment ..."]
-    lower: Float[Array, " state"]
-    spacing: Float[Array, " state"]
+    lower: State
+    spacing: State
     scale: Float[Array, ""]
     interval: float
     horizon: float = eqx.field(static=True)
     step: float = eqx.field(static=True)
     tables: TabulatedModel
-    goal: Float[Array, "2"]
+    goal: Planar
     tolerance: Float[Array, ""]
 
-    def at(self, y: Float[Array, " state"], t: Scalar = 0.0) -> Float[Array, ""]:
+    def at(self, y: State, t: Scalar = 0.0) -> Float[Array, ""]:
         """Cost-to-go [T] from the state `y` at time `t` [T]: great out of reach.
 
         It is the time-to-go where walls are far and the model is certain. A state may
@@ -110,12 +112,8 @@ class TimeToGo(eqx.Module):
         return self.map > self.horizon
 
     def control(
-        self,
-        t: Scalar,
-        y: Float[Array, " state"],
-        previous: Float[Array, "2"],
-        predictor: AbstractPredictor,
-    ) -> Float[Array, "2"]:
+        self, t: Scalar, y: State, previous: Command, predictor: AbstractPredictor
+    ) -> Planar:
         """Direction of the greatest thrust after which the goal is nearest in time.
 
         Args:
@@ -126,14 +124,14 @@ class TimeToGo(eqx.Module):
         """
         controls = self.tables.control_map.controls(HEADINGS)
 
-        def after(control):
+        def after(control: Planar) -> Float[Array, ""]:
             command = self.tables.control_map.command(control, previous, self.step)
             ahead = predictor.step(t, y, command, self.step)
             return self.at(ahead, jnp.asarray(t) + self.step)
 
         return controls[jnp.argmin(jax.vmap(after)(controls))]
 
-    def route(self, start: Float[Array, " state"], step: float = 0.1) -> Route:
+    def route(self, start: State, step: float = 0.1) -> Route:
         """The way from a state on the model, without noise and delay.
 
         Args:
@@ -147,7 +145,9 @@ FLOOR = 1e-30
 """Least value: about seventy scales of time."""
 
 
-def _interpolate(values, place):
+def _interpolate(
+    values: Float[Array, "*lattice"], place: Float[Array, " axis"]
+) -> Float[Array, ""]:
     """Linear in every coordinate, counted in cells; constant beyond the lattice."""
     most = jnp.asarray(values.shape, place.dtype)
     place = jnp.clip(place, 0.0, most - 1)
@@ -159,10 +159,12 @@ def _interpolate(values, place):
 
 
 @eqx.filter_jit
-def _route(plan, start, step, count):
+def _route(plan: TimeToGo, start: State, step: float, count: int) -> Route:
     tables = plan.tables
 
-    def move(state, t):
+    def move(
+        state: tuple[State, Command, Float[Array, ""]], t: Float[Array, ""]
+    ) -> tuple[tuple[State, Command, Float[Array, ""]], State]:
         y, previous, arrived = state
         control = plan.control(t, y, previous, tables.predictor)
         command = tables.control_map.command(control, previous, step)
@@ -211,7 +213,8 @@ def time_to_go(
     inertial = isinstance(tables.predictor, InertialTable)
     count = (41 if inertial else 101) if points is None else points
     grid = Grid.over(task.arena, count)
-    arrival = _arrival(task, tables, grid, PHASE_HEADINGS if inertial else HEADINGS)
+    headings = PHASE_HEADINGS if inertial else HEADINGS
+    arrival = _arrival(task.objective, task.time_limit, tables, grid, headings)
     if inertial:
         plan = _phase_plan(task, tables, arrival, grid, speeds)
     else:
@@ -253,19 +256,27 @@ def check_reachable(task: Task, plan: TimeToGo) -> None:
         )
 
 
-def _arrival(task, tables, grid, headings):
+def _arrival(
+    objective: ReachGoal,
+    time_limit: float,
+    tables: TabulatedModel,
+    grid: Grid,
+    headings: int,
+) -> ArrivalTest:
     """The goal: not smaller than the grid can show."""
-    tolerance = max(float(task.objective.tolerance), float(jnp.max(grid.spacing)) / 4)
+    tolerance = max(float(objective.tolerance), float(jnp.max(grid.spacing)) / 4)
     return ArrivalTest(
-        task.objective.goal,
+        objective.goal,
         jnp.asarray(tolerance),
         tables.time_cost,
         tables.control_map.thrusts(headings),
-        jnp.asarray(task.time_limit / 2),
+        jnp.asarray(time_limit / 2),
     )
 
 
-def _position_plan(task, tables, arrival, grid):
+def _position_plan(
+    task: Task, tables: TabulatedModel, arrival: ArrivalTest, grid: Grid
+) -> TimeToGo:
     speeds = _speeds(tables.table, arrival.thrusts, grid)
     speeds = jnp.maximum(speeds, SLOWEST * jnp.max(speeds))
     steps = CELLS * float(jnp.min(grid.spacing)) / speeds
@@ -279,20 +290,33 @@ def _position_plan(task, tables, arrival, grid):
 
 
 @eqx.filter_jit
-def _positions(table, arrival, grid, steps, times):
-    def sweep_at(t):
+def _positions(
+    table: FieldTable,
+    arrival: ArrivalTest,
+    grid: Grid,
+    steps: Float[Array, "x y heading"],
+    times: Float[Array, " moment"] | None,
+) -> Float[Array, "moment x y"]:
+    def sweep_at(t: Scalar) -> Sweep:
         return position_sweep(table, arrival, grid, t, steps)
 
     return _settle(sweep_at, grid.shape, 20 * max(grid.shape), times)
 
 
-def _sweep_times(task, tables, step):
+def _sweep_times(
+    task: Task, tables: TabulatedModel, step: float
+) -> Float[Array, " moment"] | None:
     """When a plan is swept, as far apart as its steps; None for a steady model."""
     steady = tables.table.values.shape[0] == 1
     return None if steady else jnp.arange(0.0, task.time_limit, step)
 
 
-def _settle(sweep_at, shape, most, times):
+def _settle(
+    sweep_at: Callable[[Scalar], Sweep],
+    shape: tuple[int, ...],
+    most: int,
+    times: Float[Array, " moment"] | None,
+) -> Float[Array, "moment ..."]:
     """Values at each time; at one time, after `most` sweeps, for a steady model."""
     if times is None:
         return iterate_sweeps(sweep_at(0.0), shape, most, SETTLED)[None]
@@ -308,18 +332,22 @@ SLOWEST = 0.2
 
 
 @eqx.filter_jit
-def _speeds(table, thrusts, grid):
+def _speeds(
+    table: FieldTable, thrusts: Float[Array, "heading 2"], grid: Grid
+) -> Float[Array, "x y heading"]:
     """Speed at each point of a grid in each direction of the thrust [L T⁻¹]."""
 
-    def fast(x):
+    def speeds(x: Planar) -> Float[Array, " heading"]:
         rates = table(0.0, x)
         velocities = rates[None, :2] + thrusts @ rates[2:].reshape(2, 2).T
         return jnp.linalg.norm(velocities, axis=1)
 
-    return jax.vmap(jax.vmap(fast))(grid.points)
+    return jax.vmap(jax.vmap(speeds))(grid.points)
 
 
-def _phase_plan(task, tables, arrival, grid, speeds):
+def _phase_plan(
+    task: Task, tables: TabulatedModel, arrival: ArrivalTest, grid: Grid, speeds: int
+) -> TimeToGo:
     top = _top_speed(task, tables, arrival)
     velocities = jnp.linspace(-top, top, speeds)
     width = float(velocities[1] - velocities[0])
@@ -333,17 +361,24 @@ def _phase_plan(task, tables, arrival, grid, speeds):
 
 
 @eqx.filter_jit
-def _phases(table, arrival, grid, velocities, steps, times):
+def _phases(
+    table: FieldTable,
+    arrival: ArrivalTest,
+    grid: Grid,
+    velocities: Float[Array, " velocity"],
+    steps: tuple[float, int],
+    times: Float[Array, " moment"] | None,
+) -> Float[Array, "moment velocity velocity x y"]:
     step, most = steps
     shape = (velocities.shape[0], velocities.shape[0], *grid.shape)
 
-    def sweep_at(t):
+    def sweep_at(t: Scalar) -> Sweep:
         return phase_sweep(table, arrival, grid, t, velocities, step)
 
     return _settle(sweep_at, shape, most, times)
 
 
-def _top_speed(task, tables, arrival):
+def _top_speed(task: Task, tables: TabulatedModel, arrival: ArrivalTest) -> float:
     """Speed that the plan has to know: where thrust and mean force meet the drag."""
     values = tables.table.values
     thrust = float(jnp.max(jnp.linalg.norm(arrival.thrusts, axis=1)))
@@ -355,7 +390,14 @@ def _top_speed(task, tables, arrival):
     return max(min(terminal, longest), float(jnp.linalg.norm(task.start[2:4])))
 
 
-def _assemble(task, tables, arrival, values, lattice, step):
+def _assemble(
+    task: Task,
+    tables: TabulatedModel,
+    arrival: ArrivalTest,
+    values: Float[Array, "moment ..."],
+    lattice: tuple[State, State],
+    step: float,
+) -> TimeToGo:
     return TimeToGo(
         values,
         *lattice,

@@ -22,12 +22,21 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from pinav.arguments import Scalar
+from pinav.arguments import Planar, Scalar
 from pinav.navigation.model.tables import FieldTable, Grid
 from pinav.navigation.model.time_cost import TimeCost, entry_fraction
 
 PROBES = 5
 """Places along a step at which walls are looked for, its end included."""
+
+Values = Float[Array, "*lattice"]
+"""The unknown U at the points of a lattice."""
+
+PhaseValues = Float[Array, "vx vy x y"]
+"""The same over velocities and positions."""
+
+Sweep = Callable[[Values], Values]
+"""From values to better ones, one step earlier."""
 
 
 class ArrivalTest(eqx.Module):
@@ -41,18 +50,14 @@ class ArrivalTest(eqx.Module):
         scale: of the transform [T].
     """
 
-    goal: Float[Array, "2"]
+    goal: Planar
     tolerance: Float[Array, ""]
     time_cost: TimeCost
     thrusts: Float[Array, "heading 2"]
     scale: Float[Array, ""]
 
     def leg(
-        self,
-        t: Scalar,
-        x: Float[Array, "2"],
-        displacement: Float[Array, "2"],
-        h: Scalar,
+        self, t: Scalar, x: Planar, displacement: Planar, h: Scalar
     ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
         """Discount of a straight step, and whether it ends in the goal.
 
@@ -103,7 +108,7 @@ class Corners(eqx.Module):
         )
 
     def interpolate(
-        self, values: Float[Array, "*lattice"], behind: tuple[Any, ...] = ()
+        self, values: Values, behind: tuple[Any, ...] = ()
     ) -> Float[Array, "*many"]:
         """Values at the places; `behind` are indices of the axes behind these."""
         total = jnp.zeros((), values.dtype)
@@ -114,9 +119,6 @@ class Corners(eqx.Module):
                 weight = weight * (fraction if k else 1 - fraction)
             total = total + weight * values[(*index, *behind)]
         return total
-
-
-Sweep = Callable[[Float[Array, "*lattice"]], Float[Array, "*lattice"]]
 
 
 def position_sweep(
@@ -136,7 +138,9 @@ def position_sweep(
         steps: how long the step from each point in each direction is [T].
     """
 
-    def look(x, h, thrust):
+    def look(
+        x: Planar, h: Scalar, thrust: Planar
+    ) -> tuple[Float[Array, ""], Bool[Array, ""], Planar]:
         rates = table(t, x)
         displacement = h * (rates[:2] + rates[2:].reshape(2, 2) @ thrust)
         discount, arrives = arrival.leg(t, x, displacement, h)
@@ -148,7 +152,7 @@ def position_sweep(
     discount = discount.astype(jnp.float32)
     corners = Corners.of((feet[..., 0], feet[..., 1]), grid.shape)
 
-    def sweep(values):
+    def sweep(values: Values) -> Values:
         onward = jnp.where(arrives, 1.0, corners.interpolate(values))
         return jnp.max(discount * onward.astype(jnp.float32), axis=-1)
 
@@ -181,13 +185,19 @@ def phase_sweep(
     width = velocities[1] - velocities[0]
     shifts = arrival.thrusts * impulse / width
 
-    def sweep(values):
-        return kick(_thrust(coast(values), shifts))
+    def sweep(values: Values) -> Values:
+        return kick(_best_thrust(coast(values), shifts))
 
     return sweep
 
 
-def _kicks(table, grid, t, velocities, h):
+def _kicks(
+    table: FieldTable,
+    grid: Grid,
+    t: Scalar,
+    velocities: Float[Array, " velocity"],
+    h: Scalar,
+) -> tuple[Sweep, Scalar]:
     """The change of velocity by force and drag, and that by a unit of thrust."""
     count = velocities.shape[0]
     v = jnp.stack(jnp.meshgrid(velocities, velocities, indexing="ij"), axis=-1)
@@ -204,17 +214,25 @@ def _kicks(table, grid, t, velocities, h):
     return lambda values: corners.interpolate(values, behind), impulse
 
 
-def _decay(exponent):
+def _decay(exponent: Float[Array, "x y 2 2"]) -> Float[Array, "x y 2 2"]:
     """Padé's approximation of exp(-A) for many 2 x 2 matrices."""
     identity = jnp.eye(2)[None, None]
     even = identity + exponent @ exponent / 12
     return jnp.linalg.solve(even + exponent / 2, even - exponent / 2)
 
 
-def _coast(grid, arrival, t, velocities, h):
+def _coast(
+    grid: Grid,
+    arrival: ArrivalTest,
+    t: Scalar,
+    velocities: Float[Array, " velocity"],
+    h: Scalar,
+) -> Sweep:
     """The way at constant velocity, separately along x and y, and its discount."""
 
-    def leg(x, vx, vy):
+    def leg(
+        x: Planar, vx: Scalar, vy: Scalar
+    ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
         return arrival.leg(t, x, h * jnp.stack([vx, vy]), h)
 
     each = jax.vmap(jax.vmap(leg, (0, None, None)), (0, None, None))
@@ -232,7 +250,7 @@ def _coast(grid, arrival, t, velocities, h):
         for n, spacing in zip(grid.shape, grid.spacing, strict=True)
     ]
 
-    def coast(values):
+    def coast(values: PhaseValues) -> PhaseValues:
         moved = _rows(along[0], jnp.transpose(values, (0, 2, 1, 3)))  # vx, x, vy, y
         moved = _rows(along[1], jnp.transpose(moved, (2, 3, 0, 1)))  # vy, y, vx, x
         moved = jnp.transpose(moved, (2, 0, 3, 1))
@@ -241,7 +259,9 @@ def _coast(grid, arrival, t, velocities, h):
     return coast
 
 
-def _rows(corners, values):
+def _rows(
+    corners: Corners, values: Float[Array, "velocity place across along"]
+) -> Float[Array, "velocity place across along"]:
     """Rows of each table at its own places between rows."""
     cell, fraction = corners.cell[0], corners.fractions[0]
     fraction = fraction[..., None, None]
@@ -250,7 +270,7 @@ def _rows(corners, values):
     return lower + fraction * (upper - lower)
 
 
-def _thrust(values, shifts):
+def _best_thrust(values: PhaseValues, shifts: Float[Array, "heading 2"]) -> PhaseValues:
     """The best value that one thrust, of less than a cell, leads to.
 
     All directions in one loop over the nine neighbours, which a compiler can vectorise.
@@ -276,7 +296,7 @@ def _thrust(values, shifts):
 
 def iterate_sweeps(
     sweep: Sweep, shape: tuple[int, ...], most: int, tolerance: float
-) -> Float[Array, "*lattice"]:
+) -> Values:
     """Values that a sweep no longer changes by more than `tolerance`.
 
     Args:
@@ -286,14 +306,20 @@ def iterate_sweeps(
         tolerance: greatest change.
     """
 
-    def again(state):
+    def improve(
+        state: tuple[Values, Float[Array, ""], Int[Array, ""]],
+    ) -> tuple[Values, Float[Array, ""], Int[Array, ""]]:
         values, _change, count = state
         new = sweep(values)
         return new, jnp.max(jnp.abs(new - values)), count + 1
 
-    begin = (jnp.zeros(shape, jnp.float32), jnp.ones((), jnp.float32), 0)
+    begin = (
+        jnp.zeros(shape, jnp.float32),
+        jnp.ones((), jnp.float32),
+        jnp.zeros((), int),
+    )
     return jax.lax.while_loop(
-        lambda state: (state[1] > tolerance) & (state[2] < most), again, begin
+        lambda state: (state[1] > tolerance) & (state[2] < most), improve, begin
     )[0]
 
 
@@ -310,7 +336,7 @@ def sweep_back(
         shape: of the lattice.
     """
 
-    def earlier(values, t):
+    def earlier(values: Values, t: Float[Array, ""]) -> tuple[Values, Values]:
         values = sweep_at(t)(values)
         return values, values
 

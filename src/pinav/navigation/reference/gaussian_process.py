@@ -16,7 +16,7 @@ from scipy.signal import savgol_filter
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.forces import KernelForce
-from pinav.trajectories import Trajectories
+from pinav.trajectories import Trajectories, Trajectory
 
 WINDOW, ORDER = 7, 2
 """Samples and order of the polynomials whose slopes are the rates."""
@@ -54,7 +54,7 @@ def gaussian_process(
     slope = jax.jit(jax.value_and_grad(_negative_log_likelihood))
     given = jnp.asarray(squares), jnp.asarray(residuals)
 
-    def objective(logs):
+    def objective(logs: Float[np.ndarray, "3"]) -> tuple[float, Float[np.ndarray, "3"]]:
         value, gradient = slope(jnp.asarray(logs), *given)
         return float(value), np.asarray(gradient)
 
@@ -67,7 +67,9 @@ def gaussian_process(
     return known.with_environment(KernelForce(weights, jnp.asarray(xs), width))
 
 
-def _residuals(known, trajectories):
+def _residuals(
+    known: Swimmer | OverdampedSwimmer, trajectories: Trajectories
+) -> tuple[Float[np.ndarray, "sample 2"], Float[np.ndarray, "sample 2"]]:
     """Positions, and the observed rate less that of known physics."""
     rate = eqx.filter_jit(eqx.filter_vmap(known.without_environment()))
     xs, residuals = [], []
@@ -82,7 +84,7 @@ def _residuals(known, trajectories):
     return np.concatenate(xs), np.concatenate(residuals)
 
 
-def _uniform_step(index, trajectory) -> float:
+def _uniform_step(index: int, trajectory: Trajectory) -> float:
     steps = np.diff(trajectory.times)
     even = len(steps) >= WINDOW + 1 and np.allclose(steps, steps[0], rtol=1e-6)
     if not even or not np.all(trajectory.observed):
@@ -101,7 +103,11 @@ def _covariance(
     return kernel + jnp.exp(2 * logs[2]) * jnp.eye(len(squares))
 
 
-def _negative_log_likelihood(logs, squares, residuals):
+def _negative_log_likelihood(
+    logs: Float[Array, "3"],
+    squares: Float[Array, "point point"],
+    residuals: Float[Array, "point 2"],
+) -> Float[Array, ""]:
     factor = jnp.linalg.cholesky(_covariance(logs, squares))
     white = jax.scipy.linalg.solve_triangular(factor, residuals, lower=True)
     log_det = jnp.sum(jnp.log(jnp.diagonal(factor)))

@@ -7,6 +7,7 @@ reference for controllers, on the true model and without noise. Needs the extra 
 import importlib
 import importlib.util
 import math
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -26,6 +27,9 @@ INTERVALS = 80
 
 DETOURS = (-0.5, -0.25, 0.0, 0.25, 0.5)
 """First guesses: arcs that leave the straight line by this fraction of its length."""
+
+Way = tuple[float, Float[np.ndarray, "time 4"], Float[np.ndarray, "interval 2"]]
+"""Time of arrival, states and thrusts of a local optimum."""
 
 
 class QuickestWay(eqx.Module):
@@ -143,7 +147,9 @@ def _step(rate: Any, y: Any, thrust: Any, h: Any) -> Any:
     return y + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
-def _program(casadi: Any, problem: _Problem, intervals: int):
+def _program(
+    casadi: Any, problem: _Problem, intervals: int
+) -> Callable[[float], Way | None]:
     """A function from a first guess to its local optimum, or None."""
     program = casadi.Opti()
     time = program.variable()
@@ -164,7 +170,7 @@ def _program(casadi: Any, problem: _Problem, intervals: int):
     quiet = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
     program.solver("ipopt", quiet, {"max_iter": 400})
 
-    def solve(detour: float):
+    def solve(detour: float) -> Way | None:
         guess = _arc(problem.start[:2], problem.goal, detour, intervals + 1)
         span = problem.longest / 2
         slope = np.gradient(guess, axis=0).T * intervals / span
@@ -181,7 +187,12 @@ def _program(casadi: Any, problem: _Problem, intervals: int):
     return solve
 
 
-def _arc(start, goal, detour, count):
+def _arc(
+    start: Float[np.ndarray, "2"],
+    goal: Float[np.ndarray, "2"],
+    detour: float,
+    count: int,
+) -> Float[np.ndarray, "point 2"]:
     """Points of a sine arc from start to goal."""
     parts = np.linspace(0.0, 1.0, count)[:, None]
     along = goal - start

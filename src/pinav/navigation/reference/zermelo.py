@@ -12,7 +12,7 @@ solved from every local approach of a fan of extremals. This says nothing of wal
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import equinox as eqx
 import jax
@@ -21,14 +21,14 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.optimize import root
 
-from pinav.arguments import Scalar
+from pinav.arguments import Planar, Scalar
 from pinav.dynamics import RK4, FixedStep
 from pinav.errors import FitError, InputError
 from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import direction, greatest_thrust
 from pinav.navigation.task.task import Task
 
-Current = Callable[[Float[Array, "2"]], Float[Array, "2"]]
+Current = Callable[[Planar], Planar]
 """Velocity of the fluid [L T⁻¹] at a position [L]."""
 
 FAN = 720
@@ -57,7 +57,7 @@ class Crossing(eqx.Module):
 
 
 def turning_rate(
-    current: Current, x: Float[Array, "2"], heading: Float[Array, ""]
+    current: Current, x: Planar, heading: Float[Array, ""]
 ) -> Float[Array, ""]:
     """Rate at which the heading of an extremal turns [rad T⁻¹].
 
@@ -78,8 +78,8 @@ def turning_rate(
 
 def quickest(
     current: Current,
-    start: Float[Array, "2"],
-    goal: Float[Array, "2"],
+    start: Planar,
+    goal: Planar,
     *,
     speed: float,
     longest: float,
@@ -112,7 +112,7 @@ def quickest(
     misses = np.linalg.norm(ends - np.asarray(goal), axis=-1)
     best = math.inf, math.nan
 
-    def miss(unknown):
+    def miss(unknown: Planar) -> Planar:
         y = extremal.until(unknown[0], unknown[1] * longest)[-1]
         return y[:2] + tolerance * direction(y[2]) - goal
 
@@ -163,7 +163,7 @@ class _Extremal(eqx.Module):
     """The extremal of a first heading: states (x, heading) over time."""
 
     current: Current
-    start: Float[Array, "2"]
+    start: Planar
     speed: float
     longest: float
 
@@ -176,13 +176,13 @@ class _Extremal(eqx.Module):
         first = jnp.append(self.start, heading)
         return FixedStep(RK4).solve(self._rate, first, ts)[0]
 
-    def _rate(self, t, y):
+    def _rate(self, t: Scalar, y: Float[Array, "3"]) -> Float[Array, "3"]:
         x, heading = y[:2], y[2]
         velocity = self.speed * direction(heading) + self.current(x)
         return jnp.append(velocity, turning_rate(self.current, x, heading))
 
 
-def _approaches(misses):
+def _approaches(misses: Float[np.ndarray, "heading time"]) -> Iterator[tuple[int, int]]:
     """Where in the fan the goal is missed by least, locally; the early ones first."""
     inner = misses[:, 1:-1]
     least = (inner <= misses[:, :-2]) & (inner <= misses[:, 2:])
@@ -193,7 +193,7 @@ def _approaches(misses):
     return zip(rows[order], columns[order] + 1, strict=True)
 
 
-def _crossing(extremal, time, heading) -> Crossing:
+def _crossing(extremal: _Extremal, time: float, heading: float) -> Crossing:
     states = np.asarray(eqx.filter_jit(extremal.until)(jnp.asarray(heading), time))
     ts = np.linspace(0.0, time, STEPS + 1)
     return Crossing(time, heading, ts, states[:, :2], states[:, 2])

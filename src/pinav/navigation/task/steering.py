@@ -14,12 +14,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from pinav.actuation import AbstractField, AbstractResponse, StepOutResponse
-from pinav.arguments import Scalar, check_positive
+from pinav.arguments import Planar, Scalar, State, Vector, check_positive
 from pinav.dynamics import RK4, FixedStep, OverdampedSwimmer, Swimmer
 from pinav.forces import AbstractForce
 
+Command = Float[Array, "2"]
+"""Frequency [cycles T⁻¹] and heading [rad]."""
 
-def direction(heading: Scalar) -> Float[Array, "2"]:
+
+def direction(heading: Scalar) -> Planar:
     r"""Unit vector $n(\theta)$ of a heading [rad]."""
     heading = jnp.asarray(heading)
     return jnp.stack([jnp.cos(heading), jnp.sin(heading)])
@@ -40,7 +43,7 @@ class SteeringField(AbstractField):
     frequency: Scalar
     heading: Scalar
 
-    def __call__(self, t):
+    def __call__(self, t: Scalar) -> Float[Array, "3"]:
         phase = 2 * math.pi * self.frequency * jnp.asarray(t)
         across = jnp.asarray(self.heading) - math.pi / 2
         planar = self.amplitude * jnp.sin(phase) * direction(across)
@@ -51,7 +54,7 @@ class AbstractActuator(eqx.Module):
     """What a command does to the swimmer."""
 
     @abc.abstractmethod
-    def __call__(self, command: Float[Array, "2"]) -> Float[Array, "2"]:
+    def __call__(self, command: Command) -> Planar:
         """Thrust [L T⁻²] of a command: a velocity [L T⁻¹] where mobility is 1."""
 
 
@@ -82,7 +85,7 @@ class HelicalActuator(AbstractActuator):
     amplitude: Scalar
     rotational_drag: Scalar
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_positive(self, "moment", "amplitude", "rotational_drag")
 
     @property
@@ -91,11 +94,11 @@ class HelicalActuator(AbstractActuator):
         torque = jnp.asarray(self.moment * self.amplitude)
         return torque / (2 * math.pi * self.rotational_drag)
 
-    def field(self, command: Float[Array, "2"]) -> SteeringField:
+    def field(self, command: Command) -> SteeringField:
         """The field that a command stands for."""
         return SteeringField(self.amplitude, command[0], command[1])
 
-    def __call__(self, command):
+    def __call__(self, command: Command) -> Planar:
         turning = StepOutResponse(self.step_out)(command[0])
         torque = 2 * math.pi * self.rotational_drag * turning
         return self.gain * torque * direction(command[1])
@@ -112,7 +115,7 @@ class RollingActuator(AbstractActuator):
     gain: Float[Array, "2 2"]
     response: AbstractResponse
 
-    def __call__(self, command):
+    def __call__(self, command: Command) -> Planar:
         return self.gain @ (self.response(command[0]) * direction(command[1]))
 
 
@@ -123,9 +126,9 @@ class HeldThrust(AbstractForce):
         thrust: [L T⁻²].
     """
 
-    thrust: Float[Array, "2"]
+    thrust: Planar
 
-    def __call__(self, t, x, v):
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return self.thrust.astype(x.dtype)
 
 
@@ -143,13 +146,11 @@ class SteeredSwimmer(eqx.Module):
     dynamics: Swimmer | OverdampedSwimmer
     actuator: AbstractActuator
 
-    def __call__(
-        self, t: Scalar, y: Float[Array, " state"], command: Float[Array, "2"]
-    ) -> Float[Array, " state"]:
+    def __call__(self, t: Scalar, y: State, command: Command) -> State:
         """Rate of change of the state `y` at time `t` [T] under a command."""
         return self.under(command)(t, y)
 
-    def under(self, command: Float[Array, "2"]) -> Swimmer | OverdampedSwimmer:
+    def under(self, command: Command) -> Swimmer | OverdampedSwimmer:
         """The dynamics while a command holds."""
         return self.with_propulsion(HeldThrust(self.actuator(command)))
 
@@ -158,13 +159,7 @@ class SteeredSwimmer(eqx.Module):
         # Not tree_at: the replaced propulsion may hold leaves under several names.
         return dataclasses.replace(self.dynamics, propulsion=thrust)
 
-    def step(
-        self,
-        t: Scalar,
-        y: Float[Array, " state"],
-        command: Float[Array, "2"],
-        duration: Scalar,
-    ) -> Float[Array, " state"]:
+    def step(self, t: Scalar, y: State, command: Command, duration: Scalar) -> State:
         """State after a command was held for `duration` [T]; one Runge-Kutta step."""
         swimmer = self.under(command)
         return FixedStep(RK4).looped_step(swimmer, y, t, t + jnp.asarray(duration))
@@ -194,12 +189,10 @@ class CommandLimits(eqx.Module):
     max_turning_rate: float = math.inf
     max_amplitude: float = math.inf
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_positive(self, "max_frequency", "max_turning_rate", "max_amplitude")
 
-    def clip(
-        self, command: Float[Array, "2"], previous: Float[Array, "2"], duration: Scalar
-    ) -> Float[Array, "2"]:
+    def clip(self, command: Command, previous: Command, duration: Scalar) -> Command:
         """The nearest allowed command after `previous` has held for `duration` [T]."""
         frequency = jnp.clip(command[0], 0.0, self.max_frequency)
         turn = jnp.mod(command[1] - previous[1] + math.pi, 2 * math.pi) - math.pi

@@ -1,8 +1,8 @@
 """What a navigation task is."""
 
 import equinox as eqx
-from jaxtyping import Array, Float
 
+from pinav.arguments import State
 from pinav.navigation.task.objectives import AbstractObjective
 from pinav.navigation.task.steering import CommandLimits, SteeredSwimmer
 from pinav.navigation.task.zones import AbstractZone, Rectangle
@@ -33,7 +33,7 @@ class Task(eqx.Module):
 
     name: str = eqx.field(static=True)
     truth: SteeredSwimmer
-    start: Float[Array, " state"]
+    start: State
     objective: AbstractObjective
     limits: CommandLimits
     arena: Rectangle

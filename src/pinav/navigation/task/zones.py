@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from pinav.arguments import Scalar, check_positive, point
+from pinav.arguments import Planar, Scalar, check_positive, point
 from pinav.errors import InputError
 
 
@@ -15,7 +15,7 @@ class AbstractZone(eqx.Module):
     """A region of the plane."""
 
     @abc.abstractmethod
-    def distance(self, x: Float[Array, "2"]) -> Float[Array, ""]:
+    def distance(self, x: Planar) -> Float[Array, ""]:
         """Signed distance from its edge [L]: negative inside."""
 
 
@@ -30,13 +30,13 @@ class Disc(AbstractZone):
         InputError: `center` is not a point in the plane, or `radius` a number <= 0.
     """
 
-    center: Float[Array, "2"] = eqx.field(converter=point("Disc.center", 2))
+    center: Planar = eqx.field(converter=point("Disc.center", 2))
     radius: Scalar
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_positive(self, "radius")
 
-    def distance(self, x):
+    def distance(self, x: Planar) -> Float[Array, ""]:
         return _length(x - self.center) - self.radius
 
 
@@ -52,14 +52,14 @@ class Wall(AbstractZone):
         InputError: an end is not a point in the plane, or `half_width` a number <= 0.
     """
 
-    start: Float[Array, "2"] = eqx.field(converter=point("Wall.start", 2))
-    end: Float[Array, "2"] = eqx.field(converter=point("Wall.end", 2))
+    start: Planar = eqx.field(converter=point("Wall.start", 2))
+    end: Planar = eqx.field(converter=point("Wall.end", 2))
     half_width: Scalar
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_positive(self, "half_width")
 
-    def distance(self, x):
+    def distance(self, x: Planar) -> Float[Array, ""]:
         along = self.end - self.start
         fraction = jnp.clip((x - self.start) @ along / (along @ along), 0.0, 1.0)
         return _length(x - self.start - fraction * along) - self.half_width
@@ -77,31 +77,31 @@ class Rectangle(AbstractZone):
             `upper`.
     """
 
-    lower: Float[Array, "2"] = eqx.field(converter=point("Rectangle.lower", 2))
-    upper: Float[Array, "2"] = eqx.field(converter=point("Rectangle.upper", 2))
+    lower: Planar = eqx.field(converter=point("Rectangle.lower", 2))
+    upper: Planar = eqx.field(converter=point("Rectangle.upper", 2))
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         lower, upper = self.lower, self.upper
         if not isinstance(lower, Tracer) and not bool(jnp.all(lower < upper)):
             raise InputError(
                 f"Rectangle: expected lower below upper, got {lower} and {upper}"
             )
 
-    def distance(self, x):
+    def distance(self, x: Planar) -> Float[Array, ""]:
         beyond = jnp.maximum(self.lower - x, x - self.upper)
         outside = _length(jnp.maximum(beyond, 0.0))
         return outside + jnp.minimum(jnp.max(beyond), 0.0)
 
 
 def clearance(
-    x: Float[Array, "2"], keep_out: tuple[AbstractZone, ...], arena: Rectangle
+    x: Planar, keep_out: tuple[AbstractZone, ...], arena: Rectangle
 ) -> Float[Array, ""]:
     """Distance from the nearest forbidden place [L]: negative inside of one."""
     distances = [zone.distance(x) for zone in keep_out]
     return jnp.min(jnp.stack([*distances, -arena.distance(x)]))
 
 
-def _length(offset):
+def _length(offset: Planar) -> Float[Array, ""]:
     """Length of a vector, with a gradient of zero where it vanishes."""
     square = offset @ offset
     positive = square > 0

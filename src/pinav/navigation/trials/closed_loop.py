@@ -18,12 +18,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, Int, PRNGKeyArray, Shaped
+from jaxtyping import Array, ArrayLike, Bool, Float, Int, PRNGKeyArray, PyTree, Shaped
 
-from pinav.arguments import Scalar
+from pinav.arguments import Planar, Scalar, State
 from pinav.dynamics import RK4, FixedStep
-from pinav.navigation.control.controller import AbstractController, Observation
-from pinav.navigation.task.steering import SteeredSwimmer
+from pinav.navigation.control.controller import AbstractController, Memory, Observation
+from pinav.navigation.task.steering import Command, SteeredSwimmer
 from pinav.navigation.task.task import Task
 from pinav.navigation.task.zones import clearance
 
@@ -45,7 +45,7 @@ class Situation(eqx.Module):
     """
 
     step: Int[Array, ""]
-    state: Float[Array, " state"]
+    state: State
     pending: Float[Array, "command 2"]
     reached: Bool[Array, ""]
     violated: Bool[Array, ""]
@@ -55,6 +55,10 @@ class Situation(eqx.Module):
     def ended(self, task: Task) -> Bool[Array, ""]:
         """Whether the episode is over."""
         return self.reached | self.violated | (self.step >= control_steps(task))
+
+
+_Carry = tuple[Situation, PyTree, Float[Array, "time state"], Float[Array, "control 2"]]
+"""Situation, memory of the controller, states and commands of an episode so far."""
 
 
 class Episodes(eqx.Module):
@@ -151,9 +155,9 @@ def advance(
     task: Task,
     truth: SteeredSwimmer,
     situation: Situation,
-    command: Float[Array, "2"],
+    command: Command,
     key: PRNGKeyArray,
-) -> tuple[Situation, Float[Array, "2"]]:
+) -> tuple[Situation, Planar]:
     """One control step of the true swimmer.
 
     Args:
@@ -175,7 +179,9 @@ def advance(
     times = start + jnp.cumsum(durations) - durations
     kicks = _kicks(task, durations, key, state)
 
-    def substep(now, inputs):
+    def substep(
+        now: Situation, inputs: tuple[Int[Array, ""], Scalar, Scalar, State]
+    ) -> tuple[Situation, None]:
         row, t, duration, kick = inputs
         held = truth.under(queue[row])
         later = FixedStep(RK4).step(held, now.state, t, t + duration) + kick
@@ -251,7 +257,12 @@ def run_many(
 
 
 @eqx.filter_jit
-def _decide(controller, observation, memory, key):
+def _decide(
+    controller: AbstractController[Memory],
+    observation: Observation,
+    memory: Memory,
+    key: PRNGKeyArray,
+) -> tuple[Command, Memory]:
     return controller(observation, memory, key=key)
 
 
@@ -260,11 +271,20 @@ _advance = eqx.filter_jit(advance)
 
 
 @eqx.filter_jit
-def _episodes(task, controller, truth, keys):
+def _episodes(
+    task: Task,
+    controller: AbstractController,
+    truth: SteeredSwimmer,
+    keys: Shaped[PRNGKeyArray, " episode"],
+) -> tuple[
+    Situation, Float[Array, "episode time state"], Float[Array, "episode control 2"]
+]:
     return jax.lax.map(partial(_episode, task, controller, truth), keys)
 
 
-def _episode(task, controller, truth, key):
+def _episode(
+    task: Task, controller: AbstractController, truth: SteeredSwimmer, key: PRNGKeyArray
+) -> tuple[Situation, Float[Array, "time state"], Float[Array, "control 2"]]:
     """Last situation, states and commands of one run."""
     count, first = control_steps(task), begin(task)
     seen = observe(task, first, _step_keys(key, first.step)[0])
@@ -272,10 +292,10 @@ def _episode(task, controller, truth, key):
     states = jnp.tile(first.state[None], (count + 1, 1))
     commands = jnp.tile(first.pending[-1:], (count, 1))
 
-    def goes_on(carry):
+    def goes_on(carry: _Carry) -> Bool[Array, ""]:
         return ~carry[0].ended(task)
 
-    def step(carry):
+    def step(carry: _Carry) -> _Carry:
         now, memory, states, commands = carry
         sensing, deciding, moving = _step_keys(key, now.step)
         seen = observe(task, now, sensing)
@@ -292,11 +312,7 @@ def _episode(task, controller, truth, key):
 
 
 def _judge(
-    task: Task,
-    now: Situation,
-    state: Float[Array, " state"],
-    t: Scalar,
-    duration: Scalar,
+    task: Task, now: Situation, state: State, t: Scalar, duration: Scalar
 ) -> Situation:
     """The situation with a new state; nothing changes once an episode has ended."""
     over = now.reached | now.violated
@@ -317,14 +333,16 @@ def _judge(
     return jax.tree.map(lambda old, new: jnp.where(over, old, new), now, later)
 
 
-def _fraction_before(before, task, state):
+def _fraction_before(before: Scalar, task: Task, state: State) -> Float[Array, ""]:
     """Fraction of a short step after which the task was done."""
     gain = before - task.objective.distance(state[:2])
     crossing = before / jnp.where(gain > 0, gain, 1.0)
     return jnp.where(gain > 0, jnp.clip(crossing, 0.0, 1.0), 1.0)
 
 
-def _kicks(task, durations, key, state):
+def _kicks(
+    task: Task, durations: Float[Array, " part"], key: PRNGKeyArray, state: State
+) -> Float[Array, "part state"]:
     """White noise of every short step: of the velocity where there is inertia."""
     numbers = jax.random.normal(key, (durations.shape[0], state.shape[0]), state.dtype)
     moved = jnp.arange(state.shape[0]) >= state.shape[0] - 2
@@ -353,5 +371,5 @@ def _parts(task: Task) -> tuple[Int[Array, " part"], Float[Array, " part"]]:
     return jnp.asarray(rows), jnp.asarray(durations, float)
 
 
-def _step_keys(key, step):
+def _step_keys(key: PRNGKeyArray, step: Int[Array, ""]) -> Shaped[PRNGKeyArray, "3"]:
     return jax.random.split(jax.random.fold_in(key, step), 3)

@@ -14,10 +14,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from gymnasium.spaces import Box
-from jaxtyping import Float32, PRNGKeyArray
+from jaxtyping import Array, Float, Float32, PRNGKeyArray
 
 from pinav.errors import InputError
-from pinav.navigation.task.steering import SteeredSwimmer
+from pinav.navigation.task.steering import Command, SteeredSwimmer
 from pinav.navigation.task.task import Task
 from pinav.navigation.trials.closed_loop import (
     Situation,
@@ -51,7 +51,7 @@ class NavigationEnv(gymnasium.Env):
         InputError: the action is not a pair of numbers, or `step` comes before `reset`.
     """
 
-    def __init__(self, task: Task, *, truth: SteeredSwimmer | None = None):
+    def __init__(self, task: Task, *, truth: SteeredSwimmer | None = None) -> None:
         self.task = task
         self.truth = task.truth if truth is None else truth
         self.action_space = Box(-1.0, 1.0, (2,), np.float32)
@@ -68,7 +68,7 @@ class NavigationEnv(gymnasium.Env):
         gymnasium.Env.reset(self, seed=seed, options=options)
         self._key = jax.random.key(int(self.np_random.integers(2**31)))
         self._situation = begin(self.task)
-        return self._seen(self._situation), self._info(self._situation)
+        return self._observation(self._situation), self._info(self._situation)
 
     def step(
         self, action: Any
@@ -86,15 +86,15 @@ class NavigationEnv(gymnasium.Env):
         ended = bool(now.reached | now.violated)
         truncated = not ended and int(now.step) >= control_steps(self.task)
         reward = float(_reward(self.task, before, now))
-        return self._seen(now), reward, ended, truncated, self._info(now)
+        return self._observation(now), reward, ended, truncated, self._info(now)
 
-    def _seen(self, situation):
+    def _observation(self, situation: Situation) -> Float32[np.ndarray, " observation"]:
         if self._key is None:
             raise InputError("NavigationEnv: no episode has begun; call reset()")
         sensing = jax.random.split(jax.random.fold_in(self._key, situation.step), 3)[0]
         return np.array(_features(self.task, situation, sensing), np.float32)
 
-    def _info(self, situation) -> dict[str, float | bool]:
+    def _info(self, situation: Situation) -> dict[str, float | bool]:
         return {
             "time": self.task.step * int(situation.step),
             "reached": bool(situation.reached),
@@ -104,7 +104,7 @@ class NavigationEnv(gymnasium.Env):
         }
 
 
-def _command(task, action):
+def _command(task: Task, action: Any) -> Command:
     values = np.asarray(action, float)
     if values.shape != (2,) or not np.isfinite(values).all():
         raise InputError(
@@ -118,18 +118,20 @@ _advance = eqx.filter_jit(advance)
 
 
 @eqx.filter_jit
-def _features(task, situation, key):
+def _features(
+    task: Task, situation: Situation, key: PRNGKeyArray
+) -> Float[Array, " observation"]:
     seen = observe(task, situation, key)
     way = task.objective.target(seen.time) - seen.state[:2]
-    left = task.time_limit - seen.time
+    left = jnp.asarray(task.time_limit - seen.time)
     frequencies, headings = seen.pending.T
     pending = frequencies[None] * jnp.stack([jnp.cos(headings), jnp.sin(headings)])
     return jnp.concatenate([seen.state, way, left[None], pending.ravel()])
 
 
 @eqx.filter_jit
-def _reward(task, before, now):
-    ways = [_way(task, situation) for situation in (before, now)]
+def _reward(task: Task, before: Situation, now: Situation) -> Float[Array, ""]:
+    ways = [_distance_to_target(task, situation) for situation in (before, now)]
     left = task.time_limit - _time(task, now)
     penalty = jnp.where(now.violated, left, 0.0)
     ends = jnp.isfinite(task.objective.distance(now.state[:2]))
@@ -138,10 +140,10 @@ def _reward(task, before, now):
     return jnp.where(ends, reached, followed) - penalty
 
 
-def _way(task, situation):
+def _distance_to_target(task: Task, situation: Situation) -> Float[Array, ""]:
     target = task.objective.target(_time(task, situation))
     return jnp.linalg.norm(target - situation.state[:2])
 
 
-def _time(task, situation):
+def _time(task: Task, situation: Situation) -> Float[Array, ""]:
     return task.step * situation.step.astype(situation.state.dtype)

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.stats import binom, binomtest
 
 from pinav.errors import InputError
@@ -157,11 +157,11 @@ def tracking_errors(
     """
     targets = np.asarray(jax.vmap(task.objective.target)(jnp.asarray(episodes.ts)))
     distances = np.linalg.norm(episodes.states[..., :2] - targets[None], axis=-1)
-    during = _during(episodes, len(episodes.ts), offset=1)
+    during = _within_episode(episodes, len(episodes.ts), offset=1)
     return np.mean(distances**power, axis=1, where=during)
 
 
-def _efficiencies(episodes, task):
+def _efficiencies(episodes: Episodes, task: Task) -> Float[np.ndarray, " episode"]:
     """Straight distance over the length of the way."""
     steps = np.diff(episodes.states[..., :2], axis=1)
     lengths = np.sum(np.linalg.norm(steps, axis=-1), axis=1)
@@ -171,24 +171,26 @@ def _efficiencies(episodes, task):
     return straight / np.maximum(lengths, np.finfo(float).tiny)
 
 
-def _efforts(episodes, task):
-    during = _during(episodes, episodes.commands.shape[1])
+def _efforts(episodes: Episodes, task: Task) -> Float[np.ndarray, " episode"]:
+    during = _within_episode(episodes, episodes.commands.shape[1])
     squares = np.where(during, episodes.commands[..., 0] ** 2, 0.0)
     return task.step * np.sum(squares, axis=1)
 
 
-def _turnings(episodes):
+def _turnings(episodes: Episodes) -> Float[np.ndarray, " episode"]:
     turns = np.abs(np.diff(episodes.commands[..., 1], axis=1))
-    during = _during(episodes, turns.shape[1], offset=-1)
+    during = _within_episode(episodes, turns.shape[1], offset=-1)
     return np.sum(np.where(during, turns, 0.0), axis=1)
 
 
-def _during(episodes, count, offset=0):
+def _within_episode(
+    episodes: Episodes, count: int, offset: int = 0
+) -> Bool[np.ndarray, "episode step"]:
     """Which entries belong to the episode, before its end."""
     return np.arange(count)[None] < episodes.steps[:, None] + offset
 
 
-def _quantiles(values) -> tuple[float, float, float]:
+def _quantiles(values: Float[np.ndarray, " arrival"]) -> tuple[float, float, float]:
     if not len(values):
         return math.nan, math.nan, math.nan
     low, middle, high = np.quantile(values, [0.05, 0.5, 0.95], method="inverted_cdf")
