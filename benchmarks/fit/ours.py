@@ -15,7 +15,7 @@ from pinav.fitting import (
     Fit,
     FitProgress,
     TrajectoryLoss,
-    curriculum,
+    defect_recipe,
     distillation_rates,
     fit,
     fit_bayes,
@@ -107,7 +107,9 @@ def network(problem: Problem, seed: int, effort: Effort) -> Trained:
     """The paper's network, our default recipe."""
     data, known = _data(problem)
     model = _model("ude", known, seed, data)
-    recipe = curriculum(data, max_steps=effort.gauss_newton_steps)
+    rates = distillation_rates(model, data)
+    steps = effort.gauss_newton_steps
+    recipe = defect_recipe(data, rates=rates, max_steps=steps)
     return _network(*_fit(problem, data, model, recipe, exact=True))
 
 
@@ -115,8 +117,7 @@ def kernel(problem: Problem, seed: int, effort: Effort) -> Trained:
     """A kernel potential, our default recipe."""
     data, known = _data(problem)
     model = _model("kernel-potential", known, seed, data)
-    rates = distillation_rates(model, data)
-    recipe = curriculum(data, rates=rates, max_steps=effort.gauss_newton_steps)
+    recipe = defect_recipe(data, max_steps=effort.gauss_newton_steps)
     found, trained = _fit(problem, data, model, recipe, exact=True)
     return trained._replace(arrays=kernel_arrays(found.model))
 
