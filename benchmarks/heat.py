@@ -31,8 +31,9 @@ from pinav.thermal.grids import AbstractGrid, CartesianGrid, RadialGrid
 from pinav.thermal.perfusion import MixedPerfusion, lang
 from pinav.thermal.protocols import Piecewise
 from pinav.thermal.schedule import plan_steps
-from pinav.thermal.solve import State, default_stepper, run
+from pinav.thermal.solve import default_stepper, run
 from pinav.thermal.sources import PowerSource
+from pinav.thermal.starts import State
 from pinav.thermal.tissues import Blood, Tissue, mix
 
 ROOT = Path(__file__).parents[1]

@@ -31,6 +31,8 @@ from pinav.identification import (
 from pinav.identification.findings import interval, positive_interval
 from pinav.identification.forecast import errors
 from pinav.identification.models import DRIFT_ONLY, MATRIX, SLOW_DRIFT
+from pinav.identification.restoring import restoring_force
+from pinav.identification.selection import split
 from pinav.recordings import read_recording
 from pinav.trajectories import Trajectories
 
@@ -264,3 +266,12 @@ def test_bacteria_fit_without_commands(name):
         found = select_model(track)
         print(name, found.chosen, found.best.estimates())
         assert np.isfinite(found.best.log_evidence)
+
+
+def test_the_trap_is_found():
+    """Rates of a linear force beside a wandering velocity; default split."""
+    track = tracks(recorded("sfi_synthetic_trap/optical_tweezer.csv"))[0]
+    force = restoring_force(*split(track, 0.7))
+    print(force.sentence(5.0))
+    assert force.nats >= 50
+    assert force.explained >= 0.4

@@ -159,7 +159,7 @@ def test_a_protocol_under_limits(tmp_path, edge_weighted, least):
 def test_the_examples_are_synthetic_and_small():
     for path in EXAMPLES.glob("*.toml"):
         case, _ = read_case(path)
-        assert np.prod(build_case(case).model.grid.shape) <= 500
+        assert np.prod(build_case(case, EXAMPLES).model.grid.shape) <= 500
         assert "Synthetic" in path.read_text()
 
 

@@ -16,7 +16,7 @@ from pinav.fitting import (
     FitProgress,
     TrajectoryLoss,
     curriculum,
-    distillation_rates,
+    defect_recipe,
     fit,
     fit_bayes,
     kernel_environment,
@@ -115,8 +115,7 @@ def kernel(problem: Problem, seed: int, effort: Effort) -> Trained:
     """A kernel potential, our default recipe."""
     data, known = _data(problem)
     model = _model("kernel-potential", known, seed, data)
-    rates = distillation_rates(model, data)
-    recipe = curriculum(data, rates=rates, max_steps=effort.gauss_newton_steps)
+    recipe = defect_recipe(data, max_steps=effort.gauss_newton_steps)
     found, trained = _fit(problem, data, model, recipe, exact=True)
     return trained._replace(arrays=kernel_arrays(found.model))
 

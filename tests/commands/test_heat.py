@@ -145,7 +145,7 @@ def test_tasks_say_what_they_need(tmp_path, capsys):
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda p: p.name)
 def test_the_examples_are_cases(path):
     case, _ = read_case(path)
-    own = build_case(case)
+    own = build_case(case, EXAMPLES)
     assert own.model.grid.shape == own.target.shape
 
 

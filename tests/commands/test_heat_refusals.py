@@ -25,6 +25,15 @@ SPACE = {
     "probes.points": [[0.02] * 3],
 }
 PARTICLES = {"heating": {"kind": "particles", "concentration": 5.0, "diameter": 14.0}}
+MEASURED = {
+    "heating": {
+        "kind": "measured",
+        "concentration": 5.0,
+        "amplitudes": [1e4],
+        "frequencies": [1e5],
+        "slp": [[100.0]],
+    }
+}
 BURSTS = {"field.on": 50.0, "field.off": 100.0}
 FLOW = "tissue.perfusion"
 LEARN = {"learn.noise": 0.1}
@@ -97,7 +106,7 @@ CASES = [
         "field.on", 1e-4, base=BURSTS | {"field.off": 1e-4}, words="intervals"
     ),
     # sides, blood, eddy currents, limit, step
-    *bad_numbers("arterial", NAN, 310.0, 0.0, -37.0),
+    *bad_numbers("blood.arterial", NAN, 310.0, 0.0, -37.0),
     *bad_numbers("wall.temperature", NAN, 293.15, -200.0),
     ({"wall": {"temperature": 20.0, "exchange": 5.0, "ambient": 20.0}}, "got both"),
     *bad_numbers(
@@ -105,6 +114,29 @@ CASES = [
     ),
     *bad_numbers("wall.exchange", -5.0, 0.0, NAN, base={"wall": {"ambient": 20.0}}),
     *bad_numbers("wall.ambient", 293.15, NAN, base={"wall": {"exchange": 20.0}}),
+    *bad_numbers("blood.density", 1.05, NAN),
+    *bad_numbers("arterial", 37.0, words="unknown field `arterial`"),
+    *bad_numbers("wall", "cold", {"temperature": 20.0, "colour": 1}, words="wall"),
+    *bad_numbers("sides.x", "periodic", words="sides.x: expected no sides but"),
+    *bad_numbers("sides.z", {"low": "insulated"}, base=PLANE),
+    *bad_numbers("sides.w", {}, words="sides"),
+    *bad_numbers("sides.x", {"low": "periodic"}, "closed", base=PLANE),
+    *bad_numbers("sides.x.low.temperature", 300.0, NAN, base=PLANE),
+    ({"start": "hot"}, "start"),
+    *bad_numbers("start.file", "no.npz", ".", words="cannot be read"),
+    ({"start": "steady", "field.ramp": [0, 1e4]}, "ramp: expected no amplitudes"),
+    *bad_numbers("field.ramp", [1e4], [0, NAN], base={"field.amplitudes": GONE}),
+    ({"heating.center": [0.0]}, "heating.center: expected a width with it"),
+    *bad_numbers("heating.anisotropy", 0.0, 23e3, NAN, base=PARTICLES),
+    *bad_numbers("heating.magnetisation", 446e3, -1.0, base=PARTICLES),
+    *bad_numbers("heating.viscosity", 1e-3, 0.0, base=PARTICLES),
+    *bad_numbers("heating.coating", -1.0, base=PARTICLES),
+    *bad_numbers("heating.attempt_time", 1.0, base=PARTICLES),
+    *bad_numbers("heating.slp", [[1.0], [2.0]], [1.0], [[-1.0]], base=MEASURED),
+    *bad_numbers("heating.amplitudes", [0.0], [NAN], [], base=MEASURED),
+    *bad_numbers("heating.frequencies", [2e5, 1e5], base=MEASURED),
+    ({"eddy": {"conductivity": 0.4}}, "expected a cylinder or a box"),
+    ({"eddy": {"conductivity": 0.4, "radius": 0.1, "axis": [0, 0]}}, "radius or an ax"),
     *bad_numbers("eddy.radius", 0.0, NAN, base={"eddy": {"conductivity": 0.4}}),
     *bad_numbers("eddy.conductivity", -1.0, 1e6, base={"eddy": {"radius": 0.1}}),
     *bad_numbers("limit", "ieee", words="limit.*ieee"),

@@ -1,4 +1,4 @@
-"""A way to write a small file and read it."""
+"""A way to write a small file and read it, every bad row refused unless asked for."""
 
 import pytest
 
@@ -12,6 +12,6 @@ def read(tmp_path):
     def write_and_read(content, name="tracks.csv", **reading):
         path = tmp_path / name
         path.write_bytes(content.encode() if isinstance(content, str) else content)
-        return read_recording(path, **reading)
+        return read_recording(path, **{"strict": True, **reading})
 
     return write_and_read

@@ -165,8 +165,8 @@ def test_readings_survive_a_file(tmp_path, readings):
         ("t,r,T\n1,0.0\n", r"row 2: expected 3 cells, got 2"),
         ("t,r,T\n1,abc,40\n", r"row 2, column 2: expected a number, got 'abc'"),
         ("t,r,T\n", r"expected readings, got a header alone"),
-        ("t,r,T\n0,0.0,37\n", r"ProbeData.times: expected increasing times > 0 s"),
-        ("t,r,T\n1,0.0,\n", r"ProbeData.values: expected a reading, got none"),
+        ("t,r,T\n0,0.0,37\n", r"row 2: expected times > 0 s"),
+        ("t,r,T\n1,0.0,\n", r"expected a reading, got empty cells alone"),
         ("", r"got none"),
     ],
 )
@@ -223,7 +223,7 @@ def test_the_formula_behind_a_learned_law_is_found(learned, readings):
     ("rows", "message"),
     [
         ("1,0,37\n1,0,38\n", "expected one reading for each time and place, got 2 at"),
-        ("1,0,310\n2,0,311\n", "expected temperatures in °C, got 310; subtract 273.15"),
+        ("1,0,310\n2,0,311\n", "row 2: expected temperatures in °C, which are kelvi"),
     ],
 )
 def test_readings_that_cannot_be_meant_are_refused(tmp_path, rows, message):

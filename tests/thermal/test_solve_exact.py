@@ -14,8 +14,9 @@ from pinav.thermal.grids import CartesianGrid, RadialGrid
 from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion, lang
 from pinav.thermal.protocols import Waveform
 from pinav.thermal.rosenbrock import Rosenbrock
-from pinav.thermal.solve import State, probes_at, solve
+from pinav.thermal.solve import probes_at, solve
 from pinav.thermal.sources import PowerSource
+from pinav.thermal.starts import State
 from pinav.thermal.steppers import RKL2
 from pinav.thermal.tissues import Blood, Tissue, mix
 

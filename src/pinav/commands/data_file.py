@@ -6,23 +6,31 @@ import msgspec
 
 from pinav.commands.recording_settings import RecordingSettings
 from pinav.errors import InputError
+from pinav.recordings.conventions import doubts
 from pinav.systems import System
 from pinav.trajectories import Trajectories, is_trajectories, load, with_unobserved
 
 
-def read_data(path: Path, recording: RecordingSettings) -> Trajectories:
+def read_data(
+    path: Path, recording: RecordingSettings, *, doubtful: bool = False
+) -> Trajectories:
     """The trajectories in a file.
 
     Args:
         path: the file.
         recording: how it is read where it is a recording.
+        doubtful: a recording whose conventions look wrong is read all the same.
 
     Raises:
-        InputError: the file is damaged, or an option for recordings is given with a
-            file of pinav.
+        InputError: the file is damaged, a convention of a recording looks wrong and no
+            option states it, or an option for recordings is given with a file of pinav.
     """
-    if recording.columns or not is_trajectories(path):
-        return recording.read(path)
+    if recording.columns or recording.format or not is_trajectories(path):
+        data = recording.read(path)
+        several = [] if doubtful else doubts(data)
+        if several:
+            raise InputError(f"{path}: {'; '.join(several)}")
+        return data
     plain = RecordingSettings()
     for field in msgspec.structs.fields(plain):
         if field.name == "units":

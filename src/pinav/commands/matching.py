@@ -16,8 +16,10 @@ from pinav.fitting import (
     Fit,
     TrajectoryLoss,
     curriculum,
+    defect_recipe,
     distillation_rates,
     fit_in_turns,
+    is_complete,
     paper_recipe,
 )
 from pinav.fitting.matching.fit import Trainable
@@ -126,15 +128,14 @@ def matching(
     if settings.recipe == "paper":
         recipe = paper_recipe(settings.adam_steps, settings.lbfgs_steps)
         return Matching((recipe,), TrajectoryLoss(FixedStep()), jnp.float32)
-    plain = curriculum(data, max_steps=settings.max_steps)
-    rates = distillation_rates(model, data)
-    recipes = (plain,)
-    if rates is not None:
-        after = curriculum(
-            data, rates=rates, max_steps=settings.max_steps, precision=3e-8
-        )
-        # Kernels are linear in their weights, so that the rates alone all but fit them.
-        recipes = (after, plain) if _is_linear(model) else (plain, after)
+    recipes = (curriculum(data, max_steps=settings.max_steps),)
+    if is_complete(data):
+        # What is linear in its weights needs no rates to begin with.
+        linear = _is_linear(model)
+        rates = None if linear else distillation_rates(model, data)
+        if linear or rates is not None:
+            exact = defect_recipe(data, rates=rates, max_steps=settings.max_steps)
+            recipes = (exact, *recipes) if linear else (*recipes, exact)
     spread = float(np.std(data.states[data.observed]))
     enough = data.num_observed * (ENOUGH * spread) ** 2
     objective = TrajectoryLoss(FixedStep(substeps=2))

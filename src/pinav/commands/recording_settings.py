@@ -2,11 +2,9 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from pinav.commands.settings import (
-    Settings,
-)
+from pinav.commands.settings import Range, Settings
 from pinav.errors import InputError
 
 if TYPE_CHECKING:
@@ -19,7 +17,8 @@ class RecordingSettings(Settings, frozen=True):
     Attributes:
         format: Format of the file; found from its content by default.
         columns: For any other table: quantity=column, such as x=X y=Y t=Time
-            heading=alpha frequency=f.
+            heading=alpha frequency=f; x=x* y=y* where each particle has columns of its
+            own, dt where a column holds the interval of each frame.
         units: Units that the file does not state, such as x=px t=ms heading=deg.
         fps: Frames per second; times become frame / fps.
         mpp: Micrometres per pixel.
@@ -30,7 +29,13 @@ class RecordingSettings(Settings, frozen=True):
         delay: By how many seconds commands act late.
         jump: Displacement between rows that splits a track; 40 px or 15 um by default.
         gap: Frames without the particle that split a track.
-        likelihood: Below it a position counts as lost (DeepLabCut).
+        likelihood: Below it a position counts as lost (DeepLabCut, SLEAP, TRex).
+        runs: Names of the runs that are kept.
+        particles: Names of the particles that are kept.
+        sheet: Name of the sheet of a workbook.
+        skip: Rows above the header; titles are found by themselves as a rule.
+        strict: Refuse a bad row; by default it is left out and counted.
+        commands: File of a log of commands, by time or frame, beside the tracker's.
     """
 
     format: str | None = None
@@ -44,6 +49,12 @@ class RecordingSettings(Settings, frozen=True):
     jump: float | None = None
     gap: int = 10
     likelihood: float = 0.6
+    runs: tuple[str, ...] = ()
+    particles: tuple[str, ...] = ()
+    sheet: str | None = None
+    skip: Annotated[int, Range(0)] | None = None
+    strict: bool = False
+    commands: Path | None = None
 
     def stated_units(self) -> dict[str, str] | None:
         """Units by quantity, as the option gives them.
@@ -74,6 +85,12 @@ class RecordingSettings(Settings, frozen=True):
             jump=self.jump,
             gap=self.gap,
             likelihood=self.likelihood,
+            runs=self.runs,
+            particles=self.particles,
+            sheet=self.sheet,
+            skip=self.skip,
+            strict=self.strict,
+            commands=self.commands,
         )
 
 

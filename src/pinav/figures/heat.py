@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogFormatter
 
 from pinav.figures.style import (
@@ -17,7 +18,6 @@ from pinav.figures.style import (
     SMALL,
     SPARE,
     THIN,
-    VERMILLION,
     WIDE,
     add_legend,
     label_axes,
@@ -94,16 +94,20 @@ def plane_map(
     *,
     levels: Sequence[float],
     label: str,
+    axes: tuple[str, str] = ("x", "y"),
+    outline: Float[np.ndarray, "row column"] | None = None,
     logarithmic: bool = False,
     ax: Axes | None = None,
 ) -> Axes:
-    """A field in a plane with contours.
+    """A field in a plane with contours, and the outline of the target.
 
     Args:
         values: along x in rows, along y in columns.
         spacing: of the cells [m].
         levels: of the contours.
         label: of the colour bar.
+        axes: names of both axes.
+        outline: volume fraction of the target in each cell; outlined at one half.
         logarithmic: colour the logarithm; values below a thousandth as that.
         ax: where to draw; a new figure unless given.
     """
@@ -116,20 +120,24 @@ def plane_map(
     at = np.log10(levels) if logarithmic else np.asarray(levels)
     within = [(a, v) for a, v in zip(at, levels, strict=True)]
     within = [(a, v) for a, v in within if shown.min() < a < shown.max()]
+    centers = [
+        1e3 * h * (np.arange(n) + 0.5)
+        for n, h in zip(values.shape, spacing, strict=True)
+    ]
+    if outline is not None and outline.min() < 0.5 < outline.max():
+        ax.contour(*centers, outline.T, [0.5], colors="#56b4e9", linewidths=1.4)
     if within:
-        centers = [
-            1e3 * h * (np.arange(n) + 0.5)
-            for n, h in zip(values.shape, spacing, strict=True)
-        ]
         lines = ax.contour(
             *centers, shown.T, [a for a, _ in within], colors="white", linewidths=0.8
         )
-        ax.clabel(lines, fmt={a: f"{v:g}" for a, v in within}, fontsize=SMALL)
+        names = ax.clabel(lines, fmt={a: f"{v:g}" for a, v in within}, fontsize=SMALL)
+        for name in names:  # readable on light ground, too
+            name.set_path_effects([withStroke(linewidth=2.0, foreground=BLACK)])
     figure = ax.figure
     bar = figure.colorbar(image, ax=ax, shrink=0.85)
     bar.set_label(f"log10 of {label}" if logarithmic else label, fontsize=SMALL)
     bar.ax.tick_params(labelsize=SMALL)
-    label_axes(ax, "x [mm]", "y [mm]")
+    label_axes(ax, f"{axes[0]} [mm]", f"{axes[1]} [mm]")
     return ax
 
 
@@ -163,37 +171,53 @@ def probe_curves(
 
 
 def protocol_figure(
-    edges: Sequence[float],
-    starts: Float[np.ndarray, " interval"],
-    ends: Float[np.ndarray, " interval"],
-    hottest: tuple[np.ndarray, np.ndarray],
+    field: tuple[np.ndarray, np.ndarray, np.ndarray],
+    times: Float[np.ndarray, " time"],
+    temperatures: Mapping[str, Float[np.ndarray, " time"]],
+    doses: Mapping[str, Float[np.ndarray, " time"]],
     *,
     bound: float | None = None,
 ) -> Figure:
-    """The amplitude over time, and the highest temperature below it.
+    """Field, temperatures and doses below each other on one axis of time.
 
     Args:
-        edges: of the intervals [s].
-        starts: amplitude at the begin of each [A m⁻¹].
-        ends: at its end.
-        hottest: times [s], and highest temperature [°C] then.
-        bound: on that temperature, marked unless None.
+        field: edges of the intervals [s], amplitudes at their begins and at their
+            ends [A m⁻¹].
+        times: of the curves [s].
+        temperatures: [°C], by what the legend says.
+        doses: so far [CEM43 min], by what the legend says.
+        bound: on the temperature, marked unless None.
     """
-    figure = new_figure(4.6, 4.2)
-    above, below = figure.subplots(2, 1, sharex=True)
-    for ax in (above, below):
+    figure = new_figure(5.0, 6.0)
+    above, middle, below = figure.subplots(3, 1, sharex=True)
+    for ax in (above, middle, below):
         prepare_axes(ax)
+    edges, starts, ends = field
     at = np.repeat(np.asarray(edges) / 60, 2)[1:-1]
     values = np.stack([starts, ends], axis=1).reshape(-1)
     above.plot(at, values / 1e3, color=BLUE, lw=THIN)
     above.set_ylim(bottom=0.0)
     label_axes(above, "", "amplitude H [kA/m]")
-    below.plot(hottest[0] / 60, hottest[1], color=VERMILLION, lw=THIN)
+    for color, (name, curve) in zip(SPARE, temperatures.items(), strict=False):
+        middle.plot(times / 60, curve, color=color, lw=THIN, label=name)
     if bound is not None:
-        below.axhline(bound, color=GREY, lw=0.8, ls=(0, (4, 2)))
-    label_axes(below, "time [min]", "highest temperature [°C]")
-    title_panel(above, "(a) field")
-    title_panel(below, "(b) hottest cell")
+        middle.axhline(bound, color=GREY, lw=0.8, ls=(0, (4, 2)))
+    label_axes(middle, "", "temperature [°C]")
+    for color, (name, curve) in zip(SPARE, doses.items(), strict=False):
+        shown = np.where(curve > 1e-3, curve, np.nan)
+        below.plot(times / 60, shown, color=color, lw=THIN, label=name)
+    if any(np.any(curve > 1e-3) for curve in doses.values()):
+        below.set_yscale("log")
+        below.tick_params(which="both", labelsize=SMALL)
+    label_axes(below, "time [min]", "dose [CEM43 min]")
+    add_legend(middle, columns=2)
+    add_legend(below)
+    for ax, title in zip(
+        (above, middle, below),
+        ("(a) field", "(b) temperature", "(c) dose so far"),
+        strict=True,
+    ):
+        title_panel(ax, title)
     return figure
 
 

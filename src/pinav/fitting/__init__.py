@@ -35,6 +35,7 @@ from pinav.fitting.evidence.model_evidence import ModelEvidence as ModelEvidence
 from pinav.fitting.evidence.model_evidence import model_evidence as model_evidence
 from pinav.fitting.langevin import fit_langevin as fit_langevin
 from pinav.fitting.matching.attempts import fit_in_turns as fit_in_turns
+from pinav.fitting.matching.defects import DefectMatching as DefectMatching
 from pinav.fitting.matching.distillation import Distillation as Distillation
 from pinav.fitting.matching.distillation import Rates as Rates
 from pinav.fitting.matching.fit import Problem as Problem
@@ -49,6 +50,8 @@ from pinav.fitting.matching.phases import AbstractPhase as AbstractPhase
 from pinav.fitting.matching.phases import Adam as Adam
 from pinav.fitting.matching.phases import BestSoFar as BestSoFar
 from pinav.fitting.matching.recipes import curriculum as curriculum
+from pinav.fitting.matching.recipes import defect_recipe as defect_recipe
+from pinav.fitting.matching.recipes import is_complete as is_complete
 from pinav.fitting.matching.recipes import paper_recipe as paper_recipe
 from pinav.fitting.matching.state import AbstractCheckpoint as AbstractCheckpoint
 from pinav.fitting.matching.state import Fit as Fit

@@ -130,7 +130,7 @@ def fit_langevin(
         Frishman and Ronceray, Phys. Rev. X 10, 021009 (2020); Kloeden and Platen,
         Numerical Solution of Stochastic Differential Equations (1992).
     """
-    swimmer = _checked(model, trajectories, diffusion)
+    swimmer = _first_order_swimmer(model, trajectories, diffusion)
     increments = Increments.of(trajectories)
     noise = None if diffusion is None else float(np.sqrt(2 * diffusion))
 
@@ -178,7 +178,7 @@ def _diffusion(step: Step, known: float | None) -> Estimate:
     return Estimate(variance / 2, variance / 2 * float(np.sqrt(2 / left)))
 
 
-def _checked(
+def _first_order_swimmer(
     model: AbstractDynamics, trajectories: Trajectories, diffusion: float | None
 ) -> OverdampedSwimmer:
     swimmer = model.swimmer if isinstance(model, BrownianSwimmer) else model

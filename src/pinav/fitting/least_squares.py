@@ -19,17 +19,17 @@ from pinav.errors import InputError
 from pinav.fitting.engine.constant_priors import ConstantPriors
 from pinav.fitting.engine.evidence_fit import EvidenceFit, evidence_fit
 from pinav.fitting.engine.iterate import DEFECT_TOLERANCE, EvidenceProgress, iterate
-from pinav.fitting.engine.local_model import AbstractLocalModel, Prediction
+from pinav.fitting.engine.local_model import AbstractLocalModel, Prediction, States
 from pinav.fitting.engine.parametric_model import (
     ParametricModel,
     parameter_names,
     ravel_model,
     selected_entries,
 )
-from pinav.fitting.engine.problem import AbstractProblem
+from pinav.fitting.engine.problem import AbstractProblem, Step
 from pinav.fitting.engine.steps import AbstractStepRule, ChordSteps
 from pinav.fitting.evidence.model_evidence import LinearFit
-from pinav.fitting.evidence.quadratic import Quadratic
+from pinav.fitting.evidence.quadratic import Parameters, Quadratic
 from pinav.fitting.evidence.weights import AbstractWeights, GaussianWeights, NoWeights
 from pinav.fitting.outcome import Outcome
 from pinav.forces import AbstractPrior
@@ -137,7 +137,7 @@ class Regression(AbstractProblem):
 
     parametric: ParametricModel
     residuals: Residuals
-    theta: Float[np.ndarray, " parameter"]
+    theta: Parameters
     weights: AbstractWeights
     names: tuple[str, ...]
     flat: Bool[np.ndarray, " parameter"]
@@ -218,8 +218,8 @@ class Regression(AbstractProblem):
             **options,
         )
 
-    def linearise(self, theta, states):
-        residuals, jacobian = _linearised(
+    def linearise(self, theta: Parameters, states: States) -> AbstractLocalModel | None:
+        residuals, jacobian = _linearise(
             self.parametric, self.residuals, jnp.asarray(theta)
         )
         rows, right = np.asarray(jacobian), np.asarray(residuals)
@@ -239,7 +239,9 @@ class Regression(AbstractProblem):
             jacobian=rows,
         )
 
-    def residual_series(self, step):
+    def residual_series(
+        self, step: Step
+    ) -> list[Float[np.ndarray, "_ channel"]] | None:
         in_time = getattr(self.residuals, "in_time", None)
         if in_time is None:
             return None
@@ -247,7 +249,7 @@ class Regression(AbstractProblem):
         residuals = _residuals(self.parametric, self.residuals, theta)
         return in_time(np.asarray(residuals))
 
-    def flat_information(self):
+    def flat_information(self) -> tuple[int, float]:
         count = eqx.filter_eval_shape(
             self.residuals, self.parametric(jnp.asarray(self.theta))
         ).shape[0]
@@ -265,22 +267,22 @@ class LocalRegression(AbstractLocalModel):
         jacobian: of the residuals there.
     """
 
-    theta: Float[np.ndarray, " parameter"]
+    theta: Parameters
     quadratic: Quadratic
     problem: Regression
     jacobian: Float[np.ndarray, "residual parameter"]
 
-    def predict(self, theta):
+    def predict(self, theta: Parameters) -> Prediction:
         inputs = self.problem.residuals, jnp.asarray(theta)
         return Prediction(_residuals(self.problem.parametric, *inputs), None)
 
-    def pull_back(self, residuals):
+    def pull_back(self, residuals: Float[Array, "..."]) -> Parameters:
         return self.jacobian.T @ np.asarray(residuals)
 
-    def advance(self, mean):
+    def advance(self, mean: Parameters) -> None:
         """There are no states."""
 
-    def defect(self, mean, noise):
+    def defect(self, mean: Parameters, noise: float) -> float:
         """Change of the prediction that the linear model still asks for."""
         if self.problem.is_linear:
             return 0.0
@@ -291,18 +293,14 @@ class LocalRegression(AbstractLocalModel):
 
 @eqx.filter_jit
 def _residuals(
-    parametric: ParametricModel,
-    residuals: Residuals,
-    theta: Float[Array, " parameter"],
+    parametric: ParametricModel, residuals: Residuals, theta: Float[Array, " parameter"]
 ) -> Float[Array, " residual"]:
     return residuals(parametric(theta))
 
 
 @eqx.filter_jit
-def _linearised(
-    parametric: ParametricModel,
-    residuals: Residuals,
-    theta: Float[Array, " parameter"],
+def _linearise(
+    parametric: ParametricModel, residuals: Residuals, theta: Float[Array, " parameter"]
 ) -> tuple[Float[Array, " residual"], Float[Array, "residual parameter"]]:
     """Residuals and their Jacobian, some columns at a time."""
     value, push = jax.linearize(lambda at: residuals(parametric(at)), theta)

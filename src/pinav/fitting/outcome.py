@@ -26,8 +26,8 @@ class Outcome(enum.IntEnum):
     UNDER_RESOLVED = 4
     MISFIT = 5
 
-    def __str__(self):
+    def __str__(self) -> str:
         return self.name.lower().replace("_", "-")
 
-    def __format__(self, spec):
+    def __format__(self, spec: str) -> str:
         return format(str(self), spec)

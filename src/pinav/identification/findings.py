@@ -5,21 +5,25 @@ import math
 import equinox as eqx
 import numpy as np
 
+from pinav.errors import InputError
 from pinav.evaluation import normal_quantile
 from pinav.fitting import Estimate
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.identification.fit import TrackFit, fit_track
 from pinav.identification.models import (
     BOTH,
+    COMMAND_RESPONSE,
     DIAGONAL,
     DRIFT_ONLY,
     MATRIX,
     SCALAR,
     CandidateModel,
+    like,
     with_free,
     with_response,
 )
-from pinav.identification.selection import Selection
+from pinav.identification.restoring import restoring_force
+from pinav.identification.selection import Row, Selection
 from pinav.identification.tracks import Track
 
 TURNING_WINDOW = 2.0
@@ -132,11 +136,15 @@ def finding_sentences(
         estimates: of the chosen candidate.
         delays: from `delay_findings`; None where nothing was commanded.
     """
-    sentences = [f"The evidence chooses: {selection.chosen}."]
+    sentences = [
+        f"The evidence chooses: {selection.chosen}.",
+        *_shortcomings(selection),
+    ]
     if delays is None:
         recorded = "frequency" in selection.train.pieces[0].commands
         idle = "The commands ask for no motion" if recorded else "No commands recorded"
         sentences.append(f"{idle}: gain, delay and heading cannot be known.")
+        sentences.append(_restoring(selection))
     else:
         sentences += [
             _propulsion(selection),
@@ -151,6 +159,58 @@ def finding_sentences(
         for name in ("Gaussian process", "potential")
     ]
     return [sentence for sentence in sentences if sentence]
+
+
+FEEBLE = 0.1
+"""Share of the held-out velocity's variance below which a prediction says nothing."""
+
+HORIZON = 10.0
+"""Length of the rollouts by which a model is judged [s]."""
+
+
+def _shortcomings(selection: Selection) -> list[str]:
+    names = [row.name for row in selection.rows]
+    if LEAST_SQUARES not in names:
+        return []
+    return shortcomings(selection.row(selection.chosen), selection.row(LEAST_SQUARES))
+
+
+LEAST_SQUARES = "least squares"
+"""Name of the baseline that no model should lose to."""
+
+
+def shortcomings(row: Row, baseline: Row) -> list[str]:
+    """Sentences on a prediction that is poor, or judged on little; mostly none.
+
+    Args:
+        row: of the chosen candidate.
+        baseline: of least squares.
+    """
+    sentences = []
+    if row.velocity_r2 < FEEBLE:
+        sentences.append(
+            f"The chosen model explains {100 * max(row.velocity_r2, 0.0):.0f} % of the "
+            f"held-out velocity's variance (R² {row.velocity_r2:.2f}): it predicts "
+            "little of the motion."
+        )
+    ours, theirs = row.errors.get(HORIZON), baseline.errors.get(HORIZON)
+    if ours is None or theirs is None or not ours.rollouts:
+        sentences.append(
+            f"No held-out rollout of {HORIZON:g} s: the prediction is not judged."
+        )
+        return sentences
+    if ours.rollouts == 1:
+        sentences.append(
+            f"The error over {HORIZON:g} s is that of a single rollout, which says "
+            "little about others."
+        )
+    if ours.relative > theirs.relative:
+        sentences.append(
+            f"On the held-out part the chosen model loses to least squares: "
+            f"{ours.relative:.3f} against {theirs.relative:.3f} of the path over "
+            f"{HORIZON:g} s."
+        )
+    return sentences
 
 
 def extrapolation(train: Track, held_out: Track) -> str:
@@ -187,14 +247,12 @@ def _difference(selection: Selection, name: str) -> float:
 
 
 def _propulsion(selection: Selection) -> str:
-    gain = (
-        selection.row(MATRIX.name).log_evidence
-        - selection.row(DRIFT_ONLY.name).log_evidence
-    )
-    matrix = (
-        selection.row(MATRIX.name).log_evidence
-        - selection.row(SCALAR.name).log_evidence
-    )
+    """The chosen model against the same without gain, and with one number for it."""
+    chosen = selection.best.candidate
+    evidence = selection.row(chosen.name).log_evidence
+    idle = like(DRIFT_ONLY, chosen, without=COMMAND_RESPONSE)
+    gain = evidence - selection.row(idle.name).log_evidence
+    matrix = evidence - selection.row(like(SCALAR, chosen).name).log_evidence
     return (
         f"Propulsion by the command: {_words(gain)}. A gain matrix with drift, over "
         f"one number and the heading as recorded: {_words(matrix)}."
@@ -213,7 +271,7 @@ def _response(selection: Selection, estimates: dict[str, Estimate]) -> str:
     if "corner" in estimates:
         corner = estimates["corner"]
         low, high = positive_interval(corner)
-        text += f", corner {corner.value:.3g} Hz ({low:.2g} to {high:.2g})"
+        text += f", corner {corner.value:.3g} Hz ({_range(low, corner.value, high)})"
     if "residual" in estimates:
         text += f", residual gain {_plus_minus(estimates['residual'])}"
     return text + "."
@@ -225,13 +283,13 @@ def _delay(delays: DelayFindings) -> str:
         text = (
             "Delay and heading offset are confounded, because the heading turns at a "
             f"constant rate ({math.degrees(rate):.0f} degrees/s): without delay the "
-            f"offset is {math.degrees(offset.value):.1f} degrees, and every 0.1 s of "
+            f"offset is {_offset(offset)}, and every 0.1 s of "
             f"delay turns it by {math.degrees(0.1 * rate):.1f}."
         )
     else:
         text = (
             f"Delay {_plus_minus(delays.free)} s with the heading offset free "
-            f"({math.degrees(delays.offset.value):.1f} degrees)."
+            f"({_offset(delays.offset)})."
         )
     if delays.zero_offset is not None:
         text += (
@@ -239,6 +297,27 @@ def _delay(delays: DelayFindings) -> str:
             f"{_plus_minus(delays.zero_offset)} s."
         )
     return text
+
+
+VAGUE = math.radians(5.0)
+"""Standard deviation beyond which a heading offset is no finding."""
+
+
+def _offset(offset: Estimate) -> str:
+    """An offset with its standard deviation, where it is known at all."""
+    sd = math.degrees(offset.sd)
+    if offset.sd > VAGUE:
+        return f"not known to within {sd:.0f} degrees"
+    return f"{math.degrees(offset.value):.1f} ± {sd:.1f} degrees"
+
+
+def _restoring(selection: Selection) -> str:
+    """A force that pulls back, or nothing where the track is too short to tell."""
+    try:
+        force = restoring_force(selection.train, selection.held_out)
+    except InputError:
+        return ""
+    return force.sentence(DECISIVE)
 
 
 def _gain(selection: Selection, label: str, meaning: str) -> str:
@@ -257,6 +336,15 @@ def _words(difference: float) -> str:
     if difference <= -DECISIVE:
         return f"not supported, {-difference:.1f} nats against it"
     return f"undecided ({difference:+.1f} nats)"
+
+
+def _range(low: float, value: float, high: float) -> str:
+    """An interval in so many digits that it holds its value as that is written."""
+    for digits in range(2, 8):
+        ends = [float(f"{end:.{digits}g}") for end in (low, high)]
+        if ends[0] < ends[1] and ends[0] <= float(f"{value:.3g}") <= ends[1]:
+            return f"{ends[0]:g} to {ends[1]:g}"
+    return f"{low:g} to {high:g}"
 
 
 def _plus_minus(estimate: Estimate) -> str:

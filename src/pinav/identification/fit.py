@@ -44,6 +44,7 @@ class TrackFit(eqx.Module):
         covariance: joint, of `candidate.learned` and then of all coefficients.
         log_evidence: the nonlinear parameters integrated out by Laplace's method.
         evaluations: of the likelihood.
+        fastest: highest frequency that was commanded while it was fitted [Hz].
     """
 
     candidate: CandidateModel
@@ -52,6 +53,7 @@ class TrackFit(eqx.Module):
     covariance: Float[np.ndarray, "unknown unknown"]
     log_evidence: float
     evaluations: int
+    fastest: float
 
     @property
     def gain(self) -> Float[np.ndarray, "2 2"]:
@@ -228,10 +230,18 @@ class Search:
                 for s in steps
             ]
         )
-        values, vectors = np.linalg.eigh((rows + rows.T) / 2)
-        values = np.maximum(values, 1e-8)
+        curvature = (rows + rows.T) / 2
+        values = np.maximum(np.linalg.eigvalsh(curvature), 1e-8)
         volume = 0.5 * (len(values) * math.log(2 * math.pi) - np.log(values).sum())
-        return vectors / values @ vectors.T, float(volume)
+        return self._spread(curvature), float(volume)
+
+    def _spread(
+        self, curvature: Float[np.ndarray, "learned learned"]
+    ) -> Float[np.ndarray, "learned learned"]:
+        """Covariance of a curvature; nothing is less certain than its prior was."""
+        sd = self.prior.sd[self.places]
+        values, vectors = np.linalg.eigh(sd[:, None] * curvature * sd)
+        return sd[:, None] * (vectors / np.maximum(values, 1.0) @ vectors.T) * sd
 
     def result(self, learned: Float[np.ndarray, " learned"], value: float) -> TrackFit:
         """Evidence and posterior about the maximum."""
@@ -244,6 +254,7 @@ class Search:
             covariance=covariance,
             log_evidence=volume - value,
             evaluations=self.evaluations,
+            fastest=float(np.max(self.design.blocks.frequency)),
         )
 
     def steps(self) -> Float[np.ndarray, "learned learned"]:

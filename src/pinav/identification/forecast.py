@@ -225,6 +225,8 @@ class Forecast(eqx.Module):
         path: displacement from its first sample [L].
         slopes: of the displacement, by the unknowns of gain, drift and drive.
         covariance: of those unknowns.
+        beyond: standard deviation of the displacement that another form of the
+            response would add above the frequencies that were fitted [L].
         frame: variance of a single frame about the mean path [L²].
         disturbance: the noise.
     """
@@ -233,6 +235,7 @@ class Forecast(eqx.Module):
     path: Float[np.ndarray, "time 2"]
     slopes: Float[np.ndarray, "time 2 unknown"]
     covariance: Float[np.ndarray, "unknown unknown"]
+    beyond: Float[np.ndarray, "time 2"]
     frame: Float[np.ndarray, "time 2"]
     disturbance: Disturbance
 
@@ -242,7 +245,8 @@ class Forecast(eqx.Module):
         path = path_of(fit)(piece)
         slopes, covariance = _slopes(piece, fit, path)
         frame = jitter.variance(piece)
-        return cls(piece, path, slopes, covariance, frame, fit.disturbance)
+        beyond = _beyond(piece, fit)
+        return cls(piece, path, slopes, covariance, beyond, frame, fit.disturbance)
 
     def rollout(self, first: int, last: int) -> Float[np.ndarray, "sample 2"]:
         """Positions from the observed one at sample `first` on [L]."""
@@ -250,12 +254,14 @@ class Forecast(eqx.Module):
         return self.piece.states[first] + path - path[0]
 
     def variance(self, first: int, last: int) -> Float[np.ndarray, "sample 2"]:
-        """Of a rollout: disturbance, unknowns, jitter at start and end [L²]."""
+        """Of a rollout: disturbance, unknowns, response, jitter at both ends [L²]."""
         samples = slice(first, last + 1)
         slopes = self.slopes[samples] - self.slopes[first]
         unknown = np.einsum("tap,pq,taq->ta", slopes, self.covariance, slopes)
+        response = (self.beyond[samples] - self.beyond[first]) ** 2
         frame = self.frame[samples]
-        return self._wandering(samples)[:, None] + unknown + frame + frame[:1]
+        wandering = self._wandering(samples)[:, None]
+        return wandering + unknown + response + frame + frame[:1]
 
     def _wandering(self, samples: slice) -> Float[np.ndarray, " sample"]:
         """What the disturbance adds from a start without knowledge of it."""
@@ -311,6 +317,22 @@ def _drive_slope(
     theta[NAMES.index(name)] += step
     moved = path_of(eqx.tree_at(lambda f: f.theta, fit, theta))(piece)
     return (moved - path) / step
+
+
+DISCREPANCY = 0.3
+"""Standard deviation of the slope of the response above the fitted frequencies, in
+slopes at rest: between none and the whole of it, all are seen. Chosen on five sessions
+and half of the other recordings, judged on the rest (docs/identification.md)."""
+
+
+def _beyond(piece: Trajectory, fit: TrackFit) -> Float[np.ndarray, "time 2"]:
+    """Displacement by the excess of the frequency over all that was fitted [L]."""
+    frequency, heading = commands_of(piece)
+    excess = np.maximum(frequency - fit.fastest, 0.0)
+    drive = excess[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    steps = drive[:-1] * np.diff(piece.times)[:, None]
+    along = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    return DISCREPANCY * along @ fit.gain.T
 
 
 class Coverage(eqx.Module):

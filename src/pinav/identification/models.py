@@ -5,7 +5,7 @@ serves them all, and evidence and errors can be compared.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import equinox as eqx
 import jax
@@ -178,4 +178,31 @@ def with_free(candidate: CandidateModel, label: str, *names: str) -> CandidateMo
         candidate.response,
         (*candidate.free, *names),
         candidate.fixed,
+    )
+
+
+def like(
+    base: CandidateModel, other: CandidateModel, *, without: Sequence[str] = ()
+) -> CandidateModel:
+    """A candidate with the gains and drifts of one and all else of another.
+
+    Args:
+        base: whose gains and drifts these are.
+        other: whose response and free parameters these are.
+        without: parameters that are not free; without the corner the law is linear.
+
+    Returns:
+        The base itself where nothing is added to it.
+    """
+    free = tuple(name for name in other.free if name not in without)
+    response = other.response if set(CORNERS[other.response]) <= set(free) else "linear"
+    if response == "linear" and not free:
+        return base
+    return CandidateModel(
+        f"{base.name}, else as chosen",
+        base.gains,
+        base.drifts,
+        response,
+        free,
+        other.fixed,
     )

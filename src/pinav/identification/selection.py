@@ -30,12 +30,14 @@ from pinav.identification.forecast import (
     path_of,
 )
 from pinav.identification.models import (
+    COMMAND_RESPONSE,
     DRIFT_ONLY,
     MATRIX,
     RESPONSES,
     SCALAR,
     SLOW_DRIFT,
     CandidateModel,
+    like,
     with_free,
     with_response,
 )
@@ -172,6 +174,8 @@ class _Comparison:
             self._extend("delay", "delay")
             self._extend("lag", "log_lag")
         self._extend("time-dependent drift", *SLOW_DRIFT)
+        if self.train.commanded:
+            self._compare_with_simpler()
 
     def _fit(self, candidate: CandidateModel, start: str | None) -> TrackFit:
         begin = time.perf_counter()
@@ -197,6 +201,18 @@ class _Comparison:
         needed = 0.0 if label == "delay" else DECISIVE
         if fit.log_evidence > before.log_evidence + needed:
             self.chosen = fit.candidate.name
+
+    def _compare_with_simpler(self) -> None:
+        """The chosen candidate with one number for its gain, and without propulsion.
+
+        They have the same response, delay and noise, so that a verdict on gain or
+        propulsion compares nothing else; neither is chosen.
+        """
+        chosen = self.fits[self.chosen].candidate
+        for base, dropped in ((SCALAR, ()), (DRIFT_ONLY, COMMAND_RESPONSE)):
+            candidate = like(base, chosen, without=dropped)
+            if candidate.name not in self.fits:
+                self._fit(candidate, None)
 
     def residual(self, name: str) -> None:
         """A position-dependent residual on the chosen candidate."""

@@ -1,5 +1,6 @@
 """From a file's rows to `Trajectories`: one for each run, particle and segment."""
 
+import dataclasses
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -8,9 +9,9 @@ from jaxtyping import Bool, Float64
 
 from pinav import __version__
 from pinav.errors import InputError
-from pinav.recordings.particles import Particle, particles, time_unit
+from pinav.recordings.particles import WORST, Particle, particles, time_unit
 from pinav.recordings.rows import COMMAND_UNITS, FRAMES, Reading, Tracks, in_known_units
-from pinav.recordings.segments import JUMPS, segments
+from pinav.recordings.segments import BEYOND, JUMPS, ORDINARY, segments
 from pinav.recordings.source import Source
 from pinav.trajectories import Trajectories
 
@@ -20,7 +21,7 @@ class _Piece(NamedTuple):
 
     label: dict[str, str | int]
     times: Float64[np.ndarray, " time"]
-    positions: Float64[np.ndarray, "time 2"]
+    positions: Float64[np.ndarray, "time dim"]
     seen: Bool[np.ndarray, " time"]
     commands: dict[str, Float64[np.ndarray, " time"]]
 
@@ -40,7 +41,9 @@ def assembled(
         InputError: rows contradict each other, or nothing is long enough to be a
             trajectory.
     """
-    tracks = in_known_units(tracks, reading)
+    tracks, faults = _sound(in_known_units(tracks, reading), source)
+    tracks = _selected(tracks, reading, source.stem)
+    tracks = _commanded(tracks)
     _check_commands(tracks, reading)
     by_name = particles(tracks, reading)
     pieces = [
@@ -56,19 +59,21 @@ def assembled(
             f"the longest of {len(pieces)} segments has a single position; "
             "expected two or more rows of a particle within a gap and a jump"
         )
+    faults += [fault for particle in by_name.values() for fault in particle.faults]
     scale, unit = _scale(tracks, reading)
     flip = -1.0 if _y_down(tracks, reading) else 1.0
+    channels = ("x", "y") if tracks.z is None else ("x", "y", "z")
+    axes = scale * np.array([1.0, flip, 1.0][: len(channels)])
     return Trajectories.from_arrays(
         [piece.times for piece in whole],
-        [scale * np.array([1.0, flip]) * piece.positions for piece in whole],
-        observed=[np.stack([piece.seen] * 2, axis=1) for piece in whole],
+        [axes * piece.positions for piece in whole],
+        observed=[np.stack([piece.seen] * len(channels), axis=1) for piece in whole],
         commands={
             name: [piece.commands[name] for piece in whole] for name in tracks.commands
         },
-        channels=("x", "y"),
+        channels=channels,
         units={
-            "x": unit,
-            "y": unit,
+            **dict.fromkeys(channels, unit),
             "t": time_unit(tracks, reading),
             **{name: COMMAND_UNITS[name] for name in tracks.commands},
         },
@@ -80,11 +85,85 @@ def assembled(
             **tracks.facts,
             "repeated times left out": sum(p.repeats for p in by_name.values()),
             "rows without a command": sum(p.silent for p in by_name.values()),
+            "bad rows left out": faults,
             "segments left out": [p.label for p in pieces if len(p.times) < 2],
+            "doubts": dict(tracks.doubts),
             "notes": [*tracks.notes, *_rate_notes(tracks, reading)],
             "trajectories": [piece.label for piece in whole],
         },
     )
+
+
+def _sound(tracks: Tracks, source: Source) -> tuple[Tracks, list[str]]:
+    """The rows without the bad ones, and what was wrong with those.
+
+    Raises:
+        InputError: a fault is none of a single row, or too many rows are bad.
+    """
+    faults = source.faults or {}
+    if not faults:
+        return tracks, []
+    kept = np.array([tracks.place(row) not in faults for row in range(len(tracks.x))])
+    several = list(faults.values())
+    if len(faults) > WORST * (len(tracks.x) + len(faults)):
+        raise InputError(several[0])
+    unusable = np.isnan(tracks.time) if tracks.time is not None else np.zeros(len(kept))
+    if tracks.frame is not None:
+        unusable = unusable + (tracks.frame < 0)
+    if (kept & (unusable > 0)).any():  # the fault names another place than the rows
+        raise InputError(several[0])
+    return tracks.taken(kept), several
+
+
+def _selected(tracks: Tracks, reading: Reading, stem: str) -> Tracks:
+    """The rows of the runs and particles that the user names.
+
+    Raises:
+        InputError: there is none of a name.
+    """
+    count = len(tracks.x)
+    kept = np.ones(count, bool)
+    for option, names, chosen in (
+        ("runs", tracks.run or [stem] * count, reading.runs),
+        ("particles", tracks.particle or ["1"] * count, reading.particles),
+    ):
+        for name in chosen:
+            if name not in names:
+                several = ", ".join(dict.fromkeys(names))
+                raise InputError(f"{option}: expected some of {several}; got {name!r}")
+        if chosen:
+            kept &= np.isin(names, list(chosen))
+    return tracks if kept.all() else tracks.taken(kept)
+
+
+def _commanded(tracks: Tracks) -> Tracks:
+    """The rows without commands that the log never gives.
+
+    Raises:
+        InputError: the log gives a command for some particles and never for others,
+            whose drive is then unknown and not off.
+    """
+    empty = [n for n, values in tracks.commands.items() if np.isnan(values).all()]
+    commands = {n: c for n, c in tracks.commands.items() if n not in empty}
+    names = np.array(
+        [" ".join(words) for words in zip(*(n for n in _names(tracks)), strict=True)]
+    )
+    for name in dict.fromkeys(names.tolist()):
+        rows = names == name
+        for command, values in commands.items():
+            if np.isnan(values[rows]).all():
+                raise InputError(
+                    f"particle {name.strip() or '1'}: no row has a {command}, which "
+                    "does not mean that the drive was off; check that log and tracker "
+                    "share their frames, or choose others by particles"
+                )
+    notes = tuple(f"the column of {name} is empty: no such command" for name in empty)
+    return dataclasses.replace(tracks, commands=commands, notes=(*tracks.notes, *notes))
+
+
+def _names(tracks: Tracks) -> list[list[str]]:
+    blank = [""] * len(tracks.x)
+    return [tracks.run or blank, tracks.kind or blank, tracks.particle or blank]
 
 
 def _rate_notes(tracks: Tracks, reading: Reading) -> list[str]:
@@ -124,12 +203,14 @@ def _scale(tracks: Tracks, reading: Reading) -> tuple[float, str]:
 def _conventions(tracks: Tracks, reading: Reading) -> dict[str, Any]:
     """What was done to positions, times and commands."""
     scale, _unit = _scale(tracks, reading)
-    jump = reading.jump or JUMPS.get(tracks.length_unit)
+    own = f"{BEYOND:g} times the {100 * ORDINARY:g} % quantile of the steps"
+    jump = reading.jump or JUMPS.get(tracks.length_unit, own)
     return {
         "positions": {
             "unit in the file": tracks.length_unit,
             "scale": scale,
             "y flipped": _y_down(tracks, reading),
+            "y stated": reading.y_down is not None,
         },
         "times": {
             "unit in the file": FRAMES if tracks.time is None else tracks.time_unit,

@@ -27,15 +27,17 @@ class Particle:
         commands: as they act, offset and delay applied.
         repeats: rows that were left out, because their time was that of the one before.
         silent: rows for which the log has no command; the last one is held.
+        faults: rows that were left out because they contradict others, in words.
     """
 
     rows: Int64[np.ndarray, " row"]
     times: Float64[np.ndarray, " row"]
-    positions: Float64[np.ndarray, "row 2"]
+    positions: Float64[np.ndarray, "row dim"]
     seen: Bool[np.ndarray, " row"]
     commands: dict[str, Float64[np.ndarray, " row"]]
     repeats: int
     silent: int
+    faults: tuple[str, ...] = ()
 
 
 def particles(tracks: Tracks, reading: Reading) -> dict[Name, Particle]:
@@ -86,12 +88,16 @@ def _times(tracks: Tracks, reading: Reading) -> Float64[np.ndarray, " row"]:
 def _particle(
     tracks: Tracks, reading: Reading, times: np.ndarray, rows: np.ndarray
 ) -> Particle:
-    rows = _ordered(tracks, rows)
-    kept = _advancing(tracks, times, rows)
+    rows, twice = _ordered(tracks, rows)
+    rows, late = _not_before(tracks, times, rows)
+    faults = (*twice, *late)
+    if faults and (reading.layout.strict or len(faults) > WORST * len(rows)):
+        raise InputError(faults[0])
+    kept = rows[np.concatenate([[True], np.diff(times[rows]) > 0])]
     repeats = len(rows) - len(kept)
     rows = kept
     ordered = times[rows]
-    positions = np.stack([tracks.x[rows], tracks.y[rows]], axis=1)
+    positions = tracks.positions()[rows]
     commands = {n: c[rows] for n, c in tracks.commands.items()}
     unknown = [np.isnan(values) for values in commands.values()]
     return Particle(
@@ -102,43 +108,52 @@ def _particle(
         commands=_acting(commands, ordered, reading),
         repeats=repeats,
         silent=int(np.any(unknown, axis=0).sum()),
+        faults=faults,
     )
 
 
-def _ordered(tracks: Tracks, rows: np.ndarray) -> np.ndarray:
-    """Rows in order of frames, where there are any."""
+WORST = 0.1
+"""Share of bad rows beyond which a file is refused, although bad rows are left out."""
+
+
+def _ordered(tracks: Tracks, rows: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """Rows in order of frames, where there are any, the first of each; and faults."""
     if tracks.frame is None:
-        return rows
+        return rows, []
     rows = rows[np.argsort(tracks.frame[rows], kind="stable")]
-    twice = np.flatnonzero(np.diff(tracks.frame[rows]) == 0)
-    if twice.size:
-        first, second = rows[[twice[0], twice[0] + 1]].tolist()
+    new = np.concatenate([[True], np.diff(tracks.frame[rows]) > 0])
+    faults = []
+    for place in np.flatnonzero(~new).tolist():
+        first, second = rows[[place - 1, place]].tolist()
         whose = "" if tracks.particle is None else f" of {tracks.particle[second]!r}"
-        raise InputError(
+        faults.append(
             f"{tracks.where(second, 'frame')}: frame {tracks.frame[second]}{whose} "
             f"stands in {tracks.place(first)} already; delete one of the two"
         )
-    return rows
+    return rows[new], faults
 
 
-def _advancing(tracks: Tracks, times: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Rows whose time is after that of the row before.
+def _not_before(
+    tracks: Tracks, times: np.ndarray, rows: np.ndarray
+) -> tuple[np.ndarray, list[str]]:
+    """Rows whose time is not before that of an earlier row; and faults.
 
-    Clocks with coarse ticks may give two frames one time; the second is left out.
+    Clocks with coarse ticks may give two frames one time, which is no fault.
     """
-    ordered = times[rows]
-    late = np.flatnonzero(
-        np.diff(ordered) < (0 if tracks.frame is not None else 1e-300)
-    )
-    if late.size:
-        before, row = rows[[late[0], late[0] + 1]].tolist()
-        fault = "repeats" if times[row] == times[before] else "is before"
-        raise InputError(
-            f"{tracks.where(row, 'time')}: time {times[row]:g} {fault} the time "
-            f"{times[before]:g} of {tracks.place(before)}; sort the rows by time and "
+    latest, before, kept, faults = -np.inf, -1, [], []
+    for row in rows.tolist():
+        time = times[row]
+        if time > latest or (time == latest and tracks.frame is not None):
+            latest, before = time, row
+            kept.append(row)
+            continue
+        fault = "repeats" if time == latest else "is before"
+        faults.append(
+            f"{tracks.where(row, 'time')}: time {time:g} {fault} the time "
+            f"{latest:g} of {tracks.place(before)}; sort the rows by time and "
             "delete repeats"
         )
-    return rows[np.concatenate([[True], np.diff(ordered) > 0])]
+    return np.array(kept, np.int64), faults
 
 
 def _acting(
@@ -157,9 +172,10 @@ def _acting(
 
 
 def _held(values: np.ndarray) -> np.ndarray:
-    """The last known value where there is none, and at the start the first one."""
+    """The last known value where there is none, and at the start the first one.
+
+    One value at least must be known.
+    """
     known = np.flatnonzero(~np.isnan(values))
-    if not known.size:
-        return np.zeros_like(values)
     index = np.searchsorted(known, np.arange(len(values)), "right") - 1
     return values[known[np.maximum(index, 0)]]

@@ -1,33 +1,51 @@
 """`read_recording`: a tracker's file, whatever its format, as `Trajectories`."""
 
+import dataclasses
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from pinav.errors import InputError
 from pinav.recordings.assembly import assembled
+from pinav.recordings.command_log import read_log, with_commands
 from pinav.recordings.formats.column_map import MappedTable
 from pinav.recordings.formats.deeplabcut import DeepLabCut
+from pinav.recordings.formats.described import DESCRIBED
 from pinav.recordings.formats.format import AbstractFormat
+from pinav.recordings.formats.icy import Icy
 from pinav.recordings.formats.imagej import ImageJ
 from pinav.recordings.formats.magscope import MagScope
 from pinav.recordings.formats.matlab import Matlab
+from pinav.recordings.formats.mtrackj import MTrackJ
 from pinav.recordings.formats.sfi import SFI
+from pinav.recordings.formats.sleap import Sleap
 from pinav.recordings.formats.tidy import Tidy
 from pinav.recordings.formats.trackmate import TrackMateCSV, TrackMateXML
+from pinav.recordings.formats.trackmate_project import TrackMateProject
 from pinav.recordings.formats.trackpy import Trackpy
-from pinav.recordings.rows import Reading
+from pinav.recordings.formats.trex import TRex
+from pinav.recordings.formats.utrack import UTrack
+from pinav.recordings.layout import Layout
+from pinav.recordings.rows import COMMAND_UNITS, Reading
 from pinav.recordings.source import DataFrame, Source
+from pinav.recordings.synonyms import example_of_columns, likely_columns
 from pinav.trajectories import Trajectories
 
 FORMATS: tuple[AbstractFormat, ...] = (
     Tidy(),
     TrackMateCSV(),
+    TrackMateProject(),
+    Icy(),
     TrackMateXML(),
     MagScope(),
+    *DESCRIBED,
     Trackpy(),
     SFI(),
+    MTrackJ(),
+    Sleap(),
     DeepLabCut(),
     ImageJ(),
+    TRex(),
+    UTrack(),
     Matlab(),
     MappedTable(),
 )
@@ -48,6 +66,12 @@ def read_recording(
     jump: float | None = None,
     gap: int = 10,
     likelihood: float = 0.6,
+    runs: Sequence[str] = (),
+    particles: Sequence[str] = (),
+    sheet: str | None = None,
+    skip: int | None = None,
+    strict: bool = False,
+    commands: str | os.PathLike[str] | None = None,
 ) -> Trajectories:
     r"""A recording as one trajectory for each run, particle and segment.
 
@@ -73,6 +97,13 @@ def read_recording(
             file has it, before `mpp`; 40 px or 15 um unless given.
         gap: frames without the particle that split a track.
         likelihood: below which a position counts as lost, where the file has one.
+        runs: names of the runs that are kept; all unless given.
+        particles: names of the particles that are kept; all unless given.
+        sheet: name of the sheet of a workbook.
+        skip: rows above the header; titles are found by their widths unless given.
+        strict: refuse a bad row; it is left out and counted unless given.
+        commands: a log of commands of its own, by time or frame; `columns` names its
+            columns too.
 
     Raises:
         InputError: the file cannot be read as a recording; the message names the file,
@@ -89,14 +120,24 @@ def read_recording(
         jump=jump,
         gap=gap,
         likelihood=likelihood,
+        runs=runs,
+        particles=particles,
+        layout=Layout(sheet, skip, strict),
     )
     name = "DataFrame" if isinstance(path, DataFrame) else os.fspath(path)
     try:
         source = (
-            Source.of_frame(path) if isinstance(path, DataFrame) else Source.read(path)
+            Source.of_frame(path, reading.layout)
+            if isinstance(path, DataFrame)
+            else Source.read(path, reading.layout)
         )
-        chosen = _format(format, source, reading)
-        return assembled(chosen.tracks(source, reading), reading, source, chosen.name)
+        own = reading if commands is None else _without_commands(reading)
+        chosen = _format(format, source, own)
+        recording = assembled(chosen.tracks(source, own), own, source, chosen.name)
+        if commands is None:
+            return recording
+        log = read_log(Source.read(commands, Layout(None, None, strict)), reading)
+        return with_commands(recording, log, reading)
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
     except ModuleNotFoundError as error:
@@ -120,7 +161,46 @@ def _format(name: str | None, source: Source, reading: Reading) -> AbstractForma
     for format in FORMATS:
         if format.suits(source):
             return format
+    names = source.column_names
+    if source.kind == "workbook":
+        names = list(source.table().columns)
+    if not names:
+        raise InputError(
+            f"the format is not known ({_KINDS.get(source.kind, source.kind)}); give "
+            f"its name as format, one of {', '.join(by_name)}, or export a table as CSV"
+        )
+    likely = likely_columns(names)
+    if not {"x", "y"} & set(likely) and {"frequency", "heading"} & set(likely):
+        raise InputError(
+            f"columns {', '.join(names)}: a log of commands alone is no recording; "
+            "give it as commands beside the file of the tracker"
+        )
     raise InputError(
-        "the format is not known; give its name as format, one of "
-        f"{', '.join(by_name)}, or describe the table by columns"
+        f"the format is not known; give its name as format, one of "
+        f"{', '.join(by_name)}, or describe the table, whose columns are "
+        f"{', '.join(names)}: start from {example_of_columns(names)}"
+    )
+
+
+_KINDS = {
+    "old workbook": "a workbook of Excel before 2007: save it as .xlsx",
+    "folder": "a folder without the files of a known one",
+    "zip": "an archive without the arrays of a known tracker",
+}
+
+
+def _without_commands(reading: Reading) -> Reading:
+    """How the tracker's file is read where the commands are in a log of their own."""
+    columns = {
+        name: column
+        for name, column in (reading.columns or {}).items()
+        if name not in COMMAND_UNITS
+    }
+    stated = {n: u for n, u in (reading.units or {}).items() if n not in COMMAND_UNITS}
+    return dataclasses.replace(
+        reading,
+        columns=columns or None,
+        units=stated or None,
+        delay=0.0,
+        heading_offset=0.0,
     )

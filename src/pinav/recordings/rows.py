@@ -1,14 +1,15 @@
 """What every format comes down to: rows of positions, in the file's own conventions."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, final
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Bool, Float64, Int64
 
 from pinav.errors import InputError
 from pinav.recordings import units
+from pinav.recordings.layout import STRICT, Layout
 
 FRAMES = "frame"
 """Unit of times that are only numbers of frames."""
@@ -49,6 +50,8 @@ class Tracks:
         columns: what the file calls "frame" and "time".
         notes: what a reader should know, in words.
         facts: further entries of the provenance; JSON values.
+        z: height, where the file has one; upwards, in `length_unit`.
+        doubts: what a fit must not take for granted, by the option that settles it.
     """
 
     x: Float64[np.ndarray, " row"]
@@ -69,6 +72,38 @@ class Tracks:
     columns: Mapping[str, str] = dataclasses.field(default_factory=dict)
     notes: tuple[str, ...] = ()
     facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    z: Float64[np.ndarray, " row"] | None = None
+    doubts: Mapping[str, str] = dataclasses.field(default_factory=dict)
+
+    def positions(self) -> Float64[np.ndarray, "row dim"]:
+        """x, y and, where there is one, z."""
+        heights = [] if self.z is None else [self.z]
+        return np.stack([self.x, self.y, *heights], axis=1)
+
+    def taken(self, kept: Bool[np.ndarray, " row"]) -> "Tracks":
+        """The rows where the mask is true."""
+        rows = np.flatnonzero(kept)
+
+        def names(words: list[str] | None) -> list[str] | None:
+            return None if words is None else [words[row] for row in rows]
+
+        def values(array: np.ndarray | None) -> Any:
+            return None if array is None else array[rows]
+
+        return dataclasses.replace(
+            self,
+            x=self.x[rows],
+            y=self.y[rows],
+            z=values(self.z),
+            place=lambda row: self.place(int(rows[row])),
+            particle=names(self.particle),
+            run=names(self.run),
+            kind=names(self.kind),
+            frame=values(self.frame),
+            time=values(self.time),
+            segment=values(self.segment),
+            commands={name: c[rows] for name, c in self.commands.items()},
+        )
 
     def where(self, row: int, what: str) -> str:
         """Where the frame or the time of a row stands, for a message."""
@@ -94,6 +129,9 @@ class Reading:
             given.
         gap: frames without the particle that part two segments.
         likelihood: below which a position counts as lost, where the file has one.
+        runs: names of the runs that are kept; all unless given.
+        particles: names of the particles that are kept; all unless given.
+        layout: how a table stands in its file, and whether bad rows are refused.
 
     Raises:
         InputError: a number is not positive, or `delay` is negative.
@@ -109,6 +147,9 @@ class Reading:
     jump: float | None = None
     gap: int = 10
     likelihood: float = 0.6
+    runs: Sequence[str] = ()
+    particles: Sequence[str] = ()
+    layout: Layout = STRICT
 
     def __post_init__(self) -> None:
         for name in ("fps", "mpp", "jump", "gap"):
@@ -144,6 +185,7 @@ def in_known_units(tracks: Tracks, reading: Reading) -> Tracks:
         tracks,
         x=scale * tracks.x,
         y=scale * tracks.y,
+        z=None if tracks.z is None else scale * tracks.z,
         time=None if tracks.time is None else factor * tracks.time,
         length_unit=length_unit,
         time_unit=time_unit,

@@ -14,8 +14,32 @@ from pinav.recordings.rows import Tracks
 JUMPS: Mapping[str, float] = {"px": 40.0, "um": 15.0}
 """Displacement from one row to the next that no swimmer makes, by unit of length.
 
-Where the unit is unknown, nothing is split unless the limit is given.
+Where the unit is unknown, a track is split at steps far beyond its own: `jump_limit`.
 """
+
+BEYOND, ORDINARY, LEAST_STEPS = 20.0, 0.95, 20
+"""Without a unit, a jump is so many times the quantile `ORDINARY` of the steps, if
+there are that many of them."""
+
+
+def jump_limit(
+    unit: str, jump: float | None, steps: Float64[np.ndarray, " step"]
+) -> float:
+    """Displacement beyond which a track is split [unit of length].
+
+    Args:
+        unit: of length.
+        jump: what the user states, if anything.
+        steps: displacements of the track from row to row [unit of length].
+    """
+    if jump is not None:
+        return jump
+    if unit in JUMPS:
+        return JUMPS[unit]
+    if len(steps) < LEAST_STEPS:
+        return np.inf
+    ordinary = float(np.quantile(steps, ORDINARY))
+    return BEYOND * ordinary if ordinary > 0 else np.inf
 
 
 def segments(
@@ -33,9 +57,9 @@ def segments(
     """
     if tracks.segment is not None:
         return tracks.segment[particle.rows]
-    limit = JUMPS.get(tracks.length_unit, np.inf) if jump is None else jump
     seen = np.flatnonzero(particle.seen)
     steps = np.linalg.norm(np.diff(particle.positions[seen], axis=0), axis=1)
+    limit = jump_limit(tracks.length_unit, jump, steps)
     cuts = (steps > limit) | (_frames_between(tracks, particle, seen) > gap)
     numbers = np.zeros(len(particle.rows), np.int64)
     numbers[seen[1:][cuts]] = 1

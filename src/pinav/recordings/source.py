@@ -7,7 +7,7 @@ import io
 import os
 import re
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, Protocol, final, runtime_checkable
@@ -15,18 +15,42 @@ from typing import Any, Literal, Protocol, final, runtime_checkable
 import numpy as np
 
 from pinav.errors import InputError
-from pinav.recordings.table import DELIMITERS, Table, read_delimited
+from pinav.recordings.layout import (
+    DELIMITERS,
+    STRICT,
+    Layout,
+    read_delimited,
+    rows_above_header,
+)
+from pinav.recordings.table import Table
+from pinav.recordings.workbook import sheet_table
 
-Kind = Literal["text", "xml", "zip", "hdf5", "parquet", "matlab", "frame"]
+Kind = Literal[
+    "text",
+    "xml",
+    "workbook",
+    "zip",
+    "hdf5",
+    "parquet",
+    "matlab",
+    "array",
+    "old workbook",
+    "folder",
+    "frame",
+]
 
 _MAGIC: tuple[tuple[bytes, Kind], ...] = (
     (b"PK\x03\x04", "zip"),
     (b"\x89HDF\r\n\x1a\n", "hdf5"),
     (b"PAR1", "parquet"),
+    (b"\x93NUMPY", "array"),
+    (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "old workbook"),
 )
 _ENDINGS = re.compile(
-    r"(\.(csv|tsv|txt|xls|xlsx|xml|mat|h5|hdf5|parquet|npz|gz))+$", re.IGNORECASE
+    r"(\.(csv|tsv|txt|xls|xlsx|xml|mat|h5|hdf5|parquet|npz|npy|slp|mdf|geff|zarr|gz))+$",
+    re.IGNORECASE,
 )
+_WORKBOOK = b"xl/workbook.xml"
 _MATLAB_HDF5 = 512
 """Bytes that MATLAB 7.3 puts in front of HDF5."""
 
@@ -52,20 +76,26 @@ class Source:
         path: where it was read from.
         content: its bytes, decompressed where it was gzip.
         frame: the columns of a DataFrame, which has no bytes.
+        layout: how a table stands in it.
+        faults: bad rows by their place; None where the first one is refused.
     """
 
     path: Path
     content: bytes
     frame: Mapping[str, np.ndarray] | None = None
+    layout: Layout = STRICT
+    faults: dict[str, str] | None = None
 
     @classmethod
-    def read(cls, path: str | os.PathLike[str]) -> "Source":
+    def read(cls, path: str | os.PathLike[str], layout: Layout = STRICT) -> "Source":
         """The file at `path`, decompressed where it is gzip.
 
         Raises:
             InputError: it cannot be read, or holds nothing.
         """
         path = Path(path)
+        if path.is_dir():
+            return cls(path, b"", None, layout, layout.faults())
         try:
             content = path.read_bytes()
             if content.startswith(b"\x1f\x8b"):
@@ -78,13 +108,13 @@ class Source:
             raise InputError(f"cannot read: {error.strerror or error}") from error
         if not content.strip(b"\0 \r\n\t"):
             raise InputError("the file is empty; copy it from its origin again")
-        return cls(path, content)
+        return cls(path, content, None, layout, layout.faults())
 
     @classmethod
-    def of_frame(cls, frame: DataFrame) -> "Source":
+    def of_frame(cls, frame: DataFrame, layout: Layout = STRICT) -> "Source":
         """The columns of a DataFrame."""
         columns = {str(name): np.asarray(frame[name]) for name in frame.columns}
-        return cls(Path("DataFrame"), b"", columns)
+        return cls(Path("DataFrame"), b"", columns, layout, layout.faults())
 
     @property
     def stem(self) -> str:
@@ -96,6 +126,10 @@ class Source:
         """What the first bytes say the file is."""
         if self.frame is not None:
             return "frame"
+        if self.path.is_dir():
+            return "folder"
+        if self.content.startswith(b"PK\x03\x04") and _WORKBOOK in self.content:
+            return "workbook"
         for magic, kind in _MAGIC:
             if self.content.startswith(magic):
                 return kind
@@ -137,47 +171,105 @@ class Source:
 
     @cached_property
     def first_lines(self) -> list[str]:
-        """The first few lines of a text file; none of another."""
+        """The first few lines of a text file, titles left out; none of another."""
         if self.kind != "text":
             return []
-        return self.text[:20_000].splitlines()[:6]
+        return self.text[:20_000].splitlines()[self.skip :][:6]
+
+    @cached_property
+    def skip(self) -> int:
+        """Rows above the header of a text file."""
+        if self.layout.skip is not None:
+            return self.layout.skip
+        lines = self.text[:20_000].splitlines()
+        rows = []
+        for line in lines:
+            delimiter = max(DELIMITERS, key=line.count)
+            rows.append(next(csv.reader([line], delimiter=delimiter), []))
+        return (
+            0
+            if any(line.startswith("#") for line in lines[:1])
+            else rows_above_header(rows)
+        )
 
     @cached_property
     def column_names(self) -> list[str]:
         """Names of the columns of a table, as far as they can be told cheaply."""
-        if self.kind in ("frame", "parquet"):
+        if self.kind in ("frame", "parquet", "array"):
             return list(self.table().columns)
-        if not self.first_lines:
+        if self.kind == "workbook" or not self.first_lines:
             return []
         header = self.first_lines[0]
         delimiter = max(DELIMITERS, key=header.count)
         return [
-            name.strip() for name in next(csv.reader([header], delimiter=delimiter))
+            name.strip() for name in next(csv.reader([header], delimiter=delimiter), [])
         ]
 
     def table(self) -> Table:
-        """The table that a text file, a parquet file or a DataFrame is.
+        """The table that a file or a DataFrame is.
 
         Raises:
             InputError: it is none, or damaged; the message names the place.
         """
         if self.frame is not None:
-            return _numbered(self.frame)
+            return self._numbered(self.frame)
         if self.kind == "parquet":
-            return _numbered(_parquet(self.content))
+            return self._numbered(_parquet(self.content))
+        if self.kind == "array":
+            return self._numbered(_array(self.content))
+        if self.kind == "workbook":
+            return sheet_table(self.content, self.layout, self.faults)
         if self.kind == "text":
-            return read_delimited(self.text)
+            return self.delimited(skip=self.skip)
         raise InputError(
-            f"expected a table as text or parquet, got {self.kind}; export it as CSV"
+            f"expected a table as text, workbook, parquet or array, got {self.kind}; "
+            "export it as CSV"
         )
 
+    def delimited(
+        self, *, skip: int = 0, below: int = 0, names: Sequence[str] | None = None
+    ) -> Table:
+        """The table of a text file; see `read_delimited`.
 
-def _numbered(columns: Mapping[str, Any]) -> Table:
-    """A table whose rows are counted from 0, as DataFrames count them."""
-    count = max(map(len, columns.values()), default=0)
-    if count == 0:
-        raise InputError("the table has no rows; expected two or more of a particle")
-    return Table(dict(columns), np.arange(count), "row")
+        Args:
+            skip: lines above the header.
+            below: lines between the header and the numbers.
+            names: of the columns, where those of the header are not unique.
+
+        Raises:
+            InputError: it is none, or damaged; the message names the place.
+        """
+        return read_delimited(
+            self.text, skip=skip, below=below, names=names, faults=self.faults
+        )
+
+    def _numbered(self, columns: Mapping[str, Any]) -> Table:
+        """A table whose rows are counted from 0, as DataFrames count them."""
+        count = max(map(len, columns.values()), default=0)
+        if count == 0:
+            raise InputError(
+                "the table has no rows; expected two or more of a particle"
+            )
+        return Table(dict(columns), np.arange(count), "row", faults=self.faults)
+
+
+def _array(content: bytes) -> dict[str, np.ndarray]:
+    """Columns of an array of NumPy: fields by their names, others by their numbers."""
+    try:
+        array = np.load(io.BytesIO(content), allow_pickle=False)
+    except (ValueError, EOFError, OSError) as error:
+        raise InputError(
+            f"damaged array: {str(error).partition('. ')[0]}; save it again with "
+            "numpy.save, without objects"
+        ) from error
+    if array.dtype.names:
+        return {name: array[name] for name in array.dtype.names}
+    if array.ndim != 2:
+        raise InputError(
+            f"expected an array of rows and columns, got shape {array.shape}; save it "
+            "with a column for each quantity"
+        )
+    return {str(index): column for index, column in enumerate(array.T)}
 
 
 def _parquet(content: bytes) -> dict[str, list[Any]]:

@@ -1,7 +1,7 @@
 """Tables of a tracker's file: named columns, and where each row stands in the file."""
 
-import csv
 import dataclasses
+import datetime
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, final
@@ -10,9 +10,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from pinav.errors import InputError
-
-DELIMITERS = ",\t;"
-"""What may separate the cells of a text file; the header tells which it is."""
+from pinav.recordings import units
 
 _LOST = ("", "nan", "na", "n/a", "none", "null")
 """Words for a number that is not there, in lower case."""
@@ -27,11 +25,18 @@ class Table:
         columns: cells of each column, by its name.
         rows: number of each row in the file, for messages.
         place: what a row is called, such as "line" or "sheet 'Robot 1', row".
+        units: of columns whose heading, or the row below it, states one.
+        faults: where bad cells are noted, by the place of their row; the first one is
+            refused where this is None.
+        notes: what was taken for titles, units or decimal commas, in words.
     """
 
     columns: Mapping[str, Sequence[Any] | np.ndarray]
     rows: Int64[np.ndarray, " row"]
     place: str = "line"
+    units: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    faults: dict[str, str] | None = None
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -45,12 +50,35 @@ class Table:
         """Where a cell stands, for a message."""
         return f"{self.row(row)}, column {column!r}"
 
+    def refuse(self, row: int, message: str) -> None:
+        """Note the fault of a row, which is then left out, or raise it.
+
+        Raises:
+            InputError: every row must be good.
+        """
+        if self.faults is None:
+            raise InputError(message)
+        self.faults.setdefault(self.row(row), message)
+
+    def resolve(self, name: str) -> str:
+        """The heading that a name stands for: itself, or itself with a unit."""
+        if name in self.columns:
+            return name
+        same = [h for h in self.columns if units.split_heading(h)[0] == name]
+        return same[0] if len(same) == 1 else name
+
+    def unit(self, name: str) -> str:
+        """The unit that the table states of a column; empty where it states none."""
+        name = self.resolve(name)
+        return self.units.get(name, "") or units.split_heading(name)[1]
+
     def column(self, name: str) -> Sequence[Any] | np.ndarray:
-        """The cells of a column.
+        """The cells of a column, named with or without its unit.
 
         Raises:
             InputError: there is none of that name.
         """
+        name = self.resolve(name)
         if name not in self.columns:
             raise InputError(
                 f"{self.header}: column {name!r} is missing; got "
@@ -105,9 +133,39 @@ class Table:
             if lost
             else "give its value or delete the row"
         )
-        raise InputError(
-            f"{self.where(row, name)}: expected a finite number, got {shown}; {remedy}"
+        self.refuse(
+            row,
+            f"{self.where(row, name)}: expected a finite number, got {shown}; {remedy}",
         )
+        return math.nan
+
+    def times(self, name: str) -> tuple[Float64[np.ndarray, " row"], str]:
+        """The times of a column, and "s" where they were stamps of a clock.
+
+        Stamps such as `12:30:01.5` or `2024-03-20T15:10:30.5` become seconds since the
+        first of them; a clock that passes midnight goes on.
+
+        Raises:
+            InputError: the column is missing, or a cell is no time.
+        """
+        cells = self.column(name)
+        first = next((cell for cell in cells if _stamp(cell) is not None), None)
+        if first is None or _as_floats(cells) is not None:
+            return self.numbers(name), ""
+        stamps = [_stamp(cell) for cell in cells]
+        for row, (cell, stamp) in enumerate(zip(cells, stamps, strict=True)):
+            if stamp is None:
+                self.refuse(
+                    row,
+                    f"{self.where(row, name)}: expected a time of day such as "
+                    f"12:30:01.5, got {cell!r}; correct the cell",
+                )
+        seconds = np.array([math.nan if s is None else s for s in stamps], np.float64)
+        known = seconds[np.isfinite(seconds)]
+        if known.max() < _DAY:
+            steps = np.diff(seconds, prepend=seconds[:1])
+            seconds = seconds + _DAY * np.cumsum(np.nan_to_num(steps) < -_DAY / 2)
+        return seconds - known[0], "s"
 
     def whole_numbers(
         self, name: str, *, least: int | None = None
@@ -125,14 +183,16 @@ class Table:
         wrong = (values != np.round(values)) | (np.abs(values) > 2.0**53)
         if least is not None:
             wrong |= values < least
-        if wrong.any():
-            row = int(np.argmax(wrong))
-            expected = "a whole number" + ("" if least is None else f" >= {least}")
-            raise InputError(
+        expected = "a whole number" + ("" if least is None else f" >= {least}")
+        for row in np.flatnonzero(wrong).tolist():
+            if np.isnan(values[row]):
+                continue  # noted already
+            self.refuse(
+                row,
                 f"{self.where(row, name)}: expected {expected}, got {values[row]:g}; "
-                "correct the cell or delete the row"
+                "correct the cell or delete the row",
             )
-        return values.astype(np.int64)
+        return np.where(wrong, -1.0, values).astype(np.int64)
 
     def labels(self, name: str) -> list[str]:
         """The words of a column that tells things apart; 3.0 and 3 are one word.
@@ -141,12 +201,13 @@ class Table:
             InputError: the column is missing, or a cell is empty.
         """
         words = [_label(cell) for cell in self.column(name)]
-        if "" in words:
-            row = words.index("")
-            raise InputError(
-                f"{self.where(row, name)}: expected a name or a number, got an empty "
-                "cell; fill it or delete the row"
-            )
+        for row, word in enumerate(words):
+            if not word:
+                self.refuse(
+                    row,
+                    f"{self.where(row, name)}: expected a name or a number, got an "
+                    "empty cell; fill it or delete the row",
+                )
         return words
 
     def taken(self, chosen: np.ndarray) -> "Table":
@@ -157,7 +218,39 @@ class Table:
             ]
             for name, cells in self.columns.items()
         }
-        return Table(columns, self.rows[chosen], self.place)
+        return dataclasses.replace(self, columns=columns, rows=self.rows[chosen])
+
+
+_DAY = 86_400.0
+
+
+def _stamp(cell: Any) -> float | None:
+    """Seconds of a stamp of a clock, with or without its date; else None."""
+    if isinstance(cell, datetime.time):
+        return _seconds_of_day(cell)
+    if isinstance(cell, str) and ":" in cell:
+        text = cell.strip().replace(",", ".")
+        try:
+            cell = datetime.datetime.fromisoformat(text)
+        except ValueError:
+            try:
+                return _seconds_of_day(
+                    datetime.time.fromisoformat("0" * (text[1] == ":") + text)
+                )
+            except ValueError:
+                return None
+    if isinstance(cell, datetime.datetime):
+        day = datetime.datetime.combine(cell.date(), datetime.time())
+        return (
+            _DAY * cell.toordinal() + (cell.replace(tzinfo=None) - day).total_seconds()
+        )
+    return None
+
+
+def _seconds_of_day(time: datetime.time) -> float:
+    return (
+        3600.0 * time.hour + 60.0 * time.minute + time.second + 1e-6 * time.microsecond
+    )
 
 
 def _as_floats(cells: Sequence[Any] | np.ndarray) -> np.ndarray | None:
@@ -182,68 +275,3 @@ def _label(cell: Any) -> str:
     text = str(cell).strip()
     whole, point, zeros = text.partition(".")
     return whole if point and whole.isdigit() and not zeros.strip("0") else text
-
-
-def read_delimited(
-    text: str, *, skip: int = 0, below: int = 0, names: Sequence[str] | None = None
-) -> Table:
-    """The table of a text file whose first line names the columns.
-
-    Args:
-        text: the file.
-        skip: lines above the header.
-        below: lines between the header and the numbers, which are skipped too.
-        names: of the columns, where those of the header are not unique.
-
-    Raises:
-        InputError: there is no header or no row, a name stands twice, or a row has
-            not as many cells as the header.
-    """
-    lines = text.splitlines(keepends=True)[skip:]
-    if not lines or not lines[0].strip():
-        raise InputError(
-            f"line {skip + 1}: expected the names of the columns, got nothing; "
-            "export the file again"
-        )
-    delimiter = max(DELIMITERS, key=lines[0].count)
-    reader = csv.reader(lines, delimiter=delimiter, strict=True)
-    try:
-        stated = [name.strip() for name in next(reader)]
-        header = stated if names is None else list(names)
-        _check_header(header, skip + 1)
-        rows, numbers = _rows(reader, header, skip, below)
-    except csv.Error as error:
-        raise InputError(f"line {skip + reader.line_num}: not CSV: {error}") from error
-    if not rows:
-        raise InputError(
-            f"line {skip + 1}: the header is all there is; expected rows below it"
-        )
-    columns = dict(zip(header, zip(*rows, strict=True), strict=True))
-    return Table({n: c for n, c in columns.items() if n}, np.array(numbers, np.int64))
-
-
-def _check_header(header: Sequence[str], line: int) -> None:
-    for name in header:
-        if name and header.count(name) > 1:
-            raise InputError(
-                f"line {line}: column {name!r} stands twice; rename or delete one"
-            )
-
-
-def _rows(
-    reader: Any, header: Sequence[str], skip: int, below: int
-) -> tuple[list[list[str]], list[int]]:
-    """The rows that are not empty, and the line of each."""
-    rows, numbers = [], []
-    for index, cells in enumerate(reader):
-        if index < below or not any(cells):
-            continue
-        if len(cells) != len(header):
-            raise InputError(
-                f"line {skip + reader.line_num}: expected {len(header)} cells, as in "
-                f"the header, got {len(cells)}; is the file cut short, or a comma in "
-                "a number?"
-            )
-        rows.append(cells)
-        numbers.append(skip + reader.line_num)
-    return rows, numbers

@@ -1,11 +1,13 @@
 """Units that files are written in, and those that recordings are read into."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 
 from pinav.errors import InputError
 
 _MICROMETRES: Mapping[str, float] = {
-    **dict.fromkeys(("um", "µm", "μm", "micron", "microns", "micrometer"), 1.0),
+    **dict.fromkeys(("um", "µm", "μm", "micron", "microns"), 1.0),
+    **dict.fromkeys(("micrometer", "micrometre", "micrometers", "micrometres"), 1.0),
     "nm": 1e-3,
     "mm": 1e3,
     "cm": 1e4,
@@ -19,16 +21,57 @@ _SECONDS: Mapping[str, float] = {
 }
 _PIXELS = ("px", "pixel", "pixels")
 _FRAMES = ("frame", "frames")
+_DEGREE = 0.017453292519943295
 _COMMANDS: Mapping[str, Mapping[str, float]] = {
-    "Hz": {"Hz": 1.0, "kHz": 1e3, "rpm": 1 / 60, "rad/s": 0.15915494309189535},
-    "rad": {"rad": 1.0, "deg": 0.017453292519943295, "°": 0.017453292519943295},
+    "Hz": {
+        **dict.fromkeys(("Hz", "hz", "1/s", "s^-1", "rev/s"), 1.0),
+        "kHz": 1e3,
+        "rpm": 1 / 60,
+        "rad/s": 0.15915494309189535,
+    },
+    "rad": {
+        **dict.fromkeys(("rad", "radian", "radians"), 1.0),
+        **dict.fromkeys(("deg", "°", "degree", "degrees"), _DEGREE),
+    },
     "1": {"1": 1.0, "%": 0.01},
 }
+_STATED = re.compile(
+    r"(?P<name>.*?)\s*(?:\[(?P<a>[^\]]*)\]|\((?P<b>[^)]*)\)|/\s*(?P<c>\S+))\s*"
+)
 
 
 def bare(unit: str | None) -> str:
     """A unit without its brackets, such as `um` of `(um)` and of `[um]`."""
     return (unit or "").strip().strip("()[]").strip()
+
+
+def is_unit(word: str) -> bool:
+    """Whether a word, with or without brackets, is a unit that is known here."""
+    word = bare(word)
+    if not word:
+        return False
+    known = {
+        *_MICROMETRES,
+        *_SECONDS,
+        *_FRAMES,
+        *(u for c in _COMMANDS.values() for u in c),
+    }
+    return word in known or word.lower() in _PIXELS
+
+
+def split_heading(heading: str) -> tuple[str, str]:
+    """Name and unit of the heading of a column, such as `x [um]`, `x (µm)` or `t/ms`.
+
+    What stands in brackets or behind a stroke is no unit unless it is known as one;
+    the name is then the whole heading.
+    """
+    match = _STATED.fullmatch(heading.strip())
+    if match is None:
+        return heading.strip(), ""
+    unit = match["a"] or match["b"] or match["c"] or ""
+    if not is_unit(unit) or not match["name"]:
+        return heading.strip(), ""
+    return match["name"], unit.strip()
 
 
 def length(unit: str | None) -> tuple[float, str]:

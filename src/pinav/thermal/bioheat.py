@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int
 
 from pinav.arguments import Scalar
 from pinav.errors import InputError
-from pinav.thermal.boundaries import Sides
+from pinav.thermal.boundaries import AbstractEnds
 from pinav.thermal.grids import AbstractGrid
 from pinav.thermal.perfusion import AbstractPerfusion
 from pinav.thermal.protocols import AbstractProtocol
@@ -39,10 +39,11 @@ class Bioheat(eqx.Module):
         blood: that perfuses it.
         perfusion: mass perfusion as a function of temperature.
         sources: of heat, that go with the field.
-        sides: both boundaries of each axis, such as `boundaries.outer` makes.
+        sides: both ends of each axis, such as `boundaries.outer` makes.
 
     Raises:
-        InputError: a property has not the shape of the grid, or an axis has no sides.
+        InputError: a property has not the shape of the grid, an axis has no sides, or
+            the ends of a single axis meet.
     """
 
     grid: AbstractGrid
@@ -50,13 +51,18 @@ class Bioheat(eqx.Module):
     blood: Blood
     perfusion: AbstractPerfusion
     sources: tuple[AbstractSource, ...]
-    sides: tuple[Sides, ...]
+    sides: tuple[AbstractEnds, ...]
 
     def __check_init__(self) -> None:
         if len(self.sides) != len(self.grid.shape):
             raise InputError(
                 f"Bioheat.sides: expected {len(self.grid.shape)}, one pair for each "
                 f"axis, got {len(self.sides)}"
+            )
+        if len(self.sides) == 1 and self.sides[0].joined:
+            raise InputError(
+                "Bioheat.sides: expected ends that do not meet on a grid with one "
+                "axis; take a box of two axes"
             )
         for name in ("conductivity", "density", "specific_heat", "metabolic"):
             shape = np.shape(getattr(self.tissue, name))
@@ -93,7 +99,7 @@ class HeatBalance(eqx.Module):
     Attributes:
         inverse_capacity: one over the heat capacity of each cell [K J⁻¹].
         conductances: across all faces of each axis [W K⁻¹], the sides included.
-        outside: temperatures behind the lower and the upper side of each axis [°C].
+        sides: both ends of each axis.
         volumes: of the cells [m³].
         metabolic: heat of each cell [W].
         shapes: of the sources, times the volume.
@@ -103,7 +109,7 @@ class HeatBalance(eqx.Module):
 
     inverse_capacity: Field
     conductances: tuple[Field, ...]
-    outside: tuple[tuple[Scalar, Scalar], ...]
+    sides: tuple[AbstractEnds, ...]
     volumes: Field
     metabolic: Field
     shapes: tuple[Field, ...]
@@ -124,9 +130,7 @@ class HeatBalance(eqx.Module):
             conductances=tuple(
                 _conductances(grid, k, axis, model.sides[axis]) for axis in axes
             ),
-            outside=tuple(
-                (side.low.outside, side.high.outside) for side in model.sides
-            ),
+            sides=model.sides,
             volumes=volumes,
             metabolic=full(tissue.metabolic) * volumes,
             shapes=tuple(
@@ -157,11 +161,11 @@ class HeatBalance(eqx.Module):
             inner = _part(conductance, axis, 1, count) * jnp.diff(
                 temperature, axis=axis
             )
-            low, high = self.outside[axis]
-            first = _part(temperature, axis, 0, 1) - jnp.asarray(low)
-            last = _part(temperature, axis, count - 1, count) - jnp.asarray(high)
-            below = _part(conductance, axis, 0, 1) * first
-            above = _part(conductance, axis, count, count + 1) * last
+            first = _part(temperature, axis, 0, 1)
+            last = _part(temperature, axis, count - 1, count)
+            low, high = self.sides[axis].outside(first, last)
+            below = _part(conductance, axis, 0, 1) * (first - low)
+            above = _part(conductance, axis, count, count + 1) * (last - high)
             # zeros around each part: joined before, they would be several times slower
             gain = gain + _pad(inner, axis, 0, 1) - _pad(inner, axis, 1, 0)
             gain = gain - _pad(below, axis, 0, count - 1)
@@ -181,6 +185,13 @@ class HeatBalance(eqx.Module):
         """Heat stored between two temperatures [J]."""
         return jnp.sum((end - begin) / self.inverse_capacity)
 
+    def sink_slope(self, temperature: Field) -> Field:
+        """Change of what blood takes from each cell with its temperature [W m⁻³ K⁻¹].
+
+        The sink is local: its Jacobian is diagonal, and one tangent of ones gives it.
+        """
+        return jax.jvp(self.sink, (temperature,), (jnp.ones_like(temperature),))[1]
+
     @property
     def fastest(self) -> Float[Array, ""]:
         r"""Bound on the rates of decay [s⁻¹], by Gershgorin's circles.
@@ -191,24 +202,23 @@ class HeatBalance(eqx.Module):
         total = jnp.zeros_like(self.inverse_capacity)
         for axis, conductance in enumerate(self.conductances):
             count = total.shape[axis]
-            first = _part(conductance, axis, 0, 1)
-            last = _part(conductance, axis, count, count + 1)
+            ends = 2.0 if self.sides[axis].joined else 1.0
+            first = ends * _part(conductance, axis, 0, 1)
+            last = ends * _part(conductance, axis, count, count + 1)
             inner = 2 * _part(conductance, axis, 1, count)
             circle = jnp.concatenate([first, inner, last], axis=axis)
             low, high = (_part(circle, axis, i, count + i) for i in (0, 1))
             total = total + low + high
 
         def steeper(steepest: Field, celsius: Scalar) -> tuple[Field, None]:
-            return jnp.maximum(steepest, self._sink_slope(celsius)), None
+            return jnp.maximum(
+                steepest, self.sink_slope(jnp.full_like(total, celsius))
+            ), None
 
         # in a scan, because all trials at once would hold a grid for each temperature
         trials = jnp.arange(COLDEST, WARMEST, 0.5)
         steepest, _ = jax.lax.scan(steeper, jnp.zeros_like(total), trials)
         return jnp.max((total + steepest * self.volumes) * self.inverse_capacity)
-
-    def _sink_slope(self, celsius: Scalar) -> Field:
-        temperature = jnp.full_like(self.volumes, celsius)
-        return jax.jvp(self.sink, (temperature,), (jnp.ones_like(temperature),))[1]
 
 
 @eqx.filter_jit
@@ -217,15 +227,17 @@ def fastest_rate(model: Bioheat) -> Float[Array, ""]:
     return HeatBalance.of(model).fastest
 
 
-def _conductances(grid: AbstractGrid, k: Field, axis: int, sides: Sides) -> Field:
+def _conductances(
+    grid: AbstractGrid, k: Field, axis: int, sides: AbstractEnds
+) -> Field:
     """Across all faces of one axis, the sides included."""
     area, resistance = grid.faces(axis), grid.half_widths(axis) / k
     count = k.shape[axis]
     # half cells in series: the harmonic mean, exact where the conductivity jumps
     series = _part(resistance, axis, 0, count - 1) + _part(resistance, axis, 1, count)
-    low = sides.low.conductance(_part(area, axis, 0, 1), _part(resistance, axis, 0, 1))
-    high = sides.high.conductance(
-        _part(area, axis, count, count + 1), _part(resistance, axis, count - 1, count)
+    low, high = sides.conductances(
+        (_part(area, axis, 0, 1), _part(area, axis, count, count + 1)),
+        (_part(resistance, axis, 0, 1), _part(resistance, axis, count - 1, count)),
     )
     inner = _part(area, axis, 1, count) / series
     return jnp.concatenate([low, inner, high], axis=axis)

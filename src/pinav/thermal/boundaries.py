@@ -92,8 +92,32 @@ class Robin(AbstractBoundary):
         return self.ambient
 
 
-class Sides(eqx.Module):
-    """Both ends of one axis.
+class AbstractEnds(eqx.Module):
+    """What happens at both ends of one axis."""
+
+    @property
+    @abc.abstractmethod
+    def joined(self) -> bool:
+        """Whether heat that leaves by one end enters by the other."""
+
+    @abc.abstractmethod
+    def conductances(
+        self, areas: tuple[Field, Field], resistances: tuple[Field, Field]
+    ) -> tuple[Field, Field]:
+        """Heat flow per degree through the lower and the upper end [W K⁻¹].
+
+        Args:
+            areas: of the faces at both ends [m²].
+            resistances: of the half cells before them [m² K W⁻¹].
+        """
+
+    @abc.abstractmethod
+    def outside(self, first: Field, last: Field) -> tuple[Field, Field]:
+        """Temperatures [°C] behind both ends, from those of the outermost cells."""
+
+
+class Sides(AbstractEnds):
+    """A boundary at each end.
 
     Attributes:
         low: at the lower end; the centre of a cylinder or sphere has no area.
@@ -103,12 +127,42 @@ class Sides(eqx.Module):
     low: AbstractBoundary
     high: AbstractBoundary
 
+    @property
+    def joined(self) -> bool:
+        return False
 
-def around(grid: AbstractGrid, boundary: AbstractBoundary) -> tuple[Sides, ...]:
+    def conductances(
+        self, areas: tuple[Field, Field], resistances: tuple[Field, Field]
+    ) -> tuple[Field, Field]:
+        low, high = zip(areas, resistances, strict=True)
+        return self.low.conductance(*low), self.high.conductance(*high)
+
+    def outside(self, first: Field, last: Field) -> tuple[Field, Field]:
+        return jnp.asarray(self.low.outside), jnp.asarray(self.high.outside)
+
+
+class Periodic(AbstractEnds):
+    """The ends meet: the tissue repeats itself along this axis of a box."""
+
+    @property
+    def joined(self) -> bool:
+        return True
+
+    def conductances(
+        self, areas: tuple[Field, Field], resistances: tuple[Field, Field]
+    ) -> tuple[Field, Field]:
+        through = areas[0] / (resistances[0] + resistances[1])
+        return through, through
+
+    def outside(self, first: Field, last: Field) -> tuple[Field, Field]:
+        return last, first
+
+
+def around(grid: AbstractGrid, boundary: AbstractBoundary) -> tuple[AbstractEnds, ...]:
     """The same boundary on every side."""
     return tuple(Sides(boundary, boundary) for _ in grid.shape)
 
 
-def outer(boundary: AbstractBoundary) -> tuple[Sides, ...]:
+def outer(boundary: AbstractBoundary) -> tuple[AbstractEnds, ...]:
     """A boundary at the outer end of a radial grid, symmetry at its inner end."""
     return (Sides(Insulated(), boundary),)

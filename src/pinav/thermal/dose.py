@@ -217,3 +217,24 @@ def volume_above(values: Field, weights: Field, level: Scalar) -> Float[Array, "
     """Share of the target's volume with a value above `level`, such as V43."""
     above = jnp.where(values > level, weights, 0.0)
     return jnp.sum(above) / jnp.sum(weights)
+
+
+def time_to_reach(
+    times: Float[np.ndarray, " time"], doses: Float[np.ndarray, " time"], level: Number
+) -> float | None:
+    """Time at which a growing dose reaches a level; none where it does not.
+
+    Args:
+        times: increasing [s].
+        doses: so far, at these times [min].
+        level: to be reached [min].
+    """
+    if not doses[-1] >= level:
+        return None
+    after = int(np.argmax(doses >= level))
+    if after == 0:
+        return float(times[0])
+    # doses grow by the exponential of the temperature: linear between two times
+    low, high = doses[after - 1], doses[after]
+    share = (level - low) / (high - low)
+    return float(times[after - 1] + share * (times[after] - times[after - 1]))

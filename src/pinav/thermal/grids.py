@@ -7,6 +7,7 @@ metre of a cylinder, of the whole sphere.
 """
 
 import abc
+import functools
 
 import equinox as eqx
 import jax
@@ -16,6 +17,7 @@ from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar
 from pinav.errors import InputError
+from pinav.thermal.interpolation import ResistanceScale, linear_weights
 from pinav.thermal.quantities import Field, Number, Numbers
 
 SOLID_ANGLES = (1.0, 2 * np.pi, 4 * np.pi)
@@ -55,8 +57,17 @@ class AbstractGrid(eqx.Module):
         """Distance [m] of each cell's centre from a point, or from the middle."""
 
     @abc.abstractmethod
-    def interpolation(self, points: Numbers) -> Float[Array, "point ..."]:
+    def interpolation(
+        self, points: Numbers, conductivity: Numbers | Number = 1.0
+    ) -> Float[Array, "point ..."]:
         """Weights of the cells in the value at each point; each point's sum to one.
+
+        Linear in the thermal resistance along each axis, so that the flux, not the
+        slope, is continuous where the conductivity jumps.
+
+        Args:
+            points: [m].
+            conductivity: of each cell, in any unit; the same everywhere unless given.
 
         Raises:
             InputError: a point is outside the grid.
@@ -117,17 +128,16 @@ class RadialGrid(AbstractGrid):
 
     def ball(self, radius: Scalar, *, center: Numbers | None = None) -> Field:
         _check_center(center)
-        power = self.exponent + 1
-        inside = jnp.clip(radius, self.edges[:-1], self.edges[1:])
-        low, high = self.edges[:-1] ** power, self.edges[1:] ** power
-        return (inside**power - low) / (high - low)
+        return _radial_ball(self.exponent, self.edges, jnp.asarray(radius, float))
 
     def distances(self, center: Numbers | None = None) -> Field:
         _check_center(center)
         return self.centers
 
-    def interpolation(self, points: Numbers) -> Float[Array, "point ..."]:
-        r"""Linear between centres; at 0 $T_0 + (T_0 - T_1)/8$, as symmetry asks."""
+    def interpolation(
+        self, points: Numbers, conductivity: Numbers | Number = 1.0
+    ) -> Float[Array, "point ..."]:
+        r"""At 0 $T_0 + (T_0 - T_1)/8$, as symmetry asks."""
         places = np.asarray(points, float).reshape(-1)
         edges = np.asarray(self.edges)
         outside = (places < 0) | (places > edges[-1])
@@ -137,7 +147,8 @@ class RadialGrid(AbstractGrid):
                 f"{edges[-1]:g} m, the end of the grid; move the probe"
             )
         centers = 0.5 * (edges[1:] + edges[:-1])
-        weights = np.stack([_linear(place, centers) for place in places])
+        along = ResistanceScale.of(edges, np.broadcast_to(conductivity, self.shape))
+        weights = np.stack([along.weights(place) for place in places])
         if self.exponent:
             near = places < centers[0]
             weights[near] = 0.0
@@ -231,8 +242,14 @@ class CartesianGrid(AbstractGrid):
             squares = squares + jnp.broadcast_to((offset**2).reshape(shape), self.cells)
         return jnp.sqrt(squares)
 
-    def interpolation(self, points: Numbers) -> Float[Array, "point ..."]:
-        """Linear along each axis; constant in the outer half of the outer cells."""
+    def interpolation(
+        self, points: Numbers, conductivity: Numbers | Number = 1.0
+    ) -> Float[Array, "point ..."]:
+        """Constant in the outer half of the outer cells.
+
+        The resistance is that of the line of cells through the point, so that faces
+        between tissues are exact where they are normal to an axis.
+        """
         places = np.asarray(points, float).reshape(-1, len(self.cells))
         lengths = np.asarray(self.lengths)
         outside = ((places < 0) | (places > lengths)).any(axis=1)
@@ -241,17 +258,25 @@ class CartesianGrid(AbstractGrid):
                 f"probe at {places[outside][0].tolist()} m: expected inside the grid "
                 f"of {lengths.tolist()} m; move the probe"
             )
-        weights = np.ones((len(places), *self.cells))
-        for axis, size in enumerate(self.spacing):
-            centers = (np.arange(self.cells[axis]) + 0.5) * float(size)
-            rows = [
-                _linear(np.clip(p, centers[0], centers[-1]), centers)
-                for p in places[:, axis]
-            ]
-            shape = [len(places)] + [1] * len(self.cells)
-            shape[axis + 1] = self.cells[axis]
-            weights = weights * np.stack(rows).reshape(shape)
-        return jnp.asarray(weights)
+        k = np.broadcast_to(np.asarray(conductivity, float), self.cells)
+        rows = [self._line_weights(place, k) for place in places]
+        return jnp.asarray(np.stack(rows))
+
+    def _line_weights(self, place: np.ndarray, k: np.ndarray) -> np.ndarray:
+        """Weights of all cells at one point, a product of those along each axis."""
+        sizes = [float(size) for size in self.spacing]
+        cell = [
+            min(int(x / h), n - 1)
+            for x, h, n in zip(place, sizes, self.cells, strict=True)
+        ]
+        weights = np.ones(())
+        for axis, (h, n) in enumerate(zip(sizes, self.cells, strict=True)):
+            line = k[tuple(slice(None) if a == axis else c for a, c in enumerate(cell))]
+            along = ResistanceScale.of(h * np.arange(n + 1), line)
+            low, high = along.values[[0, -1]]
+            at = np.clip(along.at(place[axis]), low, high)
+            weights = weights[..., None] * linear_weights(at, along.values)
+        return weights
 
 
 @eqx.filter_jit
@@ -272,13 +297,42 @@ def _ball_shares(grid: "CartesianGrid", radius: Scalar, middle: Array) -> Array:
     return total / SUBCELLS**axes
 
 
-def _linear(place: Number, centers: np.ndarray) -> np.ndarray:
-    """Weights of linear interpolation, continued beyond the first and last centre."""
-    index = int(np.clip(np.searchsorted(centers, place) - 1, 0, len(centers) - 2))
-    share = (place - centers[index]) / (centers[index + 1] - centers[index])
-    weights = np.zeros(len(centers))
-    weights[index], weights[index + 1] = 1 - share, share
-    return weights
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _radial_ball(exponent: int, edges: Array, radius: Array) -> Array:
+    """Share of each cell within a radius."""
+    return _shares_within(exponent, edges, radius)
+
+
+def _shares_within(exponent: int, edges: Array, radius: Array) -> Array:
+    power = exponent + 1
+    inside = jnp.clip(radius, edges[:-1], edges[1:])
+    low, high = edges[:-1] ** power, edges[1:] ** power
+    return (inside**power - low) / (high - low)
+
+
+@_radial_ball.defjvp
+def _radial_ball_jvp(
+    exponent: int, primals: tuple[Array, Array], tangents: tuple[Array, Array]
+) -> tuple[Array, Array]:
+    """The shell added at the radius, shared linearly by the two cells beside it.
+
+    The cut cell alone would get all of it wherever in the cell the radius is, an error
+    of half a cell; at a face, rounding would say which cell.
+    """
+    edges, radius = primals
+    value, by_edges = jax.jvp(
+        lambda e: _shares_within(exponent, e, radius), (edges,), (tangents[0],)
+    )
+    centers = 0.5 * (edges[1:] + edges[:-1])
+    place = jnp.clip(radius, centers[0], centers[-1])
+    gaps = jnp.diff(centers)
+    into = jnp.clip((place - centers[:-1]) / gaps, 0.0, 1.0)
+    weights = jnp.concatenate([jnp.ones(1), into]) - jnp.append(into, 0.0)
+    power = exponent + 1
+    volumes = jnp.diff(edges**power) / power
+    within = (radius > 0) & (radius <= edges[-1])
+    shell = jnp.where(within, radius**exponent * weights / volumes, 0.0)
+    return value, by_edges + shell * tangents[1]
 
 
 def _equal(name: str, length: Scalar, num_cells: int) -> Array:

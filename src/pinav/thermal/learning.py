@@ -26,7 +26,8 @@ from pinav.thermal.probes import ProbeData
 from pinav.thermal.protocols import AbstractProtocol
 from pinav.thermal.quantities import Field, Number, Numbers
 from pinav.thermal.schedule import Schedule, plan_steps
-from pinav.thermal.solve import Probes, default_stepper, run, solve
+from pinav.thermal.solve import Observe, default_stepper, probes_at, run, solve
+from pinav.thermal.starts import AT_REST, AbstractStart
 from pinav.thermal.steppers import AbstractStepper
 
 Laws = Callable[[Any], tuple[AbstractLearnedPerfusion, ...]]
@@ -43,14 +44,16 @@ class ProbeResiduals(eqx.Module):
         probes: where temperatures are read.
         values: the readings there are [°C].
         index: their places among all times and probes.
+        start: where the run begins; a steady state follows the model.
     """
 
     protocol: AbstractProtocol
     schedule: Schedule
     stepper: AbstractStepper
-    probes: Probes
+    probes: Observe
     values: Float[Array, " reading"]
     index: Int[Array, " reading"]
+    start: AbstractStart = AT_REST
 
     def __call__(self, model: Bioheat) -> Float[Array, " reading"]:
         """The residuals of a model."""
@@ -60,6 +63,7 @@ class ProbeResiduals(eqx.Module):
             self.schedule,
             stepper=self.stepper,
             observe=self.probes,
+            start=self.start,
         )
         return solution.observed.reshape(-1)[self.index] - self.values
 
@@ -70,6 +74,7 @@ def probe_residuals(
     data: ProbeData,
     *,
     stepper: AbstractStepper | None = None,
+    start: AbstractStart = AT_REST,
 ) -> ProbeResiduals:
     """The residuals of models like `model`.
 
@@ -89,9 +94,10 @@ def probe_residuals(
         protocol=protocol,
         schedule=plan_steps(protocol, longest, save_at=data.times.tolist()),
         stepper=stepper,
-        probes=Probes(model.grid.interpolation(data.points)),
+        probes=probes_at(model, data.points),
         values=jnp.asarray(data.values[data.observed]),
         index=jnp.asarray(np.flatnonzero(data.observed)),
+        start=start,
     )
 
 
@@ -104,6 +110,7 @@ def learn(
     constants: Callable[[Any], PyTree] = lambda _: (),
     noise: Number | None = None,
     stepper: AbstractStepper | None = None,
+    start: AbstractStart = AT_REST,
     max_iterations: int = 40,
     throw: bool = True,
 ) -> EvidenceFit:
@@ -118,6 +125,7 @@ def learn(
         constants: picks numbers to learn, such as `lambda m: m.sources[0].scale`.
         noise: standard deviation of a reading [K]; estimated unless given.
         stepper: as of `solve`.
+        start: as of `solve`.
         max_iterations: after which the fit counts as stalled.
         throw: raise where the fit did not converge.
 
@@ -136,7 +144,7 @@ def learn(
     count = sum(leaf.size for leaf in leaves)
     return fit_regression(
         model,
-        probe_residuals(model, protocol, data, stepper=stepper),
+        probe_residuals(model, protocol, data, stepper=stepper, start=start),
         weights=weights,
         prior=IsotropicPrior(count) if count else None,
         constants=flat,
@@ -201,7 +209,10 @@ def perfusion_curve(
 
 
 def visited_range(
-    model: Bioheat, protocol: AbstractProtocol, share: Field
+    model: Bioheat,
+    protocol: AbstractProtocol,
+    share: Field,
+    start: AbstractStart = AT_REST,
 ) -> tuple[float, float]:
     """Lowest and highest temperature [°C] of the cells that a mask holds mostly.
 
@@ -209,6 +220,7 @@ def visited_range(
         model: run over the protocol.
         protocol: the field.
         share: volume fraction of the tissue in each cell.
+        start: as of `solve`.
     """
     inside = np.asarray(share) > 0.5  # cells cut by the edge would mix two tissues
     hottest = solve(
@@ -221,6 +233,7 @@ def visited_range(
             ]
         ),
         save_every=protocol.duration / 180,
+        start=start,
     ).observed
     low = min(float(model.blood.arterial), float(hottest[:, 0].min()))
     return low, float(hottest[:, 1].max())

@@ -22,6 +22,7 @@ from pinav.thermal.design_variables import AbstractDesignVariable, Run
 from pinav.thermal.quantities import Number
 from pinav.thermal.schedule import Schedule, plan_steps
 from pinav.thermal.solve import Solution, default_stepper, run
+from pinav.thermal.starts import AT_REST, AbstractStart, State
 from pinav.thermal.steppers import AbstractStepper
 
 VIOLATION, ACTIVE = 0.01, 0.02
@@ -86,6 +87,7 @@ def optimise(
     maximise: Quantity,
     subject_to: Sequence[AbstractConstraint],
     stepper: AbstractStepper | None = None,
+    begin: AbstractStart = AT_REST,
     max_iterations: int = 60,
     tolerance: Number = 1e-5,
     throw: bool = True,
@@ -98,6 +100,7 @@ def optimise(
         maximise: a quantity of a run, such as `LogD90`.
         subject_to: constraints.
         stepper: as of `solve`.
+        begin: where every run begins, as of `solve`.
         max_iterations: of the quadratic programming.
         tolerance: change of the objective at which it ends.
         throw: raise if no run satisfies the constraints.
@@ -108,7 +111,16 @@ def optimise(
     """
     if not variables:
         raise InputError("optimise variables: expected one or more, got none")
-    problem = _Problem.of(start, tuple(variables), maximise, tuple(subject_to), stepper)
+    stepper = default_stepper(start.model) if stepper is None else stepper
+    problem = _Problem(
+        start=start,
+        variables=tuple(variables),
+        maximise=maximise,
+        constraints=tuple(subject_to),
+        stepper=stepper,
+        schedule=plan_steps(start.protocol, stepper.longest_step(start.model)),
+        begin=begin.state(start.model),
+    )
     initial = np.concatenate([variable.start for variable in variables])
     memory = _Memory(problem, initial)
     numbers, converged = _search(memory, initial, max_iterations, tolerance)
@@ -168,20 +180,7 @@ class _Problem(eqx.Module):
     constraints: tuple[AbstractConstraint, ...]
     stepper: AbstractStepper
     schedule: Schedule
-
-    @classmethod
-    def of(
-        cls,
-        start: Run,
-        variables: tuple[AbstractDesignVariable, ...],
-        maximise: Quantity,
-        constraints: tuple[AbstractConstraint, ...],
-        stepper: AbstractStepper | None,
-    ) -> "_Problem":
-        stepper = default_stepper(start.model) if stepper is None else stepper
-        longest = stepper.longest_step(start.model)
-        schedule = plan_steps(start.protocol, longest)
-        return cls(start, variables, maximise, constraints, stepper, schedule)
+    begin: State
 
     def result(self, numbers: Float[Array, " number"]) -> RunResult:
         """The run at some design variables, solved."""
@@ -196,6 +195,7 @@ class _Problem(eqx.Module):
             self.schedule,
             stepper=self.stepper,
             observe=jnp.max,
+            start=self.begin,
         )
         intervals = jnp.asarray(self.schedule.intervals)
         count = len(trial.protocol.edges) - 1

@@ -122,11 +122,16 @@ class RisingPerfusion(AbstractPerfusion):
         return self.rest + self.gain * jnp.exp(-(below**2) / self.spread)
 
 
+BLEND = 0.1
+"""Temperatures [K] over which a jump of a law is smoothed."""
+
+
 class CollapsingPerfusion(AbstractPerfusion):
     r"""Perfusion of a tumour that breaks down as it is heated.
 
     $w = w_0 - (T - T_1)^{4.8}/s$ between $T_1$ and $T_2$; $w_0$ below, the constant
-    $w_2$ above. With the printed constants it jumps by 5e-4 at $T_2$. Power balance
+    $w_2$ above. With the printed constants it would jump by 5e-4 at $T_2$, which no
+    derivative sees: it goes linearly to $w_2$ over a tenth of a kelvin. Power balance
     without conduction then has two stable temperatures for some powers, so that the
     result depends on the past.
 
@@ -154,7 +159,8 @@ class CollapsingPerfusion(AbstractPerfusion):
         # by exp and log, which run on whole vectors: ten times faster than pow
         loss = jnp.exp(4.8 * jnp.log(jnp.where(positive, above, 1.0))) / self.scale
         falling = self.rest - jnp.where(positive, loss, 0.0)
-        return jnp.where(temperature > self.end, self.collapsed, falling)
+        passed = jnp.clip((temperature - self.end) / BLEND, 0.0, 1.0)
+        return falling + passed * (self.collapsed - falling)
 
 
 LANG = {

@@ -14,6 +14,7 @@ from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.protocols import AbstractProtocol
 from pinav.thermal.quantities import Number
 from pinav.thermal.solve import probes_at, solve
+from pinav.thermal.starts import AT_REST, AbstractStart
 from pinav.thermal.steppers import AbstractStepper
 
 HOTTEST_READING = 150.0
@@ -76,6 +77,7 @@ def simulate_probes(
     noise: Number,
     key: PRNGKeyArray,
     stepper: AbstractStepper | None = None,
+    start: AbstractStart = AT_REST,
 ) -> ProbeData:
     """Synthetic readings of a model.
 
@@ -87,6 +89,7 @@ def simulate_probes(
         noise: standard deviation of a reading [K].
         key: random key of the noise.
         stepper: as of `solve`.
+        start: as of `solve`.
     """
     solution = solve(
         model,
@@ -94,6 +97,7 @@ def simulate_probes(
         observe=probes_at(model, points),
         save_every=every,
         stepper=stepper,
+        start=start,
     )
     clean = np.asarray(solution.observed)
     noisy = clean + noise * np.asarray(jax.random.normal(key, clean.shape))

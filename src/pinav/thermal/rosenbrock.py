@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from pinav.arguments import Scalar
 from pinav.errors import InputError
@@ -70,6 +70,7 @@ class Rosenbrock(AbstractStepper):
         self,
         balance: HeatBalance,
         temperature: Field,
+        total: PyTree,
         steps: Float[Array, " step"],
         levels: Levels,
         watch: Watch,
@@ -77,10 +78,15 @@ class Rosenbrock(AbstractStepper):
         inputs = _Inputs(balance, temperature, steps, levels)
         stages = _stages(inputs)
         before = stages.before(temperature)
-        added, kept = jax.vmap(watch)(before, stages.after, steps)
+        added = jax.vmap(watch.accrue)(before, stages.after, steps)
+        totals = jax.tree.map(
+            lambda t, a: t[None] + jnp.cumsum(a, axis=0), total, added
+        )
+        kept = jax.vmap(watch.keep)(stages.after, totals)
         first, second = _slopes(stages, inputs)
         flows = 0.5 * steps @ (3 * first.energy + second.energy)
-        return March(stages.after[-1], jnp.sum(added, axis=0), flows, kept)
+        end = jax.tree.map(lambda t: t[-1], totals)
+        return March(stages.after[-1], end, flows, kept)
 
 
 class _Inputs(eqx.Module):
@@ -145,9 +151,7 @@ def _stages_jvp(
 
 def _sink_slope(balance: HeatBalance, at: Cells) -> Cells:
     """Change of what blood takes from each cell with its temperature [s⁻¹]."""
-    # The sink is local: its Jacobian is diagonal, and one jvp with ones gives it.
-    slope = jax.jvp(balance.sink, (at,), (jnp.ones_like(at),))[1]
-    return slope * balance.volumes * balance.inverse_capacity
+    return balance.sink_slope(at) * balance.volumes * balance.inverse_capacity
 
 
 def _negative(like: Array, tangent: Array | None) -> Array:

@@ -6,37 +6,18 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from pinav.arguments import Scalar
-from pinav.errors import InputError
 from pinav.thermal.bioheat import Bioheat, HeatBalance
-from pinav.thermal.dose import cem43_segment
+from pinav.thermal.dose import Arrhenius, cem43_segment
 from pinav.thermal.protocols import AbstractProtocol
 from pinav.thermal.quantities import Field, Number, Numbers
 from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.schedule import Schedule, plan_steps
-from pinav.thermal.steppers import RKL2, AbstractStepper
-
-
-class State(eqx.Module):
-    """Everything that a run needs to go on.
-
-    Attributes:
-        time: since the begin of the protocol [s].
-        temperature: of each cell [°C].
-        dose: CEM43 of each cell so far [min].
-    """
-
-    time: Float[Array, ""]
-    temperature: Field
-    dose: Field
-
-    @classmethod
-    def at_rest(cls, model: Bioheat) -> "State":
-        """Everything at the arterial temperature, no dose."""
-        arterial = jnp.full(model.grid.shape, jnp.asarray(model.blood.arterial, float))
-        return cls(jnp.asarray(0.0), arterial, jnp.zeros(model.grid.shape))
+from pinav.thermal.starts import AT_REST, AbstractStart, State
+from pinav.thermal.steppers import RKL2, AbstractStepper, Watch
 
 
 class EnergyBalance(eqx.Module):
@@ -68,6 +49,7 @@ class Solution(eqx.Module):
     Attributes:
         times: saved times [s].
         observed: what `observe` made of the temperature at those times.
+        observed_dose: what `observe_dose` made of the dose at those times.
         hottest: highest temperature [°C] at the end of every step.
         final: the state at the end; a run can go on from it.
         energy: where the heat went.
@@ -75,6 +57,7 @@ class Solution(eqx.Module):
 
     times: Float[Array, " time"]
     observed: PyTree
+    observed_dose: PyTree
     hottest: Float[Array, " step"]
     final: State
     energy: EnergyBalance
@@ -90,12 +73,14 @@ def solve(
     *,
     stepper: AbstractStepper | None = None,
     observe: Observe = lambda temperature: temperature,
+    observe_dose: Observe = lambda dose: None,
     save_every: Number | None = None,
     save_at: Numbers | None = None,
-    start: State | None = None,
+    start: AbstractStart = AT_REST,
     cutoff: Number = 37.0,
+    damage: Arrhenius | None = None,
 ) -> Solution:
-    """Run a protocol, from rest or from a state.
+    """Run a protocol, from rest, a steady state or a state of another run.
 
     Differentiable by every number of the model and of the protocol but its times: pass
     the `Schedule` of a nearby model to `run` inside a transformation.
@@ -105,22 +90,19 @@ def solve(
         protocol: the field over time.
         stepper: `Rosenbrock()` on radial grids and `RKL2()` on others unless given.
         observe: what of the temperature is kept; all of it unless given.
+        observe_dose: what of the dose so far [CEM43 min] is kept; nothing unless given.
         save_every: interval between saved times [s].
         save_at: saved times [s]; the end alone unless given.
         start: where to begin; at rest unless given.
         cutoff: temperature [°C] below which no dose counts.
+        damage: law of damage that is accumulated beside the dose.
 
     Raises:
         InputError: a time is outside the protocol, the step is not stable, or the
             state has not the shape of the grid.
     """
     stepper = default_stepper(model) if stepper is None else stepper
-    begin = State.at_rest(model) if start is None else start
-    if begin.temperature.shape != model.grid.shape:
-        raise InputError(
-            f"start: expected temperatures of shape {model.grid.shape}, got "
-            f"{begin.temperature.shape}"
-        )
+    begin = start.state(model)
     schedule = plan_steps(
         protocol,
         stepper.longest_step(model),
@@ -134,8 +116,10 @@ def solve(
         schedule,
         stepper=stepper,
         observe=observe,
+        observe_dose=observe_dose,
         start=begin,
         cutoff=cutoff,
+        damage=damage,
     )
 
 
@@ -152,68 +136,114 @@ def run(
     *,
     stepper: AbstractStepper,
     observe: Observe,
-    start: State | None = None,
+    observe_dose: Observe = lambda dose: None,
+    start: AbstractStart = AT_REST,
     cutoff: Number = 37.0,
+    damage: Arrhenius | None = None,
 ) -> Solution:
     """Run a protocol with a given schedule; see `solve`.
 
     Reverse mode keeps the states of all steps; in a very large run those between blocks
     and of one block at a time, about twice the square root of the number of steps.
     """
-    balance = HeatBalance.of(model)
-    start = State.at_rest(model) if start is None else start
-    nodes = jnp.asarray(stepper.nodes)
-
-    def levels(begin: Array, dt: Array, interval: Array) -> Array:
-        at = begin + dt * nodes
-        return jax.vmap(lambda t: model.levels(protocol, t, interval))(at)
-
-    steps, starts = jnp.asarray(schedule.steps), jnp.asarray(schedule.starts)
-    each = jax.vmap(levels)(starts, steps, jnp.asarray(schedule.intervals))
-
-    def watch(before: Field, after: Field, dt: Scalar) -> tuple[Field, PyTree]:
-        dose = cem43_segment(before, after, dt, cutoff)
-        return dose, (observe(after), jnp.max(after))
+    balance, begin = HeatBalance.of(model), _with_damage(start.state(model), damage)
+    watch = _Following(observe, observe_dose, jnp.asarray(cutoff), damage).watch
 
     def advance(carry: State, inputs: PyTree) -> tuple[State, PyTree]:
         durations, forced = inputs
-        marched = stepper.march(balance, carry.temperature, durations, forced, watch)
-        after = State(carry.time, marched.temperature, carry.dose + marched.total)
+        total = carry.dose, carry.damage
+        marched = stepper.march(
+            balance, carry.temperature, total, durations, forced, watch
+        )
+        after = State(carry.time, marched.temperature, *marched.total)
         return after, (marched.kept, marched.flows)
 
     # one block where reverse mode may keep the states of all steps
     block = len(schedule.steps)
-    if start.temperature.size * block > stepper.kept_values:
+    if begin.temperature.size * block > stepper.kept_values:
         block, advance = schedule.block, jax.checkpoint(advance)
     shape = len(schedule.steps) // block, block
-    blocks = jax.tree.map(lambda a: a.reshape(*shape, *a.shape[1:]), (steps, each))
-    end, (kept, flows) = jax.lax.scan(advance, start, blocks)
-    observed, hottest = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), kept)
+    levels = _levels(model, protocol, schedule, stepper)
+    blocks = jax.tree.map(
+        lambda a: a.reshape(*shape, *a.shape[1:]), (jnp.asarray(schedule.steps), levels)
+    )
+    end, (kept, flows) = jax.lax.scan(advance, begin, blocks)
+    *observed, hottest = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), kept)
     # observed after every step and picked here: a scan cannot save at some steps alone
     saved = jnp.asarray(schedule.saved)
+    temperatures, doses = jax.tree.map(lambda a: a[saved], observed)
     return Solution(
         times=jnp.asarray(schedule.times),
-        observed=jax.tree.map(lambda a: a[saved], observed),
+        observed=temperatures,
+        observed_dose=doses,
         hottest=hottest,
-        final=State(jnp.asarray(schedule.times[-1]), end.temperature, end.dose),
+        final=eqx.tree_at(lambda s: s.time, end, jnp.asarray(schedule.times[-1])),
         energy=EnergyBalance(
             *jnp.sum(flows, axis=0),
-            stored=balance.stored_heat(start.temperature, end.temperature),
+            stored=balance.stored_heat(begin.temperature, end.temperature),
         ),
     )
 
 
+class _Following(eqx.Module):
+    """What of a run is added up and kept."""
+
+    observe: Observe
+    observe_dose: Observe
+    cutoff: Scalar
+    damage: Arrhenius | None
+
+    @property
+    def watch(self) -> Watch:
+        def accrue(before: Field, after: Field, dt: Scalar) -> PyTree:
+            dose = cem43_segment(before, after, dt, self.cutoff)
+            law = self.damage
+            return dose, None if law is None else law.segment(before, after, dt)
+
+        def keep(after: Field, total: PyTree) -> PyTree:
+            return self.observe(after), self.observe_dose(total[0]), jnp.max(after)
+
+        return Watch(accrue, keep)
+
+
+def _with_damage(state: State, damage: Arrhenius | None) -> State:
+    """The state with the damage of so far, or with none where none is followed."""
+    if damage is None:
+        return State(state.time, state.temperature, state.dose)
+    so_far = jnp.zeros_like(state.dose) if state.damage is None else state.damage
+    return State(state.time, state.temperature, state.dose, so_far)
+
+
+def _levels(
+    model: Bioheat,
+    protocol: AbstractProtocol,
+    schedule: Schedule,
+    stepper: AbstractStepper,
+) -> Float[Array, "step node source"]:
+    """Levels of the sources at the nodes of each step."""
+    nodes = jnp.asarray(stepper.nodes)
+
+    def each(begin: Array, dt: Array, interval: Array) -> Array:
+        at = begin + dt * nodes
+        return jax.vmap(lambda t: model.levels(protocol, t, interval))(at)
+
+    steps, starts = jnp.asarray(schedule.steps), jnp.asarray(schedule.starts)
+    return jax.vmap(each)(starts, steps, jnp.asarray(schedule.intervals))
+
+
 def probes_at(model: Bioheat, points: Any) -> Observe:
-    """Temperatures at points [m], as an `observe`.
+    """Temperatures at points [m], as an `observe`; for a model that is not traced.
 
     Raises:
         InputError: a point is outside the grid.
     """
-    return Probes(model.grid.interpolation(points))
+    return Probes(
+        model.grid.interpolation(points, np.asarray(model.tissue.conductivity))
+    )
 
 
 class Probes(eqx.Module):
-    """Temperatures at points, by linear interpolation.
+    """Temperatures at points, by the weights of `AbstractGrid.interpolation`.
 
     Attributes:
         weights: of the cells, for each point.

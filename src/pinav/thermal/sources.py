@@ -8,9 +8,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar
-from pinav.thermal.grids import AbstractGrid
+from pinav.errors import InputError
+from pinav.thermal.grids import AbstractGrid, CartesianGrid, RadialGrid
 from pinav.thermal.magnetics import VACUUM_PERMEABILITY, AbstractHeating
-from pinav.thermal.quantities import Field
+from pinav.thermal.quantities import Field, Numbers
 
 
 class AbstractSource(eqx.Module):
@@ -113,6 +114,59 @@ class EddySource(AbstractSource):
 
     def level(self, amplitude: Scalar, frequency: Scalar) -> Float[Array, ""]:
         return eddy_power(self.radius, self.conductivity, amplitude * frequency)
+
+
+class DistantEddySource(AbstractSource):
+    r"""Eddy currents about an axis, $Q = \tfrac12\sigma(\pi\mu_0 s H f)^2$.
+
+    $s$ is the distance of each cell from the axis of the body, along which the field
+    lies: the heat that grows with the radius, where `EddySource` takes one radius for
+    all of the grid.
+
+    Attributes:
+        distance: $s$ of each cell [m], such as `axis_distance` gives.
+        conductivity: $\sigma$ [S m⁻¹].
+
+    References:
+        Atkinson, Brezovich and Chakraborty, IEEE Trans. Biomed. Eng. 31, 70 (1984).
+    """
+
+    distance: Field
+    conductivity: Scalar
+
+    def shape(self, grid: AbstractGrid) -> Field:
+        return self.distance**2
+
+    def level(self, amplitude: Scalar, frequency: Scalar) -> Float[Array, ""]:
+        return eddy_power(1.0, self.conductivity, amplitude * frequency)
+
+
+def axis_distance(grid: AbstractGrid, center: Numbers | None = None) -> Field:
+    """Distance [m] of each cell from the axis of the body, for `DistantEddySource`.
+
+    The axis is that of a cylinder; in a plane it is normal to it, and in a box parallel
+    to the last edge.
+
+    Args:
+        grid: the cells.
+        center: where the axis meets the plane of the first two edges [m]; the middle
+            of the grid unless given.
+
+    Raises:
+        InputError: the grid is a slab or a sphere, where heat would not depend on the
+            radius alone.
+    """
+    if isinstance(grid, RadialGrid):
+        if grid.exponent != 1:
+            raise InputError(
+                "axis_distance: expected a cylinder or a box, about whose axis eddy "
+                "currents flow, got another grid; take EddySource"
+            )
+        return grid.distances(center)
+    assert isinstance(grid, CartesianGrid)
+    plane = CartesianGrid(grid.cells[:2], grid.spacing[:2])
+    shape = *plane.cells, *(1 for _ in grid.cells[2:])
+    return jnp.broadcast_to(plane.distances(center).reshape(shape), grid.cells)
 
 
 def eddy_power(

@@ -20,8 +20,20 @@ from pinav.thermal.bioheat import Bioheat, HeatBalance, Rates, fastest_rate
 from pinav.thermal.quantities import Field, Number
 
 Levels = Float[Array, "step node source"]
-Watch = Callable[[Field, Field, Scalar], tuple[Field, PyTree]]
-"""Of temperatures before and after a step, and its length: an addend, an output."""
+
+
+class Watch(eqx.Module):
+    """What of a run adds up over its steps, and what is kept of each.
+
+    Attributes:
+        accrue: what a step adds, from the temperatures before and after it and its
+            length [s].
+        keep: what is kept, from the temperature after a step and the total so far.
+    """
+
+    accrue: Callable[[Field, Field, Scalar], PyTree]
+    keep: Callable[[Field, PyTree], PyTree]
+
 
 MARGIN = 0.9
 """Of the stability limit that is used."""
@@ -62,6 +74,7 @@ class AbstractStepper(eqx.Module):
         self,
         balance: HeatBalance,
         temperature: Field,
+        total: PyTree,
         steps: Float[Array, " step"],
         levels: Levels,
         watch: Watch,
@@ -71,6 +84,7 @@ class AbstractStepper(eqx.Module):
         Args:
             balance: the equation.
             temperature: at the begin [°C].
+            total: of what adds up, at the begin.
             steps: their lengths [s].
             levels: of the sources at the nodes of each step.
             watch: what adds up over the steps, and what is kept of each.
@@ -88,7 +102,7 @@ class March(eqx.Module):
     """
 
     temperature: Field
-    total: Field
+    total: PyTree
     flows: Float[Array, "3"]
     kept: PyTree
 
@@ -159,6 +173,7 @@ class RKL2(AbstractStepper):
         self,
         balance: HeatBalance,
         temperature: Field,
+        total: PyTree,
         steps: Float[Array, " step"],
         levels: Levels,
         watch: Watch,
@@ -168,13 +183,13 @@ class RKL2(AbstractStepper):
             before = carry.temperature
             change = self._change(balance, before, dt, forced)
             after = before + change.temperature
-            added, kept = watch(before, after, dt)
+            total = jax.tree.map(jnp.add, carry.total, watch.accrue(before, after, dt))
             flows = carry.flows + change.energy
-            return March(after, carry.total + added, flows, None), kept
+            return March(after, total, flows, None), watch.keep(after, total)
 
         if temperature.size * len(steps) > FEW_VALUES:
             advance = jax.checkpoint(advance)
-        begin = March(temperature, jnp.zeros_like(temperature), jnp.zeros(3), None)
+        begin = March(temperature, total, jnp.zeros(3), None)
         end, kept = jax.lax.scan(advance, begin, (steps, levels))
         return March(end.temperature, end.total, end.flows, kept)
 

@@ -11,7 +11,16 @@ from jaxtyping import Array
 
 from pinav.thermal import exact
 from pinav.thermal.bioheat import Bioheat
-from pinav.thermal.boundaries import Dirichlet, Insulated, Robin, Sides, around, outer
+from pinav.thermal.boundaries import (
+    AbstractEnds,
+    Dirichlet,
+    Insulated,
+    Periodic,
+    Robin,
+    Sides,
+    around,
+    outer,
+)
 from pinav.thermal.dose import cem43_segment
 from pinav.thermal.exact import SET_S, Medium
 from pinav.thermal.grids import AbstractGrid, CartesianGrid, RadialGrid
@@ -21,8 +30,10 @@ from pinav.thermal.protocols import Piecewise, Waveform
 from pinav.thermal.quantities import Number, Numbers
 from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.schedule import plan_steps
-from pinav.thermal.solve import State, probes_at, run, solve
+from pinav.thermal.solve import probes_at, run, solve
 from pinav.thermal.sources import PowerSource
+from pinav.thermal.starts import State
+from pinav.thermal.steady import steady_state
 from pinav.thermal.steppers import RKL2
 from pinav.thermal.tissues import Blood, Tissue, mix
 
@@ -67,7 +78,7 @@ class Check(eqx.Module):
 def reference_model(
     grid: AbstractGrid,
     power: Number | Numbers,
-    sides: tuple[Sides, ...] | None = None,
+    sides: tuple[AbstractEnds, ...] | None = None,
     perfusion: Number = 1.05,
 ) -> Bioheat:
     """The reference medium on a grid, heated by a power density [W m⁻³].
@@ -317,6 +328,69 @@ def _sensitivities() -> Iterator[Check]:
         yield Check(f"sensitivity to {name}, relative", ratio, 1.0, 1e-3, "1")
 
 
+def _rests() -> Iterator[Check]:
+    points = np.array([0.0, 0.01, 0.02])
+    slab = reference_model(RadialGrid.slab(0.03, 320), 2e4)
+    rise = probes_at(slab, points)(steady_state(slab, AMPLITUDE).temperature) - 37.0
+    true = exact.perfused_slab(points, np.inf, SET_S, 2e4, 0.03)
+    yield from _checks("perfused slab, steady solver", points, rise, true, 1e-4)
+    grid = CartesianGrid.cubes((64, 3), 0.03 / 64)
+    fluid = Sides(Robin(10.0, 25.0), Dirichlet(37.0))
+    strip = reference_model(grid, 420.0, (fluid, Periodic()), 0.525)
+    half = Medium(0.5, SET_S.capacity, 0.5 * SET_S.perfusion)
+    at = (np.arange(64) + 0.5)[[0, 20, 40]] * 0.03 / 64
+    true = exact.skin(at, half, 420.0, 0.03, 10.0, 25.0) - 37.0
+    rise = steady_state(strip, AMPLITUDE).temperature[np.array([0, 20, 40]), 1] - 37.0
+    yield from _checks("skin of a periodic strip, steady", at, rise, true, 1e-3)
+
+
+def _interfaces() -> Iterator[Check]:
+    """Temperatures beside a threefold jump of the conductivity, wherever it lies."""
+    radius, count = 3.15e-3, 400
+    media = Medium(0.2, 1660.0 * 2540.0), Medium(0.642, 3.72e6)
+    for share in (0.0, 0.3, 0.5):
+        end = radius / (40 + share) * count
+        grid = RadialGrid.sphere(end, count)
+        ball = grid.ball(radius)
+        model = Bioheat(
+            grid,
+            mix(ball, Tissue(0.2, 1660.0, 2540.0), Tissue(0.642, 1000.0, 3720.0)),
+            Blood(),
+            ConstantPerfusion(0.0),
+            (PowerSource(6.15e5 * ball, AMPLITUDE),),
+            outer(Dirichlet(37.0)),
+        )
+        points = radius + np.array([-0.6, 0.0, 0.6]) * end / count
+        rise = probes_at(model, points)(steady_state(model, AMPLITUDE).temperature)
+        true = [
+            exact.two_conductivities(
+                float(r), np.inf, *media, 6.15e5, radius, outer_radius=end
+            )
+            for r in points
+        ]
+        name = f"beside a jump, {share:g} of a cell from a face"
+        yield from _checks(name, points, rise - 37.0, true, 4e-3)
+
+
+def _derivatives_by_radius() -> Iterator[Check]:
+    """By the radius of a heated ball, with its surface on a face, near one, and in."""
+    true = exact.heated_sphere_sensitivities(SET_S, 4e5, 0.005)["radius"]
+    for share in (0.0, 1e-9, 0.1, 0.5, 0.75):
+        end = 0.005 / (20 + share) * 200
+
+        def rise(radius: Array, end: float = end) -> Array:
+            grid = RadialGrid.sphere(end, 200)
+            model = reference_model(grid, 4e5 * grid.ball(radius))
+            return (
+                grid.interpolation([0.0])[0]
+                @ steady_state(model, AMPLITUDE).temperature
+            )
+
+        ratio = float(jax.grad(rise)(jnp.asarray(0.005)) / true)
+        name = f"sensitivity to a radius {share:g} of a cell from a face, relative"
+        yield Check(name, ratio, 1.0, 2e-3, "1")
+
+
 CASES: dict[str, Callable[[], Iterator[Check]]] = {
     "slabs": _slabs,
     "round": _round,
@@ -326,6 +400,9 @@ CASES: dict[str, Callable[[], Iterator[Check]]] = {
     "point": _point,
     "spots": _spots,
     "lumped": _lumped,
+    "rests": _rests,
+    "interfaces": _interfaces,
+    "radii": _derivatives_by_radius,
     "doses": _doses,
     "sensitivities": _sensitivities,
 }

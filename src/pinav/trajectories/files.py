@@ -17,7 +17,7 @@ from typing import TypeVar
 from pinav.errors import InputError
 from pinav.files import atomic_write, check_regular
 from pinav.trajectories.csv_files import PREFIX, delimiter_of, read_csv, write_csv
-from pinav.trajectories.npz_files import read_npz, write_npz
+from pinav.trajectories.npz_files import is_foreign, read_npz, write_npz
 from pinav.trajectories.tables import split_headings
 from pinav.trajectories.trajectories import Trajectories
 
@@ -80,11 +80,16 @@ def _with_units(trajectories: Trajectories, units: Mapping[str, str]) -> Traject
 def is_trajectories(path: str | os.PathLike[str]) -> bool:
     """Whether a file looks as `save` writes it: `.npz`, or a CSV with a column t.
 
+    A table that names its tracks otherwise than `save` does is one of a tracker, and so
+    is an archive without the arrays of `save`.
+
     What cannot be opened counts as one, so that `load` says why.
     """
     suffix = Path(path).suffix.lower()
+    if suffix == ".npz":
+        return not is_foreign(path)
     if suffix != ".csv":
-        return suffix == ".npz"
+        return False
     try:
         check_regular(path)
         with open(path, encoding="utf-8-sig", errors="replace") as file:
@@ -92,7 +97,11 @@ def is_trajectories(path: str | os.PathLike[str]) -> bool:
     except (OSError, InputError):
         return True
     names, _ = split_headings(first.split(delimiter_of(first)))
-    return first.startswith(PREFIX) or "t" in names
+    return first.startswith(PREFIX) or ("t" in names and not TRACKS & set(names))
+
+
+TRACKS = frozenset({"ID", "track_id", "particle", "TRACK_ID"})
+"""Names of the column of tracks in tables of trackers, which also have a column t."""
 
 
 def _by_suffix(

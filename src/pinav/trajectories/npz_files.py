@@ -1,6 +1,7 @@
 """Trajectories as arrays in a file."""
 
 import math
+import os
 import zipfile
 import zlib
 from typing import BinaryIO
@@ -60,6 +61,16 @@ def read_npz(file: BinaryIO) -> Trajectories:
             shape = arrays[name].shape
             raise InputError(f"array {name!r}: expected {ndim} axes, got shape {shape}")
     return _from_flat(arrays, metadata)
+
+
+def is_foreign(path: str | os.PathLike[str]) -> bool:
+    """Whether a file is an archive that holds none of our arrays."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = archive.namelist()
+    except (OSError, zipfile.BadZipFile):
+        return False
+    return not {f"{name}.npy" for name in ("metadata", *_ARRAYS)} & set(names)
 
 
 MAX_BYTES, MAX_RATIO = 2**33, 200

@@ -7,6 +7,12 @@ import pytest
 
 from pinav.fitting.bayes.distillation import DistillationTargets, forces
 from pinav.fitting.bayes.function_prior import Process, TangentWeights
+from pinav.fitting.engine.constant_priors import ConstantPriors
+from pinav.fitting.engine.local_model import (
+    AbstractLocalModel,
+    PenalisedSquares,
+    Prediction,
+)
 from pinav.fitting.engine.steps import ShortenedStep
 from pinav.fitting.evidence.evidence import (
     Hyperparameters,
@@ -109,9 +115,11 @@ def test_the_energy_is_that_of_the_forces(kernels, places, process):
     assert found.energy(np.asarray(kernels.weights)) == pytest.approx(expected)
 
 
-def test_changes_of_the_shape_are_changes_of_the_forces(kernels, places, process):
+def test_changes_of_the_shape_are_changes_of_the_forces(
+    kernels, places, process, quadratic
+):
     found = about(kernels, places, process)
-    weights = found.shape_covariance(None, process.chosen, None)
+    weights = found.shape_covariance(quadratic, process.chosen, None)
     to_force = slopes(kernels, places)
     expected = process.shapes @ process.shapes.T
     np.testing.assert_allclose(
@@ -144,29 +152,30 @@ def test_the_misfit_of_a_network_widens_its_prior(places, process):
     assert found.misfit.min() > 0
 
 
-class Bowl:
+class Bowl(AbstractLocalModel):
     """A fit whose cost is a parabola with its minimum at one."""
 
-    theta = np.zeros(1)
-
-    @property
-    def local(self):
-        return self
+    theta: np.ndarray
+    quadratic: Quadratic
 
     def predict(self, theta):
-        return _Found(theta)
+        return Prediction(jnp.asarray(theta - 1.0), jnp.asarray(theta)[None, None])
 
-    def cost(self, theta, residuals):
-        return float(np.sum((theta - 1.0) ** 2))
+    def pull_back(self, residuals):
+        return np.asarray(residuals)
 
+    def advance(self, mean):
+        return jnp.asarray(mean)[None, None]
 
-class _Found:
-    def __init__(self, theta):
-        self.residuals, self.states = None, jnp.asarray(theta)[None, None]
+    def defect(self, mean, noise):
+        return 0.0
 
 
 @pytest.mark.parametrize(("mean", "reached"), [(0.9, 0.9), (3.0, 1.5), (-1.0, 0.0)])
 def test_a_step_is_shortened_until_it_lowers_the_cost(mean, reached):
-    move = ShortenedStep()(Bowl(), np.array([mean]))
+    quadratic = Quadratic(np.zeros(1), np.eye(1), -np.ones(1), 1.0, 1, 0.0)
+    bowl = Bowl(np.zeros(1), quadratic)
+    cost = PenalisedSquares(bowl, np.zeros(1), 1.0, lambda _: 0.0, ConstantPriors())
+    move = ShortenedStep()(cost, np.array([mean]))
     np.testing.assert_allclose(move.theta, [reached])
     np.testing.assert_allclose(move.states, [[[reached]]])

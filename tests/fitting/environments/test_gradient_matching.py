@@ -7,6 +7,8 @@ from pinav.dynamics import Adaptive, NeuralDynamics, Swimmer
 from pinav.evaluation import predict, score
 from pinav.fitting import distillation_rates
 from pinav.fitting.environments.gradient_matching import (
+    _choose,
+    _Trial,
     match_kernels,
     matched_grid,
     observed_rates,
@@ -74,6 +76,21 @@ def test_a_force_without_potential_is_told_from_one_with():
     seen = observe(truth, count=4)
     environment, _ = match_kernels(truth, observed_rates(seen), seen)
     assert isinstance(environment, KernelForce)
+
+
+def test_held_out_samples_judge_a_grid_only_where_they_can_be_predicted():
+    coarse, fine = KernelGrid(6), KernelGrid(48)
+    telling = [
+        _Trial(0.1, 0.2, KernelPotential, coarse),
+        _Trial(0.06, 1e-5, KernelPotential, fine),
+    ]
+    assert _choose(telling) == (KernelPotential, coarse)
+    mute = [
+        _Trial(0.9, 0.2, KernelPotential, coarse),
+        _Trial(2.0, 1e-5, KernelPotential, fine),
+        _Trial(2.0, 1e-9, KernelForce, coarse),
+    ]
+    assert _choose(mute) == (KernelPotential, fine)
 
 
 def test_too_few_samples_give_no_rates(data):

@@ -8,7 +8,6 @@ from jax.flatten_util import ravel_pytree
 
 from pinav.dynamics import Adaptive, FixedStep, OverdampedSwimmer
 from pinav.fitting import (
-    GaussNewton,
     Observations,
     Problem,
     TrajectoryLoss,
@@ -16,7 +15,7 @@ from pinav.fitting import (
     fit,
 )
 from pinav.fitting.matching.fit import split_trainable
-from pinav.fitting.matching.gauss_newton import _Windows
+from pinav.fitting.matching.windows import Windows
 from pinav.forces import (
     GaussianBarrier,
     HarmonicTrap,
@@ -73,8 +72,8 @@ def test_the_jacobian_is_that_of_the_residuals(name, window):
     params, static = split_trainable(make(), trainable, jnp.float64)
     observations = Observations.of(data, jnp.float64)
     problem = Problem(static, observations, TrajectoryLoss(FixedStep()))
-    phase = GaussNewton(window=jnp.asarray(window), target=0.0)
-    windows, theta = _Windows.of(problem, params, phase), ravel_pytree(params)[0]
+    inputs = jnp.asarray(window), FixedStep()
+    windows, theta = Windows.of(problem, params, *inputs), ravel_pytree(params)[0]
 
     @jax.jit
     def both(theta):

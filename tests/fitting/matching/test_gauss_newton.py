@@ -21,7 +21,8 @@ from pinav.fitting import (
     kernel_environment,
 )
 from pinav.fitting.matching.fit import _run_chunk, split_trainable
-from pinav.fitting.matching.gauss_newton import _Windows, low_rank
+from pinav.fitting.matching.gauss_newton import low_rank
+from pinav.fitting.matching.windows import Windows
 from pinav.forces import (
     GaussianBarrier,
     KernelPotential,
@@ -88,8 +89,8 @@ def windows(data, name, window):
     params, static = split_trainable(make(), trainable, jnp.float64)
     observations = Observations.of(data, jnp.float64)
     problem = Problem(static, observations, TrajectoryLoss(FixedStep()))
-    phase = GaussNewton(window=jnp.asarray(window), target=0.0)
-    return _Windows.of(problem, params, phase), ravel_pytree(params)[0]
+    inputs = jnp.asarray(window), FixedStep()
+    return Windows.of(problem, params, *inputs), ravel_pytree(params)[0]
 
 
 @pytest.mark.parametrize(

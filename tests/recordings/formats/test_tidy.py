@@ -215,7 +215,7 @@ BAD = {
     "empty": ("", r"the file is empty; copy it"),
     "blank": ("\n\n", r"the file is empty"),
     "header alone": ("t_s,x_px,y_px\n", r"line 1: the header is all there is"),
-    "no positions": ("t_s,angle_rad\n0,1\n", r"header: .* columns x_um, y_um or x_px"),
+    "no positions": ("t_s,angle_rad\n0,1\n", r"columns t_s, angle_rad: a log of comm"),
     "y missing": ("t_s,x_px\n0,1\n1,2\n", r"header: column 'y_px' is missing; got t_s"),
     "column twice": ("t_s,x_px,x_px\n0,1,2\n", r"line 1: column 'x_px' stands twice"),
     "word": (good(2, "x_px", "wall"), r"line 3, column 'x_px': .* got 'wall'; corr"),
@@ -237,7 +237,7 @@ BAD = {
     "command is a word": (good(4, "freq_hz", "off"), r"line 5, .*'freq_hz': .* 'off'"),
     "row cut short": ("t_s,x_px,y_px\n0,1,2\n1,2\n", r"line 3: expected 3 cells"),
     "decimal comma": (
-        "t_s;x_px;y_px\n0;1,5;2\n",
+        't_s,x_px,y_px\n0,"1,5",2\n',
         r"line 2, column 'x_px': .* got '1,5'; write decimals with a point",
     ),
     "decimal commas": (

@@ -134,8 +134,8 @@ BAD_XML = {
         r"line \d+, column \d+: not",
     ),
     "other root": (
-        "<TrackMate><Model/></TrackMate>",
-        r"<TrackMate>: expected <Tracks>",
+        "<Other><Model/></Other>",
+        r"<Other>: expected <Tracks>",
     ),
     "page of the web": ("<html><body/></html>", r"<html>: expected <Tracks>; in Track"),
     "no particles": (XML.format("px", "s", 1, ""), r"<Tracks>: no <particle> in it"),

@@ -49,6 +49,7 @@ from pinav.fitting import (
 from pinav.fitting.environments.catalogue import KnownSwimmer, build
 from pinav.forces import AbstractForce, as_learned
 from pinav.identification import fit_commanded, is_commanded
+from pinav.recordings.conventions import remarks
 from pinav.runs import RunFolder
 from pinav.scenarios import source_system
 
@@ -195,13 +196,21 @@ def _metrics(
         curve, outcome = losses.values[0], losses.outcomes[0]
         return FitMetrics(
             outcome=outcome,
-            remarks=(*_remarks(outcome), *_simpler(plan, outcome, rmse)),
+            remarks=(
+                *_remarks(outcome),
+                *_simpler(plan, outcome, rmse),
+                *remarks(plan.data),
+            ),
             loss=Loss(float(curve[0]), float(curve[-1])),
             **common,
         )
     return FitMetrics(
         outcome=evidence.outcome,
-        remarks=(*_remarks(evidence.outcome), *filter(None, [evidence.goodness])),
+        remarks=(
+            *_remarks(evidence.outcome),
+            *filter(None, [evidence.goodness]),
+            *remarks(plan.data),
+        ),
         iterations=evidence.iterations,
         noise=evidence.hyperparameters.noise,
         amplitude=evidence.hyperparameters.amplitude,

@@ -27,12 +27,13 @@ PowerDensity = Annotated[float, Meta(ge=0, le=1e10)]
 """[W m⁻³]"""
 Conductivity = Annotated[float, Meta(gt=0, le=1000)]
 """[W m⁻¹ K⁻¹]"""
-Density = Annotated[float, Meta(ge=1, le=30_000)]
+Density = Annotated[float, Meta(ge=50, le=30_000)]
 """[kg m⁻³]; the bounds refuse grams per cubic centimetre."""
 SpecificHeat = Annotated[float, Meta(ge=10, le=50_000)]
 """[J kg⁻¹ K⁻¹]; the bounds refuse kilojoules."""
 Concentration = Annotated[float, Meta(ge=0, le=5180)]
 """[mg cm⁻³]; solid magnetite has 5180."""
+Scale = Annotated[float, Meta(ge=0, le=100)]
 Fraction = Annotated[float, Meta(gt=0, le=1)]
 Noise = Annotated[float, Meta(ge=0, le=100)]
 """[K]"""
@@ -47,6 +48,7 @@ class Strict(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 ADVICE = {
     "ambient": "give it in °C, which is kelvins less 273.15",
     "amplitudes": "give A/m; 1 mT are 796 A/m",
+    "axis": "give metres",
     "anisotropy": "give kJ/m³",
     "arterial": "give it in °C, which is kelvins less 273.15",
     "cells": "give the number of cells along each axis",
@@ -55,9 +57,11 @@ ADVICE = {
     "concentration": "give mg/cm³, the same as kg/m³",
     "conductivity": "give W/(m K), or S/m of eddy currents",
     "density": "give kg/m³ of a tissue, W/m³ of a power",
+    "attempt_time": "give seconds",
     "diameter": "give nanometres",
     "every": "give seconds",
     "exchange": "give W/(m² K)",
+    "frequencies": "give hertz",
     "frequency": "give hertz",
     "healthy_dose": "give CEM43 minutes",
     "held_out": "give powers relative to that of the fit",
@@ -73,6 +77,8 @@ ADVICE = {
     "radius": "give metres",
     "ramp": "give A/m; 1 mT are 796 A/m",
     "reference": "give A/m; 1 mT are 796 A/m",
+    "slp": "give W/g",
+    "solid_density": "give kg/m³",
     "size": "give metres",
     "specific_heat": "give J/(kg K)",
     "spread": "give the standard deviation of the logarithm of the diameter",

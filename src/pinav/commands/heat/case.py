@@ -11,7 +11,6 @@ from msgspec import Meta
 
 from pinav.commands.heat.bounds import (
     ADVICE,
-    Arterial,
     Celsius,
     Fraction,
     Length,
@@ -26,11 +25,14 @@ from pinav.commands.heat.geometry import (
     Grid,
     Place,
     Probes,
+    Side,
+    Sides,
     Wall,
     check_ball,
     check_point,
+    check_sides,
 )
-from pinav.commands.heat.matter import Eddy, LimitName, Medium, Particles, Power
+from pinav.commands.heat.matter import Blood, Eddy, Heating, LimitName, Medium
 from pinav.errors import InputError
 
 ARRAYS = 40
@@ -49,6 +51,12 @@ class Tumour(Strict, frozen=True):
     radius: Length
     tissue: Medium
     center: tuple[Place, ...] | None = None
+
+
+class Before(Strict, frozen=True):
+    """The end of another run: its results, or temperatures [°C] in a file of NumPy."""
+
+    file: str
 
 
 class Learn(Strict, frozen=True):
@@ -93,11 +101,13 @@ class Case(Strict, frozen=True):
     title: str
     grid: Grid
     tissue: Medium
-    heating: Power | Particles
+    heating: Heating
     field: Field
     tumour: Tumour
-    arterial: Arterial = 37.0
-    wall: Wall = Wall()
+    blood: Blood = Blood()
+    wall: Side = Wall()
+    sides: Sides = Sides()
+    start: Literal["rest", "steady"] | Before = "rest"
     eddy: Eddy | None = None
     limit: LimitName | None = None
     probes: Probes | None = None
@@ -106,7 +116,8 @@ class Case(Strict, frozen=True):
     step: Time | None = None
 
     def __post_init__(self) -> None:
-        check_ball(self.grid, self.tumour.radius, self.tumour.center)
+        check_sides(self.grid, self.sides)
+        check_ball(self.grid, self.tumour.radius, self.tumour.center, self.sides)
         self._check_size()
         self._check_probes()
         if self.optimise is not None:
@@ -143,10 +154,10 @@ class Case(Strict, frozen=True):
             )
 
     def _check_bounds(self, settings: Optimise) -> None:
-        if settings.max_temperature <= self.arterial:
+        if settings.max_temperature <= self.blood.arterial:
             raise ValueError(
                 f"optimise.max_temperature: expected above the arterial temperature, "
-                f"> {self.arterial:g} °C, got {settings.max_temperature:g} °C"
+                f"> {self.blood.arterial:g} °C, got {settings.max_temperature:g} °C"
             )
 
 

@@ -14,12 +14,14 @@ MOST_INTERVALS = 10_000
 class Field(Strict, frozen=True):
     """Amplitudes [A/m] in intervals between times [s], at a frequency [Hz].
 
-    `on` and `off` [s] make bursts of the one amplitude until the last time.
+    In place of the amplitudes, `ramp` gives one at each time, linear between them; `on`
+    and `off` [s] make bursts of the one amplitude until the last time.
     """
 
     frequency: Frequency
     times: tuple[Annotated[float, Meta(ge=0, le=1e7)], ...]
-    amplitudes: tuple[Amplitude, ...]
+    amplitudes: tuple[Amplitude, ...] = ()
+    ramp: tuple[Amplitude, ...] = ()
     on: Time | None = None
     off: Time | None = None
 
@@ -34,11 +36,25 @@ class Field(Strict, frozen=True):
                 f"expected at most {MOST_INTERVALS:,} intervals, got {count:,.0f}; "
                 "take longer bursts, or a lower constant amplitude of the same power"
             )
+        if self.ramp:
+            self._check_ramp()
+            return
         count = 1 if self.on is not None else len(self.times) - 1
         if len(self.amplitudes) != count:
             raise ValueError(
                 f"amplitudes: expected {count}, one for each interval between two "
                 f"times, or one for bursts; got {len(self.amplitudes)}"
+            )
+
+    def _check_ramp(self) -> None:
+        if self.amplitudes or self.on is not None:
+            raise ValueError(
+                "ramp: expected no amplitudes and no bursts with it; remove them"
+            )
+        if len(self.ramp) != len(self.times):
+            raise ValueError(
+                f"ramp: expected {len(self.times)} amplitudes, one at each time, got "
+                f"{len(self.ramp)}"
             )
 
     def _check_times(self) -> None:

@@ -1,7 +1,7 @@
 """Where things are in a case of `pinav heat`: grid, tumour, walls and probes."""
 
 import math
-from typing import Annotated
+from typing import Annotated, Literal
 
 from msgspec import Meta
 
@@ -87,6 +87,34 @@ class Wall(Strict, frozen=True):
             )
 
 
+Side = Wall | Literal["insulated"]
+"""What is at one side; insulated stands for a plane of symmetry, too."""
+
+
+class Ends(Strict, frozen=True):
+    """Both sides across one axis of a box; the wall of the case unless given."""
+
+    low: Side | None = None
+    high: Side | None = None
+
+
+Across = Ends | Literal["periodic"] | None
+"""Both sides across an axis, or ends that meet."""
+
+
+class Sides(Strict, frozen=True):
+    """The sides across each axis of a box."""
+
+    x: Across = None
+    y: Across = None
+    z: Across = None
+
+    @property
+    def along(self) -> tuple[Across, Across, Across]:
+        """Those of each axis."""
+        return self.x, self.y, self.z
+
+
 class Probes(Strict, frozen=True):
     """Where [m] and how often [s] temperature is read."""
 
@@ -115,22 +143,35 @@ def check_point(
             )
 
 
-def check_ball(grid: Grid, radius: float, center: tuple[float, ...] | None) -> None:
-    """Refuse a tumour that is not within the grid, or smaller than a cell."""
-    lengths = grid.lengths
+def check_sides(grid: Grid, sides: Sides) -> None:
+    """Refuse sides that a grid does not have."""
+    count = len(grid.lengths) if isinstance(grid, Box) else 0
+    for name, ends in tuple(zip("xyz", sides.along, strict=True))[count:]:
+        if ends is not None:
+            raise ValueError(
+                f"sides.{name}: expected no sides but of the axes of a box, of which "
+                f"this grid has {count}; use wall on a sphere or cylinder"
+            )
+
+
+def check_ball(
+    grid: Grid, radius: float, center: tuple[float, ...] | None, sides: Sides
+) -> None:
+    """Refuse a tumour that is not within the grid, or smaller than a cell.
+
+    An insulated side is a plane of symmetry, through which a tumour may reach.
+    """
     if isinstance(grid, Box):
-        middle = center or tuple(0.5 * length for length in lengths)
-        check_point("tumour.center", middle, lengths)
-        largest = min(
-            min(x, length - x) for x, length in zip(middle, lengths, strict=True)
-        )
+        middle = center or tuple(0.5 * length for length in grid.lengths)
+        check_point("tumour.center", middle, grid.lengths)
+        largest = _free_radius(grid, middle, sides)
     elif center is not None:
         raise ValueError(
             "tumour.center: expected none on a sphere or cylinder, whose tumour is at "
             "its centre; take a box for another place"
         )
     else:
-        largest = lengths[0]
+        largest = grid.radius
     if radius < 0.5 * grid.size:
         raise ValueError(
             f"tumour.radius: expected at least half a cell, {grid.size / 2:g} "
@@ -141,3 +182,13 @@ def check_ball(grid: Grid, radius: float, center: tuple[float, ...] | None) -> N
             f"tumour.radius: expected within the grid, <= {largest:g} m, got "
             f"{radius:g} m; take a larger grid or move the tumour"
         )
+
+
+def _free_radius(grid: Box, center: tuple[float, ...], sides: Sides) -> float:
+    """Distance [m] of a point from the nearest side that is not insulated."""
+    distances = [math.hypot(*grid.lengths)]
+    for ends, x, length in zip(sides.along, center, grid.lengths, strict=False):
+        low, high = (ends.low, ends.high) if isinstance(ends, Ends) else (None, None)
+        distances += [x] * (low != "insulated")
+        distances += [length - x] * (high != "insulated")
+    return min(distances)

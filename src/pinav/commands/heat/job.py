@@ -38,7 +38,9 @@ def run(options: HeatOptions) -> CommandResult:
 def _task(name: str, case: Case, path: Path) -> AbstractTask:
     if name == "learn":
         return LearnTask(case, path)
-    return OptimiseTask(case) if name == "optimise" else SimulateTask(case)
+    if name == "optimise":
+        return OptimiseTask(case, path)
+    return SimulateTask(case, path)
 
 
 def _verify() -> CommandResult:

@@ -57,7 +57,7 @@ class LearnTask(AbstractTask):
         self.data = None
         if self.settings.data is not None:
             self.data = load_probes(source.parent / self.settings.data)
-        self.setup = build_case(case)
+        self.setup = build_case(case, source.parent)
         for name in self.settings.laws:
             _value_at_rest(self.setup, name)
         if not self.setup.protocol.largest > 0:
@@ -72,6 +72,7 @@ class LearnTask(AbstractTask):
                 self.setup.protocol,
                 self.data,
                 stepper=self.setup.stepper,
+                start=self.setup.start,
             )
         elif not len(self.setup.points):
             raise InputError(
@@ -85,7 +86,11 @@ class LearnTask(AbstractTask):
         fit = _fit(setup, settings, data)
         constant = _fit_constant(setup, settings, data)
         residuals = probe_residuals(
-            fit.model, setup.protocol, data, stepper=setup.stepper
+            fit.model,
+            setup.protocol,
+            data,
+            stepper=setup.stepper,
+            start=setup.start,
         )
         arrays = {
             "data_times": data.times,
@@ -120,6 +125,7 @@ class LearnTask(AbstractTask):
             noise=self.settings.noise,
             key=jax.random.key(self.settings.seed),
             stepper=self.setup.stepper,
+            start=self.setup.start,
         )
 
 
@@ -132,6 +138,7 @@ def _fit(setup: CaseModel, settings: Learn, data: ProbeData) -> EvidenceFit:
         laws=lambda m: tuple(law(m) for law in laws),
         constants=_power_scale(settings),
         stepper=setup.stepper,
+        start=setup.start,
     )
 
 
@@ -149,6 +156,7 @@ def _fit_constant(setup: CaseModel, settings: Learn, data: ProbeData) -> Evidenc
         data,
         constants=lambda m: (tuple(law(m).value for law in laws), scale(m)),
         stepper=setup.stepper,
+        start=setup.start,
     )
 
 
@@ -217,7 +225,7 @@ def _curves(
     metrics = {}
     fractions = {"tumour": setup.target, "tissue": 1 - setup.target}
     for name in settings.laws:
-        visited = visited_range(fit.model, setup.protocol, fractions[name])
+        visited = visited_range(fit.model, setup.protocol, fractions[name], setup.start)
         at = np.linspace(float(setup.model.blood.arterial), visited[1] + 1.0, 61)
         curve = perfusion_curve(fit.posterior, LAWS[name], at, visited)
         low, high = curve.band
@@ -246,7 +254,13 @@ def _held_out(
 
     def solution(model: Bioheat) -> Solution:
         every = protocol.duration / 60
-        return solve(model, protocol, stepper=setup.stepper, save_every=every)
+        return solve(
+            model,
+            protocol,
+            stepper=setup.stepper,
+            save_every=every,
+            start=setup.start,
+        )
 
     truth = solution(setup.model)
     by_law, by_constant = solution(learned), solution(constant)

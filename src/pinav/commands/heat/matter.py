@@ -5,13 +5,17 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from pinav.commands.heat.bounds import (
+    Arterial,
     Concentration,
     Conductivity,
     Density,
+    Frequency,
     Length,
     Magnitude,
+    Place,
     PowerDensity,
     Reference,
+    Scale,
     SpecificHeat,
     Strict,
 )
@@ -58,37 +62,109 @@ class Power(Strict, frozen=True, tag="power", tag_field="kind"):
     """A power density [W/m³] at a reference amplitude [A/m].
 
     In the tumour, times `0.4 + (r/R)²` of equal power if `edge_weighted`; with a
-    `width` [m] a Gaussian everywhere.
+    `width` [m] a Gaussian everywhere, about the tumour unless a `center` [m] is given.
     """
 
     density: PowerDensity
     reference: Reference
     width: Length | None = None
+    center: tuple[Place, ...] | None = None
     edge_weighted: bool = False
 
     def __post_init__(self) -> None:
         if self.width is not None and self.edge_weighted:
             raise ValueError("expected a width or edge_weighted, got both; remove one")
+        if self.center is not None and self.width is None:
+            raise ValueError(
+                "center: expected a width with it, that of a Gaussian; the power is in "
+                "the tumour otherwise"
+            )
 
 
 class Particles(Strict, frozen=True, tag="particles", tag_field="kind"):
     """Magnetite in the tumour: concentration [mg/cm³], diameter [nm].
 
-    `spread` is the standard deviation of the logarithm of the diameter.
+    `spread` is the standard deviation of the logarithm of the diameter. The constants
+    of the material are those of `LinearResponse` unless given: anisotropy [kJ/m³],
+    magnetisation [kA/m], attempt time [s], coating [nm], density of the solid [kg/m³],
+    and the viscosity [Pa s] of the carrier of free particles.
     """
 
     concentration: Concentration
     diameter: Annotated[float, Meta(ge=1, le=1000)]
     bound: bool = True
     spread: Annotated[float, Meta(gt=0, le=1)] | None = None
-    scale: Annotated[float, Meta(ge=0, le=100)] = 1.0
+    scale: Scale = 1.0
+    anisotropy: Annotated[float, Meta(ge=0.1, le=1000)] = 23.0
+    magnetisation: Annotated[float, Meta(ge=1, le=2000)] = 446.0
+    attempt_time: Annotated[float, Meta(ge=1e-13, le=1e-7)] = 1e-9
+    coating: Annotated[float, Meta(ge=0, le=1000)] = 2.0
+    solid_density: Density = 5180.0
+    viscosity: Annotated[float, Meta(gt=0, le=1e6)] | None = None
+
+    def __post_init__(self) -> None:
+        if self.bound and self.viscosity is not None:
+            raise ValueError(
+                "viscosity: expected none for bound particles, which do not rotate; "
+                "set bound = false, or remove it"
+            )
+
+
+class Measured(Strict, frozen=True, tag="measured", tag_field="kind"):
+    """Particles with a measured table of SLP [W/g], bilinear between its entries.
+
+    One row for each amplitude [A/m], one column for each frequency [Hz].
+    """
+
+    concentration: Concentration
+    amplitudes: tuple[Reference, ...]
+    frequencies: tuple[Frequency, ...]
+    slp: tuple[tuple[Annotated[float, Meta(ge=0, le=1e5)], ...], ...]
+    scale: Scale = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("amplitudes", "frequencies"):
+            values = getattr(self, name)
+            if not values or sorted(set(values)) != list(values):
+                raise ValueError(
+                    f"{name}: expected increasing numbers, got {list(values)}; sort "
+                    "the table"
+                )
+        shape = [len(self.frequencies)] * len(self.amplitudes)
+        if [len(row) for row in self.slp] != shape:
+            raise ValueError(
+                f"slp: expected {len(self.amplitudes)} rows, one for each amplitude, "
+                f"of {len(self.frequencies)} numbers, one for each frequency, got rows "
+                f"of {[len(row) for row in self.slp]}"
+            )
 
 
 class Eddy(Strict, frozen=True):
-    """Eddy currents: radius of the body [m], conductivity [S/m]."""
+    """Eddy currents in tissue of a conductivity [S/m].
 
-    radius: Length
+    The power of the `radius` [m] of the body everywhere; without one it grows with the
+    distance from the axis of a cylinder or box, which is in the middle unless `axis`
+    [m] says where it meets the plane of x and y.
+    """
+
     conductivity: Annotated[float, Meta(gt=0, le=100)]
+    radius: Length | None = None
+    axis: tuple[Place, Place] | None = None
+
+    def __post_init__(self) -> None:
+        if self.radius is not None and self.axis is not None:
+            raise ValueError("expected a radius or an axis, got both; remove one")
+
+
+class Blood(Strict, frozen=True):
+    """Blood: density [kg/m³], specific heat [J/kg/K], arterial temperature [°C]."""
+
+    density: Density = 1050.0
+    specific_heat: SpecificHeat = 3617.0
+    arterial: Arterial = 37.0
+
+
+Heating = Power | Particles | Measured
 
 
 LimitName = Literal["atkinson-brezovich", "hergt-dutz"]

@@ -10,11 +10,14 @@ class RunMetrics(msgspec.Struct, frozen=True, tag="simulate", tag_field="task"):
 
     Attributes:
         highest: highest temperature [°C].
-        t10: temperature that 10 % of the tumour exceed at the end [°C].
+        t10: temperature that 10 % of the tumour exceed at the end of heating [°C].
         t50: the same for 50 %.
         t90: the same for 90 %.
         d90: dose that 90 % of the tumour exceed [CEM43 min].
-        v43: fraction of the tumour above 43 °C at the end.
+        v43: fraction of the tumour above 43 °C at the end of heating.
+        heated: the end of heating, after which the field is off [s].
+        t90_dose: CEM43 T90, the dose of a place that is always at T90 [min].
+        time_to_therapy: time at which D90 reaches 10 min [s]; none where it does not.
         healthy_dose: largest dose outside the tumour [CEM43 min].
         hf: largest product of amplitude and frequency [A m⁻¹ s⁻¹].
         imbalance: relative error of the energy balance.
@@ -27,6 +30,9 @@ class RunMetrics(msgspec.Struct, frozen=True, tag="simulate", tag_field="task"):
     t90: float = msgspec.field(name="T90")
     d90: float = msgspec.field(name="D90")
     v43: float = msgspec.field(name="V43")
+    heated: float
+    t90_dose: float = msgspec.field(name="CEM43T90")
+    time_to_therapy: float | None
     healthy_dose: float
     hf: float = msgspec.field(name="Hf")
     imbalance: float

@@ -1,5 +1,7 @@
 """`pinav heat optimise`: the protocol of largest dose under the limits of a case."""
 
+from pathlib import Path
+
 import jax.numpy as jnp
 import numpy as np
 
@@ -30,12 +32,12 @@ from pinav.thermal.optimise import optimise
 class OptimiseTask(AbstractTask):
     """Find the protocol of largest D90."""
 
-    def __init__(self, case: Case) -> None:
+    def __init__(self, case: Case, source: Path) -> None:
         if case.optimise is None:
             raise InputError(
                 "optimise: expected a table [optimise] in the case, got none"
             )
-        self.settings, self.setup = case.optimise, build_case(case)
+        self.settings, self.setup = case.optimise, build_case(case, source.parent)
         self.variables = _variables(case, case.optimise, self.setup)
         self.constraints = _constraints(case, case.optimise, self.setup)
 
@@ -47,6 +49,7 @@ class OptimiseTask(AbstractTask):
             maximise=LogD90(setup.target),
             subject_to=self.constraints,
             stepper=setup.stepper,
+            begin=setup.start,
         )
         protocol = optimum.run.protocol
         metrics, arrays = simulate_run(setup, optimum.run.model, protocol)
@@ -92,5 +95,8 @@ def _constraints(
         # the margin leaves out tissue that conduction from the tumour heats anyway
         radius = case.tumour.radius + settings.margin
         away = 1 - setup.model.grid.ball(radius, center=case.tumour.center)
-        constraints.append(HealthyDose(bound=settings.healthy_dose, share=away))
+        name = f"dose of tissue {1e3 * settings.margin:g} mm or more from the tumour"
+        constraints.append(
+            HealthyDose(bound=settings.healthy_dose, share=away, name=name)
+        )
     return constraints + [limit_constraint(limit) for limit in setup.limits]

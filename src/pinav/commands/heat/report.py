@@ -5,6 +5,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from pinav.commands.heat.history import SHARES
 from pinav.commands.heat.metrics import (
     HeatMetrics,
     LearnMetrics,
@@ -23,14 +24,14 @@ from pinav.figures.heat import (
     profiles,
     protocol_figure,
 )
-from pinav.figures.style import new_figure
+from pinav.figures.style import new_figure, title_panel
 from pinav.report import Image, Paragraph, Section
 from pinav.report.images import Figures
 from pinav.runs import RunFolder
 
 Arrays = dict[str, np.ndarray]
 
-NUM_PROFILES = 7
+NUM_PROFILES = 6
 """Times at which temperature is drawn over the radius."""
 
 CAUTION = (
@@ -57,7 +58,9 @@ def heat_sections(folder: RunFolder) -> list[Section]:
         sections.insert(1, Section("Constraints", [constraint_table(metrics)]))
     if "probes" in arrays:
         curves = probe_curves(
-            arrays["times"], arrays["probes"], _names(arrays["probes"].shape[1])
+            arrays["times"],
+            arrays["probes"],
+            [_place(point) for point in arrays["points"]],
         )
         image = _image(folder, curves.figure, "probes", "Temperature of each probe.")
         sections.append(Section("Probes", [image]))
@@ -95,50 +98,91 @@ def _learned_sections(
 
 
 def _protocol(folder: RunFolder, arrays: Arrays, bound: float | None) -> Image:
+    names = {"hottest": "hottest cell", **{name: name for name in SHARES}}
     figure = protocol_figure(
-        arrays["edges"].tolist(),
-        arrays["starts"],
-        arrays["ends"],
-        (arrays["times"], arrays["hottest"]),
+        (arrays["edges"], arrays["starts"], arrays["ends"]),
+        arrays["times"],
+        {label: arrays[name] for name, label in names.items()},
+        {
+            "D90 of the tumour": arrays["dose/D90"],
+            "largest outside it": arrays["dose/outside"],
+        },
         bound=bound,
     )
-    caption = "Peak amplitude of the field, and the hottest cell."
+    caption = (
+        "Peak amplitude of the field; the hottest cell and the temperatures that 10, "
+        "50 and 90 % of the tumour exceed; doses so far."
+    )
     return _image(folder, figure, "protocol", caption)
 
 
 def _fields(folder: RunFolder, arrays: Arrays) -> Image:
-    temperature, dose = arrays["temperature"], arrays["dose"]
+    if arrays["temperature"].ndim > 1:
+        return _maps(folder, arrays)
     figure = new_figure(7.5, 3.4)
     left, right = figure.subplots(1, 2)
-    if temperature.ndim == 1:
-        edge = _edge(arrays)
-        steps = np.linspace(0, len(arrays["times"]) - 1, NUM_PROFILES + 1).astype(int)
-        times = arrays["times"].tolist()
-        lines = {_minutes(times[i]): arrays["field"][i] for i in steps[1:]}
-        profiles(arrays["radius"], lines, edge=edge, ax=left)
-        dose_profile(arrays["radius"], dose, edge=edge, ax=right)
-        caption = "Temperature over the radius, and dose; the tumour's edge is dashed."
-        return _image(folder, figure, "fields", caption)
-    where = "in the plane"
-    if temperature.ndim == 3:
-        # the section through the largest dose: the middle one may miss the tumour
-        section = int(np.unravel_index(np.argmax(dose), dose.shape)[2])
-        height = 1e3 * arrays["spacing"][2] * (section + 0.5)
-        where = f"in the section z = {height:.3g} mm, that of the largest dose"
-        temperature, dose = temperature[..., section], dose[..., section]
-    spacing = tuple(arrays["spacing"][:2].tolist())
-    plane_map(temperature, spacing, levels=ISOTHERMS, label="temperature [°C]", ax=left)
-    plane_map(
-        dose, spacing, levels=DOSES, label="CEM43 [min]", logarithmic=True, ax=right
-    )
-    return _image(
-        folder, figure, "fields", f"Temperature at the end, and dose, {where}."
-    )
+    edge = _edge(arrays)
+    last = len(arrays["times"]) - 1
+    steps = np.unique(np.linspace(0, last, NUM_PROFILES + 1).astype(int)[1:])
+    lines = {_duration(float(arrays["times"][i])): arrays["field"][i] for i in steps}
+    profiles(arrays["radius"], lines, edge=edge, ax=left)
+    dose_profile(arrays["radius"], arrays["dose"], edge=edge, ax=right)
+    caption = "Temperature over the radius, and dose; the tumour's edge is dashed."
+    return _image(folder, figure, "fields", caption)
 
 
-def _minutes(seconds: float) -> str:
-    """A time for a legend, with enough digits to tell the profiles apart."""
-    return f"{seconds / 60:.3g} min"
+def _maps(folder: RunFolder, arrays: Arrays) -> Image:
+    """Sections through the hottest cell and through the middle of the tumour."""
+    sections = _sections(arrays)
+    figure = new_figure(7.5, 3.2 * len(sections))
+    panels = figure.subplots(len(sections), 2, squeeze=False)
+    for row, (name, cut) in zip(panels, sections.items(), strict=True):
+        outline, spacing = arrays["target"][cut], arrays["spacing"][:2]
+        for ax, key, levels, label in (
+            (row[0], "temperature", ISOTHERMS, "temperature [°C]"),
+            (row[1], "dose", DOSES, "CEM43 [min]"),
+        ):
+            plane_map(
+                arrays[key][cut],
+                (float(spacing[0]), float(spacing[1])),
+                levels=levels,
+                label=label,
+                outline=outline,
+                logarithmic=key == "dose",
+                ax=ax,
+            )
+        title_panel(row[0], name)
+    caption = "Temperature at the end, and dose; the tumour is outlined in blue."
+    return _image(folder, figure, "fields", caption)
+
+
+def _sections(arrays: Arrays) -> dict[str, tuple]:
+    """Planes of a map by what their titles say."""
+    if arrays["target"].ndim == 2:
+        return {"": (slice(None), slice(None))}
+    height = float(arrays["spacing"][2])
+    hottest = np.unravel_index(arrays["temperature"].argmax(), arrays["target"].shape)
+    mass = arrays["target"].sum(axis=(0, 1))
+    middle = round(float(mass @ np.arange(mass.size) / mass.sum()))
+    cuts: dict[int, list[str]] = {}
+    for name, index in (("hottest cell", int(hottest[2])), ("tumour", middle)):
+        cuts.setdefault(index, []).append(name)
+    return {
+        f"z = {1e3 * height * (index + 0.5):.4g} mm, {' and '.join(names)}": (
+            slice(None),
+            slice(None),
+            index,
+        )
+        for index, names in cuts.items()
+    }
+
+
+def _duration(seconds: float) -> str:
+    """A time for a legend, exact to a thousandth of a second."""
+    minutes = seconds / 60
+    if abs(minutes - round(minutes)) < 1e-9:
+        return f"{round(minutes)} min"
+    return f"{round(seconds, 3):.10g} s"
 
 
 def _edge(arrays: Arrays) -> float:
@@ -146,10 +190,6 @@ def _edge(arrays: Arrays) -> float:
     inside = arrays["radius"][arrays["target"] > 0.5]
     step = float(np.diff(arrays["radius"])[0])
     return float(inside.max() + step / 2) if inside.size else 0.0
-
-
-def _names(count: int) -> list[str]:
-    return [f"probe {index + 1}" for index in range(count)]
 
 
 def _place(point: np.ndarray) -> str:

@@ -17,13 +17,20 @@ SYNTHETIC = "Synthetic data of a research code."
 
 def run_table(metrics: RunMetrics) -> Table:
     """Temperatures and doses of a run."""
-    rows = [
+    reached = metrics.time_to_therapy
+    rows: list[tuple[str, str | float]] = [
         ("highest temperature [°C]", metrics.highest),
-        ("T10 of the tumour at the end [°C]", metrics.t10),
-        ("T50 of the tumour at the end [°C]", metrics.t50),
-        ("T90 of the tumour at the end [°C]", metrics.t90),
+        ("end of heating [min]", metrics.heated / 60),
+        ("T10 of the tumour at the end of heating [°C]", metrics.t10),
+        ("T50 of the tumour at the end of heating [°C]", metrics.t50),
+        ("T90 of the tumour at the end of heating [°C]", metrics.t90),
+        ("fraction of the tumour above 43 °C then", metrics.v43),
         ("D90 of the tumour [CEM43 min]", metrics.d90),
-        ("fraction of the tumour above 43 °C at the end", metrics.v43),
+        (
+            "D90 reaches 10 CEM43 min after [min]",
+            "never" if reached is None else reached / 60,
+        ),
+        ("CEM43 T90 of the tumour [min]", metrics.t90_dose),
         ("largest dose outside the tumour [CEM43 min]", metrics.healthy_dose),
         ("largest product Hf [A/(m s)]", metrics.hf),
         ("relative error of the energy balance", metrics.imbalance),

@@ -44,6 +44,7 @@ from pinav.identification import (
 from pinav.identification.forecast import HORIZONS
 from pinav.identification.models import BOTH, FULL, CandidateModel
 from pinav.identification.selection import BASELINES, RESIDUALS
+from pinav.recordings.conventions import remarks
 from pinav.runs import RunFolder
 from pinav.systems import system_text
 from pinav.trajectories import Trajectories
@@ -61,6 +62,8 @@ FIGURES = 9
 def run(options: IdentifyOptions) -> CommandResult:
     """Identify as the command line does."""
     recording = read_data(options.data, options.recording)
+    if recording.channels == ("x", "y", "z"):
+        recording = recording.only(("x", "y"))  # the commands are headings in the plane
     settings = options.settings
     folder = start_run(
         IDENTIFY, options, settings, options.recording, data=fingerprint(recording)
@@ -124,6 +127,7 @@ def identify(
         system=chosen,
         tracks=results,
         summary=summarise_tracks(results.values()),
+        remarks=remarks(recording),
     )
     folder.write_table("candidates.csv", *_table(results))
     folder.write_metrics("metrics.json", metrics)
@@ -219,6 +223,7 @@ def _write_track_fit(
             "coefficients": fit.coefficients,
             "covariance": fit.covariance,
             "log_evidence": np.array(fit.log_evidence),
+            "fastest": np.array(fit.fastest),
             "jitter": np.array(one.jitter),
         },
     )
@@ -255,6 +260,7 @@ def _read_track_fit(
         covariance=stored["covariance"],
         log_evidence=float(stored["log_evidence"]),
         evaluations=0,
+        fastest=float(stored["fastest"]),
     )
     return fit, float(stored["jitter"])
 

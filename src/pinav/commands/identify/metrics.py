@@ -156,12 +156,14 @@ class IdentifyMetrics(msgspec.Struct, frozen=True):
         system: name of the track whose system the run holds; none without one.
         tracks: results by the name of the track.
         summary: medians over tracks by the label of the candidate or baseline.
+        remarks: how the recording was read, and what looks odd about it.
     """
 
     units: dict[str, str]
     system: str | None
     tracks: dict[str, TrackMetrics]
     summary: dict[str, SummaryRow]
+    remarks: tuple[str, ...] = ()
 
     def text(self) -> str:
         """The table and the findings for a terminal."""
@@ -173,6 +175,7 @@ class IdentifyMetrics(msgspec.Struct, frozen=True):
         )
         for name, track in self.tracks.items():
             lines += [f"{name}:", *(f"  {line}" for line in _track_lines(track))]
+        lines += self.remarks
         if self.system is not None:
             lines.append(f"system.toml: the swimmer of track {self.system}")
         return "\n".join(lines)

@@ -15,6 +15,7 @@ from pinav.errors import InputError
 from pinav.figures import overlay, recording_figure, save_figure
 from pinav.figures.style import new_figure
 from pinav.files import write_text
+from pinav.recordings.conventions import in_words
 from pinav.recordings.quality.commands import Drive
 from pinav.recordings.quality.report import Quality, Run, Track, quality
 from pinav.report import Cell, Code, Image, Paragraph, Section, Table, number, render
@@ -48,7 +49,7 @@ def inspect(
         raise InputError(f"{out}: holds a report already; give --overwrite or another")
     if image is not None and out is None:
         raise InputError("--image: is drawn into a report; give --out too")
-    recording = _with_labels(read_data(path, settings), path)
+    recording = _with_labels(read_data(path, settings, doubtful=True), path)
     report = quality(recording)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
@@ -83,9 +84,16 @@ def text(report: Quality) -> str:
     """The report for a terminal."""
     lines = [
         f"{report.source}, format {report.format}",
+        *(
+            [f"read as: {'; '.join(said)}"]
+            if (said := in_words(report.provenance))
+            else []
+        ),
         "",
         as_text(runs_table(report)),
     ]
+    if report.doubts:
+        lines += ["", "To be settled before a fit:", *map(_item, report.doubts)]
     if report.warnings or any(run.warnings for run in report.runs):
         lines += ["", "What a fit cannot tell:", *map(_item, verdicts(report))]
     if report.notes:
@@ -141,7 +149,9 @@ _CAPTION = (
 )
 _DRIVE_CAPTION = (
     "; off: share of the time; headings: of 12 sectors; condition: of gains and drift, "
-    "1 is best; delay: share of its effect that no gain matrix imitates"
+    "1 is best; raw: the same of columns that are not normalised; axis: share of the "
+    "driven time within 10 degrees of one axis; delay: share of its effect that no "
+    "gain matrix imitates"
 )
 
 
@@ -162,6 +172,12 @@ _DRIVE_COLUMNS = {
     "condition": _of_drive(
         lambda drive: "∞" if drive.condition == float("inf") else drive.condition
     ),
+    "raw": _of_drive(
+        lambda drive: (
+            "∞" if drive.raw_condition == float("inf") else drive.raw_condition
+        )
+    ),
+    "axis [%]": _of_drive(lambda drive: 100 * drive.aligned),
     "delay [%]": _of_drive(lambda drive: 100 * drive.delay),
 }
 
@@ -175,6 +191,11 @@ def page(
         recording_figure(recording, report), out / "figures", "recording"
     )
     sections = [
+        *(
+            [Section("To be settled before a fit", [*map(Paragraph, report.doubts)])]
+            if report.doubts
+            else []
+        ),
         Section("What it holds", [runs_table(report), *map(Paragraph, report.notes)]),
         Section(
             "What a fit cannot tell",

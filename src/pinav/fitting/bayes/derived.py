@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from pinav.errors import InputError
 from pinav.fitting.engine.posterior import Estimate, Posterior
-from pinav.forces import CholeskyTensor, KernelMixture, TensorDrag
+from pinav.forces import AbstractForce, CholeskyTensor, KernelMixture, TensorDrag
 
 
 def derived(
@@ -27,7 +27,7 @@ def derived(
         quantity: from the model to a vector of numbers, differentiable.
     """
 
-    def of(theta):
+    def of(theta: Float[Array, " parameter"]) -> Float[Array, " value"]:
         return quantity(posterior.free(theta))
 
     with jax.enable_x64(new_val=True):
@@ -99,14 +99,16 @@ def rotational_fraction(
         )
     places = jnp.asarray(points)
 
-    def fraction(model):
-        rotation = _squared(model.environment.rotation, time, places)
-        gradient = _squared(model.environment.gradient, time, places)
+    def fraction(model: Any) -> Float[Array, "1"]:
+        rotation = _total_square(model.environment.rotation, time, places)
+        gradient = _total_square(model.environment.gradient, time, places)
         return jnp.stack([rotation / (rotation + gradient)])
 
     return derived(posterior, fraction)[0]
 
 
-def _squared(force, time, places):
+def _total_square(
+    force: AbstractForce, time: float, places: Float[Array, "point 2"]
+) -> Float[Array, ""]:
     forces = jax.vmap(lambda x: force(time, x, jnp.zeros_like(x)))(places)
     return jnp.sum(forces**2)

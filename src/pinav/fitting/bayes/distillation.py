@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from pinav.arguments import Scalar, Vector
 from pinav.fitting.engine.parametric_model import ParametricModel, ravel_model
 from pinav.fitting.matching.gauss_newton import damped_step
 from pinav.forces import AbstractForce, kernel_centers
@@ -103,10 +104,10 @@ def _step(
     size = jnp.sqrt(jnp.mean(targets.forces**2))
     size = jnp.where(size > 0, size, 1.0)
 
-    def force(theta, t, x):
+    def force(theta: Float[Array, " parameter"], t: Scalar, x: Vector) -> Vector:
         return free(theta)(t, x, jnp.zeros_like(x)) / size
 
-    def residuals(theta):
+    def residuals(theta: Float[Array, " parameter"]) -> Float[Array, " residual"]:
         axes = (None, 0, 0)
         computed = jax.vmap(force, axes)(theta, targets.times, targets.positions)
         return (computed - targets.forces / size).reshape(-1)

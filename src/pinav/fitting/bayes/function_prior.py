@@ -25,15 +25,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
-from jaxtyping import Float
+from jaxtyping import Array, Float, Int
 
+from pinav.arguments import Scalar, Vector
 from pinav.fitting.bayes.distillation import DistillationTargets, forces
 from pinav.fitting.engine.parametric_model import ParametricModel, ravel_model
 from pinav.fitting.evidence.evidence import Hyperparameters, root
-from pinav.fitting.evidence.weights import AbstractWeights, Inference
+from pinav.fitting.evidence.quadratic import Quadratic
+from pinav.fitting.evidence.weights import AbstractWeights, Inference, WeightPosterior
 from pinav.fitting.matching.gauss_newton import low_rank
 from pinav.forces import AbstractLearnedForce
-from pinav.forces.priors import AbstractPrior
+from pinav.forces.priors import AbstractPrior, Matrix, Shape
 
 RANK = 256
 """Tangent directions kept."""
@@ -63,7 +65,7 @@ class Process(eqx.Module):
     @classmethod
     def of(
         cls,
-        kernels,
+        kernels: AbstractLearnedForce,
         prior: AbstractPrior,
         chosen: Hyperparameters,
         places: DistillationTargets,
@@ -95,7 +97,7 @@ class Process(eqx.Module):
         along, variances = basis.T @ values, scale**2
         rest, others = values @ values - along @ along, len(values) - len(along)
 
-        def loss(log_variance):
+        def loss(log_variance: float) -> float:
             variance = np.exp(log_variance)
             total = variances + variance
             squares = along @ (along / total) + max(rest, 0.0) / variance
@@ -130,7 +132,7 @@ class TangentWeights(AbstractWeights):
     @classmethod
     def of(
         cls,
-        network,
+        network: AbstractLearnedForce,
         places: DistillationTargets,
         process: Process,
         wanted: Float[np.ndarray, " force"],
@@ -158,26 +160,30 @@ class TangentWeights(AbstractWeights):
         return cls(free, np.asarray(point), places, process, misfit)
 
     @property
-    def start(self):
+    def start(self) -> Shape:
         return self.process.chosen.shape
 
-    def about(self, weights):
+    def about(self, weights: Float[np.ndarray, " weight"]) -> "AbstractWeights":
         return eqx.tree_at(lambda own: own.point, self, weights)
 
-    def energy(self, weights):
+    def energy(self, weights: Float[np.ndarray, " weight"]) -> float:
         network = self.free(jnp.asarray(weights))
         values = forces(network, self.places.times, self.places.positions)
         scaled = np.asarray(values).ravel() / self.misfit
         return float(scaled @ self._unlikely(scaled))
 
-    def ridge(self, chosen):
+    def ridge(self, chosen: Hyperparameters) -> float:
         return 0.0
 
-    def posterior(self, quadratic, chosen):
+    def posterior(
+        self, quadratic: Quadratic, chosen: Hyperparameters
+    ) -> WeightPosterior:
         found = self.infer(quadratic, chosen.shape, chosen.noise)
         return found.mean, found.covariance
 
-    def infer(self, quadratic, shape, noise):
+    def infer(
+        self, quadratic: Quadratic, shape: Shape, noise: float | None
+    ) -> Inference:
         tangent, chosen = self._tangent(), self.process.chosen
         steps = tangent.steps
         hessian = steps.T @ quadratic.hessian @ steps / chosen.noise**2
@@ -198,14 +204,18 @@ class TangentWeights(AbstractWeights):
         mean = self.point + steps @ change
         return Inference(found, mean, steps @ covariance @ steps.T)
 
-    def shape_covariance(self, quadratic, chosen, noise):
+    def shape_covariance(
+        self, quadratic: Quadratic, chosen: Hyperparameters, noise: float | None
+    ) -> Matrix:
         tangent = self._tangent()
         changes = tangent.steps @ (
             tangent.forces.T @ (self.process.shapes / self.misfit[:, None])
         )
         return changes @ changes.T
 
-    def _unlikely(self, scaled):
+    def _unlikely(
+        self, scaled: Float[np.ndarray, "force ..."]
+    ) -> Float[np.ndarray, "force ..."]:
         r"""$C^{-1}$ times scaled forces."""
         reach = self.process.directions / self.misfit[:, None]
         inner = np.eye(reach.shape[1]) + reach.T @ reach
@@ -252,8 +262,12 @@ class _Tangent(eqx.Module):
 
 
 @eqx.filter_jit
-def _slopes(free: ParametricModel, theta, places: DistillationTargets):
-    def force(theta, t, x):
+def _slopes(
+    free: ParametricModel,
+    theta: Float[Array, " parameter"],
+    places: DistillationTargets,
+) -> Float[Array, "force parameter"]:
+    def force(theta: Float[Array, " parameter"], t: Scalar, x: Vector) -> Vector:
         return free(theta)(t, x, jnp.zeros_like(x))
 
     slopes = jax.vmap(jax.jacrev(force), (None, 0, 0))
@@ -261,7 +275,9 @@ def _slopes(free: ParametricModel, theta, places: DistillationTargets):
     return found.reshape(-1, theta.shape[0])
 
 
-def _neighbours(positions):
+def _neighbours(
+    positions: Float[np.ndarray, "point dim"],
+) -> Int[np.ndarray, "point neighbour"]:
     """Indices of the nearest places to each, itself included."""
     from scipy.spatial import KDTree
 

@@ -18,7 +18,7 @@ from pinav.fitting.bayes.parameters import (
     weight_leaves,
 )
 from pinav.fitting.engine.constant_priors import ConstantPriors
-from pinav.fitting.engine.local_model import AbstractLocalModel
+from pinav.fitting.engine.local_model import AbstractLocalModel, Prediction
 from pinav.fitting.engine.multiple_shooting import (
     Linearisation,
     advance,
@@ -31,7 +31,7 @@ from pinav.fitting.engine.parametric_model import (
     parameter_names,
     selected_entries,
 )
-from pinav.fitting.engine.problem import AbstractProblem
+from pinav.fitting.engine.problem import AbstractProblem, Step
 from pinav.fitting.engine.steps import (
     AbstractStepRule,
     ChordSteps,
@@ -39,7 +39,7 @@ from pinav.fitting.engine.steps import (
     ShortenedStep,
 )
 from pinav.fitting.evidence.model_evidence import LinearFit
-from pinav.fitting.evidence.quadratic import Quadratic
+from pinav.fitting.evidence.quadratic import Parameters, Quadratic
 from pinav.fitting.evidence.weights import AbstractWeights, GaussianWeights, NoWeights
 from pinav.fitting.matching.objectives import Observations
 from pinav.trajectories import Trajectories, smoothed_states
@@ -61,7 +61,7 @@ class LocalTrajectories(AbstractLocalModel):
         scale: spread of each channel.
     """
 
-    theta: Float[np.ndarray, " parameter"]
+    theta: Parameters
     quadratic: Quadratic
     parametric: ParametricModel
     observations: Observations
@@ -70,17 +70,17 @@ class LocalTrajectories(AbstractLocalModel):
     linear: Linearisation
     scale: Float[np.ndarray, " state"]
 
-    def predict(self, theta):
+    def predict(self, theta: Parameters) -> Prediction:
         inputs = jnp.asarray(theta), self.states, self.observations, self.solver
         return predict(self.parametric, *inputs)
 
-    def pull_back(self, residuals):
+    def pull_back(self, residuals: Float[Array, "..."]) -> Parameters:
         return np.asarray(pull_back(self.linear, residuals))
 
-    def advance(self, mean):
+    def advance(self, mean: Parameters) -> States:
         return advance(self.states, self.linear, jnp.asarray(mean - self.theta))
 
-    def defect(self, mean, noise):
+    def defect(self, mean: Parameters, noise: float) -> float:
         """The largest defect, relative to the spread of its channel."""
         return float(np.max(np.asarray(self.linear.defects) / self.scale))
 
@@ -108,7 +108,7 @@ class BayesProblem(AbstractProblem):
     """
 
     parametric: ParametricModel
-    theta: Float[np.ndarray, " parameter"]
+    theta: Parameters
     states: Float[Array, "trajectory time state"] | None
     weights: AbstractWeights
     priors: ConstantPriors
@@ -180,7 +180,9 @@ class BayesProblem(AbstractProblem):
         observed = np.asarray(self.observations.observed)
         return int(observed.sum()) - len(observed) * len(self.scale)
 
-    def linearise(self, theta, states: Any):  # with dynamics there are states
+    def linearise(
+        self, theta: Parameters, states: Any
+    ) -> AbstractLocalModel | None:  # with dynamics there are states
         linear = linearise(
             self.parametric, jnp.asarray(theta), states, self.observations, self.solver
         )
@@ -208,14 +210,16 @@ class BayesProblem(AbstractProblem):
             scale=self.scale,
         )
 
-    def residual_series(self, step):
+    def residual_series(
+        self, step: Step
+    ) -> list[Float[np.ndarray, "_ channel"]] | None:
         if step.hyperparameters.noise < LEAST_NOISE * self.scale.max():
             return None  # what is left is the integrator's error, and never white
         data = self.observations
         residuals = np.asarray(step.move.states) - np.asarray(data.states)
         return list(np.where(np.asarray(data.observed), residuals, np.nan))
 
-    def flat_information(self):
+    def flat_information(self) -> tuple[int, float]:
         counts = np.asarray(self.observations.observed).sum(axis=(1, 2))
         total, state = int(counts.sum()), len(self.scale)
         starts = state * float(np.log(counts).sum())

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from pinav.fitting.evidence.quadratic import Quadratic
+from pinav.fitting.evidence.quadratic import Parameters, Quadratic
 from pinav.systems.priors import AbstractNumberPrior
 
 
@@ -39,7 +39,7 @@ class ConstantPriors(eqx.Module):
             return quadratic
         index, (values, slopes) = (
             list(self.entries),
-            self._standardised(quadratic.point),
+            self._standardise(quadratic.point),
         )
         hessian, gradient = quadratic.hessian.copy(), quadratic.gradient.copy()
         hessian[index, index] += (noise * slopes) ** 2
@@ -57,31 +57,27 @@ class ConstantPriors(eqx.Module):
             log_determinant=quadratic.log_determinant + float(volume),
         )
 
-    def squares(self, theta: Float[np.ndarray, " parameter"]) -> float:
+    def squares(self, theta: Parameters) -> float:
         """Sum of the squared standardised values."""
-        return float(np.sum(self._standardised(theta)[0] ** 2)) if self.entries else 0.0
+        return float(np.sum(self._standardise(theta)[0] ** 2)) if self.entries else 0.0
 
-    def half_gradient(
-        self, theta: Float[np.ndarray, " parameter"]
-    ) -> Float[np.ndarray, " parameter"]:
+    def half_gradient(self, theta: Parameters) -> Parameters:
         """Half the gradient of `squares`."""
         gradient = np.zeros(len(theta))
         if self.entries:
-            values, slopes = self._standardised(theta)
+            values, slopes = self._standardise(theta)
             gradient[list(self.entries)] = slopes * values
         return gradient
 
-    def curvature(
-        self, theta: Float[np.ndarray, " parameter"]
-    ) -> Float[np.ndarray, " parameter"]:
+    def curvature(self, theta: Parameters) -> Parameters:
         """Half the second derivative of `squares`, less that of the values."""
         curvature = np.zeros(len(theta))
         if self.entries:
-            curvature[list(self.entries)] = self._standardised(theta)[1] ** 2
+            curvature[list(self.entries)] = self._standardise(theta)[1] ** 2
         return curvature
 
-    def _standardised(
-        self, theta: Float[np.ndarray, " parameter"]
+    def _standardise(
+        self, theta: Parameters
     ) -> tuple[Float[np.ndarray, " prior"], Float[np.ndarray, " prior"]]:
         """Standardised values, and their derivatives."""
         pairs = [

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.fitting.engine.constant_priors import ConstantPriors
-from pinav.fitting.evidence.quadratic import Quadratic
+from pinav.fitting.evidence.quadratic import Parameters, Quadratic
 
 States = Float[Array, "trajectory time state"] | None
 """States about which dynamics are linearised; None where there are no dynamics."""
@@ -35,25 +35,23 @@ class AbstractLocalModel(eqx.Module):
         quadratic: the sum of their squares.
     """
 
-    theta: eqx.AbstractVar[Float[np.ndarray, " parameter"]]
+    theta: eqx.AbstractVar[Parameters]
     quadratic: eqx.AbstractVar[Quadratic]
 
     @abc.abstractmethod
-    def predict(self, theta: Float[np.ndarray, " parameter"]) -> Prediction:
+    def predict(self, theta: Parameters) -> Prediction:
         """True residuals for other parameters."""
 
     @abc.abstractmethod
-    def pull_back(
-        self, residuals: Float[Array, "..."]
-    ) -> Float[np.ndarray, " parameter"]:
+    def pull_back(self, residuals: Float[Array, "..."]) -> Parameters:
         r"""$J^\top r$, with the Jacobian of this point."""
 
     @abc.abstractmethod
-    def advance(self, mean: Float[np.ndarray, " parameter"]) -> States:
+    def advance(self, mean: Parameters) -> States:
         """States about which to linearise after a full step to `mean`."""
 
     @abc.abstractmethod
-    def defect(self, mean: Float[np.ndarray, " parameter"], noise: float) -> float:
+    def defect(self, mean: Parameters, noise: float) -> float:
         """Distance from a solution, on the scale of `DEFECT_TOLERANCE`.
 
         Args:
@@ -74,9 +72,9 @@ class PenalisedSquares(eqx.Module):
     """
 
     local: AbstractLocalModel
-    precision: Float[np.ndarray, " parameter"]
+    precision: Parameters
     noise: float
-    energy: Callable[[Float[np.ndarray, " parameter"]], float]
+    energy: Callable[[Parameters], float]
     priors: ConstantPriors
 
     @property
@@ -85,9 +83,7 @@ class PenalisedSquares(eqx.Module):
         diagonal = self.precision + self.priors.curvature(self.local.theta)
         return self.local.quadratic.hessian / self.noise**2 + np.diag(diagonal)
 
-    def cost(
-        self, theta: Float[np.ndarray, " parameter"], residuals: Float[Array, "..."]
-    ) -> float:
+    def cost(self, theta: Parameters, residuals: Float[Array, "..."]) -> float:
         """What is minimised; infinite where the residuals are not finite."""
         squares = float(jnp.sum(residuals**2)) / self.noise**2
         prior = float(self.precision @ theta**2) + self.energy(theta)
@@ -95,8 +91,8 @@ class PenalisedSquares(eqx.Module):
         return cost if np.isfinite(cost) else np.inf
 
     def half_gradient(
-        self, theta: Float[np.ndarray, " parameter"], residuals: Float[Array, "..."]
-    ) -> Float[np.ndarray, " parameter"]:
+        self, theta: Parameters, residuals: Float[Array, "..."]
+    ) -> Parameters:
         """Half the gradient of the cost, with the Jacobian of the local model."""
         pull = self.local.pull_back(residuals) / self.noise**2
         return pull + self.precision * theta + self.priors.half_gradient(theta)

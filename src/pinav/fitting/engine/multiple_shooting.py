@@ -15,7 +15,7 @@ References:
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from pinav.dynamics import FixedStep, linear_recursion
 from pinav.fitting.engine.local_model import Prediction
@@ -241,7 +241,11 @@ def advance(
 ) -> Float[Array, "trajectory time state"]:
     r"""The states after the step $\delta\theta$, each start at its best."""
 
-    def one(states, columns, start_rows):
+    def one(
+        states: Float[Array, "time state"],
+        columns: Float[Array, "time state column"],
+        start_rows: Float[Array, "state other"],
+    ) -> Float[Array, "time state"]:
         starts = -start_rows @ jnp.append(change, 1.0)
         return states + columns @ jnp.concatenate([change, starts, jnp.ones(1)])
 
@@ -261,7 +265,12 @@ def predict(
     Costs a small part of `linearise`, because no derivative by a parameter is taken.
     """
 
-    def one(states, times, data, observed):
+    def one(
+        states: Float[Array, "time state"],
+        times: Float[Array, " time"],
+        data: Float[Array, "time state"],
+        observed: Bool[Array, "time state"],
+    ) -> tuple[Float[Array, "time state"], Float[Array, "time state"]]:
         state = states.shape[1]
         steps = _step_derivatives(free, theta, states, times, solver, parameters=False)
         columns = _propagate(steps, states).columns
@@ -283,8 +292,7 @@ def predict(
 
 @eqx.filter_jit
 def pull_back(
-    linearisation: Linearisation,
-    residuals: Float[Array, "trajectory time state"],
+    linearisation: Linearisation, residuals: Float[Array, "trajectory time state"]
 ) -> Float[Array, " parameter"]:
     r"""$J^\top r$ with the starts eliminated from $J$.
 
@@ -294,7 +302,11 @@ def pull_back(
     """
     state = residuals.shape[-1]
 
-    def one(columns, start_rows, residuals):
+    def one(
+        columns: Float[Array, "time state column"],
+        start_rows: Float[Array, "state other"],
+        residuals: Float[Array, "time state"],
+    ) -> Float[Array, " parameter"]:
         flat = columns.reshape(-1, columns.shape[-1])[:, :-1].T @ residuals.reshape(-1)
         count = flat.shape[0] - state
         return flat[:count] - start_rows[:, :count].T @ flat[count:]

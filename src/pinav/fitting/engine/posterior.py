@@ -6,11 +6,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike, Float, PRNGKeyArray
+from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
+from pinav.arguments import Scalar, State, Vector
 from pinav.dynamics import FixedStep
 from pinav.fitting.engine.multiple_shooting import sensitivities
 from pinav.fitting.engine.parametric_model import ParametricModel
+from pinav.fitting.evidence.quadratic import Parameters
 
 
 class Estimate(eqx.Module):
@@ -49,7 +51,7 @@ class Posterior(eqx.Module):
     """
 
     free: ParametricModel
-    mean: Float[np.ndarray, " parameter"]
+    mean: Parameters
     covariance: Float[np.ndarray, "parameter parameter"]
 
     @property
@@ -120,20 +122,34 @@ class Posterior(eqx.Module):
 
 
 @eqx.filter_jit
-def _force_jacobians(free, theta, points, time):
-    def force(theta, x):
+def _force_jacobians(
+    free: ParametricModel,
+    theta: Float[Array, " parameter"],
+    points: Float[Array, "point dim"],
+    time: Scalar,
+) -> Float[Array, "point dim parameter"]:
+    def force(theta: Float[Array, " parameter"], x: Vector) -> Vector:
         return free(theta).environment(time, x, jnp.zeros_like(x))
 
     return jax.vmap(jax.jacrev(force), (None, 0))(theta, points)
 
 
 @eqx.filter_jit
-def _linear_rollout(free, theta, y0, ts, solver):
+def _linear_rollout(
+    free: ParametricModel,
+    theta: Float[Array, " parameter"],
+    y0: State,
+    ts: Float[Array, " time"],
+    solver: FixedStep,
+) -> tuple[Float[Array, "time state"], Float[Array, "time state column"]]:
     ys, _ = solver.solve(free(theta), y0, ts)
     return ys, sensitivities(free, theta, ys, ts, solver).columns
 
 
-def _spread(jacobians, covariance):
+def _spread(
+    jacobians: Float[np.ndarray, "*place parameter"],
+    covariance: Float[np.ndarray, "parameter parameter"],
+) -> Float[np.ndarray, "*place"]:
     """Standard deviations of linear functions of the parameters."""
     variance = np.sum((jacobians @ covariance) * jacobians, axis=-1)
     return np.sqrt(np.maximum(variance, 0.0))

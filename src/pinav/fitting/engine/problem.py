@@ -19,6 +19,7 @@ from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.evidence.model_evidence import LinearFit
 from pinav.fitting.evidence.quadratic import (
     FlatBlock,
+    Parameters,
     Quadratic,
     eliminate_flat,
     joint_posterior,
@@ -80,7 +81,7 @@ class AbstractProblem(eqx.Module):
     """
 
     parametric: eqx.AbstractVar[ParametricModel]
-    theta: eqx.AbstractVar[Float[np.ndarray, " parameter"]]
+    theta: eqx.AbstractVar[Parameters]
     states: eqx.AbstractVar[Float[Array, "trajectory time state"] | None]
     weights: eqx.AbstractVar[AbstractWeights]
     priors: eqx.AbstractVar[ConstantPriors]
@@ -94,9 +95,7 @@ class AbstractProblem(eqx.Module):
     teacher: eqx.AbstractVar[LinearFit | None]
 
     @abc.abstractmethod
-    def linearise(
-        self, theta: Float[np.ndarray, " parameter"], states: States
-    ) -> AbstractLocalModel | None:
+    def linearise(self, theta: Parameters, states: States) -> AbstractLocalModel | None:
         """The residuals about a point; None where they are not finite.
 
         Raises:

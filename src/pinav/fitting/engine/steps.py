@@ -13,6 +13,7 @@ import scipy.linalg
 from jaxtyping import Array, Float
 
 from pinav.fitting.engine.local_model import PenalisedSquares, States
+from pinav.fitting.evidence.quadratic import Parameters
 
 CHORD_STEPS = 4
 """Steps with the Jacobian held, for each damping."""
@@ -30,7 +31,7 @@ class Move(eqx.Module):
         rule: how to go on.
     """
 
-    theta: Float[np.ndarray, " parameter"]
+    theta: Parameters
     states: States
     rule: "AbstractStepRule"
 
@@ -39,16 +40,14 @@ class AbstractStepRule(eqx.Module):
     """Chooses the next point of linearisation."""
 
     @abc.abstractmethod
-    def __call__(
-        self, cost: PenalisedSquares, mean: Float[np.ndarray, " parameter"]
-    ) -> Move:
+    def __call__(self, cost: PenalisedSquares, mean: Parameters) -> Move:
         """The next point, given the `mean` of the linear model's posterior."""
 
 
 class FullStep(AbstractStepRule):
     """To the mean of the posterior: right for a model linear in its parameters."""
 
-    def __call__(self, cost, mean):
+    def __call__(self, cost: PenalisedSquares, mean: Parameters) -> Move:
         return Move(mean, cost.local.advance(mean), self)
 
 
@@ -58,7 +57,7 @@ class ShortenedStep(AbstractStepRule):
     For a model that is nearly linear, because it starts close to its best fit.
     """
 
-    def __call__(self, cost, mean):
+    def __call__(self, cost: PenalisedSquares, mean: Parameters) -> Move:
         start, change = cost.local.theta, mean - cost.local.theta
         here = cost.local.predict(start)
         before = cost.cost(start, here.residuals)
@@ -95,7 +94,7 @@ class ChordSteps(AbstractStepRule):
     damping: float
     by_curvature: bool = False
 
-    def __call__(self, cost, mean):
+    def __call__(self, cost: PenalisedSquares, mean: Parameters) -> Move:
         start, hessian = cost.local.theta, cost.hessian
         flat = self.by_curvature or not np.any(cost.precision)
         scale = np.diag(hessian) if flat else cost.precision
@@ -123,9 +122,9 @@ LEAST_DAMPING = 1e-6
 def _chord(
     cost: PenalisedSquares,
     hessian: Float[np.ndarray, "parameter parameter"],
-    damping: Float[np.ndarray, " parameter"],
+    damping: Parameters,
     residuals: Float[Array, "..."],
-) -> tuple[Float[np.ndarray, " parameter"], float]:
+) -> tuple[Parameters, float]:
     """Best parameters for one damping, and their cost."""
     start = cost.local.theta
     try:

@@ -241,7 +241,7 @@ def _kernels(
     )
 
 
-def _changing(choice: ModelChoice, summary: DataSummary) -> ChangingPotential:
+def _changing_potential(choice: ModelChoice, summary: DataSummary) -> ChangingPotential:
     change = summary.change
     if change is None:
         raise InputError(f"model {choice.name}: its summary of the data has no times")
@@ -261,9 +261,7 @@ def _timed_network(choice: ModelChoice, summary: DataSummary) -> NeuralForce:
     return NeuralForce(_network(choice, dim + 1, dim), features)
 
 
-def _static_network(
-    kind: type[NeuralForce] | type[NeuralPotential],
-) -> Builder:
+def _static_network(kind: type[NeuralForce] | type[NeuralPotential]) -> Builder:
     def environment(choice: ModelChoice, summary: DataSummary) -> AbstractForce:
         dim, mean, std = summary.dim, summary.mean, summary.std
         outputs = dim if kind is NeuralForce else 1
@@ -303,7 +301,7 @@ MODELS: dict[str, Builder] = {
     "kernel-potential": _kernels(KernelPotential),
     "kernel-force": _kernels(KernelForce),
     "kernel-mixture": _kernels(KernelMixture),
-    TIMED: _in_environment(_changing),
+    TIMED: _in_environment(_changing_potential),
     "neural-potential": _static_network(NeuralPotential),
     "neural-force": _static_network(NeuralForce),
     "ude": _in_environment(_timed_network),

@@ -11,7 +11,7 @@ References:
     69, 741 (2007).
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -32,8 +32,9 @@ DEGREE = 7
 ACROSS = (6, 8, 11, 15, 20, 27, 36, 48)
 """Intervals of the grids of kernels that are tried, along the extent of the data."""
 
-MOST_KERNELS, MOST_SAMPLES = 900, 600
-"""Kernels of a grid, and samples that enter a regression, at most."""
+MOST_KERNELS, MOST_SAMPLES, MOST_DISTILLED = 900, 600, 250
+"""Kernels of a grid, and samples that enter a regression or the distillation of a
+network, at most."""
 
 RIDGE = 1e-11
 """Relative to the largest diagonal entry of the normal equations."""
@@ -57,8 +58,12 @@ def observed_rates(trajectories: Trajectories) -> Rates | None:
     if not parts:
         return None
     whole = jax.tree.map(lambda *arrays: np.concatenate(arrays), *parts)
-    stride = -(-len(whole.times) // MOST_SAMPLES)
-    return jax.tree.map(lambda array: array[::stride], whole)
+    return _thin(whole, MOST_SAMPLES)
+
+
+def _thin(rates: Rates, most: int) -> Rates:
+    stride = -(-len(rates.times) // most)
+    return jax.tree.map(lambda array: array[::stride], rates)
 
 
 def match_kernels(
@@ -78,7 +83,7 @@ def match_kernels(
     positions, forces = rates.states[:, :dim], _residual_forces(swimmer, rates)
     held_out = np.arange(len(positions)) % 4 == 2
     size = float(np.sqrt(np.mean(forces[held_out] ** 2))) or 1.0
-    trials: list[tuple[float, Any, KernelGrid]] = []
+    trials: list[_Trial] = []
     for kind in (KernelPotential, KernelForce):
         for across in ACROSS:
             grid = KernelGrid(across, width=1.5, margin=2.0)
@@ -87,19 +92,60 @@ def match_kernels(
                 break
             columns = _columns(kind, positions, centers, width)
             weights = _ridge(columns[~held_out], forces[~held_out])
-            missed = columns[held_out] @ weights - forces[held_out]
-            error = float(np.sqrt(np.mean(missed**2))) / size
-            environment = kind(
-                jnp.asarray(_ridge(columns, forces).reshape(_shape(kind, centers))),
-                jnp.asarray(centers),
-                width,
+            missed = np.square(columns @ weights - forces)
+            held, within = (
+                float(np.sqrt(missed[part].mean())) / size
+                for part in (held_out, ~held_out)
             )
-            trials.append((error, environment, grid))
-            if error < GOOD_ENOUGH:
-                return environment, grid
-    best = min(error for error, *_ in trials)
-    chosen = next(trial for trial in trials if trial[0] <= AS_GOOD * best)
-    return chosen[1], chosen[2]
+            trials.append(_Trial(held, within, kind, grid))
+            if held < GOOD_ENOUGH:
+                break
+        if trials[-1].held_out < GOOD_ENOUGH:
+            break
+    kind, grid = _choose(trials)
+    centers, width = lay_kernels(trajectories, grid, dim)
+    weights = _ridge(_columns(kind, positions, centers, width), forces)
+    shape = _shape(kind, centers)
+    return kind(jnp.asarray(weights.reshape(shape)), jnp.asarray(centers), width), grid
+
+
+class _Trial(NamedTuple):
+    """A grid and its relative errors.
+
+    Attributes:
+        held_out: error at samples that were left out.
+        within: error at the others.
+        kind: of the kernels.
+        grid: the grid.
+    """
+
+    held_out: float
+    within: float
+    kind: type[KernelPotential] | type[KernelForce]
+    grid: KernelGrid
+
+
+def _choose(
+    trials: list[_Trial],
+) -> tuple[type[KernelPotential] | type[KernelForce], KernelGrid]:
+    """The coarsest grid that does all but as well as the best.
+
+    Where samples are too far apart to predict each other, the ones that are left out
+    tell nothing; then a potential has to explain the samples themselves.
+    """
+    if min(trial.held_out for trial in trials) < TELLING:
+        errors = [trial.held_out for trial in trials]
+    else:
+        trials = [trial for trial in trials if trial.kind is KernelPotential]
+        errors = [trial.within for trial in trials]
+    most = max(GOOD_ENOUGH, AS_GOOD * min(errors))
+    pairs = zip(errors, trials, strict=True)
+    chosen = next(trial for error, trial in pairs if error <= most)
+    return chosen.kind, chosen.grid
+
+
+TELLING = 0.5
+"""Relative error of held-out samples above which they cannot judge a grid."""
 
 
 def matched_grid(swimmer: Any, trajectories: Trajectories) -> KernelGrid | None:
@@ -152,6 +198,7 @@ def distillation_rates(model: Any, trajectories: Trajectories) -> Rates | None:
         beside = Rates(rates.times, rates.states + offsets, rates.rates)
         return jax.tree.map(lambda *a: np.concatenate(a), rates, beside)
     environment, _ = match_kernels(model, rates, trajectories)
+    rates = _thin(rates, MOST_DISTILLED)
     teacher = model.with_environment(environment)
     reach = TUBE * float(environment.width)
     moved = [rates.states] * 3

@@ -44,7 +44,7 @@ class KernelGrid(eqx.Module):
     width: float = 1.0
     margin: float = 4.0
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         for name in ("across", "width", "margin"):
             if not getattr(self, name) > 0:
                 raise InputError(

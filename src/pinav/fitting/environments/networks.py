@@ -3,7 +3,7 @@
 from typing import TypeVar
 
 import numpy as np
-from jaxtyping import PRNGKeyArray
+from jaxtyping import Float, PRNGKeyArray
 
 from pinav.errors import InputError
 from pinav.forces import (
@@ -64,7 +64,12 @@ def neural_environment(
     return kind(spread_weights(network), features, scale)
 
 
-def _typical_force(trajectories, states, dim, spread) -> float:
+def _typical_force(
+    trajectories: Trajectories,
+    states: Float[np.ndarray, "trajectory time state"],
+    dim: int,
+    spread: float,
+) -> float:
     """A force that matters over the extent of the data; 1 where nothing moves."""
     real = np.arange(states.shape[1]) < trajectories.lengths[:, None]
     if len(trajectories.channels) > dim:

@@ -11,7 +11,6 @@ from collections.abc import Callable
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from pinav.errors import InputError
 from pinav.fitting.engine.iterate import EvidenceProgress, iterate
@@ -19,6 +18,7 @@ from pinav.fitting.engine.problem import AbstractProblem, Step
 from pinav.fitting.environments.kernels import KernelGrid, lay_kernels, num_weights
 from pinav.fitting.outcome import Outcome
 from pinav.forces import AbstractForce, AbstractLearnedForce, as_learned
+from pinav.forces.priors import Shape
 from pinav.trajectories import Trajectories
 
 
@@ -40,16 +40,14 @@ class Refinement(eqx.Module):
     shortest: float = 1.0
     max_weights: int = 2000
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         for name, least in (("factor", 1), ("shortest", 0), ("max_weights", 0)):
             if not getattr(self, name) > least:
                 raise InputError(
                     f"Refinement.{name}: expected > {least}, got {getattr(self, name)}"
                 )
 
-    def wanted(
-        self, environment: AbstractForce, shape: Float[np.ndarray, " shape"]
-    ) -> bool:
+    def wanted(self, environment: AbstractForce, shape: Shape) -> bool:
         """Whether the kernels are too coarse; never without a grid of kernels to learn.
 
         Args:

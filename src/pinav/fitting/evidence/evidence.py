@@ -26,6 +26,7 @@ from jaxtyping import Float
 
 from pinav.errors import FitError
 from pinav.fitting.evidence.quadratic import Quadratic
+from pinav.forces.priors import Matrices, Matrix, Shape
 
 LOG_RATIOS = np.linspace(-32.0, 4.0, 37)
 r"""Logarithms of $\beta$ tried first, relative to the largest eigenvalue."""
@@ -97,9 +98,7 @@ class Whitened(eqx.Module):
     missed: Float[np.ndarray, " datum"]
 
     @classmethod
-    def of(
-        cls, data: LinearisedObservations, prior: Float[np.ndarray, "weight weight"]
-    ) -> "Whitened":
+    def of(cls, data: LinearisedObservations, prior: Matrix) -> "Whitened":
         """The data under a prior covariance of the weights."""
         columns = root(prior)
         reached = data.rows @ columns
@@ -126,9 +125,7 @@ class Whitened(eqx.Module):
         return self.columns @ (self.reached.T @ (self.vectors @ values))
 
 
-def root(
-    matrix: Float[np.ndarray, "weight weight"],
-) -> Float[np.ndarray, "weight rank"]:
+def root(matrix: Matrix) -> Float[np.ndarray, "weight rank"]:
     r"""$C$ with $C C^\top$ the matrix: a long length scale needs few columns."""
     least = ROOT_TOLERANCE * matrix.diagonal().max()
     (pivoted_cholesky,) = scipy.linalg.get_lapack_funcs(("pstrf",), (matrix,))
@@ -148,25 +145,23 @@ class Hyperparameters(eqx.Module):
         log_evidence: $\log Z$.
     """
 
-    shape: Float[np.ndarray, " shape"]
+    shape: Shape
     amplitude: float
     noise: float
     log_evidence: float
 
 
-Covariance = Callable[[Float[np.ndarray, " shape"]], Float[np.ndarray, "weight weight"]]
+Covariance = Callable[[Shape], Matrix]
 """Prior covariance of the weights for a shape, of unit amplitude."""
 
-Slopes = Callable[
-    [Float[np.ndarray, " shape"]], Float[np.ndarray, "shape weight weight"]
-]
+Slopes = Callable[[Shape], Matrices]
 """Its derivative by each entry of the shape."""
 
 
 def best_hyperparameters(
     data: LinearisedObservations,
     covariance: Covariance,
-    start: Float[np.ndarray, " shape"],
+    start: Shape,
     bounds: Float[np.ndarray, "shape 2"],
     noise: float | None = None,
     slopes: Slopes | None = None,
@@ -185,7 +180,7 @@ def best_hyperparameters(
     if not len(start):
         return at_shape(data, covariance, start, noise)
 
-    def loss(shape):
+    def loss(shape: Shape) -> float | tuple[float, Shape]:
         white = Whitened.of(data, covariance(shape))
         chosen = best_amplitude(data, white, shape, noise)
         if slopes is None:
@@ -210,7 +205,7 @@ def shape_slope(
     white: Whitened,
     chosen: Hyperparameters,
     slopes: Slopes,
-) -> Float[np.ndarray, " shape"]:
+) -> Shape:
     r"""Derivative of $\log Z$ by the shape, at its best amplitude and noise.
 
     Args:
@@ -225,7 +220,7 @@ def shape_slope(
 
 def covariance_pull(
     data: LinearisedObservations, white: Whitened, chosen: Hyperparameters
-) -> Float[np.ndarray, "weight weight"]:
+) -> Matrix:
     r"""Derivative of $\log Z$ by the entries of $K$, amplitude and noise held.
 
     $\tfrac12 R^\top (S^{-1}\tau\tau^\top S^{-1} \beta/\sigma^2 - S^{-1}) R$ with
@@ -251,7 +246,7 @@ def covariance_pull(
 def at_shape(
     data: LinearisedObservations,
     covariance: Covariance,
-    shape: Float[np.ndarray, " shape"],
+    shape: Shape,
     noise: float | None = None,
 ) -> Hyperparameters:
     """Amplitude, and noise unless given, of highest evidence for this shape."""
@@ -262,7 +257,7 @@ def at_shape(
 def best_amplitude(
     data: LinearisedObservations,
     white: Whitened,
-    shape: Float[np.ndarray, " shape"],
+    shape: Shape,
     noise: float | None = None,
 ) -> Hyperparameters:
     """As `at_shape`, for data that are whitened already."""
@@ -270,7 +265,7 @@ def best_amplitude(
 
     largest = max(white.variances[-1], np.finfo(float).tiny)
 
-    def loss(log_ratio):
+    def loss(log_ratio: float) -> float:
         return -_log_evidence(data, white, largest * np.exp(log_ratio), noise)[0]
 
     coarse = LOG_RATIOS[np.argmin([loss(value) for value in LOG_RATIOS])]
@@ -292,10 +287,7 @@ def best_amplitude(
 
 
 def log_evidence(
-    data: LinearisedObservations,
-    prior: Float[np.ndarray, "weight weight"],
-    amplitude: float,
-    noise: float,
+    data: LinearisedObservations, prior: Matrix, amplitude: float, noise: float
 ) -> float:
     """Log evidence of given hyperparameters.
 
@@ -309,7 +301,9 @@ def log_evidence(
     return float(_log_evidence(data, white, (noise / amplitude) ** 2, noise)[0])
 
 
-def _log_evidence(data, white, ratio, noise):
+def _log_evidence(
+    data: LinearisedObservations, white: Whitened, ratio: float, noise: float | None
+) -> tuple[float, float]:
     r"""Log evidence for $\beta$ = `ratio`, and the variance $\sigma^2$."""
     shifted = white.variances + ratio
     explained = ratio * float(white.targets @ (white.targets / shifted))
@@ -327,10 +321,8 @@ def _log_evidence(data, white, ratio, noise):
 
 
 def weight_posterior(
-    data: LinearisedObservations,
-    prior: Float[np.ndarray, "weight weight"],
-    chosen: Hyperparameters,
-) -> tuple[Float[np.ndarray, " weight"], Float[np.ndarray, "weight weight"]]:
+    data: LinearisedObservations, prior: Matrix, chosen: Hyperparameters
+) -> tuple[Float[np.ndarray, " weight"], Matrix]:
     r"""Mean and covariance of the weights, $(H/\sigma^2 + K^{-1}/a^2)^{-1}$."""
     white = Whitened.of(data, prior)
     shifted = white.variances + (chosen.noise / chosen.amplitude) ** 2

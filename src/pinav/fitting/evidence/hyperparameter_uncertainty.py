@@ -11,7 +11,7 @@ from pinav.fitting.evidence.evidence import (
     posterior_mean,
     shape_slope,
 )
-from pinav.forces.priors import AbstractPrior
+from pinav.forces.priors import AbstractPrior, Matrix, Shape
 
 STEP, SHAPE_SD = 1e-3, 2.0
 """Difference step in the shape, and standard deviation of its own prior.
@@ -26,7 +26,7 @@ def shape_covariance(
     prior: AbstractPrior,
     chosen: Hyperparameters,
     noise: float | None = None,
-) -> Float[np.ndarray, "weight weight"]:
+) -> Matrix:
     r"""What the uncertainty of the prior's shape adds to the weights' covariance.
 
     $M A^{-1} M^\top$: see `shape_changes`.
@@ -54,7 +54,7 @@ def shape_changes(
     if not len(chosen.shape):
         return np.zeros((data.rows.shape[1], 0))
 
-    def at(offset):
+    def at(offset: Shape) -> Float[np.ndarray, " both"]:
         shape = chosen.shape + offset
         white = Whitened.of(data, prior.covariance(shape))
         best = best_amplitude(data, white, shape, noise)

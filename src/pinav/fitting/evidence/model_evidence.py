@@ -105,7 +105,9 @@ def model_evidence(linear: LinearFit, chosen: Hyperparameters) -> ModelEvidence:
         return ModelEvidence(
             float(best), model_evidence(linear.teacher, chosen).correction
         )
-    cost = _narrow_cost([[2.0 * quadratic.num_free]], [LOG_RANGE])
+    cost = _narrow_cost(
+        np.full((1, 1), 2.0 * quadratic.num_free), np.array([LOG_RANGE])
+    )
     return ModelEvidence(float(best), 0.0 if linear.noise else cost)
 
 
@@ -120,7 +122,7 @@ def _correction(
     if known:
         start, ranges = start[:-1], ranges[:-1]
 
-    def value(point):
+    def value(point: Float[np.ndarray, " n"]) -> float:
         covariance = prior.covariance(point[: len(chosen.shape)])
         amplitude = float(np.exp(point[len(chosen.shape)]))
         noise = float(np.exp(point[-1])) if linear.noise is None else linear.noise
@@ -130,7 +132,8 @@ def _correction(
     wide = np.diag(bend) < (BROAD * ranges) ** -2
     lower = np.append(prior.bounds[:, 0], start[len(chosen.shape) :] - LOG_RANGE / 2)
     cost = sum(
-        _broad_cost(value, start, i, lower[i], ranges[i]) for i in np.flatnonzero(wide)
+        _broad_cost(value, start, i, lower[i], ranges[i])
+        for i in map(int, np.flatnonzero(wide))
     )
     narrow = ~wide
     return cost + _narrow_cost(bend[np.ix_(narrow, narrow)], ranges[narrow])
@@ -159,14 +162,22 @@ def curvature(
     return -hessian / step**2
 
 
-def _narrow_cost(bend, ranges) -> float:
+def _narrow_cost(
+    bend: Float[np.ndarray, "n n"], ranges: Float[np.ndarray, " n"]
+) -> float:
     """By Laplace's method: a normal prior as high as the uniform one."""
-    widths = np.asarray(ranges) / np.sqrt(2 * np.pi)
-    values = np.linalg.eigvalsh(np.asarray(bend) * np.outer(widths, widths))
+    widths = ranges / np.sqrt(2 * np.pi)
+    values = np.linalg.eigvalsh(bend * np.outer(widths, widths))
     return float(0.5 * np.log(np.maximum(values, 1.0)).sum())
 
 
-def _broad_cost(value, point, index, lower, extent) -> float:
+def _broad_cost(
+    value: Callable[[Float[np.ndarray, " n"]], float],
+    point: Float[np.ndarray, " n"],
+    index: int,
+    lower: float,
+    extent: float,
+) -> float:
     """By a sum over the range, the other hyperparameters held."""
     values = []
     for place in lower + extent * (np.arange(POINTS) + 0.5) / POINTS:

@@ -5,6 +5,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from pinav.errors import FitError
+from pinav.forces.priors import Matrix
+
+Parameters = Float[np.ndarray, " parameter"]
+"""Values of all parameters, or a change of them."""
 
 
 class Quadratic(eqx.Module):
@@ -45,18 +49,14 @@ class FlatBlock(eqx.Module):
     slope: Float[np.ndarray, "flat weight"]
     covariance: Float[np.ndarray, "flat flat"]
 
-    def map_weights(
-        self,
-    ) -> Float[np.ndarray, "parameter weight"]:
+    def map_weights(self) -> Float[np.ndarray, "parameter weight"]:
         """From changes of the weights to those of all parameters."""
         full = np.zeros((len(self.mask), self.slope.shape[1]))
         full[~self.mask] = np.eye(self.slope.shape[1])
         full[self.mask] = self.slope
         return full
 
-    def lift(
-        self, covariance: Float[np.ndarray, "weight weight"]
-    ) -> Float[np.ndarray, "parameter parameter"]:
+    def lift(self, covariance: Matrix) -> Float[np.ndarray, "parameter parameter"]:
         """Covariance of all parameters that a covariance of the weights makes."""
         full = self.map_weights()
         return full @ covariance @ full.T
@@ -112,7 +112,7 @@ def is_singular(matrix: Float[np.ndarray, "n n"]) -> bool:
 def joint_posterior(
     block: FlatBlock,
     mean: Float[np.ndarray, " weight"],
-    covariance: Float[np.ndarray, "weight weight"],
+    covariance: Matrix,
     noise: float,
 ) -> tuple[Float[np.ndarray, " parameter"], Float[np.ndarray, "parameter parameter"]]:
     """Mean and covariance of all parameters from those of the weights."""

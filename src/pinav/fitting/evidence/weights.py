@@ -18,7 +18,10 @@ from pinav.fitting.evidence.evidence import (
 )
 from pinav.fitting.evidence.hyperparameter_uncertainty import shape_covariance
 from pinav.fitting.evidence.quadratic import Quadratic
-from pinav.forces.priors import AbstractPrior
+from pinav.forces.priors import AbstractPrior, Matrix, Shape
+
+WeightPosterior = tuple[Float[np.ndarray, " weight"], Matrix]
+"""Mean and covariance of the weights."""
 
 
 class Inference(eqx.Module):
@@ -32,7 +35,7 @@ class Inference(eqx.Module):
 
     hyperparameters: Hyperparameters
     mean: Float[np.ndarray, " weight"]
-    covariance: Float[np.ndarray, "weight weight"]
+    covariance: Matrix
 
 
 class AbstractWeights(eqx.Module):
@@ -40,7 +43,7 @@ class AbstractWeights(eqx.Module):
 
     @property
     @abc.abstractmethod
-    def start(self) -> Float[np.ndarray, " shape"]:
+    def start(self) -> Shape:
         """Shape of the prior at which a fit begins."""
 
     @abc.abstractmethod
@@ -58,22 +61,19 @@ class AbstractWeights(eqx.Module):
     @abc.abstractmethod
     def posterior(
         self, quadratic: Quadratic, chosen: Hyperparameters
-    ) -> tuple[Float[np.ndarray, " weight"], Float[np.ndarray, "weight weight"]]:
+    ) -> WeightPosterior:
         """Mean and covariance of the weights for these hyperparameters."""
 
     @abc.abstractmethod
     def infer(
-        self,
-        quadratic: Quadratic,
-        shape: Float[np.ndarray, " shape"],
-        noise: float | None,
+        self, quadratic: Quadratic, shape: Shape, noise: float | None
     ) -> Inference:
         """Hyperparameters of highest evidence, sought from `shape`, and the weights."""
 
     @abc.abstractmethod
     def shape_covariance(
         self, quadratic: Quadratic, chosen: Hyperparameters, noise: float | None
-    ) -> Float[np.ndarray, "weight weight"]:
+    ) -> Matrix:
         """What the uncertainty of the prior's shape adds to the covariance."""
 
 
@@ -87,23 +87,27 @@ class GaussianWeights(AbstractWeights):
     prior: AbstractPrior
 
     @property
-    def start(self):
+    def start(self) -> Shape:
         return self.prior.start
 
-    def about(self, weights):
+    def about(self, weights: Float[np.ndarray, " weight"]) -> "AbstractWeights":
         return self
 
-    def ridge(self, chosen):
+    def ridge(self, chosen: Hyperparameters) -> float:
         return chosen.amplitude**-2
 
-    def energy(self, weights):
+    def energy(self, weights: Float[np.ndarray, " weight"]) -> float:
         return 0.0
 
-    def posterior(self, quadratic, chosen):
+    def posterior(
+        self, quadratic: Quadratic, chosen: Hyperparameters
+    ) -> WeightPosterior:
         prior = self.prior.covariance(chosen.shape)
         return weight_posterior(LinearisedObservations.of(quadratic), prior, chosen)
 
-    def infer(self, quadratic, shape, noise):
+    def infer(
+        self, quadratic: Quadratic, shape: Shape, noise: float | None
+    ) -> Inference:
         data, covariance = LinearisedObservations.of(quadratic), self.prior.covariance
         chosen = best_hyperparameters(
             data, covariance, shape, self.prior.bounds, noise, self.prior.slopes
@@ -111,7 +115,9 @@ class GaussianWeights(AbstractWeights):
         weights = weight_posterior(data, covariance(chosen.shape), chosen)
         return Inference(chosen, *weights)
 
-    def shape_covariance(self, quadratic, chosen, noise):
+    def shape_covariance(
+        self, quadratic: Quadratic, chosen: Hyperparameters, noise: float | None
+    ) -> Matrix:
         data = LinearisedObservations.of(quadratic)
         return shape_covariance(data, self.prior, chosen, noise)
 
@@ -125,22 +131,26 @@ class NoWeights(AbstractWeights):
     """
 
     @property
-    def start(self):
+    def start(self) -> Shape:
         return np.zeros(0)
 
-    def about(self, weights):
+    def about(self, weights: Float[np.ndarray, " weight"]) -> "AbstractWeights":
         return self
 
-    def ridge(self, chosen):
+    def ridge(self, chosen: Hyperparameters) -> float:
         return 0.0
 
-    def energy(self, weights):
+    def energy(self, weights: Float[np.ndarray, " weight"]) -> float:
         return 0.0
 
-    def posterior(self, quadratic, chosen):
+    def posterior(
+        self, quadratic: Quadratic, chosen: Hyperparameters
+    ) -> WeightPosterior:
         return np.zeros(0), np.zeros((0, 0))
 
-    def infer(self, quadratic, shape, noise):
+    def infer(
+        self, quadratic: Quadratic, shape: Shape, noise: float | None
+    ) -> Inference:
         squares = max(quadratic.squares, np.finfo(float).tiny)
         variance = squares / quadratic.num_free if noise is None else noise**2
         log_evidence = -0.5 * (
@@ -156,5 +166,7 @@ class NoWeights(AbstractWeights):
         )
         return Inference(chosen, np.zeros(0), np.zeros((0, 0)))
 
-    def shape_covariance(self, quadratic, chosen, noise):
+    def shape_covariance(
+        self, quadratic: Quadratic, chosen: Hyperparameters, noise: float | None
+    ) -> Matrix:
         return np.zeros((0, 0))

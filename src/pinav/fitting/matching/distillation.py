@@ -50,7 +50,7 @@ class Distillation(AbstractPhase):
     """
 
     targets: Rates = eqx.field(converter=_on_device)
-    steps: int = eqx.field(static=True, default=60)
+    steps: int = eqx.field(static=True, default=40)
     rank: int = eqx.field(static=True, default=192)
     patience: int = eqx.field(static=True, default=5)
 
@@ -149,5 +149,5 @@ class _State(eqx.Module):
 DAMPING = 1e3
 """Of the first step: with less, a third of the networks saturate and learn no more."""
 
-DISTILLED = 1e-3
+DISTILLED = 1e-2
 """Relative error of the rates at which rollouts tell more."""

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Bool, Float, Int, PyTree, Shaped
 
 from pinav.dynamics import AbstractDynamics, with_dtype
 from pinav.errors import FitError, InputError
@@ -112,7 +112,7 @@ def fit_many(
     models = [with_dtype(model, dtype) for model in models]
     # A float32 fit must not meet float64 defaults inside the minimisers.
     with jax.enable_x64(jnp.dtype(dtype) == jnp.float64):
-        observations = _stacked([Observations.of(own, dtype) for own in several])
+        observations = _stack([Observations.of(own, dtype) for own in several])
         phases = [_in_mode(phase) for phase in recipe]
         task = _FitTask.of(models, observations, phases, trainable, objective, at_once)
         start = task.state_before(0)
@@ -158,7 +158,15 @@ class _FitTask(eqx.Module):
     at_once: int | None = eqx.field(static=True)
 
     @classmethod
-    def of(cls, models, observations, recipe, trainable, objective, at_once):
+    def of(
+        cls,
+        models: Sequence[AbstractDynamics],
+        observations: Observations,
+        recipe: Recipe,
+        trainable: Trainable,
+        objective: AbstractObjective,
+        at_once: int | None,
+    ) -> "_FitTask":
         dtype = observations.times.dtype.type
         parts = [split_trainable(m, trainable, dtype) for m in models]
         stacked = jax.tree.map(
@@ -192,7 +200,12 @@ class _FitTask(eqx.Module):
         alone = not phase.side_by_side and jax.default_backend() == "cpu"
         return 1 if self.at_once is None and alone else self.at_once
 
-    def advance(self, state, checkpoint, on_chunk) -> FitState:
+    def advance(
+        self,
+        state: FitState,
+        checkpoint: AbstractCheckpoint | None,
+        on_chunk: Callable[[FitProgress], None] | None,
+    ) -> FitState:
         """Run one chunk, and begin the next phase where this one is done."""
         phase = self.recipe[state.phase]
         left = phase.num_steps - (state.taken - state.starts[-1])
@@ -249,7 +262,9 @@ def _in_mode(tree: PyTree) -> PyTree:
     )
 
 
-def _one_each(trajectories, count: int) -> list[Trajectories]:
+def _one_each(
+    trajectories: Trajectories | Sequence[Trajectories], count: int
+) -> list[Trajectories]:
     if isinstance(trajectories, Trajectories):
         return [trajectories]
     if len(trajectories) != count:
@@ -260,7 +275,7 @@ def _one_each(trajectories, count: int) -> list[Trajectories]:
     return list(trajectories)
 
 
-def _stacked(several: list[Observations]) -> Observations:
+def _stack(several: list[Observations]) -> Observations:
     """Observations with an axis in front, padded to one shape; padding is unobserved.
 
     Raises:
@@ -274,7 +289,7 @@ def _stacked(several: list[Observations]) -> Observations:
         )
     longest = max(one.times.shape[1] for one in several)
 
-    def pad(array):
+    def pad(array: Shaped[Array, "trajectory time ..."]) -> Shaped[Array, "..."]:
         widths = [(0, 0), (0, longest - array.shape[1])] + [(0, 0)] * (array.ndim - 2)
         return jnp.pad(array, widths, "constant" if array.dtype == bool else "edge")
 
@@ -282,13 +297,18 @@ def _stacked(several: list[Observations]) -> Observations:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *padded)
 
 
-def _for_each(function, problem: Problem, members: tuple, at_once: int | None):
+def _for_each(
+    function: Callable[..., PyTree],
+    problem: Problem,
+    members: tuple[PyTree, ...],
+    at_once: int | None,
+) -> PyTree:
     """`function(problem, *member)` for all members, `at_once` of them side by side."""
     count = jax.tree.leaves(members)[0].shape[0]
     observations = problem.observations
     shared = observations.times.shape[0] == 1
 
-    def one(own, *member):
+    def one(own: Observations, *member: PyTree) -> PyTree:
         return function(eqx.tree_at(lambda p: p.observations, problem, own), *member)
 
     if shared:
@@ -304,22 +324,43 @@ def _for_each(function, problem: Problem, members: tuple, at_once: int | None):
 
 
 @eqx.filter_jit
-def _begin_phase(problem: Problem, phase: AbstractPhase, members: tuple, at_once):
+def _begin_phase(
+    problem: Problem,
+    phase: AbstractPhase,
+    members: tuple[PyTree, ...],
+    at_once: int | None,
+) -> PyTree:
     return _for_each(phase.init, problem, members, at_once)
 
 
 @eqx.filter_jit
-def _finish_phase(problem: Problem, phase: AbstractPhase, params, minimiser, at_once):
+def _finish_phase(
+    problem: Problem,
+    phase: AbstractPhase,
+    params: PyTree,
+    minimiser: PyTree,
+    at_once: int | None,
+) -> PyTree:
     return _for_each(phase.finish, problem, (params, minimiser), at_once)
 
 
 @eqx.filter_jit
-def _member_losses(problem: Problem, params: PyTree, at_once):
+def _member_losses(
+    problem: Problem, params: PyTree, at_once: int | None
+) -> Float[Array, " member"]:
     return _for_each(lambda p, own: p(own), problem, (params,), at_once)
 
 
 @eqx.filter_jit
-def _run_chunk(problem, phase, params, minimiser, losses, position, at_once=None):
+def _run_chunk(
+    problem: Problem,
+    phase: AbstractPhase,
+    params: PyTree,
+    minimiser: PyTree,
+    losses: Float[Array, "member step"],
+    position: Int[Array, "2"],
+    at_once: int | None = None,
+) -> tuple[PyTree, PyTree, Float[Array, "member step"], Bool[Array, ""]]:
     """Take `count` steps from `offset`: traced numbers, so that one compile serves.
 
     Phases that differ in their arrays alone, such as the window of `GaussNewton`,
@@ -327,7 +368,9 @@ def _run_chunk(problem, phase, params, minimiser, losses, position, at_once=None
     """
     offset, count = position
 
-    def body(index, carry):
+    def body(
+        index: Int[Array, ""], carry: tuple[PyTree, PyTree, Float[Array, "member step"]]
+    ) -> tuple[PyTree, PyTree, Float[Array, "member step"]]:
         params, minimiser, losses = carry
         params, minimiser, values = _for_each(
             phase.step, problem, (params, minimiser), at_once
@@ -339,7 +382,9 @@ def _run_chunk(problem, phase, params, minimiser, losses, position, at_once=None
     return *carry, jnp.all(jax.vmap(phase.is_done)(carry[1]))
 
 
-def split_trainable(model: Any, trainable: Trainable, dtype: type):
+def split_trainable(
+    model: Any, trainable: Trainable, dtype: type
+) -> tuple[PyTree, PyTree]:
     """The model as (leaves that train, everything else), to be recombined.
 
     Args:
@@ -352,10 +397,10 @@ def split_trainable(model: Any, trainable: Trainable, dtype: type):
         InputError: the selection holds no number that could train.
     """
 
-    def as_array(leaf):
+    def as_array(leaf: Any) -> Any:
         return jnp.asarray(leaf, dtype) if _is_number(leaf) else leaf
 
-    def subtrees(model):
+    def subtrees(model: Any) -> list[PyTree]:
         return _without_nesting(trainable(model))
 
     chosen = jax.tree.map(as_array, subtrees(model))
@@ -370,10 +415,10 @@ def split_trainable(model: Any, trainable: Trainable, dtype: type):
     return eqx.partition(model, spec)
 
 
-def _without_nesting(selection) -> list:
+def _without_nesting(selection: PyTree) -> list[PyTree]:
     """Subtrees of nested tuples in one list, as `eqx.tree_at` needs them."""
     return jax.tree.leaves(selection, is_leaf=lambda s: not isinstance(s, tuple | list))
 
 
-def _is_number(leaf) -> bool:
+def _is_number(leaf: Any) -> bool:
     return isinstance(leaf, float) or eqx.is_inexact_array(leaf)

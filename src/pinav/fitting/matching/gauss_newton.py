@@ -8,22 +8,19 @@ some tens, so one random projection captures it, and any damping costs nothing m
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Bool, Float, Int, PyTree
+from jaxtyping import Array, Bool, Float, Int
 
 from pinav.dynamics import FixedStep
 from pinav.errors import InputError
 from pinav.fitting.matching.phases import AbstractPhase
+from pinav.fitting.matching.windows import Windows
 from pinav.fitting.outcome import Outcome
-
-BATCH = 4
-"""Trajectories whose steps are linearised at once."""
 
 
 class GaussNewton(AbstractPhase):
@@ -96,7 +93,9 @@ class GaussNewton(AbstractPhase):
         return _State(
             damping=jnp.asarray(1e-2, theta.dtype),
             slow=jnp.zeros((), int),
-            full=jnp.sqrt(value / _Windows.of(loss, params, self).count),
+            full=jnp.sqrt(
+                value / Windows.of(loss, params, self.window, self.linearisation).count
+            ),
             promised=jnp.ones((), theta.dtype),
             coloured=jnp.ones((), bool),
             done=jnp.zeros((), bool),
@@ -107,7 +106,7 @@ class GaussNewton(AbstractPhase):
         return False
 
     def step(self, loss, params, state):
-        windows = _Windows.of(loss, params, self)
+        windows = Windows.of(loss, params, self.window, self.linearisation)
         value = windows.count * state.full**2
         return jax.lax.cond(
             state.done,
@@ -115,7 +114,7 @@ class GaussNewton(AbstractPhase):
             lambda: (*self._take_step(windows, params, state), value),
         )
 
-    def _take_step(self, windows: "_Windows", params, state):
+    def _take_step(self, windows: Windows, params, state):
         """Parameters and state after a step that is taken."""
         theta, unravel = ravel_pytree(params)
         starts, residual, surrogate = windows.surrogate(theta)
@@ -151,9 +150,6 @@ class GaussNewton(AbstractPhase):
 NEGLIGIBLE = 1e-3
 """Share of the squares that a linear step promises to save, below which none counts."""
 
-COLOURED = 0.5
-"""Correlation of neighbouring residuals above which they are no noise."""
-
 
 class _State(eqx.Module):
     """Where a phase stands.
@@ -173,117 +169,6 @@ class _State(eqx.Module):
     promised: Float[Array, ""]
     coloured: Bool[Array, ""]
     done: Bool[Array, ""]
-
-
-class _Windows(eqx.Module):
-    """Windowed rollouts of a model as a function of its flat parameters."""
-
-    problem: Any
-    solver: FixedStep
-    restart: Bool[Array, "trajectory step"]
-    unravel: Any = eqx.field(static=True)
-
-    @classmethod
-    def of(cls, problem, params: PyTree, phase: GaussNewton) -> "_Windows":
-        if not isinstance(problem.objective.solver, FixedStep):
-            raise InputError(
-                "GaussNewton: expected an objective with a FixedStep solver, got "
-                f"{type(problem.objective.solver).__name__}; pass "
-                "TrajectoryLoss(FixedStep())"
-            )
-        observed = problem.observations.observed
-        index = jnp.arange(observed.shape[1] - 1)
-        known = jnp.all(observed[:, :-1], axis=-1)
-        restart = known & ((index % phase.window) == 0)[None]
-        return cls(problem, phase.linearisation, restart, ravel_pytree(params)[1])
-
-    @property
-    def count(self) -> Float[Array, ""]:
-        """Number of observed entries, in the precision of the fit."""
-        data = self.problem.observations
-        return jnp.sum(data.observed, dtype=data.states.dtype)
-
-    def rollouts(self, theta, solver, restart):
-        """State before and after each step, from the data wherever it restarts."""
-        model = self.problem.model(self.unravel(theta))
-
-        def one(times, states, restart):
-            def record(y, inputs):
-                t0, t1, state, again = inputs
-                start = jnp.where(again, state, y)
-                end = solver.looped_step(model, start, t0, t1)
-                return end, (start, end)
-
-            inputs = (times[:-1], times[1:], states[:-1], restart)
-            return jax.lax.scan(record, states[0], inputs)[1]
-
-        data = self.problem.observations
-        return jax.vmap(one)(data.times, data.states, restart)
-
-    def surrogate(self, theta):
-        """Start of each step, residuals there, and a cheap function for them nearby.
-
-        The residuals are those of the objective's solver. Nearby, the solver of the
-        linearisation gives the change, which leaves the solution where it is (defect
-        correction).
-        """
-        starts, ends = self.rollouts(theta, self.problem.objective.solver, self.restart)
-        correction = ends - self.rollouts(theta, self.solver, self.restart)[1]
-
-        def residuals(theta):
-            nearby = self.rollouts(theta, self.solver, self.restart)[1]
-            return self._differences(nearby + correction).reshape(-1)
-
-        return starts, self._differences(ends).reshape(-1), residuals
-
-    def full_error(self, theta) -> tuple[Float[Array, ""], Bool[Array, ""]]:
-        """Root-mean-square residual without restarts; whether neighbours are alike."""
-        nowhere = jnp.zeros_like(self.restart)
-        _, ends = self.rollouts(theta, self.problem.objective.solver, nowhere)
-        residuals = self._differences(ends)
-        squares = jnp.sum(residuals**2)
-        neighbours = jnp.sum(residuals[:, 1:] * residuals[:, :-1])
-        return jnp.sqrt(squares / self.count), neighbours > COLOURED * squares
-
-    def jacobian(self, theta, starts) -> Float[Array, "residual parameter"]:
-        """Derivative of the residuals, by all local sensitivities at once."""
-
-        def step(both, t0, t1):
-            theta, y = both
-            return self.solver.step(self.problem.model(self.unravel(theta)), y, t0, t1)
-
-        def local(y, t0, t1):
-            return jax.jacrev(step)((theta, y), t0, t1)  # both from the same sweep
-
-        def one(inputs):
-            times, starts, restart, observed = inputs
-            sources, matrices = jax.vmap(local)(starts, times[:-1], times[1:])
-            matrices = jnp.where(restart[:, None, None], 0.0, matrices)
-            rows = _sensitivities(matrices, sources)
-            return jnp.where(observed[1:, :, None], rows, 0.0)
-
-        # A few trajectories at a time: the sources of all would need as much memory
-        # as the Jacobian itself, and more time than they cost in turns.
-        data = self.problem.observations
-        each = data.times, starts, self.restart, data.observed
-        rows = jax.lax.map(one, each, batch_size=BATCH)
-        return rows.reshape(-1, theta.shape[0])
-
-    def _differences(self, ends):
-        data = self.problem.observations
-        return jnp.where(data.observed[:, 1:], ends - data.states[:, 1:], 0.0)
-
-
-def _sensitivities(matrices, sources):
-    """J[k+1] = A[k] J[k] + B[k] from zero, rows as sums of scaled rows."""
-
-    def advance(before, inputs):
-        matrix, source = inputs
-        rows = (matrix[:, i, None] * before[i][None] for i in range(before.shape[0]))
-        after = sum(rows, source)
-        return after, after
-
-    return jax.lax.scan(advance, jnp.zeros_like(sources[0]), (matrices, sources))[1]
 
 
 class DampedStep(eqx.Module):

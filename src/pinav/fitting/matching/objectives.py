@@ -67,8 +67,14 @@ class TrajectoryLoss(AbstractObjective):
 
     solver: AbstractSolver = FixedStep()
 
-    def __call__(self, model, observations):
-        def residuals(times, states, observed):
+    def __call__(
+        self, model: AbstractDynamics, observations: Observations
+    ) -> Float[Array, ""]:
+        def residuals(
+            times: Float[Array, " time"],
+            states: Float[Array, "time state"],
+            observed: Bool[Array, "time state"],
+        ) -> Float[Array, "time state"]:
             ys, _ = self.solver.solve(model, states[0], times)
             return jnp.where(observed, ys - states, 0.0)
 
@@ -77,7 +83,7 @@ class TrajectoryLoss(AbstractObjective):
         )
         return jnp.sum(per_trajectory**2)
 
-    def check(self, trajectories):
+    def check(self, trajectories: Trajectories) -> None:
         for index, first in enumerate(trajectories.observed[:, 0]):
             if not first.all():
                 raise InputError(

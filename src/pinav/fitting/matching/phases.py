@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from pinav.errors import InputError
+from pinav.arguments import check_positive
 from pinav.fitting.outcome import Outcome
 
 Loss = Callable[[PyTree], Float[Array, ""]]
@@ -86,42 +86,43 @@ class Adam(AbstractPhase):
     learning_rate: float = eqx.field(static=True)
     steps: int = eqx.field(static=True)
 
-    def __check_init__(self):
-        _check_positive("Adam.learning_rate", self.learning_rate)
-        _check_positive("Adam.steps", self.steps)
+    def __check_init__(self) -> None:
+        check_positive(self, "learning_rate", "steps")
 
     @property
-    def name(self):
+    def name(self) -> str:
         return "Adam"
 
     @property
-    def num_steps(self):
+    def num_steps(self) -> int:
         return self.steps
 
-    def init(self, loss, params, value):
+    def init(self, loss: Loss, params: PyTree, value: Float[Array, ""]) -> PyTree:
         return optax.adam(self.learning_rate).init(params)
 
-    def step(self, loss, params, state):
+    def step(
+        self, loss: Loss, params: PyTree, state: PyTree
+    ) -> tuple[PyTree, PyTree, Float[Array, ""]]:
         value, gradient = jax.value_and_grad(loss)(params)
         with jax.numpy_dtype_promotion("standard"):  # optax: float32 ** integer
             updates, state = optax.adam(self.learning_rate).update(gradient, state)
         return eqx.apply_updates(params, updates), state, value
 
-    def finish(self, loss, params, state):
+    def finish(self, loss: Loss, params: PyTree, state: PyTree) -> PyTree:
         return params
 
-    def is_done(self, state):
+    def is_done(self, state: PyTree) -> Bool[Array, ""]:
         return jnp.zeros((), bool)
 
-    def outcome(self, state):
+    def outcome(self, state: PyTree) -> Int[Array, ""]:
         return jnp.asarray(Outcome.COMPLETED)
 
     @property
-    def chunk_steps(self):
+    def chunk_steps(self) -> int:
         return 250
 
     @property
-    def side_by_side(self):
+    def side_by_side(self) -> bool:
         return True
 
 
@@ -148,23 +149,24 @@ class LBFGS(AbstractPhase):
     memory: int = eqx.field(static=True, default=10)
     max_evaluations: int = eqx.field(static=True, default=20)
 
-    def __check_init__(self):
-        for name in ("steps", "memory", "max_evaluations"):
-            _check_positive(f"LBFGS.{name}", getattr(self, name))
+    def __check_init__(self) -> None:
+        check_positive(self, "steps", "memory", "max_evaluations")
 
     @property
-    def name(self):
+    def name(self) -> str:
         return "L-BFGS"
 
     @property
-    def num_steps(self):
+    def num_steps(self) -> int:
         return self.steps
 
-    def init(self, loss, params, value):
+    def init(self, loss: Loss, params: PyTree, value: Float[Array, ""]) -> PyTree:
         gradient = jax.grad(loss)(params)
         return optax.scale_by_lbfgs(self.memory).init(params), value, gradient
 
-    def step(self, loss, params, state):
+    def step(
+        self, loss: Loss, params: PyTree, state: PyTree
+    ) -> tuple[PyTree, PyTree, Float[Array, ""]]:
         curvature, value, gradient = state
         with jax.numpy_dtype_promotion("standard"):  # optax mixes integers in
             ascent, curvature = optax.scale_by_lbfgs(self.memory).update(
@@ -180,21 +182,21 @@ class LBFGS(AbstractPhase):
         params, next_value, next_gradient = found
         return params, (curvature, next_value, next_gradient), value
 
-    def finish(self, loss, params, state):
+    def finish(self, loss: Loss, params: PyTree, state: PyTree) -> PyTree:
         return params
 
-    def is_done(self, state):
+    def is_done(self, state: PyTree) -> Bool[Array, ""]:
         return jnp.zeros((), bool)
 
-    def outcome(self, state):
+    def outcome(self, state: PyTree) -> Int[Array, ""]:
         return jnp.asarray(Outcome.COMPLETED)
 
     @property
-    def chunk_steps(self):
+    def chunk_steps(self) -> int:
         return 25
 
     @property
-    def side_by_side(self):
+    def side_by_side(self) -> bool:
         return True
 
 
@@ -208,45 +210,66 @@ class BestSoFar(AbstractPhase):
     phase: AbstractPhase
 
     @property
-    def name(self):
+    def name(self) -> str:
         return self.phase.name
 
     @property
-    def num_steps(self):
+    def num_steps(self) -> int:
         return self.phase.num_steps
 
-    def init(self, loss, params, value):
+    def init(self, loss: Loss, params: PyTree, value: Float[Array, ""]) -> PyTree:
         inner = self.phase.init(loss, params, value)
         return inner, params, jnp.full_like(value, jnp.inf)
 
-    def step(self, loss, params, state):
+    def step(
+        self, loss: Loss, params: PyTree, state: PyTree
+    ) -> tuple[PyTree, PyTree, Float[Array, ""]]:
         inner, best, best_value = state
         next_params, inner, value = self.phase.step(loss, params, inner)
         best, best_value = _better(params, value, best, best_value)
         return next_params, (inner, best, best_value), value
 
-    def finish(self, loss, params, state):
+    def finish(self, loss: Loss, params: PyTree, state: PyTree) -> PyTree:
         inner, best, best_value = state
         params = self.phase.finish(loss, params, inner)
         best, _ = _better(params, loss(params), best, best_value)
         return best
 
-    def is_done(self, state):
+    def is_done(self, state: PyTree) -> Bool[Array, ""]:
         return self.phase.is_done(state[0])
 
-    def outcome(self, state):
+    def outcome(self, state: PyTree) -> Int[Array, ""]:
         return self.phase.outcome(state[0])
 
     @property
-    def chunk_steps(self):
+    def chunk_steps(self) -> int:
         return self.phase.chunk_steps
 
     @property
-    def side_by_side(self):
+    def side_by_side(self) -> bool:
         return self.phase.side_by_side
 
 
-def _weak_wolfe_search(value_and_grad, start, direction, max_evaluations):
+_Candidate = tuple[PyTree, Float[Array, ""], PyTree]
+"""A point, the loss there and its gradient."""
+
+_Search = tuple[
+    Float[Array, ""],
+    Float[Array, ""],
+    Float[Array, ""],
+    _Candidate,
+    Int[Array, ""],
+    Bool[Array, ""],
+]
+"""Steps too short and too long, the next step, the best point, evaluations, the end."""
+
+
+def _weak_wolfe_search(
+    value_and_grad: Callable[[PyTree], tuple[Float[Array, ""], PyTree]],
+    start: _Candidate,
+    direction: PyTree,
+    max_evaluations: int,
+) -> _Candidate:
     """Point along `direction` with enough decrease and a flatter slope.
 
     Bisects between a step too long (no decrease: Armijo, 1e-4) and one too short
@@ -256,11 +279,11 @@ def _weak_wolfe_search(value_and_grad, start, direction, max_evaluations):
     params, value, gradient = start
     slope = jnp.asarray(optax.tree.vdot(gradient, direction))
 
-    def unfinished(state):
+    def unfinished(state: _Search) -> Bool[Array, ""]:
         _, _, _, _, evaluations, done = state
         return ~done & (evaluations < max_evaluations)
 
-    def evaluate(state):
+    def evaluate(state: _Search) -> _Search:
         low, high, length, best, evaluations, _ = state
         point = optax.tree.add_scale(params, length, direction)
         point_value, point_gradient = value_and_grad(point)
@@ -277,17 +300,14 @@ def _weak_wolfe_search(value_and_grad, start, direction, max_evaluations):
     return jax.lax.while_loop(unfinished, evaluate, state)[3]
 
 
-def _where(condition, chosen, otherwise):
+def _where(condition: Bool[Array, ""], chosen: PyTree, otherwise: PyTree) -> PyTree:
     """Leafwise choice between two trees of the same shape."""
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), chosen, otherwise)
 
 
-def _better(params, value, best, best_value):
+def _better(
+    params: PyTree, value: Float[Array, ""], best: PyTree, best_value: Float[Array, ""]
+) -> tuple[PyTree, Float[Array, ""]]:
     """The one of two candidates with the smaller loss; NaN never wins."""
     wins = value < best_value
     return _where(wins, params, best), jnp.where(wins, value, best_value)
-
-
-def _check_positive(name, value):
-    if not value > 0:
-        raise InputError(f"{name}: expected > 0, got {value}")

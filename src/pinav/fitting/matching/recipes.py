@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pinav.errors import InputError
+from pinav.fitting.matching.defects import DefectMatching
 from pinav.fitting.matching.distillation import Distillation, Rates
 from pinav.fitting.matching.gauss_newton import GaussNewton
 from pinav.fitting.matching.phases import LBFGS, AbstractPhase, Adam
@@ -28,11 +29,10 @@ def paper_recipe(
 def curriculum(
     trajectories: Trajectories,
     *,
-    rates: Rates | None = None,
     max_steps: int = 20,
     precision: float = 1e-7,
 ) -> tuple[AbstractPhase, ...]:
-    """The default recipe: Gauss-Newton from one-step matching to the full rollout.
+    """Gauss-Newton from one-step matching to the full rollout.
 
     Windows of 1, 5, 25, ... samples, five times longer in each phase, then the whole
     trajectory. A window is left as soon as the full rollout is within a five-hundredth
@@ -41,8 +41,6 @@ def curriculum(
 
     Args:
         trajectories: their length and spread set windows and tolerances.
-        rates: of change from which the model is distilled before its first rollout,
-            such as `distillation_rates` makes.
         max_steps: steps of each phase at most.
         precision: root-mean-square residual at which the fit ends, in units of the
             spread of the data (rounding and the solver's error set the floor).
@@ -54,21 +52,73 @@ def curriculum(
         raise InputError(f"curriculum max_steps: expected >= 1, got {max_steps}")
     last = int(trajectories.lengths.max()) - 1
     windows = [5**power for power in range(20) if 5**power < last]
-    values = trajectories.states[trajectories.observed]
-    spread = float(np.std(values)) or 1.0
-    first: tuple[AbstractPhase, ...] = () if rates is None else (Distillation(rates),)
+    spread = _spread(trajectories)
     steps = [
         GaussNewton(jnp.asarray(w), target=spread / 500, steps=max_steps)
         for w in windows
     ]
-    full = GaussNewton(
+    return *steps, _full_rollout(last, spread, precision, max_steps)
+
+
+def defect_recipe(
+    trajectories: Trajectories,
+    *,
+    rates: Rates | None = None,
+    max_steps: int = 20,
+    precision: float = 3e-8,
+) -> tuple[AbstractPhase, ...]:
+    """The default recipe for exact data: propagated defects, then the full rollout.
+
+    A model begins from rates of change at the data and beside them, or, where none are
+    given, from the defects of single steps; a model that is linear in its parameters
+    needs no more.
+
+    Args:
+        trajectories: every state observed, without noise.
+        rates: of change that the model learns first, such as `distillation_rates`
+            makes.
+        max_steps: steps of each phase on trajectories at most.
+        precision: as that of `curriculum`.
+
+    Raises:
+        InputError: `max_steps` is not positive, or a state is not observed.
+    """
+    if max_steps < 1:
+        raise InputError(f"defect_recipe max_steps: expected >= 1, got {max_steps}")
+    if not is_complete(trajectories):
+        raise InputError(
+            "defect_recipe: expected every state observed, because each is the start "
+            "of a step; choose curriculum"
+        )
+    last, spread = int(trajectories.lengths.max()) - 1, _spread(trajectories)
+
+    def match(window: int) -> DefectMatching:
+        return DefectMatching(jnp.asarray(window), precision * spread, steps=max_steps)
+
+    first = match(1) if rates is None else Distillation(rates)
+    full = _full_rollout(last, spread, precision, max_steps)
+    return first, match(last), full
+
+
+def is_complete(trajectories: Trajectories) -> bool:
+    """Whether every state of every sample is observed."""
+    return all(bool(one.observed.all()) for one in trajectories)
+
+
+def _spread(trajectories: Trajectories) -> float:
+    return float(np.std(trajectories.states[trajectories.observed])) or 1.0
+
+
+def _full_rollout(
+    last: int, spread: float, precision: float, max_steps: int
+) -> GaussNewton:
+    return GaussNewton(
         jnp.asarray(last),
         target=precision * spread,
         patience=jnp.asarray(3),
         converged=CONVERGED * spread,
         steps=max_steps,
     )
-    return *first, *steps, full
 
 
 CONVERGED = 1e-4

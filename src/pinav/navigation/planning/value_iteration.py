@@ -309,7 +309,7 @@ def iterate_sweeps(
         tolerance: greatest change.
     """
 
-    def again(
+    def improve(
         state: tuple[Values, Float[Array, ""], Int[Array, ""]],
     ) -> tuple[Values, Float[Array, ""], Int[Array, ""]]:
         values, _change, count = state
@@ -322,7 +322,7 @@ def iterate_sweeps(
         jnp.zeros((), int),
     )
     return jax.lax.while_loop(
-        lambda state: (state[1] > tolerance) & (state[2] < most), again, begin
+        lambda state: (state[1] > tolerance) & (state[2] < most), improve, begin
     )[0]
 
 

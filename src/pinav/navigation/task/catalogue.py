@@ -93,17 +93,17 @@ def vortex() -> Task:
 
 def follow_line() -> Task:
     """Keep up with a point on a line, in an unknown drift, with a delay of 0.2."""
-    return _following("follow-line", LinePath([1.5, 2.0], [8.5, 8.0], 20.0), 20.0)
+    return _follow_task("follow-line", LinePath([1.5, 2.0], [8.5, 8.0], 20.0), 20.0)
 
 
 def follow_circle() -> Task:
     """Keep up with a point on a circle, in an unknown drift, with a delay of 0.2."""
-    return _following("follow-circle", CirclePath([5.0, 5.0], 2.5, 30.0), 30.0)
+    return _follow_task("follow-circle", CirclePath([5.0, 5.0], 2.5, 30.0), 30.0)
 
 
 def follow_eight() -> Task:
     """Keep up with a point on a figure eight, in an unknown drift, delayed by 0.2."""
-    return _following("follow-eight", FigureEightPath([5.0, 5.0], 3.0, 50.0), 50.0)
+    return _follow_task("follow-eight", FigureEightPath([5.0, 5.0], 3.0, 50.0), 50.0)
 
 
 def y_junction() -> Task:
@@ -138,7 +138,7 @@ def task(name: str) -> Task:
     Raises:
         InputError: no task has that name.
     """
-    return TASKS[_known(name)][0]()
+    return _entry(name)[0]()
 
 
 def training(name: str, key: PRNGKeyArray, *, count: int = 8) -> Trajectories:
@@ -156,14 +156,14 @@ def training(name: str, key: PRNGKeyArray, *, count: int = 8) -> Trajectories:
         InputError: no task has that name.
     """
     starts, noise = jax.random.split(key)
-    return simulate(scenario(TASKS[_known(name)][1], starts, count=count), key=noise)
+    return simulate(scenario(_entry(name)[1], starts, count=count), key=noise)
 
 
-def _known(name: str) -> str:
+def _entry(name: str) -> tuple[Callable[[], Task], str]:
     if name not in TASKS:
         known = ", ".join(sorted(TASKS))
         raise InputError(f"task {name!r} is unknown; choose one of: {known}")
-    return name
+    return TASKS[name]
 
 
 def _screw_task(
@@ -207,7 +207,7 @@ def _zermelo(name: str, *, start: list[float], goal: list[float]) -> Task:
     return dataclasses.replace(task, noise=0.02)
 
 
-def _following(name: str, path: AbstractPath, duration: float) -> Task:
+def _follow_task(name: str, path: AbstractPath, duration: float) -> Task:
     return _drift_task(name, path(0.0), FollowPath(path), time_limit=duration)
 
 

@@ -68,7 +68,7 @@ class NavigationEnv(gymnasium.Env):
         gymnasium.Env.reset(self, seed=seed, options=options)
         self._key = jax.random.key(int(self.np_random.integers(2**31)))
         self._situation = begin(self.task)
-        return self._seen(self._situation), self._info(self._situation)
+        return self._observation(self._situation), self._info(self._situation)
 
     def step(
         self, action: Any
@@ -86,9 +86,9 @@ class NavigationEnv(gymnasium.Env):
         ended = bool(now.reached | now.violated)
         truncated = not ended and int(now.step) >= control_steps(self.task)
         reward = float(_reward(self.task, before, now))
-        return self._seen(now), reward, ended, truncated, self._info(now)
+        return self._observation(now), reward, ended, truncated, self._info(now)
 
-    def _seen(self, situation: Situation) -> Float32[np.ndarray, " observation"]:
+    def _observation(self, situation: Situation) -> Float32[np.ndarray, " observation"]:
         if self._key is None:
             raise InputError("NavigationEnv: no episode has begun; call reset()")
         sensing = jax.random.split(jax.random.fold_in(self._key, situation.step), 3)[0]
@@ -131,7 +131,7 @@ def _features(
 
 @eqx.filter_jit
 def _reward(task: Task, before: Situation, now: Situation) -> Float[Array, ""]:
-    ways = [_way(task, situation) for situation in (before, now)]
+    ways = [_distance_to_target(task, situation) for situation in (before, now)]
     left = task.time_limit - _time(task, now)
     penalty = jnp.where(now.violated, left, 0.0)
     ends = jnp.isfinite(task.objective.distance(now.state[:2]))
@@ -140,7 +140,7 @@ def _reward(task: Task, before: Situation, now: Situation) -> Float[Array, ""]:
     return jnp.where(ends, reached, followed) - penalty
 
 
-def _way(task: Task, situation: Situation) -> Float[Array, ""]:
+def _distance_to_target(task: Task, situation: Situation) -> Float[Array, ""]:
     target = task.objective.target(_time(task, situation))
     return jnp.linalg.norm(target - situation.state[:2])
 

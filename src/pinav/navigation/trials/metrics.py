@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.stats import binom, binomtest
 
 from pinav.errors import InputError
 from pinav.navigation.task.objectives import FollowPath
@@ -103,8 +104,6 @@ def proportion(successes: int, count: int) -> Interval:
             "proportion: expected 0 <= successes <= count and count >= 1, got "
             f"{successes} of {count}"
         )
-    from scipy.stats import binomtest  # seconds of imports
-
     interval = binomtest(successes, count).proportion_ci(method="wilson")
     return Interval(successes / count, float(interval.low), float(interval.high))
 
@@ -139,8 +138,6 @@ def regret(learned: Episodes, oracle: Episodes) -> Interval:
 
 def median(values: Float[np.ndarray, " value"]) -> Interval:
     """Median, and an interval between order statistics that holds it with 95 %."""
-    from scipy.stats import binom
-
     ordered, count = np.sort(values), len(values)
     below = int(binom.ppf(0.025, count, 0.5))
     ends = max(below - 1, 0), min(count - below, count - 1)
@@ -160,7 +157,7 @@ def tracking_errors(
     """
     targets = np.asarray(jax.vmap(task.objective.target)(jnp.asarray(episodes.ts)))
     distances = np.linalg.norm(episodes.states[..., :2] - targets[None], axis=-1)
-    during = _during(episodes, len(episodes.ts), offset=1)
+    during = _within_episode(episodes, len(episodes.ts), offset=1)
     return np.mean(distances**power, axis=1, where=during)
 
 
@@ -175,18 +172,18 @@ def _efficiencies(episodes: Episodes, task: Task) -> Float[np.ndarray, " episode
 
 
 def _efforts(episodes: Episodes, task: Task) -> Float[np.ndarray, " episode"]:
-    during = _during(episodes, episodes.commands.shape[1])
+    during = _within_episode(episodes, episodes.commands.shape[1])
     squares = np.where(during, episodes.commands[..., 0] ** 2, 0.0)
     return task.step * np.sum(squares, axis=1)
 
 
 def _turnings(episodes: Episodes) -> Float[np.ndarray, " episode"]:
     turns = np.abs(np.diff(episodes.commands[..., 1], axis=1))
-    during = _during(episodes, turns.shape[1], offset=-1)
+    during = _within_episode(episodes, turns.shape[1], offset=-1)
     return np.sum(np.where(during, turns, 0.0), axis=1)
 
 
-def _during(
+def _within_episode(
     episodes: Episodes, count: int, offset: int = 0
 ) -> Bool[np.ndarray, "episode step"]:
     """Which entries belong to the episode, before its end."""

@@ -1,5 +1,6 @@
 """Any table, by a map from quantities to the names of its columns."""
 
+import re
 from collections.abc import Mapping
 from typing import final
 
@@ -7,14 +8,18 @@ import numpy as np
 
 from pinav.errors import InputError
 from pinav.recordings import units
+from pinav.recordings.conventions import TURNS
 from pinav.recordings.formats.format import AbstractFormat
 from pinav.recordings.rows import COMMAND_UNITS, Reading, Tracks
 from pinav.recordings.source import Source
+from pinav.recordings.table import Table
 
 QUANTITIES = (
     "x",
     "y",
+    "z",
     "t",
+    "dt",
     "frame",
     "particle",
     "run",
@@ -22,16 +27,21 @@ QUANTITIES = (
     "segment",
     *COMMAND_UNITS,
 )
-"""What a column may hold."""
+"""What a column may hold; dt is the interval of each frame."""
+
+_STAR = "*"
+"""Stands for the names of the particles in a table with columns for each of them."""
 
 
 @final
 class MappedTable(AbstractFormat):
-    """A CSV or parquet table whose columns the user names.
+    """A table whose columns the user names: text, workbook, parquet or array.
 
-    Needed are x, y and one of t and frame. `units` states those that are not the
-    usual ones: px, um, mm... for x (and y), s, ms... for t, deg for angles, rpm or
-    rad/s for the frequency, % for fields.
+    Needed are x, y and one of t, dt and frame. Units are those of the headings, such as
+    `x [mm]` or `t/ms`, or of a row below them; `units` stands above both: px, um, mm...
+    for x (and y), s, ms... for t, deg for angles, rpm or rad/s for the frequency, % for
+    fields. `x=x*` and `y=y*` name the columns x1, y1, x2, y2... of particles 1, 2...
+    Columns of an array are called 0, 1, 2...
     """
 
     name = "table"
@@ -41,10 +51,8 @@ class MappedTable(AbstractFormat):
 
     def tracks(self, source: Source, reading: Reading) -> Tracks:
         columns = _checked(reading.columns or {}, reading.units or {})
-        table = source.table()
-
-        def numbers(name: str, *, lost: bool = True) -> np.ndarray | None:
-            return table.numbers(columns[name], lost=lost) if name in columns else None
+        table, columns = long_table(source.table(), columns)
+        units_of = _units(table, columns, reading)
 
         def whole(name: str) -> np.ndarray | None:
             if name not in columns:
@@ -54,28 +62,149 @@ class MappedTable(AbstractFormat):
         def words(name: str) -> list[str] | None:
             return table.labels(columns[name]) if name in columns else None
 
-        stated = reading.units or {}
+        x, y = (table.numbers(columns[name], lost=True) for name in "xy")
+        particle = words("particle")
+        time, time_unit = _times(table, columns, particle, units_of.get("t", ""))
+        factor, length_unit = units.length(units_of.get("x"))
+        commands = _commands(table, columns, units_of)
         return Tracks(
-            x=table.numbers(columns["x"], lost=True),
-            y=table.numbers(columns["y"], lost=True),
+            x=factor * x,
+            y=factor * y,
+            z=factor * table.numbers(columns["z"], lost=True)
+            if "z" in columns
+            else None,
             place=table.row,
-            particle=words("particle"),
+            particle=particle,
             run=words("run"),
             kind=words("kind"),
             frame=whole("frame"),
-            time=numbers("t", lost=False),
+            time=time,
             segment=whole("segment"),
-            commands={
-                name: table.numbers(columns[name], lost=True)
-                * units.command(name, unit, stated.get(name, unit))
-                for name, unit in COMMAND_UNITS.items()
-                if name in columns
-            },
-            length_unit="?",
-            time_unit="?",
+            commands=commands,
+            length_unit=length_unit,
+            time_unit=time_unit,
             columns={"time": columns.get("t", ""), "frame": columns.get("frame", "")},
-            facts={"columns": dict(columns)},
+            notes=table.notes,
+            facts={"columns": dict(columns), "units of columns": dict(units_of)},
+            doubts=_doubts(time, time_unit, commands, units_of, reading),
         )
+
+
+def _units(
+    table: Table, columns: Mapping[str, str], reading: Reading
+) -> dict[str, str]:
+    """Unit of each quantity: as the user states it, else as the table does."""
+    stated = {name: table.unit(column) for name, column in columns.items()}
+    # Positions and times that the user states are converted for every format alike.
+    given = {n: u for n, u in (reading.units or {}).items() if n in COMMAND_UNITS}
+    known = {name: unit for name, unit in {**stated, **given}.items() if unit}
+    taken = {"x", "y"} if "x" in (reading.units or {}) else set()
+    taken |= {"t", "dt"} if "t" in (reading.units or {}) else set()
+    return {name: unit for name, unit in known.items() if name not in taken}
+
+
+def _times(
+    table: Table, columns: Mapping[str, str], particle: list[str] | None, unit: str
+) -> tuple[np.ndarray | None, str]:
+    """Times and their unit: of a column, or summed from the intervals of the frames."""
+    if "t" in columns:
+        times, clock = table.times(columns["t"])
+        factor, known = units.duration(unit)
+        return factor * times, clock or known
+    if "dt" not in columns:
+        return None, "?"
+    steps = table.numbers(columns["dt"])
+    factor, known = units.duration(table.unit(columns["dt"]))
+    times = np.empty_like(steps)
+    names = np.array(particle or [""] * len(steps), object)
+    for name in dict.fromkeys(names):
+        rows = np.flatnonzero(names == name)
+        times[rows] = np.cumsum(steps[rows]) - steps[rows[0]]
+    return factor * times, known
+
+
+def _commands(
+    table: Table, columns: Mapping[str, str], stated: Mapping[str, str]
+) -> dict[str, np.ndarray]:
+    return {
+        name: table.numbers(columns[name], lost=True)
+        * units.command(name, unit, stated.get(name, unit))
+        for name, unit in COMMAND_UNITS.items()
+        if name in columns
+    }
+
+
+def _doubts(
+    time: np.ndarray | None,
+    time_unit: str,
+    commands: Mapping[str, np.ndarray],
+    stated: Mapping[str, str],
+    reading: Reading,
+) -> dict[str, str]:
+    """What nobody states and what looks like something else."""
+    doubts = {}
+    if time is not None and time_unit != "frame" and "t" not in (reading.units or {}):
+        steps = np.diff(np.unique(time))
+        if len(steps) and np.array_equal(steps, np.round(steps)) and steps.min() == 1:
+            doubts["t"] = (
+                "the times are whole numbers that count by one, as frames do: name "
+                "their column as frame and give --fps, or state --units t=s"
+            )
+    turned = np.abs(commands.get("heading", np.zeros(1)))
+    if "heading" not in stated and np.nanmax(turned, initial=0.0) > TURNS:
+        doubts["heading"] = (
+            f"headings reach {np.nanmax(turned):.4g}, and no unit is stated: state "
+            "--units heading=deg, or heading=rad where turns are counted on"
+        )
+    return doubts
+
+
+def long_table(
+    table: Table, columns: Mapping[str, str]
+) -> tuple[Table, dict[str, str]]:
+    """A table with columns for each particle as one with rows for each particle."""
+    wide = {name: column for name, column in columns.items() if _STAR in column}
+    if not wide:
+        return table, dict(columns)
+    if "particle" in columns or not {"x", "y"} <= set(wide):
+        raise InputError(
+            "columns: a star stands for the particles in x and y both, such as x=x* "
+            "y=y*, and no column names them then"
+        )
+    names = [_particles(table, column) for column in wide.values()]
+    particles = [name for name in names[0] if all(name in other for other in names[1:])]
+    if not particles:
+        raise InputError(
+            f"{table.header}: no columns like {' and '.join(wide.values())}; got "
+            f"{', '.join(table.columns)}"
+        )
+    shared = [columns[name] for name in columns if name not in wide]
+    count = len(table)
+    cells: dict[str, list] = {column: [] for column in (*shared, *wide.values())}
+    for particle in particles:
+        for column in shared:
+            cells[column] += list(table.column(column))
+        for column in wide.values():
+            cells[column] += list(table.column(column.replace(_STAR, particle)))
+    units_of = {c: table.unit(c) for c in shared}
+    units_of |= {c: table.unit(c.replace(_STAR, particles[0])) for c in wide.values()}
+    label = "particle of the columns"
+    cells[label] = [name for name in particles for _ in range(count)]
+    rows = np.tile(table.rows, len(particles))
+    known = {name: unit for name, unit in units_of.items() if unit}
+    long = Table(cells, rows, table.place, known, table.faults, table.notes)
+    return long, {**columns, "particle": label}
+
+
+def _particles(table: Table, pattern: str) -> list[str]:
+    """What the star stands for in the headings that match a pattern."""
+    before, after = (re.escape(part) for part in pattern.split(_STAR, 1))
+    matches = (
+        re.fullmatch(f"{before}(.+?){after}", units.split_heading(heading)[0])
+        or re.fullmatch(f"{before}(.+?){after}", heading)
+        for heading in table.columns
+    )
+    return [match[1] for match in matches if match]
 
 
 def _checked(columns: Mapping[str, str], stated: Mapping[str, str]) -> dict[str, str]:
@@ -87,7 +216,7 @@ def _checked(columns: Mapping[str, str], stated: Mapping[str, str]) -> dict[str,
                     f"{', '.join(QUANTITIES)}"
                 )
     missing = [name for name in ("x", "y") if name not in columns]
-    missing += [] if {"t", "frame"} & set(columns) else ["t or frame"]
+    missing += [] if {"t", "dt", "frame"} & set(columns) else ["t or frame"]
     if missing:
         raise InputError(
             f"columns: {', '.join(missing)} not named; expected columns such as "

@@ -12,7 +12,7 @@ from pinav.recordings.formats.format import AbstractFormat
 from pinav.recordings.formats.hdf5 import opened
 from pinav.recordings.rows import Reading, Tracks
 from pinav.recordings.source import Source
-from pinav.recordings.table import Table, read_delimited
+from pinav.recordings.table import Table
 
 _LEVELS = ("scorer", "individuals", "bodyparts", "coords")
 _COORDS = ("x", "y", "likelihood")
@@ -86,7 +86,7 @@ def _from_csv(source: Source) -> tuple[np.ndarray, dict[str, Table]]:
             "header cut short?"
         )
     unique = [f"c{index}" for index in range(width)]
-    table = read_delimited(source.text, skip=len(levels) - 1, names=["frame", *unique])
+    table = source.delimited(skip=len(levels) - 1, names=["frame", *unique])
     columns = [table.columns[name] for name in unique]
     return table.whole_numbers("frame", least=0), _parts(names, columns, table)
 

@@ -3,7 +3,7 @@
 import io
 import re
 import zipfile
-from collections.abc import Iterator
+import zlib
 from typing import Any, final
 
 import numpy as np
@@ -15,6 +15,7 @@ from pinav.recordings.formats.format import AbstractFormat
 from pinav.recordings.rows import COMMAND_UNITS, Reading, Tracks
 from pinav.recordings.source import Source
 from pinav.recordings.table import Table
+from pinav.recordings.workbook import read_sheets
 
 ACTIONS = "Magnetic Field Actions"
 _ROBOT = re.compile(r"Robot (\d+)$")
@@ -45,10 +46,15 @@ class MagScope(AbstractFormat):
     name = "magscope"
 
     def suits(self, source: Source) -> bool:
-        return source.kind == "zip" and b"xl/workbook.xml" in source.content
+        return source.kind == "workbook" and _is_recorders(source.content)
 
     def tracks(self, source: Source, reading: Reading) -> Tracks:
-        sheets = _sheets(source.content)
+        rows = read_sheets(source.content)
+        sheets = {
+            name: _table(name, cells, source.faults)
+            for name, cells in rows.items()
+            if name == ACTIONS or _ROBOT.match(name)
+        }
         robots = {
             match[1]: _robot(table)
             for name, table in sheets.items()
@@ -56,15 +62,17 @@ class MagScope(AbstractFormat):
         }
         if not robots:
             raise InputError(
-                f"sheets {', '.join(sheets)}: expected 'Robot 1' and so on; is it a "
-                "MagScope workbook?"
+                f"sheets {', '.join(rows)}: expected 'Robot 1' and so on; is it a "
+                "MagScope workbook? Of any other, name a sheet and its columns"
             )
         tables = list(robots.values())
         frame = np.concatenate([t.whole_numbers("Frame", least=0) for t in tables])
-        times, positions = [], []
+        times, positions, clock_notes = [], [], ()
         unit = _length_unit(tables)
         for table in tables:
-            times.append(_times(table))
+            clock, said = _times(table)
+            times.append(clock)
+            clock_notes += said
             positions.append(
                 [table.numbers(_named(table, n), lost=True) for n in ("Pos X", "Pos Y")]
             )
@@ -82,48 +90,24 @@ class MagScope(AbstractFormat):
             commands=commands,
             length_unit="um" if scale_notes else unit,
             columns={"frame": "Frame", "time": _named(tables[0], "Time", "Times")},
-            notes=(*notes, *scale_notes),
+            notes=(*notes, *scale_notes, *clock_notes),
         )
 
 
-def _sheets(content: bytes) -> dict[str, Table]:
-    """The sheets of a workbook as tables; cells are values, nothing is computed."""
-    import openpyxl
-    from openpyxl.utils.exceptions import InvalidFileException
-
-    damaged = (
-        zipfile.BadZipFile,
-        InvalidFileException,
-        EOFError,
-        KeyError,
-        OSError,
-        SyntaxError,  # what a parser of XML raises
-        TypeError,
-        ValueError,
-    )
+def _is_recorders(content: bytes) -> bool:
+    """Whether a workbook has a sheet that the recorder writes."""
     try:
-        book = openpyxl.load_workbook(
-            io.BytesIO(content), read_only=True, data_only=True, keep_links=False
-        )
-        cells = {sheet.title: list(_cells(sheet)) for sheet in book.worksheets}
-    except damaged as error:
-        reason = str(error).partition("\n")[0] or type(error).__name__
-        raise InputError(
-            f"damaged workbook: {reason}; copy it from its origin again"
-        ) from error
-    return {
-        name: _table(name, rows)
-        for name, rows in cells.items()
-        if name == ACTIONS or _ROBOT.match(name)
-    }
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            book = archive.read("xl/workbook.xml").decode("utf-8", "replace")
+    except (zipfile.BadZipFile, KeyError, OSError, EOFError, zlib.error):
+        return False
+    names = re.findall(r'<(?:\w+:)?sheet [^>]*name="([^"]*)"', book)
+    return any(name == ACTIONS or _ROBOT.match(name) for name in names)
 
 
-def _cells(sheet: Any) -> Iterator[tuple[Any, ...]]:
-    sheet.reset_dimensions()  # which some writers state wrongly
-    yield from sheet.iter_rows(values_only=True)
-
-
-def _table(name: str, rows: list[tuple[Any, ...]]) -> Table:
+def _table(
+    name: str, rows: list[tuple[Any, ...]], faults: dict[str, str] | None
+) -> Table:
     """One sheet; rows that hold no frame, but the path that was drawn, are skipped."""
     place = f"sheet {name!r}"
     header = [str(cell or "").strip() for cell in rows[0]] if rows else []
@@ -151,7 +135,8 @@ def _table(name: str, rows: list[tuple[Any, ...]]) -> Table:
         raise InputError(f"{place}: no rows below the header; record it again")
     columns = zip(*(row for _, row in body), strict=True)
     named = {h: c for h, c in zip(header, columns, strict=True) if h}
-    return Table(named, np.array([i for i, _ in body], np.int64), f"{place}, row")
+    numbers = np.array([i for i, _ in body], np.int64)
+    return Table(named, numbers, f"{place}, row", faults=faults)
 
 
 def _named(table: Table, *names: str) -> str:
@@ -213,19 +198,35 @@ def _scale(
     return scale, (f"scale {scale:.4g} um/px from the column pix2metric",)
 
 
-def _times(table: Table) -> Float64[np.ndarray, " row"]:
+def _times(table: Table) -> tuple[Float64[np.ndarray, " row"], tuple[str, ...]]:
     """Times of a robot's rows [s]: as they are, or from the intervals of the frames."""
     column = _named(table, "Time", "Times")
     values = table.numbers(column)
+    notes: tuple[str, ...] = ()
     if column != "Times":
-        return values
-    if (values < 0).any():
-        row = int(np.argmax(values < 0))
-        raise InputError(
+        if not _are_intervals(values):
+            return values, ()
+        notes = (f"{column} of {table.header} holds intervals: they were added up",)
+    for row in np.flatnonzero(values < 0).tolist():
+        table.refuse(
+            row,
             f"{table.where(row, column)}: expected the interval of a frame >= 0, got "
-            f"{values[row]:g}; correct the cell"
+            f"{values[row]:g}; correct the cell",
         )
-    return np.cumsum(values) - values[0]
+    values = np.nan_to_num(np.maximum(values, 0.0))
+    return np.cumsum(values) - values[0], notes
+
+
+LONGEST = 5.0
+"""Frames further apart than this are not taken for intervals of a film [s]."""
+
+
+def _are_intervals(values: np.ndarray) -> bool:
+    """Whether times that should increase are intervals, as some versions log them."""
+    known = values[np.isfinite(values)]
+    if len(known) < 3 or known.min() < 0 or known.max() > LONGEST:
+        return False
+    return bool(np.mean(np.diff(known) <= 0) > 0.2)
 
 
 def _commands(
@@ -249,5 +250,11 @@ def _commands(
             values = factor * table.numbers(column, lost=True)
             commands[name] = np.where(known, values[row], np.nan)
     missing = int((~known).sum())
+    if missing == len(frame):
+        raise InputError(
+            f"{table.header}: its frames, {logged.min()} to {logged.max()}, meet none "
+            f"of the robots', {frame.min()} to {frame.max()}: the commands are not "
+            "known; correct the frames, or delete the sheet"
+        )
     notes = (f"{missing} rows without an action of their frame keep the last one",)
     return commands, notes if missing else ()

@@ -7,7 +7,6 @@ from pinav.errors import InputError
 from pinav.recordings.formats.format import AbstractFormat
 from pinav.recordings.rows import COMMAND_UNITS, Reading, Tracks
 from pinav.recordings.source import Source
-from pinav.recordings.table import read_delimited
 
 _PREFIX = re.compile(r"^(?:TG|TP|G|P)_")
 """Marks extra columns: global, of a time, of a particle, or of both."""
@@ -32,7 +31,7 @@ class SFI(AbstractFormat):
 
     def tracks(self, source: Source, reading: Reading) -> Tracks:
         comments = _comments(source.text)
-        table = read_delimited(source.text, skip=len(comments))
+        table = source.delimited(skip=len(comments))
         facts = dict(_entry(line) for line in comments if ":" in line)
         frame = table.whole_numbers("frame", least=0)
         extras = {_PREFIX.sub("", name): name for name in table.columns}

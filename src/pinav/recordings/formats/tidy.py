@@ -35,7 +35,10 @@ class Tidy(AbstractFormat):
     name = "tidy"
 
     def suits(self, source: Source) -> bool:
-        return "t_s" in source.column_names
+        names = set(source.column_names)
+        return "t_s" in names and any(
+            {f"x_{unit}", f"y_{unit}"} & names for unit in ("um", "px")
+        )
 
     def tracks(self, source: Source, reading: Reading) -> Tracks:
         table = source.table()

@@ -7,9 +7,10 @@ import numpy as np
 from pinav.errors import InputError
 from pinav.recordings import units
 from pinav.recordings.formats.format import AbstractFormat
+from pinav.recordings.formats.xml_tree import number, parse_xml
 from pinav.recordings.rows import Reading, Tracks
 from pinav.recordings.source import Source
-from pinav.recordings.table import Table, read_delimited
+from pinav.recordings.table import Table
 
 _COLUMNS = ("TRACK_ID", "POSITION_X", "POSITION_Y", "FRAME")
 _ABOVE = 3
@@ -36,11 +37,11 @@ class TrackMateCSV(AbstractFormat):
         return {"TRACK_ID", "POSITION_X", "FRAME"} <= set(source.column_names)
 
     def tracks(self, source: Source, reading: Reading) -> Tracks:
-        table = read_delimited(source.text)
+        table = source.delimited()
         stated: dict[str, str] = {}
         if "POSITION_X" in table.columns and _is_raw(table):
             stated = _units(table)
-            table = read_delimited(source.text, below=_ABOVE)
+            table = source.delimited(below=_ABOVE)
         for name in _COLUMNS:
             table.column(name)
         tracked = np.array(
@@ -54,7 +55,7 @@ class TrackMateCSV(AbstractFormat):
         spots = table.taken(tracked)
         factor, unit = units.length(stated.get("POSITION_X"))
         frame = spots.whole_numbers("FRAME", least=0)
-        time, time_unit, notes = _times(spots, frame, stated)
+        time, time_unit, notes = _times(spots, frame, stated, reading)
         if not tracked.all():
             notes = (*notes, f"{int((~tracked).sum())} spots without a track left out")
         if not stated:
@@ -94,7 +95,7 @@ def _units(table: Table) -> dict[str, str]:
 
 
 def _times(
-    spots: Table, frame: np.ndarray, stated: dict[str, str]
+    spots: Table, frame: np.ndarray, stated: dict[str, str], reading: Reading
 ) -> tuple[np.ndarray | None, str, tuple[str, ...]]:
     """Times, their unit, and what is wrong with them; no times where only frames."""
     if "POSITION_T" not in spots.columns:
@@ -103,8 +104,13 @@ def _times(
     times = spots.numbers("POSITION_T")
     if np.array_equal(times, frame):
         word = units.bare(stated.get("POSITION_T")) or "a unit of time"
-        return None, "frame", (UNCALIBRATED.format(unit=word),)
+        return None, "frame", _uncalibrated(word, reading)
     return factor * times, unit, ()
+
+
+def _uncalibrated(unit: str, reading: Reading) -> tuple[str, ...]:
+    """That times are frames, unless the user says how many there are in a second."""
+    return () if reading.fps is not None else (UNCALIBRATED.format(unit=unit),)
 
 
 @final
@@ -126,16 +132,16 @@ class TrackMateXML(AbstractFormat):
         for index, particle in enumerate(particles, start=1):
             spots = particle.findall("detection")
             _check_count(particle, index, len(spots))
-            for number, spot in enumerate(spots, start=1):
-                where = f"particle {index}, detection {number}"
+            for count, spot in enumerate(spots, start=1):
+                where = f"particle {index}, detection {count}"
                 rows.append((str(index - 1), where))
-                numbers.append([_attribute(spot, name, where) for name in "txy"])
+                numbers.append([number(spot, name, where) for name in "txy"])
         if not numbers:
             raise InputError("element <particle>: no <detection>; export again")
         table = np.array(numbers, np.float64)
         factor, unit = units.length(root.get("spaceUnits"))
         frame = _frames(table[:, 0], [where for _, where in rows])
-        time, time_unit, notes = _calibrated(root, frame)
+        time, time_unit, notes = _calibrated(root, frame, reading)
         return Tracks(
             x=factor * table[:, 1],
             y=factor * table[:, 2],
@@ -151,23 +157,8 @@ class TrackMateXML(AbstractFormat):
 
 
 def _root(content: bytes) -> Any:
-    """The element <Tracks>, parsed without entities or anything from outside."""
-    from defusedxml import DefusedXmlException
-    from defusedxml.ElementTree import ParseError, fromstring
-
-    try:
-        root = fromstring(content, forbid_dtd=True)
-    except ParseError as error:
-        line, column = error.position
-        raise InputError(
-            f"line {line}, column {column}: not well-formed XML "
-            f"({str(error).partition(':')[0]}); export the tracks again"
-        ) from error
-    except DefusedXmlException as error:
-        raise InputError(
-            "the XML declares entities or a document type, which is not read; "
-            "export the tracks again"
-        ) from error
+    """The element <Tracks>."""
+    root = parse_xml(content)
     if root.tag != "Tracks":
         raise InputError(
             f"element <{root.tag}>: expected <Tracks>; in TrackMate choose 'Export "
@@ -185,21 +176,6 @@ def _check_count(particle: Any, index: int, count: int) -> None:
         )
 
 
-def _attribute(spot: Any, name: str, where: str) -> float:
-    text = spot.get(name)
-    try:
-        number = float(text) if text is not None and "_" not in text else np.nan
-    except ValueError:
-        number = np.nan
-    if not np.isfinite(number):
-        got = "nothing" if text is None else repr(text)
-        raise InputError(
-            f"{where}, attribute {name!r}: expected a finite number, got {got}; "
-            "export the tracks again"
-        )
-    return number
-
-
 def _frames(values: np.ndarray, places: list[str]) -> np.ndarray:
     wrong = (values != np.round(values)) | (values < 0)
     if wrong.any():
@@ -212,7 +188,7 @@ def _frames(values: np.ndarray, places: list[str]) -> np.ndarray:
 
 
 def _calibrated(
-    root: Any, frame: np.ndarray
+    root: Any, frame: np.ndarray, reading: Reading
 ) -> tuple[np.ndarray | None, str, tuple[str, ...]]:
     """Times from the frame interval, unless it is the 1 of a film never calibrated."""
     text = root.get("frameInterval") or "1"
@@ -229,6 +205,6 @@ def _calibrated(
     if unit == "frame":
         return None, unit, ()
     if interval == 1.0:
-        note = UNCALIBRATED.format(unit=root.get("timeUnits") or "a unit of time")
-        return None, "frame", (note,)
+        unit = root.get("timeUnits") or "a unit of time"
+        return None, "frame", _uncalibrated(unit, reading)
     return factor * interval * frame, unit, ()

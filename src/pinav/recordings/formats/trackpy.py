@@ -32,12 +32,11 @@ class Trackpy(AbstractFormat):
                 f"{table.header}: column 'particle' is missing; got "
                 f"{', '.join(table.columns)}; link the features first (trackpy.link)"
             )
-        notes = ("z is left out: pinav fits planar motion",) * ("z" in table.columns)
         return Tracks(
             x=table.numbers("x", lost=True),
             y=table.numbers("y", lost=True),
             place=table.row,
             particle=table.labels("particle"),
             frame=table.whole_numbers("frame", least=0),
-            notes=notes,
+            z=table.numbers("z", lost=True) if "z" in table.columns else None,
         )

@@ -19,7 +19,7 @@ LAG = 0.2
 """Delay whose effect is compared with that of the gains [s]; such rigs have about that.
 """
 
-LEAST_SECTORS, LEAST_SHARE, WORST_CONDITION = 3, 0.2, 10.0
+LEAST_SECTORS, LEAST_SHARE, WORST_CONDITION, MOST_ALIGNED = 3, 0.2, 10.0, 0.9
 """Beyond these, a fit cannot tell apart what `WARNINGS` names."""
 
 WARNINGS = {
@@ -27,6 +27,8 @@ WARNINGS = {
     "frequency": "a single frequency: saturation and step-out cannot be found",
     "heading": "the heading hardly varies: neither the gain matrix nor the heading "
     "offset can be found",
+    "axis": "nearly all headings are within 10 degrees of one axis: the gain across it "
+    "and the heading offset cannot be told apart",
     "drift": "gain and drift are confounded: vary the heading, or leave the drive off "
     "for a while",
     "delay": "delay and heading offset are confounded, because the turning rate is "
@@ -46,6 +48,8 @@ class Drive:
         sectors: how many of 12 sectors of headings occurred, the drive being on.
         condition: condition number of the columns $c_x$, $c_y$ and 1, each of unit
             length: what gains and drift cost each other in certainty.
+        raw_condition: the same of the columns as they are.
+        aligned: greatest share of the driven time within 10 degrees of one axis.
         delay: share of the change of $c$ within 0.2 s that no other gain matrix and
             drift bring about; where it is small, delay and heading offset are
             confounded.
@@ -56,6 +60,8 @@ class Drive:
     off: float
     sectors: int
     condition: float
+    raw_condition: float
+    aligned: float
     delay: float
 
     def warnings(self) -> list[str]:
@@ -65,6 +71,7 @@ class Drive:
         holds = {
             "frequency": self.levels == 1 and self.off == 0,
             "heading": self.sectors < LEAST_SECTORS,
+            "axis": self.aligned > MOST_ALIGNED,
             "drift": self.condition > WORST_CONDITION,
             "delay": self.delay < LEAST_SHARE,
         }
@@ -81,13 +88,16 @@ def drive(segments: Sequence[Trajectory]) -> Drive | None:
         return None
     frequency = np.concatenate([s.commands["frequency"] for s in segments])
     heading = np.concatenate([s.commands["heading"] for s in segments])
+    drives = np.concatenate([vector(s) for s in segments])
     turn = heading[frequency != 0] / (2 * np.pi) % 1.0
     return Drive(
         frequency=(float(frequency.min()), float(frequency.max())),
         levels=len(np.unique(np.round(frequency[frequency != 0], 2))),
         off=float(np.mean(frequency == 0)),
         sectors=len(np.unique((turn * SECTORS).astype(int))),
-        condition=_condition(np.concatenate([vector(s) for s in segments])),
+        condition=_condition(drives, normalised=True),
+        raw_condition=_condition(drives, normalised=False),
+        aligned=_aligned(heading[frequency != 0]),
         delay=_share_of_delay(segments),
     )
 
@@ -102,12 +112,22 @@ def _with_one(drives: Float[np.ndarray, "time 2"]) -> Float[np.ndarray, "time 3"
     return np.concatenate([drives, np.ones((len(drives), 1))], axis=1)
 
 
-def _condition(drives: Float[np.ndarray, "time 2"]) -> float:
+def _aligned(headings: Float[np.ndarray, " time"]) -> float:
+    """Greatest share of headings within 10 degrees of an axis, either way along it."""
+    axes = np.radians(np.arange(0, 180, 5))
+    if not len(headings):
+        return 0.0
+    apart = np.abs(np.sin(headings[:, None] - axes))
+    return float((apart <= np.sin(np.radians(10.0))).mean(axis=0).max())
+
+
+def _condition(drives: Float[np.ndarray, "time 2"], *, normalised: bool) -> float:
     columns = _with_one(drives)
     lengths = np.linalg.norm(columns, axis=0)
     if not (lengths > 0).all():
         return np.inf
-    values = np.linalg.svd(columns / lengths, compute_uv=False)
+    scale = lengths if normalised else np.ones(3)
+    values = np.linalg.svd(columns / scale, compute_uv=False)
     return float(values[0] / values[-1]) if values[-1] > 0 else np.inf
 
 

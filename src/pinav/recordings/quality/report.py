@@ -6,6 +6,7 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Float
 
+from pinav.recordings.conventions import doubts, heading_remark
 from pinav.recordings.labels import groups
 from pinav.recordings.quality.commands import Drive, drive
 from pinav.recordings.quality.localisation import Localisation, localisation
@@ -111,6 +112,7 @@ class Quality:
         tracks: every particle of every run.
         notes: what reading the file brought up.
         warnings: what cannot be found from any of its runs.
+        doubts: what looks wrong, and is refused by a fit.
         provenance: what was done to read it.
     """
 
@@ -121,6 +123,7 @@ class Quality:
     tracks: list[Track]
     notes: list[str]
     warnings: list[str]
+    doubts: list[str]
     provenance: dict[str, Any]
 
     def as_json(self) -> dict[str, Any]:
@@ -154,6 +157,7 @@ def quality(recording: Trajectories) -> Quality:
         tracks=tracks,
         notes=[*provenance.get("notes", []), *_counts(provenance)],
         warnings=_warnings(recording),
+        doubts=doubts(recording),
         provenance={k: v for k, v in provenance.items() if k != "trajectories"},
     )
 
@@ -166,6 +170,8 @@ def _warnings(recording: Trajectories) -> list[str]:
             "no commands of frequency and heading: a drift and an environment can be "
             "found, a gain cannot"
         )
+    if remark := heading_remark(recording):
+        warnings.append(remark)
     if recording.units["t"] == "frame":
         warnings.append("times are numbers of frames: give fps to have seconds")
     elif recording.units["t"] == UNKNOWN_UNIT:
@@ -186,6 +192,8 @@ def _counts(provenance: dict[str, Any]) -> list[str]:
     for key in ("repeated times left out", "rows without a command"):
         if provenance.get(key):
             counts.append(f"{provenance[key]} {key}")
+    if bad := provenance.get("bad rows left out"):
+        counts.append(f"{len(bad)} bad rows left out, the first: {bad[0]}")
     if left_out := provenance.get("segments left out"):
         counts.append(f"{len(left_out)} segments of a single row left out")
     return counts

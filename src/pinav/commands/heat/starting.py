@@ -1,0 +1,71 @@
+"""Where the run of a case begins."""
+
+import zipfile
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from pinav.commands.heat.case import Before
+from pinav.commands.heat.geometry import Box, Grid
+from pinav.errors import InputError
+from pinav.thermal.starts import AT_REST, AbstractStart, AtSteadyState, State
+
+COLDEST, HOTTEST = -50.0, 150.0
+"""Temperatures [°C] that tissue may begin with; beyond them they are kelvins."""
+
+
+def build_start(start: Before | str, grid: Grid, folder: Path) -> AbstractStart:
+    """The start that a case names.
+
+    Args:
+        start: what the case says.
+        grid: of the case.
+        folder: in which a file is that the case names.
+
+    Raises:
+        InputError: the file cannot be read, or is of another grid.
+    """
+    if isinstance(start, Before):
+        return _read_state(folder / start.file, _shape(grid))
+    return AtSteadyState() if start == "steady" else AT_REST
+
+
+def _shape(grid: Grid) -> tuple[int, ...]:
+    return grid.cells if isinstance(grid, Box) else (grid.cells,)
+
+
+def _read_state(path: Path, shape: tuple[int, ...]) -> State:
+    arrays = _read_arrays(path)
+    if "temperature" not in arrays:
+        raise InputError(
+            f"{path}: expected the results.npz of a run, with a temperature, got "
+            f"{', '.join(arrays) or 'nothing'}"
+        )
+    temperature = arrays["temperature"]
+    dose = arrays.get("dose", np.zeros(shape))
+    if temperature.shape != shape or dose.shape != shape:
+        raise InputError(
+            f"{path}: expected temperatures of shape {shape}, that of the grid, got "
+            f"{temperature.shape}; take the same grid"
+        )
+    outside = ~((temperature >= COLDEST) & (temperature <= HOTTEST))
+    if outside.any():
+        raise InputError(
+            f"{path}: expected temperatures between {COLDEST:g} and {HOTTEST:g} °C, "
+            f"got {temperature[outside][0]:g}; subtract 273.15 from kelvins"
+        )
+    return State(jnp.asarray(0.0), jnp.asarray(temperature), jnp.asarray(dose))
+
+
+def _read_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Arrays of an npz file by their names, or of an npy file as temperatures."""
+    try:
+        content = np.load(path, allow_pickle=False)
+        if isinstance(content, np.ndarray):
+            return {"temperature": content.astype(float)}
+        with content:
+            names = [n for n in ("temperature", "dose") if n in content]
+            return {name: content[name].astype(float) for name in names}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error

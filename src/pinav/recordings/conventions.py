@@ -1,0 +1,182 @@
+r"""What a recording may have wrong without showing it, and how it was read.
+
+A doubt is a sentence with the option that settles it. A fit refuses a recording with
+doubts; `pinav inspect` lists them. The velocity over half a second is regressed on the
+drive $c = f (\cos\alpha, \sin\alpha)$: a gain matrix that mirrors says that y or the
+heading points the other way, and one that turns by a right angle that the log holds the
+azimuth of an axis.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from pinav.trajectories import Trajectories, Trajectory
+
+WINDOW = 0.5
+"""Time over which velocities are taken [s]."""
+
+CLEAR = 0.3
+"""Share of the velocity's variance that a gain must explain to say anything."""
+
+BETTER = 0.1
+"""By how much more of it a mirrored gain must explain to be believed."""
+
+RIGHT_ANGLE = math.radians(25.0)
+"""Offsets this close to a right angle are spoken of."""
+
+TURNS = 2 * math.pi + 0.2
+"""Headings beyond this are degrees, or turns that were counted on [rad]."""
+
+
+def doubts(recording: Trajectories) -> list[str]:
+    """What a fit must not take for granted, each with the option that settles it.
+
+    Args:
+        recording: what `read_recording` gives.
+    """
+    return [
+        *recording.provenance.get("doubts", {}).values(),
+        *_of_times(recording),
+        *_of_mirror(recording),
+    ]
+
+
+def _of_times(recording: Trajectories) -> list[str]:
+    if recording.units["t"] != "frame":
+        return []
+    return [
+        "times are numbers of frames: give --fps, the frames per second of the film "
+        "(1 where one frame was taken in a second)"
+    ]
+
+
+def _of_mirror(recording: Trajectories) -> list[str]:
+    said = recording.provenance.get("positions", {})
+    if "y stated" not in said or said["y stated"]:
+        return []
+    proper, mirrored = rotations(recording)
+    if mirrored < CLEAR or mirrored < proper + BETTER:
+        return []
+    other = "up" if said["y flipped"] else "down"
+    return [
+        f"motion mirrors the commands: with y as it was read they explain "
+        f"{100 * max(proper, 0.0):.0f} % of the velocity, with y the other way round "
+        f"{100 * mirrored:.0f} %; give --y {other}, or --y "
+        f"{'down' if other == 'up' else 'up'} where y is right and the log of headings "
+        "is mirrored"
+    ]
+
+
+def heading_remark(recording: Trajectories) -> str:
+    """What is said of a heading that is off by about a right angle; mostly nothing.
+
+    Args:
+        recording: what `read_recording` gives.
+    """
+    samples = _samples(recording)
+    if samples is None:
+        return ""
+    velocity, drive = samples
+    gain = _turned(velocity, drive)[0]
+    offset = math.atan2(gain.imag, gain.real)
+    if abs(abs(offset) - math.pi / 2) > RIGHT_ANGLE or rotations(recording)[0] < CLEAR:
+        return ""
+    given = recording.provenance.get("commands", {}).get("heading_offset", 0.0)
+    return (
+        f"the motion is {math.degrees(offset):.0f} degrees off the logged heading, "
+        "which may be the azimuth of the rotation axis: --heading-offset "
+        f"{given + math.copysign(math.pi / 2, offset):.4f} makes it that of the motion"
+    )
+
+
+def rotations(recording: Trajectories) -> tuple[float, float]:
+    """Share of the velocity's variance by a turned gain, and by a mirrored one."""
+    samples = _samples(recording)
+    if samples is None:
+        return 0.0, 0.0
+    velocity, drive = samples
+    return _turned(velocity, drive)[1], _turned(velocity, drive.conj())[1]
+
+
+def _turned(velocity: np.ndarray, drive: np.ndarray) -> tuple[complex, float]:
+    """Complex gain of a drive with a drift, and the share that it explains."""
+    columns = np.stack([drive, np.ones_like(drive)], axis=1)
+    gain, _, _, _ = np.linalg.lstsq(columns, velocity)
+    left = velocity - columns @ gain
+    spread = np.abs(velocity - velocity.mean()) ** 2
+    return complex(gain[0]), 1.0 - float(
+        (np.abs(left) ** 2).sum() / max(spread.sum(), 1e-30)
+    )
+
+
+def _samples(recording: Trajectories) -> tuple[np.ndarray, np.ndarray] | None:
+    """Velocities and drives of all trajectories as complex numbers; None where idle."""
+    if not {"frequency", "heading"} <= set(recording.commands):
+        return None
+    parts = [_velocities(piece) for piece in recording]
+    velocity = np.concatenate([v for v, _ in parts])
+    drive = np.concatenate([c for _, c in parts])
+    if len(velocity) < 20 or not (np.abs(drive) > 0).any():
+        return None
+    return velocity, drive
+
+
+def _velocities(piece: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    seen = np.flatnonzero(piece.observed[:, :2].all(axis=1))
+    times = piece.times[seen]
+    path = piece.states[seen, 0] + 1j * piece.states[seen, 1]
+    frequency, heading = piece.commands["frequency"], piece.commands["heading"]
+    drive = (frequency * np.exp(1j * heading))[seen]
+    late = np.searchsorted(times, times + WINDOW)
+    late = np.maximum(late, np.arange(len(times)) + 1)
+    rows = np.flatnonzero(late < len(times))
+    stop = late[rows]
+    along = np.concatenate([[0.0], np.cumsum(drive[:-1] * np.diff(times))])
+    interval = times[stop] - times[rows]
+    return (path[stop] - path[rows]) / interval, (along[stop] - along[rows]) / interval
+
+
+def remarks(recording: Trajectories) -> tuple[str, ...]:
+    """How a recording was read, what was left out of it, and what looks odd.
+
+    Args:
+        recording: what `read_recording` gives; nothing is said of other trajectories.
+    """
+    said = in_words(recording.provenance)
+    if not said:
+        return ()
+    bad = recording.provenance.get("bad rows left out", [])
+    return (
+        f"read as: {'; '.join(said)}",
+        *((f"{len(bad)} bad rows left out, the first: {bad[0]}",) if bad else ()),
+        *filter(None, [heading_remark(recording)]),
+        *recording.provenance.get("notes", []),
+    )
+
+
+def in_words(provenance: Mapping[str, Any]) -> list[str]:
+    """What was flipped, scaled, shifted and left out when a recording was read.
+
+    Args:
+        provenance: of what `read_recording` gives.
+    """
+    if "positions" not in provenance:
+        return []
+    positions, times = provenance["positions"], provenance["times"]
+    commands = provenance["commands"]
+    said = [
+        f"positions in {positions['unit in the file']}"
+        + (f", times {positions['scale']:g}" if positions["scale"] != 1 else "")
+        + (", y flipped to point up" if positions["y flipped"] else ", y as it is"),
+        f"times from frames at {times['fps']:g} per second"
+        if times["fps"]
+        else f"times in {times['unit in the file']}",
+    ]
+    if commands["heading_offset"]:
+        said.append(f"heading + {math.degrees(commands['heading_offset']):.1f} degrees")
+    if commands["delay"]:
+        said.append(f"commands {commands['delay']:g} s late")
+    return said

@@ -1,0 +1,232 @@
+"""How a table stands in its file: title rows, the header, a row of units, the rows.
+
+Text files and sheets of workbooks come to the same: numbered rows of cells.
+"""
+
+import csv
+import dataclasses
+import re
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any, final
+
+import numpy as np
+
+from pinav.errors import InputError
+from pinav.recordings import units
+from pinav.recordings.table import Table
+
+DELIMITERS = ",\t;"
+"""What may separate the cells of a text file; the header tells which it is."""
+
+_COMMA = re.compile(r"\s*[-+]?\d+,\d+(?:[eE][-+]?\d+)?\s*")
+_POINT = re.compile(r"\s*[-+]?\d*\.\d+(?:[eE][-+]?\d+)?\s*")
+_SAMPLE = 50
+"""Rows by which the width of a table is judged."""
+
+Row = tuple[int, Sequence[Any]]
+"""Number of a row in its file, and its cells."""
+
+
+@final
+@dataclasses.dataclass(frozen=True)
+class Layout:
+    """What the user says of how a table stands in its file.
+
+    Attributes:
+        sheet: name of the sheet of a workbook; the only one unless given.
+        skip: rows above the header; found from the widths of the rows unless given.
+        strict: whether a bad row is refused, instead of left out and counted.
+    """
+
+    sheet: str | None = None
+    skip: int | None = None
+    strict: bool = False
+
+    def faults(self) -> dict[str, str] | None:
+        """Where a table notes its bad rows; None where they are refused."""
+        return None if self.strict else {}
+
+
+STRICT = Layout(strict=True)
+"""No bad row is left out."""
+
+
+def read_delimited(
+    text: str,
+    *,
+    skip: int = 0,
+    below: int = 0,
+    names: Sequence[str] | None = None,
+    faults: dict[str, str] | None = None,
+) -> Table:
+    """The table of a text file whose first line names the columns.
+
+    Args:
+        text: the file.
+        skip: lines above the header.
+        below: lines between the header and the numbers, which are skipped too.
+        names: of the columns, where those of the header are not unique.
+        faults: where bad rows are noted; the first one is refused where None.
+
+    Raises:
+        InputError: there is no header or no row, a name stands twice, or a row has
+            not as many cells as the header.
+    """
+    lines = text.splitlines(keepends=True)[skip:]
+    if not lines or not lines[0].strip():
+        raise InputError(
+            f"line {skip + 1}: expected the names of the columns, got nothing; "
+            "export the file again"
+        )
+    delimiter = max(DELIMITERS, key=lines[0].count)
+    reader = csv.reader(lines, delimiter=delimiter, strict=True)
+    rows: list[Row] = []
+    try:
+        for cells in reader:
+            if not rows:
+                _check_header([name.strip() for name in names or cells], skip + 1)
+            rows.append((skip + reader.line_num, cells))
+    except csv.Error as error:
+        raise InputError(f"line {skip + reader.line_num}: not CSV: {error}") from error
+    kept = [rows[0], *rows[1 + below :]]
+    decimal = delimiter != ","
+    return table_of(kept, "line", names=names, decimal=decimal, faults=faults)
+
+
+def table_of(
+    rows: Sequence[Row],
+    place: str,
+    *,
+    names: Sequence[str] | None = None,
+    decimal: bool = False,
+    faults: dict[str, str] | None = None,
+) -> Table:
+    """The table of rows of which the first one names the columns.
+
+    Args:
+        rows: numbered as in the file.
+        place: what a row is called.
+        names: of the columns, where those of the header are not unique.
+        decimal: whether commas may be decimal ones.
+        faults: where bad rows are noted; the first one is refused where None.
+
+    Raises:
+        InputError: a name stands twice, no row is below the header, or a row has not
+            as many cells as the header.
+    """
+    number, first = rows[0]
+    header = [str(c or "").strip() for c in first] if names is None else list(names)
+    _check_header(header, number, place)
+    body = [
+        (i, cells) for i, cells in rows[1:] if any(c not in ("", None) for c in cells)
+    ]
+    stated: dict[str, str] = {}
+    notes: tuple[str, ...] = ()
+    if body and _is_row_of_units(body[0][1]):
+        line, cells = body.pop(0)
+        stated = {n: str(c).strip() for n, c in zip(header, cells, strict=False) if c}
+        notes = (f"{place} {line} states the units",)
+    body = _of_width(body, len(header), place, faults)
+    if not body:
+        raise InputError(
+            f"{place} {number}: the header is all there is; expected rows below it"
+        )
+    columns: dict[str, Sequence[Any]] = dict(
+        zip(header, zip(*(cells for _, cells in body), strict=True), strict=True)
+    )
+    if decimal and _has_decimal_commas(columns):
+        columns = {n: [_with_point(c) for c in cells] for n, cells in columns.items()}
+        notes = (*notes, "decimal commas were read as points")
+    return Table(
+        {name: cells for name, cells in columns.items() if name},
+        np.array([i for i, _ in body], np.int64),
+        place,
+        {name: unit for name, unit in stated.items() if name},
+        faults,
+        notes,
+    )
+
+
+def _check_header(header: Sequence[str], line: int, place: str = "line") -> None:
+    for name in header:
+        if name and header.count(name) > 1:
+            raise InputError(
+                f"{place} {line}: column {name!r} stands twice; rename or delete one"
+            )
+
+
+def _is_row_of_units(cells: Sequence[Any]) -> bool:
+    words = [str(c).strip() for c in cells if c not in ("", None)]
+    if not words or any(is_number(word) for word in words):
+        return False
+    return any(map(units.is_unit, words)) and all(
+        units.is_unit(w) or w.strip("()[]-– ") == "" or w[0] in "([" for w in words
+    )
+
+
+def _of_width(
+    body: Sequence[Row], width: int, place: str, faults: dict[str, str] | None
+) -> list[Row]:
+    """The rows that have as many cells as the header; the others are bad."""
+    kept = []
+    for number, cells in body:
+        if len(cells) == width:
+            kept.append((number, cells))
+            continue
+        fault = (
+            f"{place} {number}: expected {width} cells, as in the header, got "
+            f"{len(cells)}; is the file cut short, or a comma in a number?"
+        )
+        if faults is None:
+            raise InputError(fault)
+        faults[f"{place} {number}"] = fault
+    if body and len(kept) < 0.9 * len(body) and faults:
+        raise InputError(next(iter(faults.values())))
+    return kept
+
+
+def _has_decimal_commas(columns: dict[str, Sequence[Any]]) -> bool:
+    """Whether numbers have commas, and none of them has a point."""
+    words = [c for cells in columns.values() for c in cells if isinstance(c, str)]
+    commas = any(_COMMA.fullmatch(word) for word in words)
+    return commas and not any(_POINT.fullmatch(word) for word in words)
+
+
+def _with_point(cell: Any) -> Any:
+    numeric = isinstance(cell, str) and _COMMA.fullmatch(cell)
+    return cell.replace(",", ".") if numeric else cell
+
+
+def is_number(cell: Any) -> bool:
+    """Whether a cell is a number, written with a point or a comma."""
+    if isinstance(cell, int | float):
+        return True
+    try:
+        float(str(cell).strip().replace(",", "."))
+    except ValueError:
+        return False
+    return True
+
+
+def rows_above_header(rows: Sequence[Sequence[Any]]) -> int:
+    """How many title rows stand above the header, judged by the widths of the rows.
+
+    The header is the first row as wide as most rows are; nothing is skipped where that
+    row holds a number, because then the header itself is at fault.
+
+    Args:
+        rows: the first rows of the file.
+    """
+    widths = [_width(row) for row in rows[:_SAMPLE]]
+    common = Counter(w for w in widths if w > 1).most_common(1)
+    if not common or (rows and widths[0] >= common[0][0]):
+        return 0
+    first = next(i for i, w in enumerate(widths) if w >= common[0][0])
+    return 0 if any(is_number(cell) for cell in rows[first] if cell) else first
+
+
+def _width(row: Sequence[Any]) -> int:
+    """Number of cells up to the last one that is not empty."""
+    filled = [i for i, cell in enumerate(row) if cell not in ("", None)]
+    return filled[-1] + 1 if filled else 0

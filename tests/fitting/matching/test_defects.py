@@ -1,0 +1,117 @@
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.flatten_util import ravel_pytree
+
+from pinav.dynamics import Adaptive, FixedStep, Swimmer
+from pinav.errors import InputError
+from pinav.fitting import (
+    DefectMatching,
+    Observations,
+    Outcome,
+    Problem,
+    TrajectoryLoss,
+    defect_recipe,
+    fit,
+)
+from pinav.fitting.matching.defects import DAMPINGS, full_step
+from pinav.fitting.matching.fit import split_trainable
+from pinav.fitting.matching.windows import Windows
+from pinav.forces import GaussianBarrier, LinearDrag, ZeroForce
+from pinav.trajectories import Trajectories
+
+TRUTH = Swimmer(ZeroForce(), LinearDrag(0.5), GaussianBarrier(2.0, [1.0, 0.2], 0.8))
+CHANNELS = ("x", "y", "vx", "vy")
+OBJECTIVE = TrajectoryLoss(FixedStep(substeps=4))
+
+
+@pytest.fixture(scope="module")
+def data():
+    times = [np.arange(31) * 0.1, np.arange(24) * 0.1]
+    starts = [[-1.0, 0.1, 1.5, 0.1], [-0.5, 1.0, 1.0, -0.4]]
+    states = [
+        np.asarray(Adaptive().solve(TRUTH, jnp.asarray(y0), jnp.asarray(ts))[0])
+        for y0, ts in zip(starts, times, strict=True)
+    ]
+    return Trajectories.from_arrays(times, states, channels=CHANNELS)
+
+
+@pytest.mark.parametrize("window", [5, 100])
+def test_propagated_defects_are_the_errors_of_rollouts_to_first_order(data, window):
+    params, static = split_trainable(TRUTH, lambda m: m.environment, np.float64)
+    theta, _ = ravel_pytree(params)
+    problem = Problem(static, Observations.of(data, np.float64), OBJECTIVE)
+    windows = Windows.of(problem, params, jnp.asarray(window), FixedStep())
+    nearby = theta * (1 + 1e-5)
+    exact = windows.surrogate(nearby)[1]
+    linear = windows.propagated_defects(nearby)(nearby)
+    np.testing.assert_allclose(linear, exact, atol=1e-3 * np.abs(exact).max())
+
+
+@pytest.mark.parametrize("shape", [(30, 8), (8, 30)])
+def test_a_step_of_a_linear_problem_is_that_of_the_ridge(shape):
+    rng = np.random.default_rng(1)
+    matrix, wanted = jnp.asarray(rng.normal(size=shape)), rng.normal(size=shape[0])
+    theta = jnp.asarray(rng.normal(size=shape[1]))
+    step = full_step(
+        lambda theta: matrix @ theta - wanted,
+        theta,
+        (matrix @ theta - wanted, matrix),
+        jnp.asarray(0.5),
+    )
+    least = 0.5 * DAMPINGS[0]
+    normal = matrix.T @ matrix + least * np.eye(shape[1])
+    ridge = np.linalg.solve(normal, matrix.T @ (matrix @ theta - wanted))
+    assert step.damping == pytest.approx(least)
+    np.testing.assert_allclose(step.theta, theta - ridge, atol=1e-9)
+
+
+def test_a_step_that_lowers_nothing_stays(data):
+    theta = jnp.ones(3)
+    step = full_step(
+        lambda theta: jnp.full(3, jnp.nan),
+        theta,
+        (jnp.ones(3), jnp.eye(3)),
+        jnp.asarray(0.5),
+    )
+    assert step.theta.tolist() == [1.0, 1.0, 1.0]
+    assert step.damping == pytest.approx(50.0)
+    assert step.left == 1.0
+
+
+@pytest.mark.slow
+def test_the_recipe_finds_the_constants_of_exact_data(data):
+    start = eqx.tree_at(lambda m: m.environment.height, TRUTH, 1.0)
+    result = fit(
+        start,
+        data,
+        defect_recipe(data, precision=1e-9),
+        trainable=lambda m: (m.environment, m.drag.damping),
+        objective=OBJECTIVE,
+        dtype=jnp.float64,
+    )
+    assert result.outcome is Outcome.CONVERGED
+    assert result.model.environment.height == pytest.approx(2.0, rel=1e-6)
+    assert [name for name, _ in result.phases] == [
+        "Defects, L = 1",
+        "Defects, L = 30",
+        "L = 30",
+    ]
+
+
+def test_bad_requests_are_refused(data):
+    with pytest.raises(InputError, match="DefectMatching.steps: expected >= 1, got 0"):
+        DefectMatching(jnp.asarray(1), 0.0, steps=0)
+    with pytest.raises(InputError, match="defect_recipe max_steps: expected >= 1"):
+        defect_recipe(data, max_steps=0)
+    hidden = [one.observed.copy() for one in data]
+    hidden[0][3] = False
+    partial = Trajectories.from_arrays(
+        [one.times for one in data],
+        [one.states for one in data],
+        observed=hidden,
+        channels=CHANNELS,
+    )
+    with pytest.raises(InputError, match="expected every state observed"):
+        defect_recipe(partial)

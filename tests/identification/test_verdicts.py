@@ -1,0 +1,74 @@
+"""Verdicts agree with themselves: numbers hold their intervals, losses are said."""
+
+import numpy as np
+import pytest
+
+from pinav.fitting import Estimate
+from pinav.identification.findings import _offset, _range, shortcomings
+from pinav.identification.forecast import Errors
+from pinav.identification.models import (
+    COMMAND_RESPONSE,
+    DRIFT_ONLY,
+    MATRIX,
+    SCALAR,
+    SLOW_DRIFT,
+    like,
+    with_free,
+    with_response,
+)
+from pinav.identification.selection import Row
+
+
+def rows(ours, theirs, *, rollouts=4, r2=0.9):
+    """The chosen line and that of least squares."""
+
+    def row(name, error):
+        errors = Errors(np.full(rollouts, error), np.ones(rollouts))
+        return Row(name, 0.0, 0.0, {10.0: errors}, r2)
+
+    return row("chosen", ours), row("least squares", theirs)
+
+
+def test_a_loss_to_least_squares_is_said():
+    (sentence,) = shortcomings(*rows(0.07, 0.04))
+    assert "loses to least squares: 0.070 against 0.040" in sentence
+    assert shortcomings(*rows(0.03, 0.04)) == []
+
+
+def test_a_prediction_of_nothing_and_a_single_rollout_are_said():
+    first, second = shortcomings(*rows(0.03, 0.04, rollouts=1, r2=0.02))
+    assert "explains 2 % of the held-out velocity's variance" in first
+    assert "that of a single rollout" in second
+    (none,) = shortcomings(*rows(0.03, 0.04, rollouts=0))
+    assert "No held-out rollout of 10 s" in none
+
+
+@pytest.mark.parametrize(
+    ("low", "value", "high", "text"),
+    [
+        (11.66, 11.7, 11.74, "11.66 to 11.74"),
+        (11.0, 11.7, 12.4, "11 to 12"),
+        (1.0, 1.0, 1.0, "1 to 1"),
+    ],
+)
+def test_an_interval_holds_its_value(low, value, high, text):
+    assert _range(low, value, high) == text
+
+
+def test_an_offset_that_is_not_known_is_not_stated():
+    assert _offset(Estimate(0.57, 0.34)) == "not known to within 19 degrees"
+    assert _offset(Estimate(0.57, 0.01)) == "32.7 ± 0.6 degrees"
+
+
+def test_a_verdict_compares_with_the_same_model():
+    chosen = with_free(with_response(MATRIX, "slipping"), "delay", "delay")
+    slow = with_free(chosen, "time-dependent drift", *SLOW_DRIFT)
+    scalar = like(SCALAR, chosen)
+    assert scalar.name == "scalar gain, else as chosen"
+    assert scalar.free == chosen.free
+    assert scalar.response == "slipping"
+    idle = like(DRIFT_ONLY, slow, without=COMMAND_RESPONSE)
+    assert idle.name == "drift only, else as chosen"
+    assert idle.free == SLOW_DRIFT
+    assert idle.response == "linear"
+    assert like(DRIFT_ONLY, chosen, without=COMMAND_RESPONSE) is DRIFT_ONLY

@@ -1,0 +1,323 @@
+"""Conventions that a file has wrong, and damage: refused, or said; never in silence."""
+
+import io
+
+import numpy as np
+import openpyxl
+import pytest
+from tests.recordings.formats.test_magscope import sheets, workbook
+from tests.recordings.synthetic import EXAMPLE
+
+from pinav.commands.data_file import read_data
+from pinav.commands.recording_settings import RecordingSettings
+from pinav.errors import InputError
+from pinav.recordings.conventions import doubts, heading_remark, remarks
+
+MAP = ("t=t", "x=x", "y=y", "heading=heading", "frequency=f")
+
+
+def driven(*, mirror=False, offset=0.0, degrees=False, heading="heading", rows=200):
+    """A robot that follows its heading at 3 um a cycle, y up, as a table."""
+    t = np.arange(rows) / 20
+    angle = 1.3 * np.sin(0.7 * t) + 0.4 * t
+    frequency = 2 + np.sin(0.3 * t)
+    step = 3.0 * frequency * np.exp(1j * (angle + offset)) / 20
+    path = np.concatenate([[0], np.cumsum(step)[:-1]])
+    angle = np.angle(np.exp(1j * angle))
+    y = -path.imag if mirror else path.imag
+    shown = np.degrees(angle) if degrees else angle
+    lines = [f"t,x,y,{heading},f"]
+    table = zip(t, path.real, y, shown, frequency, strict=True)
+    lines += [",".join(f"{value:.6g}" for value in row) for row in table]
+    return "\n".join(lines)
+
+
+def settings(*columns, **options):
+    return RecordingSettings(columns=columns or MAP, **options)
+
+
+UM = {"units": ("x=um", "t=s")}
+
+
+@pytest.fixture
+def checked(tmp_path):
+    """Reads a file as a fit does, which refuses doubts."""
+
+    def read(content, options, name="a.csv"):
+        path = tmp_path / name
+        path.write_bytes(content.encode() if isinstance(content, str) else content)
+        return read_data(path, options)
+
+    return read
+
+
+def book(rows, title="Sheet"):
+    file = io.BytesIO()
+    workbook = openpyxl.Workbook()
+    workbook.active.title = title
+    for row in rows:
+        workbook.active.append(row)
+    workbook.create_sheet("notes").append(["anything"])
+    workbook.save(file)
+    return file.getvalue()
+
+
+def array(values):
+    file = io.BytesIO()
+    np.save(file, values)
+    return file.getvalue()
+
+
+def far_frames():
+    content = sheets(EXAMPLE)
+    for row in content["Magnetic Field Actions"][1:]:
+        row[0] += 1000
+    return workbook(content)
+
+
+PLAIN = "t,x,y\n0,1,2\n0.1,2,3\n0.2,3,4\n"
+NO_FRAME = settings("t=t", "x=x", "y=y")
+HOLES = "t,x,y,f,heading\n0,1,2,,\n0.1,2,3,,\n0.2,3,4,,\n"
+TWO = "p,t,x,y,f\n1,0,0,0,1\n1,1,0,0,1\n2,0,0,0,\n2,1.5,0,0,\n"
+WRONG = {
+    "degrees without a unit": (
+        driven(degrees=True),
+        settings(y="up", **UM),
+        r"headings reach 1\d\d.*--units heading=deg",
+    ),
+    "y flipped by default": (driven(), settings(**UM), r"mirrors.*give --y up"),
+    "whole numbers for seconds": (
+        "t,x,y\n0,1,2\n1,2,3\n2,3,4\n",
+        NO_FRAME,
+        r"count by one, as frames.*--units t=s",
+    ),
+    "frames without a rate": (
+        "frame,particle,x,y\n0,1,1,2\n1,1,2,3\n",
+        RecordingSettings(),
+        r"numbers of frames: give --fps",
+    ),
+    "TrackMate never calibrated": (
+        "TRACK_ID,POSITION_X,POSITION_Y,POSITION_T,FRAME\n0,1,1,0,0\n0,2,2,1,1\n",
+        RecordingSettings(),
+        r"numbers of frames: give --fps",
+    ),
+    "frames that never meet": (far_frames(), RecordingSettings(), r"meet none of the"),
+    "one particle without commands": (
+        TWO,
+        settings("t=t", "x=x", "y=y", "frequency=f", "particle=p"),
+        r"particle 2: no row has a frequency, which does not mean .* off",
+    ),
+    "log alone": (
+        "t_s,angle_rad\n0,1\n1,2\n",
+        RecordingSettings(),
+        r"a log of commands alone is no recording",
+    ),
+    "unknown names": (
+        "Zeit;Lage\n0;1\n1;2\n",
+        RecordingSettings(),
+        r"columns are Zeit, Lage: start from --columns t=Zeit x=Lage y=\?",
+    ),
+    "unit of no angle": (
+        PLAIN,
+        settings("t=t", "x=x", "y=y", "heading=x", units=("heading=um",)),
+        r"units: expected heading in one of rad",
+    ),
+    "unit of no length": (
+        PLAIN,
+        settings("t=t", "x=x", "y=y", units=("x=s",)),
+        r"units: expected x in one of um",
+    ),
+    "scale of micrometres": (
+        PLAIN.replace("x,y", "x [um],y [um]"),
+        settings("t=t", "x=x", "y=y", mpp=0.5),
+        r"mpp: positions are in um already",
+    ),
+    "rate without frames": (
+        PLAIN,
+        settings("t=t", "x=x", "y=y", fps=20.0),
+        r"fps: the file has times and no frames",
+    ),
+    "delay without commands": (
+        PLAIN,
+        settings("t=t", "x=x", "y=y", delay=0.1),
+        r"delay: the file has no commands",
+    ),
+    "delay in frames": (
+        "t,x,y,f\n0,0,0,1\n1,0,0,1\n",
+        settings("frame=t", "x=x", "y=y", "frequency=f", delay=0.1),
+        r"delay: times are in frames",
+    ),
+    "several sheets": (
+        book([["t", "x", "y"], [0, 1, 2], [0.1, 2, 3]]),
+        NO_FRAME,
+        r"sheets 'Sheet', 'notes': give one of them as sheet",
+    ),
+    "no such sheet": (
+        book([["t", "x", "y"], [0, 1, 2]]),
+        settings("t=t", "x=x", "y=y", sheet="Robot"),
+        r"sheet: expected one of 'Sheet', 'notes'; got 'Robot'",
+    ),
+    "no such run": (
+        PLAIN,
+        settings("t=t", "x=x", "y=y", runs=("b",)),
+        r"runs: expected some of a; got 'b'",
+    ),
+    "no such particle": (
+        PLAIN,
+        settings("t=t", "x=x", "y=y", particles=("7",)),
+        r"particles: expected some of 1; got '7'",
+    ),
+    "stars in x alone": (
+        "t,x1,y1\n0,1,2\n1,2,3\n",
+        settings("t=t", "x=x*", "y=y1"),
+        r"a star stands for the particles in x and y both",
+    ),
+    "stars without match": (
+        PLAIN,
+        settings("t=t", "x=pos*", "y=pot*"),
+        r"no columns like pos\* and pot\*; got t, x, y",
+    ),
+    "old workbook": (
+        b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(100),
+        RecordingSettings(),
+        r"Excel before 2007: save it as \.xlsx",
+    ),
+    "array of unnamed columns": (
+        array(np.ones((4, 3))),
+        RecordingSettings(),
+        r"columns are 0, 1, 2: start from --columns t=0 x=1 y=2",
+    ),
+    "array of objects": (
+        array(np.array([{}], object)),
+        RecordingSettings(format="table"),
+        r"damaged array: .*without objects|columns: x",
+    ),
+    "array of one axis": (array(np.ones(4)), NO_FRAME, r"rows and columns, got shape"),
+    "damaged clock": (
+        "t,x,y\n12:00:00,1,2\n12:00:99,2,3\n12:00:02,3,4\n",
+        NO_FRAME,
+        r"line 3, column 't': expected a time of day .* got '12:00:99'",
+    ),
+    "many bad rows": (
+        "t,x,y\n0,a,2\n1,b,3\n2,3,4\n3.5,4,4\n",
+        NO_FRAME,
+        r"line 2, column 'x': expected a finite number, got 'a'",
+    ),
+    "bad row, strict": (
+        PLAIN + "".join(f"{t / 10},1,1\n" for t in range(3, 40)) + "9,wall,1\n",
+        settings("t=t", "x=x", "y=y", strict=True),
+        r"line 42, column 'x': .* got 'wall'",
+    ),
+    "options with a file of pinav": (
+        PLAIN,
+        RecordingSettings(sheet="a"),
+        r"--sheet: .* holds trajectories of pinav",
+    ),
+    "sheet of a text file": (
+        PLAIN,
+        settings("t=t", "x=x", "y=y", skip=9),
+        r"skip|line 10: expected the names",
+    ),
+}
+
+
+@pytest.mark.parametrize(("content", "options", "message"), WRONG.values(), ids=WRONG)
+def test_no_wrong_convention_is_accepted_in_silence(checked, content, options, message):
+    with pytest.raises(InputError, match=message) as caught:
+        checked(content, options)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_right_option_settles_each_doubt(checked):
+    deg = settings(y="up", units=("x=um", "t=s", "heading=deg"))
+    data = checked(driven(degrees=True), deg)
+    np.testing.assert_allclose(data.commands["heading"][0, 1], 0.0653, atol=1e-3)
+    assert doubts(checked(driven(), settings(y="up", **UM))) == []
+    assert doubts(checked(driven(mirror=True), settings(**UM))) == []
+    down = checked(driven(), settings(y="down", **UM))  # as the user says
+    assert down.provenance["positions"]["y flipped"]
+
+
+def test_units_of_headings_are_read(checked):
+    text = driven(degrees=True, heading="heading [deg]").replace(
+        "t,x,y", "t/ms,x (mm),y"
+    )
+    data = checked(text, settings(*MAP[:4], y="up", jump=1e4))
+    assert data.units["x"] == "um"
+    assert data.units["t"] == "s"
+    np.testing.assert_allclose(data.times[0, 1], 5e-5)
+    np.testing.assert_allclose(data.commands["heading"][0, 1], 0.0653, atol=1e-3)
+
+
+def test_an_axis_in_place_of_a_heading_is_said(checked):
+    options = settings(y="up", **UM)
+    turned = checked(driven(offset=np.pi / 2), options)
+    assert "--heading-offset 1.5708 makes it" in heading_remark(turned)
+    assert heading_remark(checked(driven(), options)) == ""
+    lines = remarks(turned)
+    assert lines[0] == "read as: positions in um, y as it is; times in s"
+
+
+def test_a_table_with_a_column_t_and_columns_is_a_table(checked):
+    assert checked(PLAIN, NO_FRAME).provenance["format"] == "table"
+
+
+def test_the_rate_that_is_given_is_not_asked_for(read):
+    text = "TRACK_ID,POSITION_X,POSITION_Y,POSITION_T,FRAME\n0,1,1,0,0\n0,2,2,1,1\n"
+    assert any("give fps" in note for note in read(text).provenance["notes"])
+    assert not any("give fps" in n for n in read(text, fps=9.0).provenance["notes"])
+
+
+def test_bad_rows_are_left_out_and_counted(read):
+    rows = [f"{t / 10},{t},1" for t in range(40)]
+    rows[7], rows[9], rows[20] = "0.7,wall,1", "0.2,1,1", "2.0,1"
+    data = read(
+        "t,x,y\n" + "\n".join(rows), strict=False, columns={n: n for n in "txy"}
+    )
+    faults = data.provenance["bad rows left out"]
+    assert [fault.split(",")[0].split(":")[0] for fault in faults] == [
+        "line 22",
+        "line 9",
+        "line 11",
+    ]
+    assert data.lengths.tolist() == [37]
+
+
+def test_a_swap_in_a_workbook_costs_one_row(read):
+    """One bad row does not block the workbook and its other robot."""
+    content = sheets(EXAMPLE)
+    header, *rows = content["Robot 1"]
+    many = [[i, 0.04, 1.0, 2.0, *rows[0][4:]] for i in range(30)]
+    content["Robot 1"] = [header, *many, [12, 0.04, 300.0, 9.0, *rows[0][4:]]]
+    data = read(workbook(content), name="a.xlsx", strict=False)
+    assert len(data) == 2
+    assert "frame 12 of '1' stands in" in data.provenance["bad rows left out"][0]
+    with pytest.raises(InputError, match="frame 12 of '1' stands in"):
+        read(workbook(content), name="a.xlsx")
+
+
+def test_times_that_hold_intervals_are_added_up(read):
+    content = sheets(EXAMPLE, "2024-12")
+    for name in ("Robot 1", "Robot 2"):
+        for row in content[name][1:]:
+            row[1] = 0.05
+    data = read(workbook(content), name="a.xlsx")
+    np.testing.assert_allclose(np.diff(data.times[0])[:3], 0.05)
+    assert "intervals: they were added up" in data.provenance["notes"][-1]
+
+
+def test_tables_without_units_are_split_at_jumps(read):
+    steps = np.random.default_rng(0).normal(size=60)
+    steps[30] = 700.0
+    lines = [f"{t / 10},{x},0" for t, x in enumerate(np.cumsum(steps))]
+    data = read("t,x,y\n" + "\n".join(lines), columns={n: n for n in "txy"})
+    assert data.lengths.tolist() == [30, 30]
+    whole = read("t,x,y\n" + "\n".join(lines[:30]), columns={n: n for n in "txy"})
+    assert len(whole) == 1
+
+
+def test_an_empty_command_is_no_command(read):
+    columns = {"t": "t", "x": "x", "y": "y", "frequency": "f", "heading": "heading"}
+    data = read(HOLES, columns=columns)
+    assert data.commands == {}
+    assert "the column of frequency is empty" in data.provenance["notes"][0]

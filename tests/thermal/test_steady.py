@@ -1,0 +1,162 @@
+"""Steady states, starts and sides: exact solutions, agreement with runs, gradients."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.errors import InputError
+from pinav.thermal import exact
+from pinav.thermal.bioheat import Bioheat
+from pinav.thermal.boundaries import Dirichlet, Insulated, Periodic, Robin, Sides, outer
+from pinav.thermal.dose import LIVER_DAMAGE
+from pinav.thermal.exact import SET_S
+from pinav.thermal.grids import CartesianGrid, RadialGrid
+from pinav.thermal.perfusion import MixedPerfusion, lang
+from pinav.thermal.rosenbrock import Rosenbrock
+from pinav.thermal.solve import solve
+from pinav.thermal.sources import DistantEddySource, axis_distance
+from pinav.thermal.starts import AtSteadyState, State
+from pinav.thermal.steady import find_steady_state, steady_state
+from pinav.thermal.tissues import Blood, Tissue
+from pinav.thermal.verification import AMPLITUDE, powers
+
+ENDS = (Sides(Insulated(), Robin(10.0, 25.0)),)
+
+
+def test_the_steady_slab_converges_at_second_order(medium):
+    errors = []
+    for cells in (40, 80):
+        slab = medium(RadialGrid.slab(0.03, cells), 2e4)
+        found = steady_state(slab, AMPLITUDE).temperature
+        true = exact.perfused_slab(
+            np.asarray(slab.grid.centers), np.inf, SET_S, 2e4, 0.03
+        )
+        errors.append(np.abs(np.asarray(found) - 37.0 - np.asarray(true)).max())
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
+    assert errors[1] < 1e-3
+
+
+def test_a_steady_state_with_nonlinear_perfusion_is_where_a_run_ends(medium):
+    grid = RadialGrid.sphere(0.04, 40)
+    share = grid.ball(0.01)
+    model = eqx.tree_at(
+        lambda m: m.perfusion,
+        medium(grid, 1.2e5 * share, outer(Robin(20.0, 25.0))),
+        MixedPerfusion(share, lang("tumour"), lang("muscle")),
+    )
+    end = solve(
+        model, powers((0.0, 1e5), [1.0]), stepper=Rosenbrock(200.0)
+    ).final.temperature
+    steady = find_steady_state(model, AMPLITUDE)
+    assert jnp.allclose(steady.temperature, end, atol=1e-5)
+    assert int(steady.iterations) < 20
+
+
+@pytest.mark.slow
+def test_the_derivative_of_a_steady_state_in_both_modes(medium):
+    slab = medium(RadialGrid.slab(0.03, 40), 2e4)
+
+    def hottest(numbers):
+        model = eqx.tree_at(
+            lambda m: (m.perfusion.value, m.tissue.conductivity), slab, tuple(numbers)
+        )
+        return steady_state(model, AMPLITUDE).temperature[0]
+
+    at, step = jnp.array([1.05, 0.5]), 1e-4
+    forward, reverse = jax.jacfwd(hottest)(at), jax.grad(hottest)(at)
+    shifts = step * jnp.eye(2)
+    central = jnp.stack([hottest(at + s) - hottest(at - s) for s in shifts])
+    assert jnp.allclose(forward, reverse, rtol=1e-9)
+    assert jnp.allclose(forward, central / (2 * step), rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_box_with_periodic_and_insulated_sides_is_a_slab(medium):
+    grid = CartesianGrid.cubes((30, 4, 3), 1e-3)
+    across = Sides(Insulated(), Insulated())
+    box = medium(grid, 2e4, (*ENDS, Periodic(), across))
+    slab = medium(CartesianGrid.cubes((30,), 1e-3), 2e4, ENDS)
+    flat = steady_state(slab, AMPLITUDE).temperature
+    full = steady_state(box, AMPLITUDE).temperature
+    assert jnp.allclose(full, flat[:, None, None] + jnp.zeros(grid.shape), atol=1e-7)
+
+
+@pytest.mark.slow
+def test_a_periodic_box_does_not_know_where_it_begins(medium):
+    grid = CartesianGrid.cubes((12, 10), 2e-3)
+    shape = 1e5 * np.exp(-0.5 * (np.asarray(grid.distances()) / 4e-3) ** 2)
+    ends = (Periodic(), Sides(Insulated(), Dirichlet(37.0)))
+    protocol = powers((0.0, 60.0), [1.0])
+    first = solve(medium(grid, shape, ends), protocol)
+    moved = solve(medium(grid, np.roll(shape, 5, axis=0), ends), protocol)
+    rolled = np.roll(np.asarray(first.final.temperature), 5, axis=0)
+    assert np.allclose(rolled, moved.final.temperature, atol=1e-9)
+    assert float(first.energy.imbalance) < 1e-10
+
+
+def test_ends_that_meet_need_another_axis(medium):
+    with pytest.raises(InputError, match="ends that do not meet on a grid with one"):
+        medium(RadialGrid.slab(0.03, 10), 2e4, (Periodic(),))
+
+
+def test_heat_that_cannot_leave_has_no_steady_state(medium):
+    closed = (Sides(Insulated(), Insulated()),)
+    model = medium(RadialGrid.slab(0.03, 10), 2e4, closed, 0.0)
+    with pytest.raises(InputError, match="heat must be able to leave"):
+        find_steady_state(model, AMPLITUDE)
+
+
+def test_a_run_from_the_steady_state_without_a_field_stays_there(medium):
+    model = medium(RadialGrid.slab(0.03, 20), 2e4, ENDS)
+    off = powers((0.0, 600.0), [0.0])
+    rest = AtSteadyState().state(model).temperature
+    run = solve(model, off, start=AtSteadyState())
+    assert float(rest.min()) < 36.0
+    assert jnp.allclose(run.final.temperature, rest, atol=1e-8)
+    with pytest.raises(InputError, match=r"temperature of shape \(20,\)"):
+        solve(model, off, start=State.at(jnp.ones(9)))
+
+
+def test_damage_is_accumulated_beside_the_dose(medium):
+    closed = (Sides(Insulated(), Insulated()),)
+    model = medium(RadialGrid.slab(0.03, 3), 0.0, closed, 0.0)
+    off = powers((0.0, 600.0), [0.0])
+    warm = State.at(jnp.full(3, 45.0))
+    run = solve(
+        model,
+        off,
+        start=warm,
+        damage=LIVER_DAMAGE,
+        observe_dose=lambda dose: dose[0],
+        save_every=300.0,
+    )
+    rate = float(LIVER_DAMAGE.rate(jnp.asarray(45.0)))
+    assert jnp.allclose(run.final.damage, 600.0 * rate, rtol=1e-9)
+    assert jnp.allclose(run.observed_dose, jnp.array([20.0, 40.0]))
+    again = solve(model, off, start=State.at(jnp.full(3, 45.0)))
+    assert again.final.damage is None
+
+
+def test_eddy_power_grows_with_the_square_of_the_radius():
+    grid = RadialGrid.cylinder(0.1, 20)
+    source = DistantEddySource(axis_distance(grid), 0.4)
+    level = source.level(4.85e3, 1e5)
+    # 1.649740e4 W/m³ at 15 cm
+    expected = 1.649740e4 * (grid.centers / 0.15) ** 2
+    assert jnp.allclose(source.shape(grid) * level, expected, rtol=1e-6)
+    box = CartesianGrid.cubes((4, 4, 3), 0.01)
+    distance = axis_distance(box, (0.005, 0.005))
+    assert jnp.allclose(distance[:, 0, 2], jnp.array([0.0, 0.01, 0.02, 0.03]))
+    with pytest.raises(InputError, match="expected a cylinder or a box"):
+        axis_distance(RadialGrid.sphere(0.1, 20))
+
+
+def test_tissue_without_heat_rests_at_the_arterial_temperature():
+    grid = CartesianGrid.cubes((4, 3), 1e-3)
+    ends = (Periodic(), Periodic())
+    model = Bioheat(
+        grid, Tissue(0.5, 1050.0, 3600.0), Blood(), lang("muscle"), (), ends
+    )
+    assert jnp.allclose(steady_state(model).temperature, 37.0)
