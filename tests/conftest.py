@@ -1,5 +1,6 @@
 """Strict JAX, strict types: set before any test imports pinav."""
 
+import gc
 import importlib.util
 import os
 import shutil
@@ -25,6 +26,16 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 jaxtyping.install_import_hook("pinav", "beartype.beartype")
 hypothesis.settings.register_profile("no deadline", deadline=None)
 hypothesis.settings.load_profile("no deadline")  # other work may slow the machine
+
+
+gc.set_threshold(50_000, 20, 100)  # as the command line does
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _keep_compiled_programs_out_of_garbage_collection():
+    """What a module has traced and compiled stays: it need not be searched again."""
+    yield
+    gc.freeze()
 
 
 def pytest_configure(config):
