@@ -13,7 +13,7 @@ from pinav import cli
 
 NAN, INF = float("nan"), float("inf")
 EXAMPLES = Path(__file__).parents[2] / "examples" / "heat"
-GONE = object()
+GONE = "left out"
 """In place of a value: the key is not there."""
 
 PLANE = {
