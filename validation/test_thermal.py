@@ -16,7 +16,7 @@ from conftest import pinav
 from pinav.commands.heat.build import build_case
 from pinav.commands.heat.case import read_case
 from pinav.thermal import exact
-from pinav.thermal.dose import exceeded_by
+from pinav.thermal.dose import value_exceeded_by
 from pinav.thermal.exact import SET_S
 from pinav.thermal.grids import CartesianGrid, RadialGrid
 from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion
@@ -85,7 +85,7 @@ def test_a_tumour_at_constant_field(power, perfusion, listed):
         save_at=[300.0, 1800.0],
         observe=lambda t: probes @ t,
     )
-    t90 = exceeded_by(found.final.temperature, share * model.grid.volumes, 0.9)
+    t90 = value_exceeded_by(found.final.temperature, share * model.grid.volumes, 0.9)
     reached = [found.observed[0, 0], *found.observed[1], t90]
     print(power, perfusion, [round(float(v), 2) for v in reached])
     assert [float(v) for v in reached] == pytest.approx(listed, abs=0.1)
@@ -178,7 +178,7 @@ def test_a_protocol_that_pauses_is_worse(edge_weighted, listed):
     def dose(protocol, power):
         own = eqx.tree_at(lambda m: m.sources[0].power, model, power * field)
         found = solve(own, protocol)
-        reached = exceeded_by(found.final.dose, volumes, 0.9)
+        reached = value_exceeded_by(found.final.dose, volumes, 0.9)
         return float(found.hottest.max()), float(reached)
 
     still = powers((0.0, 1800.0), [1.0])

@@ -25,7 +25,7 @@ from pinav.forces import (
 )
 
 CENTERS = np.random.default_rng(0).uniform(-3.0, 3.0, size=(9, 2))
-STILL = KernelPotential.untrained(CENTERS, 1.0)
+STILL = KernelPotential.with_zero_weights(CENTERS, 1.0)
 TIMED = TimedKernelPotential(jnp.zeros((9, 5)), jnp.asarray(CENTERS), 1.0, 0.0, 1.0)
 FEATURES = PositionFeatures((0.0, 0.0), (1.0, 1.0))
 
@@ -35,10 +35,10 @@ def network(outputs):
 
 
 FORCES = {
-    KernelForce: KernelForce.untrained(CENTERS, 1.0),
+    KernelForce: KernelForce.with_zero_weights(CENTERS, 1.0),
     KernelPotential: STILL,
-    KernelStream: KernelStream.untrained(CENTERS, 1.0),
-    KernelMixture: KernelMixture.untrained(CENTERS, 1.0),
+    KernelStream: KernelStream.with_zero_weights(CENTERS, 1.0),
+    KernelMixture: KernelMixture.with_zero_weights(CENTERS, 1.0),
     TimedKernelPotential: TIMED,
     ChangingPotential: ChangingPotential(STILL, TIMED),
     NeuralForce: NeuralForce(network(2), FEATURES),

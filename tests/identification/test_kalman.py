@@ -53,8 +53,8 @@ def test_likelihood_is_that_of_the_dense_covariance():
     expected = scipy.stats.multivariate_normal(cov=dense).logpdf(
         np.asarray(values[1:] - values[0])
     )
-    whitened, log_variance = found.columns[:, 0], found.log_variance
-    value = -0.5 * (whitened @ whitened + log_variance.sum() + 6 * np.log(2 * np.pi))
+    whiten, log_variance = found.columns[:, 0], found.log_variance
+    value = -0.5 * (whiten @ whiten + log_variance.sum() + 6 * np.log(2 * np.pi))
     np.testing.assert_allclose(value, expected, rtol=1e-9)
 
 

@@ -303,9 +303,9 @@ def test_priors_are_normal_in_their_standardised_value():
         (Normal(0.4, 0.1), [0.4, 0.5, 0.2]),
         (LogNormal(0.4, 0.1), 0.4 * np.exp([0.0, 0.1, -0.2])),
     ):
-        scores = [float(prior.standardised(value)) for value in values]
+        scores = [float(prior.standard_score(value)) for value in values]
         np.testing.assert_allclose(scores, [0.0, 1.0, -2.0], atol=1e-12)
-    assert float(Flat().standardised(3.0)) == 0.0
+    assert float(Flat().standard_score(3.0)) == 0.0
 
 
 def test_coasting_starts_need_inertia():

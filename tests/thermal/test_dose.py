@@ -13,7 +13,7 @@ from pinav.thermal.dose import (
     SKIN_DAMAGE,
     cem43_rate,
     cem43_segment,
-    exceeded_by,
+    value_exceeded_by,
     volume_above,
 )
 
@@ -126,7 +126,7 @@ def test_what_ninety_percent_of_a_volume_exceed():
     centers = 0.5 * (edges[1:] + edges[:-1])
     volumes = np.diff(edges**3)
     temperatures = jnp.asarray(45.0 - 3.0 * (centers / 0.01) ** 2)
-    found = exceeded_by(temperatures, jnp.asarray(volumes), 0.9)
+    found = value_exceeded_by(temperatures, jnp.asarray(volumes), 0.9)
     assert float(found) == pytest.approx(45.0 - 3.0 * 0.9 ** (2 / 3), abs=1e-4)
     share = volume_above(temperatures, jnp.asarray(volumes), 43.0)
     assert float(share) == pytest.approx((2 / 3) ** 1.5, abs=5e-3)
@@ -134,9 +134,9 @@ def test_what_ninety_percent_of_a_volume_exceed():
 
 def test_quantiles_leave_out_what_is_not_target_and_differentiate():
     values, weights = jnp.array([50.0, 42.0, 41.0, 40.0]), jnp.array([0.0, 1, 1, 1])
-    median = exceeded_by(values, weights, 0.5)
+    median = value_exceeded_by(values, weights, 0.5)
     assert float(median) == pytest.approx(41.0)
-    slope = jax.grad(lambda v: exceeded_by(v, weights, 0.5))(values)
+    slope = jax.grad(lambda v: value_exceeded_by(v, weights, 0.5))(values)
     assert slope.tolist() == pytest.approx([0.0, 0.0, 1.0, 0.0])
 
 

@@ -10,7 +10,7 @@ from pinav.errors import InputError
 from pinav.thermal import exact
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.boundaries import Dirichlet, Robin, Sides, around, outer
-from pinav.thermal.dose import exceeded_by
+from pinav.thermal.dose import value_exceeded_by
 from pinav.thermal.exact import SET_S
 from pinav.thermal.grids import CartesianGrid, RadialGrid, scale_to
 from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion, lang
@@ -92,8 +92,8 @@ def short_run():
             [
                 found.observed[-1, 0],
                 jnp.log(jnp.sum(found.final.dose * target)),
-                exceeded_by(found.final.temperature, target, 0.9),
-                jnp.log(exceeded_by(found.final.dose, target, 0.9)),
+                value_exceeded_by(found.final.temperature, target, 0.9),
+                jnp.log(value_exceeded_by(found.final.dose, target, 0.9)),
                 jnp.max(found.hottest),
             ]
         )

@@ -3,7 +3,7 @@ import pytest
 from scipy.signal import savgol_filter
 
 from pinav.errors import InputError
-from pinav.trajectories import Trajectories, local_polynomial, smoothed_states
+from pinav.trajectories import Trajectories, local_polynomial, smooth_states
 
 RNG = np.random.default_rng(0)
 NAMES = ("x", "y", "vx", "vy")
@@ -42,7 +42,7 @@ def trajectory(observed, times=None):
 
 def test_velocities_never_seen_come_from_positions_and_padding_repeats():
     observed = np.tile([True, True, False, False], (30, 1))
-    states = smoothed_states(trajectory(observed))
+    states = smooth_states(trajectory(observed))
     np.testing.assert_allclose(states[0, :, 2:], [[1.0, -1.0]] * 30, atol=1e-9)
     np.testing.assert_array_equal(states[1, 8:], [states[1, 7]] * 22)
 
@@ -50,7 +50,7 @@ def test_velocities_never_seen_come_from_positions_and_padding_repeats():
 def test_a_position_never_seen_is_refused():
     observed = np.tile([True, False, True, True], (30, 1))
     with pytest.raises(InputError, match="channel 'y' of trajectory 0: 0 obs.* of 'y'"):
-        smoothed_states(trajectory(observed))
+        smooth_states(trajectory(observed))
 
 
 def test_one_position_gives_no_velocity():
@@ -58,4 +58,4 @@ def test_one_position_gives_no_velocity():
     observed[:, 0] = True
     observed[:2, 1] = True
     with pytest.raises(InputError, match="channel 'vy' of trajectory 0: 2 obs"):
-        smoothed_states(trajectory(observed))
+        smooth_states(trajectory(observed))

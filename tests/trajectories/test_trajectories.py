@@ -16,7 +16,7 @@ from pinav.trajectories import (
     concatenate,
     simulate,
     split,
-    with_unobserved,
+    with_missing_channels,
 )
 
 NAN = float("nan")
@@ -318,7 +318,7 @@ def test_channels_that_nobody_observed_can_be_added():
         units={"x": "um", "t": "s"},
         commands={"f": [[1.0, 2.0, 3.0], [4.0, 5.0]]},
     )
-    wide = with_unobserved(data, {"vx": "um/s"})
+    wide = with_missing_channels(data, {"vx": "um/s"})
     assert wide.channels == ("x", "vx")
     assert wide.units == {**data.units, "vx": "um/s"}
     np.testing.assert_array_equal(wide.states[..., :1], data.states)
@@ -326,7 +326,7 @@ def test_channels_that_nobody_observed_can_be_added():
     assert not wide.observed[..., 1].any()
     np.testing.assert_array_equal(wide.commands["f"], data.commands["f"])
     with pytest.raises(InputError, match="channel 'x': stands twice"):
-        with_unobserved(data, {"x": "um"})
+        with_missing_channels(data, {"x": "um"})
 
 
 def test_bootstrap_draws_whole_trajectories_with_replacement():

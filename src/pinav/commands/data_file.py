@@ -8,7 +8,12 @@ from pinav.commands.recording_settings import RecordingSettings
 from pinav.errors import InputError
 from pinav.recordings.conventions import doubts
 from pinav.systems import System
-from pinav.trajectories import Trajectories, is_trajectories, load, with_unobserved
+from pinav.trajectories import (
+    Trajectories,
+    is_trajectories,
+    load,
+    with_missing_channels,
+)
 
 
 def read_data(
@@ -50,4 +55,4 @@ def with_all_channels(data: Trajectories, system: System) -> Trajectories:
     if data.channels != positions:
         return data
     unseen = system.channels[len(positions) :]
-    return with_unobserved(data, {name: system.units[name] for name in unseen})
+    return with_missing_channels(data, {name: system.units[name] for name in unseen})

@@ -316,7 +316,9 @@ def _read_process(
     if "process/centers" not in stored:
         return None
     kind = KernelForce if choice.name == "neural-force" else KernelPotential
-    return kind.untrained(stored["process/centers"], float(stored["process/width"]))
+    return kind.with_zero_weights(
+        stored["process/centers"], float(stored["process/width"])
+    )
 
 
 def _hashes(data: Trajectories) -> Iterator[bytes]:

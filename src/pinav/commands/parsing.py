@@ -60,7 +60,7 @@ def _defaults(options: type[Options], argv: Sequence[str]) -> dict[str, Any]:
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
         content.pop(RUN_TABLE, None)
-        from_file = _grouped(content, fields)
+        from_file = _group(content, fields)
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"--config {path}: cannot be read: {error}") from error
     except msgspec.ValidationError as error:
@@ -69,7 +69,7 @@ def _defaults(options: type[Options], argv: Sequence[str]) -> dict[str, Any]:
     return {"default": options(**required, **from_file)}
 
 
-def _grouped(content: dict[str, Any], fields: dict[str, Any]) -> dict[str, Any]:
+def _group(content: dict[str, Any], fields: dict[str, Any]) -> dict[str, Any]:
     """Each group of settings from those entries of a file that are its own.
 
     Raises:

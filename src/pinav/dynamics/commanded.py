@@ -45,10 +45,10 @@ def commanded(model: Model, trajectory: Commands) -> Model:
     Raises:
         InputError: a command that the propulsion needs was not recorded.
     """
-    return commanded_by(model, trajectory.times, trajectory.commands)
+    return drive_by_arrays(model, trajectory.times, trajectory.commands)
 
 
-def commanded_by(
+def drive_by_arrays(
     model: Model,
     times: Float[ArrayLike, " time"],
     commands: Mapping[str, Float[ArrayLike, " time"]],

@@ -15,7 +15,7 @@ from pinav.dynamics import (
     AbstractSolver,
     Adaptive,
     Outcome,
-    commanded_by,
+    drive_by_arrays,
     rollout,
     takes_commands,
     with_dtype,
@@ -130,7 +130,7 @@ def _rollouts(
         ts: Float[Array, " time"],
         programme: tuple[Array, dict[str, Array]],
     ) -> tuple[Float[Array, "time state"], Int[Array, ""]]:
-        model = commanded_by(dynamics, *programme)
+        model = drive_by_arrays(dynamics, *programme)
         solution = rollout(model, y0, ts, solver=solver, throw=False)
         return solution.ys, solution.outcome
 

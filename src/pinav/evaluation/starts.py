@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float
 from pinav.dynamics import (
     AbstractDynamics,
     FixedStep,
-    commanded_by,
+    drive_by_arrays,
     takes_commands,
     with_dtype,
 )
@@ -28,7 +28,7 @@ from pinav.fitting import Outcome
 from pinav.fitting.engine.multiple_shooting import Linearisation, advance, linearise
 from pinav.fitting.engine.parametric_model import ParametricModel
 from pinav.fitting.matching.objectives import Observations
-from pinav.trajectories import Trajectories, smoothed_states
+from pinav.trajectories import Trajectories, smooth_states
 
 START_SAMPLES = 20
 """Samples from which a start is estimated."""
@@ -79,7 +79,7 @@ def estimate_starts(
     require_x64("estimating starts")
     head = first_samples(trajectories, count)
     dim = head.dim
-    states = jnp.asarray(smoothed_states(head, dim))
+    states = jnp.asarray(smooth_states(head, dim))
     scale = np.maximum(np.ptp(np.asarray(states), axis=1), np.finfo(float).tiny)
     free = ParametricModel(with_dtype(dynamics, jnp.float64), _nothing)
     solver = FixedStep(substeps=4) if solver is None else solver
@@ -115,7 +115,7 @@ class DrivenModel(eqx.Module):
 
     def __call__(self, theta: Float[Array, " parameter"]) -> AbstractDynamics:
         """The model with these parameters, under the commands."""
-        return commanded_by(self.free(theta), self.times, self.commands)
+        return drive_by_arrays(self.free(theta), self.times, self.commands)
 
 
 def driven_models(

@@ -45,10 +45,10 @@ class KernelMixture(AbstractLearnedForce):
     rotation: KernelStream
 
     @classmethod
-    def untrained(cls, centers: Centers, width: float) -> "KernelMixture":
+    def with_zero_weights(cls, centers: Centers, width: float) -> "KernelMixture":
         """Both parts without weight yet: kernels at places, of a width [L]."""
-        gradient = KernelPotential.untrained(centers, width)
-        return cls(gradient, KernelStream.untrained(centers, width))
+        gradient = KernelPotential.with_zero_weights(centers, width)
+        return cls(gradient, KernelStream.with_zero_weights(centers, width))
 
     @property
     def parameters(self) -> PyTree:
@@ -73,7 +73,7 @@ class KernelMixture(AbstractLearnedForce):
         return MixturePrior(self.gradient.prior(), self.rotation.prior())
 
     def kernels_on(self, centers: Centers, width: float) -> "KernelMixture":
-        return KernelMixture.untrained(centers, width)
+        return KernelMixture.with_zero_weights(centers, width)
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return self.gradient(t, x, v) + self.rotation(t, x, v)
@@ -134,7 +134,7 @@ class TimedKernelPotential(AbstractLearnedForce):
         return TimedPrior(WeightPrior(self.centers, self.width), self.weights.shape[1])
 
     def kernels_on(self, centers: Centers, width: float) -> KernelPotential:
-        return KernelPotential.untrained(centers, width)
+        return KernelPotential.with_zero_weights(centers, width)
 
     def splines(self, t: Scalar) -> Float[Array, " spline"]:
         """Value of each spline at time `t` [T]."""
@@ -195,7 +195,9 @@ class ChangingPotential(AbstractLearnedForce):
 
     def kernels_on(self, centers: Centers, width: float) -> "ChangingPotential":
         """The part that changes with time stays as it is."""
-        return ChangingPotential(KernelPotential.untrained(centers, width), self.change)
+        return ChangingPotential(
+            KernelPotential.with_zero_weights(centers, width), self.change
+        )
 
     def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
         """Potential energy per mass $U(t, x)$ [L² T⁻²]."""

@@ -42,7 +42,9 @@ class AbstractKernels(AbstractLearnedForce):
         """Shape of the weights of kernels whose centres have a shape."""
 
     @classmethod
-    def untrained(cls: type[Kernels], centers: Centers, width: float) -> Kernels:
+    def with_zero_weights(
+        cls: type[Kernels], centers: Centers, width: float
+    ) -> Kernels:
         """A force without weight yet: kernels at places, of a width [L]."""
         places = jnp.asarray(centers)
         return cls(jnp.zeros(cls.weight_shape(places.shape)), places, width)
@@ -68,7 +70,7 @@ class AbstractKernels(AbstractLearnedForce):
         return WeightPrior(self.centers, self.width, components)
 
     def kernels_on(self: Kernels, centers: Centers, width: float) -> Kernels:
-        return self.untrained(centers, width)
+        return self.with_zero_weights(centers, width)
 
 
 class KernelForce(AbstractKernels):

@@ -138,7 +138,7 @@ class NeuralForce(AbstractNeuralForce):
     scale: float = eqx.field(static=True, default=1.0)
 
     def kernels_on(self, centers: Centers, width: float) -> KernelForce:
-        return KernelForce.untrained(centers, width)
+        return KernelForce.with_zero_weights(centers, width)
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return self.scale * self.network(self.features(t, x, v))
@@ -158,7 +158,7 @@ class NeuralPotential(AbstractNeuralForce):
     scale: float = eqx.field(static=True, default=1.0)
 
     def kernels_on(self, centers: Centers, width: float) -> KernelPotential:
-        return KernelPotential.untrained(centers, width)
+        return KernelPotential.with_zero_weights(centers, width)
 
     def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
         """Potential energy per mass $U(t, x)$ [L² T⁻²]."""

@@ -248,7 +248,7 @@ def black_box(track: Track, *, seed: int = 0) -> Baseline:
         return np.concatenate(scaled, axis=1)
 
     untrained = tanh_network(4, 2, width=32, depth=2, key=jax.random.key(seed))
-    network: Any = _trained(
+    network: Any = _train(
         untrained,
         jnp.asarray(features(samples.position, samples.command())),
         jnp.asarray(samples.velocity / scales[2]),
@@ -262,7 +262,7 @@ def black_box(track: Track, *, seed: int = 0) -> Baseline:
 
 
 @eqx.filter_jit
-def _trained(network: Any, inputs: Array, targets: Array) -> Any:
+def _train(network: Any, inputs: Array, targets: Array) -> Any:
     optimiser = optax.adam(optax.cosine_decay_schedule(LEARNING_RATE, NETWORK_STEPS))
     weights, static = eqx.partition(network, eqx.is_inexact_array)
 

@@ -44,14 +44,14 @@ from pinav.forces import (
     tensor_matrix,
 )
 from pinav.identification.displacement_field import (
+    determined_directions,
     displacements_by,
-    informed_root,
     with_environment,
 )
 from pinav.identification.fit import Search
 from pinav.identification.likelihood import (
     Design,
-    compiled_whitened,
+    compiled_whiten,
 )
 from pinav.identification.numbers import (
     GAIN,
@@ -152,7 +152,7 @@ class _Problem:
     def quadratic(self, learned: np.ndarray) -> tuple[Quadratic, FlatBlock, float]:
         """Squares as a function of the weights, coefficients integrated out."""
         theta = jnp.asarray(self.search.theta(learned))
-        problem = compiled_whitened(theta, self.design, self.field)
+        problem = compiled_whiten(theta, self.design, self.field)
         rows = np.asarray(problem.rows)
         present = np.any(rows != 0, axis=0)
         columns = np.concatenate([rows[:, present], np.asarray(problem.field)], axis=1)
@@ -187,7 +187,7 @@ class _Problem:
             chosen = inference.hyperparameters
             covariance = self.weights.prior.covariance(chosen.shape)
             hessian = self.quadratic(learned)[0].hessian
-            root = informed_root(chosen.amplitude**2 * covariance, hessian)
+            root = determined_directions(chosen.amplitude**2 * covariance, hessian)
             columns = self.field.columns @ jnp.asarray(root)
             self.search.field = eqx.tree_at(
                 lambda field: field.columns, self.field, columns

@@ -21,10 +21,10 @@ from pinav.forces import (
 )
 from pinav.identification.likelihood import Field, block_means
 from pinav.identification.models import CandidateModel
-from pinav.identification.tracks import Blocks, padded_to
+from pinav.identification.tracks import Blocks, round_up_to
 
 
-def informed_root(covariance: np.ndarray, hessian: np.ndarray) -> np.ndarray:
+def determined_directions(covariance: np.ndarray, hessian: np.ndarray) -> np.ndarray:
     """Directions of unit prior variance of which the data tell anything.
 
     A smooth prior has hundreds of weights and some tens of such directions; only they
@@ -36,7 +36,9 @@ def informed_root(covariance: np.ndarray, hessian: np.ndarray) -> np.ndarray:
     kept = signal > LEAST_SIGNAL
     columns = root @ turned[:, kept]
     # Widths in round numbers: one compiled likelihood serves all rounds.
-    return np.pad(columns, ((0, 0), (0, padded_to(columns.shape[1], 16) - kept.sum())))
+    return np.pad(
+        columns, ((0, 0), (0, round_up_to(columns.shape[1], 16) - kept.sum()))
+    )
 
 
 LEAST_SIGNAL = 1e-3

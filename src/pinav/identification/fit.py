@@ -24,7 +24,7 @@ from pinav.identification.kalman import Disturbance
 from pinav.identification.likelihood import (
     Design,
     Field,
-    compiled_whitened,
+    compiled_whiten,
     disturbance_of,
     value_and_slope,
 )
@@ -275,7 +275,7 @@ class Search:
     def _coefficients(
         self, learned: Float[np.ndarray, " learned"]
     ) -> tuple[np.ndarray, np.ndarray]:
-        problem = compiled_whitened(jnp.asarray(self.theta(learned)), self.design)
+        problem = compiled_whiten(jnp.asarray(self.theta(learned)), self.design)
         best, information = problem.coefficients()
         return np.asarray(best), np.asarray(information)
 

@@ -13,7 +13,7 @@ from pinav.evaluation import normal_quantile
 from pinav.identification.fit import TrackFit
 from pinav.identification.kalman import Disturbance, transitions
 from pinav.identification.models import NAMES, RESPONSES, SwitchedResponse
-from pinav.identification.tracks import Track, commands_of, padded_to
+from pinav.identification.tracks import Track, commands_of, round_up_to
 from pinav.trajectories import Trajectory
 
 HORIZONS = (1.0, 5.0, 10.0, 30.0)
@@ -114,7 +114,7 @@ def programme_of(piece: Trajectory) -> HeldProgramme:
     The last one is held for as many times more as make the number of times round, so
     that what is compiled for one segment serves others.
     """
-    more = padded_to(len(piece.times), LEAST_SIZE) - len(piece.times)
+    more = round_up_to(len(piece.times), LEAST_SIZE) - len(piece.times)
     later = piece.times[-1] + 1.0 + np.arange(more)
     held = [jnp.asarray(np.pad(v, (0, more), "edge")) for v in commands_of(piece)]
     return HeldProgramme(jnp.asarray(np.concatenate([piece.times, later])), *held)
@@ -151,7 +151,7 @@ def path_of(fit: TrackFit) -> Displacement:
     return displacement
 
 
-def computed_once(displacement: Displacement) -> Displacement:
+def cache_by_segment(displacement: Displacement) -> Displacement:
     """The same displacement, computed once for each segment that lives as long."""
     known: dict[int, Float[np.ndarray, "time 2"]] = {}
 
@@ -267,7 +267,7 @@ class Forecast(eqx.Module):
         """What the disturbance adds from a start without knowledge of it."""
         frequency, _ = commands_of(self.piece)
         intervals = np.diff(self.piece.times[samples])
-        more = (0, padded_to(len(intervals), LEAST_SIZE) - len(intervals))
+        more = (0, round_up_to(len(intervals), LEAST_SIZE) - len(intervals))
         with jax.enable_x64(new_val=True):
             variances = _wandering_variances(
                 jnp.asarray(np.pad(intervals, more, constant_values=1.0)),

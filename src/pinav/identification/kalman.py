@@ -68,8 +68,8 @@ def transitions(
         disturbance: memories and the slow velocity.
     """
     slow = jnp.broadcast_to(disturbance.slow, strength.shape)
-    quick = _integrated(intervals, disturbance.memory, strength)
-    drift = _integrated(intervals, disturbance.slow_memory, slow)
+    quick = _integrate(intervals, disturbance.memory, strength)
+    drift = _integrate(intervals, disturbance.slow_memory, slow)
     zero, one = jnp.zeros_like(intervals), jnp.ones_like(intervals)
     matrix = [
         [one, quick[0], drift[0]],
@@ -81,14 +81,14 @@ def transitions(
         [quick[3], quick[4], zero],
         [drift[3], zero, drift[4]],
     ]
-    return Transition(*(_stacked(rows) for rows in (matrix, noise)))
+    return Transition(*(_stack(rows) for rows in (matrix, noise)))
 
 
-def _stacked(rows: list[list[Array]]) -> Array:
+def _stack(rows: list[list[Array]]) -> Array:
     return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def _integrated(interval: Array, memory: Array, strength: Array) -> tuple[Array, ...]:
+def _integrate(interval: Array, memory: Array, strength: Array) -> tuple[Array, ...]:
     """What one process of variance 1 adds: reach, decay, and three covariances."""
     ratio = interval / memory
     decay = jnp.exp(-ratio)

@@ -192,7 +192,7 @@ def block_means(values: Array, blocks: Blocks) -> Array:
     return total / jnp.maximum(blocks.counts, 1.0)[:, None]
 
 
-def whitened(
+def whiten(
     theta: Float[Array, " parameter"], design: Design, field: Field | None = None
 ) -> Whitened:
     """Filter observations and regressors of a candidate, and those of a field."""
@@ -206,7 +206,7 @@ def whitened(
     observed = means[:, :2] - field.offset
     weights = field.columns.shape[2]
     columns = [observed, means[:, 2:5], field.columns[:, 0], field.columns[:, 1]]
-    filtered = filtered_columns(
+    filtered = innovations_of_columns(
         theta, jnp.concatenate(columns, axis=-1), means[:, 5], blocks
     )
     x, y, along_x, along_y, time = jnp.moveaxis(filtered.columns[:, :5], -1, 0)
@@ -223,7 +223,7 @@ def whitened(
     )
 
 
-def filtered_columns(
+def innovations_of_columns(
     theta: Array, columns: Array, frequency: Array, blocks: Any
 ) -> Innovations:
     """Innovations of columns given at each block; the fifth column is the time."""
@@ -272,7 +272,7 @@ def negative_log_evidence(
         design: the track, as the candidate sees it.
         field: displacements by a field; none unless given.
     """
-    problem = whitened(theta, design, field)
+    problem = whiten(theta, design, field)
     best, _ = problem.coefficients()
     present = jnp.sum(jnp.any(problem.rows != 0, axis=0).astype(theta.dtype))
     constant = (
@@ -297,5 +297,5 @@ def negative_log_evidence(
 value_and_slope = eqx.filter_jit(eqx.filter_value_and_grad(negative_log_evidence))
 """The negative log evidence and its gradient, compiled once for each size of track."""
 
-compiled_whitened = eqx.filter_jit(whitened)
+compiled_whiten = eqx.filter_jit(whiten)
 """The least-squares problem, compiled."""

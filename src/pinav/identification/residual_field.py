@@ -25,8 +25,8 @@ from pinav.identification.forecast import Errors, Rollouts, path_of
 from pinav.identification.likelihood import (
     Design,
     block_means,
-    compiled_whitened,
-    filtered_columns,
+    compiled_whiten,
+    innovations_of_columns,
 )
 from pinav.identification.tracks import Blocks, Track
 from pinav.trajectories import Trajectories, Trajectory
@@ -155,7 +155,7 @@ class _BaseDesign(eqx.Module):
     @classmethod
     def of(cls, track: Track, base: TrackFit) -> "_BaseDesign":
         blocks, theta = Blocks.of(track), jnp.asarray(base.theta)
-        whitened = compiled_whitened(theta, Design.of(base.candidate, blocks))
+        whitened = compiled_whiten(theta, Design.of(base.candidate, blocks))
         rows = np.asarray(whitened.rows)
         present = np.any(rows != 0, axis=0)
         residuals = FilteredDisplacement(
@@ -195,7 +195,7 @@ def _filtered_axis(
     padded = jnp.concatenate(
         [jnp.zeros((columns.shape[0], 4)), rest[:, :1], columns], axis=-1
     )
-    return filtered_columns(theta, padded, rest[:, 1], blocks).columns[:, 5:]
+    return innovations_of_columns(theta, padded, rest[:, 1], blocks).columns[:, 5:]
 
 
 def residual_errors(track: Track, rollouts: Rollouts, fit: ResidualFit) -> Errors:
@@ -209,7 +209,7 @@ def residual_errors(track: Track, rollouts: Rollouts, fit: ResidualFit) -> Error
             continue
         piece = track.pieces[index]
         first, last = rollouts.first[chosen], rollouts.last[chosen]
-        ends = _rolled_out(fit.environment, piece, paths[index], (first, last))
+        ends = _roll_out(fit.environment, piece, paths[index], (first, last))
         distance.append(np.hypot(*(ends - piece.states[last]).T))
         steps = np.hypot(*np.diff(piece.states, axis=0).T)
         total = np.concatenate([[0.0], np.cumsum(steps)])
@@ -220,7 +220,7 @@ def residual_errors(track: Track, rollouts: Rollouts, fit: ResidualFit) -> Error
     )
 
 
-def _rolled_out(
+def _roll_out(
     environment: Any,
     piece: Trajectory,
     path: np.ndarray,
@@ -234,12 +234,12 @@ def _rolled_out(
     intervals = np.diff(piece.times[index], axis=1)
     starts = piece.states[first]
     return np.asarray(
-        _integrated(environment, *map(jnp.asarray, (starts, steps, intervals)))
+        _integrate(environment, *map(jnp.asarray, (starts, steps, intervals)))
     )
 
 
 @eqx.filter_jit
-def _integrated(
+def _integrate(
     environment: Any, starts: Array, steps: Array, intervals: Array
 ) -> Array:
     velocity = jax.vmap(lambda x: environment(0.0, x, jnp.zeros_like(x)))

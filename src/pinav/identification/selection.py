@@ -25,7 +25,7 @@ from pinav.identification.forecast import (
     Displacement,
     Errors,
     Rollouts,
-    computed_once,
+    cache_by_segment,
     errors,
     path_of,
 )
@@ -260,7 +260,7 @@ class _Comparison:
     def _add(
         self, name: str, log_evidence: float, seconds: float, displacement: Displacement
     ) -> None:
-        displacement = computed_once(displacement)
+        displacement = cache_by_segment(displacement)
         by_horizon = {
             horizon: errors(self.held_out, self._rollouts(horizon), displacement)
             for horizon in HORIZONS

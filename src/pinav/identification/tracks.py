@@ -76,7 +76,7 @@ def tracks(recording: Trajectories, *, pooled: bool = False) -> list[Track]:
     groups: dict[str, list[Trajectory]] = {}
     names = _names(recording, pooled=pooled)
     for name, piece in zip(names, recording, strict=True):
-        seen = _observed(piece)
+        seen = _drop_unseen(piece)
         if len(seen.times) >= LEAST_SAMPLES:
             groups.setdefault(name, []).append(seen)
     if not groups:
@@ -126,7 +126,9 @@ def one_track(data: Trajectories, name: str) -> Track:
     """
     _check_planar(data)
     pieces, end = [], -np.inf
-    for piece in sorted(map(_observed, data), key=lambda piece: float(piece.times[0])):
+    for piece in sorted(
+        map(_drop_unseen, data), key=lambda piece: float(piece.times[0])
+    ):
         if len(piece.times) < LEAST_SAMPLES:
             continue
         begin = float(piece.times[0])
@@ -219,15 +221,15 @@ def shared_sizes(counts: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
 def _enclosing(counts: Sequence[tuple[int, int]]) -> tuple[int, int]:
     """The size of the largest, in round numbers."""
     samples, blocks = (max(column) for column in zip(*counts, strict=True))
-    return padded_to(samples, 256), padded_to(blocks, 32)
+    return round_up_to(samples, 256), round_up_to(blocks, 32)
 
 
-def padded_to(count: int, step: int) -> int:
+def round_up_to(count: int, step: int) -> int:
     """The next multiple of `step`, one at least."""
     return step * max(1, -(-count // step))
 
 
-def _observed(piece: Trajectory) -> Trajectory:
+def _drop_unseen(piece: Trajectory) -> Trajectory:
     """The samples at which both coordinates were seen."""
     return _cut(piece, piece.observed.all(axis=1))
 
@@ -253,16 +255,16 @@ def commands_of(piece: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 def before(track: Track, time: float) -> Track:
     """The part of a track before a time; blocks keep their length."""
     cut = [_cut(piece, np.less(piece.times, time)) for piece in track.pieces]
-    return _shortened(track, cut)
+    return _shorten(track, cut)
 
 
 def after(track: Track, time: float) -> Track:
     """The part of a track from a time on; blocks keep their length."""
     cut = [_cut(piece, np.greater_equal(piece.times, time)) for piece in track.pieces]
-    return _shortened(track, cut)
+    return _shorten(track, cut)
 
 
-def _shortened(track: Track, pieces: Sequence[Trajectory]) -> Track:
+def _shorten(track: Track, pieces: Sequence[Trajectory]) -> Track:
     long = tuple(piece for piece in pieces if len(piece.times) >= LEAST_SAMPLES)
     if not long:
         raise InputError(

@@ -26,7 +26,7 @@ class _Piece(NamedTuple):
     commands: dict[str, Float64[np.ndarray, " time"]]
 
 
-def assembled(
+def assemble(
     tracks: Tracks, reading: Reading, source: Source, format: str
 ) -> Trajectories:
     """The trajectories of a recording, in um and s with y up where scales are known.

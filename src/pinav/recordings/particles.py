@@ -88,7 +88,7 @@ def _times(tracks: Tracks, reading: Reading) -> Float64[np.ndarray, " row"]:
 def _particle(
     tracks: Tracks, reading: Reading, times: np.ndarray, rows: np.ndarray
 ) -> Particle:
-    rows, twice = _ordered(tracks, rows)
+    rows, twice = _order_by_frame(tracks, rows)
     rows, late = _not_before(tracks, times, rows)
     faults = (*twice, *late)
     if faults and (reading.layout.strict or len(faults) > WORST * len(rows)):
@@ -116,7 +116,7 @@ WORST = 0.1
 """Share of bad rows beyond which a file is refused, although bad rows are left out."""
 
 
-def _ordered(tracks: Tracks, rows: np.ndarray) -> tuple[np.ndarray, list[str]]:
+def _order_by_frame(tracks: Tracks, rows: np.ndarray) -> tuple[np.ndarray, list[str]]:
     """Rows in order of frames, where there are any, the first of each; and faults."""
     if tracks.frame is None:
         return rows, []

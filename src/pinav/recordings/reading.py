@@ -5,7 +5,7 @@ import os
 from collections.abc import Mapping, Sequence
 
 from pinav.errors import InputError
-from pinav.recordings.assembly import assembled
+from pinav.recordings.assembly import assemble
 from pinav.recordings.command_log import read_log, with_commands
 from pinav.recordings.formats.column_map import MappedTable
 from pinav.recordings.formats.deeplabcut import DeepLabCut
@@ -133,7 +133,7 @@ def read_recording(
         )
         own = reading if commands is None else _without_commands(reading)
         chosen = _format(format, source, own)
-        recording = assembled(chosen.tracks(source, own), own, source, chosen.name)
+        recording = assemble(chosen.tracks(source, own), own, source, chosen.name)
         if commands is None:
             return recording
         log = read_log(Source.read(commands, Layout(None, None, strict)), reading)

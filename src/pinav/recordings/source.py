@@ -212,11 +212,11 @@ class Source:
             InputError: it is none, or damaged; the message names the place.
         """
         if self.frame is not None:
-            return self._numbered(self.frame)
+            return self._count_rows(self.frame)
         if self.kind == "parquet":
-            return self._numbered(_parquet(self.content))
+            return self._count_rows(_parquet(self.content))
         if self.kind == "array":
-            return self._numbered(_array(self.content))
+            return self._count_rows(_array(self.content))
         if self.kind == "workbook":
             return sheet_table(self.content, self.layout, self.faults)
         if self.kind == "text":
@@ -243,7 +243,7 @@ class Source:
             self.text, skip=skip, below=below, names=names, faults=self.faults
         )
 
-    def _numbered(self, columns: Mapping[str, Any]) -> Table:
+    def _count_rows(self, columns: Mapping[str, Any]) -> Table:
         """A table whose rows are counted from 0, as DataFrames count them."""
         count = max(map(len, columns.values()), default=0)
         if count == 0:

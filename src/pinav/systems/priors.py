@@ -21,7 +21,7 @@ class AbstractNumberPrior(eqx.Module):
         """Logarithm of the density where the standardised value is zero."""
 
     @abc.abstractmethod
-    def standardised(self, value: Scalar) -> Float[Array, ""]:
+    def standard_score(self, value: Scalar) -> Float[Array, ""]:
         r"""$z$ with a density proportional to $\exp(-z^2/2)$."""
 
 
@@ -32,7 +32,7 @@ class Flat(AbstractNumberPrior):
     def log_height(self) -> float:
         return 0.0
 
-    def standardised(self, value: Scalar) -> Float[Array, ""]:
+    def standard_score(self, value: Scalar) -> Float[Array, ""]:
         return jnp.zeros_like(jnp.asarray(value, float))
 
 
@@ -57,7 +57,7 @@ class Normal(AbstractNumberPrior):
     def log_height(self) -> float:
         return -math.log(self.deviation * math.sqrt(2 * math.pi))
 
-    def standardised(self, value: Scalar) -> Float[Array, ""]:
+    def standard_score(self, value: Scalar) -> Float[Array, ""]:
         return (jnp.asarray(value) - self.mean) / self.deviation
 
 
@@ -82,7 +82,7 @@ class LogNormal(AbstractNumberPrior):
     def log_height(self) -> float:
         return -math.log(self.median * self.deviation * math.sqrt(2 * math.pi))
 
-    def standardised(self, value: Scalar) -> Float[Array, ""]:
+    def standard_score(self, value: Scalar) -> Float[Array, ""]:
         # the density of log x: its mode is the median, however wide it is
         return jnp.log(jnp.asarray(value) / self.median) / self.deviation
 

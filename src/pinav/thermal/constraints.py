@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from pinav.thermal.design_variables import Run
-from pinav.thermal.dose import exceeded_by
+from pinav.thermal.dose import value_exceeded_by
 from pinav.thermal.exposure_limits import AbstractLimit
 from pinav.thermal.quantities import Field, Number
 from pinav.thermal.solve import Solution
@@ -50,7 +50,7 @@ class LogD90(eqx.Module):
     def __call__(self, result: RunResult) -> Float[Array, ""]:
         """Its value for a run."""
         dose = result.solution.final.dose
-        d90 = exceeded_by(dose, result.volumes(self.target), 0.9)
+        d90 = value_exceeded_by(dose, result.volumes(self.target), 0.9)
         # Doses span decades; without the offset a cold start would have no gradient.
         return jnp.log(d90 + LEAST_DOSE)
 

@@ -16,11 +16,11 @@ from pinav.trajectories.selection import Split as Split
 from pinav.trajectories.selection import bootstrap as bootstrap
 from pinav.trajectories.selection import concatenate as concatenate
 from pinav.trajectories.selection import split as split
-from pinav.trajectories.selection import with_unobserved as with_unobserved
+from pinav.trajectories.selection import with_missing_channels as with_missing_channels
 from pinav.trajectories.selection import with_velocities as with_velocities
 from pinav.trajectories.simulation import simulate as simulate
 from pinav.trajectories.smoothing import local_polynomial as local_polynomial
-from pinav.trajectories.smoothing import smoothed_states as smoothed_states
+from pinav.trajectories.smoothing import smooth_states as smooth_states
 from pinav.trajectories.trajectories import POSITION_CHANNELS as POSITION_CHANNELS
 from pinav.trajectories.trajectories import UNKNOWN_UNIT as UNKNOWN_UNIT
 from pinav.trajectories.trajectories import Trajectories as Trajectories

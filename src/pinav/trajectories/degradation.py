@@ -138,11 +138,11 @@ class MotionBlur(AbstractDegradation):
                 "Unobserved"
             )
         times = trajectory.times
-        opened = np.maximum(times - self.exposure / 2, times[0])
+        open_group = np.maximum(times - self.exposure / 2, times[0])
         closed = np.minimum(times + self.exposure / 2, times[-1])
         columns = [
-            (_integral(times, y, closed) - _integral(times, y, opened))
-            / (closed - opened)
+            (_integral(times, y, closed) - _integral(times, y, open_group))
+            / (closed - open_group)
             for y in trajectory.states.T
         ]
         return _with(trajectory, states=np.stack(columns, axis=1))

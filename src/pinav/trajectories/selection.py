@@ -13,7 +13,7 @@ from pinav.trajectories.trajectories import Trajectories, check_names
 from pinav.trajectories.trajectory import Trajectory
 
 
-def with_unobserved(
+def with_missing_channels(
     trajectories: Trajectories, units: Mapping[str, str]
 ) -> Trajectories:
     """The trajectories with more channels, of which nothing was observed.
@@ -53,7 +53,7 @@ def with_velocities(trajectories: Trajectories) -> Trajectories:
     )
     unit = velocity_unit(length, time)
     units = {f"v{name}": unit for name in trajectories.channels}
-    return with_unobserved(trajectories, units)
+    return with_missing_channels(trajectories, units)
 
 
 class Split(NamedTuple):

@@ -11,7 +11,7 @@ WINDOW, DEGREE = 11, 3
 """Observed samples in each local fit, and degree of its polynomial."""
 
 
-def smoothed_states(
+def smooth_states(
     trajectories: Trajectories, dim: int | None = None
 ) -> Float[np.ndarray, "trajectory time state"]:
     r"""Every state by a cubic through the observed samples around it.

@@ -23,7 +23,7 @@ from pinav.fitting import Outcome, Posterior
 from pinav.forces import GaussianBarrier
 from pinav.scenarios import barrier_crossings
 from pinav.systems import Observation
-from pinav.trajectories import Trajectories, simulate, smoothed_states
+from pinav.trajectories import Trajectories, simulate, smooth_states
 
 TRUTH = np.array([5.25, 5.0, 5.0, 2.9])
 LORENTZIAN = Lorentzian()
@@ -93,7 +93,7 @@ def test_no_law_fits_where_none_can(crossings):
 def test_refit_is_the_least_squares_of_rollouts(crossings, found):
     """Independent check: no neighbouring rollouts have a smaller sum of squares."""
     truth, data = crossings
-    problem = RefitProblem.of(data, smoothed_states(data), FixedStep())
+    problem = RefitProblem.of(data, smooth_states(data), FixedStep())
     result = refit(GAUSSIAN, TRUTH * 1.05, truth, problem)
     assert result.outcome is Outcome.CONVERGED
     best = [own.value for own in found.best.constants]
@@ -123,7 +123,7 @@ def test_refit_is_the_least_squares_of_rollouts(crossings, found):
 
 
 def simulate_starts(data):
-    return smoothed_states(data)[:, 0].ravel()
+    return smooth_states(data)[:, 0].ravel()
 
 
 def refit_with(constants, sd):
@@ -147,7 +147,7 @@ def test_wide_intervals_are_not_identifiable():
 def test_singular_directions_have_infinite_intervals(crossings):
     """Far from the data a barrier is felt as nothing: none of it is determined."""
     truth, data = crossings
-    problem = RefitProblem.of(data, smoothed_states(data), FixedStep())
+    problem = RefitProblem.of(data, smooth_states(data), FixedStep())
     far = np.array([1e-3, 90.0, 90.0, 1.0])
     result = refit(GAUSSIAN, far, truth, problem)
     assert not any(own.identifiable for own in estimates(result, problem.extent)[1:])

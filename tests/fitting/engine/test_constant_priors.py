@@ -41,9 +41,9 @@ def quadratic_at(point, column, data):
 
 def test_standardised_values_are_standard_deviations():
     for sign in (-1, 0, 1):
-        normal = PRIORS["normal"].standardised(0.7 + 0.2 * sign)
+        normal = PRIORS["normal"].standard_score(0.7 + 0.2 * sign)
         assert float(normal) == pytest.approx(sign)
-        skewed = PRIORS["log-normal"].standardised(0.7 * np.exp(0.3 * sign))
+        skewed = PRIORS["log-normal"].standard_score(0.7 * np.exp(0.3 * sign))
         assert float(skewed) == pytest.approx(sign)
 
 
@@ -59,7 +59,7 @@ def test_a_normal_prior_of_a_constant_gives_the_exact_evidence_and_posterior():
     def joint(x):
         squares = np.sum((column * x - data) ** 2) / NOISE**2
         normalisation = -0.5 * len(data) * np.log(2 * np.pi * NOISE**2)
-        height = prior.log_height - 0.5 * float(prior.standardised(x)) ** 2
+        height = prior.log_height - 0.5 * float(prior.standard_score(x)) ** 2
         return np.exp(normalisation - 0.5 * squares + height)
 
     evidence, _ = scipy.integrate.quad(joint, -3.0, 5.0, points=[0.8])

@@ -36,4 +36,4 @@ def test_kernels_in_space_are_laid_coarsely_unless_asked(tracks, kind):
 def test_more_weights_than_can_be_fitted_are_refused_with_the_remedy():
     places = np.zeros((LIMIT + 1, 2))
     with pytest.raises(InputError, match="at most 4000 weights, got 4001; lay fewer"):
-        check_size(KernelPotential.untrained(places, 1.0))
+        check_size(KernelPotential.with_zero_weights(places, 1.0))

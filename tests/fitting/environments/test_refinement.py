@@ -201,7 +201,7 @@ def test_only_parts_that_have_a_say_are_asked(walk):
 
 
 def test_what_has_no_kernels_is_never_refined():
-    assert not Refinement().wanted(ZeroForce(), np.zeros(0))
+    assert not Refinement().is_needed(ZeroForce(), np.zeros(0))
 
 
 @pytest.mark.parametrize(

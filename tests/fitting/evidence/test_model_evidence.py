@@ -35,10 +35,10 @@ from pinav.trajectories import Trajectories
 RNG = np.random.default_rng(0)
 CENTERS = RNG.uniform(-3, 3, size=(7, 2))
 ENVIRONMENTS = {
-    "potential": KernelPotential.untrained(CENTERS, 1.0),
-    "force": KernelForce.untrained(CENTERS, 1.0),
-    "stream": KernelStream.untrained(CENTERS, 1.0),
-    "mixture": KernelMixture.untrained(CENTERS, 1.0),
+    "potential": KernelPotential.with_zero_weights(CENTERS, 1.0),
+    "force": KernelForce.with_zero_weights(CENTERS, 1.0),
+    "stream": KernelStream.with_zero_weights(CENTERS, 1.0),
+    "mixture": KernelMixture.with_zero_weights(CENTERS, 1.0),
     "in time": TimedKernelPotential(
         jnp.zeros((7, 5)), jnp.asarray(CENTERS), 1.0, 0.0, 1.0
     ),

@@ -245,7 +245,7 @@ def _refit_best(
 
     chosen = [fit for fit in screened if gains(fit)][:refits]
     results = refit_each(chosen)
-    if not any(learned.explained_by(result) for _, result in results):
+    if not any(learned.is_explained_by(result) for _, result in results):
         rest = [f for f in screened if isinstance(f.law, SumLaw) and f not in chosen]
         results += refit_each(rest[:3])
     return results
@@ -268,7 +268,7 @@ def _rank(
             field_bic=field.bic,
             noise=result.noise,
             outcome=result.outcome,
-            fits=learned.explained_by(result),
+            fits=learned.is_explained_by(result),
             latex=latex(result.law),
             sympy=sympy_text(result.law, result.constants),
         )

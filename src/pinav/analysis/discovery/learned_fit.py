@@ -13,7 +13,7 @@ from pinav.errors import FitError
 from pinav.fitting import Outcome, Posterior
 from pinav.fitting.engine.parametric_model import ParametricModel, ravel_model
 from pinav.fitting.matching.fit import Trainable
-from pinav.trajectories import Trajectories, smoothed_states
+from pinav.trajectories import Trajectories, smooth_states
 
 MISFIT_PROBABILITY = 1e-3
 """A law fits if it leaves a misfit that chance makes more often than this."""
@@ -58,7 +58,7 @@ class Learned(eqx.Module):
             effective = float(np.clip(information / noise**2, 1.0, ceiling))
         return cls(problem, squares, float(noise), effective)
 
-    def explained_by(self, law: Refit) -> bool:
+    def is_explained_by(self, law: Refit) -> bool:
         """Whether the misfit that a law adds is what chance may add."""
         if law.outcome is Outcome.DIVERGED:
             return False
@@ -112,7 +112,7 @@ def _linearise(
 ) -> tuple[RefitProblem, LinearisedModel]:
     """A model about states that fulfil its dynamics, the problem about them too."""
     with jax.enable_x64(new_val=True):
-        states = smoothed_states(trajectories, trajectories.dim)
+        states = smooth_states(trajectories, trajectories.dim)
         problem = RefitProblem.of(trajectories, states, solver)
         start = LinearisedModel.at(free, theta, problem.states, problem)
         local = problem.close_defects(start)

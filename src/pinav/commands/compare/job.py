@@ -29,7 +29,7 @@ from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
 from pinav.systems import System
-from pinav.trajectories import Trajectories, load, with_unobserved
+from pinav.trajectories import Trajectories, load, with_missing_channels
 
 QUESTIONS = (
     ("physics-only", "kernel-potential", "no environment", "an environment"),
@@ -147,7 +147,7 @@ def fitted(
         swimmer, seen = _without_inertia(swimmer, summary), positions_alone(data)
     elif isinstance(swimmer, Swimmer) and len(_positions(data)) == len(data.channels):
         unseen = known.channels[len(data.channels) :]
-        seen = with_unobserved(data, {n: known.units[n] for n in unseen})
+        seen = with_missing_channels(data, {n: known.units[n] for n in unseen})
     if name == "isotropic-drag":
         swimmer = with_linear_drag(swimmer, summary)
     if name == "anisotropic-drag":

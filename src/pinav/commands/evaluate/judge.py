@@ -193,8 +193,8 @@ def calibrate_band(
             f"--calibrate {path}: expected trajectories that no fit has seen, got "
             "training data of the run; give others"
         )
-    radius = calibrate(trajectory_scores(*_banded(setting, held)))
-    covers = radius.covers(*_banded(setting, setting.data))
+    radius = calibrate(trajectory_scores(*_prediction_bands(setting, held)))
+    covers = radius.covers(*_prediction_bands(setting, setting.data))
     return CalibrationRow(
         file=path.name,
         radius=as_cell(radius.radius),
@@ -207,7 +207,7 @@ def calibrate_band(
     )
 
 
-def _banded(
+def _prediction_bands(
     setting: Setting, data: Trajectories
 ) -> tuple[
     Trajectories,

@@ -7,7 +7,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from pinav.commands.heat.build import CaseModel
-from pinav.thermal.dose import cem43_segment, exceeded_by, time_to_reach, volume_above
+from pinav.thermal.dose import (
+    cem43_segment,
+    time_to_reach,
+    value_exceeded_by,
+    volume_above,
+)
 from pinav.thermal.protocols import Piecewise
 from pinav.thermal.solve import Observe, Solution
 
@@ -71,7 +76,7 @@ class Watched(eqx.Module):
         target = temperature.reshape(-1)[self.cells]
         observed = {"hottest": jnp.max(temperature)}
         for name, share in SHARES.items():
-            observed[name] = exceeded_by(target, self.volumes, share)
+            observed[name] = value_exceeded_by(target, self.volumes, share)
         observed["V43"] = volume_above(target, self.volumes, 43.0)
         if self.probes is not None:
             observed["probes"] = self.probes(temperature)
@@ -84,7 +89,7 @@ class Watched(eqx.Module):
         flat = dose.reshape(-1)
         beyond = jnp.where(self.outside, flat, 0.0)
         return {
-            "D90": exceeded_by(flat[self.cells], self.volumes, 0.9),
+            "D90": value_exceeded_by(flat[self.cells], self.volumes, 0.9),
             "outside": jnp.max(beyond),
         }
 

@@ -95,7 +95,7 @@ def identify(
     compared = longest[: settings.max_tracks] if settings.candidates == "all" else []
     full = {track.name for track in compared}
     drawn = {track.name for track in longest[:FIGURES]}
-    undone = [i for i in _mixed(several) if not folder.has(_stored(i))]
+    undone = [i for i in _alternate_lengths(several) if not folder.has(_stored(i))]
 
     def result(index: int) -> "_Result":
         track = several[index]
@@ -142,7 +142,7 @@ def _check_name(name: str | None, several: list[Track]) -> None:
         )
 
 
-def _mixed(several: list[Track]) -> list[int]:
+def _alternate_lengths(several: list[Track]) -> list[int]:
     """Tracks in an order in which neighbours differ in length.
 
     Fits of one length share compiled code; side by side both would compile it.

@@ -85,7 +85,7 @@ def infer_force(
     thrust = np.asarray(known.propulsion(0.0, at_rest, at_rest))
     direction = thrust / np.linalg.norm(thrust)
     functions = _functions(jnp.asarray(centers), basis.width, jnp.asarray(direction))
-    weights = _inferred(
+    weights = _infer_coefficients(
         positions, trajectories.times[0], noise, functions, len(centers) + 2
     )
     learned = (
@@ -115,7 +115,7 @@ def _functions(centers: Array, width: float, direction: Array) -> Any:
     )
 
 
-def _inferred(
+def _infer_coefficients(
     positions: np.ndarray, times: np.ndarray, noise: float, functions: Any, count: int
 ) -> Float[np.ndarray, " function"]:
     """Coefficients by the parametric estimator, then sparse selection."""

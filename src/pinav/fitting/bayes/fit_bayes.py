@@ -134,7 +134,7 @@ def _first_problem(
     )
     if outcome is Outcome.DIVERGED:
         return specification.problem(model)
-    return specification.distilled_from(kernels, steps[-1])
+    return specification.distill(kernels, steps[-1])
 
 
 KERNEL_STEPS = 20

@@ -68,7 +68,7 @@ class FitSpecification(eqx.Module):
         kernels = self.kernels()
         return self.problem(eqx.tree_at(lambda m: m.environment, self.model, kernels))
 
-    def distilled_from(self, problem: AbstractProblem, step: Step) -> BayesProblem:
+    def distill(self, problem: AbstractProblem, step: Step) -> BayesProblem:
         """The fit of the network, after the last step of the fit of the kernels."""
         teacher = problem.parametric(jnp.asarray(step.move.theta))
         states = np.asarray(step.move.states)

@@ -42,7 +42,7 @@ from pinav.fitting.evidence.model_evidence import LinearFit
 from pinav.fitting.evidence.quadratic import Parameters, Quadratic
 from pinav.fitting.evidence.weights import AbstractWeights, GaussianWeights, NoWeights
 from pinav.fitting.matching.objectives import Observations
-from pinav.trajectories import Trajectories, smoothed_states
+from pinav.trajectories import Trajectories, smooth_states
 
 States = Float[Array, "trajectory time state"]
 
@@ -143,7 +143,7 @@ class BayesProblem(AbstractProblem):
         flat = ~selected_entries(parametric, len(theta), weight_leaves)
         check_learned(model, names, flat)
         dim = num_positions(model, trajectories)
-        states = smoothed_states(trajectories, dim) if states is None else states
+        states = smooth_states(trajectories, dim) if states is None else states
         priors = constant_priors(parametric, len(theta), learn)
         equations = trajectories.num_observed + len(priors.entries)
         if equations - states[:, 0].size <= flat.sum():

@@ -81,7 +81,7 @@ class ConstantPriors(eqx.Module):
     ) -> tuple[Float[np.ndarray, " prior"], Float[np.ndarray, " prior"]]:
         """Standardised values, and their derivatives."""
         pairs = [
-            jax.value_and_grad(prior.standardised)(jnp.asarray(theta[entry]))
+            jax.value_and_grad(prior.standard_score)(jnp.asarray(theta[entry]))
             for entry, prior in zip(self.entries, self.priors, strict=True)
         ]
         values, slopes = np.array(pairs, float).T

@@ -235,7 +235,7 @@ def _kernels(
     kind: type[KernelForce] | type[KernelPotential] | type[KernelMixture],
 ) -> Builder:
     return _in_environment(
-        lambda choice, summary: kind.untrained(
+        lambda choice, summary: kind.with_zero_weights(
             np.asarray(summary.centers), summary.kernel_width
         )
     )
@@ -247,7 +247,7 @@ def _changing_potential(choice: ModelChoice, summary: DataSummary) -> ChangingPo
         raise InputError(f"model {choice.name}: its summary of the data has no times")
     centers = jnp.asarray(change.centers)
     weights = jnp.zeros((len(centers), change.splines))
-    static = KernelPotential.untrained(
+    static = KernelPotential.with_zero_weights(
         np.asarray(summary.centers), summary.kernel_width
     )
     timed = TimedKernelPotential(weights, centers, change.width, *change.times)

@@ -85,12 +85,12 @@ def kernel_environment(
         InputError: the observed positions are fewer than two, or all the same, or
             there are no `dim` channels.
     """
-    made = kind.untrained(*lay_kernels(trajectories, grid, dim))
+    made = kind.with_zero_weights(*lay_kernels(trajectories, grid, dim))
     across = KernelGrid().across
     while grid is None and num_weights(made) > MOST_WEIGHTS and across > 1:
         across -= 1
         coarse = KernelGrid(across, margin=IN_TIME.margin)
-        made = kind.untrained(*lay_kernels(trajectories, coarse, dim))
+        made = kind.with_zero_weights(*lay_kernels(trajectories, coarse, dim))
     return made
 
 

@@ -13,7 +13,7 @@ from pinav.forces import (
     spread_weights,
     tanh_network,
 )
-from pinav.trajectories import Trajectories, smoothed_states
+from pinav.trajectories import Trajectories, smooth_states
 
 Neural = TypeVar("Neural", NeuralForce, NeuralPotential)
 
@@ -46,7 +46,7 @@ def neural_environment(
     """
     count = len(trajectories.channels)
     dim = count // 2 if dim is None else dim
-    states = smoothed_states(trajectories, dim)
+    states = smooth_states(trajectories, dim)
     real = np.arange(states.shape[1]) < trajectories.lengths[:, None]
     positions = states[real][:, :dim]
     spread = float(np.sqrt(positions.var(axis=0).mean()))

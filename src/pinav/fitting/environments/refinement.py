@@ -47,7 +47,7 @@ class Refinement(eqx.Module):
                     f"Refinement.{name}: expected > {least}, got {getattr(self, name)}"
                 )
 
-    def wanted(self, environment: AbstractForce, shape: Shape) -> bool:
+    def is_needed(self, environment: AbstractForce, shape: Shape) -> bool:
         """Whether the kernels are too coarse; never without a grid of kernels to learn.
 
         Args:
@@ -111,7 +111,7 @@ def iterate_refined(
 
     def is_coarse(step: Step) -> bool:
         shape = step.hyperparameters.shape
-        return refine is not None and refine.wanted(environment, shape)
+        return refine is not None and refine.is_needed(environment, shape)
 
     def finer(step: Step) -> AbstractLearnedForce | None:
         if refine is None or not is_coarse(step):

@@ -228,7 +228,7 @@ def damped_step(
         theta=jnp.where(lower, theta + right @ moves[best], theta),
         damping=jnp.where(lower, dampings[best], 100.0 * damping),
         left=costs[best] / cost,
-        promised=_promised(residual, left, scale, dampings[0]) / cost,
+        promised=_predicted_decrease(residual, left, scale, dampings[0]) / cost,
     )
 
 
@@ -254,7 +254,7 @@ def _orthonormal(columns):
     return columns
 
 
-def _promised(residual, left, scale, damping):
+def _predicted_decrease(residual, left, scale, damping):
     """By how much the linear model says that a damped step lowers the squares."""
     along = left.T @ residual
     kept = damping / (scale**2 + damping)

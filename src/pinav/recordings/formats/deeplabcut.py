@@ -9,7 +9,7 @@ import numpy as np
 
 from pinav.errors import InputError
 from pinav.recordings.formats.format import AbstractFormat
-from pinav.recordings.formats.hdf5 import opened
+from pinav.recordings.formats.hdf5 import open_group
 from pinav.recordings.rows import Reading, Tracks
 from pinav.recordings.source import Source
 from pinav.recordings.table import Table
@@ -130,7 +130,7 @@ def _parts(
 
 def _from_hdf5(source: Source) -> tuple[np.ndarray, dict[str, Table]]:
     """A table of pandas, read as arrays: `table` (of DeepLabCut) or fixed format."""
-    with opened(source.content) as file:
+    with open_group(source.content) as file:
         groups = [g for g in file.values() if "pandas_type" in getattr(g, "attrs", {})]
         if len(groups) != 1 or "table" not in groups[0]:
             raise InputError(

@@ -9,7 +9,7 @@ from pinav.errors import InputError
 
 
 @contextmanager
-def opened(content: bytes) -> Iterator[Any]:
+def open_group(content: bytes) -> Iterator[Any]:
     """The root group of an HDF5 file in memory.
 
     Raises:

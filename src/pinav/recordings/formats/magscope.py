@@ -74,7 +74,10 @@ class MagScope(AbstractFormat):
             times.append(clock)
             clock_notes += said
             positions.append(
-                [table.numbers(_named(table, n), lost=True) for n in ("Pos X", "Pos Y")]
+                [
+                    table.numbers(_column_named(table, n), lost=True)
+                    for n in ("Pos X", "Pos Y")
+                ]
             )
         x, y = np.concatenate(positions, axis=1)
         scale, scale_notes = _scale(tables, unit, reading)
@@ -89,7 +92,10 @@ class MagScope(AbstractFormat):
             time=np.concatenate(times),
             commands=commands,
             length_unit="um" if scale_notes else unit,
-            columns={"frame": "Frame", "time": _named(tables[0], "Time", "Times")},
+            columns={
+                "frame": "Frame",
+                "time": _column_named(tables[0], "Time", "Times"),
+            },
             notes=(*notes, *scale_notes, *clock_notes),
         )
 
@@ -139,7 +145,7 @@ def _table(
     return Table(named, numbers, f"{place}, row", faults=faults)
 
 
-def _named(table: Table, *names: str) -> str:
+def _column_named(table: Table, *names: str) -> str:
     """The first column of these names, whatever unit follows in brackets.
 
     Raises:
@@ -166,12 +172,12 @@ def _robot(table: Table) -> Table:
 
 
 def _kept(table: Table) -> list[str]:
-    return [_named(table, n) for n in ("Frame", "Pos X", "Pos Y")]
+    return [_column_named(table, n) for n in ("Frame", "Pos X", "Pos Y")]
 
 
 def _length_unit(tables: list[Table]) -> str:
     """Unit of the positions, which all sheets share; px where none is written."""
-    words = {_unit_of(_named(table, "Pos X")) for table in tables}
+    words = {_unit_of(_column_named(table, "Pos X")) for table in tables}
     if len(words) > 1:
         raise InputError(
             f"sheets 'Robot ...': positions in {' and '.join(sorted(words))}; bring "
@@ -200,7 +206,7 @@ def _scale(
 
 def _times(table: Table) -> tuple[Float64[np.ndarray, " row"], tuple[str, ...]]:
     """Times of a robot's rows [s]: as they are, or from the intervals of the frames."""
-    column = _named(table, "Time", "Times")
+    column = _column_named(table, "Time", "Times")
     values = table.numbers(column)
     notes: tuple[str, ...] = ()
     if column != "Times":

@@ -7,7 +7,7 @@ import numpy as np
 
 from pinav.errors import InputError
 from pinav.recordings.formats.format import AbstractFormat
-from pinav.recordings.formats.hdf5 import opened
+from pinav.recordings.formats.hdf5 import open_group
 from pinav.recordings.rows import Reading, Tracks
 from pinav.recordings.source import Source
 from pinav.recordings.table import Table
@@ -43,7 +43,7 @@ class Matlab(AbstractFormat):
 def _variables(source: Source) -> dict[str, np.ndarray]:
     """The numeric matrices and the cell arrays of a file, by name."""
     if source.kind == "hdf5":
-        with opened(source.content) as file:
+        with open_group(source.content) as file:
             # MATLAB stores columns first.
             return {
                 name: np.asarray(item).T

@@ -6,7 +6,7 @@ import numpy as np
 
 from pinav.errors import InputError
 from pinav.recordings.formats.format import AbstractFormat
-from pinav.recordings.formats.hdf5 import opened
+from pinav.recordings.formats.hdf5 import open_group
 from pinav.recordings.rows import Reading, Tracks
 from pinav.recordings.source import Source
 
@@ -25,7 +25,7 @@ class Sleap(AbstractFormat):
         return source.kind == "hdf5" and b"node_names" in source.content
 
     def tracks(self, source: Source, reading: Reading) -> Tracks:
-        with opened(source.content) as file:
+        with open_group(source.content) as file:
             if "tracks" not in file or "node_names" not in file:
                 raise InputError(
                     f"groups {', '.join(file)}: expected tracks and node_names; export "

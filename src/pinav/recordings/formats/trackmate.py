@@ -141,7 +141,7 @@ class TrackMateXML(AbstractFormat):
         table = np.array(numbers, np.float64)
         factor, unit = units.length(root.get("spaceUnits"))
         frame = _frames(table[:, 0], [where for _, where in rows])
-        time, time_unit, notes = _calibrated(root, frame, reading)
+        time, time_unit, notes = _calibrated_times(root, frame, reading)
         return Tracks(
             x=factor * table[:, 1],
             y=factor * table[:, 2],
@@ -187,7 +187,7 @@ def _frames(values: np.ndarray, places: list[str]) -> np.ndarray:
     return values.astype(np.int64)
 
 
-def _calibrated(
+def _calibrated_times(
     root: Any, frame: np.ndarray, reading: Reading
 ) -> tuple[np.ndarray | None, str, tuple[str, ...]]:
     """Times from the frame interval, unless it is the 1 of a film never calibrated."""

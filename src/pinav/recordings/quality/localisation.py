@@ -71,8 +71,8 @@ def localisation(
     if not parts or sum(len(part) for part in parts) < LEAST_SAMPLES:
         return None
     table = np.concatenate(parts)
-    variance, diffusion = _solved(table)
-    tenths = [_solved(part)[0] for part in np.array_split(table, 10)]
+    variance, diffusion = _error_and_diffusion(table)
+    tenths = [_error_and_diffusion(part)[0] for part in np.array_split(table, 10)]
     spread = np.std(np.sqrt(tenths), ddof=1) / np.sqrt(len(tenths))
     return Localisation(
         scatter=float(np.sqrt(table[:, 0].mean())),
@@ -132,7 +132,7 @@ def _brownian(
     return np.einsum("ij,ik,ijk->i", weights[rows], weights[rows + lag], shared)
 
 
-def _solved(table: Float[np.ndarray, "window 12"]) -> tuple[float, float]:
+def _error_and_diffusion(table: Float[np.ndarray, "window 12"]) -> tuple[float, float]:
     """Variance of the error and diffusion, neither of them negative."""
     measured, error, diffusion = np.split(table.mean(axis=0), 3)
     design = np.stack([error, diffusion / diffusion[0]], axis=1)
