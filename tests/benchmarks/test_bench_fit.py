@@ -18,6 +18,8 @@ from pinav.errors import InputError
 from pinav.forces import paper_force
 from pinav.scenarios import scenario
 
+pytestmark = pytest.mark.slow
+
 
 def measurement(**changed):
     base = {

@@ -98,6 +98,7 @@ def test_another_tool_that_is_not_installed_is_named(monkeypatch, crossings):
         infer_force(crossings[0].swimmer, crossings[1], 0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.extras("SFI")
 @pytest.mark.filterwarnings("default")  # of the other tool
 def test_another_tool_finds_the_force_of_crossings(crossings):

@@ -19,6 +19,8 @@ from pinav.runs import RunFolder
 from pinav.scenarios import barrier_crossings, scenario
 from pinav.trajectories import Trajectories, save, simulate
 
+pytestmark = pytest.mark.slow
+
 
 def short_shots(key, columns, samples=51):
     """Noisy crossings; of the states only the first columns are written."""

@@ -116,6 +116,7 @@ def inferred(noisy_positions):
     return run
 
 
+@pytest.mark.slow
 def test_positions_alone_give_a_force_and_its_uncertainty(inferred):
     metrics = RunFolder.open(inferred).read_json("metrics.json")
     assert (metrics["model"], metrics["recipe"]) == ("kernel-potential", "bayes")

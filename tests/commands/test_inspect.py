@@ -159,6 +159,7 @@ REAL = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REAL)
 def test_real_recordings_pass_without_hand_editing(recording, name, capsys):
     path = recording(name)

@@ -16,6 +16,8 @@ from pinav.scenarios import barrier_crossings
 from pinav.scenarios.crossings import paper_barrier, paper_swimmer
 from pinav.trajectories import load
 
+pytestmark = pytest.mark.slow
+
 TINY = ("--models", "physics-only", "kernel-potential", "--held-out", "3")
 
 

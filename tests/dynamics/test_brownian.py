@@ -28,6 +28,8 @@ from pinav.forces import (
     ZeroForce,
 )
 
+pytestmark = pytest.mark.slow
+
 KEY = jax.random.key(5)
 WATER = 1 / stokes_drag(1.0, 0.89)
 HEAT = thermal_energy(298.15)

@@ -26,6 +26,8 @@ from pinav.forces import (
 )
 from pinav.trajectories import Trajectories
 
+pytestmark = pytest.mark.slow
+
 GAIN = jnp.array([[2.0, 0.1], [-0.1, 3.0]])
 RESPONSE = SlippingResponse(3.0, 0.4)
 TIMES = np.arange(0.0, 6.0, 0.1)

@@ -99,6 +99,7 @@ def true_gradient():
     return central_differences(*loss_of(FixedStep(), refine=20), 1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", TIGHT.values(), ids=list(TIGHT))
 def test_adjoints_give_the_gradient_of_the_solution(solver, true_gradient):
     loss, vector = loss_of(solver)
@@ -150,6 +151,7 @@ def test_a_looped_step_is_the_step(substeps):
     )
 
 
+@pytest.mark.slow
 def test_fixed_step_reverse_mode_equals_a_plain_scan(both_ways):
     arranged, plain, vector = both_ways
     expected, pull_plain = jax.vjp(plain, vector)

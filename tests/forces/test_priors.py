@@ -77,7 +77,7 @@ def test_a_prior_is_symmetric_and_positive_semidefinite(force, data):
 def test_kernels_on_other_places_are_untrained_and_of_that_width(force):
     made = force.kernels_on(CENTERS[:4], 0.5)
     assert made.dim == force.dim == 2
-    assert made.kernel_width == 0.5
+    assert made.kernels.width == 0.5
     assert not np.any(jax.tree.leaves(made.parameters)[0])
     assert made.is_linear
 

@@ -27,6 +27,8 @@ from pinav.identification import (
 from pinav.identification.models import MATRIX
 from pinav.trajectories import Trajectories
 
+pytestmark = pytest.mark.slow
+
 GAIN, DRIFT, DELAY = 3.0, np.array([0.3, -0.2]), 0.25
 STIFFNESS, SWIRL = 0.25, 0.12
 

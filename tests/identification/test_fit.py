@@ -47,6 +47,7 @@ def fit(track):
     return fit_track(track, RUNG)
 
 
+@pytest.mark.slow
 def test_constants_come_back_within_their_intervals(fit, synthetic):
     found = fit.estimates()
     truth = {

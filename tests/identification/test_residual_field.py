@@ -26,6 +26,8 @@ from pinav.identification.models import DRIFT_ONLY, SLOW_DRIFT
 from pinav.identification.residual_field import positions_of, residual_errors
 from pinav.trajectories import Trajectories
 
+pytestmark = pytest.mark.slow
+
 SEED = 4
 
 

@@ -130,6 +130,7 @@ def test_a_stochastic_scenario_has_si_values_and_needs_a_key():
     assert eqx.tree_equal(made.swimmer, made.truth.swimmer.without_environment())
 
 
+@pytest.mark.slow
 def test_stochastic_trajectories_diffuse_and_belong_to_their_key():
     def observed(count):
         made = scenario("brownian", count=count)

@@ -20,6 +20,8 @@ from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.sources import GaussianSource, PowerSource
 from pinav.thermal.tissues import Blood, Tissue
 
+pytestmark = pytest.mark.slow
+
 STEPPER = Rosenbrock(20.0)
 EDGES = (0.0, 300.0, 600.0, 900.0)
 STEPS = Piecewise.constant(EDGES, [1e4, 6e3, 1e4], 1e5)

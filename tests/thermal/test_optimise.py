@@ -39,6 +39,8 @@ from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.sources import ParticleSource, PowerSource
 from pinav.thermal.tissues import Blood, Tissue
 
+pytestmark = pytest.mark.slow
+
 DECAY, GAIN, END = 1e-3, 1 / 3.78e6, 1800.0
 COUNT = 9
 EDGES = tuple(np.linspace(0.0, END, COUNT + 1))

@@ -23,6 +23,8 @@ from pinav.thermal.starts import State
 from pinav.thermal.steppers import RKL2
 from pinav.thermal.tissues import Blood, Tissue, mix
 
+pytestmark = pytest.mark.slow
+
 
 def heated_tumour(grid, side):
     """A tumour in muscle, with perfusion that follows the temperature."""

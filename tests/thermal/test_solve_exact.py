@@ -20,6 +20,8 @@ from pinav.thermal.starts import State
 from pinav.thermal.steppers import RKL2
 from pinav.thermal.tissues import Blood, Tissue, mix
 
+pytestmark = pytest.mark.slow
+
 STEADY = 4e4
 """A time [s] after which perfused tissue no longer changes."""
 

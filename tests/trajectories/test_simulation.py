@@ -63,6 +63,7 @@ def test_an_exposure_averages_before_the_noise():
     np.testing.assert_allclose(simulate(blurred).states[:, 1:-1], factor * middle)
 
 
+@pytest.mark.slow
 def test_a_wandering_velocity_spreads_as_its_process_does():
     still = WanderingVelocity(still=0.7, driven=0.0, memory=0.5)
     system = System(

@@ -6,6 +6,7 @@ $-\nabla U$.
 
 import abc
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -94,8 +95,8 @@ class AbstractLearnedForce(AbstractForce):
         return True
 
     @property
-    def kernel_width(self) -> Scalar | None:
-        """Width [L] of its kernels on a grid that may be refined; None without."""
+    def kernels(self) -> "KernelPlaces | None":
+        """Its kernels on a grid that may be refined; None where there are none."""
         return None
 
     def length_scales(self, shape: Shape) -> list[float]:
@@ -108,6 +109,18 @@ class AbstractLearnedForce(AbstractForce):
             Nothing where no finer grid of kernels could follow the length scale.
         """
         return []
+
+
+class KernelPlaces(NamedTuple):
+    """Where kernels are, and how wide.
+
+    Attributes:
+        centers: [L].
+        width: [L].
+    """
+
+    centers: Float[Array, "kernel dim"]
+    width: Scalar
 
 
 def as_learned(force: AbstractForce) -> AbstractLearnedForce | None:

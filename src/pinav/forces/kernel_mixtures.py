@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, PyTree
 
 from pinav.arguments import Scalar, Vector
 from pinav.errors import InputError
-from pinav.forces.force import AbstractLearnedForce
+from pinav.forces.force import AbstractLearnedForce, KernelPlaces
 from pinav.forces.kernels import (
     KernelPotential,
     KernelStream,
@@ -59,8 +59,8 @@ class KernelMixture(AbstractLearnedForce):
         return self.gradient.dim
 
     @property
-    def kernel_width(self) -> Scalar:
-        return self.gradient.width
+    def kernels(self) -> KernelPlaces:
+        return self.gradient.kernels
 
     def length_scales(self, shape: Shape) -> list[float]:
         parts = [] if shape[-1] > ABSENT else self.gradient.length_scales(shape)
@@ -184,8 +184,8 @@ class ChangingPotential(AbstractLearnedForce):
         return False
 
     @property
-    def kernel_width(self) -> Scalar:
-        return self.static.width
+    def kernels(self) -> KernelPlaces:
+        return self.static.kernels
 
     def length_scales(self, shape: Shape) -> list[float]:
         return [] if shape[-1] > ABSENT else self.static.length_scales(shape)

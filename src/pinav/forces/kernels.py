@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, PyTree
 
 from pinav.arguments import Scalar, Vector
 from pinav.errors import InputError
-from pinav.forces.force import AbstractLearnedForce
+from pinav.forces.force import AbstractLearnedForce, KernelPlaces
 from pinav.forces.priors import Centers, Shape, WeightPrior
 
 Kernels = TypeVar("Kernels", bound="AbstractKernels")
@@ -58,8 +58,8 @@ class AbstractKernels(AbstractLearnedForce):
         return self.centers.shape[1]
 
     @property
-    def kernel_width(self) -> Scalar:
-        return self.width
+    def kernels(self) -> KernelPlaces:
+        return KernelPlaces(self.centers, self.width)
 
     def length_scales(self, shape: Shape) -> list[float]:
         return [float(np.exp(shape[0]))]

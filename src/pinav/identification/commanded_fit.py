@@ -112,7 +112,7 @@ def fit_commanded(
             fit, shape = _fit(system, data, environment, on_round)
             if environment is None or refine is None:
                 return fit
-            if not refine.wanted(environment, shape):
+            if not refine.is_needed(environment, shape):
                 return fit
             finer = refine.finer(environment, data)
             if finer is None:

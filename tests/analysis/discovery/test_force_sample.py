@@ -128,6 +128,7 @@ def test_constant_force_has_no_centre():
     assert found.verdict is Centrality.UNDECIDED
 
 
+@pytest.mark.slow
 def test_p_value_is_uniform_for_central_forces():
     force = law_force(GAUSSIAN, BARRIER, POSITIONS)
     generator = np.random.default_rng(3)

@@ -16,6 +16,8 @@ from pinav.forces import KernelPotential
 from pinav.scenarios import barrier_crossings
 from pinav.trajectories import Trajectories, simulate
 
+pytestmark = pytest.mark.slow
+
 CONSTANTS = {
     "damping": lambda m: m.drag.damping,
     "gain": lambda m: m.propulsion.gain,

@@ -20,6 +20,8 @@ from pinav.forces import (
 from pinav.scenarios import barrier_crossings
 from pinav.trajectories import Trajectories, simulate
 
+pytestmark = pytest.mark.slow
+
 NOISE = 0.02
 BARRIER = GaussianBarrier(2.0, [1.0, 0.5], 1.2)
 

@@ -30,6 +30,8 @@ from pinav.forces import (
 from pinav.scenarios import barrier_crossings
 from pinav.trajectories import Trajectories, simulate
 
+pytestmark = pytest.mark.slow
+
 NOISE = 0.02
 
 

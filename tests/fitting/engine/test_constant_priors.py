@@ -16,6 +16,8 @@ from pinav.scenarios import barrier_crossings
 from pinav.systems.priors import FreeNumber, LogNormal, Normal
 from pinav.trajectories import simulate
 
+pytestmark = pytest.mark.slow
+
 PRIORS = {"normal": Normal(0.7, 0.2), "log-normal": LogNormal(0.7, 0.3)}
 NOISE = 0.5
 

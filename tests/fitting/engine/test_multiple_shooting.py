@@ -18,6 +18,8 @@ from pinav.fitting.matching.objectives import Observations
 from pinav.forces import KernelForce, KernelPotential, LinearDrag, ZeroForce
 from pinav.trajectories import Trajectories
 
+pytestmark = pytest.mark.slow
+
 SOLVER = FixedStep(RK4)
 CENTERS = jnp.array([[0.0, 0.0], [1.0, 0.2], [0.4, 1.1]])
 ENVIRONMENTS = {

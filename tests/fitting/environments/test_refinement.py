@@ -29,6 +29,8 @@ from pinav.forces import (
 )
 from pinav.trajectories import Trajectories
 
+pytestmark = pytest.mark.slow
+
 NOISE = 0.003
 LINE, PLANE = ("x",), ("x", "y")
 STARTS = (0.0, 0.2)

@@ -59,6 +59,7 @@ def test_little_loss_is_enough_however_the_fit_ended():
     assert _has_failed(ended(Outcome.DIVERGED, 9.0, np.nan), 1e9)
 
 
+@pytest.mark.slow
 def test_a_fit_that_ended_well_has_one_attempt(data):
     options = {"trainable": lambda m: m.environment.height, "dtype": jnp.float64}
     recipes = ((Adam(1e-2, 2),), (Adam(1e-2, 3),))

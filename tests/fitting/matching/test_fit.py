@@ -33,6 +33,8 @@ from pinav.forces import (
 )
 from pinav.trajectories import Trajectories, bootstrap
 
+pytestmark = pytest.mark.slow
+
 BARRIER = GaussianBarrier(height=2.0, center=[1.0, 0.2], width=0.8)
 TRUTH = Swimmer(
     MagneticPropulsion(RotatingField(1.0, 2.0), [0.0, 0.0, 1.0], 0.3, [0.0, 1.0]),

@@ -25,6 +25,8 @@ from pinav.forces import (
 )
 from pinav.trajectories import Trajectories
 
+pytestmark = pytest.mark.slow
+
 TRUTH = OverdampedSwimmer(
     HarmonicTrap(0.6, [1.0, 0.0]), GaussianBarrier(0.8, [0.1, 0.1], 0.7), 0.9
 )

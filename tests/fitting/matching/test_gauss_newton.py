@@ -93,6 +93,7 @@ def windows(data, name, window):
     return Windows.of(problem, params, *inputs), ravel_pytree(params)[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "window"),
     [("network", 1), ("network and damping", 100), ("black box", 4), ("barrier", 4)],
@@ -166,6 +167,7 @@ def test_the_curriculum_fits_kernels_and_compiles_once(data):
     assert _run_chunk._cached._cache_size() == compiled + 1
 
 
+@pytest.mark.slow
 def test_barrier_and_damping_are_found_exactly(data):
     start = eqx.tree_at(
         lambda s: (s.environment.height, s.drag.damping), TRUTH, (1.0, 0.2)

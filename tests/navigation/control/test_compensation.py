@@ -33,6 +33,8 @@ from pinav.navigation.task.task import Task
 from pinav.navigation.task.zones import Rectangle
 from pinav.navigation.trials.closed_loop import advance, begin, observe
 
+pytestmark = pytest.mark.slow
+
 ROLLING = RollingActuator(jnp.eye(2), LinearResponse())
 BARRIER = GaussianBarrier(2.0, [1.0, 1.0], 1.0)
 MODELS = {

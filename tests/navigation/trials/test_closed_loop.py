@@ -25,6 +25,8 @@ from pinav.navigation.task.zones import Disc, Rectangle
 from pinav.navigation.trials import closed_loop
 from pinav.navigation.trials.closed_loop import run, run_many
 
+pytestmark = pytest.mark.slow
+
 KEY = jax.random.key(3)
 KEYS = jax.random.split(KEY, 600)
 DELAYS = [0.0, 0.04, 0.25, 0.3]

@@ -308,6 +308,7 @@ TIDY_FILES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TIDY_FILES)
 def test_real_tidy_file_is_read_whole(recording, name):
     """Counts as its README states them; single rows and repeated times are named."""

@@ -45,6 +45,7 @@ from pinav.forces import (
     TensorDrag,
     TimedKernelPotential,
     ZeroForce,
+    as_learned,
     paper_force,
     spread_weights,
     tanh_network,
@@ -131,9 +132,10 @@ class DataSummary(msgspec.Struct, frozen=True):
 
     def with_kernels_of(self, environment: AbstractForce) -> "DataSummary":
         """The summary of a fitted model, whose kernels may be finer than at first."""
-        kernels = getattr(environment, "kernels", None)
-        if kernels is None:
+        learned = as_learned(environment)
+        if learned is None or learned.kernels is None:
             return self
+        kernels = learned.kernels
         return msgspec.structs.replace(
             self,
             centers=np.asarray(kernels.centers).tolist(),

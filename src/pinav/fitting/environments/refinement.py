@@ -73,12 +73,12 @@ class Refinement(eqx.Module):
             environment: one whose kernels are too coarse.
             trajectories: what it is fitted to.
         """
-        dim, width = environment.dim, environment.kernel_width
-        if width is None:
+        dim, kernels = environment.dim, environment.kernels
+        if kernels is None:
             return None
         seen = trajectories.observed[..., :dim].all(axis=-1)
         extent = np.ptp(trajectories.states[..., :dim][seen], axis=0).max()
-        grid = KernelGrid(across=round(self.factor * extent / float(width)))
+        grid = KernelGrid(across=round(self.factor * extent / float(kernels.width)))
         made = environment.kernels_on(*lay_kernels(trajectories, grid, dim))
         return made if num_weights(made) <= self.max_weights else None
 
