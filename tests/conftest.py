@@ -13,6 +13,7 @@ os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")  # thi
 os.environ["JAX_COMPILATION_CACHE_MAX_SIZE"] = str(2**31)  # which locks it, too
 os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
 
+import equinox as eqx
 import hypothesis
 import jax
 import jaxtyping
@@ -31,11 +32,19 @@ hypothesis.settings.load_profile("no deadline")  # other work may slow the machi
 gc.set_threshold(50_000, 20, 100)  # as the command line does
 
 
+MANY_MAPPINGS = 20_000
+"""Regions of memory from which on compiled programs are let go."""
+
+
 @pytest.fixture(scope="module", autouse=True)
-def _keep_compiled_programs_out_of_garbage_collection():
-    """What a module has traced and compiled stays: it need not be searched again."""
+def _let_compiled_programs_go():
+    """Each compiled program holds several of the 65 530 regions that Linux allows."""
     yield
-    gc.freeze()
+    regions = Path("/proc/self/maps")
+    if regions.exists() and regions.read_bytes().count(b"\n") > MANY_MAPPINGS:
+        eqx.clear_caches()
+        jax.clear_caches()
+        gc.collect()
 
 
 def pytest_configure(config):

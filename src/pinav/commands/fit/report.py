@@ -107,7 +107,7 @@ def _learned_force(
         content.append(
             _one_row(
                 errors,
-                "Relative L2 error of the force against the scenario's truth, on grid "
+                "Relative L2 error of the force against the system's truth, on grid "
                 "points within 0.35 of a sample, within 1.0, and on the whole grid.",
             )
         )
