@@ -219,7 +219,7 @@ def test_the_rate_for_diffrax_is_that_of_the_swimmer(data):
     from benchmarks.fit import diffrax_adam
 
     model = scenario("paper").swimmer.with_environment(paper_force(jax.random.key(5)))
-    network = diffrax_adam.with_zero_weights(5)
+    network = diffrax_adam.untrained(5)
     y = jnp.array([1.0, 2.0, -0.5, 0.7])
     rate = diffrax_adam.vector_field(data["paper"])(jnp.asarray(3.0), y, network)
     assert jnp.allclose(rate, model(jnp.asarray(3.0), y), atol=1e-12)

@@ -190,7 +190,7 @@ def test_too_many_weights_are_refused(walk):
 def test_only_parts_that_have_a_say_are_asked(walk):
     mixture = kernel_environment(KernelMixture, walk, dim=2)
     first, second = np.log([0.5, 9.0, 1.0, 1.0]), np.log([3.0, 9.0, 1.0, 1.0])
-    ask = Refinement().wanted
+    ask = Refinement().is_needed
     assert ask(mixture, np.concatenate([first, second, [0.0]]))
     assert ask(mixture, np.concatenate([second, first, [0.0]]))
     assert not ask(mixture, np.concatenate([second, second, [0.0]]))
