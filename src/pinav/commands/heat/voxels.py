@@ -192,8 +192,8 @@ def _masks(case: Case, image: Image) -> dict[str, Bool[np.ndarray, "..."]]:
     for label, count in zip(labels.tolist(), counts.tolist(), strict=True):
         if label not in known:
             raise InputError(
-                f"{path}: expected labels of tissues, {', '.join(map(str, known))}; got "
-                f"{label} in {count} voxels; add a table of tissues with it"
+                f"{path}: expected labels of tissues, {', '.join(map(str, known))}; "
+                f"got {label} in {count} voxels; add a table of tissues with it"
             )
     for label, name in known.items():
         if label not in labels:
