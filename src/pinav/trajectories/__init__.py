@@ -15,6 +15,8 @@ from pinav.trajectories.metadata import FORMAT as FORMAT
 from pinav.trajectories.selection import Split as Split
 from pinav.trajectories.selection import bootstrap as bootstrap
 from pinav.trajectories.selection import concatenate as concatenate
+from pinav.trajectories.selection import informative_rows as informative_rows
+from pinav.trajectories.selection import informative_samples as informative_samples
 from pinav.trajectories.selection import split as split
 from pinav.trajectories.selection import with_missing_channels as with_missing_channels
 from pinav.trajectories.selection import with_velocities as with_velocities

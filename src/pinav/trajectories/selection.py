@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import PRNGKeyArray
+from jaxtyping import Float, Int, PRNGKeyArray
 
 from pinav.errors import InputError
 from pinav.systems import velocity_unit
@@ -131,3 +131,42 @@ def concatenate(several: Sequence[Trajectories]) -> Trajectories:
     provenance = {"concatenated": [part.provenance for part in several]}
     pieces = [piece for part in several for piece in part]
     return Trajectories.from_pieces(pieces, first.channels, first.units, provenance)
+
+
+def informative_samples(
+    trajectories: Trajectories, most: int
+) -> Int[np.ndarray, "sample 2"]:
+    """Some samples after the first ones, more of them where the states change quickly.
+
+    Args:
+        trajectories: what was observed.
+        most: how many are chosen, or fewer.
+
+    Returns:
+        Trajectory and sample of each.
+    """
+    counted = np.arange(trajectories.states.shape[1]) < trajectories.lengths[:, None]
+    counted[:, 0] = False
+    return np.argwhere(counted)[informative_rows(trajectories.states[counted], most)]
+
+
+def informative_rows(
+    states: Float[np.ndarray, "sample state"], most: int
+) -> Int[np.ndarray, " row"]:
+    """Rows of a table of states: half evenly in their order, half along the path.
+
+    The length of the path is that of the standardised states.
+
+    Args:
+        states: in the order of time.
+        most: how many are chosen, or fewer.
+    """
+    count = len(states)
+    if count <= most:
+        return np.arange(count)
+    spread = states.std(axis=0)
+    scaled = states / np.where(spread > 0, spread, 1.0)
+    lengths = np.linalg.norm(np.diff(scaled, axis=0, prepend=scaled[:1]), axis=1)
+    share = lengths / max(lengths.sum(), np.finfo(float).tiny)
+    passed = np.floor(np.cumsum(0.5 / count + 0.5 * share) * most)
+    return np.flatnonzero(np.diff(passed, prepend=-1.0) > 0)

@@ -22,7 +22,7 @@ from pinav.dynamics import (
     paper_black_box,
 )
 from pinav.errors import InputError
-from pinav.fitting.environments.gradient_matching import matched_grid
+from pinav.fitting.environments.gradient_matching import force_region, matched_grid
 from pinav.fitting.environments.kernels import (
     WITHOUT_PRIOR,
     KernelGrid,
@@ -167,7 +167,10 @@ def summarise_data(data: Trajectories, grid: KernelGrid = WITHOUT_PRIOR) -> Data
 def summarise_for_matching(
     choice: ModelChoice, swimmer: Any, data: Trajectories
 ) -> DataSummary:
-    """The summary of trajectories without noise; kernels as fine as they ask for.
+    """The summary of trajectories without noise.
+
+    Kernels are as fine as the data ask for, and the positions that a network sees are
+    standardised where the force acts.
 
     Args:
         choice: the model.
@@ -176,7 +179,16 @@ def summarise_for_matching(
     """
     kernels = choice.name.startswith("kernel-")
     grid = matched_grid(swimmer, data) if kernels else None
-    return summarise_data(data, grid or WITHOUT_PRIOR)
+    summary = summarise_data(data, grid or WITHOUT_PRIOR)
+    region = force_region(swimmer, data) if choice.name in POSITION_NETWORKS else None
+    if region is None:
+        return summary
+    dim = summary.dim
+    return msgspec.structs.replace(
+        summary,
+        mean=(*map(float, region.center), *summary.mean[dim:]),
+        std=(*[region.radius] * dim, *summary.std[dim:]),
+    )
 
 
 def summarise_for(choice: ModelChoice, data: Trajectories) -> DataSummary:
@@ -295,6 +307,9 @@ def _paper_black_box(
     del swimmer, summary
     return paper_black_box(jax.random.key(choice.seed))
 
+
+POSITION_NETWORKS = ("neural-potential", "neural-force", "ude")
+"""Models whose network sees standardised positions."""
 
 TIMED = "kernel-potential-time"
 """The model whose environment changes with time and has a prior."""

@@ -24,7 +24,7 @@ from pinav.dynamics import AbstractDynamics, Swimmer
 from pinav.fitting.environments.kernels import KernelGrid, lay_kernels
 from pinav.fitting.matching.distillation import Rates
 from pinav.forces import KernelForce, KernelPotential, ZeroForce
-from pinav.trajectories import Trajectories
+from pinav.trajectories import Trajectories, informative_rows
 
 DEGREE = 7
 """Of the splines: exact states deserve more than a cubic."""
@@ -62,8 +62,8 @@ def observed_rates(trajectories: Trajectories) -> Rates | None:
 
 
 def _thin(rates: Rates, most: int) -> Rates:
-    stride = -(-len(rates.times) // most)
-    return jax.tree.map(lambda array: array[::stride], rates)
+    rows = informative_rows(rates.states, most)
+    return jax.tree.map(lambda array: array[rows], rates)
 
 
 def match_kernels(
@@ -152,6 +152,49 @@ def matched_grid(swimmer: Any, trajectories: Trajectories) -> KernelGrid | None:
     """The grid of kernels that exact data ask for; None where gradients do not tell."""
     rates = observed_rates(trajectories) if isinstance(swimmer, Swimmer) else None
     return None if rates is None else match_kernels(swimmer, rates, trajectories)[1]
+
+
+class ForceRegion(NamedTuple):
+    """Where the unknown force acts.
+
+    Attributes:
+        center: mean position, weighted by the magnitude of the force [L].
+        radius: root-mean-square distance from it for each direction [L].
+    """
+
+    center: Float[np.ndarray, " dim"]
+    radius: float
+
+
+def force_region(swimmer: Any, trajectories: Trajectories) -> ForceRegion | None:
+    """Where the force that the known physics leave unexplained acts.
+
+    A network whose positions are standardised by this region begins with a force that
+    varies over the right distance, however far the swimmer coasts beyond it.
+
+    Args:
+        swimmer: the known physics.
+        trajectories: what was observed.
+
+    Returns:
+        The region; None where gradients do not tell, or nothing acts.
+    """
+    rates = observed_rates(trajectories) if isinstance(swimmer, Swimmer) else None
+    if rates is None:
+        return None
+    positions = rates.states[:, : rates.states.shape[1] // 2]
+    sizes = np.linalg.norm(_residual_forces(swimmer, rates), axis=1)
+    spread = float(np.sqrt(positions.var(axis=0).mean()))
+    if not (sizes.sum() > 0 and spread > 0):
+        return None
+    weights = sizes / sizes.sum()
+    center = weights @ positions
+    radius = float(np.sqrt((weights @ (positions - center) ** 2).mean()))
+    return ForceRegion(center, max(radius, LEAST_RADIUS * spread))
+
+
+LEAST_RADIUS = 0.02
+"""Of a region where a force acts, in standard deviations of the positions."""
 
 
 def simpler_models(

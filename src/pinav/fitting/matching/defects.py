@@ -15,28 +15,23 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
 from pinav.dynamics import RK4, FixedStep
 from pinav.errors import InputError
-from pinav.fitting.matching.damped_phase import AbstractDampedPhase, DampedState
-from pinav.fitting.matching.gauss_newton import DampedStep, chord
+from pinav.fitting.matching.damped_phase import AbstractRolloutPhase, DampedStep
+from pinav.fitting.matching.gauss_newton import chord
 from pinav.fitting.matching.windows import Windows
 
 
-class DefectMatching(AbstractDampedPhase):
+class DefectMatching(AbstractRolloutPhase):
     """Damped Gauss-Newton steps on propagated defects, with the whole Jacobian.
 
+    Errors begin anew at zero where a window begins.
+
     Attributes:
-        window: samples between two restarts, where the errors begin anew at zero; an
-            array, so that phases which differ in it alone share one compilation.
-        target: root-mean-square error at which the phase ends.
-        damping: of the first step.
-        patience: steps in a row that gain less than a twentieth, after which it ends.
-        steps: number of steps at most.
-        linearisation: solver of the derivatives; that of the objective decides where
-            the solution is.
+        samples: the (trajectory, step) whose errors count; all unless given. A few
+            hundred tell what a network can represent.
 
     Raises:
         InputError: `steps` is not positive.
@@ -44,10 +39,14 @@ class DefectMatching(AbstractDampedPhase):
 
     window: Int[Array, ""] = eqx.field(converter=jnp.asarray)
     target: Float[Array, ""] = eqx.field(converter=lambda x: jnp.asarray(x, float))
+    samples: Int[Array, "sample 2"] | None = None
     damping: Float[Array, ""] = eqx.field(
         converter=lambda x: jnp.asarray(x, float), default=1e-2
     )
-    patience: int = eqx.field(static=True, default=2)
+    patience: Int[Array, ""] = eqx.field(converter=jnp.asarray, default=3)
+    converged: Float[Array, ""] = eqx.field(
+        converter=lambda x: jnp.asarray(x, float), default=0.0
+    )
     steps: int = eqx.field(static=True, default=20)
     linearisation: FixedStep = FixedStep(RK4)
 
@@ -59,38 +58,30 @@ class DefectMatching(AbstractDampedPhase):
     def name(self):
         return f"Defects, L = {int(self.window)}"
 
-    @property
-    def num_steps(self):
-        return self.steps
-
-    @property
-    def chunk_steps(self):
-        return 1
-
-    def init(self, loss, params, value):
-        return DampedState.begin(self.damping.astype(value.dtype), value)
-
-    def take_step(self, problem, params, state):
-        theta, unravel = ravel_pytree(params)
-        windows = Windows.of(problem, params, self.window, self.linearisation)
+    def best_step(self, windows, theta, state):
         errors = windows.propagated_defects(theta)
-        residual = errors(theta)
-        starts = problem.observations.states[:, :-1]
-        linear = residual, windows.jacobian(theta, starts)
-        step = full_step(errors, theta, linear, state.damping)
-        squares = step.left * (residual @ residual)
-        slow = jnp.where(step.left > SLOW, state.slow + 1, 0)
-        small = squares < windows.count * self.target**2
-        done = small | (slow >= self.patience)
-        state = DampedState(step.damping, slow, squares, done)
-        return unravel(step.theta), state, residual @ residual
+        starts = windows.problem.observations.states[:, :-1]
+        jacobian = self._chosen(windows, windows.jacobian(theta, starts))
+
+        def residuals(theta):
+            return self._chosen(windows, errors(theta))
+
+        linear = residuals(theta), jacobian
+        return full_step(residuals, theta, linear, state.damping)
+
+    def _chosen(
+        self, windows: Windows, rows: Float[Array, "residual ..."]
+    ) -> Float[Array, "row ..."]:
+        """The rows of the samples that count."""
+        if self.samples is None:
+            return rows
+        data = windows.problem.observations.states[:, 1:]
+        each = rows.reshape(*data.shape, *rows.shape[1:])
+        return each[tuple(self.samples.T)].reshape(-1, *rows.shape[1:])
 
 
 DAMPINGS = (0.01, 0.1, 1.0, 10.0)
 """Dampings that are tried at once, in units of that of the last step."""
-
-SLOW = 0.9
-"""Share of the squares that a slow step leaves."""
 
 CHORD_STEPS = 3
 """Iterations with the Jacobian held."""
@@ -143,14 +134,18 @@ def full_step(
             newton,
             CHORD_STEPS,
         )
-        return move(best), lowest
+        along = jax.scipy.linalg.cho_solve((factor, True), pull_back(residual))
+        across = pull_back(residual) if tall else normal @ residual
+        return move(best), lowest, across @ along
 
-    moves, costs = jax.vmap(attempt)(dampings)
+    # One after the other: LAPACK's batched solves wait for threads of the very pool
+    # they run on, and on few cores never end.
+    moves, costs, gains = jax.lax.map(attempt, dampings)
     best, cost = jnp.argmin(costs), residual @ residual
     lower = costs[best] < cost
     return DampedStep(
         theta=jnp.where(lower, theta + moves[best], theta),
         damping=jnp.where(lower, dampings[best], 100.0 * damping),
         left=jnp.where(lower, costs[best] / cost, 1.0),
-        promised=jnp.ones((), theta.dtype),
+        promised=gains[0] / cost,
     )

@@ -8,8 +8,9 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from pinav.errors import InputError
-from pinav.fitting.matching.damped_phase import AbstractDampedPhase, DampedState
-from pinav.fitting.matching.gauss_newton import damped_step
+from pinav.fitting.matching.damped_phase import SLOW, AbstractDampedPhase, DampedState
+from pinav.fitting.matching.defects import full_step
+from pinav.fitting.outcome import Outcome
 
 
 class Rates(eqx.Module):
@@ -41,8 +42,7 @@ class Distillation(AbstractDampedPhase):
     Attributes:
         targets: the rates.
         steps: number of steps at most.
-        rank: columns of the random projection.
-        patience: steps in a row that gain less than a fiftieth, after which it ends.
+        patience: steps in a row that gain less than a tenth, after which it ends.
 
     Raises:
         InputError: `steps` is not positive.
@@ -50,7 +50,6 @@ class Distillation(AbstractDampedPhase):
 
     targets: Rates = eqx.field(converter=_on_device)
     steps: int = eqx.field(static=True, default=40)
-    rank: int = eqx.field(static=True, default=192)
     patience: int = eqx.field(static=True, default=5)
 
     def __check_init__(self):
@@ -73,6 +72,9 @@ class Distillation(AbstractDampedPhase):
         damping = jnp.asarray(DAMPING, value.dtype)
         return DampedState.begin(damping, value)
 
+    def outcome(self, state):
+        return jnp.asarray(Outcome.COMPLETED)
+
     def take_step(self, problem, params, state):
         theta, unravel = ravel_pytree(params)
 
@@ -93,24 +95,17 @@ class Distillation(AbstractDampedPhase):
         jacobian = jax.vmap(jax.jacrev(rate), (None, 0, 0))(
             theta, self.targets.times, self.targets.states
         ).reshape(-1, theta.shape[0])
-        step = damped_step(
-            residuals,
-            theta,
-            (residuals(theta), jacobian),
-            state.damping,
-            rank=self.rank,
-            num_dampings=5,
-            chord_steps=5,
-        )
-        slow = jnp.where(step.left < 0.96, 0, state.slow + 1)
+        step = full_step(residuals, theta, (residuals(theta), jacobian), state.damping)
+        slow = jnp.where(step.left < SLOW, 0, state.slow + 1)
         error = jnp.sqrt(jnp.mean(residuals(step.theta) ** 2))
         done = (slow >= self.patience) | (error < DISTILLED)
-        state = DampedState(step.damping, slow, state.value, done)
-        return unravel(step.theta), state, state.value
+        after = (step.damping, slow, done)
+        state = eqx.tree_at(lambda s: (s.damping, s.slow, s.done), state, after)
+        return unravel(step.theta), state
 
 
 DAMPING = 1e3
 """Of the first step: with less, a third of the networks saturate and learn no more."""
 
-DISTILLED = 1e-2
+DISTILLED = 2e-3
 """Relative error of the rates at which rollouts tell more."""

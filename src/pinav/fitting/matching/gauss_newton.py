@@ -13,17 +13,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from pinav.dynamics import FixedStep
 from pinav.errors import InputError
-from pinav.fitting.matching.phases import AbstractPhase
-from pinav.fitting.matching.windows import Windows
-from pinav.fitting.outcome import Outcome
+from pinav.fitting.matching.damped_phase import AbstractRolloutPhase, DampedStep
 
 
-class GaussNewton(AbstractPhase):
+class GaussNewton(AbstractRolloutPhase):
     r"""Damped Gauss-Newton steps on rollouts of `window` samples.
 
     Each step factors the Jacobian as $J \approx U S V^\top$ of rank `rank`, tries
@@ -32,22 +29,10 @@ class GaussNewton(AbstractPhase):
     with the true residuals r and the Jacobian held (chord steps), which follows the
     curvature of the network far beyond the linear model. The best point wins.
 
-    The phase is done when the full rollout is good enough (`target`), when `patience`
-    steps in a row gained less than a tenth, or when nothing lower is found.
-
     Attributes:
-        window: samples between two restarts; an array, so that phases which differ
-            in it alone share one compilation.
-        target: root-mean-square residual of the full rollout at which the phase ends.
-        patience: slow steps in a row after which it ends.
-        converged: residual of the full rollout below which a fit that ended counts as
-            converged, whatever ended it.
-        steps: number of steps at most.
         rank: columns of the random projection.
         chord_steps: inner iterations with the Jacobian held.
         num_dampings: dampings tried per step, a factor of ten apart.
-        linearisation: solver of the Jacobian and of the trial points. It may be
-            cruder than that of the objective, which decides where the solution is.
 
     Raises:
         InputError: a number is not positive.
@@ -62,6 +47,9 @@ class GaussNewton(AbstractPhase):
     patience: Int[Array, ""] = eqx.field(converter=jnp.asarray, default=2)
     converged: Float[Array, ""] = eqx.field(
         converter=lambda x: jnp.asarray(x, float), default=0.0
+    )
+    damping: Float[Array, ""] = eqx.field(
+        converter=lambda x: jnp.asarray(x, float), default=1e-2
     )
     steps: int = eqx.field(static=True, default=20)
     rank: int = eqx.field(static=True, default=64)
@@ -80,45 +68,9 @@ class GaussNewton(AbstractPhase):
     def name(self):
         return f"L = {int(self.window)}"
 
-    @property
-    def num_steps(self):
-        return self.steps
-
-    @property
-    def chunk_steps(self):
-        return 1
-
-    def init(self, loss, params, value):
-        theta, _ = ravel_pytree(params)
-        return _State(
-            damping=jnp.asarray(1e-2, theta.dtype),
-            slow=jnp.zeros((), int),
-            full=jnp.sqrt(
-                value / Windows.of(loss, params, self.window, self.linearisation).count
-            ),
-            promised=jnp.ones((), theta.dtype),
-            coloured=jnp.ones((), bool),
-            done=jnp.zeros((), bool),
-        )
-
-    @property
-    def side_by_side(self):
-        return False
-
-    def step(self, loss, params, state):
-        windows = Windows.of(loss, params, self.window, self.linearisation)
-        value = windows.count * state.full**2
-        return jax.lax.cond(
-            state.done,
-            lambda: (params, state, value),
-            lambda: (*self._take_step(windows, params, state), value),
-        )
-
-    def _take_step(self, windows: Windows, params, state):
-        """Parameters and state after a step that is taken."""
-        theta, unravel = ravel_pytree(params)
+    def best_step(self, windows, theta, state):
         starts, residual, surrogate = windows.surrogate(theta)
-        step = damped_step(
+        return damped_step(
             surrogate,
             theta,
             (residual, windows.jacobian(theta, starts)),
@@ -127,64 +79,6 @@ class GaussNewton(AbstractPhase):
             num_dampings=self.num_dampings,
             chord_steps=self.chord_steps,
         )
-        full, coloured = windows.full_error(step.theta)
-        slow = jnp.where(step.left > 0.81, state.slow + 1, 0)
-        done = (full < self.target) | (slow >= self.patience)
-        state = _State(step.damping, slow, full, step.promised, coloured, done)
-        return unravel(step.theta), state
-
-    def finish(self, loss, params, state):
-        return params
-
-    def is_done(self, state):
-        return state.done
-
-    def outcome(self, state):
-        exact = state.full < jnp.maximum(self.target, self.converged)
-        spent = state.promised < NEGLIGIBLE
-        noise = spent & ~state.coloured
-        ended = jnp.where(spent, Outcome.MISFIT, Outcome.STALLED)
-        return jnp.where(exact | noise, Outcome.CONVERGED, ended)
-
-
-NEGLIGIBLE = 1e-3
-"""Share of the squares that a linear step promises to save, below which none counts."""
-
-
-class _State(eqx.Module):
-    """Where a phase stands.
-
-    Attributes:
-        damping: of the step taken last.
-        slow: slow steps in a row.
-        full: root-mean-square residual of the full rollout.
-        promised: share of the squares that the linear model promised to save.
-        coloured: whether neighbouring residuals of the full rollout are alike.
-        done: whether the phase has ended.
-    """
-
-    damping: Float[Array, ""]
-    slow: Int[Array, ""]
-    full: Float[Array, ""]
-    promised: Float[Array, ""]
-    coloured: Bool[Array, ""]
-    done: Bool[Array, ""]
-
-
-class DampedStep(eqx.Module):
-    """Where the best of several damped steps leads.
-
-    Attributes:
-        theta: the parameters; those before where no step lowers the squares.
-        damping: of that step, or of the next one to try.
-        left: share of the sum of squares that is left.
-        promised: share of the squares that the linear model promised to save.
-    """
-
-    theta: Float[Array, " parameter"]
-    damping: Float[Array, ""]
-    left: Float[Array, ""]
-    promised: Float[Array, ""]
 
 
 def damped_step(

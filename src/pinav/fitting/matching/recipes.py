@@ -2,13 +2,14 @@
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Int
 
 from pinav.errors import InputError
 from pinav.fitting.matching.defects import DefectMatching
 from pinav.fitting.matching.distillation import Distillation, Rates
 from pinav.fitting.matching.gauss_newton import GaussNewton
 from pinav.fitting.matching.phases import LBFGS, AbstractPhase, Adam
-from pinav.trajectories import Trajectories
+from pinav.trajectories import Trajectories, informative_samples
 
 
 def paper_recipe(
@@ -92,12 +93,21 @@ def defect_recipe(
         )
     last, spread = int(trajectories.lengths.max()) - 1, _spread(trajectories)
 
-    def match(window: int) -> DefectMatching:
-        return DefectMatching(jnp.asarray(window), precision * spread, steps=max_steps)
+    def match(
+        window: int, samples: Int[np.ndarray, "sample 2"] | None
+    ) -> DefectMatching:
+        return DefectMatching(
+            jnp.asarray(window),
+            precision * spread,
+            None if samples is None else jnp.asarray(samples),
+            converged=CONVERGED * spread,
+            steps=max_steps,
+        )
 
-    first = match(1) if rates is None else Distillation(rates)
-    full = _full_rollout(last, spread, precision, max_steps)
-    return first, match(last), full
+    if rates is None:
+        return match(1, None), match(last, None)
+    samples = informative_samples(trajectories, MOST_SAMPLES) - np.array([0, 1])
+    return Distillation(rates), match(last, samples)
 
 
 def is_complete(trajectories: Trajectories) -> bool:
@@ -120,6 +130,9 @@ def _full_rollout(
         steps=max_steps,
     )
 
+
+MOST_SAMPLES = 320
+"""Samples whose errors a network is trained on at once, at most."""
 
 CONVERGED = 1e-4
 """Residual of a full rollout that counts as converged, in units of the spread."""
