@@ -113,13 +113,14 @@ def plane_map(
     """
     ax = prepare_axes(ax)
     shown = np.log10(np.maximum(values, 1e-3)) if logarithmic else values
+    lowest, highest = np.nanmin(shown), np.nanmax(shown)
     extent = [1e3 * n * h for n, h in zip(values.shape, spacing, strict=True)]
     image = ax.imshow(
         shown.T, origin="lower", extent=(0.0, extent[0], 0.0, extent[1]), cmap="inferno"
     )
     at = np.log10(levels) if logarithmic else np.asarray(levels)
     within = [(a, v) for a, v in zip(at, levels, strict=True)]
-    within = [(a, v) for a, v in within if shown.min() < a < shown.max()]
+    within = [(a, v) for a, v in within if lowest < a < highest]
     centers = [
         1e3 * h * (np.arange(n) + 0.5)
         for n, h in zip(values.shape, spacing, strict=True)
@@ -165,6 +166,41 @@ def probe_curves(
             at, values = readings
             ax.plot(at / 60, values[:, index], ".", color=color, ms=2, alpha=0.5)
         ax.plot(times / 60, predicted[:, index], color=color, lw=THIN, label=name)
+    label_axes(ax, "time [min]", "temperature [°C]")
+    add_legend(ax, columns=2)
+    return ax
+
+
+def forecast_curves(
+    times: Float[np.ndarray, " time"],
+    values: Mapping[str, Float[np.ndarray, " time"]],
+    sd: Mapping[str, Float[np.ndarray, " time"]],
+    *,
+    true: Float[np.ndarray, "curve time"] | None = None,
+    fitted_until: float,
+    ax: Axes | None = None,
+) -> Axes:
+    """Predicted temperatures with their 95 % bands.
+
+    Args:
+        times: [s].
+        values: [°C], by what the legend says.
+        sd: their standard deviations [K], under the same names.
+        true: the same curves of the truth, unless it is not known.
+        fitted_until: time [s] of the last reading that was fitted.
+        ax: where to draw; a new figure unless given.
+    """
+    ax = prepare_axes(ax)
+    minutes = times / 60
+    for curve in () if true is None else true:
+        ax.plot(minutes, curve, color=BLACK, lw=WIDE, alpha=0.5)
+    for color, (name, curve) in zip(SPARE, values.items(), strict=False):
+        half = 1.96 * sd[name]
+        ax.fill_between(
+            minutes, curve - half, curve + half, color=color, alpha=0.3, lw=0
+        )
+        ax.plot(minutes, curve, color=color, lw=THIN, label=name)
+    ax.axvline(fitted_until / 60, color=GREY, lw=0.8, ls=(0, (4, 2)), zorder=1)
     label_axes(ax, "time [min]", "temperature [°C]")
     add_legend(ax, columns=2)
     return ax

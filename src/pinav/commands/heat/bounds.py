@@ -50,6 +50,12 @@ class Strict(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 ADVICE = {
     "absorption": "give W/kg",
     "perfusion": "give a perfusion in its unit",
+    "after": "give seconds",
+    "coefficient": "give the change of the shift per kelvin, about -1e-8",
+    "echo": "give seconds",
+    "magnet": "give tesla",
+    "turn": "give the temperature in kelvin that a turn of the phase is",
+    "until": "give seconds",
     "ambient": "give it in °C, which is kelvins less 273.15",
     "amplitudes": "give A/m; 1 mT are 796 A/m",
     "axis": "give metres",

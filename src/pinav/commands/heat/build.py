@@ -49,6 +49,7 @@ from pinav.thermal.sources import (
     EddySource,
     ParticleSource,
     PowerSource,
+    ShiftedSource,
     axis_distance,
 )
 from pinav.thermal.starts import AbstractStart, AtSteadyState
@@ -135,7 +136,7 @@ def _stepper(case: Case, model: Bioheat) -> AbstractStepper:
         return default_stepper(model)
     if len(model.grid.shape) == 1:
         return Rosenbrock(case.step)
-    return RKL2(longest=case.step)
+    return RKL2.for_step(model, case.step)
 
 
 def _source(case: Case, body: Body, folder: Path) -> AbstractSource:
@@ -146,8 +147,9 @@ def _source(case: Case, body: Body, folder: Path) -> AbstractSource:
     values = None if file is None else read_heating(heating, folder / file, body)
     if isinstance(heating, Absorption):
         assert values is not None
-        power = jnp.asarray(values * body.tissue.density)
-        return PowerSource(power, heating.reference, heating.scale)
+        absorption = jnp.asarray(values)
+        source = PowerSource(absorption, heating.reference, heating.scale)
+        return ShiftedSource(source, jnp.zeros(values.ndim), body.tissue.density)
     concentration = values
     if not isinstance(heating.concentration, str):
         concentration = heating.concentration * body.target  # mg/cm³ are kg/m³

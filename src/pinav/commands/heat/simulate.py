@@ -17,6 +17,7 @@ from pinav.commands.heat.metrics import RunMetrics
 from pinav.commands.heat.task import AbstractTask, TaskResult
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.exposure_limits import require, validity_warnings
+from pinav.thermal.grids import AbstractGrid
 from pinav.thermal.probes import ProbeData
 from pinav.thermal.protocols import Piecewise
 from pinav.thermal.solve import Solution, probes_at, solve
@@ -82,9 +83,14 @@ def simulate_run(
     if setup.target.ndim == 1:
         arrays["radius"] = np.asarray(model.grid.distances())
     else:
-        halves = [model.grid.half_widths(axis) for axis in range(setup.target.ndim)]
-        arrays["spacing"] = np.array([2 * float(h.reshape(-1)[0]) for h in halves])
+        arrays["spacing"] = spacing(model.grid)
     return run_metrics(model, protocol, solution), arrays
+
+
+def spacing(grid: AbstractGrid) -> np.ndarray:
+    """Edges of the cells of a box [m]."""
+    halves = [grid.half_widths(axis) for axis in range(len(grid.shape))]
+    return np.array([2 * float(h.reshape(-1)[0]) for h in halves])
 
 
 def run_metrics(model: Bioheat, protocol: Piecewise, solution: Solution) -> RunMetrics:
