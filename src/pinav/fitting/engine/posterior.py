@@ -122,7 +122,7 @@ class Posterior(eqx.Module):
             times = jnp.asarray(ts, jnp.float64)
             start = jnp.asarray(y0, jnp.float64)
             theta = jnp.asarray(self.mean)
-            ys, columns = _linear_rollout(self.free, theta, start, times, solver)
+            ys, columns = linear_rollout(self.free, theta, start, times, solver)
         states = np.shape(start)[0]
         start_variance = np.broadcast_to(np.asarray(start_sd, float) ** 2, (states,))
         total = np.zeros((len(self.mean) + states,) * 2)
@@ -146,13 +146,22 @@ def _force_jacobians(
 
 
 @eqx.filter_jit
-def _linear_rollout(
+def linear_rollout(
     free: ParametricModel,
     theta: Float[Array, " parameter"],
     y0: State,
     ts: Float[Array, " time"],
     solver: FixedStep,
 ) -> tuple[Float[Array, "time state"], Float[Array, "time state column"]]:
+    """States of a rollout, and their derivatives as `Sensitivities` have them.
+
+    Args:
+        free: the model as a function of its parameters.
+        theta: the parameters.
+        y0: first state.
+        ts: times [T], increasing.
+        solver: how to integrate.
+    """
     ys, _ = solver.solve(free(theta), y0, ts)
     return ys, sensitivities(free, theta, ys, ts, solver).columns
 
