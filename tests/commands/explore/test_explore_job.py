@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 import pinav.commands.explore
 from pinav import cli
 from pinav.commands.explore import document, payload, posterior
+from pinav.commands.explore.plan import plan_of
 from pinav.commands.explore.trees import EVALUATED, leaf_table, packed, tree_of
 from pinav.commands.fitted_run import FittedRun
 from pinav.errors import InputError
@@ -28,6 +29,7 @@ from pinav.forces import (
     PositionFeatures,
     Superposition,
 )
+from pinav.runs import RunFolder
 
 PAGE = Path(pinav.commands.explore.__file__).parent / "page"
 SOURCES = {path.stem: path.read_text() for path in sorted(PAGE.glob("*.js"))}
@@ -174,6 +176,33 @@ def test_the_command_writes_the_page_and_links_to_it(fitted_run, capsys):
     assert (folder / "explore.html").stat().st_size < document.MAX_BYTES
     assert 'href="explore.html"' in (folder / "report.html").read_text()
     assert "explore.html" in json.loads((folder / "manifest.json").read_text())
+
+
+def planned(folder, fitted, arrays):
+    """The run of a navigation with these results."""
+    made = RunFolder.create(folder, {"run": {"fitted": fitted}}, overwrite=False)
+    made.write_arrays("results.npz", arrays)
+    return folder
+
+
+def test_a_plan_without_its_fit_is_refused(tmp_path, run, capsys):
+    folder = planned(tmp_path / "there", "absent", {})
+    assert cli.run(["explore", str(folder)]) == 2
+    assert "'absent' that it was planned with beside it" in capsys.readouterr().err
+    assert cli.run(["explore", str(run), "--fit", str(run)]) == 2
+    assert "--fit: " in capsys.readouterr().err
+
+
+def test_a_plan_that_was_not_kept_is_refused(tmp_path, run, capsys):
+    folder = planned(tmp_path / "there", "", {"goal": np.zeros(2)})
+    with pytest.raises(InputError, match="hold no plan that can be evaluated"):
+        plan_of(RunFolder.open(folder))
+
+
+def test_the_map_holds_the_arena_of_a_plan(content):
+    box = payload._union((0.0, 4.0, 0.0, 4.0), [[1.0, 1.0], [10.0, 3.0]])
+    assert box == (0.0, 10.0, -3.0, 7.0)
+    assert content["plan"] is None
 
 
 @pytest.mark.parametrize("file", ["model.eqx", "posterior.npz"])

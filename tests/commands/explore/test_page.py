@@ -16,9 +16,11 @@ from tests.commands.explore.chromium import Chromium, find_chromium
 import pinav.forces as forces
 from pinav.commands.explore.document import document
 from pinav.commands.explore.payload import payload_of
-from pinav.commands.explore.trees import tree_of
+from pinav.commands.explore.plan import LEVELS
+from pinav.commands.explore.trees import packed, tree_of
 from pinav.commands.fitted_run import FittedRun
 from pinav.dynamics import FixedStep, commanded, rollout
+from pinav.evaluation import square
 
 pytestmark = [
     pytest.mark.slow,
@@ -203,6 +205,54 @@ def test_forces_are_those_of_the_package(name, browser, pages):
         np.testing.assert_allclose(page["rows"], expected, rtol=1e-8, atol=1e-12)
 
 
+def test_the_plan_leads_to_the_goal_in_the_time_that_it_says(browser, pages, tmp_path):
+    """Without forces worth speaking of the time is the distance over the speed."""
+    run, _ = pages("langevin")
+    content = payload_of(run, straight_plan(run))
+    (tmp_path / "plan.html").write_text(document(content))
+    opened(browser, f"file://{tmp_path}/plan.html")
+    browser.wait_for("explorer.ground !== null")
+    plan = content["plan"]
+    said = browser.run("explorer.experiment.plan.timeFrom(explorer.experiment.start())")
+    distance = math.dist(plan["start"], plan["goal"])
+    assert said == pytest.approx(distance / SPEED, rel=0.02)
+    arrival = browser.run("explorer.route.arrival")
+    assert arrival == pytest.approx((distance - plan["tolerance"]) / SPEED, rel=0.1)
+    assert "The plan reaches the goal" in browser.run("readout.textContent")
+
+
+SPEED = 50.0
+"""So great a thrust that learned forces hardly matter."""
+
+
+def straight_plan(run):
+    x0, x1, y0, y1 = map(float, square(run.data))
+    axes = np.linspace(x0, x1, 41), np.linspace(y0, y1, 41)
+    goal = [0.8 * x1 + 0.2 * x0, 0.8 * y1 + 0.2 * y0]
+    places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    times = np.linalg.norm(places - goal, axis=-1) / SPEED
+    angles = 2 * np.pi * np.arange(24) / 24
+    step = 0.02 * (x1 - x0) / SPEED
+    mobility = float(run.model.mobility.value)
+    thrusts = SPEED / mobility * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    scale = float(times.max())
+    return {
+        "arena": [[x0, y0], [x1, y1]],
+        "start": [0.8 * x0 + 0.2 * x1, 0.7 * y0 + 0.3 * y1],
+        "goal": goal,
+        "tolerance": 0.03 * (x1 - x0),
+        "discs": [],
+        "step": step,
+        "lower": [x0, y0],
+        "spacing": [float(axis[1] - axis[0]) for axis in axes],
+        "scale": scale,
+        "ahead": 2 * step,
+        "horizon": 2 * scale,
+        "thrusts": thrusts.tolist(),
+        "values": packed(np.round(np.exp(-times / scale) * LEVELS), "u2"),
+    }
+
+
 def test_nothing_leaves_the_page_and_nothing_complains(browser, pages):
     opened(browser, f"{pages('kernel')[1]}#show=band,physics,truth,draws,tracks,arrows")
     browser.run("document.querySelectorAll('#panel button').forEach((b) => b.click())")
@@ -295,6 +345,17 @@ def test_the_keyboard_alone_does_it(browser, pages):
     assert browser.run(
         "[...document.querySelectorAll('input, select')].every("
         "(e) => e.labels.length || e.getAttribute('aria-label'))"
+    )
+
+
+def test_a_report_is_no_wider_than_a_narrow_page(browser, fitted_runs, tmp_path):
+    """Tables scroll below it; the page does not."""
+    folder = fitted_runs.copy("kernel", tmp_path / "kernel")[0]
+    browser.open(f"file://{folder}/report.html", width=400)
+    assert browser.run("document.documentElement.scrollWidth") <= 400
+    assert browser.run(
+        "[...document.querySelectorAll('.wide, figure, pre, p')].every("
+        "(e) => e.getBoundingClientRect().right <= 400)"
     )
 
 

@@ -19,8 +19,8 @@ from pinav.errors import InputError
 
 MODULES = (
     *("numbers", "kernels", "network", "media", "propulsion", "forces", "model"),
-    *("rollout", "colours", "quantities", "view", "experiment", "session", "panel"),
-    *("gestures", "sharing", "main"),
+    *("rollout", "plan", "colours", "quantities", "view", "experiment", "session"),
+    *("panel", "gestures", "sharing", "main"),
 )
 """The modules, each after those that it imports."""
 

@@ -27,8 +27,12 @@ MODELS = 6
 """Models of a run at most."""
 
 
-def payload_of(run: FittedRun) -> Tree:
+def payload_of(run: FittedRun, plan: Tree | None = None) -> Tree:
     """A run as the page takes it.
+
+    Args:
+        run: the fit.
+        plan: of a navigation through the force that the fit has learned.
 
     Raises:
         InputError: the page cannot show the run.
@@ -40,6 +44,8 @@ def payload_of(run: FittedRun) -> Tree:
             f"{', '.join(data.channels)}; take pinav report"
         )
     box, times = square(data), _times(data)
+    if plan is not None:
+        box = _union(box, plan["arena"])
     names = _shown_models(run)
     first = run.models[names[0]]
     return {
@@ -58,7 +64,19 @@ def payload_of(run: FittedRun) -> Tree:
         "truth": _truth(run),
         "posterior": _posterior(run, box, times),
         "tracks": _tracks(run),
+        "plan": plan,
     }
+
+
+def _union(
+    box: tuple[float, float, float, float], arena: list[list[float]]
+) -> tuple[float, float, float, float]:
+    """The smallest square around a box and an arena, which shares their middle."""
+    low = np.minimum(box[::2], arena[0])
+    high = np.maximum(box[1::2], arena[1])
+    middle, half = (low + high) / 2, float((high - low).max()) / 2
+    x, y = middle.tolist()
+    return x - half, x + half, y - half, y + half
 
 
 def _shown_models(run: FittedRun) -> list[str]:

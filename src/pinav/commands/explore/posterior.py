@@ -5,8 +5,8 @@ from jaxtyping import Float
 
 from pinav.fitting import Posterior
 
-NUMBERS = 170_000
-"""Numbers of the factor at most: 0.9 MB of a page of at most 1.5 MB."""
+NUMBERS = 130_000
+"""Numbers of the factor at most: 0.7 MB of a page of at most 1.5 MB."""
 
 FEW = 64
 """Directions that are all kept, without asking which of them matter."""

@@ -15,7 +15,10 @@ class ExploreOptions(Settings, frozen=True):
     needs no network, and is not allowed to use one.
 
     Attributes:
-        run: Folder of pinav fit, identify or reproduce.
+        run: Folder of pinav fit, identify, reproduce or navigate.
+        fit: Run of the model that a plan was made with, where it does not lie beside
+            that of the plan.
     """
 
     run: tyro.conf.Positional[Path]
+    fit: Path | None = None

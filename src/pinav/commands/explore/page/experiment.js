@@ -2,6 +2,7 @@
 
 import { compile, parameterColumns, posteriorOf, withParameters } from "./model.js";
 import { arrayOf, logDeterminantOfOnePlus, normalGenerator } from "./numbers.js";
+import { Plan } from "./plan.js";
 import { equalTimes, noisyPath, positionSd, rollout, sensitivities } from "./rollout.js";
 
 export const NORMAL_95 = 1.959963984540054;
@@ -21,6 +22,7 @@ export class Experiment {
       x: arrayOf(track.x),
       y: arrayOf(track.y),
     }));
+    this.plan = run.plan ? new Plan(run.plan, run.models[0].tree) : null;
     this.units = unitsOf(run.units, run.order);
     this.compiled = new Map();
     this.conditions = { model: 0 };

@@ -41,7 +41,7 @@ class Explorer {
   subtitle() {
     const { run, tracks, posterior } = this.run;
     const kept = posterior ? ` The posterior has ${this.experiment.posterior.rank} directions.` : " The run has no posterior: paths have no band.";
-    return `Run ${run}, ${tracks.length} tracks.${kept} Drag the circle, or click anywhere.`;
+    return `Run ${run}, ${tracks.length} ${tracks.length === 1 ? "track" : "tracks"}.${kept} Drag the circle, or click anywhere.`;
   }
 
   // ---------------------------------------------------------------- conditions
@@ -76,6 +76,7 @@ class Explorer {
     }
     if (finished) this.computeDraws();
     else this.drawn = null;
+    this.computeRoute(finished);
     this.draw();
     this.showConditions();
     if (finished) this.writeAddress();
@@ -97,6 +98,19 @@ class Explorer {
     const begin = performance.now();
     this.band = this.experiment.band();
     this.timings.band.push(performance.now() - begin);
+  }
+
+  /** The way to the goal: at once where the last one was quick, else when let go. */
+  computeRoute(finished) {
+    const { plan } = this.experiment;
+    const wanted = plan && this.shows("plan") && (finished || this.routeTime < FRAME_BUDGET);
+    if (!wanted) {
+      this.route = null;
+      return;
+    }
+    const begin = performance.now();
+    this.route = plan.route(this.experiment.start());
+    this.routeTime = performance.now() - begin;
   }
 
   computeDraws() {
@@ -236,6 +250,7 @@ class Explorer {
     if (this.physics) frame.curve(this.physics.states, MEANING.physics, { dash: [2, 4], width: 2.4, casing: true });
     if (this.truth) frame.curve(this.truth.states, MEANING.truth, { width: 4 });
     frame.curve(this.mean.states, MEANING.learned, { width: 2.2, casing: !this.truth });
+    if (this.experiment.plan) this.drawPlan(frame);
     if (c.cut) {
       const [x0, y0, x1, y1] = c.cut;
       frame.curve([[x0, y0], [x1, y1]], MEANING.cut, { dash: [7, 4], casing: true });
@@ -250,6 +265,26 @@ class Explorer {
     frame.dot([c.x, c.y], MEANING.learned, 8, false);
     this.drawPlots();
     this.showReadout();
+  }
+
+  /** Goal, walls, the way to the goal, and the trajectory that was suggested. */
+  drawPlan(frame) {
+    const { goal, tolerance, discs, suggestion } = this.run.plan;
+    const circle = ([x, y], radius, stroke, fill) =>
+      frame.clip((c) => {
+        c.beginPath();
+        c.arc(frame.px(x), frame.py(y), radius * frame.sx, 0, 2 * Math.PI);
+        c.fillStyle = fill;
+        c.strokeStyle = stroke;
+        c.lineWidth = 2;
+        c.fill();
+        c.stroke();
+      });
+    for (const [x, y, radius] of discs) circle([x, y], radius, "#444444", "rgba(90,90,90,0.55)");
+    circle(goal, tolerance, MEANING.plan, "rgba(255,255,255,0.8)");
+    frame.dot(goal, MEANING.plan, 3);
+    if (suggestion) frame.curve(suggestion, MEANING.next, { width: 2, dash: [6, 3], casing: true });
+    if (this.route) frame.curve(this.route.states, MEANING.plan, { width: 3, casing: true });
   }
 
   /** The band as ellipses' envelope: edges across the path at each time. */
@@ -341,6 +376,11 @@ class Explorer {
     const within = (i) => (sd ? ` ± ${shown(NORMAL_95 * sd[i], 2)}` : "");
     const end = `The path ends at x = ${shown(x, 4)}${within(0)}, y = ${shown(y, 4)}${within(1)}${unit}`;
     const parts = [finite ? `${end}${sd ? " (95 %)" : ""}.` : "The path diverges."];
+    if (this.route) {
+      const time = this.experiment.units.time;
+      const arrives = `The plan reaches the goal after ${shown(this.route.arrival, 3)}${time ? ` ${time}` : ""}.`;
+      parts.unshift(Number.isFinite(this.route.arrival) ? arrives : "From here the plan does not reach the goal in time.");
+    }
     if (this.next) parts.push(`Record next from the green dot: ${shown(this.next.gain)} nats.`);
     if (this.suggesting) parts.push(`Weighing starts: ${Math.round(100 * this.suggesting)} %.`);
     byId("readout").textContent = parts.join(" ");
@@ -353,6 +393,8 @@ class Explorer {
     if (this.physics) entries.push(["physics alone", MEANING.physics, "dotted"]);
     if (this.truth) entries.push(["truth", MEANING.truth, ""]);
     entries.push([`track ${this.run.tracks[this.conditions.track].index}`, MEANING.track, ""]);
+    if (this.route) entries.push(["plan", MEANING.plan, ""]);
+    if (this.run.plan?.suggestion) entries.push(["record next", MEANING.next, "dashed"]);
     if (this.conditions.cut) entries.push(["cut", MEANING.cut, "dashed"]);
     const key = entries.map(String).join();
     if (key === this.legendKey) return;
@@ -512,7 +554,7 @@ class Explorer {
       this.controls.mapTime = slider(label, { low, high, step: "any" }, (mapTime) => this.change({ mapTime }, { map: true }));
       rows.push(this.controls.mapTime);
     }
-    const layers = Object.entries(LAYERS).filter(([name]) => name !== "truth" || this.run.truth);
+    const layers = Object.entries(LAYERS).filter(([name]) => (name !== "truth" || this.run.truth) && (name !== "plan" || this.run.plan));
     this.controls.show = checks(layers, (name, on) => {
       const show = this.conditions.show.filter((one) => one !== name);
       this.change({ show: on ? [...show, name] : show });

@@ -11,9 +11,18 @@ const NOTHING = { kind: "ZeroForce" };
  * What the operator changes: {thrust, turn, frequency, heading, commands}.
  *
  * A propulsion that takes commands gets a constant frequency and heading, or recorded
- * commands; any other is multiplied by `thrust` and turned by `turn` [rad].
+ * commands; any other is multiplied by `thrust` and turned by `turn` [rad]. A vector
+ * `steer` takes its place, and may be changed between evaluations.
  */
 function propulsionOf(tree, controls) {
+  const { steer } = controls;
+  if (steer) {
+    return {
+      add(t, x, v, out) {
+        for (let d = 0; d < out.length; d++) out[d] += steer[d];
+      },
+    };
+  }
   if (tree.kind === "RollingPropulsion" && !tree.programme) {
     const held = { kind: "HeldProgramme", times: [0] };
     const commands = controls.commands ?? {

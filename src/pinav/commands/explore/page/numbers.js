@@ -4,17 +4,17 @@
 export function arrayOf(packed) {
   if (typeof packed === "number") return Float64Array.of(packed);
   if (Array.isArray(packed)) return Float64Array.from(packed.flat(Infinity));
-  const text = atob(packed.f8 ?? packed.f4);
+  const [kind] = Object.keys(READ).filter((name) => name in packed);
+  const text = atob(packed[kind]);
   const bytes = new Uint8Array(text.length);
   for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
   const view = new DataView(bytes.buffer);
-  const size = packed.f8 === undefined ? 4 : 8;
-  const numbers = new Float64Array(bytes.length / size);
-  for (let i = 0; i < numbers.length; i++) {
-    numbers[i] = size === 8 ? view.getFloat64(8 * i, true) : view.getFloat32(4 * i, true);
-  }
-  return numbers;
+  const [size, read] = READ[kind];
+  return Float64Array.from({ length: bytes.length / size }, (_, i) => view[read](size * i, true));
 }
+
+/** Bytes of a number, and what reads it, by the name that Python's NumPy gives it. */
+const READ = { f8: [8, "getFloat64"], f4: [4, "getFloat32"], u2: [2, "getUint16"] };
 
 /** Number of rows of a packed or listed array. */
 export function rowsOf(packed) {

@@ -124,6 +124,10 @@ export function quantitiesOf(experiment) {
     };
     list.push(["sd", { label: "standard deviation of the force", unit: force, at, slow: true }]);
   }
+  if (experiment.plan) {
+    const at = () => (x) => experiment.plan.shownTime(x);
+    list.push(["go", { label: "time to the goal, from rest", unit: experiment.units.time, at }]);
+  }
   const nearest = distanceTo(experiment.samples(), run.box);
   list.push(["distance", { label: "distance to the data", unit: length, at: () => nearest }]);
   const truth = experiment.truth()?.environment;

@@ -27,6 +27,7 @@ export const LAYERS = {
   draws: "draws",
   physics: "physics alone",
   truth: "truth",
+  plan: "plan to the goal",
   tracks: "all tracks",
   arrows: "arrows",
 };
@@ -38,10 +39,11 @@ const ANGLES = new Set(["heading", "turn"]);
 /** Conditions of a page that was just opened: the start of the first track. */
 export function firstConditions(run, commanded) {
   const track = run.tracks[0];
-  const [x, y, vx = 0, vy = 0] = track.start;
+  const [x, y, vx = 0, vy = 0] = run.plan ? run.plan.start : track.start;
+  const plain = run.models[0].tree.environment?.kind === "ZeroForce" ? "distance" : "force";
   return {
     model: 0,
-    quantity: run.models[0].tree.environment?.kind === "ZeroForce" ? "distance" : "force",
+    quantity: run.plan ? "go" : plain,
     ...{ x, y, vx, vy },
     from: track.from,
     duration: Math.min(track.to - track.from, commanded ? 60 : Infinity),
@@ -54,7 +56,7 @@ export function firstConditions(run, commanded) {
     kicks: run.kicks,
     mapTime: run.clock[0],
     cut: null,
-    show: ["band", "physics", "truth", "arrows"],
+    show: run.plan ? ["plan", "arrows"] : ["band", "physics", "truth", "arrows"],
   };
 }
 
