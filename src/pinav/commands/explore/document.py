@@ -20,7 +20,7 @@ from pinav.errors import InputError
 MODULES = (
     *("numbers", "kernels", "network", "media", "propulsion", "forces", "model"),
     *("rollout", "plan", "colours", "quantities", "view", "experiment", "session"),
-    *("panel", "gestures", "sharing", "main"),
+    *("panel", "gestures", "sharing", "tissue", "oven", "main"),
 )
 """The modules, each after those that it imports."""
 
