@@ -187,7 +187,7 @@ class Adaptive(AbstractSolver):
         solution = _diffeqsolve(
             self, vector_field, y0, ts, diffrax.SaveAt(ts=ts), self.adjoint
         )
-        return _states_and_reached(solution)
+        return _states_and_success(solution)
 
 
 class InterpolatingAdjoint(AbstractSolver):
@@ -233,7 +233,7 @@ def _interpolating_solve(
     solver: InterpolatingAdjoint,
 ) -> Path:
     solution = _dense_solution(parameters_and_y0, static, ts, solver)
-    return _states_and_reached(solution)
+    return _states_and_success(solution)
 
 
 @_interpolating_solve.def_fwd
@@ -246,7 +246,7 @@ def _interpolating_forward(
 ) -> tuple[Path, diffrax.DenseInterpolation | None]:
     del perturbed
     solution = _dense_solution(parameters_and_y0, static, ts, solver)
-    return _states_and_reached(solution), solution.interpolation
+    return _states_and_success(solution), solution.interpolation
 
 
 @_interpolating_solve.def_bwd
@@ -320,7 +320,7 @@ def _dense_solution(
     )
 
 
-def _states_and_reached(solution: diffrax.Solution) -> Path:
+def _states_and_success(solution: diffrax.Solution) -> Path:
     states = cast(Array, solution.ys)
     return states, solution.result == diffrax.RESULTS.successful
 

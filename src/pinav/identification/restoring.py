@@ -102,7 +102,7 @@ def restoring_force(train: Track, held_out: Track) -> RestoringForce:
     _, without = _regress(columns[:, :3], steps)
     count = len(steps)
     gain = 0.5 * count * (np.linalg.slogdet(without)[1] - np.linalg.slogdet(full)[1])
-    found = RestoringForce(
+    force = RestoringForce(
         interval=INTERVAL,
         pull=weights[3:].T,
         memory=weights[1:3].T,
@@ -110,7 +110,9 @@ def restoring_force(train: Track, held_out: Track) -> RestoringForce:
         nats=float(gain - 0.5 * 4 * np.log(count)),
         explained=float("nan"),
     )
-    return eqx.tree_at(lambda f: f.explained, found, _explained(found, held_out))
+    return eqx.tree_at(
+        lambda f: f.explained, force, _share_of_variance(force, held_out)
+    )
 
 
 def _spaced(times: np.ndarray, states: np.ndarray) -> Float[np.ndarray, "time 2"]:
@@ -133,7 +135,7 @@ def _regress(columns: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, np.nda
     return weights, left.T @ left / len(steps)
 
 
-def _explained(force: RestoringForce, held_out: Track) -> float:
+def _share_of_variance(force: RestoringForce, held_out: Track) -> float:
     """Share of the variance of displacements over the horizon, from rollouts."""
     ahead = round(HORIZON / force.interval)
     seen, predicted = [], []

@@ -44,6 +44,28 @@ def mass_perfusion(value: Scalar, *, unit: str, blood: Blood, tissue: Tissue) ->
         InputError: the unit is unknown, or the result is nothing living tissue has,
             which is what a wrong unit looks like.
     """
+    mass = value * perfusion_factor(unit, blood=blood, tissue=tissue)
+    # Checked after the conversion: a wrong unit is off by a factor of 10 or more.
+    size = least_known(mass)
+    if size is not None and size != 0 and not PLAUSIBLE[0] <= size <= PLAUSIBLE[1]:
+        raise InputError(
+            f"perfusion {value:g} {unit}: expected within {PLAUSIBLE[0]:g} and "
+            f"{PLAUSIBLE[1]:g} kg/(m³ s), or zero, got {size:.3g}; check the unit"
+        )
+    return mass
+
+
+def perfusion_factor(unit: str, *, blood: Blood, tissue: Tissue) -> Property:
+    """What a perfusion in a unit is multiplied by to be in kg m⁻³ s⁻¹.
+
+    Args:
+        unit: one of `UNITS`.
+        blood: its density turns volumes into masses.
+        tissue: its density turns masses of tissue into volumes.
+
+    Raises:
+        InputError: the unit is unknown.
+    """
     per_kilogram = 1e-6 / 60 * tissue.density * blood.density
     factors = {
         "1/s": blood.density,
@@ -55,15 +77,7 @@ def mass_perfusion(value: Scalar, *, unit: str, blood: Blood, tissue: Tissue) ->
         raise InputError(
             f"perfusion unit {unit!r} is unknown; choose one of: {', '.join(UNITS)}"
         )
-    mass = value * factors[unit]
-    # Checked after the conversion: a wrong unit is off by a factor of 10 or more.
-    size = least_known(mass)
-    if size is not None and size != 0 and not PLAUSIBLE[0] <= size <= PLAUSIBLE[1]:
-        raise InputError(
-            f"perfusion {value:g} {unit}: expected within {PLAUSIBLE[0]:g} and "
-            f"{PLAUSIBLE[1]:g} kg/(m³ s), or zero, got {size:.3g}; check the unit"
-        )
-    return mass
+    return factors[unit]
 
 
 class AbstractPerfusion(eqx.Module):
@@ -227,3 +241,21 @@ class MixedPerfusion(AbstractPerfusion):
 
     def _mix(self, share: Array, temperature: Array, without: Array) -> Array:
         return share * self.inside(temperature) + (1 - share) * without
+
+
+class RegionalPerfusion(AbstractPerfusion):
+    """A law for each of any number of tissues, averaged by volume.
+
+    Attributes:
+        shares: volume fraction of each tissue in each cell; fixed.
+        laws: one for each tissue.
+    """
+
+    shares: tuple[Field, ...]
+    laws: tuple[AbstractPerfusion, ...]
+
+    def __call__(self, temperature: Field) -> Field:
+        total = jnp.zeros_like(temperature)
+        for share, law in zip(self.shares, self.laws, strict=True):
+            total = total + share * law(temperature)
+        return total

@@ -25,15 +25,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PyTree
 
-from pinav.arguments import Scalar, State
+from pinav.arguments import Scalar
 from pinav.dynamics import FixedStep
 from pinav.errors import FitError, InputError
 from pinav.fitting import Hyperparameters, ParametricModel, ravel_model
 from pinav.fitting.bayes.neural import FitSpecification, function_prior
 from pinav.fitting.bayes.parameters import learned_environment
 from pinav.fitting.bayes.problem import BayesProblem
-from pinav.fitting.engine.multiple_shooting import linearise, sensitivities
+from pinav.fitting.engine.multiple_shooting import linearise
 from pinav.fitting.engine.parametric_model import selected_entries
+from pinav.fitting.engine.posterior import linear_rollout
 from pinav.fitting.evidence.quadratic import Quadratic, eliminate_flat, joint_posterior
 from pinav.forces import KernelForce, KernelPotential
 from pinav.trajectories import Trajectories
@@ -110,14 +111,14 @@ class Influence(eqx.Module):
         """
         solver = FixedStep() if solver is None else solver
         with jax.enable_x64(new_val=True):
-            columns = _final_columns(
+            _, columns = linear_rollout(
                 self.free,
                 jnp.asarray(self.theta),
                 jnp.asarray(y0, jnp.float64),
                 jnp.asarray(ts, jnp.float64),
                 solver,
             )
-        return changes @ np.asarray(columns)[:, : len(self.theta)].T
+        return changes @ np.asarray(columns)[-1, :, : len(self.theta)].T
 
 
 def influence(
@@ -313,15 +314,3 @@ def _force_changes(
 
     _, slope = jax.linearize(forces, theta)
     return jax.vmap(slope)(changes)
-
-
-@eqx.filter_jit
-def _final_columns(
-    free: ParametricModel,
-    theta: Float[Array, " parameter"],
-    y0: State,
-    ts: Float[Array, " time"],
-    solver: FixedStep,
-) -> Float[Array, "state column"]:
-    ys, _ = solver.solve(free(theta), y0, ts)
-    return sensitivities(free, theta, ys, ts, solver).columns[-1]

@@ -7,6 +7,8 @@ from msgspec import Meta
 
 Length = Annotated[float, Meta(gt=0, le=10)]
 """[m]"""
+Edge = Annotated[float, Meta(ge=1e-5, le=0.05)]
+"""[m], of a voxel; the bounds refuse millimetres."""
 Place = Annotated[float, Meta(ge=-10, le=10)]
 """[m]"""
 Time = Annotated[float, Meta(gt=0, le=1e7)]
@@ -46,6 +48,8 @@ class Strict(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 ADVICE = {
+    "absorption": "give W/kg",
+    "perfusion": "give a perfusion in its unit",
     "ambient": "give it in °C, which is kelvins less 273.15",
     "amplitudes": "give A/m; 1 mT are 796 A/m",
     "axis": "give metres",

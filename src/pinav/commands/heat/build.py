@@ -3,16 +3,23 @@
 from pathlib import Path
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
+from pinav.commands.heat.bodies import Body, ball_body
 from pinav.commands.heat.case import Case
-from pinav.commands.heat.field import Field
-from pinav.commands.heat.geometry import Across, Box, Ends, Grid, Side, Sphere
-from pinav.commands.heat.matter import Eddy, Measured, Medium, Particles, Power
+from pinav.commands.heat.field import Field as FieldTable
+from pinav.commands.heat.geometry import Across, Ends, Side, Voxels
+from pinav.commands.heat.matter import (
+    Absorption,
+    Eddy,
+    Measured,
+    Particles,
+    Power,
+    heating_file,
+)
 from pinav.commands.heat.starting import build_start
+from pinav.commands.heat.voxels import read_heating, voxel_body
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.boundaries import (
     AbstractBoundary,
@@ -25,21 +32,15 @@ from pinav.thermal.boundaries import (
     outer,
 )
 from pinav.thermal.exposure_limits import AbstractLimit, limit
-from pinav.thermal.grids import AbstractGrid, CartesianGrid, RadialGrid
+from pinav.thermal.grids import AbstractGrid, RadialGrid
 from pinav.thermal.magnetics import (
     AbstractHeating,
     LinearResponse,
     LogNormalSizes,
     TabulatedHeating,
 )
-from pinav.thermal.perfusion import (
-    AbstractPerfusion,
-    ConstantPerfusion,
-    MixedPerfusion,
-    lang,
-    mass_perfusion,
-)
 from pinav.thermal.protocols import Piecewise
+from pinav.thermal.quantities import Field
 from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.solve import default_stepper
 from pinav.thermal.sources import (
@@ -53,7 +54,6 @@ from pinav.thermal.sources import (
 from pinav.thermal.starts import AbstractStart, AtSteadyState
 from pinav.thermal.steady import find_steady_state
 from pinav.thermal.steppers import RKL2, AbstractStepper
-from pinav.thermal.tissues import Blood, Tissue, mix, preset
 
 
 class CaseModel(eqx.Module):
@@ -62,7 +62,7 @@ class CaseModel(eqx.Module):
     Attributes:
         model: the tissue.
         protocol: the field.
-        target: volume fraction of the tumour in each cell.
+        body: grid, tissues and target.
         stepper: the method of time integration.
         limits: of the field.
         points: of the probes [m], none if there are none.
@@ -71,17 +71,16 @@ class CaseModel(eqx.Module):
 
     model: Bioheat
     protocol: Piecewise
-    target: jax.Array
+    body: Body
     stepper: AbstractStepper
     limits: tuple[AbstractLimit, ...]
     points: np.ndarray
     start: AbstractStart
 
     @property
-    def perfusion(self) -> MixedPerfusion:
-        """Of tumour (inside) and tissue (outside)."""
-        assert isinstance(self.model.perfusion, MixedPerfusion)
-        return self.model.perfusion
+    def target(self) -> Field:
+        """Volume fraction of the target in each cell."""
+        return self.body.target
 
 
 def build_case(case: Case, folder: Path) -> CaseModel:
@@ -95,23 +94,21 @@ def build_case(case: Case, folder: Path) -> CaseModel:
         InputError: a name or a unit is unknown, a perfusion implausible, or a file
             cannot be read.
     """
-    start = build_start(case.start, case.grid, folder)
-    grid = _grid(case.grid)
-    blood = Blood(case.blood.density, case.blood.specific_heat, case.blood.arterial)
-    target = grid.ball(case.tumour.radius, center=case.tumour.center)
-    inside, outside = _tissue(case.tumour.tissue), _tissue(case.tissue)
-    sources: list[AbstractSource] = [_source(case, grid, target)]
+    body = (
+        voxel_body(case, case.grid, folder)
+        if isinstance(case.grid, Voxels)
+        else ball_body(case, case.grid)
+    )
+    grid = body.grid
+    start = build_start(case.start, grid.shape, folder)
+    sources: list[AbstractSource] = [_source(case, body, folder)]
     if case.eddy is not None:
         sources.append(_eddy(case.eddy, grid))
     model = Bioheat(
         grid,
-        mix(target, inside, outside),
-        blood,
-        MixedPerfusion.on_mask(
-            target,
-            _perfusion(case.tumour.tissue, blood, inside),
-            _perfusion(case.tissue, blood, outside),
-        ),
+        body.tissue,
+        body.blood,
+        body.perfusion,
         tuple(sources),
         _sides(case, grid),
     )
@@ -125,20 +122,12 @@ def build_case(case: Case, folder: Path) -> CaseModel:
     return CaseModel(
         model=model,
         protocol=protocol,
-        target=target,
+        body=body,
         stepper=stepper,
         limits=limits,
         points=np.array(points, float).reshape(-1, axes),
         start=start,
     )
-
-
-def _grid(grid: Grid) -> AbstractGrid:
-    if isinstance(grid, Box):
-        return CartesianGrid.cubes(grid.cells, grid.size)
-    if isinstance(grid, Sphere):
-        return RadialGrid.sphere(grid.radius, grid.cells)
-    return RadialGrid.cylinder(grid.radius, grid.cells)
 
 
 def _stepper(case: Case, model: Bioheat) -> AbstractStepper:
@@ -149,37 +138,23 @@ def _stepper(case: Case, model: Bioheat) -> AbstractStepper:
     return RKL2(longest=case.step)
 
 
-def _tissue(medium: Medium) -> Tissue:
-    base = None if medium.preset is None else preset(medium.preset).tissue
-    values = {}
-    for name in ("conductivity", "density", "specific_heat", "metabolic"):
-        value = getattr(medium, name)
-        inherited = 0.0 if base is None else getattr(base, name)
-        values[name] = inherited if value is None else value
-    return Tissue(**values)
-
-
-def _perfusion(medium: Medium, blood: Blood, tissue: Tissue) -> AbstractPerfusion:
-    flow = medium.perfusion
-    if flow.law is not None:
-        return lang(flow.law)
-    assert flow.value is not None
-    assert flow.unit is not None
-    value = mass_perfusion(flow.value, unit=flow.unit, blood=blood, tissue=tissue)
-    return ConstantPerfusion(value)
-
-
-def _source(
-    case: Case, grid: AbstractGrid, target: Float[Array, "..."]
-) -> AbstractSource:
+def _source(case: Case, body: Body, folder: Path) -> AbstractSource:
     heating = case.heating
     if isinstance(heating, Power):
-        return PowerSource(_density(case, heating, grid, target), heating.reference)
-    concentration = heating.concentration * target  # mg/cm³ are kg/m³
+        return PowerSource(_density(case, heating, body), heating.reference)
+    file = heating_file(heating)
+    values = None if file is None else read_heating(heating, folder / file, body)
+    if isinstance(heating, Absorption):
+        assert values is not None
+        power = jnp.asarray(values * body.tissue.density)
+        return PowerSource(power, heating.reference, heating.scale)
+    concentration = values
+    if not isinstance(heating.concentration, str):
+        concentration = heating.concentration * body.target  # mg/cm³ are kg/m³
     table: AbstractHeating = (
         _response(heating) if isinstance(heating, Particles) else _measurements(heating)
     )
-    return ParticleSource(concentration, table, heating.scale)
+    return ParticleSource(jnp.asarray(concentration), table, heating.scale)
 
 
 def _response(particles: Particles) -> AbstractHeating:
@@ -205,18 +180,17 @@ def _measurements(measured: Measured) -> AbstractHeating:
     )
 
 
-def _density(
-    case: Case, power: Power, grid: AbstractGrid, target: Float[Array, "..."]
-) -> Float[Array, "..."]:
+def _density(case: Case, power: Power, body: Body) -> Field:
     """Power density of each cell [W m⁻³]."""
+    grid, target = body.grid, body.target
     if power.width is not None:
-        center = case.tumour.center if power.center is None else power.center
+        center = body.middle if power.center is None else power.center
         distances = grid.distances(center)
         return power.density * jnp.exp(-0.5 * (distances / power.width) ** 2)
     if not power.edge_weighted:
         return power.density * target
-    distances = grid.distances(case.tumour.center)
-    shape = (0.4 + (distances / case.tumour.radius) ** 2) * target
+    distances = grid.distances(body.middle)
+    shape = (0.4 + (distances / case.ball[1].radius) ** 2) * target
     total = power.density * jnp.sum(target * grid.volumes)
     return shape * (total / jnp.sum(shape * grid.volumes))
 
@@ -255,7 +229,7 @@ def _boundary(side: Side) -> AbstractBoundary:
     return Dirichlet(37.0 if side.temperature is None else side.temperature)
 
 
-def _protocol(field: Field) -> Piecewise:
+def _protocol(field: FieldTable) -> Piecewise:
     if field.ramp:
         return Piecewise.ramp(field.times, field.ramp, field.frequency)
     if field.on is None or field.off is None:

@@ -23,16 +23,26 @@ from pinav.commands.heat.bounds import (
 from pinav.commands.heat.field import Field
 from pinav.commands.heat.geometry import (
     Grid,
+    Meshed,
     Place,
     Probes,
     Side,
     Sides,
+    Voxels,
     Wall,
     check_ball,
     check_point,
     check_sides,
 )
-from pinav.commands.heat.matter import Blood, Eddy, Heating, LimitName, Medium
+from pinav.commands.heat.matter import (
+    Blood,
+    Eddy,
+    Heating,
+    LimitName,
+    Medium,
+    Power,
+    heating_file,
+)
 from pinav.errors import InputError
 
 ARRAYS = 40
@@ -53,6 +63,12 @@ class Tumour(Strict, frozen=True):
     center: tuple[Place, ...] | None = None
 
 
+class TargetFile(Strict, frozen=True):
+    """An image of the share of each voxel that the target has, 0 to 1."""
+
+    file: str
+
+
 class Before(Strict, frozen=True):
     """The end of another run: its results, or temperatures [°C] in a file of NumPy."""
 
@@ -62,7 +78,7 @@ class Before(Strict, frozen=True):
 class Learn(Strict, frozen=True):
     """What is learned, from a CSV file or from synthetic readings of the case."""
 
-    laws: tuple[Literal["tissue", "tumour"], ...] = ("tissue", "tumour")
+    laws: tuple[str, ...] | None = None
     kind: Literal["kernels", "network"] = "kernels"
     data: str | None = None
     noise: Noise = 0.1
@@ -71,9 +87,9 @@ class Learn(Strict, frozen=True):
     held_out: tuple[Annotated[float, Meta(gt=0, le=100)], ...] = ()
 
     def __post_init__(self) -> None:
-        if len(set(self.laws)) < len(self.laws):
-            raise ValueError(f"laws: expected each once, got {list(self.laws)}")
-        if not self.laws and not self.power_scale:
+        if len(set(self.laws or ())) < len(self.laws or ()):
+            raise ValueError(f"laws: expected each once, got {list(self.laws or ())}")
+        if self.laws == () and not self.power_scale:
             raise ValueError(
                 "expected something to learn, got no laws and no power_scale; name a "
                 "tissue in laws"
@@ -100,10 +116,12 @@ class Case(Strict, frozen=True):
 
     title: str
     grid: Grid
-    tissue: Medium
     heating: Heating
     field: Field
-    tumour: Tumour
+    tissue: Medium | None = None
+    tumour: Tumour | None = None
+    tissues: dict[str, Medium] = msgspec.field(default_factory=dict)
+    target: tuple[str, ...] | TargetFile | None = None
     blood: Blood = Blood()
     wall: Side = Wall()
     sides: Sides = Sides()
@@ -116,18 +134,99 @@ class Case(Strict, frozen=True):
     step: Time | None = None
 
     def __post_init__(self) -> None:
-        check_sides(self.grid, self.sides)
-        check_ball(self.grid, self.tumour.radius, self.tumour.center, self.sides)
-        self._check_size()
-        self._check_probes()
+        if isinstance(self.grid, Voxels):
+            self._check_labels()
+        else:
+            self._check_ball(self.grid)
         if self.optimise is not None:
             self._check_bounds(self.optimise)
 
-    def _check_probes(self) -> None:
+    def check_extent(self, grid: Meshed) -> None:
+        """Refuse sides, probes and a size that do not go with the cells of a grid.
+
+        Raises:
+            ValueError: they do not.
+        """
+        check_sides(grid, self.sides)
+        self._check_size(grid)
+        self._check_probes(grid)
+
+    @property
+    def ball(self) -> tuple[Medium, Tumour]:
+        """The tissue and the tumour of a case without voxels."""
+        assert self.tissue is not None
+        assert self.tumour is not None
+        return self.tissue, self.tumour
+
+    def _check_ball(self, grid: Meshed) -> None:
+        """Tables of a case without voxels."""
+        if self.tissue is None or self.tumour is None:
+            raise ValueError(
+                "expected the tables tissue and tumour, got "
+                f"{'no tissue' if self.tissue is None else 'no tumour'}; give both, or "
+                "labels of voxels"
+            )
+        if self.tissues or self.target is not None:
+            raise ValueError(
+                "tissues, target: expected with a grid of voxels alone; remove them, "
+                'or take grid.kind = "voxels"'
+            )
+        for name, medium in {
+            "tissue": self.tissue,
+            "tumour.tissue": self.tumour.tissue,
+        }.items():
+            if medium.label is not None:
+                raise ValueError(
+                    f"{name}.label: expected with a grid of voxels alone; remove it"
+                )
+        files = self.tissue.file, self.tumour.tissue.file, heating_file(self.heating)
+        for file in files:
+            if file is not None:
+                raise ValueError(
+                    f"expected numbers, got the file {file!r}; maps need a grid of "
+                    "voxels"
+                )
+        check_ball(grid, self.tumour.radius, self.tumour.center, self.sides)
+        self.check_extent(grid)
+
+    def _check_labels(self) -> None:
+        """Tables of a case of voxels."""
+        if self.tissue is not None or self.tumour is not None:
+            raise ValueError(
+                "tissue, tumour: expected none on a grid of voxels; name each tissue "
+                "in a table such as [tissues.muscle], and the target in target"
+            )
+        if not self.tissues or not self.target:
+            raise ValueError(
+                "expected tables of tissues and a target on a grid of voxels, got "
+                f"{'no target' if self.tissues else 'no tissues'}; give "
+                '[tissues.NAME] with their labels, and target = ["NAME"]'
+            )
+        labels = [medium.label for medium in self.tissues.values()]
+        if None in labels or len(set(labels)) < len(labels):
+            raise ValueError(
+                f"tissues: expected a different label for each, got {labels}; give "
+                "the value that the tissue has in the image"
+            )
+        names = self.target if isinstance(self.target, tuple) else ()
+        for name in names:
+            if name not in self.tissues:
+                raise ValueError(
+                    f"target: expected names of tissues, {', '.join(self.tissues)}; "
+                    f"got {name!r}"
+                )
+        shape = isinstance(self.heating, Power) and self.heating.edge_weighted
+        if shape or (self.optimise is not None and self.optimise.placement is not None):
+            raise ValueError(
+                "heating.edge_weighted, optimise.placement: expected none on a grid of "
+                "voxels, whose target is no ball; give maps of the heating"
+            )
+
+    def _check_probes(self, grid: Meshed) -> None:
         if self.probes is None:
             return
         for point in self.probes.points:
-            check_point("probes.points", point, self.grid.lengths)
+            check_point("probes.points", point, grid.lengths)
         if self.probes.every > self.field.duration:
             raise ValueError(
                 f"probes.every: expected within the protocol, <= "
@@ -135,7 +234,7 @@ class Case(Strict, frozen=True):
                 "often"
             )
 
-    def _check_size(self) -> None:
+    def _check_size(self, grid: Meshed) -> None:
         every = USUAL_STEP if self.probes is None else self.probes.every
         step = min(self.step or USUAL_STEP, every)
         if (count := self.field.duration / step) > MOST_STEPS:
@@ -145,11 +244,11 @@ class Case(Strict, frozen=True):
                 "the probes less often, or end earlier"
             )
         probes = 0 if self.probes is None else len(self.probes.points)
-        needed = 8 * self.grid.count * (ARRAYS + probes)
+        needed = 8 * grid.count * (ARRAYS + probes)
         if needed > (memory := machine_memory()):
             raise ValueError(
                 f"grid.cells: expected a grid that fits the memory of this machine, "
-                f"{memory / 2**30:.3g} GiB, got {self.grid.count:,} cells, which need "
+                f"{memory / 2**30:.3g} GiB, got {grid.count:,} cells, which need "
                 f"about {needed / 2**30:.3g} GiB; take larger cells"
             )
 

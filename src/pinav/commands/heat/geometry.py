@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from pinav.commands.heat.bounds import Cells, Celsius, Length, Place, Strict, Time
+from pinav.commands.heat.bounds import Cells, Celsius, Edge, Length, Place, Strict, Time
 
 
 class _Round(Strict, frozen=True):
@@ -20,9 +20,9 @@ class _Round(Strict, frozen=True):
         return (self.radius,)
 
     @property
-    def size(self) -> float:
-        """Size of a cell [m]."""
-        return self.radius / self.cells
+    def sizes(self) -> tuple[float, ...]:
+        """Edges of a cell [m]."""
+        return (self.radius / self.cells,)
 
     @property
     def count(self) -> int:
@@ -39,10 +39,10 @@ class Cylinder(_Round, frozen=True, tag="cylinder", tag_field="kind"):
 
 
 class Box(Strict, frozen=True, tag="box", tag_field="kind"):
-    """Two or three axes with cubic cells of a size [m]."""
+    """Two or three axes with cells of a size [m], the same along all unless given."""
 
     cells: tuple[Cells, ...]
-    size: Length
+    size: Length | tuple[Length, ...]
 
     def __post_init__(self) -> None:
         if len(self.cells) not in (2, 3):
@@ -50,11 +50,23 @@ class Box(Strict, frozen=True, tag="box", tag_field="kind"):
                 f"cells: expected two or three numbers, got {len(self.cells)}; take a "
                 "sphere or a cylinder for one axis"
             )
+        if len(self.sizes) != len(self.cells):
+            raise ValueError(
+                f"size: expected one number, or {len(self.cells)}, one for each axis, "
+                f"got {len(self.sizes)}"
+            )
+
+    @property
+    def sizes(self) -> tuple[float, ...]:
+        """Edges of a cell [m]."""
+        if isinstance(self.size, tuple):
+            return self.size
+        return (self.size,) * len(self.cells)
 
     @property
     def lengths(self) -> tuple[float, ...]:
         """Extent along each axis [m]."""
-        return tuple(count * self.size for count in self.cells)
+        return tuple(n * h for n, h in zip(self.cells, self.sizes, strict=True))
 
     @property
     def count(self) -> int:
@@ -62,7 +74,20 @@ class Box(Strict, frozen=True, tag="box", tag_field="kind"):
         return math.prod(self.cells)
 
 
-Grid = Sphere | Cylinder | Box
+class Voxels(Strict, frozen=True, tag="voxels", tag_field="kind"):
+    """The voxels of an image whose values are labels of tissues.
+
+    The size [m] along each axis is that of the file, if it has one.
+    """
+
+    labels: str
+    size: tuple[Edge, ...] | None = None
+
+
+Meshed = Sphere | Cylinder | Box
+"""A grid whose cells are known without a file."""
+
+Grid = Meshed | Voxels
 
 
 class Wall(Strict, frozen=True):
@@ -143,7 +168,7 @@ def check_point(
             )
 
 
-def check_sides(grid: Grid, sides: Sides) -> None:
+def check_sides(grid: Meshed, sides: Sides) -> None:
     """Refuse sides that a grid does not have."""
     count = len(grid.lengths) if isinstance(grid, Box) else 0
     for name, ends in tuple(zip("xyz", sides.along, strict=True))[count:]:
@@ -155,7 +180,7 @@ def check_sides(grid: Grid, sides: Sides) -> None:
 
 
 def check_ball(
-    grid: Grid, radius: float, center: tuple[float, ...] | None, sides: Sides
+    grid: Meshed, radius: float, center: tuple[float, ...] | None, sides: Sides
 ) -> None:
     """Refuse a tumour that is not within the grid, or smaller than a cell.
 
@@ -172,10 +197,10 @@ def check_ball(
         )
     else:
         largest = grid.radius
-    if radius < 0.5 * grid.size:
+    if radius < 0.5 * (size := max(grid.sizes)):
         raise ValueError(
-            f"tumour.radius: expected at least half a cell, {grid.size / 2:g} "
-            f"m, got {radius:g} m; take smaller cells"
+            f"tumour.radius: expected at least half a cell, {size / 2:g} m, got "
+            f"{radius:g} m; take smaller cells"
         )
     if radius > largest * (1 + 1e-9):
         raise ValueError(

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import numpy as np
+
 from pinav.commands.command import CommandResult
 from pinav.commands.heat import HEAT
 from pinav.commands.heat.case import Case, read_case
@@ -11,9 +13,10 @@ from pinav.commands.heat.optimise import OptimiseTask
 from pinav.commands.heat.settings import HeatOptions
 from pinav.commands.heat.simulate import SimulateTask
 from pinav.commands.heat.tables import text, verification_table
-from pinav.commands.heat.task import READINGS, RESULTS, AbstractTask
+from pinav.commands.heat.task import IMAGES, READINGS, RESULTS, AbstractTask
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
+from pinav.thermal.images import Image, write_image
 from pinav.thermal.probes import save_probes
 from pinav.thermal.verification import verify
 
@@ -31,8 +34,20 @@ def run(options: HeatOptions) -> CommandResult:
     if result.readings is not None:
         save_probes(result.readings, folder.path / READINGS, overwrite=True)
         folder.record(READINGS)
+    if result.image is not None and result.image.is_nifti:
+        _write_images(folder, result.arrays, result.image)
     folder.write_metrics("metrics.json", result.metrics)
     return CommandResult(result.metrics, text(result.metrics), folder)
+
+
+def _write_images(
+    folder: RunFolder, arrays: dict[str, np.ndarray], image: Image
+) -> None:
+    """NIfTI files of the end of a run, where the labels are."""
+    for name in IMAGES:
+        if name in arrays:
+            write_image(folder.path / f"{name}.nii.gz", arrays[name], image)
+            folder.record(f"{name}.nii.gz")
 
 
 def _task(name: str, case: Case, path: Path) -> AbstractTask:

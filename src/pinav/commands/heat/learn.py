@@ -37,12 +37,6 @@ from pinav.thermal.solve import Solution, solve
 DEFAULT_RISE = 6.0
 """Range [K] of the law of a tissue without a probe."""
 
-LAWS: dict[str, Callable[[Any], Any]] = {
-    "tumour": lambda m: m.perfusion.inside,
-    "tissue": lambda m: m.perfusion.outside,
-}
-"""Where a model keeps the perfusion of each tissue."""
-
 
 class LearnTask(AbstractTask):
     """Learn the perfusion of a case from probes.
@@ -58,7 +52,7 @@ class LearnTask(AbstractTask):
         if self.settings.data is not None:
             self.data = load_probes(source.parent / self.settings.data)
         self.setup = build_case(case, source.parent)
-        for name in self.settings.laws:
+        for name in law_names(self.setup, self.settings):
             _value_at_rest(self.setup, name)
         if not self.setup.protocol.largest > 0:
             raise InputError(
@@ -129,8 +123,24 @@ class LearnTask(AbstractTask):
         )
 
 
+def law_names(setup: CaseModel, settings: Learn) -> tuple[str, ...]:
+    """Tissues whose perfusion is learned: all of a case that names none.
+
+    Raises:
+        InputError: there is no such tissue.
+    """
+    names = tuple(setup.body.laws) if settings.laws is None else settings.laws
+    for name in names:
+        if name not in setup.body.laws:
+            raise InputError(
+                f"learn.laws: expected names of tissues, {', '.join(setup.body.laws)}; "
+                f"got {name!r}"
+            )
+    return names
+
+
 def _fit(setup: CaseModel, settings: Learn, data: ProbeData) -> EvidenceFit:
-    laws = tuple(LAWS[name] for name in settings.laws)
+    laws = tuple(setup.body.laws[name] for name in law_names(setup, settings))
     return learn(
         _initial_model(setup, settings, data),
         setup.protocol,
@@ -144,9 +154,9 @@ def _fit(setup: CaseModel, settings: Learn, data: ProbeData) -> EvidenceFit:
 
 def _fit_constant(setup: CaseModel, settings: Learn, data: ProbeData) -> EvidenceFit:
     """The baseline: a perfusion of each tissue that does not depend on temperature."""
-    laws = tuple(LAWS[name] for name in settings.laws)
+    laws = tuple(setup.body.laws[name] for name in law_names(setup, settings))
     start = setup.model
-    for name, law in zip(settings.laws, laws, strict=True):
+    for name, law in zip(law_names(setup, settings), laws, strict=True):
         rest = ConstantPerfusion(jnp.asarray(_value_at_rest(setup, name)))
         start = eqx.tree_at(law, start, rest)
     scale = _power_scale(settings)
@@ -169,7 +179,7 @@ def _power_scale(settings: Learn) -> Callable[[Any], Any]:
 
 def _value_at_rest(setup: CaseModel, name: str) -> float:
     """Perfusion of a tissue at the arterial temperature [kg m⁻³ s⁻¹]."""
-    law: AbstractPerfusion = LAWS[name](setup.model)
+    law: AbstractPerfusion = setup.body.laws[name](setup.model)
     value = float(law(jnp.asarray([float(setup.model.blood.arterial)]))[0])
     if not value > 0:
         raise InputError(
@@ -186,10 +196,10 @@ def _initial_model(setup: CaseModel, settings: Learn, data: ProbeData) -> Biohea
     """
     model, arterial = setup.model, float(setup.model.blood.arterial)
     weights = np.asarray(model.grid.interpolation(data.points))
-    tumour = weights.reshape(len(weights), -1) @ np.asarray(setup.target).reshape(-1)
-    probes = {"tumour": tumour > 0.5, "tissue": tumour <= 0.5}
-    for index, name in enumerate(settings.laws):
-        law, readings = LAWS[name], data.values[:, probes[name]]
+    weights = weights.reshape(len(weights), -1)
+    for index, name in enumerate(law_names(setup, settings)):
+        law, share = setup.body.laws[name], np.asarray(setup.body.shares[name])
+        readings = data.values[:, weights @ share.reshape(-1) > 0.5]
         rest = _value_at_rest(setup, name)
         top = float(np.nanmax(readings)) if readings.size else arterial + DEFAULT_RISE
         span = (arterial, max(top, arterial + 1.0))
@@ -223,17 +233,18 @@ def _curves(
 ) -> dict[str, LawMetrics]:
     """Each learned law with its band and, if known, its truth, added to the arrays."""
     metrics = {}
-    fractions = {"tumour": setup.target, "tissue": 1 - setup.target}
-    for name in settings.laws:
-        visited = visited_range(fit.model, setup.protocol, fractions[name], setup.start)
+    for name in law_names(setup, settings):
+        visited = visited_range(
+            fit.model, setup.protocol, setup.body.shares[name], setup.start
+        )
         at = np.linspace(float(setup.model.blood.arterial), visited[1] + 1.0, 61)
-        curve = perfusion_curve(fit.posterior, LAWS[name], at, visited)
+        curve = perfusion_curve(fit.posterior, setup.body.laws[name], at, visited)
         low, high = curve.band
         stored = {"temperatures": at, "values": curve.values, "low": low, "high": high}
         stored["visited"] = curve.inside
         covered = None
         if settings.data is None:
-            true = np.asarray(LAWS[name](setup.model)(jnp.asarray(at)))
+            true = np.asarray(setup.body.laws[name](setup.model)(jnp.asarray(at)))
             inside = ((true >= low) & (true <= high))[curve.inside]
             covered, stored["true"] = float(inside.mean()), true
         for key, values in stored.items():

@@ -22,32 +22,50 @@ from pinav.commands.heat.bounds import (
 
 
 class Flow(Strict, frozen=True):
-    """A perfusion: a number with its unit, or a law of Lang et al. by its tissue."""
+    """A perfusion: a number with its unit, or a law of Lang et al. by its tissue.
+
+    Among voxels a `file` in a unit, too.
+    """
 
     law: str | None = None
     value: Magnitude | None = None
+    file: str | None = None
     unit: str | None = None
 
     def __post_init__(self) -> None:
-        number = self.value is not None, self.unit is not None
-        if number not in ((False, False), (True, True)) or (
-            (self.law is None) is not number[0]
-        ):
+        given = [self.law is not None, self.value is not None, self.file is not None]
+        if sum(given) != 1 or (self.law is None) is (self.unit is None):
             raise ValueError(
                 "expected a law, or a value with its unit, such as "
                 '{value = 6.7e-4, unit = "1/s"}'
             )
 
 
+Metabolic = Annotated[float, Meta(ge=0, le=1e7)]
+"""[W m⁻³]"""
+
+
 class Medium(Strict, frozen=True):
-    """A tissue: a preset, or numbers in SI units, and its perfusion."""
+    """A tissue: a preset, or numbers in SI units, and its perfusion.
+
+    Among voxels it has the `label` by which an image names it, and files may stand for
+    numbers.
+    """
 
     perfusion: Flow
+    label: Annotated[int, Meta(ge=0, le=2**31)] | None = None
     preset: str | None = None
-    conductivity: Conductivity | None = None
-    density: Density | None = None
-    specific_heat: SpecificHeat | None = None
-    metabolic: Annotated[float, Meta(ge=0, le=1e7)] | None = None
+    conductivity: Conductivity | str | None = None
+    density: Density | str | None = None
+    specific_heat: SpecificHeat | str | None = None
+    metabolic: Metabolic | str | None = None
+
+    @property
+    def file(self) -> str | None:
+        """One of the files that stand for numbers."""
+        values = self.conductivity, self.density, self.specific_heat, self.metabolic
+        files = [value for value in (*values, self.perfusion.file) if _is_file(value)]
+        return str(files[0]) if files else None
 
     def __post_init__(self) -> None:
         for name in ("conductivity", "density", "specific_heat"):
@@ -56,6 +74,10 @@ class Medium(Strict, frozen=True):
                     f"expected a preset or {name}, got neither; presets are listed in "
                     "docs/thermal.md"
                 )
+
+
+def _is_file(value: object) -> bool:
+    return isinstance(value, str)
 
 
 class Power(Strict, frozen=True, tag="power", tag_field="kind"):
@@ -81,8 +103,16 @@ class Power(Strict, frozen=True, tag="power", tag_field="kind"):
             )
 
 
+class Absorption(Strict, frozen=True, tag="sar", tag_field="kind"):
+    """A file of SAR [W/kg] at a reference amplitude [A/m], times a scale."""
+
+    file: str
+    reference: Reference
+    scale: Scale = 1.0
+
+
 class Particles(Strict, frozen=True, tag="particles", tag_field="kind"):
-    """Magnetite in the tumour: concentration [mg/cm³], diameter [nm].
+    """Magnetite: concentration [mg/cm³] in the tumour, or a file; diameter [nm].
 
     `spread` is the standard deviation of the logarithm of the diameter. The constants
     of the material are those of `LinearResponse` unless given: anisotropy [kJ/m³],
@@ -90,7 +120,7 @@ class Particles(Strict, frozen=True, tag="particles", tag_field="kind"):
     and the viscosity [Pa s] of the carrier of free particles.
     """
 
-    concentration: Concentration
+    concentration: Concentration | str
     diameter: Annotated[float, Meta(ge=1, le=1000)]
     bound: bool = True
     spread: Annotated[float, Meta(gt=0, le=1)] | None = None
@@ -116,7 +146,7 @@ class Measured(Strict, frozen=True, tag="measured", tag_field="kind"):
     One row for each amplitude [A/m], one column for each frequency [Hz].
     """
 
-    concentration: Concentration
+    concentration: Concentration | str
     amplitudes: tuple[Reference, ...]
     frequencies: tuple[Frequency, ...]
     slp: tuple[tuple[Annotated[float, Meta(ge=0, le=1e5)], ...], ...]
@@ -164,7 +194,16 @@ class Blood(Strict, frozen=True):
     arterial: Arterial = 37.0
 
 
-Heating = Power | Particles | Measured
+Heating = Power | Absorption | Particles | Measured
+
+
+def heating_file(heating: Heating) -> str | None:
+    """The file that says where heat is, if there is one."""
+    if isinstance(heating, Absorption):
+        return heating.file
+    if isinstance(heating, Power):
+        return None
+    return heating.concentration if isinstance(heating.concentration, str) else None
 
 
 LimitName = Literal["atkinson-brezovich", "hergt-dutz"]

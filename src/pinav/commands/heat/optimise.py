@@ -4,6 +4,7 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 
 from pinav.commands.heat.build import CaseModel, build_case
 from pinav.commands.heat.case import Case, Optimise
@@ -26,7 +27,9 @@ from pinav.thermal.design_variables import (
     Run,
     shells,
 )
+from pinav.thermal.grids import CartesianGrid
 from pinav.thermal.optimise import optimise
+from pinav.thermal.quantities import Field
 
 
 class OptimiseTask(AbstractTask):
@@ -64,6 +67,7 @@ class OptimiseTask(AbstractTask):
                 max_temperature=self.settings.max_temperature,
             ),
             arrays,
+            image=setup.body.image,
         )
 
 
@@ -80,7 +84,8 @@ def _variables(
     if settings.placement is not None:
         grid, source = setup.model.grid, setup.model.sources[0]
         total = float(jnp.sum(source.shape(grid) * grid.volumes))
-        patterns = shells(setup.model, case.tumour.radius, settings.placement, total)
+        radius = case.ball[1].radius
+        patterns = shells(setup.model, radius, settings.placement, total)
         variables.append(FreePlacement(patterns))
     return variables
 
@@ -93,10 +98,23 @@ def _constraints(
     ]
     if settings.healthy_dose is not None:
         # the margin leaves out tissue that conduction from the tumour heats anyway
-        radius = case.tumour.radius + settings.margin
-        away = 1 - setup.model.grid.ball(radius, center=case.tumour.center)
+        away = tissue_beyond(case, setup, settings.margin)
         name = f"dose of tissue {1e3 * settings.margin:g} mm or more from the tumour"
         constraints.append(
             HealthyDose(bound=settings.healthy_dose, share=away, name=name)
         )
     return constraints + [limit_constraint(limit) for limit in setup.limits]
+
+
+def tissue_beyond(case: Case, setup: CaseModel, margin: float) -> Field:
+    """Share of each cell that is further than a margin [m] from the target."""
+    if case.tumour is not None:
+        radius = case.tumour.radius + margin
+        return 1 - setup.model.grid.ball(radius, center=case.tumour.center)
+    grid = setup.model.grid
+    assert isinstance(grid, CartesianGrid)
+    outside = np.asarray(setup.target) <= 0.5
+    sizes = [float(size) for size in grid.spacing]
+    # from centre to centre: half a voxel is inside the target
+    distance = np.asarray(distance_transform_edt(outside, sizes)) - 0.5 * min(sizes)
+    return jnp.asarray(distance >= margin, float)

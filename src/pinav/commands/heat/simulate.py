@@ -32,7 +32,7 @@ class SimulateTask(AbstractTask):
     def run(self) -> TaskResult:
         setup = self.setup
         metrics, arrays = simulate_run(setup, setup.model, setup.protocol)
-        return TaskResult(metrics, arrays, self._readings())
+        return TaskResult(metrics, arrays, self._readings(), setup.body.image)
 
     def _readings(self) -> ProbeData | None:
         """Temperatures of the probes at their own times, without noise."""

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from pinav.commands.heat.case import Before
-from pinav.commands.heat.geometry import Box, Grid
 from pinav.errors import InputError
 from pinav.thermal.starts import AT_REST, AbstractStart, AtSteadyState, State
 
@@ -15,24 +14,22 @@ COLDEST, HOTTEST = -50.0, 150.0
 """Temperatures [°C] that tissue may begin with; beyond them they are kelvins."""
 
 
-def build_start(start: Before | str, grid: Grid, folder: Path) -> AbstractStart:
+def build_start(
+    start: Before | str, shape: tuple[int, ...], folder: Path
+) -> AbstractStart:
     """The start that a case names.
 
     Args:
         start: what the case says.
-        grid: of the case.
+        shape: of the grid.
         folder: in which a file is that the case names.
 
     Raises:
         InputError: the file cannot be read, or is of another grid.
     """
     if isinstance(start, Before):
-        return _read_state(folder / start.file, _shape(grid))
+        return _read_state(folder / start.file, shape)
     return AtSteadyState() if start == "steady" else AT_REST
-
-
-def _shape(grid: Grid) -> tuple[int, ...]:
-    return grid.cells if isinstance(grid, Box) else (grid.cells,)
 
 
 def _read_state(path: Path, shape: tuple[int, ...]) -> State:

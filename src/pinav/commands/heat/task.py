@@ -6,10 +6,13 @@ import dataclasses
 import numpy as np
 
 from pinav.commands.heat.metrics import HeatMetrics
+from pinav.thermal.images import Image
 from pinav.thermal.probes import ProbeData
 
 RESULTS = "results.npz"
 READINGS = "probes.csv"
+IMAGES = ("temperature", "dose")
+"""Arrays that are written as NIfTI, too, where the labels are."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -20,11 +23,13 @@ class TaskResult:
         metrics: numbers for tables and scripts.
         arrays: what the figures show.
         readings: of the case's probes, if it has any.
+        image: of the case's voxels, if it has any.
     """
 
     metrics: HeatMetrics
     arrays: dict[str, np.ndarray]
     readings: ProbeData | None = None
+    image: Image | None = None
 
 
 class AbstractTask(abc.ABC):

@@ -80,12 +80,23 @@ class Posterior(eqx.Module):
             positions: points, one a row [L].
             time: at which the force acts [T].
         """
+        return _spread(self.force_jacobians(positions, time), self.covariance)
+
+    def force_jacobians(
+        self, positions: ArrayLike, time: float = 0.0
+    ) -> Float[np.ndarray, "point dim parameter"]:
+        """Derivatives of the environment's force on a swimmer at rest by parameters.
+
+        Args:
+            positions: points, one a row [L].
+            time: at which the force acts [T].
+        """
         with jax.enable_x64(new_val=True):
             points = jnp.asarray(positions, jnp.float64)
-            jacobians = _force_jacobians(
-                self.free, jnp.asarray(self.mean), points, jnp.asarray(time)
+            mean = jnp.asarray(self.mean)
+            return np.asarray(
+                _force_jacobians(self.free, mean, points, jnp.asarray(time))
             )
-        return _spread(np.asarray(jacobians), self.covariance)
 
     def rollout_band(
         self,
@@ -111,7 +122,7 @@ class Posterior(eqx.Module):
             times = jnp.asarray(ts, jnp.float64)
             start = jnp.asarray(y0, jnp.float64)
             theta = jnp.asarray(self.mean)
-            ys, columns = _linear_rollout(self.free, theta, start, times, solver)
+            ys, columns = linear_rollout(self.free, theta, start, times, solver)
         states = np.shape(start)[0]
         start_variance = np.broadcast_to(np.asarray(start_sd, float) ** 2, (states,))
         total = np.zeros((len(self.mean) + states,) * 2)
@@ -135,13 +146,22 @@ def _force_jacobians(
 
 
 @eqx.filter_jit
-def _linear_rollout(
+def linear_rollout(
     free: ParametricModel,
     theta: Float[Array, " parameter"],
     y0: State,
     ts: Float[Array, " time"],
     solver: FixedStep,
 ) -> tuple[Float[Array, "time state"], Float[Array, "time state column"]]:
+    """States of a rollout, and their derivatives as `Sensitivities` have them.
+
+    Args:
+        free: the model as a function of its parameters.
+        theta: the parameters.
+        y0: first state.
+        ts: times [T], increasing.
+        solver: how to integrate.
+    """
     ys, _ = solver.solve(free(theta), y0, ts)
     return ys, sensitivities(free, theta, ys, ts, solver).columns
 

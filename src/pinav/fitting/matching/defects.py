@@ -16,17 +16,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from pinav.dynamics import RK4, FixedStep
 from pinav.errors import InputError
-from pinav.fitting.matching.gauss_newton import DampedStep
-from pinav.fitting.matching.phases import AbstractPhase
+from pinav.fitting.matching.damped_phase import AbstractDampedPhase, DampedState
+from pinav.fitting.matching.gauss_newton import DampedStep, chord
 from pinav.fitting.matching.windows import Windows
-from pinav.fitting.outcome import Outcome
 
 
-class DefectMatching(AbstractPhase):
+class DefectMatching(AbstractDampedPhase):
     """Damped Gauss-Newton steps on propagated defects, with the whole Jacobian.
 
     Attributes:
@@ -68,64 +67,23 @@ class DefectMatching(AbstractPhase):
     def chunk_steps(self):
         return 1
 
-    @property
-    def side_by_side(self):
-        return False
-
     def init(self, loss, params, value):
-        return _State(
-            damping=self.damping.astype(value.dtype),
-            slow=jnp.zeros((), int),
-            squares=value,
-            done=jnp.zeros((), bool),
-        )
+        return DampedState.begin(self.damping.astype(value.dtype), value)
 
-    def step(self, loss, params, state):
-        return jax.lax.cond(
-            state.done,
-            lambda: (params, state, state.squares),
-            lambda: self._take_step(loss, params, state),
-        )
-
-    def _take_step(self, loss, params, state):
+    def take_step(self, problem, params, state):
         theta, unravel = ravel_pytree(params)
-        windows = Windows.of(loss, params, self.window, self.linearisation)
+        windows = Windows.of(problem, params, self.window, self.linearisation)
         errors = windows.propagated_defects(theta)
         residual = errors(theta)
-        starts = loss.observations.states[:, :-1]
+        starts = problem.observations.states[:, :-1]
         linear = residual, windows.jacobian(theta, starts)
         step = full_step(errors, theta, linear, state.damping)
         squares = step.left * (residual @ residual)
         slow = jnp.where(step.left > SLOW, state.slow + 1, 0)
         small = squares < windows.count * self.target**2
         done = small | (slow >= self.patience)
-        state = _State(step.damping, slow, squares, done)
+        state = DampedState(step.damping, slow, squares, done)
         return unravel(step.theta), state, residual @ residual
-
-    def finish(self, loss, params, state):
-        return params
-
-    def is_done(self, state):
-        return state.done
-
-    def outcome(self, state):
-        return jnp.asarray(Outcome.COMPLETED)
-
-
-class _State(eqx.Module):
-    """Where the phase stands.
-
-    Attributes:
-        damping: of the step taken last.
-        slow: slow steps in a row.
-        squares: of the errors, summed.
-        done: whether the phase has ended.
-    """
-
-    damping: Float[Array, ""]
-    slow: Int[Array, ""]
-    squares: Float[Array, ""]
-    done: Bool[Array, ""]
 
 
 DAMPINGS = (0.01, 0.1, 1.0, 10.0)
@@ -174,19 +132,17 @@ def full_step(
     def attempt(damping):
         factor = jnp.linalg.cholesky(normal + damping * jnp.eye(normal.shape[0]))
 
-        def iterate(state, _):
-            z, current, best, lowest = state
+        def newton(current, z):
             gradient = pull_back(current) + damping * z
-            z = z - jax.scipy.linalg.cho_solve((factor, True), gradient)
-            current = residuals(theta + move(z))
-            cost = current @ current
-            lower = cost < lowest
-            best, lowest = jnp.where(lower, z, best), jnp.where(lower, cost, lowest)
-            return (z, current, best, lowest), None
+            return z - jax.scipy.linalg.cho_solve((factor, True), gradient)
 
-        zero = jnp.zeros(normal.shape[0], theta.dtype)
-        start = (zero, residual, zero, jnp.asarray(jnp.inf, theta.dtype))
-        (_, _, best, lowest), _ = jax.lax.scan(iterate, start, length=CHORD_STEPS)
+        best, lowest = chord(
+            lambda z: residuals(theta + move(z)),
+            residual,
+            jnp.zeros(normal.shape[0], theta.dtype),
+            newton,
+            CHORD_STEPS,
+        )
         return move(best), lowest
 
     moves, costs = jax.vmap(attempt)(dampings)

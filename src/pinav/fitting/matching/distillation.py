@@ -5,12 +5,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Float
 
 from pinav.errors import InputError
+from pinav.fitting.matching.damped_phase import AbstractDampedPhase, DampedState
 from pinav.fitting.matching.gauss_newton import damped_step
-from pinav.fitting.matching.phases import AbstractPhase
-from pinav.fitting.outcome import Outcome
 
 
 class Rates(eqx.Module):
@@ -31,7 +30,7 @@ def _on_device(rates: Rates) -> Rates:
     return jax.tree.map(jnp.asarray, rates)
 
 
-class Distillation(AbstractPhase):
+class Distillation(AbstractDampedPhase):
     """Damped Gauss-Newton steps on rates of change, which need no rollout.
 
     Rollouts of a random network depart from the data after a few samples, and those of
@@ -70,22 +69,11 @@ class Distillation(AbstractPhase):
     def chunk_steps(self):
         return 5
 
-    @property
-    def side_by_side(self):
-        return False
-
     def init(self, loss, params, value):
         damping = jnp.asarray(DAMPING, value.dtype)
-        return _State(damping, jnp.zeros((), int), value, jnp.zeros((), bool))
+        return DampedState.begin(damping, value)
 
-    def step(self, loss, params, state):
-        return jax.lax.cond(
-            state.done,
-            lambda: (params, state, state.value),
-            lambda: self._take_step(loss, params, state),
-        )
-
-    def _take_step(self, loss, params, state):
+    def take_step(self, problem, params, state):
         theta, unravel = ravel_pytree(params)
 
         targets = self.targets.rates
@@ -93,7 +81,7 @@ class Distillation(AbstractPhase):
         size = jnp.where(size > 0, size, 1.0)
 
         def rate(theta, t, y):
-            rates = loss.model(unravel(theta))(t, y)
+            rates = problem.model(unravel(theta))(t, y)
             return rates[-targets.shape[1] :] / size
 
         def residuals(theta):
@@ -117,33 +105,8 @@ class Distillation(AbstractPhase):
         slow = jnp.where(step.left < 0.96, 0, state.slow + 1)
         error = jnp.sqrt(jnp.mean(residuals(step.theta) ** 2))
         done = (slow >= self.patience) | (error < DISTILLED)
-        state = _State(step.damping, slow, state.value, done)
+        state = DampedState(step.damping, slow, state.value, done)
         return unravel(step.theta), state, state.value
-
-    def finish(self, loss, params, state):
-        return params
-
-    def is_done(self, state):
-        return state.done
-
-    def outcome(self, state):
-        return jnp.asarray(Outcome.COMPLETED)
-
-
-class _State(eqx.Module):
-    """Where the phase stands.
-
-    Attributes:
-        damping: of the step taken last.
-        slow: steps in a row that gained little.
-        value: the loss before the first step, which the phase does not look at.
-        done: whether the phase has ended.
-    """
-
-    damping: Float[Array, ""]
-    slow: Int[Array, ""]
-    value: Float[Array, ""]
-    done: Bool[Array, ""]
 
 
 DAMPING = 1e3

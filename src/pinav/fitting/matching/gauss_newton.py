@@ -214,11 +214,16 @@ def damped_step(
     dampings = damping * 10.0 ** exponents.astype(theta.dtype)
 
     def attempt(damping):
+        def newton(current, z):
+            gradient = scale * (left.T @ current) + damping * z
+            return z - gradient / (scale**2 + damping)
+
         return chord(
             lambda z: residuals(theta + right @ z),
-            (residual, left, scale),
-            damping,
-            chord_steps,
+            residual,
+            jnp.zeros_like(scale),
+            newton,
+            chord_steps + 1,
         )
 
     moves, costs = jax.vmap(attempt)(dampings)
@@ -261,21 +266,26 @@ def _predicted_decrease(residual, left, scale, damping):
     return along @ along - (kept * along) @ (kept * along)
 
 
-def chord(residuals, linear, damping, num_steps):
-    """Best of several steps with the Jacobian held, and its sum of squares."""
-    residual, left, scale = linear
+def chord(residuals, residual, zero, newton, num_steps):
+    """Best of several steps with the Jacobian held, and its sum of squares.
+
+    Args:
+        residuals: as a function of the coordinates of the step.
+        residual: their values at no step.
+        zero: the coordinates of no step.
+        newton: the next coordinates, from the residuals and the coordinates.
+        num_steps: number of steps.
+    """
 
     def iterate(state, _):
         z, current, best, lowest = state
-        gradient = scale * (left.T @ current) + damping * z
-        z = z - gradient / (scale**2 + damping)
+        z = newton(current, z)
         current = residuals(z)
         cost = current @ current
         lower = cost < lowest
         best, lowest = jnp.where(lower, z, best), jnp.where(lower, cost, lowest)
         return (z, current, best, lowest), None
 
-    zero = jnp.zeros_like(scale)
-    start = (zero, residual, zero, jnp.asarray(jnp.inf, scale.dtype))
-    (_, _, best, lowest), _ = jax.lax.scan(iterate, start, length=num_steps + 1)
+    start = (zero, residual, zero, jnp.asarray(jnp.inf, zero.dtype))
+    (_, _, best, lowest), _ = jax.lax.scan(iterate, start, length=num_steps)
     return best, lowest

@@ -1,0 +1,195 @@
+"""Images of voxels: arrays of NumPy, and NIfTI with its place and its units.
+
+A NIfTI file says how large its voxels are and where they are; an array of NumPy says
+neither. Everything is in metres and seconds here, whatever the file has.
+"""
+
+import gzip
+import importlib
+from pathlib import Path
+from types import ModuleType
+from typing import BinaryIO
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from pinav.errors import InputError
+from pinav.files import atomic_write
+
+SPATIAL_UNITS = {"meter": 1.0, "mm": 1e-3, "micron": 1e-6}
+TEMPORAL_UNITS = {"sec": 1.0, "msec": 1e-3, "usec": 1e-6}
+
+SMALLEST, LARGEST = 1e-5, 0.05
+"""Edges [m] that a voxel may have; others are those of another unit."""
+
+NEGLIGIBLE = 1e-3
+"""Relative difference of edges and places, by which rounding makes files differ."""
+
+SUFFIXES = (".npy", ".nii", ".nii.gz")
+
+
+class Image(eqx.Module):
+    """Values of voxels, and where the voxels are as far as the file says it.
+
+    Attributes:
+        path: of the file.
+        values: one for each voxel, frames last if there are any.
+        spacing: edges of a voxel [m]; None where the file has no unit.
+        affine: from indices to places of the scanner [m]; None where it has none.
+        every: time between two frames [s]; None where the file does not say.
+    """
+
+    path: Path
+    values: np.ndarray
+    spacing: tuple[float, ...] | None = None
+    affine: Float[np.ndarray, "4 4"] | None = None
+    every: float | None = None
+
+    @property
+    def is_nifti(self) -> bool:
+        """Whether the file says where the voxels are."""
+        return self.affine is not None
+
+
+def read_image(path: Path) -> Image:
+    """An image of one of the formats.
+
+    Raises:
+        InputError: the file cannot be read, is of another format, or holds no numbers
+            on perpendicular axes of plausible voxels.
+    """
+    if path.name.endswith(".npy"):
+        return Image(path, _numbers(path, _read_array(path)))
+    if not path.name.endswith((".nii", ".nii.gz")):
+        raise InputError(
+            f"{path}: expected a file that ends in {', '.join(SUFFIXES)}, got another; "
+            "convert it"
+        )
+    return _read_nifti(path)
+
+
+def write_image(path: Path, values: np.ndarray, like: Image) -> None:
+    """Write a NIfTI file of voxels that are where those of another image are.
+
+    Args:
+        path: ends in `.nii.gz`.
+        values: one for each voxel of `like`.
+        like: a NIfTI image.
+    """
+    assert like.affine is not None
+    nibabel = _nibabel(path)
+    affine = like.affine.copy()
+    affine[:3] *= 1e3
+    shape = values.shape + (1,) * (3 - values.ndim)
+    image = nibabel.Nifti1Image(values.reshape(shape).astype(np.float32), affine)
+    image.header.set_xyzt_units("mm", "sec")
+    content = gzip.compress(image.to_bytes(), mtime=0)
+
+    def write(file: BinaryIO) -> None:
+        file.write(content)
+
+    atomic_write(path, write, overwrite=True)
+
+
+def check_place(image: Image, reference: Image) -> None:
+    """Refuse an image whose voxels are not those of another.
+
+    Raises:
+        InputError: their numbers differ, or their places by more than rounding.
+    """
+    axes = reference.values.ndim
+    if image.values.shape[:axes] != reference.values.shape:
+        raise InputError(
+            f"{image.path}: expected the shape {reference.values.shape} of "
+            f"{reference.path.name}, got {image.values.shape}; resample it"
+        )
+    if image.affine is None or reference.affine is None:
+        return
+    assert reference.spacing is not None
+    apart = np.abs(image.affine - reference.affine)[:3].max()
+    if apart > NEGLIGIBLE * max(image.values.shape) * min(reference.spacing):
+        raise InputError(
+            f"{image.path}: expected the affine of {reference.path.name}, got another "
+            f"(up to {1e3 * apart:.3g} mm apart); resample it, or correct its units"
+        )
+
+
+def _read_array(path: Path) -> np.ndarray:
+    try:
+        return np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error
+
+
+def _numbers(path: Path, values: np.ndarray) -> np.ndarray:
+    if values.dtype.kind not in "biuf":
+        raise InputError(f"{path}: expected real numbers, got something else")
+    return values.astype(float)
+
+
+def _nibabel(path: Path) -> ModuleType:
+    try:
+        return importlib.import_module("nibabel")
+    except ImportError as error:
+        raise InputError(
+            f"{path}: NIfTI needs nibabel, which is not installed; pip install "
+            "'pinav[mri]', or save arrays of NumPy"
+        ) from error
+
+
+def _read_nifti(path: Path) -> Image:
+    nibabel = _nibabel(path)
+    try:
+        image = nibabel.load(path)
+        values = np.asarray(image.dataobj)
+        zooms, units = image.header.get_zooms(), image.header.get_xyzt_units()
+        affine = np.array(image.affine, float)
+    except Exception as error:  # whatever a damaged file makes of it
+        raise InputError(f"{path}: cannot be read: {error}") from error
+    values = _numbers(path, values)
+    if not 3 <= values.ndim <= 4:
+        raise InputError(
+            f"{path}: expected voxels along three axes, and frames if any, got shape "
+            f"{values.shape}"
+        )
+    values = values[:, :, 0] if values.shape[2] == 1 else values
+    every = None
+    if len(zooms) == 4 and zooms[3] > 0:
+        every = float(zooms[3]) * TEMPORAL_UNITS.get(units[1], np.nan)
+    if units[0] not in SPATIAL_UNITS:
+        return Image(path, values, every=every)
+    factor = SPATIAL_UNITS[units[0]]
+    affine[:3] *= factor
+    spacing = _spacing(path, affine, factor * np.array(zooms[:3], float), units[0])
+    axes = 2 if image.shape[2] == 1 else 3
+    return Image(path, values, spacing[:axes], affine, every)
+
+
+def _spacing(
+    path: Path, affine: np.ndarray, zooms: np.ndarray, unit: str
+) -> tuple[float, ...]:
+    """Edges of a voxel [m], which affine and header agree about."""
+    columns = affine[:3, :3]
+    edges = np.linalg.norm(columns, axis=0)
+    if not np.all((edges >= SMALLEST) & (edges <= LARGEST)):
+        raise InputError(
+            f"{path}: expected voxels of {1e3 * SMALLEST:g} to {1e3 * LARGEST:g} mm, "
+            f"got {_millimetres(edges)}; its unit of length, {unit}, may be wrong"
+        )
+    if np.abs(edges - zooms).max() > NEGLIGIBLE * edges.min():
+        raise InputError(
+            f"{path}: expected an affine of voxels as large as in the header, "
+            f"{_millimetres(zooms)}, got {_millimetres(edges)}; correct one of them"
+        )
+    angles = (columns / edges).T @ (columns / edges) - np.eye(3)
+    if np.abs(angles).max() > NEGLIGIBLE:
+        raise InputError(
+            f"{path}: expected an affine with perpendicular axes, got a sheared one; "
+            "resample the image"
+        )
+    return tuple(edges.tolist())
+
+
+def _millimetres(edges: np.ndarray) -> str:
+    return " x ".join(f"{1e3 * edge:.4g}" for edge in edges) + " mm"
