@@ -18,9 +18,10 @@ from pinav.commands.explore.trees import Tree
 from pinav.errors import InputError
 
 MODULES = (
-    *("numbers", "kernels", "network", "media", "propulsion", "forces", "model"),
-    *("rollout", "plan", "colours", "quantities", "view", "experiment", "session"),
-    *("panel", "gestures", "sharing", "tissue", "oven", "main"),
+    *("numbers", "kernels", "network", "media", "propulsion", "structures"),
+    *("forces", "model", "rollout", "plan", "colours", "quantities", "view"),
+    *("experiment", "session", "panel", "gestures", "sharing", "tissue", "oven"),
+    "main",
 )
 """The modules, each after those that it imports."""
 

@@ -31,6 +31,7 @@ EVALUATED = frozenset(
         *("KernelPotential", "KernelStream", "KernelMixture", "TimedKernelPotential"),
         *("ChangingPotential", "NeuralForce", "NeuralPotential", "MLP", "Linear"),
         *("PositionFeatures", "PositionTimeFeatures", "LinearResponse"),
+        *("StructuredForce", "CentralTerm", "EllipticTerm", "WallTerm", "LinearTerm"),
         *("SaturatingResponse", "SlippingResponse", "StepOutResponse", "ZeroFlow"),
         *("UniformFlow", "ShearFlow", "PoiseuilleFlow", "VortexFlow", "SampledFlow"),
         *("SumFlow", "IsotropicTensor", "UniaxialTensor", "CholeskyTensor"),

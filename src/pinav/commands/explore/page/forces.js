@@ -9,6 +9,7 @@ import { flowOf, tensorOf } from "./media.js";
 import { neuralForce, neuralPotential } from "./network.js";
 import { arrayOf } from "./numbers.js";
 import { rollingPropulsion } from "./propulsion.js";
+import { TERMS } from "./structures.js";
 
 const scalar = (value) => arrayOf(value)[0];
 
@@ -216,6 +217,8 @@ export const FORCES = {
   TimedKernelPotential: timedKernelPotential,
   ChangingPotential: (tree) =>
     sumOf([kernelPotential(tree.static), timedKernelPotential(tree.change)]),
+  ...TERMS,
+  StructuredForce: (tree) => sumOf([...tree.terms.map(forceOf), forceOf(tree.remainder)]),
   NeuralForce: neuralForce,
   NeuralPotential: neuralPotential,
 };
