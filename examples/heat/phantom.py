@@ -136,7 +136,7 @@ def case(
         "field": {
             "frequency": 1e5,
             "times": [duration * k / 6 for k in range(7)],
-            "amplitudes": [1e4, 8e3] * 3,
+            "amplitudes": [9e3, 7e3] * 3,
         },
     }
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pinav.commands.heat.balance import balance_arrays
 from pinav.commands.heat.build import CaseModel, build_case
 from pinav.commands.heat.case import Case
 from pinav.commands.heat.history import (
@@ -82,6 +83,7 @@ def simulate_run(
         arrays[f"dose/{name}"] = np.asarray(values)
     if setup.target.ndim == 1:
         arrays["radius"] = np.asarray(model.grid.distances())
+        arrays |= balance_arrays(setup, model, protocol)
     else:
         arrays["spacing"] = spacing(model.grid)
     return run_metrics(model, protocol, solution), arrays
