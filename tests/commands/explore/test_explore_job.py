@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 import pinav.commands.explore
 from pinav import cli
 from pinav.commands.explore import document, payload, posterior
+from pinav.commands.explore.job import explorer
 from pinav.commands.explore.plan import plan_of
 from pinav.commands.explore.trees import EVALUATED, leaf_table, packed, tree_of
 from pinav.commands.fitted_run import FittedRun
@@ -197,6 +198,30 @@ def test_a_plan_that_was_not_kept_is_refused(tmp_path, run, capsys):
     folder = planned(tmp_path / "there", "", {"goal": np.zeros(2)})
     with pytest.raises(InputError, match="hold no plan that can be evaluated"):
         plan_of(RunFolder.open(folder))
+
+
+def heated(folder, **arrays):
+    made = RunFolder.create(folder, {"run": {}}, overwrite=False)
+    made.write_arrays("results.npz", {"temperature": np.zeros(3), **arrays})
+    return folder
+
+
+def test_bioheat_on_a_plane_is_refused(tmp_path, capsys):
+    assert cli.run(["explore", str(heated(tmp_path / "heat"))]) == 2
+    assert "this run is on a plane or a box" in capsys.readouterr().err
+
+
+def test_a_run_of_bioheat_without_its_balance_is_refused(tmp_path, capsys):
+    folder = heated(tmp_path / "heat", radius=np.arange(3.0))
+    assert cli.run(["explore", str(folder)]) == 2
+    assert "hold no heat balance; " in capsys.readouterr().err
+
+
+def test_a_notebook_shows_the_page_in_a_frame(run):
+    shown = explorer(run)._repr_html_()
+    assert shown.startswith("<iframe srcdoc=")
+    assert shown.count("<") == 2  # everything of the page is escaped
+    assert "explore.html" not in {path.name for path in run.iterdir()}
 
 
 def test_the_map_holds_the_arena_of_a_plan(content):

@@ -12,15 +12,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from tests.commands.explore.chromium import Chromium, find_chromium
+from tests.commands.test_heat import small
 
 import pinav.forces as forces
+from pinav import cli
 from pinav.commands.explore.document import document
 from pinav.commands.explore.payload import payload_of
 from pinav.commands.explore.plan import LEVELS
 from pinav.commands.explore.trees import packed, tree_of
+from pinav.commands.explore.warmth import heat_payload
 from pinav.commands.fitted_run import FittedRun
 from pinav.dynamics import FixedStep, commanded, rollout
 from pinav.evaluation import square
+from pinav.runs import RunFolder
 
 pytestmark = [
     pytest.mark.slow,
@@ -251,6 +255,42 @@ def straight_plan(run):
         "thrusts": thrusts.tolist(),
         "values": packed(np.round(np.exp(-times / scale) * LEVELS), "u2"),
     }
+
+
+@pytest.fixture(scope="module")
+def heated(tmp_path_factory):
+    """A tumour of 24 cells, heated: the folder of its run, and its page."""
+    folder = tmp_path_factory.mktemp("heat")
+    case = small("tumour", folder, step=5.0)
+    out = folder / "run"
+    with jax.numpy_dtype_promotion("standard"):
+        assert cli.run(["heat", "simulate", str(case), "--out", str(out)]) == 0
+    return out, document(heat_payload(RunFolder.open(out)))
+
+
+def test_a_run_of_bioheat_is_that_of_the_package(browser, heated, tmp_path):
+    folder, page = heated
+    (tmp_path / "heat.html").write_text(page)
+    browser.open(f"file://{tmp_path}/heat.html", width=360)
+    browser.wait_for("globalThis.explorer?.result !== undefined")
+    arrays = dict(np.load(folder / "results.npz"))
+    for name in ("hottest", "T90", "D90"):
+        times, values = np.array(browser.run(f"explorer.series('{name}')")).T
+        saved = arrays["dose/D90" if name == "D90" else name]
+        error = np.interp(arrays["times"], times, values) - saved
+        assert np.abs(error).max() < 3 * BAR * np.ptp(saved), name
+    assert browser.run("document.documentElement.scrollWidth") <= 360
+    before = browser.run("explorer.series('hottest').at(-1)[1]")
+    browser.run("document.querySelector('#panel input[type=number]').focus()")
+    browser.run("document.activeElement.select()")
+    browser.send("Input.insertText", text="5")
+    browser.press("Tab")
+    browser.wait_for("!explorer.request && explorer.conditions.starts[0] === 5000")
+    assert browser.run("explorer.series('hottest').at(-1)[1]") < before - 1
+    assert browser.run("explorer.elapsed") < 1000
+    assert "starts=5000" in browser.run("location.hash")
+    for trouble in ("Runtime.exceptionThrown", "Log.entryAdded"):
+        assert not browser.named(trouble)
 
 
 def test_nothing_leaves_the_page_and_nothing_complains(browser, pages):

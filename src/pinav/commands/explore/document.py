@@ -20,7 +20,8 @@ from pinav.errors import InputError
 MODULES = (
     *("numbers", "kernels", "network", "media", "propulsion", "structures"),
     *("forces", "model", "rollout", "plan", "colours", "quantities", "view"),
-    *("experiment", "session", "panel", "gestures", "sharing", "main"),
+    *("experiment", "session", "panel", "gestures", "sharing", "tissue", "oven"),
+    "main",
 )
 """The modules, each after those that it imports."""
 

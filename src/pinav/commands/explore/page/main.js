@@ -5,6 +5,7 @@ import { Experiment, NORMAL_95 } from "./experiment.js";
 import { forceOf } from "./forces.js";
 import { listen } from "./gestures.js";
 import { arrayOf, shown } from "./numbers.js";
+import { HeatExplorer } from "./oven.js";
 import { button, checks, choice, group, make, numberField, slider } from "./panel.js";
 import { responseOf } from "./propulsion.js";
 import { forceAt, forceSd, grid, quantitiesOf } from "./quantities.js";
@@ -648,7 +649,8 @@ function begin() {
   try {
     const run = JSON.parse(byId("run").textContent);
     // For those who ask in the console, and for the tests.
-    globalThis.explorer = Object.assign(new Explorer(run), { forceOf });
+    const page = run.kind === "tissue" ? new HeatExplorer(run) : new Explorer(run);
+    globalThis.explorer = Object.assign(page, { forceOf });
   } catch (error) {
     const note = byId("failure");
     note.hidden = false;

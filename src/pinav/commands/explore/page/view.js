@@ -3,7 +3,7 @@
 import { colourOf } from "./colours.js";
 import { shown } from "./numbers.js";
 
-const MARGIN = { left: 46, right: 10, top: 10, bottom: 34 };
+const MARGIN = { left: 46, right: 20, top: 10, bottom: 34 };
 
 /** Between places and pixels of a canvas; one unit is as long along both axes. */
 export class Frame {
