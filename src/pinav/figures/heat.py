@@ -212,9 +212,10 @@ def protocol_figure(
     temperatures: Mapping[str, Float[np.ndarray, " time"]],
     doses: Mapping[str, Float[np.ndarray, " time"]],
     *,
+    shares: Mapping[str, Float[np.ndarray, " time"]],
     bound: float | None = None,
 ) -> Figure:
-    """Field, temperatures and doses below each other on one axis of time.
+    """Field, temperatures, shares and doses below each other on one axis of time.
 
     Args:
         field: edges of the intervals [s], amplitudes at their begins and at their
@@ -222,12 +223,14 @@ def protocol_figure(
         times: of the curves [s].
         temperatures: [°C], by what the legend says.
         doses: so far [CEM43 min], by what the legend says.
+        shares: of a volume, 0 to 1, by what the legend says.
         bound: on the temperature, marked unless None.
     """
-    figure = new_figure(5.0, 6.0)
-    above, middle, below = figure.subplots(3, 1, sharex=True)
-    for ax in (above, middle, below):
+    figure = new_figure(5.0, 7.5)
+    panels = figure.subplots(4, 1, sharex=True)
+    for ax in panels:
         prepare_axes(ax)
+    above, middle, share_axes, below = panels
     edges, starts, ends = field
     at = np.repeat(np.asarray(edges) / 60, 2)[1:-1]
     values = np.stack([starts, ends], axis=1).reshape(-1)
@@ -239,6 +242,10 @@ def protocol_figure(
     if bound is not None:
         middle.axhline(bound, color=GREY, lw=0.8, ls=(0, (4, 2)))
     label_axes(middle, "", "temperature [°C]")
+    for color, (name, curve) in zip(SPARE, shares.items(), strict=False):
+        share_axes.plot(times / 60, curve, color=color, lw=THIN, label=name)
+    share_axes.set_ylim(-0.05, 1.05)
+    label_axes(share_axes, "", "fraction")
     for color, (name, curve) in zip(SPARE, doses.items(), strict=False):
         shown = np.where(curve > 1e-3, curve, np.nan)
         below.plot(times / 60, shown, color=color, lw=THIN, label=name)
@@ -247,12 +254,10 @@ def protocol_figure(
         below.tick_params(which="both", labelsize=SMALL)
     label_axes(below, "time [min]", "dose [CEM43 min]")
     add_legend(middle, columns=2)
+    add_legend(share_axes)
     add_legend(below)
-    for ax, title in zip(
-        (above, middle, below),
-        ("(a) field", "(b) temperature", "(c) dose so far"),
-        strict=True,
-    ):
+    names = "(a) field", "(b) temperature", "(c) volume", "(d) dose so far"
+    for ax, title in zip(panels, names, strict=True):
         title_panel(ax, title)
     return figure
 

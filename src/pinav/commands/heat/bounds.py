@@ -66,6 +66,8 @@ ADVICE = {
     "coating": "give nanometres",
     "concentration": "give mg/cm³, the same as kg/m³",
     "conductivity": "give W/(m K), or S/m of eddy currents",
+    "energy": "give J/mol",
+    "log_factor": "give the natural logarithm of the factor in 1/s",
     "density": "give kg/m³ of a tissue, W/m³ of a power",
     "attempt_time": "give seconds",
     "diameter": "give nanometres",

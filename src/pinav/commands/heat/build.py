@@ -12,6 +12,7 @@ from pinav.commands.heat.field import Field as FieldTable
 from pinav.commands.heat.geometry import Across, Ends, Side, Voxels
 from pinav.commands.heat.matter import (
     Absorption,
+    Damage,
     Eddy,
     Measured,
     Particles,
@@ -31,6 +32,7 @@ from pinav.thermal.boundaries import (
     Sides,
     outer,
 )
+from pinav.thermal.dose import DAMAGES, Arrhenius
 from pinav.thermal.exposure_limits import AbstractLimit, limit
 from pinav.thermal.grids import AbstractGrid, RadialGrid
 from pinav.thermal.magnetics import (
@@ -68,6 +70,7 @@ class CaseModel(eqx.Module):
         limits: of the field.
         points: of the probes [m], none if there are none.
         start: where a run begins.
+        damage: law of damage that is added up, if any.
     """
 
     model: Bioheat
@@ -77,6 +80,7 @@ class CaseModel(eqx.Module):
     limits: tuple[AbstractLimit, ...]
     points: np.ndarray
     start: AbstractStart
+    damage: Arrhenius | None = None
 
     @property
     def target(self) -> Field:
@@ -128,7 +132,18 @@ def build_case(case: Case, folder: Path) -> CaseModel:
         limits=limits,
         points=np.array(points, float).reshape(-1, axes),
         start=start,
+        damage=_damage(case.damage),
     )
+
+
+def _damage(table: Damage | None) -> Arrhenius | None:
+    if table is None:
+        return None
+    if table.law is not None:
+        return DAMAGES[table.law]
+    assert table.log_factor is not None
+    assert table.energy is not None
+    return Arrhenius(table.log_factor, table.energy)
 
 
 def _stepper(case: Case, model: Bioheat) -> AbstractStepper:

@@ -36,6 +36,7 @@ from pinav.commands.heat.geometry import (
 )
 from pinav.commands.heat.matter import (
     Blood,
+    Damage,
     Eddy,
     Heating,
     LimitName,
@@ -184,6 +185,7 @@ class Case(Strict, frozen=True):
     sides: Sides = Sides()
     start: Literal["rest", "steady"] | Before = "rest"
     eddy: Eddy | None = None
+    damage: Damage | None = None
     limit: LimitName | None = None
     probes: Probes | None = None
     learn: Learn | None = None

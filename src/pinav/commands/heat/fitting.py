@@ -248,9 +248,9 @@ class Quantities(eqx.Module):
 
 
 def _middle(shape: Array, grid: Any, axis: int) -> Float[Array, ""]:
-    """Centre of the power along an axis [mm]."""
+    """Centre of the squared power along an axis [mm]: sides cut tails of the power."""
     others = tuple(index for index in range(shape.ndim) if index != axis)
-    along = jnp.sum(shape, axis=others)
+    along = jnp.sum(shape**2, axis=others)
     places = (jnp.arange(float(len(along))) + 0.5) * grid.spacing[axis]
     return 1e3 * (along @ places) / jnp.sum(along)
 

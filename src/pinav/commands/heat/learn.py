@@ -228,9 +228,8 @@ def _frame_arrays(
         full[cells] = values
         return full.reshape(shape)
 
-    shares = {"target": setup.target} | setup.body.shares
     means = {}
-    for name, share in shares.items():
+    for name, share in setup.body.shares.items():
         inside = np.asarray(share).reshape(-1)[cells] > 0.5
         if inside.any():
             means[name] = (

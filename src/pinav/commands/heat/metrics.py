@@ -21,6 +21,9 @@ class RunMetrics(msgspec.Struct, frozen=True, tag="simulate", tag_field="task"):
         healthy_dose: largest dose outside the tumour [CEM43 min].
         hf: largest product of amplitude and frequency [A m⁻¹ s⁻¹].
         imbalance: relative error of the energy balance.
+        dead_target: fraction of the target that is dead by Arrhenius' law, if the case
+            has one.
+        dead_outside: largest such fraction outside it.
         warnings: laws that were used outside their range, one sentence each.
     """
 
@@ -37,6 +40,8 @@ class RunMetrics(msgspec.Struct, frozen=True, tag="simulate", tag_field="task"):
     hf: float = msgspec.field(name="Hf")
     imbalance: float
     warnings: tuple[str, ...]
+    dead_target: float | None = None
+    dead_outside: float | None = None
 
 
 class ConstraintMetrics(Row, frozen=True):

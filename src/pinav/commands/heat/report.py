@@ -31,7 +31,7 @@ from pinav.figures.heat import (
     profiles,
     protocol_figure,
 )
-from pinav.figures.style import new_figure, title_panel
+from pinav.figures.style import SMALL, new_figure, title_panel
 from pinav.report import Image, Paragraph, Section
 from pinav.report.images import Figures
 from pinav.runs import RunFolder
@@ -153,7 +153,7 @@ def _last_frame(folder: RunFolder, arrays: Arrays) -> Image:
     spacing = float(arrays["spacing"][0]), float(arrays["spacing"][1])
     shown = {"reading [°C]": reading, "fit [°C]": fit, "difference [K]": reading - fit}
     for ax, (label, values) in zip(panels, shown.items(), strict=True):
-        levels = () if label.startswith("difference") else ISOTHERMS
+        levels = ISOTHERMS if label.startswith("fit") else ()  # noise has no contours
         outline = arrays["target"][cut]
         plane_map(values, spacing, levels=levels, label=label, outline=outline, ax=ax)
     title_panel(panels[0], name)
@@ -190,11 +190,13 @@ def _protocol(folder: RunFolder, arrays: Arrays, bound: float | None) -> Image:
             "D90 of the tumour": arrays["dose/D90"],
             "largest outside it": arrays["dose/outside"],
         },
+        shares={"V43, of the tumour above 43 °C": arrays["V43"]},
         bound=bound,
     )
     caption = (
         "Peak amplitude of the field; the hottest cell and the temperatures that 10, "
-        "50 and 90 % of the tumour exceed; doses so far."
+        "50 and 90 % of the tumour exceed; the fraction of it above 43 °C; doses so "
+        "far."
     )
     return _image(folder, figure, "protocol", caption)
 
@@ -280,4 +282,5 @@ def _place(point: np.ndarray) -> str:
 
 
 def _image(folder: RunFolder, figure: Any, name: str, caption: str) -> Image:
+    figure.suptitle(str(folder.config()["case"]["title"]), fontsize=SMALL + 1)
     return Figures(folder.path).image(f"heat-{name}", figure, caption, alt=caption)

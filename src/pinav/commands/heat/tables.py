@@ -37,6 +37,10 @@ def run_table(metrics: RunMetrics) -> Table:
         ("largest product Hf [A/(m s)]", metrics.hf),
         ("relative error of the energy balance", metrics.imbalance),
     ]
+    if metrics.dead_target is not None and metrics.dead_outside is not None:
+        rows.append(("dead fraction of the tumour (Arrhenius)", metrics.dead_target))
+        name = "largest dead fraction outside the tumour (Arrhenius)"
+        rows.append((name, metrics.dead_outside))
     return Table(("quantity", "value"), rows, SYNTHETIC)
 
 
