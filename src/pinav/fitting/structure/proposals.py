@@ -49,8 +49,8 @@ BEYOND = 4.0
 GRID, ANGLES = 7, 18
 """Places along each side of the data, and directions, that are scanned."""
 
-CLOSER = 1 / 4
-"""Size of a second grid of centres, about the best of the first."""
+CLOSER = (0.3, 0.1)
+"""Sizes of further grids of centres, each about the best of those before."""
 
 MOST_TERMS = 3
 """Terms of a structure."""
@@ -67,22 +67,26 @@ class Ground(eqx.Module):
     Attributes:
         middle: of the data [L].
         extent: longest side of the box around them [L].
-        corners: of that square [L].
+        crowded: longest side of the box around nine tenths of them [L].
+        heart: the middle of that box [L].
     """
 
     middle: Float[np.ndarray, " dim"]
     extent: float
-    corners: Float[np.ndarray, "corner dim"]
+    crowded: float
+    heart: Float[np.ndarray, " dim"]
 
     @classmethod
     def of(cls, positions: Float[np.ndarray, "sample dim"]) -> "Ground":
         """The ground of observed positions."""
         low, high = positions.min(axis=0), positions.max(axis=0)
-        middle, extent = (low + high) / 2, float((high - low).max())
-        signs = np.stack(
-            np.meshgrid(*[[-1.0, 1.0]] * len(low), indexing="ij"), axis=-1
-        ).reshape(-1, len(low))
-        return cls(middle, extent, middle + 0.55 * extent * signs)
+        few, most = np.quantile(positions, [0.05, 0.95], axis=0)
+        return cls(
+            middle=(low + high) / 2,
+            extent=float((high - low).max()),
+            crowded=float((most - few).max()),
+            heart=(few + most) / 2,
+        )
 
     @property
     def width(self) -> float:
@@ -95,11 +99,11 @@ class Ground(eqx.Module):
         """Places that are scanned.
 
         Args:
-            middle: of the grid [L]; that of the data unless given.
-            share: its size, as a share of the extent of the data.
+            middle: of the grid [L]; that of most of the data unless given.
+            share: its size, as a share of the extent of most of the data.
         """
-        middle = self.middle if middle is None else middle
-        axis = np.linspace(-0.5, 0.5, GRID) * self.extent * share
+        middle = self.heart if middle is None else middle
+        axis = np.linspace(-0.5, 0.5, GRID) * self.crowded * share
         axes = np.meshgrid(*[axis] * len(middle), indexing="ij")
         return middle + np.stack(axes, axis=-1).reshape(-1, len(middle))
 
@@ -280,7 +284,7 @@ def propose(
     best: Proposal | None = None
     while best is None or len(best.terms) < MOST_TERMS:
         terms = () if best is None else best.terms
-        trials = _extended(terms, response, ground, rotational=rotational)
+        trials = _extended(terms, response, ground, noise, rotational=rotational)
         winner = max(trials, key=lambda one: one.log_evidence, default=None)
         if winner is None:
             break
@@ -302,6 +306,7 @@ def _extended(
     terms: Terms,
     response: ForceResponse,
     ground: Ground,
+    noise: float,
     *,
     rotational: bool,
 ) -> list[Proposal]:
@@ -309,18 +314,19 @@ def _extended(
     proposals: list[Proposal] = []
     for starts in _starts(ground, rotational=rotational):
         chosen = _best(starts, terms, response)
-        if isinstance(chosen, CentralTerm):
+        for share in CLOSER if isinstance(chosen, CentralTerm) else ():
             closer = [
                 central_term(ground, place, rotational=chosen.rotational)
-                for place in ground.grid(np.asarray(chosen.center), CLOSER)
+                for place in ground.grid(np.asarray(chosen.center), share)
             ]
-            chosen = _best(closer, terms, response)
+            chosen = _best([chosen, *closer], terms, response)
         made = polish((*terms, chosen), response)
         if made is None or not np.isfinite(made.log_evidence):
             continue
         proposals.append(made)
         last = made.terms[-1]
-        if isinstance(last, CentralTerm) and len(ground.middle) == 2:
+        unexplained = made.noise > ENOUGH * noise and len(ground.middle) == 2
+        if isinstance(last, CentralTerm) and unexplained:
             bent = polish((*terms, _best(ellipses(last), terms, response)), response)
             proposals += [bent] if bent is not None else []
     return proposals
