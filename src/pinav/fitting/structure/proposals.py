@@ -285,9 +285,11 @@ def propose(
     while best is None or len(best.terms) < MOST_TERMS:
         terms = () if best is None else best.terms
         trials = _extended(terms, response, ground, noise, rotational=rotational)
-        winner = max(trials, key=lambda one: one.log_evidence, default=None)
-        if winner is None:
+        if not trials:
             break
+        most = max(one.log_evidence for one in trials)
+        # kinds come in the order of their freedom: a linear force is a wall, too
+        winner = next(t for t in trials if t.log_evidence >= most - 2 * DECISIVE)
         before = np.inf if best is None else best.noise
         if best is not None and winner.log_evidence < best.log_evidence + 2 * DECISIVE:
             break
@@ -314,7 +316,9 @@ def _extended(
     proposals: list[Proposal] = []
     for starts in _starts(ground, rotational=rotational):
         chosen = _best(starts, terms, response)
-        for share in CLOSER if isinstance(chosen, CentralTerm) else ():
+        for share in CLOSER:
+            if not isinstance(chosen, CentralTerm):
+                break
             closer = [
                 central_term(ground, place, rotational=chosen.rotational)
                 for place in ground.grid(np.asarray(chosen.center), share)
