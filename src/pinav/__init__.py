@@ -7,6 +7,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from pinav.commands.explore.job import explorer as explorer
     from pinav.commands.fitted_run import FittedRun as FittedRun
     from pinav.dynamics import OverdampedSwimmer as OverdampedSwimmer
     from pinav.dynamics import Swimmer as Swimmer
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _PUBLIC = {
+    "commands.explore.job": ("explorer",),
     "commands.fitted_run": ("FittedRun",),
     "dynamics": ("OverdampedSwimmer", "Swimmer", "rollout"),
     "errors": ("FitError", "InputError"),

@@ -43,6 +43,7 @@ WORDS: dict[str, Callable[[Folder], tuple[str, ...]]] = {
     "navigate": lambda f: (
         *(f.run("kernel"), "--from", "1,1", "--to", "2,2", *NARROW, *f.out),
     ),
+    "explore": lambda f: (f.run("kernel"),),
     "report": lambda f: (f.run("network"),),
     "bench": lambda f: ("gradient", "--help"),
 }

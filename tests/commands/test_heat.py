@@ -166,6 +166,18 @@ def test_verification_prints_its_table_and_fails_honestly(monkeypatch, capsys):
     assert "outside their tolerance: a case" in capsys.readouterr().err
 
 
+@pytest.mark.slow
+def test_damage_and_a_law_of_ones_own(tmp_path, capsys):
+    law = {"temperatures": [37, 45], "values": [0.5, 4.0], "unit": "kg/m3/s"}
+    case = small("tumour", tmp_path, damage={"law": "liver"}, tissue={"perfusion": law})
+    assert run("simulate", case, "--out", tmp_path / "run") == 0
+    assert "dead fraction of the tumour (Arrhenius)" in capsys.readouterr().out
+    metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    # at T50 of about 44.5 °C for half an hour, 3e-3 a second
+    assert metrics["dead_outside"] < metrics["dead_target"] < 1
+    assert metrics["dead_target"] > 0.5
+
+
 def test_a_run_records_its_case(tmp_path):
     case, out = small("tumour", tmp_path), tmp_path / "run"
     assert run("simulate", case, "--out", out) == 0

@@ -76,6 +76,37 @@ CASES = [
     *bad_numbers(FLOW, {"value": 1.0, "unit": "l/s"}, words="unit 'l/s' is unknown"),
     *bad_numbers(FLOW, {"value": -1.0, "unit": "kg/m3/s"}, words="perfusion.value"),
     *bad_numbers(FLOW, {"value": NAN, "unit": "kg/m3/s"}, words="perfusion.value"),
+    *bad_numbers(
+        FLOW,
+        {"temperatures": [37, 42, 42.01], "values": [1, 2, 3], "unit": "kg/m3/s"},
+        {"temperatures": [42, 37], "values": [1, 2], "unit": "kg/m3/s"},
+        words="a law that jumps has no derivative",
+    ),
+    *bad_numbers(
+        FLOW,
+        {"temperatures": [37, 42], "values": [1], "unit": "kg/m3/s"},
+        {"temperatures": [37], "values": [1], "unit": "kg/m3/s"},
+        words="expected one for each of two temperatures",
+    ),
+    *bad_numbers(FLOW, {"temperatures": [37], "values": [1]}, words="expected a law"),
+    *bad_numbers(
+        FLOW,
+        {"temperatures": [310, 315], "values": [1, 2], "unit": "kg/m3/s"},
+        words="temperatures",
+    ),
+    *bad_numbers(
+        FLOW,
+        {"temperatures": [37, 42], "values": [1, 2], "unit": "1/s"},
+        words="check the unit",
+    ),
+    *bad_numbers(
+        "damage",
+        {},
+        {"law": "skin", "energy": 6e5},
+        words="damage: .* both|damage: expected law",
+    ),
+    *bad_numbers("damage", {"law": "bone"}, {"log_factor": 1.0}, words="damage"),
+    *bad_numbers("damage.energy", 628.0, NAN, base={"damage.log_factor": 100.0}),
     # tumour
     *bad_numbers("tumour.radius", 0.0, -0.01, NAN, 0.06, 1e-4, GONE, words="radius"),
     *bad_numbers("tumour.center", [0.01], words="expected none on a sphere"),

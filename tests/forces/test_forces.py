@@ -3,6 +3,8 @@ import importlib
 import inspect
 import pkgutil
 import types
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -19,12 +21,15 @@ from pinav.forces import (
     AbstractForce,
     Advection,
     BrinkmanTensor,
+    CentralTerm,
     ChangingPotential,
     CholeskyTensor,
     CircularMotion,
+    CompactHill,
     ConstantDirector,
     ConstantForce,
     Domain,
+    EllipticTerm,
     GaussianBarrier,
     GaussianRidge,
     GaussianSwirl,
@@ -35,22 +40,33 @@ from pinav.forces import (
     KernelMixture,
     KernelPotential,
     KernelStream,
+    LatticeTerm,
     LinearDrag,
+    LinearForce,
     LinearMotion,
+    LinearTerm,
     MagneticPropulsion,
     Moving,
     NeuralForce,
     NeuralPotential,
+    ObstaclesTerm,
+    PlaneWaves,
     PoiseuilleFlow,
     PositionFeatures,
+    PowerHill,
+    RingBarrier,
     RollingPropulsion,
     ScheduledThrust,
+    SegmentTerm,
     ShearFlow,
+    SoftWall,
+    StructuredForce,
     SumForce,
     TensorDrag,
     TimedKernelPotential,
     UniaxialTensor,
     VortexFlow,
+    WallTerm,
     WavyDirector,
     ZeroForce,
     check_kernels,
@@ -174,6 +190,36 @@ FORCES |= {
         PROGRAMME, RollingActuator(jnp.eye(2), SaturatingResponse(3.0))
     ),
 }
+SHAPED: dict[str, Callable[[], Any]] = {
+    "power hill": lambda: PowerHill(2.0, [5.0, 4.0], 1.5, 0.5),
+    "compact hill": lambda: CompactHill(2.0, [5.0, 4.0], 4.0),
+    "ring": lambda: RingBarrier(2.0, [5.0, 4.0], 1.5, 0.8),
+    "soft wall": lambda: SoftWall(2.0, 0.6, 5.0, 1.2),
+    "plane waves": lambda: PlaneWaves(
+        [0.5, 0.3], jnp.array([[1.0, 0.2], [-0.3, 0.8]]), [0.1, 0.7]
+    ),
+    **{
+        f"{name} term": make
+        for name, make in {
+            "central": lambda: CentralTerm(WEIGHTS, centers[0], PLACES, WIDTH),
+            "elliptic": lambda: EllipticTerm(
+                WEIGHTS, centers[0], jnp.array([0.2, -0.1]), PLACES, WIDTH
+            ),
+            "wall": lambda: WallTerm(WEIGHTS, 0.6, centers[0], PLACES, WIDTH),
+            "segment": lambda: SegmentTerm(WEIGHTS, centers[:2], PLACES, WIDTH),
+            "obstacles": lambda: ObstaclesTerm(WEIGHTS, centers, PLACES, WIDTH),
+            "lattice": lambda: LatticeTerm(
+                jnp.linspace(-0.3, 0.5, 12), jnp.array([[1.0, 0.1], [0.2, 0.9]]), X
+            ),
+            "linear": lambda: LinearTerm(jnp.arange(5.0) / 9, centers[0], 2.0),
+        }.items()
+    },
+}
+PLACES, WEIGHTS, WIDTH = jnp.arange(0.5, 3.0, 0.5), jnp.linspace(0.4, -0.2, 5), 0.6
+FORCES |= SHAPED | {
+    "linear force": lambda: LinearForce(jnp.array([[0.3, 0.1], [0.2, -0.4]]), [5, 4]),
+    "structured": lambda: StructuredForce((SHAPED["wall term"](),), kernel_potential()),
+}
 every_force = pytest.mark.parametrize("make", FORCES.values(), ids=list(FORCES))
 
 
@@ -195,6 +241,43 @@ def test_every_class_of_forces_obeys_the_laws_below():
         cls.__name__ for cls in tried
     }
     assert not missing, "give these classes an example in FORCES"
+
+
+@pytest.mark.parametrize("make", SHAPED.values(), ids=list(SHAPED))
+def test_shaped_forces_are_minus_the_gradient_of_their_potential(make):
+    force = make()
+    expected = -jax.grad(force.potential, argnums=1)(T, X)
+    np.testing.assert_allclose(force(T, X, V), expected, atol=1e-12)
+
+
+def test_a_central_force_vanishes_at_its_centre_and_points_away_from_it():
+    term = SHAPED["central term"]()
+    np.testing.assert_allclose(term(T, term.center, V), 0.0, atol=1e-12)
+    offset = X - term.center
+    force = term(T, X, V)
+    assert abs(float(force[0] * offset[1] - force[1] * offset[0])) < 1e-12
+
+
+def test_a_rotational_term_is_turned_by_a_right_angle():
+    plain = SHAPED["central term"]()
+    swirl = dataclasses.replace(plain, rotational=True)
+    assert float(jnp.abs(plain(T, X, V) @ swirl(T, X, V))) < 1e-12
+    assert (plain.kind, swirl.kind) == ("central", "central swirl")
+    with pytest.raises(InputError, match="expected conservative terms"):
+        StructuredForce((swirl,), kernel_potential()).potential(T, X)
+
+
+@pytest.mark.parametrize("kind", ["central", "wall", "lattice", "linear"])
+def test_the_prior_of_a_structured_force_has_the_slopes_of_its_covariance(kind):
+    term = SHAPED[f"{kind} term"]()
+    prior = StructuredForce((term,), kernel_potential()).prior()
+    shape, step = prior.start + 0.1, 1e-5
+    count = len(term.weights) + 3
+    assert prior.covariance(shape).shape == (count, count)
+    for index, slope in enumerate(prior.slopes(shape)):
+        change = step * np.eye(len(shape))[index]
+        ends = [prior.covariance(shape + sign * change) for sign in (1, -1)]
+        np.testing.assert_allclose(slope, (ends[0] - ends[1]) / (2 * step), atol=1e-7)
 
 
 T, X, V = 0.4, jnp.array([4.2, 5.5]), jnp.array([0.3, -0.1])
@@ -363,6 +446,29 @@ def test_kernel_centers_surround_the_data():
     gaps = np.linalg.norm(positions[:, None] - centers[None], axis=-1)
     assert gaps.min(axis=0).max() < 1.0, "no kernel far from the data"
     assert gaps.min(axis=1).max() <= 0.5 / np.sqrt(2) + 1e-12, "none missing near it"
+
+
+def test_bad_landscapes_and_structures_are_refused():
+    bad = {
+        "PlaneWaves: expected an amplitude and a phase": lambda: PlaneWaves(
+            [0.5], jnp.eye(2), [0.1, 0.7]
+        ),
+        "LinearForce.matrix: expected shape": lambda: LinearForce(jnp.eye(3), [5, 4]),
+        "SoftWall.width: expected > 0": lambda: SoftWall(2.0, 0.6, 5.0, 0.0),
+        "PowerHill.core: expected > 0": lambda: PowerHill(2.0, [5, 4], -1.0, 0.5),
+        "CompactHill.radius: expected > 0": lambda: CompactHill(2.0, [5, 4], 0.0),
+        "RingBarrier.width: expected > 0": lambda: RingBarrier(2.0, [5, 4], 1.0, 0.0),
+        "StructuredForce.terms: expected one or more": lambda: StructuredForce(
+            (), kernel_potential()
+        ),
+        "rotational: expected a plane, got dimension 3": lambda: StructuredForce(
+            (CentralTerm(WEIGHTS, jnp.zeros(3), PLACES, WIDTH, rotational=True),),
+            KernelPotential(jnp.ones(1), jnp.zeros((1, 3)), 1.0),
+        ),
+    }
+    for message, make in bad.items():
+        with pytest.raises(InputError, match=message):
+            make()
 
 
 def test_bad_kernels_are_refused():

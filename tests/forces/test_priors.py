@@ -12,14 +12,17 @@ from hypothesis import given, settings
 import pinav.forces
 from pinav.forces import (
     AbstractLearnedForce,
+    CentralTerm,
     ChangingPotential,
     KernelForce,
     KernelMixture,
     KernelPotential,
     KernelStream,
+    LinearTerm,
     NeuralForce,
     NeuralPotential,
     PositionFeatures,
+    StructuredForce,
     TimedKernelPotential,
     tanh_network,
 )
@@ -43,6 +46,13 @@ FORCES = {
     ChangingPotential: ChangingPotential(STILL, TIMED),
     NeuralForce: NeuralForce(network(2), FEATURES),
     NeuralPotential: NeuralPotential(network(1), FEATURES),
+    StructuredForce: StructuredForce(
+        (
+            CentralTerm(jnp.zeros(5), jnp.zeros(2), jnp.arange(0.5, 5.0), 1.0),
+            LinearTerm(jnp.zeros(5), jnp.zeros(2), 2.0),
+        ),
+        STILL,
+    ),
 }
 every_force = pytest.mark.parametrize("force", FORCES.values(), ids=lambda f: type(f))
 

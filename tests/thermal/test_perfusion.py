@@ -10,6 +10,7 @@ from pinav.thermal.perfusion import (
     LANG,
     ConstantPerfusion,
     MixedPerfusion,
+    TabulatedPerfusion,
     lang,
     mass_perfusion,
 )
@@ -165,3 +166,14 @@ def test_protocols_are_put_together():
 def test_bad_input_is_refused(act, message):
     with pytest.raises(InputError, match=message):
         act()
+
+
+def test_a_law_of_ones_own_is_linear_between_its_values():
+    law = TabulatedPerfusion((37.0, 42.0, 42.1), jnp.array([1.0, 2.0, 4.0]))
+    at = jnp.array([30.0, 39.5, 42.05, 50.0])
+    assert law(at).tolist() == pytest.approx([1.0, 1.5, 3.0, 4.0])
+
+
+def test_a_law_that_jumps_is_refused():
+    with pytest.raises(InputError, match="a jump has no derivative"):
+        TabulatedPerfusion((37.0, 42.0, 42.0), jnp.array([1.0, 2.0, 4.0]))

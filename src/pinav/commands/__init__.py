@@ -5,6 +5,7 @@ from pinav.commands.bench import BENCH
 from pinav.commands.compare import COMPARE
 from pinav.commands.discover import DISCOVER
 from pinav.commands.evaluate import EVALUATE
+from pinav.commands.explore import EXPLORE
 from pinav.commands.fit import FIT
 from pinav.commands.heat import HEAT
 from pinav.commands.identify import IDENTIFY
@@ -28,6 +29,7 @@ COMMANDS = (
     STUDY,
     HEAT,
     NAVIGATE,
+    EXPLORE,
     REPORT,
     BENCH,
 )

@@ -19,7 +19,12 @@ from pinav.trajectories import Trajectories
 
 def estimated_constants(fit: EvidenceFit, choice: ModelChoice) -> dict[str, Estimate]:
     """Each learned constant, by its name; the drag by its principal values."""
-    paths, estimates = choice.paths(), dict(fit.constants)
+    paths = choice.paths()
+    estimates = {
+        name: estimate
+        for name, estimate in fit.constants.items()
+        if not name.startswith("environment.terms")
+    }
     named = {
         name: estimates.pop(path)
         for name, path in paths.items()

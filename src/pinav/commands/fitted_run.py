@@ -5,7 +5,7 @@ import hashlib
 from collections.abc import Iterator
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import msgspec
@@ -38,6 +38,17 @@ from pinav.trajectories import Trajectories, load, save
 DATA_FILE, MODEL_FILE, POSTERIOR_FILE = "data.npz", "model.eqx", "posterior.npz"
 
 
+class StructureSearch(NamedTuple):
+    """What a search for a structure of the force came to.
+
+    Attributes:
+        gain: log evidence of the structured force over the free one [nats]; NaN where
+            no structure explained the data well enough to be fitted.
+    """
+
+    gain: float
+
+
 class ModelHeader(msgspec.Struct, frozen=True):
     """The first line of a model file: how the model is built again.
 
@@ -66,6 +77,7 @@ class EvidenceResult:
         goodness: a sentence on whether the residuals look like noise; empty where
             nothing can be said.
         process: kernels of the process that is the prior of a network, if it is one.
+        structure: what the search for a structure came to; None without a search.
     """
 
     posterior: Posterior
@@ -76,6 +88,7 @@ class EvidenceResult:
     iterations: int
     goodness: str = ""
     process: KernelForce | KernelPotential | None = None
+    structure: StructureSearch | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -227,6 +240,7 @@ def write_fit(
     header: ModelHeader,
     fit: EvidenceFit,
     data: Trajectories,
+    structure: StructureSearch | None = None,
 ) -> None:
     """Write the model and the posterior of a fit by the evidence."""
     chosen = fit.hyperparameters
@@ -249,6 +263,11 @@ def write_fit(
             "goodness": np.array(fit.goodness.statement if fit.goodness else ""),
             "states": data.states if fit.states is None else fit.states,
             **_process_arrays(fit),
+            **(
+                {}
+                if structure is None
+                else {"structure/gain": np.array(structure.gain)}
+            ),
             **constants,
         },
     )
@@ -300,6 +319,9 @@ def _read_evidence(
             iterations=int(stored["iterations"]),
             goodness=str(stored["goodness"]) if "goodness" in stored else "",
             process=_read_process(choice, stored),
+            structure=StructureSearch(float(stored["structure/gain"]))
+            if "structure/gain" in stored
+            else None,
         )
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, InputError):

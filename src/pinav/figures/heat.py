@@ -113,13 +113,14 @@ def plane_map(
     """
     ax = prepare_axes(ax)
     shown = np.log10(np.maximum(values, 1e-3)) if logarithmic else values
+    lowest, highest = np.nanmin(shown), np.nanmax(shown)
     extent = [1e3 * n * h for n, h in zip(values.shape, spacing, strict=True)]
     image = ax.imshow(
         shown.T, origin="lower", extent=(0.0, extent[0], 0.0, extent[1]), cmap="inferno"
     )
     at = np.log10(levels) if logarithmic else np.asarray(levels)
     within = [(a, v) for a, v in zip(at, levels, strict=True)]
-    within = [(a, v) for a, v in within if shown.min() < a < shown.max()]
+    within = [(a, v) for a, v in within if lowest < a < highest]
     centers = [
         1e3 * h * (np.arange(n) + 0.5)
         for n, h in zip(values.shape, spacing, strict=True)
@@ -170,15 +171,51 @@ def probe_curves(
     return ax
 
 
+def forecast_curves(
+    times: Float[np.ndarray, " time"],
+    values: Mapping[str, Float[np.ndarray, " time"]],
+    sd: Mapping[str, Float[np.ndarray, " time"]],
+    *,
+    true: Float[np.ndarray, "curve time"] | None = None,
+    fitted_until: float,
+    ax: Axes | None = None,
+) -> Axes:
+    """Predicted temperatures with their 95 % bands.
+
+    Args:
+        times: [s].
+        values: [°C], by what the legend says.
+        sd: their standard deviations [K], under the same names.
+        true: the same curves of the truth, unless it is not known.
+        fitted_until: time [s] of the last reading that was fitted.
+        ax: where to draw; a new figure unless given.
+    """
+    ax = prepare_axes(ax)
+    minutes = times / 60
+    for curve in () if true is None else true:
+        ax.plot(minutes, curve, color=BLACK, lw=WIDE, alpha=0.5)
+    for color, (name, curve) in zip(SPARE, values.items(), strict=False):
+        half = 1.96 * sd[name]
+        ax.fill_between(
+            minutes, curve - half, curve + half, color=color, alpha=0.3, lw=0
+        )
+        ax.plot(minutes, curve, color=color, lw=THIN, label=name)
+    ax.axvline(fitted_until / 60, color=GREY, lw=0.8, ls=(0, (4, 2)), zorder=1)
+    label_axes(ax, "time [min]", "temperature [°C]")
+    add_legend(ax, columns=2)
+    return ax
+
+
 def protocol_figure(
     field: tuple[np.ndarray, np.ndarray, np.ndarray],
     times: Float[np.ndarray, " time"],
     temperatures: Mapping[str, Float[np.ndarray, " time"]],
     doses: Mapping[str, Float[np.ndarray, " time"]],
     *,
+    shares: Mapping[str, Float[np.ndarray, " time"]],
     bound: float | None = None,
 ) -> Figure:
-    """Field, temperatures and doses below each other on one axis of time.
+    """Field, temperatures, shares and doses below each other on one axis of time.
 
     Args:
         field: edges of the intervals [s], amplitudes at their begins and at their
@@ -186,12 +223,14 @@ def protocol_figure(
         times: of the curves [s].
         temperatures: [°C], by what the legend says.
         doses: so far [CEM43 min], by what the legend says.
+        shares: of a volume, 0 to 1, by what the legend says.
         bound: on the temperature, marked unless None.
     """
-    figure = new_figure(5.0, 6.0)
-    above, middle, below = figure.subplots(3, 1, sharex=True)
-    for ax in (above, middle, below):
+    figure = new_figure(5.0, 7.5)
+    panels = figure.subplots(4, 1, sharex=True)
+    for ax in panels:
         prepare_axes(ax)
+    above, middle, share_axes, below = panels
     edges, starts, ends = field
     at = np.repeat(np.asarray(edges) / 60, 2)[1:-1]
     values = np.stack([starts, ends], axis=1).reshape(-1)
@@ -203,6 +242,10 @@ def protocol_figure(
     if bound is not None:
         middle.axhline(bound, color=GREY, lw=0.8, ls=(0, (4, 2)))
     label_axes(middle, "", "temperature [°C]")
+    for color, (name, curve) in zip(SPARE, shares.items(), strict=False):
+        share_axes.plot(times / 60, curve, color=color, lw=THIN, label=name)
+    share_axes.set_ylim(-0.05, 1.05)
+    label_axes(share_axes, "", "fraction")
     for color, (name, curve) in zip(SPARE, doses.items(), strict=False):
         shown = np.where(curve > 1e-3, curve, np.nan)
         below.plot(times / 60, shown, color=color, lw=THIN, label=name)
@@ -211,12 +254,10 @@ def protocol_figure(
         below.tick_params(which="both", labelsize=SMALL)
     label_axes(below, "time [min]", "dose [CEM43 min]")
     add_legend(middle, columns=2)
+    add_legend(share_axes)
     add_legend(below)
-    for ax, title in zip(
-        (above, middle, below),
-        ("(a) field", "(b) temperature", "(c) dose so far"),
-        strict=True,
-    ):
+    names = "(a) field", "(b) temperature", "(c) volume", "(d) dose so far"
+    for ax, title in zip(panels, names, strict=True):
         title_panel(ax, title)
     return figure
 

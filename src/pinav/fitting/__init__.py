@@ -58,3 +58,6 @@ from pinav.fitting.matching.state import Fit as Fit
 from pinav.fitting.matching.state import FitProgress as FitProgress
 from pinav.fitting.matching.state import FitState as FitState
 from pinav.fitting.outcome import Outcome as Outcome
+from pinav.fitting.structure.search import StructuredFit as StructuredFit
+from pinav.fitting.structure.search import fit_structured as fit_structured
+from pinav.fitting.structure.search import is_worth_a_search as is_worth_a_search

@@ -57,6 +57,8 @@ def fit_regression(
     noise: float | None = None,
     tolerance: float = 1e-2,
     max_iterations: int = 30,
+    num_projected: int = 0,
+    step_rule: AbstractStepRule | None = None,
     on_step: Callable[[EvidenceProgress], None] | None = None,
     throw: bool = True,
 ) -> EvidenceFit:
@@ -73,6 +75,8 @@ def fit_regression(
         noise: standard deviation of the residuals; estimated unless given.
         tolerance: change of the log evidence at which the fit ends.
         max_iterations: after which the fit counts as stalled.
+        num_projected: residuals that were projected out before.
+        step_rule: how to step; damped steps unless given.
         on_step: called after each step.
         throw: raise where the fit did not converge.
 
@@ -91,6 +95,8 @@ def fit_regression(
             noise=noise,
             scale=scale,
             tolerance=tolerance,
+            num_projected=num_projected,
+            step_rule=step_rule,
         )
         outcome, steps = iterate(problem, max_iterations, on_step)
         return evidence_fit(

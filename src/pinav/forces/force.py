@@ -68,6 +68,11 @@ class AbstractLearnedForce(AbstractForce):
         """The leaves that train."""
 
     @property
+    def geometry(self) -> PyTree:
+        """Further leaves that train, with a flat prior; none in most forces."""
+        return ()
+
+    @property
     @abc.abstractmethod
     def dim(self) -> int:
         """Dimension of the space in which it acts."""

@@ -134,6 +134,45 @@ class WeightPrior(AbstractPrior):
         return self.centers.shape[1]
 
 
+class DistancePrior(AbstractPrior):
+    r"""Prior of a profile of a distance: $\rho_i \rho_j$ times a `WeightPrior`.
+
+    The force of a smooth potential grows with the distance; where the length scale is
+    infinite the envelope about zero leaves the force of a Gaussian. A search begins
+    there, with smooth profiles.
+
+    Attributes:
+        base: prior of the kernels on the line.
+    """
+
+    base: WeightPrior
+
+    @property
+    def start(self) -> Shape:
+        low, high = self.bounds[2]
+        reach = np.log(0.3 * (high - low))
+        return np.array([SMOOTH, reach, 0.99 * low])
+
+    @property
+    def bounds(self) -> Float[np.ndarray, "shape 2"]:
+        return self.base.bounds
+
+    def covariance(self, shape: Shape) -> Matrix:
+        return self.base.covariance(shape) * self._scales
+
+    def slopes(self, shape: Shape) -> Matrices:
+        return self.base.slopes(shape) * self._scales
+
+    @property
+    def _scales(self) -> Gram:
+        places = self.base.centers[:, 0] / self.base.centers.max()
+        return np.outer(places, places)
+
+
+SMOOTH = 1.5
+"""Logarithm of the length scale, in widths of a kernel, at which profiles begin."""
+
+
 class MixturePrior(AbstractPrior):
     r"""Prior of two parts of a force, independent of each other.
 
@@ -144,14 +183,17 @@ class MixturePrior(AbstractPrior):
     Attributes:
         first: prior of the first part.
         second: prior of the second part.
+        first_ratio: logarithm of the ratio of amplitudes at which a search begins.
     """
 
     first: AbstractPrior
     second: AbstractPrior
+    first_ratio: float = 0.0
 
     @property
     def start(self) -> Shape:
-        return np.concatenate([self.first.start, self.second.start, [0.0]])
+        starts = [self.first.start, self.second.start, [self.first_ratio]]
+        return np.concatenate(starts)
 
     @property
     def bounds(self) -> Float[np.ndarray, "shape 2"]:
@@ -170,7 +212,8 @@ class MixturePrior(AbstractPrior):
         first = self.first.slopes(shape[:half])
         second = self.second.slopes(shape[half:-1])
         covariance = ratio * self.second.covariance(shape[half:-1])
-        nothing, absent = np.zeros_like(first[0]), np.zeros_like(covariance)
+        nothing = np.zeros_like(self.first.covariance(shape[:half]))
+        absent = np.zeros_like(covariance)
         slopes: list[np.ndarray] = [_blocks(slope, absent) for slope in first]
         slopes += [_blocks(nothing, ratio * slope) for slope in second]
         return np.stack([*slopes, _blocks(nothing, 2 * covariance)])

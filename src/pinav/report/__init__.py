@@ -3,6 +3,7 @@
 from pinav.report.page import Cell as Cell
 from pinav.report.page import Code as Code
 from pinav.report.page import Image as Image
+from pinav.report.page import Link as Link
 from pinav.report.page import Paragraph as Paragraph
 from pinav.report.page import Section as Section
 from pinav.report.page import Table as Table

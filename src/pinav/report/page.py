@@ -73,6 +73,22 @@ class Paragraph(AbstractBlock):
 
 
 @dataclasses.dataclass(frozen=True)
+class Link(AbstractBlock):
+    """A link to a file that lies beside the page.
+
+    Attributes:
+        target: name of the file.
+        text: the words to click.
+    """
+
+    target: str
+    text: str
+
+    def html(self) -> str:
+        return f'<p><a href="{escape(self.target)}">{escape(self.text)}</a></p>'
+
+
+@dataclasses.dataclass(frozen=True)
 class Code(AbstractBlock):
     """Text in a fixed-width font, its line breaks kept.
 

@@ -48,6 +48,7 @@ class FreeAmplitudes(AbstractDesignVariable):
         largest: $H_{max}$ [A m⁻¹], positive.
         count: number of intervals.
         first: $x_j$ to start from, the same in all.
+        before: intervals at the begin that keep their amplitudes.
 
     Raises:
         InputError: a number is out of range.
@@ -56,6 +57,7 @@ class FreeAmplitudes(AbstractDesignVariable):
     largest: Number
     count: int = eqx.field(static=True)
     first: Number = 0.5
+    before: int = eqx.field(static=True, default=0)
 
     def __check_init__(self) -> None:
         if not self.largest > 0 or self.count < 1 or not 0 <= self.first <= 1:
@@ -70,10 +72,10 @@ class FreeAmplitudes(AbstractDesignVariable):
         return np.full(self.count, float(self.first))
 
     def apply(self, numbers: Float[Array, " number"], run: Run) -> Run:
-        values = self.largest * numbers
-        protocol = eqx.tree_at(
-            lambda p: (p.starts, p.ends), run.protocol, (values,) * 2
-        )
+        kept, values = run.protocol, self.largest * numbers
+        starts = jnp.concatenate([kept.starts[: self.before], values])
+        ends = jnp.concatenate([kept.ends[: self.before], values])
+        protocol = eqx.tree_at(lambda p: (p.starts, p.ends), kept, (starts, ends))
         return Run(run.model, protocol)
 
 

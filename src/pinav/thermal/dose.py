@@ -193,6 +193,10 @@ LIVER_DAMAGE = Arrhenius(float(np.log(7.39) + 39 * np.log(10.0)), 2.577e5)
 """A set in use for liver; its origin is not checked."""
 
 
+DAMAGES = {"skin": SKIN_DAMAGE, "liver": LIVER_DAMAGE}
+"""By the name of the tissue."""
+
+
 def value_exceeded_by(values: Field, weights: Field, share: Number) -> Float[Array, ""]:
     r"""The value that a share of a volume exceeds: T90 for 0.9, D90 of a dose.
 

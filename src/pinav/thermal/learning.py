@@ -18,6 +18,7 @@ from pinav.errors import InputError
 from pinav.fitting import EvidenceFit
 from pinav.fitting.bayes.derived import derived
 from pinav.fitting.engine.posterior import Posterior
+from pinav.fitting.engine.steps import ShortenedStep
 from pinav.fitting.least_squares import fit_regression
 from pinav.forces import IsotropicPrior
 from pinav.thermal.bioheat import Bioheat
@@ -29,6 +30,11 @@ from pinav.thermal.schedule import Schedule, plan_steps
 from pinav.thermal.solve import Observe, default_stepper, probes_at, run, solve
 from pinav.thermal.starts import AT_REST, AbstractStart
 from pinav.thermal.steppers import AbstractStepper
+from pinav.thermal.thermometry import (
+    Thermometry,
+    ThermometryResiduals,
+    thermometry_residuals,
+)
 
 Laws = Callable[[Any], tuple[AbstractLearnedPerfusion, ...]]
 """Picks the laws to be learned from a model."""
@@ -45,6 +51,7 @@ class ProbeResiduals(eqx.Module):
         values: the readings there are [°C].
         index: their places among all times and probes.
         start: where the run begins; a steady state follows the model.
+        num_projected: none, for nothing is taken away.
     """
 
     protocol: AbstractProtocol
@@ -54,6 +61,7 @@ class ProbeResiduals(eqx.Module):
     values: Float[Array, " reading"]
     index: Int[Array, " reading"]
     start: AbstractStart = AT_REST
+    num_projected: int = 0
 
     def __call__(self, model: Bioheat) -> Float[Array, " reading"]:
         """The residuals of a model."""
@@ -101,10 +109,29 @@ def probe_residuals(
     )
 
 
+def read_residuals(
+    model: Bioheat,
+    protocol: AbstractProtocol,
+    data: ProbeData | Thermometry,
+    *,
+    stepper: AbstractStepper,
+    start: AbstractStart = AT_REST,
+) -> ProbeResiduals | ThermometryResiduals:
+    """The residuals of models like `model`, whatever the thermometer.
+
+    Raises:
+        InputError: the readings do not fit the grid or the protocol.
+    """
+    options = {"stepper": stepper, "start": start}
+    if isinstance(data, Thermometry):
+        return thermometry_residuals(model, protocol, data, **options)
+    return probe_residuals(model, protocol, data, **options)
+
+
 def learn(
     model: Bioheat,
     protocol: AbstractProtocol,
-    data: ProbeData,
+    data: ProbeData | Thermometry,
     *,
     laws: Laws = lambda _: (),
     constants: Callable[[Any], PyTree] = lambda _: (),
@@ -114,7 +141,7 @@ def learn(
     max_iterations: int = 40,
     throw: bool = True,
 ) -> EvidenceFit:
-    """Fit laws of perfusion, and constants, to readings of probes.
+    """Fit laws of perfusion, and constants, to readings of probes or of voxels.
 
     Args:
         model: where the fit starts; what is not picked stays as it is.
@@ -123,7 +150,8 @@ def learn(
         data: the readings.
         laws: picks learned perfusions, such as `lambda m: (m.perfusion.outside,)`.
         constants: picks numbers to learn, such as `lambda m: m.sources[0].scale`.
-        noise: standard deviation of a reading [K]; estimated unless given.
+        noise: standard deviation of a reading [K], of voxels in units of their map;
+            estimated unless given.
         stepper: as of `solve`.
         start: as of `solve`.
         max_iterations: after which the fit counts as stalled.
@@ -142,9 +170,11 @@ def learn(
 
     leaves = jax.tree.leaves(eqx.filter(weights(model), eqx.is_inexact_array))
     count = sum(leaf.size for leaf in leaves)
+    stepper = default_stepper(model) if stepper is None else stepper
+    residuals = read_residuals(model, protocol, data, stepper=stepper, start=start)
     return fit_regression(
         model,
-        probe_residuals(model, protocol, data, stepper=stepper, start=start),
+        residuals,
         weights=weights,
         prior=IsotropicPrior(count) if count else None,
         constants=flat,
@@ -153,6 +183,9 @@ def learn(
         # nats of log evidence: half of one moves a law by little of its band
         tolerance=0.5 if count else 1e-2,
         max_iterations=max_iterations,
+        num_projected=residuals.num_projected,
+        # so many voxels leave little doubt where to step, and every trial costs a run
+        step_rule=ShortenedStep() if isinstance(data, Thermometry) else None,
         throw=throw,
     )
 

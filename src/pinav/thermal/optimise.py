@@ -100,7 +100,8 @@ def optimise(
         maximise: a quantity of a run, such as `LogD90`.
         subject_to: constraints.
         stepper: as of `solve`.
-        begin: where every run begins, as of `solve`.
+        begin: where every run begins, as of `solve`; in the middle of the protocol,
+            too.
         max_iterations: of the quadratic programming.
         tolerance: change of the objective at which it ends.
         throw: raise if no run satisfies the constraints.
@@ -112,14 +113,17 @@ def optimise(
     if not variables:
         raise InputError("optimise variables: expected one or more, got none")
     stepper = default_stepper(start.model) if stepper is None else stepper
+    state = begin.state(start.model)
     problem = _Problem(
         start=start,
         variables=tuple(variables),
         maximise=maximise,
         constraints=tuple(subject_to),
         stepper=stepper,
-        schedule=plan_steps(start.protocol, stepper.longest_step(start.model)),
-        begin=begin.state(start.model),
+        schedule=plan_steps(
+            start.protocol, stepper.longest_step(start.model), start=float(state.time)
+        ),
+        begin=state,
     )
     initial = np.concatenate([variable.start for variable in variables])
     memory = _Memory(problem, initial)
@@ -200,6 +204,8 @@ class _Problem(eqx.Module):
         intervals = jnp.asarray(self.schedule.intervals)
         count = len(trial.protocol.edges) - 1
         hottest = jax.ops.segment_max(solution.hottest, intervals, count)
+        # intervals that are over have no steps
+        hottest = jnp.maximum(hottest, jnp.min(self.begin.temperature))
         return RunResult(trial, solution, hottest)
 
     def values(self, numbers: Float[Array, " number"]) -> Float[Array, " value"]:

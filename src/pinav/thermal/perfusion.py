@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar
 from pinav.errors import InputError
@@ -138,6 +138,31 @@ class RisingPerfusion(AbstractPerfusion):
 
 BLEND = 0.1
 """Temperatures [K] over which a jump of a law is smoothed."""
+
+
+class TabulatedPerfusion(AbstractPerfusion):
+    """A law of one's own: linear between temperatures, constant beyond them.
+
+    Attributes:
+        temperatures: increasing [°C], `BLEND` apart or more.
+        values: $w$ at them [kg m⁻³ s⁻¹].
+
+    Raises:
+        InputError: the temperatures do not increase, or the law jumps.
+    """
+
+    temperatures: tuple[float, ...] = eqx.field(static=True)
+    values: Float[Array, " temperature"]
+
+    def __check_init__(self) -> None:
+        if np.diff(self.temperatures).min() < BLEND * (1 - 1e-9):
+            raise InputError(
+                f"TabulatedPerfusion: expected temperatures {BLEND:g} K apart or more, "
+                f"got {list(self.temperatures)}; a jump has no derivative"
+            )
+
+    def __call__(self, temperature: Field) -> Field:
+        return jnp.interp(temperature, jnp.asarray(self.temperatures), self.values)
 
 
 class CollapsingPerfusion(AbstractPerfusion):

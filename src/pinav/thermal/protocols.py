@@ -126,6 +126,25 @@ class Piecewise(AbstractProtocol):
             frequency=self.frequency,
         )
 
+    def until(self, time: Number) -> "Piecewise":
+        """The intervals before a switch.
+
+        Raises:
+            InputError: the amplitude does not switch at that time.
+        """
+        if time not in self.edges[1:]:
+            raise InputError(
+                f"until: expected a switch or the end, {list(self.edges[1:])} s, got "
+                f"{time:g} s"
+            )
+        count = self.edges.index(time)
+        return Piecewise(
+            edges=self.edges[: count + 1],
+            starts=self.starts[:count],
+            ends=self.ends[:count],
+            frequency=self.frequency,
+        )
+
     @property
     def largest(self) -> float:
         """Largest amplitude [A m⁻¹]."""

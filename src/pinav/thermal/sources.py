@@ -12,6 +12,7 @@ from pinav.errors import InputError
 from pinav.thermal.grids import AbstractGrid, CartesianGrid, RadialGrid
 from pinav.thermal.magnetics import VACUUM_PERMEABILITY, AbstractHeating
 from pinav.thermal.quantities import Field, Numbers
+from pinav.thermal.tissues import Property
 
 
 class AbstractSource(eqx.Module):
@@ -66,6 +67,49 @@ class PowerSource(AbstractSource):
 
     def level(self, amplitude: Scalar, frequency: Scalar) -> Float[Array, ""]:
         return jnp.asarray(self.scale * (amplitude / self.reference) ** 2)
+
+
+class ShiftedSource(AbstractSource):
+    """Another source, moved as a whole: to learn where a map of power is.
+
+    Between cells by Keys' cubic convolution, which keeps the total of what stays within
+    the grid and has a derivative everywhere. What comes in over a side is as there.
+
+    Attributes:
+        source: on a box.
+        shift: along each axis [m].
+        density: a factor that stays where it is: that of the tissue [kg m⁻³] where the
+            source is one of SAR.
+    """
+
+    source: AbstractSource
+    shift: Float[Array, " axis"]
+    density: Property = 1.0
+
+    def shape(self, grid: AbstractGrid) -> Field:
+        assert isinstance(grid, CartesianGrid)
+        moved = self.source.shape(grid)
+        for axis, (count, size) in enumerate(
+            zip(grid.cells, grid.spacing, strict=True)
+        ):
+            weights = _shift_weights(count, self.shift[axis] / size)
+            moved = jnp.moveaxis(jnp.tensordot(weights, moved, axes=(1, axis)), 0, axis)
+        return self.density * moved
+
+    def level(self, amplitude: Scalar, frequency: Scalar) -> Float[Array, ""]:
+        return self.source.level(amplitude, frequency)
+
+
+def _shift_weights(count: int, cells: Array) -> Float[Array, "to from"]:
+    """Of a line that moves by a number of cells (Keys 1981, with a = -1/2)."""
+    places = jnp.arange(float(count)) - cells
+    x = jnp.abs(places[:, None] - jnp.arange(float(count))[None])
+    near = 1 + x**2 * (1.5 * x - 2.5)
+    far = 2 + x * (-4 + x * (2.5 - 0.5 * x))
+    weights = jnp.where(x < 1, near, jnp.where(x < 2, far, 0.0))
+    missing, low = 1 - jnp.sum(weights, axis=1), places < 0.5 * count
+    weights = weights.at[:, 0].add(jnp.where(low, missing, 0.0))
+    return weights.at[:, -1].add(jnp.where(low, 0.0, missing))
 
 
 class GaussianSource(AbstractSource):

@@ -144,6 +144,13 @@ class RKL2(AbstractStepper):
 
         return cls(min(STAGES, key=cost))
 
+    @classmethod
+    def for_step(cls, model: Bioheat, longest: Number) -> "RKL2":
+        """The fewest stages with which a time step [s] is stable, nine if none are."""
+        rate = float(fastest_rate(model))
+        enough = [s for s in STAGES if longest <= MARGIN * _stable_step(s, rate)]
+        return cls(min(enough, default=9), longest)
+
     @property
     def nodes(self) -> Float[np.ndarray, " node"]:
         s = self.stages

@@ -146,6 +146,18 @@ def test_a_prior_of_low_rank_has_the_evidence_and_posterior_of_its_density(quadr
     np.testing.assert_allclose(spread, exact, rtol=1e-6, atol=1e-10)
 
 
+@pytest.mark.parametrize("scale", [0.0, 1e-300])
+def test_a_prior_that_underflows_says_that_there_are_no_weights(quadratic, scale):
+    data = LinearisedObservations.of(quadratic)
+    prior = scale * np.eye(len(quadratic.point))
+    chosen = at_shape(data, lambda shape: prior, np.zeros(0))
+    assert np.isfinite(chosen.log_evidence)
+    mean, covariance = weight_posterior(data, prior, chosen)
+    assert np.all(np.isfinite(covariance))
+    if scale == 0.0:
+        np.testing.assert_array_equal(mean, 0.0)
+
+
 def test_noise_is_estimated_without_bias(quadratic):
     reduced, _ = eliminate_flat(quadratic, MASK)
     chosen = best_hyperparameters(

@@ -209,7 +209,9 @@ def _influence(
 def _learned_leaves(model: Any, learn: Pick) -> tuple[PyTree, ...]:
     """What the fit learned: weights of the environment, and what `learn` picks."""
     environment, picked = learned_environment(model), learn(model)
-    weights = () if environment is None else (environment.parameters,)
+    weights = (
+        () if environment is None else (environment.parameters, environment.geometry)
+    )
     return *weights, *(picked if isinstance(picked, tuple | list) else (picked,))
 
 

@@ -12,6 +12,7 @@ from pinav.evaluation import FieldMap
 from pinav.forces import (
     KernelPotential,
     NeuralPotential,
+    StructuredForce,
 )
 
 COMMANDED_SAMPLES = 250
@@ -65,4 +66,7 @@ class Subject:
     @property
     def has_potential(self) -> bool:
         """The learned force is the gradient of a learned potential."""
-        return isinstance(self.model.environment, KernelPotential | NeuralPotential)
+        environment = self.model.environment
+        if isinstance(environment, StructuredForce):
+            return environment.is_conservative
+        return isinstance(environment, KernelPotential | NeuralPotential)

@@ -9,7 +9,7 @@ class BenchOptions(Settings, frozen=True, forbid_unknown_fields=True):
     """Run a benchmark of a source checkout and print its table.
 
     Attributes:
-        name: Name of the benchmark: fit, gradient, growth, heat, navigate,
+        name: Name of the benchmark: fields, fit, gradient, growth, heat, navigate,
             recordings or trainer. What follows it are options of its own: pinav bench
             fit --help.
     """

@@ -12,11 +12,13 @@ from pinav.commands.fit import FIT
 from pinav.commands.fit.metrics import FitMetrics, Loss
 from pinav.commands.fit.plan import FitPlan, plan_fit
 from pinav.commands.fit.settings import EVIDENCE_RECIPES, FitOptions
+from pinav.commands.fit.structure import profile_arrays, structure_row
 from pinav.commands.fitted_run import (
     MODEL_FILE,
     POSTERIOR_FILE,
     FittedRun,
     ModelHeader,
+    StructureSearch,
     save_data,
     write_fit,
     write_model,
@@ -44,6 +46,8 @@ from pinav.fitting import (
     Outcome,
     fit_bayes,
     fit_langevin,
+    fit_structured,
+    is_worth_a_search,
     simpler_models,
 )
 from pinav.fitting.environments.catalogue import KnownSwimmer, build
@@ -116,6 +120,7 @@ def fit(plan: FitPlan, folder: RunFolder) -> FitMetrics:
         arrays |= _field_arrays(fields)
         if fitted.posterior is not None:
             arrays["field/sd"] = fitted.force_sd(fields["learned"])
+        arrays |= profile_arrays(fitted)
     folder.write_arrays("results.npz", arrays)
     rmse = score(predictions, outcomes, plan.data).by_name()
     metrics = _metrics(plan, fitted, rmse, fields)
@@ -133,19 +138,24 @@ def _infer(plan: FitPlan, folder: RunFolder) -> None:
     if is_commanded(plan.system):
         write_fit(folder, header, _fit_commanded(plan, model.environment), plan.data)
         return
+    search = plan.settings.structure == "search"
+    searched = search and is_worth_a_search(model, plan.data)
     with BayesReporter(folder, plan.choice.name) as report:
-        result = fit_bayes(
-            model,
-            plan.data,
-            learn=plan.choice.constants,
-            noise=plan.settings.noise,
-            max_iterations=plan.settings.max_steps,
-            on_step=report,
-            throw=False,
-        )
+        options = {
+            "learn": plan.choice.constants,
+            "noise": plan.settings.noise,
+            "max_iterations": plan.settings.max_steps,
+            "on_step": report,
+            "throw": False,
+        }
+        if searched:
+            structured = fit_structured(model, plan.data, **options)
+            result, finding = structured.fit, StructureSearch(structured.gain)
+        else:
+            result, finding = fit_bayes(model, plan.data, **options), None
     if result.outcome is Outcome.DIVERGED:
         raise FitError(DIVERGED)
-    write_fit(folder, header, result, plan.data)
+    write_fit(folder, header, result, plan.data, finding)
 
 
 def _fit_commanded(plan: FitPlan, environment: AbstractForce) -> EvidenceFit:
@@ -215,6 +225,7 @@ def _metrics(
         noise=evidence.hyperparameters.noise,
         amplitude=evidence.hyperparameters.amplitude,
         log_evidence=evidence.hyperparameters.log_evidence,
+        structure=structure_row(fitted),
         **common,
     )
 

@@ -3,6 +3,7 @@
 import msgspec
 
 from pinav.commands.cells import EstimateRow
+from pinav.commands.fit.structure import StructureRow
 from pinav.report import number
 
 
@@ -35,6 +36,7 @@ class FitMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
             $\sqrt{2D}$.
         amplitude: of the prior of the force.
         log_evidence: of the fit [nats].
+        structure: what the search for a structure came to.
     """
 
     model: str
@@ -49,10 +51,13 @@ class FitMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
     noise: float | None = None
     amplitude: float | None = None
     log_evidence: float | None = None
+    structure: StructureRow | None = None
 
     def text(self) -> str:
         """The metrics for a terminal."""
         lines = [self._how(), f"RMSE: {_joined(self.rmse)}"]
+        if self.structure is not None:
+            lines.append(self.structure.text())
         for name, learned in self.learned.items():
             spread = "" if learned.sd is None else f" ± {number(learned.sd, 2)} (sd)"
             lines.append(f"{name}: {number(learned.value, 6)}{spread}")

@@ -5,10 +5,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from pinav.commands.fit.metrics import FitMetrics
+from pinav.commands.fit.structure import StructureRow
 from pinav.commands.fitted_run import DATA_FILE
 from pinav.commands.matching import read_losses
 from pinav.evaluation import FieldMap
 from pinav.figures import force_comparison, loss_curve, observed_paths, save_figure
+from pinav.figures.profiles import profile_band
 from pinav.figures.style import new_figure
 from pinav.report import Cell, Image, Paragraph, Section, Table
 from pinav.runs import RunFolder
@@ -26,6 +28,9 @@ def fit_sections(folder: RunFolder) -> list[Section]:
         _paths(folder, data, arrays),
     ]
     sections = [Section(f"The fit: {metrics.model}, {metrics.recipe}", content)]
+    if metrics.structure is not None:
+        shown = _structure(folder, data, arrays, metrics.structure)
+        sections.append(Section("The structure of the force", shown))
     if "field/learned" in arrays:
         force = _learned_force(folder, data, arrays, metrics)
         sections.append(Section("The learned force", force))
@@ -73,6 +78,38 @@ def _paths(
         caption += " Right: training loss."
     files = save_figure(figure, folder.path / "figures", "fit")
     return Image(files.svg, "Observed trajectories and rollouts of the model", caption)
+
+
+def _structure(
+    folder: RunFolder,
+    data: Trajectories,
+    arrays: dict[str, np.ndarray],
+    structure: StructureRow,
+) -> list[Paragraph | Image | Table]:
+    """What the search came to, and each profile with its band."""
+    content: list[Paragraph | Image | Table] = [Paragraph(structure.text())]
+    for index, term in enumerate(structure.terms):
+        name = f"structure/{index}"
+        if name not in arrays:
+            continue
+        figure = new_figure(4.2, 2.6)
+        length = data.units.get("x", "1")
+        force = "1" if length == "1" else "?"
+        coordinate = "along the normal" if term.kind in STRAIGHT else "distance"
+        profile_band(
+            *arrays[name],
+            coordinate=coordinate,
+            units=(length, force),
+            ax=figure.add_subplot(),
+        )
+        files = save_figure(figure, folder.path / "figures", f"profile-{index}")
+        caption = f"The force of the term '{term.kind}' with its band of 95 %."
+        content.append(Image(files.svg, f"Profile of the term {term.kind}", caption))
+    return content
+
+
+STRAIGHT = ("wall", "shear layer")
+"""Terms whose coordinate is no distance."""
 
 
 def _learned_force(

@@ -43,6 +43,9 @@ class FitSettings(Settings, frozen=True):
             ude and nn-only, else bayes.
         noise: Recipe bayes: standard deviation of the observations; estimated unless
             given.
+        structure: Recipe bayes, kernel models in the plane: search for a structure of
+            the force (a centre, a wall, a linear flow), which the evidence may prefer
+            to free kernels; free: kernels alone.
         train: Known constants to learn beside the unknown; drag: an anisotropic drag
             tensor in place of the known drag.
         seed: Seed of the network.
@@ -56,6 +59,7 @@ class FitSettings(Settings, frozen=True):
     model: ModelName | None = None
     recipe: FitRecipeName = "default"
     noise: Annotated[float | None, Range(above=0)] = None
+    structure: Literal["search", "free"] = "search"
     train: tuple[Literal["damping", "gain", "drag"], ...] = ()
     system: SystemName = None
     seed: int = 0

@@ -17,6 +17,7 @@ from pinav.thermal.perfusion import (
     AbstractPerfusion,
     ConstantPerfusion,
     MixedPerfusion,
+    TabulatedPerfusion,
     lang,
     mass_perfusion,
 )
@@ -123,7 +124,13 @@ def perfusion_law(medium: Medium, blood: Blood, tissue: Tissue) -> AbstractPerfu
     flow = medium.perfusion
     if flow.law is not None:
         return lang(flow.law)
-    assert flow.value is not None
     assert flow.unit is not None
+    if flow.values:
+        masses = [
+            mass_perfusion(one, unit=flow.unit, blood=blood, tissue=tissue)
+            for one in flow.values
+        ]
+        return TabulatedPerfusion(flow.temperatures, jnp.asarray(masses))
+    assert flow.value is not None
     value = mass_perfusion(flow.value, unit=flow.unit, blood=blood, tissue=tissue)
     return ConstantPerfusion(value)

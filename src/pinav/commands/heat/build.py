@@ -12,6 +12,7 @@ from pinav.commands.heat.field import Field as FieldTable
 from pinav.commands.heat.geometry import Across, Ends, Side, Voxels
 from pinav.commands.heat.matter import (
     Absorption,
+    Damage,
     Eddy,
     Measured,
     Particles,
@@ -31,6 +32,7 @@ from pinav.thermal.boundaries import (
     Sides,
     outer,
 )
+from pinav.thermal.dose import DAMAGES, Arrhenius
 from pinav.thermal.exposure_limits import AbstractLimit, limit
 from pinav.thermal.grids import AbstractGrid, RadialGrid
 from pinav.thermal.magnetics import (
@@ -49,6 +51,7 @@ from pinav.thermal.sources import (
     EddySource,
     ParticleSource,
     PowerSource,
+    ShiftedSource,
     axis_distance,
 )
 from pinav.thermal.starts import AbstractStart, AtSteadyState
@@ -67,6 +70,7 @@ class CaseModel(eqx.Module):
         limits: of the field.
         points: of the probes [m], none if there are none.
         start: where a run begins.
+        damage: law of damage that is added up, if any.
     """
 
     model: Bioheat
@@ -76,6 +80,7 @@ class CaseModel(eqx.Module):
     limits: tuple[AbstractLimit, ...]
     points: np.ndarray
     start: AbstractStart
+    damage: Arrhenius | None = None
 
     @property
     def target(self) -> Field:
@@ -127,7 +132,18 @@ def build_case(case: Case, folder: Path) -> CaseModel:
         limits=limits,
         points=np.array(points, float).reshape(-1, axes),
         start=start,
+        damage=_damage(case.damage),
     )
+
+
+def _damage(table: Damage | None) -> Arrhenius | None:
+    if table is None:
+        return None
+    if table.law is not None:
+        return DAMAGES[table.law]
+    assert table.log_factor is not None
+    assert table.energy is not None
+    return Arrhenius(table.log_factor, table.energy)
 
 
 def _stepper(case: Case, model: Bioheat) -> AbstractStepper:
@@ -135,7 +151,7 @@ def _stepper(case: Case, model: Bioheat) -> AbstractStepper:
         return default_stepper(model)
     if len(model.grid.shape) == 1:
         return Rosenbrock(case.step)
-    return RKL2(longest=case.step)
+    return RKL2.for_step(model, case.step)
 
 
 def _source(case: Case, body: Body, folder: Path) -> AbstractSource:
@@ -146,8 +162,9 @@ def _source(case: Case, body: Body, folder: Path) -> AbstractSource:
     values = None if file is None else read_heating(heating, folder / file, body)
     if isinstance(heating, Absorption):
         assert values is not None
-        power = jnp.asarray(values * body.tissue.density)
-        return PowerSource(power, heating.reference, heating.scale)
+        absorption = jnp.asarray(values)
+        source = PowerSource(absorption, heating.reference, heating.scale)
+        return ShiftedSource(source, jnp.zeros(values.ndim), body.tissue.density)
     concentration = values
     if not isinstance(heating.concentration, str):
         concentration = heating.concentration * body.target  # mg/cm³ are kg/m³

@@ -1,8 +1,7 @@
-"""`pinav heat learn`: perfusion from probes, beside the best constant perfusion."""
+"""`pinav heat learn`: perfusion and power from probes or from MR thermometry."""
 
-from collections.abc import Callable
+import dataclasses
 from pathlib import Path
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -12,216 +11,286 @@ from jaxtyping import Array, Float
 
 from pinav.commands.cells import EstimateRow
 from pinav.commands.heat.build import CaseModel, build_case
-from pinav.commands.heat.case import Case, Learn
+from pinav.commands.heat.case import Case, Learn, read_case
+from pinav.commands.heat.fitting import (
+    Quantities,
+    describe_constant,
+    fit_case,
+    fit_constant,
+    followed_curves,
+    forecast,
+    law_names,
+    value_at_rest,
+)
 from pinav.commands.heat.metrics import (
+    ForecastMetrics,
     HeldOutMetrics,
     LawMetrics,
     LearnMetrics,
+    QuantityMetrics,
 )
+from pinav.commands.heat.readings import Readings, read_data, readings_until
+from pinav.commands.heat.simulate import spacing
 from pinav.commands.heat.task import AbstractTask, TaskResult
 from pinav.errors import InputError
 from pinav.fitting import EvidenceFit
+from pinav.fitting.bayes.derived import derived
 from pinav.thermal.bioheat import Bioheat
-from pinav.thermal.learned_perfusion import kernel_perfusion, neural_perfusion
 from pinav.thermal.learning import (
     ProbeResiduals,
-    learn,
     perfusion_curve,
-    probe_residuals,
+    read_residuals,
     visited_range,
 )
-from pinav.thermal.perfusion import AbstractPerfusion, ConstantPerfusion
-from pinav.thermal.probes import ProbeData, load_probes, simulate_probes
+from pinav.thermal.probes import ProbeData, simulate_probes
 from pinav.thermal.solve import Solution, solve
-
-DEFAULT_RISE = 6.0
-"""Range [K] of the law of a tissue without a probe."""
+from pinav.thermal.thermometry import Thermometry, ThermometryResiduals
 
 
-class LearnTask(AbstractTask):
-    """Learn the perfusion of a case from probes.
+@dataclasses.dataclass(frozen=True)
+class LearningCase:
+    """What is fitted to what, and what is known of the truth.
 
-    Without a data file the perfusion of the case is the truth of synthetic readings;
-    with one its values at rest are where the fit starts.
+    Attributes:
+        setup: the case.
+        settings: its table `learn`.
+        fitted: the readings that are fitted; none where the case makes its own.
+        every: all readings that there are.
+        truth: of the readings, where it is known.
     """
 
-    def __init__(self, case: Case, source: Path) -> None:
-        self.settings = case.learn or Learn()
-        self.every = None if case.probes is None else case.probes.every
-        self.data = None
-        if self.settings.data is not None:
-            self.data = load_probes(source.parent / self.settings.data)
-        self.setup = build_case(case, source.parent)
-        for name in law_names(self.setup, self.settings):
-            _value_at_rest(self.setup, name)
-        if not self.setup.protocol.largest > 0:
+    setup: CaseModel
+    settings: Learn
+    fitted: Readings | None
+    every: Readings | None
+    truth: CaseModel | None
+
+    @classmethod
+    def of(
+        cls, case: Case, setup: CaseModel, folder: Path, until: float | None = None
+    ) -> "LearningCase":
+        """That of a case, up to a time [s] unless its table says one.
+
+        Raises:
+            InputError: a file cannot be read, or nothing could be learned from it.
+        """
+        settings = case.learn or Learn()
+        for name in law_names(setup, settings):
+            value_at_rest(setup, name)
+        if not setup.protocol.largest > 0:
             raise InputError(
                 "field.amplitudes: expected one > 0 A/m, got none; tissue that is not "
                 "heated tells nothing of its perfusion"
             )
-        if self.data is not None:
+        data = read_data(settings, setup, folder)
+        end = until or settings.until
+        fitted = data if data is None or end is None else readings_until(data, end)
+        if fitted is not None:
             # refuses readings outside the grid or after the end of the protocol
-            probe_residuals(
-                self.setup.model,
-                self.setup.protocol,
-                self.data,
-                stepper=self.setup.stepper,
-                start=self.setup.start,
-            )
-        elif not len(self.setup.points):
+            _residuals(setup, setup.model, fitted)
+        return cls(setup, settings, fitted, data, _read_truth(settings, setup, folder))
+
+
+def _read_truth(settings: Learn, setup: CaseModel, folder: Path) -> CaseModel | None:
+    if settings.truth is None:
+        return None
+    path = folder / settings.truth
+    truth = build_case(read_case(path)[0], path.parent)
+    if truth.model.grid.shape != setup.model.grid.shape:
+        raise InputError(
+            f"learn.truth: expected a case on the grid of this one, "
+            f"{setup.model.grid.shape}, got {truth.model.grid.shape}; take the same"
+        )
+    return truth
+
+
+def _residuals(
+    setup: CaseModel, model: Bioheat, data: Readings
+) -> ProbeResiduals | ThermometryResiduals:
+    return read_residuals(
+        model, setup.protocol, data, stepper=setup.stepper, start=setup.start
+    )
+
+
+class LearnTask(AbstractTask):
+    """Learn the perfusion of a case, and more, from readings.
+
+    Without data the perfusion of the case is the truth of synthetic readings of probes;
+    with them its values at rest are where the fit starts.
+    """
+
+    def __init__(self, case: Case, source: Path) -> None:
+        setup = build_case(case, source.parent)
+        self.probes = case.probes
+        self.learning = LearningCase.of(case, setup, source.parent)
+        if self.learning.fitted is None and not len(setup.points):
             raise InputError(
                 "learn: expected data, a CSV file, or probes whose readings are "
                 "simulated"
             )
 
     def run(self) -> TaskResult:
-        setup, settings = self.setup, self.settings
-        data = self._synthetic_readings() if self.data is None else self.data
-        fit = _fit(setup, settings, data)
-        constant = _fit_constant(setup, settings, data)
-        residuals = probe_residuals(
-            fit.model,
-            setup.protocol,
-            data,
-            stepper=setup.stepper,
-            start=setup.start,
+        learning = self.learning
+        setup, settings = learning.setup, learning.settings
+        data, synthetic = learning.fitted, None
+        if data is None:
+            data = synthetic = self._synthetic_readings()
+        fit = fit_case(setup, settings, data)
+        constant = (
+            fit if settings.kind == "constant" else fit_constant(setup, settings, data)
         )
-        arrays = {
-            "data_times": data.times,
-            "data_values": data.values,
-            "points": data.points,
-            "predicted": _predict(fit.model, residuals, data),
-        }
-        held_out = settings.held_out if self.data is None else ()
-        noise = fit.hyperparameters.noise
+        residuals = _residuals(setup, fit.model, data)
+        arrays = _fit_arrays(setup, fit.model, residuals, data)
+        held_out = settings.held_out if synthetic is not None else ()
         metrics = LearnMetrics(
             outcome=str(fit.outcome),
             iterations=fit.iterations,
             residual=_rms(residuals(fit.model)),
-            noise=float(noise),
+            noise=float(fit.hyperparameters.noise),
+            relative=isinstance(data, Thermometry),
             log_evidence=fit.hyperparameters.log_evidence,
-            constants={n: EstimateRow.of(one) for n, one in fit.constants.items()},
-            laws=_curves(setup, settings, fit, arrays),
+            constants={
+                describe_constant(name, setup): EstimateRow.of(one)
+                for name, one in fit.constants.items()
+            },
+            quantities=_compare(learning, fit),
+            laws={}
+            if settings.kind == "constant"
+            else _curves(setup, settings, fit, arrays),
             constant_residual=_rms(residuals(constant.model)),
             held_out=tuple(
                 _held_out(setup, fit.model, constant.model, power) for power in held_out
             ),
+            forecast=_forecast(learning, fit, arrays),
         )
-        return TaskResult(metrics, arrays, data if self.data is None else None)
+        return TaskResult(metrics, arrays, synthetic)
 
     def _synthetic_readings(self) -> ProbeData:
-        assert self.every is not None
+        assert self.probes is not None
+        learning, setup = self.learning, self.learning.setup
         return simulate_probes(
-            self.setup.model,
-            self.setup.protocol,
-            self.setup.points,
-            every=self.every,
-            noise=self.settings.noise,
-            key=jax.random.key(self.settings.seed),
-            stepper=self.setup.stepper,
-            start=self.setup.start,
+            setup.model,
+            setup.protocol,
+            setup.points,
+            every=self.probes.every,
+            noise=learning.settings.noise,
+            key=jax.random.key(learning.settings.seed),
+            stepper=setup.stepper,
+            start=setup.start,
         )
 
 
-def law_names(setup: CaseModel, settings: Learn) -> tuple[str, ...]:
-    """Tissues whose perfusion is learned: all of a case that names none.
-
-    Raises:
-        InputError: there is no such tissue.
-    """
-    names = tuple(setup.body.laws) if settings.laws is None else settings.laws
-    for name in names:
-        if name not in setup.body.laws:
-            raise InputError(
-                f"learn.laws: expected names of tissues, {', '.join(setup.body.laws)}; "
-                f"got {name!r}"
-            )
-    return names
-
-
-def _fit(setup: CaseModel, settings: Learn, data: ProbeData) -> EvidenceFit:
-    laws = tuple(setup.body.laws[name] for name in law_names(setup, settings))
-    return learn(
-        _initial_model(setup, settings, data),
-        setup.protocol,
-        data,
-        laws=lambda m: tuple(law(m) for law in laws),
-        constants=_power_scale(settings),
-        stepper=setup.stepper,
-        start=setup.start,
+def _compare(learning: LearningCase, fit: EvidenceFit) -> tuple[QuantityMetrics, ...]:
+    """Numbers that were learned, beside the truth where there is one."""
+    quantities = Quantities.of(learning.setup, learning.settings)
+    names = quantities.names(len(learning.setup.model.grid.shape))
+    true: list[float | None] = [None] * len(names)
+    if learning.truth is not None and names:
+        true = np.asarray(quantities(learning.truth.model)).tolist()
+    estimates = derived(fit.posterior, quantities) if names else []
+    return tuple(
+        QuantityMetrics(name, one.value, one.sd, truth)
+        for name, one, truth in zip(names, estimates, true, strict=True)
     )
 
 
-def _fit_constant(setup: CaseModel, settings: Learn, data: ProbeData) -> EvidenceFit:
-    """The baseline: a perfusion of each tissue that does not depend on temperature."""
-    laws = tuple(setup.body.laws[name] for name in law_names(setup, settings))
-    start = setup.model
-    for name, law in zip(law_names(setup, settings), laws, strict=True):
-        rest = ConstantPerfusion(jnp.asarray(_value_at_rest(setup, name)))
-        start = eqx.tree_at(law, start, rest)
-    scale = _power_scale(settings)
-    return learn(
-        start,
-        setup.protocol,
-        data,
-        constants=lambda m: (tuple(law(m).value for law in laws), scale(m)),
-        stepper=setup.stepper,
-        start=setup.start,
-    )
-
-
-def _power_scale(settings: Learn) -> Callable[[Any], Any]:
-    """Picks the scale of the power, if that is learned too."""
-    if settings.power_scale:
-        return lambda model: model.sources[0].scale
-    return lambda model: ()
-
-
-def _value_at_rest(setup: CaseModel, name: str) -> float:
-    """Perfusion of a tissue at the arterial temperature [kg m⁻³ s⁻¹]."""
-    law: AbstractPerfusion = setup.body.laws[name](setup.model)
-    value = float(law(jnp.asarray([float(setup.model.blood.arterial)]))[0])
-    if not value > 0:
-        raise InputError(
-            f"perfusion of the {name}: expected > 0 where a fit starts, got {value:g}; "
-            "give a small value, or leave the tissue out of learn.laws"
-        )
-    return value
-
-
-def _initial_model(setup: CaseModel, settings: Learn, data: ProbeData) -> Bioheat:
-    """The model with constant laws, at the perfusion at rest.
-
-    Each may vary up to the hottest reading of its own tissue.
-    """
-    model, arterial = setup.model, float(setup.model.blood.arterial)
-    weights = np.asarray(model.grid.interpolation(data.points))
-    weights = weights.reshape(len(weights), -1)
-    for index, name in enumerate(law_names(setup, settings)):
-        law, share = setup.body.laws[name], np.asarray(setup.body.shares[name])
-        readings = data.values[:, weights @ share.reshape(-1) > 0.5]
-        rest = _value_at_rest(setup, name)
-        top = float(np.nanmax(readings)) if readings.size else arterial + DEFAULT_RISE
-        span = (arterial, max(top, arterial + 1.0))
-        key = jax.random.fold_in(jax.random.key(settings.seed), index)
-        learned = (
-            neural_perfusion(rest, span, key=key)
-            if settings.kind == "network"
-            else kernel_perfusion(rest, span)
-        )
-        model = eqx.tree_at(law, model, learned)
-    return model
-
-
-def _predict(
-    model: Bioheat, residuals: ProbeResiduals, data: ProbeData
-) -> Float[np.ndarray, "time probe"]:
-    """Predicted temperatures where there are readings."""
+def _fit_arrays(
+    setup: CaseModel,
+    model: Bioheat,
+    residuals: ProbeResiduals | ThermometryResiduals,
+    data: Readings,
+) -> dict[str, np.ndarray]:
+    """Readings and what the fit makes of them, for the figures."""
+    if isinstance(residuals, ThermometryResiduals):
+        return _frame_arrays(setup, model, residuals)
+    assert isinstance(data, ProbeData)
     values = np.full(data.values.size, np.nan)
     values[np.asarray(residuals.index)] = np.asarray(
         residuals(model) + residuals.values
     )
-    return values.reshape(data.values.shape)
+    return {
+        "data_times": data.times,
+        "data_values": data.values,
+        "points": data.points,
+        "predicted": values.reshape(data.values.shape),
+    }
+
+
+def _frame_arrays(
+    setup: CaseModel, model: Bioheat, residuals: ThermometryResiduals
+) -> dict[str, np.ndarray]:
+    """Readings without turns and drift, and the fit: the last frame, and means."""
+    predicted, corrected = (np.asarray(one) for one in _correct(residuals, model))
+    shape, cells = setup.model.grid.shape, np.asarray(residuals.cells)
+
+    def image(values: np.ndarray) -> np.ndarray:
+        full = np.full(int(np.prod(shape)), np.nan)
+        full[cells] = values
+        return full.reshape(shape)
+
+    means = {}
+    for name, share in setup.body.shares.items():
+        inside = np.asarray(share).reshape(-1)[cells] > 0.5
+        if inside.any():
+            means[name] = (
+                np.nanmean(corrected[:, inside], axis=1),
+                predicted[:, inside].mean(axis=1),
+            )
+    return {
+        "data_times": residuals.schedule.times,
+        "frame/reading": image(corrected[-1]),
+        "frame/fit": image(predicted[-1]),
+        "target": np.asarray(setup.target),
+        "spacing": spacing(setup.model.grid),
+        **{f"mean/{name}/reading": one for name, (one, _) in means.items()},
+        **{f"mean/{name}/fit": one for name, (_, one) in means.items()},
+    }
+
+
+@eqx.filter_jit
+def _correct(residuals: ThermometryResiduals, model: Bioheat) -> tuple[Array, Array]:
+    """Predicted temperatures, and readings without turns and drift, NaN where lost."""
+    predicted = residuals.predict(model)
+    offsets = residuals.offsets(predicted)
+    drift = residuals.drifts(offsets * residuals.weights) @ residuals.basis.T
+    read = residuals.weights > 0
+    return predicted, jnp.where(read, predicted - (offsets - drift), jnp.nan)
+
+
+def _forecast(
+    learning: LearningCase, fit: EvidenceFit, arrays: dict[str, np.ndarray]
+) -> ForecastMetrics | None:
+    """Predictions after the readings that were fitted, beside the later ones."""
+    setup, fitted, every = learning.setup, learning.fitted, learning.every
+    if fitted is None or every is None or fitted.times[-1] >= setup.protocol.duration:
+        return None
+    predicted = forecast(setup, fit.posterior)
+    later = predicted.times > fitted.times[-1]
+    arrays["forecast/times"] = predicted.times
+    arrays["forecast/from"] = fitted.times[-1:]
+    arrays["forecast/values"], arrays["forecast/sd"] = predicted.values, predicted.sd
+    error = covered = None
+    if learning.truth is not None:
+        truth = learning.truth
+        true = followed_curves(setup, truth.model, predicted.times)
+        arrays["forecast/true"] = true
+        apart = np.abs(predicted.values - true)[later]
+        error = float(apart.max())
+        covered = float((apart <= 1.96 * predicted.sd[later]).mean())
+    residual = None
+    if len(every.times) > len(fitted.times):
+        whole = _residuals(setup, fit.model, every)
+        values = np.full(every.observed.size, np.nan)
+        values[np.asarray(whole.index)] = np.asarray(whole(fit.model))
+        values = values.reshape(len(every.times), -1)[len(fitted.times) :]
+        residual = float(np.sqrt(np.nanmean(values**2)))
+    return ForecastMetrics(
+        fitted_until=float(fitted.times[-1]),
+        residual=residual,
+        sd=float(predicted.sd[later].max()),
+        error=error,
+        covered=covered,
+    )
 
 
 def _rms(values: Float[Array, "..."]) -> float:

@@ -1,11 +1,13 @@
 """What a case of `pinav heat` is made of: tissues, and what heats them."""
 
+import itertools
 from typing import Annotated, Literal
 
 from msgspec import Meta
 
 from pinav.commands.heat.bounds import (
     Arterial,
+    Celsius,
     Concentration,
     Conductivity,
     Density,
@@ -19,25 +21,48 @@ from pinav.commands.heat.bounds import (
     SpecificHeat,
     Strict,
 )
+from pinav.thermal.perfusion import BLEND
 
 
 class Flow(Strict, frozen=True):
     """A perfusion: a number with its unit, or a law of Lang et al. by its tissue.
 
-    Among voxels a `file` in a unit, too.
+    Among voxels a `file` in a unit, too; or a law of one's own, `values` in a unit at
+    `temperatures` [°C], linear between them.
     """
 
     law: str | None = None
     value: Magnitude | None = None
+    temperatures: tuple[Celsius, ...] = ()
+    values: tuple[Magnitude, ...] = ()
     file: str | None = None
     unit: str | None = None
 
     def __post_init__(self) -> None:
-        given = [self.law is not None, self.value is not None, self.file is not None]
+        given = [one is not None for one in (self.law, self.value, self.file)]
+        given.append(bool(self.values))
         if sum(given) != 1 or (self.law is None) is (self.unit is None):
             raise ValueError(
                 "expected a law, or a value with its unit, such as "
                 '{value = 6.7e-4, unit = "1/s"}'
+            )
+        if self.values or self.temperatures:
+            self._check_law()
+
+    def _check_law(self) -> None:
+        """Refuse a law that jumps: no derivative sees a jump."""
+        count = len(self.temperatures)
+        if len(self.values) != count or count < 2:
+            raise ValueError(
+                "values: expected one for each of two temperatures or more, got "
+                f"{len(self.values)} for {count}"
+            )
+        gaps = [b - a for a, b in itertools.pairwise(self.temperatures)]
+        if min(gaps) < BLEND * (1 - 1e-9):
+            raise ValueError(
+                f"temperatures: expected increasing, {BLEND:g} K apart or more, got "
+                f"{list(self.temperatures)}; a law that jumps has no derivative there: "
+                f"let it rise over {BLEND:g} K"
             )
 
 
@@ -184,6 +209,24 @@ class Eddy(Strict, frozen=True):
     def __post_init__(self) -> None:
         if self.radius is not None and self.axis is not None:
             raise ValueError("expected a radius or an axis, got both; remove one")
+
+
+class Damage(Strict, frozen=True):
+    """Arrhenius damage of a run: a named set, or ln A [A in 1/s] and E [J/mol]."""
+
+    law: Literal["skin", "liver"] | None = None
+    log_factor: Annotated[float, Meta(ge=0, le=1000)] | None = None
+    energy: Annotated[float, Meta(ge=1e4, le=2e6)] | None = None
+
+    def __post_init__(self) -> None:
+        numbers = self.log_factor is not None, self.energy is not None
+        if numbers not in ((True, True), (False, False)) or (
+            (self.law is None) is not numbers[0]
+        ):
+            raise ValueError(
+                'expected law = "skin" or "liver", or log_factor and energy; give one '
+                "of the two"
+            )
 
 
 class Blood(Strict, frozen=True):

@@ -21,6 +21,9 @@ class RunMetrics(msgspec.Struct, frozen=True, tag="simulate", tag_field="task"):
         healthy_dose: largest dose outside the tumour [CEM43 min].
         hf: largest product of amplitude and frequency [A m⁻¹ s⁻¹].
         imbalance: relative error of the energy balance.
+        dead_target: fraction of the target that is dead by Arrhenius' law, if the case
+            has one.
+        dead_outside: largest such fraction outside it.
         warnings: laws that were used outside their range, one sentence each.
     """
 
@@ -37,6 +40,8 @@ class RunMetrics(msgspec.Struct, frozen=True, tag="simulate", tag_field="task"):
     hf: float = msgspec.field(name="Hf")
     imbalance: float
     warnings: tuple[str, ...]
+    dead_target: float | None = None
+    dead_outside: float | None = None
 
 
 class ConstraintMetrics(Row, frozen=True):
@@ -57,6 +62,22 @@ class ConstraintMetrics(Row, frozen=True):
     active: bool
 
 
+class JudgedMetrics(Row, frozen=True):
+    """A plan made with a learned tissue, run on the true one.
+
+    Attributes:
+        d90: D90 that it reaches [CEM43 min].
+        best_d90: D90 of a plan made with the truth, under the same bounds.
+        highest: highest temperature that it reaches [°C].
+        amplitudes: of the plan made with the truth [A m⁻¹].
+    """
+
+    d90: float = msgspec.field(name="D90")
+    best_d90: float = msgspec.field(name="best_D90")
+    highest: float = msgspec.field(name="T_max")
+    amplitudes: tuple[float, ...]
+
+
 class OptimumMetrics(
     msgspec.Struct, frozen=True, tag="optimise", tag_field="task", kw_only=True
 ):
@@ -70,6 +91,7 @@ class OptimumMetrics(
         constraints: with their values.
         amplitudes: of the field in each interval [A m⁻¹].
         max_temperature: bound of the temperature [°C].
+        judged: the plan on the true tissue, where that is known.
     """
 
     result: RunMetrics
@@ -79,6 +101,7 @@ class OptimumMetrics(
     constraints: tuple[ConstraintMetrics, ...]
     amplitudes: tuple[float, ...]
     max_temperature: float
+    judged: JudgedMetrics | None = None
 
 
 class LawMetrics(msgspec.Struct, frozen=True):
@@ -114,6 +137,47 @@ class HeldOutMetrics(msgspec.Struct, frozen=True):
     constant_dose: float
 
 
+class QuantityMetrics(Row, frozen=True):
+    """A number that was learned, and its true value where that is known.
+
+    Attributes:
+        name: with its unit.
+        value: learned.
+        sd: its standard deviation.
+        true: its true value.
+    """
+
+    name: str
+    value: float
+    sd: float
+    true: float | None = None
+
+    @property
+    def within(self) -> bool | None:
+        """Whether the truth is in the band of 95 %."""
+        if self.true is None:
+            return None
+        return abs(self.value - self.true) <= 1.96 * self.sd
+
+
+class ForecastMetrics(Row, frozen=True):
+    """Predictions of times after the readings that were fitted.
+
+    Attributes:
+        fitted_until: time of the last of these [s].
+        residual: root mean square residual of the later readings, as that of the fit.
+        sd: largest standard deviation of the predicted temperatures of the target [K].
+        error: largest error of these, where the truth is known [K].
+        covered: fraction of them with the truth in the band of 95 %.
+    """
+
+    fitted_until: float
+    residual: float | None
+    sd: float
+    error: float | None
+    covered: float | None
+
+
 class LearnMetrics(
     msgspec.Struct, frozen=True, tag="learn", tag_field="task", kw_only=True
 ):
@@ -124,11 +188,14 @@ class LearnMetrics(
         iterations: number of steps.
         residual: root mean square of the residuals [K].
         noise: estimated standard deviation of a reading [K].
+        relative: whether both are in units of a map of the noise instead.
         log_evidence: of the fit [nats].
         constants: other numbers learned, by name.
         laws: by tissue.
         constant_residual: root mean square residual of the best constant perfusion [K].
         held_out: predictions at other powers.
+        quantities: numbers that were learned, beside the truth.
+        forecast: predictions after the readings that were fitted.
     """
 
     outcome: str
@@ -140,6 +207,9 @@ class LearnMetrics(
     laws: dict[str, LawMetrics]
     constant_residual: float
     held_out: tuple[HeldOutMetrics, ...] = ()
+    relative: bool = False
+    quantities: tuple[QuantityMetrics, ...] = ()
+    forecast: ForecastMetrics | None = None
 
 
 HeatMetrics = RunMetrics | OptimumMetrics | LearnMetrics

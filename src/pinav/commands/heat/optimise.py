@@ -8,10 +8,17 @@ from scipy.ndimage import distance_transform_edt
 
 from pinav.commands.heat.build import CaseModel, build_case
 from pinav.commands.heat.case import Case, Optimise
-from pinav.commands.heat.metrics import ConstraintMetrics, OptimumMetrics
+from pinav.commands.heat.fitting import fit_case
+from pinav.commands.heat.learn import LearningCase
+from pinav.commands.heat.metrics import (
+    ConstraintMetrics,
+    JudgedMetrics,
+    OptimumMetrics,
+)
 from pinav.commands.heat.simulate import simulate_run
 from pinav.commands.heat.task import AbstractTask, TaskResult
 from pinav.errors import InputError
+from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.constraints import (
     AbstractConstraint,
     HealthyDose,
@@ -28,12 +35,18 @@ from pinav.thermal.design_variables import (
     shells,
 )
 from pinav.thermal.grids import CartesianGrid
-from pinav.thermal.optimise import optimise
+from pinav.thermal.optimise import Optimum, optimise
+from pinav.thermal.protocols import Piecewise
 from pinav.thermal.quantities import Field
+from pinav.thermal.solve import solve
 
 
 class OptimiseTask(AbstractTask):
-    """Find the protocol of largest D90."""
+    """Find the protocol of largest D90; where it is free after a time, the rest of it.
+
+    Readings until that time say first what the tissue is like. The plan is made with
+    the learned tissue and judged with the true one, where the case names it.
+    """
 
     def __init__(self, case: Case, source: Path) -> None:
         if case.optimise is None:
@@ -41,21 +54,29 @@ class OptimiseTask(AbstractTask):
                 "optimise: expected a table [optimise] in the case, got none"
             )
         self.settings, self.setup = case.optimise, build_case(case, source.parent)
+        self.learning = None
+        if case.optimise.after is not None and case.learn is not None:
+            self.learning = LearningCase.of(
+                case, self.setup, source.parent, case.optimise.after
+            )
+            if self.learning.fitted is None:
+                raise InputError(
+                    "learn: expected data or thermometry, from which a plan after "
+                    f"{case.optimise.after:g} s is made, got neither; name a file, or "
+                    "remove the table"
+                )
         self.variables = _variables(case, case.optimise, self.setup)
         self.constraints = _constraints(case, case.optimise, self.setup)
 
     def run(self) -> TaskResult:
-        setup = self.setup
-        optimum = optimise(
-            Run(setup.model, setup.protocol),
-            self.variables,
-            maximise=LogD90(setup.target),
-            subject_to=self.constraints,
-            stepper=setup.stepper,
-            begin=setup.start,
-        )
+        model, learning, judged = self.setup.model, self.learning, None
+        if learning is not None and learning.fitted is not None:
+            model = fit_case(self.setup, learning.settings, learning.fitted).model
+        optimum = self._plan(model)
         protocol = optimum.run.protocol
-        metrics, arrays = simulate_run(setup, optimum.run.model, protocol)
+        metrics, arrays = simulate_run(self.setup, optimum.run.model, protocol)
+        if learning is not None and learning.truth is not None:
+            judged = self._judge(learning.truth.model, protocol)
         return TaskResult(
             OptimumMetrics(
                 result=metrics,
@@ -65,18 +86,48 @@ class OptimiseTask(AbstractTask):
                 constraints=tuple(map(ConstraintMetrics.of, optimum.constraints)),
                 amplitudes=tuple(np.asarray(protocol.starts).tolist()),
                 max_temperature=self.settings.max_temperature,
+                judged=judged,
             ),
             arrays,
-            image=setup.body.image,
+            image=self.setup.body.image,
+        )
+
+    def _plan(self, model: Bioheat) -> Optimum:
+        """The best field of a tissue, from where it is free."""
+        setup, begin = self.setup, self.setup.start
+        if self.settings.after is not None:
+            before = setup.protocol.until(self.settings.after)
+            begin = solve(model, before, stepper=setup.stepper, start=begin).final
+        return optimise(
+            Run(model, setup.protocol),
+            self.variables,
+            maximise=LogD90(setup.target),
+            subject_to=self.constraints,
+            stepper=setup.stepper,
+            begin=begin,
+        )
+
+    def _judge(self, truth: Bioheat, protocol: Piecewise) -> JudgedMetrics:
+        """What a plan does to the true tissue, and one made with the truth."""
+        reached, _ = simulate_run(self.setup, truth, protocol)
+        best = self._plan(truth).run.protocol
+        possible, _ = simulate_run(self.setup, truth, best)
+        return JudgedMetrics(
+            d90=reached.d90,
+            best_d90=possible.d90,
+            highest=reached.highest,
+            amplitudes=tuple(np.asarray(best.starts).tolist()),
         )
 
 
 def _variables(
     case: Case, settings: Optimise, setup: CaseModel
 ) -> list[AbstractDesignVariable]:
-    intervals = len(setup.protocol.edges) - 1
+    edges = setup.protocol.edges
+    kept = 0 if settings.after is None else edges.index(settings.after)
+    free = len(edges) - 1 - kept
     variables: list[AbstractDesignVariable] = [
-        FreeAmplitudes(settings.largest, intervals, settings.start)
+        FreeAmplitudes(settings.largest, free, settings.start, kept)
         if case.field.on is None
         # pauses stay pauses
         else FreeScale(settings.largest / case.field.amplitudes[0], settings.start)

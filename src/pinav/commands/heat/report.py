@@ -5,6 +5,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from pinav.commands.heat.fitting import FOLLOWED
 from pinav.commands.heat.history import SHARES
 from pinav.commands.heat.metrics import (
     HeatMetrics,
@@ -12,19 +13,25 @@ from pinav.commands.heat.metrics import (
     OptimumMetrics,
     RunMetrics,
 )
-from pinav.commands.heat.tables import constraint_table, fit_table, run_table
+from pinav.commands.heat.tables import (
+    constraint_table,
+    fit_table,
+    judgement_table,
+    run_table,
+)
 from pinav.commands.heat.task import RESULTS
 from pinav.figures.heat import (
     DOSES,
     ISOTHERMS,
     dose_profile,
+    forecast_curves,
     perfusion_figure,
     plane_map,
     probe_curves,
     profiles,
     protocol_figure,
 )
-from pinav.figures.style import new_figure, title_panel
+from pinav.figures.style import SMALL, new_figure, title_panel
 from pinav.report import Image, Paragraph, Section
 from pinav.report.images import Figures
 from pinav.runs import RunFolder
@@ -55,7 +62,10 @@ def heat_sections(folder: RunFolder) -> list[Section]:
         Section("Temperature and dose", [_fields(folder, arrays)]),
     ]
     if isinstance(metrics, OptimumMetrics):
-        sections.insert(1, Section("Constraints", [constraint_table(metrics)]))
+        tables = [constraint_table(metrics)]
+        if metrics.judged is not None:
+            tables.append(judgement_table(metrics.judged))
+        sections.insert(1, Section("Constraints", tables))
     if "probes" in arrays:
         curves = probe_curves(
             arrays["times"],
@@ -70,31 +80,104 @@ def heat_sections(folder: RunFolder) -> list[Section]:
 def _learned_sections(
     folder: RunFolder, metrics: LearnMetrics, arrays: Arrays
 ) -> list[Section]:
+    sections = [Section("The fit", [Paragraph(CAUTION), fit_table(metrics)])]
+    if laws := _laws(arrays):
+        perfusion = _image(
+            folder,
+            perfusion_figure(laws),
+            "perfusion",
+            "Perfusion over temperature with its 95 % band. Dotted: temperatures that "
+            "the tissue did not reach, where the law is extrapolated. Near the "
+            "arterial temperature the data do not determine perfusion.",
+        )
+        sections.append(Section("Learned perfusion", [perfusion]))
+    if "predicted" in arrays:
+        sections.append(Section("Probes", [_fitted_probes(folder, arrays)]))
+    else:
+        sections.append(Section("Frames", _fitted_frames(folder, arrays)))
+    if "forecast/values" in arrays:
+        sections.append(Section("Prediction", [_prediction(folder, arrays)]))
+    return sections
+
+
+def _laws(arrays: Arrays) -> dict[str, Arrays]:
+    """Learned laws by tissue."""
     laws: dict[str, Arrays] = {}
     for key, values in arrays.items():
         if key.startswith("law/"):
             _, name, field = key.split("/")
             laws.setdefault(name, {})[field] = values
+    return laws
+
+
+def _fitted_probes(folder: RunFolder, arrays: Arrays) -> Image:
     curves = probe_curves(
         arrays["data_times"],
         arrays["predicted"],
         [_place(point) for point in arrays["points"]],
         readings=(arrays["data_times"], arrays["data_values"]),
     )
-    perfusion = _image(
-        folder,
-        perfusion_figure(laws),
-        "perfusion",
-        "Perfusion over temperature with its 95 % band. Dotted: temperatures that the "
-        "tissue did not reach, where the law is extrapolated. Near the arterial "
-        "temperature the data do not determine perfusion.",
-    )
-    probes = _image(folder, curves.figure, "probes", "Readings and the fitted model.")
-    return [
-        Section("The fit", [Paragraph(CAUTION), fit_table(metrics)]),
-        Section("Learned perfusion", [perfusion]),
-        Section("Probes", [probes]),
+    return _image(folder, curves.figure, "probes", "Readings and the fitted model.")
+
+
+def _fitted_frames(folder: RunFolder, arrays: Arrays) -> list[Image]:
+    """Means of each tissue over time, and the last frame beside the fit."""
+    names = [
+        key.split("/")[1]
+        for key in arrays
+        if key.startswith("mean/") and key.endswith("/fit")
     ]
+    times = arrays["data_times"]
+    curves = probe_curves(
+        times,
+        np.stack([arrays[f"mean/{name}/fit"] for name in names], axis=1),
+        names,
+        readings=(
+            times,
+            np.stack([arrays[f"mean/{name}/reading"] for name in names], axis=1),
+        ),
+    )
+    caption = (
+        "Mean temperature of the voxels of each tissue that are read: dots are the "
+        "readings without turns of the phase and drift, lines the fit."
+    )
+    means = _image(folder, curves.figure, "means", caption)
+    return [means, _last_frame(folder, arrays)]
+
+
+def _last_frame(folder: RunFolder, arrays: Arrays) -> Image:
+    name, cut = next(iter(_sections(arrays, arrays["frame/fit"]).items()))
+    reading, fit = arrays["frame/reading"][cut], arrays["frame/fit"][cut]
+    figure = new_figure(9.0, 3.0)
+    panels = figure.subplots(1, 3)
+    spacing = float(arrays["spacing"][0]), float(arrays["spacing"][1])
+    shown = {"reading [°C]": reading, "fit [°C]": fit, "difference [K]": reading - fit}
+    for ax, (label, values) in zip(panels, shown.items(), strict=True):
+        levels = ISOTHERMS if label.startswith("fit") else ()  # noise has no contours
+        outline = arrays["target"][cut]
+        plane_map(values, spacing, levels=levels, label=label, outline=outline, ax=ax)
+    title_panel(panels[0], name)
+    caption = (
+        f"The frame at {_duration(float(arrays['data_times'][-1]))}, the last that was "
+        "fitted, without turns of the phase and drift; white where no voxel is read; "
+        "the tumour is outlined in blue."
+    )
+    return _image(folder, figure, "frame", caption)
+
+
+def _prediction(folder: RunFolder, arrays: Arrays) -> Image:
+    ax = forecast_curves(
+        arrays["forecast/times"],
+        dict(zip(FOLLOWED, arrays["forecast/values"].T, strict=True)),
+        dict(zip(FOLLOWED, arrays["forecast/sd"].T, strict=True)),
+        true=arrays["forecast/true"].T if "forecast/true" in arrays else None,
+        fitted_until=float(arrays["forecast/from"][0]),
+    )
+    caption = (
+        "Temperatures of the target with their 95 % bands: fitted up to the dashed "
+        "line, predicted after it; black lines are the truth, where it is known."
+    )
+    return _image(folder, ax.figure, "forecast", caption)
 
 
 def _protocol(folder: RunFolder, arrays: Arrays, bound: float | None) -> Image:
@@ -107,11 +190,13 @@ def _protocol(folder: RunFolder, arrays: Arrays, bound: float | None) -> Image:
             "D90 of the tumour": arrays["dose/D90"],
             "largest outside it": arrays["dose/outside"],
         },
+        shares={"V43, of the tumour above 43 °C": arrays["V43"]},
         bound=bound,
     )
     caption = (
         "Peak amplitude of the field; the hottest cell and the temperatures that 10, "
-        "50 and 90 % of the tumour exceed; doses so far."
+        "50 and 90 % of the tumour exceed; the fraction of it above 43 °C; doses so "
+        "far."
     )
     return _image(folder, figure, "protocol", caption)
 
@@ -133,7 +218,7 @@ def _fields(folder: RunFolder, arrays: Arrays) -> Image:
 
 def _maps(folder: RunFolder, arrays: Arrays) -> Image:
     """Sections through the hottest cell and through the middle of the tumour."""
-    sections = _sections(arrays)
+    sections = _sections(arrays, arrays["temperature"])
     figure = new_figure(7.5, 3.2 * len(sections))
     panels = figure.subplots(len(sections), 2, squeeze=False)
     for row, (name, cut) in zip(panels, sections.items(), strict=True):
@@ -156,12 +241,12 @@ def _maps(folder: RunFolder, arrays: Arrays) -> Image:
     return _image(folder, figure, "fields", caption)
 
 
-def _sections(arrays: Arrays) -> dict[str, tuple]:
+def _sections(arrays: Arrays, temperature: np.ndarray) -> dict[str, tuple]:
     """Planes of a map by what their titles say."""
     if arrays["target"].ndim == 2:
         return {"": (slice(None), slice(None))}
     height = float(arrays["spacing"][2])
-    hottest = np.unravel_index(arrays["temperature"].argmax(), arrays["target"].shape)
+    hottest = np.unravel_index(np.nanargmax(temperature), temperature.shape)
     mass = arrays["target"].sum(axis=(0, 1))
     middle = round(float(mass @ np.arange(mass.size) / mass.sum()))
     cuts: dict[int, list[str]] = {}
@@ -197,4 +282,5 @@ def _place(point: np.ndarray) -> str:
 
 
 def _image(folder: RunFolder, figure: Any, name: str, caption: str) -> Image:
+    figure.suptitle(str(folder.config()["case"]["title"]), fontsize=SMALL + 1)
     return Figures(folder.path).image(f"heat-{name}", figure, caption, alt=caption)

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pinav.commands.heat.balance import balance_arrays
 from pinav.commands.heat.build import CaseModel, build_case
 from pinav.commands.heat.case import Case
 from pinav.commands.heat.history import (
@@ -17,6 +18,7 @@ from pinav.commands.heat.metrics import RunMetrics
 from pinav.commands.heat.task import AbstractTask, TaskResult
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.exposure_limits import require, validity_warnings
+from pinav.thermal.grids import AbstractGrid
 from pinav.thermal.probes import ProbeData
 from pinav.thermal.protocols import Piecewise
 from pinav.thermal.solve import Solution, probes_at, solve
@@ -65,6 +67,7 @@ def simulate_run(
         observe_dose=watched.doses,
         save_at=saved_times(protocol),
         start=setup.start,
+        damage=setup.damage,
     )
     arrays = {
         "times": np.asarray(solution.times),
@@ -77,18 +80,41 @@ def simulate_run(
         "points": setup.points,
         **{name: np.asarray(values) for name, values in solution.observed.items()},
     }
+    if (damage := solution.final.damage) is not None:
+        arrays["dead"] = 1 - np.exp(-np.asarray(damage))
     for name, values in solution.observed_dose.items():
         arrays[f"dose/{name}"] = np.asarray(values)
     if setup.target.ndim == 1:
         arrays["radius"] = np.asarray(model.grid.distances())
+        arrays |= balance_arrays(setup, model, protocol)
     else:
-        halves = [model.grid.half_widths(axis) for axis in range(setup.target.ndim)]
-        arrays["spacing"] = np.array([2 * float(h.reshape(-1)[0]) for h in halves])
-    return run_metrics(model, protocol, solution), arrays
+        arrays["spacing"] = spacing(model.grid)
+    return run_metrics(setup, model, protocol, solution), arrays
 
 
-def run_metrics(model: Bioheat, protocol: Piecewise, solution: Solution) -> RunMetrics:
+def _dead_shares(
+    setup: CaseModel, solution: Solution
+) -> tuple[float | None, float | None]:
+    """Dead fraction of the target, and the largest outside it, by Arrhenius' law."""
+    if solution.final.damage is None:
+        return None, None
+    dead = 1 - np.exp(-np.asarray(solution.final.damage))
+    weights = np.asarray(setup.target * setup.model.grid.volumes)
+    outside = dead[np.asarray(setup.target) < 1e-9]
+    return float((dead * weights).sum() / weights.sum()), float(outside.max())
+
+
+def spacing(grid: AbstractGrid) -> np.ndarray:
+    """Edges of the cells of a box [m]."""
+    halves = [grid.half_widths(axis) for axis in range(len(grid.shape))]
+    return np.array([2 * float(h.reshape(-1)[0]) for h in halves])
+
+
+def run_metrics(
+    setup: CaseModel, model: Bioheat, protocol: Piecewise, solution: Solution
+) -> RunMetrics:
     """Temperatures at the end of heating, and doses, of target and healthy tissue."""
+    dead_target, dead_outside = _dead_shares(setup, solution)
     heated = end_of_heating(protocol)
     index = int(np.abs(np.asarray(solution.times) - heated).argmin())
     at_end = {
@@ -107,6 +133,8 @@ def run_metrics(model: Bioheat, protocol: Piecewise, solution: Solution) -> RunM
         time_to_therapy=time_to_therapy(solution),
         healthy_dose=float(solution.observed_dose["outside"][-1]),
         hf=float(protocol.largest * float(protocol.frequency)),
+        dead_target=dead_target,
+        dead_outside=dead_outside,
         imbalance=float(solution.energy.imbalance),
         warnings=tuple(validity_warnings(model, protocol, highest)),
     )

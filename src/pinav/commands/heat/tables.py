@@ -4,7 +4,9 @@ from collections.abc import Sequence
 
 from pinav.commands.heat.metrics import (
     CheckMetrics,
+    ForecastMetrics,
     HeatMetrics,
+    JudgedMetrics,
     LearnMetrics,
     OptimumMetrics,
     RunMetrics,
@@ -35,6 +37,10 @@ def run_table(metrics: RunMetrics) -> Table:
         ("largest product Hf [A/(m s)]", metrics.hf),
         ("relative error of the energy balance", metrics.imbalance),
     ]
+    if metrics.dead_target is not None and metrics.dead_outside is not None:
+        rows.append(("dead fraction of the tumour (Arrhenius)", metrics.dead_target))
+        name = "largest dead fraction outside the tumour (Arrhenius)"
+        rows.append((name, metrics.dead_outside))
     return Table(("quantity", "value"), rows, SYNTHETIC)
 
 
@@ -52,11 +58,22 @@ def constraint_table(metrics: OptimumMetrics) -> Table:
     return Table(("constraint", "value", "bound", "at the optimum"), rows)
 
 
+def judgement_table(judged: JudgedMetrics) -> Table:
+    """A plan on the true tissue."""
+    rows: list[tuple[str, str | float]] = [
+        ("D90 of the tumour [CEM43 min]", judged.d90),
+        ("D90 of a plan made with the truth [CEM43 min]", judged.best_d90),
+        ("highest temperature [°C]", judged.highest),
+    ]
+    return Table(("the plan on the true tissue", "value"), rows)
+
+
 def fit_table(metrics: LearnMetrics) -> Table:
     """How well a fit explains the probes."""
+    unit = "of its map" if metrics.relative else "[K]"
     rows: list[tuple[str, str | float]] = [
-        ("residual, root mean square [K]", metrics.residual),
-        ("noise, estimated [K]", metrics.noise),
+        (f"residual, root mean square {unit}", metrics.residual),
+        (f"noise, estimated {unit}", metrics.noise),
         ("steps", metrics.iterations),
     ]
     for name, law in metrics.laws.items():
@@ -65,16 +82,38 @@ def fit_table(metrics: LearnMetrics) -> Table:
         if law.covered is not None:
             label = f"perfusion of {name}: coverage of the 95 % band"
             rows.append((label, law.covered))
-    for name, number in metrics.constants.items():
-        rows.append((name, f"{number.value:.5g} ± {number.sd:.2g}"))
-    rows.append(
-        ("residual of the best constant perfusion [K]", metrics.constant_residual)
-    )
+    if not metrics.quantities:
+        for name, number in metrics.constants.items():
+            rows.append((name, f"{number.value:.5g} ± {number.sd:.2g}"))
+    for row in metrics.quantities:
+        true = "" if row.true is None else f"; true {row.true:.5g}"
+        rows.append((row.name, f"{row.value:.5g} ± {row.sd:.2g}{true}"))
+    if metrics.laws:
+        name = f"residual of the best constant perfusion {unit}"
+        rows.append((name, metrics.constant_residual))
+    rows += _forecast_rows(metrics.forecast, unit)
     for row in metrics.held_out:
         name = f"largest error at power {row.power:g}, not fitted [K]"
         rows.append((name, row.learned))
         rows.append((f"{name}, constant perfusion", row.constant))
     return Table(("quantity", "value"), rows, SYNTHETIC)
+
+
+def _forecast_rows(
+    forecast: ForecastMetrics | None, unit: str
+) -> list[tuple[str, str | float]]:
+    if forecast is None:
+        return []
+    rows: list[tuple[str, str | float]] = [
+        ("fitted until [min]", forecast.fitted_until / 60),
+        ("later: largest standard deviation of the target [K]", forecast.sd),
+    ]
+    if forecast.residual is not None:
+        rows.append((f"later: residual {unit}", forecast.residual))
+    if forecast.error is not None and forecast.covered is not None:
+        rows.append(("later: largest error of the target [K]", forecast.error))
+        rows.append(("later: truth in the 95 % band", forecast.covered))
+    return rows
 
 
 def verification_table(checks: Sequence[CheckMetrics]) -> Table:
@@ -104,6 +143,7 @@ def text(metrics: HeatMetrics) -> str:
         [
             as_text(run_table(metrics.result)),
             as_text(constraint_table(metrics)),
+            *([as_text(judgement_table(metrics.judged))] if metrics.judged else []),
             f"{line} at the flat start; {metrics.outcome}",
             *_warnings(metrics.result),
         ]

@@ -11,7 +11,7 @@ from pinav.thermal.probes import ProbeData
 
 RESULTS = "results.npz"
 READINGS = "probes.csv"
-IMAGES = ("temperature", "dose")
+IMAGES = ("temperature", "dose", "dead")
 """Arrays that are written as NIfTI, too, where the labels are."""
 
 

@@ -43,6 +43,9 @@ from pinav.runs import RunFolder
 MAP_POINTS = 61
 """Points of the maps along each side."""
 
+PAGE_HEADINGS = 24
+"""Directions of the thrust that the explorer's page tries."""
+
 Arrays = dict[str, np.ndarray]
 
 
@@ -180,6 +183,7 @@ def _arrays(
         "step": np.asarray(task.step),
         "route": np.asarray(route.ys)[:count, :2],
         "plan/time": np.where(plan.unreachable, np.inf, plan.map),
+        **_lattice(plan),
         **_maps(problem),
     }
     for name, runs in episodes.items():
@@ -187,6 +191,21 @@ def _arrays(
         arrays[f"steps/{name}"] = runs.steps
         arrays[f"reached/{name}"] = runs.reached
     return arrays
+
+
+def _lattice(plan: TimeToGo) -> Arrays:
+    """The plan as the explorer's page takes it, every second velocity of four axes."""
+    values = np.asarray(plan.values[0], np.float32)
+    every = np.array([2, 2, 1, 1] if values.ndim == 4 else [1, 1])
+    return {
+        "plan/values": values[tuple(slice(None, None, step) for step in every)],
+        "plan/lower": np.asarray(plan.lower),
+        "plan/spacing": every * np.asarray(plan.spacing),
+        "plan/scale": np.asarray(plan.scale),
+        "plan/ahead": np.asarray(plan.step),
+        "plan/horizon": np.asarray(plan.horizon),
+        "plan/thrusts": np.asarray(plan.tables.control_map.thrusts(PAGE_HEADINGS)),
+    }
 
 
 def _maps(problem: NavigationProblem) -> Arrays:

@@ -42,7 +42,8 @@ def parametrise(
         return known_model(exact), jnp.zeros(0)
 
     def select(model: Any) -> tuple:
-        return *weight_leaves(model), *constant_leaves(model, learn)
+        constants = constant_leaves(model, learn)
+        return *weight_leaves(model), *geometry_leaves(model), *constants
 
     leaves = jax.tree.leaves(select(model))
     if not any(isinstance(x, float) or eqx.is_inexact_array(x) for x in leaves):
@@ -61,6 +62,12 @@ def weight_leaves(model: Any) -> tuple:
         return ()
     parameters = environment.parameters
     return parameters if isinstance(parameters, tuple) else (parameters,)
+
+
+def geometry_leaves(model: Any) -> tuple:
+    """Leaves of the environment that have a flat prior."""
+    environment = learned_environment(model)
+    return () if environment is None else environment.geometry
 
 
 def constant_leaves(model: Any, learn: Learn) -> tuple:
@@ -121,7 +128,13 @@ def num_positions(model: Any, trajectories: Trajectories) -> int:
 def check_learned(
     model: Any, names: tuple[str, ...], flat: Bool[np.ndarray, " parameter"]
 ) -> None:
-    """Of an environment with weights these alone are learned."""
+    """Of an environment with weights these and its geometry alone are learned.
+
+    Args:
+        model: what is fitted.
+        names: of all parameters.
+        flat: those that are neither weights nor geometry.
+    """
     if learned_environment(model) is None:
         return
     for name in np.array(names)[flat]:

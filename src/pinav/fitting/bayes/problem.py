@@ -12,6 +12,7 @@ from pinav.fitting.bayes.parameters import (
     Learn,
     check_learned,
     constant_priors,
+    geometry_leaves,
     learned_environment,
     num_positions,
     parametrise,
@@ -141,7 +142,8 @@ class BayesProblem(AbstractProblem):
         parametric, theta = parametrise(model, learn)
         names = parameter_names(parametric, len(theta))
         flat = ~selected_entries(parametric, len(theta), weight_leaves)
-        check_learned(model, names, flat)
+        shaping = selected_entries(parametric, len(theta), geometry_leaves)
+        check_learned(model, names, flat & ~shaping)
         dim = num_positions(model, trajectories)
         states = smooth_states(trajectories, dim) if states is None else states
         priors = constant_priors(parametric, len(theta), learn)

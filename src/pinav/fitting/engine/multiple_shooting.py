@@ -47,10 +47,10 @@ def sensitivities(
     With $A_k = \partial F_k/\partial u$ and $B_k = \partial F_k/\partial\theta$, all
     at once, $E_{k+1} = A_k E_k + [B_k, 0, d_k]$ from $E_0 = [0, I, 0]$.
     """
-    return _propagate(_step_derivatives(free, theta, states, times, solver), states)
+    return propagate(_step_derivatives(free, theta, states, times, solver), states)
 
 
-class _StepDerivatives(eqx.Module):
+class StepDerivatives(eqx.Module):
     """Steps from one sample to the next, and their derivatives."""
 
     by_parameter: Float[Array, "... step state parameter"]
@@ -70,7 +70,7 @@ def _step_derivatives(
     solver: FixedStep,
     *,
     parameters: bool = True,
-) -> _StepDerivatives:
+) -> StepDerivatives:
     """Along one trajectory; without derivatives by the parameters if told so."""
 
     def step(
@@ -85,7 +85,7 @@ def _step_derivatives(
     derivative = jax.jacfwd if theta.shape[0] <= FEW else jax.jacrev
     ends = jax.vmap(step, axes)(*inputs)
     nothing = jnp.zeros((*ends.shape, 0), ends.dtype)
-    return _StepDerivatives(
+    return StepDerivatives(
         by_parameter=jax.vmap(derivative(step), axes)(*inputs)
         if parameters
         else nothing,
@@ -94,8 +94,8 @@ def _step_derivatives(
     )
 
 
-def _propagate(
-    steps: _StepDerivatives, states: Float[Array, "time state"]
+def propagate(
+    steps: StepDerivatives, states: Float[Array, "time state"]
 ) -> Sensitivities:
     """Sensitivities to the parameters whose effect on each step is given."""
     defects = steps.ends - states[1:]
@@ -157,7 +157,7 @@ def _all_step_derivatives(
     states: Float[Array, "trajectory time state"],
     times: Float[Array, "trajectory time"],
     solver: FixedStep,
-) -> _StepDerivatives:
+) -> StepDerivatives:
     """Of all trajectories, one after the other.
 
     What a step leaves behind for its derivative would take many times the memory of the
@@ -166,7 +166,7 @@ def _all_step_derivatives(
 
     def one(
         inputs: tuple[Float[Array, "..."], Float[Array, "..."]],
-    ) -> _StepDerivatives:
+    ) -> StepDerivatives:
         states, times = inputs
         return _step_derivatives(parametric, theta, states, times, solver)
 
@@ -175,7 +175,7 @@ def _all_step_derivatives(
 
 @eqx.filter_jit
 def _condense(
-    steps: _StepDerivatives,
+    steps: StepDerivatives,
     states: Float[Array, "trajectory time state"],
     observations: Observations,
 ) -> Linearisation:
@@ -184,7 +184,7 @@ def _condense(
 
     def one(total: Float[Array, "n n"], inputs: tuple) -> tuple:
         steps, states, data, observed = inputs
-        local = _propagate(steps, states)
+        local = propagate(steps, states)
         reach = local.columns
         residuals = states + reach[..., -1] - data
         rows = jnp.concatenate([reach[..., :-1], residuals[..., None]], axis=2)
@@ -273,7 +273,7 @@ def predict(
     ) -> tuple[Float[Array, "time state"], Float[Array, "time state"]]:
         state = states.shape[1]
         steps = _step_derivatives(free, theta, states, times, solver, parameters=False)
-        columns = _propagate(steps, states).columns
+        columns = propagate(steps, states).columns
         seen = observed[..., None]
         by_start = jnp.where(seen, columns[..., :-1], 0.0).reshape(-1, state)
         residuals = jnp.where(observed, states + columns[..., -1] - data, 0.0)

@@ -80,12 +80,23 @@ class Posterior(eqx.Module):
             positions: points, one a row [L].
             time: at which the force acts [T].
         """
+        return _spread(self.force_jacobians(positions, time), self.covariance)
+
+    def force_jacobians(
+        self, positions: ArrayLike, time: float = 0.0
+    ) -> Float[np.ndarray, "point dim parameter"]:
+        """Derivatives of the environment's force on a swimmer at rest by parameters.
+
+        Args:
+            positions: points, one a row [L].
+            time: at which the force acts [T].
+        """
         with jax.enable_x64(new_val=True):
             points = jnp.asarray(positions, jnp.float64)
-            jacobians = _force_jacobians(
-                self.free, jnp.asarray(self.mean), points, jnp.asarray(time)
+            mean = jnp.asarray(self.mean)
+            return np.asarray(
+                _force_jacobians(self.free, mean, points, jnp.asarray(time))
             )
-        return _spread(np.asarray(jacobians), self.covariance)
 
     def rollout_band(
         self,

@@ -29,6 +29,11 @@ from pinav.fitting.environments.kernels import (
     changing_environment,
     kernel_environment,
 )
+from pinav.fitting.environments.terms import (
+    TermSummary,
+    summarise_terms,
+    with_terms,
+)
 from pinav.forces import (
     AbstractForce,
     AbstractLearnedForce,
@@ -121,6 +126,7 @@ class DataSummary(msgspec.Struct, frozen=True):
         centers: of the kernels around the data [L].
         kernel_width: of these kernels [L].
         change: the part that changes with time, where the model has one.
+        terms: with a structure, beside the kernels.
     """
 
     dim: int
@@ -129,6 +135,7 @@ class DataSummary(msgspec.Struct, frozen=True):
     centers: list[list[float]]
     kernel_width: float
     change: Change | None = None
+    terms: tuple[TermSummary, ...] = ()
 
     def with_kernels_of(self, environment: AbstractForce) -> "DataSummary":
         """The summary of a fitted model, whose kernels may be finer than at first."""
@@ -140,6 +147,7 @@ class DataSummary(msgspec.Struct, frozen=True):
             self,
             centers=np.asarray(kernels.centers).tolist(),
             kernel_width=float(kernels.width),
+            terms=summarise_terms(learned),
         )
 
 
@@ -233,7 +241,8 @@ def build(
         )
     if CONSTANTS["drag"] in choice.paths().values():
         swimmer = with_tensor_drag(swimmer, summary)
-    return MODELS[choice.name](choice, swimmer, summary)
+    model = MODELS[choice.name](choice, swimmer, summary)
+    return with_terms(model, summary.terms)
 
 
 def _in_environment(
@@ -339,6 +348,8 @@ def learned_part(model: Any) -> Any:
         learned, AbstractLearnedForce
     ):
         return ()
+    if isinstance(learned, AbstractLearnedForce) and learned.geometry:
+        return learned.parameters, learned.geometry
     return learned.parameters
 
 

@@ -35,6 +35,11 @@ ROOT_TOLERANCE = 1e-14
 """Variances that a root of the prior leaves out, relative to the largest."""
 
 
+LEAST_VARIANCE = 1e-100
+"""What variances of the prior count as at least, so that their ratios to that of the
+noise stay within the machine's numbers."""
+
+
 class LinearisedObservations(eqx.Module):
     r"""The quadratic as few independent data, $|R w - \tau|^2 + q_0$.
 
@@ -263,7 +268,8 @@ def best_amplitude(
     """As `at_shape`, for data that are whitened already."""
     from scipy.optimize import minimize_scalar
 
-    largest = max(white.variances[-1], np.finfo(float).tiny)
+    # None are left where a narrow envelope is so far away that it underflows.
+    largest = max(white.variances.max(initial=0.0), LEAST_VARIANCE)
 
     def loss(log_ratio: float) -> float:
         return -_log_evidence(data, white, largest * np.exp(log_ratio), noise)[0]

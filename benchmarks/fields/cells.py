@@ -1,0 +1,169 @@
+"""One cell of the benchmark: a field, a way to fit it, and how near it came."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import msgspec
+import numpy as np
+
+from pinav.commands.study.stochastic_force_inference import infer_force
+from pinav.evaluation import field_map, force_coverage
+from pinav.evaluation.force_fields import force_agreement
+from pinav.files import write_text
+from pinav.fitting import Posterior, fit_bayes, fit_structured
+from pinav.fitting.environments.catalogue import ModelChoice, build, summarise_for
+from pinav.forces import StructuredForce
+from pinav.scenarios import FAMILIES, random_system
+from pinav.systems import System
+from pinav.trajectories import Trajectories, simulate
+
+REGIONS = ("visited", "near", "unvisited")
+
+
+class Measurement(msgspec.Struct, frozen=True):
+    """What a fit achieved.
+
+    Attributes:
+        family: of the field.
+        key: of the draw.
+        column: the way it was fitted.
+        outcome: the word for how the fit ended, or why there is none.
+        seconds: of the fit, compilation included.
+        error: relative L2 error of the force, by region.
+        coverage: of the band of 95 %, by region; none without a band.
+        structure: kinds of the terms that were claimed, sorted.
+        gain: log evidence of the structure over free kernels [nats].
+    """
+
+    family: str
+    key: int
+    column: str
+    outcome: str
+    seconds: float
+    error: dict[str, float | None] = {}
+    coverage: dict[str, float | None] = {}
+    structure: tuple[str, ...] = ()
+    gain: float | None = None
+
+    @property
+    def is_named_rightly(self) -> bool:
+        """Whether the structure that was claimed is that of the family."""
+        return self.structure == FAMILIES[self.family].structure
+
+
+class Fitted(NamedTuple):
+    """A fitted environment.
+
+    Attributes:
+        model: the fitted swimmer.
+        outcome: how the fit ended.
+        posterior: of its parameters, if there is one.
+        gain: of a structure over free kernels [nats].
+    """
+
+    model: Any
+    outcome: str
+    posterior: Posterior | None = None
+    gain: float = float("nan")
+
+
+def _untrained(system: System, data: Trajectories) -> Any:
+    choice = ModelChoice(system.model)
+    return build(choice, system.swimmer, summarise_for(choice, data))
+
+
+def _free(system: System, data: Trajectories) -> Fitted:
+    fit = fit_bayes(_untrained(system, data), data, throw=False)
+    return Fitted(fit.model, str(fit.outcome), fit.posterior)
+
+
+def _structured(system: System, data: Trajectories) -> Fitted:
+    result = fit_structured(_untrained(system, data), data, throw=False)
+    fit = result.fit
+    return Fitted(fit.model, str(fit.outcome), fit.posterior, result.gain)
+
+
+def _law_known(system: System, data: Trajectories) -> Fitted:
+    truth = system.true_swimmer
+    fit = fit_bayes(truth, data, learn=lambda m: m.environment, throw=False)
+    return Fitted(fit.model, str(fit.outcome), fit.posterior)
+
+
+def _other_tool(system: System, data: Trajectories) -> Fitted:
+    return Fitted(infer_force(system.swimmer, data, system.noise), "done")
+
+
+COLUMNS: dict[str, Callable[[System, Trajectories], Fitted]] = {
+    "free": _free,
+    "structured": _structured,
+    "sfi": _other_tool,
+    "law": _law_known,
+}
+"""Ways to fit by name: kernels alone; with a search for structure, as `pinav fit` does;
+StochasticForceInference; the numbers of the true law, for comparison."""
+
+
+def measure(
+    family: str, key: int, column: str, count: int, folder: Path
+) -> Measurement:
+    """Fit and score one cell, or read what was measured before."""
+    file = folder / f"{family.replace('/', '-')}-{key}-{column}.json"
+    if file.exists():
+        return msgspec.json.decode(file.read_bytes(), type=Measurement)
+    system = random_system(family, key)
+    system = system.with_starts(count=count)
+    data = simulate(system, key=jax.random.key(key)).only(("x", "y"))
+    start = time.perf_counter()
+    try:
+        fitted = COLUMNS[column](system, data)
+    except Exception as error:  # a crash is a result of this benchmark
+        reason = f"{type(error).__name__}: {error}"[:200]
+        result = Measurement(family, key, column, reason, time.perf_counter() - start)
+    else:
+        jax.block_until_ready(jax.tree.leaves(fitted.model))
+        seconds = time.perf_counter() - start
+        result = _scored(family, key, column, system, data, fitted, seconds)
+    write_text(file, msgspec.json.encode(result).decode())
+    return result
+
+
+def _scored(
+    family: str,
+    key: int,
+    column: str,
+    system: System,
+    data: Trajectories,
+    fitted: Fitted,
+    seconds: float,
+) -> Measurement:
+    assert system.environment is not None
+    true = field_map(system.environment, data)
+    force = fitted.model.environment
+    learned = field_map(force, data)
+    agreements = force_agreement(learned, true)
+    coverage: dict[str, float | None] = {}
+    if fitted.posterior is not None:
+        points = np.stack(np.meshgrid(true.x, true.y), axis=-1).reshape(-1, 2)
+        sd = fitted.posterior.force_sd(jnp.asarray(points)).reshape(true.force.shape)
+        masks = true.regions.masks(true.distance)
+        coverage = dict(force_coverage(learned, true, sd, masks))
+    terms = force.terms if isinstance(force, StructuredForce) else ()
+    return Measurement(
+        family=family,
+        key=key,
+        column=column,
+        outcome=fitted.outcome,
+        seconds=seconds,
+        error={name: _finite(agreements[name].error) for name in REGIONS},
+        coverage={name: _finite(value) for name, value in coverage.items()},
+        structure=tuple(sorted({term.kind for term in terms})),
+        gain=_finite(fitted.gain),
+    )
+
+
+def _finite(value: float | None) -> float | None:
+    return None if value is None or not np.isfinite(value) else float(value)

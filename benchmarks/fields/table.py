@@ -1,0 +1,145 @@
+"""Runs the cells of the benchmark, prints their table and draws one figure."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+import jax
+import msgspec
+import numpy as np
+import tyro
+
+from benchmarks.fields.cells import COLUMNS, REGIONS, Measurement, measure
+from pinav.commands.parsing import parse
+from pinav.errors import InputError
+from pinav.figures.files import save_figure
+from pinav.figures.style import label_axes, new_figure, prepare_axes
+from pinav.scenarios import FAMILIES
+
+
+class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Fit fields of many families, from positions, and compare with their truth.
+
+    Every finished cell (family, key, column) is a file in --out and is not run again.
+    """
+
+    out: Annotated[Path, tyro.conf.arg(help="Folder of the results.")] = Path(
+        "runs/bench-fields"
+    )
+    half: Annotated[
+        Literal["development", "judged"],
+        tyro.conf.arg(help="Even keys, on which methods are tried, or odd ones."),
+    ] = "development"
+    draws: Annotated[int, tyro.conf.arg(help="Draws of each family.")] = 10
+    families: Annotated[
+        tuple[str, ...], tyro.conf.arg(help="Any of: " + ", ".join(FAMILIES) + ".")
+    ] = tuple(FAMILIES)
+    columns: Annotated[
+        tuple[str, ...], tyro.conf.arg(help="Any of: " + ", ".join(COLUMNS) + ".")
+    ] = tuple(COLUMNS)
+    count: Annotated[int, tyro.conf.arg(help="Trajectories of each draw.")] = 16
+
+    def check(self) -> None:
+        """Raise `InputError` where an option makes no sense."""
+        for option, known in (("columns", COLUMNS), ("families", FAMILIES)):
+            for name in getattr(self, option):
+                if name not in known:
+                    raise InputError(
+                        f"--{option}: {name!r} is unknown; choose some of: "
+                        + ", ".join(known)
+                    )
+        if self.draws < 1 or self.count < 1:
+            raise InputError("--draws and --count: expected one or more")
+
+
+def main(argv: Sequence[str]) -> None:
+    options = parse(Options, argv, prog="pinav bench fields")
+    if options is None:
+        return
+    options.check()
+    options.out.mkdir(parents=True, exist_ok=True)
+    jax.config.update("jax_enable_x64", val=True)
+    measurements: list[Measurement] = []
+    for family, key, column in cells(options):
+        measurements.append(measure(family, key, column, options.count, options.out))
+        print(line(measurements[-1]), flush=True)
+    print("\n" + summary(measurements))
+    draw(measurements, options.out)
+
+
+def cells(options: Options) -> Iterator[tuple[str, int, str]]:
+    """The cells that the options ask for, family by family."""
+    first = 0 if options.half == "development" else 1
+    for family in options.families:
+        for key in range(first, 2 * options.draws, 2):
+            for column in options.columns:
+                yield family, key, column
+
+
+def line(one: Measurement) -> str:
+    """One measurement for a terminal."""
+    errors = " ".join(_percent(one.error.get(region)) for region in REGIONS)
+    bands = " ".join(_percent(one.coverage.get(region)) for region in REGIONS)
+    named = ", ".join(one.structure) or "-"
+    gain = "" if one.gain is None else f" ({one.gain:.0f} nats)"
+    name = f"{one.family:<18}{one.key:>3} {one.column:<11}"
+    return f"{name}{errors} |{bands} {one.seconds:>6.1f} s {one.outcome} {named}{gain}"
+
+
+def summary(measurements: Sequence[Measurement]) -> str:
+    """Medians and the worst of each family and column."""
+    lines = [
+        f"{'family':<18}{'column':<12}{'draws':>5}  error: visited, near, elsewhere; "
+        "worst visited; coverage of each; time; named rightly"
+    ]
+    pairs = dict.fromkeys((one.family, one.column) for one in measurements)
+    for family, column in pairs:
+        group = [m for m in measurements if (m.family, m.column) == (family, column)]
+        errors = [_percent(_median(group, "error", region)) for region in REGIONS]
+        worst = max((m.error.get("visited") or np.nan for m in group), default=np.nan)
+        bands = [_percent(_median(group, "coverage", region)) for region in REGIONS]
+        seconds = float(np.median([m.seconds for m in group]))
+        named = sum(m.is_named_rightly for m in group)
+        lines.append(
+            f"{family:<18}{column:<12}{len(group):>5} {' '.join(errors)};"
+            f"{_percent(float(worst))}; {' '.join(bands)}; {seconds:>6.1f} s"
+            + (f"; {named} of {len(group)}" if column == "structured" else "")
+        )
+    return "\n".join(lines)
+
+
+def draw(measurements: Sequence[Measurement], folder: Path) -> None:
+    """Median errors of each family on visited ground, one mark for each column."""
+    families = list(dict.fromkeys(one.family for one in measurements))
+    figure = new_figure(6.5, 0.8 + 0.25 * len(families))
+    ax = prepare_axes(figure.add_subplot())
+    for column in dict.fromkeys(one.column for one in measurements):
+        values = [
+            _median(
+                [m for m in measurements if (m.family, m.column) == (family, column)],
+                "error",
+                "visited",
+            )
+            for family in families
+        ]
+        ax.plot(
+            [100 * v if v else np.nan for v in values],
+            families,
+            "o",
+            ms=4,
+            label=column,
+        )
+    ax.set_xscale("log")
+    ax.legend(fontsize=7)
+    label_axes(ax, "median error of the force on visited ground [%]", "")
+    save_figure(figure, folder, "fields")
+
+
+def _median(group: Sequence[Measurement], field: str, region: str) -> float | None:
+    values = [getattr(one, field).get(region) for one in group]
+    known = [value for value in values if value is not None]
+    return float(np.median(known)) if known else None
+
+
+def _percent(value: float | None) -> str:
+    return f"{'-':>7}" if value is None or np.isnan(value) else f"{100 * value:>6.1f}%"

@@ -1,0 +1,79 @@
+"""`pinav explore`: write the page in which the model of a run is tried by hand."""
+
+import dataclasses
+import html
+from pathlib import Path
+
+from pinav.commands.command import CommandResult
+from pinav.commands.explore.document import document
+from pinav.commands.explore.payload import payload_of
+from pinav.commands.explore.plan import fit_of_plan, is_plan, plan_of
+from pinav.commands.explore.settings import ExploreOptions
+from pinav.commands.explore.trees import Tree
+from pinav.commands.explore.warmth import heat_payload, is_heated
+from pinav.commands.fitted_run import FittedRun
+from pinav.errors import InputError
+from pinav.runs import RunFolder
+
+PAGE = "explore.html"
+
+
+@dataclasses.dataclass(frozen=True)
+class Explorer:
+    """The page of a run, as a notebook shows it.
+
+    Attributes:
+        page: its HTML.
+        height: of the frame [pixels].
+    """
+
+    page: str
+    height: int = 900
+
+    def _repr_html_(self) -> str:
+        """A frame that holds the page; it needs no kernel and no extension."""
+        size = f'width="100%" height="{self.height}" style="border: 0"'
+        return f'<iframe srcdoc="{html.escape(self.page)}" {size}></iframe>'
+
+
+def explorer(run: str | Path, *, fit: str | Path | None = None) -> Explorer:
+    """The page of `pinav explore`, to be shown in a notebook.
+
+    Args:
+        run: folder of a fit, of a plan, or of bioheat along a radius.
+        fit: run of the model that a plan was made with, where it does not lie beside
+            that of the plan.
+
+    Raises:
+        InputError: the folder holds no run that the page can show.
+    """
+    options = ExploreOptions(Path(run), None if fit is None else Path(fit))
+    return Explorer(document(_payload(RunFolder.open(options.run), options)))
+
+
+def run(options: ExploreOptions) -> CommandResult:
+    """Write the page of a run, and the run's report, which links to it.
+
+    Raises:
+        InputError: the folder holds no run that the page can show.
+    """
+    folder = RunFolder.open(options.run)
+    page = document(_payload(folder, options))
+    folder.write_text(PAGE, page)
+    path = folder.path / PAGE
+    metrics = {"page": str(path), "bytes": len(page.encode())}
+    text = f"explorer: {path} ({metrics['bytes'] / 1e6:.2f} MB)"
+    return CommandResult(metrics, text, folder)
+
+
+def _payload(folder: RunFolder, options: ExploreOptions) -> Tree:
+    """What the page knows of a fit, of a plan on one, or of a run of bioheat."""
+    plans = is_plan(folder)
+    if options.fit is not None and not plans:
+        raise InputError(f"--fit: {options.run} is no plan on another run; drop it")
+    if plans:
+        fit = FittedRun.open(fit_of_plan(folder, options.fit))
+        return payload_of(fit, plan_of(folder))
+    if is_heated(folder):
+        return heat_payload(folder)
+    return payload_of(FittedRun.open(options.run))

@@ -1,0 +1,58 @@
+"""A run of bioheat along a radius as the page takes it."""
+
+import numpy as np
+
+from pinav.commands.explore.trees import Tree, packed
+from pinav.errors import InputError
+from pinav.runs import RunFolder
+
+RESULTS = "results.npz"
+
+
+def is_heated(folder: RunFolder) -> bool:
+    """Whether the run is one of bioheat: it has temperatures and no model."""
+    if folder.models() or not folder.has(RESULTS):
+        return False
+    return "temperature" in folder.read_arrays(RESULTS)
+
+
+def heat_payload(folder: RunFolder) -> Tree:
+    """A run of bioheat as the page takes it.
+
+    Raises:
+        InputError: it is none along a radius.
+    """
+    folder.check_file(RESULTS)
+    arrays = folder.read_arrays(RESULTS)
+    if "radius" not in arrays:
+        raise InputError(
+            f"{folder.path}: explore runs the heat equation along a radius, this run "
+            "is on a plane or a box; take pinav report"
+        )
+    if "balance/conductances" not in arrays:
+        raise InputError(
+            f"{folder.path}: its results hold no heat balance; {folder.repair(RESULTS)}"
+        )
+    parts = {
+        name.removeprefix("balance/"): packed(values, "f4" if values.ndim > 1 else "f8")
+        for name, values in arrays.items()
+        if name.startswith("balance/")
+    }
+    points = arrays["points"]
+    return {
+        "version": 1,
+        "kind": "tissue",
+        "title": f"Bioheat: {folder.path.name}",
+        "run": folder.path.name,
+        "balance": parts,
+        "radius": packed(arrays["radius"], "f8"),
+        "target": packed(arrays["target"]),
+        "probes": np.linalg.norm(points, axis=-1).tolist() if len(points) else [],
+        "edges": arrays["edges"].tolist(),
+        "starts": arrays["starts"].tolist(),
+        "ends": arrays["ends"].tolist(),
+        "times": packed(arrays["times"]),
+        "hottest": packed(arrays["hottest"]),
+        "field": packed(arrays["field"][:: max(len(arrays["times"]) // 60, 1)]),
+        "dose": packed(arrays["dose/D90"]),
+    }

@@ -1,0 +1,124 @@
+"""The structure that a fit found, in words and numbers, and its profiles."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import msgspec
+import numpy as np
+from jaxtyping import Array, Float
+
+from pinav.commands.fitted_run import FittedRun
+from pinav.fitting import derived
+from pinav.forces import AbstractProfileTerm, StructuredForce
+from pinav.report import number
+
+POINTS = 121
+"""Of a drawn profile."""
+
+
+class TermRow(msgspec.Struct, frozen=True):
+    """A term of the force.
+
+    Attributes:
+        kind: the word for it.
+        formula: in LaTeX.
+        geometry: its numbers, such as a centre [L] or an angle [rad].
+        sd: their standard deviations.
+    """
+
+    kind: str
+    formula: str
+    geometry: tuple[float, ...]
+    sd: tuple[float, ...]
+
+    def text(self) -> str:
+        """The term in words and numbers."""
+        if not self.geometry:
+            return self.kind
+        spread = f" ± {number(max(self.sd), 2)}"
+        values = ", ".join(number(value, 4) for value in self.geometry)
+        if self.kind in ("wall", "shear layer"):
+            degrees = np.degrees(self.geometry[0]) % 360
+            spread = f" ± {number(float(np.degrees(self.sd[0])), 2)}"
+            return (
+                f"{self.kind} with its normal at {number(degrees, 5)}{spread} degrees"
+            )
+        word = "about" if self.kind.startswith("central") else "with"
+        return f"{self.kind} {word} ({values}){spread}"
+
+
+class StructureRow(msgspec.Struct, frozen=True):
+    """What a search for a structure came to.
+
+    Attributes:
+        terms: with structure; none where free kernels alone are preferred.
+        gain: log evidence over free kernels [nats]; None where no structure explained
+            the data well enough to be fitted.
+    """
+
+    terms: tuple[TermRow, ...]
+    gain: float | None
+
+    def text(self) -> str:
+        """One line for a terminal."""
+        if self.terms:
+            names = ", and ".join(term.text() for term in self.terms)
+            return f"structure: {names}; {number(self.gain, 3)} nats over free kernels"
+        if self.gain is None:
+            return "structure: none that explains the data; free kernels"
+        return (
+            "structure: none; the best one tried is at "
+            f"{number(self.gain, 3)} nats to free kernels"
+        )
+
+
+def structure_row(run: FittedRun) -> StructureRow | None:
+    """What the search of a run came to; None where there was none."""
+    evidence = run.evidence
+    if evidence is None or evidence.structure is None:
+        return None
+    model: Any = run.model
+    force = model.environment
+    gain = evidence.structure.gain
+    rows: list[TermRow] = []
+    for index, term in enumerate(getattr(force, "terms", ())):
+        numbers = derived(evidence.posterior, lambda m, i=index: _numbers(m, i))
+        rows.append(
+            TermRow(
+                term.kind,
+                term.latex,
+                tuple(one.value for one in numbers),
+                tuple(one.sd for one in numbers),
+            )
+        )
+    return StructureRow(tuple(rows), gain if np.isfinite(gain) else None)
+
+
+def _numbers(model: Any, index: int) -> Float[Array, " number"]:
+    leaves = model.environment.terms[index].geometry
+    return jnp.concatenate([jnp.zeros(0), *(jnp.ravel(leaf) for leaf in leaves)])
+
+
+def profile_arrays(run: FittedRun) -> dict[str, np.ndarray]:
+    """Profile of each term that has one, with its standard deviation, by place."""
+    model: Any = run.model
+    force = getattr(model, "environment", None)
+    if not isinstance(force, StructuredForce) or run.posterior is None:
+        return {}
+    arrays: dict[str, np.ndarray] = {}
+    samples = jnp.asarray(run.data.positions[run.data.observed[..., :2].all(-1)])
+    for index, term in enumerate(force.terms):
+        if not isinstance(term, AbstractProfileTerm):
+            continue
+        seen = np.asarray(jax.vmap(term.coordinates)(samples))
+        places = np.linspace(0.0 if term.is_odd else seen.min(), seen.max(), POINTS)
+
+        def profile(model: Any, i: int = index, z: Any = places) -> Array:
+            return jax.vmap(model.environment.terms[i].profile)(jnp.asarray(z))
+
+        values = derived(run.posterior, profile)
+        arrays[f"structure/{index}"] = np.stack(
+            [places, [v.value for v in values], [v.sd for v in values]]
+        )
+    return arrays

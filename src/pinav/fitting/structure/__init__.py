@@ -1,0 +1,1 @@
+"""Search for the structure of a force: terms that the evidence prefers to none."""

@@ -1,0 +1,413 @@
+r"""Terms with a structure that a force may have, proposed from what the data say of it.
+
+For each kind of term its geometry is scanned on a grid by the evidence of the
+linearised data (`ForceResponse`) at a fixed smoothness of the profile, and the best is
+polished by the engine's own steps. Terms are added as long as the evidence gains more
+than their geometry costs.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from pinav.errors import FitError
+from pinav.fitting.engine.iterate import iterate
+from pinav.fitting.engine.steps import FullStep
+from pinav.fitting.evidence.evidence import (
+    LinearisedObservations,
+    Whitened,
+    at_shape,
+    best_hyperparameters,
+    posterior_mean,
+)
+from pinav.fitting.evidence.model_evidence import DECISIVE
+from pinav.fitting.evidence.quadratic import Quadratic
+from pinav.fitting.evidence.weights import GaussianWeights
+from pinav.fitting.least_squares import Regression
+from pinav.fitting.structure.response import ForceResponse
+from pinav.forces import (
+    AbstractTerm,
+    CentralTerm,
+    EllipticTerm,
+    LinearTerm,
+    SumForce,
+    WallTerm,
+)
+from pinav.forces.priors import AbstractPrior, MixturePrior
+
+KERNELS = 36
+"""Kernels of a profile across the extent of the data."""
+
+BEYOND = 4.0
+"""Reach of a profile beyond the data, in widths of its kernels."""
+
+GRID, ANGLES = 7, 18
+"""Places along each side of the data, and directions, that are scanned."""
+
+CLOSER = (0.3, 0.1)
+"""Sizes of further grids of centres, each about the best of those before."""
+
+MOST_TERMS = 3
+"""Terms of a structure."""
+
+POLISH = 8
+"""Steps of the engine for the geometry of a proposal."""
+
+Terms = tuple[AbstractTerm, ...]
+
+
+class Ground(eqx.Module):
+    """Where the data are.
+
+    Attributes:
+        middle: of the data [L].
+        extent: longest side of the box around them [L].
+        crowded: longest side of the box around nine tenths of them [L].
+        heart: the middle of that box [L].
+    """
+
+    middle: Float[np.ndarray, " dim"]
+    extent: float
+    crowded: float
+    heart: Float[np.ndarray, " dim"]
+
+    @classmethod
+    def of(cls, positions: Float[np.ndarray, "sample dim"]) -> "Ground":
+        """The ground of observed positions."""
+        low, high = positions.min(axis=0), positions.max(axis=0)
+        few, most = np.quantile(positions, [0.05, 0.95], axis=0)
+        return cls(
+            middle=(low + high) / 2,
+            extent=float((high - low).max()),
+            crowded=float((most - few).max()),
+            heart=(few + most) / 2,
+        )
+
+    @property
+    def width(self) -> float:
+        """Of a kernel of a profile [L]."""
+        return self.extent / KERNELS
+
+    def grid(
+        self, middle: Float[np.ndarray, " dim"] | None = None, share: float = 1.0
+    ) -> Float[np.ndarray, "point dim"]:
+        """Places that are scanned.
+
+        Args:
+            middle: of the grid [L]; that of most of the data unless given.
+            share: its size, as a share of the extent of most of the data.
+        """
+        middle = self.heart if middle is None else middle
+        axis = np.linspace(-0.5, 0.5, GRID) * self.crowded * share
+        axes = np.meshgrid(*[axis] * len(middle), indexing="ij")
+        return middle + np.stack(axes, axis=-1).reshape(-1, len(middle))
+
+    def distances(self) -> tuple[Float[Array, " kernel"], Float[Array, ""]]:
+        """Places of the kernels of a profile of a distance, and their width."""
+        # as far as from one corner to the other: the same for every centre, so that
+        # all of them share one compilation
+        reach = 0.75 * np.sqrt(len(self.middle)) * self.extent
+        places = np.arange(0.5, reach / self.width + BEYOND) * self.width
+        return jnp.asarray(places), jnp.asarray(self.width)
+
+    def offsets(self) -> tuple[Float[Array, " kernel"], Float[Array, ""]]:
+        """Places of the kernels of a profile along a direction, and their width."""
+        half = 0.55 * np.sqrt(len(self.middle)) * self.extent / self.width + BEYOND
+        places = np.arange(-half, half + 1.0) * self.width
+        return jnp.asarray(places), jnp.asarray(self.width)
+
+
+class Proposal(eqx.Module):
+    """Terms with their geometry, and what the linearised data think of them.
+
+    Attributes:
+        terms: with weights.
+        log_evidence: less what the geometry costs.
+        noise: standard deviation of what they leave unexplained.
+    """
+
+    terms: Terms
+    log_evidence: float
+    noise: float
+
+
+@eqx.filter_jit
+def _columns(
+    terms: Terms, response: ForceResponse
+) -> tuple[Float[Array, "weight weight"], Float[Array, " weight"], Float[Array, ""]]:
+    """Normal equations of the weights of terms of a given geometry."""
+
+    def force(weights: tuple[Array, ...], t: Any, x: Array) -> Array:
+        placed = eqx.tree_at(
+            lambda each: [term.weights for term in each], terms, list(weights)
+        )
+        return SumForce(placed)(t, x, jnp.zeros_like(x))
+
+    zero = tuple(jnp.zeros_like(term.weights) for term in terms)
+    slopes = jax.vmap(jax.vmap(jax.jacrev(force), (None, 0, 0)), (None, 0, 0))
+    parts = slopes(zero, response.times, response.points)
+    basis = jnp.concatenate(parts, axis=-1)
+    basis = basis.reshape(len(basis), -1, basis.shape[-1])
+    rows = jnp.einsum("idf,ifw->idw", response.rows, basis)
+    rows = rows.reshape(-1, rows.shape[-1])
+    flat = response.forces.reshape(len(basis), -1)
+    offset = response.targets - jnp.einsum("idf,if->id", response.rows, flat)
+    offset = offset.reshape(-1)
+    return rows.T @ rows, rows.T @ offset, offset @ offset
+
+
+def _linearised(terms: Terms, response: ForceResponse) -> LinearisedObservations:
+    """What the data say of the weights of terms of a given geometry."""
+    hessian, gradient, squares = map(np.asarray, _columns(terms, response))
+    return LinearisedObservations.of(
+        Quadratic(
+            point=np.zeros(len(gradient)),
+            hessian=hessian,
+            gradient=gradient,
+            squares=float(squares),
+            num_free=response.num_free,
+            log_determinant=0.0,
+        )
+    )
+
+
+def _prior(terms: Terms) -> AbstractPrior:
+    """Prior of several terms, independent of each other."""
+    whole = terms[0].prior()
+    for term in terms[1:]:
+        whole = MixturePrior(whole, term.prior())
+    return whole
+
+
+def quick_evidence(terms: Terms, response: ForceResponse) -> float:
+    """Log evidence of terms of a geometry, at a fixed smoothness of their profiles.
+
+    The noise is estimated: far from the right geometry nothing explains the data, and
+    with the noise fixed wild profiles would.
+    """
+    prior = _prior(terms)
+    try:
+        data = _linearised(terms, response)
+    except FitError:
+        return -np.inf
+    best = at_shape(data, prior.covariance, _smooth(terms, prior))
+    return best.log_evidence - cost(terms, response)
+
+
+def with_profiles(terms: Terms, response: ForceResponse) -> Terms:
+    """The terms with the weights of highest evidence for their geometry.
+
+    Raises:
+        FitError: the data do not depend on them.
+    """
+    prior, data = _prior(terms), _linearised(terms, response)
+    chosen = best_hyperparameters(
+        data, prior.covariance, _smooth(terms, prior), prior.bounds, None, prior.slopes
+    )
+    white = Whitened.of(data, prior.covariance(chosen.shape))
+    mean, made = posterior_mean(white, chosen), []
+    for term in terms:
+        count = len(term.weights)
+        weights, mean = jnp.asarray(mean[:count]), mean[count:]
+        made.append(eqx.tree_at(lambda one: one.weights, term, weights))
+    return tuple(made)
+
+
+def _smooth(terms: Terms, prior: AbstractPrior) -> Float[np.ndarray, " shape"]:
+    """The start of the search, with profiles as smooth as a tenth of the extent."""
+    shape = prior.start.copy()
+    place = 0
+    for index, term in enumerate(terms):
+        own = len(term.prior().start)
+        if own > 1:
+            shape[place] = np.log(0.1 * KERNELS)
+        place += own + (index > 0)
+    return shape
+
+
+def cost(terms: Terms, response: ForceResponse) -> float:
+    """What the numbers of the geometry cost: a prior of unit information each."""
+    count = sum(leaf.size for term in terms for leaf in term.geometry)
+    return 0.5 * count * float(np.log(response.num_free)) + 3.0 * len(terms)
+
+
+def polish(terms: Terms, response: ForceResponse) -> Proposal | None:
+    """Profiles and geometry of the highest evidence; None where there is no best.
+
+    A geometry has no derivative while its profile is zero, so that the profiles come
+    first.
+    """
+    try:
+        terms = with_profiles(terms, response)
+        shaped = any(term.geometry for term in terms)
+        problem = Regression.of(
+            SumForce(terms),
+            response,
+            weights=lambda m: [term.weights for term in m.terms],
+            weights_prior=GaussianWeights(_prior(terms)),
+            constants=lambda m: [term.geometry for term in m.terms],
+            step_rule=FullStep(),
+            is_linear=not shaped,
+            num_projected=response.num_projected,
+        )
+        _, steps = iterate(problem, POLISH)
+    except FitError:
+        return None
+    if not steps:
+        return None
+    best = max(steps, key=lambda step: step.hyperparameters.log_evidence)
+    fitted = problem.parametric(jnp.asarray(best.move.theta))
+    chosen = best.hyperparameters
+    value = float(chosen.log_evidence) - cost(terms, response)
+    return Proposal(fitted.terms, value, chosen.noise)
+
+
+def propose(
+    response: ForceResponse, ground: Ground, noise: float, *, rotational: bool
+) -> Proposal | None:
+    """The structure of highest evidence; None where no term explains anything.
+
+    Terms are added while the data are not explained to the noise, the evidence gains,
+    and the last term explained a good part of what was left.
+
+    Args:
+        response: of the data to forces.
+        ground: where they are.
+        noise: of the observations, roughly.
+        rotational: whether the force may have no potential.
+    """
+    best: Proposal | None = None
+    while best is None or len(best.terms) < MOST_TERMS:
+        terms = () if best is None else best.terms
+        trials = _extended(terms, response, ground, noise, rotational=rotational)
+        if not trials:
+            break
+        most = max(one.log_evidence for one in trials)
+        # kinds come in the order of their freedom: a linear force is a wall, too
+        winner = next(t for t in trials if t.log_evidence >= most - 2 * DECISIVE)
+        before = np.inf if best is None else best.noise
+        if best is not None and winner.log_evidence < best.log_evidence + 2 * DECISIVE:
+            break
+        best = winner
+        if best.noise < ENOUGH * noise or best.noise > PROGRESS * before:
+            break
+    return best
+
+
+ENOUGH, PROGRESS = 1.15, 0.8
+"""Misfit, relative to the noise, at which nothing is left to explain; and relative to
+the misfit before, above which further terms lead nowhere."""
+
+
+def _extended(
+    terms: Terms,
+    response: ForceResponse,
+    ground: Ground,
+    noise: float,
+    *,
+    rotational: bool,
+) -> list[Proposal]:
+    """Structures with one term more than there are, of each kind, polished."""
+    proposals: list[Proposal] = []
+    for starts in _starts(ground, rotational=rotational):
+        chosen = _best(starts, terms, response)
+        for share in CLOSER:
+            if not isinstance(chosen, CentralTerm):
+                break
+            closer = [
+                central_term(ground, place, rotational=chosen.rotational)
+                for place in ground.grid(np.asarray(chosen.center), share)
+            ]
+            chosen = _best([chosen, *closer], terms, response)
+        made = polish((*terms, chosen), response)
+        if made is None or not np.isfinite(made.log_evidence):
+            continue
+        proposals.append(made)
+        last = made.terms[-1]
+        unexplained = made.noise > ENOUGH * noise and len(ground.middle) == 2
+        if isinstance(last, CentralTerm) and unexplained:
+            bent = polish((*terms, _best(ellipses(last), terms, response)), response)
+            proposals += [bent] if bent is not None else []
+    return proposals
+
+
+def ellipses(term: CentralTerm) -> list[AbstractTerm]:
+    """Elliptic terms about the centre of a central one, in several directions."""
+    turns = 2 * np.pi * np.arange(8) / 8
+    return [
+        EllipticTerm(
+            weights=jnp.zeros_like(term.weights),
+            center=term.center,
+            shear=jnp.asarray(SHEAR * np.array([np.cos(turn), np.sin(turn)])),
+            places=term.places,
+            width=term.width,
+            rotational=term.rotational,
+        )
+        for turn in turns
+    ]
+
+
+SHEAR = 0.3
+"""Size of $S$ of the ellipses that are tried: axes in the ratio of 1.8."""
+
+
+def _best(
+    starts: Sequence[AbstractTerm], terms: Terms, response: ForceResponse
+) -> AbstractTerm:
+    """The term that explains most beside those that there are."""
+    values = [quick_evidence((*terms, start), response) for start in starts]
+    return starts[int(np.argmax(values))]
+
+
+def _starts(ground: Ground, *, rotational: bool) -> Iterator[list[AbstractTerm]]:
+    """Terms of each kind, with the geometries that are scanned."""
+    for turn in (False, True) if rotational else (False,):
+        yield [linear_term(ground, rotational=turn)]
+        yield [central_term(ground, place, rotational=turn) for place in ground.grid()]
+        if len(ground.middle) == 2:
+            angles = np.pi * np.arange(ANGLES) / ANGLES
+            yield [wall_term(ground, angle, rotational=turn) for angle in angles]
+
+
+def central_term(
+    ground: Ground, center: Float[np.ndarray, " dim"], *, rotational: bool = False
+) -> CentralTerm:
+    """A central term about a place, without weight yet."""
+    places, width = ground.distances()
+    return CentralTerm(
+        weights=jnp.zeros_like(places),
+        center=jnp.asarray(center),
+        places=places,
+        width=width,
+        rotational=rotational,
+    )
+
+
+def wall_term(ground: Ground, angle: float, *, rotational: bool = False) -> WallTerm:
+    """A wall whose normal has this angle, without weight yet."""
+    places, width = ground.offsets()
+    return WallTerm(
+        weights=jnp.zeros_like(places),
+        angle=jnp.asarray(angle),
+        origin=jnp.asarray(ground.middle),
+        places=places,
+        width=width,
+        rotational=rotational,
+    )
+
+
+def linear_term(ground: Ground, *, rotational: bool = False) -> LinearTerm:
+    """A linear force, zero as yet."""
+    dim = len(ground.middle)
+    count = 1 if rotational else dim + dim * (dim + 1) // 2
+    return LinearTerm(
+        weights=jnp.zeros(count),
+        origin=jnp.asarray(ground.middle),
+        scale=jnp.asarray(ground.extent / 2),
+        rotational=rotational,
+    )

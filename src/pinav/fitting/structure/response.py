@@ -1,0 +1,194 @@
+r"""What the observations say of any force, linearised about a fit.
+
+About the states of a fit whose force is $F_0$, another force $F$ changes the residuals
+by $G\,(F - F_0)$ with the forces at the states: the response $G$ is computed once, and
+then the evidence of any structure is a regression without dynamics, in milliseconds.
+It is that of the fit to first order; the fit of the chosen structure has the last word.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from pinav.arguments import Scalar, State, Vector
+from pinav.dynamics import FixedStep
+from pinav.fitting.engine.multiple_shooting import (
+    StepDerivatives,
+    eliminate,
+    propagate,
+)
+from pinav.fitting.matching.objectives import Observations
+from pinav.forces import AbstractForce, ConstantForce
+
+MOST_GROUPS = 100
+"""Groups of steps of a trajectory, in each of which the force counts as constant."""
+
+LEAST_EIGENVALUE = 1e-8
+"""Directions of the forces that the data determine less than this, relative to the
+best, are left out."""
+
+
+class ForceResponse(eqx.Module):
+    r"""Residuals as a function of the force.
+
+    Attributes:
+        rows: $R_i$ of each trajectory, from forces to independent data.
+        targets: what the data ask of the change of the force.
+        points: where the forces act [L].
+        times: when [T].
+        forces: $F_0$ there [L T⁻²].
+        num_free: residuals less starts.
+        squares: sum of squares that no force explains.
+    """
+
+    rows: Float[Array, "trajectory datum force"]
+    targets: Float[Array, "trajectory datum"]
+    points: Float[Array, "trajectory group dim"]
+    times: Float[Array, "trajectory group"]
+    forces: Float[Array, "trajectory group dim"]
+    num_free: int = eqx.field(static=True)
+    squares: float = eqx.field(static=True)
+
+    @property
+    def num_projected(self) -> int:
+        """Data that count less than one each: the starts, and what was compressed."""
+        return self.targets.size - self.num_free
+
+    def __call__(self, force: AbstractForce) -> Float[Array, " residual"]:
+        """Residuals of another force."""
+        changes = forces_at(force, self.times, self.points) - self.forces
+        flat = changes.reshape(len(changes), -1)
+        return (jnp.einsum("idf,if->id", self.rows, flat) + self.targets).reshape(-1)
+
+
+@eqx.filter_jit
+def forces_at(
+    force: AbstractForce,
+    times: Float[Array, "*shape"],
+    points: Float[Array, "*shape dim"],
+) -> Float[Array, "*shape dim"]:
+    """The force on a swimmer at rest at each of many places."""
+    dim = points.shape[-1]
+    at_rest = jax.vmap(lambda t, x: force(t, x, jnp.zeros_like(x)))
+    return at_rest(times.reshape(-1), points.reshape(-1, dim)).reshape(points.shape)
+
+
+def force_response(
+    model: Any,
+    states: Float[Array, "trajectory time state"],
+    observations: Observations,
+    solver: FixedStep,
+    dim: int,
+) -> ForceResponse:
+    """The response of the observations to a change of the force of a fitted model.
+
+    Args:
+        model: the fitted model.
+        states: its smoothed states.
+        observations: the data.
+        solver: steps between samples.
+        dim: dimension of space.
+    """
+    group, groups = _grouped(states.shape[1] - 1)
+    hessians, gradients, squares = _normal_equations(
+        model, states, observations, solver, group, groups, dim
+    )
+    rows, targets, left = _compress(np.asarray(hessians), np.asarray(gradients))
+    times = observations.times
+    points = _means((states[:, 1:, :dim] + states[:, :-1, :dim]) / 2, group, groups)
+    when = _means(((times[:, 1:] + times[:, :-1]) / 2)[..., None], group, groups)
+    count = int(np.asarray(observations.observed).sum())
+    return ForceResponse(
+        rows=jnp.asarray(rows),
+        targets=jnp.asarray(targets),
+        points=points,
+        times=when[..., 0],
+        forces=forces_at(model.environment, when[..., 0], points),
+        num_free=count - states[:, 0].size,
+        squares=float(np.sum(np.asarray(squares)) - left),
+    )
+
+
+def _grouped(steps: int) -> tuple[Int[Array, " step"], int]:
+    """The group of each step, and their number."""
+    size = -(-steps // MOST_GROUPS)
+    return jnp.arange(steps) // size, -(-steps // size)
+
+
+def _means(
+    values: Float[Array, "trajectory step channel"],
+    group: Int[Array, " step"],
+    groups: int,
+) -> Float[Array, "trajectory group channel"]:
+    """Mean over the steps of each group."""
+    shares = jax.nn.one_hot(group, groups, dtype=values.dtype)
+    return jnp.einsum("isc,sg->igc", values, shares / shares.sum(axis=0)[None])
+
+
+@eqx.filter_jit
+def _normal_equations(
+    model: Any,
+    states: Float[Array, "trajectory time state"],
+    observations: Observations,
+    solver: FixedStep,
+    group: Int[Array, " step"],
+    groups: int,
+    dim: int,
+) -> tuple[
+    Float[Array, "trajectory force force"],
+    Float[Array, "trajectory force"],
+    Float[Array, " trajectory"],
+]:
+    """Of each trajectory, by the forces in each group of steps, starts eliminated."""
+    spread = jax.nn.one_hot(group, groups, dtype=states.dtype)
+
+    def step(push: Vector, y: State, t0: Scalar, t1: Scalar) -> State:
+        force = model.environment + ConstantForce(push)
+        moved = eqx.tree_at(lambda m: m.environment, model, force)
+        return solver.looped_step(moved, y, t0, t1)
+
+    def one(inputs: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array]:
+        states, times, data, observed = inputs
+        at = (jnp.zeros(dim), states[:-1], times[:-1], times[1:])
+        axes = (None, 0, 0, 0)
+        by_force = jax.vmap(jax.jacfwd(step), axes)(*at)
+        columns = jnp.einsum("ksd,kg->ksgd", by_force, spread)
+        steps = StepDerivatives(
+            by_parameter=columns.reshape(*by_force.shape[:2], -1),
+            by_state=jax.vmap(jax.jacfwd(step, argnums=1), axes)(*at),
+            ends=jax.vmap(step, axes)(*at),
+        )
+        reach = propagate(steps, states).columns
+        residuals = states + reach[..., -1] - data
+        rows = jnp.concatenate([reach[..., :-1], residuals[..., None]], axis=2)
+        rows = jnp.where(observed[..., None], rows, 0.0).reshape(-1, rows.shape[2])
+        rest, _, _ = eliminate(rows, groups * dim, states.shape[1])
+        total = rest.T @ rest
+        return total[:-1, :-1], total[:-1, -1], total[-1, -1]
+
+    data = observations
+    return jax.lax.map(one, (states, data.times, data.states, data.observed))
+
+
+def _compress(
+    hessians: Float[np.ndarray, "trajectory force force"],
+    gradients: Float[np.ndarray, "trajectory force"],
+) -> tuple[
+    Float[np.ndarray, "trajectory datum force"],
+    Float[np.ndarray, "trajectory datum"],
+    float,
+]:
+    """Rows and targets with the same normal equations, as few as there can be."""
+    values, vectors = np.linalg.eigh(hessians)
+    least = LEAST_EIGENVALUE * values.max()
+    keep = max(int((values > least).sum(axis=1).max()), 1)
+    values, vectors = values[:, -keep:], vectors[:, :, -keep:]
+    roots = np.sqrt(np.maximum(values, least))
+    along = np.einsum("ifd,if->id", vectors, gradients)
+    targets = np.where(values > least, along / roots, 0.0)
+    rows = np.where(values > least, roots, 0.0)[:, :, None] * np.swapaxes(vectors, 1, 2)
+    return rows, targets, float(np.sum(targets**2))

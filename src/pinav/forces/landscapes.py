@@ -1,0 +1,212 @@
+r"""Forces of potentials with a structure: about a centre, along one coordinate, waves.
+
+The fields on which a fit is tried that no envelope of its prior contains.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from pinav.arguments import Scalar, Vector, check_positive, point
+from pinav.errors import InputError
+from pinav.forces.force import AbstractForce
+
+
+class PowerHill(AbstractForce):
+    r"""Repulsion $-\nabla U$ from $U(x) = U_0 (1 + |x - c|^2 / s^2)^{-p}$.
+
+    With $p = 1/2$ a screened charge, with $p = 1$ a Lorentzian: tails that no Gaussian
+    has.
+
+    Attributes:
+        height: $U_0$ [L² T⁻²]; negative makes a trap.
+        center: $c$ [L].
+        core: $s$ [L], positive.
+        exponent: $p$, positive.
+
+    Raises:
+        InputError: `center` is not a point, or `core` or `exponent` is a number <= 0.
+    """
+
+    height: Scalar
+    center: Vector = eqx.field(converter=point("PowerHill.center"))
+    core: Scalar
+    exponent: Scalar
+
+    def __check_init__(self) -> None:
+        check_positive(self, "core", "exponent")
+
+    def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
+        """Potential energy per mass $U(x)$ [L² T⁻²]."""
+        offset = (x - self.center) / self.core
+        return self.height * (1 + offset @ offset) ** (-self.exponent)
+
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
+        return -jax.grad(self.potential, argnums=1)(t, x)
+
+
+class CompactHill(AbstractForce):
+    r"""Repulsion $-\nabla U$ from $U(x) = U_0 (1 - |x - c|^2 / R^2)^3$ within $R$.
+
+    Beyond $R$ there is no force; force and gradient are continuous there.
+
+    Attributes:
+        height: $U_0$ [L² T⁻²]; negative makes a trap.
+        center: $c$ [L].
+        radius: $R$ [L], positive.
+
+    Raises:
+        InputError: `center` is not a point, or `radius` is a number <= 0.
+    """
+
+    height: Scalar
+    center: Vector = eqx.field(converter=point("CompactHill.center"))
+    radius: Scalar
+
+    def __check_init__(self) -> None:
+        check_positive(self, "radius")
+
+    def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
+        """Potential energy per mass $U(x)$ [L² T⁻²]."""
+        offset = (x - self.center) / self.radius
+        return self.height * jnp.maximum(1 - offset @ offset, 0.0) ** 3
+
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
+        return -jax.grad(self.potential, argnums=1)(t, x)
+
+
+class RingBarrier(AbstractForce):
+    r"""Repulsion $-\nabla U$ from $U(x) = U_0 \exp(-(|x - c| - \rho)^2 / 2 w^2)$.
+
+    At the very centre the force has no direction; it counts as zero there.
+
+    Attributes:
+        height: $U_0$ [L² T⁻²]; negative makes a moat.
+        center: $c$ [L].
+        radius: $\rho$ [L], positive.
+        width: $w$ [L], positive.
+
+    Raises:
+        InputError: `center` is not a point, or `radius` or `width` is a number <= 0.
+    """
+
+    height: Scalar
+    center: Vector = eqx.field(converter=point("RingBarrier.center"))
+    radius: Scalar
+    width: Scalar
+
+    def __check_init__(self) -> None:
+        check_positive(self, "radius", "width")
+
+    def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
+        """Potential energy per mass $U(x)$ [L² T⁻²]."""
+        offset = x - self.center
+        square = offset @ offset
+        # The derivative of a root at 0 is infinite, also in the branch not taken.
+        away = jnp.where(square > 0, square, 1.0)
+        distance = jnp.where(square > 0, jnp.sqrt(away), 0.0)
+        return self.height * jnp.exp(
+            -0.5 * ((distance - self.radius) / self.width) ** 2
+        )
+
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
+        return -jax.grad(self.potential, argnums=1)(t, x)
+
+
+class SoftWall(AbstractForce):
+    r"""Repulsion $-\nabla U$ from a straight wall in the plane, a rounded step.
+
+    $U(x) = U_0 / (1 + e^{-z})$ with $z = (n \cdot x - b) / w$ and
+    $n = (\cos\phi, \sin\phi)$: low before the wall, $U_0$ behind it.
+
+    Attributes:
+        height: $U_0$ [L² T⁻²]; negative makes a drop.
+        angle: $\phi$ of the normal that points into the wall [rad].
+        offset: $b$ of the wall along the normal [L].
+        width: $w$ [L], positive.
+
+    Raises:
+        InputError: `width` is a number <= 0.
+    """
+
+    height: Scalar
+    angle: Scalar
+    offset: Scalar
+    width: Scalar
+
+    def __check_init__(self) -> None:
+        check_positive(self, "width")
+
+    def potential(self, t: Scalar, x: Float[Array, "2"]) -> Float[Array, ""]:
+        """Potential energy per mass $U(x)$ [L² T⁻²]."""
+        along = jnp.cos(self.angle) * x[0] + jnp.sin(self.angle) * x[1]
+        return self.height * jax.nn.sigmoid((along - self.offset) / self.width)
+
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
+        return -jax.grad(self.potential, argnums=1)(t, x)
+
+
+class PlaneWaves(AbstractForce):
+    r"""Force $-\nabla U$ of plane waves, $U(x) = \sum_j a_j \cos(k_j \cdot x + p_j)$.
+
+    Two waves make an egg crate; many of random direction make a random field, whose
+    covariance is the Fourier transform of the density of their wave vectors.
+
+    Attributes:
+        amplitudes: $a_j$ [L² T⁻²].
+        wave_vectors: $k_j$ [rad L⁻¹].
+        phases: $p_j$ [rad].
+
+    Raises:
+        InputError: their numbers differ.
+
+    References:
+        Rahimi and Recht, NeurIPS 2007, random Fourier features.
+    """
+
+    amplitudes: Float[Array, " wave"] = eqx.field(converter=jnp.asarray)
+    wave_vectors: Float[Array, "wave dim"] = eqx.field(converter=jnp.asarray)
+    phases: Float[Array, " wave"] = eqx.field(converter=jnp.asarray)
+
+    def __check_init__(self) -> None:
+        shapes = [jnp.shape(part) for part in (self.amplitudes, self.phases)]
+        if shapes != [jnp.shape(self.wave_vectors)[:1]] * 2:
+            raise InputError(
+                "PlaneWaves: expected an amplitude and a phase for each wave vector, "
+                f"got {shapes[0]}, {shapes[1]} and {jnp.shape(self.wave_vectors)}"
+            )
+
+    def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
+        """Potential energy per mass $U(x)$ [L² T⁻²]."""
+        return self.amplitudes @ jnp.cos(self.wave_vectors @ x + self.phases)
+
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
+        swing = self.amplitudes * jnp.sin(self.wave_vectors @ x + self.phases)
+        return swing @ self.wave_vectors
+
+
+class LinearForce(AbstractForce):
+    r"""Force $F(x) = M (x - c)$: a saddle, a shear, a rigid rotation, or their sum.
+
+    Attributes:
+        matrix: $M$ [T⁻²]; symmetric where there is a potential.
+        center: $c$ [L], where there is no force.
+
+    Raises:
+        InputError: `center` is not a point, or `matrix` is not square of its size.
+    """
+
+    matrix: Float[Array, "dim dim"] = eqx.field(converter=jnp.asarray)
+    center: Vector = eqx.field(converter=point("LinearForce.center"))
+
+    def __check_init__(self) -> None:
+        size = jnp.shape(self.center)[0]
+        if jnp.shape(self.matrix) != (size, size):
+            raise InputError(
+                f"LinearForce.matrix: expected shape {(size, size)}, got "
+                f"{jnp.shape(self.matrix)}"
+            )
+
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
+        return self.matrix @ (x - self.center)

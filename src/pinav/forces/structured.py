@@ -1,0 +1,100 @@
+"""A learned force that is a sum of structured terms and a free remainder."""
+
+import equinox as eqx
+from jaxtyping import Array, Float, PyTree
+
+from pinav.arguments import Scalar, Vector
+from pinav.errors import InputError
+from pinav.forces.force import AbstractLearnedForce, KernelPlaces
+from pinav.forces.kernel_mixtures import KernelMixture
+from pinav.forces.kernels import KernelForce, KernelPotential
+from pinav.forces.priors import AbstractPrior, Centers, MixturePrior
+from pinav.forces.structures import AbstractTerm, check_rotation
+
+Remainder = KernelPotential | KernelForce | KernelMixture
+"""Free kernels beside structured terms."""
+
+SMALL = -3.0
+"""Logarithm of the remainder's amplitude relative to that of the terms at the start of
+a search: from equal ones it ends where the remainder carries all, and the geometry of
+terms without weight is not determined."""
+
+
+class StructuredForce(AbstractLearnedForce):
+    r"""Force $\sum_i F_i(x) + F_{\mathrm{free}}(x)$: terms and a rest.
+
+    The remainder carries what the terms cannot. Its amplitude is a choice of the
+    evidence, which sends it to nothing where the terms explain the data, and which
+    keeps the band honest where they do not.
+
+    Attributes:
+        terms: with structure, one or more.
+        remainder: free kernels.
+
+    Raises:
+        InputError: there are no terms, or one is rotational outside of the plane.
+    """
+
+    terms: tuple[AbstractTerm, ...]
+    remainder: Remainder
+
+    def __check_init__(self) -> None:
+        if not self.terms:
+            raise InputError("StructuredForce.terms: expected one or more, got none")
+        for term in self.terms:
+            check_rotation(term, self.dim)
+
+    @property
+    def parameters(self) -> PyTree:
+        rest = self.remainder.parameters
+        rest = rest if isinstance(rest, tuple) else (rest,)
+        return (*(term.weights for term in self.terms), *rest)
+
+    @property
+    def geometry(self) -> PyTree:
+        return tuple(leaf for term in self.terms for leaf in term.geometry)
+
+    @property
+    def is_conservative(self) -> bool:
+        """Whether it is the gradient of a potential."""
+        turning = any(term.rotational for term in self.terms)
+        return isinstance(self.remainder, KernelPotential) and not turning
+
+    @property
+    def kernels(self) -> KernelPlaces:
+        return self.remainder.kernels
+
+    @property
+    def dim(self) -> int:
+        return self.remainder.dim
+
+    def prior(self) -> AbstractPrior:
+        whole = self.terms[0].prior()
+        for term in self.terms[1:]:
+            whole = MixturePrior(whole, term.prior())
+        return MixturePrior(whole, self.remainder.prior(), SMALL)
+
+    def kernels_on(self, centers: Centers, width: float) -> "StructuredForce":
+        """The terms stay as they are."""
+        return eqx.tree_at(
+            lambda force: force.remainder,
+            self,
+            self.remainder.kernels_on(centers, width),
+        )
+
+    def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
+        """Potential energy per mass $U(x)$ [L² T⁻²].
+
+        Raises:
+            InputError: a term is rotational, or the remainder has no potential.
+        """
+        if not (self.is_conservative and isinstance(self.remainder, KernelPotential)):
+            raise InputError(
+                "StructuredForce.potential: expected conservative terms and a "
+                "KernelPotential, got a rotational part"
+            )
+        heights = [term.potential(t, x) for term in self.terms]
+        return sum(heights, self.remainder.potential(t, x))
+
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
+        return sum((term(t, x, v) for term in self.terms), self.remainder(t, x, v))

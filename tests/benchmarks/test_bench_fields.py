@@ -1,0 +1,53 @@
+import pytest
+from benchmarks.fields import main
+from benchmarks.fields.cells import Measurement, measure
+from benchmarks.fields.table import Options, cells, draw, line, summary
+
+from pinav.errors import InputError
+
+
+def measurement(**changes):
+    values = {"family": "ring", "key": 4, "column": "structured", "seconds": 9.0}
+    found = {"outcome": "converged", "structure": ("central",), "gain": 31.2}
+    scores = {"error": {"visited": 0.015, "near": 0.017, "unvisited": None}}
+    return Measurement(**(values | found | scores | changes))
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--columns", "magic"], "--columns: 'magic' is unknown; choose some of"),
+        (["--families", "hills"], "--families: 'hills' is unknown; choose some of"),
+        (["--draws", "0"], "--draws and --count: expected one or more"),
+    ],
+)
+def test_bad_options_are_refused(words, message, tmp_path):
+    with pytest.raises(InputError, match=message):
+        main([*words, "--out", str(tmp_path)])
+
+
+def test_even_keys_are_for_development_and_odd_ones_for_judging():
+    both = [Options(half=half, draws=3) for half in ("development", "judged")]
+    first, second = ({key for _, key, _ in cells(options)} for options in both)
+    assert (first, second) == ({0, 2, 4}, {1, 3, 5})
+
+
+def test_the_table_says_what_was_found_and_whether_rightly(tmp_path):
+    wrong = measurement(key=6, structure=("wall",))
+    assert "central (31 nats)" in line(measurement())
+    assert "1 of 2" in summary([measurement(), wrong])
+    draw([measurement(), wrong], tmp_path)
+    assert (tmp_path / "fields.svg").is_file()
+
+
+def test_a_crash_is_a_result_and_a_finished_cell_is_not_run_again(
+    tmp_path, monkeypatch
+):
+    def crash(system, data):
+        raise IndexError("no field")
+
+    monkeypatch.setitem(measure.__globals__["COLUMNS"], "free", crash)
+    one = measure("none", 0, "free", 1, tmp_path)
+    assert one.outcome == "IndexError: no field"
+    monkeypatch.setitem(measure.__globals__["COLUMNS"], "free", None)
+    assert measure("none", 0, "free", 1, tmp_path) == one

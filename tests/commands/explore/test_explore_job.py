@@ -1,0 +1,240 @@
+"""The page's file: what is in it, what may not be, and what is refused."""
+
+import base64
+import hashlib
+import html
+import json
+import re
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import pinav.commands.explore
+from pinav import cli
+from pinav.commands.explore import document, payload, posterior
+from pinav.commands.explore.job import explorer
+from pinav.commands.explore.plan import plan_of
+from pinav.commands.explore.trees import EVALUATED, leaf_table, packed, tree_of
+from pinav.commands.fitted_run import FittedRun
+from pinav.errors import InputError
+from pinav.forces import (
+    AbstractForce,
+    GaussianBarrier,
+    NeuralForce,
+    PositionFeatures,
+    Superposition,
+)
+from pinav.runs import RunFolder
+
+PAGE = Path(pinav.commands.explore.__file__).parent / "page"
+SOURCES = {path.stem: path.read_text() for path in sorted(PAGE.glob("*.js"))}
+
+
+@pytest.fixture(scope="module")
+def run(fitted_runs, tmp_path_factory):
+    return fitted_runs.copy("kernel", tmp_path_factory.mktemp("run"))[0]
+
+
+@pytest.fixture(scope="module")
+def content(run):
+    return payload.payload_of(FittedRun.open(run))
+
+
+@given(st.text())
+def test_no_text_of_a_run_can_end_the_element_that_holds_it(text):
+    held = document.embedded({"title": text})
+    assert not set("<>&\u2028\u2029") & set(held)
+    assert json.loads(held) == {"title": text}
+
+
+def test_a_title_with_markup_is_shown_and_not_obeyed(content):
+    title = '</script><script>alert(1)</script>" onload="x'
+    page = document.document({**content, "title": title})
+    assert page.count("<script") == 2
+    assert f"<title>{html.escape(title)}</title>" in page
+
+
+def test_the_policy_allows_this_script_and_no_request(content):
+    page = document.document(content)
+    script = re.search(r'<script type="module">(.*)</script>', page, re.DOTALL)
+    digest = hashlib.sha256(script[1].encode()).digest()
+    allowed = re.search(r'Content-Security-Policy" content="([^"]*)"', page)[1]
+    assert allowed.startswith("default-src 'none'; ")
+    assert f"script-src 'sha256-{base64.b64encode(digest).decode()}'" in allowed
+    assert "unsafe" not in allowed
+    assert "http:" not in page
+    assert "https:" not in page
+
+
+def test_modules_are_joined_after_those_that_they_import():
+    assert sorted(document.MODULES) == sorted(SOURCES)
+    for index, name in enumerate(document.MODULES):
+        imports = re.findall(r'from "\./(\w+)\.js"', SOURCES[name])
+        assert set(imports) <= set(document.MODULES[:index]), name
+
+
+def test_modules_that_are_joined_share_no_name():
+    declared = re.findall(
+        r"^(?:const|let|class|function\*?|async function) (\w+)",
+        document.bundle(),
+        re.MULTILINE,
+    )
+    assert sorted(declared) == sorted(set(declared))
+    assert not re.search(r"^(import|export) ", document.bundle(), re.MULTILINE)
+
+
+def test_the_page_has_code_for_each_class_that_python_writes():
+    code = document.bundle()
+    implied = {"Linear", "MLP", "RotatingField", "PositionFeatures"}
+    implied |= {"OverdampedSwimmer", "HeldProgramme"}  # the other one is named
+    for kind in EVALUATED - implied:
+        assert re.search(rf'\b{kind}: |"{kind}"', code), kind
+
+
+class StrangeForce(AbstractForce):
+    def __call__(self, t, x, v):
+        return x
+
+
+def test_a_force_that_the_page_does_not_know_is_refused():
+    with pytest.raises(InputError, match="cannot evaluate a StrangeForce"):
+        tree_of(StrangeForce())
+
+
+def test_a_network_of_another_activation_is_refused():
+    network = eqx.nn.MLP(2, 2, 3, 1, activation=jax.nn.relu, key=jax.random.key(0))
+    features = PositionFeatures((0.0, 0.0), (1.0, 1.0))
+    with pytest.raises(InputError, match=r"networks of tanh .* got relu"):
+        tree_of(NeuralForce(network, features))
+
+
+def test_a_superposition_is_written_as_its_terms():
+    barrier = GaussianBarrier(height=2.0, center=jnp.array([5.0, 5.0]), width=1.0)
+    tree = tree_of(Superposition.of((barrier, barrier)))
+    assert tree["kind"] == "SumForce"
+    assert [term["center"] for term in tree["terms"]] == [[5.0, 5.0]] * 2
+
+
+def test_packed_numbers_are_those_of_the_array():
+    array = np.arange(6.0).reshape(2, 3) / 7
+    held = packed(array, "f8")
+    decoded = np.frombuffer(base64.b64decode(held["f8"]), "<f8").reshape(held["shape"])
+    np.testing.assert_array_equal(decoded, array)
+
+
+def test_leaves_are_named_by_the_words_that_lead_to_them():
+    network = eqx.nn.MLP(2, 1, 3, 1, key=jax.random.key(0))
+    leaves = leaf_table({"a": eqx.filter(network, eqx.is_array)}["a"])
+    assert [leaf["path"] for leaf in leaves[:2]] == [
+        ["layers", 0, "weight"],
+        ["layers", 0, "bias"],
+    ]
+    assert [leaf["size"] for leaf in leaves] == [6, 3, 3, 1]
+
+
+def test_a_factor_of_few_directions_keeps_the_field(run):
+    fit = FittedRun.open(run)
+    factor, kept = posterior.directions(fit.posterior, (0.0, 10.0, 0.0, 10.0))
+    assert factor.shape[1] < len(fit.posterior.mean)
+    assert kept > 0.9999
+    points = np.random.default_rng(0).uniform(0, 10, (20, 2))
+    rows = fit.posterior.force_jacobians(points)
+    sd = np.sqrt(np.einsum("pdi,ik,pdk->pd", rows, factor @ factor.T, rows))
+    np.testing.assert_allclose(sd, fit.posterior.force_sd(points), rtol=0.01)
+
+
+def test_a_factor_has_no_more_numbers_than_a_page_may_hold(run, monkeypatch):
+    fit = FittedRun.open(run)
+    monkeypatch.setattr(posterior, "NUMBERS", 3 * len(fit.posterior.mean))
+    factor, kept = posterior.directions(fit.posterior, (0.0, 10.0, 0.0, 10.0))
+    assert factor.shape == (len(fit.posterior.mean), 3)
+    assert kept < 1
+
+
+def test_a_page_that_would_be_huge_is_refused(content, monkeypatch):
+    monkeypatch.setattr(document, "MAX_BYTES", 1000)
+    with pytest.raises(InputError, match=r"would have \d\.\d MB, more than"):
+        document.document(content)
+
+
+def test_a_run_that_is_no_plane_is_refused(run, monkeypatch):
+    fit = FittedRun.open(run)
+    monkeypatch.setattr(type(fit.data), "dim", property(lambda self: 1))
+    with pytest.raises(InputError, match="explore draws a plane, got the coordinates"):
+        payload.payload_of(fit)
+
+
+def test_the_command_writes_the_page_and_links_to_it(fitted_run, capsys):
+    folder, _ = fitted_run("kernel")
+    assert cli.run(["explore", str(folder)]) == 0
+    assert "explorer: " in capsys.readouterr().out
+    assert (folder / "explore.html").stat().st_size < document.MAX_BYTES
+    assert 'href="explore.html"' in (folder / "report.html").read_text()
+    assert "explore.html" in json.loads((folder / "manifest.json").read_text())
+
+
+def planned(folder, fitted, arrays):
+    """The run of a navigation with these results."""
+    made = RunFolder.create(folder, {"run": {"fitted": fitted}}, overwrite=False)
+    made.write_arrays("results.npz", arrays)
+    return folder
+
+
+def test_a_plan_without_its_fit_is_refused(tmp_path, run, capsys):
+    folder = planned(tmp_path / "there", "absent", {})
+    assert cli.run(["explore", str(folder)]) == 2
+    assert "'absent' that it was planned with beside it" in capsys.readouterr().err
+    assert cli.run(["explore", str(run), "--fit", str(run)]) == 2
+    assert "--fit: " in capsys.readouterr().err
+
+
+def test_a_plan_that_was_not_kept_is_refused(tmp_path, run, capsys):
+    folder = planned(tmp_path / "there", "", {"goal": np.zeros(2)})
+    with pytest.raises(InputError, match="hold no plan that can be evaluated"):
+        plan_of(RunFolder.open(folder))
+
+
+def heated(folder, **arrays):
+    made = RunFolder.create(folder, {"run": {}}, overwrite=False)
+    made.write_arrays("results.npz", {"temperature": np.zeros(3), **arrays})
+    return folder
+
+
+def test_bioheat_on_a_plane_is_refused(tmp_path, capsys):
+    assert cli.run(["explore", str(heated(tmp_path / "heat"))]) == 2
+    assert "this run is on a plane or a box" in capsys.readouterr().err
+
+
+def test_a_run_of_bioheat_without_its_balance_is_refused(tmp_path, capsys):
+    folder = heated(tmp_path / "heat", radius=np.arange(3.0))
+    assert cli.run(["explore", str(folder)]) == 2
+    assert "hold no heat balance; " in capsys.readouterr().err
+
+
+def test_a_notebook_shows_the_page_in_a_frame(run):
+    shown = explorer(run)._repr_html_()
+    assert shown.startswith("<iframe srcdoc=")
+    assert shown.count("<") == 2  # everything of the page is escaped
+    assert "explore.html" not in {path.name for path in run.iterdir()}
+
+
+def test_the_map_holds_the_arena_of_a_plan(content):
+    box = payload._union((0.0, 4.0, 0.0, 4.0), [[1.0, 1.0], [10.0, 3.0]])
+    assert box == (0.0, 10.0, -3.0, 7.0)
+    assert content["plan"] is None
+
+
+@pytest.mark.parametrize("file", ["model.eqx", "posterior.npz"])
+def test_a_damaged_run_gives_one_line(file, fitted_run, capsys):
+    folder, _ = fitted_run("kernel")
+    (folder / file).write_bytes(b"damaged")
+    assert cli.run(["explore", str(folder)]) == 2
+    message = capsys.readouterr().err.strip()
+    assert "\n" not in message
+    assert file in message

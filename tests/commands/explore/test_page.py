@@ -1,0 +1,446 @@
+"""The page in a real browser: the same numbers as the package, quick, and offline."""
+
+import json
+import math
+import re
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.flatten_util
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from tests.commands.explore.chromium import Chromium, find_chromium
+from tests.commands.test_heat import small
+
+import pinav.forces as forces
+from pinav import cli
+from pinav.commands.explore.document import document
+from pinav.commands.explore.payload import payload_of
+from pinav.commands.explore.plan import LEVELS
+from pinav.commands.explore.trees import packed, tree_of
+from pinav.commands.explore.warmth import heat_payload
+from pinav.commands.fitted_run import FittedRun
+from pinav.dynamics import FixedStep, commanded, rollout
+from pinav.evaluation import square
+from pinav.runs import RunFolder
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(find_chromium() is None, reason="no Chromium is installed"),
+]
+
+RUNS = ("kernel", "positions", "langevin", "identified", "network", "reproduced")
+BAR = 1e-3
+"""Of the extent of the data."""
+
+
+@pytest.fixture(scope="module")
+def browser():
+    browser = Chromium()
+    yield browser
+    browser.close()
+
+
+@pytest.fixture(scope="module")
+def pages(fitted_runs, tmp_path_factory):
+    """A run and the address of its page, by name; each is written once."""
+    made = {}
+
+    def page(name):
+        if name not in made:
+            folder = fitted_runs.copy(name, tmp_path_factory.mktemp(name))[0]
+            run = FittedRun.open(folder)
+            content = payload_of(run)
+            if name == "kernel":
+                content["title"] = '</script><script>alert("title")</script>'
+            (folder / "explore.html").write_text(document(content))
+            made[name] = run, f"file://{folder}/explore.html"
+        return made[name]
+
+    return page
+
+
+def opened(browser, address, **size):
+    browser.open("about:blank")
+    browser.open(address, **size)
+    browser.wait_for("globalThis.explorer?.band !== undefined && !explorer.request")
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_paths_and_bands_are_those_of_the_package(name, browser, pages):
+    run, address = pages(name)
+    opened(browser, f"{address}#s=0")
+    answer = browser.run(
+        """(() => {
+          const e = explorer.experiment;
+          const band = e.band();
+          return JSON.stringify({
+            ...band, states: band.states.map((y) => [...y]), start: e.start(),
+            track: e.tracks[explorer.conditions.track].index,
+          });
+        })()"""
+    )
+    page = json.loads(answer)
+    start = np.array(page["start"])
+    piece = list(run.data)[page["track"]]
+    times, extent = np.array(page["times"]), browser.run("explorer.run.extent")
+    first = run.models[browser.run("explorer.run.models[0].name")]
+    path = rollout(commanded(first, piece), start, times)
+    error = np.abs(np.array(page["states"]) - np.asarray(path.ys))[:, :2]
+    assert error.max() < BAR * extent
+    if run.posterior is not None and "model" in run.models:
+        sd, page_sd = band(run.posterior, piece, start, times), np.array(page["sd"])
+        assert np.abs(1.96 * (page_sd - sd)).max() < BAR * extent
+        np.testing.assert_allclose(page_sd, sd, rtol=0.05, atol=0.01 * sd.max())
+    assert not browser.named("Runtime.exceptionThrown")
+
+
+def band(posterior, piece, start, times):
+    """Standard deviations of the positions, under the commands of a track."""
+    if not piece.commands:
+        return posterior.rollout_band(start, times).sd[:, :2]
+
+    def path(theta):
+        model = commanded(posterior.free(theta), piece)
+        return rollout(model, start, times, solver=FixedStep()).ys
+
+    rows = np.asarray(jax.jacfwd(path)(jnp.asarray(posterior.mean)))
+    variances = np.einsum("tip,pq,tiq->ti", rows, posterior.covariance, rows)
+    return np.sqrt(variances)[:, :2]
+
+
+CENTERS = np.stack(np.meshgrid(*(np.arange(0.0, 4.0),) * 2), -1).reshape(-1, 2)
+BARRIER = forces.GaussianBarrier(2.0, jnp.array([1.0, 2.0]), 1.5)
+FEATURES = forces.PositionTimeFeatures((1.0, 2.0, 3.0), (2.0, 3.0, 4.0))
+
+
+def random(force, key=0):
+    """The force with random numbers in place of its zero weights."""
+    leaves, tree = jax.tree.flatten(force.parameters)
+    keys = jax.random.split(jax.random.key(key), len(leaves))
+    drawn = [
+        jax.random.normal(k, leaf.shape) for k, leaf in zip(keys, leaves, strict=True)
+    ]
+    return eqx.tree_at(lambda f: f.parameters, force, tree.unflatten(drawn))
+
+
+def network(outputs):
+    return forces.tanh_network(3, outputs, width=5, depth=2, key=jax.random.key(1))
+
+
+def changing():
+    timed = forces.TimedKernelPotential(
+        jnp.zeros((16, 5)), jnp.asarray(CENTERS), 0.8, 0.0, 4.0
+    )
+    static = forces.KernelPotential.with_zero_weights(CENTERS, 1.2)
+    return random(forces.ChangingPotential(static, timed))
+
+
+LEARNED = {
+    "kernel force": lambda: random(forces.KernelForce.with_zero_weights(CENTERS, 1.1)),
+    "mixture": lambda: random(forces.KernelMixture.with_zero_weights(CENTERS, 1.1)),
+    "changing potential": changing,
+    "neural force": lambda: forces.NeuralForce(network(2), FEATURES, 1.7),
+    "neural potential": lambda: forces.NeuralPotential(network(1), FEATURES, 1.7),
+}
+KNOWN = {
+    "barrier": lambda: BARRIER,
+    "ridge": lambda: forces.GaussianRidge(1.5, jnp.array([2.0, 1.0]), 2.0, 0.5, 0.4),
+    "swirl": lambda: forces.GaussianSwirl(1.5, jnp.array([2.0, 1.0]), 1.3),
+    "trap": lambda: forces.HarmonicTrap(0.7, jnp.array([2.0, 1.0])),
+    "moving": lambda: forces.Moving(BARRIER, forces.CircularMotion(1.0, 2.0, 0.3)),
+    "sum": lambda: BARRIER + forces.LinearDrag(0.3) + forces.ZeroForce(),
+    "current": lambda: forces.InFlow(
+        forces.TensorDrag(
+            forces.UniaxialTensor(1.0, 2.0, forces.ConstantDirector(0.3))
+        ),
+        forces.SumFlow(
+            (forces.ShearFlow(0.3, 1.0), forces.PoiseuilleFlow(1.0, 1.0, 3.0))
+        ),
+    ),
+    "vortex": lambda: forces.Advection(
+        forces.SumFlow(
+            (
+                forces.VortexFlow(1.0, jnp.array([1.0, 1.0]), 2.0),
+                forces.UniformFlow(jnp.array([0.1, 0.2])),
+                forces.SampledFlow(jnp.arange(3.0), jnp.arange(6.0).reshape(3, 2)),
+            )
+        )
+    ),
+    "porous": lambda: forces.TensorDrag(
+        forces.BrinkmanTensor(
+            0.5, 0.3, jnp.array([1.0, 2.0]), jnp.asarray(CENTERS[:2]), 1.0
+        )
+    ),
+    "sheared drag": lambda: forces.TensorDrag(
+        forces.CholeskyTensor.of(jnp.array([[2.0, 0.5], [0.5, 1.0]]))
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LEARNED | KNOWN)
+def test_forces_are_those_of_the_package(name, browser, pages):
+    force = (LEARNED | KNOWN)[name]()
+    t, x, v = 1.3, jnp.array([1.7, 2.2]), jnp.array([0.4, -0.3])
+    if "explorer" not in browser.run("Object.keys(globalThis).join()"):
+        opened(browser, pages("kernel")[1])
+    ask = f"""(() => {{
+      const force = explorer.forceOf({json.dumps(tree_of(force))});
+      const [t, x, v] = [{t}, [{x[0]}, {x[1]}], [{v[0]}, {v[1]}]];
+      const out = [0, 0];
+      force.add(t, x, v, out);
+      const rows = [0, 1].map(() => new Float64Array(force.parameters ?? 0));
+      if (force.basis) force.basis(t, x, rows, 0);
+      return JSON.stringify({{ out, rows: rows.map((row) => [...row]) }});
+    }})()"""
+    page = json.loads(browser.run(ask))
+    np.testing.assert_allclose(page["out"], force(t, x, v), rtol=1e-9)
+    if name in LEARNED:
+        arrays, fixed = eqx.partition(force.parameters, eqx.is_array)
+        theta, unravel = jax.flatten_util.ravel_pytree(arrays)
+
+        def of(theta):
+            trained = eqx.combine(unravel(theta), fixed)
+            return eqx.tree_at(lambda f: f.parameters, force, trained)(t, x, v)
+
+        expected = np.asarray(jax.jacfwd(of)(theta))
+        np.testing.assert_allclose(page["rows"], expected, rtol=1e-8, atol=1e-12)
+
+
+def test_the_plan_leads_to_the_goal_in_the_time_that_it_says(browser, pages, tmp_path):
+    """Without forces worth speaking of the time is the distance over the speed."""
+    run, _ = pages("langevin")
+    content = payload_of(run, straight_plan(run))
+    (tmp_path / "plan.html").write_text(document(content))
+    opened(browser, f"file://{tmp_path}/plan.html")
+    browser.wait_for("explorer.ground !== null")
+    plan = content["plan"]
+    said = browser.run("explorer.experiment.plan.timeFrom(explorer.experiment.start())")
+    distance = math.dist(plan["start"], plan["goal"])
+    assert said == pytest.approx(distance / SPEED, rel=0.02)
+    arrival = browser.run("explorer.route.arrival")
+    assert arrival == pytest.approx((distance - plan["tolerance"]) / SPEED, rel=0.1)
+    assert "The plan reaches the goal" in browser.run("readout.textContent")
+
+
+SPEED = 50.0
+"""So great a thrust that learned forces hardly matter."""
+
+
+def straight_plan(run):
+    x0, x1, y0, y1 = map(float, square(run.data))
+    axes = np.linspace(x0, x1, 41), np.linspace(y0, y1, 41)
+    goal = [0.8 * x1 + 0.2 * x0, 0.8 * y1 + 0.2 * y0]
+    places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    times = np.linalg.norm(places - goal, axis=-1) / SPEED
+    angles = 2 * np.pi * np.arange(24) / 24
+    step = 0.02 * (x1 - x0) / SPEED
+    mobility = float(run.model.mobility.value)
+    thrusts = SPEED / mobility * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    scale = float(times.max())
+    return {
+        "arena": [[x0, y0], [x1, y1]],
+        "start": [0.8 * x0 + 0.2 * x1, 0.7 * y0 + 0.3 * y1],
+        "goal": goal,
+        "tolerance": 0.03 * (x1 - x0),
+        "discs": [],
+        "step": step,
+        "lower": [x0, y0],
+        "spacing": [float(axis[1] - axis[0]) for axis in axes],
+        "scale": scale,
+        "ahead": 2 * step,
+        "horizon": 2 * scale,
+        "thrusts": thrusts.tolist(),
+        "values": packed(np.round(np.exp(-times / scale) * LEVELS), "u2"),
+    }
+
+
+@pytest.fixture(scope="module")
+def heated(tmp_path_factory):
+    """A tumour of 24 cells, heated: the folder of its run, and its page."""
+    folder = tmp_path_factory.mktemp("heat")
+    case = small("tumour", folder, step=5.0)
+    out = folder / "run"
+    with jax.numpy_dtype_promotion("standard"):
+        assert cli.run(["heat", "simulate", str(case), "--out", str(out)]) == 0
+    return out, document(heat_payload(RunFolder.open(out)))
+
+
+def test_a_run_of_bioheat_is_that_of_the_package(browser, heated, tmp_path):
+    folder, page = heated
+    (tmp_path / "heat.html").write_text(page)
+    browser.open(f"file://{tmp_path}/heat.html", width=360)
+    browser.wait_for("globalThis.explorer?.result !== undefined")
+    arrays = dict(np.load(folder / "results.npz"))
+    for name in ("hottest", "T90", "D90"):
+        times, values = np.array(browser.run(f"explorer.series('{name}')")).T
+        saved = arrays["dose/D90" if name == "D90" else name]
+        error = np.interp(arrays["times"], times, values) - saved
+        assert np.abs(error).max() < 3 * BAR * np.ptp(saved), name
+    assert browser.run("document.documentElement.scrollWidth") <= 360
+    before = browser.run("explorer.series('hottest').at(-1)[1]")
+    browser.run("document.querySelector('#panel input[type=number]').focus()")
+    browser.run("document.activeElement.select()")
+    browser.send("Input.insertText", text="5")
+    browser.press("Tab")
+    browser.wait_for("!explorer.request && explorer.conditions.starts[0] === 5000")
+    assert browser.run("explorer.series('hottest').at(-1)[1]") < before - 1
+    assert browser.run("explorer.elapsed") < 1000
+    assert "starts=5000" in browser.run("location.hash")
+    for trouble in ("Runtime.exceptionThrown", "Log.entryAdded"):
+        assert not browser.named(trouble)
+
+
+def test_nothing_leaves_the_page_and_nothing_complains(browser, pages):
+    opened(browser, f"{pages('kernel')[1]}#show=band,physics,truth,draws,tracks,arrows")
+    browser.run("document.querySelectorAll('#panel button').forEach((b) => b.click())")
+    browser.wait_for("!explorer.request && !explorer.suggesting", 60)
+    schemes = {
+        event["request"]["url"].partition(":")[0]
+        for event in browser.named("Network.requestWillBeSent")
+    }
+    assert schemes <= {"file", "data", "blob"}
+    for trouble in ("Runtime.exceptionThrown", "Runtime.consoleAPICalled"):
+        assert not browser.named(trouble)
+    assert not browser.named("Log.entryAdded")
+    assert not browser.named("Page.javascriptDialogOpening")
+    assert browser.run("document.querySelector('h1').textContent").startswith(
+        "</script>"
+    )
+    refused = browser.run("fetch('https://example.org').then(() => 'sent', () => 'no')")
+    assert refused == "no"
+
+
+def test_dragging_is_quick_and_the_band_follows(browser, pages):
+    """The least of several times is the page's, whatever else the machine does."""
+    _, address = pages("kernel")
+    opened(browser, address)
+    x, y = browser.run("(([a]) => a.at)(explorer.handles())")
+    corner = browser.run(
+        "(({left, top}) => [left, top])"
+        "(document.getElementById('paths').getBoundingClientRect())"
+    )
+    x, y = x + corner[0], y + corner[1]
+    browser.mouse("Pressed", x, y)
+    for step in range(30):
+        browser.mouse("Moved", x + 2 * step, y + step)
+    browser.mouse("Released", x + 58, y + 29)
+    for _ in range(5):
+        browser.wait_for("!explorer.request")
+        browser.run("explorer.change({})")
+    browser.wait_for("!explorer.request && explorer.band !== null")
+    frame = browser.run("explorer.timings.frame")
+    assert len(frame) > 3
+    assert min(frame) < 1000 / 60
+    assert min(browser.run("explorer.timings.band")) < 100
+    start = browser.run("[explorer.conditions.x, explorer.conditions.y]")
+    placed = browser.run(
+        "((f) => f.place(...explorer.handles()[0].at))(explorer.mapFrame)"
+    )
+    np.testing.assert_allclose(start, placed)
+
+
+def test_a_finger_drags_the_start(browser, pages):
+    opened(browser, pages("kernel")[1], width=360)
+    browser.send("Emulation.setTouchEmulationEnabled", enabled=True)
+    corner = browser.run(
+        "(({left, top}) => [left, top])"
+        "(document.getElementById('paths').getBoundingClientRect())"
+    )
+    x, y = np.add(browser.run("explorer.handles()[0].at"), corner)
+    for kind, points in (
+        ("touchStart", [{"x": x, "y": y}]),
+        ("touchMove", [{"x": x - 40, "y": y + 20}]),
+        ("touchEnd", []),
+    ):
+        browser.send("Input.dispatchTouchEvent", type=kind, touchPoints=points)
+    browser.send("Emulation.setTouchEmulationEnabled", enabled=False)
+    browser.wait_for("!explorer.request")
+    moved = np.add(browser.run("explorer.handles()[0].at"), corner)
+    np.testing.assert_allclose(moved, [x - 40, y + 20], atol=1)
+    assert browser.run("window.scrollY") == 0
+
+
+def test_the_address_holds_what_is_seen(browser, pages):
+    _, address = pages("kernel")
+    opened(browser, address)
+    browser.run(
+        "explorer.change({ x: 3.25, vy: -0.5, cut: [1, 2, 3, 4], turn: Math.PI / 2 })"
+    )
+    browser.wait_for("!explorer.request")
+    shared = browser.run("location.href")
+    assert "x=3.25" in shared
+    opened(browser, shared)
+    state = browser.run("explorer.conditions")
+    assert (state["x"], state["vy"], state["cut"]) == (3.25, -0.5, [1, 2, 3, 4])
+    assert math.isclose(state["turn"], math.pi / 2, rel_tol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "text", ["#x=NaN&k=99&m=-3&T=-1", "#show=%3Cb%3E&cut=1,2&q=no"]
+)
+def test_an_address_that_makes_no_sense_is_as_none(text, browser, pages):
+    opened(browser, pages("kernel")[1] + text)
+    assert not browser.named("Runtime.exceptionThrown")
+    assert browser.run("Number.isFinite(explorer.mean.states.at(-1)[0])")
+
+
+def test_the_keyboard_alone_does_it(browser, pages):
+    opened(browser, pages("kernel")[1])
+    seen = set()
+    for _ in range(40):
+        browser.press("Tab")
+        seen.add(
+            browser.run(
+                "document.activeElement.id || document.activeElement.textContent"
+            )
+        )
+        if browser.run("document.activeElement.id") == "paths":
+            x, vx = browser.run("[explorer.conditions.x, explorer.conditions.vx]")
+            browser.press("ArrowRight")
+            browser.press("ArrowUp", modifiers=8)
+    assert {"paths", "Draw a cut", "Picture", "Path as CSV", "next"} <= seen
+    assert browser.run("explorer.conditions.x") > x
+    assert browser.run("explorer.conditions.vx") == pytest.approx(vx)
+    assert browser.run(
+        "[...document.querySelectorAll('input, select')].every("
+        "(e) => e.labels.length || e.getAttribute('aria-label'))"
+    )
+
+
+def test_a_report_is_no_wider_than_a_narrow_page(browser, fitted_runs, tmp_path):
+    """Tables scroll below it; the page does not."""
+    folder = fitted_runs.copy("kernel", tmp_path / "kernel")[0]
+    browser.open(f"file://{folder}/report.html", width=400)
+    assert browser.run("document.documentElement.scrollWidth") <= 400
+    assert browser.run(
+        "[...document.querySelectorAll('.wide, figure, pre, p')].every("
+        "(e) => e.getBoundingClientRect().right <= 400)"
+    )
+
+
+@pytest.mark.parametrize("width", [360, 768, 1400])
+def test_nothing_is_wider_than_the_page(width, browser, pages):
+    opened(browser, f"{pages('kernel')[1]}#cut=0,0,5,5", width=width)
+    assert browser.run("document.documentElement.scrollWidth") <= width
+    assert browser.run("document.getElementById('paths').clientWidth") > 0.5 * min(
+        width, 700
+    )
+
+
+def test_the_table_of_the_path_has_its_units_and_numbers(browser, pages):
+    opened(browser, pages("identified")[1])
+    lines = browser.run("explorer.table()").split("\n")
+    assert lines[0] == "t [s],x [um],y [um],sd x [um],sd y [um]"
+    assert all(re.fullmatch(r"[-\d.e+]+(,[-\d.e+]+){4}", row) for row in lines[1:-1])
+
+
+def test_numbers_that_are_damaged_are_said_to_be(browser, pages, tmp_path):
+    _, address = pages("kernel")
+    text = Path(address.removeprefix("file://")).read_text()
+    (tmp_path / "page.html").write_text(text.replace('"models":', '"models": oh '))
+    browser.open(f"file://{tmp_path}/page.html")
+    message = browser.run("document.getElementById('failure').textContent")
+    assert "write it again with pinav explore" in message

@@ -1,0 +1,168 @@
+"""`pinav heat learn`, `optimise` on frames of MR thermometry: the phantom, small."""
+
+import importlib.util
+import json
+import re
+import tomllib
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+import tomli_w
+
+from pinav import cli
+from pinav.commands.heat.build import build_case
+from pinav.commands.heat.case import read_case
+from pinav.commands.heat.readings import read_data
+
+PHANTOM = Path(__file__).parents[2] / "examples" / "heat" / "phantom.py"
+SMALL = {"cells": (12, 12, 8), "size": (12e-3, 12e-3, 12e-3), "frames": 12}
+
+
+@pytest.fixture(scope="module")
+def phantom():
+    """The example as a module."""
+    spec = importlib.util.spec_from_file_location("phantom", PHANTOM)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    with jax.numpy_dtype_promotion("standard"):
+        spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def folder(phantom, tmp_path_factory):
+    made = tmp_path_factory.mktemp("phantom")
+    with jax.numpy_dtype_promotion("standard"):
+        phantom.make_phantom(made, key=5, noise=0.3, **SMALL)
+    return made
+
+
+def run(*argv):
+    with jax.numpy_dtype_promotion("standard"):
+        return cli.run(["heat", *map(str, argv)])
+
+
+def edit(folder, name, changes, to="changed.toml"):
+    content = tomllib.loads((folder / name).read_text())
+    for path, value in changes.items():
+        *tables, last = path.split(".")
+        table = content
+        for key in tables:
+            table = table[key]
+        if value is None:
+            del table[last]
+        else:
+            table[last] = value
+    (folder / to).write_text(tomli_w.dumps(content))
+    return folder / to
+
+
+@pytest.mark.slow
+def test_the_truth_of_a_phantom_is_learned_and_predicted(folder, tmp_path, capsys):
+    path = edit(folder, "case.toml", {"learn.until": 480.0})
+    out = tmp_path / "run"
+    assert run("learn", path, "--out", out) == 0
+    assert "perfusion of tumour [kg/(m³ s)]" in capsys.readouterr().out
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert metrics["noise"] == pytest.approx(1.0, abs=0.05)
+    for row in metrics["quantities"]:
+        assert abs(row["value"] - row["true"]) < 4 * row["sd"], row
+    assert metrics["forecast"]["fitted_until"] == 480.0
+    assert metrics["forecast"]["residual"] == pytest.approx(1.0, abs=0.05)
+    assert metrics["forecast"]["error"] < 0.5
+    figures = {p.stem for p in (out / "figures").glob("*.svg")}
+    assert figures == {"heat-means", "heat-frame", "heat-forecast"}
+
+
+@pytest.mark.slow
+def test_the_rest_of_a_protocol_is_planned_and_judged(folder, tmp_path, capsys):
+    changes = {"optimise.after": 480.0, "optimise.max_temperature": 49.0}
+    path = edit(folder, "plan.toml", changes)
+    out = tmp_path / "run"
+    assert run("optimise", path, "--out", out) == 0
+    assert "the plan on the true tissue" in capsys.readouterr().out
+    metrics = json.loads((out / "metrics.json").read_text())
+    before = [9e3, 7e3, 9e3, 7e3]
+    assert metrics["amplitudes"][:4] == before
+    judged = metrics["judged"]
+    assert judged["amplitudes"][:4] == before
+    assert judged["D90"] > 0.5 * judged["best_D90"]
+    assert judged["T_max"] < 49.5
+
+
+def test_a_phase_is_a_temperature(folder):
+    frames = np.load(folder / "temperature.npy")
+    radians = -(frames - 37.0) / 39.1443 * 2 * np.pi
+    np.save(folder / "phase.npy", radians)
+    table = {"readings": "phase.npy", "quantity": "phase", "magnet": 3.0, "echo": 0.02}
+    table |= {"noise": 1.0, "every": 60.0, "drift": "none"}
+    path = edit(folder, "case.toml", {"learn.thermometry": table}, "phase.toml")
+    case, _ = read_case(path)
+    setup = build_case(case, folder)
+    data = read_data(case.learn, setup, folder)
+    assert data.turn == pytest.approx(39.1443, abs=1e-3)
+    expected = np.moveaxis(frames, -1, 0)
+    assert np.allclose(data.values, expected, atol=1e-3, equal_nan=True)
+    assert data.times[-1] == 720.0
+
+
+REFUSED = [
+    ("learn", {"learn.thermometry.readings": "no.npy"}, "no.npy: cannot be read"),
+    ("learn", {"learn.thermometry.readings": "labels.npy"}, "frames along a last axis"),
+    ("learn", {"learn.thermometry.readings": "flat.npy"}, "expected the shape"),
+    ("learn", {"learn.thermometry.readings": "inf.npy"}, "or NaN where a voxel is"),
+    ("learn", {"learn.thermometry.every": None}, "a time between frames with a unit"),
+    ("learn", {"learn.thermometry.every": 6e3}, "saved time .* up to 720 s"),
+    ("learn", {"learn.thermometry.noise": 0.0}, "noise: expected a number > 0"),
+    ("learn", {"learn.thermometry.noise": "bad.npy"}, "standard deviation of each"),
+    ("learn", {"learn.thermometry.turn": -1.0}, "turn: expected a number > 0"),
+    ("learn", {"learn.thermometry.drift": "cubic"}, "drift"),
+    ("learn", {"learn.thermometry.quantity": "phase"}, "magnet and echo with a phase"),
+    ("learn", {"learn.thermometry.magnet": 3.0}, "magnet and echo with a phase"),
+    (
+        "learn",
+        {
+            "learn.thermometry.quantity": "phase",
+            "learn.thermometry.magnet": 3.0,
+            "learn.thermometry.echo": 0.02,
+        },
+        "turn: expected none with a phase",
+    ),
+    ("learn", {"learn.data": "a.csv"}, "expected data or thermometry, got both"),
+    ("learn", {"learn.held_out": [1.3]}, "held_out: expected none with data"),
+    ("learn", {"learn.until": 30.0}, "a time after the first reading at 60 s"),
+    ("learn", {"learn.laws": ["bone"]}, "learn.laws: expected names of tissues"),
+    ("learn", {"learn.truth": "no.toml"}, "no.toml: cannot be read"),
+    ("learn", {"learn.thermometry": None}, "truth, until: expected with data"),
+    (
+        "learn",
+        {"learn.thermometry.turn": None, "learn.thermometry.readings": "kelvin.npy"},
+        "subtract 273.15",
+    ),
+    ("optimise", {"optimise.after": 100.0}, "a time at which constant amplitudes"),
+    ("optimise", {"learn.thermometry": None, "learn.truth": None}, "from which a plan"),
+    (
+        "optimise",
+        {"learn.laws": [], "learn.power_scale": False, "learn.spot": False},
+        "expected something to learn",
+    ),
+]
+
+
+@pytest.mark.parametrize(("task", "changes", "message"), REFUSED)
+def test_bad_frames(folder, tmp_path, capsys, task, changes, message):
+    frames = np.load(folder / "temperature.npy")
+    np.save(folder / "flat.npy", frames[:, :, 0])
+    np.save(folder / "inf.npy", np.where(np.isnan(frames), np.inf, frames))
+    np.save(folder / "bad.npy", np.zeros(frames.shape[:-1]))
+    np.save(folder / "kelvin.npy", frames + 273.15)
+    path = edit(
+        folder, "plan.toml" if task == "optimise" else "case.toml", changes, "bad.toml"
+    )
+    assert run(task, path, "--out", tmp_path / "run") == cli.USAGE_ERROR
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert re.search(message, line), line
+    assert not (tmp_path / "run").exists()

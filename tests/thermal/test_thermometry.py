@@ -1,0 +1,148 @@
+"""MR thermometry: turns, drift and lost voxels leave what was learned as it is."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.errors import InputError
+from pinav.thermal.bioheat import Bioheat
+from pinav.thermal.boundaries import Dirichlet, Sides
+from pinav.thermal.grids import CartesianGrid
+from pinav.thermal.learning import learn, read_residuals
+from pinav.thermal.perfusion import ConstantPerfusion, RegionalPerfusion
+from pinav.thermal.protocols import Piecewise
+from pinav.thermal.solve import solve
+from pinav.thermal.sources import PowerSource, ShiftedSource
+from pinav.thermal.steppers import RKL2
+from pinav.thermal.thermometry import Thermometry, phase_turn, thermometry_residuals
+from pinav.thermal.tissues import Blood, Tissue
+
+GRID = CartesianGrid((12, 10), (4e-3, 5e-3))
+STEPPER = RKL2(stages=3, longest=15.0)
+FIELD = Piecewise.constant((0.0, 120.0, 240.0), [1e4, 6e3], 1e5)
+TIMES = 30.0 * np.arange(1, 9)
+TURN = 12.0
+
+
+def model(flows=(1.0, 3.0), shift=(0.0, 0.0), scale=1.0):
+    """Two tissues side by side, and a spot between them."""
+    left = jnp.broadcast_to((jnp.arange(12) < 6)[:, None], GRID.shape).astype(float)
+    spot = 1.2e5 * jnp.exp(-0.5 * (GRID.distances() / 0.009) ** 2)
+    return Bioheat(
+        GRID,
+        Tissue(0.5, 1050.0, 3600.0),
+        Blood(),
+        RegionalPerfusion(
+            (left, 1 - left), tuple(ConstantPerfusion(jnp.asarray(w)) for w in flows)
+        ),
+        (ShiftedSource(PowerSource(spot, 1e4, scale), jnp.asarray(shift)),),
+        (Sides(Dirichlet(37.0), Dirichlet(37.0)),) * 2,
+    )
+
+
+TRUTH = model((0.7, 4.0), (2e-3, -1.5e-3), 1.1)
+
+
+def frames(noise=0.2, drift="linear"):
+    random = np.random.default_rng(3)
+    clean = np.asarray(solve(TRUTH, FIELD, stepper=STEPPER, save_at=TIMES).observed)
+    sd = noise * random.uniform(0.5, 1.5, GRID.shape)
+    values = clean + sd * random.normal(size=clean.shape)
+    slopes = np.linspace(-1, 1, 12)[:, None]
+    values += np.cumsum(random.normal(size=(8, 1, 1)), axis=0) * (2 + 0.3 * slopes)
+    values = 37 + (values - 37 + TURN / 2) % TURN - TURN / 2
+    values[:, 3, 4], values[5, :4] = np.nan, np.nan
+    return Thermometry(TIMES, values, sd, TURN, drift)
+
+
+def picked(one):
+    source = one.sources[0]
+    return tuple(w.value for w in one.perfusion.laws), source.source.scale, source.shift
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return learn(model(), FIELD, frames(0.05), constants=picked, stepper=STEPPER)
+
+
+def test_perfusion_power_and_place_come_back(fit):
+    true = np.array([0.7, 4.0, 1.1, 2e-3, -1.5e-3])
+    estimates = list(fit.constants.values())
+    values = np.array([one.value for one in estimates])
+    sd = np.array([one.sd for one in estimates])
+    assert np.abs((values - true) / sd).max() < 3
+    assert np.all(sd[:3] < 0.15 * true[:3])
+    assert fit.hyperparameters.noise == pytest.approx(1.0, rel=0.15)
+
+
+def test_what_a_drift_explains_is_no_residual():
+    data = frames()
+    residuals = thermometry_residuals(TRUTH, FIELD, data, stepper=STEPPER)
+    before = residuals(TRUTH)
+    moved = data.values + np.linspace(-1, 1, 10)[None, None, :] + 1.0
+    other = eqx.tree_at(lambda d: d.values, data, moved)
+    after = thermometry_residuals(TRUTH, FIELD, other, stepper=STEPPER)(TRUTH)
+    assert jnp.allclose(before, after, atol=1e-8)
+    assert before.shape == (int(data.observed.sum()),)
+    assert residuals.num_projected == 8 * 3
+
+
+def test_without_drift_or_turns_residuals_are_those_of_probes():
+    clean = np.asarray(solve(TRUTH, FIELD, stepper=STEPPER, save_at=TIMES).observed)
+    data = Thermometry(TIMES, clean + 0.5, np.full(GRID.shape, 0.25))
+    residuals = read_residuals(TRUTH, FIELD, data, stepper=STEPPER)
+    assert jnp.allclose(residuals(TRUTH), -2.0)
+
+
+def test_the_shift_of_a_source_keeps_its_power_and_moves_its_middle():
+    moved = TRUTH.sources[0].shape(GRID)
+    still = model().sources[0].shape(GRID)
+    assert float(jnp.sum(moved)) == pytest.approx(float(jnp.sum(still)), rel=2e-2)
+    places = (jnp.arange(12.0) + 0.5) * 4e-3
+    gap = (moved.sum(1) @ places / moved.sum()) - (still.sum(1) @ places / still.sum())
+    assert float(gap) == pytest.approx(2e-3, rel=0.15)  # some leaves the grid
+    unmoved = ShiftedSource(PowerSource(still, 1e4), jnp.zeros(2), 3.0)
+    assert jnp.allclose(unmoved.shape(GRID), 3 * still)
+
+
+def test_a_turn_of_the_phase_at_three_tesla():
+    assert phase_turn(3.0, 0.02) == pytest.approx(39.14, abs=0.01)
+
+
+def test_frames_up_to_a_time():
+    assert frames().until(90.0).times.tolist() == [30.0, 60.0, 90.0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"values": np.zeros((8, 3, 3))}, "expected frames of shape"),
+        ({"times": TIMES - 30.0}, "increasing times > 0 s"),
+        ({"values": np.full((8, 12, 10), np.nan)}, "expected a reading, got none"),
+        ({"noise": np.zeros(GRID.shape)}, "expected > 0 K at every voxel"),
+        ({"turn": -1.0}, "turn: expected > 0 K"),
+        ({"drift": "cubic"}, "drift: expected none, constant, linear"),
+    ],
+)
+def test_bad_frames(changes, message):
+    data = {
+        "times": TIMES,
+        "values": np.full((8, 12, 10), 37.0),
+        "noise": np.ones(GRID.shape),
+        "turn": None,
+        "drift": "none",
+    }
+    with pytest.raises(InputError, match=message):
+        Thermometry(**(data | changes))
+
+
+def test_frames_of_another_grid_or_without_a_drift():
+    other = Thermometry(TIMES, np.full((8, 3, 3), 37.0), np.ones((3, 3)))
+    with pytest.raises(InputError, match="expected frames of shape"):
+        thermometry_residuals(TRUTH, FIELD, other, stepper=STEPPER)
+    values = np.full((8, 12, 10), np.nan)
+    values[:, 0, 0] = 37.0
+    one = Thermometry(TIMES, values, np.ones(GRID.shape), None, "linear")
+    with pytest.raises(InputError, match="voxels in every frame that tell its drift"):
+        thermometry_residuals(TRUTH, FIELD, one, stepper=STEPPER)
