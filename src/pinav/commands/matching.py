@@ -135,7 +135,7 @@ def matching(
         rates = None if linear else distillation_rates(model, data)
         if linear or rates is not None:
             exact = defect_recipe(data, rates=rates, max_steps=settings.max_steps)
-            recipes = (exact, *recipes)
+            recipes = (exact, *recipes) if linear else (*recipes, exact)
     spread = float(np.std(data.states[data.observed]))
     enough = data.num_observed * (ENOUGH * spread) ** 2
     objective = TrajectoryLoss(FixedStep(substeps=2))
