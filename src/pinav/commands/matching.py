@@ -142,7 +142,7 @@ def matching(
     return Matching(recipes, objective, jnp.float64, enough)
 
 
-ENOUGH = 1e-3
+ENOUGH = 1e-5
 """Residual of a fit that is kept as it is, in units of the spread of the data."""
 
 
