@@ -168,5 +168,6 @@ def informative_rows(
     scaled = states / np.where(spread > 0, spread, 1.0)
     lengths = np.linalg.norm(np.diff(scaled, axis=0, prepend=scaled[:1]), axis=1)
     share = lengths / max(lengths.sum(), np.finfo(float).tiny)
-    passed = np.floor(np.cumsum(0.5 / count + 0.5 * share) * most)
-    return np.flatnonzero(np.diff(passed, prepend=-1.0) > 0)
+    shares = np.cumsum(0.5 / count + 0.5 * share)
+    parts = np.ceil(most * shares / shares[-1])  # from 1 to `most`
+    return np.flatnonzero(np.diff(parts, prepend=0.0) > 0)

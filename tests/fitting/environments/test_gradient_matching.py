@@ -9,6 +9,7 @@ from pinav.fitting import distillation_rates
 from pinav.fitting.environments.gradient_matching import (
     _choose,
     _Trial,
+    force_region,
     match_kernels,
     matched_grid,
     observed_rates,
@@ -115,3 +116,23 @@ def test_a_black_box_is_asked_for_the_same_rates_beside_the_path(data):
 def test_physics_alone_is_among_the_simpler_models(data):
     errors = {name: total(m, data) for name, m in simpler_models(TRUTH, data).items()}
     assert errors["a kernel field"] < 0.01 * errors["the known physics"]
+
+
+def test_the_region_of_a_force_is_where_it_acts(data):
+    region = force_region(TRUTH.without_environment(), data)
+    assert region is not None
+    positions = data.states[..., :2].reshape(-1, 2)
+    still = jnp.zeros(2)
+    forces = jax.vmap(lambda x: BARRIER(0.0, x, still))(jnp.asarray(positions))
+    weights = np.linalg.norm(forces, axis=1) / np.linalg.norm(forces, axis=1).sum()
+    center = weights @ positions
+    np.testing.assert_allclose(region.center, center, atol=0.02)
+    radius = np.sqrt((weights @ (positions - center) ** 2).mean())
+    assert region.radius == pytest.approx(radius, rel=0.05)
+    assert region.radius < 0.7 * np.sqrt(positions.var(axis=0).mean())
+
+
+def test_no_force_has_no_region():
+    free = TRUTH.without_environment()
+    short = observe(free, count=1).only(["x", "y"])
+    assert force_region(ConstantForce([0.0, 0.0]), short) is None
