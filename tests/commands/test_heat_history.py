@@ -48,9 +48,11 @@ def test_maps_go_through_the_hottest_cell_and_the_tumour():
     }
     arrays["target"][1:3, 1:3, 1] = 1.0
     arrays["temperature"][0, 0, 4] = 45.0
-    cuts = _sections(arrays)
+    cuts = _sections(arrays, arrays["temperature"])
     assert list(cuts) == ["z = 9 mm, hottest cell", "z = 3 mm, tumour"]
     assert [cut[2] for cut in cuts.values()] == [4, 1]
     arrays["temperature"][0, 0, 4] = 37.0
     arrays["temperature"][1, 1, 1] = 45.0
-    assert list(_sections(arrays)) == ["z = 3 mm, hottest cell and tumour"]
+    assert list(_sections(arrays, arrays["temperature"])) == [
+        "z = 3 mm, hottest cell and tumour"
+    ]

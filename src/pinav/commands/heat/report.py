@@ -151,9 +151,12 @@ def _last_frame(folder: RunFolder, arrays: Arrays) -> Image:
     figure = new_figure(9.0, 3.0)
     panels = figure.subplots(1, 3)
     spacing = float(arrays["spacing"][0]), float(arrays["spacing"][1])
-    shown = {"reading [°C]": reading, "fit [°C]": fit, "difference [K]": reading - fit}
-    for ax, (label, values) in zip(panels, shown.items(), strict=True):
-        levels = ISOTHERMS if label.startswith("fit") else ()  # noise has no contours
+    shown: tuple[tuple[np.ndarray, tuple[float, ...], str], ...] = (
+        (reading, (), "reading [°C]"),  # noise has no contours
+        (fit, ISOTHERMS, "fit [°C]"),
+        (reading - fit, (), "difference [K]"),
+    )
+    for ax, (values, levels, label) in zip(panels, shown, strict=True):
         outline = arrays["target"][cut]
         plane_map(values, spacing, levels=levels, label=label, outline=outline, ax=ax)
     title_panel(panels[0], name)
