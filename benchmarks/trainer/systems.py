@@ -7,12 +7,10 @@ development; odd ones are for judging.
 
 import dataclasses
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.arguments import Scalar
 from pinav.dynamics import Swimmer, rollout
 from pinav.forces import (
     AbstractForce,
@@ -20,6 +18,7 @@ from pinav.forces import (
     GaussianBarrier,
     GaussianRidge,
     LinearDrag,
+    PowerHill,
     SumForce,
 )
 from pinav.systems import Observation, RingStarts, System
@@ -40,24 +39,6 @@ FORMS = ("gaussian", "gaussian", "ridge", "rational", "pair")
 """Forms of the potential, drawn with equal chances."""
 
 CENTER = np.array([5.0, 5.0])
-
-
-class RationalHill(AbstractForce):
-    r"""Repulsion from $U(x) = U_0 / (1 + |x - c|^2 / 2\sigma^2)^2$, with long tails.
-
-    Attributes:
-        height: $U_0$ [L² T⁻²]; negative makes a trap.
-        center: $c$ [L].
-        width: $\sigma$ [L], positive.
-    """
-
-    height: Scalar
-    center: Float[Array, "2"] = eqx.field(converter=jnp.asarray)
-    width: Scalar
-
-    def __call__(self, t, x, v):
-        offset = (x - self.center) / self.width
-        return 2 * self.height / self.width * offset / (1 + offset @ offset / 2) ** 3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -117,7 +98,7 @@ def _environment(
     form: str, height: float, width: float, rng: np.random.Generator
 ) -> AbstractForce:
     if form == "rational":
-        return RationalHill(height, CENTER, width)
+        return PowerHill(height, CENTER, np.sqrt(2.0) * width, 2.0)
     if form == "ridge":
         length, angle = width * rng.uniform(1.5, 3.0), rng.uniform(0.0, np.pi)
         return GaussianRidge(height, CENTER, length, width, angle)

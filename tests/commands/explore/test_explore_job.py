@@ -20,7 +20,7 @@ from pinav import cli
 from pinav.commands.explore import document, payload, posterior
 from pinav.commands.explore.job import explorer
 from pinav.commands.explore.plan import plan_of
-from pinav.commands.explore.trees import EVALUATED, leaf_table, packed, tree_of
+from pinav.commands.explore.trees import EVALUATED, leaf_table, pack_array, tree_of
 from pinav.commands.fitted_run import FittedRun
 from pinav.errors import InputError
 from pinav.forces import (
@@ -48,7 +48,7 @@ def content(run):
 
 @given(st.text())
 def test_no_text_of_a_run_can_end_the_element_that_holds_it(text):
-    held = document.embedded({"title": text})
+    held = document.script_json({"title": text})
     assert not set("<>&\u2028\u2029") & set(held)
     assert json.loads(held) == {"title": text}
 
@@ -123,7 +123,7 @@ def test_a_superposition_is_written_as_its_terms():
 
 def test_packed_numbers_are_those_of_the_array():
     array = np.arange(6.0).reshape(2, 3) / 7
-    held = packed(array, "f8")
+    held = pack_array(array, "f8")
     decoded = np.frombuffer(base64.b64decode(held["f8"]), "<f8").reshape(held["shape"])
     np.testing.assert_array_equal(decoded, array)
 

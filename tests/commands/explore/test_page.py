@@ -19,7 +19,7 @@ from pinav import cli
 from pinav.commands.explore.document import document
 from pinav.commands.explore.payload import payload_of
 from pinav.commands.explore.plan import LEVELS
-from pinav.commands.explore.trees import packed, tree_of
+from pinav.commands.explore.trees import pack_array, tree_of
 from pinav.commands.explore.warmth import heat_payload
 from pinav.commands.fitted_run import FittedRun
 from pinav.dynamics import FixedStep, commanded, rollout
@@ -253,7 +253,7 @@ def straight_plan(run):
         "ahead": 2 * step,
         "horizon": 2 * scale,
         "thrusts": thrusts.tolist(),
-        "values": packed(np.round(np.exp(-times / scale) * LEVELS), "u2"),
+        "values": pack_array(np.round(np.exp(-times / scale) * LEVELS), "u2"),
     }
 
 

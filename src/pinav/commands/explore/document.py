@@ -47,7 +47,7 @@ def document(payload: Tree) -> str:
         title=html.escape(payload["title"]),
         style=style,
         script=script,
-        payload=embedded(payload),
+        payload=script_json(payload),
     )
     size = len(page.encode())
     if size > MAX_BYTES:
@@ -64,7 +64,7 @@ def bundle() -> str:
     return "\n" + "\n".join(parts)
 
 
-def embedded(payload: Tree) -> str:
+def script_json(payload: Tree) -> str:
     """JSON that may stand in a script element: no text in it can end the element."""
     text = msgspec.json.encode(payload).decode()
     for sign in "<>&\u2028\u2029":

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pinav.commands.explore.posterior import directions
-from pinav.commands.explore.trees import Tree, leaf_table, packed, tree_of
+from pinav.commands.explore.trees import Tree, leaf_table, pack_array, tree_of
 from pinav.commands.fitted_run import FittedRun
 from pinav.dynamics import AbstractDynamics, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
@@ -145,8 +145,8 @@ def _posterior(
     leaves = leaf_table(posterior.free.unravel(jnp.asarray(posterior.mean)))
     return {
         "leaves": leaves,
-        "mean": packed(posterior.mean, "f8"),
-        "factor": packed(factor),
+        "mean": pack_array(posterior.mean, "f8"),
+        "factor": pack_array(factor),
         "kept": kept,
     }
 
@@ -172,9 +172,9 @@ def _track(run: FittedRun, index: int, piece: Trajectory, every: int) -> Tree:
         "start": np.asarray(start, float).tolist(),
         "from": float(piece.times[0]),
         "to": float(piece.times[-1]),
-        "times": packed(piece.times[shown]),
-        "x": packed(piece.states[shown, 0]),
-        "y": packed(piece.states[shown, 1]),
+        "times": pack_array(piece.times[shown]),
+        "x": pack_array(piece.states[shown, 0]),
+        "y": pack_array(piece.states[shown, 1]),
     }
     if {"frequency", "heading"} <= piece.commands.keys():
         track["commands"] = _commands(piece)
@@ -190,7 +190,7 @@ def _commands(piece: Trajectory) -> Tree:
         kept = kept[:: math.ceil(len(kept) / (SAMPLES // 4))]
     return {
         "kind": "HeldProgramme",
-        "times": packed(piece.times[kept], "f8"),
-        "frequency": packed(values[0, kept]),
-        "heading": packed(values[1, kept]),
+        "times": pack_array(piece.times[kept], "f8"),
+        "frequency": pack_array(values[0, kept]),
+        "heading": pack_array(values[1, kept]),
     }

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pinav.commands.explore.trees import Tree, packed
+from pinav.commands.explore.trees import Tree, pack_array
 from pinav.errors import InputError
 from pinav.runs import RunFolder
 
@@ -56,7 +56,7 @@ def plan_of(folder: RunFolder) -> Tree:
         plan[name] = np.asarray(arrays[f"plan/{name}"], float).tolist()
     # Between zero and one: sixteen bits are finer than the lattice is right.
     levels = np.round(np.clip(arrays["plan/values"], 0.0, 1.0) * LEVELS)
-    plan["values"] = packed(levels, "u2")
+    plan["values"] = pack_array(levels, "u2")
     if "suggestion" in arrays:
         plan["suggestion"] = arrays["suggestion"].tolist()
     return plan

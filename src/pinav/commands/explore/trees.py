@@ -62,7 +62,7 @@ def tree_of(value: Any) -> Any:
     if value is None or isinstance(value, bool | str):
         return value
     numbers = np.asarray(value, float)
-    return numbers.tolist() if numbers.size <= INLINE else packed(numbers, "f8")
+    return numbers.tolist() if numbers.size <= INLINE else pack_array(numbers, "f8")
 
 
 def _tree_of_module(value: eqx.Module) -> Tree:
@@ -86,7 +86,7 @@ def _check_network(network: eqx.nn.MLP) -> None:
         )
 
 
-def packed(numbers: np.ndarray, dtype: str = "f4") -> Tree:
+def pack_array(numbers: np.ndarray, dtype: str = "f4") -> Tree:
     """An array as its shape and the base64 of its bytes, least significant first."""
     data = np.ascontiguousarray(numbers, f"<{dtype}")
     text = base64.b64encode(data.tobytes()).decode("ascii")

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pinav.commands.explore.trees import Tree, packed
+from pinav.commands.explore.trees import Tree, pack_array
 from pinav.errors import InputError
 from pinav.runs import RunFolder
 
@@ -34,7 +34,9 @@ def heat_payload(folder: RunFolder) -> Tree:
             f"{folder.path}: its results hold no heat balance; {folder.repair(RESULTS)}"
         )
     parts = {
-        name.removeprefix("balance/"): packed(values, "f4" if values.ndim > 1 else "f8")
+        name.removeprefix("balance/"): pack_array(
+            values, "f4" if values.ndim > 1 else "f8"
+        )
         for name, values in arrays.items()
         if name.startswith("balance/")
     }
@@ -45,14 +47,14 @@ def heat_payload(folder: RunFolder) -> Tree:
         "title": f"Bioheat: {folder.path.name}",
         "run": folder.path.name,
         "balance": parts,
-        "radius": packed(arrays["radius"], "f8"),
-        "target": packed(arrays["target"]),
+        "radius": pack_array(arrays["radius"], "f8"),
+        "target": pack_array(arrays["target"]),
         "probes": np.linalg.norm(points, axis=-1).tolist() if len(points) else [],
         "edges": arrays["edges"].tolist(),
         "starts": arrays["starts"].tolist(),
         "ends": arrays["ends"].tolist(),
-        "times": packed(arrays["times"]),
-        "hottest": packed(arrays["hottest"]),
-        "field": packed(arrays["field"][:: max(len(arrays["times"]) // 60, 1)]),
-        "dose": packed(arrays["dose/D90"]),
+        "times": pack_array(arrays["times"]),
+        "hottest": pack_array(arrays["hottest"]),
+        "field": pack_array(arrays["field"][:: max(len(arrays["times"]) // 60, 1)]),
+        "dose": pack_array(arrays["dose/D90"]),
     }

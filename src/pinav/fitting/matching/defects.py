@@ -61,15 +61,15 @@ class DefectMatching(AbstractRolloutPhase):
     def best_step(self, windows, theta, state):
         errors = windows.propagated_defects(theta)
         starts = windows.problem.observations.states[:, :-1]
-        jacobian = self._chosen(windows, windows.jacobian(theta, starts))
+        jacobian = self._rows_that_count(windows, windows.jacobian(theta, starts))
 
         def residuals(theta):
-            return self._chosen(windows, errors(theta))
+            return self._rows_that_count(windows, errors(theta))
 
         linear = residuals(theta), jacobian
         return full_step(residuals, theta, linear, state.damping)
 
-    def _chosen(
+    def _rows_that_count(
         self, windows: Windows, rows: Float[Array, "residual ..."]
     ) -> Float[Array, "row ..."]:
         """The rows of the samples that count."""
