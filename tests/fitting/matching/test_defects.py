@@ -96,7 +96,6 @@ def test_the_recipe_finds_the_constants_of_exact_data(data):
     assert [name for name, _ in result.phases] == [
         "Defects, L = 1",
         "Defects, L = 30",
-        "L = 30",
     ]
 
 
