@@ -86,21 +86,22 @@ def test_a_force_without_potential_is_told_from_one_with():
 def test_held_out_samples_judge_a_grid_only_where_they_can_be_predicted():
     coarse, fine = KernelGrid(6), KernelGrid(48)
     telling = [
-        _Trial(0.1, 0.2, KernelPotential, coarse),
-        _Trial(0.06, 1e-5, KernelPotential, fine),
+        _Trial(0.04, 0.2, KernelPotential, coarse),
+        _Trial(0.02, 1e-5, KernelPotential, fine),
     ]
     assert _choose(telling).grid is fine
     mute = [
         _Trial(0.9, 0.2, KernelPotential, coarse),
-        _Trial(2.0, 1e-5, KernelPotential, fine),
+        _Trial(2.0, 0.9e-5, KernelPotential, fine),
+        _Trial(2.0, 1e-7, KernelPotential, KernelGrid(60)),
         _Trial(2.0, 1e-9, KernelForce, coarse),
     ]
     assert _choose(mute) is mute[1]
 
 
 def test_a_force_without_potential_has_to_be_far_better():
-    potential = _Trial(0.06, 1e-5, KernelPotential, KernelGrid(6))
-    for error, chosen in ((0.01, KernelPotential), (0.005, KernelForce)):
+    potential = _Trial(0.04, 1e-5, KernelPotential, KernelGrid(6))
+    for error, chosen in ((0.01, KernelPotential), (0.003, KernelForce)):
         force = _Trial(error, 1e-5, KernelForce, KernelGrid(6))
         assert _choose([potential, force]).kind is chosen
 

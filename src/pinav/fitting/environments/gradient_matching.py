@@ -145,11 +145,13 @@ def _choose(trials: list[_Trial]) -> _Trial:
     """The best trial; a potential unless a force without one is `FAR_BETTER`.
 
     Where samples are too far apart to predict each other, the ones that are left out
-    tell nothing; then a potential has to explain the samples themselves.
+    tell nothing; then the coarsest potential is taken that explains the samples
+    themselves.
     """
     potentials = [trial for trial in trials if trial.kind is KernelPotential]
     if min(trial.held_out for trial in trials) >= TELLING:
-        return min(potentials, key=lambda trial: trial.within)
+        enough = max(EXPLAINED, min(trial.within for trial in potentials))
+        return next(trial for trial in potentials if trial.within <= enough)
     best, potential = (
         min(several, key=lambda trial: trial.held_out)
         for several in (trials, potentials)
@@ -169,8 +171,9 @@ def _grid(across: int) -> KernelGrid:
 FINER = 4 / 3
 """Rates by splines are less exact than trajectories, which ask for finer kernels."""
 
-TELLING = 0.5
-"""Relative error of held-out samples above which they cannot judge a grid."""
+TELLING, EXPLAINED = 0.05, 1e-5
+"""Relative error of held-out samples above which they cannot judge a grid, and that of
+the others at which they are explained."""
 
 
 class ForceRegion(NamedTuple):
