@@ -74,3 +74,5 @@ from pinav.fitting.outcome import Outcome as Outcome
 from pinav.fitting.structure.search import StructuredFit as StructuredFit
 from pinav.fitting.structure.search import fit_structured as fit_structured
 from pinav.fitting.structure.search import is_worth_a_search as is_worth_a_search
+from pinav.fitting.traps import TrapFit as TrapFit
+from pinav.fitting.traps import fit_trap as fit_trap

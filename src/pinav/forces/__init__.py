@@ -89,3 +89,11 @@ from pinav.forces.tensors import UniaxialTensor as UniaxialTensor
 from pinav.forces.tensors import WavyDirector as WavyDirector
 from pinav.forces.tensors import as_tensor as as_tensor
 from pinav.forces.tensors import tensor_matrix as tensor_matrix
+from pinav.forces.walls import DoubleLayer as DoubleLayer
+from pinav.forces.walls import Plane as Plane
+from pinav.forces.walls import WallMobility as WallMobility
+from pinav.forces.walls import Weight as Weight
+from pinav.forces.walls import brenner_mobility as brenner_mobility
+from pinav.forces.walls import normal_mobility as normal_mobility
+from pinav.forces.walls import parallel_mobility as parallel_mobility
+from pinav.forces.walls import stokes_drag as stokes_drag
