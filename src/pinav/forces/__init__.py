@@ -18,6 +18,12 @@ from pinav.forces.force import AbstractLearnedForce as AbstractLearnedForce
 from pinav.forces.force import SumForce as SumForce
 from pinav.forces.force import ZeroForce as ZeroForce
 from pinav.forces.force import as_learned as as_learned
+from pinav.forces.kernel_basis import KernelAxis as KernelAxis
+from pinav.forces.kernel_basis import KernelBasis as KernelBasis
+from pinav.forces.kernel_basis import Warp as Warp
+from pinav.forces.kernel_fields import KernelProfile as KernelProfile
+from pinav.forces.kernel_fields import KernelTensor as KernelTensor
+from pinav.forces.kernel_fields import check_groups as check_groups
 from pinav.forces.kernel_mixtures import ChangingPotential as ChangingPotential
 from pinav.forces.kernel_mixtures import KernelMixture as KernelMixture
 from pinav.forces.kernel_mixtures import TimedKernelPotential as TimedKernelPotential
