@@ -16,9 +16,12 @@ from pinav.errors import InputError
 from pinav.forces import (
     AbstractLearnedForce,
     ChangingPotential,
+    KernelAxis,
+    KernelBasis,
     KernelForce,
     KernelMixture,
     KernelPotential,
+    KernelProfile,
     KernelStream,
     TimedKernelPotential,
     kernel_centers,
@@ -190,6 +193,32 @@ def changing_environment(
 
 MOST_IN_TIME = 1200
 """Weights of the part that changes, beside some 300 of the static one."""
+
+
+def profile_environment(
+    trajectories: Trajectories,
+    axes: tuple[KernelAxis, ...],
+    *,
+    along: tuple[int, ...] | None = None,
+    across: int = 24,
+) -> KernelProfile:
+    """An untrained force along some axes that depends on some coordinates.
+
+    Args:
+        trajectories: their channels are the positions alone.
+        axes: the coordinates on which the force depends, each with its period or warp.
+        along: components of the force; those of `axes` unless given.
+        across: kernels across the data along each coordinate.
+
+    Raises:
+        InputError: as `KernelBasis.around` and `KernelProfile` do.
+    """
+    seen = trajectories.observed.all(axis=-1)
+    basis = KernelBasis.around(axes, trajectories.states[seen], across=across)
+    components = tuple(axis.index for axis in axes) if along is None else along
+    return KernelProfile.with_zero_weights(
+        basis, components, len(trajectories.channels)
+    )
 
 
 def lay_kernels(
