@@ -15,6 +15,7 @@ from pinav.commands.report import REPORT
 from pinav.commands.reproduce import REPRODUCE
 from pinav.commands.simulate import SIMULATE
 from pinav.commands.study import STUDY
+from pinav.commands.truth import TRUTH
 
 COMMANDS = (
     REPRODUCE,
@@ -27,6 +28,7 @@ COMMANDS = (
     COMPARE,
     DISCOVER,
     STUDY,
+    TRUTH,
     HEAT,
     NAVIGATE,
     EXPLORE,
