@@ -1,7 +1,7 @@
 """The bars of the recordings whose truth is known, and synthetic twins of them.
 
 The recordings are those of `pinav data list`, in a folder `truth` below that which
-PINAV_RECORDINGS names.
+PINAV_RECORDINGS names, ../shared/data beside the repository unless it is set.
 """
 
 import json
@@ -11,10 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from conftest import pinav
 from pinav.fitting import fit_trap
-from validation.conftest import pinav
 
-RECORDINGS = Path(os.environ.get("PINAV_RECORDINGS", "")) / "truth"
+ROOT = Path(__file__).parents[1]
+FOLDER = Path(os.environ.get("PINAV_RECORDINGS", ROOT.parent / "shared" / "data"))
+RECORDINGS = FOLDER / "truth"
 DRAWS = 20
 
 
