@@ -76,11 +76,12 @@ def draw_medium(drag, grid, ax: Axes) -> None:
 
 
 def main(path: str) -> None:
-    """Draw all scenarios into a file."""
+    """Draw all planar scenarios into a file."""
     jax.config.update("jax_enable_x64", val=True)
     figure = Figure(figsize=(8.2, 8.4), layout="constrained")
-    for name, ax in zip(SCENARIOS, figure.subplots(4, 4).flat, strict=True):
-        draw(scenario(name), ax)
+    systems = [system for name in SCENARIOS if (system := scenario(name)).dim == 2]
+    for system, ax in zip(systems, figure.subplots(4, 4).flat, strict=True):
+        draw(system, ax)
     buffer = io.BytesIO()
     figure.savefig(buffer, dpi=90)
     picture = Image.open(buffer).convert("RGB")  # few colours make a small file

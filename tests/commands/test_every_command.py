@@ -6,6 +6,7 @@ from pathlib import Path
 import jax
 import pytest
 from tests.commands.test_heat import small
+from tests.commands.test_truth import trap_folder
 
 from pinav import cli
 from pinav.commands import COMMANDS
@@ -39,6 +40,8 @@ WORDS: dict[str, Callable[[Folder], tuple[str, ...]]] = {
     ),
     "discover": lambda f: (f.run("kernel"), "--refits", "1"),
     "study": lambda f: ("noise", "--models", "physics-only", "--count", "1", *f.out),
+    "data": lambda f: ("list",),
+    "truth": lambda f: (str(trap_folder(f.path)), *f.out),
     "heat": lambda f: ("simulate", str(small("tumour", f.path)), *f.out),
     "navigate": lambda f: (
         *(f.run("kernel"), "--from", "1,1", "--to", "2,2", *NARROW, *f.out),
@@ -52,7 +55,7 @@ WORDS: dict[str, Callable[[Folder], tuple[str, ...]]] = {
 SHARED = {"reproduce": "reproduced", "identify": "identified", "fit": "kernel"}
 """Commands whose runs are made once for all tests, and those runs."""
 
-SLOW = {"navigate"}  # it compiles its controllers for a minute
+SLOW = {"navigate", "truth"}  # they compile for more than ten seconds
 
 
 def cases():

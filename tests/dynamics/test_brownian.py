@@ -11,7 +11,6 @@ from pinav.dynamics import (
     Outcome,
     OverdampedSwimmer,
     sample_path,
-    stokes_drag,
     thermal_energy,
 )
 from pinav.errors import InputError
@@ -26,6 +25,7 @@ from pinav.forces import (
     UniaxialTensor,
     WavyDirector,
     ZeroForce,
+    stokes_drag,
 )
 
 pytestmark = pytest.mark.slow

@@ -6,16 +6,26 @@ import numpy as np
 import pytest
 
 from pinav.errors import InputError
+from pinav.thermal.bioheat import Bioheat
+from pinav.thermal.boundaries import Dirichlet, outer
+from pinav.thermal.constraints import LogD90
+from pinav.thermal.design_variables import FreeScale, Run
+from pinav.thermal.grids import RadialGrid
+from pinav.thermal.jumps import refuse_jumps
+from pinav.thermal.learning import learn
+from pinav.thermal.optimise import optimise
 from pinav.thermal.perfusion import (
     LANG,
+    AbstractPerfusion,
     ConstantPerfusion,
     MixedPerfusion,
     TabulatedPerfusion,
     lang,
     mass_perfusion,
 )
+from pinav.thermal.probes import ProbeData
 from pinav.thermal.protocols import Piecewise
-from pinav.thermal.sources import eddy_power
+from pinav.thermal.sources import PowerSource, eddy_power
 from pinav.thermal.tissues import PRESETS, Blood, Tissue, mix, preset
 
 BLOOD, TISSUE = Blood(), Tissue(0.49, 1090.0, 3421.0)
@@ -177,3 +187,40 @@ def test_a_law_of_ones_own_is_linear_between_its_values():
 def test_a_law_that_jumps_is_refused():
     with pytest.raises(InputError, match="a jump has no derivative"):
         TabulatedPerfusion((37.0, 42.0, 42.0), jnp.array([1.0, 2.0, 4.0]))
+
+
+class OwnLaw(AbstractPerfusion):
+    """Perfusion of one's own, from 1 to 3 kg/(m³ s) about 42.3 °C."""
+
+    width: float
+    """Over which it rises [K]."""
+
+    def __call__(self, temperature):
+        above = (temperature - 42.3) / max(self.width, 1e-12)
+        return 1.0 + 2.0 * jnp.clip(above, 0.0, 1.0)
+
+
+def with_law(law):
+    grid, wall = RadialGrid.slab(0.02, 4), Dirichlet(37.0)
+    sources = (PowerSource(jnp.full(4, 1e5), 1e4),)
+    return Bioheat(grid, TISSUE, BLOOD, law, sources, outer(wall))
+
+
+@pytest.mark.parametrize("law", [OwnLaw(0.0), OwnLaw(0.005)])
+def test_a_law_that_jumps_is_refused_where_it_is_differentiated(law):
+    model, field = with_law(law), Piecewise.constant((0.0, 60.0), [1e4], 1e5)
+    message = r"changes by .* at 42.30 °C; no derivative sees a jump"
+    with pytest.raises(InputError, match=message):
+        refuse_jumps(model)
+    with pytest.raises(InputError, match=message):
+        learn(model, field, ProbeData(np.ones(1), np.ones((1, 1)), np.ones((1, 1))))
+    dose = LogD90(jnp.ones(4))
+    with pytest.raises(InputError, match=message):
+        optimise(Run(model, field), [FreeScale(1.0, 0.5)], maximise=dose, subject_to=[])
+
+
+@pytest.mark.parametrize(
+    "law", [*LANG.values(), OwnLaw(0.1), OwnLaw(1.0), ConstantPerfusion(1.0)]
+)
+def test_steep_laws_and_kinks_are_no_jumps(law):
+    refuse_jumps(with_law(law))

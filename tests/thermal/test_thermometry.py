@@ -106,6 +106,22 @@ def test_the_shift_of_a_source_keeps_its_power_and_moves_its_middle():
     assert jnp.allclose(unmoved.shape(GRID), 3 * still)
 
 
+def test_a_spot_that_reaches_over_a_side_moves_as_if_there_were_none():
+    """What comes in falls off as the map does: a fifth of the error else."""
+
+    def spot(shift):
+        distances = np.asarray(GRID.distances([0.026 + shift, 0.025]))
+        return np.exp(-0.5 * (distances / 0.012) ** 2)
+
+    still, true = spot(0.0), spot(4.6e-3)
+    moved = ShiftedSource(
+        PowerSource(jnp.asarray(still), 1e4), jnp.asarray([4.6e-3, 0])
+    )
+    errors = np.abs(np.asarray(moved.shape(GRID)) - true)
+    assert errors[3:-1].max() < 1e-3
+    assert errors[0].max() < 0.2 * (still[0] - true[0]).max()
+
+
 def test_a_turn_of_the_phase_at_three_tesla():
     assert phase_turn(3.0, 0.02) == pytest.approx(39.14, abs=0.01)
 

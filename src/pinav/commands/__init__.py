@@ -3,6 +3,7 @@
 from pinav.commands.analyse import ANALYSE
 from pinav.commands.bench import BENCH
 from pinav.commands.compare import COMPARE
+from pinav.commands.data import DATA
 from pinav.commands.discover import DISCOVER
 from pinav.commands.evaluate import EVALUATE
 from pinav.commands.explore import EXPLORE
@@ -15,6 +16,7 @@ from pinav.commands.report import REPORT
 from pinav.commands.reproduce import REPRODUCE
 from pinav.commands.simulate import SIMULATE
 from pinav.commands.study import STUDY
+from pinav.commands.truth import TRUTH
 
 COMMANDS = (
     REPRODUCE,
@@ -27,6 +29,8 @@ COMMANDS = (
     COMPARE,
     DISCOVER,
     STUDY,
+    DATA,
+    TRUTH,
     HEAT,
     NAVIGATE,
     EXPLORE,

@@ -3,7 +3,6 @@
 from pinav.dynamics.brownian import BOLTZMANN as BOLTZMANN
 from pinav.dynamics.brownian import BrownianSwimmer as BrownianSwimmer
 from pinav.dynamics.brownian import sample_path as sample_path
-from pinav.dynamics.brownian import stokes_drag as stokes_drag
 from pinav.dynamics.brownian import thermal_energy as thermal_energy
 from pinav.dynamics.commanded import commanded as commanded
 from pinav.dynamics.commanded import drive_by_arrays as drive_by_arrays

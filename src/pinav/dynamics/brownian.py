@@ -5,7 +5,6 @@ mobility, $D = k_B T M$ (fluctuation and dissipation), so that no strength of no
 set apart from the temperature.
 """
 
-import math
 from collections.abc import Callable
 from typing import cast
 
@@ -27,16 +26,6 @@ BOLTZMANN = 1.380649e-5
 def thermal_energy(temperature: float) -> float:
     """Thermal energy $k_B T$ [pN µm] at a temperature [K]; 4.116e-3 at 298.15 K."""
     return BOLTZMANN * temperature
-
-
-def stokes_drag(radius: float, viscosity: float) -> float:
-    r"""Drag $6 \pi \mu a$ of a sphere [pN s µm⁻¹].
-
-    Args:
-        radius: $a$ [µm].
-        viscosity: $\mu$ [mPa s = 1e-3 pN s µm⁻²]; that of water at 25 °C is 0.89.
-    """
-    return 6 * math.pi * viscosity * 1e-3 * radius
 
 
 class BrownianSwimmer(AbstractDynamics):

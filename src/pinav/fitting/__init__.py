@@ -25,14 +25,28 @@ from pinav.fitting.environments.kernels import (
 )
 from pinav.fitting.environments.kernels import kernel_environment as kernel_environment
 from pinav.fitting.environments.kernels import (
+    profile_environment as profile_environment,
+)
+from pinav.fitting.environments.kernels import (
     timed_kernel_environment as timed_kernel_environment,
 )
+from pinav.fitting.environments.kernels import warp_at_slow_end as warp_at_slow_end
 from pinav.fitting.environments.networks import neural_environment as neural_environment
 from pinav.fitting.environments.refinement import Refinement as Refinement
 from pinav.fitting.evidence.evidence import Hyperparameters as Hyperparameters
 from pinav.fitting.evidence.model_evidence import LinearFit as LinearFit
 from pinav.fitting.evidence.model_evidence import ModelEvidence as ModelEvidence
 from pinav.fitting.evidence.model_evidence import model_evidence as model_evidence
+from pinav.fitting.langevin import ConstantDiffusion as ConstantDiffusion
+from pinav.fitting.langevin import DiffusionField as DiffusionField
+from pinav.fitting.langevin import KernelDiffusion as KernelDiffusion
+from pinav.fitting.langevin import LangevinChecks as LangevinChecks
+from pinav.fitting.langevin import LangevinFit as LangevinFit
+from pinav.fitting.langevin import LearnedObservation as LearnedObservation
+from pinav.fitting.langevin import Observation as Observation
+from pinav.fitting.langevin import ObservedAxes as ObservedAxes
+from pinav.fitting.langevin import ReferencePath as ReferencePath
+from pinav.fitting.langevin import SlowReference as SlowReference
 from pinav.fitting.langevin import fit_langevin as fit_langevin
 from pinav.fitting.matching.attempts import fit_in_turns as fit_in_turns
 from pinav.fitting.matching.defects import DefectMatching as DefectMatching
@@ -61,3 +75,5 @@ from pinav.fitting.outcome import Outcome as Outcome
 from pinav.fitting.structure.search import StructuredFit as StructuredFit
 from pinav.fitting.structure.search import fit_structured as fit_structured
 from pinav.fitting.structure.search import is_worth_a_search as is_worth_a_search
+from pinav.fitting.traps import TrapFit as TrapFit
+from pinav.fitting.traps import fit_trap as fit_trap

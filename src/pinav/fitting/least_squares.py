@@ -243,6 +243,7 @@ class Regression(AbstractProblem):
             ),
             problem=self,
             jacobian=rows,
+            residuals=residuals,
         )
 
     def residual_series(
@@ -271,14 +272,18 @@ class LocalRegression(AbstractLocalModel):
         quadratic: the sum of squares.
         problem: of which it is part.
         jacobian: of the residuals there.
+        residuals: there.
     """
 
     theta: Parameters
     quadratic: Quadratic
     problem: Regression
     jacobian: Float[np.ndarray, "residual parameter"]
+    residuals: Float[Array, " residual"]
 
     def predict(self, theta: Parameters) -> Prediction:
+        if np.array_equal(theta, self.theta):
+            return Prediction(self.residuals, None)
         inputs = self.problem.residuals, jnp.asarray(theta)
         return Prediction(_residuals(self.problem.parametric, *inputs), None)
 

@@ -18,6 +18,12 @@ from pinav.forces.force import AbstractLearnedForce as AbstractLearnedForce
 from pinav.forces.force import SumForce as SumForce
 from pinav.forces.force import ZeroForce as ZeroForce
 from pinav.forces.force import as_learned as as_learned
+from pinav.forces.kernel_basis import KernelAxis as KernelAxis
+from pinav.forces.kernel_basis import KernelBasis as KernelBasis
+from pinav.forces.kernel_basis import Warp as Warp
+from pinav.forces.kernel_fields import KernelProfile as KernelProfile
+from pinav.forces.kernel_fields import KernelTensor as KernelTensor
+from pinav.forces.kernel_fields import check_groups as check_groups
 from pinav.forces.kernel_mixtures import ChangingPotential as ChangingPotential
 from pinav.forces.kernel_mixtures import KernelMixture as KernelMixture
 from pinav.forces.kernel_mixtures import TimedKernelPotential as TimedKernelPotential
@@ -83,3 +89,11 @@ from pinav.forces.tensors import UniaxialTensor as UniaxialTensor
 from pinav.forces.tensors import WavyDirector as WavyDirector
 from pinav.forces.tensors import as_tensor as as_tensor
 from pinav.forces.tensors import tensor_matrix as tensor_matrix
+from pinav.forces.walls import DoubleLayer as DoubleLayer
+from pinav.forces.walls import Plane as Plane
+from pinav.forces.walls import WallMobility as WallMobility
+from pinav.forces.walls import Weight as Weight
+from pinav.forces.walls import brenner_mobility as brenner_mobility
+from pinav.forces.walls import normal_mobility as normal_mobility
+from pinav.forces.walls import parallel_mobility as parallel_mobility
+from pinav.forces.walls import stokes_drag as stokes_drag

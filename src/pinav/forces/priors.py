@@ -134,6 +134,56 @@ class WeightPrior(AbstractPrior):
         return self.centers.shape[1]
 
 
+class StationaryPrior(AbstractPrior):
+    r"""Gaussian-process prior of weights that fades nowhere, and is rough.
+
+    $K = e^{-r/\ell}$ of the distance r between kernels or, where the field's slope
+    matters, Matern's $(1 + a) e^{-a}$ with $a = \sqrt3 r/\ell$. As $\ell$ grows these
+    become a random walk of the field, or of its slope: smoothing splines, which assume
+    no scale below which a field is smooth. The kernels filter what is finer than they.
+    For fields in coordinates of their own, such as an angle, no place of which is the
+    middle. Its shape is $\log\ell$, in spacings of the kernels.
+
+    Attributes:
+        centers: of the kernels, in spacings.
+        components: weights of each kernel, independent of each other.
+        smooth: whether the slope has a variance.
+
+    References:
+        Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), sections
+        4.2 and 6.3.
+    """
+
+    centers: Centers = eqx.field(converter=_exact)
+    components: int = 1
+    smooth: bool = False
+
+    @property
+    def start(self) -> Shape:
+        return np.array([1.0])
+
+    @property
+    def bounds(self) -> Float[np.ndarray, "shape 2"]:
+        extent = max(float(np.ptp(self.centers, axis=0).max(initial=0.0)), 1.0)
+        return np.array([(-1.2, np.log(10 * extent))])
+
+    def covariance(self, shape: Shape) -> Matrix:
+        scaled = self._scaled(shape)
+        gram = np.exp(-scaled) * (1 + scaled if self.smooth else 1.0)
+        return np.kron(gram, np.eye(self.components))
+
+    def slopes(self, shape: Shape) -> Matrices:
+        scaled = self._scaled(shape)
+        slope = np.exp(-scaled) * (scaled**2 if self.smooth else scaled)
+        return np.kron(slope, np.eye(self.components))[None]
+
+    def _scaled(self, shape: Shape) -> Gram:
+        """Distances in length scales."""
+        offsets = self.centers[:, None] - self.centers[None]
+        root = np.sqrt(3.0) if self.smooth else 1.0
+        return root * np.sqrt((offsets**2).sum(axis=-1)) / np.exp(shape[0])
+
+
 class DistancePrior(AbstractPrior):
     r"""Prior of a profile of a distance: $\rho_i \rho_j$ times a `WeightPrior`.
 

@@ -24,3 +24,5 @@ from pinav.scenarios.media import varying_director as varying_director
 from pinav.scenarios.paths import true_paths as true_paths
 from pinav.scenarios.random_fields import fibres as fibres
 from pinav.scenarios.random_fields import many_barriers as many_barriers
+from pinav.scenarios.thermal_truths import ring as ring
+from pinav.scenarios.thermal_truths import wall as wall

@@ -4,8 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from pinav.actuation import RotatingField
-from pinav.dynamics import OverdampedSwimmer, stokes_drag, thermal_energy
-from pinav.forces import GaussianBarrier, MagneticPropulsion, ZeroForce
+from pinav.dynamics import OverdampedSwimmer, thermal_energy
+from pinav.forces import GaussianBarrier, MagneticPropulsion, ZeroForce, stokes_drag
 from pinav.scenarios.random_starts import with_random_starts
 from pinav.systems import System, UniformStarts, Units
 

@@ -20,6 +20,7 @@ from pinav.scenarios.media import (
 )
 from pinav.scenarios.random_fields import fibres, many_barriers
 from pinav.scenarios.random_starts import Scenario
+from pinav.scenarios.thermal_truths import ring, wall
 from pinav.systems import System
 
 SCENARIOS: dict[str, Scenario] = {
@@ -39,6 +40,8 @@ SCENARIOS: dict[str, Scenario] = {
     "channel-current": channel_current,
     "vortex-current": vortex_current,
     "drift-current": drift_current,
+    "wall": wall,
+    "ring": ring,
 }
 """Named scenarios: each takes an optional random key and number of trajectories."""
 

@@ -5,7 +5,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from pinav.dynamics import OverdampedSwimmer, Swimmer, stokes_drag, thermal_energy
+from pinav.dynamics import OverdampedSwimmer, Swimmer, thermal_energy
 from pinav.errors import InputError
 from pinav.forces import (
     AbstractCommandedForce,
@@ -18,6 +18,7 @@ from pinav.forces import (
     SumForce,
     ZeroFlow,
     ZeroForce,
+    stokes_drag,
 )
 from pinav.systems.codec import (
     TOML,

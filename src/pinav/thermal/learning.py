@@ -22,6 +22,7 @@ from pinav.fitting.engine.steps import ShortenedStep
 from pinav.fitting.least_squares import fit_regression
 from pinav.forces import IsotropicPrior
 from pinav.thermal.bioheat import Bioheat
+from pinav.thermal.jumps import refuse_jumps
 from pinav.thermal.learned_perfusion import AbstractLearnedPerfusion
 from pinav.thermal.probes import ProbeData
 from pinav.thermal.protocols import AbstractProtocol
@@ -158,7 +159,8 @@ def learn(
         throw: raise where the fit did not converge.
 
     Raises:
-        InputError: nothing is picked, or the data do not fit the grid or the protocol.
+        InputError: nothing is picked, the data do not fit the grid or the protocol, or
+            a law of perfusion jumps.
         FitError: the fit did not converge, and `throw` is true.
     """
 
@@ -168,6 +170,7 @@ def learn(
     def flat(candidate: Any) -> PyTree:
         return tuple(law.log_level for law in laws(candidate)), constants(candidate)
 
+    refuse_jumps(model)
     leaves = jax.tree.leaves(eqx.filter(weights(model), eqx.is_inexact_array))
     count = sum(leaf.size for leaf in leaves)
     stepper = default_stepper(model) if stepper is None else stepper
@@ -184,8 +187,11 @@ def learn(
         tolerance=0.5 if count else 1e-2,
         max_iterations=max_iterations,
         num_projected=residuals.num_projected,
-        # so many voxels leave little doubt where to step, and every trial costs a run
-        step_rule=ShortenedStep() if isinstance(data, Thermometry) else None,
+        # so many voxels leave little doubt where to step, and a run costs a tenth of a
+        # Jacobian
+        step_rule=ShortenedStep(corrections=6)
+        if isinstance(data, Thermometry)
+        else None,
         throw=throw,
     )
 

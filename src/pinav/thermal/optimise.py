@@ -19,6 +19,7 @@ from pinav.errors import FitError, InputError
 from pinav.fitting import Outcome
 from pinav.thermal.constraints import AbstractConstraint, Quantity, RunResult
 from pinav.thermal.design_variables import AbstractDesignVariable, Run
+from pinav.thermal.jumps import refuse_jumps
 from pinav.thermal.quantities import Number
 from pinav.thermal.schedule import Schedule, plan_steps
 from pinav.thermal.solve import Solution, default_stepper, run
@@ -107,11 +108,12 @@ def optimise(
         throw: raise if no run satisfies the constraints.
 
     Raises:
-        InputError: there is no design variable.
+        InputError: there is no design variable, or a law of perfusion jumps.
         FitError: the constraints are not satisfied, and `throw` is true.
     """
     if not variables:
         raise InputError("optimise variables: expected one or more, got none")
+    refuse_jumps(start.model)
     stepper = default_stepper(start.model) if stepper is None else stepper
     state = begin.state(start.model)
     problem = _Problem(

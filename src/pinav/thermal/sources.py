@@ -72,8 +72,10 @@ class PowerSource(AbstractSource):
 class ShiftedSource(AbstractSource):
     """Another source, moved as a whole: to learn where a map of power is.
 
-    Between cells by Keys' cubic convolution, which keeps the total of what stays within
-    the grid and has a derivative everywhere. What comes in over a side is as there.
+    Between cells by Keys' convolution of fourth order, which keeps the total of what
+    stays within the grid and has a derivative everywhere. What comes in over a side
+    falls off as the map does there, by a constant ratio from cell to cell; where the
+    map does not fall off, it is as there.
 
     Attributes:
         source: on a box.
@@ -93,23 +95,43 @@ class ShiftedSource(AbstractSource):
             zip(grid.cells, grid.spacing, strict=True)
         ):
             weights = _shift_weights(count, self.shift[axis] / size)
-            moved = jnp.moveaxis(jnp.tensordot(weights, moved, axes=(1, axis)), 0, axis)
+            lines = _continue_lines(jnp.moveaxis(moved, axis, 0))
+            moved = jnp.moveaxis(jnp.tensordot(weights, lines, axes=(1, 0)), 0, axis)
         return self.density * moved
 
     def level(self, amplitude: Scalar, frequency: Scalar) -> Float[Array, ""]:
         return self.source.level(amplitude, frequency)
 
 
+BEYOND = 8
+"""Cells by which a map is continued over each side; then it is as at the last."""
+
+
+def _continue_lines(lines: Array) -> Array:
+    """Continued along the first axis, falling off as over the last two cells."""
+    steps = jnp.arange(1.0, BEYOND + 1).reshape(-1, *(1 for _ in lines.shape[1:]))
+
+    def beyond(last: Array, before: Array) -> Array:
+        falls = (before > 0) & (last > 0) & (last < before)
+        ratio = jnp.where(falls, last / jnp.where(falls, before, 1.0), 1.0)
+        return last[None] * ratio[None] ** steps
+
+    low, high = beyond(lines[0], lines[1])[::-1], beyond(lines[-1], lines[-2])
+    return jnp.concatenate([low, lines, high])
+
+
 def _shift_weights(count: int, cells: Array) -> Float[Array, "to from"]:
-    """Of a line that moves by a number of cells (Keys 1981, with a = -1/2)."""
-    places = jnp.arange(float(count)) - cells
-    x = jnp.abs(places[:, None] - jnp.arange(float(count))[None])
-    near = 1 + x**2 * (1.5 * x - 2.5)
-    far = 2 + x * (-4 + x * (2.5 - 0.5 * x))
-    weights = jnp.where(x < 1, near, jnp.where(x < 2, far, 0.0))
-    missing, low = 1 - jnp.sum(weights, axis=1), places < 0.5 * count
-    weights = weights.at[:, 0].add(jnp.where(low, missing, 0.0))
-    return weights.at[:, -1].add(jnp.where(low, 0.0, missing))
+    """Of a continued line that moves by a number of cells (Keys 1981, six points)."""
+    places = jnp.clip(
+        jnp.arange(float(count)) - cells, 2.0 - BEYOND, count - 3.0 + BEYOND
+    )
+    nodes = jnp.arange(-float(BEYOND), float(count + BEYOND))
+    x = jnp.abs(places[:, None] - nodes[None])
+    near = 1 + x**2 * (-7 / 3 + x * 4 / 3)
+    middle = 5 / 2 + x * (-59 / 12 + x * (3 - x * 7 / 12))
+    far = -3 / 2 + x * (7 / 4 + x * (-2 / 3 + x / 12))
+    pieces = [x < 1, x < 2, x < 3]
+    return jnp.select(pieces, [near, middle, far], 0.0)
 
 
 class GaussianSource(AbstractSource):

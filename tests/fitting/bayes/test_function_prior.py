@@ -179,3 +179,12 @@ def test_a_step_is_shortened_until_it_lowers_the_cost(mean, reached):
     move = ShortenedStep()(cost, np.array([mean]))
     np.testing.assert_allclose(move.theta, [reached])
     np.testing.assert_allclose(move.states, [[[reached]]])
+
+
+def test_corrections_with_the_jacobian_held_reach_the_least_squares():
+    """Where the linear model asks for too little; the bowl is least at one."""
+    quadratic = Quadratic(np.zeros(1), np.eye(1), -np.ones(1), 1.0, 1, 0.0)
+    bowl = Bowl(np.zeros(1), quadratic)
+    cost = PenalisedSquares(bowl, np.zeros(1), 1e-3, lambda _: 0.0, ConstantPriors())
+    move = ShortenedStep(corrections=6)(cost, np.array([0.4]))
+    np.testing.assert_allclose(move.theta, [1.0], atol=1e-3)

@@ -154,7 +154,7 @@ def fitted(
         swimmer = with_tensor_drag(swimmer, summary)
     model = build(choice, swimmer, summary)
     if known.thermal_energy is not None:
-        return fit_langevin(model, data)
+        return fit_langevin(model, data).regression
     with BayesReporter(folder, name) as report:
         return fit_bayes(
             model,

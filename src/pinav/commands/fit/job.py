@@ -133,7 +133,7 @@ def _infer(plan: FitPlan, folder: RunFolder) -> None:
     model: Any = build(plan.choice, plan.system.swimmer, plan.summary)
     header = ModelHeader(plan.choice, plan.summary)
     if plan.settings.recipe == "langevin":
-        write_fit(folder, header, fit_langevin(model, plan.data), plan.data)
+        write_fit(folder, header, fit_langevin(model, plan.data).regression, plan.data)
         return
     if is_commanded(plan.system):
         write_fit(folder, header, _fit_commanded(plan, model.environment), plan.data)

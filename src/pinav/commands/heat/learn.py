@@ -140,12 +140,18 @@ class LearnTask(AbstractTask):
             fit if settings.kind == "constant" else fit_constant(setup, settings, data)
         )
         residuals = _residuals(setup, fit.model, data)
-        arrays = _fit_arrays(setup, fit.model, residuals, data)
+        comparison = Comparison.of(residuals, fit.model, data)
+        by_constant = (
+            comparison
+            if constant is fit
+            else Comparison.of(residuals, constant.model, data)
+        )
+        arrays = _fit_arrays(setup, residuals, data, comparison)
         held_out = settings.held_out if synthetic is not None else ()
         metrics = LearnMetrics(
             outcome=str(fit.outcome),
             iterations=fit.iterations,
-            residual=_rms(residuals(fit.model)),
+            residual=comparison.residual,
             noise=float(fit.hyperparameters.noise),
             relative=isinstance(data, Thermometry),
             log_evidence=fit.hyperparameters.log_evidence,
@@ -157,7 +163,7 @@ class LearnTask(AbstractTask):
             laws={}
             if settings.kind == "constant"
             else _curves(setup, settings, fit, arrays),
-            constant_residual=_rms(residuals(constant.model)),
+            constant_residual=by_constant.residual,
             held_out=tuple(
                 _held_out(setup, fit.model, constant.model, power) for power in held_out
             ),
@@ -194,33 +200,66 @@ def _compare(learning: LearningCase, fit: EvidenceFit) -> tuple[QuantityMetrics,
     )
 
 
+@dataclasses.dataclass(frozen=True)
+class Comparison:
+    """What a model predicts, beside the readings.
+
+    Attributes:
+        predicted: temperatures at the readings' times and places [°C].
+        readings: without turns and drift [°C], NaN where there are none.
+        scaled: predicted less read, of voxels over their noise.
+    """
+
+    predicted: Float[np.ndarray, "time place"]
+    readings: Float[np.ndarray, "time place"]
+    scaled: Float[np.ndarray, "time place"]
+
+    @classmethod
+    def of(
+        cls,
+        residuals: ProbeResiduals | ThermometryResiduals,
+        model: Bioheat,
+        data: Readings,
+    ) -> "Comparison":
+        """That of a model."""
+        if isinstance(residuals, ThermometryResiduals):
+            predicted, readings = map(np.asarray, _correct(residuals, model))
+            scaled = (predicted - readings) * np.asarray(residuals.weights)
+            return cls(predicted, readings, scaled)
+        misfits = np.full(data.values.size, np.nan)
+        misfits[np.asarray(residuals.index)] = np.asarray(residuals(model))
+        misfits = misfits.reshape(data.values.shape)
+        return cls(data.values + misfits, data.values, misfits)
+
+    @property
+    def residual(self) -> float:
+        """Root mean square of the scaled residuals."""
+        return _rms(self.scaled)
+
+
 def _fit_arrays(
     setup: CaseModel,
-    model: Bioheat,
     residuals: ProbeResiduals | ThermometryResiduals,
     data: Readings,
+    comparison: Comparison,
 ) -> dict[str, np.ndarray]:
     """Readings and what the fit makes of them, for the figures."""
     if isinstance(residuals, ThermometryResiduals):
-        return _frame_arrays(setup, model, residuals)
+        return _frame_arrays(setup, residuals, comparison)
     assert isinstance(data, ProbeData)
-    values = np.full(data.values.size, np.nan)
-    values[np.asarray(residuals.index)] = np.asarray(
-        residuals(model) + residuals.values
-    )
     return {
         "data_times": data.times,
         "data_values": data.values,
         "points": data.points,
-        "predicted": values.reshape(data.values.shape),
+        "predicted": comparison.predicted,
     }
 
 
 def _frame_arrays(
-    setup: CaseModel, model: Bioheat, residuals: ThermometryResiduals
+    setup: CaseModel, residuals: ThermometryResiduals, comparison: Comparison
 ) -> dict[str, np.ndarray]:
     """Readings without turns and drift, and the fit: the last frame, and means."""
-    predicted, corrected = (np.asarray(one) for one in _correct(residuals, model))
+    predicted, corrected = comparison.predicted, comparison.readings
     shape, cells = setup.model.grid.shape, np.asarray(residuals.cells)
 
     def image(values: np.ndarray) -> np.ndarray:
@@ -279,11 +318,8 @@ def _forecast(
         covered = float((apart <= 1.96 * predicted.sd[later]).mean())
     residual = None
     if len(every.times) > len(fitted.times):
-        whole = _residuals(setup, fit.model, every)
-        values = np.full(every.observed.size, np.nan)
-        values[np.asarray(whole.index)] = np.asarray(whole(fit.model))
-        values = values.reshape(len(every.times), -1)[len(fitted.times) :]
-        residual = float(np.sqrt(np.nanmean(values**2)))
+        whole = Comparison.of(_residuals(setup, fit.model, every), fit.model, every)
+        residual = _rms(whole.scaled[len(fitted.times) :])
     return ForecastMetrics(
         fitted_until=float(fitted.times[-1]),
         residual=residual,
@@ -293,8 +329,8 @@ def _forecast(
     )
 
 
-def _rms(values: Float[Array, "..."]) -> float:
-    return float(np.sqrt(np.mean(np.asarray(values) ** 2)))
+def _rms(values: Float[np.ndarray, "..."]) -> float:
+    return float(np.sqrt(np.nanmean(values**2)))
 
 
 def _curves(

@@ -7,6 +7,7 @@ parameters.
 from collections.abc import Callable
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -32,11 +33,21 @@ def derived(
 
     with jax.enable_x64(new_val=True):
         theta = jnp.asarray(posterior.mean)
-        values, slopes = np.asarray(of(theta)), np.asarray(jax.jacrev(of)(theta))
+        # compiled as one: each operation by itself would take longer
+        values, slopes = map(np.asarray, _value_and_slopes(of, theta))
     variances = np.einsum("vp,pq,vq->v", slopes, posterior.covariance, slopes)
     deviations = np.sqrt(np.maximum(variances, 0.0))
     pairs = zip(values, deviations, strict=True)
     return [Estimate(float(value), float(sd)) for value, sd in pairs]
+
+
+@eqx.filter_jit
+def _value_and_slopes(
+    of: Callable[[Array], Array], theta: Float[Array, " parameter"]
+) -> tuple[Float[Array, " value"], Float[Array, "value parameter"]]:
+    value = of(theta)
+    slopes = jax.jacrev if len(value) < len(theta) else jax.jacfwd
+    return value, slopes(of)(theta)
 
 
 def principal_drags(posterior: Posterior) -> dict[str, Estimate]:

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Array, Float
 
-from pinav.fitting.engine.local_model import PenalisedSquares, States
+from pinav.fitting.engine.local_model import PenalisedSquares, Prediction, States
 from pinav.fitting.evidence.quadratic import Parameters
 
 CHORD_STEPS = 4
@@ -54,8 +54,15 @@ class FullStep(AbstractStepRule):
 class ShortenedStep(AbstractStepRule):
     """To the mean of the posterior, or as far towards it as lowers the true cost.
 
-    For a model that is nearly linear, because it starts close to its best fit.
+    For a model that is nearly linear, because it starts close to its best fit. Where a
+    linearisation costs many predictions, corrections with the true residuals and the
+    Jacobian held spare some.
+
+    Attributes:
+        corrections: after the step, at most; each lowers the cost by `WORTH` or more.
     """
+
+    corrections: int = 0
 
     def __call__(self, cost: PenalisedSquares, mean: Parameters) -> Move:
         start, change = cost.local.theta, mean - cost.local.theta
@@ -64,13 +71,36 @@ class ShortenedStep(AbstractStepRule):
         for power in range(HALVINGS):
             theta = start + 0.5**power * change
             prediction = cost.local.predict(theta)
-            if cost.cost(theta, prediction.residuals) < before:
-                return Move(theta, prediction.states, self)
+            after = cost.cost(theta, prediction.residuals)
+            if after < before:
+                return self._correct(cost, theta, prediction, after)
         return Move(start, here.states, self)
+
+    def _correct(
+        self,
+        cost: PenalisedSquares,
+        theta: Parameters,
+        prediction: Prediction,
+        before: float,
+    ) -> Move:
+        for _ in range(self.corrections):
+            slope = cost.half_gradient(theta, prediction.residuals)
+            change = scipy.linalg.solve(cost.hessian, slope, assume_a="pos")
+            if slope @ change < WORTH:
+                break
+            trial = cost.local.predict(theta - change)
+            after = cost.cost(theta - change, trial.residuals)
+            if not after < before:
+                break
+            theta, prediction, before = theta - change, trial, after
+        return Move(theta, prediction.states, self)
 
 
 HALVINGS = 8
 """Lengths tried at most."""
+
+WORTH = 0.1
+"""Decrease of the cost, twice the nats, for which a correction is worth its run."""
 
 
 class ChordSteps(AbstractStepRule):

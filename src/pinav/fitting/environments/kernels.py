@@ -16,11 +16,15 @@ from pinav.errors import InputError
 from pinav.forces import (
     AbstractLearnedForce,
     ChangingPotential,
+    KernelAxis,
+    KernelBasis,
     KernelForce,
     KernelMixture,
     KernelPotential,
+    KernelProfile,
     KernelStream,
     TimedKernelPotential,
+    Warp,
     kernel_centers,
 )
 from pinav.trajectories import Trajectories
@@ -190,6 +194,66 @@ def changing_environment(
 
 MOST_IN_TIME = 1200
 """Weights of the part that changes, beside some 300 of the static one."""
+
+
+def profile_environment(
+    trajectories: Trajectories,
+    axes: tuple[KernelAxis, ...],
+    *,
+    along: tuple[int, ...] | None = None,
+    across: int = 24,
+) -> KernelProfile:
+    """An untrained force along some axes that depends on some coordinates.
+
+    Args:
+        trajectories: their channels are the positions alone.
+        axes: the coordinates on which the force depends, each with its period or warp.
+        along: components of the force; those of `axes` unless given.
+        across: kernels across the data along each coordinate.
+
+    Raises:
+        InputError: as `KernelBasis.around` and `KernelProfile` do.
+    """
+    seen = trajectories.observed.all(axis=-1)
+    basis = KernelBasis.around(axes, trajectories.states[seen], across=across)
+    components = tuple(axis.index for axis in axes) if along is None else along
+    return KernelProfile.with_zero_weights(
+        basis, components, len(trajectories.channels)
+    )
+
+
+def warp_at_slow_end(trajectories: Trajectories, axis: int) -> Warp:
+    """The warp of a coordinate that makes kernels fine where the motion is slow.
+
+    A wall is where steps are shortest: the origin is that end of the data, the scale
+    the size of a step there, below which no field can be resolved.
+
+    Args:
+        trajectories: their channels are the positions alone.
+        axis: the coordinate.
+
+    Raises:
+        InputError: fewer than a hundred samples follow one another.
+    """
+    parts = [piece.states[piece.observed.all(axis=1), axis] for piece in trajectories]
+    places = np.concatenate([part[:-1] for part in parts])
+    steps = np.concatenate([np.diff(part) for part in parts])
+    if len(steps) < FEWEST:
+        raise InputError(
+            f"warp_at_slow_end: expected {FEWEST} or more steps, got {len(steps)}"
+        )
+    ends = []
+    for end, tail in ((END, places < np.quantile(places, TAIL)), (1 - END, None)):
+        inside = places > np.quantile(places, 1 - TAIL) if tail is None else tail
+        size = float(np.sqrt(np.mean(steps[inside] ** 2)))
+        ends.append((size, float(np.quantile(places, end))))
+    scale, origin = min(ends)
+    return Warp(origin, scale)
+
+
+END, TAIL, FEWEST = 1e-3, 0.05, 100
+"""Share of the samples beyond an end of the data, and of those near it; steps at
+least."""
 
 
 def lay_kernels(

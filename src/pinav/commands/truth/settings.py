@@ -1,0 +1,36 @@
+"""Settings of `pinav truth`."""
+
+from pathlib import Path
+
+import tyro
+
+from pinav.commands.settings import RunOptions, Settings
+
+
+class TruthSettings(Settings, frozen=True):
+    """Settings of `pinav truth`.
+
+    Attributes:
+        only: Cases that are judged, by the names of their folders; all of them unless
+            given.
+        peer: Run StochasticForceInference on the same recordings, where it is
+            installed.
+    """
+
+    only: tuple[str, ...] = ()
+    peer: bool = True
+
+
+class TruthOptions(RunOptions, frozen=True, kw_only=True):
+    """Fit recordings whose truth is known independently, and judge the fits by it.
+
+    Densities and currents, equipartition, hydrodynamics near a wall and weights are
+    known without any regression on increments. Each folder with a recording is a case:
+    the four public ones by their names, any other by a truth.toml in it.
+
+    Attributes:
+        folder: Folder of the cases, or of one.
+    """
+
+    folder: tyro.conf.Positional[Path]
+    settings: TruthSettings = TruthSettings()

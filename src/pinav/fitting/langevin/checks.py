@@ -1,0 +1,124 @@
+"""Statements on whether a fit of thermal motion explains its data."""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from pinav.fitting.engine.posterior import Estimate
+from pinav.fitting.langevin.observation import ObservedAxes
+
+LAGS = 5
+"""Correlations of innovations that are looked at."""
+
+SIGNIFICANT = 4.0
+"""Standard deviations of chance beyond which a check fails."""
+
+SLIGHT = 0.05
+"""Correlation that is no misfit however significant: what it does to a drift or a
+diffusion coefficient is below its size."""
+
+
+class ThinnedDiffusion(eqx.Module):
+    """Diffusion learned from every second or third sample, relative to that of all.
+
+    Attributes:
+        every: which samples were taken.
+        axes: the axes of the group.
+        ratio: to the diffusion of all samples.
+    """
+
+    every: int = eqx.field(static=True)
+    axes: tuple[int, ...] = eqx.field(static=True)
+    ratio: Estimate
+
+
+class LangevinChecks(eqx.Module):
+    r"""Checks of the innovations and of the diffusion.
+
+    Attributes:
+        correlations: $\rho_1$ to $\rho_5$ of the innovations along each axis.
+        counts: increments along each axis.
+        thinned: the diffusion of thinned data.
+        observation: exposure and error of each group of axes.
+    """
+
+    correlations: Float[np.ndarray, "lag axis"]
+    counts: int
+    thinned: tuple[ThinnedDiffusion, ...]
+    observation: tuple[ObservedAxes, ...]
+
+    @property
+    def band(self) -> float:
+        r"""$2/\sqrt N$, within which correlations of independent innovations lie."""
+        return 2 / float(np.sqrt(self.counts))
+
+    @property
+    def is_adequate(self) -> bool:
+        """Whether all checks pass."""
+        return not self.failures
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """One sentence for each check that fails."""
+        return (
+            *self._correlated(),
+            *(
+                f"Diffusion along {_words(one.axes)} from every {one.every} samples is "
+                f"{one.ratio.value:.3f}({one.ratio.sd:.3f}) times that of all: steps "
+                "are too long, or the motion is not diffusive."
+                for one in self.thinned
+                if abs(one.ratio.value - 1) > SIGNIFICANT * one.ratio.sd + SLIGHT
+            ),
+            *(
+                f"The exposure along {_words(one.axes)} fills the interval: the "
+                "positions are smoothed over more than one sample."
+                for one in self.observation
+                if one.exposure.value > LONGEST_EXPOSURE * one.interval
+            ),
+        )
+
+    def _correlated(self) -> tuple[str, ...]:
+        limit = max(SIGNIFICANT * self.band / 2, SLIGHT)
+        lags, axes = np.nonzero(np.abs(self.correlations) > limit)
+        return tuple(
+            f"Innovations along axis {axis} correlate by "
+            f"{self.correlations[lag, axis]:+.3f} {lag + 1} samples apart: the motion "
+            "has a memory, or the drift varies faster than the model."
+            for lag, axis in zip(lags, axes, strict=True)
+        )
+
+    @property
+    def statement(self) -> str:
+        """What a terminal or a report says."""
+        worst = float(np.abs(self.correlations).max())
+        numbers = (
+            f"largest correlation of innovations {worst:.3f} over lags 1 to {LAGS}, "
+            f"{self.band:.3f} expected"
+        )
+        if self.is_adequate:
+            return f"The fit explains the increments ({numbers})."
+        return " ".join((f"The fit misses something ({numbers}).", *self.failures))
+
+
+LONGEST_EXPOSURE = 0.97
+"""Share of the interval from which on an exposure counts as all of it."""
+
+
+def _words(axes: tuple[int, ...]) -> str:
+    return "axis " + ", ".join(map(str, axes))
+
+
+def innovation_correlations(
+    series: list[Float[np.ndarray, "_ axis"]],
+) -> Float[np.ndarray, "lag axis"]:
+    r"""$\rho_1$ to $\rho_5$ of innovations along each axis.
+
+    Args:
+        series: innovations of each track in the order of time.
+    """
+    squares = sum((one**2).sum(axis=0) for one in series)
+    sums = [
+        sum((one[lag:] * one[:-lag]).sum(axis=0) for one in series)
+        for lag in range(1, LAGS + 1)
+    ]
+    return np.stack(sums) / squares

@@ -1,0 +1,175 @@
+r"""The drift given the diffusion: causal generalised least squares.
+
+Row n of $L^{-1}(\Delta - m)$ is the innovation of the position $y_{n+1}$ given all
+before it, so that columns at past positions are legitimate in whitened rows although
+these positions hold the same errors and the same blur as the increments.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from pinav.dynamics import OverdampedSwimmer
+from pinav.fitting.langevin.covariance import Factor, whiten
+from pinav.fitting.langevin.increments import Increments, Padding
+from pinav.forces import KernelTensor
+
+
+class WhitenedIncrements(eqx.Module):
+    """Innovations as residuals of a model of the drift.
+
+    Attributes:
+        times: at the start of each increment [T].
+        positions: there, from the reference [L].
+        targets: increments less all of their mean that is not the model's [L].
+        intervals: duration [T].
+        factor: of their covariance.
+        padding: the layout.
+        counts: increments of each trajectory.
+    """
+
+    times: Float[Array, " increment"]
+    positions: Float[Array, "increment dim"]
+    targets: Float[Array, "increment dim"]
+    intervals: Float[Array, " increment"]
+    factor: Factor
+    padding: Padding
+    counts: tuple[int, ...] = eqx.field(static=True)
+
+    def __call__(self, model: OverdampedSwimmer) -> Float[Array, " residual"]:
+        """Predicted less observed innovations, of variance one."""
+        drift = jax.vmap(model)(self.times, self.positions)
+        return self.innovations(drift * self.intervals[:, None]).reshape(-1)
+
+    def innovations(
+        self, means: Float[Array, "increment dim"]
+    ) -> Float[Array, "increment dim"]:
+        """The same for given means of the increments [L]."""
+        residuals = self.padding.pad(means - self.targets)
+        whitened = whiten(self.factor, residuals * self.padding.mask[..., None])
+        return self.padding.flatten(whitened)
+
+    def in_time(
+        self, residuals: Float[np.ndarray, " residual"]
+    ) -> list[Float[np.ndarray, "_ channel"]]:
+        """Residuals of each trajectory in the order of time."""
+        rows = residuals.reshape(len(self.times), -1)
+        return np.split(rows, np.cumsum(self.counts)[:-1])
+
+
+class SecondOrder(eqx.Module):
+    r"""What the curvature of drift and diffusion adds within one step.
+
+    With $\mathcal L = v\cdot\nabla + \sum_i D_i\partial_i^2$ the mean has
+    $\tfrac12\tau^2\mathcal L v$ more, and the variance is
+    $2D_i\tau[1 + \tau(\mathcal L D_i/2D_i + \partial_i v_i)]$.
+
+    Attributes:
+        means: of each increment [L].
+        factors: of its variance.
+    """
+
+    means: Float[Array, "increment dim"]
+    factors: Float[Array, "increment dim"]
+
+    @classmethod
+    def none(cls, increments: Increments) -> "SecondOrder":
+        """Steps that are short."""
+        shape = increments.steps.shape
+        return cls(jnp.zeros(shape), jnp.ones(shape))
+
+
+LARGEST_MEAN, FACTORS = 0.3, (0.6, 1.6)
+"""Largest correction of a mean, in steps by diffusion, and of a variance: where there
+are hardly any data the curvature of a first guess is nothing to go by."""
+
+AT_ONCE = 4096
+"""Increments whose corrections are computed at once."""
+
+
+@eqx.filter_jit
+def second_order(
+    model: OverdampedSwimmer,
+    tensor: KernelTensor,
+    increments: Increments,
+    *,
+    einstein: bool,
+) -> SecondOrder:
+    """Corrections for steps that are not short, of the fields as they are.
+
+    Args:
+        model: the drift; without the divergence of the diffusion.
+        tensor: the diffusion [L² T⁻¹].
+        increments: positions from the reference.
+        einstein: whether the divergence of the diffusion is part of the drift.
+    """
+
+    def at(row: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+        time, x, interval = row
+        units = jnp.eye(x.shape[0], dtype=x.dtype)
+
+        def drift(x: Array) -> Array:
+            known = model(time, x)
+            return known + divergence(tensor, x) if einstein else known
+
+        def generator(field: Any) -> tuple[Array, Array]:
+            def along(unit: Array) -> tuple[Array, Array]:
+                def slope(x: Array) -> Array:
+                    return jax.jvp(field, (x,), (unit,))[1]
+
+                return jax.jvp(slope, (x,), (unit,))
+
+            slopes, bends = jax.vmap(along)(units)
+            return drift(x) @ slopes + diffusion @ bends, jnp.diagonal(slopes)
+
+        diffusion = tensor.diagonal(x)
+        change, strain = generator(drift)
+        growth, _ = generator(tensor.diagonal)
+        most = LARGEST_MEAN * jnp.sqrt(2 * diffusion * interval)
+        mean = jnp.clip(0.5 * interval**2 * change, -most, most)
+        excess = interval * (0.5 * growth / diffusion + strain)
+        return mean, jnp.clip(1 + excess, *FACTORS)
+
+    rows = tuple(
+        map(jnp.asarray, (increments.times, increments.positions, increments.intervals))
+    )
+    return SecondOrder(*jax.lax.map(at, rows, batch_size=AT_ONCE))
+
+
+def divergence(tensor: KernelTensor, x: Float[Array, " dim"]) -> Float[Array, " dim"]:
+    r"""$\nabla\cdot D$ of a tensor along the axes of the coordinates."""
+
+    def along(unit: Array) -> Array:
+        return jax.jvp(tensor.diagonal, (x,), (unit,))[1]
+
+    return jnp.diagonal(jax.vmap(along)(jnp.eye(x.shape[0], dtype=x.dtype)))
+
+
+@eqx.filter_jit
+def divergences(
+    tensor: KernelTensor, positions: Float[Array, "increment dim"]
+) -> Float[Array, "increment dim"]:
+    """The divergence at many positions."""
+    return jax.vmap(lambda x: divergence(tensor, x))(positions)
+
+
+@eqx.filter_jit
+def innovations_of(
+    increments: WhitenedIncrements, model: OverdampedSwimmer
+) -> Float[Array, " residual"]:
+    """Predicted less observed innovations of a model."""
+    return increments(model)
+
+
+@eqx.filter_jit
+def drifts(
+    model: OverdampedSwimmer,
+    times: Float[Array, " increment"],
+    positions: Float[Array, "increment dim"],
+) -> Float[Array, "increment dim"]:
+    """The model's drift at many positions."""
+    return jax.vmap(model)(times, positions)

@@ -1,0 +1,266 @@
+r"""`fit_langevin`: forces, diffusion and observation from paths that heat kicks."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pinav.dynamics import (
+    AbstractDynamics,
+    BrownianSwimmer,
+    OverdampedSwimmer,
+    with_dtype,
+)
+from pinav.errors import InputError
+from pinav.fitting.bayes.parameters import learned_environment
+from pinav.fitting.engine.evidence_fit import EvidenceFit
+from pinav.fitting.engine.posterior import Estimate
+from pinav.fitting.environments.kernels import check_size
+from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED, Refinement
+from pinav.fitting.langevin.diffusion import (
+    ConstantDiffusion,
+    Diffusion,
+    DiffusionField,
+    KernelDiffusion,
+    begin_motion,
+    observed_axes,
+)
+from pinav.fitting.langevin.euler import fit_euler
+from pinav.fitting.langevin.increments import Increments, Padding
+from pinav.fitting.langevin.observation import LearnedObservation, Observation
+from pinav.fitting.langevin.reference import SlowReference
+from pinav.fitting.langevin.result import LangevinFit
+from pinav.fitting.langevin.rounds import (
+    Belief,
+    Relation,
+    diffusion_share,
+    fit_drift,
+    fit_motion,
+    langevin_checks,
+    motion_covariance,
+)
+from pinav.fitting.langevin.tracking import resting_path, track_reference
+from pinav.forces import KernelProfile
+from pinav.trajectories import Trajectories
+
+ROUNDS = 5
+"""Turns of diffusion and drift at most."""
+
+NEGLIGIBLE = 0.1
+"""Change of the means of all increments, in squares of standard deviations, that ends
+the turns: it is that of a tenth of one parameter's doubt."""
+
+
+def fit_langevin(
+    model: AbstractDynamics,
+    trajectories: Trajectories,
+    *,
+    diffusion: Diffusion | None = None,
+    observation: Observation | LearnedObservation | None = None,
+    einstein: bool = True,
+    reference: SlowReference | None = None,
+    refine: Refinement | None = AS_FINE_AS_ASKED,
+) -> LangevinFit:
+    r"""Fit the force, and the diffusion, to stochastic paths.
+
+    $$dX = v\,dt + \sqrt{2D}\,dW,\qquad v = u + \beta D F + \nabla\cdot D
+      \quad\text{or}\quad v = u + M F,$$
+
+    in Itô's sense, with the force F of the model's environment. The first is Einstein's
+    relation: the mobility is $D/k_BT$ and its divergence is part of the drift, not of
+    the force. The second is a free drift: the model's mobility is kept, and D does not
+    tell of it; with a mobility of one F is v itself.
+
+    *With neither observation nor reference, and a diffusion that is None or a number*
+    positions are exact and the likelihood is that of Euler and Maruyama's scheme with
+    the model's mobility, whatever `einstein` is: intervals must be short against the
+    time in which the force changes, and a localisation error s adds about
+    $s^2/\Delta t$ to D.
+
+    *Otherwise* increments are those of positions that a camera averages over an
+    exposure and errs about, and diffusion, drift and reference take turns: the
+    diffusion and observation by maximum likelihood given the drift, the force by
+    causal generalised least squares given them, both with priors that the evidence
+    chooses, and terms of second order for steps that are not short. Times may be
+    irregular and samples missing. There may be one coordinate, two or three, with any
+    channel names; those in which the environment (`KernelProfile`) or the diffusion is
+    periodic may be wrapped or not.
+
+    Args:
+        model: an `OverdampedSwimmer`, or a `BrownianSwimmer` that has one; its
+            environment is linear in its weights: `kernel_environment`, or a
+            `KernelProfile` along some axes (`profile_environment`).
+        trajectories: their channels are the positions.
+        diffusion: D where it is known [L² T⁻¹]; None for one number to learn,
+            `ConstantDiffusion(groups)` for one of each group of axes,
+            `KernelDiffusion(axes, groups)` for fields.
+        observation: `Observation(exposure, error)` where it is known,
+            `LearnedObservation()` to learn both for each group of axes; None counts
+            positions as exact.
+        einstein: whether mobility is $D/k_BT$, with the `thermal_energy` of the
+            `BrownianSwimmer`; see above for the default likelihood.
+        reference: a coordinate whose zero drifts slowly; fields depend on the
+            coordinate from there.
+        refine: when kernels of the force turn out too coarse, and finer ones are laid;
+            None keeps them. Those of a `KernelProfile` stay.
+
+    Returns:
+        `LangevinFit`: `model` with force and mobility, `posterior` (bands of the
+        force), `diffusion` (an `Estimate`, or a `DiffusionField` that is called with
+        points, one a row, and has `sd`), `observation` (exposure and error of each
+        group of axes), `reference` (a `ReferencePath`), `checks`.
+
+    Raises:
+        InputError: the model is none of these, its environment is not linear in its
+            weights, the channels are not its positions, there are no increments,
+            `diffusion` is a number <= 0 or its groups are not the axes, or Einstein's
+            relation is asked for without a `BrownianSwimmer`.
+        FitError: the drift or the likelihood is not finite.
+
+    References:
+        Frishman and Ronceray, Phys. Rev. X 10, 021009 (2020); Vestergaard, Blainey and
+        Flyvbjerg, Phys. Rev. E 89, 022726 (2014); Lau and Lubensky, Phys. Rev. E 76,
+        011123 (2007); Kloeden and Platen, Numerical Solution of Stochastic Differential
+        Equations (1992).
+    """
+    swimmer = _first_order_swimmer(model, trajectories)
+    _check_diffusion(diffusion)
+    increments = Increments.of(trajectories)
+    exact = observation is None and reference is None
+    if exact and (diffusion is None or isinstance(diffusion, float | int)):
+        number = None if diffusion is None else float(diffusion)
+        fit = fit_euler(swimmer, trajectories, increments, number, refine)
+        return LangevinFit(fit, fit.constants["diffusion"])
+    learned = observation if isinstance(observation, LearnedObservation) else None
+    relation = Relation(
+        thermal_energy=_thermal_energy(model) if einstein else None,
+        learn_diffusion=not isinstance(diffusion, float | int),
+        observation=learned,
+    )
+    kind = ConstantDiffusion() if diffusion is None else diffusion
+    with jax.enable_x64(new_val=True):
+        return _fit_in_turns(
+            with_dtype(swimmer, jnp.float64),
+            trajectories,
+            kind,
+            observation,
+            relation,
+            reference,
+            refine,
+        )
+
+
+def _fit_in_turns(
+    swimmer: OverdampedSwimmer,
+    trajectories: Trajectories,
+    diffusion: Diffusion,
+    observation: Observation | LearnedObservation | None,
+    relation: Relation,
+    reference: SlowReference | None,
+    refine: Refinement | None,
+) -> LangevinFit:
+    periods = _periods(swimmer, diffusion)
+    increments = Increments.of(trajectories).wrapped(periods)
+    padding = Padding.of(increments.counts)
+    motion = begin_motion(diffusion, observation, increments)
+    belief = Belief.first(swimmer, motion, increments)
+    path = None if reference is None else resting_path(reference, increments)
+    turns = 0
+    while True:
+        before, turns = belief, turns + 1
+        belief, problem, step = fit_motion(belief, relation, padding)
+        belief, fit = fit_drift(belief, relation, padding, refine, trajectories)
+        if turns == ROUNDS or belief.moved_from(before) < NEGLIGIBLE:
+            break
+        if reference is not None and path is not None:
+            belief, path = track_reference(
+                belief, relation, padding, increments, reference, path
+            )
+    covariance, *spreads = motion_covariance(problem, step, belief.motion)
+    field = DiffusionField(belief.motion.diffusion, covariance)
+    fit = diffusion_share(belief, relation, padding, fit, field)
+    seen = () if observation is None else observed_axes(belief.motion, *spreads)
+    return LangevinFit(
+        regression=_with_diffusion(fit, field),
+        diffusion=_simplest(field),
+        observation=seen,
+        reference=path,
+        checks=langevin_checks(belief, relation, padding, seen),
+        thermal_energy=relation.thermal_energy,
+    )
+
+
+def _simplest(field: DiffusionField) -> DiffusionField | Estimate:
+    """One number where diffusion is one, else the field."""
+    if field.tensor.weights.size or len(field.tensor.levels) > 1:
+        return field
+    return field.estimates()[0]
+
+
+def _with_diffusion(fit: EvidenceFit, field: DiffusionField) -> EvidenceFit:
+    """The fit with the numbers of the diffusion among its constants."""
+    if field.tensor.weights.size:
+        return fit
+    numbers, groups = field.estimates(), field.tensor.groups
+    names = ["diffusion"]
+    if len(groups) > 1:
+        names = [f"diffusion[{','.join(map(str, axes))}]" for axes in groups]
+    constants = fit.constants | dict(zip(names, numbers, strict=True))
+    return eqx.tree_at(lambda f: f.constants, fit, constants)
+
+
+def _periods(swimmer: OverdampedSwimmer, diffusion: Diffusion) -> dict[int, float]:
+    """Periods of the coordinates, as environment or diffusion state them."""
+    axes = diffusion.axes if isinstance(diffusion, KernelDiffusion) else ()
+    if isinstance(swimmer.environment, KernelProfile):
+        axes = (*axes, *swimmer.environment.basis.axes)
+    return {axis.index: axis.period for axis in axes if axis.period is not None}
+
+
+def _thermal_energy(model: AbstractDynamics) -> float:
+    if not isinstance(model, BrownianSwimmer):
+        raise InputError(
+            "fit_langevin einstein: expected a BrownianSwimmer, whose thermal energy "
+            "tells the force from the mobility; pass one, or einstein=False for a "
+            "drift that the diffusion does not tell of"
+        )
+    energy = float(model.thermal_energy)
+    if not 0 < energy < np.inf:
+        raise InputError(
+            f"fit_langevin einstein: expected a thermal energy > 0, got {energy}"
+        )
+    return energy
+
+
+def _check_diffusion(diffusion: Diffusion | None) -> None:
+    number = diffusion if isinstance(diffusion, float | int) else 1.0
+    if not 0 < number < np.inf:
+        raise InputError(
+            f"fit_langevin diffusion: expected a finite number > 0, got {number}; "
+            "leave it out to estimate it"
+        )
+
+
+def _first_order_swimmer(
+    model: AbstractDynamics, trajectories: Trajectories
+) -> OverdampedSwimmer:
+    swimmer = model.swimmer if isinstance(model, BrownianSwimmer) else model
+    if not isinstance(swimmer, OverdampedSwimmer):
+        raise InputError(
+            "fit_langevin model: expected a swimmer without inertia, got "
+            f"{type(model).__name__}; for Swimmer use fit_bayes"
+        )
+    environment = learned_environment(swimmer)
+    if environment is None or not environment.is_linear:
+        raise InputError(
+            "fit_langevin model: expected an environment made by kernel_environment, "
+            f"got {type(swimmer.environment).__name__}"
+        )
+    check_size(environment)
+    dim = environment.dim
+    if len(trajectories.channels) != dim:
+        raise InputError(
+            f"fit_langevin trajectories: expected {dim} channels, positions alone, got "
+            f"{', '.join(trajectories.channels)}"
+        )
+    return swimmer

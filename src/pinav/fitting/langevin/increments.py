@@ -1,0 +1,131 @@
+"""Displacements between samples that follow one another, in the order of time."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from pinav.dynamics import OverdampedSwimmer
+from pinav.errors import InputError
+from pinav.trajectories import Trajectories
+
+
+class Increments(eqx.Module):
+    r"""Displacements between observed samples that follow one another.
+
+    Attributes:
+        times: at the start of each [T].
+        positions: there [L].
+        steps: displacement [L].
+        intervals: duration [T].
+        counts: how many each trajectory has.
+    """
+
+    times: Float[np.ndarray, " increment"]
+    positions: Float[np.ndarray, "increment dim"]
+    steps: Float[np.ndarray, "increment dim"]
+    intervals: Float[np.ndarray, " increment"]
+    counts: tuple[int, ...] = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, trajectories: Trajectories, every: int = 1) -> "Increments":
+        """All increments; one spans the gap where samples are missing.
+
+        Args:
+            trajectories: their channels are positions.
+            every: take every so many of the observed samples.
+
+        Raises:
+            InputError: no trajectory has two samples with all positions observed.
+        """
+        parts = []
+        for piece in trajectories:
+            seen = np.flatnonzero(piece.observed.all(axis=1))[::every]
+            times, positions = piece.times[seen], piece.states[seen]
+            row = times[:-1], positions[:-1], np.diff(positions, axis=0), np.diff(times)
+            parts.append(row)
+        times, positions, steps, intervals = map(
+            np.concatenate, zip(*parts, strict=True)
+        )
+        if not len(times):
+            raise InputError(
+                "fit_langevin trajectories: expected two or more samples with all "
+                "positions observed in one of them, got none"
+            )
+        counts = tuple(len(part[0]) for part in parts)
+        return cls(times, positions, steps, intervals, counts)
+
+    @property
+    def log_determinant(self) -> float:
+        r"""$\log\det$ of the change from residuals to displacements."""
+        return float(np.log(self.intervals).sum() * self.steps.shape[1])
+
+    def wrapped(self, periods: dict[int, float]) -> "Increments":
+        """The increments with those of periodic coordinates the shortest way round.
+
+        Args:
+            periods: of coordinates by their index [L].
+        """
+        steps = self.steps.copy()
+        for axis, period in periods.items():
+            steps[:, axis] -= period * np.round(steps[:, axis] / period)
+        return Increments(
+            self.times, self.positions, steps, self.intervals, self.counts
+        )
+
+    def __call__(self, model: OverdampedSwimmer) -> Float[Array, " residual"]:
+        r"""Residuals $(\text{drift}\,\Delta t - \Delta x) / \sqrt{\Delta t}$ ."""
+        root = jnp.sqrt(jnp.asarray(self.intervals))[:, None]
+        drift = jax.vmap(model)(jnp.asarray(self.times), jnp.asarray(self.positions))
+        return (drift * root - jnp.asarray(self.steps) / root).reshape(-1)
+
+    def in_time(
+        self, residuals: Float[np.ndarray, " residual"]
+    ) -> list[Float[np.ndarray, "_ channel"]]:
+        """Residuals of each trajectory in the order of time."""
+        rows = residuals.reshape(len(self.times), -1)
+        return np.split(rows, np.cumsum(self.counts)[:-1])
+
+
+class Padding(eqx.Module):
+    """Increments of all tracks side by side, time first, and back.
+
+    Attributes:
+        sources: the increment that stands at each place.
+        mask: one where there is an increment, else zero.
+        places: where each increment stands.
+    """
+
+    sources: Int[Array, "time track"]
+    mask: Float[Array, "time track"]
+    places: Int[Array, " increment"]
+
+    @classmethod
+    def of(cls, counts: tuple[int, ...]) -> "Padding":
+        """The layout of tracks with so many increments each."""
+        lengths = np.array([count for count in counts if count])
+        starts = np.cumsum(lengths) - lengths
+        time = np.arange(lengths.max())[:, None]
+        inside = time < lengths[None]
+        sources = np.where(inside, starts[None] + time, 0)
+        tracks = np.repeat(np.arange(len(lengths)), lengths)
+        within = np.concatenate([np.arange(length) for length in lengths])
+        return cls(
+            jnp.asarray(sources),
+            jnp.asarray(inside.astype(float)),
+            jnp.asarray(within * len(lengths) + tracks),
+        )
+
+    def pad(
+        self, values: Float[Array, " increment *rest"]
+    ) -> Float[Array, "time track *rest"]:
+        """Values of increments at their places; those of padding are of no meaning."""
+        return values[self.sources]
+
+    def flatten(
+        self, values: Float[Array, "time track *rest"]
+    ) -> Float[Array, " increment *rest"]:
+        """Values at places, in the order of the increments."""
+        shape = values.shape[0] * values.shape[1], *values.shape[2:]
+        return values.reshape(shape)[self.places]

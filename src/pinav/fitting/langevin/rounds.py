@@ -1,0 +1,354 @@
+"""Diffusion, drift and reference in turns, each by its likelihood given the others."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from pinav.dynamics import OverdampedSwimmer
+from pinav.errors import FitError
+from pinav.fitting.engine.evidence_fit import EvidenceFit, evidence_fit
+from pinav.fitting.engine.iterate import iterate
+from pinav.fitting.engine.problem import Step
+from pinav.fitting.engine.steps import FullStep
+from pinav.fitting.environments.refinement import Refinement, iterate_refined
+from pinav.fitting.evidence.weights import GaussianWeights
+from pinav.fitting.langevin.checks import LangevinChecks, innovation_correlations
+from pinav.fitting.langevin.covariance import cut, factorise, increment_bands
+from pinav.fitting.langevin.diffusion import DiffusionField, ThermalMotion
+from pinav.fitting.langevin.drift import (
+    SecondOrder,
+    WhitenedIncrements,
+    divergences,
+    drifts,
+    innovations_of,
+    second_order,
+)
+from pinav.fitting.langevin.euler import NOT_FINITE, without_weights
+from pinav.fitting.langevin.increments import Increments, Padding
+from pinav.fitting.langevin.likelihood import DiffusionProblem, Fluctuations
+from pinav.fitting.langevin.observation import LearnedObservation, ObservedAxes
+from pinav.fitting.langevin.thinning import thinned_diffusion
+from pinav.fitting.least_squares import Regression
+from pinav.trajectories import Trajectories
+
+SCORING_STEPS = 12
+"""Steps of Fisher's scoring at most; eight suffice from moments."""
+
+
+class Relation(eqx.Module):
+    """How drift and diffusion hang together, and what of them is known.
+
+    Attributes:
+        thermal_energy: $k_BT$ of Einstein's relation; None for a free drift.
+        learn_diffusion: whether D is not known.
+        observation: priors of exposure and error, where they are learned.
+    """
+
+    thermal_energy: float | None
+    learn_diffusion: bool
+    observation: LearnedObservation | None
+
+    @property
+    def einstein(self) -> bool:
+        r"""Whether the drift is $\beta D F + \nabla\cdot D$."""
+        return self.thermal_energy is not None
+
+    def swimmer_in(
+        self, swimmer: OverdampedSwimmer, motion: ThermalMotion
+    ) -> OverdampedSwimmer:
+        """The swimmer with the mobility that belongs to the diffusion."""
+        if self.thermal_energy is None:
+            return swimmer
+        mobility = motion.diffusion.scaled(1 / self.thermal_energy)
+        return eqx.tree_at(
+            lambda m: m.mobility,
+            swimmer,
+            mobility,
+            is_leaf=lambda leaf: leaf is swimmer.mobility,
+        )
+
+
+class Belief(eqx.Module):
+    """What is known after a round.
+
+    Attributes:
+        swimmer: with the best force so far.
+        motion: diffusion and observation.
+        second: corrections for steps that are not short.
+        means: of the increments [L].
+        increments: with positions from the reference.
+    """
+
+    swimmer: OverdampedSwimmer
+    motion: ThermalMotion
+    second: SecondOrder
+    means: Float[Array, "increment dim"]
+    increments: Increments
+
+    @classmethod
+    def first(
+        cls, swimmer: OverdampedSwimmer, motion: ThermalMotion, increments: Increments
+    ) -> "Belief":
+        """Constant diffusion and no drift."""
+        second = SecondOrder.none(increments)
+        return cls(swimmer, motion, second, second.means, increments)
+
+    def moved_from(self, before: "Belief") -> float:
+        """Squared change of all means, in variances of the increments."""
+        change = np.asarray(self.means - before.means)
+        spread = 2 * self.local_diffusion * self.increments.intervals[:, None]
+        return float((change**2 / spread).sum())
+
+    @property
+    def local_diffusion(self) -> Float[np.ndarray, "increment dim"]:
+        """Diffusion at the start of each increment [L² T⁻¹]."""
+        positions = jnp.asarray(self.increments.positions)
+        return np.asarray(_diagonals(self.motion, positions))
+
+
+@eqx.filter_jit
+def _diagonals(
+    motion: ThermalMotion, positions: Float[Array, "increment dim"]
+) -> Float[Array, "increment dim"]:
+    return jax.vmap(motion.diffusion.diagonal)(positions)
+
+
+def fluctuations(
+    belief: Belief, padding: Padding, design: Float[Array, "increment kernel"]
+) -> Fluctuations:
+    """Increments about the means of a belief."""
+    increments = belief.increments
+    residuals = padding.pad(jnp.asarray(increments.steps) - belief.means)
+    return Fluctuations(
+        residuals=residuals * padding.mask[..., None],
+        factors=padding.pad(belief.second.factors),
+        intervals=padding.pad(jnp.asarray(increments.intervals)),
+        design=design,
+        padding=padding,
+    )
+
+
+@eqx.filter_jit
+def kernel_design(
+    motion: ThermalMotion, positions: Float[Array, "increment dim"]
+) -> Float[Array, "increment kernel"]:
+    """Kernels of log D at positions."""
+    return jax.vmap(motion.diffusion.basis)(positions)
+
+
+def fit_motion(
+    belief: Belief, relation: Relation, padding: Padding
+) -> tuple[Belief, DiffusionProblem | None, Step | None]:
+    """Diffusion and observation given the drift; unchanged where both are known.
+
+    Raises:
+        FitError: the likelihood is not finite.
+    """
+    if not relation.learn_diffusion and relation.observation is None:
+        return belief, None, None
+    design = kernel_design(belief.motion, jnp.asarray(belief.increments.positions))
+    problem = DiffusionProblem.of(
+        belief.motion,
+        fluctuations(belief, padding, design),
+        learn_diffusion=relation.learn_diffusion,
+        observation=relation.observation,
+    )
+    _, steps = iterate(problem, SCORING_STEPS)
+    if not steps:
+        raise FitError("the fit diverged at once: no likelihood of the diffusion")
+    motion: Any = problem.parametric(jnp.asarray(steps[-1].move.theta))
+    return eqx.tree_at(lambda b: b.motion, belief, motion), problem, steps[-1]
+
+
+def whitened_increments(
+    belief: Belief, relation: Relation, padding: Padding
+) -> WhitenedIncrements:
+    """The increments as innovations of the belief's thermal motion."""
+    increments, motion = belief.increments, belief.motion
+    positions = jnp.asarray(increments.positions)
+    intervals = jnp.asarray(increments.intervals)
+    targets = jnp.asarray(increments.steps) - belief.second.means
+    if relation.einstein:
+        spread = divergences(motion.diffusion, positions)
+        targets = targets - spread * intervals[:, None]
+    return WhitenedIncrements(
+        times=jnp.asarray(increments.times),
+        positions=positions,
+        targets=targets,
+        intervals=intervals,
+        factor=_factor(motion, positions, intervals, belief.second.factors, padding),
+        padding=padding,
+        counts=increments.counts,
+    )
+
+
+@eqx.filter_jit
+def _factor(
+    motion: ThermalMotion,
+    positions: Float[Array, "increment dim"],
+    intervals: Float[Array, " increment"],
+    factors: Float[Array, "increment dim"],
+    padding: Padding,
+) -> Any:
+    groups = motion.diffusion.group_of_axis
+    local = padding.pad(jax.vmap(motion.diffusion.diagonal)(positions) * factors)
+    shape = local.shape
+    mask = jnp.broadcast_to(padding.mask[..., None], shape)
+    durations = jnp.broadcast_to(padding.pad(intervals)[..., None], shape)
+    exposures = jnp.broadcast_to(motion.exposures[groups][None, None], shape)
+    variances = jnp.broadcast_to(motion.variances[groups][None, None], shape)
+    return factorise(cut(increment_bands(local, durations, exposures, variances), mask))
+
+
+def fit_drift(
+    belief: Belief,
+    relation: Relation,
+    padding: Padding,
+    refine: Refinement | None,
+    trajectories: Trajectories,
+) -> tuple[Belief, EvidenceFit]:
+    """The force given diffusion and observation, and what follows from it.
+
+    Raises:
+        FitError: the drift is not finite at the positions.
+    """
+    residuals = whitened_increments(belief, relation, padding)
+    swimmer = relation.swimmer_in(belief.swimmer, belief.motion)
+
+    def begin(model: OverdampedSwimmer, states: None = None) -> Regression:
+        return _drift_problem(model, residuals)
+
+    ended = iterate_refined(
+        begin(swimmer), begin, refine, trajectories, max_iterations=1
+    )
+    fit = evidence_fit(*ended, not_finite=NOT_FINITE, advice={})
+    return follow(belief, relation, fit.model), fit
+
+
+def _drift_problem(
+    swimmer: OverdampedSwimmer, residuals: WhitenedIncrements
+) -> Regression:
+    environment: Any = swimmer.environment
+    return Regression.of(
+        without_weights(swimmer),
+        residuals,
+        weights=lambda m: m.environment.parameters,
+        weights_prior=GaussianWeights(environment.prior()),
+        noise=1.0,
+        step_rule=FullStep(),
+        is_linear=True,
+        log_determinant=float(residuals.factor.log_determinant),
+    )
+
+
+def follow(belief: Belief, relation: Relation, swimmer: Any) -> Belief:
+    """The belief with a force, and the means and corrections that follow from it."""
+    increments, motion = belief.increments, belief.motion
+    second = second_order(
+        swimmer, motion.diffusion, increments, einstein=relation.einstein
+    )
+    positions = jnp.asarray(increments.positions)
+    speeds = drifts(swimmer, jnp.asarray(increments.times), positions)
+    if relation.einstein:
+        speeds = speeds + divergences(motion.diffusion, positions)
+    means = speeds * jnp.asarray(increments.intervals)[:, None] + second.means
+    return Belief(swimmer, motion, second, means, increments)
+
+
+def diffusion_share(
+    belief: Belief,
+    relation: Relation,
+    padding: Padding,
+    fit: EvidenceFit,
+    field: DiffusionField,
+) -> EvidenceFit:
+    """The fit whose posterior holds the doubt of the diffusion too, by refits of draws.
+
+    Args:
+        belief: the last one.
+        relation: how drift and diffusion hang together.
+        padding: the layout.
+        fit: the force given the diffusion.
+        field: the diffusion with its covariance.
+    """
+    if not (relation.einstein and relation.learn_diffusion):
+        return fit
+    weights, chosen = fit.linear.weights, fit.hyperparameters
+    start = without_weights(fit.model)
+    means = []
+    for tensor in field.samples(DRAWS):
+        there = eqx.tree_at(lambda b: b.motion.diffusion, belief, tensor)
+        problem = _drift_problem(
+            relation.swimmer_in(start, there.motion),
+            whitened_increments(there, relation, padding),
+        )
+        local = problem.linearise(problem.theta, None)
+        if local is not None:
+            means.append(weights.posterior(local.quadratic, chosen)[0])
+    spread = np.cov(np.array(means), rowvar=False) if len(means) > 1 else 0.0
+    covariance = fit.posterior.covariance + spread
+    return eqx.tree_at(lambda f: f.posterior.covariance, fit, covariance)
+
+
+DRAWS = 8
+"""Diffusions drawn for their share in the doubt of the force: its standard deviation is
+then known to a quarter, and it is the smaller part."""
+
+
+def langevin_checks(
+    belief: Belief,
+    relation: Relation,
+    padding: Padding,
+    observation: tuple[ObservedAxes, ...],
+) -> LangevinChecks:
+    """What the innovations say of a belief.
+
+    Args:
+        belief: the last one.
+        relation: how it was learned.
+        padding: the layout.
+        observation: exposure and error of each group of axes.
+    """
+    increments = belief.increments
+    white = whitened_increments(belief, relation, padding)
+    innovations = white.in_time(np.asarray(innovations_of(white, belief.swimmer)))
+    residuals = increments.in_time(np.asarray(increments.steps - belief.means).ravel())
+    expected = belief.local_diffusion * increments.intervals[:, None]
+    motions = increments.in_time(expected.ravel())
+    groups = belief.motion.diffusion.groups
+    return LangevinChecks(
+        correlations=innovation_correlations(innovations),
+        counts=len(increments.steps),
+        thinned=tuple(
+            ratio
+            for every in (2, 3)
+            for ratio in thinned_diffusion(residuals, motions, groups, every)
+        ),
+        observation=observation,
+    )
+
+
+def motion_covariance(
+    problem: DiffusionProblem | None, step: Step | None, motion: ThermalMotion
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Covariance of levels and weights of log D, and deviations of the observation.
+
+    Returns:
+        Zeros for what is known; deviations of log odds and of log errors of each group.
+    """
+    groups, kernels = motion.diffusion.weights.shape
+    count = groups * (1 + kernels)
+    whole = np.zeros((count + 2 * groups,) * 2)
+    if problem is not None and step is not None:
+        names = ["diffusion.levels"] * groups
+        names += ["diffusion.weights"] * (groups * kernels)
+        names += ["log_odds"] * groups + ["log_errors"] * groups
+        learned = {name.partition("[")[0] for name in problem.names}
+        kept = np.array([name in learned for name in names])
+        whole[np.ix_(kept, kept)] = problem.posterior(step).covariance
+    sds = np.sqrt(np.maximum(np.diag(whole)[count:], 0.0))
+    return whole[:count, :count], sds[:groups], sds[groups:]

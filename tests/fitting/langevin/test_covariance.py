@@ -1,0 +1,114 @@
+"""Bands of the covariance of blurred increments, and what is computed from them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.fitting.langevin.covariance import (
+    Bands,
+    cut,
+    factorise,
+    increment_bands,
+    inverse_bands,
+    pull_back,
+    score,
+    whiten,
+)
+from pinav.fitting.langevin.increments import Padding
+
+RNG = np.random.default_rng(3)
+COUNT = 9
+DIFFUSION = RNG.uniform(0.5, 2.0, (COUNT, 1))
+INTERVALS = RNG.uniform(0.5, 1.5, (COUNT, 1))
+EXPOSURE, VARIANCE = 0.4, 0.3
+
+
+def bands(exposure=EXPOSURE, variance=VARIANCE, diffusion=DIFFUSION):
+    return increment_bands(
+        jnp.asarray(diffusion), jnp.asarray(INTERVALS), exposure, variance
+    )
+
+
+def dense(matrix):
+    below = np.asarray(matrix.beside)[:-1, 0]
+    return (
+        np.diag(np.asarray(matrix.diagonal)[:, 0])
+        + np.diag(below, 1)
+        + np.diag(below, -1)
+    )
+
+
+def test_blur_and_error_of_equal_intervals_follow_the_law_of_berglund():
+    constant = np.full((COUNT, 1), 0.7)
+    equal = jnp.full((COUNT, 1), 0.9)
+    matrix = increment_bands(jnp.asarray(constant), equal, EXPOSURE, VARIANCE)
+    share = EXPOSURE / (6 * 0.9)
+    variance = 2 * 0.7 * 0.9 * (1 - 2 * share) + 2 * VARIANCE
+    np.testing.assert_allclose(matrix.diagonal, variance)
+    np.testing.assert_allclose(matrix.beside, 2 * 0.7 * 0.9 * share - VARIANCE)
+
+
+def test_the_law_is_that_of_simulated_paths():
+    fine, frames = 40, 40_000
+    kicks = RNG.normal(size=fine * frames) * np.sqrt(2 * 0.7 * 0.9 / fine)
+    path = np.cumsum(kicks).reshape(frames, fine)
+    seen = path[:, fine // 2 :].mean(axis=1) + 0.5 * RNG.normal(size=frames)
+    steps = np.diff(seen)
+    matrix = increment_bands(jnp.full((3, 1), 0.7), jnp.full((3, 1), 0.9), 0.45, 0.25)
+    assert np.var(steps) == pytest.approx(float(matrix.diagonal[1, 0]), rel=0.03)
+    neighbours = np.mean(steps[1:] * steps[:-1])
+    assert neighbours == pytest.approx(float(matrix.beside[1, 0]), abs=0.02)
+
+
+def test_factor_solutions_and_inverse_are_those_of_dense_matrices():
+    matrix = bands()
+    whole, residuals = dense(matrix), RNG.normal(size=(COUNT, 1))
+    factor = factorise(matrix)
+    lower = np.linalg.cholesky(whole)
+    np.testing.assert_allclose(factor.diagonal[:, 0], np.diag(lower))
+    assert float(factor.log_determinant) == pytest.approx(np.linalg.slogdet(whole)[1])
+    white = whiten(factor, jnp.asarray(residuals))
+    np.testing.assert_allclose(white, np.linalg.solve(lower, residuals))
+    solution = np.linalg.solve(whole, residuals)
+    np.testing.assert_allclose(pull_back(factor, white), solution)
+    inverse, found = np.linalg.inv(whole), inverse_bands(factor)
+    np.testing.assert_allclose(found.diagonal[:, 0], np.diag(inverse))
+    np.testing.assert_allclose(found.beside[:-1, 0], np.diag(inverse, 1))
+
+
+def test_the_gradient_is_that_of_differences():
+    residuals = jnp.asarray(RNG.normal(size=(COUNT, 1)))
+    whole = jnp.ones((COUNT, 1))
+
+    def value(entries):
+        matrix = bands(entries[0], entries[1], DIFFUSION * entries[2])
+        return score(cut(matrix, whole), residuals)
+
+    entries = np.array([EXPOSURE, VARIANCE, 1.0])
+
+    def of(entries):
+        return cut(bands(entries[0], entries[1], DIFFUSION * entries[2]), whole)
+
+    _, chain = jax.vjp(of, jnp.asarray(entries))
+    (slopes,) = chain(value(entries).by_bands)
+    for i, step in enumerate(1e-5 * np.eye(3)):
+        change = value(entries + step).value - value(entries - step).value
+        assert float(slopes[i]) == pytest.approx(float(change) / 2e-5, rel=1e-5)
+
+
+def test_padding_changes_nothing():
+    mask = np.ones((COUNT, 1))
+    mask[6:] = 0.0
+    residuals = RNG.normal(size=(COUNT, 1)) * mask
+    cropped = Bands(bands().diagonal[:6], bands().beside[:6])
+    short = score(cut(cropped, jnp.ones((6, 1))), jnp.asarray(residuals[:6]))
+    padded = score(cut(bands(), jnp.asarray(mask)), jnp.asarray(residuals))
+    assert float(padded.value) == pytest.approx(float(short.value))
+
+
+def test_padding_puts_tracks_side_by_side_and_back():
+    padding = Padding.of((2, 0, 3))
+    values = jnp.arange(5.0)
+    np.testing.assert_array_equal(padding.flatten(padding.pad(values)), values)
+    np.testing.assert_array_equal(padding.mask, [[1, 1], [1, 1], [0, 1]])

@@ -1,0 +1,146 @@
+"""Diffusion, observation and drift of paths that a camera blurs."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.dynamics import BrownianSwimmer, OverdampedSwimmer
+from pinav.errors import InputError
+from pinav.fitting import (
+    ConstantDiffusion,
+    KernelDiffusion,
+    LearnedObservation,
+    Observation,
+    SlowReference,
+    fit_langevin,
+    profile_environment,
+)
+from pinav.forces import KernelAxis, KernelBasis, KernelProfile, Warp, ZeroForce
+from pinav.trajectories import Trajectories
+
+TURN = 2 * np.pi
+EXPOSURE, ERROR, DIFFUSION = 0.6, 0.15, 0.5
+
+
+def ring(seed, tracks=3, samples=800, interval=0.05):
+    """Angles round a ring with a drift that varies, blurred and with errors."""
+    rng, fine = np.random.default_rng(seed), 20
+    step = interval / fine
+    x = rng.uniform(0, TURN, tracks)
+    seen = np.zeros((samples, tracks))
+    for n in range(samples):
+        exposed = []
+        for i in range(fine):
+            kick = np.sqrt(2 * DIFFUSION * step) * rng.normal(size=tracks)
+            x = x + (1 + np.sin(x)) * step + kick
+            if i >= (1 - EXPOSURE) * fine:
+                exposed.append(x)
+        error = ERROR * np.sqrt(2 * DIFFUSION * interval) * rng.normal(size=tracks)
+        seen[n] = np.mean(exposed, axis=0) + error
+    return np.arange(samples) * interval, seen
+
+
+def trajectories(times, seen, scale=1.0, unit=1.0):
+    states = [scale * column[:, None] for column in seen.T]
+    return Trajectories.from_arrays(unit * times, states, channels=("angle",))
+
+
+def fit(data, period, **options):
+    environment = profile_environment(data, (KernelAxis(0, period),), across=12)
+    model = OverdampedSwimmer(ZeroForce(), environment, 1.0)
+    options = {"observation": LearnedObservation()} | options
+    return fit_langevin(model, data, einstein=False, **options)
+
+
+TIMES, SEEN = ring(0)
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    return fit(trajectories(TIMES, SEEN), TURN)
+
+
+def drift(fit, angles):
+    at = jax.vmap(lambda x: fit.model(0.0, x))
+    return np.asarray(at(jnp.asarray(angles)[:, None]))[:, 0]
+
+
+@pytest.mark.slow
+def test_blur_and_error_do_not_bias_the_diffusion(fitted):
+    assert abs(fitted.diffusion.value - DIFFUSION) < 3 * fitted.diffusion.sd
+    assert fitted.diffusion.sd < 0.05 * DIFFUSION
+    assert fitted.constants["diffusion"] == fitted.diffusion
+    assert fitted.checks.is_adequate, fitted.checks.statement
+
+
+@pytest.mark.slow
+def test_the_drift_is_within_its_band_and_periodic(fitted):
+    angles = np.linspace(0, TURN, 25)
+    miss = drift(fitted, angles) - (1 + np.sin(angles))
+    sd = fitted.posterior.force_sd(angles[:, None])[:, 0]
+    assert np.mean(np.abs(miss) < 2.5 * sd) > 0.8
+    np.testing.assert_allclose(drift(fitted, angles + TURN), drift(fitted, angles))
+
+
+@pytest.mark.slow
+def test_units_and_the_order_of_tracks_change_nothing(fitted):
+    other = fit(trajectories(TIMES, SEEN[:, ::-1], 1000.0, 60.0), 1000 * TURN)
+    factor = 1000.0**2 / 60
+    assert other.diffusion.value == pytest.approx(
+        factor * fitted.diffusion.value, rel=1e-4
+    )
+    angles = np.linspace(0, TURN, 9)
+    expected = 1000 / 60 * drift(fitted, angles)
+    np.testing.assert_allclose(
+        drift(other, 1000 * angles), expected, rtol=2e-3, atol=0.02
+    )
+    (axes,), (before,) = other.observation, fitted.observation
+    assert axes.exposure.value == pytest.approx(60 * before.exposure.value, rel=1e-2)
+
+
+@pytest.mark.slow
+def test_wrapped_angles_give_what_unwrapped_ones_do(fitted):
+    wrapped = fit(trajectories(TIMES, SEEN % TURN), TURN)
+    assert wrapped.diffusion.value == pytest.approx(fitted.diffusion.value, rel=1e-6)
+
+
+def test_what_does_not_fit_together_is_refused():
+    data = trajectories(TIMES[:20], SEEN[:20])
+    environment = profile_environment(data, (KernelAxis(0, TURN),), across=6)
+    model = OverdampedSwimmer(ZeroForce(), environment, 1.0)
+    seen = LearnedObservation()
+    with pytest.raises(InputError, match="expected a BrownianSwimmer"):
+        fit_langevin(model, data, observation=seen)
+    with pytest.raises(InputError, match="expected a thermal energy > 0"):
+        fit_langevin(BrownianSwimmer(model, 0.0), data, observation=seen)
+    wide = ConstantDiffusion(((0, 1), (2,)))
+    with pytest.raises(InputError, match="expected each of 1 axes once"):
+        fit(data, TURN, diffusion=wide)
+    with pytest.raises(InputError, match="every axis from 0 on in one group"):
+        ConstantDiffusion(((0, 2),))
+    with pytest.raises(InputError, match="one or more KernelAxis, got none"):
+        KernelDiffusion(())
+    with pytest.raises(InputError, match="Observation.exposure: expected a finite"):
+        Observation(exposure=-1.0)
+    with pytest.raises(InputError, match="LearnedObservation.spread: expected > 0"):
+        LearnedObservation(spread=0.0)
+    with pytest.raises(InputError, match="two or more knots"):
+        SlowReference(0, knots=1)
+
+
+def test_kernels_in_coordinates_of_their_own_are_checked():
+    places = np.linspace(0, 1, 5)[:, None]
+    with pytest.raises(InputError, match="a period or a warp, got both"):
+        KernelAxis(0, 1.0, Warp(0.0, 1.0))
+    with pytest.raises(InputError, match="Warp.scale: expected > 0"):
+        Warp(0.0, 0.0)
+    with pytest.raises(InputError, match="across >= 3 and margin >= 1"):
+        KernelBasis.around((KernelAxis(0),), places, across=1)
+    with pytest.raises(InputError, match="KernelAxis.index: expected 0 to 0"):
+        KernelBasis.around((KernelAxis(1),), places)
+    with pytest.raises(InputError, match="two or more different positions"):
+        KernelBasis.around((KernelAxis(0),), places[:1])
+    basis = KernelBasis.around((KernelAxis(0),), places)
+    with pytest.raises(InputError, match="KernelProfile.along: expected one or more"):
+        KernelProfile.with_zero_weights(basis, (1,), 1)
