@@ -137,3 +137,32 @@ def test_a_missed_bar_and_a_failed_case_are_published():
     text = as_text(case_table(metrics.cases))
     assert "1.000 [0.980, 1.020]" in text
     assert metrics.case("b").reason == "diverged"
+
+
+@pytest.mark.slow
+def test_a_ring_is_judged_by_density_and_current(tmp_path, capsys):
+    random, step, tracks = np.random.default_rng(1), 0.01, 4
+    x = random.uniform(0, 2.0, tracks)
+    rows = []
+    for index in range(6000):
+        drift = 1.0 + 0.6 * np.cos(np.pi * x)
+        x = x + step * drift + np.sqrt(0.1 * step) * random.normal(size=tracks)
+        if index % 4 == 0:
+            rows.append(x)
+    place = tmp_path / "ring"
+    place.mkdir()
+    names = [f"x{index}" for index in range(tracks)]
+    header = ",".join(names)
+    np.savetxt(place / "x.csv", rows, delimiter=",", header=header, comments="")
+    (place / "truth.toml").write_text(
+        f'kind = "ring"\nfile = "x.csv"\nrate_Hz = 25\npositions = {names}\n'
+        "[constants]\nperiod = 2.0\n".replace("'", '"')
+    )
+    out = tmp_path / "run"
+    assert cli.run(["truth", str(place), "--out", str(out), "--json", "--no-peer"]) == 0
+    case = json.loads(capsys.readouterr().out)["cases"][0]
+    assert case["status"] == "judged", case
+    rows = {row["quantity"]: row for row in case["rows"]}
+    diffusion = rows["D against the drift's route [um²/s]"]
+    np.testing.assert_allclose(diffusion["learned"], 0.05, rtol=0.1)
+    assert rows["drift off density and current, uniform [%]"]["learned"] < 20

@@ -30,6 +30,7 @@ from pinav.fitting.environments.kernels import (
 from pinav.fitting.environments.kernels import (
     timed_kernel_environment as timed_kernel_environment,
 )
+from pinav.fitting.environments.kernels import warp_at_slow_end as warp_at_slow_end
 from pinav.fitting.environments.networks import neural_environment as neural_environment
 from pinav.fitting.environments.refinement import Refinement as Refinement
 from pinav.fitting.evidence.evidence import Hyperparameters as Hyperparameters

@@ -1,5 +1,6 @@
 """`pinav truth`: fits of recordings, judged by what is known of them."""
 
+import functools
 from collections.abc import Callable
 
 import numpy as np
@@ -10,6 +11,7 @@ from pinav.commands.truth import TRUTH
 from pinav.commands.truth.cases import Case, Recording, find_cases
 from pinav.commands.truth.judged import Curve, Judgement
 from pinav.commands.truth.metrics import TruthCase, TruthMetrics, case_table
+from pinav.commands.truth.ring import judge_ring
 from pinav.commands.truth.settings import TruthOptions, TruthSettings
 from pinav.commands.truth.traps import judge_dragged_trap, judge_trap
 from pinav.errors import FitError, InputError
@@ -21,7 +23,11 @@ Judge = Callable[[Case, Recording], Judgement]
 
 def judges(settings: TruthSettings) -> dict[str, Judge]:
     """The judge of each kind of recording."""
-    return {"trap": judge_trap, "dragged trap": judge_dragged_trap}
+    return {
+        "trap": judge_trap,
+        "dragged trap": judge_dragged_trap,
+        "ring": functools.partial(judge_ring, peer=settings.peer),
+    }
 
 
 def judge_all(

@@ -24,6 +24,7 @@ from pinav.forces import (
     KernelProfile,
     KernelStream,
     TimedKernelPotential,
+    Warp,
     kernel_centers,
 )
 from pinav.trajectories import Trajectories
@@ -221,6 +222,40 @@ def profile_environment(
     )
 
 
+def warp_at_slow_end(trajectories: Trajectories, axis: int) -> Warp:
+    """The warp of a coordinate that makes kernels fine where the motion is slow.
+
+    A wall is where steps are shortest: the origin is that end of the data, the scale
+    the size of a step there, below which no field can be resolved.
+
+    Args:
+        trajectories: their channels are the positions alone.
+        axis: the coordinate.
+
+    Raises:
+        InputError: fewer than a hundred samples follow one another.
+    """
+    parts = [piece.states[piece.observed.all(axis=1), axis] for piece in trajectories]
+    places = np.concatenate([part[:-1] for part in parts])
+    steps = np.concatenate([np.diff(part) for part in parts])
+    if len(steps) < FEWEST:
+        raise InputError(
+            f"warp_at_slow_end: expected {FEWEST} or more steps, got {len(steps)}"
+        )
+    ends = []
+    for end, tail in ((END, places < np.quantile(places, TAIL)), (1 - END, None)):
+        inside = places > np.quantile(places, 1 - TAIL) if tail is None else tail
+        size = float(np.sqrt(np.mean(steps[inside] ** 2)))
+        ends.append((size, float(np.quantile(places, end))))
+    scale, origin = min(ends)
+    return Warp(origin, scale)
+
+
+END, TAIL, FEWEST = 1e-3, 0.05, 100
+"""Share of the samples beyond an end of the data, and of those near it; steps at
+least."""
+
+
 def lay_kernels(
     trajectories: Trajectories, grid: KernelGrid | None, dim: int | None
 ) -> tuple[Float[np.ndarray, "kernel dim"], float]:
@@ -235,6 +270,17 @@ def lay_kernels(
         )
     seen = trajectories.observed[..., :dim].all(axis=-1)
     positions = trajectories.states[..., :dim][seen]
+    return surround_with_kernels(positions, grid)
+
+
+def surround_with_kernels(
+    positions: Float[np.ndarray, "position dim"], grid: KernelGrid
+) -> tuple[Float[np.ndarray, "kernel dim"], float]:
+    """Centres and width of kernels on a grid around positions.
+
+    Raises:
+        InputError: there are not two different positions.
+    """
     extent = float(np.ptp(positions, axis=0).max()) if len(positions) > 1 else 0.0
     if not extent > 0:
         raise InputError(

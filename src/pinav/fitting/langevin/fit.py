@@ -33,11 +33,13 @@ from pinav.fitting.langevin.result import LangevinFit
 from pinav.fitting.langevin.rounds import (
     Belief,
     Relation,
+    diffusion_share,
     fit_drift,
     fit_motion,
     langevin_checks,
     motion_covariance,
 )
+from pinav.fitting.langevin.tracking import resting_path, track_reference
 from pinav.forces import KernelProfile
 from pinav.trajectories import Trajectories
 
@@ -162,6 +164,7 @@ def _fit_in_turns(
     padding = Padding.of(increments.counts)
     motion = begin_motion(diffusion, observation, increments)
     belief = Belief.first(swimmer, motion, increments)
+    path = None if reference is None else resting_path(reference, increments)
     turns = 0
     while True:
         before, turns = belief, turns + 1
@@ -169,14 +172,19 @@ def _fit_in_turns(
         belief, fit = fit_drift(belief, relation, padding, refine, trajectories)
         if turns == ROUNDS or belief.moved_from(before) < NEGLIGIBLE:
             break
+        if reference is not None and path is not None:
+            belief, path = track_reference(
+                belief, relation, padding, increments, reference, path
+            )
     covariance, *spreads = motion_covariance(problem, step, belief.motion)
     field = DiffusionField(belief.motion.diffusion, covariance)
+    fit = diffusion_share(belief, relation, padding, fit, field)
     seen = () if observation is None else observed_axes(belief.motion, *spreads)
     return LangevinFit(
         regression=_with_diffusion(fit, field),
         diffusion=_simplest(field),
         observation=seen,
-        reference=None,
+        reference=path,
         checks=langevin_checks(belief, relation, padding, seen),
         thermal_energy=relation.thermal_energy,
     )

@@ -145,7 +145,8 @@ class DiffusionProblem(AbstractProblem):
         value = 0.0
         gradient, hessian = np.zeros(len(theta)), np.zeros((len(theta),) * 2)
         for group, axes in enumerate(motion.diffusion.groups):
-            terms = _group_terms(motion, group, axes, data)
+            local = local_terms(motion, group, axes, data)
+            terms = _group_terms(motion, group, local, data)
             value += float(terms.value)
             entries = _entries(marks, motion, group)
             kept = entries >= 0
@@ -208,6 +209,24 @@ class LimitedStep(AbstractStepRule):
         return Move(cost.local.theta + share * change, None, self)
 
 
+class LocalTerms(eqx.Module):
+    """What each increment says of the axes of one group.
+
+    Attributes:
+        value: log likelihood.
+        by_log: its derivative by log D at the start of each increment.
+        by_observation: by exposure and variance.
+        information: of each on log D, exposure and variance: the upper half.
+        pulled: its derivative by the mean along each axis of the group.
+    """
+
+    value: Float[Array, ""]
+    by_log: Float[Array, " increment"]
+    by_observation: Float[Array, "2"]
+    information: Float[Array, "increment 6"]
+    pulled: Float[Array, "increment axis"]
+
+
 class GroupTerms(eqx.Module):
     """What the axes of one group say of level, weights, log odds and log error.
 
@@ -223,9 +242,17 @@ class GroupTerms(eqx.Module):
 
 
 @eqx.filter_jit
-def _group_terms(
+def local_terms(
     motion: ThermalMotion, group: int, axes: tuple[int, ...], data: Fluctuations
-) -> GroupTerms:
+) -> LocalTerms:
+    """The likelihood of one group of axes, increment by increment.
+
+    Args:
+        motion: diffusion and observation.
+        group: which.
+        axes: its coordinates.
+        data: the increments about their mean.
+    """
     columns, padding = np.array(axes), data.padding
     levels, weights = motion.diffusion.levels, motion.diffusion.weights
     exposure, variance = motion.exposures[group], motion.variances[group]
@@ -242,23 +269,35 @@ def _group_terms(
     slope = score(matrix, data.residuals[..., columns] * mask)
     by_log, by_exposure, by_variance = chain(slope.by_bands)
     local = jnp.exp(logs)[..., None] * factors
-    information = _whittle(local, intervals, exposure, variance)
-    pairs = padding.flatten(
-        jnp.stack([jnp.sum(one * mask, axis=2) for one in information], axis=-1)
+    pairs = _whittle(local, intervals, exposure, variance)
+    summed = jnp.stack([jnp.sum(one * mask, axis=2) for one in pairs], axis=-1)
+    return LocalTerms(
+        slope.value,
+        padding.flatten(by_log),
+        jnp.stack([by_exposure, by_variance]),
+        padding.flatten(summed),
+        padding.flatten(slope.pulled),
     )
-    scales = jnp.stack(
-        [exposure * (1 - jnp.minimum(exposure / motion.interval, 1.0)), variance]
-    )
-    design = jnp.concatenate([jnp.ones((data.design.shape[0], 1)), data.design], axis=1)
-    first = padding.flatten(by_log) @ design
+
+
+@eqx.filter_jit
+def _group_terms(
+    motion: ThermalMotion, group: int, local: LocalTerms, data: Fluctuations
+) -> GroupTerms:
+    exposure, variance = motion.exposures[group], motion.variances[group]
+    share = jnp.minimum(exposure / motion.interval, 1.0)
+    scales = jnp.stack([exposure * (1 - share), variance])
+    ones = jnp.ones((data.design.shape[0], 1))
+    design = jnp.concatenate([ones, data.design], axis=1)
+    pairs = local.information
     both = (design * pairs[:, :1]).T @ design
     border = design.T @ pairs[:, 1:3] * scales[None]
     left = jnp.sum(pairs[:, 3:], axis=0)[np.array([[0, 1], [1, 2]])]
     corner = left * scales[:, None] * scales[None]
-    others = jnp.stack([by_exposure, by_variance]) * scales
+    others = local.by_observation * scales
     return GroupTerms(
-        slope.value,
-        jnp.concatenate([first, others]),
+        local.value,
+        jnp.concatenate([local.by_log @ design, others]),
         jnp.block([[both, border], [border.T, corner]]),
     )
 

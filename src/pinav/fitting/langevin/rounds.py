@@ -18,7 +18,7 @@ from pinav.fitting.environments.refinement import Refinement, iterate_refined
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.langevin.checks import LangevinChecks, innovation_correlations
 from pinav.fitting.langevin.covariance import cut, factorise, increment_bands
-from pinav.fitting.langevin.diffusion import ThermalMotion
+from pinav.fitting.langevin.diffusion import DiffusionField, ThermalMotion
 from pinav.fitting.langevin.drift import (
     SecondOrder,
     WhitenedIncrements,
@@ -220,23 +220,29 @@ def fit_drift(
     swimmer = relation.swimmer_in(belief.swimmer, belief.motion)
 
     def begin(model: OverdampedSwimmer, states: None = None) -> Regression:
-        environment: Any = model.environment
-        return Regression.of(
-            without_weights(model),
-            residuals,
-            weights=lambda m: m.environment.parameters,
-            weights_prior=GaussianWeights(environment.prior()),
-            noise=1.0,
-            step_rule=FullStep(),
-            is_linear=True,
-            log_determinant=float(residuals.factor.log_determinant),
-        )
+        return _drift_problem(model, residuals)
 
     ended = iterate_refined(
         begin(swimmer), begin, refine, trajectories, max_iterations=1
     )
     fit = evidence_fit(*ended, not_finite=NOT_FINITE, advice={})
     return follow(belief, relation, fit.model), fit
+
+
+def _drift_problem(
+    swimmer: OverdampedSwimmer, residuals: WhitenedIncrements
+) -> Regression:
+    environment: Any = swimmer.environment
+    return Regression.of(
+        without_weights(swimmer),
+        residuals,
+        weights=lambda m: m.environment.parameters,
+        weights_prior=GaussianWeights(environment.prior()),
+        noise=1.0,
+        step_rule=FullStep(),
+        is_linear=True,
+        log_determinant=float(residuals.factor.log_determinant),
+    )
 
 
 def follow(belief: Belief, relation: Relation, swimmer: Any) -> Belief:
@@ -251,6 +257,46 @@ def follow(belief: Belief, relation: Relation, swimmer: Any) -> Belief:
         speeds = speeds + divergences(motion.diffusion, positions)
     means = speeds * jnp.asarray(increments.intervals)[:, None] + second.means
     return Belief(swimmer, motion, second, means, increments)
+
+
+def diffusion_share(
+    belief: Belief,
+    relation: Relation,
+    padding: Padding,
+    fit: EvidenceFit,
+    field: DiffusionField,
+) -> EvidenceFit:
+    """The fit whose posterior holds the doubt of the diffusion too, by refits of draws.
+
+    Args:
+        belief: the last one.
+        relation: how drift and diffusion hang together.
+        padding: the layout.
+        fit: the force given the diffusion.
+        field: the diffusion with its covariance.
+    """
+    if not (relation.einstein and relation.learn_diffusion):
+        return fit
+    weights, chosen = fit.linear.weights, fit.hyperparameters
+    start = without_weights(fit.model)
+    means = []
+    for tensor in field.samples(DRAWS):
+        there = eqx.tree_at(lambda b: b.motion.diffusion, belief, tensor)
+        problem = _drift_problem(
+            relation.swimmer_in(start, there.motion),
+            whitened_increments(there, relation, padding),
+        )
+        local = problem.linearise(problem.theta, None)
+        if local is not None:
+            means.append(weights.posterior(local.quadratic, chosen)[0])
+    spread = np.cov(np.array(means), rowvar=False) if len(means) > 1 else 0.0
+    covariance = fit.posterior.covariance + spread
+    return eqx.tree_at(lambda f: f.posterior.covariance, fit, covariance)
+
+
+DRAWS = 8
+"""Diffusions drawn for their share in the doubt of the force: its standard deviation is
+then known to a quarter, and it is the smaller part."""
 
 
 def langevin_checks(

@@ -1,0 +1,163 @@
+r"""One Newton step of a reference that drifts, given diffusion and drift.
+
+The likelihood depends on the path w through $h = x_i - w(t)$ alone. Its slopes by h are
+those by log D and by the mean, times $\partial\log D/\partial h$ and
+$\partial(v\tau)/\partial h$; the information likewise. Between knots w is linear, and
+the evidence chooses amplitude and time of its prior, a process of Ornstein and
+Uhlenbeck.
+"""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from pinav.fitting.evidence.evidence import Hyperparameters
+from pinav.fitting.evidence.quadratic import Quadratic
+from pinav.fitting.evidence.weights import GaussianWeights
+from pinav.fitting.langevin.drift import divergence
+from pinav.fitting.langevin.increments import Increments, Padding
+from pinav.fitting.langevin.likelihood import local_terms
+from pinav.fitting.langevin.reference import ReferencePath, SlowReference
+from pinav.fitting.langevin.rounds import (
+    Belief,
+    Relation,
+    fluctuations,
+    follow,
+    kernel_design,
+)
+from pinav.forces import KernelTensor
+from pinav.forces.priors import StationaryPrior
+
+LOG_TIME = float(np.log(3.0))
+"""Logarithm of the correlation time, in knots, where the scale of the path is given."""
+
+
+def resting_path(reference: SlowReference, increments: Increments) -> ReferencePath:
+    """A reference that rests, with its knots over all the time of the data."""
+    ends = increments.times + increments.intervals
+    knots = np.linspace(increments.times.min(), ends.max(), reference.knots)
+    count = reference.knots
+    return ReferencePath(
+        reference.axis, knots, np.zeros(count), np.zeros((count, count))
+    )
+
+
+def from_reference(increments: Increments, path: ReferencePath) -> Increments:
+    """Increments with their positions counted from the path.
+
+    Args:
+        increments: as recorded.
+        path: of the reference.
+    """
+    positions = increments.positions.copy()
+    positions[:, path.axis] -= path(increments.times)
+    return dataclasses.replace(increments, positions=positions)
+
+
+def track_reference(
+    belief: Belief,
+    relation: Relation,
+    padding: Padding,
+    recorded: Increments,
+    reference: SlowReference,
+    path: ReferencePath,
+) -> tuple[Belief, ReferencePath]:
+    """The path after one step, and the belief that follows from it.
+
+    Args:
+        belief: about which the likelihood is expanded.
+        relation: how drift and diffusion hang together.
+        padding: the layout.
+        recorded: increments with their positions as recorded.
+        reference: what is known of the path.
+        path: where it is so far.
+    """
+    slope, information = _by_height(belief, relation, padding, reference.axis)
+    columns = _hats(path.times, recorded.times)
+    quadratic = Quadratic(
+        point=path.values,
+        hessian=columns.T @ (columns * information[:, None]),
+        gradient=columns.T @ slope,
+        squares=0.0,
+        num_free=len(slope),
+        log_determinant=0.0,
+    )
+    weights = GaussianWeights(StationaryPrior(np.arange(len(path.times))[:, None]))
+    if reference.scale is None:
+        inference = weights.infer(quadratic, weights.start, 1.0)
+        values, covariance = inference.mean, inference.covariance
+    else:
+        chosen = Hyperparameters(np.array([LOG_TIME]), reference.scale, 1.0, 0.0)
+        values, covariance = weights.posterior(quadratic, chosen)
+    moved = ReferencePath(
+        reference.axis, path.times, values - values.mean(), covariance
+    )
+    there = eqx.tree_at(lambda b: b.increments, belief, from_reference(recorded, moved))
+    return follow(there, relation, belief.swimmer), moved
+
+
+def _by_height(
+    belief: Belief, relation: Relation, padding: Padding, axis: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Slope of the log likelihood by the coordinate of each increment; information."""
+    motion, increments = belief.motion, belief.increments
+    positions = jnp.asarray(increments.positions)
+    data = fluctuations(belief, padding, kernel_design(motion, positions))
+    by_logs, by_drift = _slopes(
+        belief.swimmer,
+        motion.diffusion,
+        jnp.asarray(increments.times),
+        positions,
+        axis,
+        einstein=relation.einstein,
+    )
+    by_means = np.asarray(by_drift) * increments.intervals[:, None]
+    spread = 2 * belief.local_diffusion * increments.intervals[:, None]
+    slope = np.zeros(len(positions))
+    information = (by_means**2 / spread).sum(axis=1)
+    for group, axes in enumerate(motion.diffusion.groups):
+        terms = local_terms(motion, group, axes, data)
+        by_log = np.asarray(by_logs)[:, group]
+        slope += np.asarray(terms.by_log) * by_log
+        slope += (np.asarray(terms.pulled) * by_means[:, list(axes)]).sum(axis=1)
+        information += np.asarray(terms.information)[:, 0] * by_log**2
+    return slope, information
+
+
+@eqx.filter_jit
+def _slopes(
+    swimmer: Any,
+    tensor: KernelTensor,
+    times: Float[Array, " increment"],
+    positions: Float[Array, "increment dim"],
+    axis: int,
+    *,
+    einstein: bool,
+) -> tuple[Float[Array, "increment group"], Float[Array, "increment dim"]]:
+    """Derivatives of log D and of the drift by one coordinate."""
+    unit = jnp.eye(positions.shape[1], dtype=positions.dtype)[axis]
+
+    def at(time: Array, x: Array) -> tuple[Array, Array]:
+        def drift(x: Array) -> Array:
+            known = swimmer(time, x)
+            return known + divergence(tensor, x) if einstein else known
+
+        return (
+            jax.jvp(tensor.logarithms, (x,), (unit,))[1],
+            jax.jvp(drift, (x,), (unit,))[1],
+        )
+
+    return jax.vmap(at)(times, positions)
+
+
+def _hats(
+    knots: Float[np.ndarray, " knot"], times: Float[np.ndarray, " time"]
+) -> Float[np.ndarray, "time knot"]:
+    """Weight of each knot at given times."""
+    place = (times - knots[0]) / (knots[1] - knots[0])
+    return np.maximum(1 - np.abs(place[:, None] - np.arange(len(knots))), 0.0)
