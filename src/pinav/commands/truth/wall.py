@@ -79,7 +79,7 @@ def judge_wall(case: Case, recording: Recording) -> Judgement:
     free = [_score(fields, radius, normal=n) for n in (False, True)]
     contact = free[1].contact
     rows = [
-        *_mobility_rows(fields, radius, _bulk(constants), free),
+        *mobility_rows(fields, radius, bulk_diffusion(constants), free),
         *_force_rows(fit, heights - contact, contact, constants),
     ]
     notes = (*_notes(fit, free), *_boltzmann(heights - contact, radius, heat))
@@ -118,7 +118,7 @@ def wall_fields(fit: LangevinFit, heights: Float[np.ndarray, " frame"]) -> WallF
     return WallFields(places, values[:, 0], values[:, 2], sd[:, 2])
 
 
-def _bulk(constants: Constants) -> float | None:
+def bulk_diffusion(constants: Constants) -> float | None:
     """Diffusion far from the wall, as stated or by Stokes and Einstein."""
     if constants.diffusion_um2_s is not None:
         return constants.diffusion_um2_s
@@ -141,9 +141,17 @@ def _score(
     )
 
 
-def _mobility_rows(
+def mobility_rows(
     fields: WallFields, radius: float, bulk: float | None, free: list[WallScore]
 ) -> list[TruthRow]:
+    """Both diffusions off hydrodynamics, and how far their walls are apart.
+
+    Args:
+        fields: the learned diffusions.
+        radius: of the bead [um].
+        bulk: D far from the wall, where it is known [um²/s].
+        free: scores along and normal to the wall with the bulk's D free.
+    """
     rows = []
     for name, bars, score, normal in (
         ("along", ALONG, free[0], False),
