@@ -40,6 +40,7 @@ WORDS: dict[str, Callable[[Folder], tuple[str, ...]]] = {
     ),
     "discover": lambda f: (f.run("kernel"), "--refits", "1"),
     "study": lambda f: ("noise", "--models", "physics-only", "--count", "1", *f.out),
+    "data": lambda f: ("list",),
     "truth": lambda f: (str(trap_folder(f.path)), *f.out),
     "heat": lambda f: ("simulate", str(small("tumour", f.path)), *f.out),
     "navigate": lambda f: (

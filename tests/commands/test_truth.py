@@ -5,14 +5,23 @@ import json
 import re
 from pathlib import Path
 
+import jax.numpy as jnp
 import msgspec
 import numpy as np
 import pytest
 
 from pinav import cli
-from pinav.commands.truth.cases import BUILT_IN, find_cases, read_recording
+from pinav.commands.truth.cases import (
+    BUILT_IN,
+    Constants,
+    find_cases,
+    read_recording,
+)
 from pinav.commands.truth.metrics import TruthCase, TruthMetrics, TruthRow, case_table
+from pinav.commands.truth.wall import WallFields, bulk_diffusion, mobility_rows
 from pinav.errors import InputError
+from pinav.evaluation.truth import wall_score
+from pinav.forces import brenner_mobility, parallel_mobility
 from pinav.report.text import as_text
 
 TRAP = """kind = "trap"
@@ -137,3 +146,52 @@ def test_a_missed_bar_and_a_failed_case_are_published():
     text = as_text(case_table(metrics.cases))
     assert "1.000 [0.980, 1.020]" in text
     assert metrics.case("b").reason == "diverged"
+
+
+@pytest.mark.slow
+def test_a_ring_is_judged_by_density_and_current(tmp_path, capsys):
+    random, step, tracks = np.random.default_rng(1), 0.01, 4
+    x = random.uniform(0, 2.0, tracks)
+    rows = []
+    for index in range(6000):
+        drift = 1.0 + 0.6 * np.cos(np.pi * x)
+        x = x + step * drift + np.sqrt(0.1 * step) * random.normal(size=tracks)
+        if index % 4 == 0:
+            rows.append(x)
+    place = tmp_path / "ring"
+    place.mkdir()
+    names = [f"x{index}" for index in range(tracks)]
+    header = ",".join(names)
+    np.savetxt(place / "x.csv", rows, delimiter=",", header=header, comments="")
+    (place / "truth.toml").write_text(
+        f'kind = "ring"\nfile = "x.csv"\nrate_Hz = 25\npositions = {names}\n'
+        "[constants]\nperiod = 2.0\n".replace("'", '"')
+    )
+    out = tmp_path / "run"
+    assert cli.run(["truth", str(place), "--out", str(out), "--json", "--no-peer"]) == 0
+    case = json.loads(capsys.readouterr().out)["cases"][0]
+    assert case["status"] == "judged", case
+    rows = {row["quantity"]: row for row in case["rows"]}
+    diffusion = rows["D against the drift's route [um²/s]"]
+    np.testing.assert_allclose(diffusion["learned"], 0.05, rtol=0.1)
+    assert rows["drift off density and current, uniform [%]"]["learned"] < 20
+
+
+def test_diffusion_that_obeys_hydrodynamics_meets_the_bars_of_a_wall():
+    gaps = np.linspace(0.1, 1.2, 30)
+    along, across = (
+        0.14 * np.asarray(mobility(jnp.asarray(gaps)))
+        for mobility in (parallel_mobility, brenner_mobility)
+    )
+    fields = WallFields(1.5 * gaps + 8.0, along, 1.2 * across, 0.01 * across)
+    free = [
+        wall_score(fields.heights, values, 1.5, normal=normal)
+        for values, normal in ((fields.along, False), (fields.across, True))
+    ]
+    rows = mobility_rows(fields, 1.5, 0.14, free)
+    assert [row.met for row in rows] == [True, True, True, False, True]
+    assert all(abs(score.contact - 8.0) < 1e-3 for score in free)
+    water = Constants(temperature_K=298.15, viscosity_mPa_s=0.89, radius_um=1.0)
+    assert bulk_diffusion(water) == pytest.approx(0.245, rel=2e-3)
+    assert bulk_diffusion(Constants(diffusion_um2_s=0.2)) == 0.2
+    assert bulk_diffusion(Constants(radius_um=1.0)) is None

@@ -3,6 +3,7 @@
 from pinav.commands.analyse import ANALYSE
 from pinav.commands.bench import BENCH
 from pinav.commands.compare import COMPARE
+from pinav.commands.data import DATA
 from pinav.commands.discover import DISCOVER
 from pinav.commands.evaluate import EVALUATE
 from pinav.commands.explore import EXPLORE
@@ -28,6 +29,7 @@ COMMANDS = (
     COMPARE,
     DISCOVER,
     STUDY,
+    DATA,
     TRUTH,
     HEAT,
     NAVIGATE,

@@ -130,7 +130,6 @@ def matching(
         return Matching((recipe,), TrajectoryLoss(FixedStep()), jnp.float32)
     recipes = (curriculum(data, max_steps=settings.max_steps),)
     if is_complete(data):
-        # What is linear in its weights needs no rates to begin with.
         linear = _is_linear(model)
         rates = None if linear else distillation_rates(model, data)
         if linear or rates is not None:

@@ -5,13 +5,12 @@ import pytest
 
 from pinav.dynamics import Adaptive, NeuralDynamics, Swimmer
 from pinav.evaluation import predict, score
-from pinav.fitting import distillation_rates
+from pinav.fitting import Rates, distillation_rates
 from pinav.fitting.environments.gradient_matching import (
     _choose,
     _Trial,
     force_region,
     match_kernels,
-    matched_grid,
     observed_rates,
     simpler_models,
 )
@@ -40,6 +39,12 @@ def observe(truth: Swimmer, count: int = 2) -> Trajectories:
     return Trajectories.from_arrays(many, states, channels=channels)
 
 
+def rates_of(data):
+    rates = observed_rates(data)
+    assert rates is not None
+    return rates
+
+
 def total(model, data):
     return score(*predict(model, data), data).total
 
@@ -50,16 +55,15 @@ def data():
 
 
 def test_splines_give_the_rates_of_exact_states(data):
-    rates = observed_rates(data)
+    rates = rates_of(data)
     true = jax.vmap(TRUTH)(jnp.asarray(rates.times), jnp.asarray(rates.states))
     inside = (rates.times > 0.5) & (rates.times < 7.0)
     np.testing.assert_allclose(rates.rates[inside], true[inside], atol=1e-3)
 
 
 def test_matched_kernels_explain_the_data_without_a_rollout(data):
-    environment, grid = match_kernels(TRUTH, observed_rates(data), data)
+    environment = match_kernels(TRUTH, rates_of(data))
     assert isinstance(environment, KernelPotential)
-    assert isinstance(grid, KernelGrid)
     assert total(TRUTH.with_environment(environment), data) < 5e-3
 
 
@@ -68,30 +72,46 @@ def test_narrow_obstacles_ask_for_finer_kernels(data):
     widths = []
     for truth in (TRUTH, wide):
         seen = observe(truth)
-        widths.append(match_kernels(truth, observed_rates(seen), seen)[0].width)
+        widths.append(match_kernels(truth, rates_of(seen)).width)
     assert widths[0] < widths[1]
 
 
 def test_a_force_without_potential_is_told_from_one_with():
     truth = TRUTH.with_environment(GaussianSwirl(3.0, [2.0, 0.3], 1.5))
     seen = observe(truth, count=4)
-    environment, _ = match_kernels(truth, observed_rates(seen), seen)
+    environment = match_kernels(truth, rates_of(seen))
     assert isinstance(environment, KernelForce)
 
 
 def test_held_out_samples_judge_a_grid_only_where_they_can_be_predicted():
     coarse, fine = KernelGrid(6), KernelGrid(48)
     telling = [
-        _Trial(0.1, 0.2, KernelPotential, coarse),
-        _Trial(0.06, 1e-5, KernelPotential, fine),
+        _Trial(0.04, 0.2, KernelPotential, coarse),
+        _Trial(0.02, 1e-5, KernelPotential, fine),
     ]
-    assert _choose(telling) == (KernelPotential, coarse)
+    assert _choose(telling).grid is fine
     mute = [
         _Trial(0.9, 0.2, KernelPotential, coarse),
-        _Trial(2.0, 1e-5, KernelPotential, fine),
+        _Trial(2.0, 0.9e-5, KernelPotential, fine),
+        _Trial(2.0, 1e-7, KernelPotential, KernelGrid(60)),
         _Trial(2.0, 1e-9, KernelForce, coarse),
     ]
-    assert _choose(mute) == (KernelPotential, fine)
+    assert _choose(mute) is mute[1]
+
+
+def test_a_force_without_potential_has_to_be_far_better():
+    potential = _Trial(0.04, 1e-5, KernelPotential, KernelGrid(6))
+    for error, chosen in ((0.01, KernelPotential), (0.003, KernelForce)):
+        force = _Trial(error, 1e-5, KernelForce, KernelGrid(6))
+        assert _choose([potential, force]).kind is chosen
+
+
+def test_kernels_stay_where_the_force_acts():
+    narrow = TRUTH.with_environment(GaussianBarrier(3.0, [2.0, 0.3], 0.3))
+    seen = observe(narrow)
+    environment = match_kernels(narrow, rates_of(seen))
+    distance = np.linalg.norm(np.asarray(environment.centers) - [2.0, 0.3], axis=1)
+    assert distance.max() < 0.5 * np.ptp(seen.states[..., :2], axis=(0, 1)).max()
 
 
 def test_too_few_samples_give_no_rates(data):
@@ -99,7 +119,6 @@ def test_too_few_samples_give_no_rates(data):
         [data.times[0, :5]], [data.states[0, :5]], channels=data.channels
     )
     assert observed_rates(short) is None
-    assert matched_grid(TRUTH, short) is None
     assert distillation_rates(TRUTH, short) is None
     assert simpler_models(TRUTH, short) == {}
 
@@ -108,6 +127,7 @@ def test_a_black_box_is_asked_for_the_same_rates_beside_the_path(data):
     network = tanh_network(5, 4, width=4, depth=1, key=jax.random.key(0))
     box = NeuralDynamics(network, (0.0,) * 5, (1.0,) * 5)
     targets = distillation_rates(box, data)
+    assert targets is not None
     half = len(targets.times) // 2
     np.testing.assert_array_equal(targets.rates[:half], targets.rates[half:])
     assert simpler_models(box, data) == {}
@@ -119,7 +139,7 @@ def test_physics_alone_is_among_the_simpler_models(data):
 
 
 def test_the_region_of_a_force_is_where_it_acts(data):
-    region = force_region(TRUTH.without_environment(), data)
+    region = force_region(TRUTH.without_environment(), rates_of(data))
     assert region is not None
     positions = data.states[..., :2].reshape(-1, 2)
     still = jnp.zeros(2)
@@ -134,5 +154,7 @@ def test_the_region_of_a_force_is_where_it_acts(data):
 
 def test_no_force_has_no_region():
     free = TRUTH.without_environment()
-    short = observe(free, count=1).only(["x", "y"])
-    assert force_region(ConstantForce([0.0, 0.0]), short) is None
+    states = np.random.default_rng(0).normal(size=(9, 4))
+    times = np.arange(9.0)
+    rates = np.asarray(jax.vmap(free)(jnp.asarray(times), jnp.asarray(states)))
+    assert force_region(free, Rates(times, states, rates)) is None

@@ -1,5 +1,6 @@
 """`pinav truth`: fits of recordings, judged by what is known of them."""
 
+import functools
 from collections.abc import Callable
 
 import numpy as np
@@ -10,8 +11,10 @@ from pinav.commands.truth import TRUTH
 from pinav.commands.truth.cases import Case, Recording, find_cases
 from pinav.commands.truth.judged import Curve, Judgement
 from pinav.commands.truth.metrics import TruthCase, TruthMetrics, case_table
+from pinav.commands.truth.ring import judge_ring
 from pinav.commands.truth.settings import TruthOptions, TruthSettings
 from pinav.commands.truth.traps import judge_dragged_trap, judge_trap
+from pinav.commands.truth.wall import judge_wall
 from pinav.errors import FitError, InputError
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
@@ -21,7 +24,12 @@ Judge = Callable[[Case, Recording], Judgement]
 
 def judges(settings: TruthSettings) -> dict[str, Judge]:
     """The judge of each kind of recording."""
-    return {"trap": judge_trap, "dragged trap": judge_dragged_trap}
+    return {
+        "trap": judge_trap,
+        "dragged trap": judge_dragged_trap,
+        "ring": functools.partial(judge_ring, peer=settings.peer),
+        "wall": judge_wall,
+    }
 
 
 def judge_all(
@@ -70,8 +78,6 @@ def _judge(case: Case, settings: TruthSettings) -> tuple[TruthCase, tuple[Curve,
         reason = f"no {case.description.file} in {case.folder}"
         return TruthCase(case.name, kind, "absent", reason), ()
     known = judges(settings)
-    if kind not in known:
-        return TruthCase(case.name, kind, "skipped", f"no judge of a {kind} yet"), ()
     try:
         judgement = known[kind](case, case.read())
     except (FitError, InputError) as error:

@@ -22,7 +22,11 @@ from pinav.dynamics import (
     paper_black_box,
 )
 from pinav.errors import InputError
-from pinav.fitting.environments.gradient_matching import force_region, matched_grid
+from pinav.fitting.environments.gradient_matching import (
+    force_region,
+    match_kernels,
+    observed_rates,
+)
 from pinav.fitting.environments.kernels import (
     WITHOUT_PRIOR,
     KernelGrid,
@@ -185,10 +189,13 @@ def summarise_for_matching(
         swimmer: the known physics.
         data: the trajectories.
     """
-    kernels = choice.name.startswith("kernel-")
-    grid = matched_grid(swimmer, data) if kernels else None
-    summary = summarise_data(data, grid or WITHOUT_PRIOR)
-    region = force_region(swimmer, data) if choice.name in POSITION_NETWORKS else None
+    summary = summarise_data(data)
+    rates = observed_rates(data) if isinstance(swimmer, Swimmer) else None
+    if rates is None:
+        return summary
+    if choice.name.startswith("kernel-"):
+        return summary.with_kernels_of(match_kernels(swimmer, rates))
+    region = force_region(swimmer, rates) if choice.name in POSITION_NETWORKS else None
     if region is None:
         return summary
     dim = summary.dim

@@ -18,10 +18,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Shaped
 
 from pinav.dynamics import AbstractDynamics, Swimmer
-from pinav.fitting.environments.kernels import KernelGrid, lay_kernels
+from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
 from pinav.fitting.matching.distillation import Rates
 from pinav.forces import KernelForce, KernelPotential, ZeroForce
 from pinav.trajectories import Trajectories, informative_rows
@@ -39,13 +39,12 @@ network, at most."""
 RIDGE = 1e-11
 """Relative to the largest diagonal entry of the normal equations."""
 
-GOOD_ENOUGH, AS_GOOD = 1e-4, 2.0
-"""Relative error of held-out samples that needs no finer kernels, and the factor within
-which an error counts as that of the best grid."""
+GOOD_ENOUGH = 1e-6
+"""Relative error of held-out samples that needs no finer kernels."""
 
 
 def observed_rates(trajectories: Trajectories) -> Rates | None:
-    """Rates of the complete samples by splines; None where there are too few."""
+    """Rates of all complete samples by splines; None where there are too few."""
     from scipy.interpolate import make_interp_spline  # a tenth of all imports
 
     parts: list[Rates] = []
@@ -57,37 +56,42 @@ def observed_rates(trajectories: Trajectories) -> Rates | None:
             parts.append(Rates(times, states, spline(times, nu=1)))
     if not parts:
         return None
-    whole = jax.tree.map(lambda *arrays: np.concatenate(arrays), *parts)
-    return _thin(whole, MOST_SAMPLES)
+    return jax.tree.map(lambda *arrays: np.concatenate(arrays), *parts)
 
 
 def _thin(rates: Rates, most: int) -> Rates:
-    rows = informative_rows(rates.states, most)
+    return _rows(rates, informative_rows(rates.states, most))
+
+
+def _rows(rates: Rates, rows: Shaped[np.ndarray, " point"]) -> Rates:
     return jax.tree.map(lambda array: array[rows], rates)
 
 
-def match_kernels(
-    swimmer: Swimmer, rates: Rates, trajectories: Trajectories
-) -> tuple[KernelPotential | KernelForce, KernelGrid]:
-    """The force that the known physics leave unexplained, and the grid of its kernels.
+def match_kernels(swimmer: Swimmer, rates: Rates) -> KernelPotential | KernelForce:
+    """The force that the known physics leave unexplained.
 
-    The coarsest grid is taken whose error at held-out samples is all but the smallest;
-    a potential, unless a force without one explains them far better.
+    Its kernels surround the samples at which it acts. They are a little finer than
+    those whose error at held-out samples is the smallest; a potential, unless a force
+    without one explains them far better.
 
     Args:
         swimmer: the known physics; its environment is left out.
         rates: at observed states.
-        trajectories: what the kernels are laid around.
     """
     dim = rates.states.shape[1] // 2
+    acting = _where_a_force_acts(swimmer, rates)
+    places = rates.states[acting, :dim]
+    parts = [_rows(rates, acting), _rows(rates, ~acting)]
+    parts = [_thin(part, MOST_SAMPLES) for part in parts]
+    rates = jax.tree.map(lambda *arrays: np.concatenate(arrays), *parts)
     positions, forces = rates.states[:, :dim], _residual_forces(swimmer, rates)
     held_out = np.arange(len(positions)) % 4 == 2
     size = float(np.sqrt(np.mean(forces[held_out] ** 2))) or 1.0
     trials: list[_Trial] = []
     for kind in (KernelPotential, KernelForce):
         for across in ACROSS:
-            grid = KernelGrid(across, width=1.5, margin=2.0)
-            centers, width = lay_kernels(trajectories, grid, dim)
+            grid = _grid(across)
+            centers, width = surround_with_kernels(places, grid)
             if len(centers) * (1 if kind is KernelPotential else dim) > MOST_KERNELS:
                 break
             columns = _columns(kind, positions, centers, width)
@@ -102,11 +106,23 @@ def match_kernels(
                 break
         if trials[-1].held_out < GOOD_ENOUGH:
             break
-    kind, grid = _choose(trials)
-    centers, width = lay_kernels(trajectories, grid, dim)
+    best = _choose(trials)
+    kind, grid = best.kind, _grid(round(FINER * best.grid.across))
+    centers, width = surround_with_kernels(places, grid)
     weights = _ridge(_columns(kind, positions, centers, width), forces)
     shape = _shape(kind, centers)
-    return kind(jnp.asarray(weights.reshape(shape)), jnp.asarray(centers), width), grid
+    return kind(jnp.asarray(weights.reshape(shape)), jnp.asarray(centers), width)
+
+
+def _where_a_force_acts(swimmer: Swimmer, rates: Rates) -> Bool[np.ndarray, " point"]:
+    """At which samples more acts than a ten-millionth of the largest force."""
+    sizes = np.linalg.norm(_residual_forces(swimmer, rates), axis=1)
+    acting = sizes >= LEAST_FORCE * sizes.max()
+    return acting if acting.sum() > DEGREE else np.ones_like(acting)
+
+
+LEAST_FORCE = 1e-7
+"""Relative to the largest force: what acts less is left without kernels."""
 
 
 class _Trial(NamedTuple):
@@ -125,33 +141,39 @@ class _Trial(NamedTuple):
     grid: KernelGrid
 
 
-def _choose(
-    trials: list[_Trial],
-) -> tuple[type[KernelPotential] | type[KernelForce], KernelGrid]:
-    """The coarsest grid that does all but as well as the best.
+def _choose(trials: list[_Trial]) -> _Trial:
+    """The best trial; a potential unless a force without one is `FAR_BETTER`.
 
     Where samples are too far apart to predict each other, the ones that are left out
-    tell nothing; then a potential has to explain the samples themselves.
+    tell nothing; then the coarsest potential is taken that explains the samples
+    themselves.
     """
-    if min(trial.held_out for trial in trials) < TELLING:
-        errors = [trial.held_out for trial in trials]
-    else:
-        trials = [trial for trial in trials if trial.kind is KernelPotential]
-        errors = [trial.within for trial in trials]
-    most = max(GOOD_ENOUGH, AS_GOOD * min(errors))
-    pairs = zip(errors, trials, strict=True)
-    chosen = next(trial for error, trial in pairs if error <= most)
-    return chosen.kind, chosen.grid
+    potentials = [trial for trial in trials if trial.kind is KernelPotential]
+    if min(trial.held_out for trial in trials) >= TELLING:
+        enough = max(EXPLAINED, min(trial.within for trial in potentials))
+        return next(trial for trial in potentials if trial.within <= enough)
+    best, potential = (
+        min(several, key=lambda trial: trial.held_out)
+        for several in (trials, potentials)
+    )
+    far_better = FAR_BETTER * best.held_out < potential.held_out
+    return best if far_better else potential
 
 
-TELLING = 0.5
-"""Relative error of held-out samples above which they cannot judge a grid."""
+FAR_BETTER = 10.0
+"""Factor in the error of held-out samples."""
 
 
-def matched_grid(swimmer: Any, trajectories: Trajectories) -> KernelGrid | None:
-    """The grid of kernels that exact data ask for; None where gradients do not tell."""
-    rates = observed_rates(trajectories) if isinstance(swimmer, Swimmer) else None
-    return None if rates is None else match_kernels(swimmer, rates, trajectories)[1]
+def _grid(across: int) -> KernelGrid:
+    return KernelGrid(across, width=1.5, margin=2.0)
+
+
+FINER = 4 / 3
+"""Rates by splines are less exact than trajectories, which ask for finer kernels."""
+
+TELLING, EXPLAINED = 0.05, 1e-5
+"""Relative error of held-out samples above which they cannot judge a grid, and that of
+the others at which they are explained."""
 
 
 class ForceRegion(NamedTuple):
@@ -166,7 +188,7 @@ class ForceRegion(NamedTuple):
     radius: float
 
 
-def force_region(swimmer: Any, trajectories: Trajectories) -> ForceRegion | None:
+def force_region(swimmer: Swimmer, rates: Rates) -> ForceRegion | None:
     """Where the force that the known physics leave unexplained acts.
 
     A network whose positions are standardised by this region begins with a force that
@@ -174,24 +196,25 @@ def force_region(swimmer: Any, trajectories: Trajectories) -> ForceRegion | None
 
     Args:
         swimmer: the known physics.
-        trajectories: what was observed.
+        rates: at observed states.
 
     Returns:
-        The region; None where gradients do not tell, or nothing acts.
+        The region; None where nothing acts.
     """
-    rates = observed_rates(trajectories) if isinstance(swimmer, Swimmer) else None
-    if rates is None:
-        return None
+    rates = _thin(rates, MOST_SAMPLES)
     positions = rates.states[:, : rates.states.shape[1] // 2]
     sizes = np.linalg.norm(_residual_forces(swimmer, rates), axis=1)
     spread = float(np.sqrt(positions.var(axis=0).mean()))
-    if not (sizes.sum() > 0 and spread > 0):
+    if not (sizes.max() > ROUNDING * np.abs(rates.rates).max() and spread > 0):
         return None
     weights = sizes / sizes.sum()
     center = weights @ positions
     radius = float(np.sqrt((weights @ (positions - center) ** 2).mean()))
     return ForceRegion(center, max(radius, LEAST_RADIUS * spread))
 
+
+ROUNDING = 1e-12
+"""Relative to the largest rate: no force that is told from rounding."""
 
 LEAST_RADIUS = 0.02
 """Of a region where a force acts, in standard deviations of the positions."""
@@ -209,9 +232,8 @@ def simpler_models(
     rates = observed_rates(trajectories)
     if rates is None or not isinstance(swimmer, Swimmer):
         return {}
-    kernels, _ = match_kernels(swimmer, rates, trajectories)
     return {
-        "a kernel field": swimmer.with_environment(kernels),
+        "a kernel field": swimmer.with_environment(match_kernels(swimmer, rates)),
         "the known physics": swimmer.with_environment(ZeroForce()),
     }
 
@@ -235,12 +257,13 @@ def distillation_rates(model: Any, trajectories: Trajectories) -> Rates | None:
         return None
     rng = np.random.default_rng(0)
     dim = rates.states.shape[1] // 2
-    spread = rates.states.std(axis=0)
     if not isinstance(model, Swimmer):
+        rates = _thin(rates, MOST_SAMPLES)
+        spread = rates.states.std(axis=0)
         offsets = BESIDE * spread * rng.normal(size=rates.states.shape)
         beside = Rates(rates.times, rates.states + offsets, rates.rates)
         return jax.tree.map(lambda *a: np.concatenate(a), rates, beside)
-    environment, _ = match_kernels(model, rates, trajectories)
+    environment = match_kernels(model, rates)
     rates = _thin(rates, MOST_DISTILLED)
     teacher = model.with_environment(environment)
     reach = TUBE * float(environment.width)

@@ -270,6 +270,17 @@ def lay_kernels(
         )
     seen = trajectories.observed[..., :dim].all(axis=-1)
     positions = trajectories.states[..., :dim][seen]
+    return surround_with_kernels(positions, grid)
+
+
+def surround_with_kernels(
+    positions: Float[np.ndarray, "position dim"], grid: KernelGrid
+) -> tuple[Float[np.ndarray, "kernel dim"], float]:
+    """Centres and width of kernels on a grid around positions.
+
+    Raises:
+        InputError: there are not two different positions.
+    """
     extent = float(np.ptp(positions, axis=0).max()) if len(positions) > 1 else 0.0
     if not extent > 0:
         raise InputError(

@@ -99,7 +99,8 @@ def defect_recipe(
         return DefectMatching(
             jnp.asarray(window),
             precision * spread,
-            None if samples is None else jnp.asarray(samples),
+            samples=None if samples is None else jnp.asarray(samples),
+            damping=FIRST_DAMPING if rates is not None else LINEAR_DAMPING,
             converged=CONVERGED * spread,
             steps=max_steps,
         )
@@ -130,6 +131,9 @@ def _full_rollout(
         steps=max_steps,
     )
 
+
+FIRST_DAMPING, LINEAR_DAMPING = 1e-2, 1e-7
+"""Of the first step, and that of a model that is linear in its parameters."""
 
 MOST_SAMPLES = 320
 """Samples whose errors a network is trained on at once, at most."""

@@ -1,0 +1,90 @@
+"""Public recordings: a wrong file, a missing network, and the tables written."""
+
+import gzip
+import hashlib
+import io
+import json
+import urllib.error
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from pinav import cli
+from pinav.commands.truth.cases import BUILT_IN, read_recording
+from pinav.errors import InputError
+from pinav.recordings import public
+from pinav.recordings.public import PUBLIC, fetch_recording, public_recording
+
+
+def text(rows):
+    file = io.StringIO()
+    np.savetxt(file, rows)
+    return file.getvalue().encode()
+
+
+def matlab():
+    file = io.BytesIO()
+    savemat(file, {name: np.array([[1.0, 2.5]]) for name in "xyz"})
+    return file.getvalue()
+
+
+CONTENT = {
+    "ring_driven_bead": text(np.arange(80.0).reshape(2, 40)),
+    "dragged_trap": text([[1, 2, 0], [1.5, 2.25, 0.0069]]),
+    "trap_at_rest": b"\n" + text([[2e-8, 0], [-1e-8, 0.0069]]),
+    "wall_bead_60hz": matlab(),
+}
+
+
+@pytest.mark.parametrize("name", CONTENT)
+def test_the_authors_file_becomes_the_table_that_truth_reads(
+    name, tmp_path, monkeypatch
+):
+    digest = hashlib.sha256(CONTENT[name]).hexdigest()
+    faked = tuple(one._replace(sha256=digest) for one in PUBLIC)
+    monkeypatch.setattr(public, "PUBLIC", faked)
+    source = tmp_path / "original"
+    source.write_bytes(CONTENT[name])
+    path = fetch_recording(name, tmp_path / "truth", source)
+    recording = read_recording(path, BUILT_IN[name])
+    assert len(recording.times) == 2
+    assert np.isfinite(recording.positions).all()
+    if name == "trap_at_rest":
+        np.testing.assert_allclose(recording.positions[:, 0], [0.02, -0.01])
+    assert gzip.decompress(path.read_bytes()).startswith(b"t_s,")
+    with pytest.raises(InputError, match="exists already; choose another --out"):
+        fetch_recording(name, tmp_path / "truth", source)
+
+
+def test_another_file_and_no_file_are_refused(tmp_path):
+    source = tmp_path / "other"
+    source.write_bytes(b"1 2 3\n")
+    with pytest.raises(InputError, match="expected the checksum 80da7843a802e782"):
+        fetch_recording("dragged_trap", tmp_path, source)
+    assert not (tmp_path / "dragged_trap").exists()
+    with pytest.raises(InputError, match="none: cannot be read"):
+        fetch_recording("dragged_trap", tmp_path, tmp_path / "none")
+    with pytest.raises(InputError, match="recording 'moon' is unknown; choose one of"):
+        public_recording("moon")
+
+
+def test_without_a_network_the_way_by_hand_is_told(tmp_path, monkeypatch, capsys):
+    def no_network(address, timeout):
+        assert address.startswith("https://raw.githubusercontent.com/eXpensia/")
+        raise urllib.error.URLError("no route to host")
+
+    monkeypatch.setattr(public.urllib.request, "urlopen", no_network)
+    words = ["data", "fetch", "wall_bead_60hz", "--out", str(tmp_path)]
+    assert cli.run(words) == 2
+    message = capsys.readouterr().err
+    assert "no download (no route to host); by hand: git clone" in message
+
+
+def test_the_list_has_origin_licence_and_checksum(capsys):
+    assert cli.run(["data", "list", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert {row["name"] for row in rows} == set(BUILT_IN)
+    assert all(len(row["sha256"]) == 64 and row["licence"] for row in rows)
+    assert cli.run(["data", "fetch"]) == 2
+    assert "expected the name of a recording after fetch" in capsys.readouterr().err
