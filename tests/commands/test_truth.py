@@ -188,7 +188,7 @@ def test_diffusion_that_obeys_hydrodynamics_meets_the_bars_of_a_wall():
         wall_score(fields.heights, values, 1.5, normal=normal)
         for values, normal in ((fields.along, False), (fields.across, True))
     ]
-    rows = mobility_rows(fields, 1.5, 0.14, free)
+    rows = mobility_rows(fields, 1.5, 0.14, free, fields)
     assert [row.met for row in rows] == [True, True, True, False, True]
     assert all(abs(score.contact - 8.0) < 1e-3 for score in free)
     water = Constants(temperature_K=298.15, viscosity_mPa_s=0.89, radius_um=1.0)

@@ -79,7 +79,9 @@ def judge_wall(case: Case, recording: Recording) -> Judgement:
     free = [_score(fields, radius, normal=n) for n in (False, True)]
     contact = free[1].contact
     rows = [
-        *mobility_rows(fields, radius, bulk_diffusion(constants), free),
+        *mobility_rows(
+            fields, radius, bulk_diffusion(constants), free, naive_fields(recording)
+        ),
         *_force_rows(fit, heights - contact, contact, constants),
     ]
     notes = (*_notes(fit, free), *_boltzmann(heights - contact, radius, heat))
@@ -118,6 +120,18 @@ def wall_fields(fit: LangevinFit, heights: Float[np.ndarray, " frame"]) -> WallF
     return WallFields(places, values[:, 0], values[:, 2], sd[:, 2])
 
 
+def naive_fields(recording: Recording) -> WallFields:
+    """Diffusion of one lag in 80 bins of height: no blur, and a wall at rest."""
+    steps = np.diff(recording.positions, axis=0)
+    squares = steps**2 / (2 * np.diff(recording.times)[:, None])
+    starts = recording.positions[:-1, 2]
+    order = np.array_split(np.argsort(starts), 80)
+    heights = np.array([starts[part].mean() for part in order])
+    values = np.array([squares[part].mean(axis=0) for part in order])
+    along, across = values[:, :2].mean(axis=1), values[:, 2]
+    return WallFields(heights, along, across, across * np.sqrt(2 / len(order[0])))
+
+
 def bulk_diffusion(constants: Constants) -> float | None:
     """Diffusion far from the wall, as stated or by Stokes and Einstein."""
     if constants.diffusion_um2_s is not None:
@@ -142,7 +156,11 @@ def _score(
 
 
 def mobility_rows(
-    fields: WallFields, radius: float, bulk: float | None, free: list[WallScore]
+    fields: WallFields,
+    radius: float,
+    bulk: float | None,
+    free: list[WallScore],
+    naive: WallFields,
 ) -> list[TruthRow]:
     """Both diffusions off hydrodynamics, and how far their walls are apart.
 
@@ -151,6 +169,7 @@ def mobility_rows(
         radius: of the bead [um].
         bulk: D far from the wall, where it is known [um²/s].
         free: scores along and normal to the wall with the bulk's D free.
+        naive: diffusions of one lag.
     """
     rows = []
     for name, bars, score, normal in (
@@ -158,10 +177,12 @@ def mobility_rows(
         ("normal to", ACROSS, free[1], True),
     ):
         words = f"D {name} the wall off hydrodynamics, D0"
-        rows.append(error_row(f"{words} free", score.error, bars[0]))
+        plain = _score(naive, radius, normal=normal).error
+        rows.append(error_row(f"{words} free", score.error, bars[0], naive=plain))
         if bulk is not None:
             given = _score(fields, radius, normal=normal, bulk=bulk)
-            rows.append(error_row(f"{words} given", given.error, bars[1]))
+            plain = _score(naive, radius, normal=normal, bulk=bulk).error
+            rows.append(error_row(f"{words} given", given.error, bars[1], naive=plain))
     apart = 1e3 * abs(free[0].contact - free[1].contact)
     rows.append(
         TruthRow(
