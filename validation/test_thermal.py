@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 import tomli_w
 from benchmarks.heat import CASES, in_own_process, tumour
+from validation.conftest import pinav
 
-from conftest import pinav
 from pinav.commands.heat.build import build_case
 from pinav.commands.heat.case import read_case
 from pinav.thermal import exact

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from validation.conftest import pinav
 
-from conftest import pinav
 from pinav.fitting import fit_trap
 
 ROOT = Path(__file__).parents[1]
