@@ -13,6 +13,7 @@ from pinav.commands.fit.metrics import FitMetrics, Loss
 from pinav.commands.fit.plan import FitPlan, plan_fit
 from pinav.commands.fit.settings import EVIDENCE_RECIPES, FitOptions
 from pinav.commands.fit.structure import profile_arrays, structure_row
+from pinav.commands.fit.thermal import fit_thermal, read_checks, thermal_remarks
 from pinav.commands.fitted_run import (
     MODEL_FILE,
     POSTERIOR_FILE,
@@ -43,13 +44,10 @@ from pinav.evaluation import (
 )
 from pinav.fitting import (
     EvidenceFit,
-    LearnedObservation,
     Outcome,
     fit_bayes,
-    fit_langevin,
     fit_structured,
     is_worth_a_search,
-    judge_increments,
     simpler_models,
 )
 from pinav.fitting.environments.catalogue import KnownSwimmer, build
@@ -135,7 +133,7 @@ def _infer(plan: FitPlan, folder: RunFolder) -> None:
     model: Any = build(plan.choice, plan.system.swimmer, plan.summary)
     header = ModelHeader(plan.choice, plan.summary)
     if plan.settings.recipe == "langevin":
-        write_fit(folder, header, _fit_langevin(plan, model), plan.data)
+        write_fit(folder, header, fit_thermal(plan, model, folder), plan.data)
         return
     if is_commanded(plan.system):
         write_fit(folder, header, _fit_commanded(plan, model.environment), plan.data)
@@ -158,20 +156,6 @@ def _infer(plan: FitPlan, folder: RunFolder) -> None:
     if result.outcome is Outcome.DIVERGED:
         raise FitError(DIVERGED)
     write_fit(folder, header, result, plan.data, finding)
-
-
-def _fit_langevin(plan: FitPlan, model: Any) -> EvidenceFit:
-    """Fit thermal motion; its residuals are those of steps, as without observation."""
-    if plan.settings.observation == "exact":
-        return fit_langevin(model, plan.data).regression
-    seen = LearnedObservation()
-    # The mobility of the system is known: the diffusion is a number beside it.
-    thermal = fit_langevin(model, plan.data, observation=seen, einstein=False)
-    regression = thermal.regression
-    diffusion = regression.constants["diffusion"].value
-    noise = float(np.sqrt(2 * diffusion))
-    chosen = dataclasses.replace(regression.hyperparameters, noise=noise)
-    return dataclasses.replace(regression, hyperparameters=chosen)
 
 
 def _fit_commanded(plan: FitPlan, environment: AbstractForce) -> EvidenceFit:
@@ -235,7 +219,7 @@ def _metrics(
         remarks=(
             *_remarks(evidence.outcome),
             *filter(None, [evidence.goodness]),
-            *_thermal_remarks(plan),
+            *thermal_remarks(plan),
             *remarks(plan.data),
         ),
         iterations=evidence.iterations,
@@ -243,18 +227,9 @@ def _metrics(
         amplitude=evidence.hyperparameters.amplitude,
         log_evidence=evidence.hyperparameters.log_evidence,
         structure=structure_row(fitted),
+        thermal=read_checks(fitted.folder),
         **common,
     )
-
-
-def _thermal_remarks(plan: FitPlan) -> tuple[str, ...]:
-    """What the increments say where a thermal fit counts positions as exact."""
-    if plan.settings.recipe != "langevin" or plan.settings.observation == "learn":
-        return ()
-    verdict = judge_increments(plan.data)
-    if verdict.is_exact or not verdict.is_thermal:
-        return ()
-    return (f"{verdict.statement} Add --observation learn.",)
 
 
 def _remarks(outcome: str) -> tuple[str, ...]:
