@@ -57,7 +57,7 @@ def test_the_checks_of_a_run_are_kept_and_a_damaged_file_is_named(tmp_path):
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """Twenty paths of a bead with an error of an eighth of a step."""
+    """Twenty paths of a bead with an error of a seventh of a step."""
     path = tmp_path_factory.mktemp("thermal")
     data, run = str(path / "data.npz"), path / "run"
     drawn = ["--count", "20", "--noise", "0.02", "--seed", "0"]
