@@ -8,8 +8,7 @@ import sys
 import time
 
 import pytest
-
-from conftest import pinav
+from validation.conftest import pinav
 
 RESULTS = ("metrics.json", "table2.csv", "model-ude-42.eqx", "model-nn-only-42.eqx")
 STEPS = ["--recipe", "paper", "--adam-steps", "1500", "--lbfgs-steps", "100"]

@@ -7,6 +7,7 @@ import jax
 import numpy as np
 import pytest
 
+from pinav import cli
 from pinav.commands.compare.job import compare
 from pinav.commands.compare.settings import CompareSettings
 from pinav.errors import FitError
@@ -128,3 +129,29 @@ def test_brownian_diffusion_and_force():
         return  # without process noise these paths cannot be explained at all
     deterministic = force_errors(field_map(smooth.model.environment, data), truth)
     assert errors["visited"] < deterministic["visited"]
+
+
+def test_bands_hold_brownian_forces_in_spite_of_localisation_error(tmp_path, capsys):
+    """The figures of docs/models.md, of draws that chose nothing."""
+    shares = [covered_share(tmp_path / str(seed), seed) for seed in range(8)]
+    with capsys.disabled():
+        print("covered:", " ".join(f"{share:.0%}" for share in shares))
+    assert min(shares) > 0.5
+    assert np.mean(shares) > 0.8
+
+
+def covered_share(folder, seed):
+    """What the 95 % band covers where the force is a tenth of its size or more."""
+    folder.mkdir()
+    data, run = str(folder / "data.npz"), str(folder / "run")
+    drawn = ["--count", "20", "--noise", "0.02", "--seed", str(seed)]
+    assert cli.run(["simulate", "brownian", "--out", data, *drawn]) == 0
+    learn = ["--recipe", "langevin", "--observation", "learn"]
+    assert cli.run(["fit", data, "--out", run, *learn]) == 0
+    arrays = RunFolder.open(folder / "run").read_arrays("results.npz")
+    near = arrays["field/distance"] < VISITED
+    truth, sd = arrays["field/true"][near], arrays["field/sd"][near]
+    size = np.sqrt(np.mean(truth**2))
+    acts = np.linalg.norm(truth, axis=1) > 0.1 * size
+    miss = np.abs(arrays["field/learned"][near] - truth)
+    return float(np.mean(miss[acts] < 1.96 * sd[acts]))

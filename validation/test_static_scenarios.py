@@ -7,8 +7,8 @@ import equinox as eqx
 import jax
 import numpy as np
 import pytest
+from validation.conftest import pinav
 
-from conftest import pinav
 from pinav.evaluation import default_regions, field_map
 from pinav.fitting import fit_bayes, kernel_environment
 from pinav.forces import KernelMixture, KernelPotential

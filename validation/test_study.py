@@ -4,8 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-
-from conftest import pinav
+from validation.conftest import pinav
 
 
 def study(out: Path, *words: str) -> dict:

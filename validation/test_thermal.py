@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 import tomli_w
 from benchmarks.heat import CASES, in_own_process, tumour
+from validation.conftest import pinav
 
-from conftest import pinav
 from pinav.commands.heat.build import build_case
 from pinav.commands.heat.case import read_case
 from pinav.thermal import exact
@@ -198,9 +198,11 @@ def test_a_protocol_that_pauses_is_worse(edge_weighted, listed):
     assert results["bursts"] < 0.6 * results["still"]
 
 
-PHANTOM_KEYS = (201, 202, 203)
-"""Keys on which nothing was developed; 100 and 101 were used for that. The middle of
-the spot is that of the squared power since key 201 showed what sides cut off."""
+PHANTOM_KEYS = (204, 205, 206, 207)
+"""Keys on which nothing was developed: 100 and 101 were used for that, and 201 to 203
+when it was asked why bands missed the truth."""
+
+PLANNED_KEYS = (202, 204)
 
 
 def make_phantom(key, folder):
@@ -209,28 +211,36 @@ def make_phantom(key, folder):
     return folder
 
 
-@pytest.mark.parametrize("key", PHANTOM_KEYS)
-def test_a_phantom_of_four_tissues_is_learned(key, tmp_path):
-    """Sixty frames of 48 x 48 x 24 voxels at 1 K noise."""
-    case, out = make_phantom(key, tmp_path / "phantom") / "case.toml", tmp_path / "run"
-    begin = time.perf_counter()
-    pinav("heat", "learn", str(case), "--out", str(out))
-    seconds = time.perf_counter() - begin
-    metrics = json.loads((out / "metrics.json").read_text())
-    print(key, f"{seconds:.0f} s", metrics["quantities"])
-    for row in metrics["quantities"]:
-        if row["name"].startswith("perfusion"):
-            assert row["value"] == pytest.approx(row["true"], rel=0.10)
-        if row["name"].startswith("power"):
-            assert row["value"] == pytest.approx(row["true"], rel=0.03)
-        assert abs(row["value"] - row["true"]) < 3.5 * row["sd"], row
+def test_phantoms_of_four_tissues_are_learned(tmp_path):
+    """Sixty frames of 48 x 48 x 24 voxels at 1 K noise; bands counted over all keys."""
+    inside = []
+    for key in PHANTOM_KEYS:
+        case = make_phantom(key, tmp_path / f"phantom{key}") / "case.toml"
+        out, begin = tmp_path / f"run{key}", time.perf_counter()
+        done = pinav("heat", "learn", str(case), "--out", str(out))
+        seconds = time.perf_counter() - begin
+        assert done.returncode == 0, done.stderr
+        metrics = json.loads((out / "metrics.json").read_text())
+        print(key, f"{seconds:.0f} s", metrics["quantities"])
+        for row in metrics["quantities"]:
+            apart = abs(row["value"] - row["true"])
+            inside.append(apart < 1.96 * row["sd"])
+            if row["name"].startswith("perfusion"):
+                assert apart <= 0.10 * row["true"]
+            if row["name"].startswith("power"):
+                assert apart <= 0.03 * row["true"]
+        assert seconds < 60
+    print(f"{sum(inside)} of {len(inside)} in their 95 % bands")
+    assert len(inside) == 7 * len(PHANTOM_KEYS)
+    assert np.mean(inside) >= 0.95
 
 
-@pytest.mark.parametrize("key", PHANTOM_KEYS[:2])
+@pytest.mark.parametrize("key", PLANNED_KEYS)
 def test_a_phantom_is_planned_from_ten_frames(key, tmp_path):
     """The plan of a learned tissue, run on the true one."""
     case, out = make_phantom(key, tmp_path / "phantom") / "plan.toml", tmp_path / "run"
-    pinav("heat", "optimise", str(case), "--out", str(out))
+    done = pinav("heat", "optimise", str(case), "--out", str(out))
+    assert done.returncode == 0, done.stderr
     metrics = json.loads((out / "metrics.json").read_text())
     judged = metrics["judged"]
     print(key, judged)

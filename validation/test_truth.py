@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from validation.conftest import pinav
 
-from conftest import pinav
 from pinav.fitting import fit_trap
 
 ROOT = Path(__file__).parents[1]
@@ -36,6 +36,7 @@ CASES = {
     "trap_at_rest": 20.0,
     "dragged_trap": 20.0,
     "ring_driven_bead": 30.0,
+    "wall_bead_60hz": 90.0,
 }
 """Seconds that each may take on two idle cores, cold."""
 

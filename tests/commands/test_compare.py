@@ -94,6 +94,10 @@ def test_settings_refuse_what_a_recipe_cannot_learn():
     for settings, message in (
         (FitSettings(recipe="langevin", train=("gain",)), "no constant but diffusion"),
         (FitSettings(recipe="langevin", model="ude"), "expected a kernel model"),
+        (
+            FitSettings(recipe="bayes", observation="learn"),
+            "only the recipe langevin uses it",
+        ),
         (FitSettings(train=("drag", "damping")), "takes the place of damping"),
         (FitSettings(recipe="paper", train=("drag",)), "only the recipe bayes does"),
     ):

@@ -5,14 +5,23 @@ import json
 import re
 from pathlib import Path
 
+import jax.numpy as jnp
 import msgspec
 import numpy as np
 import pytest
 
 from pinav import cli
-from pinav.commands.truth.cases import BUILT_IN, find_cases, read_recording
+from pinav.commands.truth.cases import (
+    BUILT_IN,
+    Constants,
+    find_cases,
+    read_recording,
+)
 from pinav.commands.truth.metrics import TruthCase, TruthMetrics, TruthRow, case_table
+from pinav.commands.truth.wall import WallFields, bulk_diffusion, mobility_rows
 from pinav.errors import InputError
+from pinav.evaluation.truth import wall_score
+from pinav.forces import brenner_mobility, parallel_mobility
 from pinav.report.text import as_text
 
 TRAP = """kind = "trap"
@@ -166,3 +175,23 @@ def test_a_ring_is_judged_by_density_and_current(tmp_path, capsys):
     diffusion = rows["D against the drift's route [um²/s]"]
     np.testing.assert_allclose(diffusion["learned"], 0.05, rtol=0.1)
     assert rows["drift off density and current, uniform [%]"]["learned"] < 20
+
+
+def test_diffusion_that_obeys_hydrodynamics_meets_the_bars_of_a_wall():
+    gaps = np.linspace(0.1, 1.2, 30)
+    along, across = (
+        0.14 * np.asarray(mobility(jnp.asarray(gaps)))
+        for mobility in (parallel_mobility, brenner_mobility)
+    )
+    fields = WallFields(1.5 * gaps + 8.0, along, 1.2 * across, 0.01 * across)
+    free = [
+        wall_score(fields.heights, values, 1.5, normal=normal)
+        for values, normal in ((fields.along, False), (fields.across, True))
+    ]
+    rows = mobility_rows(fields, 1.5, 0.14, free, fields)
+    assert [row.met for row in rows] == [True, True, True, False, True]
+    assert all(abs(score.contact - 8.0) < 1e-3 for score in free)
+    water = Constants(temperature_K=298.15, viscosity_mPa_s=0.89, radius_um=1.0)
+    assert bulk_diffusion(water) == pytest.approx(0.245, rel=2e-3)
+    assert bulk_diffusion(Constants(diffusion_um2_s=0.2)) == 0.2
+    assert bulk_diffusion(Constants(radius_um=1.0)) is None

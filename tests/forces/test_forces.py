@@ -29,6 +29,7 @@ from pinav.forces import (
     ConstantDirector,
     ConstantForce,
     Domain,
+    DoubleLayer,
     EllipticTerm,
     GaussianBarrier,
     GaussianRidge,
@@ -36,9 +37,12 @@ from pinav.forces import (
     HarmonicTrap,
     InFlow,
     IsotropicTensor,
+    KernelAxis,
+    KernelBasis,
     KernelForce,
     KernelMixture,
     KernelPotential,
+    KernelProfile,
     KernelStream,
     LatticeTerm,
     LinearDrag,
@@ -50,6 +54,7 @@ from pinav.forces import (
     NeuralForce,
     NeuralPotential,
     ObstaclesTerm,
+    Plane,
     PlaneWaves,
     PoiseuilleFlow,
     PositionFeatures,
@@ -68,6 +73,7 @@ from pinav.forces import (
     VortexFlow,
     WallTerm,
     WavyDirector,
+    Weight,
     ZeroForce,
     check_kernels,
     kernel_centers,
@@ -109,6 +115,13 @@ def kernel_force():
 
 def kernel_potential():
     return KernelPotential(jnp.array([0.3, -0.2, 0.5]), kernel_force().centers, 1.3)
+
+
+def kernel_profile():
+    places = np.array([[3.0, 4.0], [5.0, 7.0]])
+    basis = KernelBasis.around((KernelAxis(0),), places, across=3, margin=1)
+    weights = jnp.linspace(-0.4, 0.5, 2 * len(basis.centers)).reshape(-1, 2)
+    return KernelProfile(weights, basis, (0, 1), 2)
 
 
 def ridge():
@@ -178,6 +191,9 @@ FORCES |= {
     "scheduled thrust": lambda: ScheduledThrust(
         *(jnp.array([0.0, 1.0]), jnp.ones((2, 2)), jnp.zeros((2, 2)), 0.1, 0.2)
     ),
+    "kernel profile": kernel_profile,
+    "weight": lambda: Weight(1.5, 50.0, [0.3, -1.0]),
+    "double layer": lambda: DoubleLayer(0.3, 1.2, 0.5, Plane([0.2, 1.0], 0.4)),
     "kernel stream": lambda: KernelStream(jnp.array([0.3, -0.2, 0.5]), centers, 1.3),
     "kernel mixture": lambda: KernelMixture(
         kernel_potential(), KernelStream(jnp.array([0.1, -0.4, 0.2]), centers, 1.3)

@@ -14,9 +14,12 @@ from pinav.forces import (
     AbstractLearnedForce,
     CentralTerm,
     ChangingPotential,
+    KernelAxis,
+    KernelBasis,
     KernelForce,
     KernelMixture,
     KernelPotential,
+    KernelProfile,
     KernelStream,
     LinearTerm,
     NeuralForce,
@@ -42,6 +45,9 @@ FORCES = {
     KernelPotential: STILL,
     KernelStream: KernelStream.with_zero_weights(CENTERS, 1.0),
     KernelMixture: KernelMixture.with_zero_weights(CENTERS, 1.0),
+    KernelProfile: KernelProfile.with_zero_weights(
+        KernelBasis.around((KernelAxis(0),), CENTERS, across=3, margin=1), (0, 1), 2
+    ),
     TimedKernelPotential: TIMED,
     ChangingPotential: ChangingPotential(STILL, TIMED),
     NeuralForce: NeuralForce(network(2), FEATURES),

@@ -9,7 +9,7 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import LogFormatter
+from matplotlib.ticker import FuncFormatter
 
 from pinav.figures.style import (
     BLACK,
@@ -97,6 +97,7 @@ def plane_map(
     axes: tuple[str, str] = ("x", "y"),
     outline: Float[np.ndarray, "row column"] | None = None,
     logarithmic: bool = False,
+    limits: tuple[float, float] | None = None,
     ax: Axes | None = None,
 ) -> Axes:
     """A field in a plane with contours, and the outline of the target.
@@ -109,14 +110,22 @@ def plane_map(
         axes: names of both axes.
         outline: volume fraction of the target in each cell; outlined at one half.
         logarithmic: colour the logarithm; values below a thousandth as that.
+        limits: of the colours; those of the values unless given. About zero, blue is
+            below and red above it.
         ax: where to draw; a new figure unless given.
     """
     ax = prepare_axes(ax)
     shown = np.log10(np.maximum(values, 1e-3)) if logarithmic else values
     lowest, highest = np.nanmin(shown), np.nanmax(shown)
     extent = [1e3 * n * h for n, h in zip(values.shape, spacing, strict=True)]
+    low, high = limits or (lowest, highest)
     image = ax.imshow(
-        shown.T, origin="lower", extent=(0.0, extent[0], 0.0, extent[1]), cmap="inferno"
+        shown.T,
+        origin="lower",
+        extent=(0.0, extent[0], 0.0, extent[1]),
+        cmap="RdBu_r" if low == -high else "inferno",
+        vmin=low,
+        vmax=high,
     )
     at = np.log10(levels) if logarithmic else np.asarray(levels)
     within = [(a, v) for a, v in zip(at, levels, strict=True)]
@@ -161,26 +170,27 @@ def probe_curves(
     """
     ax = prepare_axes(ax)
     for index, name in enumerate(names):
-        color = SPARE[index % len(SPARE)]
+        cycle, shade = divmod(index, len(SPARE))
+        color, dash = SPARE[shade], ("-", "--", ":")[cycle % 3]
         if readings is not None:
             at, values = readings
             ax.plot(at / 60, values[:, index], ".", color=color, ms=2, alpha=0.5)
-        ax.plot(times / 60, predicted[:, index], color=color, lw=THIN, label=name)
+        line = predicted[:, index]
+        ax.plot(times / 60, line, dash, color=color, lw=THIN, label=name)
     label_axes(ax, "time [min]", "temperature [°C]")
     add_legend(ax, columns=2)
     return ax
 
 
-def forecast_curves(
+def forecast_figure(
     times: Float[np.ndarray, " time"],
     values: Mapping[str, Float[np.ndarray, " time"]],
     sd: Mapping[str, Float[np.ndarray, " time"]],
     *,
     true: Float[np.ndarray, "curve time"] | None = None,
     fitted_until: float,
-    ax: Axes | None = None,
-) -> Axes:
-    """Predicted temperatures with their 95 % bands.
+) -> Figure:
+    """Predicted temperatures; below, how far they may be off, which is much less.
 
     Args:
         times: [s].
@@ -188,22 +198,31 @@ def forecast_curves(
         sd: their standard deviations [K], under the same names.
         true: the same curves of the truth, unless it is not known.
         fitted_until: time [s] of the last reading that was fitted.
-        ax: where to draw; a new figure unless given.
     """
-    ax = prepare_axes(ax)
+    figure = new_figure(5.0, 5.0)
+    above, below = figure.subplots(2, 1, sharex=True)
     minutes = times / 60
-    for curve in () if true is None else true:
-        ax.plot(minutes, curve, color=BLACK, lw=WIDE, alpha=0.5)
-    for color, (name, curve) in zip(SPARE, values.items(), strict=False):
-        half = 1.96 * sd[name]
-        ax.fill_between(
-            minutes, curve - half, curve + half, color=color, alpha=0.3, lw=0
-        )
-        ax.plot(minutes, curve, color=color, lw=THIN, label=name)
-    ax.axvline(fitted_until / 60, color=GREY, lw=0.8, ls=(0, (4, 2)), zorder=1)
-    label_axes(ax, "time [min]", "temperature [°C]")
-    add_legend(ax, columns=2)
-    return ax
+    for ax in (above, below):
+        prepare_axes(ax)
+        ax.axvline(fitted_until / 60, color=GREY, lw=0.8, ls=(0, (4, 2)), zorder=1)
+    for index, curve in enumerate(() if true is None else true):
+        name = "" if index else "truth"
+        above.plot(minutes, curve, color=BLACK, lw=WIDE, alpha=0.5, label=name)
+    for index, (name, curve) in enumerate(values.items()):
+        color, half = SPARE[index % len(SPARE)], 1.96 * sd[name]
+        above.plot(minutes, curve, color=color, lw=THIN, label=name)
+        below.fill_between(minutes, -half, half, color=color, alpha=0.12, lw=0)
+        for side in (-half, half):
+            below.plot(minutes, side, color=color, lw=0.6, ls=(0, (1, 1)))
+        if true is not None:
+            below.plot(minutes, true[index] - curve, color=color, lw=THIN)
+    label_axes(above, "", "temperature [°C]")
+    off = "95 % band" if true is None else "truth less predicted"
+    label_axes(below, "time [min]", f"{off} [K]")
+    add_legend(above, columns=3)
+    title_panel(above, "(a) temperature of the target")
+    title_panel(below, "(b) 95 % bands about the prediction")
+    return figure
 
 
 def protocol_figure(
@@ -284,11 +303,15 @@ def perfusion_figure(laws: Mapping[str, Mapping[str, Any]]) -> Figure:
         ax.plot(temperatures, law["values"], ":", color=BLUE, lw=THIN)
         ax.plot(temperatures, known, color=BLUE, lw=THIN, label="learned, 95 % band")
         ax.set_yscale("log")
-        plain = LogFormatter(minor_thresholds=(2.0, 0.5))
-        ax.yaxis.set_major_formatter(plain)
-        ax.yaxis.set_minor_formatter(plain)
+        ax.yaxis.set_major_formatter("{x:g}")
+        ax.yaxis.set_minor_formatter(FuncFormatter(_even_tick))
         ax.tick_params(which="both", labelsize=SMALL)
         label_axes(ax, "temperature [°C]", "perfusion [kg/(m³ s)]")
         title_panel(ax, name)
     add_legend(panels[0])
     return figure
+
+
+def _even_tick(value: float, _: int | None = None) -> str:
+    """A tick of a logarithmic axis if it begins with 2, 4 or 6; else nothing."""
+    return f"{value:g}" if f"{value:e}"[0] in "246" else ""

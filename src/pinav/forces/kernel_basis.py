@@ -210,7 +210,7 @@ def _grid(
 def _near(
     basis: KernelBasis,
     positions: Float[np.ndarray, "sample dim"],
-    margin: float,
+    margin: int,
 ) -> Float[np.ndarray, "_ embedded"]:
     """The centres of a basis within a margin of any sample."""
     from scipy.spatial import KDTree

@@ -9,6 +9,7 @@ from pinav.dynamics import BrownianSwimmer, OverdampedSwimmer
 from pinav.errors import InputError
 from pinav.fitting import (
     ConstantDiffusion,
+    Estimate,
     KernelDiffusion,
     LearnedObservation,
     Observation,
@@ -46,11 +47,13 @@ def trajectories(times, seen, scale=1.0, unit=1.0):
     return Trajectories.from_arrays(unit * times, states, channels=("angle",))
 
 
-def fit(data, period, **options):
+def fit(data, period, diffusion=None):
     environment = profile_environment(data, (KernelAxis(0, period),), across=12)
     model = OverdampedSwimmer(ZeroForce(), environment, 1.0)
-    options = {"observation": LearnedObservation()} | options
-    return fit_langevin(model, data, einstein=False, **options)
+    seen = LearnedObservation()
+    return fit_langevin(
+        model, data, einstein=False, diffusion=diffusion, observation=seen
+    )
 
 
 TIMES, SEEN = ring(0)
@@ -66,11 +69,18 @@ def drift(fit, angles):
     return np.asarray(at(jnp.asarray(angles)[:, None]))[:, 0]
 
 
+def number(fit):
+    assert isinstance(fit.diffusion, Estimate)
+    return fit.diffusion
+
+
 @pytest.mark.slow
 def test_blur_and_error_do_not_bias_the_diffusion(fitted):
-    assert abs(fitted.diffusion.value - DIFFUSION) < 3 * fitted.diffusion.sd
-    assert fitted.diffusion.sd < 0.05 * DIFFUSION
-    assert fitted.constants["diffusion"] == fitted.diffusion
+    diffusion = number(fitted)
+    assert abs(diffusion.value - DIFFUSION) < 3 * diffusion.sd
+    assert diffusion.sd < 0.05 * DIFFUSION
+    assert fitted.constants["diffusion"] == diffusion
+    assert set(fitted.constants) == {"diffusion", "exposure", "error"}
     assert fitted.checks.is_adequate, fitted.checks.statement
 
 
@@ -87,9 +97,7 @@ def test_the_drift_is_within_its_band_and_periodic(fitted):
 def test_units_and_the_order_of_tracks_change_nothing(fitted):
     other = fit(trajectories(TIMES, SEEN[:, ::-1], 1000.0, 60.0), 1000 * TURN)
     factor = 1000.0**2 / 60
-    assert other.diffusion.value == pytest.approx(
-        factor * fitted.diffusion.value, rel=1e-4
-    )
+    assert number(other).value == pytest.approx(factor * number(fitted).value, rel=1e-4)
     angles = np.linspace(0, TURN, 9)
     expected = 1000 / 60 * drift(fitted, angles)
     np.testing.assert_allclose(
@@ -102,7 +110,7 @@ def test_units_and_the_order_of_tracks_change_nothing(fitted):
 @pytest.mark.slow
 def test_wrapped_angles_give_what_unwrapped_ones_do(fitted):
     wrapped = fit(trajectories(TIMES, SEEN % TURN), TURN)
-    assert wrapped.diffusion.value == pytest.approx(fitted.diffusion.value, rel=1e-6)
+    assert number(wrapped).value == pytest.approx(number(fitted).value, rel=1e-6)
 
 
 def test_what_does_not_fit_together_is_refused():

@@ -13,6 +13,7 @@ from pinav.commands.fit.metrics import FitMetrics, Loss
 from pinav.commands.fit.plan import FitPlan, plan_fit
 from pinav.commands.fit.settings import EVIDENCE_RECIPES, FitOptions
 from pinav.commands.fit.structure import profile_arrays, structure_row
+from pinav.commands.fit.thermal import fit_thermal, read_checks, thermal_remarks
 from pinav.commands.fitted_run import (
     MODEL_FILE,
     POSTERIOR_FILE,
@@ -45,7 +46,6 @@ from pinav.fitting import (
     EvidenceFit,
     Outcome,
     fit_bayes,
-    fit_langevin,
     fit_structured,
     is_worth_a_search,
     simpler_models,
@@ -133,7 +133,7 @@ def _infer(plan: FitPlan, folder: RunFolder) -> None:
     model: Any = build(plan.choice, plan.system.swimmer, plan.summary)
     header = ModelHeader(plan.choice, plan.summary)
     if plan.settings.recipe == "langevin":
-        write_fit(folder, header, fit_langevin(model, plan.data).regression, plan.data)
+        write_fit(folder, header, fit_thermal(plan, model, folder), plan.data)
         return
     if is_commanded(plan.system):
         write_fit(folder, header, _fit_commanded(plan, model.environment), plan.data)
@@ -219,6 +219,7 @@ def _metrics(
         remarks=(
             *_remarks(evidence.outcome),
             *filter(None, [evidence.goodness]),
+            *thermal_remarks(plan),
             *remarks(plan.data),
         ),
         iterations=evidence.iterations,
@@ -226,6 +227,7 @@ def _metrics(
         amplitude=evidence.hyperparameters.amplitude,
         log_evidence=evidence.hyperparameters.log_evidence,
         structure=structure_row(fitted),
+        thermal=read_checks(fitted.folder),
         **common,
     )
 

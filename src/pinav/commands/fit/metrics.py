@@ -4,6 +4,7 @@ import msgspec
 
 from pinav.commands.cells import EstimateRow
 from pinav.commands.fit.structure import StructureRow
+from pinav.commands.fit.thermal import ThermalRow
 from pinav.report import number
 
 
@@ -37,6 +38,7 @@ class FitMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
         amplitude: of the prior of the force.
         log_evidence: of the fit [nats].
         structure: what the search for a structure came to.
+        thermal: checks of thermal motion whose observation is learned.
     """
 
     model: str
@@ -52,6 +54,7 @@ class FitMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
     amplitude: float | None = None
     log_evidence: float | None = None
     structure: StructureRow | None = None
+    thermal: ThermalRow | None = None
 
     def text(self) -> str:
         """The metrics for a terminal."""
@@ -61,6 +64,8 @@ class FitMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
         for name, learned in self.learned.items():
             spread = "" if learned.sd is None else f" ± {number(learned.sd, 2)} (sd)"
             lines.append(f"{name}: {number(learned.value, 6)}{spread}")
+        if self.thermal is not None:
+            lines.append(self.thermal.text())
         if self.force_error is not None:
             errors = ", ".join(
                 f"{region} {'–' if error is None else f'{error:.2%}'}"

@@ -6,6 +6,7 @@ import numpy as np
 
 from pinav.commands.fit.metrics import FitMetrics
 from pinav.commands.fit.structure import StructureRow
+from pinav.commands.fit.thermal import ThermalRow
 from pinav.commands.fitted_run import DATA_FILE
 from pinav.commands.matching import read_losses
 from pinav.evaluation import FieldMap
@@ -31,6 +32,8 @@ def fit_sections(folder: RunFolder) -> list[Section]:
     if metrics.structure is not None:
         shown = _structure(folder, data, arrays, metrics.structure)
         sections.append(Section("The structure of the force", shown))
+    if metrics.thermal is not None:
+        sections.append(Section("The thermal motion", _checks(metrics.thermal)))
     if "field/learned" in arrays:
         force = _learned_force(folder, data, arrays, metrics)
         sections.append(Section("The learned force", force))
@@ -56,6 +59,33 @@ def _tables(metrics: FitMetrics) -> list[Table]:
         header = ("constant", "value", "standard deviation")
         tables.append(Table(header, rows, "Constants learned."))
     return tables
+
+
+def _checks(thermal: ThermalRow) -> list[Paragraph | Table]:
+    """Whether the fit explains the increments, and what the observation does."""
+    lags = range(1, 1 + max(map(len, thermal.correlations.values())))
+    ratios = [
+        ("exposure as a share of the interval", thermal.exposure),
+        ("error of a position, in steps by diffusion", thermal.error),
+        *(
+            (f"diffusion of every {one.every} samples over that of all", one.ratio)
+            for one in thermal.thinned
+        ),
+    ]
+    return [
+        Paragraph(thermal.statement),
+        Table(
+            ("channel", *(f"{lag} apart" for lag in lags)),
+            [(name, *values) for name, values in thermal.correlations.items()],
+            "Correlations of innovations so many samples apart; those of independent "
+            f"ones lie within {thermal.limit:.3f} (two standard deviations).",
+        ),
+        Table(
+            ("ratio", "value", "standard deviation"),
+            [(name, one.value, one.sd) for name, one in ratios],
+            "Blur and error of the positions, and the diffusion of thinned data.",
+        ),
+    ]
 
 
 def _paths(

@@ -46,6 +46,9 @@ class FitSettings(Settings, frozen=True):
         structure: Recipe bayes, kernel models in the plane: search for a structure of
             the force (a centre, a wall, a linear flow), which the evidence may prefer
             to free kernels; free: kernels alone.
+        observation: Recipe langevin: exact: positions without error; learn: the camera
+            averages over an exposure and errs, and both are learned, so that neither
+            biases the diffusion or the force.
         train: Known constants to learn beside the unknown; drag: an anisotropic drag
             tensor in place of the known drag.
         seed: Seed of the network.
@@ -60,6 +63,7 @@ class FitSettings(Settings, frozen=True):
     recipe: FitRecipeName = "default"
     noise: Annotated[float | None, Range(above=0)] = None
     structure: Literal["search", "free"] = "search"
+    observation: Literal["exact", "learn"] = "exact"
     train: tuple[Literal["damping", "gain", "drag"], ...] = ()
     system: SystemName = None
     seed: int = 0
@@ -91,6 +95,11 @@ class FitSettings(Settings, frozen=True):
             raise InputError("--train drag: only the recipe bayes does; drop it")
         if self.recipe == "langevin":
             self._check_langevin()
+        elif self.observation != "exact" and self.recipe != "default":
+            raise InputError(
+                "--observation: only the recipe langevin uses it; drop it or choose "
+                "--recipe langevin"
+            )
         if self.noise is not None and (matched or self.recipe == "langevin"):
             raise InputError("--noise: only the recipe bayes uses it; drop --noise")
         self._check_unused()

@@ -24,7 +24,7 @@ from pinav.figures.heat import (
     DOSES,
     ISOTHERMS,
     dose_profile,
-    forecast_curves,
+    forecast_figure,
     perfusion_figure,
     plane_map,
     probe_curves,
@@ -148,28 +148,41 @@ def _fitted_frames(folder: RunFolder, arrays: Arrays) -> list[Image]:
 def _last_frame(folder: RunFolder, arrays: Arrays) -> Image:
     name, cut = next(iter(_sections(arrays, arrays["frame/fit"]).items()))
     reading, fit = arrays["frame/reading"][cut], arrays["frame/fit"][cut]
-    figure = new_figure(9.0, 3.0)
+    figure = new_figure(7.5, 2.5)
     panels = figure.subplots(1, 3)
     spacing = float(arrays["spacing"][0]), float(arrays["spacing"][1])
-    shown: tuple[tuple[np.ndarray, tuple[float, ...], str], ...] = (
-        (reading, (), "reading [°C]"),  # noise has no contours
-        (fit, ISOTHERMS, "fit [°C]"),
-        (reading - fit, (), "difference [K]"),
+    shared = float(np.nanmin(fit)) - 1.0, float(np.nanmax(fit)) + 1.0
+    widest = float(np.nanmax(np.abs(reading - fit)))
+    shown: tuple[tuple[np.ndarray, tuple[float, ...], str, tuple[float, float]], ...]
+    shown = (
+        (reading, (), "reading [°C]", shared),  # noise has no contours
+        (fit, ISOTHERMS, "fit [°C]", shared),
+        (reading - fit, (), "difference [K]", (-widest, widest)),
     )
-    for ax, (values, levels, label) in zip(panels, shown, strict=True):
-        outline = arrays["target"][cut]
-        plane_map(values, spacing, levels=levels, label=label, outline=outline, ax=ax)
-    title_panel(panels[0], name)
+    for ax, (values, levels, label, limits) in zip(panels, shown, strict=True):
+        plane_map(
+            values,
+            spacing,
+            levels=levels,
+            label=label,
+            outline=arrays["target"][cut],
+            limits=limits,
+            ax=ax,
+        )
+    for ax in panels[1:]:
+        ax.set_ylabel("")
+    title_panel(panels[0], name.replace(", ", ",\n"))  # else into the next panel
     caption = (
         f"The frame at {_duration(float(arrays['data_times'][-1]))}, the last that was "
-        "fitted, without turns of the phase and drift; white where no voxel is read; "
-        "the tumour is outlined in blue."
+        "fitted, without turns of the phase and drift, and the fit in the same "
+        "colours; reading less fit; white where no voxel is read; the tumour is "
+        "outlined in blue."
     )
     return _image(folder, figure, "frame", caption)
 
 
 def _prediction(folder: RunFolder, arrays: Arrays) -> Image:
-    ax = forecast_curves(
+    figure = forecast_figure(
         arrays["forecast/times"],
         dict(zip(FOLLOWED, arrays["forecast/values"].T, strict=True)),
         dict(zip(FOLLOWED, arrays["forecast/sd"].T, strict=True)),
@@ -177,10 +190,11 @@ def _prediction(folder: RunFolder, arrays: Arrays) -> Image:
         fitted_until=float(arrays["forecast/from"][0]),
     )
     caption = (
-        "Temperatures of the target with their 95 % bands: fitted up to the dashed "
-        "line, predicted after it; black lines are the truth, where it is known."
+        "Temperatures of the target, fitted up to the dashed line, predicted after it, "
+        "and their 95 % bands on a scale of their own; with the truth where it is "
+        "known: black above, less the prediction below."
     )
-    return _image(folder, ax.figure, "forecast", caption)
+    return _image(folder, figure, "forecast", caption)
 
 
 def _protocol(folder: RunFolder, arrays: Arrays, bound: float | None) -> Image:

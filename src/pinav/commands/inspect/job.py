@@ -15,6 +15,7 @@ from pinav.errors import InputError
 from pinav.figures import overlay, recording_figure, save_figure
 from pinav.figures.style import new_figure
 from pinav.files import write_text
+from pinav.fitting import judge_increments
 from pinav.recordings.conventions import in_words
 from pinav.recordings.quality.commands import Drive
 from pinav.recordings.quality.report import Quality, Run, Track, quality
@@ -50,13 +51,31 @@ def inspect(
     if image is not None and out is None:
         raise InputError("--image: is drawn into a report; give --out too")
     recording = _with_labels(read_data(path, settings, doubtful=True), path)
-    report = quality(recording)
+    report = _with_verdict(quality(recording), recording)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         text = json.dumps(report.as_json(), indent=2, allow_nan=False)
         write_text(out / JSON_FILE, text, overwrite=True)
         write_text(out / PAGE_FILE, page(recording, report, out, image), overwrite=True)
     return report
+
+
+def _with_verdict(report: Quality, recording: Trajectories) -> Quality:
+    """The report with a note on thermal motion, where a recording may show it."""
+    if recording.commands or "x" not in recording.channels:
+        return report
+    axes = [name for name in ("x", "y", "z") if name in recording.channels]
+    positions = recording.only(axes)
+    if not (positions.observed.all(axis=2).sum(axis=1) > FEWEST).any():
+        return report
+    verdict = judge_increments(positions)
+    if not verdict.is_thermal:
+        return report
+    return dataclasses.replace(report, notes=[*report.notes, verdict.statement])
+
+
+FEWEST = 100
+"""Samples of one trajectory from which on correlations of increments say something."""
 
 
 def _with_labels(data: Trajectories, path: Path) -> Trajectories:

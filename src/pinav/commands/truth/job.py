@@ -14,6 +14,7 @@ from pinav.commands.truth.metrics import TruthCase, TruthMetrics, case_table
 from pinav.commands.truth.ring import judge_ring
 from pinav.commands.truth.settings import TruthOptions, TruthSettings
 from pinav.commands.truth.traps import judge_dragged_trap, judge_trap
+from pinav.commands.truth.wall import judge_wall
 from pinav.errors import FitError, InputError
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
@@ -27,6 +28,7 @@ def judges(settings: TruthSettings) -> dict[str, Judge]:
         "trap": judge_trap,
         "dragged trap": judge_dragged_trap,
         "ring": functools.partial(judge_ring, peer=settings.peer),
+        "wall": judge_wall,
     }
 
 
@@ -76,8 +78,6 @@ def _judge(case: Case, settings: TruthSettings) -> tuple[TruthCase, tuple[Curve,
         reason = f"no {case.description.file} in {case.folder}"
         return TruthCase(case.name, kind, "absent", reason), ()
     known = judges(settings)
-    if kind not in known:
-        return TruthCase(case.name, kind, "skipped", f"no judge of a {kind} yet"), ()
     try:
         judgement = known[kind](case, case.read())
     except (FitError, InputError) as error:

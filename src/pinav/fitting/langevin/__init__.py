@@ -12,3 +12,5 @@ from pinav.fitting.langevin.observation import ObservedAxes as ObservedAxes
 from pinav.fitting.langevin.reference import ReferencePath as ReferencePath
 from pinav.fitting.langevin.reference import SlowReference as SlowReference
 from pinav.fitting.langevin.result import LangevinFit as LangevinFit
+from pinav.fitting.langevin.verdict import IncrementVerdict as IncrementVerdict
+from pinav.fitting.langevin.verdict import judge_increments as judge_increments

@@ -27,10 +27,16 @@ from pinav.fitting.langevin.diffusion import (
 )
 from pinav.fitting.langevin.euler import fit_euler
 from pinav.fitting.langevin.increments import Increments, Padding
-from pinav.fitting.langevin.observation import LearnedObservation, Observation
+from pinav.fitting.langevin.observation import (
+    LearnedObservation,
+    Observation,
+    ObservedAxes,
+)
 from pinav.fitting.langevin.reference import SlowReference
 from pinav.fitting.langevin.result import LangevinFit
 from pinav.fitting.langevin.rounds import (
+    LATER_STEPS,
+    SCORING_STEPS,
     Belief,
     Relation,
     diffusion_share,
@@ -168,7 +174,8 @@ def _fit_in_turns(
     turns = 0
     while True:
         before, turns = belief, turns + 1
-        belief, problem, step = fit_motion(belief, relation, padding)
+        most = SCORING_STEPS if turns == 1 else LATER_STEPS
+        belief, problem, step = fit_motion(belief, relation, padding, most)
         belief, fit = fit_drift(belief, relation, padding, refine, trajectories)
         if turns == ROUNDS or belief.moved_from(before) < NEGLIGIBLE:
             break
@@ -181,7 +188,7 @@ def _fit_in_turns(
     fit = diffusion_share(belief, relation, padding, fit, field)
     seen = () if observation is None else observed_axes(belief.motion, *spreads)
     return LangevinFit(
-        regression=_with_diffusion(fit, field),
+        regression=_with_numbers(fit, field, seen),
         diffusion=_simplest(field),
         observation=seen,
         reference=path,
@@ -197,16 +204,20 @@ def _simplest(field: DiffusionField) -> DiffusionField | Estimate:
     return field.estimates()[0]
 
 
-def _with_diffusion(fit: EvidenceFit, field: DiffusionField) -> EvidenceFit:
-    """The fit with the numbers of the diffusion among its constants."""
-    if field.tensor.weights.size:
-        return fit
-    numbers, groups = field.estimates(), field.tensor.groups
-    names = ["diffusion"]
-    if len(groups) > 1:
-        names = [f"diffusion[{','.join(map(str, axes))}]" for axes in groups]
-    constants = fit.constants | dict(zip(names, numbers, strict=True))
-    return eqx.tree_at(lambda f: f.constants, fit, constants)
+def _with_numbers(
+    fit: EvidenceFit, field: DiffusionField, seen: tuple[ObservedAxes, ...]
+) -> EvidenceFit:
+    """The fit with diffusion, exposure and error among its constants."""
+    groups = field.tensor.groups
+    several = len(groups) > 1
+    marks = [f"[{','.join(map(str, axes))}]" if several else "" for axes in groups]
+    numbers = {}
+    if not field.tensor.weights.size:
+        pairs = zip(marks, field.estimates(), strict=True)
+        numbers = {f"diffusion{mark}": value for mark, value in pairs}
+    for mark, axes in zip(marks, seen, strict=False):
+        numbers |= {f"exposure{mark}": axes.exposure, f"error{mark}": axes.error}
+    return eqx.tree_at(lambda f: f.constants, fit, fit.constants | numbers)
 
 
 def _periods(swimmer: OverdampedSwimmer, diffusion: Diffusion) -> dict[int, float]:

@@ -35,8 +35,8 @@ from pinav.fitting.langevin.thinning import thinned_diffusion
 from pinav.fitting.least_squares import Regression
 from pinav.trajectories import Trajectories
 
-SCORING_STEPS = 12
-"""Steps of Fisher's scoring at most; eight suffice from moments."""
+SCORING_STEPS, LATER_STEPS = 10, 3
+"""Steps of Fisher's scoring at most, from moments and from the round before."""
 
 
 class Relation(eqx.Module):
@@ -141,9 +141,15 @@ def kernel_design(
 
 
 def fit_motion(
-    belief: Belief, relation: Relation, padding: Padding
+    belief: Belief, relation: Relation, padding: Padding, max_steps: int
 ) -> tuple[Belief, DiffusionProblem | None, Step | None]:
     """Diffusion and observation given the drift; unchanged where both are known.
+
+    Args:
+        belief: where the steps begin.
+        relation: what is learned.
+        padding: the layout.
+        max_steps: of Fisher's scoring at most.
 
     Raises:
         FitError: the likelihood is not finite.
@@ -157,7 +163,7 @@ def fit_motion(
         learn_diffusion=relation.learn_diffusion,
         observation=relation.observation,
     )
-    _, steps = iterate(problem, SCORING_STEPS)
+    _, steps = iterate(problem, max_steps)
     if not steps:
         raise FitError("the fit diverged at once: no likelihood of the diffusion")
     motion: Any = problem.parametric(jnp.asarray(steps[-1].move.theta))
@@ -294,9 +300,9 @@ def diffusion_share(
     return eqx.tree_at(lambda f: f.posterior.covariance, fit, covariance)
 
 
-DRAWS = 8
+DRAWS = 6
 """Diffusions drawn for their share in the doubt of the force: its standard deviation is
-then known to a quarter, and it is the smaller part."""
+then known to a third, and it is the smaller part."""
 
 
 def langevin_checks(

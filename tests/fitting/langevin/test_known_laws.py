@@ -1,0 +1,300 @@
+"""Thermal motion whose drift and diffusion are known in closed form."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.dynamics import BrownianSwimmer, OverdampedSwimmer
+from pinav.errors import InputError
+from pinav.fitting import (
+    ConstantDiffusion,
+    Estimate,
+    KernelDiffusion,
+    LearnedObservation,
+    Observation,
+    SlowReference,
+    fit_langevin,
+    profile_environment,
+    warp_at_slow_end,
+)
+from pinav.fitting.langevin import Increments
+from pinav.fitting.langevin.diffusion import DiffusionField
+from pinav.fitting.langevin.drift import second_order
+from pinav.forces import (
+    HarmonicTrap,
+    KernelAxis,
+    KernelBasis,
+    KernelTensor,
+    ZeroForce,
+)
+from pinav.trajectories import Trajectories
+
+TURN = 2 * np.pi
+DIFFUSION, RATE = 0.5, 1.0
+STEP = 0.005
+"""Of the simulations [T]."""
+
+
+def film(drift, diffusion, start, frames, *, exposed=1, error=0.0, seed=0):
+    """Positions as a camera sees them, and the times of the frames.
+
+    Args:
+        drift: of positions (track, dim) at a time.
+        diffusion: of positions.
+        start: positions.
+        frames: steps of the simulation at which frames end.
+        exposed: steps over which a frame averages.
+        error: standard deviation.
+        seed: of kicks and errors.
+    """
+    rng, x, path = np.random.default_rng(seed), start, []
+    for n in range(frames[-1]):
+        kick = np.sqrt(2 * diffusion(x) * STEP) * rng.normal(size=x.shape)
+        x = x + drift(n * STEP, x) * STEP + kick
+        path.append(x)
+    seen = [np.mean(path[end - exposed : end], axis=0) for end in frames]
+    seen = np.array(seen) + error * rng.normal(size=(len(frames), *x.shape))
+    return STEP * frames, seen.transpose(1, 0, 2)
+
+
+def tracks(times, seen, observed=None):
+    channels = ("x", "y", "z")[: seen.shape[2]]
+    return Trajectories.from_arrays(
+        [times] * len(seen), list(seen), channels=channels, observed=observed
+    )
+
+
+def swimmer(data, *axes, along=None, across=6):
+    environment = profile_environment(data, axes, along=along, across=across)
+    return OverdampedSwimmer(ZeroForce(), environment, 1.0)
+
+
+def number(fit):
+    assert isinstance(fit.diffusion, Estimate)
+    return fit.diffusion
+
+
+def field(fit):
+    assert isinstance(fit.diffusion, DiffusionField)
+    return fit.diffusion
+
+
+def drift(fit, points):
+    at = jax.vmap(lambda x: fit.model(0.0, x))
+    return np.asarray(at(jnp.asarray(points, jnp.float64)))
+
+
+def trapped(interval, seed=0, count=40, samples=400):
+    """Exact paths of Ornstein and Uhlenbeck along a line."""
+    rng, decay = np.random.default_rng(seed), np.exp(-RATE * interval)
+    spread = np.sqrt(DIFFUSION / RATE)
+    x = [spread * rng.normal(size=(count, 1))]
+    for _ in range(samples - 1):
+        kick = np.sqrt(1 - decay**2) * spread * rng.normal(size=(count, 1))
+        x.append(decay * x[-1] + kick)
+    return tracks(interval * np.arange(samples), np.stack(x, axis=1))
+
+
+def pull(fit):
+    """Rate at which the drift pulls towards zero, where the path mostly is."""
+    points = np.linspace(-1.5, 1.5, 31)
+    density = np.exp(-0.5 * RATE * points**2 / DIFFUSION)
+    values = drift(fit, points[:, None])[:, 0]
+    return -np.polyfit(points, values, 1, w=np.sqrt(density))[0]
+
+
+def test_terms_of_second_order_are_those_of_the_exact_propagator():
+    tau = 0.01
+    places = np.array([[-0.8], [0.1], [0.6]])
+    increments = Increments(
+        np.zeros(3), places, np.zeros((3, 1)), np.full(3, tau), (3,)
+    )
+    model = OverdampedSwimmer(ZeroForce(), HarmonicTrap(RATE, [0.0]), 1.0)
+    tensor = KernelTensor(
+        jnp.log(jnp.array([DIFFUSION])),
+        jnp.zeros((1, 0)),
+        KernelBasis.constant(),
+        ((0,),),
+    )
+    terms = second_order(model, tensor, increments, einstein=False)
+    mean = np.expm1(-RATE * tau) * places + RATE * tau * places
+    np.testing.assert_allclose(terms.means, mean, rtol=tau)
+    variance = -np.expm1(-2 * RATE * tau) / (2 * RATE * tau)
+    np.testing.assert_allclose(terms.factors, variance, atol=tau**2)
+
+
+@pytest.mark.slow
+def test_terms_of_second_order_lower_the_bias_of_long_steps():
+    tau = 0.3
+    data = trapped(tau)
+    model = swimmer(data, KernelAxis(0))
+    short = fit_langevin(model, data, einstein=False)
+    long = fit_langevin(model, data, einstein=False, observation=Observation())
+    first, second = number(short).value, number(long).value
+    of_one_lag = -np.expm1(-2 * RATE * tau) / (2 * RATE * tau)
+    assert first == pytest.approx(of_one_lag * DIFFUSION, rel=0.05)
+    assert abs(second - DIFFUSION) < 0.5 * abs(first - DIFFUSION)
+    assert pull(short) == pytest.approx(-np.expm1(-RATE * tau) / tau, rel=0.08)
+    assert abs(pull(long) - RATE) < abs(pull(short) - RATE)
+
+
+def mobile(x):
+    """Diffusion that varies round a ring: its logarithm by 0.6 sin x."""
+    return DIFFUSION * np.exp(0.6 * np.sin(x))
+
+
+FORCE = 0.8
+"""A constant force round the ring, in units of the thermal energy."""
+
+
+@pytest.fixture(scope="module")
+def round_the_ring():
+    """A constant force on a bead whose mobility varies, blurred and with errors."""
+
+    def ito(time, x):
+        return mobile(x) * (FORCE + 0.6 * np.cos(x))
+
+    start = np.linspace(0, TURN, 24, endpoint=False)[:, None]
+    frames = 10 * np.arange(1, 401)
+    data = tracks(*film(ito, mobile, start, frames, exposed=6, error=0.03))
+    axis = KernelAxis(0, TURN)
+    return fit_langevin(
+        BrownianSwimmer(swimmer(data, axis, across=10), 1.0),
+        data,
+        diffusion=KernelDiffusion((axis,), across=10),
+        observation=LearnedObservation(),
+    )
+
+
+ANGLES = np.linspace(0, TURN, 24, endpoint=False)[:, None]
+
+
+@pytest.mark.slow
+def test_a_field_of_diffusion_is_learned_in_spite_of_blur_and_error(round_the_ring):
+    diffusion = field(round_the_ring)
+    values, log_sd = diffusion(ANGLES), diffusion.log_sd(ANGLES)
+    miss = np.log(values / mobile(ANGLES))
+    assert np.sqrt(np.mean(miss**2)) < 0.1
+    assert np.mean(np.abs(miss) < 2.5 * log_sd) > 0.8
+    np.testing.assert_allclose(diffusion.sd(ANGLES), values * log_sd)
+    assert round_the_ring.checks.is_adequate, round_the_ring.checks.statement
+
+
+@pytest.mark.slow
+def test_the_divergence_of_the_diffusion_is_no_force(round_the_ring):
+    """Left out, it would be a force of 0.6 cos x beside the constant one."""
+    environment = round_the_ring.model.environment
+    at = jax.vmap(lambda x: environment(0.0, x, jnp.zeros(1)))
+    force = np.asarray(at(jnp.asarray(ANGLES)))
+    sd = round_the_ring.posterior.force_sd(ANGLES)
+    assert np.mean(np.abs(force - FORCE) < 2.5 * sd) > 0.8
+    assert force.mean() == pytest.approx(FORCE, abs=0.3)
+    assert abs(2 * np.mean(force * np.cos(ANGLES))) < 0.3
+    np.testing.assert_allclose(
+        round_the_ring.brownian.diffusion(jnp.asarray(ANGLES[0]))[0],
+        field(round_the_ring)(ANGLES[:1])[0],
+    )
+
+
+@pytest.mark.slow
+def test_a_reference_that_drifts_is_followed():
+    """A trap that wanders by more than its width."""
+
+    def trap(time):
+        return 0.6 * np.sin(TURN * time / 40)
+
+    times, seen = film(
+        lambda time, x: -4 * (x - trap(time)),
+        lambda x: DIFFUSION,
+        np.zeros((4, 1)),
+        10 * np.arange(1, 801),
+    )
+    data = tracks(times, seen)
+    reference = SlowReference(0, knots=16)
+    model = swimmer(data, KernelAxis(0))
+    fit = fit_langevin(model, data, einstein=False, reference=reference)
+    path = fit.reference
+    assert path is not None
+    truth = trap(path.times) - trap(path.times).mean()
+    miss = path(path.times) - truth
+    assert np.sqrt(np.mean(miss**2)) < 0.4 * np.sqrt(np.mean(truth**2))
+    assert np.all(path.sd < np.std(truth))
+
+
+@pytest.mark.slow
+def test_irregular_times_and_lost_frames_in_space():
+    """A spring along z, and a diffusion along it that is not that across."""
+    levels = np.array([0.5, 0.5, 0.2])
+    rng = np.random.default_rng(1)
+    frames = np.cumsum(rng.integers(8, 14, 400))
+    times, seen = film(
+        lambda time, x: -RATE * x * np.array([0, 0, 1]),
+        lambda x: levels,
+        np.zeros((10, 3)),
+        frames,
+        exposed=5,
+        error=0.03,
+    )
+    observed = np.repeat(rng.random((10, 400, 1)) > 0.15, 3, axis=2)
+    data = tracks(times, seen, list(observed))
+    fit = fit_langevin(
+        swimmer(data, KernelAxis(2)),
+        data,
+        einstein=False,
+        diffusion=ConstantDiffusion(((0, 1), (2,))),
+        observation=LearnedObservation(),
+    )
+    for estimate, level in zip(field(fit).estimates(), levels[1:], strict=True):
+        assert abs(estimate.value - level) < 3 * estimate.sd
+        assert estimate.sd < 0.06 * level
+    assert set(fit.constants) >= {"diffusion[0,1]", "diffusion[2]", "error[2]"}
+    heights = np.linspace(-0.6, 0.6, 13)
+    points = np.stack([0 * heights, 0 * heights, heights], axis=1)
+    sd = fit.posterior.force_sd(points)[:, 2]
+    assert np.mean(np.abs(drift(fit, points)[:, 2] + RATE * heights) < 2.5 * sd) > 0.8
+    assert not drift(fit, points)[:, :2].any()
+
+
+@pytest.mark.slow
+def test_a_drift_that_turns_in_the_plane():
+    """A trap with a rotation: no potential has such a force."""
+    matrix = np.array([[-RATE, -1.5], [1.5, -RATE]])
+    times, seen = film(
+        lambda time, x: x @ matrix.T,
+        lambda x: DIFFUSION,
+        np.zeros((16, 2)),
+        10 * np.arange(1, 401),
+        exposed=5,
+        error=0.03,
+    )
+    data = tracks(times, seen)
+    fit = fit_langevin(
+        swimmer(data, KernelAxis(0), KernelAxis(1), across=4),
+        data,
+        einstein=False,
+        observation=LearnedObservation(),
+    )
+    diffusion = number(fit)
+    assert abs(diffusion.value - DIFFUSION) < 3 * diffusion.sd
+    angles = np.linspace(0, TURN, 16, endpoint=False)
+    points = 0.7 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    miss = drift(fit, points) - points @ matrix.T
+    assert np.mean(np.abs(miss) < 2.5 * fit.posterior.force_sd(points)) > 0.8
+    assert np.linalg.norm(miss) < 0.4 * np.linalg.norm(points @ matrix.T)
+
+
+def test_the_warp_begins_where_steps_are_short():
+    """Kernels are finest at the wall: the end where the bead hardly moves."""
+    heights, upwards = [0.5], True
+    for _ in range(4000):
+        upwards = heights[-1] < (2.5 if upwards else 0.51)
+        heights.append(heights[-1] * (1.02 if upwards else 1 / 1.02))
+    for sign in (1.0, -1.0):
+        path = sign * np.array(heights)[None, :, None]
+        warp = warp_at_slow_end(tracks(np.arange(4001.0), path), 0)
+        assert warp.origin == pytest.approx(sign * 0.5, abs=0.02)
+        assert warp.scale == pytest.approx(0.02 * 0.5, rel=0.1)
+    few = tracks(np.arange(20.0), np.zeros((2, 20, 1)))
+    with pytest.raises(InputError, match="expected 100 or more steps, got 38"):
+        warp_at_slow_end(few, 0)
