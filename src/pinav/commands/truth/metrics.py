@@ -187,18 +187,20 @@ def _with_error(value: float | None, sd: float | None) -> str:
         return "–"
     if sd is None:
         return number(value)
-    shown, spread = _rounded((value, sd), sd)
+    shown, spread = _round_to_error((value, sd), sd)
     return f"{shown} ± {spread}"
 
 
 def _with_band(value: float, sd: float | None) -> str:
     if sd is None:
         return number(value)
-    shown, low, high = _rounded((value, value - BAND * sd, value + BAND * sd), sd)
+    shown, low, high = _round_to_error(
+        (value, value - BAND * sd, value + BAND * sd), sd
+    )
     return f"{shown} [{low}, {high}]"
 
 
-def _rounded(values: Sequence[float], sd: float) -> list[str]:
+def _round_to_error(values: Sequence[float], sd: float) -> list[str]:
     """Numbers with as many digits as their standard deviation allows."""
     if not 1e-5 < sd < 1e5:
         return [number(value) for value in values]

@@ -166,7 +166,7 @@ def _fit_in_turns(
     refine: Refinement | None,
 ) -> LangevinFit:
     periods = _periods(swimmer, diffusion)
-    increments = Increments.of(trajectories).wrapped(periods)
+    increments = Increments.of(trajectories).wrap(periods)
     padding = Padding.of(increments.counts)
     motion = begin_motion(diffusion, observation, increments)
     belief = Belief.first(swimmer, motion, increments)

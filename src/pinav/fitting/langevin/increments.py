@@ -61,7 +61,7 @@ class Increments(eqx.Module):
         r"""$\log\det$ of the change from residuals to displacements."""
         return float(np.log(self.intervals).sum() * self.steps.shape[1])
 
-    def wrapped(self, periods: dict[int, float]) -> "Increments":
+    def wrap(self, periods: dict[int, float]) -> "Increments":
         """The increments with those of periodic coordinates the shortest way round.
 
         Args:
