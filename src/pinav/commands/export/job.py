@@ -1,6 +1,7 @@
 """`pinav export`: what a run has learned, in the formats of other programs."""
 
 import importlib.util
+from typing import BinaryIO
 
 import msgspec
 
@@ -37,9 +38,11 @@ def run(options: ExportOptions) -> CommandResult:
     fit = FittedRun.open(options.run)
     table = spot_table(fit)
     content = _content(fit, table, options)
-    atomic_write(
-        options.out, lambda file: file.write(content), overwrite=options.overwrite
-    )
+
+    def write(file: BinaryIO) -> None:
+        file.write(content)
+
+    atomic_write(options.out, write, overwrite=options.overwrite)
     metrics = ExportMetrics(str(options.out), options.to, len(table.time))
     return CommandResult(metrics, f"{options.out}: {metrics.spots} spots, {options.to}")
 

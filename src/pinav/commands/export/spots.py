@@ -49,7 +49,7 @@ def spot_table(run: FittedRun) -> SpotTable:
     """
     data = run.data
     seen = data.observed[..., : data.dim].all(axis=-1)
-    seen &= np.arange(seen.shape[1]) < data.lengths[:, None]
+    seen &= np.arange(data.times.shape[1]) < data.lengths[:, None]
     trajectory, frame = np.nonzero(seen)
     position, time = data.positions[seen], data.times[seen]
     force = learned_force(run)
