@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 
 MISSING = "{} is not installed; install it by pip install 'pinav[exchange]'"
 
+Variable = tuple[Any, ...]
+"""Dimensions, values and attributes of a variable of a dataset."""
+
 CHAIN = ("chain", "draw")
 """Dimensions with which ArviZ begins those of every drawn variable."""
 
@@ -96,7 +99,9 @@ def _posterior(
     from xarray import Dataset
 
     names = parameter_names(posterior.free, len(posterior.mean))
-    variables: dict[str, Any] = {"parameters": ((*CHAIN, "parameter"), draws[None])}
+    variables: dict[str, Variable] = {
+        "parameters": ((*CHAIN, "parameter"), draws[None])
+    }
     for name, path in constants.items():
         if path in names:
             variables[name] = (CHAIN, draws[None, :, names.index(path)])
@@ -118,7 +123,7 @@ def _predictions(
     length, _, unit = result_units(run)
     dims, units = (*axes, "axis"), {"units": unit}
     mean = forces_at(force, places, moments).reshape(grid.shape)
-    variables: dict[str, Any] = {"force_mean": (dims, mean, units)}
+    variables: dict[str, Variable] = {"force_mean": (dims, mean, units)}
     if posterior is not None and draws is not None:
         sd = force_sds(posterior, force, places, moments).reshape(grid.shape)
         drawn = _drawn_forces(posterior.free, draws, places, float(moments[0]))
