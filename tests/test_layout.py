@@ -33,6 +33,7 @@ ORDER = [
     "checkpoints",
     "runs",
     "commands",
+    "regressor",
     "cli",
     "__main__",
 ]
