@@ -28,6 +28,7 @@ ORDER = [
     "analysis",
     "navigation",
     "thermal",
+    "live",
     "figures",
     "report",
     "checkpoints",

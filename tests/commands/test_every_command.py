@@ -47,6 +47,7 @@ WORDS: dict[str, Callable[[Folder], tuple[str, ...]]] = {
         *(f.run("kernel"), "--from", "1,1", "--to", "2,2", *NARROW, *f.out),
     ),
     "explore": lambda f: (f.run("kernel"),),
+    "live": lambda f: (f.data("identified"), "--replay", "--frames", "20"),
     "report": lambda f: (f.run("network"),),
     "bench": lambda f: ("gradient", "--help"),
 }

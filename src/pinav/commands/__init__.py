@@ -11,6 +11,7 @@ from pinav.commands.fit import FIT
 from pinav.commands.heat import HEAT
 from pinav.commands.identify import IDENTIFY
 from pinav.commands.inspect import INSPECT
+from pinav.commands.live import LIVE
 from pinav.commands.navigate import NAVIGATE
 from pinav.commands.report import REPORT
 from pinav.commands.reproduce import REPRODUCE
@@ -33,6 +34,7 @@ COMMANDS = (
     TRUTH,
     HEAT,
     NAVIGATE,
+    LIVE,
     EXPLORE,
     REPORT,
     BENCH,
