@@ -34,6 +34,7 @@ ORDER = [
     "checkpoints",
     "runs",
     "commands",
+    "regressor",
     "cli",
     "__main__",
 ]

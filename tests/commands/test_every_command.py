@@ -48,6 +48,9 @@ WORDS: dict[str, Callable[[Folder], tuple[str, ...]]] = {
     ),
     "explore": lambda f: (f.run("kernel"),),
     "live": lambda f: (f.data("identified"), "--replay", "--frames", "20"),
+    "export": lambda f: (
+        *(f.run("kernel"), "--to", "napari", "--out", str(f.path / "tracks.csv")),
+    ),
     "report": lambda f: (f.run("network"),),
     "bench": lambda f: ("gradient", "--help"),
 }
