@@ -12,7 +12,7 @@ becomes of pinav. docs/live.md describes the lines.
         rig.frame(t, x, y, frequency, heading)
     rig.close("end of the day")
 
-Run it (`python examples/rig_client.py 300`) to serve a robot that is simulated for so many
+Run it (`python examples/rig_client.py 300`) to serve a simulated robot for so many
 seconds, one unless given, and in another terminal
 `pinav live tcp://127.0.0.1:5005 --to 200,100 --status`.
 """

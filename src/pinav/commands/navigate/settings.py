@@ -84,32 +84,6 @@ class NavigateSettings(Settings, frozen=True):
         return None if self.arena is None else numbers("--arena", self.arena, 4)
 
 
-<<<<<<< HEAD
-=======
-def numbers(option: str, text: str, count: int) -> tuple[float, ...]:
-    """Numbers with commas between them.
-
-    Args:
-        option: what the message calls them.
-        text: such as "0.5,1".
-        count: how many are expected.
-
-    Raises:
-        InputError: they are not so many finite numbers.
-    """
-    try:
-        values = tuple(float(word) for word in text.split(","))
-    except ValueError:
-        values = ()
-    if len(values) != count or not all(map(math.isfinite, values)):
-        example = ",".join("1234"[:count])
-        raise InputError(
-            f"{option}: expected {count} numbers with commas between them, such as "
-            f"{example}, got {text!r}"
-        )
-    return values
-
-
 StrategyName = Literal["certain", "averse", "curious", "doubted", "sampled"]
 
 
@@ -139,7 +113,6 @@ class OnlineSettings(Settings, frozen=True):
             )
 
 
->>>>>>> main
 class NavigateOptions(RunOptions, frozen=True):
     """Go from a place to a place through the force that a run has learned.
 
