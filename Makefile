@@ -56,5 +56,5 @@ clean:
 	touch $@
 
 .venv/installed-extras: .venv/installed-dev
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[symbolic,peers,mri]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[symbolic,peers,mri,cluster]'
 	touch $@

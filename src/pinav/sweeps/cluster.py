@@ -73,12 +73,22 @@ class DaskCluster(AbstractEngine):
         return f"the Dask cluster at {self.address} ({page})"
 
     def places(self) -> Sequence[str]:
-        return list(self._client.scheduler_info(n_workers=-1)["workers"])
+        if self._client.status not in ("running", "connecting"):
+            raise InputError(self._gone)
+        return list(self._client.scheduler_info(n_workers=-1).get("workers", ()))
+
+    @property
+    def _gone(self) -> str:
+        return (
+            f"the scheduler at {self.address} is gone; what is done is kept: continue "
+            "with --resume and a scheduler that runs"
+        )
 
     def submit(self, place: str, version: str, order: str) -> Future[str]:
-        return self._threads.submit(self._ask, place, version, order)
+        del place
+        return self._threads.submit(self._ask, version, order)
 
-    def _ask(self, place: str, version: str, order: str) -> str:
+    def _ask(self, version: str, order: str) -> str:
         """Send an order and wait for the answer.
 
         Dask's own executor waits for ever for an answer that is lost with its worker.
@@ -86,14 +96,9 @@ class DaskCluster(AbstractEngine):
         Raises:
             WorkerDeath: the answer is lost.
         """
-        future = self._client.submit(
-            attempt_elsewhere,
-            version,
-            order,
-            pure=False,
-            workers=[place],  # cells of one shape go to one worker;
-            allow_other_workers=True,  # where it is gone, to any
-        )
+        # Dask chooses the worker: with one that it should prefer, a cell whose worker
+        # died was never given to the next.
+        future = self._client.submit(attempt_elsewhere, version, order, pure=False)
         while True:
             try:
                 return future.result(timeout=PAUSE)
@@ -115,10 +120,7 @@ class DaskCluster(AbstractEngine):
             isinstance(error, CancelledError | OSError)
             or name == "FutureCancelledError"
         ):
-            raise InputError(
-                f"the scheduler at {self.address} is gone; what is done is kept: "
-                "continue with --resume and a scheduler that runs"
-            ) from error
+            raise InputError(self._gone) from error
         if isinstance(error, ImportError | AttributeError):
             raise InputError(
                 f"a worker of {self.address} cannot load pinav ({error}); install the "
