@@ -5,7 +5,7 @@ PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --durations=30 --duration
 SEEDS ?= 42
 OUT ?= runs/reproduce
 
-.PHONY: reproduce test test-slow test-extras coverage lint validate bench clean
+.PHONY: reproduce test test-slow test-extras coverage lint validate bench wheel clean
 
 reproduce: .venv/installed
 	$(BIN)/pinav reproduce --seeds $(SEEDS) --out $(OUT) --resume
@@ -42,6 +42,13 @@ bench: .venv/installed-dev
 	$(BIN)/pinav bench heat
 	$(BIN)/pinav bench navigate
 
+# Wheel and source distribution, in dist.
+wheel: .venv/installed
+	rm -rf dist
+	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --constraint constraints.txt --no-deps --wheel-dir dist .
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt hatchling
+	$(BIN)/python -m hatchling build --target sdist --directory dist
+
 clean:
 	rm -rf .venv .pytest_cache .ruff_cache .hypothesis .coverage
 
@@ -56,5 +63,5 @@ clean:
 	touch $@
 
 .venv/installed-extras: .venv/installed-dev
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[symbolic,peers,mri,cluster]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[symbolic,peers,mri,cluster,exchange]'
 	touch $@

@@ -32,9 +32,19 @@ def sandbox(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.slow
+EXTRAS = {"exchange.md": ("xarray", "h5netcdf", "sklearn", "magpylib")}
+"""Optional packages that the code of a page needs."""
+
+
+def mark_of(page: Path) -> pytest.MarkDecorator:
+    """Pages run with the slow tests, or where their packages are installed."""
+    needs = EXTRAS.get(page.name)
+    return pytest.mark.extras(*needs) if needs else pytest.mark.slow
+
+
 @pytest.mark.parametrize(
-    "page", [page for page in PAGES if blocks(page)], ids=lambda page: page.name
+    "page",
+    [pytest.param(p, marks=mark_of(p), id=p.name) for p in PAGES if blocks(p)],
 )
 def test_the_code_of_a_page_runs(page, sandbox, fitted_runs, recording):
     """The README begins with nothing, other pages with a fitted run and its data."""

@@ -35,6 +35,7 @@ ORDER = [
     "checkpoints",
     "runs",
     "commands",
+    "regressor",
     "cli",
     "__main__",
 ]

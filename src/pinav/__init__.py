@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pinav.commands.explore.job import explorer as explorer
+    from pinav.commands.export.datatree import datatree_of as datatree_of
     from pinav.commands.fitted_run import FittedRun as FittedRun
     from pinav.dynamics import OverdampedSwimmer as OverdampedSwimmer
     from pinav.dynamics import Swimmer as Swimmer
@@ -47,6 +48,7 @@ __version__ = "0.1.0"
 
 _PUBLIC = {
     "commands.explore.job": ("explorer",),
+    "commands.export.datatree": ("datatree_of",),
     "commands.fitted_run": ("FittedRun",),
     "dynamics": ("OverdampedSwimmer", "Swimmer", "rollout"),
     "errors": ("FitError", "InputError"),

@@ -47,6 +47,9 @@ WORDS: dict[str, Callable[[Folder], tuple[str, ...]]] = {
         *(f.run("kernel"), "--from", "1,1", "--to", "2,2", *NARROW, *f.out),
     ),
     "explore": lambda f: (f.run("kernel"),),
+    "export": lambda f: (
+        *(f.run("kernel"), "--to", "napari", "--out", str(f.path / "tracks.csv")),
+    ),
     "report": lambda f: (f.run("network"),),
     "bench": lambda f: ("gradient", "--help"),
 }

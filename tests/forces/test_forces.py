@@ -28,6 +28,7 @@ from pinav.forces import (
     CompactHill,
     ConstantDirector,
     ConstantForce,
+    DipolePull,
     Domain,
     DoubleLayer,
     EllipticTerm,
@@ -35,6 +36,7 @@ from pinav.forces import (
     GaussianRidge,
     GaussianSwirl,
     HarmonicTrap,
+    InductionPull,
     InFlow,
     IsotropicTensor,
     KernelAxis,
@@ -49,6 +51,7 @@ from pinav.forces import (
     LinearForce,
     LinearMotion,
     LinearTerm,
+    MagneticFieldTable,
     MagneticPropulsion,
     Moving,
     NeuralForce,
@@ -149,6 +152,17 @@ DRAGS = {
     "porous": porous,
 }
 
+
+def field_table():
+    """Of a smooth field in the plane."""
+
+    def field(places):
+        x, y, _ = places.T
+        return np.stack([1 + 0.2 * x * y, 0.5 * x**2, 2 + np.sin(y)], axis=1)
+
+    return MagneticFieldTable.sample(field, (2.0, 3.0), (8.0, 9.0), (9, 14))
+
+
 FORCES = {
     **DRAGS,
     "ridge": ridge,
@@ -194,6 +208,8 @@ FORCES |= {
     "kernel profile": kernel_profile,
     "weight": lambda: Weight(1.5, 50.0, [0.3, -1.0]),
     "double layer": lambda: DoubleLayer(0.3, 1.2, 0.5, Plane([0.2, 1.0], 0.4)),
+    "dipole pull": lambda: DipolePull(field_table(), 0.7),
+    "induction pull": lambda: InductionPull(field_table(), 0.4),
     "kernel stream": lambda: KernelStream(jnp.array([0.3, -0.2, 0.5]), centers, 1.3),
     "kernel mixture": lambda: KernelMixture(
         kernel_potential(), KernelStream(jnp.array([0.1, -0.4, 0.2]), centers, 1.3)
@@ -248,9 +264,13 @@ def concrete_classes(family):
         yield from concrete_classes(child)
 
 
+PROGRAMS = ("pinav.commands", "pinav.cli", "pinav.regressor")
+"""What defines no force, and may need optional packages."""
+
+
 def test_every_class_of_forces_obeys_the_laws_below():
     for module in pkgutil.walk_packages(pinav.__path__, "pinav."):
-        if not module.name.startswith(("pinav.commands", "pinav.cli")):
+        if not module.name.startswith(PROGRAMS):
             importlib.import_module(module.name)
     tried = {type(make()) for make in FORCES.values()}
     missing = {cls.__name__ for cls in concrete_classes(AbstractForce)} - {

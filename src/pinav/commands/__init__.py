@@ -7,6 +7,7 @@ from pinav.commands.data import DATA
 from pinav.commands.discover import DISCOVER
 from pinav.commands.evaluate import EVALUATE
 from pinav.commands.explore import EXPLORE
+from pinav.commands.export import EXPORT
 from pinav.commands.fit import FIT
 from pinav.commands.heat import HEAT
 from pinav.commands.identify import IDENTIFY
@@ -34,6 +35,7 @@ COMMANDS = (
     HEAT,
     NAVIGATE,
     EXPLORE,
+    EXPORT,
     REPORT,
     BENCH,
 )

@@ -40,6 +40,10 @@ from pinav.forces.landscapes import PlaneWaves as PlaneWaves
 from pinav.forces.landscapes import PowerHill as PowerHill
 from pinav.forces.landscapes import RingBarrier as RingBarrier
 from pinav.forces.landscapes import SoftWall as SoftWall
+from pinav.forces.magnetics import DipolePull as DipolePull
+from pinav.forces.magnetics import InductionPull as InductionPull
+from pinav.forces.magnetics import MagneticFieldTable as MagneticFieldTable
+from pinav.forces.magnetics import cubic_weights as cubic_weights
 from pinav.forces.motion import AbstractMotion as AbstractMotion
 from pinav.forces.motion import CircularMotion as CircularMotion
 from pinav.forces.motion import LinearMotion as LinearMotion

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, Int
 from pinav.arguments import Planar, Scalar
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
+from pinav.forces import cubic_weights
 from pinav.navigation.task.steering import HeldThrust, SteeredSwimmer
 from pinav.navigation.task.zones import Rectangle
 
@@ -92,7 +93,7 @@ class FieldTable(eqx.Module):
         most = jnp.asarray(self.grid.shape, x.dtype)
         place = jnp.clip(self.grid.coordinates(x), 1.0, most - 2.0)
         cell = jnp.minimum(jnp.floor(place), most - 3.0)
-        across, along = jax.vmap(_cubic_weights)(place - cell)
+        across, along = cubic_weights(place - cell)
         corner = cell.astype(int) - 1
         weights = across[:, None] * along[None, :]
         return jnp.tensordot(weights, self._block(t, corner), 2)
@@ -109,18 +110,6 @@ class FieldTable(eqx.Module):
         block = jax.lax.dynamic_slice(self.values, begin, shape)
         weight = (moment - first).astype(block.dtype)
         return block[0] + weight * (block[1] - block[0])
-
-
-def _cubic_weights(s: Float[Array, ""]) -> Float[Array, "4"]:
-    """Weights of four neighbours for a place between the inner two."""
-    return 0.5 * jnp.stack(
-        [
-            s * (-1 + s * (2 - s)),
-            2 + s * s * (-5 + 3 * s),
-            s * (1 + s * (4 - 3 * s)),
-            s * s * (s - 1),
-        ]
-    )
 
 
 def tabulate(

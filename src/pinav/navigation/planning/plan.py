@@ -1,28 +1,29 @@
 r"""The global plan: how long it takes to the goal from anywhere, and the way there."""
 
 import math
-from collections.abc import Callable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from pinav.arguments import Planar, Scalar, State
 from pinav.errors import InputError
 from pinav.navigation.model.predictors import AbstractPredictor, InertialTable
-from pinav.navigation.model.tables import FieldTable, Grid
+from pinav.navigation.model.tables import Grid
 from pinav.navigation.model.tabulated import TabulatedModel, tabulate_model
 from pinav.navigation.model.time_cost import entry_fraction
-from pinav.navigation.planning.value_iteration import (
-    ArrivalTest,
-    Sweep,
-    iterate_sweeps,
-    phase_sweep,
-    position_sweep,
-    sweep_back,
+from pinav.navigation.planning.lattice import (
+    arrival_test,
+    phase_step,
+    phase_values,
+    position_steps,
+    position_values,
+    sweep_times,
+    top_speed,
 )
+from pinav.navigation.planning.value_iteration import ArrivalTest
 from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import Command, SteeredSwimmer
 from pinav.navigation.task.task import Task
@@ -32,9 +33,6 @@ HEADINGS = 24
 
 PHASE_HEADINGS = 16
 """The same where there is inertia, and four dimensions."""
-
-CELLS = 1.5
-"""How many cells a step of the plan crosses, at most."""
 
 
 class Route(eqx.Module):
@@ -213,7 +211,7 @@ def time_to_go(
     count = (41 if inertial else 101) if points is None else points
     grid = Grid.over(task.arena, count)
     headings = PHASE_HEADINGS if inertial else HEADINGS
-    arrival = _arrival(task.objective, task.time_limit, tables, grid, headings)
+    arrival = arrival_test(task.objective, task.time_limit, tables, grid, headings)
     if inertial:
         plan = _phase_plan(task, tables, arrival, grid, speeds)
     else:
@@ -255,149 +253,53 @@ def check_reachable(task: Task, plan: TimeToGo) -> None:
         )
 
 
-def _arrival(
-    objective: ReachGoal,
-    time_limit: float,
-    tables: TabulatedModel,
-    grid: Grid,
-    headings: int,
-) -> ArrivalTest:
-    """The goal: not smaller than the grid can show."""
-    tolerance = max(float(objective.tolerance), float(jnp.max(grid.spacing)) / 4)
-    return ArrivalTest(
-        objective.goal,
-        jnp.asarray(tolerance),
-        tables.time_cost,
-        tables.control_map.thrusts(headings),
-        jnp.asarray(time_limit / 2),
-    )
-
-
 def _position_plan(
     task: Task, tables: TabulatedModel, arrival: ArrivalTest, grid: Grid
 ) -> TimeToGo:
-    speeds = _speeds(tables.table, arrival.thrusts, grid)
-    speeds = jnp.maximum(speeds, SLOWEST * jnp.max(speeds))
-    steps = CELLS * float(jnp.min(grid.spacing)) / speeds
+    steps = position_steps(tables.table, arrival, grid)
     shortest = float(jnp.min(steps))
-    times = _sweep_times(task, tables, shortest)
+    times = sweep_times(task, tables, shortest)
     if times is not None:
         steps = jnp.full_like(steps, shortest)
-    values = _positions(tables.table, arrival, grid, steps, times)
+    values = position_values(tables.table, arrival, grid, steps, times)
     lattice = (grid.lower, grid.spacing)
-    return _assemble(task, tables, arrival, values, lattice, shortest)
-
-
-@eqx.filter_jit
-def _positions(
-    table: FieldTable,
-    arrival: ArrivalTest,
-    grid: Grid,
-    steps: Float[Array, "x y heading"],
-    times: Float[Array, " moment"] | None,
-) -> Float[Array, "moment x y"]:
-    def sweep_at(t: Scalar) -> Sweep:
-        return position_sweep(table, arrival, grid, t, steps)
-
-    return _settle(sweep_at, grid.shape, 20 * max(grid.shape), times)
-
-
-def _sweep_times(
-    task: Task, tables: TabulatedModel, step: float
-) -> Float[Array, " moment"] | None:
-    """When a plan is swept, as far apart as its steps; None for a steady model."""
-    steady = tables.table.values.shape[0] == 1
-    return None if steady else jnp.arange(0.0, task.time_limit, step)
-
-
-def _settle(
-    sweep_at: Callable[[Scalar], Sweep],
-    shape: tuple[int, ...],
-    most: int | Int[Array, ""],
-    times: Float[Array, " moment"] | None,
-) -> Float[Array, "moment ..."]:
-    """Values at each time; at one time, after `most` sweeps, for a steady model."""
-    if times is None:
-        return iterate_sweeps(sweep_at(0.0), shape, most, SETTLED)[None]
-    return sweep_back(sweep_at, times, shape)
-
-
-SETTLED = 1e-5
-"""Change of U by a sweep, below which the values of a plan have settled."""
-
-
-SLOWEST = 0.2
-"""Least speed for which a step of the plan is made longer, of the greatest one."""
-
-
-@eqx.filter_jit
-def _speeds(
-    table: FieldTable, thrusts: Float[Array, "heading 2"], grid: Grid
-) -> Float[Array, "x y heading"]:
-    """Speed at each point of a grid in each direction of the thrust [L T⁻¹]."""
-
-    def speeds(x: Planar) -> Float[Array, " heading"]:
-        rates = table(0.0, x)
-        velocities = rates[None, :2] + thrusts @ rates[2:].reshape(2, 2).T
-        return jnp.linalg.norm(velocities, axis=1)
-
-    return jax.vmap(jax.vmap(speeds))(grid.points)
+    return assemble_plan(task, tables, arrival, values, lattice, shortest)
 
 
 def _phase_plan(
     task: Task, tables: TabulatedModel, arrival: ArrivalTest, grid: Grid, speeds: int
 ) -> TimeToGo:
-    top = _top_speed(task, tables, arrival)
+    top = top_speed(task, tables, arrival)
     velocities = jnp.linspace(-top, top, speeds)
     width = float(velocities[1] - velocities[0])
-    step = 0.7 * width / float(jnp.max(jnp.linalg.norm(arrival.thrusts, axis=1)))
-    times = _sweep_times(task, tables, step)
+    step = float(phase_step(arrival, velocities))
+    times = sweep_times(task, tables, step)
     most = math.ceil(task.time_limit / step)  # as many steps as there is time for
     steps = jnp.asarray(step), jnp.asarray(most)
-    values = _phases(tables.table, arrival, grid, velocities, steps, times)
+    values = phase_values(tables.table, arrival, grid, velocities, steps, times)
     spacing = jnp.concatenate([jnp.full(2, width), grid.spacing])
     lattice = (jnp.concatenate([jnp.full(2, -top), grid.lower]), spacing)
-    return _assemble(task, tables, arrival, values, lattice, step)
+    return assemble_plan(task, tables, arrival, values, lattice, step)
 
 
-@eqx.filter_jit
-def _phases(
-    table: FieldTable,
-    arrival: ArrivalTest,
-    grid: Grid,
-    velocities: Float[Array, " velocity"],
-    steps: tuple[Float[Array, ""], Int[Array, ""]],
-    times: Float[Array, " moment"] | None,
-) -> Float[Array, "moment velocity velocity x y"]:
-    step, most = steps
-    shape = (velocities.shape[0], velocities.shape[0], *grid.shape)
-
-    def sweep_at(t: Scalar) -> Sweep:
-        return phase_sweep(table, arrival, grid, t, velocities, step)
-
-    return _settle(sweep_at, shape, most, times)
-
-
-def _top_speed(task: Task, tables: TabulatedModel, arrival: ArrivalTest) -> float:
-    """Speed that the plan has to know: where thrust and mean force meet the drag."""
-    values = tables.table.values
-    thrust = float(jnp.max(jnp.linalg.norm(arrival.thrusts, axis=1)))
-    force = float(jnp.mean(jnp.linalg.norm(values[..., :2], axis=-1)))
-    drag = float(jnp.mean(values[..., 2] + values[..., 5])) / 2
-    extent = float(jnp.linalg.norm(task.arena.upper - task.arena.lower))
-    longest = math.sqrt(2 * (thrust + force) * extent)
-    terminal = (thrust + force) / drag if drag > 0 else longest
-    return max(min(terminal, longest), float(jnp.linalg.norm(task.start[2:4])))
-
-
-def _assemble(
+def assemble_plan(
     task: Task,
     tables: TabulatedModel,
     arrival: ArrivalTest,
     values: Float[Array, "moment ..."],
     lattice: tuple[State, State],
-    step: float,
+    step: Scalar,
 ) -> TimeToGo:
+    """The plan whose values stand on a lattice.
+
+    Args:
+        task: theirs.
+        tables: of the model.
+        arrival: what the plan is about.
+        values: of the lattice.
+        lattice: its first point, and its spacing.
+        step: of the plan [T].
+    """
     return TimeToGo(
         values,
         *lattice,

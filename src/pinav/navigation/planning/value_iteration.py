@@ -296,7 +296,7 @@ def _best_thrust(values: PhaseValues, shifts: Float[Array, "heading 2"]) -> Phas
 
 def iterate_sweeps(
     sweep: Sweep,
-    shape: tuple[int, ...],
+    begin: Values,
     most: int | Int[Array, ""],
     tolerance: float,
 ) -> Values:
@@ -304,7 +304,7 @@ def iterate_sweeps(
 
     Args:
         sweep: of a model that does not change in time.
-        shape: of the lattice.
+        begin: the first values: zeros, or those of a plan before.
         most: sweeps.
         tolerance: greatest change.
     """
@@ -316,13 +316,9 @@ def iterate_sweeps(
         new = sweep(values)
         return new, jnp.max(jnp.abs(new - values)), count + 1
 
-    begin = (
-        jnp.zeros(shape, jnp.float32),
-        jnp.ones((), jnp.float32),
-        jnp.zeros((), int),
-    )
+    first = (begin, jnp.ones((), jnp.float32), jnp.zeros((), int))
     return jax.lax.while_loop(
-        lambda state: (state[1] > tolerance) & (state[2] < most), improve, begin
+        lambda state: (state[1] > tolerance) & (state[2] < most), improve, first
     )[0]
 
 

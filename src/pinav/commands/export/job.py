@@ -1,0 +1,61 @@
+"""`pinav export`: what a run has learned, in the formats of other programs."""
+
+import importlib.util
+from typing import BinaryIO
+
+import msgspec
+
+from pinav.commands.command import CommandResult
+from pinav.commands.export.datatree import MISSING, datatree_of
+from pinav.commands.export.settings import ExportOptions
+from pinav.commands.export.spots import SpotTable, napari_csv, spot_table, trackmate_csv
+from pinav.commands.fitted_run import FittedRun
+from pinav.errors import InputError
+from pinav.files import atomic_write
+
+
+class ExportMetrics(msgspec.Struct, frozen=True):
+    """What was written.
+
+    Attributes:
+        file: that was written.
+        format: its format.
+        spots: observed positions in the data.
+    """
+
+    file: str
+    format: str
+    spots: int
+
+
+def run(options: ExportOptions) -> CommandResult:
+    """Write one file.
+
+    Raises:
+        InputError: the folder holds no fit of a force, the file exists, or a package
+            that writes the format is not installed.
+    """
+    fit = FittedRun.open(options.run)
+    table = spot_table(fit)
+    content = _content(fit, table, options)
+
+    def write(file: BinaryIO) -> None:
+        file.write(content)
+
+    atomic_write(options.out, write, overwrite=options.overwrite)
+    metrics = ExportMetrics(str(options.out), options.to, len(table.time))
+    return CommandResult(metrics, f"{options.out}: {metrics.spots} spots, {options.to}")
+
+
+def _content(fit: FittedRun, table: SpotTable, options: ExportOptions) -> bytes:
+    """The bytes of the file."""
+    if options.to == "napari":
+        return napari_csv(table).encode()
+    if options.to == "trackmate":
+        return trackmate_csv(table).encode()
+    if importlib.util.find_spec("h5netcdf") is None:
+        raise InputError(MISSING.format("h5netcdf"))
+    tree = datatree_of(
+        fit, draws=options.draws, points=options.points, seed=options.seed
+    )
+    return bytes(tree.to_netcdf(engine="h5netcdf"))

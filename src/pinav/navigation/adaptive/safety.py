@@ -1,0 +1,159 @@
+r"""A last filter between control and swimmer: no command without a way out.
+
+A command is let through if, after it, there is a sequence of commands that keeps the
+tube of the next time unit out of every forbidden place: the predicted mean path and
+three standard deviations of state and force about it. Each such sequence is one heading
+held at full thrust, or none at all; zero frequency has no privilege, for a force may
+push. The best one is kept in reserve. If there is none, the swimmer does what keeps the
+tube furthest from forbidden places.
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from pinav.arguments import Planar, State
+from pinav.navigation.belief.belief import Belief
+from pinav.navigation.control.controller import Observation
+from pinav.navigation.control.prediction import TrajectoryPrediction
+from pinav.navigation.model.time_cost import TimeCost
+from pinav.navigation.task.steering import AbstractActuator, Command
+
+DEVIATIONS = 3.0
+"""Half width of the tube, in standard deviations."""
+
+ESCAPES = 16
+"""Headings of the sequences in reserve."""
+
+HORIZON = 1.0
+"""How far the tube goes [T]."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Verdict:
+    """What the filter says of a command.
+
+    Attributes:
+        command: the one to give.
+        margin: least distance of the tube from forbidden places [L].
+        changed: whether it is another than the controller's.
+    """
+
+    command: Command
+    margin: float
+    changed: bool
+
+
+def check_command(
+    command: Command,
+    observation: Observation,
+    belief: Belief,
+    prediction: TrajectoryPrediction,
+    time_cost: TimeCost,
+    thrust: float,
+) -> Verdict:
+    """Let a command through, or give a safer one.
+
+    Args:
+        command: what the controller wants.
+        observation: the state when it comes into force.
+        belief: of the last frame.
+        prediction: of sequences of controls, on the tables of the mean force.
+        time_cost: what is forbidden.
+        thrust: greatest thrust [L T⁻²], or velocity [L T⁻¹] without inertia.
+    """
+    near = float(_clearance(time_cost, observation.state))
+    if near > farthest(np.asarray(observation.state), thrust):
+        return Verdict(command, near, changed=False)
+    steps = round(HORIZON / prediction.step)
+    tube = tube_radii(belief, command, prediction, steps, observation)
+    controls, after, instead = _margins(
+        prediction, observation, command, time_cost, jnp.asarray(tube)
+    )
+    if float(jnp.max(after)) >= 0 or float(jnp.max(after)) >= float(jnp.max(instead)):
+        return Verdict(command, float(jnp.max(after)), changed=False)
+    best = int(jnp.argmax(instead))
+    safer = prediction.command(observation, controls[best])
+    return Verdict(safer, float(instead[best]), changed=True)
+
+
+def farthest(state: Float[np.ndarray, " state"], thrust: float) -> float:
+    """Distance within which a forbidden place matters at all [L].
+
+    The way at the present speed, that by twice the thrust (so much may a force add),
+    and a tube as wide.
+    """
+    if len(state) == 2:
+        return 4 * thrust * HORIZON
+    return float(np.linalg.norm(state[2:])) * HORIZON + 2.5 * thrust * HORIZON**2
+
+
+def tube_radii(
+    belief: Belief,
+    command: Command,
+    prediction: TrajectoryPrediction,
+    steps: int,
+    observation: Observation,
+) -> Float[np.ndarray, " step"]:
+    """Half width of the tube after each step [L], until the horizon.
+
+    What is not known of state and force widens it from the last frame on, pending
+    commands included.
+    """
+    actuator = prediction.control_map.actuator
+    given = jnp.stack([observation.pending[-1], command])
+    waiting, wanted = np.asarray(_thrusts(actuator, given))
+    delayed = round((float(observation.time) - belief.time) / prediction.step)
+    held = np.tile(wanted, (steps, 1))
+    before = np.tile(waiting, (delayed, 1))
+    states = belief.ahead(np.concatenate([before, held]), prediction.step)[delayed:]
+    greatest = [np.linalg.eigvalsh(s.covariance[:2, :2])[-1] for s in states]
+    return DEVIATIONS * np.sqrt(np.maximum(greatest, 0.0))
+
+
+@eqx.filter_jit
+def _thrusts(
+    actuator: AbstractActuator, commands: Float[Array, "command 2"]
+) -> Float[Array, "command 2"]:
+    return jax.vmap(actuator)(commands)
+
+
+@eqx.filter_jit
+def _clearance(time_cost: TimeCost, state: State) -> Float[Array, ""]:
+    return time_cost.clearance(state[:2])
+
+
+@eqx.filter_jit
+def _margins(
+    prediction: TrajectoryPrediction,
+    observation: Observation,
+    command: Command,
+    time_cost: TimeCost,
+    tube: Float[Array, " step"],
+) -> tuple[Float[Array, "escape 2"], Float[Array, " escape"], Float[Array, " escape"]]:
+    """Escapes, and the least margin of each after the command and instead of it."""
+    drive = prediction.control_map
+    directions = drive.controls(ESCAPES)
+    escapes = jnp.concatenate([directions, jnp.zeros((1, 2))])
+    count = tube.shape[0]
+
+    def margin(controls: Float[Array, "step 2"], first: Command) -> Float[Array, ""]:
+        moved = prediction.predictor.step(
+            observation.time, observation.state, first, prediction.step
+        )
+        later = Observation(observation.time + prediction.step, moved, first[None])
+        _, ys = prediction(later, controls)
+        distances = jax.vmap(time_cost.clearance)(ys[:, :2])
+        return jnp.min(distances - tube)
+
+    def escape(control: Planar) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        rest = jnp.tile(control[None], (count - 1, 1))
+        own = drive.command(control, observation.pending[-1], prediction.step)
+        return margin(rest, command), margin(rest, own)
+
+    after, instead = jax.vmap(escape)(escapes)
+    return escapes, after, instead

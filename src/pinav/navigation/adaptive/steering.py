@@ -1,0 +1,331 @@
+"""The controller that learns: each frame changes its belief, and often its plan."""
+
+import dataclasses
+import time
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from pinav.errors import InputError
+from pinav.navigation.adaptive.safety import Verdict, check_command
+from pinav.navigation.adaptive.strategies import AbstractStrategy, Certain
+from pinav.navigation.belief.belief import Belief, Frame
+from pinav.navigation.belief.motion import InertialMotion, OverdampedMotion
+from pinav.navigation.control.compensation import Timing
+from pinav.navigation.control.controller import (
+    AbstractController,
+    Controls,
+    Observation,
+)
+from pinav.navigation.control.costs import ArrivalCost
+from pinav.navigation.control.mppi import PathIntegral
+from pinav.navigation.control.prediction import GradientGuide, TrajectoryPrediction
+from pinav.navigation.control.simple import physics_only
+from pinav.navigation.model.predictors import AbstractPredictor, InertialTable
+from pinav.navigation.model.tabulated import TabulatedModel, tabulate_model
+from pinav.navigation.planning.plan import TimeToGo, check_places
+from pinav.navigation.planning.replanning import Replanner
+from pinav.navigation.task.objectives import ReachGoal
+from pinav.navigation.task.steering import Command, greatest_thrust
+from pinav.navigation.task.task import Task
+from pinav.navigation.task.zones import Rectangle
+
+POINTS, SPEEDS = 25, 11
+"""Points of the lattice along the arena and along a velocity, with inertia."""
+
+FLAT_POINTS = 61
+"""Points of the lattice along the arena, without inertia."""
+
+EVERY = 0.5
+"""Time between two plans [T]."""
+
+SWEEPS = 12
+"""Sweeps of a plan from the values before."""
+
+CHANGED = 48
+"""Sweeps of a plan after the leader has changed: its old values may be far too high."""
+
+WINDOW = 0.3
+"""Half of the finer lattice about the goal, over the longer side of the arena."""
+
+STALL_TIME, STALL_LENGTH = 6.0, 0.06
+"""Stalled is who came no further in so long [T] than this part of the arena."""
+
+STEPS = 20
+"""Steps that the control looks ahead."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Mind:
+    """What the controller remembers from frame to frame.
+
+    Attributes:
+        belief: of state and force.
+        tables: on which the last plan was made.
+        plan: the last one.
+        prediction: of sequences of controls on these tables.
+        controller: follows the plan.
+        fine: whether it stands on the finer lattice.
+        controls: sequence that is kept.
+        planned: when the plan was made [T].
+        leader: of the bank at that time.
+        track: times and believed positions of the last frames.
+        verdict: of the safety filter on the last command.
+        stalled: whether no progress was noticed.
+        replan_time: computing time of the last plan [s].
+    """
+
+    belief: Belief
+    tables: TabulatedModel
+    plan: TimeToGo
+    prediction: TrajectoryPrediction
+    controller: AbstractController
+    fine: bool
+    controls: Controls
+    planned: float
+    leader: int
+    track: tuple[tuple[float, Float[np.ndarray, "2"]], ...]
+    verdict: Verdict | None = None
+    stalled: bool = False
+    replan_time: float = 0.0
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Adaptive:
+    """Steers to a place through a force that it learns on the way.
+
+    Attributes:
+        task: what is to be done; its truth is not used.
+        strategy: how the plan deals with what is not known.
+        physics: tables of what is known.
+        motion: the same for the belief.
+        thrust: greatest rate of the thrust.
+        replanner: over the arena.
+        window: over the surroundings of the goal, with finer cells.
+        safe: whether the last filter is in use.
+    """
+
+    task: Task
+    strategy: AbstractStrategy
+    physics: TabulatedModel
+    motion: InertialMotion | OverdampedMotion
+    thrust: float
+    replanner: Replanner
+    window: Replanner
+    safe: bool = True
+
+    @classmethod
+    def of(
+        cls,
+        task: Task,
+        strategy: AbstractStrategy | None = None,
+        *,
+        safe: bool = True,
+        points: int | None = None,
+        speeds: int = SPEEDS,
+    ) -> "Adaptive":
+        """The controller of a task.
+
+        Args:
+            task: what is to be done.
+            strategy: `Certain` unless given.
+            safe: whether the last filter is used.
+            points: of the lattice along the arena.
+            speeds: the same along a velocity.
+
+        Raises:
+            InputError: the task is to follow a path; start or goal are forbidden.
+        """
+        if not isinstance(task.objective, ReachGoal):
+            raise InputError(
+                f"task {task.name!r}: learning on the way expected a place to reach, "
+                f"got {type(task.objective).__name__}"
+            )
+        check_places(task)
+        physics = tabulate_model(task, physics_only(task.truth))
+        inertial = isinstance(physics.predictor, InertialTable)
+        if points is None:
+            points = POINTS if inertial else FLAT_POINTS
+        objective = task.objective
+        over_arena, about_goal = (
+            Replanner.of(
+                task, objective, physics, points=points, speeds=speeds, window=window
+            )
+            for window in (task.arena, _window(task, objective))
+        )
+        return cls(
+            task,
+            Certain() if strategy is None else strategy,
+            physics,
+            _motion(task, physics, inertial=inertial),
+            float(greatest_thrust(task.truth.actuator, task.limits)),
+            over_arena,
+            about_goal,
+            safe,
+        )
+
+    def believe(self, frame: Frame) -> Belief:
+        """The belief after the first frame of a swimmer that rests.
+
+        Args:
+            frame: the first one.
+        """
+        return Belief.start(
+            frame,
+            lower=np.asarray(self.task.arena.lower),
+            upper=np.asarray(self.task.arena.upper),
+            motion=self.motion,
+            thrust=self.thrust,
+            speed_sd=frame.sd,
+            longest=self.task.step,
+        )
+
+    def start(self, belief: Belief) -> Mind:
+        """What is remembered before the first command; the first plan is complete."""
+        tables = self.strategy.tables(belief, self.physics, self.thrust)
+        plan = self.replanner.plan(tables)
+        controls = jnp.zeros((STEPS, 2))
+        place = (belief.time, belief.state.mean[:2])
+        return Mind(
+            belief,
+            tables,
+            plan,
+            *_path_integral(plan, self.task.step),
+            fine=False,
+            controls=controls,
+            planned=belief.time,
+            leader=belief.leader,
+            track=(place,),
+        )
+
+    def learn(self, mind: Mind, frame: Frame) -> Mind:
+        """The mind after a frame: its belief, and the plan where one is due."""
+        belief = mind.belief.after(frame)
+        oldest = belief.time - STALL_TIME - self.task.step / 2
+        track = (*mind.track, (belief.time, belief.state.mean[:2]))
+        track = tuple(entry for entry in track if entry[0] >= oldest)
+        mind = dataclasses.replace(
+            mind, belief=belief, track=track, stalled=self._stalled(track)
+        )
+        if belief.time - mind.planned < EVERY - self.task.step / 2:
+            return mind
+        return self.replan(mind)
+
+    def replan(self, mind: Mind) -> Mind:
+        """The mind with a new plan from the old values."""
+        began, belief = time.perf_counter(), mind.belief
+        tables = self.strategy.tables(belief, self.physics, self.thrust)
+        fine = self._needs_window(mind)
+        replanner = self.window if fine else self.replanner
+        changed = belief.leader != mind.leader
+        sweeps = CHANGED if changed or mind.stalled else SWEEPS
+        if fine == mind.fine:
+            plan = replanner.plan(tables, mind.plan.values, sweeps=sweeps)
+        else:
+            plan = replanner.plan(tables)
+        jax.block_until_ready(plan.values)
+        prediction, controller = _path_integral(plan, self.task.step)
+        return dataclasses.replace(
+            mind,
+            tables=tables,
+            plan=plan,
+            prediction=prediction,
+            controller=controller,
+            fine=fine,
+            planned=belief.time,
+            leader=belief.leader,
+            replan_time=time.perf_counter() - began,
+        )
+
+    def command(
+        self, mind: Mind, pending: Float[Array, "command 2"], key: PRNGKeyArray
+    ) -> tuple[Command, Mind]:
+        """The next command, through the safety filter.
+
+        Args:
+            mind: after the last frame.
+            pending: as in `Observation`.
+            key: random key of the control.
+        """
+        task, belief = self.task, mind.belief
+        seen = Observation(
+            jnp.asarray(belief.time), jnp.asarray(belief.state.mean), pending
+        )
+        timing = Timing(task.step, task.delay)
+        ahead, command, controls = _decide(
+            mind.controller, mind.tables.predictor, timing, seen, mind.controls, key
+        )
+        mind = dataclasses.replace(mind, controls=controls)
+        if not self.safe:
+            return command, mind
+        verdict = check_command(
+            command,
+            ahead,
+            belief,
+            mind.prediction,
+            mind.tables.time_cost,
+            self.thrust,
+        )
+        return verdict.command, dataclasses.replace(mind, verdict=verdict)
+
+    def _stalled(self, track: tuple[tuple[float, np.ndarray], ...]) -> bool:
+        (first, before), (last, here) = track[0], track[-1]
+        arena = self.task.arena
+        extent = float(jnp.max(arena.upper - arena.lower))
+        long = last - first > STALL_TIME - self.task.step
+        return long and float(np.linalg.norm(here - before)) < STALL_LENGTH * extent
+
+    def _needs_window(self, mind: Mind) -> bool:
+        """Whether the goal is near and the force finer than the lattice shows."""
+        grid, place = self.window.grid, mind.belief.state.mean[:2]
+        lower = np.asarray(grid.lower)
+        upper = lower + np.asarray(grid.spacing) * (np.array(grid.shape) - 1)
+        edge = 2 * self.window.cell if not mind.fine else 0.0
+        inside = bool(np.all((place > lower + edge) & (place < upper - edge)))
+        narrow = mind.belief.length_scale < 2 * self.replanner.cell
+        return inside and (narrow or mind.stalled or mind.fine)
+
+
+def _window(task: Task, objective: ReachGoal) -> Rectangle:
+    """The part of the arena about the goal, of full size where there is room."""
+    lower, upper = np.asarray(task.arena.lower), np.asarray(task.arena.upper)
+    half = WINDOW * float(np.max(upper - lower))
+    middle = np.clip(np.asarray(objective.goal), lower + half, upper - half)
+    return Rectangle(middle - half, middle + half)
+
+
+def _motion(
+    task: Task, physics: TabulatedModel, *, inertial: bool
+) -> InertialMotion | OverdampedMotion:
+    """The known dynamics, from the tables of physics alone."""
+    matrix = np.asarray(physics.table.values[0, 2, 2, 2:]).reshape(2, 2)
+    if inertial:
+        return InertialMotion(float(np.trace(matrix)) / 2, task.noise)
+    return OverdampedMotion(task.noise)
+
+
+def _path_integral(
+    plan: TimeToGo, step: float
+) -> tuple[TrajectoryPrediction, AbstractController]:
+    """What follows a plan, and its predictions."""
+    tables = plan.tables
+    prediction = TrajectoryPrediction(tables.predictor, tables.control_map, step, STEPS)
+    return prediction, PathIntegral(prediction, ArrivalCost(plan), GradientGuide(plan))
+
+
+@eqx.filter_jit
+def _decide(
+    controller: AbstractController,
+    predictor: AbstractPredictor,
+    timing: Timing,
+    seen: Observation,
+    memory: Controls,
+    key: PRNGKeyArray,
+) -> tuple[Observation, Command, Controls]:
+    """The state when the command comes into force, the command, and the sequence."""
+    ahead = timing.predict(predictor, seen) if timing.delay > 0 else seen
+    command, controls = controller(ahead, memory, key=key)
+    return ahead, command, controls

@@ -1,0 +1,153 @@
+r"""How a plan deals with what is not known: the price of a unit of time there."""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from pinav.navigation.belief.belief import Belief
+from pinav.navigation.model.tables import FieldTable, Grid
+from pinav.navigation.model.tabulated import TabulatedModel
+
+DRAWS = 12
+"""Draws of the force from which its standard deviation on a map is taken."""
+
+
+class AbstractStrategy(eqx.Module):
+    """Turns a belief into tables to plan on."""
+
+    @abc.abstractmethod
+    def tables(
+        self, belief: Belief, physics: TabulatedModel, thrust: float
+    ) -> TabulatedModel:
+        """Tables of the mean force, with a price where it is not known.
+
+        Args:
+            belief: of the moment.
+            physics: tables without the environment.
+            thrust: greatest rate that the thrust gives.
+        """
+
+
+class Certain(AbstractStrategy):
+    """The mean is taken for true: where nothing was seen there is no force."""
+
+    def tables(
+        self, belief: Belief, physics: TabulatedModel, thrust: float
+    ) -> TabulatedModel:
+        return with_force(physics, mean_on(belief, physics.table.grid))
+
+
+class Priced(AbstractStrategy):
+    r"""Time costs $1 + \rho\,(s/u)^2$ with the standard deviation s of the force.
+
+    A positive price avoids what is not known. A negative one is a bonus for what a
+    visit would tell: a flight through the unknown lowers its variance nearly to zero,
+    so that the variance is the information to be had there.
+
+    Attributes:
+        price: $\rho$, above -2, so that time always costs something.
+    """
+
+    price: float
+
+    def tables(
+        self, belief: Belief, physics: TabulatedModel, thrust: float
+    ) -> TabulatedModel:
+        grid = physics.table.grid
+        model = with_force(physics, mean_on(belief, grid))
+        draws = belief.samples(axes_of(grid), DRAWS, seed=belief.count)
+        variance = np.mean(np.var(draws, axis=0, ddof=1), axis=-1)
+        return with_spread(model, np.sqrt(variance) / thrust, self.price)
+
+
+class Sampled(AbstractStrategy):
+    """Thompson's rule: a draw is taken for true, another one every three time units.
+
+    Attributes:
+        hold: how long a draw is kept [T].
+    """
+
+    hold: float = 3.0
+
+    def tables(
+        self, belief: Belief, physics: TabulatedModel, thrust: float
+    ) -> TabulatedModel:
+        grid, seed = physics.table.grid, int(belief.time / self.hold)
+        draw = belief.samples(axes_of(grid), 1, seed=seed)[0]
+        return with_force(physics, draw)
+
+
+class Doubted(AbstractStrategy):
+    r"""A fraction $\kappa$ of the deviation is taken off the thrust in the plan.
+
+    Reachability under doubt: what the thrust can just do against the mean force, it
+    may not be able to do against the true one. The force at the swimmer is as it is;
+    the mean is made stronger where it is doubtful and pushes,
+    $F (1 + \kappa\, s / \max(|F|, s))$.
+
+    Attributes:
+        doubt: $\kappa$.
+    """
+
+    doubt: float
+
+    def tables(
+        self, belief: Belief, physics: TabulatedModel, thrust: float
+    ) -> TabulatedModel:
+        grid = physics.table.grid
+        force = mean_on(belief, grid)
+        draws = belief.samples(axes_of(grid), DRAWS, seed=belief.count)
+        spread = np.sqrt(np.mean(np.var(draws, axis=0, ddof=1), axis=-1))
+        size = np.linalg.norm(force, axis=-1)
+        factor = 1 + self.doubt * spread / np.maximum(np.maximum(size, spread), 1e-12)
+        return with_force(physics, force * factor[..., None])
+
+
+def axes_of(grid: Grid) -> tuple[Float[np.ndarray, " x"], Float[np.ndarray, " y"]]:
+    """Coordinates of a grid along each axis [L]."""
+    lower, spacing = np.asarray(grid.lower), np.asarray(grid.spacing)
+    x, y = (lower[k] + spacing[k] * np.arange(grid.shape[k]) for k in range(2))
+    return x, y
+
+
+def mean_on(belief: Belief, grid: Grid) -> Float[np.ndarray, "x y 2"]:
+    """Mean force on a grid."""
+    return belief.force_on(axes_of(grid))
+
+
+def with_force(
+    physics: TabulatedModel, force: Float[np.ndarray, "x y 2"]
+) -> TabulatedModel:
+    """Tables with a force, or a velocity, added to what is known.
+
+    Args:
+        physics: tables without the environment.
+        force: on their grid.
+    """
+    values = np.array(physics.table.values)
+    values[0, ..., :2] += force
+    table = FieldTable(physics.table.grid, jnp.asarray(values))
+    return eqx.tree_at(
+        lambda model: (model.table, model.predictor.table), physics, (table, table)
+    )
+
+
+def with_spread(
+    model: TabulatedModel, ratio: Float[np.ndarray, "x y"], price: float
+) -> TabulatedModel:
+    """Tables in which time has a price where the force is not known.
+
+    Args:
+        model: the tables.
+        ratio: s / u on their grid.
+        price: of a unit of its square.
+    """
+    spread = FieldTable(model.table.grid, jnp.asarray(ratio)[None, ..., None])
+    return eqx.tree_at(
+        lambda m: (m.time_cost.spread, m.time_cost.risk_aversion),
+        model,
+        (spread, jnp.asarray(price)),
+    )

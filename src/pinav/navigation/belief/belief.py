@@ -1,0 +1,348 @@
+"""What is believed of a swimmer and its surroundings, and how a frame changes it."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from pinav.errors import InputError
+from pinav.navigation.belief.kernel_filter import KernelFilter, WeightPosterior
+from pinav.navigation.belief.kernels import (
+    AbstractKernels,
+    FreeKernels,
+    KernelGrid,
+    Points,
+    PotentialKernels,
+)
+from pinav.navigation.belief.motion import (
+    InertialMotion,
+    OverdampedMotion,
+    Square,
+    Vector,
+    substeps,
+)
+
+KINDS: tuple[type[PotentialKernels | FreeKernels], ...] = (
+    PotentialKernels,
+    FreeKernels,
+)
+"""Kinds of force that are compared; files of a belief count them in this order."""
+
+SCALES = (18.0, 12.0, 8.0, 5.0)
+"""The arena's longer side over the length scales that are compared."""
+
+STRENGTH = 0.7
+"""Standard deviation of each component of the force, of the greatest thrust."""
+
+MARGIN = 1.0
+"""Nats by which the evidence of another filter must be better to lead."""
+
+SETTLE_EVERY = 8
+"""Frames after which the factors of a filter are subtracted."""
+
+CLOCK = 1e-9
+"""Times that are nearer than this are one [T]."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Frame:
+    """What a frame tells.
+
+    Attributes:
+        time: when it was taken [T].
+        position: [L]; None where the tracker has lost the swimmer.
+        sd: standard deviation of each coordinate [L].
+        thrust: mean known acceleration since the last frame [L T⁻²], or velocity
+            [L T⁻¹] where there is no inertia. Commands act late: it is what was in
+            force, not what was commanded.
+    """
+
+    time: float
+    position: Vector | None
+    sd: float
+    thrust: Vector
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class StateEstimate:
+    """Mean and covariance of the state: position and, with inertia, velocity.
+
+    Attributes:
+        mean: (x, v) or x.
+        covariance: of it.
+    """
+
+    mean: Float[np.ndarray, " state"]
+    covariance: Square
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Belief:
+    """State and force, in a bank of filters that the evidence compares.
+
+    It is a value: a frame gives a new one. The filters differ in the kind of force and
+    in its length scale; the leader is the one whose answers are given.
+
+    Attributes:
+        time: of the last frame [T].
+        filters: the bank.
+        leader: which of them leads.
+        count: frames so far.
+        longest: longest step of a prediction [T].
+    """
+
+    time: float
+    filters: tuple[KernelFilter, ...]
+    leader: int
+    count: int
+    longest: float
+
+    @classmethod
+    def start(
+        cls,
+        frame: Frame,
+        *,
+        lower: Vector,
+        upper: Vector,
+        motion: InertialMotion | OverdampedMotion,
+        thrust: float,
+        speed_sd: float = 0.1,
+        longest: float = 0.1,
+        scales: Sequence[float] = SCALES,
+        kinds: Sequence[type[PotentialKernels | FreeKernels]] = KINDS,
+    ) -> "Belief":
+        """What is believed after the first frame: a position, and nothing of the force.
+
+        Args:
+            frame: the first one; its thrust does not matter.
+            lower: corner of the arena [L].
+            upper: the other corner [L].
+            motion: what is known of the dynamics.
+            thrust: greatest thrust, which sets the strength of the prior.
+            speed_sd: standard deviation of each component of the first velocity.
+            longest: longest step of a prediction [T].
+            scales: longer side of the arena over the length scales.
+            kinds: of force.
+
+        Raises:
+            InputError: the first frame has no position, or there is no filter.
+        """
+        if frame.position is None:
+            raise InputError("Belief.start: expected a frame with a position, got none")
+        if not scales or not kinds:
+            raise InputError("Belief.start: expected a scale and a kind, got none")
+        state, spread = motion.start(frame.position, frame.sd, speed_sd)
+        extent = float(np.max(upper - lower))
+        bank: list[KernelFilter] = []
+        for kind in kinds:
+            for scale in scales:
+                kernels = kind(KernelGrid.over(lower, upper, extent / scale))
+                prior_sd = STRENGTH * thrust / kernels.gain
+                weights = WeightPosterior.before_data(
+                    kernels.size, len(state), prior_sd
+                )
+                bank.append(KernelFilter(kernels, motion, state, spread, weights))
+        return cls(float(frame.time), tuple(bank), 0, 1, longest)
+
+    def after(self, frame: Frame) -> "Belief":
+        """What is believed after another frame; a lost one only moves the state on.
+
+        Raises:
+            InputError: the frame is not later than the last one.
+        """
+        elapsed = frame.time - self.time
+        if not elapsed > CLOCK:
+            raise InputError(
+                f"Belief.after: expected a frame later than {self.time:.6g}, got "
+                f"{frame.time:.6g}"
+            )
+        steps, h = substeps(elapsed, self.longest)
+        bank = []
+        for place, one in enumerate(self.filters):
+            for _ in range(steps):
+                one = one.predict(frame.thrust, h)
+            if frame.position is not None:
+                one = one.update(frame.position, frame.sd)
+            # One filter a frame, so that no frame takes much longer than another.
+            if (self.count + place) % SETTLE_EVERY == 0:
+                one = one.settle()
+            bank.append(one)
+        leader = _leader([one.log_evidence for one in bank], self.leader)
+        return dataclasses.replace(
+            self,
+            time=float(frame.time),
+            filters=tuple(bank),
+            leader=leader,
+            count=self.count + 1,
+        )
+
+    def restart(self, frame: Frame, *, speed_sd: float = 0.1) -> "Belief":
+        """The map is kept and the state begins anew, as at a second visit.
+
+        Args:
+            frame: the first one of the new state; it may be of any time.
+            speed_sd: standard deviation of each component of its velocity.
+
+        Raises:
+            InputError: the frame has no position.
+        """
+        if frame.position is None:
+            raise InputError("Belief.restart: expected a frame with a position")
+        first = self.filters[0].motion.start(frame.position, frame.sd, speed_sd)
+        bank = tuple(one.restart(*first) for one in self.filters)
+        return dataclasses.replace(self, time=float(frame.time), filters=bank)
+
+    @property
+    def best(self) -> KernelFilter:
+        """The filter that leads."""
+        return self.filters[self.leader]
+
+    @property
+    def state(self) -> StateEstimate:
+        """Position and, with inertia, velocity at the time of the last frame."""
+        return StateEstimate(self.best.state, self.best.spread)
+
+    @property
+    def log_evidence(self) -> Float[np.ndarray, " filter"]:
+        """Logarithm of the density of all positions so far, by each filter."""
+        return np.array([one.log_evidence for one in self.filters])
+
+    @property
+    def length_scale(self) -> float:
+        """Of the leader's force [L]."""
+        return float(np.sqrt(2) * self.best.kernels.grid.width)
+
+    def force(
+        self, positions: Points
+    ) -> tuple[Float[np.ndarray, "point dim"], Float[np.ndarray, "point dim"]]:
+        """Mean and standard deviation of each component of the force at positions [L].
+
+        Without inertia the force is a velocity.
+        """
+        return self.best.force(np.asarray(positions, float))
+
+    def force_on(
+        self, axes: Sequence[Float[np.ndarray, " _"]]
+    ) -> Float[np.ndarray, "... dim"]:
+        """Mean force at the points of a lattice, by its coordinates along each axis."""
+        return self.best.kernels.on_axes(axes, self.best.all_weights())
+
+    def samples(
+        self, axes: Sequence[Float[np.ndarray, " _"]], count: int, *, seed: int
+    ) -> Float[np.ndarray, "{count} ... dim"]:
+        """Draws of the force at the points of a lattice.
+
+        Args:
+            axes: coordinates along each axis [L].
+            count: of draws.
+            seed: of the random numbers.
+        """
+        weights = self.best.sample_weights(count, seed)
+        return self.best.kernels.on_axes(axes, weights)
+
+    def ahead(self, thrusts: Points, duration: float) -> list[StateEstimate]:
+        """The state after each of some thrusts, as long as no frame comes.
+
+        Args:
+            thrusts: as in `Frame`, one after the other.
+            duration: of each [T].
+        """
+        one, states = self.best, []
+        steps, h = substeps(duration, self.longest)
+        for thrust in thrusts:
+            for _ in range(steps):
+                one = one.predict(thrust, h)
+            states.append(StateEstimate(one.state, one.spread))
+        return states
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the bank [byte]."""
+        return sum(one.nbytes for one in self.filters)
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """Everything as arrays, for a checkpoint."""
+        motion = self.filters[0].motion
+        arrays = {
+            "time": np.array(self.time),
+            "leader": np.array(self.leader),
+            "count": np.array(self.count),
+            "longest": np.array(self.longest),
+            "motion": np.array(dataclasses.astuple(motion)),
+            "filters": np.array(len(self.filters)),
+        }
+        for place, one in enumerate(self.filters):
+            for name, array in _arrays_of(one).items():
+                arrays[f"{place}/{name}"] = array
+        return arrays
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> "Belief":
+        """The belief that `to_arrays` was asked of."""
+        numbers = [float(number) for number in arrays["motion"]]
+        inertial = len(numbers) == len(dataclasses.fields(InertialMotion))
+        motion = (InertialMotion if inertial else OverdampedMotion)(*numbers)
+        bank = []
+        for place in range(int(arrays["filters"])):
+            start = f"{place}/"
+            part = {
+                name.removeprefix(start): np.asarray(array)
+                for name, array in arrays.items()
+                if name.startswith(start)
+            }
+            bank.append(_filter_of(part, motion))
+        return cls(
+            float(arrays["time"]),
+            tuple(bank),
+            int(arrays["leader"]),
+            int(arrays["count"]),
+            float(arrays["longest"]),
+        )
+
+
+def _leader(evidence: Sequence[float], leader: int) -> int:
+    """The filter that leads now: the one that did, unless another is better by far."""
+    best = int(np.argmax(evidence))
+    return best if evidence[best] > evidence[leader] + MARGIN else leader
+
+
+POSTERIOR = ("members", "mean", "base", "factors", "cross")
+"""Fields of the weights that a checkpoint holds; the slots follow from the members."""
+
+
+def _arrays_of(one: KernelFilter) -> dict[str, np.ndarray]:
+    grid, weights = one.kernels.grid, one.weights
+    kind = next(k for k, kind in enumerate(KINDS) if isinstance(one.kernels, kind))
+    return {
+        "kind": np.array(kind),
+        "lower": grid.lower,
+        "width": np.array(grid.width),
+        "shape": np.array(grid.shape),
+        "prior_sd": np.array(weights.prior_sd),
+        "state": one.state,
+        "spread": one.spread,
+        "log_evidence": np.array(one.log_evidence),
+        **{name: getattr(weights, name) for name in POSTERIOR},
+    }
+
+
+def _filter_of(
+    part: Mapping[str, np.ndarray], motion: InertialMotion | OverdampedMotion
+) -> KernelFilter:
+    shape = tuple(int(n) for n in part["shape"])
+    grid = KernelGrid(part["lower"], float(part["width"]), shape)
+    kernels: AbstractKernels = KINDS[int(part["kind"])](grid)
+    weights = WeightPosterior.of_arrays(
+        kernels.size,
+        float(part["prior_sd"]),
+        {name: part[name] for name in POSTERIOR},
+    )
+    return KernelFilter(
+        kernels,
+        motion,
+        part["state"],
+        part["spread"],
+        weights,
+        float(part["log_evidence"]),
+    )

@@ -1,0 +1,312 @@
+r"""Joint extended Kalman filter of a swimmer's state and of the weights of its force.
+
+With the state y, the weights w and a step $y' = f(y, F(x_m))$, $A = \partial y' /
+\partial y$, $B = \partial y' / \partial w$,
+
+$$P_{yw} \leftarrow A P_{yw} + B P_{ww}, \quad
+P_{yy} \leftarrow A P_{yy} A^\top + A P_{yw} B^\top + (\cdot)^\top
++ B P_{ww} B^\top + Q,$$
+
+and a position z with the error R changes the mean by $G L^{-1} (z - x)$ and the
+covariance by $- G G^\top$, with $L L^\top = P_{xx} + R$ and
+$G = P_{\cdot x} L^{-\top}$.
+
+A kernel joins when it first comes into reach. Its prior does not depend on the rest, so
+that this is the filter of the whole grid, exactly. The products $G G^\top$ of some
+frames are kept as factors and subtracted together: a frame then costs a few rows of
+$P_{ww}$, and what was before it stays as it was.
+"""
+
+import dataclasses
+import math
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from pinav.navigation.belief.kernels import AbstractKernels, Local, Points
+from pinav.navigation.belief.motion import (
+    InertialMotion,
+    OverdampedMotion,
+    Square,
+    Vector,
+)
+
+AT_ONCE = 256
+"""Positions whose forces are computed together, to bound the memory."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class WeightPosterior:
+    r"""Weights that were reached: $P_{ww} = \mathrm{diag}(P_0, a^2 I) - G G^\top$.
+
+    Attributes:
+        prior_sd: a, of every weight.
+        members: which weights they are, in the order of their coming.
+        slots: the place of each weight of the grid among them; -1 for none.
+        mean: of the members.
+        base: P_0, of the first members.
+        factors: G.
+        cross: $P_{yw}$.
+    """
+
+    prior_sd: float
+    members: Int[np.ndarray, " member"]
+    slots: Int[np.ndarray, " weight"]
+    mean: Float[np.ndarray, " member"]
+    base: Float[np.ndarray, "first first"]
+    factors: Float[np.ndarray, "member factor"]
+    cross: Float[np.ndarray, "state member"]
+
+    @classmethod
+    def before_data(cls, size: int, states: int, prior_sd: float) -> "WeightPosterior":
+        """No weight was reached.
+
+        Args:
+            size: number of weights of the grid.
+            states: components of the state.
+            prior_sd: of every weight.
+        """
+        none = np.zeros(0, int)
+        return cls(
+            prior_sd,
+            none,
+            np.full(size, -1),
+            np.zeros(0),
+            np.zeros((0, 0)),
+            np.zeros((0, 0)),
+            np.zeros((states, 0)),
+        )
+
+    @classmethod
+    def of_arrays(
+        cls, size: int, prior_sd: float, arrays: dict[str, np.ndarray]
+    ) -> "WeightPosterior":
+        """The posterior whose fields are `arrays`, but for the slots."""
+        slots = np.full(size, -1)
+        slots[arrays["members"]] = np.arange(len(arrays["members"]))
+        return cls(prior_sd, slots=slots, **arrays)
+
+    def mean_of(self, weights: Int[np.ndarray, " near"]) -> Float[np.ndarray, " near"]:
+        """Means of weights of the grid: zero for those that were not reached."""
+        if not len(self.members):
+            return np.zeros(len(weights))
+        slots = self.slots[weights]
+        return np.where(slots >= 0, self.mean[slots], 0.0)
+
+    def reach(self, weights: Int[np.ndarray, " near"]) -> "WeightPosterior":
+        """With these weights among the members."""
+        new = weights[self.slots[weights] < 0]
+        if not len(new):
+            return self
+        count = len(self.members)
+        slots = self.slots.copy()
+        slots[new] = np.arange(count, count + len(new))
+        return dataclasses.replace(
+            self,
+            members=np.concatenate([self.members, new]),
+            slots=slots,
+            mean=np.concatenate([self.mean, np.zeros(len(new))]),
+            factors=np.pad(self.factors, ((0, len(new)), (0, 0))),
+            cross=np.pad(self.cross, ((0, 0), (0, len(new)))),
+        )
+
+    def rows(
+        self,
+        slots: Int[np.ndarray, " near"],
+        weighted: Float[np.ndarray, "state near"],
+    ) -> Float[np.ndarray, "state member"]:
+        """$B P_{ww}$ for a B that is zero but in these slots."""
+        first = len(self.base)
+        old = slots < first
+        product = np.empty((len(weighted), len(self.members)))
+        product[:, :first] = weighted[:, old] @ self.base[slots[old]]
+        product[:, first:] = 0.0
+        product[:, slots[~old]] = self.prior_sd**2 * weighted[:, ~old]
+        product -= (weighted @ self.factors[slots]) @ self.factors.T
+        return product
+
+    def covariance(self) -> Float[np.ndarray, "member member"]:
+        """$P_{ww}$ as one matrix, symmetric."""
+        first, count = len(self.base), len(self.members)
+        matrix = np.zeros((count, count))
+        matrix[:first, :first] = self.base
+        rest = np.arange(first, count)
+        matrix[rest, rest] = self.prior_sd**2
+        # A product with its own transpose is symmetric to the last bit.
+        matrix -= self.factors @ self.factors.T
+        return matrix
+
+    def settle(self) -> "WeightPosterior":
+        """The same with the factors subtracted."""
+        nothing = np.zeros((len(self.members), 0))
+        return dataclasses.replace(self, base=self.covariance(), factors=nothing)
+
+
+class MeanForce:
+    """The mean force, which remembers the kernels where it was last asked for.
+
+    Attributes:
+        local: these kernels.
+    """
+
+    local: Local
+
+    def __init__(self, kernels: AbstractKernels, weights: WeightPosterior) -> None:
+        self._kernels, self._weights = kernels, weights
+
+    def __call__(self, x: Vector) -> tuple[Vector, Square]:
+        """Mean force and its slope dF/dx at a position [L]."""
+        self.local = self._kernels.at(x)
+        mean = self._weights.mean_of(self.local.weights)
+        return self.local.basis @ mean, self.local.slope @ mean
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class KernelFilter:
+    """State and force for one kind of kernels and one length scale.
+
+    Attributes:
+        kernels: what stands for the force.
+        motion: what is known.
+        state: mean.
+        spread: covariance $P_{yy}$ of the state.
+        weights: of the kernels.
+        log_evidence: logarithm of the density of all positions so far.
+    """
+
+    kernels: AbstractKernels
+    motion: InertialMotion | OverdampedMotion
+    state: Float[np.ndarray, " state"]
+    spread: Square
+    weights: WeightPosterior
+    log_evidence: float = 0.0
+
+    def predict(self, thrust: Vector, duration: float) -> "KernelFilter":
+        """Moved on by a step.
+
+        Args:
+            thrust: known acceleration, or velocity where there is no inertia.
+            duration: of the step [T].
+        """
+        surroundings = MeanForce(self.kernels, self.weights)
+        move = self.motion.step(self.state, surroundings, thrust, duration)
+        local = surroundings.local
+        weights = self.weights.reach(local.weights)
+        slots = weights.slots[local.weights]
+        by_weight = move.by_force @ local.basis
+        through = weights.rows(slots, by_weight)
+        old_cross = move.slope @ weights.cross
+        mixed = old_cross[:, slots] @ by_weight.T
+        spread = move.slope @ self.spread @ move.slope.T + move.noise
+        spread += mixed + mixed.T + through[:, slots] @ by_weight.T
+        return dataclasses.replace(
+            self,
+            state=move.state,
+            spread=(spread + spread.T) / 2,
+            weights=dataclasses.replace(weights, cross=old_cross + through),
+        )
+
+    def update(self, position: Vector, sd: float) -> "KernelFilter":
+        """With an observed position.
+
+        Args:
+            position: [L].
+            sd: standard deviation of each coordinate [L].
+        """
+        dim, weights = len(position), self.weights
+        error = position - self.state[:dim]
+        seen = self.spread[:dim, :dim].copy()
+        seen[np.diag_indices(dim)] += sd**2
+        factor = np.linalg.cholesky(seen)
+        inverse = np.linalg.inv(factor)
+        surprise = inverse @ error
+        by_state = self.spread[:, :dim] @ inverse.T
+        by_weight = weights.cross[:dim].T @ inverse.T
+        spread = self.spread - by_state @ by_state.T
+        density = -0.5 * float(surprise @ surprise) - float(
+            np.sum(np.log(np.diagonal(factor))) + dim / 2 * math.log(2 * math.pi)
+        )
+        factors = [weights.factors, by_weight]
+        return dataclasses.replace(
+            self,
+            state=self.state + by_state @ surprise,
+            spread=(spread + spread.T) / 2,
+            weights=dataclasses.replace(
+                weights,
+                mean=weights.mean + by_weight @ surprise,
+                factors=np.concatenate(factors, axis=1),
+                cross=weights.cross - by_state @ by_weight.T,
+            ),
+            log_evidence=self.log_evidence + density,
+        )
+
+    def settle(self) -> "KernelFilter":
+        """The same with its factors subtracted."""
+        return dataclasses.replace(self, weights=self.weights.settle())
+
+    def restart(
+        self, state: Float[np.ndarray, " state"], spread: Square
+    ) -> "KernelFilter":
+        """With another state, which the weights do not know; they stay."""
+        cross = np.zeros_like(self.weights.cross)
+        weights = dataclasses.replace(self.weights, cross=cross)
+        return dataclasses.replace(self, state=state, spread=spread, weights=weights)
+
+    def force(
+        self, points: Points
+    ) -> tuple[Float[np.ndarray, "point dim"], Float[np.ndarray, "point dim"]]:
+        """Mean and standard deviation of each component of the force at positions."""
+        covariance, parts = self.weights.covariance(), []
+        for first in range(0, len(points), AT_ONCE):
+            basis = self.kernels.basis(points[first : first + AT_ONCE])
+            parts.append(self._force(basis, covariance))
+        if not parts:
+            return np.zeros_like(points), np.zeros_like(points)
+        means, sds = zip(*parts, strict=True)
+        return np.concatenate(means), np.concatenate(sds)
+
+    def _force(
+        self,
+        basis: Float[np.ndarray, "point dim weight"],
+        covariance: Float[np.ndarray, "member member"],
+    ) -> tuple[Float[np.ndarray, "point dim"], Float[np.ndarray, "point dim"]]:
+        weights = self.weights
+        known = basis[..., weights.members]
+        flat = known.reshape(len(basis) * basis.shape[1], known.shape[-1])
+        variance = np.einsum("ij,ij->i", flat @ covariance, flat)
+        unseen = np.einsum("pdw,pdw->pd", basis, basis)
+        unseen -= np.einsum("pdw,pdw->pd", known, known)
+        variance = variance.reshape(unseen.shape) + weights.prior_sd**2 * unseen
+        return known @ weights.mean, np.sqrt(np.maximum(variance, 0.0))
+
+    def all_weights(self) -> Float[np.ndarray, " weight"]:
+        """Mean of every weight of the grid."""
+        mean = np.zeros(self.kernels.size)
+        mean[self.weights.members] = self.weights.mean
+        return mean
+
+    def sample_weights(
+        self, count: int, seed: int
+    ) -> Float[np.ndarray, "{count} weight"]:
+        """Draws of every weight of the grid.
+
+        Args:
+            count: of draws.
+            seed: of the random numbers.
+        """
+        random, weights = np.random.default_rng(seed), self.weights
+        draws = weights.prior_sd * random.standard_normal((count, self.kernels.size))
+        members = weights.members
+        spread = weights.covariance()
+        # What was seen often is known to rounding: the factor must exist for it too.
+        spread += 1e-9 * weights.prior_sd**2 * np.eye(len(members))
+        numbers = draws[:, members] / weights.prior_sd
+        draws[:, members] = weights.mean + numbers @ np.linalg.cholesky(spread).T
+        return draws
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that it takes [byte]."""
+        weights = self.weights
+        arrays = (weights.base, weights.factors, weights.cross, weights.slots)
+        return sum(array.nbytes for array in arrays)

@@ -1,0 +1,213 @@
+"""Learning while steering: strategies, plans from old values, the safety filter."""
+
+import dataclasses
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.errors import InputError
+from pinav.navigation import Disc, Rectangle, physics_only, task, time_to_go
+from pinav.navigation.adaptive.flight import fly, know_truth
+from pinav.navigation.adaptive.safety import check_command
+from pinav.navigation.adaptive.scores import score_force
+from pinav.navigation.adaptive.steering import Adaptive
+from pinav.navigation.adaptive.strategies import (
+    Certain,
+    Doubted,
+    Priced,
+    Sampled,
+    axes_of,
+)
+from pinav.navigation.belief.belief import Frame
+from pinav.navigation.belief.given import take_for_granted
+from pinav.navigation.control.controller import Observation
+from pinav.navigation.control.prediction import TrajectoryPrediction
+from pinav.navigation.model.tabulated import tabulate_model
+from pinav.navigation.task.objectives import ReachGoal
+
+STRATEGIES = {
+    "certain": Certain(),
+    "averse": Priced(1.0),
+    "curious": Priced(-0.5),
+    "sampled": Sampled(),
+    "doubted": Doubted(0.5),
+}
+
+
+def small_task(**changes):
+    """The vortex, seen by positions with an error."""
+    return dataclasses.replace(task("vortex"), sensor_noise=0.02, **changes)
+
+
+@pytest.fixture(scope="module")
+def adaptive():
+    return Adaptive.of(small_task(), points=21)
+
+
+def frame_at(x, y, time=0.0, thrust=(0.0, 0.0)):
+    return Frame(time, np.array([x, y]), 0.02, np.array(thrust))
+
+
+def learned(adaptive, steps=15):
+    """A belief after a straight flight through still water."""
+    belief = adaptive.believe(frame_at(1.0, 5.0))
+    for k in range(1, steps):
+        frame = frame_at(1.0 + 0.1 * k, 5.0, 0.1 * k, thrust=(1.0, 0.0))
+        belief = belief.after(frame)
+    return belief
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES.values(), ids=STRATEGIES)
+def test_every_strategy_gives_tables_of_one_form(adaptive, strategy):
+    tables = strategy.tables(learned(adaptive), adaptive.physics, adaptive.thrust)
+    old, new = (jax.tree.structure(t) for t in (adaptive.physics.table, tables.table))
+    assert old == new
+    assert np.all(np.isfinite(tables.table.values))
+    price = tables.time_cost.running_cost(0.0, jnp.array([9.0, 9.0]))
+    assert float(price) > 0
+
+
+def test_a_price_is_paid_where_nothing_was_seen(adaptive):
+    belief = learned(adaptive)
+    seen, unseen = jnp.array([1.8, 5.0]), jnp.array([8.0, 8.0])
+    for price, sign in ((1.0, 1), (-0.5, -1)):
+        cost = Priced(price).tables(belief, adaptive.physics, adaptive.thrust).time_cost
+        extra = [float(cost.running_cost(0.0, x)) - 1 for x in (seen, unseen)]
+        assert sign * extra[1] > 0.2 * abs(price)
+        assert abs(extra[0]) < 0.2 * abs(extra[1])
+
+
+def test_doubt_makes_no_force_of_nothing(adaptive):
+    belief = adaptive.believe(frame_at(1.0, 5.0))
+    tables = Doubted(1.0).tables(belief, adaptive.physics, adaptive.thrust)
+    np.testing.assert_array_equal(tables.table.values, adaptive.physics.table.values)
+
+
+def test_the_oracle_believes_the_truth(adaptive):
+    belief = know_truth(adaptive, frame_at(1.0, 5.0))
+    force, sd = belief.force(np.array([[3.0, 4.0], [6.0, 7.0]]))
+    truth = adaptive.task.truth
+    for x, one in zip(([3.0, 4.0], [6.0, 7.0]), force, strict=True):
+        exact = truth(0.0, jnp.array(x), jnp.zeros(2))
+        np.testing.assert_allclose(one, exact, atol=2e-3)
+    assert np.all(sd == 0)
+    later = belief.after(frame_at(1.1, 5.0, 0.1, thrust=(1.0, 0.0)))
+    assert later.state.covariance[0, 0] < 0.03**2
+    np.testing.assert_array_equal(later.force(np.array([[3.0, 4.0]]))[0][0], force[0])
+
+
+@pytest.mark.slow
+def test_sweeps_from_old_values_end_where_those_from_nothing_end(adaptive):
+    tables = tabulate_model(adaptive.task, adaptive.task.truth)
+    cold = adaptive.replanner.plan(tables)
+    first = adaptive.replanner.plan(adaptive.physics)
+    warm = adaptive.replanner.plan(tables, first.values)
+    np.testing.assert_allclose(warm.values, cold.values, atol=2e-3)
+    whole = time_to_go(adaptive.task, adaptive.task.truth, tables=tables, points=21)
+    np.testing.assert_allclose(cold.values, whole.values, atol=2e-3)
+    few = adaptive.replanner.plan(tables, first.values, sweeps=1)
+    assert np.max(np.abs(few.values - warm.values)) > 1e-3
+
+
+def test_a_goal_out_of_reach_is_no_error_in_the_loop(adaptive):
+    table = adaptive.physics.table
+    grid = table.grid
+    gale = np.zeros((*grid.shape, 2)) - np.array([3.0, 0.0])
+    belief = know_truth(adaptive, frame_at(1.0, 5.0))
+    one = belief.filters[0]
+    x, y = axes_of(grid)
+    blown = take_for_granted((x, y), gale, frame_at(1.0, 5.0), motion=one.motion)
+    mind = adaptive.start(blown)
+    assert float(mind.plan.at(jnp.array([1.0, 5.0]))) > adaptive.task.time_limit
+    again = adaptive.replan(mind)
+    assert np.all(np.isfinite(again.plan.values))
+
+
+def safety_case(adaptive, position, heading, force=(0.0, 0.0), *, disc=True):
+    """The verdict on full thrust along a heading, in a known uniform current."""
+    problem = adaptive.task
+    if disc:
+        problem = dataclasses.replace(problem, keep_out=(Disc([6.0, 5.0], 1.0),))
+    physics = tabulate_model(problem, physics_only(problem.truth))
+    grid = physics.table.grid
+    current = np.zeros((*grid.shape, 2)) + np.array(force)
+    belief = take_for_granted(
+        axes_of(grid), current, frame_at(*position), motion=adaptive.motion
+    )
+    tables = Certain().tables(belief, physics, adaptive.thrust)
+    prediction = TrajectoryPrediction(
+        tables.predictor, tables.control_map, problem.step, 20
+    )
+    state = jnp.asarray(belief.state.mean)
+    idle = jnp.array([[0.0, heading]])
+    observation = Observation(jnp.asarray(0.0), state, idle)
+    wanted = jnp.array([tables.control_map.frequency, heading])
+    verdict = check_command(
+        wanted, observation, belief, prediction, tables.time_cost, adaptive.thrust
+    )
+    return wanted, verdict
+
+
+@pytest.mark.slow
+def test_a_command_far_from_discs_goes_through(adaptive):
+    wanted, verdict = safety_case(adaptive, (1.5, 5.0), 0.0, disc=False)
+    np.testing.assert_array_equal(verdict.command, wanted)
+    assert not verdict.changed
+    assert verdict.margin > 0
+
+
+@pytest.mark.slow
+def test_a_command_into_a_disc_is_changed(adaptive):
+    wanted, verdict = safety_case(adaptive, (4.93, 5.0), 0.0)
+    assert verdict.changed
+    assert np.cos(float(verdict.command[1])) < 0  # away from the disc
+    _, away = safety_case(adaptive, (4.93, 5.0), math.pi)
+    assert not away.changed
+    assert wanted[1] == 0.0
+
+
+def test_no_thrust_is_no_refuge_where_a_current_pushes(adaptive):
+    """In a current towards the disc the way out is full thrust, not rest."""
+    _, verdict = safety_case(adaptive, (4.82, 5.0), 0.0, force=(0.6, 0.0))
+    assert verdict.changed
+    assert float(verdict.command[0]) > 0.5 * adaptive.task.limits.max_frequency
+
+
+def test_a_path_to_follow_is_refused():
+    with pytest.raises(InputError, match="expected a place to reach, got FollowPath"):
+        Adaptive.of(task("follow-line"))
+
+
+def test_the_window_lies_about_the_goal_and_within_the_arena(adaptive):
+    grid = adaptive.window.grid
+    lower = np.asarray(grid.lower)
+    upper = lower + np.asarray(grid.spacing) * (np.array(grid.shape) - 1)
+    goal, arena = np.asarray(adaptive.task.objective.goal), adaptive.task.arena
+    assert np.all(lower < goal)
+    assert np.all(goal < upper)
+    assert np.all(lower >= arena.lower)
+    assert np.all(upper <= np.asarray(arena.upper) + 1e-9)
+    assert adaptive.window.cell < 0.7 * adaptive.replanner.cell
+
+
+@pytest.mark.slow
+def test_a_flight_that_knows_nothing_arrives_and_the_second_visit_is_quicker():
+    problem = small_task(objective=ReachGoal([4.0, 5.0], 0.3), delay=0.2)
+    problem = dataclasses.replace(problem, arena=Rectangle([-1.0, -1.0], [11.0, 11.0]))
+    adaptive = Adaptive.of(problem, points=31)
+    first = fly(adaptive, key=jax.random.key(1), every=1.0)
+    assert first.reached
+    assert not first.violated
+    assert len(first.moments) > 2
+    assert np.median(first.consistency[1:]) < 3
+    error, cover = score_force(first, adaptive)
+    assert error < 0.3
+    assert cover > 0.7
+    second = fly(adaptive, key=jax.random.key(2), belief=first.belief)
+    oracle = fly(adaptive, key=jax.random.key(2), oracle=True)
+    assert second.arrival_time < 1.2 * oracle.arrival_time
+    again = fly(adaptive, key=jax.random.key(1))
+    np.testing.assert_array_equal(first.states, again.states)

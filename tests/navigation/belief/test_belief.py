@@ -1,0 +1,256 @@
+"""The belief of state and force: exact where it can be, honest where it cannot."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from pinav.errors import InputError
+from pinav.navigation.belief.belief import KINDS, Belief, Frame
+from pinav.navigation.belief.kernels import FreeKernels, KernelGrid, PotentialKernels
+from pinav.navigation.belief.motion import InertialMotion, OverdampedMotion
+
+MOTIONS = {
+    "inertia": InertialMotion(damping=0.4, noise=0.05),
+    "overdamped": OverdampedMotion(noise=0.02),
+}
+
+
+def box(dim):
+    return np.zeros(dim), np.full(dim, 8.0)
+
+
+def first_frame(dim=2):
+    return Frame(0.0, np.full(dim, 2.0), 0.02, np.zeros(dim))
+
+
+def believe(motion, dim=2, *, scales=(6.0, 4.0), kinds=KINDS):
+    lower, upper = box(dim)
+    return Belief.start(
+        first_frame(dim),
+        lower=lower,
+        upper=upper,
+        motion=motion,
+        thrust=1.0,
+        scales=scales,
+        kinds=kinds,
+    )
+
+
+def frames(motion, force, count, *, seed=0, sd=0.02, dim=2, step=0.1):
+    """Frames of a flight through a force, its positions and its last state."""
+    random = np.random.default_rng(seed)
+    state, _ = motion.start(np.full(dim, 2.0), 0.0, 0.0)
+    flight, path, heading = [], [], 0.6
+
+    def force_at(x):
+        return force(x), np.zeros((dim, dim))
+
+    for k in range(count):
+        heading += 0.15 * random.standard_normal()
+        thrust = np.zeros(dim)
+        thrust[:2] = 0.5 * np.cos(heading), 0.5 * np.sin(heading)
+        move = motion.step(state, force_at, thrust, step)
+        spread = np.linalg.cholesky(move.noise + 1e-15 * np.eye(len(state)))
+        state = move.state + spread @ random.standard_normal(len(state))
+        position = state[:dim] + sd * random.standard_normal(dim)
+        flight.append(Frame(step * (k + 1), position, sd, thrust))
+        path.append(state.copy())
+    return flight, np.array(path)
+
+
+def swirl(x):
+    turned = np.zeros_like(x)
+    turned[0], turned[1] = -0.15 * (x[1] - 4), 0.15 * (x[0] - 4)
+    return turned
+
+
+@pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
+@pytest.mark.parametrize("kind", [PotentialKernels, FreeKernels])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_joining_late_is_the_filter_of_the_whole_grid(motion, kind, dim):
+    late = believe(motion, dim, kinds=(kind,), scales=(6.0 - 2.0 * dim + 1.0,))
+    whole = late.filters[0]
+    everything = whole.weights.reach(np.arange(whole.kernels.size))
+    early = dataclasses.replace(
+        late, filters=(dataclasses.replace(whole, weights=everything),)
+    )
+    for frame in frames(motion, swirl, 8, dim=dim)[0]:
+        late, early = late.after(frame), early.after(frame)
+    np.testing.assert_allclose(late.state.mean, early.state.mean, atol=1e-10)
+    np.testing.assert_allclose(late.log_evidence, early.log_evidence, atol=1e-8)
+    places = np.linspace(1, 7, 5)[:, None] * np.ones(dim)
+    for one, other in zip(late.force(places), early.force(places), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-9)
+
+
+@pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
+def test_the_step_has_the_slope_that_it_states(motion):
+    matrix = np.array([[0.3, -0.7], [0.2, 0.4]])
+    state, _ = motion.start(np.array([0.4, -0.2]), 0.0, 0.0)
+    state[-1] += 0.3
+    thrust = np.array([0.2, 0.1])
+
+    def moved(y):
+        return motion.step(y, lambda x: (matrix @ x, matrix), thrust, 0.1)
+
+    unit = 1e-6 * np.eye(len(state))
+    slope = [(moved(state + e).state - moved(state - e).state) / 2e-6 for e in unit]
+    np.testing.assert_allclose(moved(state).slope, np.stack(slope, axis=1), atol=1e-8)
+
+
+@pytest.mark.parametrize("kind", [PotentialKernels, FreeKernels])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_kernels_say_the_same_in_every_form(kind, dim):
+    kernels = kind(KernelGrid.over(*box(dim), 8.0 / 3))
+    weights = np.random.default_rng(1).standard_normal(kernels.size)
+    x = np.array([2.3, 4.1, 3.2])[:dim]
+    local = kernels.at(x)
+    near = local.basis @ weights[local.weights]
+    every = kernels.basis(x[None])[0] @ weights
+    lattice = kernels.on_axes([np.array([part]) for part in x], weights)
+    np.testing.assert_allclose(lattice.ravel(), every, atol=1e-12)
+    np.testing.assert_allclose(near, every, atol=0.01)  # kernels end at 3e-4
+    step = 1e-6 * np.eye(dim)
+    slope = [
+        (kernels.basis(x[None] + e) - kernels.basis(x[None] - e))[0] @ weights / 2e-6
+        for e in step
+    ]
+    here = local.slope @ weights[local.weights]
+    np.testing.assert_allclose(here, np.stack(slope, axis=1), atol=0.03)
+
+
+@pytest.mark.parametrize("kind", [PotentialKernels, FreeKernels])
+def test_the_prior_has_its_strength_everywhere_in_the_arena(kind):
+    belief = believe(MOTIONS["inertia"], kinds=(kind,), scales=(4.0,))
+    mean, sd = belief.force(np.random.default_rng(2).uniform(0, 8, (40, 2)))
+    assert np.all(mean == 0)
+    np.testing.assert_allclose(sd, 0.7, rtol=0.02)
+
+
+@pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
+def test_a_belief_comes_back_from_its_arrays(motion):
+    flight, _ = frames(motion, swirl, 30)
+    belief = believe(motion)
+    for frame in flight[:20]:
+        belief = belief.after(frame)
+    again = Belief.from_arrays(belief.to_arrays())
+    for frame in flight[20:]:
+        belief, again = belief.after(frame), again.after(frame)
+    ours, theirs = belief.to_arrays(), again.to_arrays()
+    assert ours.keys() == theirs.keys()
+    for name, array in ours.items():
+        np.testing.assert_array_equal(array, theirs[name], err_msg=name)
+
+
+def test_after_leaves_the_belief_as_it_was():
+    flight, _ = frames(MOTIONS["inertia"], swirl, 12)
+    belief = believe(MOTIONS["inertia"])
+    for frame in flight[:8]:
+        belief = belief.after(frame)
+    before = {name: array.copy() for name, array in belief.to_arrays().items()}
+    later = belief
+    for frame in flight[8:]:
+        later = later.after(frame)
+    assert later.time > belief.time
+    for name, array in belief.to_arrays().items():
+        np.testing.assert_array_equal(array, before[name])
+
+
+def test_a_lost_frame_widens_the_state_and_teaches_nothing():
+    belief = believe(MOTIONS["inertia"])
+    lost = belief.after(Frame(0.1, None, 0.02, np.zeros(2)))
+    assert np.all(lost.log_evidence == belief.log_evidence)
+    assert np.linalg.det(lost.state.covariance) > np.linalg.det(belief.state.covariance)
+    far = belief.after(Frame(0.4, None, 0.02, np.zeros(2)))
+    steps = belief
+    for k in range(4):
+        steps = steps.after(Frame(0.1 * (k + 1), None, 0.02, np.zeros(2)))
+    np.testing.assert_allclose(far.state.mean, steps.state.mean, atol=1e-12)
+
+
+def test_a_restart_keeps_the_map():
+    flight, _ = frames(MOTIONS["inertia"], swirl, 20)
+    belief = believe(MOTIONS["inertia"])
+    for frame in flight:
+        belief = belief.after(frame)
+    again = belief.restart(first_frame())
+    places = np.array([[2.0, 2.0], [5.0, 5.0]])
+    for old, new in zip(belief.force(places), again.force(places), strict=True):
+        np.testing.assert_array_equal(old, new)
+    np.testing.assert_array_equal(again.state.mean, [2.0, 2.0, 0.0, 0.0])
+
+
+def test_draws_have_the_deviation_that_is_stated():
+    flight, _ = frames(MOTIONS["inertia"], swirl, 15)
+    belief = believe(MOTIONS["inertia"])
+    for frame in flight:
+        belief = belief.after(frame)
+    axes = [np.array([2.0, 3.0, 6.0]), np.array([2.0, 6.0])]
+    draws = belief.samples(axes, 3000, seed=3)
+    places = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
+    mean, sd = belief.force(places)
+    np.testing.assert_allclose(draws.std(0).reshape(-1, 2), sd, rtol=0.06)
+    np.testing.assert_allclose(draws.mean(0).reshape(-1, 2), mean, atol=0.05)
+    on_axes = belief.force_on(axes).reshape(-1, 2)
+    np.testing.assert_allclose(on_axes, mean, atol=1e-10)
+
+
+@pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
+def test_ahead_is_what_lost_frames_would_say(motion):
+    belief = believe(motion)
+    thrusts = np.array([[0.3, 0.1], [0.0, -0.4]])
+    states = belief.ahead(thrusts, 0.1)
+    for k, thrust in enumerate(thrusts):
+        belief = belief.after(Frame(0.1 * (k + 1), None, 0.02, thrust))
+        np.testing.assert_allclose(states[k].mean, belief.state.mean, atol=1e-12)
+        np.testing.assert_allclose(
+            states[k].covariance, belief.state.covariance, atol=1e-12
+        )
+
+
+def test_a_frame_that_is_not_later_is_refused():
+    belief = believe(MOTIONS["inertia"])
+    with pytest.raises(InputError, match="expected a frame later than 0, got 0"):
+        belief.after(first_frame())
+
+
+def test_a_first_frame_without_a_position_is_refused():
+    motion = MOTIONS["inertia"]
+    lost = Frame(0.0, None, 0.02, np.zeros(2))
+    with pytest.raises(InputError, match="expected a frame with a position, got none"):
+        Belief.start(
+            lost, lower=np.zeros(2), upper=np.ones(2), motion=motion, thrust=1.0
+        )
+    with pytest.raises(InputError, match="restart: expected a frame with a position"):
+        believe(motion).restart(lost)
+    with pytest.raises(InputError, match="expected a scale and a kind, got none"):
+        believe(motion, scales=())
+
+
+def test_covariances_stay_symmetric_and_positive():
+    """Few frames in the quick suite; ten thousand are among the slow ones."""
+    _check_covariances(100)
+
+
+@pytest.mark.slow
+def test_covariances_stay_symmetric_and_positive_for_long():
+    _check_covariances(10_000)
+
+
+def _check_covariances(count):
+    motion = MOTIONS["overdamped"]
+    belief = believe(motion, scales=(3.0,), kinds=(PotentialKernels,))
+    random = np.random.default_rng(5)
+    for k in range(count):
+        turn = 0.01 * k
+        place = 4 + 2 * np.array([np.cos(turn), np.sin(2 * turn)])
+        seen = place + 0.02 * random.standard_normal(2)
+        belief = belief.after(Frame(0.1 * (k + 1), seen, 0.02, np.zeros(2)))
+    one = belief.best
+    matrix = one.weights.covariance()
+    assert np.array_equal(matrix, matrix.T)
+    cross = one.weights.cross
+    joint = np.block([[one.spread, cross], [cross.T, matrix]])
+    assert np.linalg.eigvalsh(joint).min() > -1e-9 * one.weights.prior_sd**2
+    assert np.all(np.isfinite(belief.force(np.full((1, 2), 4.0))[1]))
