@@ -14,6 +14,8 @@ import pinav
 ORDER = [
     "errors",
     "files",
+    "numerics",
+    "sweeps",
     "arguments",
     "actuation",
     "forces",
