@@ -1,5 +1,6 @@
 # %% [markdown]
-"""From A to B through an unknown obstacle.
+"""From A to B through an unknown obstacle
+=======================================
 
 Synthetic trajectories at a Gaussian barrier that is stronger than the thrust, noise
 0.02. A kernel potential is fitted; then the example shows from where and how soon the

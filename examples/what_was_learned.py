@@ -1,5 +1,6 @@
 # %% [markdown]
 """What was learned, and what does it depend on?
+=============================================
 
 Synthetic shots at a Gaussian barrier, noise 0.02. A free kernel force is fitted, which
 could be rotational; then: which part of it is a gradient, where is it known, which
