@@ -23,12 +23,10 @@ class RunResult(eqx.Module):
     Attributes:
         run: tissue and field.
         solution: temperature and dose.
-        hottest: highest temperature [°C] of each interval of the protocol.
     """
 
     run: Run
     solution: Solution
-    hottest: Float[Array, " interval"]
 
     def volumes(self, share: Field) -> Field:
         """Volume [m³] of a tissue in each cell."""
@@ -78,7 +76,11 @@ class AbstractConstraint(eqx.Module):
 
 
 class MaxTemperature(AbstractConstraint):
-    """No cell is hotter than a bound, in any interval of the protocol.
+    """No cell is hotter than a bound, at the end of any step.
+
+    Each step counts for itself. Where a field is lowered, the hottest moment of its
+    interval is the first, at which the amplitude does not act yet; the slope of a
+    maximum over the interval would not tell what the amplitude does later.
 
     Attributes:
         bound: highest temperature [°C].
@@ -91,7 +93,7 @@ class MaxTemperature(AbstractConstraint):
     unit: str = eqx.field(static=True, default="°C")
 
     def quantity(self, result: RunResult) -> Field:
-        return result.hottest
+        return result.solution.hottest
 
 
 class HealthyDose(AbstractConstraint):

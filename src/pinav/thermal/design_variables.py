@@ -41,13 +41,19 @@ class AbstractDesignVariable(eqx.Module):
         """The run with these numbers."""
 
 
+LEAST_POWER = 1e-12
+"""Share of the largest power that is left of a field that is off."""
+
+
 class FreeAmplitudes(AbstractDesignVariable):
-    r"""A constant amplitude in each interval of the protocol, $H_j = x_j H_{max}$.
+    r"""A constant amplitude in each interval, $H_j = \sqrt{x_j}\,H_{max}$.
+
+    Power goes with $x$, and temperature nearly so: few steps of quadratic programming.
 
     Attributes:
         largest: $H_{max}$ [A m⁻¹], positive.
         count: number of intervals.
-        first: $x_j$ to start from, the same in all.
+        first: $H_j/H_{max}$ to start from, the same in all.
         before: intervals at the begin that keep their amplitudes.
 
     Raises:
@@ -69,10 +75,12 @@ class FreeAmplitudes(AbstractDesignVariable):
 
     @property
     def start(self) -> Float[np.ndarray, " number"]:
-        return np.full(self.count, float(self.first))
+        return np.full(self.count, float(self.first) ** 2)
 
     def apply(self, numbers: Float[Array, " number"], run: Run) -> Run:
-        kept, values = run.protocol, self.largest * numbers
+        # a millionth of the largest where it is off: power has a slope there
+        root = jnp.sqrt(LEAST_POWER + (1 - LEAST_POWER) * numbers)
+        kept, values = run.protocol, self.largest * root
         starts = jnp.concatenate([kept.starts[: self.before], values])
         ends = jnp.concatenate([kept.ends[: self.before], values])
         protocol = eqx.tree_at(lambda p: (p.starts, p.ends), kept, (starts, ends))

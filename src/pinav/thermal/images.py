@@ -117,9 +117,15 @@ def check_place(image: Image, reference: Image) -> None:
 
 def _read_array(path: Path) -> np.ndarray:
     try:
-        return np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
+        values = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError, MemoryError) as error:
         raise InputError(f"{path}: cannot be read: {error}") from error
+    if not isinstance(values, np.ndarray):
+        values.close()
+        raise InputError(
+            f"{path}: expected one array of NumPy, got several; use np.save"
+        )
+    return values
 
 
 def _numbers(path: Path, values: np.ndarray) -> np.ndarray:

@@ -5,8 +5,8 @@ programming gets exact gradients. The amplitudes decide when heat arrives, the p
 of particles where; both can be design variables.
 """
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -89,6 +89,7 @@ def optimise(
     subject_to: Sequence[AbstractConstraint],
     stepper: AbstractStepper | None = None,
     begin: AbstractStart = AT_REST,
+    initial: Float[np.ndarray, " number"] | None = None,
     max_iterations: int = 60,
     tolerance: Number = 1e-5,
     throw: bool = True,
@@ -103,12 +104,15 @@ def optimise(
         stepper: as of `solve`.
         begin: where every run begins, as of `solve`; in the middle of the protocol,
             too.
+        initial: design variables to start from, such as the `numbers` of a plan for
+            similar tissue; those of the variables unless given.
         max_iterations: of the quadratic programming.
         tolerance: change of the objective at which it ends.
         throw: raise if no run satisfies the constraints.
 
     Raises:
-        InputError: there is no design variable, or a law of perfusion jumps.
+        InputError: there is no design variable, a start for another number of them, or
+            a law of perfusion that jumps.
         FitError: the constraints are not satisfied, and `throw` is true.
     """
     if not variables:
@@ -127,11 +131,29 @@ def optimise(
         ),
         begin=state,
     )
-    initial = np.concatenate([variable.start for variable in variables])
+    flat = np.concatenate([variable.start for variable in variables])
+    initial = flat if initial is None else np.asarray(initial, float)
+    if initial.shape != flat.shape:
+        raise InputError(
+            f"optimise initial: expected {flat.size} numbers, those of the variables, "
+            f"got shape {initial.shape}"
+        )
     memory = _Memory(problem, initial)
+    start_value = float(memory.at(initial).values[0])
     numbers, converged = _search(memory, initial, max_iterations, tolerance)
-    optimum = _optimum(problem, memory, numbers, converged=converged)
-    excess = float(np.max(memory.at(numbers)[0][1:], initial=0.0))
+    best = memory.at(numbers)
+    optimum = Optimum(
+        run=problem.trial(jnp.asarray(numbers)),
+        solution=best.solution,
+        value=float(best.values[0]),
+        start_value=start_value,
+        constraints=_constraint_values(problem, numbers, best),
+        numbers=numbers,
+        at_bounds=int(np.sum((numbers < 1e-6) | (numbers > 1 - 1e-6))),
+        evaluations=memory.count,
+        outcome=Outcome.CONVERGED if converged else Outcome.STALLED,
+    )
+    excess = float(np.max(best.values[1:], initial=0.0))
     if throw and excess > VIOLATION:
         names = ", ".join(c.name for c in optimum.constraints if c.value > c.bound)
         raise FitError(
@@ -153,15 +175,15 @@ def _search(
         # SLSQP may end at an infeasible point or before the optimum; the best feasible
         # run of a round is a better start than its last iterate.
         result = scipy.optimize.minimize(
-            lambda x: -memory.at(x)[0][0],
+            lambda x: -memory.at(x).values[0],
             numbers,
-            jac=lambda x: -memory.at(x)[1][0],
+            jac=lambda x: -memory.at(x).jacobian[0],
             bounds=[(0.0, 1.0)] * len(initial),
             constraints=[
                 {
                     "type": "ineq",
-                    "fun": lambda x: -memory.at(x)[0][1:],
-                    "jac": lambda x: -memory.at(x)[1][1:],
+                    "fun": lambda x: -memory.at(x).values[1:],
+                    "jac": lambda x: -memory.at(x).jacobian[1:],
                 }
             ],
             method="SLSQP",
@@ -188,13 +210,20 @@ class _Problem(eqx.Module):
     schedule: Schedule
     begin: State
 
-    def result(self, numbers: Float[Array, " number"]) -> RunResult:
-        """The run at some design variables, solved."""
+    def trial(self, numbers: Float[Array, " number"]) -> Run:
+        """The run at some design variables."""
         trial, place = self.start, 0
         for variable in self.variables:
             count = len(variable.start)
             trial = variable.apply(numbers[place : place + count], trial)
             place += count
+        return trial
+
+    def values(
+        self, numbers: Float[Array, " number"]
+    ) -> tuple[Float[Array, " value"], Solution]:
+        """The objective, then the excess of every constraint; and the solution."""
+        trial = self.trial(numbers)
         solution = run(
             trial.model,
             trial.protocol,
@@ -203,91 +232,88 @@ class _Problem(eqx.Module):
             observe=jnp.max,
             start=self.begin,
         )
-        intervals = jnp.asarray(self.schedule.intervals)
-        count = len(trial.protocol.edges) - 1
-        hottest = jax.ops.segment_max(solution.hottest, intervals, count)
-        # intervals that are over have no steps
-        hottest = jnp.maximum(hottest, jnp.min(self.begin.temperature))
-        return RunResult(trial, solution, hottest)
-
-    def values(self, numbers: Float[Array, " number"]) -> Float[Array, " value"]:
-        """The objective, then the excess of every constraint."""
-        result = self.result(numbers)
+        result = RunResult(trial, solution)
         parts = [self.maximise(result).reshape(1)]
         for constraint in self.constraints:
             parts.append(constraint.excess(result).reshape(-1))
-        return jnp.concatenate(parts)
+        return jnp.concatenate(parts), solution
 
 
-Evaluation = Callable[[_Problem, Array], tuple[Array, Array]]
+class _Evaluation(NamedTuple):
+    """What is known at some design variables."""
+
+    values: Float[np.ndarray, " value"]
+    jacobian: Float[np.ndarray, "value number"]
+    solution: Solution
 
 
 @eqx.filter_jit
-def _forward(problem: _Problem, numbers: Array) -> tuple[Array, Array]:
+def _forward(problem: _Problem, numbers: Array) -> tuple[Array, Array, Solution]:
     """Values and their Jacobian, one tangent for each number."""
-    value, push = jax.linearize(problem.values, numbers)
-    return value, jax.vmap(push)(jnp.eye(numbers.shape[0])).T
+
+    def push(tangent: Array) -> tuple[Array, Array, Solution]:
+        value, slope, solution = jax.jvp(
+            problem.values, (numbers,), (tangent,), has_aux=True
+        )
+        return value, slope, solution
+
+    tangents = jnp.eye(numbers.shape[0])
+    return jax.vmap(push, out_axes=(None, -1, None))(tangents)
 
 
 @eqx.filter_jit
-def _backward(problem: _Problem, numbers: Array) -> tuple[Array, Array]:
+def _backward(problem: _Problem, numbers: Array) -> tuple[Array, Array, Solution]:
     """Values and their Jacobian, one sweep for each value."""
-    value, pull = jax.vjp(problem.values, numbers)
-    return value, jax.lax.map(lambda row: pull(row)[0], jnp.eye(value.shape[0]))
+    value, pull, solution = jax.vjp(problem.values, numbers, has_aux=True)
+    rows = jax.lax.map(lambda row: pull(row)[0], jnp.eye(value.shape[0]))
+    return value, rows, solution
 
 
 class _Memory:
     """The last evaluation, as SciPy asks for value and gradient apart, and the best."""
 
     def __init__(self, problem: _Problem, start: Float[np.ndarray, " number"]) -> None:
-        values = eqx.filter_eval_shape(problem.values, jnp.asarray(start)).shape[0]
+        values, _ = eqx.filter_eval_shape(problem.values, jnp.asarray(start))
         # the cheaper mode has fewer sweeps: one a design variable, or one a value
-        self.evaluate: Evaluation = _forward if len(start) <= values else _backward
+        self.evaluate = _forward if len(start) <= values.shape[0] else _backward
         self.problem, self.count = problem, 0
         self.place: np.ndarray | None = None
-        self.evaluation = np.zeros(0), np.zeros((0, 0))
+        self.last: _Evaluation
         self.best: np.ndarray | None = None
         self.best_value = -np.inf
 
-    def at(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def at(self, numbers: np.ndarray) -> _Evaluation:
         """Values and Jacobian at some design variables."""
         if self.place is None or not np.array_equal(numbers, self.place):
-            values, jacobian = self.evaluate(self.problem, jnp.asarray(numbers))
-            self.evaluation = np.asarray(values), np.asarray(jacobian)
+            values, jacobian, solution = self.evaluate(
+                self.problem, jnp.asarray(numbers)
+            )
+            self.last = _Evaluation(np.asarray(values), np.asarray(jacobian), solution)
             self.place, self.count = np.array(numbers), self.count + 1
             self._keep_best(numbers)
-        return self.evaluation
+        return self.last
 
     def _keep_best(self, numbers: np.ndarray) -> None:
         """Remember the numbers if they are feasible and better than before."""
-        value, *excesses = self.evaluation[0]
+        value, *excesses = self.last.values
         if max(excesses, default=-1.0) <= FEASIBLE and value > self.best_value:
             self.best, self.best_value = np.clip(numbers, 0.0, 1.0), value
 
 
-def _optimum(
-    problem: _Problem, memory: _Memory, numbers: np.ndarray, *, converged: bool
-) -> Optimum:
-    initial = np.concatenate([variable.start for variable in problem.variables])
-    start_value = float(memory.at(initial)[0][0])
-    result: Any = eqx.filter_jit(problem.result)(jnp.asarray(numbers))
-    constraints = []
+def _constraint_values(
+    problem: _Problem, numbers: np.ndarray, evaluation: _Evaluation
+) -> tuple[ConstraintValue, ...]:
+    result = RunResult(problem.trial(jnp.asarray(numbers)), evaluation.solution)
+    values = []
     for constraint in problem.constraints:
-        value = float(jnp.max(constraint.quantity(result)))
         active = abs(float(jnp.max(constraint.excess(result)))) <= ACTIVE
-        constraints.append(
+        values.append(
             ConstraintValue(
-                constraint.name, value, float(constraint.bound), constraint.unit, active
+                constraint.name,
+                float(jnp.max(constraint.quantity(result))),
+                float(constraint.bound),
+                constraint.unit,
+                active,
             )
         )
-    return Optimum(
-        run=result.run,
-        solution=result.solution,
-        value=float(problem.maximise(result)),
-        start_value=start_value,
-        constraints=tuple(constraints),
-        numbers=numbers,
-        at_bounds=int(np.sum((numbers < 1e-6) | (numbers > 1 - 1e-6))),
-        evaluations=memory.count,
-        outcome=Outcome.CONVERGED if converged else Outcome.STALLED,
-    )
+    return tuple(values)

@@ -129,7 +129,7 @@ def load_probes(path: Path) -> ProbeData:
         InputError: the file cannot be read, has other columns, or a cell is no number.
     """
     try:
-        with open(path, newline="", encoding="utf-8") as file:
+        with open(path, newline="", encoding="utf-8-sig") as file:
             header, *rows = list(csv.reader(file)) or [[]]
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read: {error}") from error

@@ -37,7 +37,9 @@ Concentration = Annotated[float, Meta(ge=0, le=5180)]
 """[mg cm⁻³]; solid magnetite has 5180."""
 Scale = Annotated[float, Meta(ge=0, le=100)]
 Fraction = Annotated[float, Meta(gt=0, le=1)]
-Noise = Annotated[float, Meta(ge=0, le=100)]
+NOISIEST = 100.0
+"""Standard deviation [K] of a reading."""
+Noise = Annotated[float, Meta(ge=0, le=NOISIEST)]
 """[K]"""
 Seed = Annotated[int, Meta(ge=0, le=2**32 - 1)]
 Cells = Annotated[int, Meta(ge=3, le=100_000)]

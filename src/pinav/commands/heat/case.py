@@ -4,24 +4,21 @@ import os
 import re
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import msgspec
-from msgspec import Meta
 
+from pinav.commands.heat.aims import Learn, Optimise
 from pinav.commands.heat.bounds import (
     ADVICE,
-    Celsius,
-    Fraction,
     Length,
-    Noise,
-    Reference,
-    Seed,
     Strict,
     Time,
 )
 from pinav.commands.heat.field import Field
 from pinav.commands.heat.geometry import (
+    Box,
+    Ends,
     Grid,
     Meshed,
     Place,
@@ -40,6 +37,7 @@ from pinav.commands.heat.matter import (
     Eddy,
     Heating,
     LimitName,
+    Measured,
     Medium,
     Power,
     heating_file,
@@ -76,99 +74,6 @@ class Before(Strict, frozen=True):
     file: str
 
 
-class Frames(Strict, frozen=True):
-    """MR thermometry: an image with frames, its noise [K], turns and drift.
-
-    `temperature` in °C, `rise` in kelvins above the arteries, or `phase` in radians
-    since the field was off, with the field of the magnet [T] and the echo time [s].
-    `every` [s] is the time between frames, the first of which is as late; unless the
-    file has it.
-    """
-
-    readings: str
-    noise: Annotated[float, Meta(gt=0, le=100)] | str
-    quantity: Literal["temperature", "rise", "phase"] = "temperature"
-    every: Time | None = None
-    turn: Annotated[float, Meta(gt=0, le=1e4)] | None = None
-    drift: Literal["none", "constant", "linear"] = "linear"
-    magnet: Annotated[float, Meta(ge=0.01, le=30)] | None = None
-    echo: Annotated[float, Meta(ge=1e-4, le=1)] | None = None
-    coefficient: Annotated[float, Meta(ge=-1e-6, lt=0)] = -1e-8
-
-    def __post_init__(self) -> None:
-        phase = self.quantity == "phase"
-        if phase is (self.magnet is None) or phase is (self.echo is None):
-            raise ValueError(
-                "expected magnet and echo with a phase, and with nothing else; give "
-                "tesla and seconds, or remove them"
-            )
-        if phase and self.turn is not None:
-            raise ValueError(
-                "turn: expected none with a phase, whose turn follows from magnet and "
-                "echo; remove it"
-            )
-
-
-class Learn(Strict, frozen=True):
-    """What is learned, from probes, from voxels or from synthetic readings of the case.
-
-    `power_scale` and `spot` are a factor of the power and where its map is; `until` [s]
-    ends the readings that are fitted; `truth` is a case whose numbers made them.
-    """
-
-    laws: tuple[str, ...] | None = None
-    kind: Literal["kernels", "network", "constant"] = "kernels"
-    data: str | None = None
-    thermometry: Frames | None = None
-    noise: Noise = 0.1
-    seed: Seed = 0
-    power_scale: bool = False
-    spot: bool = False
-    until: Time | None = None
-    truth: str | None = None
-    held_out: tuple[Annotated[float, Meta(gt=0, le=100)], ...] = ()
-
-    @property
-    def is_synthetic(self) -> bool:
-        """Whether the case itself is the truth of its readings."""
-        return self.data is None and self.thermometry is None
-
-    def __post_init__(self) -> None:
-        if len(set(self.laws or ())) < len(self.laws or ()):
-            raise ValueError(f"laws: expected each once, got {list(self.laws or ())}")
-        if self.laws == () and not (self.power_scale or self.spot):
-            raise ValueError(
-                "expected something to learn, got no laws, power_scale or spot; name a "
-                "tissue in laws"
-            )
-        if self.data is not None and self.thermometry is not None:
-            raise ValueError("expected data or thermometry, got both; remove one")
-        if self.held_out and not self.is_synthetic:
-            raise ValueError(
-                "held_out: expected none with data, whose truth is unknown; remove it"
-            )
-        if self.is_synthetic and (self.truth or self.until):
-            raise ValueError(
-                "truth, until: expected with data or thermometry alone; remove them"
-            )
-
-
-class Optimise(Strict, frozen=True):
-    """What is free and what is bounded; temperatures in °C, doses in CEM43 minutes.
-
-    The field is free `after` a time [s], at which it may switch; readings of `learn`
-    until then say what the tissue is like.
-    """
-
-    largest: Reference
-    start: Fraction = 0.5
-    max_temperature: Celsius = 47.0
-    healthy_dose: Annotated[float, Meta(gt=0, le=1e9)] | None = None
-    margin: Annotated[float, Meta(ge=0, le=10)] = 0.003
-    placement: Annotated[int, Meta(ge=2, le=100)] | None = None
-    after: Time | None = None
-
-
 class Case(Strict, frozen=True):
     """One case: tissue, heating and field, and what is asked."""
 
@@ -197,6 +102,8 @@ class Case(Strict, frozen=True):
             self._check_labels()
         else:
             self._check_ball(self.grid)
+        if isinstance(self.heating, Measured):
+            self._check_table(self.heating)
         if self.optimise is not None:
             self._check_bounds(self.optimise)
 
@@ -207,6 +114,7 @@ class Case(Strict, frozen=True):
             ValueError: they do not.
         """
         check_sides(grid, self.sides)
+        self._check_center(grid)
         self._check_size(grid)
         self._check_probes(grid)
 
@@ -216,6 +124,15 @@ class Case(Strict, frozen=True):
         assert self.tissue is not None
         assert self.tumour is not None
         return self.tissue, self.tumour
+
+    @property
+    def _outside(self) -> list[float]:
+        """Temperatures behind the sides that have one [°C], and of the arteries."""
+        ends = [one for one in self.sides.along if isinstance(one, Ends)]
+        sides = [self.wall, *(side for one in ends for side in (one.low, one.high))]
+        walls = [side for side in sides if isinstance(side, Wall)]
+        given = [t for one in walls for t in (one.temperature, one.ambient)]
+        return [self.blood.arterial, *(t for t in given if t is not None)]
 
     def _check_ball(self, grid: Meshed) -> None:
         """Tables of a case without voxels."""
@@ -268,6 +185,8 @@ class Case(Strict, frozen=True):
                 "the value that the tissue has in the image"
             )
         names = self.target if isinstance(self.target, tuple) else ()
+        if len(set(names)) < len(names):
+            raise ValueError(f"target: expected each tissue once, got {list(names)}")
         for name in names:
             if name not in self.tissues:
                 raise ValueError(
@@ -280,6 +199,17 @@ class Case(Strict, frozen=True):
                 "heating.edge_weighted, optimise.placement: expected none on a grid of "
                 "voxels, whose target is no ball; give maps of the heating"
             )
+
+    def _check_center(self, grid: Meshed) -> None:
+        center = self.heating.center if isinstance(self.heating, Power) else None
+        if center is None:
+            return
+        if not isinstance(grid, Box):
+            raise ValueError(
+                "heating.center: expected none on a sphere or cylinder, which is "
+                "heated about its centre; take a box for another place"
+            )
+        check_point("heating.center", center, grid.lengths)
 
     def _check_probes(self, grid: Meshed) -> None:
         if self.probes is None:
@@ -294,6 +224,11 @@ class Case(Strict, frozen=True):
             )
 
     def _check_size(self, grid: Meshed) -> None:
+        if self.step is not None and self.step > self.field.duration:
+            raise ValueError(
+                f"step: expected within the protocol, <= {self.field.duration:g} s, "
+                f"got {self.step:g} s; take a shorter one, or leave it out"
+            )
         every = USUAL_STEP if self.probes is None else self.probes.every
         step = min(self.step or USUAL_STEP, every)
         if (count := self.field.duration / step) > MOST_STEPS:
@@ -311,11 +246,34 @@ class Case(Strict, frozen=True):
                 f"about {needed / 2**30:.3g} GiB; take larger cells"
             )
 
+    def _check_table(self, measured: Measured) -> None:
+        """Refuse a field of which a measured table says nothing."""
+        low, high = measured.frequencies[0], measured.frequencies[-1]
+        if not low <= self.field.frequency <= high:
+            raise ValueError(
+                f"field.frequency: expected within heating.frequencies, {low:g} to "
+                f"{high:g} Hz, got {self.field.frequency:g} Hz; measure there"
+            )
+        strongest = max(self.field.amplitudes + self.field.ramp, default=0.0)
+        if self.optimise is not None:
+            strongest = max(strongest, self.optimise.largest)
+        if strongest > measured.amplitudes[-1]:
+            raise ValueError(
+                f"heating.amplitudes: expected up to that of the field, "
+                f"{strongest:g} A/m, got {measured.amplitudes[-1]:g} A/m; measure "
+                "there, or lower the field"
+            )
+
     def _check_bounds(self, settings: Optimise) -> None:
         if settings.max_temperature <= self.blood.arterial:
             raise ValueError(
                 f"optimise.max_temperature: expected above the arterial temperature, "
                 f"> {self.blood.arterial:g} °C, got {settings.max_temperature:g} °C"
+            )
+        if (warmest := max(self._outside)) > settings.max_temperature:
+            raise ValueError(
+                f"optimise.max_temperature: expected above that of the walls, "
+                f"{warmest:g} °C, got {settings.max_temperature:g} °C"
             )
         if settings.after is None:
             return

@@ -39,11 +39,25 @@ class Field(Strict, frozen=True):
         if self.ramp:
             self._check_ramp()
             return
+        if self.on is not None:
+            self._check_bursts(self.on)
         count = 1 if self.on is not None else len(self.times) - 1
         if len(self.amplitudes) != count:
             raise ValueError(
                 f"amplitudes: expected {count}, one for each interval between two "
                 f"times, or one for bursts; got {len(self.amplitudes)}"
+            )
+
+    def _check_bursts(self, on: float) -> None:
+        if len(self.times) != 2:
+            raise ValueError(
+                f"times: expected 0 and the end of the bursts, got {list(self.times)}; "
+                "remove the others"
+            )
+        if on >= self.duration:
+            raise ValueError(
+                f"on: expected a burst within the protocol, < {self.duration:g} s, got "
+                f"{on:g} s; shorten it, or remove on and off"
             )
 
     def _check_ramp(self) -> None:

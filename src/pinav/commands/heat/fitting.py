@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from pinav.commands.heat.aims import Learn
 from pinav.commands.heat.build import CaseModel
-from pinav.commands.heat.case import Learn
 from pinav.commands.heat.history import Watched
 from pinav.commands.heat.readings import Readings
 from pinav.errors import InputError
@@ -57,16 +57,45 @@ def value_at_rest(setup: CaseModel, name: str) -> float:
     Raises:
         InputError: it is zero, from where no fit starts.
     """
-    law: AbstractPerfusion = setup.body.laws[name](setup.model)
-    rest = jnp.full(setup.model.grid.shape, float(setup.model.blood.arterial))
-    share = setup.body.shares[name]
-    value = float(jnp.sum(law(rest) * share) / jnp.sum(share))
+    value = mean_perfusion(setup, name, float(setup.model.blood.arterial))
     if not value > 0:
         raise InputError(
             f"perfusion of the {name}: expected > 0 where a fit starts, got {value:g}; "
             "give a small value, or leave the tissue out of learn.laws"
         )
     return value
+
+
+def mean_perfusion(setup: CaseModel, name: str, celsius: float) -> float:
+    """Perfusion of a tissue at a temperature [kg m⁻³ s⁻¹], on average over it."""
+    law: AbstractPerfusion = setup.body.laws[name](setup.model)
+    flow = law(jnp.full(setup.model.grid.shape, celsius))
+    share = setup.body.shares[name]
+    return float(jnp.sum(flow * share) / jnp.sum(share))
+
+
+def require_heating(setup: CaseModel) -> None:
+    """Refuse a field that heats nothing: nothing could be learned or planned.
+
+    Raises:
+        InputError: it brings no power into the tissue.
+    """
+    protocol, grid = setup.protocol, setup.model.grid
+    if not protocol.largest > 0:
+        raise InputError(
+            "field.amplitudes: expected one > 0 A/m, got none; tissue that is not "
+            "heated tells nothing of its perfusion, and has no best field"
+        )
+    powers = [
+        float(source.level(protocol.largest, protocol.frequency))
+        * float(jnp.sum(source.shape(grid) * grid.volumes))
+        for source in setup.model.sources
+    ]
+    if not max(powers) > 0:
+        raise InputError(
+            "heating: expected a power > 0 W in the tissue, got none; give a density, "
+            "a map or particles that heat"
+        )
 
 
 def fit_case(setup: CaseModel, settings: Learn, data: Readings) -> EvidenceFit:

@@ -22,6 +22,9 @@ REGULAR_TIMES = 180
 THERAPEUTIC = 10.0
 """CEM43 [min] of T90 that trials of hyperthermia aim at."""
 
+OFF = 1e-5
+"""Share of the largest amplitude below which the field is off: a plan leaves less."""
+
 SHARES = {"T10": 0.1, "T50": 0.5, "T90": 0.9}
 
 
@@ -37,7 +40,7 @@ def saved_times(protocol: Piecewise) -> Float[np.ndarray, " time"]:
 def end_of_heating(protocol: Piecewise) -> float:
     """Time [s] after which the field is off; the end where it never is on."""
     peaks = np.maximum(np.asarray(protocol.starts), np.asarray(protocol.ends))
-    heated = np.flatnonzero(peaks > 0)
+    heated = np.flatnonzero(peaks > OFF * peaks.max())
     last = heated[-1] if heated.size else len(peaks) - 1
     return protocol.edges[last + 1]
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from pinav.commands.cells import EstimateRow
 from pinav.commands.heat.build import CaseModel, build_case
-from pinav.commands.heat.case import Case, Learn, read_case
+from pinav.commands.heat.case import Case
 from pinav.commands.heat.fitting import (
     Quantities,
     describe_constant,
@@ -20,8 +20,9 @@ from pinav.commands.heat.fitting import (
     followed_curves,
     forecast,
     law_names,
-    value_at_rest,
+    mean_perfusion,
 )
+from pinav.commands.heat.learning_case import LearningCase, residuals_of
 from pinav.commands.heat.metrics import (
     ForecastMetrics,
     HeldOutMetrics,
@@ -29,7 +30,7 @@ from pinav.commands.heat.metrics import (
     LearnMetrics,
     QuantityMetrics,
 )
-from pinav.commands.heat.readings import Readings, read_data, readings_until
+from pinav.commands.heat.readings import Readings
 from pinav.commands.heat.simulate import spacing
 from pinav.commands.heat.task import AbstractTask, TaskResult
 from pinav.errors import InputError
@@ -39,77 +40,11 @@ from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.learning import (
     ProbeResiduals,
     perfusion_curve,
-    read_residuals,
     visited_range,
 )
 from pinav.thermal.probes import ProbeData, simulate_probes
 from pinav.thermal.solve import Solution, solve
 from pinav.thermal.thermometry import Thermometry, ThermometryResiduals
-
-
-@dataclasses.dataclass(frozen=True)
-class LearningCase:
-    """What is fitted to what, and what is known of the truth.
-
-    Attributes:
-        setup: the case.
-        settings: its table `learn`.
-        fitted: the readings that are fitted; none where the case makes its own.
-        every: all readings that there are.
-        truth: of the readings, where it is known.
-    """
-
-    setup: CaseModel
-    settings: Learn
-    fitted: Readings | None
-    every: Readings | None
-    truth: CaseModel | None
-
-    @classmethod
-    def of(
-        cls, case: Case, setup: CaseModel, folder: Path, until: float | None = None
-    ) -> "LearningCase":
-        """That of a case, up to a time [s] unless its table says one.
-
-        Raises:
-            InputError: a file cannot be read, or nothing could be learned from it.
-        """
-        settings = case.learn or Learn()
-        for name in law_names(setup, settings):
-            value_at_rest(setup, name)
-        if not setup.protocol.largest > 0:
-            raise InputError(
-                "field.amplitudes: expected one > 0 A/m, got none; tissue that is not "
-                "heated tells nothing of its perfusion"
-            )
-        data = read_data(settings, setup, folder)
-        end = until or settings.until
-        fitted = data if data is None or end is None else readings_until(data, end)
-        if fitted is not None:
-            # refuses readings outside the grid or after the end of the protocol
-            _residuals(setup, setup.model, fitted)
-        return cls(setup, settings, fitted, data, _read_truth(settings, setup, folder))
-
-
-def _read_truth(settings: Learn, setup: CaseModel, folder: Path) -> CaseModel | None:
-    if settings.truth is None:
-        return None
-    path = folder / settings.truth
-    truth = build_case(read_case(path)[0], path.parent)
-    if truth.model.grid.shape != setup.model.grid.shape:
-        raise InputError(
-            f"learn.truth: expected a case on the grid of this one, "
-            f"{setup.model.grid.shape}, got {truth.model.grid.shape}; take the same"
-        )
-    return truth
-
-
-def _residuals(
-    setup: CaseModel, model: Bioheat, data: Readings
-) -> ProbeResiduals | ThermometryResiduals:
-    return read_residuals(
-        model, setup.protocol, data, stepper=setup.stepper, start=setup.start
-    )
 
 
 class LearnTask(AbstractTask):
@@ -139,7 +74,7 @@ class LearnTask(AbstractTask):
         constant = (
             fit if settings.kind == "constant" else fit_constant(setup, settings, data)
         )
-        residuals = _residuals(setup, fit.model, data)
+        residuals = residuals_of(setup, fit.model, data)
         comparison = Comparison.of(residuals, fit.model, data)
         by_constant = (
             comparison
@@ -160,9 +95,7 @@ class LearnTask(AbstractTask):
                 for name, one in fit.constants.items()
             },
             quantities=_compare(learning, fit),
-            laws={}
-            if settings.kind == "constant"
-            else _curves(setup, settings, fit, arrays),
+            laws={} if settings.kind == "constant" else _curves(learning, fit, arrays),
             constant_residual=by_constant.residual,
             held_out=tuple(
                 _held_out(setup, fit.model, constant.model, power) for power in held_out
@@ -318,7 +251,7 @@ def _forecast(
         covered = float((apart <= 1.96 * predicted.sd[later]).mean())
     residual = None
     if len(every.times) > len(fitted.times):
-        whole = Comparison.of(_residuals(setup, fit.model, every), fit.model, every)
+        whole = Comparison.of(residuals_of(setup, fit.model, every), fit.model, every)
         residual = _rms(whole.scaled[len(fitted.times) :])
     return ForecastMetrics(
         fitted_until=float(fitted.times[-1]),
@@ -334,10 +267,10 @@ def _rms(values: Float[np.ndarray, "..."]) -> float:
 
 
 def _curves(
-    setup: CaseModel, settings: Learn, fit: EvidenceFit, arrays: dict[str, np.ndarray]
+    learning: LearningCase, fit: EvidenceFit, arrays: dict[str, np.ndarray]
 ) -> dict[str, LawMetrics]:
     """Each learned law with its band and, if known, its truth, added to the arrays."""
-    metrics = {}
+    setup, settings, metrics = learning.setup, learning.settings, {}
     for name in law_names(setup, settings):
         visited = visited_range(
             fit.model, setup.protocol, setup.body.shares[name], setup.start
@@ -348,8 +281,9 @@ def _curves(
         stored = {"temperatures": at, "values": curve.values, "low": low, "high": high}
         stored["visited"] = curve.inside
         covered = None
-        if settings.data is None:
-            true = np.asarray(setup.body.laws[name](setup.model)(jnp.asarray(at)))
+        truth = learning.setup if settings.is_synthetic else learning.truth
+        if truth is not None:
+            true = np.array([mean_perfusion(truth, name, one) for one in at])
             inside = ((true >= low) & (true <= high))[curve.inside]
             covered, stored["true"] = float(inside.mean()), true
         for key, values in stored.items():

@@ -66,6 +66,9 @@ class Flow(Strict, frozen=True):
             )
 
 
+LARGEST_LABEL = 2**31
+"""Of a tissue in an image."""
+
 Metabolic = Annotated[float, Meta(ge=0, le=1e7)]
 """[W m⁻³]"""
 
@@ -78,7 +81,7 @@ class Medium(Strict, frozen=True):
     """
 
     perfusion: Flow
-    label: Annotated[int, Meta(ge=0, le=2**31)] | None = None
+    label: Annotated[int, Meta(ge=0, le=LARGEST_LABEL)] | None = None
     preset: str | None = None
     conductivity: Conductivity | str | None = None
     density: Density | str | None = None

@@ -1,15 +1,18 @@
 """`pinav heat optimise`: the protocol of largest dose under the limits of a case."""
 
 from pathlib import Path
+from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
+from pinav.commands.heat.aims import Optimise
 from pinav.commands.heat.build import CaseModel, build_case
-from pinav.commands.heat.case import Case, Optimise
-from pinav.commands.heat.fitting import fit_case
-from pinav.commands.heat.learn import LearningCase
+from pinav.commands.heat.case import Case
+from pinav.commands.heat.fitting import fit_case, require_heating
+from pinav.commands.heat.learning_case import LearningCase
 from pinav.commands.heat.metrics import (
     ConstraintMetrics,
     JudgedMetrics,
@@ -36,7 +39,6 @@ from pinav.thermal.design_variables import (
 )
 from pinav.thermal.grids import CartesianGrid
 from pinav.thermal.optimise import Optimum, optimise
-from pinav.thermal.protocols import Piecewise
 from pinav.thermal.quantities import Field
 from pinav.thermal.solve import solve
 
@@ -65,6 +67,7 @@ class OptimiseTask(AbstractTask):
                     f"{case.optimise.after:g} s is made, got neither; name a file, or "
                     "remove the table"
                 )
+        _check_plan(case.optimise, self.setup)
         self.variables = _variables(case, case.optimise, self.setup)
         self.constraints = _constraints(case, case.optimise, self.setup)
 
@@ -72,11 +75,12 @@ class OptimiseTask(AbstractTask):
         model, learning, judged = self.setup.model, self.learning, None
         if learning is not None and learning.fitted is not None:
             model = fit_case(self.setup, learning.settings, learning.fitted).model
+            model = _with_arrays(model)
         optimum = self._plan(model)
         protocol = optimum.run.protocol
         metrics, arrays = simulate_run(self.setup, optimum.run.model, protocol)
         if learning is not None and learning.truth is not None:
-            judged = self._judge(learning.truth.model, protocol)
+            judged = self._judge(_with_arrays(learning.truth.model), optimum)
         return TaskResult(
             OptimumMetrics(
                 result=metrics,
@@ -92,7 +96,7 @@ class OptimiseTask(AbstractTask):
             image=self.setup.body.image,
         )
 
-    def _plan(self, model: Bioheat) -> Optimum:
+    def _plan(self, model: Bioheat, initial: np.ndarray | None = None) -> Optimum:
         """The best field of a tissue, from where it is free."""
         setup, begin = self.setup, self.setup.start
         if self.settings.after is not None:
@@ -105,12 +109,13 @@ class OptimiseTask(AbstractTask):
             subject_to=self.constraints,
             stepper=setup.stepper,
             begin=begin,
+            initial=initial,
         )
 
-    def _judge(self, truth: Bioheat, protocol: Piecewise) -> JudgedMetrics:
+    def _judge(self, truth: Bioheat, plan: Optimum) -> JudgedMetrics:
         """What a plan does to the true tissue, and one made with the truth."""
-        reached, _ = simulate_run(self.setup, truth, protocol)
-        best = self._plan(truth).run.protocol
+        reached, _ = simulate_run(self.setup, truth, plan.run.protocol)
+        best = self._plan(truth, plan.numbers).run.protocol
         possible, _ = simulate_run(self.setup, truth, best)
         return JudgedMetrics(
             d90=reached.d90,
@@ -118,6 +123,30 @@ class OptimiseTask(AbstractTask):
             highest=reached.highest,
             amplitudes=tuple(np.asarray(best.starts).tolist()),
         )
+
+
+def _with_arrays(model: Bioheat) -> Bioheat:
+    """The model with arrays for numbers, so that a learned and a true one compile once.
+
+    A number of Python is part of the program, an array is data of it.
+    """
+
+    def as_array(leaf: Any) -> Any:
+        return jnp.asarray(np.asarray(leaf)) if isinstance(leaf, float) else leaf
+
+    return jax.tree.map(as_array, model)
+
+
+def _check_plan(settings: Optimise, setup: CaseModel) -> None:
+    """Refuse a bound that is passed at the start, and a field that heats nothing."""
+    hottest = float(jnp.max(setup.start.state(setup.model).temperature))
+    if hottest >= settings.max_temperature:
+        raise InputError(
+            f"optimise.max_temperature: expected above the temperature at the start, "
+            f"> {hottest:.4g} °C, got {settings.max_temperature:g} °C; raise it, or "
+            "cool the start"
+        )
+    require_heating(setup)
 
 
 def _variables(
@@ -128,9 +157,9 @@ def _variables(
     free = len(edges) - 1 - kept
     variables: list[AbstractDesignVariable] = [
         FreeAmplitudes(settings.largest, free, settings.start, kept)
-        if case.field.on is None
-        # pauses stay pauses
-        else FreeScale(settings.largest / case.field.amplitudes[0], settings.start)
+        if case.field.on is None and not case.field.ramp
+        # pauses stay pauses, and ramps ramps
+        else FreeScale(settings.largest / setup.protocol.largest, settings.start)
     ]
     if settings.placement is not None:
         grid, source = setup.model.grid, setup.model.sources[0]
@@ -150,6 +179,11 @@ def _constraints(
     if settings.healthy_dose is not None:
         # the margin leaves out tissue that conduction from the tumour heats anyway
         away = tissue_beyond(case, setup, settings.margin)
+        if not bool(jnp.any(away > 0.5)):
+            raise InputError(
+                f"optimise.margin: expected tissue further than it from the tumour, "
+                f"got none at {settings.margin:g} m; give metres, or a smaller one"
+            )
         name = f"dose of tissue {1e3 * settings.margin:g} mm or more from the tumour"
         constraints.append(
             HealthyDose(bound=settings.healthy_dose, share=away, name=name)

@@ -4,10 +4,11 @@ from pathlib import Path
 
 import numpy as np
 
+from pinav.commands.heat.aims import Frames, Learn
+from pinav.commands.heat.bounds import NOISIEST
 from pinav.commands.heat.build import CaseModel
-from pinav.commands.heat.case import Frames, Learn
 from pinav.errors import InputError
-from pinav.thermal.images import Image, check_place, read_image
+from pinav.thermal.images import NEGLIGIBLE, Image, check_place, read_image
 from pinav.thermal.probes import HOTTEST_READING, ProbeData, load_probes
 from pinav.thermal.thermometry import Thermometry, phase_turn
 
@@ -70,12 +71,7 @@ def _read_frames(frames: Frames, setup: CaseModel, folder: Path) -> Thermometry:
         values = -values / (2 * np.pi) * turn  # the shift falls as tissue warms
     if frames.quantity != "temperature":
         values = arterial + values
-    elif turn is None and np.nanmax(np.abs(values)) > HOTTEST_READING:
-        raise InputError(
-            f"{image.path}: expected temperatures in °C, got "
-            f"{np.nanmax(np.abs(values)):g}; subtract 273.15 from kelvins, or name the "
-            "quantity or the turn of the phase"
-        )
+    _check_warmth(frames, image.path, image.values, values)
     return Thermometry(
         every * np.arange(1, len(values) + 1),
         values,
@@ -85,9 +81,35 @@ def _read_frames(frames: Frames, setup: CaseModel, folder: Path) -> Thermometry:
     )
 
 
+UNITS = {
+    "temperature": "°C; subtract 273.15 from kelvins, or name the quantity",
+    "rise": "kelvins above the arteries; subtract what the tissue had at first",
+    "phase": "radians; multiply degrees by pi/180",
+}
+"""Of readings by their quantity, and what to do with those that have another."""
+
+
+def _check_warmth(
+    frames: Frames, path: Path, given: np.ndarray, values: np.ndarray
+) -> None:
+    """Refuse readings that are no temperature of tissue in the unit that is said."""
+    hottest = np.abs(np.nan_to_num(values)).max()
+    if hottest <= HOTTEST_READING:
+        return
+    raise InputError(
+        f"{path}: expected a {frames.quantity} in {UNITS[frames.quantity]}; got "
+        f"{np.nanmax(np.abs(given)):g}, or {hottest:.4g} °C"
+    )
+
+
 def _interval(frames: Frames, image: Image) -> float:
     """Time between two frames [s]."""
     every = image.every if frames.every is None else frames.every
+    if image.every is not None and abs(image.every / (every or 1.0) - 1) > NEGLIGIBLE:
+        raise InputError(
+            f"learn.thermometry.every: expected {image.every:g} s, that of "
+            f"{image.path.name}, got {every:g} s; leave it out, or correct the file"
+        )
     if every is None or not np.isfinite(every):
         raise InputError(
             f"{image.path}: expected a time between frames with a unit, or "
@@ -101,9 +123,14 @@ def _read_noise(frames: Frames, labels: Image, folder: Path) -> np.ndarray:
         return np.full(labels.values.shape, frames.noise)
     image = read_image(folder / frames.noise)
     check_place(image, labels)
-    if image.values.shape != labels.values.shape or not np.nanmin(image.values) > 0:
+    read = image.values[np.isfinite(image.values)]
+    if (
+        image.values.shape != labels.values.shape
+        or not read.size
+        or not (read.min() > 0 and read.max() <= NOISIEST)
+    ):
         raise InputError(
-            f"{image.path}: expected the standard deviation of each voxel, > 0 K, got "
-            "another number or frames; make lost voxels NaN"
+            f"{image.path}: expected the standard deviation of each voxel, > 0 and <= "
+            f"{NOISIEST:g} K, got another number or frames; make lost voxels NaN"
         )
     return image.values

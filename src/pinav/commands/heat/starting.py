@@ -1,6 +1,7 @@
 """Where the run of a case begins."""
 
 import zipfile
+import zlib
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -34,6 +35,11 @@ def build_start(
 
 def _read_state(path: Path, shape: tuple[int, ...]) -> State:
     arrays = _read_arrays(path)
+    for name, values in arrays.items():
+        if values.dtype.kind not in "biuf":
+            raise InputError(
+                f"{path}: expected numbers as {name}, got {values.dtype}; save floats"
+            )
     if "temperature" not in arrays:
         raise InputError(
             f"{path}: expected the results.npz of a run, with a temperature, got "
@@ -52,7 +58,14 @@ def _read_state(path: Path, shape: tuple[int, ...]) -> State:
             f"{path}: expected temperatures between {COLDEST:g} and {HOTTEST:g} °C, "
             f"got {temperature[outside][0]:g}; subtract 273.15 from kelvins"
         )
-    return State(jnp.asarray(0.0), jnp.asarray(temperature), jnp.asarray(dose))
+    if not np.all((dose >= 0) & np.isfinite(dose)):
+        raise InputError(
+            f"{path}: expected doses >= 0 CEM43 min, got "
+            f"{dose[~((dose >= 0) & np.isfinite(dose))][0]:g}; take results of a run"
+        )
+    return State(
+        jnp.asarray(0.0), jnp.asarray(temperature, float), jnp.asarray(dose, float)
+    )
 
 
 def _read_arrays(path: Path) -> dict[str, np.ndarray]:
@@ -60,9 +73,16 @@ def _read_arrays(path: Path) -> dict[str, np.ndarray]:
     try:
         content = np.load(path, allow_pickle=False)
         if isinstance(content, np.ndarray):
-            return {"temperature": content.astype(float)}
+            return {"temperature": content}
         with content:
             names = [n for n in ("temperature", "dose") if n in content]
-            return {name: content[name].astype(float) for name in names}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+            return {name: content[name] for name in names}
+    except (
+        OSError,
+        ValueError,
+        EOFError,
+        MemoryError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
         raise InputError(f"{path}: cannot be read: {error}") from error

@@ -32,7 +32,13 @@ from pinav.commands.heat.bounds import (
 )
 from pinav.commands.heat.case import Case, TargetFile
 from pinav.commands.heat.geometry import Box, Voxels
-from pinav.commands.heat.matter import Absorption, Heating, Medium, Metabolic
+from pinav.commands.heat.matter import (
+    LARGEST_LABEL,
+    Absorption,
+    Heating,
+    Medium,
+    Metabolic,
+)
 from pinav.errors import InputError
 from pinav.thermal.images import NEGLIGIBLE, Image, check_place, read_image
 from pinav.thermal.perfusion import (
@@ -109,7 +115,13 @@ def read_heating(heating: Heating, path: Path, body: Body) -> np.ndarray:
     assert body.image is not None
     kind = "absorption" if isinstance(heating, Absorption) else "concentration"
     everywhere = np.ones(body.grid.shape, bool)
-    return _Files(path.parent, body.image).read(path.name, kind, everywhere)
+    values = _Files(path.parent, body.image).read(path.name, kind, everywhere)
+    if not values.max() > 0:
+        raise InputError(
+            f"{path}: expected a voxel > 0, got zeros alone; save numbers with "
+            "decimals, or set field.amplitudes to 0 for a run without heat"
+        )
+    return values
 
 
 class _Files:
@@ -185,8 +197,12 @@ def _box(grid: Voxels, image: Image) -> Box:
 def _masks(case: Case, image: Image) -> dict[str, Bool[np.ndarray, "..."]]:
     """The voxels of each tissue."""
     values, path = image.values, image.path
-    if not np.all(np.isfinite(values) & (values == np.round(values))):
-        raise InputError(f"{path}: expected labels, whole numbers, got others")
+    whole = np.isfinite(values) & (values == np.round(values))
+    if not np.all(whole & (np.abs(values) <= LARGEST_LABEL)):
+        raise InputError(
+            f"{path}: expected labels, whole numbers up to {LARGEST_LABEL}, got "
+            "others; save integers"
+        )
     known = {medium.label: name for name, medium in case.tissues.items()}
     labels, counts = np.unique(values.astype(int), return_counts=True)
     for label, count in zip(labels.tolist(), counts.tolist(), strict=True):
