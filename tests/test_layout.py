@@ -30,6 +30,7 @@ ORDER = [
     "analysis",
     "navigation",
     "thermal",
+    "live",
     "figures",
     "report",
     "checkpoints",

@@ -1,11 +1,11 @@
 """Settings of `pinav navigate`; imports no numerical library."""
 
-import math
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
+from pinav.commands.places import numbers
 from pinav.commands.settings import Range, RunOptions, Settings
 from pinav.errors import InputError
 
@@ -84,30 +84,6 @@ class NavigateSettings(Settings, frozen=True):
         return None if self.arena is None else numbers("--arena", self.arena, 4)
 
 
-def numbers(option: str, text: str, count: int) -> tuple[float, ...]:
-    """Numbers with commas between them.
-
-    Args:
-        option: what the message calls them.
-        text: such as "0.5,1".
-        count: how many are expected.
-
-    Raises:
-        InputError: they are not so many finite numbers.
-    """
-    try:
-        values = tuple(float(word) for word in text.split(","))
-    except ValueError:
-        values = ()
-    if len(values) != count or not all(map(math.isfinite, values)):
-        example = ",".join("1234"[:count])
-        raise InputError(
-            f"{option}: expected {count} numbers with commas between them, such as "
-            f"{example}, got {text!r}"
-        )
-    return values
-
-
 StrategyName = Literal["certain", "averse", "curious", "doubted", "sampled"]
 
 
@@ -125,7 +101,7 @@ class OnlineSettings(Settings, frozen=True):
 
     learn_online: bool = False
     task: str | None = None
-    strategy: StrategyName = "certain"
+    strategy: StrategyName = "curious"
     position_noise: Annotated[float, Range(above=0)] = 0.02
     visits: Annotated[int, Range(1)] = 2
 
