@@ -131,7 +131,7 @@ def test_a_killed_session_goes_on_as_if_nothing_had_been(tmp_path):
 
 
 def test_a_rig_without_pinav_stops(tmp_path):
-    both = Both(tmp_path, "file", frames=400)
+    both = Both(tmp_path, "file", frames=300, pace="0.02")
     process = both.start(*STEER)
     ends = time.monotonic() + 60
     while not (tmp_path / "commands.jsonl").exists() and time.monotonic() < ends:
