@@ -28,7 +28,9 @@ def run(options: HeatOptions) -> CommandResult:
     case, content = read_case(options.case)
     task = _task(options.task, case, options.case)
     config = {"run": {"command": HEAT.name, "task": options.task}, "case": content}
-    folder = RunFolder.create(options.out, config, overwrite=options.overwrite)
+    folder = RunFolder.create(
+        options.out, config, overwrite=options.overwrite, resumable=False
+    )
     result = task.run()
     folder.write_arrays(RESULTS, result.arrays)
     if result.readings is not None:
