@@ -45,11 +45,11 @@ def run(options: HeatOptions) -> CommandResult:
 def _write_images(
     folder: RunFolder, arrays: dict[str, np.ndarray], image: Image
 ) -> None:
-    """NIfTI files of the end of a run, where the labels are."""
-    for name in IMAGES:
+    """NIfTI files of the end of a run or of a fit, where the labels are."""
+    for name, file in IMAGES.items():
         if name in arrays:
-            write_image(folder.path / f"{name}.nii.gz", arrays[name], image)
-            folder.record(f"{name}.nii.gz")
+            write_image(folder.path / f"{file}.nii.gz", arrays[name], image)
+            folder.record(f"{file}.nii.gz")
 
 
 def _task(name: str, case: Case, path: Path) -> AbstractTask:
