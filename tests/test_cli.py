@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from pinav import __version__, cli
+from pinav import __version__, cli, numerics
 from pinav.commands import COMMANDS, dispatch
 from pinav.commands.command import resolve
 from pinav.commands.fit.settings import FitOptions
@@ -231,21 +231,21 @@ def test_json_output_is_json_alone(tiny_fit, capsys):
 
 
 def test_flags_are_for_the_compiler_on_which_they_were_tried():
-    assert "fusion_emitters" in cli.compiler_flags({}, "0.10.2")["XLA_FLAGS"]
-    assert cli.compiler_flags({}, "0.11.0") == {}
-    assert cli.compiler_flags({"XLA_FLAGS": ""}, "0.10.2") == {}
+    assert "fusion_emitters" in numerics.compiler_flags({}, "0.10.2")["XLA_FLAGS"]
+    assert numerics.compiler_flags({}, "0.11.0") == {}
+    assert numerics.compiler_flags({"XLA_FLAGS": ""}, "0.10.2") == {}
 
 
 def test_the_compiler_knows_the_flags():
     code = "import jax; jax.jit(lambda x: x + 1)(1.0)"
-    flags = cli.compiler_flags({}, metadata.version("jaxlib"))
+    flags = numerics.compiler_flags({}, metadata.version("jaxlib"))
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, env=os.environ | flags, capture_output=True)
     assert done.returncode == 0, done.stderr
 
 
 def test_compiled_code_is_kept_for_this_machine(tmp_path):
-    variables = cli.compilation_cache({"XDG_CACHE_HOME": str(tmp_path)})
+    variables = numerics.compilation_cache({"XDG_CACHE_HOME": str(tmp_path)})
     folder = Path(variables["JAX_COMPILATION_CACHE_DIR"])
     assert folder.parent == tmp_path / "pinav"
     assert folder.is_dir()
@@ -260,11 +260,11 @@ def test_compiled_code_is_kept_for_this_machine(tmp_path):
     ],
 )
 def test_what_is_said_of_compiled_code_is_obeyed(tmp_path, choice):
-    assert cli.compilation_cache({"XDG_CACHE_HOME": str(tmp_path), **choice}) == {}
+    assert numerics.compilation_cache({"XDG_CACHE_HOME": str(tmp_path), **choice}) == {}
     assert not any(tmp_path.iterdir())
 
 
 def test_compiled_code_is_not_kept_where_it_cannot_be(tmp_path):
     file = tmp_path / "file"
     file.write_text("")
-    assert cli.compilation_cache({"XDG_CACHE_HOME": str(file)}) == {}
+    assert numerics.compilation_cache({"XDG_CACHE_HOME": str(file)}) == {}

@@ -14,6 +14,8 @@ import pinav
 ORDER = [
     "errors",
     "files",
+    "numerics",
+    "sweeps",
     "arguments",
     "actuation",
     "forces",
@@ -28,6 +30,7 @@ ORDER = [
     "analysis",
     "navigation",
     "thermal",
+    "live",
     "figures",
     "report",
     "checkpoints",

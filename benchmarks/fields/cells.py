@@ -10,14 +10,15 @@ import jax.numpy as jnp
 import msgspec
 import numpy as np
 
+from benchmarks._sweep import write_measurement
 from pinav.commands.study.stochastic_force_inference import infer_force
 from pinav.evaluation import field_map, force_coverage
 from pinav.evaluation.force_fields import force_agreement
-from pinav.files import write_text
 from pinav.fitting import Posterior, fit_bayes, fit_structured
 from pinav.fitting.environments.catalogue import ModelChoice, build, summarise_for
 from pinav.forces import StructuredForce
 from pinav.scenarios import FAMILIES, random_system
+from pinav.sweeps import Cell
 from pinav.systems import System
 from pinav.trajectories import Trajectories, simulate
 
@@ -107,28 +108,48 @@ COLUMNS: dict[str, Callable[[System, Trajectories], Fitted]] = {
 StochasticForceInference; the numbers of the true law, for comparison."""
 
 
-def measure(
-    family: str, key: int, column: str, count: int, folder: Path
-) -> Measurement:
-    """Fit and score one cell, or read what was measured before."""
-    file = folder / f"{family.replace('/', '-')}-{key}-{column}.json"
-    if file.exists():
-        return msgspec.json.decode(file.read_bytes(), type=Measurement)
+class FieldCell(msgspec.Struct, frozen=True):
+    """What decides a fit beside the family and the key.
+
+    Attributes:
+        column: the way to fit.
+        count: number of trajectories.
+    """
+
+    column: str
+    count: int
+
+
+def cell_of(family: str, key: int, column: str, count: int) -> Cell:
+    """The cell of a field and a way to fit it."""
+    return Cell.of(
+        "benchmarks.fields.cells:measure",
+        FieldCell(column, count),
+        system=family,
+        seed=key,
+        label=f"{family} {key} {column}",
+        shape=column,
+    )
+
+
+def measure(cell: Cell, folder: Path) -> None:
+    """Fit and score one cell."""
+    one, family, key = cell.read(FieldCell), cell.system, cell.seed
     system = random_system(family, key)
-    system = system.with_starts(count=count)
+    system = system.with_starts(count=one.count)
     data = simulate(system, key=jax.random.key(key)).only(("x", "y"))
     start = time.perf_counter()
     try:
-        fitted = COLUMNS[column](system, data)
+        fitted = COLUMNS[one.column](system, data)
     except Exception as error:  # a crash is a result of this benchmark
         reason = f"{type(error).__name__}: {error}"[:200]
-        result = Measurement(family, key, column, reason, time.perf_counter() - start)
+        seconds = time.perf_counter() - start
+        result = Measurement(family, key, one.column, reason, seconds)
     else:
         jax.block_until_ready(jax.tree.leaves(fitted.model))
         seconds = time.perf_counter() - start
-        result = _scored(family, key, column, system, data, fitted, seconds)
-    write_text(file, msgspec.json.encode(result).decode())
-    return result
+        result = _scored(family, key, one.column, system, data, fitted, seconds)
+    write_measurement(folder, result)
 
 
 def _scored(

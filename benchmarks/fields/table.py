@@ -1,26 +1,28 @@
 """Runs the cells of the benchmark, prints their table and draws one figure."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
-import jax
-import msgspec
 import numpy as np
 import tyro
 
-from benchmarks.fields.cells import COLUMNS, REGIONS, Measurement, measure
+from benchmarks._sweep import measurements
+from benchmarks.fields.cells import COLUMNS, REGIONS, Measurement, cell_of
 from pinav.commands.parsing import parse
+from pinav.commands.settings import Settings
+from pinav.commands.worker_settings import WorkerSettings
 from pinav.errors import InputError
 from pinav.figures.files import save_figure
 from pinav.figures.style import label_axes, new_figure, prepare_axes
 from pinav.scenarios import FAMILIES
+from pinav.sweeps import Cell
 
 
-class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class Options(Settings, frozen=True):
     """Fit fields of many families, from positions, and compare with their truth.
 
-    Every finished cell (family, key, column) is a file in --out and is not run again.
+    Every finished cell (family, key, column) is kept in --out and is not run again.
     """
 
     out: Annotated[Path, tyro.conf.arg(help="Folder of the results.")] = Path(
@@ -38,9 +40,9 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         tuple[str, ...], tyro.conf.arg(help="Any of: " + ", ".join(COLUMNS) + ".")
     ] = tuple(COLUMNS)
     count: Annotated[int, tyro.conf.arg(help="Trajectories of each draw.")] = 16
+    workers: WorkerSettings = WorkerSettings()
 
-    def check(self) -> None:
-        """Raise `InputError` where an option makes no sense."""
+    def check_together(self) -> None:
         for option, known in (("columns", COLUMNS), ("families", FAMILIES)):
             for name in getattr(self, option):
                 if name not in known:
@@ -57,23 +59,21 @@ def main(argv: Sequence[str]) -> None:
     if options is None:
         return
     options.check()
-    options.out.mkdir(parents=True, exist_ok=True)
-    jax.config.update("jax_enable_x64", val=True)
-    measurements: list[Measurement] = []
-    for family, key, column in cells(options):
-        measurements.append(measure(family, key, column, options.count, options.out))
-        print(line(measurements[-1]), flush=True)
-    print("\n" + summary(measurements))
-    draw(measurements, options.out)
+    several = measurements(cells(options), Measurement, options, "fields")
+    print("\n".join(map(line, several)))
+    print("\n" + summary(several))
+    draw(several, options.out)
 
 
-def cells(options: Options) -> Iterator[tuple[str, int, str]]:
+def cells(options: Options) -> list[Cell]:
     """The cells that the options ask for, family by family."""
     first = 0 if options.half == "development" else 1
-    for family in options.families:
-        for key in range(first, 2 * options.draws, 2):
-            for column in options.columns:
-                yield family, key, column
+    return [
+        cell_of(family, key, column, options.count)
+        for family in options.families
+        for key in range(first, 2 * options.draws, 2)
+        for column in options.columns
+    ]
 
 
 def line(one: Measurement) -> str:

@@ -10,10 +10,10 @@ import jax
 import jax.numpy as jnp
 import msgspec
 
+from benchmarks._sweep import write_measurement
 from benchmarks.trainer.systems import BenchmarkSystem, benchmark_system
 from pinav.commands.matching import CurriculumSettings, matching
 from pinav.evaluation import predict, score
-from pinav.files import write_text
 from pinav.fitting import fit_bayes, kernel_environment
 from pinav.fitting.environments.catalogue import (
     ModelChoice,
@@ -22,6 +22,7 @@ from pinav.fitting.environments.catalogue import (
     summarise_for_matching,
 )
 from pinav.forces import KernelPotential
+from pinav.sweeps import Cell
 from pinav.trajectories import Trajectories, simulate
 
 
@@ -94,11 +95,30 @@ NOISE = 1e-3
 """Of the noisy data."""
 
 
-def measure(key: int, column: str, seed: int, folder: Path) -> Measurement:
-    """Fit and score one cell, or read what was measured before."""
-    file = folder / f"{column}-{key}-{seed}.json"
-    if file.exists():
-        return msgspec.json.decode(file.read_bytes(), type=Measurement)
+class TrainerCell(msgspec.Struct, frozen=True):
+    """What decides a fit beside the system and the seed.
+
+    Attributes:
+        column: the way to fit.
+    """
+
+    column: str
+
+
+def cell_of(key: int, column: str, seed: int) -> Cell:
+    """The cell of a system, a way to fit it and a seed."""
+    return Cell.of(
+        "benchmarks.trainer.cells:measure",
+        TrainerCell(column),
+        system=str(key),
+        seed=seed,
+        label=f"{column} {key} {seed}",
+    )
+
+
+def measure(cell: Cell, folder: Path) -> None:
+    """Fit and score one cell."""
+    key, column, seed = int(cell.system), cell.read(TrainerCell).column, cell.seed
     drawn = benchmark_system(key)
     clean = data = simulate(drawn.system)
     if column == "noisy-kernel":
@@ -109,16 +129,17 @@ def measure(key: int, column: str, seed: int, folder: Path) -> Measurement:
     jax.block_until_ready(eqx.filter(model, eqx.is_array))
     seconds = time.perf_counter() - start
     rmse = score(*predict(model, clean), clean).total
-    result = Measurement(
-        key=key,
-        column=column,
-        seed=seed,
-        rmse=rmse if jnp.isfinite(rmse) else 1e300,
-        seconds=seconds,
-        outcome=outcome,
-        encounter=drawn.encounter,
-        form=drawn.form,
-        width=drawn.width,
+    write_measurement(
+        folder,
+        Measurement(
+            key=key,
+            column=column,
+            seed=seed,
+            rmse=rmse if jnp.isfinite(rmse) else 1e300,
+            seconds=seconds,
+            outcome=outcome,
+            encounter=drawn.encounter,
+            form=drawn.form,
+            width=drawn.width,
+        ),
     )
-    write_text(file, msgspec.json.encode(result).decode())
-    return result

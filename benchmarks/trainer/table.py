@@ -1,26 +1,26 @@
 """Runs the cells of the benchmark and prints their table."""
 
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Annotated, Literal
 
-import jax
-import msgspec
 import numpy as np
 import tyro
 
-from benchmarks.trainer.cells import COLUMNS, SEEDLESS, Measurement, measure
+from benchmarks._sweep import measurements
+from benchmarks.trainer.cells import COLUMNS, SEEDLESS, Measurement, cell_of
 from benchmarks.trainer.systems import DEVELOPMENT, JUDGED, NUM_SYSTEMS
 from pinav.commands.parsing import parse
+from pinav.commands.settings import Settings
+from pinav.commands.worker_settings import WorkerSettings
 from pinav.errors import InputError
+from pinav.sweeps import Cell
 
 
-class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class Options(Settings, frozen=True):
     """Fit sixty systems that are drawn by key, by the default recipe and the paper's.
 
-    Every finished cell (system, column, seed) is a file in --out and is not run again.
+    Every finished cell (system, column, seed) is kept in --out and is not run again.
     """
 
     out: Annotated[Path, tyro.conf.arg(help="Folder of the results.")] = Path(
@@ -37,10 +37,9 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         tuple[str, ...], tyro.conf.arg(help="Any of: " + ", ".join(COLUMNS) + ".")
     ] = tuple(COLUMNS)
     seeds: Annotated[tuple[int, ...], tyro.conf.arg(help="Seeds of networks.")] = (0,)
-    workers: Annotated[int, tyro.conf.arg(help="Processes at once.")] = 1
+    workers: WorkerSettings = WorkerSettings()
 
-    def check(self) -> None:
-        """Raise `InputError` where an option makes no sense."""
+    def check_together(self) -> None:
         for name in self.columns:
             if name not in COLUMNS:
                 known = ", ".join(COLUMNS)
@@ -50,8 +49,8 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         for key in self.keys:
             if not 0 <= key < NUM_SYSTEMS:
                 raise InputError(f"--keys: expected 0 to {NUM_SYSTEMS - 1}, got {key}")
-        if self.workers < 1 or not self.seeds:
-            raise InputError("--workers and --seeds: expected one or more")
+        if not self.seeds:
+            raise InputError("--seeds: expected one or more")
 
 
 def main(argv: Sequence[str]) -> None:
@@ -59,35 +58,20 @@ def main(argv: Sequence[str]) -> None:
     if options is None:
         return
     options.check()
-    options.out.mkdir(parents=True, exist_ok=True)
-    measurements: list[Measurement] = []
-    for measurement in _measurements(options):
-        measurements.append(measurement)
-        print(line(measurement), flush=True)
-    print("\n" + summary(measurements))
+    several = measurements(cells(options), Measurement, options, "trainer")
+    print("\n".join(map(line, several)))
+    print("\n" + summary(several))
 
 
-def cells(options: Options) -> list[tuple[int, str, int, Path]]:
+def cells(options: Options) -> list[Cell]:
     """The cells that the options ask for, system by system."""
     half = DEVELOPMENT if options.half == "development" else JUDGED
     return [
-        (key, column, seed, options.out)
+        cell_of(key, column, seed)
         for key in options.keys or half
         for column in options.columns
         for seed in (options.seeds[:1] if column in SEEDLESS else options.seeds)
     ]
-
-
-def _measurements(options: Options):
-    if options.workers == 1:
-        return map(_measure, cells(options))
-    pool = ProcessPoolExecutor(options.workers, mp_context=get_context("spawn"))
-    return pool.map(_measure, cells(options))
-
-
-def _measure(cell: tuple[int, str, int, Path]) -> Measurement:
-    jax.config.update("jax_enable_x64", val=True)
-    return measure(*cell)
 
 
 def line(one: Measurement) -> str:

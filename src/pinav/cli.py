@@ -1,23 +1,18 @@
 """The command line: parses, calls a job, prints. One module per command is loaded."""
 
-import contextlib
-import gc
 import io
 import os
-import platform
 import re
 import signal
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 from pinav import __version__
 from pinav.commands import COMMANDS
 from pinav.commands.command import Command
+from pinav.numerics import prepare_process
 
 USAGE_ERROR, INTERRUPTED = 2, 130
-
-CACHE_BYTES = 256 * 2**20
-"""Compiled code kept on disk; the oldest goes first."""
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -122,65 +117,13 @@ def command_named(name: str) -> Command | None:
 
 
 def _prepare_process(argv: Sequence[str]) -> None:
-    """Set what must stand before numerical libraries are imported and programs traced.
-
-    Tracing makes many objects that live on: with Python's own thresholds the search for
-    garbage among them takes a fifth of a fit.
-    """
-    from importlib import metadata
-
-    gc.set_threshold(50_000, 20, 100)
-    # Two pools of threads on the same cores slow small factorisations tenfold.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    """Set what must stand before numerical libraries are imported."""
     # The second word counts too, because a benchmark may bear the name of a command.
     commands = [command for word in argv[:2] if (command := command_named(word))]
-    if all(command.compiler_flags for command in commands):
-        os.environ.update(compiler_flags(os.environ, metadata.version("jaxlib")))
-    if commands[0].compilation_cache:
-        os.environ.update(compilation_cache(os.environ))
-
-
-def compiler_flags(environ: Mapping[str, str], jaxlib: str) -> dict[str, str]:
-    """Variables that let XLA compile in two thirds of the time, for code as quick.
-
-    Its older emitters of fused loops are meant. XLA ends a process whose flags it does
-    not know, so that a version on which this was not tried is left alone, and so is a
-    user's own choice.
-
-    Args:
-        environ: the environment.
-        jaxlib: version of jaxlib.
-    """
-    if "XLA_FLAGS" in environ or not jaxlib.startswith("0.10."):
-        return {}
-    return {"XLA_FLAGS": "--xla_cpu_use_fusion_emitters=false"}
-
-
-def compilation_cache(environ: Mapping[str, str]) -> dict[str, str]:
-    """Variables that let JAX keep on disk what it compiled; none where it may not.
-
-    One folder for each machine: compiled code is for its processor. Set
-    `JAX_COMPILATION_CACHE_DIR` for another place, or
-    `JAX_ENABLE_COMPILATION_CACHE=false`.
-
-    Args:
-        environ: the environment; what it says of the cache is left to it.
-    """
-    if environ.get("JAX_ENABLE_COMPILATION_CACHE", "").lower() in ("false", "0"):
-        return {}
-    if "JAX_COMPILATION_CACHE_DIR" in environ:
-        return {}
-    base = environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    folder = os.path.join(base, "pinav", platform.node() or "machine")
-    with contextlib.suppress(OSError):
-        os.makedirs(folder, exist_ok=True)
-    if not os.access(folder, os.W_OK):
-        return {}
-    return {
-        "JAX_COMPILATION_CACHE_DIR": folder,
-        "JAX_COMPILATION_CACHE_MAX_SIZE": str(CACHE_BYTES),
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
-    }
+    prepare_process(
+        flags=all(command.compiler_flags for command in commands),
+        cache=commands[0].compilation_cache,
+    )
 
 
 def overview() -> str:

@@ -42,6 +42,9 @@ Metrics = TypeVar("Metrics", bound=msgspec.Struct)
 
 METRICS_FILE, MANIFEST_FILE = "metrics.json", "manifest.json"
 
+LOCK_FILE = ".lock"
+"""Held by the process that is at work on a run of many cells."""
+
 SCHEMA = 2
 """Version of what a run folder holds; a run of another one is not read."""
 
@@ -355,7 +358,7 @@ class RunFolder:
         if not self.path.is_dir():
             return False
         names = {p.name for p in self.path.iterdir() if not _is_temporary(p)}
-        return bool(names - {"environment.json", MANIFEST_FILE})
+        return bool(names - {"environment.json", MANIFEST_FILE, LOCK_FILE})
 
     def _is_worth_keeping(self) -> bool:
         """The run is finished, or holds a part that took time to compute."""

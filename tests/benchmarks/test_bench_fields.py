@@ -1,9 +1,11 @@
 import pytest
+from benchmarks._sweep import measurements
 from benchmarks.fields import main
-from benchmarks.fields.cells import Measurement, measure
+from benchmarks.fields.cells import Measurement, cell_of, measure
 from benchmarks.fields.table import Options, cells, draw, line, summary
 
 from pinav.errors import InputError
+from pinav.sweeps import CellStore, InThisProcess, run_sweep
 
 
 def measurement(**changes):
@@ -28,7 +30,7 @@ def test_bad_options_are_refused(words, message, tmp_path):
 
 def test_even_keys_are_for_development_and_odd_ones_for_judging():
     both = [Options(half=half, draws=3) for half in ("development", "judged")]
-    first, second = ({key for _, key, _ in cells(options)} for options in both)
+    first, second = ({cell.seed for cell in cells(options)} for options in both)
     assert (first, second) == ({0, 2, 4}, {1, 3, 5})
 
 
@@ -47,7 +49,16 @@ def test_a_crash_is_a_result_and_a_finished_cell_is_not_run_again(
         raise IndexError("no field")
 
     monkeypatch.setitem(measure.__globals__["COLUMNS"], "free", crash)
-    one = measure("none", 0, "free", 1, tmp_path)
-    assert one.outcome == "IndexError: no field"
+    cell, store = cell_of("none", 0, "free", 1), CellStore.of_run(tmp_path)
+    run_sweep([cell], store, InThisProcess())
     monkeypatch.setitem(measure.__globals__["COLUMNS"], "free", None)
-    assert measure("none", 0, "free", 1, tmp_path) == one
+    options = Options(out=tmp_path)
+    (one,) = measurements([cell], Measurement, options, "fields")
+    assert one.outcome == "IndexError: no field"
+
+
+def test_a_cell_that_failed_is_named(tmp_path, capsys):
+    lost = cell_of("nowhere", 0, "free", 1)
+    run_sweep([lost], CellStore.of_run(tmp_path), InThisProcess())
+    assert measurements([lost], Measurement, Options(out=tmp_path), "fields") == []
+    assert "nowhere 0 free: " in capsys.readouterr().err

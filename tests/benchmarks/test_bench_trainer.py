@@ -19,7 +19,8 @@ def measurement(**changes):
     [
         (["--columns", "magic"], "--columns: 'magic' is unknown; choose some of"),
         (["--keys", "60"], "--keys: expected 0 to 59, got 60"),
-        (["--workers", "0"], "--workers and --seeds: expected one or more"),
+        (["--workers", "0"], "--workers: expected 1 or more, got 0"),
+        (["--seeds"], "--seeds: expected one or more"),
     ],
 )
 def test_bad_options_are_refused(words, message, tmp_path):
@@ -34,9 +35,9 @@ def test_no_system_is_both_for_development_and_for_judging():
 
 def test_kernels_are_fitted_once_and_networks_for_each_seed():
     options = Options(keys=(4,), columns=("network", "kernel"), seeds=(0, 1))
-    asked = [(key, column, seed) for key, column, seed, _ in cells(options)]
-    assert asked == [(4, "network", 0), (4, "network", 1), (4, "kernel", 0)]
-    assert {key for key, *_ in cells(Options(half="judged"))} == set(JUDGED)
+    asked = [cell.label for cell in cells(options)]
+    assert asked == ["network 4 0", "network 4 1", "kernel 4 0"]
+    assert {int(cell.system) for cell in cells(Options(half="judged"))} == set(JUDGED)
 
 
 @pytest.mark.parametrize("key", [0, 2, 4, 8])

@@ -47,6 +47,7 @@ WORDS: dict[str, Callable[[Folder], tuple[str, ...]]] = {
         *(f.run("kernel"), "--from", "1,1", "--to", "2,2", *NARROW, *f.out),
     ),
     "explore": lambda f: (f.run("kernel"),),
+    "live": lambda f: (f.data("identified"), "--replay", "--frames", "20"),
     "export": lambda f: (
         *(f.run("kernel"), "--to", "napari", "--out", str(f.path / "tracks.csv")),
     ),

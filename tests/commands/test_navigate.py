@@ -12,9 +12,10 @@ from pinav import cli
 from pinav.actuation import SaturatingResponse
 from pinav.commands.fitted_run import FittedRun
 from pinav.commands.navigate.metrics import NavigationMetrics
-from pinav.commands.navigate.settings import NavigateSettings, numbers
+from pinav.commands.navigate.settings import NavigateSettings
 from pinav.commands.navigate.setup import navigation_problem
 from pinav.commands.navigate.tables import text
+from pinav.commands.places import numbers
 from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import InputError
 from pinav.fitting.environments.catalogue import ModelChoice

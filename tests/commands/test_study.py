@@ -6,14 +6,22 @@ import pytest
 from pinav import cli
 from pinav.commands.study import job
 from pinav.commands.study import paper_weakness as weakness_job
-from pinav.commands.study.job import cells, clean_data, fit_choice, with_noise
+from pinav.commands.study.job import (
+    StudyCell,
+    cells,
+    clean_data,
+    fit_choice,
+    with_noise,
+)
 from pinav.commands.study.settings import StudySettings
+from pinav.commands.sweep import Sweep
 from pinav.errors import FitError
 from pinav.figures.errors import scaling_figure
 from pinav.fitting.environments.catalogue import ModelChoice
 from pinav.runs import RunFolder
 from pinav.scenarios import barrier_crossings
 from pinav.scenarios.crossings import paper_barrier, paper_swimmer
+from pinav.sweeps import InThisProcess
 from pinav.trajectories import load
 
 pytestmark = pytest.mark.slow
@@ -46,10 +54,10 @@ def test_starts_are_those_of_simulate(clean, tmp_path):
 
 def test_a_study_has_a_cell_for_every_model_seed_and_size():
     settings = StudySettings(models=("ude", "nn-only"), seeds=(0, 1), counts=(1, 4))
-    found = list(cells("data-efficiency", settings))
+    found = [c.read(StudyCell) for c in cells("data-efficiency", "paper", settings)]
     assert len(found) == 8
     assert {(c.count, c.sigma) for c in found} == {(1, 0.02), (4, 0.02)}
-    found = list(cells("noise", settings))
+    found = [c.read(StudyCell) for c in cells("noise", "paper", settings)]
     assert {c.count for c in found} == {8}
     assert {c.sigma for c in found} == set(settings.sigmas)
 
@@ -83,30 +91,43 @@ def test_a_study_ends_in_a_table_and_a_figure(noise_study, capsys):
 
 
 @pytest.mark.slow
-def test_a_resumed_study_does_nothing_again(noise_study, capsys, monkeypatch):
+def test_a_resumed_study_does_nothing_again(noise_study, capsys):
     out, argv = noise_study
     before = (out / "metrics.json").read_bytes()
     (out / "metrics.json").unlink()
-
-    def refuse(*_, **__):
-        raise AssertionError("fitted again")
-
-    monkeypatch.setattr(job, "fit_choice", refuse)
+    times = {path: path.stat().st_mtime_ns for path in out.glob("cells/*/*")}
+    assert len(times) == 4 * 3
     assert cli.run([*argv, "--resume"]) == 0
     assert (out / "metrics.json").read_bytes() == before
+    assert {path: path.stat().st_mtime_ns for path in times} == times
 
 
-def test_a_model_that_fails_is_a_row_that_says_so(tmp_path, monkeypatch, capsys):
+@pytest.mark.slow
+def test_workers_make_the_same_table_as_one_does(noise_study, tmp_path, capsys):
+    out, argv = noise_study
+    words = [str(tmp_path) if word == str(out) else word for word in argv]
+    assert cli.run([*words, "--workers", "2"]) == 0
+    for name in ("study.csv", "metrics.json"):
+        assert (tmp_path / name).read_bytes() == (out / name).read_bytes()
+    capsys.readouterr()
+    assert cli.run(["study", "status", str(tmp_path)]) == 0
+    text = capsys.readouterr().out
+    assert "4 of 4 cells, 0 failed; complete" in text
+    assert text.count("done") == 4
+
+
+def test_a_model_that_fails_is_a_row_that_says_so(tmp_path, monkeypatch):
     def fail(*_, **__):
         raise FitError("the fit is singular")
 
     monkeypatch.setattr(job, "fit_choice", fail)
-    argv = ["study", "data-efficiency", "swirl", "--out", str(tmp_path / "s"), *TINY]
-    assert cli.run([*argv, "--counts", "1"]) == 0
-    (row, _) = RunFolder.open(tmp_path / "s").read_json("metrics.json")["rows"]
-    assert row["outcome"] == "failed: the fit is singular"
-    assert row["force visited"] is None
-    assert "failed: the fit is singular" in capsys.readouterr().out
+    settings = StudySettings(models=("physics-only",), counts=(1,), held_out=3)
+    folder = RunFolder.create(tmp_path, {}, overwrite=False)
+    sweep = Sweep(folder, InThisProcess())
+    (row,) = job.study("data-efficiency", "swirl", settings, sweep).rows
+    assert row.outcome == "failed: the fit is singular"
+    assert row.force_visited is None
+    assert "failed: the fit is singular" in (tmp_path / "study.csv").read_text()
 
 
 def test_a_fit_of_a_study_that_diverged_is_an_error(clean):
@@ -127,6 +148,11 @@ def test_a_fit_of_a_study_that_diverged_is_an_error(clean):
         (["noise", "--seeds", "1", "1"], "--seeds: 1 is given twice; drop one"),
         (["noise", "--models"], "--models: expected at least one"),
         (["growth"], "invalid choice 'growth'"),
+        (["noise", "--workers", "0"], "--workers: expected 1 or more, got 0"),
+        (["noise", "--workers", "2", "--scheduler", "tcp://h:1"], "choose one of them"),
+        (["noise", "--tls-ca", "ca.pem"], "give all three, with --scheduler"),
+        (["noise", "--cell-timeout", "0"], "--cell-timeout: expected a number > 0"),
+        (["paper-weakness", "--workers", "2"], "paper-weakness is two fits"),
     ],
 )
 def test_mistakes_get_one_line_and_no_folder(words, message, tmp_path, capsys):

@@ -12,6 +12,7 @@ from pinav.commands.fit import FIT
 from pinav.commands.heat import HEAT
 from pinav.commands.identify import IDENTIFY
 from pinav.commands.inspect import INSPECT
+from pinav.commands.live import LIVE
 from pinav.commands.navigate import NAVIGATE
 from pinav.commands.report import REPORT
 from pinav.commands.reproduce import REPRODUCE
@@ -34,6 +35,7 @@ COMMANDS = (
     TRUTH,
     HEAT,
     NAVIGATE,
+    LIVE,
     EXPLORE,
     EXPORT,
     REPORT,

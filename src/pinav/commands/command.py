@@ -31,7 +31,7 @@ class Command:
         resumable: a killed run can be continued with `--resume`.
         forwards: the words after the first one are parsed by what the command runs.
         compiler_flags: XLA compiles the large programs of this command faster with the
-            flags of `pinav.cli.compiler_flags`.
+            flags of `pinav.numerics.compiler_flags`.
         compilation_cache: compiled code is kept on disk between processes.
     """
 

@@ -81,6 +81,8 @@ def _show(result: CommandResult, *, as_json: bool) -> None:
         sys.stdout.write(json.decode() + "\n")
     else:
         lines = [result.text] if result.text else []
-        print("\n".join([*lines, *([f"report: {page}"] if page else [])]))
+        lines += [f"report: {page}"] if page else []
+        if lines:
+            print("\n".join(lines))
     if result.failure:
         raise FitError(result.failure)

@@ -10,7 +10,7 @@ from tqdm import tqdm
 
 from pinav.commands.command import CommandResult
 from pinav.commands.fitted_run import FittedRun
-from pinav.commands.navigate import NAVIGATE
+from pinav.commands.navigate import NAVIGATE, online
 from pinav.commands.navigate.metrics import (
     ControllerRow,
     IntervalRow,
@@ -243,6 +243,11 @@ def _forces(
 def run(options: NavigateOptions) -> CommandResult:
     """Navigate as the command line does."""
     settings = options.settings
+    if options.run is None:
+        adaptive = online.online_controller(settings, options.online)
+        folder = start_run(NAVIGATE, options, settings, options.online)
+        learned = online.learn_online(settings, options.online, adaptive, folder)
+        return CommandResult(learned, online.text(learned), folder)
     problem = navigation_problem(settings, FittedRun.open(options.run))
     folder = start_run(NAVIGATE, options, settings, fitted=options.run.name)
     metrics = navigate(settings, problem, folder)

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from pinav.commands.navigate.metrics import NavigationMetrics
+from pinav.commands.navigate.online_report import learns_online, online_sections
 from pinav.commands.navigate.tables import (
     controller_table,
     environment_words,
@@ -25,6 +26,8 @@ Arrays = Mapping[str, np.ndarray]
 
 def navigation_sections(folder: RunFolder) -> list[Section]:
     """The sections of a finished run."""
+    if learns_online(folder):
+        return online_sections(folder)
     metrics = folder.read_metrics("metrics.json", NavigationMetrics)
     arrays, figures = folder.read_arrays("results.npz"), Figures(folder.path)
     words = [Paragraph(line) for line in sentences(metrics)]

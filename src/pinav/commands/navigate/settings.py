@@ -1,11 +1,11 @@
 """Settings of `pinav navigate`; imports no numerical library."""
 
-import math
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
+from pinav.commands.places import numbers
 from pinav.commands.settings import Range, RunOptions, Settings
 from pinav.errors import InputError
 
@@ -35,8 +35,8 @@ class NavigateSettings(Settings, frozen=True):
         frequency: Recording: greatest frequency commanded [Hz].
     """
 
-    start: Annotated[str, tyro.conf.arg(name="from", metavar="X,Y")]
-    goal: Annotated[str, tyro.conf.arg(name="to", metavar="X,Y")]
+    start: Annotated[str | None, tyro.conf.arg(name="from", metavar="X,Y")] = None
+    goal: Annotated[str | None, tyro.conf.arg(name="to", metavar="X,Y")] = None
     tolerance: Annotated[float, Range(above=0)] = 0.3
     thrust: Annotated[float, Range(above=0)] = 0.8
     keep_out: Annotated[tuple[str, ...], tyro.conf.arg(metavar="X,Y,R")] = ()
@@ -56,12 +56,23 @@ class NavigateSettings(Settings, frozen=True):
             raise InputError(
                 f"--samples: expected 0, or 2 and more, got {self.samples}"
             )
-        self.places()
-
-    def places(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Start and goal."""
         self.discs()
         self.box()
+        for name, place in (("--from", self.start), ("--to", self.goal)):
+            if place is not None:
+                numbers(name, place, 2)
+
+    def places(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Start and goal.
+
+        Raises:
+            InputError: one of them is missing, or is no place.
+        """
+        if self.start is None or self.goal is None:
+            raise InputError(
+                "--from, --to: expected the places where the way begins and ends, such "
+                "as --from 0.5,1 --to 9.5,9.5"
+            )
         return numbers("--from", self.start, 2), numbers("--to", self.goal, 2)
 
     def discs(self) -> list[tuple[float, ...]]:
@@ -73,28 +84,33 @@ class NavigateSettings(Settings, frozen=True):
         return None if self.arena is None else numbers("--arena", self.arena, 4)
 
 
-def numbers(option: str, text: str, count: int) -> tuple[float, ...]:
-    """Numbers with commas between them.
+StrategyName = Literal["certain", "averse", "curious", "doubted", "sampled"]
 
-    Args:
-        option: what the message calls them.
-        text: such as "0.5,1".
-        count: how many are expected.
 
-    Raises:
-        InputError: they are not so many finite numbers.
+class OnlineSettings(Settings, frozen=True):
+    """How a task is done without any data beforehand.
+
+    Attributes:
+        learn_online: Learn the force while steering; needs --task and no run.
+        task: Name of a task, such as barrier-weak.
+        strategy: What a plan makes of what is not known: takes the mean for true,
+            avoids it, seeks it, expects stronger forces there, or takes draws for true.
+        position_noise: Standard deviation of the observed positions.
+        visits: How often each swimmer does the task, with the map kept.
     """
-    try:
-        values = tuple(float(word) for word in text.split(","))
-    except ValueError:
-        values = ()
-    if len(values) != count or not all(map(math.isfinite, values)):
-        example = ",".join("1234"[:count])
-        raise InputError(
-            f"{option}: expected {count} numbers with commas between them, such as "
-            f"{example}, got {text!r}"
-        )
-    return values
+
+    learn_online: bool = False
+    task: str | None = None
+    strategy: StrategyName = "curious"
+    position_noise: Annotated[float, Range(above=0)] = 0.02
+    visits: Annotated[int, Range(1)] = 2
+
+    def check_together(self) -> None:
+        if self.learn_online != (self.task is not None):
+            raise InputError(
+                "--learn-online and --task: expected both or none of them, such as "
+                "--learn-online --task barrier-weak"
+            )
 
 
 class NavigateOptions(RunOptions, frozen=True):
@@ -107,11 +123,28 @@ class NavigateOptions(RunOptions, frozen=True):
     same controller with the truth are tried beside it. The run also suggests the
     trajectory that would tell most about the force along the route. Writes
     metrics.json, report.html, figures and an animation. A negative number takes an
-    equals sign: --from=-1,2.
+    equals sign: --from=-1,2. With --learn-online there is no run: the force of a named
+    task is learned on the way, from noisy positions alone.
 
     Attributes:
-        run: Folder of pinav fit, of trajectories or of a recording.
+        run: Folder of pinav fit, of trajectories or of a recording; none with
+            --learn-online.
     """
 
-    run: tyro.conf.Positional[Path]
-    settings: NavigateSettings
+    run: tyro.conf.Positional[Path | None] = None
+    settings: NavigateSettings = NavigateSettings()
+    online: OnlineSettings = OnlineSettings()
+
+    def check_together(self) -> None:
+        if self.online.learn_online:
+            if self.run is not None or self.settings.start or self.settings.goal:
+                raise InputError(
+                    "--learn-online: expected no run, --from or --to, for the task has "
+                    "its own places; leave them out"
+                )
+        elif self.run is None:
+            raise InputError(
+                "RUN: expected the folder of a fit, or --learn-online with --task"
+            )
+        else:
+            self.settings.places()

@@ -4,13 +4,12 @@ Every cell of a study is one fit, made as `pinav fit` would, and scored on clean
 trajectories from starts that no fit has seen. A cell that is done is not done again.
 """
 
-import time
-from collections.abc import Iterator
+import functools
+from pathlib import Path
 
 import equinox as eqx
 import jax
 import msgspec
-from tqdm import tqdm
 
 from pinav.commands.cells import as_cell
 from pinav.commands.held_out import held_out
@@ -18,12 +17,12 @@ from pinav.commands.matching import CurriculumSettings, matching
 from pinav.commands.study.metrics import (
     HEADER,
     DataEfficiencyMetrics,
-    FinishedCells,
     NoiseMetrics,
     StudyRow,
 )
 from pinav.commands.study.settings import StudyModel, StudySettings
 from pinav.commands.study.stochastic_force_inference import infer_force
+from pinav.commands.sweep import Sweep
 from pinav.dynamics import AbstractDynamics
 from pinav.errors import FitError, InputError
 from pinav.evaluation import (
@@ -36,7 +35,9 @@ from pinav.evaluation import (
     square,
     summarise,
 )
-from pinav.fitting import Outcome, fit_bayes
+from pinav.files import write_text
+from pinav.fitting import Outcome as FitOutcome
+from pinav.fitting import fit_bayes
 from pinav.fitting.environments.catalogue import (
     KnownSwimmer,
     ModelChoice,
@@ -44,48 +45,58 @@ from pinav.fitting.environments.catalogue import (
     summarise_data,
     summarise_for,
 )
-from pinav.runs import RunFolder
 from pinav.scenarios import scenario
+from pinav.sweeps import Cell, CellStore, Outcome
 from pinav.systems import System
 from pinav.trajectories import GaussianNoise, Trajectories, degrade, simulate
 
-ROWS = "rows.json"
+ROW_FILE, TASK = "row.json", "pinav.commands.study.job:do_cell"
+
+NESTED = 32
+"""Trajectories that are simulated for each seed at least: of one shape, compiled once,
+of which smaller sets are the first ones."""
 
 
-class Cell(eqx.Module):
-    """One fit of a study.
+class StudyCell(msgspec.Struct, frozen=True):
+    """What decides one fit of a study, beside the scenario and the seed.
 
     Attributes:
         model: name of the model.
-        seed: of starts, noise and network.
         count: number of trajectories.
         sigma: standard deviation of the observations.
+        held_out: number of clean starts to score on.
+        max_steps: of the fit, or of each of its windows.
     """
 
     model: StudyModel
-    seed: int
     count: int
     sigma: float
-
-    @property
-    def label(self) -> str:
-        """What tells it from the other cells."""
-        return f"{self.model}, {self.count} x {self.sigma:g}, seed {self.seed}"
+    held_out: int
+    max_steps: int
 
 
-def cells(name: str, settings: StudySettings) -> Iterator[Cell]:
+def cells(name: str, world: str, settings: StudySettings) -> list[Cell]:
     """The fits of a study, small ones first."""
     grid = [(count, settings.sigma) for count in settings.counts]
-    if name == "noise":
+    if name == NoiseMetrics.name:
         grid = [(settings.count, sigma) for sigma in settings.sigmas]
-    for count, sigma in grid:
-        for model in settings.models:
-            for seed in settings.seeds:
-                yield Cell(model, seed, count, sigma)
+    return [
+        Cell.of(
+            TASK,
+            StudyCell(model, count, sigma, settings.held_out, settings.max_steps),
+            system=world,
+            seed=seed,
+            label=f"{model}, {count} x {sigma:g}, seed {seed}",
+            shape=f"{model} {count}",
+        )
+        for count, sigma in grid
+        for model in settings.models
+        for seed in settings.seeds
+    ]
 
 
 def study(
-    name: str, world: str, settings: StudySettings, folder: RunFolder
+    name: str, world: str, settings: StudySettings, sweep: Sweep
 ) -> DataEfficiencyMetrics | NoiseMetrics:
     """Fit and score every cell, and write the table.
 
@@ -93,7 +104,7 @@ def study(
         name: `data-efficiency` or `noise`.
         world: name of the scenario.
         settings: which models, seeds and data.
-        folder: the run; what it holds is not done again.
+        sweep: the run; what it holds is not done again.
 
     Returns:
         The content of `metrics.json`.
@@ -101,24 +112,13 @@ def study(
     Raises:
         InputError: the scenario is unknown, or of a kind that `pinav fit` cannot use.
     """
-    known = scenario(world)
-    rows = folder.read_metrics(ROWS, FinishedCells).rows if folder.has(ROWS) else {}
-    clean = held_out(scenario(world), count=settings.held_out)
-    chosen = list(cells(name, settings))
-    most = max(cell.count for cell in chosen)
-    several = {seed: clean_data(world, seed, most) for seed in settings.seeds}
-    with tqdm(chosen, desc=name, unit="cell", dynamic_ncols=True) as bar:
-        for cell in bar:
-            bar.set_postfix_str(cell.label)
-            if cell.label not in rows:
-                began = time.perf_counter()
-                rows[cell.label] = _row(
-                    cell, known, several[cell.seed], clean, settings
-                )
-                folder.write_metrics(ROWS, FinishedCells(rows))
-                seconds = round(time.perf_counter() - began, 2)
-                folder.append_record({"model": cell.label, "seconds": seconds})
-    table = tuple(rows[cell.label] for cell in chosen)
+    chosen = cells(name, world, settings)
+    outcomes = sweep.run(chosen, name)
+    table = tuple(
+        _row_of(cell, outcome, sweep.store)
+        for cell, outcome in zip(chosen, outcomes, strict=True)
+    )
+    folder = sweep.folder
     folder.write_table(
         "study.csv",
         HEADER,
@@ -130,6 +130,50 @@ def study(
     return metrics
 
 
+def _row_of(cell: Cell, outcome: Outcome, store: CellStore) -> StudyRow:
+    """The row of a cell that is done; one that failed has no scores."""
+    if not outcome.failure:
+        content = (store.folder(cell) / ROW_FILE).read_bytes()
+        return msgspec.json.decode(content, type=StudyRow)
+    return _empty_row(cell, f"failed: {outcome.failure}")
+
+
+def _empty_row(cell: Cell, outcome: str = "") -> StudyRow:
+    one = cell.read(StudyCell)
+    return StudyRow(one.model, cell.seed, one.count, one.sigma, outcome)
+
+
+def do_cell(cell: Cell, folder: Path) -> None:
+    """Fit and score one cell, and write its row.
+
+    Raises:
+        FitError: the fit failed.
+    """
+    one, known = cell.read(StudyCell), scenario(cell.system)
+    clean = _several(cell.system, cell.seed, max(one.count, NESTED))
+    clean = clean.select(range(one.count))
+    data = with_noise(clean, one.sigma, cell.seed)
+    model, outcome = _fit_cell(one, cell.seed, known, data)
+    row = with_scores(
+        _empty_row(cell, outcome),
+        model,
+        known,
+        clean,
+        _held_out(cell.system, one.held_out),
+    )
+    write_text(folder / ROW_FILE, msgspec.json.encode(row).decode())
+
+
+@functools.lru_cache(maxsize=2)
+def _held_out(world: str, count: int) -> Trajectories:
+    return held_out(scenario(world), count=count)
+
+
+@functools.lru_cache(maxsize=8)
+def _several(world: str, seed: int, count: int) -> Trajectories:
+    return clean_data(world, seed, count)
+
+
 def check(name: str, world: str, settings: StudySettings) -> None:
     """Refuse a study before a folder is made for it.
 
@@ -138,8 +182,9 @@ def check(name: str, world: str, settings: StudySettings) -> None:
     """
     if name == "paper-weakness":
         return
-    for cell in cells(name, settings):
-        chosen = scenario(world, count=cell.count)
+    counts = (settings.count,) if name == NoiseMetrics.name else settings.counts
+    for count in counts:
+        chosen = scenario(world, count=count)
         if chosen.thermal_energy is not None:
             raise InputError(
                 f"study: system {world!r} is stochastic, so that clean trajectories "
@@ -172,32 +217,14 @@ def with_noise(clean: Trajectories, sigma: float, seed: int) -> Trajectories:
     return degrade(clean, [GaussianNoise(sigma)], key=noise_key) if sigma else clean
 
 
-def _row(
-    cell: Cell,
-    known: System,
-    several: Trajectories,
-    held: Trajectories,
-    settings: StudySettings,
-) -> StudyRow:
-    clean = several.select(range(cell.count))
-    data = with_noise(clean, cell.sigma, cell.seed)
-    row = StudyRow(cell.model, cell.seed, cell.count, cell.sigma)
-    try:
-        model, outcome = _fitted(cell, settings, known, data)
-    except FitError as error:
-        return msgspec.structs.replace(row, outcome=f"failed: {error}")
-    row = msgspec.structs.replace(row, outcome=outcome)
-    return with_scores(row, model, known, clean, held)
-
-
-def _fitted(
-    cell: Cell, settings: StudySettings, known: System, data: Trajectories
+def _fit_cell(
+    one: StudyCell, seed: int, known: System, data: Trajectories
 ) -> tuple[AbstractDynamics, str]:
-    if cell.model == "sfi":
-        swimmer = infer_force(known.swimmer, data, cell.sigma)
+    if one.model == "sfi":
+        swimmer = infer_force(known.swimmer, data, one.sigma)
         return swimmer, "functions selected by PASTIS"
-    choice = ModelChoice(cell.model, seed=cell.seed)
-    return fit_choice(choice, known.swimmer, data, max_steps=settings.max_steps)
+    choice = ModelChoice(one.model, seed=seed)
+    return fit_choice(choice, known.swimmer, data, max_steps=one.max_steps)
 
 
 def fit_choice(
@@ -229,7 +256,7 @@ def fit_choice(
             data,
             trainable=choice.trainable,
         )
-    if result.outcome is Outcome.DIVERGED:
+    if result.outcome is FitOutcome.DIVERGED:
         raise FitError("the fit diverged")
     return result.model, str(result.outcome)
 

@@ -42,12 +42,6 @@ HEADER = tuple(field.encode_name for field in msgspec.structs.fields(StudyRow))
 """Columns of the table of a study."""
 
 
-class FinishedCells(msgspec.Struct, frozen=True):
-    """The fits that a study has made so far, by the label of their cell."""
-
-    rows: dict[str, StudyRow]
-
-
 class ScalingMetrics(msgspec.Struct, frozen=True):
     """The numbers of a study over the size or the noise of the data.
 

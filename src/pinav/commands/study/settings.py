@@ -1,5 +1,6 @@
 """Settings of `pinav study`; imports no numerical library, so that help is quick."""
 
+from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
@@ -11,6 +12,7 @@ from pinav.commands.settings import (
     ResumableOptions,
     Settings,
 )
+from pinav.commands.worker_settings import WorkerSettings
 from pinav.errors import InputError
 
 StudyName = Literal["data-efficiency", "noise", "paper-weakness"]
@@ -67,19 +69,29 @@ class StudySettings(Settings, frozen=True):
                     raise InputError(f"--{name}: {value} is given twice; drop one")
 
 
-class StudyOptions(ResumableOptions, frozen=True):
+class StudyOptions(ResumableOptions, frozen=True, kw_only=True):
     """Compare models over the amount of data or of noise, one figure for each study.
 
     data-efficiency: force and rollout error over the number of trajectories; noise:
     the same over the noise of the observations; paper-weakness: the paper's network on
     its single trajectory beside a kernel potential on several. All data are synthetic.
-    A killed study goes on with --resume.
+    A killed study goes on with --resume; pinav study status DIR tells how far it is.
 
     Attributes:
-        name: Which study.
+        name: Which study; status: how far that of a folder is.
         scenario: Name of the scenario (docs/scenarios.md); paper-weakness has its own.
+            status: the folder of the study.
     """
 
-    name: tyro.conf.Positional[StudyName]
+    name: tyro.conf.Positional[StudyName | Literal["status"]]
     scenario: tyro.conf.Positional[str] = "barrier-crossings"
     settings: StudySettings = StudySettings()
+    workers: WorkerSettings = WorkerSettings()
+    out: Path = Path("runs/study")
+
+    def check_together(self) -> None:
+        if self.name == "paper-weakness" and self.workers != WorkerSettings():
+            raise InputError(
+                "paper-weakness is two fits, one after the other, without workers; "
+                "drop the options of workers"
+            )

@@ -54,8 +54,8 @@ class Flight:
     clearance: float
     changed: int
     stalls: int
-    learn_times: Float[np.ndarray, " frame"]
-    command_times: Float[np.ndarray, " frame"]
+    learn_times: Float[np.ndarray, " control"]
+    command_times: Float[np.ndarray, " control"]
     replan_times: Float[np.ndarray, " plan"]
     belief: Belief
     moments: tuple[Belief, ...] = ()

@@ -1,5 +1,8 @@
 """Judges what a flight has learned, by the truth."""
 
+import dataclasses
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +12,7 @@ from pinav.navigation.adaptive.flight import Flight
 from pinav.navigation.adaptive.steering import Adaptive
 from pinav.navigation.control.simple import physics_only
 from pinav.navigation.task.task import Task
+from pinav.navigation.trials.metrics import Interval, median, proportion
 
 NOMINAL = 1.96
 """Half width of a band of 95 %, in standard deviations."""
@@ -39,3 +43,91 @@ def score_force(flight: Flight, adaptive: Adaptive) -> tuple[float, float]:
     mean, sd = flight.belief.force(path)
     error = float(np.linalg.norm(mean - truth) / np.linalg.norm(truth))
     return error, float(np.mean(np.abs(mean - truth) <= NOMINAL * sd))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Outcome:
+    """Flights of one controller on one task.
+
+    Attributes:
+        runs: number of flights.
+        success: proportion that arrived without a violation.
+        in_time: proportion that arrived within the task's own time limit.
+        violation: proportion that entered a forbidden place.
+        arrival: 5, 50 and 95 % quantile of the times of those that arrived [T].
+        regret: median over pairs of arrival time / the oracle's; none for the oracle.
+        clearance: least distance from forbidden places [L].
+        force_error: median error of the force over the visited path; none for the
+            oracle.
+        cover: mean fraction of true forces within their bands of 95 %, there.
+        consistency: mean of the squared error of the position over its variance.
+        changed: mean number of commands that the safety filter changed.
+        frame_time: 99 % quantile of the computing time of a frame [s].
+        command_time: median computing time of a command [s].
+        replan_time: median computing time of a plan [s].
+        memory: greatest memory of a belief at the end [byte].
+    """
+
+    runs: int
+    success: Interval
+    in_time: Interval
+    violation: Interval
+    arrival: tuple[float, float, float]
+    regret: Interval | None
+    clearance: float
+    force_error: float | None
+    cover: float | None
+    consistency: float
+    changed: float
+    frame_time: float
+    command_time: float
+    replan_time: float
+    memory: float
+
+
+def judge_flights(
+    flights: Sequence[Flight],
+    adaptive: Adaptive,
+    own_limit: float,
+    oracle: Sequence[Flight] = (),
+) -> Outcome:
+    """The outcome of some flights.
+
+    Args:
+        flights: of one controller.
+        adaptive: the controller; its task says what is true.
+        own_limit: time limit of the task itself [T].
+        oracle: flights with the truth, of the same keys; none for the oracle itself.
+    """
+    times = np.array([flight.arrival_time for flight in flights])
+    arrived = times[np.isfinite(times)]
+    count, ratio, scores = len(flights), None, None
+    if oracle:
+        ratio = median(times / np.array([flight.arrival_time for flight in oracle]))
+        scores = np.array([score_force(flight, adaptive) for flight in flights])
+    quantiles = (np.nan, np.nan, np.nan)
+    if len(arrived):
+        low, middle, high = np.quantile(
+            arrived, [0.05, 0.5, 0.95], method="inverted_cdf"
+        )
+        quantiles = float(low), float(middle), float(high)
+    frames = np.concatenate([flight.learn_times for flight in flights])
+    commands = np.concatenate([flight.command_times[1:] for flight in flights])
+    plans = np.concatenate([flight.replan_times[1:] for flight in flights])
+    return Outcome(
+        runs=count,
+        success=proportion(sum(flight.reached for flight in flights), count),
+        in_time=proportion(int(np.sum(times <= own_limit)), count),
+        violation=proportion(sum(flight.violated for flight in flights), count),
+        arrival=quantiles,
+        regret=ratio,
+        clearance=min(flight.clearance for flight in flights),
+        force_error=None if scores is None else float(np.median(scores[:, 0])),
+        cover=None if scores is None else float(np.mean(scores[:, 1])),
+        consistency=float(np.mean([np.mean(f.consistency[1:]) for f in flights])),
+        changed=float(np.mean([flight.changed for flight in flights])),
+        frame_time=float(np.quantile(frames, 0.99)) if len(frames) else np.nan,
+        command_time=float(np.median(commands)) if len(commands) else np.nan,
+        replan_time=float(np.median(plans)) if len(plans) else np.nan,
+        memory=float(max(flight.belief.nbytes for flight in flights)),
+    )

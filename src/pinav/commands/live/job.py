@@ -1,0 +1,206 @@
+"""`pinav live`: a session at a rig, or a recording told as a rig would."""
+
+import contextlib
+import dataclasses
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from pinav.commands.command import CommandResult
+from pinav.commands.live.settings import LiveOptions, LiveSettings
+from pinav.errors import InputError
+from pinav.identification.tracks import tracks
+from pinav.live.checkpoint import read_session
+from pinav.live.drive_estimator import DriveEstimator
+from pinav.live.loop import Loop
+from pinav.live.messages import Command, Event, FromPinav, Limits, State
+from pinav.live.page import Page, Places
+from pinav.live.replay import lines_in, lines_of, replay
+from pinav.live.roller_pilot import RollerPilot
+from pinav.live.session import Session
+from pinav.live.sinks import sink_of
+from pinav.live.sources import source_of
+from pinav.live.status import Printer
+
+CHECKPOINT = "session.npz"
+"""Name of the checkpoint in --out."""
+
+
+class LiveMetrics(msgspec.Struct, frozen=True):
+    """What a session came to.
+
+    Attributes:
+        frames: that were learned from.
+        commands: that were given.
+        refused: lines that were no message.
+        mode: at the end.
+        latency_p50_ms: from a line to the state that answers it, median.
+        latency_p99_ms: of 99 % of the frames.
+    """
+
+    frames: int
+    commands: int
+    refused: int
+    mode: str
+    latency_p50_ms: float | None
+    latency_p99_ms: float | None
+
+
+@dataclasses.dataclass
+class Tally:
+    """Counts what is said, and passes it on.
+
+    Attributes:
+        printer: prints it.
+        page: shows it in a browser, where there is one.
+    """
+
+    printer: Printer
+    page: Page | None
+    states: int = 0
+    commands: int = 0
+    refused: int = 0
+    mode: str = "waiting"
+
+    def __post_init__(self) -> None:
+        self.latencies: list[float] = []
+
+    def show(self, answer: FromPinav) -> None:
+        """Print an answer, and show it on the page."""
+        if isinstance(answer, State):
+            self.states, self.mode = self.states + 1, str(answer.mode)
+            if answer.latency_ms is not None:
+                self.add_latency(answer.latency_ms)
+        self.commands += isinstance(answer, Command)
+        self.refused += isinstance(answer, Event) and answer.kind == "refused"
+        self.printer.show(answer)
+        if self.page is not None:
+            self.page.show(answer)
+
+    def add_latency(self, milliseconds: float) -> None:
+        """Count a latency; the last ones stand for a session that is long."""
+        if len(self.latencies) >= MOST_LATENCIES:
+            del self.latencies[: MOST_LATENCIES // 2]
+        self.latencies.append(milliseconds)
+
+    def metrics(self) -> LiveMetrics:
+        """The numbers of the session."""
+        half, most = None, None
+        if self.latencies:
+            half, most = map(float, np.quantile(self.latencies, [0.5, 0.99]))
+        counts = (self.states, self.commands, self.refused, self.mode)
+        return LiveMetrics(*counts, half, most)
+
+
+MOST_LATENCIES = 100_000
+"""Latencies that are kept."""
+
+
+def new_session(settings: LiveSettings, token: str = "") -> Session:
+    """The session that settings ask for, with nothing learned."""
+    goal = settings.goal()
+    pilot = None
+    if goal is not None:
+        discs = np.array(settings.discs(), float).reshape(-1, 3)
+        pilot = RollerPilot(np.array(goal), settings.tolerance, discs)
+    return Session(DriveEstimator(), pilot, token)
+
+
+def run(options: LiveOptions) -> CommandResult:
+    """Run a session as the command line does.
+
+    Raises:
+        InputError: the source, the checkpoint or the recording cannot be used.
+    """
+    with contextlib.ExitStack() as stack:
+        page = None
+        if options.page is not None:
+            page = stack.enter_context(Page.serve(options.page, _places(options)))
+            print(f"page: {page.address}", file=sys.stderr, flush=True)
+        tally = Tally(Printer(_print, people=options.status), page)
+        if options.replay:
+            _replay(options, tally)
+        else:
+            _live(options, tally)
+    metrics = tally.metrics()
+    print(_summary(metrics), file=sys.stderr)
+    return CommandResult(metrics, "")
+
+
+def _print(text: str) -> None:
+    sys.stdout.write(text)
+    sys.stdout.flush()
+
+
+def _places(options: LiveOptions) -> Places:
+    discs = tuple(options.settings.discs())
+    return Places(options.settings.goal(), discs)
+
+
+def _live(options: LiveOptions, tally: Tally) -> None:
+    token = _secret(options.token)
+    session = new_session(options.settings, token)
+    checkpoint = None
+    if options.out is not None:
+        options.out.mkdir(parents=True, exist_ok=True)
+        checkpoint = options.out / CHECKPOINT
+        if options.resume and checkpoint.exists():
+            session = read_session(checkpoint, session)
+        elif checkpoint.exists():
+            raise InputError(
+                f"{checkpoint} holds a session; go on with --resume, or choose another "
+                "folder with --out"
+            )
+    source = source_of(options.source, token)
+    sink = sink_of(options.commands_to, source, token)
+    limits = Limits(frequency=options.settings.frequency)
+    loop = Loop(session, source, sink, tally.show, checkpoint, limits)
+    most = options.frames
+    loop.run(lambda s: most is not None and s.counts.frames >= most)
+    source.close()
+
+
+def _replay(options: LiveOptions, tally: Tally) -> None:
+    for lines in _recorded(Path(options.source), options):
+        session = new_session(options.settings)
+        for answer, took in replay(session, lines, options.rate()):
+            tally.show(answer)
+            if isinstance(answer, State):
+                tally.add_latency(1e3 * took)
+            if options.frames is not None and tally.states >= options.frames:
+                break
+
+
+def _recorded(path: Path, options: LiveOptions) -> Iterator[Iterator[bytes]]:
+    """The lines of each track of a recording; those of a file in the protocol."""
+    if not path.exists():
+        raise InputError(f"{path}: no such file")
+    if path.suffix in (".jsonl", ".ndjson"):
+        yield lines_in(path)
+        return
+    recording = options.recording.read(path)
+    units = recording.units.get("x", "")
+    for track in sorted(tracks(recording), key=lambda track: track.name):
+        yield lines_of(track, units)
+
+
+def _secret(path: Path | None) -> str:
+    if path is None:
+        return ""
+    text = path.read_text(encoding="utf-8").strip()
+    if not 8 <= len(text) <= 200:
+        raise InputError(f"{path}: expected a secret of 8 to 200 characters")
+    return text
+
+
+def _summary(metrics: LiveMetrics) -> str:
+    text = f"{metrics.frames} frames, {metrics.commands} commands, {metrics.mode}"
+    if metrics.latency_p99_ms is None:
+        return text
+    return (
+        f"{text}; a frame took {metrics.latency_p50_ms:.1f} ms, "
+        f"99 % at most {metrics.latency_p99_ms:.1f} ms"
+    )

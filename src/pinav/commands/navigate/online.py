@@ -1,0 +1,338 @@
+"""`pinav navigate --learn-online`: a task done without any data beforehand."""
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+
+import jax
+import msgspec
+import numpy as np
+from jaxtyping import PRNGKeyArray
+from tqdm import tqdm
+
+from pinav.commands.cells import Row
+from pinav.commands.navigate.metrics import ArrivalRow, IntervalRow
+from pinav.commands.navigate.settings import NavigateSettings, OnlineSettings
+from pinav.navigation import Disc, Task, task
+from pinav.navigation.adaptive.flight import Flight, fly
+from pinav.navigation.adaptive.scores import Outcome, judge_flights, true_force
+from pinav.navigation.adaptive.steering import Adaptive
+from pinav.navigation.adaptive.strategies import (
+    BONUS,
+    AbstractStrategy,
+    Certain,
+    Doubted,
+    Priced,
+    Sampled,
+)
+from pinav.navigation.belief.belief import Belief
+from pinav.report import Table
+from pinav.report.text import as_text
+from pinav.runs import RunFolder
+
+STRATEGIES: Mapping[str, AbstractStrategy] = {
+    "certain": Certain(),
+    "averse": Priced(1.0),
+    "curious": Priced(BONUS),
+    "doubted": Doubted(0.5),
+    "sampled": Sampled(),
+}
+"""What `--strategy` names."""
+
+MAP_POINTS = 41
+"""Points of the maps of the force along each side."""
+
+MOMENTS = 4
+"""Beliefs of the first flight that are shown."""
+
+
+class OnlineRow(Row, frozen=True):
+    """Flights of one controller; see `Outcome`, whose fields these are.
+
+    Attributes:
+        runs: number of flights.
+        success: proportion that arrived without a violation.
+        in_time: proportion that arrived within the task's own time limit.
+        violation: proportion that entered a forbidden place.
+        arrival: times of those that arrived.
+        regret: arrival time over that of the oracle; none for the oracle.
+        clearance: least distance from forbidden places [L].
+        force_error: of the force over the visited path, relative.
+        cover: fraction of true forces within their bands of 95 %.
+        consistency: squared error of the position over its variance.
+        changed: commands that the safety filter changed, in a flight.
+        frame_time: of learning from a frame, 99 % quantile [s].
+        command_time: of a command, median [s].
+        replan_time: of a plan, median [s].
+        memory: of a belief at the end [byte].
+    """
+
+    runs: int
+    success: IntervalRow
+    in_time: IntervalRow
+    violation: IntervalRow
+    arrival: ArrivalRow
+    regret: IntervalRow | None
+    clearance: float
+    force_error: float | None
+    cover: float | None
+    consistency: float | None
+    changed: float
+    frame_time: float | None
+    command_time: float | None
+    replan_time: float | None
+    memory: float
+
+    @classmethod
+    def of_outcome(cls, outcome: Outcome) -> "OnlineRow":
+        """The row of an outcome."""
+        names = ArrivalRow.__struct_fields__
+        arrival = dict(zip(names, outcome.arrival, strict=True))
+        return cls.of(outcome, arrival=arrival)
+
+
+class OnlineMetrics(msgspec.Struct, frozen=True):
+    """The numbers of a task that was learned on the way.
+
+    Attributes:
+        task: its name.
+        strategy: what the plan made of what is not known.
+        position_noise: standard deviation of the observed positions [L].
+        delay: from command to thrust [T].
+        time_limit: when a flight was given up [T].
+        own_limit: time limit of the task itself [T].
+        thrust: greatest thrust.
+        controllers: the oracle, and the visits.
+    """
+
+    task: str
+    strategy: str
+    position_noise: float
+    delay: float
+    time_limit: float
+    own_limit: float
+    thrust: float
+    controllers: dict[str, OnlineRow]
+
+
+def online_task(name: str, *, position_noise: float, delay: float | None) -> Task:
+    """A task whose positions alone are observed, with an error.
+
+    With inertia the time limit is doubled, so that a slow arrival is a regret and not a
+    failure.
+
+    Args:
+        name: of the task.
+        position_noise: standard deviation of each coordinate [L].
+        delay: from command to thrust [T]; that of the task for None.
+
+    Raises:
+        InputError: no task has that name.
+    """
+    known = task(name)
+    return dataclasses.replace(
+        known,
+        sensor_noise=position_noise,
+        delay=known.delay if delay is None else delay,
+        time_limit=known.time_limit * (2 if len(known.start) == 4 else 1),
+    )
+
+
+def oracle_flights(adaptive: Adaptive, seeds: Sequence[int], seed: int) -> list[Flight]:
+    """Flights with the true force.
+
+    Args:
+        adaptive: the controller.
+        seeds: one flight each.
+        seed: of all noise.
+    """
+    keys = (_key(seed, index) for index in tqdm(seeds, desc="oracle", unit="flight"))
+    return [fly(adaptive, key=key, oracle=True) for key in keys]
+
+
+def flights_of(
+    adaptive: Adaptive, seeds: Sequence[int], seed: int, visits: int
+) -> dict[str, list[Flight]]:
+    """Flights of each visit, with the noise of the oracle's.
+
+    Args:
+        adaptive: the controller.
+        seeds: one swimmer each.
+        seed: of all noise.
+        visits: of each swimmer to the task, with the map kept.
+    """
+    flights: dict[str, list[Flight]] = {}
+    every = adaptive.task.time_limit / 40
+    for index in tqdm(seeds, desc="learning", unit="swimmer"):
+        belief: Belief | None = None
+        for visit in range(1, visits + 1):
+            shown = every if index == seeds[0] and visit == 1 else math.inf
+            flight = fly(adaptive, key=_key(seed, index), belief=belief, every=shown)
+            flights.setdefault(f"visit {visit}", []).append(flight)
+            belief = flight.belief
+    return flights
+
+
+def _key(seed: int, index: int) -> PRNGKeyArray:
+    return jax.random.fold_in(jax.random.key(seed), index)
+
+
+def online_controller(settings: NavigateSettings, online: OnlineSettings) -> Adaptive:
+    """The controller that the options ask for.
+
+    Raises:
+        InputError: the task is unknown, or is not to reach a place.
+    """
+    problem = online_task(
+        online.task or "", position_noise=online.position_noise, delay=settings.delay
+    )
+    return Adaptive.of(problem, STRATEGIES[online.strategy])
+
+
+def learn_online(
+    settings: NavigateSettings,
+    online: OnlineSettings,
+    adaptive: Adaptive,
+    folder: RunFolder,
+) -> OnlineMetrics:
+    """Do a task without data beforehand, and write the results."""
+    problem = adaptive.task
+    seeds = range(settings.seeds)
+    flights = {
+        "oracle": oracle_flights(adaptive, seeds, settings.seed),
+        **flights_of(adaptive, seeds, settings.seed, online.visits),
+    }
+    metrics = OnlineMetrics(
+        task=problem.name,
+        strategy=online.strategy,
+        position_noise=online.position_noise,
+        delay=problem.delay,
+        time_limit=problem.time_limit,
+        own_limit=task(problem.name).time_limit,
+        thrust=adaptive.thrust,
+        controllers=rows_of(flights, adaptive, task(problem.name).time_limit),
+    )
+    folder.write_arrays("results.npz", _arrays(adaptive, flights))
+    folder.write_metrics("metrics.json", metrics)
+    return metrics
+
+
+def rows_of(
+    flights: Mapping[str, Sequence[Flight]], adaptive: Adaptive, own_limit: float
+) -> dict[str, OnlineRow]:
+    """The outcome of each controller.
+
+    Args:
+        flights: the oracle's and others.
+        adaptive: the controller.
+        own_limit: time limit of the task itself [T].
+    """
+    oracle = flights["oracle"]
+    return {
+        name: OnlineRow.of_outcome(
+            judge_flights(some, adaptive, own_limit, oracle if name != "oracle" else ())
+        )
+        for name, some in flights.items()
+    }
+
+
+def _arrays(
+    adaptive: Adaptive, flights: Mapping[str, Sequence[Flight]]
+) -> dict[str, np.ndarray]:
+    """Everything that the figures need."""
+    problem, first = adaptive.task, flights["visit 1"][0]
+    lower, upper = np.asarray(problem.arena.lower), np.asarray(problem.arena.upper)
+    x, y = np.linspace(lower, upper, MAP_POINTS).T
+    points = np.stack(np.meshgrid(x, y), axis=-1)
+    flat, shape = points.reshape(-1, 2), points.shape
+    goal = adaptive.replanner.objective
+    discs = [[*z.center, z.radius] for z in problem.keep_out if isinstance(z, Disc)]
+    path = first.states[:, :2]
+    mean, sd = first.belief.force(path)
+    arrays = {
+        "arena": np.array([lower, upper]),
+        "start": np.asarray(problem.start[:2]),
+        "goal": np.asarray(goal.goal),
+        "tolerance": np.asarray(goal.tolerance),
+        "discs": np.array(discs).reshape(-1, 3),
+        "step": np.asarray(problem.step),
+        "field/x": x,
+        "field/y": y,
+        "field/true": true_force(problem, flat).reshape(shape),
+        "band/true": true_force(problem, path),
+        "band/mean": mean,
+        "band/sd": sd,
+    }
+    learned, spread = first.belief.force(flat)
+    arrays["field/learned"] = learned.reshape(shape)
+    arrays["field/sd"] = spread.reshape(shape)
+    picked = np.linspace(0, len(first.moments) - 1, MOMENTS).round().astype(int)
+    moments = [first.moments[k] for k in picked]
+    arrays["moments/time"] = np.array([belief.time for belief in moments])
+    for name, part in (("mean", 0), ("sd", 1)):
+        maps = [belief.force(flat)[part].reshape(shape) for belief in moments]
+        arrays[f"moments/{name}"] = np.stack(maps)
+    for name, some in flights.items():
+        for index, flight in enumerate(some):
+            arrays[f"path/{name}/{index}"] = flight.states[:, :2]
+    return arrays
+
+
+def online_table(controllers: Mapping[str, OnlineRow]) -> Table:
+    """One row for each controller.
+
+    Args:
+        controllers: rows by their names.
+    """
+    columns = {
+        "success": lambda row: row.success.percent(),
+        "in time": lambda row: row.in_time.percent(),
+        "violation": lambda row: row.violation.percent(),
+        "arrival": lambda row: row.arrival.median,
+        "5 %": lambda row: row.arrival.low,
+        "95 %": lambda row: row.arrival.high,
+        "regret": lambda row: "–" if row.regret is None else row.regret.ratio(),
+        "least clearance": lambda row: row.clearance,
+        "force error": lambda row: "–" if row.force_error is None else row.force_error,
+        "cover": lambda row: "–" if row.cover is None else row.cover,
+        "consistency": lambda row: row.consistency,
+    }
+    rows = [
+        (name, *(column(row) for column in columns.values()))
+        for name, row in controllers.items()
+    ]
+    runs = next(iter(controllers.values())).runs
+    return Table(("flights", *columns), rows, f"{runs} flights each. {CAPTION}")
+
+
+CAPTION = (
+    "Success, violation and arrival within the task's own limit (in time) with "
+    "Wilson's 95 % interval; arrival: median and quantiles of those that arrived; "
+    "regret: median over pairs of the arrival time over that with the true force; "
+    "force error: root sum of squared errors over the visited path, relative; cover: "
+    "of nominal 95 % bands there; consistency: squared error of the position over its "
+    "variance, 1 where the filter is right."
+)
+
+
+def sentences(metrics: OnlineMetrics) -> list[str]:
+    """The findings in words."""
+    last = list(metrics.controllers.values())[1]
+    return [
+        f"Task {metrics.task} (synthetic), strategy {metrics.strategy}: nothing is "
+        f"known of the force beforehand; positions with an error of "
+        f"{metrics.position_noise:g} are all that is observed, commands come into "
+        f"force after {metrics.delay:g}.",
+        f"Flights were given up after {metrics.time_limit:g}; the task's own limit is "
+        f"{metrics.own_limit:g}.",
+        f"Learning from a frame takes at most {1e3 * (last.frame_time or 0):.2g} ms "
+        f"(99 %), a command {1e3 * (last.command_time or 0):.2g} ms, a plan "
+        f"{1e3 * (last.replan_time or 0):.2g} ms (medians); the belief takes "
+        f"{last.memory / 1e6:.2g} MB. The safety filter changed {last.changed:.2g} "
+        "commands in a flight.",
+    ]
+
+
+def text(metrics: OnlineMetrics) -> str:
+    """The findings for a terminal."""
+    return "\n".join([as_text(online_table(metrics.controllers)), *sentences(metrics)])

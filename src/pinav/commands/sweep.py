@@ -1,0 +1,153 @@
+"""Commands that do many pieces of work: their run, its cells and who does them."""
+
+import contextlib
+import dataclasses
+from collections.abc import Iterator, Sequence
+
+import msgspec
+
+from pinav.commands.command import Command
+from pinav.commands.settings import RunOptions
+from pinav.commands.start import start_run
+from pinav.commands.worker_settings import WorkerSettings
+from pinav.report import Table
+from pinav.report.text import as_text
+from pinav.runs import RunFolder
+from pinav.sweeps import (
+    AbstractEngine,
+    Cell,
+    CellState,
+    CellStore,
+    DaskCluster,
+    LocalProcesses,
+    Outcome,
+    SweepStatus,
+    TlsFiles,
+    claim,
+    run_sweep,
+)
+from pinav.sweeps.store import FOLDER, SWEEP_FILE
+
+
+@dataclasses.dataclass(frozen=True)
+class Sweep:
+    """A run of many cells that this process has claimed.
+
+    Attributes:
+        folder: of the run.
+        engine: who does the cells.
+        timeout: seconds that a cell may take; none for no limit.
+    """
+
+    folder: RunFolder
+    engine: AbstractEngine
+    timeout: float | None = None
+
+    @property
+    def store(self) -> CellStore:
+        """The cells of the run."""
+        return CellStore.of_run(self.folder.path)
+
+    def run(self, cells: Sequence[Cell], title: str) -> list[Outcome]:
+        """Do every cell once, and say what became of each, in the order of the table.
+
+        Raises:
+            InputError: workers cannot do anything, such as for want of disk.
+        """
+
+        def record(cell: Cell, outcome: Outcome) -> None:
+            del cell, outcome  # one that is done makes the run worth keeping
+            name = f"{FOLDER}/{SWEEP_FILE}"
+            if name not in self.folder.manifest():
+                self.folder.record(name)
+
+        return run_sweep(
+            cells,
+            self.store,
+            self.engine,
+            timeout=self.timeout,
+            title=title,
+            on_done=record,
+        )
+
+
+@contextlib.contextmanager
+def engine_of(settings: WorkerSettings) -> Iterator[AbstractEngine]:
+    """The engine that the options ask for, closed at the end.
+
+    Raises:
+        InputError: the scheduler cannot be reached.
+    """
+    tls = None
+    if settings.tls_ca and settings.tls_cert and settings.tls_key:
+        tls = TlsFiles(settings.tls_ca, settings.tls_cert, settings.tls_key)
+    engine: AbstractEngine
+    if settings.scheduler is not None:
+        engine = DaskCluster(settings.scheduler, tls)
+    else:  # one worker, too, is a process: its thread gives the bytes of all others
+        engine = LocalProcesses(settings.workers)
+    try:
+        yield engine
+    finally:
+        engine.close()
+
+
+@contextlib.contextmanager
+def start_sweep(
+    command: Command,
+    options: RunOptions,
+    workers: WorkerSettings,
+    *settings: msgspec.Struct,
+    **identity: str,
+) -> Iterator[Sweep]:
+    """Claim, create or resume the folder of a run of many cells.
+
+    Args:
+        command: what makes the run.
+        options: of the command line.
+        workers: who does the cells.
+        settings: what decides the numbers of the run.
+        identity: what else tells this run from others.
+
+    Raises:
+        InputError: the folder cannot be used or another process is at work on it, or
+            the scheduler cannot be reached.
+    """
+    with engine_of(workers) as engine, claim(options.out):
+        folder = start_run(command, options, *settings, **identity)
+        sweep = Sweep(folder, engine, workers.cell_timeout)
+        if options.overwrite:
+            sweep.store.remove()
+        yield sweep
+
+
+def status_text(status: SweepStatus) -> str:
+    """The table of cells for a terminal, and how long it will take."""
+    rows = [
+        (cell.label, str(cell.state), _duration(cell.seconds), cell.note)
+        for cell in status.cells
+    ]
+    table = Table(("cell", "state", "time", "note"), rows)
+    total, done = len(rows), status.count(CellState.DONE)
+    failed = status.count(CellState.FAILED)
+    share = (done + failed) / max(total, 1)
+    bar = "#" * round(BAR * share) + "." * round(BAR * (1 - share))
+    left = "" if status.left is None else f", about {_duration(status.left)} left"
+    work = f"at work: {status.engine}{left}" if status.at_work else NOBODY
+    if done + failed == total:
+        work = "complete"
+    counts = f"{done + failed} of {total} cells, {failed} failed"
+    return "\n".join([as_text(table), f"[{bar}] {counts}; {work}"])
+
+
+BAR = 30
+"""Characters of the bar of progress."""
+
+NOBODY = "nobody is at work on it: continue with --resume"
+
+
+def _duration(seconds: float | None) -> str:
+    if seconds is None:
+        return ""
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes}:{rest:02d} min" if minutes else f"{seconds:.1f} s"

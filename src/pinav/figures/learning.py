@@ -1,0 +1,62 @@
+"""Figures of a force that is learned on the way."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from pinav.evaluation import FieldMap
+from pinav.figures.navigation import Course, paths_map, spread_map
+from pinav.figures.style import (
+    BLACK,
+    ORANGE,
+    label_axes,
+    new_figure,
+    prepare_axes,
+    title_panel,
+)
+
+Arrays = Mapping[str, np.ndarray]
+
+
+def moments_figure(arrays: Arrays, *, thrust: float) -> Figure:
+    """Path so far over mean and standard deviation of the force, at some moments.
+
+    Args:
+        arrays: results of a run that learned on the way.
+        thrust: greatest thrust of the swimmer [L T⁻²].
+    """
+    times, step = arrays["moments/time"], float(arrays["step"])
+    course, path = Course(arrays), arrays["path/visit 1/0"]
+    limit = max(float(np.linalg.norm(arrays["field/true"], axis=-1).max()), 1e-12)
+    figure = new_figure(2.3 * len(times), 5.2)
+    axes = figure.subplots(2, len(times), squeeze=False)
+    for k, now in enumerate(times):
+        so_far = path[: round(float(now) / step) + 1]
+        mean, sd = arrays["moments/mean"][k], arrays["moments/sd"][k]
+        nothing = np.zeros(mean.shape[:2])
+        field = FieldMap(arrays["field/x"], arrays["field/y"], mean, nothing)
+        shown = {"visit 1": [so_far]}
+        paths_map(field, course, shown, limit=limit, ax=axes[0, k])
+        spread_map(field, sd, course, thrust=thrust, route=so_far, ax=axes[1, k])
+        title_panel(axes[0, k], f"t = {float(now):.3g}")
+    return figure
+
+
+def bands_figure(arrays: Arrays) -> Figure:
+    """Both components of the force along a path, with their bands of 95 %.
+
+    Args:
+        arrays: results of a run that learned on the way.
+    """
+    truth, mean, sd = (arrays[f"band/{name}"] for name in ("true", "mean", "sd"))
+    t = float(arrays["step"]) * np.arange(len(truth))
+    figure = new_figure(6.4, 3.6)
+    for k, ax in enumerate(figure.subplots(2, 1, sharex=True)):
+        prepare_axes(ax)
+        low, high = mean[:, k] - 1.96 * sd[:, k], mean[:, k] + 1.96 * sd[:, k]
+        ax.fill_between(t, low, high, color=ORANGE, alpha=0.3, lw=0)
+        ax.plot(t, mean[:, k], color=ORANGE, lw=1.2)
+        ax.plot(t, truth[:, k], color=BLACK, lw=1.0)
+        label_axes(ax, "t" if k else "", f"$F_{'xy'[k]}$")
+    return figure

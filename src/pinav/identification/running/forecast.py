@@ -1,0 +1,213 @@
+"""Where a robot is, and where commands will bring it, by the mixture of the bank."""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from pinav.identification.running.bank import Bank, G, P, W, rows, wandering
+from pinav.identification.running.commands import CommandHistory
+from pinav.identification.running.running_fit import RunningFit
+
+MEMBERS = 48
+"""Members with the greatest weights that are asked; the rest weighs little."""
+
+
+class DriveForecast(eqx.Module):
+    """Positions at some times, relative to a start.
+
+    Attributes:
+        displacement: mean of the mixture [L].
+        variance: of each coordinate, jitter of frames left out [L²].
+    """
+
+    displacement: Float[np.ndarray, "time 2"]
+    variance: Float[np.ndarray, "time 2"]
+
+
+class _Members(eqx.Module):
+    """The members that are asked.
+
+    Attributes:
+        drive: of each.
+        memory: of each [s].
+        weight: of each; they add up to one.
+        mean: as in the bank.
+        covariance: as in the bank, times the unit of variance.
+        unit: of variance [L² T⁻²].
+    """
+
+    drive: np.ndarray
+    memory: np.ndarray
+    weight: np.ndarray
+    mean: np.ndarray
+    covariance: np.ndarray
+    unit: np.ndarray
+
+    @classmethod
+    def of(cls, fit: RunningFit, bank: Bank) -> "_Members":
+        weight = bank.weight
+        kept = np.argsort(weight, kind="stable")[-MEMBERS:]
+        unit = bank.variance_unit[kept]
+        return cls(
+            fit.grid.drive[kept],
+            fit.grid.memory[kept],
+            weight[kept] / weight[kept].sum(),
+            bank.mean[kept],
+            bank.covariance[kept] * unit[:, None, None],
+            unit,
+        )
+
+    def mix(self, row: np.ndarray, noise: np.ndarray) -> DriveForecast:
+        """Mean and variance of the mixture.
+
+        Args:
+            row: what each part of the state adds, by time and member.
+            noise: what wandering adds to the variance, in units of it.
+        """
+        paths = np.einsum("tms,mas->tma", row, self.mean)
+        inside = np.einsum("tms,msu,tmu->tm", row, self.covariance, row)
+        mean = np.einsum("m,tma->ta", self.weight, paths)
+        between = np.einsum("m,tma->ta", self.weight, (paths - mean[:, None]) ** 2)
+        within = (inside + noise * self.unit) @ self.weight
+        return DriveForecast(mean, between + within[:, None])
+
+
+def locate(fit: RunningFit, time: float) -> DriveForecast | None:
+    """Position at a time [s], from closed blocks alone; none before the first one."""
+    if fit.bank is None or fit.history is None or fit.cycles is None:
+        return None
+    members = _Members.of(fit, fit.bank)
+    elapsed = time - fit.block_time
+    turned = fit.history.at(np.array([time]), fit.grid.delays) - fit.cycles
+    row = rows(turned[:, members.drive], elapsed, members.memory)
+    noise, _, _ = wandering(elapsed, members.memory, fit.block_frequency)
+    return members.mix(row, noise[None])
+
+
+def forecast(
+    fit: RunningFit,
+    times: Float[np.ndarray, " time"],
+    frequency: Float[np.ndarray, " time"],
+    heading: Float[np.ndarray, " time"],
+    *,
+    bank: Bank | None = None,
+) -> DriveForecast:
+    """Displacements from the first of some times on, under commands.
+
+    Args:
+        fit: after the frame at the first time; it has a bank.
+        times: the first one is that of the last frame [s].
+        frequency: held from each time on [Hz].
+        heading: likewise [rad].
+        bank: another one, such as that of a time before; its wandering velocity counts
+            for nothing.
+    """
+    assert fit.history is not None
+    chosen = fit.bank if bank is None else bank
+    assert chosen is not None
+    members = _Members.of(fit, chosen)
+    history = _continued(fit, times, frequency, heading)
+    turned = history.at(times, fit.grid.delays)[:, members.drive]
+    elapsed = times - times[0]
+    row = rows(turned - turned[0], elapsed[:, None], members.memory)
+    age = times[0] - fit.block_time if bank is None else np.inf
+    faded = np.exp(-age / members.memory)
+    row[..., P] = 0.0
+    row[..., W] *= faded
+    noise = _wandering(elapsed, members.memory, frequency, 1 - faded**2)
+    return members.mix(row, noise)
+
+
+def _continued(
+    fit: RunningFit, times: np.ndarray, frequency: np.ndarray, heading: np.ndarray
+) -> CommandHistory:
+    """The commands so far and those to come; the first may replace the last one."""
+    assert fit.history is not None
+    first = 1 if times[0] <= fit.history.times[-1] else 0
+    kept = fit.history
+    if first:
+        kept = kept.replace_last(fit.grid, frequency[:1], heading[:1])
+    return kept.extend(fit.grid, times[first:], frequency[first:], heading[first:])
+
+
+def _wandering(
+    elapsed: np.ndarray, memory: np.ndarray, frequency: np.ndarray, fresh: np.ndarray
+) -> np.ndarray:
+    """Variance of the way that wandering adds, in units of it, by time and member.
+
+    Args:
+        elapsed: since the start [s].
+        memory: of each member [s].
+        frequency: held from each time on [Hz].
+        fresh: part of the present variance that is not in the covariance of a member.
+    """
+    _, _, velocity = wandering(np.inf, memory, float(frequency[0]))
+    velocity = velocity * fresh
+    way, cross = np.zeros_like(memory), np.zeros_like(memory)
+    variances = [way]
+    for interval, held in zip(np.diff(elapsed), frequency, strict=False):
+        decay = np.exp(-interval / memory)
+        reach = memory * -np.expm1(-interval / memory)
+        added = wandering(float(interval), memory, float(held))
+        way = way + 2 * reach * cross + reach**2 * velocity + added[0]
+        cross = decay * (cross + reach * velocity) + added[1]
+        velocity = decay**2 * velocity + added[2]
+        variances.append(way)
+    return np.stack(variances)
+
+
+class DriveEstimate(eqx.Module):
+    """The numbers that people ask for, with standard deviations.
+
+    Attributes:
+        delay: from command to motion [s].
+        delay_sd: [s].
+        gain: speed at 1 Hz, over the frequency [L per cycle].
+        gain_sd: [L per cycle].
+        offset: angle from the commanded heading to the motion [rad].
+        drift: velocity without command [L T⁻¹].
+    """
+
+    delay: float
+    delay_sd: float
+    gain: float
+    gain_sd: float
+    offset: float
+    drift: tuple[float, float]
+
+
+def gain_at(fit: RunningFit, frequency: float) -> tuple[np.ndarray, float]:
+    """Velocity [L T⁻¹] by heading at a frequency [Hz], a matrix, and the sd of one.
+
+    The matrix times the unit vector of the heading is the velocity that drive adds.
+    """
+    assert fit.bank is not None
+    weight = fit.bank.weight
+    turned = fit.grid.response(np.array([frequency]))[0][fit.grid.member_response]
+    gains = fit.bank.mean[:, :, G] * turned[:, None, None]
+    mean = np.einsum("m,mab->ab", weight, gains)
+    between = np.einsum("m,mab->ab", weight, (gains - mean) ** 2)
+    inside = np.einsum("mss->ms", fit.bank.covariance)[:, G].mean(axis=1)
+    within = weight @ (inside * turned**2 * fit.bank.variance_unit)
+    return mean, float(np.sqrt(between.mean() + within))
+
+
+def estimate(fit: RunningFit) -> DriveEstimate | None:
+    """Delay, gain, offset and drift; none before the bank begins."""
+    if fit.bank is None:
+        return None
+    weight = fit.bank.weight
+    delays = fit.grid.member_delay
+    delay = float(weight @ delays)
+    matrix, sd = gain_at(fit, 1.0)
+    along = (matrix[0, 0] + matrix[1, 1]) / 2
+    across = (matrix[1, 0] - matrix[0, 1]) / 2
+    drift = weight @ fit.bank.mean[:, :, 2]
+    return DriveEstimate(
+        delay=delay,
+        delay_sd=float(np.sqrt(weight @ (delays - delay) ** 2)),
+        gain=float(np.hypot(along, across)),
+        gain_sd=sd,
+        offset=float(np.arctan2(across, along)),
+        drift=(float(drift[0]), float(drift[1])),
+    )

@@ -1,0 +1,213 @@
+"""`RunningFit`: what is known of the drive of a robot after each frame."""
+
+import dataclasses
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from pinav.identification.running.bank import Bank
+from pinav.identification.running.commands import REACH, CommandHistory
+from pinav.identification.running.frames import Frames
+from pinav.identification.running.grid import DriveGrid
+
+BLOCK = 0.5
+"""Positions are averaged over so many seconds, as in identification."""
+
+SCALE_TIME = 2.0
+"""Seconds of drive from which the speed of a robot is told roughly."""
+
+BEFORE_DRIVE = 3
+"""Frames before the first drive that are kept."""
+
+LEAST_SEEN = 4
+"""Frames with a position from which the speed is told."""
+
+JITTER_MEMORY = 800.0
+"""Coordinates over which the scatter of single frames is averaged."""
+
+
+class RunningFit(eqx.Module):
+    """Gain, heading offset, response, delay, drift and wandering, as a value.
+
+    Nothing is learned before the robot is first driven. Memory is bounded: states of
+    the bank, some seconds of commands, and the frames of a block.
+
+    Attributes:
+        grid: the hypotheses.
+        bank: their states; none until the robot was driven for `SCALE_TIME`.
+        history: the last seconds of commands; none before the first frame.
+        frames: those that belong to no block that is closed.
+        since: when the robot was first driven [s]; none before.
+        scale: rough speed per frequency [L per cycle].
+        block_begin: when the open block began [s].
+        block_time: mean time of the last closed block [s].
+        cycles: mean of the integrated commands in that block, of each drive; none
+            where positions begin anew.
+        block_frequency: mean frequency in it [Hz].
+        jitter: variance of a coordinate of single frames about the path [L²].
+        jitter_count: coordinates that it was averaged over.
+        fastest: highest frequency so far [Hz].
+    """
+
+    grid: DriveGrid
+    bank: Bank | None = None
+    history: CommandHistory | None = None
+    frames: Frames = dataclasses.field(default_factory=Frames.none)
+    since: float | None = None
+    scale: float = 0.0
+    block_begin: float = 0.0
+    block_time: float = 0.0
+    cycles: Float[np.ndarray, "drive 2"] | None = None
+    block_frequency: float = 0.0
+    jitter: float = 0.0
+    jitter_count: float = 0.0
+    fastest: float = 0.0
+
+    @classmethod
+    def begin(cls, grid: DriveGrid | None = None) -> "RunningFit":
+        """Nothing known, with the default grid unless another one is given."""
+        return cls(DriveGrid.default() if grid is None else grid)
+
+    def after(
+        self,
+        time: float,
+        position: tuple[float, float] | None,
+        frequency: float,
+        heading: float,
+    ) -> "RunningFit":
+        """What is known after one more frame.
+
+        Args:
+            time: later than that of the frame before [s].
+            position: [L]; none where the robot was not seen.
+            frequency: applied from `time` on [Hz].
+            heading: likewise [rad].
+        """
+        frame = Frames.one(time, position, frequency, heading)
+        fit = dataclasses.replace(
+            self,
+            history=self._extend(frame),
+            fastest=max(self.fastest, frequency),
+        )
+        if fit.since is None:
+            if frequency <= 0:
+                kept = fit.frames[slice(1 - BEFORE_DRIVE, None)]
+                return dataclasses.replace(fit, frames=kept + frame)
+            fit = dataclasses.replace(fit, since=time)
+        if fit.bank is None:
+            return dataclasses.replace(fit, frames=fit.frames + frame)._start()
+        return fit._take(frame)
+
+    def restart(
+        self,
+        time: float,
+        position: tuple[float, float] | None,
+        frequency: float,
+        heading: float,
+    ) -> "RunningFit":
+        """What is known after a frame that does not go on from those before it.
+
+        The gain and all else that was learned are kept; where the robot is, how it
+        wandered and what was commanded before are not.
+        """
+        frame = Frames.one(time, position, frequency, heading)
+        return dataclasses.replace(
+            self,
+            history=CommandHistory.begin(self.grid, time, frequency, heading),
+            frames=frame,
+            block_begin=time,
+            cycles=None,
+            since=self.since if self.bank is not None else None,
+        )
+
+    def _extend(self, frame: Frames) -> CommandHistory:
+        """The commands with those of a frame, less what is too old to act."""
+        if self.history is None:
+            time, f, heading = frame.times[0], frame.frequency[0], frame.heading[0]
+            return CommandHistory.begin(self.grid, time, f, heading)
+        later = self.history.extend(
+            self.grid, frame.times, frame.frequency, frame.heading
+        )
+        if self.bank is None:
+            return later
+        return later.forget(frame.times[0] - REACH - self.grid.delays[-1])
+
+    def _start(self) -> "RunningFit":
+        """The bank, once the speed is known roughly, and what it says of all frames."""
+        seen = self.frames.seen
+        assert self.since is not None
+        if self.frames.times[-1] < self.since + SCALE_TIME or len(seen) < LEAST_SEEN:
+            return self
+        scale = _speed_per_frequency(seen, self.frames)
+        fit = dataclasses.replace(
+            self,
+            bank=Bank.prior(self.grid.log_prior, scale),
+            scale=scale,
+            frames=Frames.none(),
+            block_begin=float(self.frames.times[0]),
+        )
+        for place in range(len(self.frames)):
+            fit = fit._take(self.frames[slice(place, place + 1)])
+        return fit
+
+    def _take(self, frame: Frames) -> "RunningFit":
+        """With a frame in the open block, after the one before has been closed."""
+        time = float(frame.times[0])
+        fit = self
+        if time >= self.block_begin + BLOCK - 1e-9:
+            fit = self._close()
+            blocks = np.floor((time - self.block_begin) / BLOCK + 1e-9)
+            begin = self.block_begin + float(blocks) * BLOCK
+            fit = dataclasses.replace(fit, frames=Frames.none(), block_begin=begin)
+        return dataclasses.replace(fit, frames=fit.frames + frame)
+
+    def _close(self) -> "RunningFit":
+        """The bank that knows the mean position of the open block."""
+        seen = self.frames.seen
+        if not len(seen):
+            return self
+        assert self.bank is not None
+        assert self.history is not None
+        time = float(seen.times.mean())
+        position = seen.positions.mean(axis=0)
+        frequency = float(seen.frequency.mean())
+        cycles = self.history.at(seen.times, self.grid.delays).mean(axis=0)
+        if self.cycles is None:
+            bank = self.bank.place(position, self.grid.blur)
+        else:
+            change = (cycles - self.cycles)[self.grid.drive]
+            between = (frequency + self.block_frequency) / 2
+            interval = time - self.block_time
+            ahead = self.bank.predict(change, interval, self.grid.memory, between)
+            bank = ahead.update(position, self.grid.blur)
+        jitter, count = self._scatter(seen)
+        return dataclasses.replace(
+            self,
+            bank=bank,
+            block_time=time,
+            block_frequency=frequency,
+            cycles=cycles,
+            jitter=jitter,
+            jitter_count=count,
+        )
+
+    def _scatter(self, seen: Frames) -> tuple[float, float]:
+        """Scatter of single frames about a line through a block, and its count."""
+        if len(seen) < 3:
+            return self.jitter, self.jitter_count
+        times = seen.times - seen.times.mean()
+        basis = np.stack([np.ones_like(times), times], axis=1)
+        line = basis @ np.linalg.lstsq(basis, seen.positions)[0]
+        more = 2.0 * (len(seen) - 2)
+        before = min(self.jitter_count, JITTER_MEMORY)
+        total = self.jitter * before + float(((seen.positions - line) ** 2).sum())
+        return total / (before + more), before + more
+
+
+def _speed_per_frequency(seen: Frames, frames: Frames) -> float:
+    """Way of the robot, in steps of a block, over the cycles that were commanded."""
+    duration = float(seen.times[-1] - seen.times[0])
+    step = max(1, round(BLOCK * (len(seen) - 1) / duration))
+    way = np.hypot(*np.diff(seen.positions[::step], axis=0).T).sum()
+    return max(float(way) / (float(frames.frequency.mean()) * duration), 1e-9)

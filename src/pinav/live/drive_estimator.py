@@ -1,0 +1,93 @@
+"""The drive of a robot without inertia, as a session's estimator."""
+
+import dataclasses
+import math
+
+import equinox as eqx
+import numpy as np
+
+from pinav.identification.running import RunningFit
+from pinav.identification.running.arrays import fit_of, to_arrays
+from pinav.identification.running.forecast import DriveEstimate, estimate, locate
+from pinav.live.estimators import AbstractEstimator, Drive, Whereabouts
+from pinav.live.messages import Frame
+
+
+class DriveEstimator(AbstractEstimator):
+    """Gain, heading offset, response, delay and drift of a robot, by `RunningFit`.
+
+    Attributes:
+        fit: what is known.
+        last: the last position that was seen, its time and standard deviation; NaN
+            before there is one.
+        known: the numbers of the drive, which change when a block closes.
+    """
+
+    fit: RunningFit = eqx.field(default_factory=RunningFit.begin)
+    last: np.ndarray = eqx.field(default_factory=lambda: np.full(4, np.nan))
+    known: DriveEstimate | None = None
+
+    @property
+    def driven(self) -> bool:
+        return self.fit.since is not None
+
+    def after(self, frame: Frame) -> "DriveEstimator":
+        fit = self.fit.after(*_parts(frame))
+        known = self.known if fit.bank is self.fit.bank else estimate(fit)
+        return DriveEstimator(fit, self._last(frame), known)
+
+    def restart(self, frame: Frame) -> "DriveEstimator":
+        fit = self.fit.restart(*_parts(frame))
+        nowhere = DriveEstimator(fit, known=self.known)
+        return dataclasses.replace(nowhere, last=nowhere._last(frame))
+
+    def whereabouts(self, time: float) -> Whereabouts | None:
+        """From the closed blocks, and from the last position if it is of this time."""
+        x, y, seen_at, sd = (float(value) for value in self.last)
+        if math.isnan(x):
+            return None
+        jitter = self.fit.jitter if math.isnan(sd) else sd**2
+        known = seen_at == time and jitter > 0
+        ahead = locate(self.fit, time)
+        if ahead is None:
+            return Whereabouts((x, y), math.sqrt(jitter) if known else None)
+        mean, variance = ahead.displacement[0], ahead.variance[0]
+        if seen_at == time:
+            part = variance / (variance + jitter + 1e-300)
+            mean = mean + part * (np.array([x, y]) - mean)
+            variance = variance * (1 - part)
+        else:
+            variance = variance + jitter
+        place = (float(mean[0]), float(mean[1]))
+        return Whereabouts(place, float(np.sqrt(variance.mean())))
+
+    def drive(self) -> Drive:
+        now = self.known
+        if now is None:
+            return Drive()
+        return Drive(
+            delay=now.delay,
+            gain=now.gain,
+            gain_sd=now.gain_sd,
+            offset=now.offset,
+            drift=now.drift,
+        )
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        return {"last": self.last, **to_arrays(self.fit)}
+
+    def from_arrays(self, arrays: dict[str, np.ndarray]) -> "DriveEstimator":
+        fit = fit_of(self.fit.grid, arrays)
+        return DriveEstimator(fit, arrays["last"], estimate(fit))
+
+    def _last(self, frame: Frame) -> np.ndarray:
+        if frame.x is None or frame.y is None:
+            return self.last
+        sd = np.nan if frame.sd is None else frame.sd
+        return np.array([frame.x, frame.y, frame.t, sd])
+
+
+def _parts(frame: Frame) -> tuple[float, tuple[float, float] | None, float, float]:
+    """Time, position and command of a frame."""
+    seen = None if frame.x is None or frame.y is None else (frame.x, frame.y)
+    return frame.t, seen, frame.frequency, frame.heading

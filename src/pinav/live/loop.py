@@ -1,0 +1,145 @@
+"""The loop at the rig: read, learn, answer, remember."""
+
+import dataclasses
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import msgspec
+
+from pinav.live.checkpoint import write_session
+from pinav.live.lines import LineBuffer
+from pinav.live.messages import (
+    Command,
+    Event,
+    EventKind,
+    FromPinav,
+    Limits,
+    Ready,
+    State,
+    encode,
+)
+from pinav.live.session import Session
+from pinav.live.sinks import AbstractSink
+from pinav.live.sources import AbstractSource, Reading
+from pinav.live.tables import TableReader
+
+CHECKPOINT_EVERY = 1.0
+"""Seconds between two checkpoints."""
+
+WAIT = 0.1
+"""Longest time for which the loop waits for a source [s]."""
+
+LAGGING = 5
+"""Frames that come at once from which on the lag is said."""
+
+TABLE_LIMITS = Limits(frequency=10.0)
+"""Of a robot whose table does not say what may be commanded."""
+
+LAG_EVERY = 5.0
+"""Seconds between two events of a lag."""
+
+Show = Callable[[FromPinav], None]
+"""Takes everything that pinav says, in its order."""
+
+
+@dataclasses.dataclass
+class Loop:
+    """A session between a source and a sink.
+
+    Attributes:
+        session: the value that changes with each line.
+        source: where lines come from.
+        sink: where commands go.
+        show: takes all that is said.
+        checkpoint: file for the state of the session; none where it is not kept.
+        limits: of a table's robot, which it does not say.
+    """
+
+    session: Session
+    source: AbstractSource
+    sink: AbstractSink
+    show: Show
+    checkpoint: Path | None = None
+    limits: Limits = TABLE_LIMITS
+
+    def __post_init__(self) -> None:
+        self.buffer = LineBuffer()
+        self.table: TableReader | None = None
+        self.sniffed = False
+        self.saved_at = self.lag_said_at = time.monotonic()
+        self.saved_frames = self.session.counts.frames
+
+    def run(self, until: Callable[[Session], bool] = lambda session: False) -> Session:
+        """Read until the source ends, or a condition holds after a look at it."""
+        try:
+            while True:
+                reading = self.source.read(WAIT)
+                self.take(reading)
+                if reading.ended or until(self.session):
+                    return self.session
+        finally:
+            self._save()
+
+    def take(self, reading: Reading) -> None:
+        """Learn from what a look at the source gave, and answer it."""
+        if reading.fresh:
+            self.buffer, self.table, self.sniffed = LineBuffer(), None, False
+        if reading.text:
+            self._say(self.session.event(EventKind.SOURCE, reading.text))
+        if reading.data:
+            arrived = time.perf_counter()
+            self.buffer, lines = self.buffer.after(reading.data)
+            self._learn([t for line in lines for t in self._translate(line)], arrived)
+        if time.monotonic() - self.saved_at >= CHECKPOINT_EVERY:
+            self._save()
+
+    def _learn(self, lines: list[bytes], arrived: float) -> None:
+        if len(lines) > LAGGING:
+            self._say_lag(len(lines))
+        for place, line in enumerate(lines):
+            outcome = self.session.after(line, newest=place == len(lines) - 1)
+            self.session = outcome.session
+            self._say_all(outcome.answers, arrived)
+            if outcome.hang_up:
+                self.source.hang_up()
+                self.buffer = LineBuffer()
+                break
+
+    def _translate(self, line: bytes) -> Iterable[bytes]:
+        """Lines of the protocol, of a line that may be one of a table."""
+        if not self.sniffed:
+            self.sniffed = True
+            if not line.lstrip().startswith(b"{"):
+                self.table = TableReader("table", self.limits)
+        if self.table is None:
+            return (line,)
+        self.table, lines = self.table.after(line)
+        return lines
+
+    def _say_lag(self, frames: int) -> None:
+        now = time.monotonic()
+        if now - self.lag_said_at >= LAG_EVERY:
+            self.lag_said_at = now
+            text = f"{frames} lines came at once; only the newest is commanded for"
+            self._say(self.session.event(EventKind.LAG, text))
+
+    def _say_all(self, answers: Iterable[FromPinav], arrived: float) -> None:
+        for answer in answers:
+            if isinstance(answer, State):
+                latency = 1e3 * (time.perf_counter() - arrived)
+                answer = msgspec.structs.replace(answer, latency_ms=round(latency, 3))
+            self._say(answer)
+
+    def _say(self, answer: FromPinav) -> None:
+        if isinstance(answer, Command | Ready | Event):
+            self.sink.write(encode(answer))
+        self.show(answer)
+
+    def _save(self) -> None:
+        """Keep the session, where it has learned anything since it was kept last."""
+        self.saved_at = time.monotonic()
+        frames = self.session.counts.frames
+        if self.checkpoint is not None and frames != self.saved_frames:
+            write_session(self.checkpoint, self.session)
+            self.saved_frames = frames

@@ -1,0 +1,184 @@
+"""The page in a browser of this machine: belief, path, modes and events as they come.
+
+It is served on the loopback alone, by the standard library. It shows text as text,
+asks for nothing from elsewhere, and cannot command anything.
+"""
+
+import base64
+import contextlib
+import hashlib
+import http.server
+import importlib.resources
+import threading
+from collections import deque
+from collections.abc import Iterator, Sequence
+from typing import ClassVar
+
+import msgspec
+
+from pinav.live.messages import Command, FromPinav, Ready, encode
+
+HOST = "127.0.0.1"
+"""Nobody else can reach it."""
+
+KEPT = 5000
+"""Lines that a browser gets which comes late."""
+
+PATIENCE = 10.0
+"""Seconds after which a silent stream says that it lives."""
+
+
+class Places(msgspec.Struct, frozen=True):
+    """What the page draws beside the robot.
+
+    Attributes:
+        goal: where the robot should go; none where it is only watched.
+        keep_out: centre and radius of each forbidden disc.
+    """
+
+    goal: tuple[float, ...] | None = None
+    keep_out: tuple[tuple[float, ...], ...] = ()
+
+
+class Lines:
+    """The last lines, for any number of browsers that read at their own pace."""
+
+    def __init__(self) -> None:
+        self._lines: deque[bytes] = deque(maxlen=KEPT)
+        self._count = 0
+        self._closed = False
+        self._changed = threading.Condition()
+
+    def add(self, line: bytes) -> None:
+        """One more line."""
+        with self._changed:
+            self._lines.append(line)
+            self._count += 1
+            self._changed.notify_all()
+
+    def close(self) -> None:
+        """Let everybody go who waits."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+    def after(self, count: int, wait: float) -> tuple[list[bytes], int, bool]:
+        """Lines after so many, their number so far, and whether there may be more."""
+        with self._changed:
+            if self._count == count and not self._closed:
+                self._changed.wait(wait)
+            new = min(self._count - count, len(self._lines))
+            lines = list(self._lines)[len(self._lines) - new :]
+            return lines, self._count, not self._closed
+
+
+class Page:
+    """A page that is being served.
+
+    Attributes:
+        address: what to open in a browser.
+    """
+
+    def __init__(self, server: http.server.ThreadingHTTPServer, lines: Lines) -> None:
+        self.address = f"http://{HOST}:{server.server_address[1]}/"
+        self._lines = lines
+
+    @classmethod
+    @contextlib.contextmanager
+    def serve(cls, port: int, places: Places) -> Iterator["Page"]:
+        """Serve a page until the context ends.
+
+        Args:
+            port: of this machine; 0 takes a free one.
+            places: what is drawn beside the robot.
+
+        Raises:
+            OSError: the port is taken.
+        """
+        lines = Lines()
+        handler = type("PageHandler", (_Handler,), {"lines": lines, "places": places})
+        server = http.server.ThreadingHTTPServer((HOST, port), handler)
+        server.daemon_threads = True
+        thread = threading.Thread(target=server.serve_forever, daemon=True)
+        thread.start()
+        try:
+            yield cls(server, lines)
+        finally:
+            lines.close()
+            server.shutdown()
+            server.server_close()
+
+    def show(self, answer: FromPinav) -> None:
+        """Pass an answer on to every browser; commands are in the states."""
+        if not isinstance(answer, Command | Ready):
+            self._lines.add(encode(answer))
+
+
+def document(places: Places) -> tuple[bytes, str]:
+    """The page, and the policy that lets it run its own script alone."""
+    text = importlib.resources.files("pinav.live").joinpath("page.html").read_text()
+    data = msgspec.json.encode(places).decode().replace("<", "\\u003c")
+    page = text.replace("{{places}}", data)
+    allowed = " ".join(map(_digest, _scripts(page)))
+    style = _digest(page.split("<style>")[1].split("</style>")[0])
+    policy = (
+        f"default-src 'none'; script-src {allowed}; style-src {style}; "
+        "connect-src 'self'; base-uri 'none'; form-action 'none'; "
+        "frame-ancestors 'none'"
+    )
+    return page.encode(), policy
+
+
+def _scripts(page: str) -> Sequence[str]:
+    return [part.split("</script>")[0] for part in page.split("<script>")[1:]]
+
+
+def _digest(text: str) -> str:
+    digest = hashlib.sha256(text.encode()).digest()
+    return f"'sha256-{base64.b64encode(digest).decode()}'"
+
+
+class _Handler(http.server.BaseHTTPRequestHandler):
+    """Two addresses: the page, and the stream of lines that it listens to."""
+
+    lines: ClassVar[Lines]
+    places: ClassVar[Places]
+
+    def do_GET(self) -> None:
+        """Answer a browser of this machine."""
+        # A page from elsewhere can send a browser here under another name.
+        host = (self.headers.get("Host") or "").rsplit(":", 1)[0]
+        if host not in (HOST, "localhost"):
+            self.send_error(403)
+        elif self.path == "/":
+            self._send_page()
+        elif self.path == "/events":
+            with contextlib.suppress(OSError):  # the browser has gone
+                self._stream()
+        else:
+            self.send_error(404)
+
+    def _send_page(self) -> None:
+        body, policy = document(self.places)
+        self.send_response(200)
+        self.send_header("Content-Type", "text/html; charset=utf-8")
+        self.send_header("Content-Length", str(len(body)))
+        self.send_header("Content-Security-Policy", policy)
+        self.send_header("X-Content-Type-Options", "nosniff")
+        self.send_header("Cache-Control", "no-store")
+        self.end_headers()
+        self.wfile.write(body)
+
+    def _stream(self) -> None:
+        self.send_response(200)
+        self.send_header("Content-Type", "text/event-stream")
+        self.send_header("Cache-Control", "no-store")
+        self.end_headers()
+        count, more = 0, True
+        while more:
+            lines, count, more = self.lines.after(count, PATIENCE)
+            data = b"".join(b"data: " + line + b"\n" for line in lines)
+            self.wfile.write(data or b": still here\n\n")
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Nothing: requests are no events of a session."""

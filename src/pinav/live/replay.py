@@ -1,0 +1,90 @@
+"""A finished recording, told as a rig would have told it, on its own clock."""
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from pinav.identification.tracks import Track, commands_of
+from pinav.live.messages import (
+    VERSION,
+    Bye,
+    Frame,
+    FromPinav,
+    Hello,
+    Limits,
+    State,
+    encode,
+)
+from pinav.live.session import Session
+
+
+def frames_of(track: Track) -> Iterator[Frame]:
+    """The frames of a track, in the order of time."""
+    seq = 0
+    for piece in track.pieces:
+        columns = (piece.times, *piece.states.T, *commands_of(piece))
+        for t, x, y, frequency, heading in zip(*map(np.asarray, columns), strict=True):
+            yield Frame(
+                seq=seq,
+                t=float(t),
+                x=float(x),
+                y=float(y),
+                frequency=max(float(frequency), 0.0),
+                heading=float(heading),
+            )
+            seq += 1
+
+
+def lines_of(track: Track, units: str) -> Iterator[bytes]:
+    """Hello, frames and bye of a track, as lines without newlines."""
+    steps = np.concatenate([np.diff(piece.times) for piece in track.pieces])
+    fastest = max(float(commands_of(piece)[0].max()) for piece in track.pieces)
+    yield encode(
+        Hello(
+            version=VERSION,
+            session=track.name[:200],
+            step=float(np.median(steps)),
+            units=units,
+            limits=Limits(frequency=max(fastest, 1e-3)),
+            clock="of the recording",
+        )
+    ).rstrip()
+    for frame in frames_of(track):
+        yield encode(frame).rstrip()
+    yield encode(Bye(reason="end of the recording")).rstrip()
+
+
+def lines_in(path: Path) -> Iterator[bytes]:
+    """The lines of a finished file in the protocol."""
+    with open(path, "rb") as file:
+        for line in file:
+            if stripped := line.rstrip(b"\r\n"):
+                yield stripped
+
+
+def replay(
+    session: Session, lines: Iterator[bytes], speed: float | None = None
+) -> Iterator[tuple[FromPinav, float]]:
+    """What is said to lines, each answer with the seconds that its line took.
+
+    No clock decides what is said, only how soon: the answers are the same every time.
+
+    Args:
+        session: before the first line.
+        lines: of the protocol.
+        speed: seconds of the recording in one second; as quick as can be unless given.
+    """
+    begin, origin = time.monotonic(), None
+    for line in lines:
+        before = time.perf_counter()
+        outcome = session.after(line)
+        took = time.perf_counter() - before
+        session = outcome.session
+        for answer in outcome.answers:
+            if speed is not None and isinstance(answer, State):
+                origin = answer.t if origin is None else origin
+                due = begin + (answer.t - origin) / speed
+                time.sleep(max(due - time.monotonic(), 0.0))
+            yield answer, took

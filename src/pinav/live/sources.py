@@ -1,0 +1,236 @@
+"""Where lines come from: a file that grows, a rig's socket, standard input."""
+
+import abc
+import dataclasses
+import os
+import select
+import socket
+import time
+from io import FileIO
+from pathlib import Path
+
+from pinav.errors import InputError
+
+CHUNK = 256 * 1024
+"""Bytes that are read at once."""
+
+FIRST_WAIT, LONGEST_WAIT = 0.1, 5.0
+"""Seconds until a connection is tried again: doubled from the first to the longest."""
+
+POLL = 0.01
+"""Seconds between two looks at a file that has not grown."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Reading:
+    """What a look at a source gave.
+
+    Attributes:
+        data: bytes, none where nothing has come.
+        fresh: the bytes do not go on from those before: a half line is dropped.
+        text: what happened to the source, for people; empty where nothing did.
+        ended: nothing will ever come again.
+    """
+
+    data: bytes = b""
+    fresh: bool = False
+    text: str = ""
+    ended: bool = False
+
+
+class AbstractSource(abc.ABC):
+    """Bytes of a rig."""
+
+    @abc.abstractmethod
+    def read(self, wait: float) -> Reading:
+        """What has come, waiting for at most so many seconds."""
+
+    @abc.abstractmethod
+    def write(self, data: bytes) -> None:
+        """Answer the rig, where the source can be answered; what is lost is lost."""
+
+    @abc.abstractmethod
+    def hang_up(self) -> None:
+        """Leave a rig that does not keep to the protocol."""
+
+    @abc.abstractmethod
+    def close(self) -> None:
+        """Release what is open."""
+
+
+class FileSource(AbstractSource):
+    """A file that grows; rotated and truncated ones are read from their start."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._file: FileIO | None = None
+
+    def read(self, wait: float) -> Reading:
+        if self._file is None:
+            return self._open(wait)
+        if data := self._file.read(CHUNK):
+            return Reading(data)
+        if text := self._replacement():
+            # The old file may have grown between the read and the look.
+            last = self._file.read()
+            if last:
+                return Reading(last)
+            self.close()
+            return Reading(fresh=True, text=text)
+        time.sleep(min(wait, POLL))
+        return Reading()
+
+    def _open(self, wait: float) -> Reading:
+        if not self.path.exists():
+            time.sleep(min(wait, POLL))
+            return Reading()
+        self._file = self.path.open("rb", buffering=0)
+        return Reading(fresh=True)
+
+    def _replacement(self) -> str:
+        """What became of the file under this name; empty where it is the same."""
+        assert self._file is not None
+        try:
+            now = os.stat(self.path)
+        except FileNotFoundError:
+            return ""
+        ours = os.fstat(self._file.fileno())
+        if (now.st_ino, now.st_dev) != (ours.st_ino, ours.st_dev):
+            return "the file was rotated; the new one is read from its start"
+        if now.st_size < self._file.tell():
+            return "the file was truncated; it is read from its start"
+        return ""
+
+    def write(self, data: bytes) -> None:
+        """Nothing: a file cannot be answered."""
+
+    def hang_up(self) -> None:
+        """Nothing: what grows may become good again."""
+
+    def close(self) -> None:
+        if self._file is not None:
+            self._file.close()
+        self._file = None
+
+
+class SocketSource(AbstractSource):
+    """A rig that serves a socket; when it closes, it is tried again and again."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self.address = (host, port)
+        self._socket: socket.socket | None = None
+        self._wait = FIRST_WAIT
+        self._next = 0.0
+
+    def read(self, wait: float) -> Reading:
+        if self._socket is None:
+            return self._connect(wait)
+        ready, _, _ = select.select([self._socket], [], [], wait)
+        if not ready:
+            return Reading()
+        try:
+            data = self._socket.recv(CHUNK)
+        except OSError:
+            data = b""
+        if data:
+            return Reading(data)
+        self.hang_up()
+        return Reading(fresh=True, text="the rig has closed the connection")
+
+    def _connect(self, wait: float) -> Reading:
+        now = time.monotonic()
+        if now < self._next:
+            time.sleep(min(wait, self._next - now))
+            return Reading()
+        try:
+            self._socket = socket.create_connection(self.address, timeout=LONGEST_WAIT)
+        except OSError:
+            self._wait = min(2 * self._wait, LONGEST_WAIT)
+            self._next = time.monotonic() + self._wait
+            return Reading()
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket.settimeout(LONGEST_WAIT)
+        self._wait = FIRST_WAIT
+        host, port = self.address
+        return Reading(fresh=True, text=f"connected to {host}:{port}")
+
+    def write(self, data: bytes) -> None:
+        if self._socket is None:
+            return
+        try:
+            self._socket.sendall(data)
+        except OSError:
+            self.hang_up()
+
+    def hang_up(self) -> None:
+        self.close()
+        self._next = time.monotonic() + self._wait
+        self._wait = min(2 * self._wait, LONGEST_WAIT)
+
+    def close(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+        self._socket = None
+
+
+class StreamSource(AbstractSource):
+    """Standard input, or another pipe, until its end."""
+
+    def __init__(self, descriptor: int = 0) -> None:
+        self.descriptor = descriptor
+
+    def read(self, wait: float) -> Reading:
+        ready, _, _ = select.select([self.descriptor], [], [], wait)
+        if not ready:
+            return Reading()
+        data = os.read(self.descriptor, CHUNK)
+        return Reading(data) if data else Reading(ended=True)
+
+    def write(self, data: bytes) -> None:
+        """Nothing: standard input cannot be answered."""
+
+    def hang_up(self) -> None:
+        """Nothing: what is piped may become good again."""
+
+    def close(self) -> None:
+        """Nothing: the stream belongs to the process."""
+
+
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+"""Addresses that only this machine can reach."""
+
+
+def address_of(text: str, token: str) -> tuple[str, int] | None:
+    """Host and port of tcp://HOST:PORT; none where it is no such address.
+
+    Args:
+        text: of a source, or of where commands go.
+        token: the shared secret; needed beyond the loopback.
+
+    Raises:
+        InputError: the address is damaged, or is not of this machine without a token.
+    """
+    scheme, separator, rest = text.partition("://")
+    if not separator:
+        return None
+    host, _, port = rest.rpartition(":")
+    if scheme != "tcp" or not host or not port.isdecimal() or int(port) > 65535:
+        raise InputError(f"expected tcp://HOST:PORT, got {text!r}")
+    host = host.strip("[]")
+    if host not in LOOPBACK and not token:
+        raise InputError(
+            f"{text}: another machine needs a shared secret; give its file by --token"
+        )
+    return host, int(port)
+
+
+def source_of(text: str, token: str = "") -> AbstractSource:
+    """The source that a word of the command line means.
+
+    Raises:
+        InputError: it is no usable address.
+    """
+    if text == "-":
+        return StreamSource()
+    address = address_of(text, token)
+    return FileSource(Path(text)) if address is None else SocketSource(*address)

@@ -1,0 +1,180 @@
+"""One attempt at a cell: what a worker does, wherever it is.
+
+Arguments and answer are text. An attempt leaves a mark before it begins, so that the
+next one knows how many workers a cell has cost, and whether it hung.
+"""
+
+import errno
+import faulthandler
+import importlib
+import os
+import platform
+import shutil
+import time
+from pathlib import Path
+
+import msgspec
+
+from pinav import __version__
+from pinav.errors import FitError, InputError
+from pinav.sweeps.cell import Cell, Outcome
+from pinav.sweeps.store import HANG_FILE, RESULT, CellStore
+
+ATTEMPTS = 3
+"""Workers that a cell may cost before it counts as failed."""
+
+REFUSALS_OF_THE_SYSTEM = (
+    *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO),
+    *(errno.EROFS, errno.EACCES, errno.EPERM),
+)
+"""Errors that are no cell's own: the sweep stops, and goes on when they are mended."""
+
+SIGHT = 5.0
+"""How long the folder of a sweep may take to be seen by a worker [s]."""
+
+
+class Order(msgspec.Struct, frozen=True):
+    """What a worker is told beside the cell.
+
+    Attributes:
+        cells: the folder of the cells.
+        token: of the sweep, which the worker must find in that folder.
+        cell: the cell as TOML.
+        client: process and machine of the client.
+        timeout: seconds after which the cell has failed; none for no limit.
+    """
+
+    cells: str
+    token: str
+    cell: str
+    client: str
+    timeout: float | None = None
+
+
+class Answer(msgspec.Struct, frozen=True):
+    """What a worker says when it is through.
+
+    Attributes:
+        refusal: why it did nothing, or could write nothing; empty where the cell is
+            done.
+    """
+
+    refusal: str = ""
+
+
+def process_name() -> str:
+    """This process among those of all machines."""
+    return f"{platform.node()} {os.getpid()}"
+
+
+def attempt(version: str, order: str) -> str:
+    """Do a cell unless it is done, and say so.
+
+    Args:
+        version: of the client's program.
+        order: an `Order` as JSON.
+
+    Returns:
+        An `Answer` as JSON; files say the rest.
+    """
+    answer = Answer()
+    if version != __version__:
+        answer = Answer(
+            f"the client is pinav {version}, a worker on {platform.node()} pinav "
+            f"{__version__}; install the same version on both"
+        )
+    else:
+        try:
+            _carry_out(msgspec.json.decode(order, type=Order))
+        except InputError as error:
+            answer = Answer(str(error))
+        except OSError as error:
+            place = f"{error.filename}: " if error.filename else ""
+            answer = Answer(f"{place}{error.strerror or error}")
+    return msgspec.json.encode(answer).decode()
+
+
+def _carry_out(order: Order) -> None:
+    store, cell = CellStore(Path(order.cells)), Cell.from_text(order.cell)
+    if order.timeout is not None and order.client == process_name():
+        raise InputError(
+            "--cell-timeout: the workers are threads of this process, which cannot be "
+            "stopped; choose workers that are processes"
+        )
+    _check_folder(store, order)
+    if store.outcome(cell) is not None:
+        return
+    before = store.attempts(cell.name)
+    here, begin = store.begin(cell), time.monotonic()
+    try:
+        reason = _past_failure(before, order.timeout)
+        again = bool(reason)
+        reason = reason or _do(cell, here, order.timeout)
+        seconds = round(time.monotonic() - begin, 3)
+        store.publish(cell, here, Outcome(seconds, reason, again, __version__))
+    except (OSError, InputError):
+        shutil.rmtree(here, ignore_errors=True)
+        raise
+    for old in before:
+        shutil.rmtree(old, ignore_errors=True)
+
+
+def _check_folder(store: CellStore, order: Order) -> None:
+    """Require that this machine sees the sweep's folder.
+
+    Raises:
+        InputError: it does not.
+    """
+    until = time.monotonic() + SIGHT  # a network's file system may show it late
+    while True:
+        plan = store.read_plan()
+        if plan is not None and plan.token == order.token:
+            return
+        if time.monotonic() > until:
+            raise InputError(
+                f"a worker on {platform.node()} does not see {store.path}; choose "
+                "--out on a file system that all machines share"
+            )
+        time.sleep(0.1)
+
+
+def _past_failure(before: list[Path], timeout: float | None) -> str:
+    """Why a cell is not tried again; empty where it is."""
+    for folder in before:
+        hung = folder / HANG_FILE
+        if hung.exists() and hung.stat().st_size:
+            limit = "its time" if timeout is None else f"{timeout:g} s"
+            return f"took longer than {limit}"
+    if len(before) >= ATTEMPTS:
+        return f"its worker died {len(before)} times"
+    return ""
+
+
+def _do(cell: Cell, here: Path, timeout: float | None) -> str:
+    """Call the cell's function; the reason where it fails.
+
+    Raises:
+        OSError: the system refused to write.
+        InputError: the same, from a function that has made it a line.
+    """
+    module, _, name = cell.command.partition(":")
+    with open(here / HANG_FILE, "w") as traceback:
+        if timeout is not None:  # from a thread that needs no lock of Python's
+            faulthandler.dump_traceback_later(timeout, exit=True, file=traceback)
+        try:
+            getattr(importlib.import_module(module), name)(cell, here / RESULT)
+        except (FitError, InputError) as error:
+            if _is_of_the_system(error.__cause__):
+                raise InputError(str(error)) from error
+            return str(error)
+        except Exception as error:  # a fault of one cell must not end the others
+            if _is_of_the_system(error):
+                raise
+            return " ".join(f"{type(error).__name__}: {error}".split())[:300]
+        finally:
+            faulthandler.cancel_dump_traceback_later()
+    return ""
+
+
+def _is_of_the_system(error: BaseException | None) -> bool:
+    return isinstance(error, OSError) and error.errno in REFUSALS_OF_THE_SYSTEM

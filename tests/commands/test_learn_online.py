@@ -1,0 +1,102 @@
+"""`pinav navigate --learn-online`: refusals, words, and a run from end to end."""
+
+import json
+
+import jax
+import msgspec
+import pytest
+
+from pinav import cli
+from pinav.commands.navigate.online import STRATEGIES, OnlineMetrics, text
+
+REFUSALS = {
+    "task alone": (["--task", "vortex"], "expected both or none of them"),
+    "flag alone": (["--learn-online"], "expected both or none of them"),
+    "nothing": ([], "RUN: expected the folder of a fit, or --learn-online"),
+    "places": (
+        ["--learn-online", "--task", "vortex", "--from", "1,1"],
+        "expected no run, --from or --to",
+    ),
+    "a run without places": (["somewhere"], "--from, --to: expected the places"),
+    "an unknown task": (
+        ["--learn-online", "--task", "maze"],
+        "task 'maze' is unknown; choose one of: barrier-strong",
+    ),
+    "a path": (
+        ["--learn-online", "--task", "follow-line"],
+        "expected a place to reach, got FollowPath",
+    ),
+}
+
+
+@pytest.mark.parametrize(("words", "message"), REFUSALS.values(), ids=REFUSALS)
+def test_what_makes_no_sense_is_refused(words, message, tmp_path, capsys):
+    out = tmp_path / "out"
+    command = ["navigate", *words, "--out", str(out)]
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        assert cli.run(command) == cli.USAGE_ERROR
+    assert message in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_the_words_name_what_was_known_and_what_it_took():
+    share = {"value": 1.0, "lower": 0.8, "upper": 1.0}
+    oracle = {
+        "runs": 20,
+        "success": share,
+        "in_time": share,
+        "violation": {"value": 0.0, "lower": 0.0, "upper": 0.2},
+        "arrival": {"low": 5.0, "median": 5.5, "high": 6.0},
+        "regret": None,
+        "clearance": 0.4,
+        "force_error": None,
+        "cover": None,
+        "consistency": 1.1,
+        "changed": 0.0,
+        "frame_time": 0.002,
+        "command_time": 0.004,
+        "replan_time": 0.05,
+        "memory": 1e6,
+    }
+    learned = oracle | {
+        "regret": {"value": 1.14, "lower": 1.1, "upper": None},
+        "force_error": 0.05,
+        "cover": 0.95,
+        "changed": 3.0,
+    }
+    metrics = {
+        "task": "vortex",
+        "strategy": "certain",
+        "position_noise": 0.02,
+        "delay": 0.0,
+        "time_limit": 30.0,
+        "own_limit": 30.0,
+        "thrust": 1.0,
+        "controllers": {"oracle": oracle, "visit 1": learned},
+    }
+    words = text(msgspec.convert(metrics, OnlineMetrics))
+    assert "1.140 (1.100–∞)" in words
+    assert "nothing is known of the force beforehand" in words
+    assert "The safety filter changed 3 commands in a flight." in words
+    assert "takes 1 MB" in words
+
+
+def test_every_strategy_has_a_name():
+    assert list(STRATEGIES) == ["certain", "averse", "curious", "doubted", "sampled"]
+
+
+@pytest.mark.slow
+def test_a_task_is_learned_from_no_data_to_a_report(tmp_path, capsys):
+    out = tmp_path / "out"
+    words = ["navigate", "--learn-online", "--task", "vortex", "--seeds", "1"]
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        assert cli.run([*words, "--visits", "1", "--json", "--out", str(out)]) == 0
+    rows = json.loads(capsys.readouterr().out)["controllers"]
+    assert rows["oracle"]["success"]["value"] == 1.0
+    assert rows["visit 1"]["success"]["value"] == 1.0
+    assert rows["visit 1"]["regret"]["value"] < 1.4
+    assert rows["visit 1"]["force_error"] < 0.15
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "data:image/gif;base64," in page
+    for figure in ("belief", "bands", "paths", "regret"):
+        assert (out / "figures" / f"learn-online-{figure}.svg").exists()

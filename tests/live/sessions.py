@@ -1,0 +1,97 @@
+"""Sessions with an estimator that needs no numerical work, for the state machine."""
+
+import dataclasses
+
+import numpy as np
+
+from pinav.live.estimators import (
+    AbstractEstimator,
+    AbstractPilot,
+    Advice,
+    Drive,
+    Intent,
+    Whereabouts,
+)
+from pinav.live.messages import VERSION, Frame, Hello, Limits, encode
+from pinav.live.session import Session
+
+
+class LastPosition(AbstractEstimator):
+    """Believes the last position, and remembers what it was told."""
+
+    frames: tuple[Frame, ...] = ()
+    restarts: tuple[int, ...] = ()
+    sd: float = 1.0
+
+    @property
+    def driven(self):
+        return any(frame.frequency > 0 for frame in self.frames)
+
+    def after(self, frame):
+        return dataclasses.replace(self, frames=(*self.frames, frame))
+
+    def restart(self, frame):
+        restarts = (*self.restarts, frame.seq)
+        return dataclasses.replace(
+            self, frames=(*self.frames, frame), restarts=restarts
+        )
+
+    def whereabouts(self, time):
+        seen = [frame for frame in self.frames if frame.seen]
+        return Whereabouts((seen[-1].x, seen[-1].y), self.sd) if seen else None
+
+    def drive(self):
+        return Drive(delay=0.2)
+
+    def to_arrays(self):
+        rows = [[f.seq, f.t, np.nan if f.x is None else f.x] for f in self.frames]
+        return {"frames": np.array(rows)}
+
+    def from_arrays(self, arrays):
+        rows = arrays["frames"]
+        frames = tuple(
+            Frame(seq=int(s), t=float(t), x=None if np.isnan(x) else float(x), y=0.0)
+            for s, t, x in rows
+        )
+        return dataclasses.replace(self, frames=frames)
+
+
+class Follow(AbstractPilot):
+    """Always advises the same."""
+
+    intent: Intent = Intent.STEER
+    frequency: float = 1.0
+
+    def after(self, estimator, hello, time):
+        return self, Advice(self.frequency, 0.5, self.intent)
+
+    def to_arrays(self):
+        return {}
+
+    def from_arrays(self, arrays):
+        return self
+
+
+HELLO = Hello(version=VERSION, session="a", step=0.1, limits=Limits(frequency=3.0))
+
+
+def line(message):
+    return encode(message).rstrip()
+
+
+def frame_line(seq, t=None, x=0.0, y=0.0, **more):
+    return line(Frame(seq=seq, t=0.1 * seq if t is None else t, x=x, y=y, **more))
+
+
+def feed(session, lines):
+    """The session after some lines, and all answers."""
+    answers = []
+    for one in lines:
+        outcome = session.after(one)
+        session = outcome.session
+        answers += outcome.answers
+    return session, answers
+
+
+def begun(**fields):
+    return Session(LastPosition(), **fields).after(line(HELLO)).session
