@@ -5,7 +5,7 @@ PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --durations=30 --duration
 SEEDS ?= 42
 OUT ?= runs/reproduce
 
-.PHONY: reproduce test test-slow test-extras coverage lint validate bench wheel clean
+.PHONY: reproduce test test-slow test-extras coverage lint validate bench docs wheel clean
 
 reproduce: .venv/installed
 	$(BIN)/pinav reproduce --seeds $(SEEDS) --out $(OUT) --resume
@@ -42,6 +42,11 @@ bench: .venv/installed-dev
 	$(BIN)/pinav bench heat
 	$(BIN)/pinav bench navigate
 
+# The documentation site, offline after the install; examples are run for the gallery.
+docs: .venv/installed-docs
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet $(SPHINX) docs site
+	@echo "site/index.html"
+
 # Wheel and source distribution, in dist.
 wheel: .venv/installed
 	rm -rf dist
@@ -50,7 +55,7 @@ wheel: .venv/installed
 	$(BIN)/python -m hatchling build --target sdist --directory dist
 
 clean:
-	rm -rf .venv .pytest_cache .ruff_cache .hypothesis .coverage
+	rm -rf site docs/gallery .venv .pytest_cache .ruff_cache .hypothesis .coverage
 
 .venv/installed: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(0 if v >= (3, 11) else f"pinav needs Python 3.11 or later, this is {v.major}.{v.minor}; run make PYTHON=python3.12")'
@@ -64,4 +69,8 @@ clean:
 
 .venv/installed-extras: .venv/installed-dev
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[symbolic,peers,mri,cluster,exchange]'
+	touch $@
+
+.venv/installed-docs: .venv/installed-dev
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[docs]'
 	touch $@

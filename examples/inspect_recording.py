@@ -1,4 +1,5 @@
-"""From a tracker's file to what it can teach, on a small synthetic recording.
+"""From a tracker's file to what it can teach, on a small synthetic recording
+==========================================================================
 
 A rolling robot obeys its commands 0.2 s late, in images with y down, and the log holds
 the azimuth of its rotation axis: what a reader cannot guess is said, the rest is found.

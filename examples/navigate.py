@@ -1,5 +1,6 @@
 # %% [markdown]
-"""From A to B through an unknown obstacle.
+"""From A to B through an unknown obstacle
+=======================================
 
 Synthetic trajectories at a Gaussian barrier that is stronger than the thrust, noise
 0.02. A kernel potential is fitted; then the example shows from where and how soon the
@@ -36,7 +37,7 @@ from pinav.navigation.trials.closed_loop import run_many
 from pinav.navigation.trials.metrics import regret, summary
 
 # %% [markdown]
-# ## Data and fit
+# Data and fit
 # The task is to pass the barrier with less thrust than it has force; what is known of
 # it are eight trajectories, which were not recorded for the task.
 
@@ -50,7 +51,7 @@ fit = fit_bayes(unknown, data)
 model = steered_swimmer(crossing, fit.model)
 
 # %% [markdown]
-# ## The plan
+# The plan
 # The time-to-go from anywhere, on the learned force.
 
 # %%
@@ -72,7 +73,7 @@ with tempfile.TemporaryDirectory() as folder:
     print("drawn:", save_figure(ax.figure, Path(folder), "plan").png.name)
 
 # %% [markdown]
-# ## In closed loop
+# In closed loop
 # The true environment, with noise; the controllers differ in what they know.
 
 # %%
@@ -94,7 +95,7 @@ ratio = regret(with_model, with_truth)
 print(f"regret, median of the pairs: {ratio.value:.3f}")
 
 # %% [markdown]
-# ## What to record next
+# What to record next
 # Which of many drive programmes, from near the start, tells most of the route?
 
 # %%

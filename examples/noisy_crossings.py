@@ -1,4 +1,5 @@
-"""Learn a force from noisy positions alone, and say how far to trust it.
+"""Learn a force from noisy positions alone, and say how far to trust it
+=====================================================================
 
 Eight synthetic crossings of a Gaussian barrier, noise 0.02 on every observation; the
 velocities are hidden from the fit.

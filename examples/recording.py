@@ -1,4 +1,5 @@
-"""Fit a rolling robot from a tracker's file, and predict where it goes.
+"""Fit a rolling robot from a tracker's file, and predict where it goes
+====================================================================
 
 The recording is synthetic: 60 s of a robot that follows random headings with a gain of
 5 um per cycle, a corner of 2 Hz, a delay of 0.25 s and a drift of (0.6, -0.3) um/s.

@@ -1,5 +1,6 @@
 # %% [markdown]
 """What was learned, and what does it depend on?
+=============================================
 
 Synthetic shots at a Gaussian barrier, noise 0.02. A free kernel force is fitted, which
 could be rotational; then: which part of it is a gradient, where is it known, which
@@ -36,7 +37,7 @@ from pinav.scenarios import barrier_crossings
 from pinav.trajectories import simulate
 
 # %% [markdown]
-# ## Data and fit: four short crossings
+# Data and fit: four short crossings
 
 # %%
 scenario = eqx.tree_at(
@@ -51,7 +52,7 @@ fit = fit_bayes(unknown, data)
 print(f"{fit.outcome} after {fit.iterations} iterations")
 
 # %% [markdown]
-# ## Which part is a gradient?
+# Which part is a gradient?
 # Nothing told the fit that the force has a potential.
 
 # %%
@@ -69,7 +70,7 @@ with tempfile.TemporaryDirectory() as folder:
     print("drawn:", save_figure(figure, Path(folder), "helmholtz").png.name)
 
 # %% [markdown]
-# ## Which trajectory, and which constant, decides the force?
+# Which trajectory, and which constant, decides the force?
 
 # %%
 found = influence(
@@ -90,7 +91,7 @@ for name, change in found.constants.items():
     print(f"per unit of {name}: {slope}")
 
 # %% [markdown]
-# ## What decides where a swimmer ends?
+# What decides where a swimmer ends?
 
 # %%
 start, times = fit.states[0, 0], data.times[0]

@@ -14,6 +14,7 @@ import msgspec
 import tyro
 
 from benchmarks.navigate.contest import CONTROLLERS, Contest, contest
+from benchmarks.navigate.strategies import compare_strategies
 from benchmarks.navigate.tables import (
     outcome_table,
     successes_and_regrets,
@@ -42,6 +43,12 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = ()
     fits: Annotated[int, tyro.conf.arg(help="Draws of the training data.")] = 5
     seeds: Annotated[int, tyro.conf.arg(help="Runs for each of them.")] = 20
+    learn_online: Annotated[
+        bool,
+        tyro.conf.arg(
+            help="Strategies that learn on the way, from no data, instead of fits."
+        ),
+    ] = False
     samples: Annotated[
         int, tyro.conf.arg(help="Models drawn from each posterior, for the plan.")
     ] = 8
@@ -68,6 +75,9 @@ def main(argv: Sequence[str]) -> None:
         return
     options.check()
     jax.config.update("jax_enable_x64", val=True)
+    if options.learn_online:
+        compare_strategies(options.out, options.tasks, options.seeds)
+        return
     numbers = {name: getattr(options, name) for name in ("fits", "seeds", "samples")}
     config = {"run": {"command": "bench-navigate"}, **numbers}
     folder = RunFolder.resume(options.out, config)

@@ -99,7 +99,7 @@ class ForceRegressor(BaseEstimator):
             if not isinstance(system, System):
                 system = choose_system(system, data)
             plan = plan_fit(settings, system, data)
-            options = FitOptions(Path("data"), out=Path(folder) / "run")
+            options = FitOptions(data=(Path("data"),), out=Path(folder) / "run")
             run_folder = start_run(FIT, options, plan.settings)
             fit_into(plan, run_folder)
             self.run_ = FittedRun.open(run_folder.path)

@@ -8,6 +8,10 @@ from pinav.commands.command import Command, resolve
 from pinav.errors import InputError
 from pinav.report import Code, Image, Section, Table, render
 from pinav.runs import RunFolder
+from pinav.sweeps.store import FOLDER as CELLS
+
+TABLE = "runs.csv"
+"""File of the table of a run of several files."""
 
 
 def write_report(folder: RunFolder) -> Path:
@@ -20,6 +24,11 @@ def write_report(folder: RunFolder) -> Path:
         InputError: the run is not finished, or one of its files is damaged.
     """
     maker = _maker(folder)
+    if folder.has(TABLE):
+        raise InputError(
+            f"{folder.path} holds the runs of several files; report one of those in "
+            f"{folder.path / CELLS}"
+        )
     if not folder.has("metrics.json"):
         advice = "continue it with --resume" if maker.resumable else "repeat it"
         raise InputError(f"{folder.path} is not finished; {advice}, then report")

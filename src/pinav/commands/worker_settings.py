@@ -3,7 +3,9 @@
 from pathlib import Path
 from typing import Annotated
 
-from pinav.commands.settings import Range, Settings
+import tyro
+
+from pinav.commands.settings import Range, ResumableOptions, Settings
 from pinav.errors import InputError
 
 
@@ -39,3 +41,23 @@ class WorkerSettings(Settings, frozen=True):
         for file in given:
             if not file.is_file():
                 raise InputError(f"{file}: expected a file of a certificate or key")
+
+
+class FilesOptions(ResumableOptions, frozen=True, kw_only=True):
+    """The options of a command that makes a run of one file, or of each of several.
+
+    Attributes:
+        data: The file; of several, each gets a run below --out, and all one table.
+        workers: who makes the runs of several files.
+    """
+
+    data: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    workers: WorkerSettings = WorkerSettings()
+
+    def check_together(self) -> None:
+        if not self.data:
+            raise InputError("expected a file of data, got none; give one or more")
+        if len(self.data) == 1 and self.workers != WorkerSettings():
+            raise InputError(
+                "--workers and the options beside it are for several files; drop them"
+            )

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from pinav.errors import InputError
+from pinav.navigation.belief import belief as bank
 from pinav.navigation.belief.belief import KINDS, Belief, Frame
+from pinav.navigation.belief.kernel_filter import MeanForce
 from pinav.navigation.belief.kernels import FreeKernels, KernelGrid, PotentialKernels
 from pinav.navigation.belief.motion import InertialMotion, OverdampedMotion
 
@@ -181,6 +183,23 @@ def test_a_restart_keeps_the_map():
     np.testing.assert_array_equal(again.state.mean, [2.0, 2.0, 0.0, 0.0])
 
 
+def test_the_least_probable_filters_are_given_up_where_memory_ends(monkeypatch):
+    belief = believe(MOTIONS["inertia"])
+    for frame in frames(MOTIONS["inertia"], swirl, 20)[0]:
+        before, belief = belief, belief.after(frame)
+    monkeypatch.setattr(bank, "MEMORY", before.best.nbytes)
+    last = Frame(2.1, None, 0.02, np.zeros(2))
+    assert before.nbytes > before.best.nbytes
+    alone = belief.after(last)
+    assert len(alone.filters) == 1
+    np.testing.assert_allclose(
+        alone.best.state, belief.after(last).best.state, atol=1e-12
+    )
+    assert alone.log_evidence[0] == belief.log_evidence[belief.leader]
+    monkeypatch.setattr(bank, "MEMORY", 10 * before.nbytes)
+    assert len(belief.after(last).filters) == len(belief.filters)
+
+
 def test_draws_have_the_deviation_that_is_stated():
     flight, _ = frames(MOTIONS["inertia"], swirl, 15)
     belief = believe(MOTIONS["inertia"])
@@ -254,3 +273,97 @@ def _check_covariances(count):
     joint = np.block([[one.spread, cross], [cross.T, matrix]])
     assert np.linalg.eigvalsh(joint).min() > -1e-9 * one.weights.prior_sd**2
     assert np.all(np.isfinite(belief.force(np.full((1, 2), 4.0))[1]))
+
+
+def whitened(residual, blocks, spread, total):
+    """Rows of a least-squares problem: the slope and the residual, of unit weight."""
+    factor = np.linalg.inv(np.linalg.cholesky(spread))
+    row = np.zeros((len(residual), total))
+    for columns, block in blocks:
+        row[:, columns] += block
+    return np.column_stack([factor @ row, factor @ residual])
+
+
+def most_probable(one, motion, start, flight, rounds=4):
+    """Weights of the most probable path and force together, by Gauss and Newton.
+
+    Kernels, prior and steps are those of the filter.
+    """
+    first, spread = motion.start(start.position, start.sd, 0.1)
+    dim, size, count = len(first), one.kernels.size, len(flight)
+    states = np.tile(first, (count + 1, 1)).astype(float)
+    states[1:, :2] = [frame.position for frame in flight]
+    before, total = (count + 1) * dim, (count + 1) * dim + size
+    place = [np.arange(k * dim, (k + 1) * dim) for k in range(count + 1)]
+    weights, every = np.zeros(size), np.arange(before, total)
+    reached = one.weights.reach(np.arange(size))
+    prior, identity = one.weights.prior_sd**2 * np.eye(size), np.eye(dim)
+    for _ in range(rounds):
+        rows = [
+            whitened(weights, [(every, np.eye(size))], prior, total),
+            whitened(states[0] - first, [(place[0], identity)], spread, total),
+        ]
+        field = dataclasses.replace(reached, mean=weights)
+        for k, frame in enumerate(flight):
+            force = MeanForce(one.kernels, field)
+            move = motion.step(states[k], force, frame.thrust, 0.1)
+            blocks = [
+                (place[k + 1], identity),
+                (place[k], -move.slope),
+                (before + force.local.weights, -move.by_force @ force.local.basis),
+            ]
+            rows.append(whitened(states[k + 1] - move.state, blocks, move.noise, total))
+            seen, error = [(place[k + 1], np.eye(2, dim))], frame.sd**2 * np.eye(2)
+            residual = states[k + 1, :2] - frame.position
+            rows.append(whitened(residual, seen, error, total))
+        matrix = np.concatenate(rows)
+        slope, residuals = matrix[:, :-1], matrix[:, -1]
+        step = np.linalg.solve(slope.T @ slope, slope.T @ residuals)
+        states -= step[:before].reshape(states.shape)
+        weights = weights - step[before:]
+    return weights
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
+def test_the_force_is_that_of_the_most_probable_path(motion):
+    """The filter loses at most three hundredths to the batch estimate."""
+    running, batch = [], []
+    for seed in range(3):
+        flight, path = frames(motion, swirl, 60, seed=seed)
+        belief = believe(motion, scales=(3.0,), kinds=(FreeKernels,))
+        one, places = belief.best, path[:, :2]
+        weights = most_probable(one, motion, first_frame(), flight)
+        for frame in flight:
+            belief = belief.after(frame)
+        truth = np.array([swirl(x) for x in places])
+        batch.append(one.kernels.basis(places) @ weights - truth)
+        running.append(belief.force(places)[0] - truth)
+    ratio = np.linalg.norm(running) / np.linalg.norm(batch)
+    assert ratio < 1.03, ratio
+
+
+def test_states_and_forces_are_as_uncertain_as_they_say():
+    """Squared errors over variances, over flights through forces of the prior."""
+    motion, states, forces = MOTIONS["inertia"], [], []
+    for seed in range(6):
+        belief = believe(motion, scales=(3.0,), kinds=(FreeKernels,))
+        one = belief.best
+        random = np.random.default_rng(seed)
+        weights = one.weights.prior_sd * random.standard_normal(one.kernels.size)
+
+        def force(x, kernels=one.kernels, weights=weights):
+            local = kernels.at(x)
+            return local.basis @ weights[local.weights]
+
+        flight, path = frames(motion, force, 40, seed=seed)
+        for frame, truth in zip(flight, path, strict=True):
+            belief = belief.after(frame)
+            error = truth[:2] - belief.state.mean[:2]
+            spread = belief.state.covariance[:2, :2]
+            states.append(error @ np.linalg.solve(spread, error) / 2)
+        mean, sd = belief.force(path[:, :2])
+        truth = np.array([force(x) for x in path[:, :2]])
+        forces.append(np.abs(truth - mean) < 1.96 * sd)
+    assert 0.6 < np.mean(states) < 1.5
+    assert 0.88 < np.mean(forces) <= 0.99

@@ -24,6 +24,7 @@ from pinav.commands.fitted_run import (
     write_fit,
     write_model,
 )
+from pinav.commands.many_files import run_files
 from pinav.commands.matching import matching, read_losses, write_losses
 from pinav.commands.progress import BayesReporter, FitReporter
 from pinav.commands.recording_settings import RecordingSettings
@@ -82,7 +83,10 @@ DIVERGED = (
 
 def run(options: FitOptions) -> CommandResult:
     """Fit as the command line does."""
-    data = read_data(options.data, options.recording)
+    file, *others = options.data
+    if others:
+        return run_files(FIT, options)
+    data = read_data(file, options.recording)
     system = choose_system(options.settings.system, data)
     plan = plan_fit(options.settings, system, data)
     identity = {"data": fingerprint(plan.data), "system": system.name}

@@ -1,18 +1,15 @@
 """Settings of `pinav fit`."""
 
-from pathlib import Path
 from typing import Annotated, Literal
-
-import tyro
 
 from pinav.commands.recording_settings import RecordingSettings
 from pinav.commands.settings import (
     ModelName,
     Range,
-    ResumableOptions,
     Settings,
     SystemName,
 )
+from pinav.commands.worker_settings import FilesOptions
 from pinav.errors import InputError
 
 FitRecipeName = Literal["default", "bayes", "langevin", "curriculum", "paper"]
@@ -135,7 +132,7 @@ class FitSettings(Settings, frozen=True):
                 )
 
 
-class FitOptions(ResumableOptions, frozen=True):
+class FitOptions(FilesOptions, frozen=True, kw_only=True):
     """Fit a model of the unknown force to trajectories or to a recording.
 
     Trajectories: an .npz or .csv file of pinav. A CSV file has the columns t, x, y, vx,
@@ -145,11 +142,7 @@ class FitOptions(ResumableOptions, frozen=True):
     A recording: the file of a tracker (pinav inspect says what it holds); the options
     of pinav inspect say how it is read. First pinav identify finds how the swimmer
     responds to its commands.
-
-    Attributes:
-        data: Trajectories, .npz or .csv, or a recording of a tracker.
     """
 
-    data: tyro.conf.Positional[Path]
     settings: FitSettings = FitSettings()
     recording: RecordingSettings = RecordingSettings()

@@ -21,6 +21,7 @@ from pinav.commands.identify.metrics import (
     summarise_tracks,
 )
 from pinav.commands.identify.settings import IdentifyOptions, IdentifySettings
+from pinav.commands.many_files import run_files
 from pinav.commands.start import fingerprint, start_run
 from pinav.commands.system_choice import write_system_of
 from pinav.errors import FitError, InputError
@@ -61,7 +62,10 @@ FIGURES = 9
 
 def run(options: IdentifyOptions) -> CommandResult:
     """Identify as the command line does."""
-    recording = read_data(options.data, options.recording)
+    file, *others = options.data
+    if others:
+        return run_files(IDENTIFY, options)
+    recording = read_data(file, options.recording)
     if recording.channels == ("x", "y", "z"):
         recording = recording.only(("x", "y"))  # the commands are headings in the plane
     settings = options.settings

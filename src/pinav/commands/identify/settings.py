@@ -1,12 +1,10 @@
 """Settings of `pinav identify`; imports no numerical library."""
 
-from pathlib import Path
 from typing import Annotated, Literal
 
-import tyro
-
 from pinav.commands.recording_settings import RecordingSettings
-from pinav.commands.settings import Range, ResumableOptions, Settings
+from pinav.commands.settings import Range, Settings
+from pinav.commands.worker_settings import FilesOptions
 
 
 class IdentifySettings(Settings, frozen=True):
@@ -28,17 +26,13 @@ class IdentifySettings(Settings, frozen=True):
     track: str | None = None
 
 
-class IdentifyOptions(ResumableOptions, frozen=True):
+class IdentifyOptions(FilesOptions, frozen=True, kw_only=True):
     """Find which response to its commands a recorded swimmer shows.
 
     First-order models from drift to a delayed, slipping propulsion are fitted to the
     first part of each track of a recording and rolled out on the rest; the evidence
     chooses. RUN/system.toml is the swimmer that it finds, for pinav fit --system.
-
-    Attributes:
-        data: Recording: a file of a tracker, or of pinav.
     """
 
-    data: tyro.conf.Positional[Path]
     settings: IdentifySettings = IdentifySettings()
     recording: RecordingSettings = RecordingSettings()

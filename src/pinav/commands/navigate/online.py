@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import jax
 import msgspec
 import numpy as np
+from jaxtyping import PRNGKeyArray
 from tqdm import tqdm
 
 from pinav.commands.cells import Row
@@ -17,6 +18,7 @@ from pinav.navigation.adaptive.flight import Flight, fly
 from pinav.navigation.adaptive.scores import Outcome, judge_flights, true_force
 from pinav.navigation.adaptive.steering import Adaptive
 from pinav.navigation.adaptive.strategies import (
+    BONUS,
     AbstractStrategy,
     Certain,
     Doubted,
@@ -31,7 +33,7 @@ from pinav.runs import RunFolder
 STRATEGIES: Mapping[str, AbstractStrategy] = {
     "certain": Certain(),
     "averse": Priced(1.0),
-    "curious": Priced(-0.3),
+    "curious": Priced(BONUS),
     "doubted": Doubted(0.5),
     "sampled": Sampled(),
 }
@@ -136,29 +138,43 @@ def online_task(name: str, *, position_noise: float, delay: float | None) -> Tas
     )
 
 
-def flights_of(
-    adaptive: Adaptive, seeds: Sequence[int], seed: int, visits: int
-) -> dict[str, list[Flight]]:
-    """Flights of the oracle, and of each visit, in pairs of the same noise.
+def oracle_flights(adaptive: Adaptive, seeds: Sequence[int], seed: int) -> list[Flight]:
+    """Flights with the true force.
 
     Args:
         adaptive: the controller.
         seeds: one flight each.
         seed: of all noise.
-        visits: to each task, with the map kept.
     """
-    flights: dict[str, list[Flight]] = {"oracle": []}
+    keys = (_key(seed, index) for index in tqdm(seeds, desc="oracle", unit="flight"))
+    return [fly(adaptive, key=key, oracle=True) for key in keys]
+
+
+def flights_of(
+    adaptive: Adaptive, seeds: Sequence[int], seed: int, visits: int
+) -> dict[str, list[Flight]]:
+    """Flights of each visit, with the noise of the oracle's.
+
+    Args:
+        adaptive: the controller.
+        seeds: one swimmer each.
+        seed: of all noise.
+        visits: of each swimmer to the task, with the map kept.
+    """
+    flights: dict[str, list[Flight]] = {}
     every = adaptive.task.time_limit / 40
-    for index in tqdm(seeds, desc="flights", unit="seed"):
-        key = jax.random.fold_in(jax.random.key(seed), index)
-        flights["oracle"].append(fly(adaptive, key=key, oracle=True))
+    for index in tqdm(seeds, desc="learning", unit="swimmer"):
         belief: Belief | None = None
         for visit in range(1, visits + 1):
             shown = every if index == seeds[0] and visit == 1 else math.inf
-            flight = fly(adaptive, key=key, belief=belief, every=shown)
+            flight = fly(adaptive, key=_key(seed, index), belief=belief, every=shown)
             flights.setdefault(f"visit {visit}", []).append(flight)
             belief = flight.belief
     return flights
+
+
+def _key(seed: int, index: int) -> PRNGKeyArray:
+    return jax.random.fold_in(jax.random.key(seed), index)
 
 
 def online_controller(settings: NavigateSettings, online: OnlineSettings) -> Adaptive:
@@ -182,7 +198,10 @@ def learn_online(
     """Do a task without data beforehand, and write the results."""
     problem = adaptive.task
     seeds = range(settings.seeds)
-    flights = flights_of(adaptive, seeds, settings.seed, online.visits)
+    flights = {
+        "oracle": oracle_flights(adaptive, seeds, settings.seed),
+        **flights_of(adaptive, seeds, settings.seed, online.visits),
+    }
     metrics = OnlineMetrics(
         task=problem.name,
         strategy=online.strategy,

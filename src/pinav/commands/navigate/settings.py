@@ -101,7 +101,7 @@ class OnlineSettings(Settings, frozen=True):
 
     learn_online: bool = False
     task: str | None = None
-    strategy: StrategyName = "certain"
+    strategy: StrategyName = "curious"
     position_noise: Annotated[float, Range(above=0)] = 0.02
     visits: Annotated[int, Range(1)] = 2
 

@@ -11,7 +11,11 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from pinav.errors import InputError
 from pinav.navigation.adaptive.safety import Verdict, check_command
-from pinav.navigation.adaptive.strategies import AbstractStrategy, Certain
+from pinav.navigation.adaptive.strategies import (
+    BONUS,
+    AbstractStrategy,
+    Priced,
+)
 from pinav.navigation.belief.belief import Belief, Frame
 from pinav.navigation.belief.motion import InertialMotion, OverdampedMotion
 from pinav.navigation.control.compensation import Timing
@@ -131,7 +135,7 @@ class Adaptive:
 
         Args:
             task: what is to be done.
-            strategy: `Certain` unless given.
+            strategy: the price `BONUS` unless given.
             safe: whether the last filter is used.
             points: of the lattice along the arena.
             speeds: the same along a velocity.
@@ -158,7 +162,7 @@ class Adaptive:
         )
         return cls(
             task,
-            Certain() if strategy is None else strategy,
+            Priced(BONUS) if strategy is None else strategy,
             physics,
             _motion(task, physics, inertial=inertial),
             float(greatest_thrust(task.truth.actuator, task.limits)),

@@ -15,6 +15,10 @@ DRAWS = 12
 """Draws of the force from which its standard deviation on a map is taken."""
 
 
+BONUS = -0.3
+"""Price of a unit of time where as much is unknown as the thrust gives."""
+
+
 class AbstractStrategy(eqx.Module):
     """Turns a belief into tables to plan on."""
 

@@ -98,16 +98,18 @@ class WeightPosterior:
         new = weights[self.slots[weights] < 0]
         if not len(new):
             return self
-        count = len(self.members)
+        count, more = len(self.members), len(new)
         slots = self.slots.copy()
-        slots[new] = np.arange(count, count + len(new))
+        slots[new] = np.arange(count, count + more)
+        rows = np.zeros((more, self.factors.shape[1]))
+        columns = np.zeros((len(self.cross), more))
         return dataclasses.replace(
             self,
             members=np.concatenate([self.members, new]),
             slots=slots,
-            mean=np.concatenate([self.mean, np.zeros(len(new))]),
-            factors=np.pad(self.factors, ((0, len(new)), (0, 0))),
-            cross=np.pad(self.cross, ((0, 0), (0, len(new)))),
+            mean=np.concatenate([self.mean, np.zeros(more)]),
+            factors=np.concatenate([self.factors, rows]),
+            cross=np.concatenate([self.cross, columns], axis=1),
         )
 
     def rows(
@@ -116,12 +118,13 @@ class WeightPosterior:
         weighted: Float[np.ndarray, "state near"],
     ) -> Float[np.ndarray, "state member"]:
         """$B P_{ww}$ for a B that is zero but in these slots."""
-        first = len(self.base)
-        old = slots < first
-        product = np.empty((len(weighted), len(self.members)))
-        product[:, :first] = weighted[:, old] @ self.base[slots[old]]
-        product[:, first:] = 0.0
-        product[:, slots[~old]] = self.prior_sd**2 * weighted[:, ~old]
+        first, old = len(self.base), slots < len(self.base)
+        if old.all() and first == len(self.members):
+            product = weighted @ self.base[slots]
+        else:
+            product = np.zeros((len(weighted), len(self.members)))
+            product[:, :first] = weighted[:, old] @ self.base[slots[old]]
+            product[:, slots[~old]] = self.prior_sd**2 * weighted[:, ~old]
         product -= (weighted @ self.factors[slots]) @ self.factors.T
         return product
 
@@ -215,16 +218,14 @@ class KernelFilter:
         """
         dim, weights = len(position), self.weights
         error = position - self.state[:dim]
-        seen = self.spread[:dim, :dim].copy()
-        seen[np.diag_indices(dim)] += sd**2
-        factor = np.linalg.cholesky(seen)
-        inverse = np.linalg.inv(factor)
+        seen = self.spread[:dim, :dim] + sd**2 * np.eye(dim)
+        inverse = np.linalg.inv(np.linalg.cholesky(seen))
         surprise = inverse @ error
         by_state = self.spread[:, :dim] @ inverse.T
         by_weight = weights.cross[:dim].T @ inverse.T
         spread = self.spread - by_state @ by_state.T
         density = -0.5 * float(surprise @ surprise) - float(
-            np.sum(np.log(np.diagonal(factor))) + dim / 2 * math.log(2 * math.pi)
+            dim / 2 * math.log(2 * math.pi) - np.sum(np.log(np.diagonal(inverse)))
         )
         factors = [weights.factors, by_weight]
         return dataclasses.replace(
