@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pinav.errors import InputError
+from pinav.navigation.belief import belief as bank
 from pinav.navigation.belief.belief import KINDS, Belief, Frame
 from pinav.navigation.belief.kernel_filter import MeanForce
 from pinav.navigation.belief.kernels import FreeKernels, KernelGrid, PotentialKernels
@@ -180,6 +181,23 @@ def test_a_restart_keeps_the_map():
     for old, new in zip(belief.force(places), again.force(places), strict=True):
         np.testing.assert_array_equal(old, new)
     np.testing.assert_array_equal(again.state.mean, [2.0, 2.0, 0.0, 0.0])
+
+
+def test_the_least_probable_filters_are_given_up_where_memory_ends(monkeypatch):
+    belief = believe(MOTIONS["inertia"])
+    for frame in frames(MOTIONS["inertia"], swirl, 20)[0]:
+        before, belief = belief, belief.after(frame)
+    monkeypatch.setattr(bank, "MEMORY", before.best.nbytes)
+    last = Frame(2.1, None, 0.02, np.zeros(2))
+    assert before.nbytes > before.best.nbytes
+    alone = belief.after(last)
+    assert len(alone.filters) == 1
+    np.testing.assert_allclose(
+        alone.best.state, belief.after(last).best.state, atol=1e-12
+    )
+    assert alone.log_evidence[0] == belief.log_evidence[belief.leader]
+    monkeypatch.setattr(bank, "MEMORY", 10 * before.nbytes)
+    assert len(belief.after(last).filters) == len(belief.filters)
 
 
 def test_draws_have_the_deviation_that_is_stated():

@@ -41,6 +41,9 @@ MARGIN = 1.0
 SETTLE_EVERY = 8
 """Frames after which the factors of a filter are subtracted."""
 
+MEMORY = 32_000_000
+"""Memory of a bank above which its least probable filter is given up [byte]."""
+
 CLOCK = 1e-9
 """Times that are nearer than this are one [T]."""
 
@@ -168,7 +171,8 @@ class Belief:
             if (self.count + place) % SETTLE_EVERY == 0:
                 one = one.settle()
             bank.append(one)
-        leader = _leader([one.log_evidence for one in bank], self.leader)
+        bank, leader = _within_memory(bank, self.leader)
+        leader = _leader([one.log_evidence for one in bank], leader)
         return dataclasses.replace(
             self,
             time=float(frame.time),
@@ -299,6 +303,17 @@ class Belief:
             int(arrays["count"]),
             float(arrays["longest"]),
         )
+
+
+def _within_memory(
+    bank: list[KernelFilter], leader: int
+) -> tuple[list[KernelFilter], int]:
+    """The bank without its least probable filters, and the place of the leader."""
+    first, rest = bank[leader], list(bank)
+    while len(rest) > 1 and sum(one.nbytes for one in rest) > MEMORY:
+        others = [one for one in rest if one is not first]
+        rest.remove(min(others, key=lambda one: one.log_evidence))
+    return rest, rest.index(first)
 
 
 def _leader(evidence: Sequence[float], leader: int) -> int:
