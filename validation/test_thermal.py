@@ -18,13 +18,14 @@ from validation.conftest import pinav
 from pinav.commands.heat.build import build_case
 from pinav.commands.heat.case import read_case
 from pinav.thermal import exact
+from pinav.thermal.checks import powers, reference_model
 from pinav.thermal.dose import value_exceeded_by
 from pinav.thermal.exact import SET_S
 from pinav.thermal.grids import CartesianGrid, RadialGrid
 from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion
 from pinav.thermal.protocols import Piecewise
 from pinav.thermal.solve import solve
-from pinav.thermal.verification import powers, reference_model, verify
+from pinav.thermal.verification import verify
 
 EXAMPLES = Path(__file__).parents[1] / "examples" / "heat"
 

@@ -6,15 +6,18 @@ observation noise, dots their starts.
 
 import io
 import sys
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
+from pinav.arguments import State
 from pinav.dynamics import BrownianSwimmer, FixedStep, rollout, sample_path
 from pinav.forces import BrinkmanTensor, InFlow, TensorDrag, UniaxialTensor
 from pinav.scenarios import SCENARIOS, scenario
@@ -24,7 +27,7 @@ from pinav.systems import System
 def paths(shown: System) -> np.ndarray:
     """Positions of all swimmers at the times of the scenario."""
 
-    def one(y0, key):
+    def one(y0: State, key: PRNGKeyArray) -> Float[Array, "time state"]:
         if isinstance(shown.truth, BrownianSwimmer):
             return sample_path(shown.truth, y0, shown.times, key=key, substeps=4).ys
         solver = FixedStep(substeps=2)
@@ -56,7 +59,7 @@ def draw(shown: System, ax: Axes) -> None:
     ax.tick_params(labelsize=6)
 
 
-def draw_medium(drag, grid, ax: Axes) -> None:
+def draw_medium(drag: Any, grid: Float[Array, "row column 2"], ax: Axes) -> None:
     """Contours of a porous medium, directors of a fibrous one, arrows of a flow."""
     x, y = np.asarray(grid[..., 0]), np.asarray(grid[..., 1])
     coarse = (slice(5, None, 10), slice(5, None, 10))

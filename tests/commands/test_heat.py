@@ -16,7 +16,8 @@ from pinav.commands.heat.metrics import CheckMetrics
 from pinav.commands.heat.tables import verification_table
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
-from pinav.thermal.verification import CASES, Check
+from pinav.thermal.checks import Check
+from pinav.thermal.verification import CASES
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "heat"
 

@@ -15,6 +15,8 @@ from pinav import cli
 from pinav.commands.heat.build import build_case
 from pinav.commands.heat.case import read_case
 from pinav.commands.heat.readings import read_data
+from pinav.thermal.images import read_image
+from pinav.thermal.solve import solve
 
 PHANTOM = Path(__file__).parents[2] / "examples" / "heat" / "phantom.py"
 SMALL = {"cells": (12, 12, 8), "size": (12e-3, 12e-3, 12e-3), "frames": 12}
@@ -61,8 +63,14 @@ def edit(folder, name, changes, to="changed.toml"):
 
 
 @pytest.mark.slow
-def test_the_truth_of_a_phantom_is_learned_and_predicted(folder, tmp_path, capsys):
-    path = edit(folder, "case.toml", {"learn.until": 480.0})
+@pytest.mark.extras("nibabel")
+def test_the_truth_of_a_phantom_is_learned_and_predicted(
+    phantom, folder, tmp_path, capsys
+):
+    save = phantom.ArraysIn(folder, SMALL["size"], 60.0, "nii.gz")
+    save("labels", np.load(folder / "labels.npy"))
+    changes = {"learn.until": 480.0, "grid.labels": "labels.nii.gz"}
+    path = edit(folder, "case.toml", changes)
     out = tmp_path / "run"
     assert run("learn", path, "--out", out) == 0
     assert "perfusion of tumour [kg/(m³ s)]" in capsys.readouterr().out
@@ -75,6 +83,10 @@ def test_the_truth_of_a_phantom_is_learned_and_predicted(folder, tmp_path, capsy
     assert metrics["forecast"]["error"] < 0.5
     figures = {p.stem for p in (out / "figures").glob("*.svg")}
     assert figures == {"heat-means", "heat-frame", "heat-forecast"}
+    fit, reading = (read_image(out / f"{name}.nii.gz") for name in ("fit", "reading"))
+    labels = read_image(folder / "labels.nii.gz")
+    assert fit.affine == pytest.approx(labels.affine)
+    assert np.nanstd(fit.values - reading.values) == pytest.approx(0.3, rel=0.2)
 
 
 @pytest.mark.slow
@@ -166,3 +178,67 @@ def test_bad_frames(folder, tmp_path, capsys, task, changes, message):
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert re.search(message, line), line
     assert not (tmp_path / "run").exists()
+
+
+LAW = {"temperatures": [37.0, 45.0], "values": [0.8, 4.0], "unit": "kg/m3/s"}
+
+
+def plane_of_voxels(folder, kind):
+    """A plane whose muscle is perfused more as it warms, and frames of it: the case."""
+    shape, sizes = (11, 10), [5e-3, 5e-3]
+    labels = np.ones(shape, int)
+    labels[4:7, 4:7] = 4
+    np.save(folder / "labels.npy", labels)
+    squares = (np.indices(shape) - 5.0) ** 2
+    np.save(folder / "sar.npy", 150.0 * np.exp(-squares.sum(axis=0) / 12))
+    flow = {"value": 1.5, "unit": "kg/m3/s"}
+    tissues = {
+        "muscle": {"label": 1, "preset": "muscle", "perfusion": flow},
+        "tumour": {"label": 4, "preset": "tumour", "perfusion": flow},
+    }
+    case = {
+        "title": "A plane",
+        "step": 20.0,
+        "grid": {"kind": "voxels", "labels": "labels.npy", "size": sizes},
+        "tissues": tissues,
+        "target": ["tumour"],
+        "heating": {"kind": "sar", "file": "sar.npy", "reference": 1e4},
+        "field": {"frequency": 1e5, "times": [0, 300, 600], "amplitudes": [1e4, 5e3]},
+    }
+    muscle = tissues["muscle"] | {"perfusion": LAW}
+    truth = case | {"tissues": tissues | {"muscle": muscle}}
+    (folder / "truth.toml").write_text(tomli_w.dumps(truth))
+    setup = build_case(read_case(folder / "truth.toml")[0], folder)
+    heated = np.asarray(
+        solve(
+            setup.model, setup.protocol, stepper=setup.stepper, save_every=60.0
+        ).observed
+    )
+    noise = 0.2 * np.random.default_rng(0).normal(size=heated.shape)
+    np.save(folder / "frames.npy", np.moveaxis(heated + noise, 0, -1))
+    frames = {"readings": "frames.npy", "noise": 0.2, "every": 60.0}
+    learn = {"kind": kind, "laws": ["muscle"], "thermometry": frames}
+    case["learn"] = learn | {"truth": "truth.toml"}
+    (folder / "case.toml").write_text(tomli_w.dumps(case))
+    return folder / "case.toml"
+
+
+@pytest.mark.slow
+def test_a_law_of_temperature_is_learned_from_frames(tmp_path, capsys):
+    with jax.numpy_dtype_promotion("standard"):
+        path = plane_of_voxels(tmp_path, "kernels")
+    out = tmp_path / "run"
+    assert run("learn", path, "--out", out) == 0
+    assert "coverage of the 95 % band" in capsys.readouterr().out
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert metrics["residual"] == pytest.approx(1.0, abs=0.1)
+    assert metrics["residual"] < metrics["constant_residual"]
+    assert metrics["laws"]["muscle"]["covered"] > 0.9
+    with np.load(out / "results.npz") as arrays:
+        at, values = (arrays[f"law/muscle/{n}"] for n in ("temperatures", "values"))
+        true = arrays["law/muscle/true"]
+    # the truth is that of the case that made the frames, not where the fit started
+    assert true == pytest.approx(np.interp(at, LAW["temperatures"], LAW["values"]))
+    warm = (at > 40) & (at < 42)
+    assert values[warm] == pytest.approx(true[warm], rel=0.2)
+    assert (out / "figures" / "heat-perfusion.svg").exists()

@@ -2,7 +2,7 @@
 
 import pytest
 
-from pinav.thermal.verification import powers, reference_model
+from pinav.thermal.checks import powers, reference_model
 
 
 @pytest.fixture(scope="session")

@@ -216,6 +216,15 @@ def test_what_cannot_be_kept_or_freed_is_said():
         )
     with pytest.raises(InputError, match="variables: expected one or more, got none"):
         optimise(base, [], maximise=LogD90(target), subject_to=[])
+    with pytest.raises(InputError, match="optimise initial: expected 9 numbers"):
+        optimise(
+            base,
+            [FreeAmplitudes(1e3, COUNT)],
+            maximise=LogD90(target),
+            subject_to=[],
+            stepper=STEPPER,
+            initial=np.ones(2),
+        )
     with pytest.raises(InputError, match="FreeAmplitudes: expected a largest"):
         FreeAmplitudes(0.0, 3)
     with pytest.raises(InputError, match="FreeFrequency: expected 0 < low < high"):

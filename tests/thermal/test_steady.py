@@ -10,6 +10,7 @@ from pinav.errors import InputError
 from pinav.thermal import exact
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.boundaries import Dirichlet, Insulated, Periodic, Robin, Sides, outer
+from pinav.thermal.checks import AMPLITUDE, powers
 from pinav.thermal.dose import LIVER_DAMAGE
 from pinav.thermal.exact import SET_S
 from pinav.thermal.grids import CartesianGrid, RadialGrid
@@ -20,7 +21,6 @@ from pinav.thermal.sources import DistantEddySource, axis_distance
 from pinav.thermal.starts import AtSteadyState, State
 from pinav.thermal.steady import find_steady_state, steady_state
 from pinav.thermal.tissues import Blood, Tissue
-from pinav.thermal.verification import AMPLITUDE, powers
 
 ENDS = (Sides(Insulated(), Robin(10.0, 25.0)),)
 

@@ -281,6 +281,10 @@ def protocol_figure(
     return figure
 
 
+MANY_TIMES = 4.0
+"""Range beyond which the axis of perfusion is logarithmic; below, it had few ticks."""
+
+
 def perfusion_figure(laws: Mapping[str, Mapping[str, Any]]) -> Figure:
     """Learned perfusion with its 95 % band; pale where the tissue was not.
 
@@ -302,9 +306,10 @@ def perfusion_figure(laws: Mapping[str, Mapping[str, Any]]) -> Figure:
         known = np.where(visited, law["values"], np.nan)
         ax.plot(temperatures, law["values"], ":", color=BLUE, lw=THIN)
         ax.plot(temperatures, known, color=BLUE, lw=THIN, label="learned, 95 % band")
-        ax.set_yscale("log")
-        ax.yaxis.set_major_formatter("{x:g}")
-        ax.yaxis.set_minor_formatter(FuncFormatter(_even_tick))
+        if np.max(law["high"]) > MANY_TIMES * np.min(law["low"]):
+            ax.set_yscale("log")
+            ax.yaxis.set_major_formatter("{x:g}")
+            ax.yaxis.set_minor_formatter(FuncFormatter(_even_tick))
         ax.tick_params(which="both", labelsize=SMALL)
         label_axes(ax, "temperature [°C]", "perfusion [kg/(m³ s)]")
         title_panel(ax, name)

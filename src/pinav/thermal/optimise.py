@@ -131,16 +131,10 @@ def optimise(
         ),
         begin=state,
     )
-    flat = np.concatenate([variable.start for variable in variables])
-    initial = flat if initial is None else np.asarray(initial, float)
-    if initial.shape != flat.shape:
-        raise InputError(
-            f"optimise initial: expected {flat.size} numbers, those of the variables, "
-            f"got shape {initial.shape}"
-        )
-    memory = _Memory(problem, initial)
-    start_value = float(memory.at(initial).values[0])
-    numbers, converged = _search(memory, initial, max_iterations, tolerance)
+    begin_numbers = _start_numbers(variables, initial)
+    memory = _Memory(problem, begin_numbers)
+    start_value = float(memory.at(begin_numbers).values[0])
+    numbers, converged = _search(memory, begin_numbers, max_iterations, tolerance)
     best = memory.at(numbers)
     optimum = Optimum(
         run=problem.trial(jnp.asarray(numbers)),
@@ -161,6 +155,21 @@ def optimise(
             "design variables, or start elsewhere"
         )
     return optimum
+
+
+def _start_numbers(
+    variables: Sequence[AbstractDesignVariable], initial: np.ndarray | None
+) -> Float[np.ndarray, " number"]:
+    """Where the search begins: at given numbers, or where the variables say."""
+    flat = np.concatenate([variable.start for variable in variables])
+    if initial is None:
+        return flat
+    if np.shape(initial) != flat.shape:
+        raise InputError(
+            f"optimise initial: expected {flat.size} numbers, those of the variables, "
+            f"got shape {np.shape(initial)}"
+        )
+    return np.asarray(initial, float)
 
 
 def _search(

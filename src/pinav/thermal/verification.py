@@ -12,101 +12,46 @@ from jaxtyping import Array
 from pinav.thermal import exact
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.boundaries import (
-    AbstractEnds,
     Dirichlet,
     Insulated,
-    Periodic,
     Robin,
     Sides,
     around,
     outer,
 )
+from pinav.thermal.checks import (
+    AMPLITUDE,
+    Check,
+    checks_at,
+    powers,
+    reference_model,
+)
 from pinav.thermal.dose import cem43_segment
 from pinav.thermal.exact import SET_S, Medium
-from pinav.thermal.grids import AbstractGrid, CartesianGrid, RadialGrid
+from pinav.thermal.grids import CartesianGrid, RadialGrid
 from pinav.thermal.magnetics import LinearResponse
 from pinav.thermal.perfusion import ConstantPerfusion, MixedPerfusion, lang
-from pinav.thermal.protocols import Piecewise, Waveform
-from pinav.thermal.quantities import Number, Numbers
+from pinav.thermal.protocols import Waveform
+from pinav.thermal.quantities import Number
 from pinav.thermal.rosenbrock import Rosenbrock
 from pinav.thermal.schedule import plan_steps
 from pinav.thermal.solve import probes_at, run, solve
 from pinav.thermal.sources import PowerSource
 from pinav.thermal.starts import State
-from pinav.thermal.steady import steady_state
+from pinav.thermal.steady_checks import (
+    interface_checks,
+    order_checks,
+    radius_checks,
+    rest_checks,
+)
 from pinav.thermal.steppers import RKL2
 from pinav.thermal.tissues import Blood, Tissue, mix
-
-AMPLITUDE = 1e4
-"""Field [A m⁻¹] at which a power density is what it says."""
 
 STEADY = 4e4
 """A time [s] after which perfused tissue no longer changes."""
 
 CLOSED = (Sides(Insulated(), Insulated()),)
 """Both ends of a slab insulated."""
-
-
-class Check(eqx.Module):
-    """One quantity of one case.
-
-    Attributes:
-        case: name of the case, and where the quantity is taken.
-        value: its value by the solver.
-        exact: its exact value.
-        tolerance: largest difference that a second-order scheme is allowed here.
-        unit: of all three.
-    """
-
-    case: str = eqx.field(static=True)
-    value: Number
-    exact: Number
-    tolerance: Number
-    unit: str = eqx.field(static=True)
-
-    @property
-    def error(self) -> float:
-        """Absolute difference."""
-        return abs(self.value - self.exact)
-
-    @property
-    def within(self) -> bool:
-        """Whether it is within the tolerance."""
-        return self.error <= self.tolerance
-
-
-def reference_model(
-    grid: AbstractGrid,
-    power: Number | Numbers,
-    sides: tuple[AbstractEnds, ...] | None = None,
-    perfusion: Number = 1.05,
-) -> Bioheat:
-    """The reference medium on a grid, heated by a power density [W m⁻³].
-
-    Args:
-        grid: the cells.
-        power: at the reference amplitude.
-        sides: held at 37 °C, radial grids at their outer end alone, unless given.
-        perfusion: [kg m⁻³ s⁻¹].
-    """
-    if sides is None:
-        wall = Dirichlet(37.0)
-        sides = outer(wall) if len(grid.shape) == 1 else around(grid, wall)
-    density = jnp.broadcast_to(jnp.asarray(power, float), grid.shape)
-    return Bioheat(
-        grid,
-        Tissue(0.5, 1050.0, 3600.0),
-        Blood(),
-        ConstantPerfusion(perfusion),
-        (PowerSource(density, AMPLITUDE),),
-        sides,
-    )
-
-
-def powers(edges: Numbers, factors: Numbers) -> Piecewise:
-    """A protocol of powers relative to the reference, one for each interval."""
-    amplitudes = AMPLITUDE * jnp.sqrt(jnp.asarray(factors, float))
-    return Piecewise.constant(edges, amplitudes, 1e5)
 
 
 def verify() -> list[Check]:
@@ -119,15 +64,7 @@ def _steady(
 ) -> Iterator[Check]:
     protocol, probes = powers((0.0, STEADY), [1.0]), probes_at(model, points)
     temperature = solve(model, protocol, stepper=Rosenbrock(500.0)).final.temperature
-    yield from _checks(case, points, probes(temperature) - 37.0, true, tolerance)
-
-
-def _checks(
-    case: str, points: Any, values: Any, true: Any, tolerance: float, unit: str = "K"
-) -> Iterator[Check]:
-    for point, value, expected in zip(points, values, true, strict=True):
-        name = f"{case}, {1e3 * point:g} mm"
-        yield Check(name, float(value), float(expected), tolerance, unit)
+    yield from checks_at(case, points, probes(temperature) - 37.0, true, tolerance)
 
 
 def _slabs() -> Iterator[Check]:
@@ -138,7 +75,7 @@ def _slabs() -> Iterator[Check]:
     probes = probes_at(slab, points)
     early = solve(slab, powers((0.0, 300.0), [1.0])).final.temperature
     true = exact.perfused_slab(points, 300.0, SET_S, 2e4, 0.03)
-    yield from _checks("perfused slab, 300 s", points, probes(early) - 37, true, 1e-3)
+    yield from checks_at("perfused slab, 300 s", points, probes(early) - 37, true, 1e-3)
     skin = reference_model(
         RadialGrid.slab(0.03, 320),
         420.0,
@@ -173,7 +110,7 @@ def _heated_spheres() -> Iterator[Check]:
             exact.heated_sphere(float(r), 600.0, medium, 4e5, 0.005) for r in points
         ]
         rise = probes(solution.final.temperature) - 37.0
-        yield from _checks(f"heated sphere, {name}, 600 s", points, rise, true, 2e-3)
+        yield from checks_at(f"heated sphere, {name}, 600 s", points, rise, true, 2e-3)
 
 
 def _two_media() -> Iterator[Check]:
@@ -328,69 +265,6 @@ def _sensitivities() -> Iterator[Check]:
         yield Check(f"sensitivity to {name}, relative", ratio, 1.0, 1e-3, "1")
 
 
-def _rests() -> Iterator[Check]:
-    points = np.array([0.0, 0.01, 0.02])
-    slab = reference_model(RadialGrid.slab(0.03, 320), 2e4)
-    rise = probes_at(slab, points)(steady_state(slab, AMPLITUDE).temperature) - 37.0
-    true = exact.perfused_slab(points, np.inf, SET_S, 2e4, 0.03)
-    yield from _checks("perfused slab, steady solver", points, rise, true, 1e-4)
-    grid = CartesianGrid.cubes((64, 3), 0.03 / 64)
-    fluid = Sides(Robin(10.0, 25.0), Dirichlet(37.0))
-    strip = reference_model(grid, 420.0, (fluid, Periodic()), 0.525)
-    half = Medium(0.5, SET_S.capacity, 0.5 * SET_S.perfusion)
-    at = (np.arange(64) + 0.5)[[0, 20, 40]] * 0.03 / 64
-    true = exact.skin(at, half, 420.0, 0.03, 10.0, 25.0) - 37.0
-    rise = steady_state(strip, AMPLITUDE).temperature[np.array([0, 20, 40]), 1] - 37.0
-    yield from _checks("skin of a periodic strip, steady", at, rise, true, 1e-3)
-
-
-def _interfaces() -> Iterator[Check]:
-    """Temperatures beside a threefold jump of the conductivity, wherever it lies."""
-    radius, count = 3.15e-3, 400
-    media = Medium(0.2, 1660.0 * 2540.0), Medium(0.642, 3.72e6)
-    for share in (0.0, 0.3, 0.5):
-        end = radius / (40 + share) * count
-        grid = RadialGrid.sphere(end, count)
-        ball = grid.ball(radius)
-        model = Bioheat(
-            grid,
-            mix(ball, Tissue(0.2, 1660.0, 2540.0), Tissue(0.642, 1000.0, 3720.0)),
-            Blood(),
-            ConstantPerfusion(0.0),
-            (PowerSource(6.15e5 * ball, AMPLITUDE),),
-            outer(Dirichlet(37.0)),
-        )
-        points = radius + np.array([-0.6, 0.0, 0.6]) * end / count
-        rise = probes_at(model, points)(steady_state(model, AMPLITUDE).temperature)
-        true = [
-            exact.two_conductivities(
-                float(r), np.inf, *media, 6.15e5, radius, outer_radius=end
-            )
-            for r in points
-        ]
-        name = f"beside a jump, {share:g} of a cell from a face"
-        yield from _checks(name, points, rise - 37.0, true, 4e-3)
-
-
-def _derivatives_by_radius() -> Iterator[Check]:
-    """By the radius of a heated ball, with its surface on a face, near one, and in."""
-    true = exact.heated_sphere_sensitivities(SET_S, 4e5, 0.005)["radius"]
-    for share in (0.0, 1e-9, 0.1, 0.5, 0.75):
-        end = 0.005 / (20 + share) * 200
-
-        def rise(radius: Array, end: float = end) -> Array:
-            grid = RadialGrid.sphere(end, 200)
-            model = reference_model(grid, 4e5 * grid.ball(radius))
-            return (
-                grid.interpolation([0.0])[0]
-                @ steady_state(model, AMPLITUDE).temperature
-            )
-
-        ratio = float(jax.grad(rise)(jnp.asarray(0.005)) / true)
-        name = f"sensitivity to a radius {share:g} of a cell from a face, relative"
-        yield Check(name, ratio, 1.0, 2e-3, "1")
-
-
 CASES: dict[str, Callable[[], Iterator[Check]]] = {
     "slabs": _slabs,
     "round": _round,
@@ -400,9 +274,10 @@ CASES: dict[str, Callable[[], Iterator[Check]]] = {
     "point": _point,
     "spots": _spots,
     "lumped": _lumped,
-    "rests": _rests,
-    "interfaces": _interfaces,
-    "radii": _derivatives_by_radius,
+    "rests": rest_checks,
+    "interfaces": interface_checks,
+    "orders": order_checks,
+    "radii": radius_checks,
     "doses": _doses,
     "sensitivities": _sensitivities,
 }

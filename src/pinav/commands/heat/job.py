@@ -28,7 +28,9 @@ def run(options: HeatOptions) -> CommandResult:
     case, content = read_case(options.case)
     task = _task(options.task, case, options.case)
     config = {"run": {"command": HEAT.name, "task": options.task}, "case": content}
-    folder = RunFolder.create(options.out, config, overwrite=options.overwrite)
+    folder = RunFolder.create(
+        options.out, config, overwrite=options.overwrite, resumable=False
+    )
     result = task.run()
     folder.write_arrays(RESULTS, result.arrays)
     if result.readings is not None:
@@ -43,11 +45,11 @@ def run(options: HeatOptions) -> CommandResult:
 def _write_images(
     folder: RunFolder, arrays: dict[str, np.ndarray], image: Image
 ) -> None:
-    """NIfTI files of the end of a run, where the labels are."""
-    for name in IMAGES:
+    """NIfTI files of the end of a run or of a fit, where the labels are."""
+    for name, file in IMAGES.items():
         if name in arrays:
-            write_image(folder.path / f"{name}.nii.gz", arrays[name], image)
-            folder.record(f"{name}.nii.gz")
+            write_image(folder.path / f"{file}.nii.gz", arrays[name], image)
+            folder.record(f"{file}.nii.gz")
 
 
 def _task(name: str, case: Case, path: Path) -> AbstractTask:

@@ -102,7 +102,7 @@ class LearnTask(AbstractTask):
             ),
             forecast=_forecast(learning, fit, arrays),
         )
-        return TaskResult(metrics, arrays, synthetic)
+        return TaskResult(metrics, arrays, synthetic, setup.body.image)
 
     def _synthetic_readings(self) -> ProbeData:
         assert self.probes is not None

@@ -11,8 +11,14 @@ from pinav.thermal.probes import ProbeData
 
 RESULTS = "results.npz"
 READINGS = "probes.csv"
-IMAGES = ("temperature", "dose", "dead")
-"""Arrays that are written as NIfTI, too, where the labels are."""
+IMAGES = {
+    "temperature": "temperature",
+    "dose": "dose",
+    "dead": "dead",
+    "frame/reading": "reading",
+    "frame/fit": "fit",
+}
+"""Arrays that are written as NIfTI, too, where the labels are, and their files."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Array, Bool, Float, Shaped
 
 from pinav.dynamics import AbstractDynamics, Swimmer
 from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
@@ -297,7 +297,9 @@ def _rates_of(
 
 
 @eqx.filter_jit
-def _all_rates(model, times, states):
+def _all_rates(
+    model: Any, times: Float[Array, " point"], states: Float[Array, "point n"]
+) -> Float[Array, "point n"]:
     return jax.vmap(lambda t, y: model(t, y))(times, states)
 
 

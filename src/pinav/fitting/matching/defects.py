@@ -19,7 +19,11 @@ from jaxtyping import Array, Float, Int
 
 from pinav.dynamics import RK4, FixedStep
 from pinav.errors import InputError
-from pinav.fitting.matching.damped_phase import AbstractRolloutPhase, DampedStep
+from pinav.fitting.matching.damped_phase import (
+    AbstractRolloutPhase,
+    DampedState,
+    DampedStep,
+)
 from pinav.fitting.matching.gauss_newton import chord
 from pinav.fitting.matching.windows import Windows
 
@@ -50,20 +54,22 @@ class DefectMatching(AbstractRolloutPhase):
     steps: int = eqx.field(static=True, default=20)
     linearisation: FixedStep = FixedStep(RK4)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if self.steps < 1:
             raise InputError(f"DefectMatching.steps: expected >= 1, got {self.steps}")
 
     @property
-    def name(self):
+    def name(self) -> str:
         return f"Defects, L = {int(self.window)}"
 
-    def best_step(self, windows, theta, state):
+    def best_step(
+        self, windows: Windows, theta: Float[Array, " parameter"], state: DampedState
+    ) -> DampedStep:
         errors = windows.propagated_defects(theta)
         starts = windows.problem.observations.states[:, :-1]
         jacobian = self._rows_that_count(windows, windows.jacobian(theta, starts))
 
-        def residuals(theta):
+        def residuals(theta: Float[Array, " parameter"]) -> Float[Array, " row"]:
             return self._rows_that_count(windows, errors(theta))
 
         linear = residuals(theta), jacobian
@@ -114,16 +120,20 @@ def full_step(
     dampings = damping * jnp.asarray(DAMPINGS, theta.dtype)
     dampings = jnp.maximum(dampings, ROUNDING * jnp.trace(normal))
 
-    def pull_back(residual):
+    def pull_back(residual: Float[Array, " residual"]) -> Float[Array, " unknown"]:
         return jacobian.T @ residual if tall else residual
 
-    def move(z):
+    def move(z: Float[Array, " unknown"]) -> Float[Array, " parameter"]:
         return z if tall else jacobian.T @ z
 
-    def attempt(damping):
+    def attempt(
+        damping: Float[Array, ""],
+    ) -> tuple[Float[Array, " parameter"], Float[Array, ""], Float[Array, ""]]:
         factor = jnp.linalg.cholesky(normal + damping * jnp.eye(normal.shape[0]))
 
-        def newton(current, z):
+        def newton(
+            current: Float[Array, " residual"], z: Float[Array, " unknown"]
+        ) -> Float[Array, " unknown"]:
             gradient = pull_back(current) + damping * z
             return z - jax.scipy.linalg.cho_solve((factor, True), gradient)
 

@@ -1,15 +1,18 @@
 """Regression of a model on rates of change, before its first rollout."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Float
+from jaxtyping import Array, ArrayLike, Float, Int, PyTree
 
 from pinav.errors import InputError
 from pinav.fitting.matching.damped_phase import SLOW, AbstractDampedPhase, DampedState
 from pinav.fitting.matching.defects import full_step
+from pinav.fitting.matching.phases import Loss
 from pinav.fitting.outcome import Outcome
 
 
@@ -52,41 +55,45 @@ class Distillation(AbstractDampedPhase):
     steps: int = eqx.field(static=True, default=40)
     patience: int = eqx.field(static=True, default=5)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if self.steps < 1:
             raise InputError(f"Distillation.steps: expected >= 1, got {self.steps}")
 
     @property
-    def name(self):
+    def name(self) -> str:
         return "Distillation"
 
     @property
-    def num_steps(self):
+    def num_steps(self) -> int:
         return self.steps
 
     @property
-    def chunk_steps(self):
+    def chunk_steps(self) -> int:
         return 5
 
-    def init(self, loss, params, value):
+    def init(self, loss: Loss, params: PyTree, value: Float[Array, ""]) -> DampedState:
         damping = jnp.asarray(DAMPING, value.dtype)
         return DampedState.begin(damping, value)
 
-    def outcome(self, state):
+    def outcome(self, state: DampedState) -> Int[Array, ""]:
         return jnp.asarray(Outcome.COMPLETED)
 
-    def take_step(self, problem, params, state):
+    def take_step(
+        self, problem: Any, params: PyTree, state: DampedState
+    ) -> tuple[PyTree, DampedState]:
         theta, unravel = ravel_pytree(params)
 
         targets = self.targets.rates
         size = jnp.sqrt(jnp.mean(targets**2))
         size = jnp.where(size > 0, size, 1.0)
 
-        def rate(theta, t, y):
+        def rate(
+            theta: Float[Array, " parameter"], t: ArrayLike, y: ArrayLike
+        ) -> Float[Array, " channel"]:
             rates = problem.model(unravel(theta))(t, y)
             return rates[-targets.shape[1] :] / size
 
-        def residuals(theta):
+        def residuals(theta: Float[Array, " parameter"]) -> Float[Array, " residual"]:
             computed = jax.vmap(rate, (None, 0, 0))(
                 theta, self.targets.times, self.targets.states
             )

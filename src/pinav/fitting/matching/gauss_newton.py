@@ -17,7 +17,12 @@ from jaxtyping import Array, Float, Int
 
 from pinav.dynamics import FixedStep
 from pinav.errors import InputError
-from pinav.fitting.matching.damped_phase import AbstractRolloutPhase, DampedStep
+from pinav.fitting.matching.damped_phase import (
+    AbstractRolloutPhase,
+    DampedState,
+    DampedStep,
+)
+from pinav.fitting.matching.windows import Windows
 
 
 class GaussNewton(AbstractRolloutPhase):
@@ -57,7 +62,7 @@ class GaussNewton(AbstractRolloutPhase):
     num_dampings: int = eqx.field(static=True, default=5)
     linearisation: FixedStep = FixedStep()
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         for name in ("steps", "rank", "chord_steps", "num_dampings"):
             if getattr(self, name) < 1:
                 raise InputError(
@@ -65,10 +70,12 @@ class GaussNewton(AbstractRolloutPhase):
                 )
 
     @property
-    def name(self):
+    def name(self) -> str:
         return f"L = {int(self.window)}"
 
-    def best_step(self, windows, theta, state):
+    def best_step(
+        self, windows: Windows, theta: Float[Array, " parameter"], state: DampedState
+    ) -> DampedStep:
         starts, residual, surrogate = windows.surrogate(theta)
         return damped_step(
             surrogate,
@@ -107,8 +114,12 @@ def damped_step(
     exponents = jnp.arange(num_dampings) - (num_dampings - 2)
     dampings = damping * 10.0 ** exponents.astype(theta.dtype)
 
-    def attempt(damping):
-        def newton(current, z):
+    def attempt(
+        damping: Float[Array, ""],
+    ) -> tuple[Float[Array, " direction"], Float[Array, ""]]:
+        def newton(
+            current: Float[Array, " residual"], z: Float[Array, " direction"]
+        ) -> Float[Array, " direction"]:
             gradient = scale * (left.T @ current) + damping * z
             return z - gradient / (scale**2 + damping)
 
@@ -131,7 +142,13 @@ def damped_step(
     )
 
 
-def low_rank(jacobian, rank):
+def low_rank(
+    jacobian: Float[Array, "residual parameter"], rank: int
+) -> tuple[
+    Float[Array, "residual direction"],
+    Float[Array, " direction"],
+    Float[Array, "parameter direction"],
+]:
     """U, S, V of a random projection of the row space; exact up to its rank."""
     rows, columns = jacobian.shape
     if columns <= rank:
@@ -144,7 +161,9 @@ def low_rank(jacobian, rank):
     return left @ inner, scale, basis @ outer.T
 
 
-def _orthonormal(columns):
+def _orthonormal(
+    columns: Float[Array, "row column"],
+) -> Float[Array, "row column"]:
     """Orthonormal basis by two rounds of the Gram matrix: quicker than a QR here."""
     for floor in (1e-11, 1e-15):
         values, vectors = jnp.linalg.eigh(columns.T @ columns)
@@ -153,14 +172,28 @@ def _orthonormal(columns):
     return columns
 
 
-def _predicted_decrease(residual, left, scale, damping):
+def _predicted_decrease(
+    residual: Float[Array, " residual"],
+    left: Float[Array, "residual direction"],
+    scale: Float[Array, " direction"],
+    damping: Float[Array, ""],
+) -> Float[Array, ""]:
     """By how much the linear model says that a damped step lowers the squares."""
     along = left.T @ residual
     kept = damping / (scale**2 + damping)
     return along @ along - (kept * along) @ (kept * along)
 
 
-def chord(residuals, residual, zero, newton, num_steps):
+def chord(
+    residuals: Callable[[Float[Array, " direction"]], Float[Array, " residual"]],
+    residual: Float[Array, " residual"],
+    zero: Float[Array, " direction"],
+    newton: Callable[
+        [Float[Array, " residual"], Float[Array, " direction"]],
+        Float[Array, " direction"],
+    ],
+    num_steps: int,
+) -> tuple[Float[Array, " direction"], Float[Array, ""]]:
     """Best of several steps with the Jacobian held, and its sum of squares.
 
     Args:
@@ -171,7 +204,7 @@ def chord(residuals, residual, zero, newton, num_steps):
         num_steps: number of steps.
     """
 
-    def iterate(state, _):
+    def iterate(state: tuple[Array, ...], _: None) -> tuple[tuple[Array, ...], None]:
         z, current, best, lowest = state
         z = newton(current, z)
         current = residuals(z)

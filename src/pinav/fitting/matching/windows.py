@@ -11,8 +11,12 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
+from pinav.arguments import Scalar, State
 from pinav.dynamics import FixedStep
 from pinav.errors import InputError
+
+Ends = Float[Array, "trajectory step state"]
+"""States before or after each step."""
 
 BATCH = 4
 """Trajectories whose steps are linearised at once."""
@@ -32,7 +36,7 @@ class Windows(eqx.Module):
 
     @classmethod
     def of(
-        cls, problem, params: PyTree, window: Int[Array, ""], solver: FixedStep
+        cls, problem: Any, params: PyTree, window: Int[Array, ""], solver: FixedStep
     ) -> "Windows":
         if not isinstance(problem.objective.solver, FixedStep):
             raise InputError(
@@ -52,12 +56,21 @@ class Windows(eqx.Module):
         data = self.problem.observations
         return jnp.sum(data.observed, dtype=data.states.dtype)
 
-    def rollouts(self, theta, solver, restart):
+    def rollouts(
+        self,
+        theta: Float[Array, " parameter"],
+        solver: FixedStep,
+        restart: Bool[Array, "trajectory step"],
+    ) -> tuple[Ends, Ends]:
         """State before and after each step, from the data wherever it restarts."""
         model = self.problem.model(self.unravel(theta))
 
-        def one(times, states, restart):
-            def record(y, inputs):
+        def one(
+            times: Float[Array, " time"],
+            states: Float[Array, "time state"],
+            restart: Bool[Array, " step"],
+        ) -> tuple[Float[Array, "step state"], Float[Array, "step state"]]:
+            def record(y: State, inputs: tuple[Array, ...]) -> tuple[State, Any]:
                 t0, t1, state, again = inputs
                 start = jnp.where(again, state, y)
                 end = solver.looped_step(model, start, t0, t1)
@@ -69,7 +82,13 @@ class Windows(eqx.Module):
         data = self.problem.observations
         return jax.vmap(one)(data.times, data.states, restart)
 
-    def surrogate(self, theta):
+    def surrogate(
+        self, theta: Float[Array, " parameter"]
+    ) -> tuple[
+        Ends,
+        Float[Array, " residual"],
+        Callable[[Float[Array, " parameter"]], Float[Array, " residual"]],
+    ]:
         """Start of each step, residuals there, and a cheap function for them nearby.
 
         The residuals are those of the objective's solver. Nearby, the solver of the
@@ -79,13 +98,15 @@ class Windows(eqx.Module):
         starts, ends = self.rollouts(theta, self.problem.objective.solver, self.restart)
         correction = ends - self.rollouts(theta, self.solver, self.restart)[1]
 
-        def residuals(theta):
+        def residuals(theta: Float[Array, " parameter"]) -> Float[Array, " residual"]:
             nearby = self.rollouts(theta, self.solver, self.restart)[1]
             return self._differences(nearby + correction).reshape(-1)
 
         return starts, self._differences(ends).reshape(-1), residuals
 
-    def full_error(self, theta) -> tuple[Float[Array, ""], Bool[Array, ""]]:
+    def full_error(
+        self, theta: Float[Array, " parameter"]
+    ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
         """Root-mean-square residual without restarts; whether neighbours are alike."""
         nowhere = jnp.zeros_like(self.restart)
         _, ends = self.rollouts(theta, self.problem.objective.solver, nowhere)
@@ -94,17 +115,21 @@ class Windows(eqx.Module):
         neighbours = jnp.sum(residuals[:, 1:] * residuals[:, :-1])
         return jnp.sqrt(squares / self.count), neighbours > COLOURED * squares
 
-    def jacobian(self, theta, starts) -> Float[Array, "residual parameter"]:
+    def jacobian(
+        self, theta: Float[Array, " parameter"], starts: Ends
+    ) -> Float[Array, "residual parameter"]:
         """Derivative of the residuals, by all local sensitivities at once."""
 
-        def step(both, t0, t1):
+        def step(
+            both: tuple[Float[Array, " parameter"], State], t0: Scalar, t1: Scalar
+        ) -> State:
             theta, y = both
             return self.solver.step(self.problem.model(self.unravel(theta)), y, t0, t1)
 
-        def local(y, t0, t1):
+        def local(y: State, t0: Scalar, t1: Scalar) -> Any:
             return jax.jacrev(step)((theta, y), t0, t1)  # both from the same sweep
 
-        def one(inputs):
+        def one(inputs: tuple[Array, ...]) -> Float[Array, "step state parameter"]:
             times, starts, restart, observed = inputs
             sources, matrices = jax.vmap(local)(starts, times[:-1], times[1:])
             matrices = jnp.where(restart[:, None, None], 0.0, matrices)
@@ -130,16 +155,16 @@ class Windows(eqx.Module):
         data = self.problem.observations
         inputs = data.states[:, :-1], data.times[:, :-1], data.times[:, 1:]
 
-        def of_all(function):
+        def of_all(function: Callable[..., Array]) -> Array:
             return jax.vmap(jax.vmap(function))(*inputs)
 
-        def matrix(y, t0, t1):
+        def matrix(y: State, t0: Scalar, t1: Scalar) -> Float[Array, "state state"]:
             model = self.problem.model(self.unravel(theta))
             return jax.jacfwd(lambda y: self.solver.step(model, y, t0, t1))(y)
 
         matrices = jnp.where(self.restart[..., None, None], 0.0, of_all(matrix))
 
-        def errors(theta):
+        def errors(theta: Float[Array, " parameter"]) -> Float[Array, " residual"]:
             model = self.problem.model(self.unravel(theta))
             step = self.problem.objective.solver.looped_step
             defects = self._differences(of_all(lambda *at: step(model, *at)))
@@ -148,7 +173,7 @@ class Windows(eqx.Module):
 
         return errors
 
-    def _differences(self, ends):
+    def _differences(self, ends: Ends) -> Ends:
         data = self.problem.observations
         return jnp.where(data.observed[:, 1:], ends - data.states[:, 1:], 0.0)
 
@@ -159,7 +184,9 @@ def _sensitivities(
 ) -> Float[Array, "step state column"]:
     """J[k+1] = A[k] J[k] + B[k] from zero, rows as sums of scaled rows."""
 
-    def advance(before, inputs):
+    def advance(
+        before: Float[Array, "state column"], inputs: tuple[Array, Array]
+    ) -> tuple[Array, Array]:
         matrix, source = inputs
         rows = (matrix[:, i, None] * before[i][None] for i in range(before.shape[0]))
         after = functools.reduce(operator.add, rows, source)
