@@ -47,7 +47,8 @@ class Rig:
         self.peer = None
         self.half = b""
         self.last = (0.0, 0.0, -math.inf)  # frequency, heading, valid until
-        self.seq = 0
+        self.seq = 0  # of the next frame
+        self.answered = -1  # frame that the last command answers
 
     def command(self, t):
         """Frequency [Hz] and heading [rad] to apply at time t [s]."""
@@ -97,7 +98,7 @@ class Rig:
                 values = tuple(float(message[name]) for name in names)
                 most = self.hello["limits"]["frequency"]
                 if all(map(math.isfinite, values)) and 0 <= values[0] <= most:
-                    self.last = values
+                    self.last, self.answered = values, int(message["seq"])
         except (ValueError, KeyError, TypeError):
             pass
 

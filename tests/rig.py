@@ -64,6 +64,7 @@ class FileRig:
         self.path, self.commands = frames, commands
         self.file = frames.open("ab", buffering=0)
         self.place, self.last, self.seq = 0, (0.0, 0.0, -math.inf), 0
+        self.answered = -1
         limits = {"frequency": 3.0}
         self.hello = {"type": "hello", "version": 1, "session": session}
         self.hello |= {"step": step, "limits": limits}
@@ -87,6 +88,7 @@ class FileRig:
                     if message["type"] == "command":
                         names = ("frequency", "heading", "valid_until")
                         self.last = tuple(message[name] for name in names)
+                        self.answered = message["seq"]
         frequency, heading, valid_until = self.last
         return (frequency, heading) if t <= valid_until else (0.0, heading)
 
@@ -114,14 +116,20 @@ FAULTS = ("half", "garbage", "repeat", "back", "forward", "lost", "swap", "burst
 FAULTS += ("rotate", "truncate", "close")
 
 
+FIRST, APART = 150, 14
+"""Frame of the first kind of fault, and frames between two kinds."""
+
+
 class Faults:
-    """What goes wrong, at frames 150, 190 and so on."""
+    """What goes wrong: one kind after the other, again and again."""
 
     def __init__(self, names: list[str], rig):
         self.names, self.rig, self.shift = set(names), rig, 0.0
 
     def due(self, name: str, seq: int, length: int = 1) -> bool:
-        return name in self.names and seq >= 150 and (seq - 150) % 40 < length
+        since = seq - FIRST - APART * FAULTS.index(name)
+        period = APART * len(FAULTS)
+        return name in self.names and since >= 0 and since % period < length
 
     def raw(self, data: bytes) -> None:
         if isinstance(self.rig, FileRig):
@@ -150,6 +158,19 @@ class Faults:
             self.raw(b'"seq": 0, "t": 0, "x": 0, "y": 0}\n')
 
 
+PATIENCE = 0.5
+"""Longest wait for the answer to a frame [s], so that load decides nothing."""
+
+
+def pause(rig, t: float, pace: float, patience: float) -> None:
+    """Let time pass after a frame, until it was answered if that is asked for."""
+    time.sleep(pace)
+    ends = time.monotonic() + patience
+    while rig.answered < rig.seq - 1 and time.monotonic() < ends:
+        rig.command(t)
+        time.sleep(0.002)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--file", type=Path)
@@ -158,6 +179,7 @@ def main() -> None:
     parser.add_argument("--truth", type=Path, required=True)
     parser.add_argument("--frames", type=int, default=400)
     parser.add_argument("--pace", type=float, default=0.01, help="seconds a frame")
+    parser.add_argument("--wait", action="store_true", help="for answers")
     parser.add_argument("--fault", action="append", default=[], choices=FAULTS)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
@@ -170,6 +192,8 @@ def main() -> None:
         while rig.peer is None:
             rig.command(0.0)
             time.sleep(0.01)
+    while given.file and not given.commands.exists():
+        time.sleep(0.01)  # pinav has not started yet
     faults = Faults(given.fault, rig)
     truth = given.truth.open("w", buffering=1)
     for count in range(given.frames):
@@ -186,7 +210,7 @@ def main() -> None:
         truth.write(json.dumps(row) + "\n")
         robot.move(frequency, heading)
         if not faults.due("burst", count, 15):
-            time.sleep(given.pace)
+            pause(rig, t, given.pace, PATIENCE if given.wait else 0.0)
     time.sleep(0.3)
     rig.close("end of the test")
 

@@ -134,6 +134,15 @@ def test_a_robot_that_comes_back_elsewhere_needs_a_second_frame():
     assert "elsewhere" in events(answers, EventKind.REACQUIRED)[0].text
 
 
+def test_a_leap_in_sight_is_doubted_too():
+    lines = [frame_line(0), frame_line(1, x=14.0), frame_line(2, x=0.0)]
+    session, _ = feed(begun(), lines)
+    assert all(frame.seen for frame in session.estimator.frames)
+    session, _ = feed(session, [frame_line(3, x=16.0), frame_line(4, x=0.0)])
+    assert [f.seen for f in session.estimator.frames[3:]] == [False, True]
+    assert session.estimator.restarts == ()
+
+
 def test_only_the_newest_frame_is_commanded_for():
     session = begun(pilot=Follow())
     old = session.after(frame_line(0), newest=False)

@@ -47,10 +47,9 @@ class DriveEstimator(AbstractEstimator):
         if math.isnan(x):
             return None
         jitter = self.fit.jitter if math.isnan(sd) else sd**2
-        known = seen_at == time and jitter > 0
         ahead = locate(self.fit, time)
         if ahead is None:
-            return Whereabouts((x, y), math.sqrt(jitter) if known else None)
+            return Whereabouts((x, y), self._sd_without_blocks(jitter, time - seen_at))
         mean, variance = ahead.displacement[0], ahead.variance[0]
         if seen_at == time:
             part = variance / (variance + jitter + 1e-300)
@@ -60,6 +59,14 @@ class DriveEstimator(AbstractEstimator):
             variance = variance + jitter
         place = (float(mean[0]), float(mean[1]))
         return Whereabouts(place, float(np.sqrt(variance.mean())))
+
+    def _sd_without_blocks(self, jitter: float, elapsed: float) -> float | None:
+        """Of the last position, before a block is closed; none if nothing tells it."""
+        if elapsed == 0:
+            return math.sqrt(jitter) if jitter > 0 else None
+        if self.known is None:
+            return None
+        return math.sqrt(jitter) + self.known.gain * self.fit.fastest * elapsed
 
     def drive(self) -> Drive:
         now = self.known

@@ -71,12 +71,12 @@ class Loop:
         self.saved_frames = self.session.counts.frames
 
     def run(self, until: Callable[[Session], bool] = lambda session: False) -> Session:
-        """Read until the source ends, or a condition holds after a look at it."""
+        """Read until the source or the rig ends, or a condition holds after a look."""
         try:
             while True:
                 reading = self.source.read(WAIT)
                 self.take(reading)
-                if reading.ended or until(self.session):
+                if reading.ended or self.session.ended or until(self.session):
                     return self.session
         finally:
             self._save()
@@ -97,8 +97,9 @@ class Loop:
     def _learn(self, lines: list[bytes], arrived: float) -> None:
         if len(lines) > LAGGING:
             self._say_lag(len(lines))
+        places = [place for place, line in enumerate(lines) if b'"frame"' in line]
         for place, line in enumerate(lines):
-            outcome = self.session.after(line, newest=place == len(lines) - 1)
+            outcome = self.session.after(line, newest=place in places[-1:])
             self.session = outcome.session
             self._say_all(outcome.answers, arrived)
             if outcome.hang_up:

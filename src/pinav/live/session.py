@@ -41,6 +41,9 @@ VALID_STEPS = 5
 GATE = 5.0
 """Standard deviations beyond which a robot that was lost is doubted to be the same."""
 
+GATE_IN_SIGHT = 15.0
+"""The same for one that was not: trackers take another particle for it."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Counts:
@@ -83,6 +86,7 @@ class Session:
         blind: frames in a row without a position.
         doubted: a position far from where a lost robot was expected.
         refused_in_row: lines in a row that were no messages.
+        ended: the rig has said bye.
         repeating: the last line was a frame that had been there before.
         resumed_at: last frame that was learned from by a process before this one.
         counts: how often each thing happened.
@@ -97,6 +101,7 @@ class Session:
     blind: int = 0
     doubted: Frame | None = None
     refused_in_row: int = 0
+    ended: bool = False
     repeating: bool = False
     resumed_at: int | None = None
     counts: Counts = Counts()
@@ -148,7 +153,7 @@ class Session:
             return dataclasses.replace(self._refuse("wrong token"), hang_up=True)
         same = self.hello is not None and self.hello.session == hello.session
         last = self.last if same else None
-        session = dataclasses.replace(self, hello=hello, last=last)
+        session = dataclasses.replace(self, hello=hello, last=last, ended=False)
         if not same:
             session = dataclasses.replace(session, blind=0, doubted=None)
         if self.mode is Mode.STOPPED:
@@ -158,7 +163,7 @@ class Session:
         return Outcome(session, (ready,))
 
     def _end(self, bye: Bye) -> "Outcome":
-        session = dataclasses.replace(self, mode=Mode.STOPPED)
+        session = dataclasses.replace(self, mode=Mode.STOPPED, ended=True)
         text = f"the rig has ended the session: {bye.reason or 'no reason given'}"
         return Outcome(session, (self.event(EventKind.BYE, text),))
 
@@ -191,7 +196,7 @@ class Session:
             text = "the robot is not seen"
             lost = (session.event(EventKind.LOST, text),) if not self.blind else ()
             return session, lost
-        if self.blind and self._is_far(frame):
+        if self._is_far(frame, GATE if self.blind else GATE_IN_SIGHT):
             return session._doubt(frame, self.doubted)
         estimator = self.estimator.after(frame)
         return (
@@ -220,12 +225,12 @@ class Session:
             counts=self.counts.plus(name),
         )
 
-    def _is_far(self, frame: Frame) -> bool:
-        """Whether a robot that was lost has come back where it cannot be."""
+    def _is_far(self, frame: Frame, gate: float) -> bool:
+        """Whether a position is so many standard deviations from the expected one."""
         expected = self.estimator.whereabouts(frame.t)
         if expected is None or expected.sd is None:
             return False
-        return _distance(frame, expected.position) > GATE * expected.sd
+        return _distance(frame, expected.position) > gate * expected.sd
 
     def _doubt(
         self, frame: Frame, other: Frame | None

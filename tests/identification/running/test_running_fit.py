@@ -112,6 +112,8 @@ def test_a_restart_keeps_the_drive_and_forgets_the_place(known):
     fit, _ = known
     again = fit.restart(0.0, (1000.0, -500.0), 1.0, 0.3)
     assert estimate(again).gain == estimate(fit).gain
+    ahead = forecast(again, np.array([0.0, 1.0]), np.zeros(2), np.zeros(2))
+    assert np.all(ahead.variance >= 0)
     robot = Robot(seed=1)
     robot.x, robot.y = 1000.0, -500.0
     robot.move(1.0, 0.3)

@@ -110,7 +110,9 @@ def forecast(
     turned = history.at(times, fit.grid.delays)[:, members.drive]
     elapsed = times - times[0]
     row = rows(turned - turned[0], elapsed[:, None], members.memory)
-    age = times[0] - fit.block_time if bank is None else np.inf
+    # Before the first block after a restart the last one is of another clock.
+    known = bank is None and fit.cycles is not None
+    age = times[0] - fit.block_time if known else np.inf
     faded = np.exp(-age / members.memory)
     row[..., P] = 0.0
     row[..., W] *= faded

@@ -1,0 +1,105 @@
+"""`pinav live` on the command line: a replay, a followed file, messages."""
+
+import json
+
+import pytest
+from tests.live.sessions import HELLO, frame_line
+
+from pinav import cli
+from pinav.commands.live.settings import LiveOptions, LiveSettings
+from pinav.errors import InputError
+from pinav.live.messages import encode
+
+HEADER = "t_s,x_um,y_um,freq_hz,alpha_rad\n"
+
+
+@pytest.fixture
+def lines(tmp_path):
+    path = tmp_path / "frames.jsonl"
+    frames = [frame_line(n, x=0.1 * n, frequency=1.0) for n in range(8)]
+    bye = b'{"type":"bye"}\n'
+    path.write_bytes(encode(HELLO) + b"\n".join(frames) + b"\ngarbage\n" + bye)
+    return path
+
+
+def said(capsys):
+    captured = capsys.readouterr()
+    rows = [json.loads(line) for line in captured.out.splitlines()]
+    return rows, captured.err
+
+
+def test_a_followed_file_and_its_replay_say_the_same(lines, tmp_path, capsys):
+    out = ("--out", str(tmp_path / "run"))
+    assert cli.run(["live", str(lines), *out]) == 0
+    live, summary = said(capsys)
+    assert "8 frames, 0 commands, identifying; a frame took" in summary
+    assert cli.run(["live", str(lines), "--replay"]) == 0
+    replayed, _ = said(capsys)
+    for row in live:
+        if row["type"] == "state":
+            row["latency_ms"] = None
+    assert [r for r in live if r["type"] != "event"] == [
+        r for r in replayed if r["type"] != "event"
+    ]
+    assert {"refused", "bye"} <= {r["kind"] for r in live if r["type"] == "event"}
+    assert cli.run(["live", str(lines), *out]) == 2
+    assert "go on with --resume, or choose another folder" in capsys.readouterr().err
+    assert cli.run(["live", str(lines), *out, "--resume"]) == 0
+    resumed, _ = said(capsys)
+    (ready,) = [row for row in resumed if row["type"] == "ready"]
+    assert ready["resumed_at"] == 7
+    assert not [row for row in resumed if row["type"] == "state"]
+
+
+def test_a_growing_table_is_watched_for_people(tmp_path, capsys):
+    path = tmp_path / "table.csv"
+    rows = [f"{0.1 * n:.1f},{n},0,1,0.5\n" for n in range(30)]
+    path.write_text(HEADER + "".join(rows))
+    assert cli.run(["live", str(path), "--frames", "30", "--status"]) == 0
+    text = capsys.readouterr().out
+    assert "mode: identifying" in text
+    assert "2.0s  identifying  at (20, 0)" in text
+
+
+def test_commands_go_to_a_file_and_stop_with_watch(lines, tmp_path, capsys):
+    commands = tmp_path / "commands"
+    words = ["live", str(lines), "--to", "50,0", "--commands-to", str(commands)]
+    assert cli.run([*words, "--watch"]) == 0
+    assert b'"command"' not in commands.read_bytes()
+    assert cli.run(words) == 0
+    assert b'"command"' in commands.read_bytes()
+
+
+REFUSED = {
+    "goal in a disc": (("--to=0,0", "--keep-out", "1,1,2"), "lies in the forbidden"),
+    "no radius": (("--keep-out", "1,1,0"), "--keep-out: expected a radius > 0, got 0"),
+    "speed": (("--replay", "--speed", "0"), "--speed: expected a number > 0 or max"),
+    "not a speed": (("--replay", "--speed", "x"), "--speed: expected a number > 0"),
+    "resume": (("--resume",), "--resume: needs the --out of a session"),
+    "answered replay": (("--replay", "--commands-to", "x"), "nobody listens"),
+    "goal": (("--to", "1"), "--to: expected 2 numbers with commas"),
+    "no file": (("--replay",), "nothing: no such file"),
+    "page": (("--page", "70000"), "--page: expected between -1 and 65536"),
+}
+
+
+@pytest.mark.parametrize(("words", "message"), REFUSED.values(), ids=REFUSED)
+def test_mistakes_are_one_line(words, message, tmp_path, capsys):
+    assert cli.run(["live", str(tmp_path / "nothing"), *words]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_a_short_secret_is_refused(tmp_path, capsys):
+    token = tmp_path / "token"
+    token.write_text("short")
+    words = ["live", "tcp://10.0.0.1:5000", "--token", str(token)]
+    assert cli.run(words) == 2
+    assert "expected a secret of 8 to 200 characters" in capsys.readouterr().err
+    assert cli.run(words[:2]) == 2
+    assert "needs a shared secret" in capsys.readouterr().err
+
+
+def test_watching_has_no_goal():
+    assert LiveSettings(to="1,2", watch=True).goal() is None
+    with pytest.raises(InputError, match="--to: expected 2 numbers"):
+        LiveOptions(source="-", settings=LiveSettings(to="x")).check()
