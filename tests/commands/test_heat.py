@@ -6,6 +6,8 @@ import tomllib
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 import tomli_w
 
@@ -13,10 +15,12 @@ from pinav import cli
 from pinav.commands.heat.build import build_case
 from pinav.commands.heat.case import read_case
 from pinav.commands.heat.metrics import CheckMetrics
+from pinav.commands.heat.optimise import OptimiseTask
 from pinav.commands.heat.tables import verification_table
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
 from pinav.thermal.checks import Check
+from pinav.thermal.design_variables import Run
 from pinav.thermal.verification import CASES
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "heat"
@@ -126,6 +130,16 @@ def test_optimise_names_what_binds(tmp_path, capsys):
     assert names == {"maximum temperature": True, "Hergt-Dutz limit": False}
     assert metrics["result"]["D90"] > metrics["start_D90"]
     assert "maximum temperature [°C]" in capsys.readouterr().out
+
+
+def test_a_ramp_stays_a_ramp_in_a_plan(tmp_path):
+    field = {"times": [0, 600, 1800], "amplitudes": None, "ramp": [0, 1e4, 5e3]}
+    path = small("optimise", tmp_path, field=field)
+    task = OptimiseTask(read_case(path)[0], path)
+    (variable,) = task.variables
+    plan = variable.apply(jnp.ones(1), Run(task.setup.model, task.setup.protocol))
+    assert np.allclose(plan.protocol.starts, [0.0, 2e4])
+    assert np.allclose(plan.protocol.ends, [2e4, 1e4])
 
 
 def test_tasks_say_what_they_need(tmp_path, capsys):

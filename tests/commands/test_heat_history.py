@@ -25,6 +25,9 @@ def test_heating_ends_where_the_field_is_last_on():
     assert end_of_heating(never) == 60.0
     ramp = Piecewise.ramp((0.0, 60.0, 90.0), [0.0, 1e4, 0.0], 1e5)
     assert end_of_heating(ramp) == 90.0
+    # a plan leaves a millionth of its largest amplitude where it is off
+    plan = Piecewise.constant((0.0, 60.0, 90.0), [1e4, 1e-2], 1e5)
+    assert end_of_heating(plan) == 60.0
 
 
 @pytest.mark.parametrize(

@@ -94,6 +94,8 @@ def test_the_oracle_believes_the_truth(adaptive):
         exact = truth(0.0, jnp.array(x), jnp.zeros(2))
         np.testing.assert_allclose(one, exact, atol=2e-3)
     assert np.all(sd == 0)
+    tables = Priced(-0.5).tables(belief, adaptive.physics, adaptive.thrust)
+    np.testing.assert_allclose(tables.time_cost.spread.values, 0.0, atol=1e-12)
     later = belief.after(frame_at(1.1, 5.0, 0.1, thrust=(1.0, 0.0)))
     assert later.state.covariance[0, 0] < 0.03**2
     np.testing.assert_array_equal(later.force(np.array([[3.0, 4.0]]))[0][0], force[0])

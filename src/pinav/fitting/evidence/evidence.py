@@ -28,6 +28,9 @@ from pinav.errors import FitError
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.forces.priors import Matrices, Matrix, Shape
 
+Numbers = float | np.ndarray
+"""One number, or several."""
+
 LOG_RATIOS = np.linspace(-32.0, 4.0, 37)
 r"""Logarithms of $\beta$ tried first, relative to the largest eigenvalue."""
 
@@ -271,10 +274,12 @@ def best_amplitude(
     # None are left where a narrow envelope is so far away that it underflows.
     largest = max(white.variances.max(initial=0.0), LEAST_VARIANCE)
 
-    def loss(log_ratio: float) -> float:
-        return -_log_evidence(data, white, largest * np.exp(log_ratio), noise)[0]
+    evidence_at = _by_ratio(data, white, noise)
 
-    coarse = LOG_RATIOS[np.argmin([loss(value) for value in LOG_RATIOS])]
+    def loss(log_ratio: float) -> float:
+        return -float(evidence_at(largest * np.exp(log_ratio))[0])
+
+    coarse = LOG_RATIOS[np.argmax(evidence_at(largest * np.exp(LOG_RATIOS))[0])]
     step = LOG_RATIOS[1] - LOG_RATIOS[0]
     found = minimize_scalar(
         loss,
@@ -283,7 +288,7 @@ def best_amplitude(
         options={"xatol": 1e-7},
     )
     ratio = largest * np.exp(found.x)
-    value, variance = _log_evidence(data, white, ratio, noise)
+    value, variance = evidence_at(ratio)
     return Hyperparameters(
         shape=np.asarray(shape),
         amplitude=float(np.sqrt(variance / ratio)),
@@ -304,26 +309,37 @@ def log_evidence(
         noise: standard deviation of the residuals.
     """
     white = Whitened.of(data, prior)
-    return float(_log_evidence(data, white, (noise / amplitude) ** 2, noise)[0])
+    return float(_by_ratio(data, white, noise)((noise / amplitude) ** 2)[0])
 
 
-def _log_evidence(
-    data: LinearisedObservations, white: Whitened, ratio: float, noise: float | None
-) -> tuple[float, float]:
-    r"""Log evidence for $\beta$ = `ratio`, and the variance $\sigma^2$."""
-    shifted = white.variances + ratio
-    explained = ratio * float(white.targets @ (white.targets / shifted))
+def _by_ratio(
+    data: LinearisedObservations, white: Whitened, noise: float | None
+) -> Callable[[Numbers], tuple[Numbers, Numbers]]:
+    r"""Log evidence, and the variance $\sigma^2$, as functions of the ratio $\beta$.
+
+    Thousands of ratios are tried in a fit; what does not depend on them is computed
+    once, and several ratios at a time.
+    """
+    variances, targets, count = white.variances, white.targets, data.num_free
+    rest = max(data.squares, 0.0) + float(white.missed @ white.missed)
     least = np.finfo(float).eps * float(data.targets @ data.targets) ** 0.5
-    squares = max(data.squares, 0.0) + float(white.missed @ white.missed) + explained
-    squares = max(squares, least**2, np.finfo(float).tiny)
-    variance = squares / data.num_free if noise is None else noise**2
-    value = -0.5 * (
-        data.num_free * np.log(2 * np.pi * variance)
-        + squares / variance
-        + np.log(shifted / ratio).sum()
-        + data.log_determinant
-    )
-    return value, variance
+    floor, log_determinant = max(least**2, np.finfo(float).tiny), data.log_determinant
+
+    def at(ratio: Numbers) -> tuple[Numbers, Numbers]:
+        ratio = np.asarray(ratio)
+        shifted = variances + ratio[..., None]
+        explained = ratio * ((targets / shifted) @ targets)
+        squares = np.maximum(rest + explained, floor)
+        variance = squares / count if noise is None else np.float64(noise) ** 2
+        value = -0.5 * (
+            count * np.log(2 * np.pi * variance)
+            + squares / variance
+            + np.log(shifted / ratio[..., None]).sum(axis=-1)
+            + log_determinant
+        )
+        return value, variance
+
+    return at
 
 
 def weight_posterior(

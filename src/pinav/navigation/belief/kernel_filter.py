@@ -296,13 +296,13 @@ class KernelFilter:
             seed: of the random numbers.
         """
         random, weights = np.random.default_rng(seed), self.weights
-        draws = weights.prior_sd * random.standard_normal((count, self.kernels.size))
-        members = weights.members
+        numbers = random.standard_normal((count, self.kernels.size))
+        draws, members = weights.prior_sd * numbers, weights.members
         spread = weights.covariance()
         # What was seen often is known to rounding: the factor must exist for it too.
-        spread += 1e-9 * weights.prior_sd**2 * np.eye(len(members))
-        numbers = draws[:, members] / weights.prior_sd
-        draws[:, members] = weights.mean + numbers @ np.linalg.cholesky(spread).T
+        least = 1e-9 * weights.prior_sd**2 + np.finfo(float).tiny
+        factor = np.linalg.cholesky(spread + least * np.eye(len(members)))
+        draws[:, members] = weights.mean + numbers[:, members] @ factor.T
         return draws
 
     @property
