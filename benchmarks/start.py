@@ -141,7 +141,7 @@ def run(folder: Path, *words: str, cache: Path | None = None) -> Phases:
     """
     report = folder / "phases.json"
     environment = os.environ | {
-        "JAX_COMPILATION_CACHE_DIR": str(cache or folder / "cache"),
+        "XDG_CACHE_HOME": str(cache or folder / "cache"),
         "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
         "TQDM_DISABLE": "1",
     }

