@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pinav import cli
-from pinav.commands.compare.job import checked, positions_alone, text, verdicts
+from pinav.commands.compare.job import check_settings, positions_alone, text, verdicts
 from pinav.commands.compare.metrics import Candidate, CompareMetrics
 from pinav.commands.compare.settings import CompareSettings
 from pinav.commands.fit.settings import FitSettings
@@ -82,7 +82,7 @@ def positions(name, channels=("x", "y")):
 def test_candidates_that_cannot_be_had_are_refused(models, name, channels, message):
     data = positions(name, ("x", "y", "vx", "vy")[:channels])
     with pytest.raises(InputError, match=message):
-        checked(CompareSettings(models=models), data)
+        check_settings(CompareSettings(models=models), data)
 
 
 def test_one_model_is_nothing_to_compare():

@@ -10,7 +10,7 @@ from pinav.actuation import HeldProgramme, LinearResponse, SlippingResponse
 from pinav.dynamics import (
     FixedStep,
     OverdampedSwimmer,
-    commanded,
+    drive_by_commands,
     rollout,
     takes_commands,
     unbound,
@@ -58,7 +58,7 @@ def observed(count=1, times=TIMES):
 @pytest.mark.parametrize("lag", [0.0, 0.3])
 def test_a_commanded_swimmer_goes_along_the_integral_of_its_commands(lag):
     data = observed()
-    model = commanded(swimmer(delay=0.25, lag=lag), data.trajectory(0))
+    model = drive_by_commands(swimmer(delay=0.25, lag=lag), data.trajectory(0))
     programme = HeldProgramme(jnp.asarray(TIMES), *map(jnp.asarray, COMMANDS.values()))
     if lag:
         # exact at the commands' times only, so compare there
@@ -79,7 +79,7 @@ def test_predictions_are_driven_by_each_trajectory_of_its_own():
     data = observed(3)
     model = swimmer(HarmonicTrap(stiffness=0.3, center=[0.0, 0.0]), delay=0.15, lag=0.2)
     states, _ = predict(model, data)
-    own = rollout(commanded(model, data.trajectory(1)), jnp.zeros(2), TIMES + 1)
+    own = rollout(drive_by_commands(model, data.trajectory(1)), jnp.zeros(2), TIMES + 1)
     np.testing.assert_allclose(states[1], own.ys, atol=1e-8)
     assert np.abs(states[0] - states[1]).max() > 0.1
 
@@ -98,9 +98,9 @@ def test_commands_reach_a_propulsion_anywhere_in_a_model():
     model = OverdampedSwimmer(SumForce((inner, ZeroForce())), ZeroForce(), 1.0)
     assert takes_commands(model)
     assert unbound(model) is inner
-    bound = commanded(model, observed().trajectory(0))
+    bound = drive_by_commands(model, observed().trajectory(0))
     assert not takes_commands(bound)
-    assert commanded(bound, observed().trajectory(0)) is bound
+    assert drive_by_commands(bound, observed().trajectory(0)) is bound
 
 
 def test_a_path_is_differentiable_by_response_and_lag():
@@ -109,7 +109,10 @@ def test_a_path_is_differentiable_by_response_and_lag():
 
     def end(model):
         run = rollout(
-            commanded(model, piece), jnp.zeros(2), TIMES[:21], solver=FixedStep()
+            drive_by_commands(model, piece),
+            jnp.zeros(2),
+            TIMES[:21],
+            solver=FixedStep(),
         )
         return run.ys[-1, 0]
 
@@ -128,7 +131,7 @@ def test_what_is_missing_is_named():
     piece = observed().trajectory(0)
     bare = eqx.tree_at(lambda p: p.commands, piece, {})
     with pytest.raises(InputError, match="frequency and heading not recorded"):
-        commanded(swimmer(), bare)
+        drive_by_commands(swimmer(), bare)
     with pytest.raises(InputError, match="bind those of a trajectory"):
         rollout(swimmer(), jnp.zeros(2), TIMES)
     with pytest.raises(InputError, match="lag: expected 0 beside a programme"):

@@ -24,7 +24,7 @@ from pinav.fitting import (
 )
 from pinav.fitting.matching.fit import Trainable
 from pinav.fitting.matching.state import AbstractCheckpoint, FitProgress
-from pinav.forces import ZeroForce, as_learned
+from pinav.forces import ZeroForce, as_learned_force
 from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories
 
@@ -147,7 +147,7 @@ ENOUGH = 1e-5
 
 def _is_linear(model: AbstractDynamics) -> bool:
     environment = getattr(model, "environment", ZeroForce())
-    learned = as_learned(environment)
+    learned = as_learned_force(environment)
     return learned is not None and learned.is_linear
 
 

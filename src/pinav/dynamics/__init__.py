@@ -4,8 +4,8 @@ from pinav.dynamics.brownian import BOLTZMANN as BOLTZMANN
 from pinav.dynamics.brownian import BrownianSwimmer as BrownianSwimmer
 from pinav.dynamics.brownian import sample_path as sample_path
 from pinav.dynamics.brownian import thermal_energy as thermal_energy
-from pinav.dynamics.commanded import commanded as commanded
 from pinav.dynamics.commanded import drive_by_arrays as drive_by_arrays
+from pinav.dynamics.commanded import drive_by_commands as drive_by_commands
 from pinav.dynamics.commanded import takes_commands as takes_commands
 from pinav.dynamics.commanded import unbound as unbound
 from pinav.dynamics.rollout import Outcome as Outcome

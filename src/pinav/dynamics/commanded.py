@@ -32,7 +32,7 @@ def takes_commands(model: PyTree) -> bool:
     return any(map(_unbound, _parts(model)))
 
 
-def commanded(model: Model, trajectory: Commands) -> Model:
+def drive_by_commands(model: Model, trajectory: Commands) -> Model:
     """The model, each propulsion that takes commands driven by those of a trajectory.
 
     A model that takes none comes back as it is. Commands hold until the next one; the
@@ -59,7 +59,7 @@ def drive_by_arrays(
     times = jnp.asarray(times)
     held = {name: jnp.asarray(values) for name, values in commands.items()}
     return jax.tree.map(
-        lambda part: part.driven_by(times, held) if _unbound(part) else part,
+        lambda part: part.drive_by(times, held) if _unbound(part) else part,
         model,
         is_leaf=_unbound,
     )

@@ -17,7 +17,7 @@ from pinav.forces.force import AbstractForce as AbstractForce
 from pinav.forces.force import AbstractLearnedForce as AbstractLearnedForce
 from pinav.forces.force import SumForce as SumForce
 from pinav.forces.force import ZeroForce as ZeroForce
-from pinav.forces.force import as_learned as as_learned
+from pinav.forces.force import as_learned_force as as_learned_force
 from pinav.forces.kernel_basis import KernelAxis as KernelAxis
 from pinav.forces.kernel_basis import KernelBasis as KernelBasis
 from pinav.forces.kernel_basis import Warp as Warp

@@ -128,7 +128,7 @@ class KernelPlaces(NamedTuple):
     width: Scalar
 
 
-def as_learned(force: AbstractForce) -> AbstractLearnedForce | None:
+def as_learned_force(force: AbstractForce) -> AbstractLearnedForce | None:
     """A force that has weights as such; None for any other."""
     return force if isinstance(force, AbstractLearnedForce) else None
 
@@ -142,7 +142,7 @@ class AbstractCommandedForce(AbstractForce):
         """Whether the commands are still to come."""
 
     @abc.abstractmethod
-    def driven_by(
+    def drive_by(
         self,
         times: Float[Array, " time"],
         commands: Mapping[str, Float[Array, " time"]],

@@ -112,7 +112,7 @@ class KernelTensor(AbstractTensorField):
         pairs = [(axis, g) for g, axes in enumerate(self.groups) for axis in axes]
         return np.array([group for _, group in sorted(pairs)])
 
-    def scaled(self, factor: float) -> "KernelTensor":
+    def scale_by(self, factor: float) -> "KernelTensor":
         """The tensor times a positive number."""
         levels = self.levels + jnp.log(jnp.asarray(factor, self.levels.dtype))
         return KernelTensor(levels, self.weights, self.basis, self.groups)

@@ -153,14 +153,15 @@ class RollingPropulsion(AbstractCommandedForce):
         """
         if self.programme is None:
             raise InputError(
-                "RollingPropulsion: expected commands; bind those of a trajectory with "
-                "pinav.dynamics.commanded(model, trajectory), or give a programme"
+                "RollingPropulsion: expected commands; bind those of a trajectory by "
+                "pinav.dynamics.drive_by_commands(model, trajectory), or give a "
+                "programme"
             )
         frequency, heading = self.programme(jnp.asarray(t) - self.delay)
         direction = jnp.stack([jnp.cos(heading), jnp.sin(heading)])
         return self.response(frequency) * direction
 
-    def driven_by(
+    def drive_by(
         self,
         times: Float[Array, " time"],
         commands: Mapping[str, Float[Array, " time"]],

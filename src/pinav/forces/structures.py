@@ -118,7 +118,7 @@ class AbstractProfileTerm(AbstractTerm):
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         z, pull = jax.vjp(self.coordinates, x)
         (force,) = pull(jax.vmap(self.profile)(z))
-        return turned(force) if self.rotational else force
+        return quarter_turn(force) if self.rotational else force
 
 
 def profile_kernels(term: AbstractProfileTerm, z: Scalar) -> Float[Array, " kernel"]:
@@ -129,7 +129,7 @@ def profile_kernels(term: AbstractProfileTerm, z: Scalar) -> Float[Array, " kern
     return values
 
 
-def turned(force: Float[Array, "2"]) -> Float[Array, "2"]:
+def quarter_turn(force: Float[Array, "2"]) -> Float[Array, "2"]:
     r"""$(\partial_y\psi, -\partial_x\psi)$ of a force that would be $-\nabla\psi$."""
     return jnp.stack([-force[1], force[0]])
 
@@ -421,7 +421,7 @@ class LatticeTerm(AbstractTerm):
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         force = -jax.grad(self.potential, argnums=1)(t, x)
-        return turned(force) if self.rotational else force
+        return quarter_turn(force) if self.rotational else force
 
 
 HARMONICS = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 0), (0, 2))
@@ -471,7 +471,7 @@ class LinearTerm(AbstractTerm):
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         force = -jax.grad(self.potential, argnums=1)(t, x)
-        return turned(force) if self.rotational else force
+        return quarter_turn(force) if self.rotational else force
 
 
 def check_rotation(term: AbstractTerm, dim: int) -> None:

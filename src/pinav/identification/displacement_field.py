@@ -17,7 +17,7 @@ from pinav.forces import (
     UniformFlow,
     ZeroFlow,
     ZeroForce,
-    as_learned,
+    as_learned_force,
 )
 from pinav.identification.likelihood import Field, block_means
 from pinav.identification.models import CandidateModel
@@ -75,7 +75,7 @@ def displacements_by(
         (ZeroForce(), ZeroForce(), flow),
     )
     columns = nothing.columns
-    environment = as_learned(swimmer.environment)
+    environment = as_learned_force(swimmer.environment)
     if environment is not None:
         free, start = ravel_model(environment, lambda e: e.parameters)
         columns = _weight_columns(free, jnp.zeros_like(start), swimmer, blocks)

@@ -311,7 +311,7 @@ class Blocks(eqx.Module):
         begins[first[:-1]] = 1.0
         counts[: first[-1]] = np.bincount(index)
 
-        def padded(name: str) -> np.ndarray:
+        def pad(name: str) -> np.ndarray:
             values = [
                 piece.commands.get(name, np.zeros_like(piece.times))
                 for piece in track.pieces
@@ -324,8 +324,8 @@ class Blocks(eqx.Module):
         return cls(
             times=np.concatenate([times, later]),
             positions=np.pad(states, ((0, samples - length), (0, 0))),
-            frequency=padded("frequency"),
-            heading=padded("heading"),
+            frequency=pad("frequency"),
+            heading=pad("heading"),
             real=np.arange(samples) < length,
             block=np.pad(index, (0, samples - length)),
             counts=counts,

@@ -112,7 +112,7 @@ def _sound(tracks: Tracks, source: Source) -> tuple[Tracks, list[str]]:
         unusable = unusable + (tracks.frame < 0)
     if (kept & (unusable > 0)).any():  # the fault names another place than the rows
         raise InputError(several[0])
-    return tracks.taken(kept), several
+    return tracks.select(kept), several
 
 
 def _selected(tracks: Tracks, reading: Reading, stem: str) -> Tracks:
@@ -133,7 +133,7 @@ def _selected(tracks: Tracks, reading: Reading, stem: str) -> Tracks:
                 raise InputError(f"{option}: expected some of {several}; got {name!r}")
         if chosen:
             kept &= np.isin(names, list(chosen))
-    return tracks if kept.all() else tracks.taken(kept)
+    return tracks if kept.all() else tracks.select(kept)
 
 
 def _commanded(tracks: Tracks) -> Tracks:

@@ -80,7 +80,7 @@ class Tracks:
         heights = [] if self.z is None else [self.z]
         return np.stack([self.x, self.y, *heights], axis=1)
 
-    def taken(self, kept: Bool[np.ndarray, " row"]) -> "Tracks":
+    def select(self, kept: Bool[np.ndarray, " row"]) -> "Tracks":
         """The rows where the mask is true."""
         rows = np.flatnonzero(kept)
 

@@ -210,7 +210,7 @@ class Table:
                 )
         return words
 
-    def taken(self, chosen: np.ndarray) -> "Table":
+    def select(self, chosen: np.ndarray) -> "Table":
         """The rows at these indices, or where this mask is true."""
         columns = {
             name: np.asarray(cells, None if isinstance(cells, np.ndarray) else object)[

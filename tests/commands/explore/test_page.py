@@ -22,7 +22,7 @@ from pinav.commands.explore.plan import LEVELS
 from pinav.commands.explore.trees import pack_array, tree_of
 from pinav.commands.explore.warmth import heat_payload
 from pinav.commands.fitted_run import FittedRun
-from pinav.dynamics import FixedStep, commanded, rollout
+from pinav.dynamics import FixedStep, drive_by_commands, rollout
 from pinav.evaluation import square
 from pinav.runs import RunFolder
 
@@ -87,7 +87,7 @@ def test_paths_and_bands_are_those_of_the_package(name, browser, pages):
     piece = list(run.data)[page["track"]]
     times, extent = np.array(page["times"]), browser.run("explorer.run.extent")
     first = run.models[browser.run("explorer.run.models[0].name")]
-    path = rollout(commanded(first, piece), start, times)
+    path = rollout(drive_by_commands(first, piece), start, times)
     error = np.abs(np.array(page["states"]) - np.asarray(path.ys))[:, :2]
     assert error.max() < BAR * extent
     if run.posterior is not None and "model" in run.models:
@@ -103,7 +103,7 @@ def band(posterior, piece, start, times):
         return posterior.rollout_band(start, times).sd[:, :2]
 
     def path(theta):
-        model = commanded(posterior.free(theta), piece)
+        model = drive_by_commands(posterior.free(theta), piece)
         return rollout(model, start, times, solver=FixedStep()).ys
 
     rows = np.asarray(jax.jacfwd(path)(jnp.asarray(posterior.mean)))

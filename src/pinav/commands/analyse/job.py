@@ -33,7 +33,7 @@ from pinav.commands.analyse.settings import AnalyseOptions, AnalyseSettings
 from pinav.commands.analyse.subject import Arrays, Subject
 from pinav.commands.command import CommandResult
 from pinav.commands.fitted_run import EvidenceResult, FittedRun
-from pinav.dynamics import OverdampedSwimmer, Swimmer, commanded, takes_commands
+from pinav.dynamics import OverdampedSwimmer, Swimmer, drive_by_commands, takes_commands
 from pinav.errors import FitError, InputError
 from pinav.evaluation import check_planar, field_map
 from pinav.fitting.environments.catalogue import CONSTANTS
@@ -105,7 +105,7 @@ def _subject(settings: AnalyseSettings, run: FittedRun) -> Subject:
             f"{run.folder.path}, got {settings.reference}"
         )
     check_planar(run.data)
-    model = commanded(model, run.data.trajectory(settings.reference))
+    model = drive_by_commands(model, run.data.trajectory(settings.reference))
     field = field_map(model.environment, run.data, points=settings.points)
     return Subject(run, model, field, settings)
 

@@ -55,7 +55,7 @@ LEARNED: dict[str, Callable[[Any], Any] | None] = {
 """What a candidate learns beside its environment; None where nothing is unknown."""
 
 
-def checked(settings: CompareSettings, data: Trajectories) -> System:
+def check_settings(settings: CompareSettings, data: Trajectories) -> System:
     """The physics that all candidates share.
 
     Raises:
@@ -88,7 +88,7 @@ def compare(
     settings: CompareSettings, data: Trajectories, folder: RunFolder
 ) -> CompareMetrics:
     """Fit each model and weigh their evidence; a finished fit is not done again."""
-    known = checked(settings, data)
+    known = check_settings(settings, data)
     rows: dict[str, Candidate] = {}
     for name in dict.fromkeys(settings.models):
         stored = f"evidence-{name}.json"
@@ -111,7 +111,7 @@ def _candidate(
 ) -> Candidate:
     """The evidence of one candidate."""
     try:
-        result = fitted(name, settings, known, data, folder)
+        result = fit_model(name, settings, known, data, folder)
     except FitError as error:
         return Candidate("failed", reason=str(error))
     evidence = model_evidence(result.linear, result.hyperparameters)
@@ -127,7 +127,7 @@ def _candidate(
     )
 
 
-def fitted(
+def fit_model(
     name: str,
     settings: CompareSettings,
     known: System,
@@ -248,7 +248,7 @@ def text(metrics: CompareMetrics) -> str:
 def run(options: CompareOptions) -> CommandResult:
     """Compare as the command line does."""
     settings, data = options.settings, load(options.data)
-    checked(settings, data)
+    check_settings(settings, data)
     folder = start_run(COMPARE, options, settings, data=fingerprint(data))
     metrics = compare(settings, data, folder)
     return CommandResult(metrics, text(metrics), folder)

@@ -12,7 +12,7 @@ from pinav.commands.fitted_run import FittedRun
 from pinav.dynamics import AbstractDynamics, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.evaluation import extent, square
-from pinav.forces import as_learned
+from pinav.forces import as_learned_force
 from pinav.scenarios import source_system
 from pinav.systems import System
 from pinav.trajectories import Trajectories, Trajectory
@@ -138,7 +138,7 @@ def _posterior(
     if posterior is None or "model" not in run.models or not len(posterior.mean):
         return None
     environment: Any = getattr(run.models["model"], "environment", None)
-    learned = as_learned(environment)
+    learned = as_learned_force(environment)
     static = learned is None or learned.is_static
     moments = times[:1] if static else tuple(np.linspace(*times, 5).tolist())
     factor, kept = directions(posterior, box, moments)

@@ -14,7 +14,7 @@ from pinav.dynamics import Swimmer, with_dtype
 from pinav.errors import InputError
 from pinav.figures.style import force_unit, with_order
 from pinav.fitting import Posterior
-from pinav.forces import AbstractForce, as_learned
+from pinav.forces import AbstractForce, as_learned_force
 from pinav.trajectories import POSITION_CHANNELS
 
 
@@ -95,7 +95,7 @@ def force_sds(
     sd = np.full_like(positions, np.nan)
     if posterior is None:
         return sd
-    learned = as_learned(force)
+    learned = as_learned_force(force)
     static = learned is None or learned.is_static
     moments = np.zeros_like(times) if static else times
     for moment in np.unique(moments):

@@ -52,7 +52,7 @@ from pinav.fitting import (
     simpler_models,
 )
 from pinav.fitting.environments.catalogue import KnownSwimmer, build
-from pinav.forces import AbstractForce, as_learned
+from pinav.forces import AbstractForce, as_learned_force
 from pinav.identification import fit_commanded, is_commanded
 from pinav.recordings.conventions import remarks
 from pinav.runs import RunFolder
@@ -164,7 +164,7 @@ def _infer(plan: FitPlan, folder: RunFolder) -> None:
 
 def _fit_commanded(plan: FitPlan, environment: AbstractForce) -> EvidenceFit:
     """Fit a field beside commands and a wandering velocity."""
-    result = fit_commanded(plan.system, plan.data, as_learned(environment))
+    result = fit_commanded(plan.system, plan.data, as_learned_force(environment))
     # The residuals are whitened, so that their noise is 1; a run keeps the system's.
     noise = plan.system.observation.noise
     chosen = dataclasses.replace(result.hyperparameters, noise=noise)

@@ -15,8 +15,8 @@ from pinav.commands.heat.aims import Learn
 from pinav.commands.heat.build import CaseModel
 from pinav.commands.heat.history import Watched
 from pinav.commands.heat.readings import Readings
-from pinav.errors import InputError
-from pinav.fitting import EvidenceFit
+from pinav.errors import FitError, InputError
+from pinav.fitting import EvidenceFit, Outcome
 from pinav.fitting.engine.posterior import Posterior
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.grids import CartesianGrid
@@ -104,8 +104,25 @@ def fit_case(setup: CaseModel, settings: Learn, data: Readings) -> EvidenceFit:
     Raises:
         FitError: the fit did not converge.
     """
-    if settings.kind == "constant":
-        return fit_constant(setup, settings, data)
+    try:
+        if settings.kind == "constant":
+            return fit_constant(setup, settings, data)
+        return _fit_laws(setup, settings, data)
+    except FitError as error:
+        raise FitError(ADVICE.get(error.outcome, str(error)), error.outcome) from error
+
+
+ADVICE = {
+    str(Outcome.STALLED): (
+        "the fit stalled before its steps became small; learn fewer numbers (kind = "
+        "'constant' or no spot under [learn]), or give more readings"
+    ),
+}
+"""What a fit that failed advises on the command line."""
+
+
+def _fit_laws(setup: CaseModel, settings: Learn, data: Readings) -> EvidenceFit:
+    """Perfusion laws of the temperature, with the numbers of the sources."""
     laws = tuple(setup.body.laws[name] for name in law_names(setup, settings))
     return learn(
         _initial_model(setup, settings, data),

@@ -18,14 +18,14 @@ from pinav.fitting.engine.parametric_model import (
     ravel_model,
     selected_entries,
 )
-from pinav.forces import AbstractLearnedForce, as_learned
+from pinav.forces import AbstractLearnedForce, as_learned_force
 from pinav.systems.priors import Flat, FreeNumber
 from pinav.trajectories import Trajectories
 
 
 def learned_environment(model: Any) -> AbstractLearnedForce | None:
     """The environment where it has weights; None where it is a parametric force."""
-    return as_learned(model.environment)
+    return as_learned_force(model.environment)
 
 
 Learn = Callable[[Any], PyTree] | Sequence[FreeNumber] | None

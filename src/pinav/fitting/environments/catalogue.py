@@ -54,7 +54,7 @@ from pinav.forces import (
     TensorDrag,
     TimedKernelPotential,
     ZeroForce,
-    as_learned,
+    as_learned_force,
     paper_force,
     spread_weights,
     tanh_network,
@@ -143,7 +143,7 @@ class DataSummary(msgspec.Struct, frozen=True):
 
     def with_kernels_of(self, environment: AbstractForce) -> "DataSummary":
         """The summary of a fitted model, whose kernels may be finer than at first."""
-        learned = as_learned(environment)
+        learned = as_learned_force(environment)
         if learned is None or learned.kernels is None:
             return self
         kernels = learned.kernels

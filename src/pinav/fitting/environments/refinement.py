@@ -17,7 +17,7 @@ from pinav.fitting.engine.iterate import EvidenceProgress, iterate
 from pinav.fitting.engine.problem import AbstractProblem, Step
 from pinav.fitting.environments.kernels import KernelGrid, lay_kernels, num_weights
 from pinav.fitting.outcome import Outcome
-from pinav.forces import AbstractForce, AbstractLearnedForce, as_learned
+from pinav.forces import AbstractForce, AbstractLearnedForce, as_learned_force
 from pinav.forces.priors import Shape
 from pinav.trajectories import Trajectories
 
@@ -55,7 +55,7 @@ class Refinement(eqx.Module):
             shape: of its prior, as the evidence chose it; empty where its weights were
                 known.
         """
-        learned = as_learned(environment)
+        learned = as_learned_force(environment)
         if learned is None or not len(shape):
             return False
         scales = learned.length_scales(shape)

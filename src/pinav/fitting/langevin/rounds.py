@@ -63,7 +63,7 @@ class Relation(eqx.Module):
         """The swimmer with the mobility that belongs to the diffusion."""
         if self.thermal_energy is None:
             return swimmer
-        mobility = motion.diffusion.scaled(1 / self.thermal_energy)
+        mobility = motion.diffusion.scale_by(1 / self.thermal_energy)
         return eqx.tree_at(
             lambda m: m.mobility,
             swimmer,
@@ -170,7 +170,7 @@ def fit_motion(
     return eqx.tree_at(lambda b: b.motion, belief, motion), problem, steps[-1]
 
 
-def whitened_increments(
+def whiten_increments(
     belief: Belief, relation: Relation, padding: Padding
 ) -> WhitenedIncrements:
     """The increments as innovations of the belief's thermal motion."""
@@ -222,7 +222,7 @@ def fit_drift(
     Raises:
         FitError: the drift is not finite at the positions.
     """
-    residuals = whitened_increments(belief, relation, padding)
+    residuals = whiten_increments(belief, relation, padding)
     swimmer = relation.swimmer_in(belief.swimmer, belief.motion)
 
     def begin(model: OverdampedSwimmer, states: None = None) -> Regression:
@@ -290,7 +290,7 @@ def diffusion_share(
         there = eqx.tree_at(lambda b: b.motion.diffusion, belief, tensor)
         problem = _drift_problem(
             relation.swimmer_in(start, there.motion),
-            whitened_increments(there, relation, padding),
+            whiten_increments(there, relation, padding),
         )
         local = problem.linearise(problem.theta, None)
         if local is not None:
@@ -320,7 +320,7 @@ def langevin_checks(
         observation: exposure and error of each group of axes.
     """
     increments = belief.increments
-    white = whitened_increments(belief, relation, padding)
+    white = whiten_increments(belief, relation, padding)
     innovations = white.in_time(np.asarray(innovations_of(white, belief.swimmer)))
     residuals = increments.in_time(np.asarray(increments.steps - belief.means).ravel())
     expected = belief.local_diffusion * increments.intervals[:, None]

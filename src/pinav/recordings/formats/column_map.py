@@ -50,7 +50,7 @@ class MappedTable(AbstractFormat):
         return False  # it is chosen by giving a column map
 
     def tracks(self, source: Source, reading: Reading) -> Tracks:
-        columns = _checked(reading.columns or {}, reading.units or {})
+        columns = _check_columns(reading.columns or {}, reading.units or {})
         table, columns = long_table(source.table(), columns)
         units_of = _units(table, columns, reading)
 
@@ -207,7 +207,9 @@ def _particles(table: Table, pattern: str) -> list[str]:
     return [match[1] for match in matches if match]
 
 
-def _checked(columns: Mapping[str, str], stated: Mapping[str, str]) -> dict[str, str]:
+def _check_columns(
+    columns: Mapping[str, str], stated: Mapping[str, str]
+) -> dict[str, str]:
     for given, what in ((columns, "columns"), (stated, "units")):
         for name in given:
             if name not in QUANTITIES:

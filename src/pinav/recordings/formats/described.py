@@ -66,7 +66,7 @@ class DescribedTable(AbstractFormat):
         if self.untracked:
             labels = table.column(headings["particle"])
             kept = [str(c or "").strip() not in ("", self.untracked) for c in labels]
-            table = table.taken(np.array(kept))
+            table = table.select(np.array(kept))
         factor, length_unit = units.length(unit)
         z = table.numbers(headings["z"], lost=True) if "z" in headings else None
         return Tracks(

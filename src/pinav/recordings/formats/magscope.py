@@ -168,7 +168,7 @@ def _robot(table: Table) -> Table:
     """A robot's sheet without exact repeats of a row."""
     cells = list(zip(*(table.columns[n] for n in _kept(table)), strict=True))
     again = [i > 0 and row == cells[i - 1] for i, row in enumerate(cells)]
-    return table.taken(~np.array(again))
+    return table.select(~np.array(again))
 
 
 def _kept(table: Table) -> list[str]:

@@ -52,7 +52,7 @@ class TrackMateCSV(AbstractFormat):
                 f"{table.where(0, 'TRACK_ID')}: no spot belongs to a track; track "
                 "them first, then export again"
             )
-        spots = table.taken(tracked)
+        spots = table.select(tracked)
         factor, unit = units.length(stated.get("POSITION_X"))
         frame = spots.whole_numbers("FRAME", least=0)
         time, time_unit, notes = _times(spots, frame, stated, reading)
