@@ -349,3 +349,20 @@ def test_a_step_that_is_not_stable_is_refused(tmp_path, capsys):
     path = written(tmp_path, PLANE | {"step": 900.0})
     line = refusal(capsys, "simulate", path, "--out", tmp_path / "run")
     assert re.search("RKL2.longest: .* stable on this grid, got 900 s", line)
+
+
+def test_a_fit_that_stalls_says_what_can_be_changed_in_the_case(monkeypatch):
+    from pinav.commands.heat import fitting
+    from pinav.commands.heat.aims import Learn
+    from pinav.commands.heat.build import CaseModel
+    from pinav.errors import FitError
+    from pinav.thermal.probes import ProbeData
+
+    def stall(*_):
+        raise FitError("raise max_iterations, or pass throw=False", "stalled")
+
+    monkeypatch.setattr(fitting, "fit_constant", stall)
+    unseen = (object.__new__(kind) for kind in (CaseModel, ProbeData))
+    setup, data = unseen
+    with pytest.raises(FitError, match=r"learn fewer numbers .* under \[learn\]"):
+        fitting.fit_case(setup, Learn(kind="constant"), data)
