@@ -14,12 +14,14 @@ from pinav.commands.fitted_run import ModelHeader, build_model
 from pinav.commands.study.job import study
 from pinav.commands.study.settings import StudySettings
 from pinav.commands.study.stochastic_force_inference import infer_force
+from pinav.commands.sweep import Sweep
 from pinav.errors import FitError
 from pinav.evaluation import field_map, force_errors
 from pinav.fitting import Refinement
 from pinav.fitting.environments.catalogue import ModelChoice, build, summarise_for
 from pinav.runs import RunFolder
 from pinav.scenarios import scenario
+from pinav.sweeps import InThisProcess
 from pinav.trajectories import simulate
 
 MODELS = ("kernel-potential", "kernel-force", "kernel-mixture", "kernel-potential-time")
@@ -85,7 +87,8 @@ def test_a_study_says_why_another_tool_has_no_row(monkeypatch, tmp_path):
         tmp_path / "run", {"run": {"command": "study"}}, overwrite=False
     )
     settings = StudySettings(models=("sfi",), counts=(1,), held_out=2)
-    (row,) = study("data-efficiency", "barrier-crossings", settings, folder).rows
+    sweep = Sweep(folder, InThisProcess())
+    (row,) = study("data-efficiency", "barrier-crossings", settings, sweep).rows
     assert row.outcome == (
         "failed: StochasticForceInference is not installed; pip install 'pinav[bench]'"
     )

@@ -46,10 +46,11 @@ def _write_images(
     folder: RunFolder, arrays: dict[str, np.ndarray], image: Image
 ) -> None:
     """NIfTI files of the end of a run or of a fit, where the labels are."""
-    for name, file in IMAGES.items():
+    for name in IMAGES:
         if name in arrays:
-            write_image(folder.path / f"{file}.nii.gz", arrays[name], image)
-            folder.record(f"{file}.nii.gz")
+            file = f"{name.rpartition('/')[2]}.nii.gz"
+            write_image(folder.path / file, arrays[name], image)
+            folder.record(file)
 
 
 def _task(name: str, case: Case, path: Path) -> AbstractTask:

@@ -11,14 +11,9 @@ from pinav.thermal.probes import ProbeData
 
 RESULTS = "results.npz"
 READINGS = "probes.csv"
-IMAGES = {
-    "temperature": "temperature",
-    "dose": "dose",
-    "dead": "dead",
-    "frame/reading": "reading",
-    "frame/fit": "fit",
-}
-"""Arrays that are written as NIfTI, too, where the labels are, and their files."""
+IMAGES = ("temperature", "dose", "dead", "frame/reading", "frame/fit")
+"""Arrays that are written as NIfTI, too, where the labels are; a file is named for the
+last word."""
 
 
 @dataclasses.dataclass(frozen=True)

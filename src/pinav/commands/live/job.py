@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 
 from pinav.commands.command import CommandResult
+from pinav.commands.data_file import read_data
 from pinav.commands.live.settings import LiveOptions, LiveSettings
 from pinav.errors import InputError
 from pinav.identification.tracks import tracks
@@ -181,7 +182,7 @@ def _recorded(path: Path, options: LiveOptions) -> Iterator[Iterator[bytes]]:
     if path.suffix in (".jsonl", ".ndjson"):
         yield lines_in(path)
         return
-    recording = options.recording.read(path)
+    recording = read_data(path, options.recording)
     units = recording.units.get("x", "")
     for track in sorted(tracks(recording), key=lambda track: track.name):
         yield lines_of(track, units)
