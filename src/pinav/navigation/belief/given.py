@@ -22,19 +22,13 @@ Axis = Float[np.ndarray, " _"]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class GivenForce(AbstractKernels):
-    """One planar force with one weight, its factor.
+    """One planar force with one weight, its factor; the grid spans the arena.
 
     Attributes:
-        lattice: two points along each axis, which span the arena.
         splines: of each component.
     """
 
-    lattice: KernelGrid
     splines: tuple[RectBivariateSpline, RectBivariateSpline]
-
-    @property
-    def grid(self) -> KernelGrid:
-        return self.lattice
 
     @property
     def size(self) -> int:

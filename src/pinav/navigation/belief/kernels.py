@@ -115,13 +115,15 @@ class KernelGrid:
         return jumps[inside] + int(nearest @ self.strides), offsets[:, inside]
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
 class AbstractKernels(abc.ABC):
-    """A kind of force, as kernels on a grid."""
+    """A kind of force, as kernels on a grid.
 
-    @property
-    @abc.abstractmethod
-    def grid(self) -> KernelGrid:
-        """Where the kernels stand."""
+    Attributes:
+        grid: where the kernels stand.
+    """
+
+    grid: KernelGrid
 
     @property
     @abc.abstractmethod
@@ -157,40 +159,30 @@ class AbstractKernels(abc.ABC):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PotentialKernels(AbstractKernels):
-    r"""$F = -\nabla \sum_j w_j b\, \varphi_j$: forces that do no work on a closed way.
-
-    Attributes:
-        lattice: where the kernels stand.
-    """
-
-    lattice: KernelGrid
-
-    @property
-    def grid(self) -> KernelGrid:
-        return self.lattice
+    r"""$F = -\nabla \sum_j w_j b\, \varphi_j$: no work is done on a closed way."""
 
     @property
     def size(self) -> int:
-        return self.lattice.size
+        return self.grid.size
 
     @property
     def gain(self) -> float:
         steps = np.arange(-8.0, 9.0)
         plain = np.sum(np.exp(-(steps**2)))
         sloped = np.sum(steps**2 * np.exp(-(steps**2)))
-        return math.sqrt(sloped * plain ** (len(self.lattice.shape) - 1))
+        return math.sqrt(sloped * plain ** (len(self.grid.shape) - 1))
 
     def at(self, x: Float[np.ndarray, " dim"]) -> Local:
-        index, offset = self.lattice.near(x)
+        index, offset = self.grid.near(x)
         height = np.exp(-0.5 * (offset * offset).sum(axis=0))
         basis = offset * height
         slope = -offset[:, None] * basis[None]
         for k in range(len(offset)):
             slope[k, k] += height
-        return Local(index, basis, slope / self.lattice.width)
+        return Local(index, basis, slope / self.grid.width)
 
     def basis(self, points: Points) -> Float[np.ndarray, "point dim weight"]:
-        offset = _offsets(points, self.lattice)
+        offset = _offsets(points, self.grid)
         return offset * np.exp(-0.5 * np.sum(offset**2, axis=1, keepdims=True))
 
     def on_axes(
@@ -198,8 +190,8 @@ class PotentialKernels(AbstractKernels):
         axes: Sequence[Float[np.ndarray, " _"]],
         weights: Float[np.ndarray, "... weight"],
     ) -> Float[np.ndarray, "... dim"]:
-        plain, sloped = _profiles(axes, self.lattice)
-        heights = weights.reshape(*weights.shape[:-1], *self.lattice.shape)
+        plain, sloped = _profiles(axes, self.grid)
+        heights = weights.reshape(*weights.shape[:-1], *self.grid.shape)
         parts = []
         for k in range(len(axes)):
             profiles = [sloped[i] if i == k else plain[i] for i in range(len(axes))]
@@ -209,41 +201,31 @@ class PotentialKernels(AbstractKernels):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FreeKernels(AbstractKernels):
-    r"""$F_k = \sum_j w_{kj} \varphi_j$: components of their own, as currents have.
-
-    Attributes:
-        lattice: where the kernels stand.
-    """
-
-    lattice: KernelGrid
-
-    @property
-    def grid(self) -> KernelGrid:
-        return self.lattice
+    r"""$F_k = \sum_j w_{kj} \varphi_j$: components of their own, as currents have."""
 
     @property
     def size(self) -> int:
-        return self.lattice.size * len(self.lattice.shape)
+        return self.grid.size * len(self.grid.shape)
 
     @property
     def gain(self) -> float:
         steps = np.arange(-8.0, 9.0)
-        return math.sqrt(np.sum(np.exp(-(steps**2))) ** len(self.lattice.shape))
+        return math.sqrt(np.sum(np.exp(-(steps**2))) ** len(self.grid.shape))
 
     def at(self, x: Float[np.ndarray, " dim"]) -> Local:
-        index, offset = self.lattice.near(x)
+        index, offset = self.grid.near(x)
         dim, count = offset.shape
         height = np.exp(-0.5 * (offset * offset).sum(axis=0))
-        fall = -offset * height / self.lattice.width
+        fall = -offset * height / self.grid.width
         basis = np.zeros((dim, dim, count))
         slope = np.zeros((dim, dim, dim, count))
         for k in range(dim):
             basis[k, k], slope[k, :, k] = height, fall
-        weights = np.concatenate([index + k * self.lattice.size for k in range(dim)])
+        weights = np.concatenate([index + k * self.grid.size for k in range(dim)])
         return Local(weights, basis.reshape(dim, -1), slope.reshape(dim, dim, -1))
 
     def basis(self, points: Points) -> Float[np.ndarray, "point dim weight"]:
-        offset = _offsets(points, self.lattice)
+        offset = _offsets(points, self.grid)
         height = np.exp(-0.5 * np.sum(offset**2, axis=1))
         return np.stack([np.kron(row, height) for row in np.eye(offset.shape[1])], 1)
 
@@ -252,8 +234,8 @@ class FreeKernels(AbstractKernels):
         axes: Sequence[Float[np.ndarray, " _"]],
         weights: Float[np.ndarray, "... weight"],
     ) -> Float[np.ndarray, "... dim"]:
-        plain, _ = _profiles(axes, self.lattice)
-        heights = weights.reshape(*weights.shape[:-1], len(axes), *self.lattice.shape)
+        plain, _ = _profiles(axes, self.grid)
+        heights = weights.reshape(*weights.shape[:-1], len(axes), *self.grid.shape)
         forces = _along_axes(plain, heights)
         return np.moveaxis(forces, -1 - len(axes), -1)
 
