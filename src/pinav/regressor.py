@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any, final
 
 import jax
-import jax.numpy as jnp
 import msgspec
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from pinav.commands.data_file import with_all_channels
+from pinav.commands.export.spots import forces_at, learned_force
 from pinav.commands.fit import FIT
 from pinav.commands.fit.job import fit as fit_into
 from pinav.commands.fit.plan import plan_fit
@@ -133,14 +133,7 @@ class ForceRegressor(BaseEstimator):
                 f"predict: expected positions of {self.run_.data.dim} coordinates, one "
                 f"a row, got an array of shape {places.shape}"
             )
-        environment: Any = self.run_.model
-        with jax.enable_x64(new_val=True):
-            at_rest = jax.vmap(
-                lambda x: environment.environment(
-                    jnp.zeros((), x.dtype), x, jnp.zeros_like(x)
-                )
-            )
-            force = np.asarray(at_rest(jnp.asarray(places)))
+        force = forces_at(learned_force(self.run_), places, np.zeros(len(places)))
         if not return_std:
             return force
         if self.run_.posterior is None:

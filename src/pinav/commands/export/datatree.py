@@ -65,7 +65,7 @@ def datatree_of(
         raise InputError(MISSING.format("xarray")) from error
     theta, groups = None, _data(run)
     if run.posterior is not None:
-        theta = _draws(run.posterior, draws, seed)
+        theta = np.asarray(run.posterior.draws(draws, key=jax.random.key(seed)))
         paths = {name: name for name in run.constants} | run.choice.paths()
         groups["posterior"] = _posterior(run.posterior, theta, paths)
     groups["predictions"] = _predictions(run, points, theta)
@@ -78,16 +78,6 @@ def datatree_of(
         posterior="independent draws from the Laplace approximation",
     )
     return tree
-
-
-def _draws(
-    posterior: Posterior, count: int, seed: int
-) -> Float[np.ndarray, "draw parameter"]:
-    """Draws of the parameters from their normal distribution."""
-    values, vectors = np.linalg.eigh(posterior.covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    normal = np.random.default_rng(seed).standard_normal((count, len(posterior.mean)))
-    return np.asarray(posterior.mean) + normal @ root.T
 
 
 def _posterior(

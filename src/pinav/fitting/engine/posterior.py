@@ -60,13 +60,18 @@ class Posterior(eqx.Module):
         with jax.enable_x64(new_val=True):
             return self.free(jnp.asarray(self.mean))
 
-    def samples(self, count: int, *, key: PRNGKeyArray) -> list[Any]:
-        """Models drawn from the posterior."""
+    def draws(self, count: int, *, key: PRNGKeyArray) -> Float[Array, "draw parameter"]:
+        """Parameters drawn from the posterior, one vector a row."""
         eigenvalues, vectors = np.linalg.eigh(self.covariance)
         root = vectors * np.sqrt(np.maximum(eigenvalues, 0.0))
         with jax.enable_x64(new_val=True):
             normal = jax.random.normal(key, (count, len(self.mean)), jnp.float64)
-            draws = jnp.asarray(self.mean)[None] + normal @ jnp.asarray(root).T
+            return jnp.asarray(self.mean)[None] + normal @ jnp.asarray(root).T
+
+    def samples(self, count: int, *, key: PRNGKeyArray) -> list[Any]:
+        """Models drawn from the posterior."""
+        draws = self.draws(count, key=key)
+        with jax.enable_x64(new_val=True):
             return [self.free(theta) for theta in draws]
 
     def force_sd(
