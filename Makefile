@@ -14,11 +14,11 @@ reproduce: .venv/installed
 # less.
 test: export XLA_FLAGS = --xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0
 test: .venv/installed-dev
-	$(PYTEST) -m "not slow"
+	$(PYTEST) -m "not slow and not extras"
 
 # Whole commands, examples and snippets, from end to end.
 test-slow: .venv/installed-dev
-	$(PYTEST) -m slow
+	$(PYTEST) -m "slow and not extras"
 
 # Tests that need the optional packages with which published numbers were made.
 test-extras: .venv/installed-extras
