@@ -45,10 +45,20 @@ def _section(command: Command) -> nodes.section:
     name = f"pinav {command.name}"
     section = nodes.section(ids=[f"pinav-{command.name}"], names=[name])
     section += nodes.title(name, name)
-    section += [nodes.paragraph("", paragraph) for paragraph in paragraphs]
+    section += [nodes.paragraph("", "", *_words(text)) for text in paragraphs]
     for text in (usage, tables.rstrip()):
         section += nodes.literal_block(text, text, language="text")
     return section
+
+
+def _words(text: str) -> list[nodes.Node]:
+    """A sentence whose options stay as they are typed, with two hyphens."""
+    parts = re.split(r"(--[a-z][a-z-]*)", text)
+    return [
+        nodes.literal(part, part) if part.startswith("--") else nodes.Text(part)
+        for part in parts
+        if part
+    ]
 
 
 def setup(app: Any) -> dict[str, bool]:

@@ -16,6 +16,7 @@ DOCS = Path(__file__).parent
 sys.path[:0] = [str(DOCS.parent), str(DOCS)]
 
 project, author = "pinav", "The pinav developers"
+project_copyright = author
 release = pinav.__version__
 extensions = [
     "myst_parser",

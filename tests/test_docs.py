@@ -1,5 +1,6 @@
 """Every block of code of the pages runs, and every file they link to is there."""
 
+import importlib
 import os
 import re
 import shlex
@@ -126,8 +127,7 @@ def test_the_command_line_knows_the_options_that_a_page_uses(page):
 
 def test_the_page_of_commands_holds_the_help_of_each(monkeypatch):
     monkeypatch.syspath_prepend(str(DOCS))
-    import command_help
-
+    command_help = importlib.import_module("command_help")
     for command in COMMANDS:
         text = command_help.help_of(command)
         usage, paragraphs, tables = command_help.help_parts(text)

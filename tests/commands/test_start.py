@@ -12,5 +12,5 @@ def test_a_run_names_the_files_that_decide_its_numbers(tmp_path):
     options = IdentifyOptions(data=(Path("film.csv"),), out=tmp_path / "run")
     recording = RecordingSettings(commands=Path("log.csv"), units=("heading=rad",))
     folder = start_run(IDENTIFY, options, recording)
-    assert folder.config["commands"] == "log.csv"
-    assert folder.config["units"] == ["heading=rad"]
+    assert folder.config()["commands"] == "log.csv"
+    assert folder.config()["units"] == ["heading=rad"]
