@@ -5,11 +5,11 @@ slow velocity w and u of `WanderingVelocity`,
 
 $$\dot{\delta y} = A(t)\,\delta y + w + u, \qquad A = \partial f / \partial y .$$
 
-A start that is fitted to the first K samples takes a part of what wandered there for an
-offset: $\delta s = L\,\delta y_{1 \dots K}$ with L the pseudo-inverse of the
+A start that is fitted to the first K samples takes a part of what wandered there for
+an offset: $\delta s = L\,\delta y_{1 \dots K}$ with L the pseudo-inverse of the
 sensitivities $\Phi$ of the observed samples, so that the error of a prediction is
-$\delta y - \Phi\,\delta s$. The covariance of $(\delta y, w, u, \delta s)$ is propagated
-from sample to sample with A held in between.
+$\delta y - \Phi\,\delta s$. The covariance of $(\delta y, w, u, \delta s)$ is
+propagated from sample to sample with A held in between.
 
 References:
     Van Loan, IEEE Trans. Autom. Control 23, 395 (1978), the integral of the noise.
@@ -50,8 +50,8 @@ def wandering_variance(
         The variance at each time after the first samples (at those, of what wandered
         up to them alone); NaN where the path is not finite.
     """
-    finite = np.isfinite(path).all(axis=1)
-    held = jnp.asarray(np.where(finite[:, None], path, path[0]))
+    finite = np.all(np.isfinite(path), axis=1)
+    held = jnp.asarray(np.where(finite.reshape(-1, 1), path, path[0]))
     jacobians = np.asarray(_jacobians(dynamics, jnp.asarray(piece.times), held))
     frequency = piece.commands.get("frequency", np.zeros(len(piece.times)))
     strength = np.asarray(wandering.strength(jnp.asarray(frequency)))[:-1]
