@@ -38,13 +38,12 @@ def test_every_case_is_within_its_tolerance():
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_what_half_an_hour_costs(name):
-    """15 intervals of 2 minutes: time after compilation, and memory of the gradient."""
-    found, bars = in_own_process(name), CASES[name]
-    print(name, found)
-    assert found.memory < bars.memory
-    assert found.forward < bars.forward
-    assert found.gradient < bars.gradient
+def test_what_the_gradient_of_half_an_hour_costs(name):
+    """In memory, and in runs; `pinav bench heat` measures seconds."""
+    cost = in_own_process(name)
+    print(name, cost)
+    assert cost.memory < CASES[name].memory
+    assert cost.gradient < 6 * cost.forward
 
 
 def test_the_heated_sphere_on_a_large_grid():

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from tests.commands.explore.chromium import Chromium, find_chromium
 from tests.commands.test_heat import small
+from tests.commands.test_heat_voxels import write as write_voxels
 
 import pinav.forces as forces
 from pinav import cli
@@ -289,6 +290,54 @@ def test_a_run_of_bioheat_is_that_of_the_package(browser, heated, tmp_path):
     assert browser.run("explorer.series('hottest').at(-1)[1]") < before - 1
     assert browser.run("explorer.elapsed") < 1000
     assert "starts=5000" in browser.run("location.hash")
+    for trouble in ("Runtime.exceptionThrown", "Log.entryAdded"):
+        assert not browser.named(trouble)
+
+
+@pytest.fixture(scope="module")
+def boxed(tmp_path_factory):
+    """A block of voxels, heated and cooling: the folder of its run, and its page."""
+    folder = tmp_path_factory.mktemp("box")
+    field = {"field.times": [0, 60, 90], "field.amplitudes": [1e4, 0.0]}
+    case = write_voxels(folder, {**field, "probes": {"points": [[5e-3, 5e-3, 6e-3]]}})
+    out = folder / "run"
+    with jax.numpy_dtype_promotion("standard"):
+        assert cli.run(["heat", "simulate", str(case), "--out", str(out)]) == 0
+        assert cli.run(["explore", str(out)]) == 0
+    return out
+
+
+@pytest.mark.parametrize("plane", [0, 1, 2])
+def test_a_run_of_bioheat_in_a_box_is_read_as_it_was_run(plane, browser, boxed):
+    address = f"file://{boxed}/explore.html#plane={plane}&x=5&y=5"
+    browser.open("about:blank")
+    browser.open(address, width=360)
+    browser.wait_for("globalThis.explorer?.elapsed !== undefined")
+    arrays = dict(np.load(boxed / "results.npz"))
+    section = browser.run("explorer.section.normal")
+    saved = arrays[f"section/{section}"]
+    page = browser.run("[...explorer.section.temperature]")
+    sides = np.array(browser.run("explorer.section.box"))[1::2]
+    cell = tuple((5 / sides * saved.shape[1:]).astype(int))
+    np.testing.assert_allclose(page, saved.reshape(-1), atol=1e-4)
+    for time in (arrays["section/times"][7], 41.3):
+        browser.run(f"explorer.change({{ time: {time} }})")
+        browser.wait_for("!explorer.request")
+        there = np.interp(time, arrays["section/times"], saved[:, *cell])
+        assert browser.run("explorer.reading()") == pytest.approx(there, abs=1e-3)
+    browser.run("document.getElementById('paths').focus()")
+    browser.press("ArrowRight")
+    browser.press("ArrowRight", modifiers=8)
+    browser.run("explorer.change({ quantity: 'dose' })")
+    browser.wait_for("!explorer.request")
+    assert browser.run("explorer.conditions.x") > 5
+    assert "quantity=dose" in browser.run("location.hash")
+    assert "CEM43" in browser.run("document.getElementById('unit').textContent")
+    assert browser.run("explorer.table().split('\\n').length") == 2 + len(
+        arrays["times"]
+    )
+    assert browser.run("document.documentElement.scrollWidth") <= 360
+    assert browser.run("explorer.elapsed") < 1000 / 10
     for trouble in ("Runtime.exceptionThrown", "Log.entryAdded"):
         assert not browser.named(trouble)
 

@@ -40,7 +40,7 @@ def explorer(run: str | Path, *, fit: str | Path | None = None) -> Explorer:
     """The page of `pinav explore`, to be shown in a notebook.
 
     Args:
-        run: folder of a fit, of a plan, or of bioheat along a radius.
+        run: folder of a fit, of a plan, or of bioheat.
         fit: run of the model that a plan was made with, where it does not lie beside
             that of the plan.
 
