@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from pinav.commands.data_file import with_all_channels
-from pinav.commands.export.spots import forces_at, learned_force
+from pinav.commands.export.spots import exact_forces, learned_force
 from pinav.commands.fit import FIT
 from pinav.commands.fit.job import fit as fit_into
 from pinav.commands.fit.plan import plan_fit
@@ -133,7 +133,7 @@ class ForceRegressor(BaseEstimator):
                 f"predict: expected positions of {self.run_.data.dim} coordinates, one "
                 f"a row, got an array of shape {places.shape}"
             )
-        force = forces_at(learned_force(self.run_), places, np.zeros(len(places)))
+        force = exact_forces(learned_force(self.run_), places, np.zeros(len(places)))
         if not return_std:
             return force
         if self.run_.posterior is None:

@@ -248,8 +248,7 @@ class System(eqx.Module):
         """The starts are those that the rule draws by its own seed and number."""
         if self.rule is None:
             return False
-        drawn = self.rule.draw(self.order)
-        return drawn.shape == self.starts.shape and bool((drawn == self.starts).all())
+        return np.array_equal(self.rule.draw(self.order), self.starts)
 
     def with_starts(
         self, key: PRNGKeyArray | None = None, count: int | None = None

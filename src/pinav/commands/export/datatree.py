@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.commands.export.spots import (
+    exact_forces,
     force_sds,
-    forces_at,
     learned_force,
     result_units,
 )
@@ -112,7 +112,7 @@ def _predictions(
     moments = np.full(len(places), float(run.data.times[0, 0]))
     length, _, unit = result_units(run)
     dims, units = (*axes, "axis"), {"units": unit}
-    mean = forces_at(force, places, moments).reshape(grid.shape)
+    mean = exact_forces(force, places, moments).reshape(grid.shape)
     variables: dict[str, Variable] = {"force_mean": (dims, mean, units)}
     if posterior is not None and draws is not None:
         sd = force_sds(posterior, force, places, moments).reshape(grid.shape)

@@ -8,7 +8,15 @@ export const MEANING = {
   cut: "#CC79A7",
   next: "#009E73",
   plan: "#E69F00",
+  target: "#56B4E9",
+  wall: "#444444",
 };
+
+/** Of axes and their texts. */
+export const INK = "#3a424b";
+
+/** Of the ground, and of what keeps curves apart from what lies below them. */
+export const PAPER = "#ffffff";
 
 /** Cividis from pale to dark, and blue to orange through white for signed numbers. */
 const SEQUENTIAL = ["#fffde9", "#fdea45", "#c9ba66", "#94906f", "#6b6d72", "#434e6c", "#00224e"];

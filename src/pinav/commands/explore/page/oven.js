@@ -1,13 +1,12 @@
 // The page of a run of bioheat: drag the protocol, see temperature and dose.
 
-import { MEANING } from "./colours.js";
+import { INK, MEANING } from "./colours.js";
 import { arrayOf, shown } from "./numbers.js";
-import { button, group, make, slider } from "./panel.js";
-import { saveText } from "./sharing.js";
+import { button, group, make, showLegend, slider } from "./panel.js";
+import { saveText, writeAddress } from "./sharing.js";
 import { Tissue } from "./tissue.js";
 import { Frame, drawScale, imageOf, plot } from "./view.js";
 
-const INKS = "#3a424b";
 const part = (id) => document.getElementById(id);
 
 export class HeatExplorer {
@@ -27,6 +26,10 @@ export class HeatExplorer {
     this.buildPanel();
     this.listenToMap();
     new ResizeObserver(() => this.draw()).observe(part("map"));
+    globalThis.addEventListener("hashchange", () => {
+      this.conditions = this.fromAddress();
+      this.refresh();
+    });
     this.refresh();
   }
 
@@ -50,7 +53,7 @@ export class HeatExplorer {
   writeAddress() {
     const { starts, ends, time } = this.conditions;
     const digits = (values) => values.map((value) => Number(value.toPrecision(5))).join(",");
-    history.replaceState(null, "", `#starts=${digits(starts)}&ends=${digits(ends)}&time=${digits([time])}`);
+    writeAddress(`starts=${digits(starts)}&ends=${digits(ends)}&time=${digits([time])}`);
   }
 
   /** Run again at the next frame. */
@@ -98,15 +101,15 @@ export class HeatExplorer {
       { points: this.series("T90"), colour: MEANING.plan },
       { points: this.series("hottest"), colour: MEANING.track },
     ];
-    plot(part("plot-x"), temperatures, ["t [s]", "T [°C]"], INKS);
+    plot(part("plot-x"), temperatures, ["t [s]", "T [°C]"], INK);
     const doses = [
       { points: saved(this.saved.dose), colour: MEANING.physics, dash: [2, 4] },
       { points: this.series("D90"), colour: MEANING.learned },
     ];
-    plot(part("plot-y"), doses, ["t [s]", "D90 [CEM43 min]"], INKS);
+    plot(part("plot-y"), doses, ["t [s]", "D90 [CEM43 min]"], INK);
     const field = this.result.fields[this.moment];
     const profile = [{ points: Array.from(this.radius, (r, i) => [1e3 * r, field[i]]), colour: MEANING.track }];
-    plot(part("plot-cut"), profile, ["radius [mm]", "T [°C]"], INKS);
+    plot(part("plot-cut"), profile, ["radius [mm]", "T [°C]"], INK);
     this.showReadout();
   }
 
@@ -129,7 +132,7 @@ export class HeatExplorer {
     frame.clear();
     const image = imageOf({ values, count }, limits, false);
     frame.clip((c) => c.drawImage(image, frame.px(0), frame.py(outer), last * frame.sx, outer * frame.sy));
-    frame.axes("t [s]", "radius [mm]", INKS);
+    frame.axes("t [s]", "radius [mm]", INK);
     part("scale").hidden = false;
     drawScale(part("bar"), false);
     part("low").textContent = shown(limits[0]);
@@ -152,12 +155,7 @@ export class HeatExplorer {
     const entries = [["hottest cell", MEANING.track], ["T90 of the target", MEANING.plan], ["D90", MEANING.learned]];
     if (this.run.probes.length) entries.push(["probes", MEANING.next]);
     entries.push(["as it was run", MEANING.physics]);
-    const legend = entries.map(([text, colour]) => {
-      const sample = make("i");
-      sample.style.color = colour;
-      return make("span", {}, sample, make("b", {}, text));
-    });
-    part("legend").replaceChildren(...legend);
+    showLegend(entries);
   }
 
   listenToMap() {
