@@ -204,8 +204,8 @@ def _observed_positions(
     trajectories: Trajectories,
 ) -> tuple[Float[np.ndarray, "sample dim"], Float[np.ndarray, " sample"]]:
     """All fully observed positions, and their times."""
-    seen = trajectories.observed[..., : trajectories.dim].all(-1)
-    return trajectories.positions[seen], trajectories.times[seen]
+    is_observed = trajectories.observed[..., : trajectories.dim].all(-1)
+    return trajectories.positions[is_observed], trajectories.times[is_observed]
 
 
 def _nearest_samples(

@@ -35,8 +35,8 @@ def observed_paths(
     ax = prepare_axes(ax)
     dots = {"color": "0.6", "markersize": 2.0, "label": "observed"}
     line = {"color": BLUE, "lw": THIN, "label": "model"}
-    for seen, path in zip(observed, predicted, strict=True):
-        ax.plot(*seen.T, ".", **dots)
+    for measured, path in zip(observed, predicted, strict=True):
+        ax.plot(*measured.T, ".", **dots)
         ax.plot(*path.T, **line)
         dots["label"] = line["label"] = "_"
     starts = np.array([path[0] for path in predicted])
