@@ -5,6 +5,7 @@ import hashlib
 import html
 import json
 import re
+import sys
 from pathlib import Path
 
 import equinox as eqx
@@ -273,6 +274,12 @@ def test_a_notebook_shows_the_page_in_a_frame(run):
     assert shown.startswith("<iframe srcdoc=")
     assert shown.count("<") == 2  # everything of the page is escaped
     assert "explore.html" not in {path.name for path in run.iterdir()}
+
+
+def test_a_widget_without_its_package_is_refused(run, monkeypatch):
+    monkeypatch.setitem(sys.modules, "anywidget", None)
+    with pytest.raises(InputError, match=r"pip install 'pinav\[notebook\]'"):
+        explorer(run).widget()
 
 
 def test_the_map_holds_the_arena_of_a_plan(content):

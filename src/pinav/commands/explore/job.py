@@ -3,9 +3,11 @@
 import dataclasses
 import html
 from pathlib import Path
+from typing import Any
 
 from pinav.commands.command import CommandResult
 from pinav.commands.explore.document import document
+from pinav.commands.explore.notebook import make_widget
 from pinav.commands.explore.payload import payload_of
 from pinav.commands.explore.plan import fit_of_plan, is_plan, plan_of
 from pinav.commands.explore.settings import ExploreOptions
@@ -34,6 +36,16 @@ class Explorer:
         """A frame that holds the page; it needs no kernel and no extension."""
         size = f'width="100%" height="{self.height}" style="border: 0"'
         return f'<iframe srcdoc="{html.escape(self.page)}" {size}></iframe>'
+
+    def widget(self) -> Any:
+        """The page as a widget, whose conditions and path Python reads and sets.
+
+        Its `address` and `path` are those of `make_widget`.
+
+        Raises:
+            InputError: anywidget is not installed.
+        """
+        return make_widget(self.page, self.height)
 
 
 def explorer(run: str | Path, *, fit: str | Path | None = None) -> Explorer:

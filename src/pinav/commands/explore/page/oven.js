@@ -26,6 +26,10 @@ export class HeatExplorer {
     this.buildPanel();
     this.listenToMap();
     new ResizeObserver(() => this.draw()).observe(part("map"));
+    globalThis.addEventListener("hashchange", () => {
+      this.conditions = this.fromAddress();
+      this.refresh();
+    });
     this.refresh();
   }
 

@@ -6,9 +6,8 @@ import { PAPER } from "./colours.js";
 export function writeAddress(text) {
   // Whole, because "#..." of a frame in a notebook is one of the notebook's address.
   const [page] = globalThis.location.href.split("#");
-  if (text === globalThis.location.hash.slice(1)) return;
-  history.replaceState(null, "", text ? `${page}#${text}` : page);
-  globalThis.dispatchEvent(new CustomEvent("conditions", { detail: text }));
+  if (text !== globalThis.location.hash.slice(1)) history.replaceState(null, "", text ? `${page}#${text}` : page);
+  globalThis.dispatchEvent(new Event("conditions")); // for a notebook around the page
 }
 
 function save(name, blob) {
