@@ -12,8 +12,10 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from pinav.figures.navigation import Course, field_of, paths_map
-from pinav.figures.style import (
+from pinav.figures.palette import (
     BLACK,
+)
+from pinav.figures.style import (
     DIMENSIONLESS,
     SMALL,
     new_figure,
