@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from pinav.commands.data_file import with_all_channels
-from pinav.commands.export.spots import forces_at, learned_force
+from pinav.commands.export.spots import exact_forces, learned_force
 from pinav.commands.fit import FIT
 from pinav.commands.fit.job import fit as fit_into
 from pinav.commands.fit.plan import plan_fit
@@ -133,7 +133,7 @@ class ForceRegressor(BaseEstimator):
                 f"predict: expected positions of {self.run_.data.dim} coordinates, one "
                 f"a row, got an array of shape {places.shape}"
             )
-        force = forces_at(learned_force(self.run_), places, np.zeros(len(places)))
+        force = exact_forces(learned_force(self.run_), places, np.zeros(len(places)))
         if not return_std:
             return force
         if self.run_.posterior is None:
@@ -167,11 +167,11 @@ class ForceRegressor(BaseEstimator):
             starts = estimate_starts(model, data)
             states, _ = predict(model, data, starts=starts.states)
         later = without_first(data, starts.count)
-        seen = later.observed[..., : data.dim].all(axis=-1)
-        errors = states[..., : data.dim][seen] - data.positions[seen]
+        is_observed = later.observed[..., : data.dim].all(axis=-1)
+        errors = states[..., : data.dim][is_observed] - data.positions[is_observed]
         if not np.isfinite(errors).all():
             return -np.inf
-        spread = data.positions[seen] - data.positions[seen].mean(axis=0)
+        spread = data.positions[is_observed] - data.positions[is_observed].mean(axis=0)
         return float(1 - np.sum(errors**2) / np.sum(spread**2))
 
     def __sklearn_tags__(self) -> Tags:

@@ -107,6 +107,25 @@ def test_a_tree_of_datasets_comes_back_as_it_was(kernel_run, tmp_path):
     assert np.isfinite(tree["constant_data/t"].values).all()
 
 
+@pytest.mark.extras("xarray", "h5netcdf", "arviz_base", "arviz_stats")
+def test_arviz_reads_the_file_and_summarises_the_posterior(kernel_run, tmp_path):
+    import arviz_base
+    import arviz_stats
+    import xarray
+
+    out = tmp_path / "run.nc"
+    more = ("--draws", "400", "--points", "4", "--seed", "3")
+    assert export(kernel_run, "netcdf", out, *more) == 0
+    with xarray.open_datatree(out, engine="h5netcdf") as tree:
+        drawn = arviz_base.extract(tree, var_names="damping")
+        row = arviz_stats.summary(tree, var_names="damping", round_to="none").iloc[0]
+    assert drawn.sizes["sample"] == 400
+    damping = FittedRun.open(kernel_run).constants["damping"]
+    assert abs(row["mean"] - damping.value) < 4 * damping.sd / 20
+    assert row["sd"] == pytest.approx(damping.sd, rel=0.15)
+    assert 200 < row["ess_bulk"] < 800  # the draws are independent
+
+
 @pytest.mark.parametrize(
     ("more", "message"),
     [

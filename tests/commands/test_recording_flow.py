@@ -1,5 +1,7 @@
 """One recording through inspect, identify, fit, evaluate, analyse and navigate."""
 
+import json
+
 import jax
 import numpy as np
 import pytest
@@ -30,6 +32,10 @@ def robot():
     )
 
 
+def read_evaluation(folder):
+    return json.loads((folder / "evaluation.json").read_text())
+
+
 @pytest.mark.slow
 def test_a_recording_goes_through_all_commands_on_the_same_runs(tmp_path, capsys):
     jax.config.update("jax_numpy_dtype_promotion", "standard")
@@ -50,6 +56,10 @@ def test_a_recording_goes_through_all_commands_on_the_same_runs(tmp_path, capsys
         jax.config.update("jax_numpy_dtype_promotion", "strict")
     system = read_system(tmp_path / "I" / "system.toml")
     assert system.wandering is not None
+    for name in ("I", "F"):
+        metrics = read_evaluation(tmp_path / name)
+        assert "whiteness" not in metrics
+        assert metrics["coverage"]["observations of the data"]["visited"] > 0.8
     run = FittedRun.open(tmp_path / "I")
     assert run.posterior is not None
     np.testing.assert_allclose(

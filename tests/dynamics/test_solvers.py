@@ -13,6 +13,7 @@ from pinav.dynamics import (
     TSIT5,
     Adaptive,
     FixedStep,
+    ForwardOnly,
     InterpolatingAdjoint,
     Swimmer,
     linear_recursion,
@@ -25,6 +26,7 @@ from pinav.forces import (
     MagneticPropulsion,
     NeuralForce,
     PositionTimeFeatures,
+    ScheduledThrust,
     ZeroForce,
     tanh_network,
 )
@@ -238,7 +240,11 @@ def test_constant_thrust_against_drag_follows_the_closed_form():
     np.testing.assert_allclose(ys, np.hstack([x, v]), rtol=0, atol=1e-8)
 
 
-@pytest.mark.parametrize("solver", [FixedStep(), Adaptive()], ids=["fixed", "adaptive"])
+@pytest.mark.parametrize(
+    "solver",
+    [FixedStep(), Adaptive(), ForwardOnly()],
+    ids=["fixed", "adaptive", "forward only"],
+)
 def test_repeated_times_repeat_the_state(solver):
     ys = eqx.filter_jit(rollout)(*learner(), TIMES, solver=solver).ys
     np.testing.assert_array_equal(ys[-3], ys[-2])
@@ -260,3 +266,16 @@ def test_repeated_times_repeat_the_state(solver):
 def test_bad_arguments_are_named(make, message):
     with pytest.raises(InputError, match=message):
         make()
+
+
+def test_forward_only_takes_the_steps_of_adaptive_across_jumps_of_the_thrust():
+    asked = jnp.array([[1.0, 0.0], [0.0, 2.0], [0.0, 0.0]])
+    thrust = ScheduledThrust(jnp.array([0.0, 0.3, 0.7]), asked, 0 * asked, 0.1, 0.2)
+    barrier = GaussianBarrier(height=2.0, center=[0.5, 0.5], width=0.4)
+    swimmer = Swimmer(thrust, LinearDrag(0.7), barrier)
+    y0, ts = jnp.array([0.1, 0.2, 1.0, 0.3]), jnp.linspace(0.0, 2.0, 9)
+    solve = eqx.filter_jit(rollout)
+    expected = solve(swimmer, y0, ts, solver=Adaptive())
+    run = solve(swimmer, y0, ts, solver=ForwardOnly())
+    np.testing.assert_allclose(run.ys, expected.ys, rtol=0, atol=1e-10)
+    assert run.outcome == expected.outcome

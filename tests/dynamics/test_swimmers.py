@@ -7,6 +7,7 @@ import pytest
 from pinav.dynamics import (
     Adaptive,
     FixedStep,
+    ForwardOnly,
     NeuralDynamics,
     Outcome,
     Swimmer,
@@ -74,8 +75,9 @@ def test_rollout_takes_host_arrays(solve):
     [
         (FixedStep(), Outcome.DIVERGED),
         (Adaptive(max_steps=50), Outcome.OUT_OF_STEPS),
+        (ForwardOnly(Adaptive(max_steps=50)), Outcome.OUT_OF_STEPS),
     ],
-    ids=["diverged", "out of steps"],
+    ids=["diverged", "out of steps", "out of steps, forward only"],
 )
 def test_failure_is_an_outcome_or_raises(solve, solver, outcome):
     ts = jnp.linspace(0.0, 30.0, 31)

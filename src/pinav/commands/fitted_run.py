@@ -32,7 +32,7 @@ from pinav.fitting.environments.catalogue import (
 )
 from pinav.forces import KernelForce, KernelPotential
 from pinav.runs import RunFolder
-from pinav.systems import System
+from pinav.systems import System, WanderingVelocity
 from pinav.trajectories import Trajectories, load, save
 
 DATA_FILE, MODEL_FILE, POSTERIOR_FILE = "data.npz", "model.eqx", "posterior.npz"
@@ -166,6 +166,17 @@ class FittedRun:
     def noise(self) -> float:
         """Standard deviation of the observations that the fit found; 0 without one."""
         return 0.0 if self.evidence is None else self.evidence.hyperparameters.noise
+
+    @property
+    def wandering(self) -> WanderingVelocity | None:
+        """The wandering velocity as the fit found it, or as the system states it."""
+        stated = self.system.wandering
+        values: dict[str, float] = {} if stated is None else dict(vars(stated))
+        for name, estimate in self.constants.items():
+            kind, _, field = name.partition(".")
+            if kind == "wandering":
+                values[field] = estimate.value
+        return WanderingVelocity(**values) if values else None
 
     @property
     def constants(self) -> dict[str, Estimate]:
@@ -346,8 +357,8 @@ def _read_process(
 def _hashes(data: Trajectories) -> Iterator[bytes]:
     """A hash of the observed samples of each trajectory."""
     for piece in data:
-        seen = piece.observed.any(axis=0)
-        states = np.where(piece.observed, piece.states, 0.0)[:, seen]
+        channels = piece.observed.any(axis=0)
+        states = np.where(piece.observed, piece.states, 0.0)[:, channels]
         digest = hashlib.sha256(np.ascontiguousarray(piece.times, float).tobytes())
         digest.update(np.ascontiguousarray(states, float).tobytes())
         yield digest.digest()

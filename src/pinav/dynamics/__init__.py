@@ -8,6 +8,7 @@ from pinav.dynamics.commanded import drive_by_arrays as drive_by_arrays
 from pinav.dynamics.commanded import drive_by_commands as drive_by_commands
 from pinav.dynamics.commanded import takes_commands as takes_commands
 from pinav.dynamics.commanded import unbound as unbound
+from pinav.dynamics.forward import ForwardOnly as ForwardOnly
 from pinav.dynamics.rollout import Outcome as Outcome
 from pinav.dynamics.rollout import Rollout as Rollout
 from pinav.dynamics.rollout import rollout as rollout

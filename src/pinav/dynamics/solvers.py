@@ -4,6 +4,7 @@
 |---|---|---|
 | `FixedStep` | one explicit Runge-Kutta step per sample | discretise, then optimise |
 | `Adaptive` | diffrax at a tolerance | that of its diffrax adjoint |
+| `ForwardOnly` | the steps of `Adaptive` | none in reverse |
 | `InterpolatingAdjoint` | diffrax at a tolerance, dense | continuous adjoint (paper) |
 """
 
@@ -294,7 +295,7 @@ def _interpolating_backward(
             t_early - t_late,
             (accumulated, costate + loss_gradient),
             args=(parameters, interpolation),
-            stepsize_controller=_controller(solver),
+            stepsize_controller=step_size_controller(solver),
             adjoint=diffrax.DirectAdjoint(),
             max_steps=solver.max_steps,
             throw=False,
@@ -412,9 +413,14 @@ def _combine(weights: tuple[float, ...], slopes: list[State]) -> State:
     return functools.reduce(operator.add, products)
 
 
-def _controller(
+TERM = diffrax.ODETerm(lambda t, y, field: field(t, y))  # pyright: ignore
+"""A vector field that is given as the argument."""
+
+
+def step_size_controller(
     solver: "Adaptive | InterpolatingAdjoint", vector_field: VectorField | None = None
 ) -> diffrax.AbstractStepSizeController:
+    """Of the tolerances; steps end where the thrust of a vector field jumps."""
     controller = diffrax.PIDController(rtol=solver.rtol, atol=solver.atol)
     jumps = jump_times(vector_field)
     if jumps is None:
@@ -443,7 +449,7 @@ def _diffeqsolve(
     adjoint: diffrax.AbstractAdjoint,
 ) -> diffrax.Solution:
     return diffrax.diffeqsolve(
-        diffrax.ODETerm(lambda t, y, field: field(t, y)),  # pyright: ignore
+        TERM,
         solver.method,
         ts[0],
         ts[-1],
@@ -451,7 +457,7 @@ def _diffeqsolve(
         y0,
         args=vector_field,
         saveat=saveat,
-        stepsize_controller=_controller(solver, vector_field),
+        stepsize_controller=step_size_controller(solver, vector_field),
         adjoint=adjoint,
         max_steps=solver.max_steps,
         throw=False,

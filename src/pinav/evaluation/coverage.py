@@ -8,7 +8,8 @@ the noise of those samples, so that
 $$\mathrm{Cov}\,y = (J + \Phi S)\,C\,(J + \Phi S)^\top + \Phi\,\Sigma_s\,\Phi^\top,$$
 
 $\Sigma_s = \sigma^2 (\Phi^\top\Phi)^{-1}$ over those samples. What is observed has the
-noise $\sigma$ on top.
+noise $\sigma$ on top. A wandering velocity adds its own variance
+(`pinav.evaluation.process_noise`).
 """
 
 from statistics import NormalDist
@@ -18,10 +19,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from pinav.dynamics import (
-    FixedStep,
-)
+from pinav.dynamics import FixedStep
 from pinav.evaluation.force_fields import FieldMap
+from pinav.evaluation.process_noise import wandering_variance
 from pinav.evaluation.starts import (
     DrivenModel,
     Starts,
@@ -31,6 +31,7 @@ from pinav.evaluation.starts import (
 )
 from pinav.fitting import Posterior
 from pinav.fitting.engine.multiple_shooting import sensitivities
+from pinav.systems import WanderingVelocity
 from pinav.trajectories import Trajectories
 
 NOMINAL = 0.95
@@ -59,7 +60,11 @@ class Bands(eqx.Module):
 
 
 def exact_start_bands(
-    posterior: Posterior, trajectories: Trajectories, solver: FixedStep | None = None
+    posterior: Posterior,
+    trajectories: Trajectories,
+    solver: FixedStep | None = None,
+    *,
+    wandering: WanderingVelocity | None = None,
 ) -> Bands:
     """Bands of rollouts from the first samples, which are exact.
 
@@ -67,12 +72,14 @@ def exact_start_bands(
         posterior: of the model.
         trajectories: where to start and when to predict.
         solver: how to integrate; `FixedStep()` unless given.
+        wandering: velocity of the swimmer that the model leaves out.
     """
     states = trajectories.states.shape[2]
     by_parameter = np.zeros((len(trajectories), states, len(posterior.mean)))
     spread = np.zeros((len(trajectories), states, states))
     starts = trajectories.states[:, 0]
-    return _bands(posterior, trajectories, starts, by_parameter, spread, solver)
+    bands = _bands(posterior, trajectories, starts, by_parameter, spread, solver)
+    return _widen(bands, posterior, trajectories, wandering, 1)
 
 
 def estimated_start_bands(
@@ -81,6 +88,8 @@ def estimated_start_bands(
     starts: Starts,
     noise: float,
     solver: FixedStep | None = None,
+    *,
+    wandering: WanderingVelocity | None = None,
 ) -> Bands:
     """Bands of rollouts from estimated starts.
 
@@ -90,6 +99,7 @@ def estimated_start_bands(
         starts: the estimates.
         noise: standard deviation of the observations.
         solver: how to integrate; `FixedStep()` unless given.
+        wandering: velocity of the swimmer that the model leaves out.
     """
     head = first_samples(trajectories, starts.count)
     linear = linearise_driven(
@@ -102,7 +112,29 @@ def estimated_start_bands(
     rows = -np.asarray(linear.start_rows)[:, :, : len(posterior.mean)]
     factors = np.asarray(linear.start_factor)
     spread = noise**2 * _inverses(np.swapaxes(factors, 1, 2) @ factors)
-    return _bands(posterior, trajectories, starts.states, rows, spread, solver)
+    bands = _bands(posterior, trajectories, starts.states, rows, spread, solver)
+    return _widen(bands, posterior, trajectories, wandering, starts.count)
+
+
+def _widen(
+    bands: Bands,
+    posterior: Posterior,
+    trajectories: Trajectories,
+    wandering: WanderingVelocity | None,
+    count: int,
+) -> Bands:
+    """The bands with the variance that a wandering velocity adds."""
+    if wandering is None:
+        return bands
+    theta, variance = jnp.asarray(posterior.mean), bands.sd**2
+    models = driven_models(posterior.free, theta, trajectories)
+    each = zip(models, trajectories, bands.ys, variance, strict=True)
+    for driven, piece, path, row in each:
+        length = len(piece.times)
+        row[:length] += wandering_variance(
+            driven(theta), wandering, piece, path[:length], count
+        )
+    return Bands(bands.ys, np.sqrt(variance))
 
 
 def _inverses(

@@ -9,14 +9,13 @@ import dataclasses
 from collections.abc import Mapping
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
 from pinav.dynamics import with_dtype
 from pinav.errors import InputError
-from pinav.forces import AbstractForce
+from pinav.forces import AbstractForce, forces_at
 from pinav.trajectories import Trajectories
 
 VISITED, NEAR = 0.35, 1.0
@@ -166,9 +165,7 @@ def field_map(
     flat = grid.reshape(-1, 2)
     distance, nearest_times = _nearest_samples(flat, trajectories)
     ts = nearest_times if time is None else np.full_like(nearest_times, time)
-    exact = with_dtype(force, jnp.float64)
-    at_rest = jax.vmap(lambda t, x: exact(t, x, jnp.zeros_like(x)))
-    values = at_rest(jnp.asarray(ts), jnp.asarray(flat))
+    values = forces_at(with_dtype(force, jnp.float64), ts, flat)
     return FieldMap(
         x,
         y,
@@ -215,8 +212,8 @@ def _observed_positions(
     trajectories: Trajectories,
 ) -> tuple[Float[np.ndarray, "sample dim"], Float[np.ndarray, " sample"]]:
     """All fully observed positions, and their times."""
-    seen = trajectories.observed[..., : trajectories.dim].all(-1)
-    return trajectories.positions[seen], trajectories.times[seen]
+    is_observed = trajectories.observed[..., : trajectories.dim].all(-1)
+    return trajectories.positions[is_observed], trajectories.times[is_observed]
 
 
 def _nearest_samples(

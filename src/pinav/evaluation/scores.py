@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 from pinav.dynamics import (
     AbstractDynamics,
     AbstractSolver,
-    Adaptive,
+    ForwardOnly,
     Outcome,
     drive_by_arrays,
     rollout,
@@ -57,8 +57,10 @@ class Score(eqx.Module):
 
 
 def _root_mean_square(errors: Float[np.ndarray, " state"]) -> float:
-    seen = errors[~np.isnan(errors)]
-    return float(np.sqrt(np.mean(seen**2))) if seen.size else float("nan")
+    known_errors = errors[~np.isnan(errors)]
+    return (
+        float(np.sqrt(np.mean(known_errors**2))) if known_errors.size else float("nan")
+    )
 
 
 def predict(
@@ -81,7 +83,7 @@ def predict(
         driven_by: whose commands drive each rollout, row by row: windows of long
             trajectories need the commands from before they begin, because of the
             delay. `trajectories` unless given.
-        solver: how to integrate; `Adaptive()` (Dopri8 at 1e-11) unless given.
+        solver: how to integrate; `ForwardOnly()` (Dopri8 at 1e-11) unless given.
 
     Returns:
         The states, and how each rollout ended: a diverged one is data, not an error.
@@ -94,7 +96,7 @@ def predict(
     known = np.asarray(np.isfinite(starts).all(axis=1))
     first = jnp.asarray(np.where(known[:, None], starts, 0.0), jnp.float64)
     times = jnp.asarray(trajectories.times, jnp.float64)
-    solver = Adaptive() if solver is None else solver
+    solver = ForwardOnly() if solver is None else solver
     source = trajectories if driven_by is None else driven_by
     commands = source.commands if takes_commands(dynamics) else {}
     programme = jax.tree.map(jnp.asarray, (source.times, commands))

@@ -18,6 +18,7 @@ from pinav.forces.force import AbstractLearnedForce as AbstractLearnedForce
 from pinav.forces.force import SumForce as SumForce
 from pinav.forces.force import ZeroForce as ZeroForce
 from pinav.forces.force import as_learned_force as as_learned_force
+from pinav.forces.force import forces_at as forces_at
 from pinav.forces.kernel_basis import KernelAxis as KernelAxis
 from pinav.forces.kernel_basis import KernelBasis as KernelBasis
 from pinav.forces.kernel_basis import Warp as Warp

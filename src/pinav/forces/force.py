@@ -9,8 +9,9 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from pinav.arguments import Scalar, Vector, refuse_text
 from pinav.forces.priors import AbstractPrior, Centers, Shape
@@ -49,6 +50,19 @@ class ZeroForce(AbstractForce):
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return jnp.zeros_like(x)
+
+
+@eqx.filter_jit
+def forces_at(
+    force: AbstractForce,
+    times: Float[ArrayLike, "*shape"],
+    points: Float[ArrayLike, "*shape dim"],
+) -> Float[Array, "*shape dim"]:
+    """The force on a swimmer at rest at each of many places, as one program."""
+    times, points = jnp.asarray(times), jnp.asarray(points)
+    at_rest = jax.vmap(lambda t, x: force(t, x, jnp.zeros_like(x)))
+    places = points.reshape(-1, points.shape[-1])
+    return at_rest(times.reshape(-1), places).reshape(points.shape)
 
 
 def _terms(force: AbstractForce) -> tuple[AbstractForce, ...]:

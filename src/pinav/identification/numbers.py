@@ -22,13 +22,16 @@ PATHS = {
 }
 """Where the nonlinear parameters of the propulsion stand in a swimmer."""
 
+BLOCK_NOISE = "noise of a block"
+"""Name of the standard deviation of a block's mean position."""
+
 NOISE_PATHS = {
     "log_still": "wandering.still",
     "log_driven": "wandering.driven",
     "log_memory": "wandering.memory",
     "log_slow": "wandering.slow",
     "log_slow_memory": "wandering.slow_memory",
-    "log_noise": "noise of a block",
+    "log_noise": BLOCK_NOISE,
 }
 """Names of the parameters of the noise among the constants of a fit."""
 

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float, Float64, PRNGKeyArray
 
 from pinav.dynamics import (
-    Adaptive,
     BrownianSwimmer,
+    ForwardOnly,
     OverdampedSwimmer,
     rollout,
     sample_path,
@@ -39,11 +39,12 @@ def true_paths(
     truth = system.truth
     stochastic = isinstance(truth, BrownianSwimmer) or system.wandering is not None
     if not stochastic:
-        solver = Adaptive()
+        solver = ForwardOnly()
         solve = eqx.filter_jit(rollout)
         runs = [solve(truth, y0, system.times, solver=solver) for y0 in system.starts]
-        name = type(solver.method).__name__
-        method = {"solver": name, "rtol": solver.rtol, "atol": solver.atol}
+        steps = solver.solver
+        name = type(steps.method).__name__
+        method = {"solver": name, "rtol": steps.rtol, "atol": steps.atol}
         return np.stack([run.ys for run in runs]), method
     if key is None:
         raise InputError(

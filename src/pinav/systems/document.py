@@ -63,9 +63,9 @@ def _sampling(system: System) -> TOML:
         states = encode("starts", system.starts)
         tables["starts"] = {**tables.get("starts", {}), "states": states}
     if len(system.times):
-        first, last = float(system.times[0]), float(system.times[-1])
-        samples = len(system.times)
-        if np.array_equal(jnp.linspace(first, last, samples), system.times):
+        times = np.asarray(system.times)
+        first, last, samples = float(times[0]), float(times[-1]), len(times)
+        if np.array_equal(jnp.linspace(first, last, samples), times):
             tables["times"] = {"first": first, "last": last, "samples": samples}
         else:
             tables["times"] = {"values": encode("times", system.times)}

@@ -57,7 +57,7 @@ def force_of(key: str, value: Any, context: Context) -> AbstractForce:
 
 
 def _check_space(key: str, function: Any, dim: int) -> None:
-    point = jax.ShapeDtypeStruct((dim,), jnp.zeros(()).dtype)
+    point = jax.ShapeDtypeStruct((dim,), jnp.result_type(float))
     try:
         shape = jax.eval_shape(function, point).shape
     except (TypeError, ValueError, IndexError) as error:

@@ -43,7 +43,15 @@ class AbstractStarts(eqx.Module):
         if count is not None and count < 1:
             raise InputError(f"starts count: expected 1 or more, got {count}")
         key = jax.random.key(self.seed) if key is None else key
-        return self.states(key, self.count if count is None else count, order)
+        return _states(self, key, self.count if count is None else count, order)
+
+
+@eqx.filter_jit
+def _states(
+    rule: AbstractStarts, key: PRNGKeyArray, count: int, order: int
+) -> Float[Array, "{count} state"]:
+    """One compiled program in place of one for each operation."""
+    return rule.states(key, count, order)
 
 
 class RingStarts(AbstractStarts):

@@ -5,6 +5,7 @@ import hashlib
 import html
 import json
 import re
+import sys
 from pathlib import Path
 
 import equinox as eqx
@@ -21,7 +22,9 @@ from pinav.commands.explore import document, payload, posterior
 from pinav.commands.explore.job import explorer
 from pinav.commands.explore.plan import plan_of
 from pinav.commands.explore.trees import EVALUATED, leaf_table, pack_array, tree_of
+from pinav.commands.explore.warmth import heat_payload
 from pinav.commands.fitted_run import FittedRun
+from pinav.commands.heat.sections import section_arrays, sections_of
 from pinav.errors import InputError
 from pinav.forces import (
     AbstractForce,
@@ -206,9 +209,58 @@ def heated(folder, **arrays):
     return folder
 
 
-def test_bioheat_on_a_plane_is_refused(tmp_path, capsys):
+def test_a_box_of_bioheat_without_its_temperatures_is_refused(tmp_path, capsys):
     assert cli.run(["explore", str(heated(tmp_path / "heat"))]) == 2
-    assert "this run is on a plane or a box" in capsys.readouterr().err
+    assert "hold no temperatures over time; " in capsys.readouterr().err
+
+
+def boxed(shape, moments):
+    """Results of a run in a box, or on a plane, that cools from its middle."""
+    places = np.indices(shape) - (np.array(shape) // 2).reshape(-1, *[1] * len(shape))
+    target = (np.sqrt((places**2).sum(axis=0)) < min(shape) / 5).astype(float)
+    times = np.linspace(1.0, 600.0, moments)
+    hot = 37 + 8 * np.exp(-((places / min(shape)) ** 2).sum(axis=0) * 8)
+    warm = np.exp(-times / 300.0)
+    cuts = {s.name: np.asarray(s.of(jnp.asarray(hot))) for s in sections_of(target)}
+    observed = {n: 37 + (c - 37) * warm[:, None, None] for n, c in cuts.items()}
+    curve = 37 + 8 * warm
+    arrays = dict.fromkeys(("hottest", "T10", "T50", "T90"), curve)
+    return {
+        **dict.fromkeys(("dose/D90", "dose/outside"), np.cumsum(curve)),
+        **arrays,
+        **section_arrays(target, times, observed),
+        "times": times,
+        "temperature": 37 + (hot - 37) * warm[-1],
+        "dose": hot - 36.99,
+        "target": target,
+        "spacing": np.full(len(shape), 1e-3),
+        "points": np.zeros((1, len(shape))),
+        "probes": curve[:, None],
+        "edges": np.array([0.0, 600.0]),
+        "starts": np.array([1e4]),
+        "ends": np.array([1e4]),
+    }
+
+
+def test_a_large_box_of_bioheat_keeps_the_size_of_a_page(tmp_path):
+    folder = heated(tmp_path / "heat", **boxed((70, 200, 64), 181))
+    content = heat_payload(RunFolder.open(folder))
+    shapes = [s["temperature"]["shape"] for s in content["sections"]]
+    assert [s["normal"] for s in content["sections"]] == ["z", "y", "x"]
+    assert [shape[1:] for shape in shapes] == [[35, 100], [70, 64], [100, 32]]
+    assert content["moments"]["shape"] == [26]
+    assert len(document.document(content)) < document.MAX_BYTES
+
+
+def test_sections_lie_in_the_middle_of_the_target():
+    target = np.zeros((9, 8, 7))
+    target[2:5, 4:7, 1:4] = 1.0
+    assert [(s.name, s.place) for s in sections_of(target)] == [
+        ("section/z", 2),
+        ("section/y", 5),
+        ("section/x", 3),
+    ]
+    assert sections_of(np.ones(4)) == ()
 
 
 def test_a_run_of_bioheat_without_its_balance_is_refused(tmp_path, capsys):
@@ -222,6 +274,12 @@ def test_a_notebook_shows_the_page_in_a_frame(run):
     assert shown.startswith("<iframe srcdoc=")
     assert shown.count("<") == 2  # everything of the page is escaped
     assert "explore.html" not in {path.name for path in run.iterdir()}
+
+
+def test_a_widget_without_its_package_is_refused(run, monkeypatch):
+    monkeypatch.setitem(sys.modules, "anywidget", None)
+    with pytest.raises(InputError, match=r"pip install 'pinav\[notebook\]'"):
+        explorer(run).widget()
 
 
 def test_the_map_holds_the_arena_of_a_plan(content):

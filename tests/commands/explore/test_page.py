@@ -1,5 +1,6 @@
 """The page in a real browser: the same numbers as the package, quick, and offline."""
 
+import base64
 import json
 import math
 import re
@@ -13,10 +14,12 @@ import numpy as np
 import pytest
 from tests.commands.explore.chromium import Chromium, find_chromium
 from tests.commands.test_heat import small
+from tests.commands.test_heat_voxels import write as write_voxels
 
 import pinav.forces as forces
 from pinav import cli
 from pinav.commands.explore.document import document
+from pinav.commands.explore.job import explorer
 from pinav.commands.explore.payload import payload_of
 from pinav.commands.explore.plan import LEVELS
 from pinav.commands.explore.trees import pack_array, tree_of
@@ -291,6 +294,109 @@ def test_a_run_of_bioheat_is_that_of_the_package(browser, heated, tmp_path):
     assert "starts=5000" in browser.run("location.hash")
     for trouble in ("Runtime.exceptionThrown", "Log.entryAdded"):
         assert not browser.named(trouble)
+
+
+@pytest.fixture(scope="module")
+def boxed(tmp_path_factory):
+    """A block of voxels, heated and cooling: the folder of its run, and its page."""
+    folder = tmp_path_factory.mktemp("box")
+    field = {"field.times": [0, 60, 90], "field.amplitudes": [1e4, 0.0]}
+    case = write_voxels(folder, {**field, "probes": {"points": [[5e-3, 5e-3, 6e-3]]}})
+    out = folder / "run"
+    with jax.numpy_dtype_promotion("standard"):
+        assert cli.run(["heat", "simulate", str(case), "--out", str(out)]) == 0
+        assert cli.run(["explore", str(out)]) == 0
+    return out
+
+
+@pytest.mark.parametrize("plane", [0, 1, 2])
+def test_a_run_of_bioheat_in_a_box_is_read_as_it_was_run(plane, browser, boxed):
+    address = f"file://{boxed}/explore.html#plane={plane}&x=5&y=5"
+    browser.open("about:blank")
+    browser.open(address, width=360)
+    browser.wait_for("globalThis.explorer?.elapsed !== undefined")
+    arrays = dict(np.load(boxed / "results.npz"))
+    section = browser.run("explorer.section.normal")
+    saved = arrays[f"section/{section}"]
+    page = browser.run("[...explorer.section.temperature]")
+    sides = np.array(browser.run("explorer.section.box"))[1::2]
+    cell = tuple((5 / sides * saved.shape[1:]).astype(int))
+    np.testing.assert_allclose(page, saved.reshape(-1), atol=1e-4)
+    for time in (arrays["section/times"][7], 41.3):
+        browser.run(f"explorer.change({{ time: {time} }})")
+        browser.wait_for("!explorer.request")
+        there = np.interp(time, arrays["section/times"], saved[:, *cell])
+        assert browser.run("explorer.reading()") == pytest.approx(there, abs=1e-3)
+    browser.run("document.getElementById('paths').focus()")
+    browser.press("ArrowRight")
+    browser.press("ArrowRight", modifiers=8)
+    browser.run("explorer.change({ quantity: 'dose' })")
+    browser.wait_for("!explorer.request")
+    assert browser.run("explorer.conditions.x") > 5
+    assert "quantity=dose" in browser.run("location.hash")
+    assert "CEM43" in browser.run("document.getElementById('unit').textContent")
+    assert browser.run("explorer.table().split('\\n').length") == 2 + len(
+        arrays["times"]
+    )
+    assert browser.run("document.documentElement.scrollWidth") <= 360
+    assert browser.run("explorer.elapsed") < 1000 / 10
+    for trouble in ("Runtime.exceptionThrown", "Log.entryAdded"):
+        assert not browser.named(trouble)
+
+
+MODEL = """
+globalThis.model = {
+  state: PARTS,
+  listeners: [],
+  get(name) { return this.state[name]; },
+  set(name, value) { this.state[name] = value; this.listeners.forEach((f) => f()); },
+  save_changes() { this.saved = { ...this.state }; },
+  on(event, listener) { this.listeners.push(listener); },
+  off() { this.listeners = []; },
+};
+"""
+"""What anywidget gives the module of a widget: shared state, and its changes."""
+
+
+@pytest.mark.extras("anywidget")
+def test_a_widget_shares_its_conditions_with_the_notebook(browser, pages):
+    run, _ = pages("kernel")
+    widget = explorer(run.folder.path).widget()
+    parts = {name: getattr(widget, name) for name in ("page", "height", "address")}
+    assert widget.get_state()["page"] == parts["page"]
+    browser.open("about:blank")
+    browser.run(MODEL.replace("PARTS", json.dumps(parts)) + "0")
+    module = base64.b64encode(widget._esm.encode()).decode()
+    browser.run(
+        f"import('data:text/javascript;base64,{module}').then("
+        "(m) => void (globalThis.end = m.default.render({ model, el: document.body })))"
+    )
+    browser.wait_for("model.saved?.path")
+    assert browser.run("model.saved.path").startswith("t,x,y,vx,vy,sd x,sd y\n")
+    browser.run("void (globalThis.page = document.querySelector('iframe'))")
+    browser.run("page.contentWindow.explorer.change({ x: 3.25 })")
+    browser.wait_for("model.saved.address === 'x=3.25'")
+    browser.run("model.set('address', 'x=4.5&y=2')")
+    browser.wait_for("model.saved.path.split(/[,\\n]/)[8] === '4.5'")
+    assert browser.run("model.saved.address") == "x=4.5&y=2"
+    browser.run("end()")
+    assert browser.run("model.listeners.length") == 0
+    assert not browser.named("Runtime.exceptionThrown")
+
+
+def test_the_frame_of_a_notebook_keeps_its_own_address(browser, pages):
+    run, _ = pages("kernel")
+    frame = explorer(run.folder.path)._repr_html_()
+    browser.open("about:blank")
+    browser.run(f"void (document.body.innerHTML = {json.dumps(frame)})")
+    browser.wait_for("document.querySelector('iframe').contentWindow.explorer?.band")
+    browser.run(
+        "void (globalThis.page = document.querySelector('iframe').contentWindow)"
+    )
+    browser.run("page.explorer.change({ x: 3.25 })")
+    browser.wait_for("page.location.hash === '#x=3.25'")
+    assert browser.run("location.hash") == ""
+    assert not browser.named("Runtime.exceptionThrown")
 
 
 def test_nothing_leaves_the_page_and_nothing_complains(browser, pages):

@@ -12,8 +12,14 @@ from pinav.fitting.structure.proposals import (
     quick_evidence,
     wall_term,
 )
-from pinav.fitting.structure.response import ForceResponse, forces_at
-from pinav.forces import GaussianBarrier, KernelPotential, SoftWall, StructuredForce
+from pinav.fitting.structure.response import ForceResponse
+from pinav.forces import (
+    GaussianBarrier,
+    KernelPotential,
+    SoftWall,
+    StructuredForce,
+    forces_at,
+)
 from pinav.scenarios import scenario
 
 POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 150, 2))

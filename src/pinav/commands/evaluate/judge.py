@@ -43,13 +43,16 @@ BANDED = 16
 Coverage = dict[str, float]
 
 
-def residual_whiteness(setting: Setting) -> Whiteness:
+def residual_whiteness(setting: Setting) -> Whiteness | None:
     """Whiteness of the residuals on the training data.
 
     Observed less fitted states in units of the noise; for stochastic paths their
-    increments, less the drift of the model, in units of the diffusion.
+    increments, less the drift of the model, in units of the diffusion. None beside a
+    wandering velocity, which a fit integrates out, so that it has no fitted states.
     """
     run, training = setting.run, setting.run.data
+    if run.wandering is not None:
+        return None
     if setting.diffusion is not None:
         residuals, observed = increment_residuals(
             run.model, training, setting.diffusion
@@ -151,7 +154,9 @@ def _clean_coverage(setting: Setting, clean: Trajectories) -> Coverage:
     elapsed = clean.times[0] - clean.times[0, 0]
     samples = int((elapsed <= setting.run.horizon * (1 + 1e-9)).sum())
     chosen = first_samples(clean.select(range(min(BANDED, len(clean)))), samples)
-    bands = exact_start_bands(setting.run.posterior, chosen)
+    bands = exact_start_bands(
+        setting.run.posterior, chosen, wandering=setting.run.wandering
+    )
     scored = without_first(chosen, 1)
     return rollout_coverage(bands, scored, 0.0, _sample_regions(scored, setting))
 
@@ -163,7 +168,9 @@ def _bands(setting: Setting, data: Trajectories) -> tuple[Bands, Trajectories]:
     if run.posterior is None or prediction.starts is None:
         unit = np.ones_like(prediction.ys)
         return Bands(prediction.ys, unit), prediction.observed
-    bands = estimated_start_bands(run.posterior, data, prediction.starts, run.noise)
+    bands = estimated_start_bands(
+        run.posterior, data, prediction.starts, run.noise, wandering=run.wandering
+    )
     return bands, prediction.observed
 
 

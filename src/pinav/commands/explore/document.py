@@ -21,7 +21,7 @@ MODULES = (
     *("numbers", "kernels", "network", "media", "propulsion", "structures"),
     *("forces", "model", "rollout", "plan", "colours", "quantities", "view"),
     *("experiment", "session", "panel", "gestures", "sharing", "tissue", "oven"),
-    "main",
+    *("sections", "main"),
 )
 """The modules, each after those that it imports."""
 

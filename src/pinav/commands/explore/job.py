@@ -3,9 +3,11 @@
 import dataclasses
 import html
 from pathlib import Path
+from typing import Any
 
 from pinav.commands.command import CommandResult
 from pinav.commands.explore.document import document
+from pinav.commands.explore.notebook import make_widget
 from pinav.commands.explore.payload import payload_of
 from pinav.commands.explore.plan import fit_of_plan, is_plan, plan_of
 from pinav.commands.explore.settings import ExploreOptions
@@ -35,12 +37,22 @@ class Explorer:
         size = f'width="100%" height="{self.height}" style="border: 0"'
         return f'<iframe srcdoc="{html.escape(self.page)}" {size}></iframe>'
 
+    def widget(self) -> Any:
+        """The page as a widget, whose conditions and path Python reads and sets.
+
+        Its `address` and `path` are those of `make_widget`.
+
+        Raises:
+            InputError: anywidget is not installed.
+        """
+        return make_widget(self.page, self.height)
+
 
 def explorer(run: str | Path, *, fit: str | Path | None = None) -> Explorer:
     """The page of `pinav explore`, to be shown in a notebook.
 
     Args:
-        run: folder of a fit, of a plan, or of bioheat along a radius.
+        run: folder of a fit, of a plan, or of bioheat.
         fit: run of the model that a plan was made with, where it does not lie beside
             that of the plan.
 

@@ -15,7 +15,7 @@ class ExploreOptions(Settings, frozen=True):
     needs no network, and is not allowed to use one.
 
     Attributes:
-        run: Folder of pinav fit, identify, reproduce or navigate.
+        run: Folder of pinav fit, identify, reproduce, navigate or heat.
         fit: Run of the model that a plan was made with, where it does not lie beside
             that of the plan.
     """

@@ -1,12 +1,13 @@
-"""A run of bioheat along a radius as the page takes it."""
+"""A run of bioheat as the page takes it."""
+
+from collections.abc import Mapping
 
 import numpy as np
 
+from pinav.commands.explore.sections import RESULTS, section_payload
 from pinav.commands.explore.trees import Tree, pack_array
 from pinav.errors import InputError
 from pinav.runs import RunFolder
-
-RESULTS = "results.npz"
 
 
 def is_heated(folder: RunFolder) -> bool:
@@ -20,15 +21,17 @@ def heat_payload(folder: RunFolder) -> Tree:
     """A run of bioheat as the page takes it.
 
     Raises:
-        InputError: it is none along a radius.
+        InputError: it was written before the page could show it.
     """
     folder.check_file(RESULTS)
     arrays = folder.read_arrays(RESULTS)
     if "radius" not in arrays:
-        raise InputError(
-            f"{folder.path}: explore runs the heat equation along a radius, this run "
-            "is on a plane or a box; take pinav report"
-        )
+        return section_payload(folder, arrays)
+    return _radial_payload(folder, arrays)
+
+
+def _radial_payload(folder: RunFolder, arrays: Mapping[str, np.ndarray]) -> Tree:
+    """A run along a radius, with all that its heat equation needs."""
     if "balance/conductances" not in arrays:
         raise InputError(
             f"{folder.path}: its results hold no heat balance; {folder.repair(RESULTS)}"

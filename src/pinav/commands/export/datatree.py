@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.commands.export.spots import (
+    exact_forces,
     force_sds,
-    forces_at,
     learned_force,
     result_units,
 )
@@ -112,7 +112,7 @@ def _predictions(
     moments = np.full(len(places), float(run.data.times[0, 0]))
     length, _, unit = result_units(run)
     dims, units = (*axes, "axis"), {"units": unit}
-    mean = forces_at(force, places, moments).reshape(grid.shape)
+    mean = exact_forces(force, places, moments).reshape(grid.shape)
     variables: dict[str, Variable] = {"force_mean": (dims, mean, units)}
     if posterior is not None and draws is not None:
         sd = force_sds(posterior, force, places, moments).reshape(grid.shape)
@@ -148,8 +148,8 @@ def _drawn_forces(
 def _grid(run: FittedRun, points: int) -> list[Float[np.ndarray, " point"]]:
     """Coordinates of a grid over the box of the data, equally spaced."""
     data = run.data
-    seen = data.positions[data.observed[..., : data.dim].all(axis=-1)]
-    low, high = seen.min(axis=0), seen.max(axis=0)
+    is_observed = data.positions[data.observed[..., : data.dim].all(axis=-1)]
+    low, high = is_observed.min(axis=0), is_observed.max(axis=0)
     spacing = extent(data) / (points - 1)
     counts = np.maximum(np.ceil((high - low) / spacing).astype(int), 1) + 1
     return [np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True)]

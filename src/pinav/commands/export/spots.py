@@ -14,7 +14,7 @@ from pinav.dynamics import Swimmer, with_dtype
 from pinav.errors import InputError
 from pinav.figures.style import force_unit, with_order
 from pinav.fitting import Posterior
-from pinav.forces import AbstractForce, as_learned_force
+from pinav.forces import AbstractForce, as_learned_force, forces_at
 from pinav.trajectories import POSITION_CHANNELS
 
 
@@ -48,12 +48,12 @@ def spot_table(run: FittedRun) -> SpotTable:
         InputError: the run holds several models, or one that learned no force.
     """
     data = run.data
-    seen = data.observed[..., : data.dim].all(axis=-1)
-    seen &= np.arange(data.times.shape[1]) < data.lengths[:, None]
-    trajectory, frame = np.nonzero(seen)
-    position, time = data.positions[seen], data.times[seen]
+    is_observed = data.observed[..., : data.dim].all(axis=-1)
+    is_observed &= np.arange(data.times.shape[1]) < data.lengths[:, None]
+    trajectory, frame = np.nonzero(is_observed)
+    position, time = data.positions[is_observed], data.times[is_observed]
     force = learned_force(run)
-    values = forces_at(force, position, time)
+    values = exact_forces(force, position, time)
     sd = force_sds(run.posterior, force, position, time)
     return SpotTable(trajectory, frame, time, position, values, sd, result_units(run))
 
@@ -73,7 +73,7 @@ def learned_force(run: FittedRun) -> AbstractForce:
     return force
 
 
-def forces_at(
+def exact_forces(
     force: AbstractForce,
     positions: Float[np.ndarray, "spot dim"],
     times: Float[np.ndarray, " spot"],
@@ -81,8 +81,7 @@ def forces_at(
     """The force on a swimmer at rest at each position and time."""
     with jax.enable_x64(new_val=True):
         exact = with_dtype(force, jnp.float64)
-        at_rest = jax.vmap(lambda t, x: exact(t, x, jnp.zeros_like(x)))
-        return np.asarray(at_rest(jnp.asarray(times), jnp.asarray(positions)))
+        return np.asarray(forces_at(exact, times, positions))
 
 
 def force_sds(

@@ -53,7 +53,8 @@ from pinav.fitting import (
 )
 from pinav.fitting.environments.catalogue import KnownSwimmer, build
 from pinav.forces import AbstractForce, as_learned_force
-from pinav.identification import fit_commanded, is_commanded
+from pinav.identification import fit_commanded, needs_kalman_filter
+from pinav.identification.numbers import BLOCK_NOISE
 from pinav.recordings.conventions import remarks
 from pinav.runs import RunFolder
 from pinav.scenarios import source_system
@@ -139,7 +140,7 @@ def _infer(plan: FitPlan, folder: RunFolder) -> None:
     if plan.settings.recipe == "langevin":
         write_fit(folder, header, fit_thermal(plan, model, folder), plan.data)
         return
-    if is_commanded(plan.system):
+    if needs_kalman_filter(plan.system):
         write_fit(folder, header, _fit_commanded(plan, model.environment), plan.data)
         return
     search = plan.settings.structure == "search"
@@ -165,8 +166,11 @@ def _infer(plan: FitPlan, folder: RunFolder) -> None:
 def _fit_commanded(plan: FitPlan, environment: AbstractForce) -> EvidenceFit:
     """Fit a field beside commands and a wandering velocity."""
     result = fit_commanded(plan.system, plan.data, as_learned_force(environment))
-    # The residuals are whitened, so that their noise is 1; a run keeps the system's.
+    # The residuals are whitened, so that their noise is 1; a run keeps the system's,
+    # or where that states none what the fit found for the mean of a block.
     noise = plan.system.observation.noise
+    if noise == 0:
+        noise = result.constants[BLOCK_NOISE].value
     chosen = dataclasses.replace(result.hyperparameters, noise=noise)
     return dataclasses.replace(result, hyperparameters=chosen)
 

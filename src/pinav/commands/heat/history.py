@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from pinav.commands.heat.build import CaseModel
+from pinav.commands.heat.sections import Section, sections_of
 from pinav.thermal.dose import (
     cem43_segment,
     time_to_reach,
@@ -54,6 +55,7 @@ class Watched(eqx.Module):
         outside: cells without any of the target, flattened.
         probes: temperatures at the probes, if there are any.
         whole: whether all of the temperature is kept.
+        sections: of a plane or a box, whose temperatures are kept.
     """
 
     cells: np.ndarray
@@ -61,6 +63,7 @@ class Watched(eqx.Module):
     outside: Bool[np.ndarray, " all"]
     probes: Observe | None
     whole: bool = eqx.field(static=True)
+    sections: tuple[Section, ...] = eqx.field(static=True)
 
     @classmethod
     def of(cls, setup: CaseModel, probes: Observe | None) -> "Watched":
@@ -72,20 +75,21 @@ class Watched(eqx.Module):
             outside=np.asarray(setup.target).reshape(-1) < 1e-9,
             probes=probes,
             whole=setup.target.ndim == 1,
+            sections=sections_of(np.asarray(setup.target)),
         )
 
     def temperatures(self, temperature: Float[Array, "..."]) -> dict[str, Array]:
         """Of one time [°C], and the share of the target above 43 °C."""
         target = temperature.reshape(-1)[self.cells]
         observed = {"hottest": jnp.max(temperature)}
-        for name, share in SHARES.items():
-            observed[name] = value_exceeded_by(target, self.volumes, share)
+        for name, fraction in SHARES.items():
+            observed[name] = value_exceeded_by(target, self.volumes, fraction)
         observed["V43"] = volume_above(target, self.volumes, 43.0)
         if self.probes is not None:
             observed["probes"] = self.probes(temperature)
         if self.whole:
             observed["field"] = temperature
-        return observed
+        return observed | {s.name: s.of(temperature) for s in self.sections}
 
     def doses(self, dose: Float[Array, "..."]) -> dict[str, Array]:
         """Of one time [CEM43 min]."""

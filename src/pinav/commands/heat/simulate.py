@@ -15,6 +15,7 @@ from pinav.commands.heat.history import (
     time_to_therapy,
 )
 from pinav.commands.heat.metrics import RunMetrics
+from pinav.commands.heat.sections import PREFIX, section_arrays
 from pinav.commands.heat.task import AbstractTask, TaskResult
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.exposure_limits import require, validity_warnings
@@ -78,8 +79,13 @@ def simulate_run(
         "starts": np.asarray(protocol.starts),
         "ends": np.asarray(protocol.ends),
         "points": setup.points,
-        **{name: np.asarray(values) for name, values in solution.observed.items()},
+        **{
+            name: np.asarray(values)
+            for name, values in solution.observed.items()
+            if not name.startswith(PREFIX)
+        },
     }
+    arrays |= section_arrays(arrays["target"], arrays["times"], solution.observed)
     if (damage := solution.final.damage) is not None:
         arrays["dead"] = 1 - np.exp(-np.asarray(damage))
     for name, values in solution.observed_dose.items():

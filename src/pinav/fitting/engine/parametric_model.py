@@ -58,12 +58,14 @@ def selected_entries(
         count: length of the vector.
         select: picks leaves of the model.
     """
-    marks = parametric.unravel(jnp.zeros(count))
+    shapes = _shapes(parametric, count)
+    marks = jax.tree.map(lambda leaf: np.zeros(leaf.shape, bool), shapes)
     leaves = jax.tree.leaves(select(marks))
     if leaves:
-        ones = [jnp.ones_like(leaf) for leaf in leaves]
+        ones = [np.ones_like(leaf) for leaf in leaves]
         marks = eqx.tree_at(lambda m: jax.tree.leaves(select(m)), marks, ones)
-    return np.asarray(ravel_pytree(marks)[0]) > 0
+    flat = [np.ravel(leaf) for leaf in jax.tree.leaves(marks)]
+    return np.concatenate(flat) if flat else np.zeros(0, bool)
 
 
 def parameter_names(parametric: ParametricModel, count: int) -> tuple[str, ...]:
@@ -73,13 +75,18 @@ def parameter_names(parametric: ParametricModel, count: int) -> tuple[str, ...]:
         parametric: the model.
         count: length of the vector.
     """
-    tree = parametric.unravel(jnp.zeros(count))
     names = []
-    for path, leaf in jax.tree_util.tree_flatten_with_path(tree)[0]:
+    leaves = jax.tree_util.tree_leaves_with_path(_shapes(parametric, count))
+    for path, leaf in leaves:
         name = jax.tree_util.keystr(path).lstrip(".")
-        indices = np.ndindex(*leaf.shape) if leaf.ndim else [None]
+        indices = np.ndindex(*leaf.shape) if leaf.shape else [None]
         names += [name if i is None else f"{name}{list(i)}" for i in indices]
     return tuple(names)
+
+
+def _shapes(parametric: ParametricModel, count: int) -> PyTree:
+    """Shapes of the leaves that are parameters; nothing is computed."""
+    return jax.eval_shape(parametric.unravel, jax.ShapeDtypeStruct((count,), float))
 
 
 ModelOfParameters = Callable[[Float[Array, " parameter"]], Any]

@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, ArrayLike, Float, Int
 
 from pinav.arguments import Scalar, State, Vector
 from pinav.dynamics import FixedStep
@@ -22,7 +22,7 @@ from pinav.fitting.engine.multiple_shooting import (
     propagate,
 )
 from pinav.fitting.matching.objectives import Observations
-from pinav.forces import AbstractForce, ConstantForce
+from pinav.forces import AbstractForce, ConstantForce, forces_at
 
 MOST_GROUPS = 100
 """Groups of steps of a trajectory, in each of which the force counts as constant."""
@@ -65,18 +65,6 @@ class ForceResponse(eqx.Module):
         return (jnp.einsum("idf,if->id", self.rows, flat) + self.targets).reshape(-1)
 
 
-@eqx.filter_jit
-def forces_at(
-    force: AbstractForce,
-    times: Float[Array, "*shape"],
-    points: Float[Array, "*shape dim"],
-) -> Float[Array, "*shape dim"]:
-    """The force on a swimmer at rest at each of many places."""
-    dim = points.shape[-1]
-    at_rest = jax.vmap(lambda t, x: force(t, x, jnp.zeros_like(x)))
-    return at_rest(times.reshape(-1), points.reshape(-1, dim)).reshape(points.shape)
-
-
 def force_response(
     model: Any,
     states: Float[Array, "trajectory time state"],
@@ -98,35 +86,35 @@ def force_response(
         model, states, observations, solver, group, groups, dim
     )
     rows, targets, left = _compress(np.asarray(hessians), np.asarray(gradients))
-    times = observations.times
-    points = _means((states[:, 1:, :dim] + states[:, :-1, :dim]) / 2, group, groups)
-    when = _means(((times[:, 1:] + times[:, :-1]) / 2)[..., None], group, groups)
+    times, places = np.asarray(observations.times), np.asarray(states)[..., :dim]
+    points = _means((places[:, 1:] + places[:, :-1]) / 2, group, groups)
+    when = _means((times[:, 1:, None] + times[:, :-1, None]) / 2, group, groups)[..., 0]
     count = int(np.asarray(observations.observed).sum())
     return ForceResponse(
         rows=jnp.asarray(rows),
         targets=jnp.asarray(targets),
-        points=points,
-        times=when[..., 0],
-        forces=forces_at(model.environment, when[..., 0], points),
+        points=jnp.asarray(points),
+        times=jnp.asarray(when),
+        forces=forces_at(model.environment, when, points),
         num_free=count - states[:, 0].size,
         squares=float(np.sum(np.asarray(squares)) - left),
     )
 
 
-def _grouped(steps: int) -> tuple[Int[Array, " step"], int]:
+def _grouped(steps: int) -> tuple[Int[np.ndarray, " step"], int]:
     """The group of each step, and their number."""
     size = -(-steps // MOST_GROUPS)
-    return jnp.arange(steps) // size, -(-steps // size)
+    return np.arange(steps) // size, -(-steps // size)
 
 
 def _means(
-    values: Float[Array, "trajectory step channel"],
-    group: Int[Array, " step"],
+    values: Float[np.ndarray, "trajectory step channel"],
+    group: Int[np.ndarray, " step"],
     groups: int,
-) -> Float[Array, "trajectory group channel"]:
+) -> Float[np.ndarray, "trajectory group channel"]:
     """Mean over the steps of each group."""
-    shares = jax.nn.one_hot(group, groups, dtype=values.dtype)
-    return jnp.einsum("isc,sg->igc", values, shares / shares.sum(axis=0)[None])
+    fractions = np.eye(groups)[group]
+    return np.einsum("isc,sg->igc", values, fractions / fractions.sum(axis=0)[None])
 
 
 @eqx.filter_jit
@@ -135,7 +123,7 @@ def _normal_equations(
     states: Float[Array, "trajectory time state"],
     observations: Observations,
     solver: FixedStep,
-    group: Int[Array, " step"],
+    group: Int[ArrayLike, " step"],
     groups: int,
     dim: int,
 ) -> tuple[

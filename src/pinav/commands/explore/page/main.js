@@ -1,19 +1,19 @@
 // The page: conditions in, pictures out.
 
-import { MEANING } from "./colours.js";
+import { INK, MEANING, PAPER, through } from "./colours.js";
 import { Experiment, NORMAL_95 } from "./experiment.js";
 import { forceOf } from "./forces.js";
 import { listen } from "./gestures.js";
 import { arrayOf, shown } from "./numbers.js";
 import { HeatExplorer } from "./oven.js";
-import { button, checks, choice, group, make, numberField, slider } from "./panel.js";
+import { button, checks, choice, group, make, numberField, showLegend, slider } from "./panel.js";
 import { responseOf } from "./propulsion.js";
 import { forceAt, forceSd, grid, quantitiesOf } from "./quantities.js";
 import { LAYERS, decoded, encoded, firstConditions } from "./session.js";
-import { pathTable, savePicture, saveText } from "./sharing.js";
+import { pathTable, savePicture, saveText, writeAddress } from "./sharing.js";
+import { SectionExplorer } from "./sections.js";
 import { Frame, drawScale, imageOf, limitsOf, plot } from "./view.js";
 
-const INK = "#3a424b";
 const FRAME_BUDGET = 12; // ms that a band may take to be drawn while dragging
 const PAUSE = 60; // ms without movement after which a band is drawn all the same
 const byId = (id) => document.getElementById(id);
@@ -123,10 +123,7 @@ class Explorer {
   }
 
   writeAddress() {
-    const text = encoded(this.conditions, this.first);
-    if (text !== globalThis.location.hash.slice(1)) {
-      history.replaceState(null, "", text ? `#${text}` : globalThis.location.pathname);
-    }
+    writeAddress(encoded(this.conditions, this.first));
   }
 
   takeAddress() {
@@ -211,7 +208,7 @@ class Explorer {
       // Roots of sizes: weak forces are to be seen beside strong ones.
       const size = Math.hypot(fx, fy);
       const factor = (0.45 * cell * Math.sqrt(size / most)) / (size || 1);
-      frame.arrow([x - factor * fx, y - factor * fy], [x + factor * fx, y + factor * fy], "rgba(40,40,40,0.55)", 1.1);
+      frame.arrow([x - factor * fx, y - factor * fy], [x + factor * fx, y + factor * fy], through(INK, 0.6), 1.1);
     }
   }
 
@@ -244,7 +241,7 @@ class Explorer {
       for (const track of tracks) frame.curve(points(track), MEANING.track, { width: 1, alpha: 0.6 });
     }
     const track = tracks[c.track];
-    frame.curve(points(track), "#ffffff", { width: 4, alpha: 0.8 });
+    frame.curve(points(track), PAPER, { width: 4, alpha: 0.8 });
     frame.curve(points(track), MEANING.track, { width: 1.8 });
     if (this.band) this.drawBand(frame);
     for (const path of this.drawn ?? []) frame.curve(path, MEANING.learned, { width: 0.8, alpha: 0.6 });
@@ -281,8 +278,8 @@ class Explorer {
         c.fill();
         c.stroke();
       });
-    for (const [x, y, radius] of discs) circle([x, y], radius, "#444444", "rgba(90,90,90,0.55)");
-    circle(goal, tolerance, MEANING.plan, "rgba(255,255,255,0.8)");
+    for (const [x, y, radius] of discs) circle([x, y], radius, MEANING.wall, through(MEANING.wall, 0.5));
+    circle(goal, tolerance, MEANING.plan, through(PAPER, 0.8));
     frame.dot(goal, MEANING.plan, 3);
     if (suggestion) frame.curve(suggestion, MEANING.next, { width: 2, dash: [6, 3], casing: true });
     if (this.route) frame.curve(this.route.states, MEANING.plan, { width: 3, casing: true });
@@ -400,12 +397,7 @@ class Explorer {
     const key = entries.map(String).join();
     if (key === this.legendKey) return;
     this.legendKey = key;
-    const legend = entries.map(([text, colour, look]) => {
-      const sample = make("i", { class: look });
-      sample.style.color = colour;
-      return make("span", {}, sample, make("b", {}, text));
-    });
-    byId("legend").replaceChildren(...legend);
+    showLegend(entries);
   }
 
   // ------------------------------------------------------------------ gestures
@@ -649,7 +641,8 @@ function begin() {
   try {
     const run = JSON.parse(byId("run").textContent);
     // For those who ask in the console, and for the tests.
-    const page = run.kind === "tissue" ? new HeatExplorer(run) : new Explorer(run);
+    const Page = { tissue: HeatExplorer, sections: SectionExplorer }[run.kind] ?? Explorer;
+    const page = new Page(run);
     globalThis.explorer = Object.assign(page, { forceOf });
   } catch (error) {
     const note = byId("failure");

@@ -82,6 +82,16 @@ export function checks(options, change) {
   return row;
 }
 
+/** What the colours mean, as [text, colour, look] triples under the map. */
+export function showLegend(entries) {
+  const samples = entries.map(([text, colour, look = ""]) => {
+    const sample = make("i", { class: look });
+    sample.style.color = colour;
+    return make("span", {}, sample, make("b", {}, text));
+  });
+  document.getElementById("legend").replaceChildren(...samples);
+}
+
 export function button(text, press, attributes = {}) {
   return make("button", { type: "button", ...attributes, onclick: press }, text);
 }

@@ -1,4 +1,14 @@
-// Files that the reader takes away: a picture of the map, the path as a table.
+// What the reader takes away: the address, a picture of the map, the path as a table.
+
+import { PAPER } from "./colours.js";
+
+/** Put the conditions into the address, after its #, without a step of the history. */
+export function writeAddress(text) {
+  // Whole, because "#..." of a frame in a notebook is one of the notebook's address.
+  const [page] = globalThis.location.href.split("#");
+  if (text !== globalThis.location.hash.slice(1)) history.replaceState(null, "", text ? `${page}#${text}` : page);
+  globalThis.dispatchEvent(new Event("conditions")); // for a notebook around the page
+}
 
 function save(name, blob) {
   const link = document.createElement("a");
@@ -13,7 +23,7 @@ export function savePicture(name, canvases) {
   const whole = document.createElement("canvas");
   [whole.width, whole.height] = [canvases[0].width, canvases[0].height];
   const c = whole.getContext("2d");
-  c.fillStyle = "#ffffff";
+  c.fillStyle = PAPER;
   c.fillRect(0, 0, whole.width, whole.height);
   for (const canvas of canvases) c.drawImage(canvas, 0, 0);
   whole.toBlob((blob) => save(name, blob), "image/png");

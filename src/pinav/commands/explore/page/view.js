@@ -1,6 +1,6 @@
 // Drawing: the map with its axes, curves over it, and plots of curves beside it.
 
-import { colourOf } from "./colours.js";
+import { PAPER, colourOf, through } from "./colours.js";
 import { shown } from "./numbers.js";
 
 const MARGIN = { left: 46, right: 20, top: 10, bottom: 34 };
@@ -85,7 +85,7 @@ export class Frame {
       c.lineJoin = c.lineCap = "round";
       c.globalAlpha = alpha;
       if (casing) {
-        c.strokeStyle = "rgba(255,255,255,0.85)";
+        c.strokeStyle = through(PAPER, 0.85);
         c.lineWidth = width + 3;
         line(c, pixels);
       }
@@ -113,8 +113,8 @@ export class Frame {
     this.clip((c) => {
       c.beginPath();
       c.arc(this.px(x), this.py(y), radius, 0, 2 * Math.PI);
-      c.fillStyle = filled ? colour : "rgba(255,255,255,0.9)";
-      c.strokeStyle = filled ? "#ffffff" : colour;
+      c.fillStyle = filled ? colour : through(PAPER, 0.9);
+      c.strokeStyle = filled ? PAPER : colour;
       c.lineWidth = filled ? 1.5 : 2.5;
       c.fill();
       c.stroke();
@@ -170,16 +170,16 @@ export function limitsOf(values, signed) {
 
 /** A grid of numbers as an image of colours. */
 export function imageOf(grid, limits, signed) {
-  const { values, count } = grid;
+  const { values, count, columns = count, rows = count } = grid;
   const canvas = document.createElement("canvas");
-  canvas.width = canvas.height = count;
+  [canvas.width, canvas.height] = [columns, rows];
   const c = canvas.getContext("2d");
-  const image = c.createImageData(count, count);
-  for (let j = 0; j < count; j++) {
-    for (let i = 0; i < count; i++) {
-      const value = values[(count - 1 - j) * count + i];
+  const image = c.createImageData(columns, rows);
+  for (let j = 0; j < rows; j++) {
+    for (let i = 0; i < columns; i++) {
+      const value = values[(rows - 1 - j) * columns + i];
       const share = (value - limits[0]) / (limits[1] - limits[0]);
-      const place = 4 * (j * count + i);
+      const place = 4 * (j * columns + i);
       image.data.set(Number.isFinite(value) ? colourOf(share, signed) : [200, 200, 200], place);
       image.data[place + 3] = 255;
     }
@@ -202,8 +202,9 @@ export function drawScale(canvas, signed) {
  * A plot of curves over a common axis.
  *
  * @param curves [{points: [[x, y]], sd: [numbers] or none, colour, dash}]
+ * @param now a place of the axis that a line marks, if any.
  */
-export function plot(canvas, curves, names, ink) {
+export function plot(canvas, curves, names, ink, now = null) {
   const ys = curves.flatMap(({ points, sd }) =>
     points.flatMap(([, y], i) => (sd ? [y - 2 * sd[i], y + 2 * sd[i]] : [y])),
   );
@@ -225,6 +226,7 @@ export function plot(canvas, curves, names, ink) {
     if (dots) points.forEach((point) => frame.dot(point, colour, 1.6));
     else frame.curve(points, colour, { dash, width });
   }
+  if (now !== null) frame.curve([[now, low - margin], [now, high + margin]], ink, { width: 1 });
   frame.axes(names[0], names[1], ink);
 }
 
