@@ -133,13 +133,17 @@ def matching(
         linear = _is_linear(model)
         rates = None if linear else distillation_rates(model, data)
         if linear or rates is not None:
-            exact = defect_recipe(data, rates=rates, max_steps=settings.max_steps)
+            steps = DEFECT_STEPS * settings.max_steps
+            exact = defect_recipe(data, rates=rates, max_steps=steps)
             recipes = (exact, *recipes) if linear else (*recipes, exact)
     spread = float(np.std(data.states[data.observed]))
     enough = data.num_observed * (ENOUGH * spread) ** 2
     objective = TrajectoryLoss(FixedStep(substeps=2))
     return Matching(recipes, objective, jnp.float64, enough)
 
+
+DEFECT_STEPS = 3
+"""Steps of propagated defects for each of a window, which costs as much again."""
 
 ENOUGH = 1e-5
 """Residual of a fit that is kept as it is, in units of the spread of the data."""

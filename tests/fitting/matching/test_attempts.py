@@ -5,7 +5,7 @@ import pytest
 
 from pinav.dynamics import Adaptive, Swimmer
 from pinav.fitting import Adam, Distillation, Outcome, Rates, curriculum, fit_in_turns
-from pinav.fitting.matching.attempts import _has_failed, _join
+from pinav.fitting.matching.attempts import _can_gain, _join
 from pinav.fitting.matching.state import Fit
 from pinav.forces import GaussianBarrier, LinearDrag, ZeroForce
 from pinav.trajectories import Trajectories
@@ -53,10 +53,12 @@ def test_what_converged_waits_for_the_others():
 
 def test_little_loss_is_enough_however_the_fit_ended():
     stalled = ended(Outcome.STALLED, 9.0, 1.0)
-    assert _has_failed(stalled, 0.5)
-    assert not _has_failed(stalled, 1.0)
-    assert not _has_failed(ended(Outcome.CONVERGED, 9.0, 1.0), 0.0)
-    assert _has_failed(ended(Outcome.DIVERGED, 9.0, np.nan), 1e9)
+    assert _can_gain(stalled, 0.5)
+    assert not _can_gain(stalled, 1.0)
+    converged = ended(Outcome.CONVERGED, 9.0, 1.0)
+    assert _can_gain(converged, 0.5)
+    assert not _can_gain(converged, 0.001), "what is left is noise"
+    assert _can_gain(ended(Outcome.DIVERGED, 9.0, np.nan), 1e9)
 
 
 @pytest.mark.slow

@@ -13,9 +13,6 @@ from pinav.fitting.matching.state import AbstractCheckpoint, Fit, FitProgress
 from pinav.fitting.outcome import Outcome
 from pinav.trajectories import Trajectories
 
-ENDED = (Outcome.CONVERGED, Outcome.COMPLETED)
-"""Outcomes after which no other recipe is tried."""
-
 
 def fit_in_turns(
     models: Sequence[AbstractDynamics],
@@ -29,7 +26,7 @@ def fit_in_turns(
     checkpoint: AbstractCheckpoint | None = None,
     on_chunk: Callable[[FitProgress], None] | None = None,
 ) -> list[Fit]:
-    """Fit several models; those that fail begin anew by the next recipe.
+    """Fit several models; those that miss the data begin anew by the next recipe.
 
     Of the attempts at a model the one with the smallest loss is kept. The loss curves
     of all models are those of all attempts, one after the other.
@@ -41,7 +38,8 @@ def fit_in_turns(
         trainable: see `fit_many`, as the other arguments.
         objective: what is minimised.
         dtype: precision of the fit.
-        enough: loss below which no other recipe is tried, however the fit ended.
+        enough: loss below which no other recipe is tried. A fit that ended with a
+            hundred times as much left has come to the noise, and is kept, too.
         checkpoint: of the first recipe; later ones begin anew after an interruption.
         on_chunk: called after each chunk of steps.
     """
@@ -55,18 +53,28 @@ def fit_in_turns(
         **options,
     )
     for recipe in recipes[1:]:
-        failed = [i for i, fit in enumerate(fits) if _has_failed(fit, enough)]
-        if not failed:
+        missed = [i for i, fit in enumerate(fits) if _can_gain(fit, enough)]
+        if not missed:
             break
-        chosen = [models[i] for i in failed]
+        chosen = [models[i] for i in missed]
         again = fit_many(chosen, trajectories, recipe, on_chunk=on_chunk, **options)
-        others = dict(zip(failed, again, strict=True))
+        others = dict(zip(missed, again, strict=True))
         fits = [_join(fit, others.get(i), again[0]) for i, fit in enumerate(fits)]
     return fits
 
 
-def _has_failed(fit: Fit, enough: float) -> bool:
-    return fit.outcome not in ENDED and not fit.losses[-1] <= enough
+ENDED = (Outcome.CONVERGED, Outcome.COMPLETED)
+"""Outcomes of fits that have nothing more to gain by their own recipe."""
+
+NOISE = 100.0
+"""What is left of a fit that ended is noise above this multiple of `enough`."""
+
+
+def _can_gain(fit: Fit, enough: float) -> bool:
+    """Whether another recipe may lower the loss of a fit."""
+    left = fit.losses[-1]
+    is_noise = fit.outcome in ENDED and left > NOISE * enough
+    return not left <= enough and not is_noise
 
 
 def _join(before: Fit, after: Fit | None, example: Fit) -> Fit:

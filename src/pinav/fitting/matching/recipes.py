@@ -65,7 +65,7 @@ def defect_recipe(
     trajectories: Trajectories,
     *,
     rates: Rates | None = None,
-    max_steps: int = 20,
+    max_steps: int = 60,
     precision: float = 3e-8,
 ) -> tuple[AbstractPhase, ...]:
     """The default recipe for exact data: propagated defects, then the full rollout.
@@ -101,6 +101,7 @@ def defect_recipe(
             precision * spread,
             samples=None if samples is None else jnp.asarray(samples),
             damping=FIRST_DAMPING if rates is not None else LINEAR_DAMPING,
+            patience=jnp.asarray(PATIENCE if rates is not None else 3),
             converged=CONVERGED * spread,
             steps=max_steps,
         )
@@ -135,8 +136,13 @@ def _full_rollout(
 FIRST_DAMPING, LINEAR_DAMPING = 1e-2, 1e-7
 """Of the first step, and that of a model that is linear in its parameters."""
 
-MOST_SAMPLES = 320
-"""Samples whose errors a network is trained on at once, at most."""
+PATIENCE = 10
+"""Slow steps in a row of a network: stretches of gains of a few per cent come before
+steps that gain most of what is left."""
+
+MOST_SAMPLES = 700
+"""Samples whose errors a network is trained on at once, at most: with fewer, its error
+between them stays."""
 
 CONVERGED = 1e-4
 """Residual of a full rollout that counts as converged, in units of the spread."""
