@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from pinav.dynamics import AbstractDynamics, FixedStep
+from pinav.dynamics import AbstractDynamics, FixedStep, Swimmer
 from pinav.errors import InputError
 from pinav.fitting import (
     AbstractObjective,
@@ -133,8 +133,12 @@ def matching(
         linear = _is_linear(model)
         rates = None if linear else distillation_rates(model, data)
         if linear or rates is not None:
-            steps = DEFECT_STEPS * settings.max_steps
-            exact = defect_recipe(data, rates=rates, max_steps=steps)
+            exact = defect_recipe(
+                data,
+                rates=rates,
+                max_steps=DEFECT_STEPS * settings.max_steps,
+                patience=PATIENCE if isinstance(model, Swimmer) else 3,
+            )
             recipes = (exact, *recipes) if linear else (*recipes, exact)
     spread = float(np.std(data.states[data.observed]))
     enough = data.num_observed * (ENOUGH * spread) ** 2
@@ -142,8 +146,12 @@ def matching(
     return Matching(recipes, objective, jnp.float64, enough)
 
 
-DEFECT_STEPS = 3
-"""Steps of propagated defects for each of a window, which costs as much again."""
+DEFECT_STEPS = 2
+"""Steps of propagated defects for each of a window."""
+
+PATIENCE = 10
+"""Slow steps in a row of a network beside known physics: stretches of gains of a few
+per cent come before steps that gain most of what is left."""
 
 ENOUGH = 1e-5
 """Residual of a fit that is kept as it is, in units of the spread of the data."""

@@ -65,8 +65,9 @@ def defect_recipe(
     trajectories: Trajectories,
     *,
     rates: Rates | None = None,
-    max_steps: int = 60,
+    max_steps: int = 40,
     precision: float = 3e-8,
+    patience: int = 3,
 ) -> tuple[AbstractPhase, ...]:
     """The default recipe for exact data: propagated defects, then the full rollout.
 
@@ -80,6 +81,7 @@ def defect_recipe(
             makes.
         max_steps: steps of each phase on trajectories at most.
         precision: as that of `curriculum`.
+        patience: slow steps in a row on trajectories after which the fit ends.
 
     Raises:
         InputError: `max_steps` is not positive, or a state is not observed.
@@ -101,7 +103,7 @@ def defect_recipe(
             precision * spread,
             samples=None if samples is None else jnp.asarray(samples),
             damping=FIRST_DAMPING if rates is not None else LINEAR_DAMPING,
-            patience=jnp.asarray(PATIENCE if rates is not None else 3),
+            patience=jnp.asarray(patience),
             converged=CONVERGED * spread,
             steps=max_steps,
         )
@@ -135,10 +137,6 @@ def _full_rollout(
 
 FIRST_DAMPING, LINEAR_DAMPING = 1e-2, 1e-7
 """Of the first step, and that of a model that is linear in its parameters."""
-
-PATIENCE = 10
-"""Slow steps in a row of a network: stretches of gains of a few per cent come before
-steps that gain most of what is left."""
 
 MOST_SAMPLES = 700
 """Samples whose errors a network is trained on at once, at most: with fewer, its error
