@@ -24,15 +24,11 @@ from pinav.commands.parsing import parse
 from pinav.dynamics import FixedStep
 from pinav.errors import InputError
 from pinav.figures.files import save_figure
-from pinav.figures.style import (
+from pinav.figures.palette import (
     BLUE,
     GREY,
-    SMALL,
-    add_legend,
-    label_axes,
-    new_figure,
-    prepare_axes,
 )
+from pinav.figures.style import SMALL, add_legend, label_axes, new_figure, prepare_axes
 from pinav.files import write_text
 from pinav.fitting import GaussNewton, Problem, TrajectoryLoss, curriculum, fit_many
 from pinav.fitting.environments.catalogue import (

@@ -8,17 +8,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
 from benchmarks.fit.contestants import BY_NAME
-from pinav.figures.style import (
+from pinav.figures.palette import (
     BLUE,
     GREEN,
     GREY,
-    SMALL,
     VERMILLION,
-    add_legend,
-    label_axes,
-    new_figure,
-    prepare_axes,
 )
+from pinav.figures.style import SMALL, add_legend, label_axes, new_figure, prepare_axes
 
 PAPER_RMSE = 0.015
 """Where the paper's own fit ends (its Table 2)."""

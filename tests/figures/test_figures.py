@@ -11,7 +11,12 @@ from matplotlib.figure import Figure
 
 from pinav import figures
 from pinav.evaluation import NEAR, VISITED, Decomposition, FieldMap, Regions
-from pinav.figures.style import BLACK, BLUE, VERMILLION, pale
+from pinav.figures.palette import (
+    BLACK,
+    BLUE,
+    VERMILLION,
+)
+from pinav.figures.style import pale
 
 UNITS = {"x": "um", "y": "um", "t": "s", "vx": "um/s", "vy": "um/s"}
 PHASES = (("Adam", 0), ("L-BFGS", 75))

@@ -17,14 +17,20 @@ from pinav.figures.force_maps import (
     largest_near,
     overlay,
 )
-from pinav.figures.style import (
+from pinav.figures.palette import (
     BLACK,
     BLUE,
-    DIMENSIONLESS,
+    GRADED,
     ORANGE,
+    PAPER,
+    UNCERTAIN,
+    VERMILLION,
+    WRONG,
+)
+from pinav.figures.style import (
+    DIMENSIONLESS,
     SMALL,
     TEXT,
-    VERMILLION,
     add_legend,
     force_unit,
     label_axes,
@@ -60,10 +66,10 @@ def potential_map(
     lifted = potential - potential[near].min()
     top = float(lifted[near].max()) or 1.0
     label = with_unit("$U$ above its least value", force_unit(units, lengths=2))
-    look = ("viridis", label)
+    look = (GRADED, label)
     ax = heat_map(lifted, field, Normalize(0.0, top), look, units=units, ax=ax)
     levels = np.linspace(0.0, top, 9)[1:-1]
-    ax.contour(field.x, field.y, lifted, levels, colors="white", linewidths=0.5)
+    ax.contour(field.x, field.y, lifted, levels, colors=PAPER, linewidths=0.5)
     overlay(ax, field, path, units, shade=True)
     return ax
 
@@ -90,7 +96,7 @@ def trust_map(
     size = np.linalg.norm(field.force, axis=-1)
     ratio = size / np.maximum(np.linalg.norm(sd, axis=-1), 1e-300)
     norm = LogNorm(0.1, max(10.0, float(np.nanmax(ratio))))
-    look = ("cividis", r"$|F| / \mathrm{sd}(F)$")
+    look = (UNCERTAIN, r"$|F| / \mathrm{sd}(F)$")
     ax = heat_map(ratio, field, norm, look, units=units, ax=ax)
     if ratio.min() < SIGNIFICANT < ratio.max():
         line = {"colors": VERMILLION, "linewidths": 1.2}
@@ -210,7 +216,7 @@ def _draw_change(
 ) -> None:
     """A change of a force: its size in colour, its direction in arrows."""
     size, norm = np.linalg.norm(change.force, axis=-1), Normalize(0.0, top)
-    heat_map(size, change, norm, ("magma", label), units=units, ax=ax)
+    heat_map(size, change, norm, (WRONG, label), units=units, ax=ax)
     draw_arrows(ax, change, top)
     overlay(ax, change, path, units, shade=True)
 
@@ -234,7 +240,7 @@ def lyapunov_figure(
     low, high = (float(f(values)) for f in (np.nanmin, np.nanmax))
     norm = LogNorm(min(low, 0.9 * high), max(high, 1.1 * low))
     label = r"growth of separations, $e^{\lambda T}$"
-    heat_map(values, exponents, norm, ("cividis", label), units=units, ax=ax)
+    heat_map(values, exponents, norm, (UNCERTAIN, label), units=units, ax=ax)
     if path is not None:
         ax.plot(*path.T, color=VERMILLION, lw=1.2, label="reference trajectory")
         ax.plot(*path[0], "o", color=VERMILLION, ms=4, mec=BLACK, mew=0.5)

@@ -8,8 +8,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pinav.evaluation import ErrorCurve, normal_quantile
-from pinav.figures.style import (
+from pinav.figures.palette import (
     GREY,
+    SHADE,
+)
+from pinav.figures.style import (
     SMALL,
     SPARE,
     THIN,
@@ -102,7 +105,7 @@ def residual_autocorrelation(
             lags + shift, values, MARKERS[i], color=color, ms=3.5, label=channels[i]
         )
     bound = normal_quantile() / np.sqrt(min(counts[i] for i in used))
-    ax.axhspan(-bound, bound, color="0.9", zorder=0, label="95 % of white noise")
+    ax.axhspan(-bound, bound, color=SHADE, zorder=0, label="95 % of white noise")
     ax.axhline(0.0, color=GREY, lw=0.6)
     label_axes(ax, "lag [samples]", "autocorrelation of residuals")
     add_legend(ax, columns=2)

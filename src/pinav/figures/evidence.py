@@ -4,7 +4,10 @@ from collections.abc import Mapping
 
 from matplotlib.figure import Figure
 
-from pinav.figures.style import BLUE, label_axes, new_figure, prepare_axes
+from pinav.figures.palette import (
+    BLUE,
+)
+from pinav.figures.style import label_axes, new_figure, prepare_axes
 
 
 def evidence_bars(log_evidence: Mapping[str, float | None]) -> Figure:

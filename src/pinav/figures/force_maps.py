@@ -17,8 +17,16 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator, ScalarForm
 
 from pinav.analysis import LyapunovMap
 from pinav.evaluation import FieldMap, Regions
-from pinav.figures.style import (
+from pinav.figures.palette import (
+    BEYOND,
     BLACK,
+    FAINT,
+    GRADED,
+    PAPER,
+    UNCERTAIN,
+    WRONG,
+)
+from pinav.figures.style import (
     DIMENSIONLESS,
     SMALL,
     TEXT,
@@ -59,7 +67,7 @@ def force_map(
     """
     magnitude = np.linalg.norm(field.force, axis=-1)
     top = largest_near(magnitude, field) if limit is None else limit
-    ax = _magnitude_map(magnitude, field, top, ("viridis", "$|F|$"), units, ax)
+    ax = _magnitude_map(magnitude, field, top, (GRADED, "$|F|$"), units, ax)
     draw_arrows(ax, field, top)
     overlay(ax, field, path, units, shade=shade)
     return ax
@@ -86,7 +94,7 @@ def force_error_map(
     """
     error = np.linalg.norm(learned.force - true.force, axis=-1)
     top = largest_near(error, true) if limit is None else limit
-    ax = _magnitude_map(error, true, top, ("magma", r"$|F - F^*|$"), units, ax)
+    ax = _magnitude_map(error, true, top, (WRONG, r"$|F - F^*|$"), units, ax)
     overlay(ax, true, path, units, shade=True)
     return ax
 
@@ -112,7 +120,7 @@ def force_sd_map(
     """
     size = np.linalg.norm(sd, axis=-1)
     top = largest_near(size, field) if limit is None else limit
-    ax = _magnitude_map(size, field, top, ("cividis", r"$\mathrm{sd}(F)$"), units, ax)
+    ax = _magnitude_map(size, field, top, (UNCERTAIN, r"$\mathrm{sd}(F)$"), units, ax)
     overlay(ax, field, path, units, shade=True)
     return ax
 
@@ -285,7 +293,7 @@ def draw_arrows(ax: Axes, field: FieldMap, top: float) -> None:
         y,
         force[..., 0],
         force[..., 1],
-        color="white",
+        color=PAPER,
         edgecolor=BLACK,
         linewidth=0.3,
         angles="xy",
@@ -310,7 +318,7 @@ def overlay(
     with file_settings():
         if shade and highest > near:
             beyond = (field.x, field.y, field.distance, [near, highest])
-            ax.contourf(*beyond, colors=["0.85"], alpha=0.85)
+            ax.contourf(*beyond, colors=[BEYOND], alpha=0.85)
             ax.contourf(*beyond, colors="none", hatches=["////"])
     for level, dash in ((visited, "solid"), (near, "dashed")):
         if lowest < level < highest:
@@ -319,7 +327,7 @@ def overlay(
                 field.y,
                 field.distance,
                 [level],
-                colors="white" if level == visited else "black",
+                colors=PAPER if level == visited else BLACK,
                 linewidths=0.8,
                 linestyles=dash,
             )
@@ -331,7 +339,7 @@ def overlay(
 
 
 _PATH = {
-    "color": "white",
+    "color": PAPER,
     "lw": 1.0,
     "path_effects": [withStroke(linewidth=2.2, foreground=BLACK)],
 }
@@ -345,16 +353,16 @@ def _keys(
     visited, near = (
         f"within {d:.3g} {length}".strip() for d in (regions.visited, regions.near)
     )
-    outline = [withStroke(linewidth=1.8, foreground="0.6")]
+    outline = [withStroke(linewidth=1.8, foreground=FAINT)]
     keys: list[Artist] = []
     if path:
         keys.append(Line2D([], [], label="trajectory", **_PATH))
-    seen = {"color": "white", "lw": 0.8, "path_effects": outline}
-    keys.append(Line2D([], [], label=f"visited ({visited})", **seen))
+    observed = {"color": PAPER, "lw": 0.8, "path_effects": outline}
+    keys.append(Line2D([], [], label=f"visited ({visited})", **observed))
     dashed = {"color": BLACK, "lw": 0.8, "ls": "dashed"}
     keys.append(Line2D([], [], label=f"near ({near})", **dashed))
     if shade:
         with file_settings():
             label = "no data: extrapolation"
-            keys.append(Patch(facecolor="0.85", hatch="////", label=label))
+            keys.append(Patch(facecolor=BEYOND, hatch="////", label=label))
     return keys

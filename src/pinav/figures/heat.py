@@ -11,10 +11,20 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter
 
-from pinav.figures.style import (
+from pinav.figures.palette import (
     BLACK,
     BLUE,
+    DIVERGING,
+    FIELD,
+    GRADED,
     GREY,
+    LEARNED,
+    PAPER,
+    TARGET,
+    TRUTH,
+    WARM,
+)
+from pinav.figures.style import (
     SMALL,
     SPARE,
     THIN,
@@ -23,6 +33,7 @@ from pinav.figures.style import (
     label_axes,
     new_figure,
     prepare_axes,
+    style_of,
     title_panel,
 )
 
@@ -49,7 +60,7 @@ def profiles(
         ax: where to draw; a new figure unless given.
     """
     ax = prepare_axes(ax)
-    shades = colormaps["viridis"](np.linspace(0.0, 0.85, len(temperatures)))
+    shades = colormaps[GRADED](np.linspace(0.0, 0.85, len(temperatures)))
     for shade, (name, values) in zip(shades, temperatures.items(), strict=True):
         ax.plot(1e3 * radius, values, color=shade, lw=THIN, label=name)
     _mark_edge(ax, edge)
@@ -123,7 +134,7 @@ def plane_map(
         shown.T,
         origin="lower",
         extent=(0.0, extent[0], 0.0, extent[1]),
-        cmap="RdBu_r" if low == -high else "inferno",
+        cmap=DIVERGING if low == -high else WARM,
         vmin=low,
         vmax=high,
     )
@@ -135,10 +146,10 @@ def plane_map(
         for n, h in zip(values.shape, spacing, strict=True)
     ]
     if outline is not None and outline.min() < 0.5 < outline.max():
-        ax.contour(*centers, outline.T, [0.5], colors="#56b4e9", linewidths=1.4)
+        ax.contour(*centers, outline.T, [0.5], colors=TARGET, linewidths=1.4)
     if within:
         lines = ax.contour(
-            *centers, shown.T, [a for a, _ in within], colors="white", linewidths=0.8
+            *centers, shown.T, [a for a, _ in within], colors=PAPER, linewidths=0.8
         )
         names = ax.clabel(lines, fmt={a: f"{v:g}" for a, v in within}, fontsize=SMALL)
         for name in names:  # readable on light ground, too
@@ -231,7 +242,7 @@ def protocol_figure(
     temperatures: Mapping[str, Float[np.ndarray, " time"]],
     doses: Mapping[str, Float[np.ndarray, " time"]],
     *,
-    shares: Mapping[str, Float[np.ndarray, " time"]],
+    fractions: Mapping[str, Float[np.ndarray, " time"]],
     bound: float | None = None,
 ) -> Figure:
     """Field, temperatures, shares and doses below each other on one axis of time.
@@ -242,7 +253,7 @@ def protocol_figure(
         times: of the curves [s].
         temperatures: [°C], by what the legend says.
         doses: so far [CEM43 min], by what the legend says.
-        shares: of a volume, 0 to 1, by what the legend says.
+        fractions: of a volume, 0 to 1, by what the legend says.
         bound: on the temperature, marked unless None.
     """
     figure = new_figure(5.0, 7.5)
@@ -253,20 +264,22 @@ def protocol_figure(
     edges, starts, ends = field
     at = np.repeat(np.asarray(edges) / 60, 2)[1:-1]
     values = np.stack([starts, ends], axis=1).reshape(-1)
-    above.plot(at, values / 1e3, color=BLUE, lw=THIN)
+    above.plot(at, values / 1e3, color=FIELD, lw=THIN)
     above.set_ylim(bottom=0.0)
     label_axes(above, "", "amplitude H [kA/m]")
-    for color, (name, curve) in zip(SPARE, temperatures.items(), strict=False):
+    for index, (name, curve) in enumerate(temperatures.items()):
+        color = style_of(name, index).color
         middle.plot(times / 60, curve, color=color, lw=THIN, label=name)
     if bound is not None:
         middle.axhline(bound, color=GREY, lw=0.8, ls=(0, (4, 2)))
     label_axes(middle, "", "temperature [°C]")
-    for color, (name, curve) in zip(SPARE, shares.items(), strict=False):
+    for color, (name, curve) in zip(SPARE, fractions.items(), strict=False):
         share_axes.plot(times / 60, curve, color=color, lw=THIN, label=name)
     share_axes.set_ylim(-0.05, 1.05)
     label_axes(share_axes, "", "fraction")
-    for color, (name, curve) in zip(SPARE, doses.items(), strict=False):
+    for index, (name, curve) in enumerate(doses.items()):
         shown = np.where(curve > 1e-3, curve, np.nan)
+        color = style_of(name, index).color
         below.plot(times / 60, shown, color=color, lw=THIN, label=name)
     if any(np.any(curve > 1e-3) for curve in doses.values()):
         below.set_yscale("log")
@@ -299,13 +312,13 @@ def perfusion_figure(laws: Mapping[str, Mapping[str, Any]]) -> Figure:
         temperatures = law["temperatures"]
         visited: Bool[np.ndarray, " temperature"] = np.asarray(law["visited"], bool)
         if law.get("true") is not None:
-            ax.plot(temperatures, law["true"], color=BLACK, lw=WIDE, label="truth")
+            ax.plot(temperatures, law["true"], color=TRUTH, lw=WIDE, label="truth")
         ax.fill_between(
-            temperatures, law["low"], law["high"], color=BLUE, alpha=0.2, lw=0
+            temperatures, law["low"], law["high"], color=LEARNED, alpha=0.2, lw=0
         )
         known = np.where(visited, law["values"], np.nan)
-        ax.plot(temperatures, law["values"], ":", color=BLUE, lw=THIN)
-        ax.plot(temperatures, known, color=BLUE, lw=THIN, label="learned, 95 % band")
+        ax.plot(temperatures, law["values"], ":", color=LEARNED, lw=THIN)
+        ax.plot(temperatures, known, color=LEARNED, lw=THIN, label="learned, 95 % band")
         if np.max(law["high"]) > MANY_TIMES * np.min(law["low"]):
             ax.set_yscale("log")
             ax.yaxis.set_major_formatter("{x:g}")

@@ -8,11 +8,13 @@ from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
 
 from pinav.evaluation import normal_quantile
-from pinav.figures.style import (
+from pinav.figures.palette import (
     BLACK,
-    BLUE,
-    GREY,
-    ORANGE,
+    LEARNED,
+    PAPER,
+    TRACK,
+)
+from pinav.figures.style import (
     THIN,
     WIDE,
     add_legend,
@@ -47,11 +49,11 @@ def rollout_paths(
     ax = prepare_axes(ax)
     for index, path in enumerate(observed):
         label = "observed" if index == 0 else "_"
-        ax.plot(*path.T, color="0.65", lw=WIDE, label=label)
+        ax.plot(*path.T, color=TRACK, lw=WIDE, label=label)
     for index, path in enumerate(predicted):
         label = "predicted from ○" if index == 0 else "_"
-        ax.plot(*path.T, color=BLUE, lw=THIN, label=label)
-        ax.plot(*path[0], "o", mfc="white", mec=BLACK, markersize=3)
+        ax.plot(*path.T, color=LEARNED, lw=THIN, label=label)
+        ax.plot(*path[0], "o", mfc=PAPER, mec=BLACK, markersize=3)
     if len(predicted):
         ends = np.array([path[-1] for path in predicted])
         sizes = 2 * HALF_WIDTH_90 * np.array(end_sd)
@@ -63,12 +65,12 @@ def rollout_paths(
                 units="xy",
                 offsets=ends,
                 transOffset=ax.transData,
-                facecolor=ORANGE,
+                facecolor=LEARNED,
                 edgecolor="none",
                 alpha=0.35,
             )
         )
-        ax.plot([], [], "o", color=ORANGE, alpha=0.35, label="90 % of each coordinate")
+        ax.plot([], [], "o", color=LEARNED, alpha=0.35, label="90 % of each coordinate")
     label_plane(ax, units)
     add_legend(ax)
     return ax
@@ -126,10 +128,14 @@ def speed_law(
     """
     ax = prepare_axes(ax)
     places, fitted, sd = curve
-    ax.plot(frequency, speed, ".", color=GREY, markersize=2.5, label="observed, blocks")
+    ax.plot(
+        frequency, speed, ".", color=TRACK, markersize=2.5, label="observed, blocks"
+    )
     half = HALF_WIDTH_90 * sd
-    ax.fill_between(places, fitted - half, fitted + half, color=BLUE, alpha=0.25, lw=0)
-    ax.plot(places, fitted, color=BLUE, lw=WIDE, label="response, 90 %")
+    ax.fill_between(
+        places, fitted - half, fitted + half, color=LEARNED, alpha=0.25, lw=0
+    )
+    ax.plot(places, fitted, color=LEARNED, lw=WIDE, label="response, 90 %")
     label_axes(
         ax, with_unit("frequency", "Hz"), with_unit("speed along the command", unit)
     )

@@ -8,12 +8,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pinav.evaluation import normal_quantile
-from pinav.figures.style import (
+from pinav.figures.palette import (
     BLUE,
     GREY,
     ORANGE,
-    SMALL,
     VERMILLION,
+)
+from pinav.figures.style import (
+    SMALL,
     add_legend,
     label_axes,
     new_figure,

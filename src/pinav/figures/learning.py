@@ -7,14 +7,11 @@ from matplotlib.figure import Figure
 
 from pinav.evaluation import FieldMap
 from pinav.figures.navigation import Course, paths_map, spread_map
-from pinav.figures.style import (
-    BLACK,
-    ORANGE,
-    label_axes,
-    new_figure,
-    prepare_axes,
-    title_panel,
+from pinav.figures.palette import (
+    LEARNED,
+    TRUTH,
 )
+from pinav.figures.style import label_axes, new_figure, prepare_axes, title_panel
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -55,8 +52,8 @@ def bands_figure(arrays: Arrays) -> Figure:
     for k, ax in enumerate(figure.subplots(2, 1, sharex=True)):
         prepare_axes(ax)
         low, high = mean[:, k] - 1.96 * sd[:, k], mean[:, k] + 1.96 * sd[:, k]
-        ax.fill_between(t, low, high, color=ORANGE, alpha=0.3, lw=0)
-        ax.plot(t, mean[:, k], color=ORANGE, lw=1.2)
-        ax.plot(t, truth[:, k], color=BLACK, lw=1.0)
+        ax.fill_between(t, low, high, color=LEARNED, alpha=0.3, lw=0)
+        ax.plot(t, mean[:, k], color=LEARNED, lw=1.2)
+        ax.plot(t, truth[:, k], color=TRUTH, lw=1.0)
         label_axes(ax, "t" if k else "", f"$F_{'xy'[k]}$")
     return figure

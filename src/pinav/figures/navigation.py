@@ -15,11 +15,20 @@ from matplotlib.ticker import MaxNLocator
 
 from pinav.evaluation import FieldMap
 from pinav.figures.force_maps import draw_arrows, heat_map
-from pinav.figures.style import (
+from pinav.figures.palette import (
+    BEYOND,
     BLACK,
-    DIMENSIONLESS,
+    GRADED,
     GREY,
-    ORANGE,
+    NEXT,
+    PAPER,
+    PLAIN,
+    PLAN,
+    UNCERTAIN,
+    WALL,
+)
+from pinav.figures.style import (
+    DIMENSIONLESS,
     SMALL,
     THIN,
     WIDE,
@@ -58,8 +67,8 @@ class Course:
         frame = Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, ec=GREY, lw=0.8)
         ax.add_patch(frame)
         for x, y, radius in self.discs:
-            ax.add_patch(Circle((x, y), radius, fc="0.25", ec=BLACK, lw=0.8))
-        halo = [withStroke(linewidth=2.5, foreground="white")]
+            ax.add_patch(Circle((x, y), radius, fc=WALL, ec=BLACK, lw=0.8))
+        halo = [withStroke(linewidth=2.5, foreground=PAPER)]
         ax.add_patch(
             Circle(
                 (float(self.goal[0]), float(self.goal[1])),
@@ -71,7 +80,7 @@ class Course:
             )
         )
         ax.plot(*self.goal, "x", color=BLACK, ms=5, zorder=6, path_effects=halo)
-        ax.plot(*self.start, "o", mfc="white", mec=BLACK, ms=5, zorder=6)
+        ax.plot(*self.start, "o", mfc=PAPER, mec=BLACK, ms=5, zorder=6)
         margin = 0.02 * float(max(x1 - x0, y1 - y0))
         ax.set(xlim=(x0 - margin, x1 + margin), ylim=(y0 - margin, y1 + margin))
 
@@ -112,14 +121,14 @@ def plan_map(
     top = float(np.quantile(known, 0.98)) if known.size else 1.0
     label = with_unit("time to go from rest", units.get("t", "1"))
     ax = heat_map(
-        values, grid, Normalize(0.0, top), ("viridis_r", label), units=units, ax=ax
+        values, grid, Normalize(0.0, top), (f"{GRADED}_r", label), units=units, ax=ax
     )
     levels = np.linspace(0.0, top, 11)[1:-1]
     shown = np.ma.masked_invalid(values)
-    ax.contour(grid.x, grid.y, shown, levels, colors="white", linewidths=0.5)
+    ax.contour(grid.x, grid.y, shown, levels, colors=PAPER, linewidths=0.5)
     hatch_where(ax, grid, ~np.isfinite(values))
     if route is not None:
-        halo = [withStroke(linewidth=2.6, foreground="white")]
+        halo = [withStroke(linewidth=2.6, foreground=PAPER)]
         ax.plot(*route.T, color=BLACK, lw=1.2, path_effects=halo, zorder=4)
     course.draw(ax)
     return ax
@@ -137,7 +146,7 @@ def hatch_where(ax: Axes, grid: FieldMap, ground: Bool[np.ndarray, "y x"]) -> No
         return
     with file_settings():
         filled = ground.astype(float)
-        ax.contourf(grid.x, grid.y, filled, [0.5, 1.5], colors=["0.85"], alpha=0.9)
+        ax.contourf(grid.x, grid.y, filled, [0.5, 1.5], colors=[BEYOND], alpha=0.9)
         ax.contourf(grid.x, grid.y, filled, [0.5, 1.5], colors="none", hatches=["///"])
 
 
@@ -161,7 +170,7 @@ def paths_map(
         ax: where to draw; a new figure unless given.
     """
     size = np.linalg.norm(field.force, axis=-1)
-    look = ("Greys", with_unit("$|F|$", force_unit(units)))
+    look = (PLAIN, with_unit("$|F|$", force_unit(units)))
     ax = heat_map(size, field, Normalize(0.0, 1.6 * limit), look, units=units, ax=ax)
     draw_arrows(ax, field, limit)
     for name, runs in paths.items():
@@ -199,12 +208,12 @@ def spread_map(
     """
     size = np.linalg.norm(sd, axis=-1)
     top = min(thrust, max(float(np.nanmax(size)), 1e-12))
-    look = ("cividis", with_unit(r"$\mathrm{sd}(F)$", force_unit(units)))
+    look = (UNCERTAIN, with_unit(r"$\mathrm{sd}(F)$", force_unit(units)))
     ax = heat_map(size, field, Normalize(0.0, top), look, units=units, ax=ax)
     halo = [withStroke(linewidth=2.4, foreground=BLACK)]
-    ax.plot(*route.T, color="white", lw=1.2, path_effects=halo, label="planned route")
+    ax.plot(*route.T, color=PLAN, lw=1.2, path_effects=halo, label="planned route")
     if suggestion is not None:
-        line = {"color": ORANGE, "lw": 1.2, "ls": "--", "path_effects": halo}
+        line = {"color": NEXT, "lw": 1.2, "ls": "--", "path_effects": halo}
         ax.plot(*suggestion.T, label="trajectory to record next", **line)
     course.draw(ax)
     return ax

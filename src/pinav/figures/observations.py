@@ -6,9 +6,13 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 
-from pinav.figures.style import (
+from pinav.figures.palette import (
     BLACK,
-    BLUE,
+    LEARNED,
+    PAPER,
+    TRACK,
+)
+from pinav.figures.style import (
     DIMENSIONLESS,
     THIN,
     add_legend,
@@ -33,14 +37,14 @@ def observed_paths(
         ax: where to draw; a new figure unless given.
     """
     ax = prepare_axes(ax)
-    dots = {"color": "0.6", "markersize": 2.0, "label": "observed"}
-    line = {"color": BLUE, "lw": THIN, "label": "model"}
-    for seen, path in zip(observed, predicted, strict=True):
-        ax.plot(*seen.T, ".", **dots)
+    dots = {"color": TRACK, "markersize": 2.0, "label": "observed"}
+    line = {"color": LEARNED, "lw": THIN, "label": "model"}
+    for measured, path in zip(observed, predicted, strict=True):
+        ax.plot(*measured.T, ".", **dots)
         ax.plot(*path.T, **line)
         dots["label"] = line["label"] = "_"
     starts = np.array([path[0] for path in predicted])
-    ax.plot(*starts.T, "o", mfc="white", mec=BLACK, markersize=4, label="start")
+    ax.plot(*starts.T, "o", mfc=PAPER, mec=BLACK, markersize=4, label="start")
     low, high = _limits(observed)
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     label_plane(ax, units, adjustable="box")

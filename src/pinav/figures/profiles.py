@@ -5,7 +5,11 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 
 from pinav.evaluation import normal_quantile
-from pinav.figures.style import BLUE, GREY, label_axes, prepare_axes, with_unit
+from pinav.figures.palette import (
+    GREY,
+    LEARNED,
+)
+from pinav.figures.style import label_axes, prepare_axes, with_unit
 
 
 def profile_band(
@@ -29,8 +33,10 @@ def profile_band(
     """
     ax = prepare_axes(ax)
     half = normal_quantile() * sd
-    ax.fill_between(places, values - half, values + half, color=BLUE, alpha=0.25, lw=0)
-    ax.plot(places, values, color=BLUE, lw=1.2)
+    ax.fill_between(
+        places, values - half, values + half, color=LEARNED, alpha=0.25, lw=0
+    )
+    ax.plot(places, values, color=LEARNED, lw=1.2)
     ax.axhline(0.0, color=GREY, lw=0.6)
     label_axes(ax, with_unit(coordinate, units[0]), with_unit("force", units[1]))
     return ax

@@ -8,15 +8,20 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from pinav.figures.style import (
+from pinav.figures.palette import (
     BLACK,
     BLUE,
+    FILM,
     GREEN,
     GREY,
     ORANGE,
+    PAPER,
     PURPLE,
     SKY,
+    TRACK,
     VERMILLION,
+)
+from pinav.figures.style import (
     add_legend,
     channel_label,
     label_axes,
@@ -88,11 +93,11 @@ def overlay(recording: Trajectories, image: np.ndarray, ax: Axes | None = None) 
         InputError: the recording was not read from pixels.
     """
     ax = prepare_axes(ax, width=6.0, height=5.0)
-    ax.imshow(image, cmap="gray", origin="upper")
+    ax.imshow(image, cmap=FILM, origin="upper")
     for segment in recording:
         way = image_positions(recording, positions(segment))
-        ax.plot(*way.T, color=ORANGE, lw=1.0)
-        ax.plot(*way[:1].T, "o", ms=4, mfc="none", mec=SKY, mew=1.2)
+        ax.plot(*way.T, color=TRACK, lw=1.0)
+        ax.plot(*way[:1].T, "o", ms=4, mfc="none", mec=PAPER, mew=1.2)
     label_axes(ax, channel_label("x", {"x": "px"}), channel_label("y", {"y": "px"}))
     return ax
 

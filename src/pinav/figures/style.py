@@ -15,11 +15,23 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
-YELLOW, BLUE, VERMILLION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
-"""The colours of Okabe and Ito, which colour-blind readers can tell apart."""
+from pinav.figures.palette import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    HATCH,
+    HOTTEST,
+    ORANGE,
+    OUTSIDE,
+    PURPLE,
+    SKY,
+    T10,
+    T50,
+    T90,
+    VERMILLION,
+)
 
-GREY = "#7F7F7F"
 TEXT, SMALL = 8.0, 7.0
 """Font sizes [pt] of labels and of ticks and legends, for a page 7.5 inches wide."""
 
@@ -65,8 +77,14 @@ STYLES = {
     "straight line": LineStyle("straight line", ORANGE),
     "line of sight": LineStyle("line of sight", VERMILLION),
     "Gaussian process": LineStyle("Gaussian process", SKY),
+    "hottest cell": LineStyle("hottest cell", HOTTEST),
+    "T10": LineStyle("T10", T10),
+    "T50": LineStyle("T50", T50),
+    "T90": LineStyle("T90", T90),
+    "D90 of the tumour": LineStyle("D90 of the tumour", T90),
+    "largest outside it": LineStyle("largest outside it", OUTSIDE),
 }
-"""The look of each model, term and controller: the only table of colours."""
+"""The look of each model, term, controller and curve of bioheat."""
 
 SPARE = (ORANGE, SKY, GREEN, PURPLE, VERMILLION, BLUE)
 """Colours of what has no entry, in this order."""
@@ -235,7 +253,7 @@ FILE_SETTINGS: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "pinav",
     "hatch.linewidth": 0.4,
-    "hatch.color": "#A0A0A0",
+    "hatch.color": HATCH,
     "path.simplify": True,
 }
 """Text stays text, and the same figure gives the same bytes."""

@@ -17,10 +17,17 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from pinav.evaluation import Decomposition
-from pinav.figures.style import (
+from pinav.figures.palette import (
     BLACK,
-    DIMENSIONLESS,
+    FAINT,
     GREY,
+    GUIDE,
+    PAPER,
+    SHADE,
+    TRUTH,
+)
+from pinav.figures.style import (
+    DIMENSIONLESS,
     SMALL,
     THIN,
     WIDE,
@@ -94,7 +101,7 @@ def _outline(ax: Axes, center: Sequence[float], width: float) -> None:
         Circle(
             (x, y),
             float(width),
-            facecolor="0.93",
+            facecolor=SHADE,
             edgecolor=GREY,
             linewidth=0.8,
             linestyle=(0, (1, 1.5)),
@@ -120,7 +127,7 @@ def _mark(
     ax.plot(
         *point[:, None],
         marker,
-        markerfacecolor="white",
+        markerfacecolor=PAPER,
         markeredgecolor=BLACK,
         markersize=5,
         zorder=3,
@@ -144,8 +151,8 @@ def _frame(truth: np.ndarray, others: Iterable[np.ndarray]) -> np.ndarray:
     reach = REACH * extent
     corners = [low, high]
     for other in others:
-        seen = np.clip(finite(other), low - reach, high + reach)
-        corners += [np.fmin.reduce(seen), np.fmax.reduce(seen)]
+        clipped = np.clip(finite(other), low - reach, high + reach)
+        corners += [np.fmin.reduce(clipped), np.fmax.reduce(clipped)]
     pad = 0.06 * extent
     return np.array([np.fmin.reduce(corners) - pad, np.fmax.reduce(corners) + pad])
 
@@ -209,8 +216,8 @@ def _value_range(
     """Limits that show all of the truth and others within `REACH` of it."""
     low, high = float(np.nanmin(truth)), float(np.nanmax(truth))
     reach = REACH * ((high - low) or 1.0)
-    seen = [np.clip(other, low - reach, high + reach) for other in others]
-    everything = np.concatenate([truth.ravel(), *(part.ravel() for part in seen)])
+    clipped = [np.clip(other, low - reach, high + reach) for other in others]
+    everything = np.concatenate([truth.ravel(), *(part.ravel() for part in clipped)])
     low, high = float(np.nanmin(everything)), float(np.nanmax(everything))
     pad = 0.06 * (high - low or 1.0)
     return low - pad, high + pad
@@ -286,12 +293,12 @@ def decomposition(
         PI-NAV paper, addendum 3 (structural interpretability).
     """
     ax = prepare_axes(ax, width=5.0, height=2.6)
-    ax.axhline(0.0, color="0.8", lw=0.6, zorder=0)
+    ax.axhline(0.0, color=GUIDE, lw=0.6, zorder=0)
     total = np.sum(list(learned.terms.values()), axis=0)
-    ax.plot(learned.times, total[:, component], color="0.7", lw=WIDE, label="sum")
+    ax.plot(learned.times, total[:, component], color=FAINT, lw=WIDE, label="sum")
     if true is not None:
         values = true.terms["environment"][:, component]
-        ax.plot(true.times, values, color=BLACK, lw=WIDE, label="environment, true")
+        ax.plot(true.times, values, color=TRUTH, lw=WIDE, label="environment, true")
     for index, (name, values) in enumerate(learned.terms.items()):
         style = style_of(name, index)
         suffix = ", learned" if name == "environment" and true is not None else ""

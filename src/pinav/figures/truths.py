@@ -5,7 +5,11 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 
 from pinav.evaluation import normal_quantile
-from pinav.figures.style import BLACK, BLUE, label_axes, prepare_axes
+from pinav.figures.palette import (
+    LEARNED,
+    TRUTH,
+)
+from pinav.figures.style import label_axes, prepare_axes
 
 
 def truth_band(
@@ -32,11 +36,11 @@ def truth_band(
     ax = prepare_axes(ax)
     half = normal_quantile() * sd
     ax.fill_between(
-        places, learned - half, learned + half, color=BLUE, alpha=0.25, lw=0
+        places, learned - half, learned + half, color=LEARNED, alpha=0.25, lw=0
     )
-    ax.plot(places, learned, color=BLUE, lw=1.2)
+    ax.plot(places, learned, color=LEARNED, lw=1.2)
     low, high = truth - 2 * truth_sd, truth + 2 * truth_sd
-    ax.plot(places, truth, color=BLACK, lw=1.0, ls="--")
-    ax.fill_between(places, low, high, color=BLACK, alpha=0.12, lw=0)
+    ax.plot(places, truth, color=TRUTH, lw=1.0, ls="--")
+    ax.fill_between(places, low, high, color=TRUTH, alpha=0.12, lw=0)
     label_axes(ax, *labels)
     return ax

@@ -302,8 +302,8 @@ class SegmentTerm(AbstractProfileTerm):
     def coordinates(self, x: Vector) -> Float[Array, " coordinate"]:
         along = self.ends[1] - self.ends[0]
         length = along @ along + (ROUNDING * self.width) ** 2
-        share = jnp.clip((x - self.ends[0]) @ along / length, 0.0, 1.0)
-        offset = x - self.ends[0] - share * along
+        fraction = jnp.clip((x - self.ends[0]) @ along / length, 0.0, 1.0)
+        offset = x - self.ends[0] - fraction * along
         return distance(offset, ROUNDING * self.width)[None]
 
 

@@ -2,21 +2,38 @@
 
 export const MEANING = {
   learned: "#0072B2",
-  physics: "#7F7F7F",
+  physics: "#5F5F5F",
   truth: "#000000",
   track: "#D55E00",
   cut: "#CC79A7",
   next: "#009E73",
   plan: "#E69F00",
   target: "#56B4E9",
-  wall: "#444444",
+  wall: "#404040",
+};
+
+/** Curves of bioheat. */
+export const HEATING = {
+  hottest: "#D55E00",
+  T90: "#E69F00",
+  D90: "#E69F00",
+  probe: "#009E73",
+  outside: "#5F5F5F",
+  field: "#000000",
+  here: "#0072B2",
+  asRun: "#5F5F5F",
 };
 
 /** Of axes and their texts. */
 export const INK = "#3a424b";
 
 /** Of the ground, and of what keeps curves apart from what lies below them. */
-export const PAPER = "#ffffff";
+export const PAPER = "#FFFFFF";
+
+/** A colour through which what lies below is seen. */
+export function through(colour, share) {
+  return colour + Math.round(255 * share).toString(16).padStart(2, "0");
+}
 
 /** Cividis from pale to dark, and blue to orange through white for signed numbers. */
 const SEQUENTIAL = ["#fffde9", "#fdea45", "#c9ba66", "#94906f", "#6b6d72", "#434e6c", "#00224e"];

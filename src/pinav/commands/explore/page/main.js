@@ -1,6 +1,6 @@
 // The page: conditions in, pictures out.
 
-import { INK, MEANING, PAPER } from "./colours.js";
+import { INK, MEANING, PAPER, through } from "./colours.js";
 import { Experiment, NORMAL_95 } from "./experiment.js";
 import { forceOf } from "./forces.js";
 import { listen } from "./gestures.js";
@@ -208,7 +208,7 @@ class Explorer {
       // Roots of sizes: weak forces are to be seen beside strong ones.
       const size = Math.hypot(fx, fy);
       const factor = (0.45 * cell * Math.sqrt(size / most)) / (size || 1);
-      frame.arrow([x - factor * fx, y - factor * fy], [x + factor * fx, y + factor * fy], "rgba(40,40,40,0.55)", 1.1);
+      frame.arrow([x - factor * fx, y - factor * fy], [x + factor * fx, y + factor * fy], through(INK, 0.6), 1.1);
     }
   }
 
@@ -278,8 +278,8 @@ class Explorer {
         c.fill();
         c.stroke();
       });
-    for (const [x, y, radius] of discs) circle([x, y], radius, MEANING.wall, "rgba(90,90,90,0.55)");
-    circle(goal, tolerance, MEANING.plan, "rgba(255,255,255,0.8)");
+    for (const [x, y, radius] of discs) circle([x, y], radius, MEANING.wall, through(MEANING.wall, 0.5));
+    circle(goal, tolerance, MEANING.plan, through(PAPER, 0.8));
     frame.dot(goal, MEANING.plan, 3);
     if (suggestion) frame.curve(suggestion, MEANING.next, { width: 2, dash: [6, 3], casing: true });
     if (this.route) frame.curve(this.route.states, MEANING.plan, { width: 3, casing: true });

@@ -1,6 +1,6 @@
 // The page of a run of bioheat: drag the protocol, see temperature and dose.
 
-import { INK, MEANING } from "./colours.js";
+import { HEATING, INK } from "./colours.js";
 import { arrayOf, shown } from "./numbers.js";
 import { button, group, make, showLegend, slider } from "./panel.js";
 import { saveText, writeAddress } from "./sharing.js";
@@ -96,19 +96,19 @@ export class HeatExplorer {
       return this.result.times.map((t, i) => [t, this.result.fields[i][near]]);
     };
     const temperatures = [
-      { points: saved(this.saved.hottest), colour: MEANING.physics, dash: [2, 4] },
-      ...this.run.probes.map((r) => ({ points: probe(r), colour: MEANING.next, width: 1 })),
-      { points: this.series("T90"), colour: MEANING.plan },
-      { points: this.series("hottest"), colour: MEANING.track },
+      { points: saved(this.saved.hottest), colour: HEATING.asRun, dash: [2, 4] },
+      ...this.run.probes.map((r) => ({ points: probe(r), colour: HEATING.probe, width: 1 })),
+      { points: this.series("T90"), colour: HEATING.T90 },
+      { points: this.series("hottest"), colour: HEATING.hottest },
     ];
     plot(part("plot-x"), temperatures, ["t [s]", "T [°C]"], INK);
     const doses = [
-      { points: saved(this.saved.dose), colour: MEANING.physics, dash: [2, 4] },
-      { points: this.series("D90"), colour: MEANING.learned },
+      { points: saved(this.saved.dose), colour: HEATING.asRun, dash: [2, 4] },
+      { points: this.series("D90"), colour: HEATING.D90 },
     ];
     plot(part("plot-y"), doses, ["t [s]", "D90 [CEM43 min]"], INK);
     const field = this.result.fields[this.moment];
-    const profile = [{ points: Array.from(this.radius, (r, i) => [1e3 * r, field[i]]), colour: MEANING.track }];
+    const profile = [{ points: Array.from(this.radius, (r, i) => [1e3 * r, field[i]]), colour: HEATING.here }];
     plot(part("plot-cut"), profile, ["radius [mm]", "T [°C]"], INK);
     this.showReadout();
   }
@@ -141,7 +141,7 @@ export class HeatExplorer {
     const over = (this.mapFrame = new Frame(part("paths"), [0, last, 0, outer], false));
     over.clear();
     const time = Math.min(this.conditions.time, last);
-    over.curve([[time, 0], [time, outer]], MEANING.learned, { casing: true });
+    over.curve([[time, 0], [time, outer]], HEATING.here, { casing: true });
   }
 
   showReadout() {
@@ -152,9 +152,9 @@ export class HeatExplorer {
     part("readout").textContent =
       `Hottest ${shown(hottest, 4)} °C, at the cursor ${shown(now, 4)} °C. ` +
       `90 % of the target get at least ${shown(dose)} CEM43 min.`;
-    const entries = [["hottest cell", MEANING.track], ["T90 of the target", MEANING.plan], ["D90", MEANING.learned]];
-    if (this.run.probes.length) entries.push(["probes", MEANING.next]);
-    entries.push(["as it was run", MEANING.physics]);
+    const entries = [["hottest cell", HEATING.hottest], ["T90 and D90 of the target", HEATING.T90], ["at the cursor", HEATING.here]];
+    if (this.run.probes.length) entries.push(["probes", HEATING.probe]);
+    entries.push(["as it was run", HEATING.asRun]);
     showLegend(entries);
   }
 

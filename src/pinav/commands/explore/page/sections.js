@@ -1,6 +1,6 @@
 // The page of a run of bioheat on a plane or in a box: its own temperatures over time.
 
-import { INK, MEANING } from "./colours.js";
+import { HEATING, INK, MEANING } from "./colours.js";
 import { arrayOf, shown } from "./numbers.js";
 import { button, choice, group, make, showLegend, slider } from "./panel.js";
 import { savePicture, saveText, writeAddress } from "./sharing.js";
@@ -185,8 +185,8 @@ export class SectionExplorer {
     const frame = (this.mapFrame = new Frame(element("paths"), section.box));
     frame.clear();
     for (const side of section.outline()) frame.curve(side, MEANING.target, { width: 1.6 });
-    for (const point of this.run.points) frame.dot(section.axes.map((axis) => 1e3 * point["xyz".indexOf(axis)]), MEANING.next, 5);
-    frame.dot([this.conditions.x, this.conditions.y], MEANING.learned, 8, false);
+    for (const point of this.run.points) frame.dot(section.axes.map((axis) => 1e3 * point["xyz".indexOf(axis)]), HEATING.probe, 5);
+    frame.dot([this.conditions.x, this.conditions.y], HEATING.here, 8, false);
   }
 
   drawPlots() {
@@ -195,21 +195,21 @@ export class SectionExplorer {
     const size = this.section.columns * this.section.rows;
     const here = Array.from(this.moments, (t, i) => [t, this.section.temperature[i * size + cell]]);
     const temperatures = [
-      ...this.probes.map((values) => ({ points: over(values), colour: MEANING.next, width: 1 })),
-      { points: over(this.curves.T90), colour: MEANING.plan },
-      { points: over(this.curves.hottest), colour: MEANING.track },
-      { points: here, colour: MEANING.learned },
+      ...this.probes.map((values) => ({ points: over(values), colour: HEATING.probe, width: 1 })),
+      { points: over(this.curves.T90), colour: HEATING.T90 },
+      { points: over(this.curves.hottest), colour: HEATING.hottest },
+      { points: here, colour: HEATING.here },
     ];
     const now = this.conditions.time;
     plot(element("plot-x"), temperatures, ["t [s]", "T [°C]"], INK, now);
     const doses = [
-      { points: over(this.curves["dose/outside"]), colour: MEANING.physics, dash: [2, 4] },
-      { points: over(this.curves["dose/D90"]), colour: MEANING.plan },
+      { points: over(this.curves["dose/outside"]), colour: HEATING.outside, dash: [2, 4] },
+      { points: over(this.curves["dose/D90"]), colour: HEATING.T90 },
     ];
     plot(element("plot-y"), doses, ["t [s]", "CEM43 [min]"], INK, now);
     const { edges, starts, ends } = this.run;
     const field = starts.flatMap((start, k) => [[edges[k], start / 1e3], [edges[k + 1], ends[k] / 1e3]]);
-    plot(element("plot-cut"), [{ points: field, colour: MEANING.cut }], ["t [s]", "field [kA/m]"], INK, now);
+    plot(element("plot-cut"), [{ points: field, colour: HEATING.field }], ["t [s]", "field [kA/m]"], INK, now);
   }
 
   showReadout() {
@@ -220,9 +220,9 @@ export class SectionExplorer {
       `At ${section.axes[0]} = ${shown(x)} mm, ${section.axes[1]} = ${shown(y)} mm and ${shown(time, 4)} s: ` +
       `${shown(this.reading(), 4)} °C; ${shown(dose)} CEM43 min at the end. ` +
       `90 % of the target get at least ${shown(this.curves["dose/D90"].at(-1))} CEM43 min.`;
-    const entries = [["here", MEANING.learned], ["hottest cell", MEANING.track], ["T90 and D90 of the target", MEANING.plan]];
-    if (this.probes.length) entries.push(["probes", MEANING.next]);
-    entries.push(["largest dose outside", MEANING.physics], ["target", MEANING.target], ["field", MEANING.cut]);
+    const entries = [["here", HEATING.here], ["hottest cell", HEATING.hottest], ["T90 and D90 of the target", HEATING.T90]];
+    if (this.probes.length) entries.push(["probes", HEATING.probe]);
+    entries.push(["largest dose outside", HEATING.outside], ["target", MEANING.target], ["field", HEATING.field]);
     showLegend(entries);
   }
 

@@ -1,6 +1,6 @@
 // Drawing: the map with its axes, curves over it, and plots of curves beside it.
 
-import { PAPER, colourOf } from "./colours.js";
+import { PAPER, colourOf, through } from "./colours.js";
 import { shown } from "./numbers.js";
 
 const MARGIN = { left: 46, right: 20, top: 10, bottom: 34 };
@@ -85,7 +85,7 @@ export class Frame {
       c.lineJoin = c.lineCap = "round";
       c.globalAlpha = alpha;
       if (casing) {
-        c.strokeStyle = "rgba(255,255,255,0.85)";
+        c.strokeStyle = through(PAPER, 0.85);
         c.lineWidth = width + 3;
         line(c, pixels);
       }
@@ -113,7 +113,7 @@ export class Frame {
     this.clip((c) => {
       c.beginPath();
       c.arc(this.px(x), this.py(y), radius, 0, 2 * Math.PI);
-      c.fillStyle = filled ? colour : "rgba(255,255,255,0.9)";
+      c.fillStyle = filled ? colour : through(PAPER, 0.9);
       c.strokeStyle = filled ? PAPER : colour;
       c.lineWidth = filled ? 1.5 : 2.5;
       c.fill();
