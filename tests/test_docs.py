@@ -81,7 +81,7 @@ def test_the_code_of_a_page_runs(page, sandbox, fitted_runs, recording):
         if language == "python":
             run_python(text, sandbox, recording)
         elif language == "toml":
-            (sandbox / file_of(text)).parent.mkdir(exist_ok=True)
+            (sandbox / file_of(text)).parent.mkdir(parents=True, exist_ok=True)
             (sandbox / file_of(text)).write_text(text, encoding="utf-8")
         else:
             run_commands(text)
