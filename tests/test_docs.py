@@ -52,7 +52,7 @@ def sandbox(tmp_path, monkeypatch):
     return tmp_path
 
 
-LONG = {"tracker.md", "wrong-force.md"}
+LONG = {"bead.md", "tracker.md", "wrong-force.md"}
 """Tutorials of some minutes: `make validate` runs them, tests read their commands."""
 
 EXTRAS = {"exchange.md": ("xarray", "h5netcdf", "sklearn", "magpylib")}
