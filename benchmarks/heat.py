@@ -171,13 +171,13 @@ def measure(name: str) -> Measured:
 
 def tumour(grid: AbstractGrid) -> Bioheat:
     """A tumour of 10 mm in muscle, on any grid."""
-    share, wall = grid.ball(0.010), Dirichlet(37.0)
+    fraction, wall = grid.ball(0.010), Dirichlet(37.0)
     return Bioheat(
         grid,
-        mix(share, Tissue(0.55, 1045.0, 3600.0), Tissue(0.49, 1090.0, 3421.0)),
+        mix(fraction, Tissue(0.55, 1045.0, 3600.0), Tissue(0.49, 1090.0, 3421.0)),
         Blood(),
-        MixedPerfusion.on_mask(share, lang("tumour"), lang("muscle")),
-        (PowerSource(1.5e5 * share, 1e4),),
+        MixedPerfusion.on_mask(fraction, lang("tumour"), lang("muscle")),
+        (PowerSource(1.5e5 * fraction, 1e4),),
         outer(wall) if len(grid.shape) == 1 else around(grid, wall),
     )
 

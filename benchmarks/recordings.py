@@ -124,7 +124,7 @@ def _scores(metrics: dict[str, Any]) -> dict[str, Any]:
         "of": len(metrics["tracks"]),
         "chosen": _relative(summary, "chosen"),
         "least squares": _relative(summary, "least squares"),
-        "covered": sum(share * n for share, n in covered if n) / count
+        "covered": sum(fraction * n for fraction, n in covered if n) / count
         if count
         else None,
     }

@@ -13,15 +13,17 @@ from matplotlib.figure import Figure
 import pinav
 
 DOCS = Path(__file__).parent
-sys.path.insert(0, str(DOCS.parent))
+sys.path[:0] = [str(DOCS.parent), str(DOCS)]
 
 project, author = "pinav", "The pinav developers"
+project_copyright = author
 release = pinav.__version__
 extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "sphinx_gallery.gen_gallery",
+    "command_help",
 ]
 exclude_patterns = ["_build", "examples/README.rst"]
 html_theme = "furo"
@@ -98,10 +100,10 @@ def _one_line(match: re.Match[str]) -> str:
 
 def _link_to_source(app: Any, docname: str, source: list[str]) -> None:
     """Links of the pages to files of the repository become names of these files."""
-    del app, docname
-    source[0] = re.sub(
-        r"\[([^\]]+)\]\((?:\.\./[^)]+|[A-Z][A-Za-z.]+)\)", r"`\1`", source[0]
-    )
+    del app
+    root = re.escape("../" * (docname.count("/") + 1))
+    outside = rf"\[([^\]]+)\]\((?:{root}[^)]+|[A-Z][A-Za-z.]+)\)"
+    source[0] = re.sub(outside, r"`\1`", source[0])
 
 
 def setup(app: Any) -> None:

@@ -1,5 +1,7 @@
 """Every block of code of the pages runs, and every file they link to is there."""
 
+import importlib
+import os
 import re
 import shlex
 import subprocess
@@ -12,16 +14,34 @@ import numpy as np
 import pytest
 
 from pinav import cli
+from pinav.commands import COMMANDS
+from pinav.commands.command import resolve
+from pinav.commands.parsing import parse
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCS = ROOT / "docs"
+TUTORIALS = sorted((DOCS / "tutorials").glob("*.md"))
+PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md")), *TUTORIALS]
 
 
 def blocks(page: Path) -> list[tuple[str, str]]:
     """Language and text of each block of code that can be run, in order."""
     text = page.read_text(encoding="utf-8")
-    return re.findall(r"^```(python|sh)\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    code = r"^```(python|sh|toml)\n(.*?)^```"
+    named = re.findall(code, text, re.DOTALL | re.MULTILINE)
+    return [(name, t) for name, t in named if name != "toml" or file_of(t)]
+
+
+def file_of(settings: str) -> str:
+    """The name under which a page asks to save settings, in their first line."""
+    first = re.match(r"# ([\w/.-]+\.toml)\n", settings)
+    return first[1] if first else ""
+
+
+def page_id(page: Path) -> str:
+    """The path of a page, as people write it."""
+    return page.relative_to(ROOT).as_posix()
 
 
 @pytest.fixture
@@ -32,6 +52,9 @@ def sandbox(tmp_path, monkeypatch):
     return tmp_path
 
 
+LONG = {"tracker.md", "wrong-force.md"}
+"""Tutorials of some minutes: `make validate` runs them, tests read their commands."""
+
 EXTRAS = {"exchange.md": ("xarray", "h5netcdf", "sklearn", "magpylib")}
 """Optional packages that the code of a page needs."""
 
@@ -39,22 +62,27 @@ EXTRAS = {"exchange.md": ("xarray", "h5netcdf", "sklearn", "magpylib")}
 def mark_of(page: Path) -> pytest.MarkDecorator:
     """Pages run with the slow tests, or where their packages are installed."""
     needs = EXTRAS.get(page.name)
+    if page.name in LONG and page in TUTORIALS and not os.environ.get("PINAV_LONG"):
+        return pytest.mark.skip("some minutes: PINAV_LONG=1 or make validate runs it")
     return pytest.mark.extras(*needs) if needs else pytest.mark.slow
 
 
 @pytest.mark.parametrize(
     "page",
-    [pytest.param(p, marks=mark_of(p), id=p.name) for p in PAGES if blocks(p)],
+    [pytest.param(p, marks=mark_of(p), id=page_id(p)) for p in PAGES if blocks(p)],
 )
 def test_the_code_of_a_page_runs(page, sandbox, fitted_runs, recording):
-    """The README begins with nothing, other pages with a fitted run and its data."""
-    if page.name != "README.md":
+    """README and tutorials begin with nothing, others with a fitted run."""
+    if page.name != "README.md" and page not in TUTORIALS:
         run, _ = fitted_runs.copy("kernel", sandbox)
         (sandbox / "runs").mkdir()
         run.rename(sandbox / "runs" / "mine")
     for language, text in blocks(page):
         if language == "python":
             run_python(text, sandbox, recording)
+        elif language == "toml":
+            (sandbox / file_of(text)).parent.mkdir(exist_ok=True)
+            (sandbox / file_of(text)).write_text(text, encoding="utf-8")
         else:
             run_commands(text)
 
@@ -80,11 +108,63 @@ def run_commands(text: str) -> None:
             assert words[:1] in ([], ["make"]), f"{line!r} is never run"
 
 
+@pytest.mark.parametrize("page", PAGES, ids=page_id)
+def test_the_command_line_knows_the_options_that_a_page_uses(page):
+    text = page.read_text(encoding="utf-8")
+    for block in re.findall(
+        r"^```(?:sh|bash)\n(.*?)^```", text, re.DOTALL | re.MULTILINE
+    ):
+        for line in block.replace("\\\n", " ").splitlines():
+            words = shlex.split(line, comments=True)
+            if words[:1] != ["pinav"]:
+                continue
+            command = cli.command_named(words[1])
+            assert command is not None, line
+            options = resolve(command.options)
+            known = words[2:3] if command.forwards else words[2:]
+            assert parse(options, known, prog="pinav") is not None, line
+
+
+def test_the_page_of_commands_holds_the_help_of_each(monkeypatch):
+    monkeypatch.syspath_prepend(str(DOCS))
+    command_help = importlib.import_module("command_help")
+    for command in COMMANDS:
+        text = command_help.help_of(command)
+        usage, paragraphs, tables = command_help.help_parts(text)
+        assert usage.startswith(f"usage: pinav {command.name} ")
+        assert paragraphs[0].endswith(".")
+        shown = set(re.findall(r"--[a-z-]{2,}", usage + " ".join(paragraphs) + tables))
+        assert shown == set(re.findall(r"--[a-z-]{2,}", text))
+    assert "```{command-help}" in (DOCS / "commands.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("page", TUTORIALS, ids=page_id)
+def test_a_tutorial_says_what_it_needs_and_how_long_it_takes(page):
+    text = page.read_text(encoding="utf-8")
+    for part in (
+        "**You need**",
+        "**You will have**",
+        "**Time:**",
+        "\n## Where to go next",
+    ):
+        assert part in text, part
+
+
+def test_every_page_of_a_method_says_when_it_is_wrong():
+    index = (DOCS / "index.md").read_text(encoding="utf-8")
+    methods = re.search(r'caption: "Explanation.*?\n\n(.*?)```', index, re.DOTALL)
+    assert methods is not None
+    assert len(methods[1].split()) > 8
+    for name in methods[1].split():
+        text = (DOCS / f"{name}.md").read_text(encoding="utf-8")
+        assert "\n## When it is wrong\n" in text, name
+
+
 RECORDED_IN = {"sessions.csv.gz": "magscope_cellbot_sessions"}
 """Folders of the recordings that the pages name."""
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=page_id)
 def test_the_settings_that_a_page_shows_can_be_read(page):
     text = page.read_text(encoding="utf-8")
     for block in re.findall(r"^```toml\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
@@ -119,7 +199,7 @@ def test_the_make_targets_exist():
         assert re.search(rf"^{target}:", makefile, flags=re.MULTILINE), target
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=page_id)
 def test_links_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)#]+)", page.read_text(encoding="utf-8")):
         assert (page.parent / target).exists(), f"{page.name} links to {target}"

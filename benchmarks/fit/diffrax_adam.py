@@ -65,7 +65,9 @@ def train(problem: Problem, seed: int, effort: Effort) -> Trained:
 
     loop = _Loop(loss, params)
     adam = loop.run(_adam_step, optax.adam(1e-2), effort.adam_steps, effort.seconds)
-    lbfgs = loop.run(_lbfgs_step, optax.lbfgs(), effort.lbfgs_steps, share=adam.share)
+    lbfgs = loop.run(
+        _lbfgs_step, optax.lbfgs(), effort.lbfgs_steps, fraction=adam.fraction
+    )
     iterations, full, note = whole_recipe([adam, lbfgs])
     layers = eqx.combine(loop.params, static).layers
     arrays = network_arrays([(layer.weight, layer.bias) for layer in layers])
@@ -78,7 +80,7 @@ class _Loop:
     def __init__(self, loss, params):
         self.loss, self.params = loss, params
 
-    def run(self, step, optimiser, steps, seconds=float("inf"), share=1.0):
+    def run(self, step, optimiser, steps, seconds=float("inf"), fraction=1.0):
         state = optimiser.init(self.params)
         compiled = jax.jit(
             lambda params, state: step(self.loss, optimiser, params, state)
@@ -88,7 +90,7 @@ class _Loop:
             nonlocal state
             self.params, state = jax.block_until_ready(compiled(self.params, state))
 
-        return paced(once, steps, seconds=seconds, share=share)
+        return paced(once, steps, seconds=seconds, fraction=fraction)
 
 
 def _adam_step(loss, optimiser, params, state):

@@ -96,7 +96,7 @@ class Pace(NamedTuple):
     first: float
 
     @property
-    def share(self) -> float:
+    def fraction(self) -> float:
         """Share of the steps that was taken."""
         return self.done / self.total
 
@@ -116,13 +116,13 @@ def paced(
     total: int,
     *,
     seconds: float = float("inf"),
-    share: float = 1.0,
+    fraction: float = 1.0,
 ) -> Pace:
     """Call `step` for a share of `total` times, or until `seconds` have passed."""
     start = time.perf_counter()
     first = spent = 0.0
     done = 0
-    limit = max(1, round(share * total)) if total else 0
+    limit = max(1, round(fraction * total)) if total else 0
     while done < limit and (done == 0 or spent < seconds):
         step()
         done += 1

@@ -60,7 +60,7 @@ def train(problem: Problem, seed: int, effort: Effort) -> Trained:
     optimiser = torch.optim.LBFGS(
         network.parameters(), max_iter=1, history_size=10, line_search_fn="strong_wolfe"
     )
-    lbfgs = paced(step, effort.lbfgs_steps, share=adam.share)
+    lbfgs = paced(step, effort.lbfgs_steps, fraction=adam.fraction)
     iterations, full, note = whole_recipe([adam, lbfgs])
     layers = [layer for layer in network if hasattr(layer, "weight")]
     arrays = network_arrays(

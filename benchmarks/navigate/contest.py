@@ -155,11 +155,11 @@ def _episodes(
     keys = jax.random.split(jax.random.key(7), design.fits * design.seeds)
     if once:
         return run_many(own, make(own, draws[0]), keys)
-    shares = np.split(np.arange(len(keys)), design.fits)
+    fractions = np.split(np.arange(len(keys)), design.fits)
     return concatenate_episodes(
         [
-            run_many(own, make(own, known), keys[share])
-            for known, share in zip(draws, shares, strict=True)
+            run_many(own, make(own, known), keys[fraction])
+            for known, fraction in zip(draws, fractions, strict=True)
         ]
     )
 

@@ -107,8 +107,8 @@ def _environment(
         return barrier
     angle = rng.uniform(0.0, 2 * np.pi)
     beside = CENTER + 2.5 * width * np.array([np.cos(angle), np.sin(angle)])
-    share = rng.choice([-1.0, 1.0]) * rng.uniform(0.4, 1.0)
-    return SumForce((barrier, GaussianBarrier(share * height, beside, width)))
+    fraction = rng.choice([-1.0, 1.0]) * rng.uniform(0.4, 1.0)
+    return SumForce((barrier, GaussianBarrier(fraction * height, beside, width)))
 
 
 def _start(

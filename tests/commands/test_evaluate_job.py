@@ -193,7 +193,7 @@ def metrics_of(seen, trajectories=4):
         rmse={"model": {"x": 0.1}},
         rollouts={"model": {"data": {}}},
         force={},
-        seen=seen,
+        num_training=seen,
     )
 
 

@@ -87,6 +87,7 @@ def test_a_run_keeps_and_shows_diffusion_blur_error_and_checks(run):
         assert abs(ratio - 1) < 4 * sd
     page = (run.path / "report.html").read_text()
     assert "The thermal motion" in page
+    assert "um of an observed position of the training data" in page
     assert checks.statement in page
     assert "diffusion of every 2 samples over that of all" in page
 

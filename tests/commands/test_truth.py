@@ -125,6 +125,9 @@ def test_compressed_files_and_frame_rates_are_read(tmp_path):
     recording = read_recording(path, alone)
     np.testing.assert_allclose(recording.times, [0.0, 0.05])
     np.testing.assert_allclose(recording.positions, [[1.0], [2.0]])
+    with gzip.open(path, "wt") as file:  # as pinav simulate writes it
+        file.write('# pinav: {"format": 1}\nt_s,angle_00_rad\n0,1\n0.1,2\n')
+    np.testing.assert_allclose(read_recording(path, alone).positions, [[1.0], [2.0]])
     path.write_bytes(b"\x1f\x8bdamaged")
     with pytest.raises(InputError, match="cannot be read"):
         read_recording(path, description)

@@ -37,7 +37,7 @@ class LastPosition(AbstractEstimator):
         )
 
     def whereabouts(self, time):
-        seen = [frame for frame in self.frames if frame.seen]
+        seen = [frame for frame in self.frames if frame.observed]
         return Whereabouts((seen[-1].x, seen[-1].y), self.sd) if seen else None
 
     def drive(self):

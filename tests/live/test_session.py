@@ -126,7 +126,7 @@ def test_a_robot_that_comes_back_elsewhere_needs_a_second_frame():
     session, _ = feed(begun(), lost)
     session, answers = feed(session, [frame_line(2, x=50.0)])
     assert session.estimator.restarts == ()
-    assert not session.estimator.frames[-1].seen
+    assert not session.estimator.frames[-1].observed
     session, _ = feed(session, [frame_line(3, x=-90.0)])  # does not agree
     assert session.estimator.restarts == ()
     session, answers = feed(session, [frame_line(4, x=-89.0)])
@@ -137,9 +137,9 @@ def test_a_robot_that_comes_back_elsewhere_needs_a_second_frame():
 def test_a_leap_in_sight_is_doubted_too():
     lines = [frame_line(0), frame_line(1, x=14.0), frame_line(2, x=0.0)]
     session, _ = feed(begun(), lines)
-    assert all(frame.seen for frame in session.estimator.frames)
+    assert all(frame.observed for frame in session.estimator.frames)
     session, _ = feed(session, [frame_line(3, x=16.0), frame_line(4, x=0.0)])
-    assert [f.seen for f in session.estimator.frames[3:]] == [False, True]
+    assert [f.observed for f in session.estimator.frames[3:]] == [False, True]
     assert session.estimator.restarts == ()
 
 

@@ -23,7 +23,7 @@ def test_rows_become_a_hello_and_frames():
         version=1, session="table", step=0.25, limits=Limits(frequency=5.0)
     )
     assert frames[0] == Frame(seq=7, t=0.5, x=1.0, y=2.0, frequency=3.0, heading=0.1)
-    assert not frames[1].seen
+    assert not frames[1].observed
     assert [frame.seq for frame in frames] == [7, 8, 9]
 
 

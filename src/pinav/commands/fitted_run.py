@@ -357,8 +357,8 @@ def _read_process(
 def _hashes(data: Trajectories) -> Iterator[bytes]:
     """A hash of the observed samples of each trajectory."""
     for piece in data:
-        seen = piece.observed.any(axis=0)
-        states = np.where(piece.observed, piece.states, 0.0)[:, seen]
+        channels = piece.observed.any(axis=0)
+        states = np.where(piece.observed, piece.states, 0.0)[:, channels]
         digest = hashlib.sha256(np.ascontiguousarray(piece.times, float).tobytes())
         digest.update(np.ascontiguousarray(states, float).tobytes())
         yield digest.digest()

@@ -30,7 +30,9 @@ def start_run(
     resume = isinstance(options, ResumableOptions) and options.resume
     if resume and options.overwrite:
         raise InputError("--resume and --overwrite: choose one of them")
-    content = [item for s in settings for item in msgspec.to_builtins(s).items()]
+    content = [
+        item for s in settings for item in msgspec.to_builtins(s, enc_hook=str).items()
+    ]
     config: dict[str, Any] = {
         key: list(value) if isinstance(value, tuple) else value
         for key, value in content

@@ -130,8 +130,8 @@ def status_text(status: SweepStatus) -> str:
     table = Table(("cell", "state", "time", "note"), rows)
     total, done = len(rows), status.count(CellState.DONE)
     failed = status.count(CellState.FAILED)
-    share = (done + failed) / max(total, 1)
-    bar = "#" * round(BAR * share) + "." * round(BAR * (1 - share))
+    fraction = (done + failed) / max(total, 1)
+    bar = "#" * round(BAR * fraction) + "." * round(BAR * (1 - fraction))
     left = "" if status.left is None else f", about {_duration(status.left)} left"
     work = f"at work: {status.engine}{left}" if status.at_work else NOBODY
     if done + failed == total:

@@ -118,10 +118,18 @@ class FieldMap(eqx.Module):
     regions: Regions = Regions()
 
     @classmethod
-    def of_arrays(cls, arrays: Mapping[str, np.ndarray], name: str) -> "FieldMap":
-        """The map of that name among the arrays that a run keeps."""
+    def of_arrays(
+        cls, arrays: Mapping[str, np.ndarray], name: str, regions: Regions | None = None
+    ) -> "FieldMap":
+        """The map of that name among the arrays that a run keeps.
+
+        Args:
+            arrays: of the run.
+            name: of the map.
+            regions: of the data; those of dimensionless data unless given.
+        """
         x, y, distance = (arrays[f"field/{part}"] for part in ("x", "y", "distance"))
-        return cls(x, y, arrays[f"field/{name}"], distance)
+        return cls(x, y, arrays[f"field/{name}"], distance, regions or Regions())
 
     def showing(self, force: Float[np.ndarray, "rows columns 2"]) -> "FieldMap":
         """Another force [L T⁻²] on the same grid."""
@@ -204,8 +212,8 @@ def _observed_positions(
     trajectories: Trajectories,
 ) -> tuple[Float[np.ndarray, "sample dim"], Float[np.ndarray, " sample"]]:
     """All fully observed positions, and their times."""
-    seen = trajectories.observed[..., : trajectories.dim].all(-1)
-    return trajectories.positions[seen], trajectories.times[seen]
+    is_observed = trajectories.observed[..., : trajectories.dim].all(-1)
+    return trajectories.positions[is_observed], trajectories.times[is_observed]
 
 
 def _nearest_samples(

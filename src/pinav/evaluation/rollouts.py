@@ -58,8 +58,8 @@ def position_errors(
         InputError: nothing is left to score.
     """
     dim = trajectories.dim
-    seen = np.asarray(trajectories.observed[..., :dim].all(-1))
-    scored = np.array(seen)
+    is_observed = np.asarray(trajectories.observed[..., :dim].all(-1))
+    scored = np.array(is_observed)
     scored[:, :scored_from] = False
     if not scored.any():
         raise InputError(
@@ -69,7 +69,7 @@ def position_errors(
     domain = extent(trajectories) if domain is None else domain
     offsets = predictions[..., :dim] - trajectories.states[..., :dim]
     distance = np.linalg.norm(offsets, axis=-1)
-    lost = seen & ~(distance <= domain)
+    lost = is_observed & ~(distance <= domain)
     diverged = np.logical_or.accumulate(lost, axis=1)
     return RolloutErrors(
         elapsed=trajectories.times - trajectories.times[:, :1],
@@ -84,12 +84,13 @@ def _paths(trajectories: Trajectories, dim: int) -> np.ndarray:
     """Way along local cubics through the observations: noise hardly lengthens it."""
     ways = np.zeros(trajectories.times.shape)
     for way, piece in zip(ways, trajectories, strict=True):
-        seen = np.asarray(piece.observed[:, :dim].all(-1))
-        if seen.sum() < 2:
+        is_observed = np.asarray(piece.observed[:, :dim].all(-1))
+        if is_observed.sum() < 2:
             way[:] = np.nan
             continue
         smooth = [
-            local_polynomial(piece.times, piece.states[:, i], seen) for i in range(dim)
+            local_polynomial(piece.times, piece.states[:, i], is_observed)
+            for i in range(dim)
         ]
         steps = np.linalg.norm(np.diff(np.stack(smooth, axis=1), axis=0), axis=1)
         way[1 : len(steps) + 1] = np.cumsum(steps)

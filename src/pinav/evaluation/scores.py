@@ -57,8 +57,10 @@ class Score(eqx.Module):
 
 
 def _root_mean_square(errors: Float[np.ndarray, " state"]) -> float:
-    seen = errors[~np.isnan(errors)]
-    return float(np.sqrt(np.mean(seen**2))) if seen.size else float("nan")
+    known_errors = errors[~np.isnan(errors)]
+    return (
+        float(np.sqrt(np.mean(known_errors**2))) if known_errors.size else float("nan")
+    )
 
 
 def predict(

@@ -122,15 +122,15 @@ def _channel(
 ) -> tuple[Float[np.ndarray, " lag"], float, float, int]:
     from scipy.special import chdtrc
 
-    seen = observed & np.isfinite(z)
-    z = np.where(seen, z, 0.0)
-    count, power = int(seen.sum()), float((z**2).sum())
+    is_observed = observed & np.isfinite(z)
+    z = np.where(is_observed, z, 0.0)
+    count, power = int(is_observed.sum()), float((z**2).sum())
     if power == 0.0:
         return np.full(lags, np.nan), np.nan, np.nan, count
     products = np.full(lags, np.nan)
     pairs = np.zeros(lags)
     for lag in range(1, min(lags, z.shape[1] - 1) + 1):
-        pairs[lag - 1] = (seen[:, lag:] & seen[:, :-lag]).sum()
+        pairs[lag - 1] = (is_observed[:, lag:] & is_observed[:, :-lag]).sum()
         products[lag - 1] = (z[:, lag:] * z[:, :-lag]).sum()
     used = pairs > 0
     correlation = np.where(used, products / power, np.nan)

@@ -134,9 +134,9 @@ def _actors(ax: Axes, trails: Trails) -> dict:
 
 def _move(actors: dict, trails: Trails, step: int) -> None:
     for name, (line, dot) in actors.items():
-        seen = trails.paths[name][: step + 1]
-        line.set_data(*seen.T)
-        dot.set_data(*seen[-1:].T)
+        observed = trails.paths[name][: step + 1]
+        line.set_data(*observed.T)
+        dot.set_data(*observed[-1:].T)
 
 
 def _frame_steps(steps: int) -> list[int]:

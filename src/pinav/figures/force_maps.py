@@ -357,8 +357,8 @@ def _keys(
     keys: list[Artist] = []
     if path:
         keys.append(Line2D([], [], label="trajectory", **_PATH))
-    seen = {"color": PAPER, "lw": 0.8, "path_effects": outline}
-    keys.append(Line2D([], [], label=f"visited ({visited})", **seen))
+    observed = {"color": PAPER, "lw": 0.8, "path_effects": outline}
+    keys.append(Line2D([], [], label=f"visited ({visited})", **observed))
     dashed = {"color": BLACK, "lw": 0.8, "ls": "dashed"}
     keys.append(Line2D([], [], label=f"near ({near})", **dashed))
     if shade:

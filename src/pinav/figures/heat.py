@@ -242,7 +242,7 @@ def protocol_figure(
     temperatures: Mapping[str, Float[np.ndarray, " time"]],
     doses: Mapping[str, Float[np.ndarray, " time"]],
     *,
-    shares: Mapping[str, Float[np.ndarray, " time"]],
+    fractions: Mapping[str, Float[np.ndarray, " time"]],
     bound: float | None = None,
 ) -> Figure:
     """Field, temperatures, shares and doses below each other on one axis of time.
@@ -253,7 +253,7 @@ def protocol_figure(
         times: of the curves [s].
         temperatures: [°C], by what the legend says.
         doses: so far [CEM43 min], by what the legend says.
-        shares: of a volume, 0 to 1, by what the legend says.
+        fractions: of a volume, 0 to 1, by what the legend says.
         bound: on the temperature, marked unless None.
     """
     figure = new_figure(5.0, 7.5)
@@ -273,7 +273,7 @@ def protocol_figure(
     if bound is not None:
         middle.axhline(bound, color=GREY, lw=0.8, ls=(0, (4, 2)))
     label_axes(middle, "", "temperature [°C]")
-    for color, (name, curve) in zip(SPARE, shares.items(), strict=False):
+    for color, (name, curve) in zip(SPARE, fractions.items(), strict=False):
         share_axes.plot(times / 60, curve, color=color, lw=THIN, label=name)
     share_axes.set_ylim(-0.05, 1.05)
     label_axes(share_axes, "", "fraction")

@@ -39,8 +39,8 @@ def observed_paths(
     ax = prepare_axes(ax)
     dots = {"color": TRACK, "markersize": 2.0, "label": "observed"}
     line = {"color": LEARNED, "lw": THIN, "label": "model"}
-    for seen, path in zip(observed, predicted, strict=True):
-        ax.plot(*seen.T, ".", **dots)
+    for measured, path in zip(observed, predicted, strict=True):
+        ax.plot(*measured.T, ".", **dots)
         ax.plot(*path.T, **line)
         dots["label"] = line["label"] = "_"
     starts = np.array([path[0] for path in predicted])

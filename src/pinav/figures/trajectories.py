@@ -151,8 +151,8 @@ def _frame(truth: np.ndarray, others: Iterable[np.ndarray]) -> np.ndarray:
     reach = REACH * extent
     corners = [low, high]
     for other in others:
-        seen = np.clip(finite(other), low - reach, high + reach)
-        corners += [np.fmin.reduce(seen), np.fmax.reduce(seen)]
+        clipped = np.clip(finite(other), low - reach, high + reach)
+        corners += [np.fmin.reduce(clipped), np.fmax.reduce(clipped)]
     pad = 0.06 * extent
     return np.array([np.fmin.reduce(corners) - pad, np.fmax.reduce(corners) + pad])
 
@@ -216,8 +216,8 @@ def _value_range(
     """Limits that show all of the truth and others within `REACH` of it."""
     low, high = float(np.nanmin(truth)), float(np.nanmax(truth))
     reach = REACH * ((high - low) or 1.0)
-    seen = [np.clip(other, low - reach, high + reach) for other in others]
-    everything = np.concatenate([truth.ravel(), *(part.ravel() for part in seen)])
+    clipped = [np.clip(other, low - reach, high + reach) for other in others]
+    everything = np.concatenate([truth.ravel(), *(part.ravel() for part in clipped)])
     low, high = float(np.nanmin(everything)), float(np.nanmax(everything))
     pad = 0.06 * (high - low or 1.0)
     return low - pad, high + pad

@@ -140,8 +140,8 @@ class TimedKernelPotential(AbstractLearnedForce):
         """Value of each spline at time `t` [T]."""
         count = self.weights.shape[1]
         dtype = self.weights.dtype
-        share = (jnp.asarray(t, dtype) - self.first) / (self.last - self.first)
-        place = jnp.clip(share, 0.0, 1.0) * (count - 3)
+        fraction = (jnp.asarray(t, dtype) - self.first) / (self.last - self.first)
+        place = jnp.clip(fraction, 0.0, 1.0) * (count - 3)
         return cubic_spline(place - jnp.arange(-1, count - 1, dtype=dtype))
 
     def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:

@@ -30,7 +30,7 @@ from pinav.identification.selection import Selection as Selection
 from pinav.identification.selection import select_model as select_model
 from pinav.identification.selection import split as split
 from pinav.identification.systems import evidence_fit_of as evidence_fit_of
-from pinav.identification.systems import is_commanded as is_commanded
+from pinav.identification.systems import needs_kalman_filter as needs_kalman_filter
 from pinav.identification.systems import posterior_of as posterior_of
 from pinav.identification.systems import system_of as system_of
 from pinav.identification.tracks import Blocks as Blocks

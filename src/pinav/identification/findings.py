@@ -220,15 +220,16 @@ def extrapolation(train: Track, held_out: Track) -> str:
         train: the training part of a track.
         held_out: its test part.
     """
-    seen, asked = (
+    observed, asked = (
         max(float(piece.commands["frequency"].max()) for piece in part.pieces)
         for part in (train, held_out)
     )
-    if asked <= BEYOND * seen:
+    if asked <= BEYOND * observed:
         return ""
     return (
         f"The held-out part is driven at up to {asked:.3g} Hz, the training part at up "
-        f"to {seen:.3g} Hz: errors and bands there hang on how the response goes on."
+        f"to {observed:.3g} Hz: errors and bands there hang on how the response goes "
+        "on."
     )
 
 

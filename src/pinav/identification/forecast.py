@@ -96,8 +96,8 @@ def errors(track: Track, rollouts: Rollouts, displacement: Displacement) -> Erro
     lengths = [_cumulated_length(piece.states) for piece in track.pieces]
     distance, path = [], []
     for index, a, b in zip(rollouts.piece, rollouts.first, rollouts.last, strict=True):
-        seen = track.pieces[index].states
-        miss = seen[b] - seen[a] - (paths[index][b] - paths[index][a])
+        observed = track.pieces[index].states
+        miss = observed[b] - observed[a] - (paths[index][b] - paths[index][a])
         distance.append(np.hypot(*miss))
         path.append(lengths[index][b] - lengths[index][a])
     return Errors(np.array(distance), np.array(path))

@@ -138,7 +138,7 @@ def _regress(columns: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, np.nda
 def _share_of_variance(force: RestoringForce, held_out: Track) -> float:
     """Share of the variance of displacements over the horizon, from rollouts."""
     ahead = round(HORIZON / force.interval)
-    seen, predicted = [], []
+    displacements, predicted = [], []
     for piece in held_out.pieces:
         path = _spaced(piece.times, piece.states)
         for start in range(1, len(path) - ahead):
@@ -146,10 +146,13 @@ def _share_of_variance(force: RestoringForce, held_out: Track) -> float:
             for _ in range(ahead):
                 step = force.offset + force.memory @ (here - before) + force.pull @ here
                 before, here = here, here + step
-            seen.append(path[start + ahead] - path[start])
+            displacements.append(path[start + ahead] - path[start])
             predicted.append(here - path[start])
-    if len(seen) < 2:
+    if len(displacements) < 2:
         return float("nan")
-    observed, error = np.array(seen), np.array(seen) - np.array(predicted)
+    observed, error = (
+        np.array(displacements),
+        np.array(displacements) - np.array(predicted),
+    )
     spread = ((observed - observed.mean(axis=0)) ** 2).sum()
     return float(1.0 - (error**2).sum() / max(spread, 1e-30))

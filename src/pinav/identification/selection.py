@@ -279,23 +279,25 @@ class _Comparison:
 
 def velocity_r2(track: Track, displacement: Displacement) -> float:
     """Explained share of the velocity over two blocks, both components pooled."""
-    seen, predicted = [], []
+    observed, predicted = [], []
     for piece in track.pieces:
         path = displacement(piece)
         later = np.searchsorted(piece.times, piece.times + 2 * track.width)
         index = np.flatnonzero(later < len(piece.times))
         later = later[index]
         interval = (piece.times[later] - piece.times[index])[:, None]
-        seen.append((piece.states[later] - piece.states[index]) / interval)
+        observed.append((piece.states[later] - piece.states[index]) / interval)
         predicted.append((path[later] - path[index]) / interval)
-    return _r2(np.concatenate(seen), np.concatenate(predicted))
+    return _r2(np.concatenate(observed), np.concatenate(predicted))
 
 
-def _r2(seen: Float[np.ndarray, "n 2"], predicted: Float[np.ndarray, "n 2"]) -> float:
-    if len(seen) < 2:
+def _r2(
+    observed: Float[np.ndarray, "n 2"], predicted: Float[np.ndarray, "n 2"]
+) -> float:
+    if len(observed) < 2:
         return float("nan")
-    spread = float(((seen - seen.mean(axis=0)) ** 2).sum())
-    return 1 - float(((seen - predicted) ** 2).sum()) / max(spread, 1e-30)
+    spread = float(((observed - observed.mean(axis=0)) ** 2).sum())
+    return 1 - float(((observed - predicted) ** 2).sum()) / max(spread, 1e-30)
 
 
 GRID = KernelGrid(across=6, margin=2.0)

@@ -273,7 +273,7 @@ def prior_about(theta: Float[np.ndarray, " parameter"], wide: Prior) -> Prior:
     return Prior(np.where(stated, theta, wide.mean), wide.sd)
 
 
-def is_commanded(system: System) -> bool:
+def needs_kalman_filter(system: System) -> bool:
     """Whether a fit must be `fit_commanded`: commands or a wandering velocity."""
     commanded = isinstance(system.swimmer.propulsion, RollingPropulsion)
     return commanded or system.wandering is not None

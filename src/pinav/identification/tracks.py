@@ -76,9 +76,9 @@ def tracks(recording: Trajectories, *, pooled: bool = False) -> list[Track]:
     groups: dict[str, list[Trajectory]] = {}
     names = _names(recording, pooled=pooled)
     for name, piece in zip(names, recording, strict=True):
-        seen = _drop_unseen(piece)
-        if len(seen.times) >= LEAST_SAMPLES:
-            groups.setdefault(name, []).append(seen)
+        rest = _drop_unseen(piece)
+        if len(rest.times) >= LEAST_SAMPLES:
+            groups.setdefault(name, []).append(rest)
     if not groups:
         raise InputError(_too_short(recording))
     widths = [_block_width(pieces) for pieces in groups.values()]

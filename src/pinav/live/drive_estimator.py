@@ -96,5 +96,5 @@ class DriveEstimator(AbstractEstimator):
 
 def _parts(frame: Frame) -> tuple[float, tuple[float, float] | None, float, float]:
     """Time, position and command of a frame."""
-    seen = None if frame.x is None or frame.y is None else (frame.x, frame.y)
-    return frame.t, seen, frame.frequency, frame.heading
+    observed = None if frame.x is None or frame.y is None else (frame.x, frame.y)
+    return frame.t, observed, frame.frequency, frame.heading

@@ -113,7 +113,7 @@ class Frame(msgspec.Struct, frozen=True, kw_only=True, tag="frame"):
     heading: Real = 0.0
 
     @property
-    def seen(self) -> bool:
+    def observed(self) -> bool:
         """Whether both coordinates were measured."""
         return self.x is not None and self.y is not None
 

@@ -202,8 +202,8 @@ class RollerPilot(AbstractPilot):
         times = time + np.linspace(0.0, AHEAD, 9)
         held = np.full_like(times, advice.frequency)
         ahead = forecast(fit, times, held, np.full_like(times, advice.heading))
-        seen = fit.frames.seen
-        start = seen.positions[-1] if len(seen) else np.full(2, np.nan)
+        observed = fit.frames.observed
+        start = observed.positions[-1] if len(observed) else np.full(2, np.nan)
         path = start + ahead.displacement
         tube = TUBE * np.sqrt(ahead.variance.max(axis=1) + sd**2)
         apart = np.hypot(*(path[:, None] - self.discs[:, :2]).transpose(2, 0, 1))

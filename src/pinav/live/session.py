@@ -186,7 +186,7 @@ class Session:
         if reason := self._jump_to(frame):
             session = session._begin_anew(frame, "jumps")
             return session, (session.event(EventKind.JUMP, reason),)
-        if not frame.seen:
+        if not frame.observed:
             session = dataclasses.replace(
                 session,
                 estimator=self.estimator.after(frame),
@@ -220,7 +220,7 @@ class Session:
         return dataclasses.replace(
             self,
             estimator=self.estimator.restart(frame),
-            blind=0 if frame.seen else 1,
+            blind=0 if frame.observed else 1,
             doubted=None,
             counts=self.counts.plus(name),
         )

@@ -22,7 +22,7 @@ class _Piece(NamedTuple):
     label: dict[str, str | int]
     times: Float64[np.ndarray, " time"]
     positions: Float64[np.ndarray, "time dim"]
-    seen: Bool[np.ndarray, " time"]
+    is_observed: Bool[np.ndarray, " time"]
     commands: dict[str, Float64[np.ndarray, " time"]]
 
 
@@ -43,7 +43,7 @@ def assemble(
     """
     tracks, faults = _sound(in_known_units(tracks, reading), source)
     tracks = _selected(tracks, reading, source.stem)
-    tracks = _commanded(tracks)
+    tracks = _drop_empty_commands(tracks)
     _check_commands(tracks, reading)
     by_name = particles(tracks, reading)
     pieces = [
@@ -67,7 +67,9 @@ def assemble(
     return Trajectories.from_arrays(
         [piece.times for piece in whole],
         [axes * piece.positions for piece in whole],
-        observed=[np.stack([piece.seen] * len(channels), axis=1) for piece in whole],
+        observed=[
+            np.stack([piece.is_observed] * len(channels), axis=1) for piece in whole
+        ],
         commands={
             name: [piece.commands[name] for piece in whole] for name in tracks.commands
         },
@@ -136,7 +138,7 @@ def _selected(tracks: Tracks, reading: Reading, stem: str) -> Tracks:
     return tracks if kept.all() else tracks.select(kept)
 
 
-def _commanded(tracks: Tracks) -> Tracks:
+def _drop_empty_commands(tracks: Tracks) -> Tracks:
     """The rows without commands that the log never gives.
 
     Raises:
@@ -237,7 +239,7 @@ def _pieces(
         label |= {"particle": f"{kind} {particle_name}", "kind": kind}
     numbers = segments(tracks, particle, jump=reading.jump, gap=reading.gap)
     for number in dict.fromkeys(numbers.tolist()):
-        rows = np.flatnonzero((numbers == number) & particle.seen)
+        rows = np.flatnonzero((numbers == number) & particle.observed)
         if not rows.size:
             continue
         extent = slice(rows[0], rows[-1] + 1)
@@ -245,6 +247,6 @@ def _pieces(
             {**label, "segment": number},
             particle.times[extent],
             particle.positions[extent],
-            particle.seen[extent],
+            particle.observed[extent],
             {name: values[extent] for name, values in particle.commands.items()},
         )

@@ -80,7 +80,7 @@ def heading_remark(recording: Trajectories) -> str:
     if samples is None:
         return ""
     velocity, drive = samples
-    gain = _turned(velocity, drive)[0]
+    gain = _complex_gain(velocity, drive)[0]
     offset = math.atan2(gain.imag, gain.real)
     if abs(abs(offset) - math.pi / 2) > RIGHT_ANGLE or rotations(recording)[0] < CLEAR:
         return ""
@@ -98,10 +98,10 @@ def rotations(recording: Trajectories) -> tuple[float, float]:
     if samples is None:
         return 0.0, 0.0
     velocity, drive = samples
-    return _turned(velocity, drive)[1], _turned(velocity, drive.conj())[1]
+    return _complex_gain(velocity, drive)[1], _complex_gain(velocity, drive.conj())[1]
 
 
-def _turned(velocity: np.ndarray, drive: np.ndarray) -> tuple[complex, float]:
+def _complex_gain(velocity: np.ndarray, drive: np.ndarray) -> tuple[complex, float]:
     """Complex gain of a drive with a drift, and the share that it explains."""
     columns = np.stack([drive, np.ones_like(drive)], axis=1)
     gain, _, _, _ = np.linalg.lstsq(columns, velocity)
@@ -125,11 +125,11 @@ def _samples(recording: Trajectories) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def _velocities(piece: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    seen = np.flatnonzero(piece.observed[:, :2].all(axis=1))
-    times = piece.times[seen]
-    path = piece.states[seen, 0] + 1j * piece.states[seen, 1]
+    places = np.flatnonzero(piece.observed[:, :2].all(axis=1))
+    times = piece.times[places]
+    path = piece.states[places, 0] + 1j * piece.states[places, 1]
     frequency, heading = piece.commands["frequency"], piece.commands["heading"]
-    drive = (frequency * np.exp(1j * heading))[seen]
+    drive = (frequency * np.exp(1j * heading))[places]
     late = np.searchsorted(times, times + WINDOW)
     late = np.maximum(late, np.arange(len(times)) + 1)
     rows = np.flatnonzero(late < len(times))

@@ -23,7 +23,7 @@ class Particle:
         rows: their indices in the tracks, in order of time.
         times: increasing.
         positions: in the file's unit and orientation.
-        seen: where there is a position.
+        observed: where there is a position.
         commands: as they act, offset and delay applied.
         repeats: rows that were left out, because their time was that of the one before.
         silent: rows for which the log has no command; the last one is held.
@@ -33,7 +33,7 @@ class Particle:
     rows: Int64[np.ndarray, " row"]
     times: Float64[np.ndarray, " row"]
     positions: Float64[np.ndarray, "row dim"]
-    seen: Bool[np.ndarray, " row"]
+    observed: Bool[np.ndarray, " row"]
     commands: dict[str, Float64[np.ndarray, " row"]]
     repeats: int
     silent: int
@@ -104,7 +104,7 @@ def _particle(
         rows=rows,
         times=ordered,
         positions=positions,
-        seen=np.asarray(np.isfinite(positions).all(axis=1)),
+        observed=np.asarray(np.isfinite(positions).all(axis=1)),
         commands=_acting(commands, ordered, reading),
         repeats=repeats,
         silent=int(np.any(unknown, axis=0).sum()),

@@ -57,20 +57,20 @@ def segments(
     """
     if tracks.segment is not None:
         return tracks.segment[particle.rows]
-    seen = np.flatnonzero(particle.seen)
-    steps = np.linalg.norm(np.diff(particle.positions[seen], axis=0), axis=1)
+    observed = np.flatnonzero(particle.observed)
+    steps = np.linalg.norm(np.diff(particle.positions[observed], axis=0), axis=1)
     limit = jump_limit(tracks.length_unit, jump, steps)
-    cuts = (steps > limit) | (_frames_between(tracks, particle, seen) > gap)
+    cuts = (steps > limit) | (_frames_between(tracks, particle, observed) > gap)
     numbers = np.zeros(len(particle.rows), np.int64)
-    numbers[seen[1:][cuts]] = 1
+    numbers[observed[1:][cuts]] = 1
     return np.cumsum(numbers)
 
 
 def _frames_between(
-    tracks: Tracks, particle: Particle, seen: np.ndarray
+    tracks: Tracks, particle: Particle, observed: np.ndarray
 ) -> Float64[np.ndarray, " step"]:
     """Frames from each seen row to the next."""
     if tracks.frame is not None:
-        return np.diff(tracks.frame[particle.rows[seen]]).astype(np.float64)
-    steps = np.diff(particle.times[seen])
+        return np.diff(tracks.frame[particle.rows[observed]]).astype(np.float64)
+    steps = np.diff(particle.times[observed])
     return np.round(steps / np.median(steps)) if len(steps) else steps

@@ -111,7 +111,7 @@ def stated_length(units: Mapping[str, str] | None) -> tuple[float, str] | None:
     Raises:
         InputError: the unit is none of length.
     """
-    return _stated(units, "x", length, (*_MICROMETRES, "px"))
+    return _conversion(units, "x", length, (*_MICROMETRES, "px"))
 
 
 def stated_duration(units: Mapping[str, str] | None) -> tuple[float, str] | None:
@@ -120,10 +120,10 @@ def stated_duration(units: Mapping[str, str] | None) -> tuple[float, str] | None
     Raises:
         InputError: the unit is none of time.
     """
-    return _stated(units, "t", duration, (*_SECONDS, "frame"))
+    return _conversion(units, "t", duration, (*_SECONDS, "frame"))
 
 
-def _stated(
+def _conversion(
     units: Mapping[str, str] | None,
     name: str,
     read: Callable[[str], tuple[float, str]],

@@ -88,7 +88,7 @@ class WanderingVelocity(eqx.Module):
         return jnp.sqrt(variance)
 
 
-def _stated(value: ArrayLike | Sequence, ndim: int) -> Array:
+def _as_array(value: ArrayLike | Sequence, ndim: int) -> Array:
     """Starts or times as an array; with no rows where there are none."""
     array = value if isinstance(value, Array) else jnp.asarray(value, float)
     return jnp.zeros((0,) * ndim) if array.size == 0 else array
@@ -125,11 +125,11 @@ class System(eqx.Module):
     wandering: WanderingVelocity | None = None
     observation: Observation = Observation()
     starts: Float[Array, "trajectory state"] = eqx.field(
-        converter=lambda value: _stated(value, 2), default=()
+        converter=lambda value: _as_array(value, 2), default=()
     )
     rule: AbstractStarts | None = None
     times: Float[Array, " time"] = eqx.field(
-        converter=lambda value: _stated(value, 1), default=()
+        converter=lambda value: _as_array(value, 1), default=()
     )
     base_units: Units = Units()
     model: str = eqx.field(static=True, default="kernel-potential")

@@ -28,9 +28,9 @@ class RunResult(eqx.Module):
     run: Run
     solution: Solution
 
-    def volumes(self, share: Field) -> Field:
+    def volumes(self, fraction: Field) -> Field:
         """Volume [m³] of a tissue in each cell."""
-        return share * self.run.model.grid.volumes
+        return fraction * self.run.model.grid.volumes
 
 
 Quantity = Callable[[RunResult], Field]
@@ -101,18 +101,19 @@ class HealthyDose(AbstractConstraint):
 
     Attributes:
         bound: largest dose [CEM43 min], positive.
-        share: volume fraction of the healthy tissue; cells below one half do not count.
+        fraction: volume fraction of the healthy tissue; cells below one half do
+            not count.
         name: what the result calls it.
         unit: of the bound.
     """
 
     bound: Number
-    share: Field
+    fraction: Field
     name: str = eqx.field(static=True, default="healthy tissue dose")
     unit: str = eqx.field(static=True, default="min")
 
     def quantity(self, result: RunResult) -> Field:
-        dose = jnp.where(self.share > 0.5, result.solution.final.dose, 0.0)
+        dose = jnp.where(self.fraction > 0.5, result.solution.final.dose, 0.0)
         return jnp.max(dose)
 
     def excess(self, result: RunResult) -> Field:

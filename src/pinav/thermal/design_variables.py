@@ -161,8 +161,8 @@ class FreePlacement(AbstractDesignVariable):
 
     def apply(self, numbers: Float[Array, " number"], run: Run) -> Run:
         # a softmax keeps the total and cannot become negative, without a constraint
-        shares = jax.nn.softmax(RANGE * (numbers - 0.5))
-        field = jnp.tensordot(shares, self.patterns, axes=1)
+        fractions = jax.nn.softmax(RANGE * (numbers - 0.5))
+        field = jnp.tensordot(fractions, self.patterns, axes=1)
         first, *others = run.model.sources
         if isinstance(first, ParticleSource):
             moved = ParticleSource(field, first.heating, first.scale)

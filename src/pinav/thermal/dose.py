@@ -197,7 +197,9 @@ DAMAGES = {"skin": SKIN_DAMAGE, "liver": LIVER_DAMAGE}
 """By the name of the tissue."""
 
 
-def value_exceeded_by(values: Field, weights: Field, share: Number) -> Float[Array, ""]:
+def value_exceeded_by(
+    values: Field, weights: Field, fraction: Number
+) -> Float[Array, ""]:
     r"""The value that a share of a volume exceeds: T90 for 0.9, D90 of a dose.
 
     Cells are sorted; between the middles of their volumes the value is linear.
@@ -205,7 +207,7 @@ def value_exceeded_by(values: Field, weights: Field, share: Number) -> Float[Arr
     Args:
         values: temperature or dose of each cell.
         weights: volume of each cell in the target, zero outside it.
-        share: of the target's volume, between 0 and 1.
+        fraction: of the target's volume, between 0 and 1.
     """
     flat, sizes = values.reshape(-1), weights.reshape(-1)
     least = jnp.min(jnp.where(sizes > 0, flat, jnp.inf))
@@ -214,7 +216,7 @@ def value_exceeded_by(values: Field, weights: Field, share: Number) -> Float[Arr
     flat, sizes = flat[order], sizes[order]
     total = jnp.cumsum(sizes)
     middles = (total - 0.5 * sizes) / total[-1]
-    return jnp.interp(share, middles, flat)
+    return jnp.interp(fraction, middles, flat)
 
 
 def volume_above(values: Field, weights: Field, level: Scalar) -> Float[Array, ""]:
@@ -240,5 +242,5 @@ def time_to_reach(
         return float(times[0])
     # doses grow by the exponential of the temperature: linear between two times
     low, high = doses[after - 1], doses[after]
-    share = (level - low) / (high - low)
-    return float(times[after - 1] + share * (times[after] - times[after - 1]))
+    fraction = (level - low) / (high - low)
+    return float(times[after - 1] + fraction * (times[after] - times[after - 1]))

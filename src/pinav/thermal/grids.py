@@ -153,10 +153,10 @@ class RadialGrid(AbstractGrid):
             near = places < centers[0]
             weights[near] = 0.0
             # even in r: T = T0 + (T1 - T0) (r² - r0²)/(r1² - r0²)
-            share = (places[near] ** 2 - centers[0] ** 2) / (
+            fraction = (places[near] ** 2 - centers[0] ** 2) / (
                 centers[1] ** 2 - centers[0] ** 2
             )
-            weights[near, 0], weights[near, 1] = 1 - share, share
+            weights[near, 0], weights[near, 1] = 1 - fraction, fraction
         return jnp.asarray(weights)
 
 

@@ -38,10 +38,10 @@ class ResistanceScale(eqx.Module):
         faces = np.append(0.0, np.cumsum(resistivity * sizes))
         before, after = resistivity[:-2], resistivity[2:]
         change = np.where(before == after, 1.0, before - after)
-        share = (resistivity[1:-1] - after) / change
-        cut = (before != after) & (share > 0) & (share < 1)
-        jumps = edges[1:-2] + share * sizes[1:-1]
-        at_jumps = faces[1:-2] + share * sizes[1:-1] * before
+        fraction = (resistivity[1:-1] - after) / change
+        cut = (before != after) & (fraction > 0) & (fraction < 1)
+        jumps = edges[1:-2] + fraction * sizes[1:-1]
+        at_jumps = faces[1:-2] + fraction * sizes[1:-1] * before
         places = np.append(edges, jumps[cut])
         order = np.argsort(places)
         return cls(
@@ -64,7 +64,7 @@ def linear_weights(
 ) -> Float[np.ndarray, " node"]:
     """Weights of linear interpolation, continued beyond the first and last node."""
     index = int(np.clip(np.searchsorted(nodes, at) - 1, 0, len(nodes) - 2))
-    share = (at - nodes[index]) / (nodes[index + 1] - nodes[index])
+    fraction = (at - nodes[index]) / (nodes[index + 1] - nodes[index])
     weights = np.zeros(len(nodes))
-    weights[index], weights[index + 1] = 1 - share, share
+    weights[index], weights[index + 1] = 1 - fraction, fraction
     return weights

@@ -250,7 +250,7 @@ def perfusion_curve(
 def visited_range(
     model: Bioheat,
     protocol: AbstractProtocol,
-    share: Field,
+    fraction: Field,
     start: AbstractStart = AT_REST,
 ) -> tuple[float, float]:
     """Lowest and highest temperature [°C] of the cells that a mask holds mostly.
@@ -258,10 +258,10 @@ def visited_range(
     Args:
         model: run over the protocol.
         protocol: the field.
-        share: volume fraction of the tissue in each cell.
+        fraction: volume fraction of the tissue in each cell.
         start: as of `solve`.
     """
-    inside = np.asarray(share) > 0.5  # cells cut by the edge would mix two tissues
+    inside = np.asarray(fraction) > 0.5  # cells cut by the edge would mix two tissues
     hottest = solve(
         model,
         protocol,

@@ -232,55 +232,55 @@ class MixedPerfusion(AbstractPerfusion):
     `on_mask` makes one that evaluates the inner law only where the mask is.
 
     Attributes:
-        share: volume fraction of `inside` in each cell; fixed.
+        fraction: volume fraction of `inside` in each cell; fixed.
         inside: law where the share is one.
         outside: law where it is zero.
         box: first cell and end along each axis of a part of the grid outside which the
             share is zero; the whole grid unless given.
     """
 
-    share: Field
+    fraction: Field
     inside: AbstractPerfusion
     outside: AbstractPerfusion
     box: tuple[tuple[int, int], ...] | None = eqx.field(static=True, default=None)
 
     @classmethod
     def on_mask(
-        cls, share: Field, inside: AbstractPerfusion, outside: AbstractPerfusion
+        cls, fraction: Field, inside: AbstractPerfusion, outside: AbstractPerfusion
     ) -> "MixedPerfusion":
         """The same with the smallest box; the whole grid for a share being traced."""
-        if isinstance(share, Tracer) or not np.any(np.asarray(share)):
-            return cls(share, inside, outside)
-        places = np.nonzero(np.asarray(share))
+        if isinstance(fraction, Tracer) or not np.any(np.asarray(fraction)):
+            return cls(fraction, inside, outside)
+        places = np.nonzero(np.asarray(fraction))
         box = tuple((int(indices.min()), int(indices.max()) + 1) for indices in places)
-        return cls(share, inside, outside, box)
+        return cls(fraction, inside, outside, box)
 
     def __call__(self, temperature: Field) -> Field:
         without = self.outside(temperature)
         if self.box is None:
-            return self._mix(self.share, temperature, without)
+            return self._mix(self.fraction, temperature, without)
         cut = tuple(slice(*ends) for ends in self.box)
-        part = self._mix(self.share[cut], temperature[cut], without[cut])
+        part = self._mix(self.fraction[cut], temperature[cut], without[cut])
         first = tuple(start for start, _ in self.box)
         return jax.lax.dynamic_update_slice(without, part, first)
 
-    def _mix(self, share: Array, temperature: Array, without: Array) -> Array:
-        return share * self.inside(temperature) + (1 - share) * without
+    def _mix(self, fraction: Array, temperature: Array, without: Array) -> Array:
+        return fraction * self.inside(temperature) + (1 - fraction) * without
 
 
 class RegionalPerfusion(AbstractPerfusion):
     """A law for each of any number of tissues, averaged by volume.
 
     Attributes:
-        shares: volume fraction of each tissue in each cell; fixed.
+        fractions: volume fraction of each tissue in each cell; fixed.
         laws: one for each tissue.
     """
 
-    shares: tuple[Field, ...]
+    fractions: tuple[Field, ...]
     laws: tuple[AbstractPerfusion, ...]
 
     def __call__(self, temperature: Field) -> Field:
         total = jnp.zeros_like(temperature)
-        for share, law in zip(self.shares, self.laws, strict=True):
-            total = total + share * law(temperature)
+        for fraction, law in zip(self.fractions, self.laws, strict=True):
+            total = total + fraction * law(temperature)
         return total

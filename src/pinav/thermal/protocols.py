@@ -156,9 +156,9 @@ class Piecewise(AbstractProtocol):
         # By the interval, not by a search in time: at an edge both sides are needed.
         times = jnp.asarray(self.edges)
         begin, end = times[interval], times[interval + 1]
-        share = (t - begin) / (end - begin)
+        fraction = (t - begin) / (end - begin)
         change = self.ends[interval] - self.starts[interval]
-        return self.starts[interval] + share * change
+        return self.starts[interval] + fraction * change
 
 
 class Waveform(AbstractProtocol):

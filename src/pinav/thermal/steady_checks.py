@@ -45,16 +45,16 @@ def _strip(count: int) -> Comparison:
     return points, np.asarray(rise), np.asarray(true)
 
 
-def _jump(share: float, count: int = 400) -> Comparison:
+def _jump(fraction: float, count: int = 400) -> Comparison:
     """A heated ball with a third of the conductivity of what is around it.
 
     Args:
-        share: of a cell, by which its surface is beyond a face.
+        fraction: of a cell, by which its surface is beyond a face.
         count: of cells; a tenth of them is in the ball.
     """
     radius = 3.15e-3
     media = Medium(0.2, 1660.0 * 2540.0), Medium(0.642, 3.72e6)
-    end = radius / (count / 10 + share) * count
+    end = radius / (count / 10 + fraction) * count
     grid = RadialGrid.sphere(end, count)
     ball = grid.ball(radius)
     model = Bioheat(
@@ -84,9 +84,9 @@ def rest_checks() -> Iterator[Check]:
 
 def interface_checks() -> Iterator[Check]:
     """Temperatures beside a threefold jump of the conductivity, wherever it lies."""
-    for share in (0.0, 0.3, 0.5):
-        name = f"beside a jump, {share:g} of a cell from a face"
-        yield from checks_at(name, *_jump(share), 4e-3)
+    for fraction in (0.0, 0.3, 0.5):
+        name = f"beside a jump, {fraction:g} of a cell from a face"
+        yield from checks_at(name, *_jump(fraction), 4e-3)
 
 
 def order_checks() -> Iterator[Check]:
@@ -108,8 +108,8 @@ def order_checks() -> Iterator[Check]:
 def radius_checks() -> Iterator[Check]:
     """By the radius of a heated ball, with its surface on a face, near one, and in."""
     true = exact.heated_sphere_sensitivities(SET_S, 4e5, 0.005)["radius"]
-    for share in (0.0, 1e-9, 0.1, 0.5, 0.75):
-        end = 0.005 / (20 + share) * 200
+    for fraction in (0.0, 1e-9, 0.1, 0.5, 0.75):
+        end = 0.005 / (20 + fraction) * 200
 
         def rise(radius: Array, end: float = end) -> Array:
             grid = RadialGrid.sphere(end, 200)
@@ -120,5 +120,5 @@ def radius_checks() -> Iterator[Check]:
             )
 
         ratio = float(jax.grad(rise)(jnp.asarray(0.005)) / true)
-        name = f"sensitivity to a radius {share:g} of a cell from a face, relative"
+        name = f"sensitivity to a radius {fraction:g} of a cell from a face, relative"
         yield Check(name, ratio, 1.0, 2e-3, "1")

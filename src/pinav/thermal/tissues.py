@@ -160,20 +160,20 @@ def preset(name: str) -> Preset:
     return PRESETS[name]
 
 
-def mix(share: Field, inside: Tissue, outside: Tissue) -> Tissue:
+def mix(fraction: Field, inside: Tissue, outside: Tissue) -> Tissue:
     r"""Two tissues in the cells that a mask shares between them.
 
     $1/k$, $\rho$, $\rho c$ and $Q_{met}$ are averaged by volume: heat that crosses a
     cut cell meets both tissues in series.
 
     Args:
-        share: volume fraction of `inside` in each cell.
+        fraction: volume fraction of `inside` in each cell.
         inside: tissue where the share is one.
         outside: tissue where it is zero.
     """
 
     def average(a: Any, b: Any) -> Any:
-        return share * a + (1 - share) * b
+        return fraction * a + (1 - fraction) * b
 
     density = average(inside.density, outside.density)
     capacity = average(inside.capacity, outside.capacity)

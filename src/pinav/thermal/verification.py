@@ -116,13 +116,13 @@ def _heated_spheres() -> Iterator[Check]:
 def _two_media() -> Iterator[Check]:
     radius = 3.15e-3
     grid = RadialGrid.sphere(10 * radius, 400)
-    share = grid.ball(radius)
+    fraction = grid.ball(radius)
     model = Bioheat(
         grid,
-        mix(share, Tissue(0.778, 1660.0, 2540.0), Tissue(0.642, 1000.0, 3720.0)),
+        mix(fraction, Tissue(0.778, 1660.0, 2540.0), Tissue(0.642, 1000.0, 3720.0)),
         Blood(),
         ConstantPerfusion(0.0),
-        (PowerSource(6.15e6 * share, AMPLITUDE),),
+        (PowerSource(6.15e6 * fraction, AMPLITUDE),),
         outer(Dirichlet(37.0)),
     )
     media = Medium(0.778, 1660.0 * 2540.0), Medium(0.642, 3.72e6)
@@ -145,13 +145,13 @@ def _two_media() -> Iterator[Check]:
 
 def _two_shells() -> Iterator[Check]:
     grid = RadialGrid.sphere(0.05, 400)
-    share = grid.ball(0.01)
+    fraction = grid.ball(0.01)
     model = Bioheat(
         grid,
-        mix(share, Tissue(0.55, 1045.0, 3600.0), Tissue(0.5, 1050.0, 3600.0)),
+        mix(fraction, Tissue(0.55, 1045.0, 3600.0), Tissue(0.5, 1050.0, 3600.0)),
         Blood(1000.0, 4180.0),
-        MixedPerfusion(share, ConstantPerfusion(0.833), ConstantPerfusion(0.45)),
-        (PowerSource(1.0579e5 * share + 700.0 * (1 - share), AMPLITUDE),),
+        MixedPerfusion(fraction, ConstantPerfusion(0.833), ConstantPerfusion(0.45)),
+        (PowerSource(1.0579e5 * fraction + 700.0 * (1 - fraction), AMPLITUDE),),
         outer(Dirichlet(37.0)),
     )
     media = (

@@ -51,14 +51,14 @@ def _channel(
     source, order = column, 0
     if not piece.observed[:, column].any() and column >= dim:
         source, order = column - dim, 1
-    seen = piece.observed[:, source]
-    if seen.sum() <= order + 1:
+    is_observed = piece.observed[:, source]
+    if is_observed.sum() <= order + 1:
         raise InputError(
-            f"channel {channels[column]!r} of trajectory {index}: {seen.sum()} "
+            f"channel {channels[column]!r} of trajectory {index}: {is_observed.sum()} "
             f"observations of {channels[source]!r} do not determine it; drop the "
             "trajectory, or observe positions"
         )
-    return local_polynomial(piece.times, piece.states[:, source], seen, order)
+    return local_polynomial(piece.times, piece.states[:, source], is_observed, order)
 
 
 def local_polynomial(

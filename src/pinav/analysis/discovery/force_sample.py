@@ -144,8 +144,8 @@ def _visited_positions(
             "law discovery: expected planar trajectories, got the channels "
             f"{', '.join(trajectories.channels)}"
         )
-    seen = trajectories.observed[..., :2].all(axis=-1)
-    return trajectories.states[..., :2][seen], trajectories.times[seen]
+    is_observed = trajectories.observed[..., :2].all(axis=-1)
+    return trajectories.states[..., :2][is_observed], trajectories.times[is_observed]
 
 
 def spread_points(positions: Float[np.ndarray, "point dim"], count: int) -> np.ndarray:

@@ -142,12 +142,12 @@ def fit_model(
     kernels = "kernel-potential" if name in KERNEL_POTENTIAL else name
     choice = ModelChoice(kernels)
     summary = summarise_for(choice, data)
-    swimmer, seen = known.swimmer, data
+    swimmer, inputs = known.swimmer, data
     if name == "first-order" and isinstance(swimmer, Swimmer):
-        swimmer, seen = _without_inertia(swimmer, summary), positions_alone(data)
+        swimmer, inputs = _without_inertia(swimmer, summary), positions_alone(data)
     elif isinstance(swimmer, Swimmer) and len(_positions(data)) == len(data.channels):
         unseen = known.channels[len(data.channels) :]
-        seen = with_missing_channels(data, {n: known.units[n] for n in unseen})
+        inputs = with_missing_channels(data, {n: known.units[n] for n in unseen})
     if name == "isotropic-drag":
         swimmer = with_linear_drag(swimmer, summary)
     if name == "anisotropic-drag":
@@ -158,7 +158,7 @@ def fit_model(
     with BayesReporter(folder, name) as report:
         return fit_bayes(
             model,
-            seen,
+            inputs,
             learn=LEARNED.get(name, lambda _: ()),
             noise=settings.noise,
             max_iterations=settings.max_steps,

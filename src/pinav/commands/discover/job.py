@@ -22,7 +22,7 @@ from pinav.errors import InputError
 from pinav.fitting import Posterior
 from pinav.fitting.environments.catalogue import learned_part
 from pinav.forces import AbstractLearnedForce
-from pinav.identification import is_commanded
+from pinav.identification import needs_kalman_filter
 from pinav.report import Cell, Table
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
@@ -65,7 +65,7 @@ def _posterior(run: FittedRun) -> Posterior:
     model, path = run.model, run.folder.path
     known = isinstance(model, Swimmer | OverdampedSwimmer)
     stochastic = run.system.thermal_energy is not None or "diffusion" in run.constants
-    if not known or stochastic or is_commanded(run.system):
+    if not known or stochastic or needs_kalman_filter(run.system):
         raise InputError(
             f"{path}: laws are refitted to trajectories that follow from their starts; "
             "expected a swimmer without thermal noise, commands or wandering velocity, "

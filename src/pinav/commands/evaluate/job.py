@@ -109,7 +109,7 @@ def evaluate(
         rmse={name: _errors(source["data"]) for name, source in sources.items()},
         rollouts=rollouts,
         force=_forces(models, setting),
-        seen=fitted.shared_trajectories(setting.data),
+        num_training=fitted.shared_trajectories(setting.data),
         unit=fitted.data.units["x"],
         whiteness=None if whiteness is None else residual_rows(whiteness),
         constants=recovered_constants(setting) if single else None,

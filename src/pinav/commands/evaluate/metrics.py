@@ -88,7 +88,7 @@ class EvaluationMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
         rmse: root-mean-square errors by model and channel.
         rollouts: by model, source of starts and part of the time.
         force: by model and region, where the truth is known and planar.
-        seen: number of scored trajectories that the run was fitted to.
+        num_training: number of scored trajectories that the run was fitted to.
         unit: of length; "1" where dimensionless, "?" where not stated.
         whiteness: of the residuals, by channel.
         constants: recovered constants, where the truth is known.
@@ -106,7 +106,7 @@ class EvaluationMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
     rmse: dict[str, dict[str, Cell]]
     rollouts: dict[str, dict[str, dict[str, RolloutRow]]]
     force: dict[str, dict[str, ForceRow]]
-    seen: int = 0
+    num_training: int = 0
     unit: str = "1"
     whiteness: dict[str, ResidualRow] | None = None
     constants: tuple[ConstantRow, ...] | None = None
@@ -117,24 +117,25 @@ class EvaluationMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
     @property
     def error_name(self) -> str:
         """The name of the errors: of predictions, or of the fit itself."""
-        return "training error" if self.seen else "held-out error"
+        return "training error" if self.num_training else "held-out error"
 
     @property
     def purpose(self) -> str:
         """A sentence on what the scores say, by the data that were scored."""
-        if not self.seen:
+        if not self.num_training:
             return (
                 "The scores say where the fit can be trusted: the trajectories are "
                 "none of those that it was fitted to."
             )
-        if self.seen == self.trajectories:
+        if self.num_training == self.trajectories:
             return (
                 "These are the training data: the scores are training errors and say "
                 "how well the run describes what it was fitted to, not how well it "
                 "predicts."
             )
         return (
-            f"{self.seen} of the {self.trajectories} trajectories are training data: "
+            f"{self.num_training} of the {self.trajectories} trajectories are training "
+            "data: "
             "the scores are in part training errors; score other trajectories to "
             "learn how well the run predicts."
         )

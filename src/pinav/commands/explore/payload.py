@@ -92,8 +92,8 @@ def _order(model: AbstractDynamics, system: System) -> int:
 
 def _times(data: Trajectories) -> tuple[float, float]:
     """First and last time of the data [T]."""
-    seen = data.times[data.observed.any(axis=-1)]
-    return float(seen.min()), float(seen.max())
+    times = data.times[data.observed.any(axis=-1)]
+    return float(times.min()), float(times.max())
 
 
 def _kicks(run: FittedRun) -> float:
@@ -162,8 +162,8 @@ def _tracks(run: FittedRun) -> list[Tree]:
 
 
 def _track(run: FittedRun, index: int, piece: Trajectory, every: int) -> Tree:
-    seen = piece.observed[:, : run.data.dim].all(axis=1)
-    shown = np.flatnonzero(seen)[::every]
+    is_observed = piece.observed[:, : run.data.dim].all(axis=1)
+    shown = np.flatnonzero(is_observed)[::every]
     start = run.start(index)
     if run.evidence is None and not piece.observed[0].all():
         start = np.where(piece.observed[0], piece.states[0], 0.0)

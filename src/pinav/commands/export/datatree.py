@@ -148,8 +148,8 @@ def _drawn_forces(
 def _grid(run: FittedRun, points: int) -> list[Float[np.ndarray, " point"]]:
     """Coordinates of a grid over the box of the data, equally spaced."""
     data = run.data
-    seen = data.positions[data.observed[..., : data.dim].all(axis=-1)]
-    low, high = seen.min(axis=0), seen.max(axis=0)
+    is_observed = data.positions[data.observed[..., : data.dim].all(axis=-1)]
+    low, high = is_observed.min(axis=0), is_observed.max(axis=0)
     spacing = extent(data) / (points - 1)
     counts = np.maximum(np.ceil((high - low) / spacing).astype(int), 1) + 1
     return [np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True)]

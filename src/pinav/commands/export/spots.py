@@ -48,10 +48,10 @@ def spot_table(run: FittedRun) -> SpotTable:
         InputError: the run holds several models, or one that learned no force.
     """
     data = run.data
-    seen = data.observed[..., : data.dim].all(axis=-1)
-    seen &= np.arange(data.times.shape[1]) < data.lengths[:, None]
-    trajectory, frame = np.nonzero(seen)
-    position, time = data.positions[seen], data.times[seen]
+    is_observed = data.observed[..., : data.dim].all(axis=-1)
+    is_observed &= np.arange(data.times.shape[1]) < data.lengths[:, None]
+    trajectory, frame = np.nonzero(is_observed)
+    position, time = data.positions[is_observed], data.times[is_observed]
     force = learned_force(run)
     values = exact_forces(force, position, time)
     sd = force_sds(run.posterior, force, position, time)

@@ -53,7 +53,7 @@ from pinav.fitting import (
 )
 from pinav.fitting.environments.catalogue import KnownSwimmer, build
 from pinav.forces import AbstractForce, as_learned_force
-from pinav.identification import fit_commanded, is_commanded
+from pinav.identification import fit_commanded, needs_kalman_filter
 from pinav.identification.numbers import BLOCK_NOISE
 from pinav.recordings.conventions import remarks
 from pinav.runs import RunFolder
@@ -140,7 +140,7 @@ def _infer(plan: FitPlan, folder: RunFolder) -> None:
     if plan.settings.recipe == "langevin":
         write_fit(folder, header, fit_thermal(plan, model, folder), plan.data)
         return
-    if is_commanded(plan.system):
+    if needs_kalman_filter(plan.system):
         write_fit(folder, header, _fit_commanded(plan, model.environment), plan.data)
         return
     search = plan.settings.structure == "search"

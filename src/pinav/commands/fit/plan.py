@@ -19,7 +19,7 @@ from pinav.fitting.environments.catalogue import (
     summarise_for_matching,
 )
 from pinav.forces import LinearDrag
-from pinav.identification import is_commanded, trajectories_of
+from pinav.identification import needs_kalman_filter, trajectories_of
 from pinav.systems import System
 from pinav.trajectories import Trajectories
 
@@ -61,7 +61,7 @@ def plan_fit(settings: FitSettings, system: System, data: Trajectories) -> FitPl
             f"data: expected values up to {LARGEST:g}, got larger ones; check the "
             "file, or give it in larger units"
         )
-    commanded = is_commanded(system)
+    commanded = needs_kalman_filter(system)
     if commanded:
         data = trajectories_of(data, system.name)
     thermal = system.thermal_energy is not None or (
@@ -141,8 +141,8 @@ def _correlations(data: Trajectories) -> Float[np.ndarray, " lag"]:
     """Correlation of second differences of positions with those one and two later."""
     products = np.zeros(3)
     for piece in data:
-        seen = piece.observed[:, 0]
-        positions = piece.states[seen][:, : data.dim]
+        observed_times = piece.observed[:, 0]
+        positions = piece.states[observed_times][:, : data.dim]
         second = np.diff(positions, n=2, axis=0)
         if len(second) < 3:
             continue

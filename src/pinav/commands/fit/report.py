@@ -9,10 +9,10 @@ from pinav.commands.fit.structure import StructureRow
 from pinav.commands.fit.thermal import ThermalRow
 from pinav.commands.fitted_run import DATA_FILE
 from pinav.commands.matching import read_losses
-from pinav.evaluation import FieldMap
+from pinav.evaluation import FieldMap, default_regions
 from pinav.figures import force_comparison, loss_curve, observed_paths, save_figure
 from pinav.figures.profiles import profile_band
-from pinav.figures.style import new_figure
+from pinav.figures.style import new_figure, with_order
 from pinav.report import Cell, Image, Paragraph, Section, Table
 from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories, load
@@ -149,21 +149,23 @@ def _learned_force(
     metrics: FitMetrics,
 ) -> list[Paragraph | Image | Table]:
     """Maps of the force, with what is known of its truth and of its uncertainty."""
-    true = FieldMap.of_arrays(arrays, "true") if "field/true" in arrays else None
+    regions = default_regions(data)
+    true = "field/true" in arrays
     figure = force_comparison(
-        FieldMap.of_arrays(arrays, "learned"),
-        true=true,
+        FieldMap.of_arrays(arrays, "learned", regions),
+        true=FieldMap.of_arrays(arrays, "true", regions) if true else None,
         sd=arrays.get("field/sd"),
         path=_joined(data),
-        units=data.units,
+        units=with_order(data.units, arrays["ys"].shape[-1] // 2),
     )
+    unit = data.units.get("x", "1")
     files = save_figure(figure, folder.path / "figures", "force")
     content: list[Paragraph | Image | Table] = [
         Image(
             files.svg,
             "Maps of the learned force and of how well it is known",
-            "The force of the environment on a swimmer at rest. Hatched: farther than "
-            "1 from any sample, an extrapolation.",
+            "The force of the environment on a swimmer at rest. Hatched: unvisited, an "
+            f"extrapolation ({regions.definition(unit)}).",
         )
     ]
     if metrics.force_error is not None:
@@ -174,8 +176,8 @@ def _learned_force(
         content.append(
             _one_row(
                 errors,
-                "Relative L2 error of the force against the system's truth, on grid "
-                "points within 0.35 of a sample, within 1.0, and on the whole grid.",
+                "Relative L2 error of the force against the system's truth, on visited "
+                "and near grid points, and on the whole grid.",
             )
         )
     return content

@@ -111,8 +111,10 @@ def profile_arrays(run: FittedRun) -> dict[str, np.ndarray]:
     for index, term in enumerate(force.terms):
         if not isinstance(term, AbstractProfileTerm):
             continue
-        seen = np.asarray(jax.vmap(term.coordinates)(samples))
-        places = np.linspace(0.0 if term.is_odd else seen.min(), seen.max(), POINTS)
+        is_observed = np.asarray(jax.vmap(term.coordinates)(samples))
+        places = np.linspace(
+            0.0 if term.is_odd else is_observed.min(), is_observed.max(), POINTS
+        )
 
         def profile(model: Any, i: int = index, z: Any = places) -> Array:
             return jax.vmap(model.environment.terms[i].profile)(jnp.asarray(z))

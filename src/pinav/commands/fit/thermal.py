@@ -64,8 +64,8 @@ class ThermalRow(msgspec.Struct, frozen=True):
         checks = fit.checks
         if checks is None:
             return None
-        (seen,) = fit.observation
-        step = float(np.sqrt(2 * fit.constants["diffusion"].value * seen.interval))
+        (observed,) = fit.observation
+        step = float(np.sqrt(2 * fit.constants["diffusion"].value * observed.interval))
         return cls(
             correlations={
                 name: tuple(map(float, column))
@@ -76,8 +76,8 @@ class ThermalRow(msgspec.Struct, frozen=True):
                 ThinnedRow(one.every, EstimateRow.of(one.ratio))
                 for one in checks.thinned
             ),
-            exposure=_relative(seen.exposure, seen.interval),
-            error=_relative(seen.error, step),
+            exposure=_relative(observed.exposure, observed.interval),
+            error=_relative(observed.error, step),
             statement=checks.statement,
         )
 
@@ -124,8 +124,8 @@ def fit_thermal(plan: FitPlan, model: Any, folder: RunFolder) -> EvidenceFit:
     if plan.settings.observation == "exact":
         return fit_langevin(model, plan.data).regression
     # The mobility of the system is known: the diffusion is a number beside it.
-    seen = LearnedObservation()
-    thermal = fit_langevin(model, plan.data, observation=seen, einstein=False)
+    observed = LearnedObservation()
+    thermal = fit_langevin(model, plan.data, observation=observed, einstein=False)
     checks = ThermalRow.of(thermal, plan.data.channels)
     if checks is not None:
         folder.write_metrics(CHECKS_FILE, checks)

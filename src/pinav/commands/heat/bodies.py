@@ -35,7 +35,7 @@ class Body(eqx.Module):
         tissue: their passive properties.
         blood: that perfuses them.
         perfusion: of all tissues.
-        shares: volume fraction of each tissue in each cell.
+        fractions: volume fraction of each tissue in each cell.
         laws: where a model keeps the perfusion of each tissue.
         target: volume fraction of the target in each cell.
         middle: of the target [m]; none on grids whose target is in the middle.
@@ -46,7 +46,7 @@ class Body(eqx.Module):
     tissue: Tissue
     blood: Blood
     perfusion: AbstractPerfusion
-    shares: dict[str, Field]
+    fractions: dict[str, Field]
     laws: dict[str, Callable[[Any], Any]] = eqx.field(static=True)
     target: Field
     middle: tuple[float, ...] | None = None
@@ -72,7 +72,7 @@ def ball_body(case: Case, grid: Meshed) -> Body:
             perfusion_law(tumour.tissue, blood, inside),
             perfusion_law(medium, blood, outside),
         ),
-        shares={"tumour": target, "tissue": 1 - target},
+        fractions={"tumour": target, "tissue": 1 - target},
         laws={
             "tumour": lambda m: m.perfusion.inside,
             "tissue": lambda m: m.perfusion.outside,

@@ -70,8 +70,8 @@ def mean_perfusion(setup: CaseModel, name: str, celsius: float) -> float:
     """Perfusion of a tissue at a temperature [kg m⁻³ s⁻¹], on average over it."""
     law: AbstractPerfusion = setup.body.laws[name](setup.model)
     flow = law(jnp.full(setup.model.grid.shape, celsius))
-    share = setup.body.shares[name]
-    return float(jnp.sum(flow * share) / jnp.sum(share))
+    fraction = setup.body.fractions[name]
+    return float(jnp.sum(flow * fraction) / jnp.sum(fraction))
 
 
 def require_heating(setup: CaseModel) -> None:
@@ -212,12 +212,12 @@ def _initial_model(setup: CaseModel, settings: Learn, data: Readings) -> Bioheat
 
 def _hottest(setup: CaseModel, name: str, data: Readings) -> float:
     """Highest temperature of a tissue by its probes, or by the case about [°C]."""
-    share = setup.body.shares[name]
+    fraction = setup.body.fractions[name]
     if not isinstance(data, ProbeData):
-        visited = visited_range(setup.model, setup.protocol, share, setup.start)
+        visited = visited_range(setup.model, setup.protocol, fraction, setup.start)
         return visited[1] + MORE_RISE
     weights = np.asarray(setup.model.grid.interpolation(data.points))
-    inside = weights.reshape(len(weights), -1) @ np.asarray(share).reshape(-1) > 0.5
+    inside = weights.reshape(len(weights), -1) @ np.asarray(fraction).reshape(-1) > 0.5
     readings = data.values[:, inside]
     if not readings.size:
         return float(setup.model.blood.arterial) + DEFAULT_RISE

@@ -82,8 +82,8 @@ class Watched(eqx.Module):
         """Of one time [°C], and the share of the target above 43 °C."""
         target = temperature.reshape(-1)[self.cells]
         observed = {"hottest": jnp.max(temperature)}
-        for name, share in SHARES.items():
-            observed[name] = value_exceeded_by(target, self.volumes, share)
+        for name, fraction in SHARES.items():
+            observed[name] = value_exceeded_by(target, self.volumes, fraction)
         observed["V43"] = volume_above(target, self.volumes, 43.0)
         if self.probes is not None:
             observed["probes"] = self.probes(temperature)

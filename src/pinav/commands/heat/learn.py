@@ -201,8 +201,8 @@ def _frame_arrays(
         return full.reshape(shape)
 
     means = {}
-    for name, share in setup.body.shares.items():
-        inside = np.asarray(share).reshape(-1)[cells] > 0.5
+    for name, fraction in setup.body.fractions.items():
+        inside = np.asarray(fraction).reshape(-1)[cells] > 0.5
         if inside.any():
             means[name] = (
                 np.nanmean(corrected[:, inside], axis=1),
@@ -273,7 +273,7 @@ def _curves(
     setup, settings, metrics = learning.setup, learning.settings, {}
     for name in law_names(setup, settings):
         visited = visited_range(
-            fit.model, setup.protocol, setup.body.shares[name], setup.start
+            fit.model, setup.protocol, setup.body.fractions[name], setup.start
         )
         at = np.linspace(float(setup.model.blood.arterial), visited[1] + 1.0, 61)
         curve = perfusion_curve(fit.posterior, setup.body.laws[name], at, visited)

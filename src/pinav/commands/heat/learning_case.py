@@ -84,7 +84,7 @@ def _require_voxels(
     """Refuse to learn tissue of which no voxel is read."""
     read = frames.observed.any(axis=0)
     for name in names:
-        if not (read & (np.asarray(setup.body.shares[name]) > 0.5)).any():
+        if not (read & (np.asarray(setup.body.fractions[name]) > 0.5)).any():
             raise InputError(
                 f"learn.laws: expected tissues with a reading, got {name}, of which no "
                 "voxel is read; leave it out"

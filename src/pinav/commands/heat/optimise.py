@@ -186,7 +186,7 @@ def _constraints(
             )
         name = f"dose of tissue {1e3 * settings.margin:g} mm or more from the tumour"
         constraints.append(
-            HealthyDose(bound=settings.healthy_dose, share=away, name=name)
+            HealthyDose(bound=settings.healthy_dose, fraction=away, name=name)
         )
     return constraints + [limit_constraint(limit) for limit in setup.limits]
 

@@ -207,7 +207,7 @@ def _protocol(folder: RunFolder, arrays: Arrays, bound: float | None) -> Image:
             "D90 of the tumour": arrays["dose/D90"],
             "largest outside it": arrays["dose/outside"],
         },
-        shares={"V43, of the tumour above 43 °C": arrays["V43"]},
+        fractions={"V43, of the tumour above 43 °C": arrays["V43"]},
         bound=bound,
     )
     caption = (

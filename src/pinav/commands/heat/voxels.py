@@ -97,7 +97,7 @@ def voxel_body(case: Case, grid: Voxels, folder: Path) -> Body:
             tuple(jnp.asarray(masks[name], float) for name in laws),
             tuple(laws.values()),
         ),
-        shares={name: jnp.asarray(mask, float) for name, mask in masks.items()},
+        fractions={name: jnp.asarray(mask, float) for name, mask in masks.items()},
         laws={name: _pick(index) for index, name in enumerate(laws)},
         target=jnp.asarray(target),
         middle=_centroid(target, box.sizes),
@@ -274,19 +274,19 @@ def _target(
         return np.any([masks[name] for name in case.target or ()], axis=0).astype(float)
     image = read_image(files.folder / case.target.file)
     check_place(image, files.labels)
-    share = image.values
-    if share.shape != files.labels.values.shape or not np.all(
-        (share >= 0) & (share <= 1)
+    fraction = image.values
+    if fraction.shape != files.labels.values.shape or not np.all(
+        (fraction >= 0) & (fraction <= 1)
     ):
         raise InputError(
             f"{image.path}: expected the share of the target in each voxel, 0 to 1, "
             "got other numbers, or frames"
         )
-    if not np.any(share > 0.5):
+    if not np.any(fraction > 0.5):
         raise InputError(
             f"{image.path}: expected a target, got no voxel with half of one or more"
         )
-    return share
+    return fraction
 
 
 def _centroid(target: np.ndarray, sizes: tuple[float, ...]) -> tuple[float, ...]:

@@ -42,8 +42,8 @@ def _speed_law(track: Track, fit: TrackFit) -> dict[str, np.ndarray]:
         index = np.arange(0, len(later), max(1, len(later) // 400))
         index = index[later[index] < len(piece.times)]
         later = later[index]
-        step, seen = along[later] - along[index], (piece.states - drift)
-        moved = seen[later] - seen[index]
+        step, observed = along[later] - along[index], (piece.states - drift)
+        moved = observed[later] - observed[index]
         size = np.hypot(*step.T)
         interval = piece.times[later] - piece.times[index]
         rolling = size > 0

@@ -165,7 +165,7 @@ def _live(options: LiveOptions, tally: Tally) -> None:
 
 
 def _replay(options: LiveOptions, tally: Tally) -> None:
-    for lines in _recorded(Path(options.source), options):
+    for lines in _lines_of_tracks(Path(options.source), options):
         session = new_session(options.settings)
         for answer, took in replay(session, lines, options.rate()):
             tally.show(answer)
@@ -175,7 +175,7 @@ def _replay(options: LiveOptions, tally: Tally) -> None:
                 break
 
 
-def _recorded(path: Path, options: LiveOptions) -> Iterator[Iterator[bytes]]:
+def _lines_of_tracks(path: Path, options: LiveOptions) -> Iterator[Iterator[bytes]]:
     """The lines of each track of a recording; those of a file in the protocol."""
     if not path.exists():
         raise InputError(f"{path}: no such file")

@@ -91,8 +91,8 @@ def _experiment(
     interval = float(np.median(np.concatenate([np.diff(p.times) for p in data])))
     duration = min(settings.time_limit, float(np.median(spans)), SAMPLES * interval)
     noise = np.full(len(task.start), np.inf)
-    seen = np.flatnonzero(data.observed.any(axis=(0, 1)))
-    noise[seen] = evidence.noise
+    channels = np.flatnonzero(data.observed.any(axis=(0, 1)))
+    noise[channels] = evidence.noise
     return Experiment(
         actuator=task.truth.actuator,
         limits=task.limits,

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from pinav.dynamics import thermal_energy
 from pinav.errors import InputError
+from pinav.trajectories.csv_files import PREFIX
 
 DESCRIPTION = "truth.toml"
 """Name of the file that describes a recording of one's own."""
@@ -256,7 +257,10 @@ def read_recording(path: Path, description: CaseDescription) -> Recording:
     """
     try:
         with np.lib.npyio.DataSource().open(str(path), "rt", encoding="utf-8") as file:
-            header = [name.strip() for name in file.readline().split(",")]
+            first = file.readline()
+            if first.startswith(PREFIX):
+                first = file.readline()
+            header = [name.strip() for name in first.split(",")]
             wanted = [description.time, *description.positions, description.drive]
             missing = [name for name in wanted if name and name not in header]
             if missing:

@@ -107,10 +107,10 @@ def fit_ring(recording: Recording, period: float) -> LangevinFit:
         period: of the positions.
     """
     columns = recording.positions.T
-    seen = [np.isfinite(column) for column in columns]
+    observed = [np.isfinite(column) for column in columns]
     data = Trajectories.from_arrays(
-        [recording.times[kept] for kept in seen],
-        [c[kept][:, None] for c, kept in zip(columns, seen, strict=True)],
+        [recording.times[kept] for kept in observed],
+        [c[kept][:, None] for c, kept in zip(columns, observed, strict=True)],
         channels=("x",),
     )
     environment = profile_environment(data, (KernelAxis(0, period),))
@@ -155,8 +155,8 @@ def _naive(
         return np.concatenate(parts, axis=1)
 
     steps, starts = np.diff(tracks, axis=0).ravel(), tracks[:-1].ravel()
-    seen = np.isfinite(steps)
-    columns, steps = waves(starts[seen]), steps[seen]
+    observed = np.isfinite(steps)
+    columns, steps = waves(starts[observed]), steps[observed]
     weights = np.linalg.solve(columns.T @ columns, columns.T @ steps) / interval
     rest = steps - interval * (columns @ weights)
     return waves(places) @ weights, float(np.mean(rest**2) / (2 * interval))
@@ -262,12 +262,12 @@ def _curve(truth: RingTruth, learned: DriftOnRing, ring: Ring) -> Curve:
 
 
 def _notes(fit: LangevinFit) -> tuple[str, ...]:
-    seen = fit.observation[0]
-    share = seen.exposure.value / seen.interval
+    observed = fit.observation[0]
+    fraction = observed.exposure.value / observed.interval
     notes = [
-        f"Effective exposure {share:.2f} frames, localisation error "
-        f"{seen.error.value:.2g} in the unit of the positions; where D is constant the "
-        "two trade off, and D does not depend on it."
+        f"Effective exposure {fraction:.2f} frames, localisation error "
+        f"{observed.error.value:.2g} in the unit of the positions; where D is constant "
+        "the two trade off, and D does not depend on it."
     ]
     if fit.checks is not None:
         notes.append(fit.checks.statement)

@@ -274,8 +274,8 @@ def predict(
         state = states.shape[1]
         steps = _step_derivatives(free, theta, states, times, solver, parameters=False)
         columns = propagate(steps, states).columns
-        seen = observed[..., None]
-        by_start = jnp.where(seen, columns[..., :-1], 0.0).reshape(-1, state)
+        is_observed = observed[..., None]
+        by_start = jnp.where(is_observed, columns[..., :-1], 0.0).reshape(-1, state)
         residuals = jnp.where(observed, states + columns[..., -1] - data, 0.0)
         rows = jnp.concatenate([by_start, residuals.reshape(-1, 1)], axis=1)
         start = -eliminate(rows, 0, state)[2][:, 0]

@@ -162,9 +162,11 @@ def summarise_data(data: Trajectories, grid: KernelGrid = WITHOUT_PRIOR) -> Data
         data: the trajectories.
         grid: how kernels are laid around them.
     """
-    seen = data.observed
-    columns = [data.states[..., i][seen[..., i]] for i in range(seen.shape[2])]
-    columns.append(data.times[seen.any(axis=-1)])
+    is_observed = data.observed
+    columns = [
+        data.states[..., i][is_observed[..., i]] for i in range(is_observed.shape[2])
+    ]
+    columns.append(data.times[is_observed.any(axis=-1)])
     deviations = [float(column.std()) if column.size else 0.0 for column in columns]
     kernels = kernel_environment(KernelPotential, data, grid, dim=data.dim)
     return DataSummary(

@@ -214,8 +214,8 @@ def profile_environment(
     Raises:
         InputError: as `KernelBasis.around` and `KernelProfile` do.
     """
-    seen = trajectories.observed.all(axis=-1)
-    basis = KernelBasis.around(axes, trajectories.states[seen], across=across)
+    is_observed = trajectories.observed.all(axis=-1)
+    basis = KernelBasis.around(axes, trajectories.states[is_observed], across=across)
     components = tuple(axis.index for axis in axes) if along is None else along
     return KernelProfile.with_zero_weights(
         basis, components, len(trajectories.channels)
@@ -268,8 +268,8 @@ def lay_kernels(
             f"kernel_environment dim: expected 1 to {count}, as many as there are "
             f"channels, got {dim}"
         )
-    seen = trajectories.observed[..., :dim].all(axis=-1)
-    positions = trajectories.states[..., :dim][seen]
+    is_observed = trajectories.observed[..., :dim].all(axis=-1)
+    positions = trajectories.states[..., :dim][is_observed]
     return surround_with_kernels(positions, grid)
 
 

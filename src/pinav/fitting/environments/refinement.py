@@ -76,8 +76,8 @@ class Refinement(eqx.Module):
         dim, kernels = environment.dim, environment.kernels
         if kernels is None:
             return None
-        seen = trajectories.observed[..., :dim].all(axis=-1)
-        extent = np.ptp(trajectories.states[..., :dim][seen], axis=0).max()
+        is_observed = trajectories.observed[..., :dim].all(axis=-1)
+        extent = np.ptp(trajectories.states[..., :dim][is_observed], axis=0).max()
         grid = KernelGrid(across=round(self.factor * extent / float(kernels.width)))
         made = environment.kernels_on(*lay_kernels(trajectories, grid, dim))
         return made if num_weights(made) <= self.max_weights else None

@@ -184,5 +184,5 @@ def _broad_cost(
         moved = point.copy()
         moved[index] = place
         values.append(value(moved))
-    share = np.mean(np.exp(np.minimum(np.array(values) - value(point), 0.0)))
-    return float(-np.log(max(share, 1 / POINTS)))
+    fraction = np.mean(np.exp(np.minimum(np.array(values) - value(point), 0.0)))
+    return float(-np.log(max(fraction, 1 / POINTS)))

@@ -186,13 +186,13 @@ def _fit_in_turns(
     covariance, *spreads = motion_covariance(problem, step, belief.motion)
     field = DiffusionField(belief.motion.diffusion, covariance)
     fit = diffusion_share(belief, relation, padding, fit, field)
-    seen = () if observation is None else observed_axes(belief.motion, *spreads)
+    observed = () if observation is None else observed_axes(belief.motion, *spreads)
     return LangevinFit(
-        regression=_with_numbers(fit, field, seen),
+        regression=_with_numbers(fit, field, observed),
         diffusion=_simplest(field),
-        observation=seen,
+        observation=observed,
         reference=path,
-        checks=langevin_checks(belief, relation, padding, seen),
+        checks=langevin_checks(belief, relation, padding, observed),
         thermal_energy=relation.thermal_energy,
     )
 
@@ -205,7 +205,7 @@ def _simplest(field: DiffusionField) -> DiffusionField | Estimate:
 
 
 def _with_numbers(
-    fit: EvidenceFit, field: DiffusionField, seen: tuple[ObservedAxes, ...]
+    fit: EvidenceFit, field: DiffusionField, observed: tuple[ObservedAxes, ...]
 ) -> EvidenceFit:
     """The fit with diffusion, exposure and error among its constants."""
     groups = field.tensor.groups
@@ -215,7 +215,7 @@ def _with_numbers(
     if not field.tensor.weights.size:
         pairs = zip(marks, field.estimates(), strict=True)
         numbers = {f"diffusion{mark}": value for mark, value in pairs}
-    for mark, axes in zip(marks, seen, strict=False):
+    for mark, axes in zip(marks, observed, strict=False):
         numbers |= {f"exposure{mark}": axes.exposure, f"error{mark}": axes.error}
     return eqx.tree_at(lambda f: f.constants, fit, fit.constants | numbers)
 

@@ -41,8 +41,8 @@ class Increments(eqx.Module):
         """
         parts = []
         for piece in trajectories:
-            seen = np.flatnonzero(piece.observed.all(axis=1))[::every]
-            times, positions = piece.times[seen], piece.states[seen]
+            is_observed = np.flatnonzero(piece.observed.all(axis=1))[::every]
+            times, positions = piece.times[is_observed], piece.states[is_observed]
             row = times[:-1], positions[:-1], np.diff(positions, axis=0), np.diff(times)
             parts.append(row)
         times, positions, steps, intervals = map(

@@ -118,8 +118,8 @@ class DiffusionProblem(AbstractProblem):
 
         def constants(m: ThermalMotion) -> tuple:
             level = (m.diffusion.levels,) if learn_diffusion else ()
-            seen = (m.log_odds, m.log_errors) if observation is not None else ()
-            return level + seen
+            observed = (m.log_odds, m.log_errors) if observation is not None else ()
+            return level + observed
 
         def select(m: ThermalMotion) -> tuple:
             kernels = (m.diffusion.weights,) if varies else ()
@@ -205,8 +205,10 @@ class LimitedStep(AbstractStepRule):
 
     def __call__(self, cost: PenalisedSquares, mean: Parameters) -> Move:
         change = mean - cost.local.theta
-        share = min(1.0, LONGEST / max(float(np.abs(change).max(initial=0.0)), 1e-300))
-        return Move(cost.local.theta + share * change, None, self)
+        fraction = min(
+            1.0, LONGEST / max(float(np.abs(change).max(initial=0.0)), 1e-300)
+        )
+        return Move(cost.local.theta + fraction * change, None, self)
 
 
 class LocalTerms(eqx.Module):
@@ -285,8 +287,8 @@ def _group_terms(
     motion: ThermalMotion, group: int, local: LocalTerms, data: Fluctuations
 ) -> GroupTerms:
     exposure, variance = motion.exposures[group], motion.variances[group]
-    share = jnp.minimum(exposure / motion.interval, 1.0)
-    scales = jnp.stack([exposure * (1 - share), variance])
+    fraction = jnp.minimum(exposure / motion.interval, 1.0)
+    scales = jnp.stack([exposure * (1 - fraction), variance])
     ones = jnp.ones((data.design.shape[0], 1))
     design = jnp.concatenate([ones, data.design], axis=1)
     pairs = local.information
@@ -317,8 +319,12 @@ def _whittle(
     for frequency in np.pi * (np.arange(FREQUENCIES) + 0.5) / FREQUENCIES:
         turn = float(1 - np.cos(frequency))
         motion = 2 * diffusion * (intervals - blur * turn)
-        share = 1 / (motion + 2 * variance * turn)
-        slopes = motion * share, -2 / 3 * turn * diffusion * share, 2 * turn * share
+        fraction = 1 / (motion + 2 * variance * turn)
+        slopes = (
+            motion * fraction,
+            -2 / 3 * turn * diffusion * fraction,
+            2 * turn * fraction,
+        )
         products = [
             slopes[i] * slopes[j]
             for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))

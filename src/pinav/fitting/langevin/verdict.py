@@ -74,15 +74,16 @@ class IncrementVerdict(eqx.Module):
         if self.is_exact:
             words = f"{said}: thermal motion without visible blur or error."
         elif near > 0:
-            share = 6 * near / (1 + 2 * near)
+            fraction = 6 * near / (1 + 2 * near)
             words = (
-                f"{said}: thermal motion blurred over {share:.2f} of the interval or "
-                f"more; positions that count as exact make diffusion {self.bias:+.0%}."
+                f"{said}: thermal motion blurred over {fraction:.2f} of the interval "
+                "or more; positions that count as exact make diffusion "
+                f"{self.bias:+.0%}."
             )
         else:
-            share = float(np.sqrt(-near / max(1 + 2 * near, LEAST)))
+            fraction = float(np.sqrt(-near / max(1 + 2 * near, LEAST)))
             words = (
-                f"{said}: thermal motion with an error of {share:.2f} of a step or "
+                f"{said}: thermal motion with an error of {fraction:.2f} of a step or "
                 f"more; positions that count as exact make diffusion {self.bias:+.0%}."
             )
         return words

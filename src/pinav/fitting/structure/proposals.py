@@ -94,16 +94,16 @@ class Ground(eqx.Module):
         return self.extent / KERNELS
 
     def grid(
-        self, middle: Float[np.ndarray, " dim"] | None = None, share: float = 1.0
+        self, middle: Float[np.ndarray, " dim"] | None = None, fraction: float = 1.0
     ) -> Float[np.ndarray, "point dim"]:
         """Places that are scanned.
 
         Args:
             middle: of the grid [L]; that of most of the data unless given.
-            share: its size, as a share of the extent of most of the data.
+            fraction: its size, as a share of the extent of most of the data.
         """
         middle = self.heart if middle is None else middle
-        axis = np.linspace(-0.5, 0.5, GRID) * self.crowded * share
+        axis = np.linspace(-0.5, 0.5, GRID) * self.crowded * fraction
         axes = np.meshgrid(*[axis] * len(middle), indexing="ij")
         return middle + np.stack(axes, axis=-1).reshape(-1, len(middle))
 
@@ -316,12 +316,12 @@ def _extended(
     proposals: list[Proposal] = []
     for starts in _starts(ground, rotational=rotational):
         chosen = _best(starts, terms, response)
-        for share in CLOSER:
+        for fraction in CLOSER:
             if not isinstance(chosen, CentralTerm):
                 break
             closer = [
                 central_term(ground, place, rotational=chosen.rotational)
-                for place in ground.grid(np.asarray(chosen.center), share)
+                for place in ground.grid(np.asarray(chosen.center), fraction)
             ]
             chosen = _best([chosen, *closer], terms, response)
         made = polish((*terms, chosen), response)

@@ -113,8 +113,8 @@ def _means(
     groups: int,
 ) -> Float[np.ndarray, "trajectory group channel"]:
     """Mean over the steps of each group."""
-    shares = np.eye(groups)[group]
-    return np.einsum("isc,sg->igc", values, shares / shares.sum(axis=0)[None])
+    fractions = np.eye(groups)[group]
+    return np.einsum("isc,sg->igc", values, fractions / fractions.sum(axis=0)[None])
 
 
 @eqx.filter_jit

@@ -147,8 +147,8 @@ def _proposal(specification: FitSpecification, free: BayesProblem) -> Proposal |
         specification.solver,
         specification.dim,
     )
-    seen = data.observed[..., : specification.dim].all(axis=-1)
-    ground = Ground.of(data.states[..., : specification.dim][seen])
+    is_observed = data.observed[..., : specification.dim].all(axis=-1)
+    ground = Ground.of(data.states[..., : specification.dim][is_observed])
     noise = free.first_noise if specification.noise is None else specification.noise
     turning = not isinstance(model.environment, KernelPotential)
     proposal = propose(response, ground, noise, rotational=turning)

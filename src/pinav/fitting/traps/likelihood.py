@@ -39,10 +39,10 @@ def _gains(trap: TrapModel, intervals: Array, count: int) -> _Filter:
     )
 
     def update(covariance: Array) -> tuple[Array, Array, Array]:
-        seen = covariance[1] + covariance[2]
-        variance = seen[1] + seen[2] + trap.error**2
-        gain = seen / variance
-        return gain, variance, covariance - gain[:, None] * seen[None]
+        observed = covariance[1] + covariance[2]
+        variance = observed[1] + observed[2] + trap.error**2
+        gain = observed / variance
+        return gain, variance, covariance - gain[:, None] * observed[None]
 
     def step(covariance: Array, inputs: tuple[Propagator, Array]) -> tuple:
         p, keep = inputs

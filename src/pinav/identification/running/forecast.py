@@ -106,7 +106,7 @@ def forecast(
     chosen = fit.bank if bank is None else bank
     assert chosen is not None
     members = _Members.of(fit, chosen)
-    history = _continued(fit, times, frequency, heading)
+    history = _extend_commands(fit, times, frequency, heading)
     turned = history.at(times, fit.grid.delays)[:, members.drive]
     elapsed = times - times[0]
     row = rows(turned - turned[0], elapsed[:, None], members.memory)
@@ -120,7 +120,7 @@ def forecast(
     return members.mix(row, noise)
 
 
-def _continued(
+def _extend_commands(
     fit: RunningFit, times: np.ndarray, frequency: np.ndarray, heading: np.ndarray
 ) -> CommandHistory:
     """The commands so far and those to come; the first may replace the last one."""

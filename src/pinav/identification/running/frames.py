@@ -62,6 +62,6 @@ class Frames(eqx.Module):
         )
 
     @property
-    def seen(self) -> "Frames":
+    def observed(self) -> "Frames":
         """Those in which the robot was seen."""
         return self[~np.isnan(self.positions[:, 0])]

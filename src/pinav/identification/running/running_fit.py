@@ -135,11 +135,14 @@ class RunningFit(eqx.Module):
 
     def _start(self) -> "RunningFit":
         """The bank, once the speed is known roughly, and what it says of all frames."""
-        seen = self.frames.seen
+        observed = self.frames.observed
         assert self.since is not None
-        if self.frames.times[-1] < self.since + SCALE_TIME or len(seen) < LEAST_SEEN:
+        if (
+            self.frames.times[-1] < self.since + SCALE_TIME
+            or len(observed) < LEAST_SEEN
+        ):
             return self
-        scale = _speed_per_frequency(seen, self.frames)
+        scale = _speed_per_frequency(observed, self.frames)
         fit = dataclasses.replace(
             self,
             bank=Bank.prior(self.grid.log_prior, scale),
@@ -164,15 +167,15 @@ class RunningFit(eqx.Module):
 
     def _close(self) -> "RunningFit":
         """The bank that knows the mean position of the open block."""
-        seen = self.frames.seen
-        if not len(seen):
+        observed = self.frames.observed
+        if not len(observed):
             return self
         assert self.bank is not None
         assert self.history is not None
-        time = float(seen.times.mean())
-        position = seen.positions.mean(axis=0)
-        frequency = float(seen.frequency.mean())
-        cycles = self.history.at(seen.times, self.grid.delays).mean(axis=0)
+        time = float(observed.times.mean())
+        position = observed.positions.mean(axis=0)
+        frequency = float(observed.frequency.mean())
+        cycles = self.history.at(observed.times, self.grid.delays).mean(axis=0)
         if self.cycles is None:
             bank = self.bank.place(position, self.grid.blur)
         else:
@@ -181,7 +184,7 @@ class RunningFit(eqx.Module):
             interval = time - self.block_time
             ahead = self.bank.predict(change, interval, self.grid.memory, between)
             bank = ahead.update(position, self.grid.blur)
-        jitter, count = self._scatter(seen)
+        jitter, count = self._scatter(observed)
         return dataclasses.replace(
             self,
             bank=bank,
@@ -192,22 +195,22 @@ class RunningFit(eqx.Module):
             jitter_count=count,
         )
 
-    def _scatter(self, seen: Frames) -> tuple[float, float]:
+    def _scatter(self, observed: Frames) -> tuple[float, float]:
         """Scatter of single frames about a line through a block, and its count."""
-        if len(seen) < 3:
+        if len(observed) < 3:
             return self.jitter, self.jitter_count
-        times = seen.times - seen.times.mean()
+        times = observed.times - observed.times.mean()
         basis = np.stack([np.ones_like(times), times], axis=1)
-        line = basis @ np.linalg.lstsq(basis, seen.positions)[0]
-        more = 2.0 * (len(seen) - 2)
+        line = basis @ np.linalg.lstsq(basis, observed.positions)[0]
+        more = 2.0 * (len(observed) - 2)
         before = min(self.jitter_count, JITTER_MEMORY)
-        total = self.jitter * before + float(((seen.positions - line) ** 2).sum())
+        total = self.jitter * before + float(((observed.positions - line) ** 2).sum())
         return total / (before + more), before + more
 
 
-def _speed_per_frequency(seen: Frames, frames: Frames) -> float:
+def _speed_per_frequency(observed: Frames, frames: Frames) -> float:
     """Way of the robot, in steps of a block, over the cycles that were commanded."""
-    duration = float(seen.times[-1] - seen.times[0])
-    step = max(1, round(BLOCK * (len(seen) - 1) / duration))
-    way = np.hypot(*np.diff(seen.positions[::step], axis=0).T).sum()
+    duration = float(observed.times[-1] - observed.times[0])
+    step = max(1, round(BLOCK * (len(observed) - 1) / duration))
+    way = np.hypot(*np.diff(observed.positions[::step], axis=0).T).sum()
     return max(float(way) / (float(frames.frequency.mean()) * duration), 1e-9)

@@ -142,10 +142,10 @@ def _frame(
     key: PRNGKeyArray,
 ) -> Frame:
     """What the camera tells: a position, at the time of the control step."""
-    seen = _observe(task, now, key)
-    position = np.asarray(seen.state[:2], float)
+    observation = _observe(task, now, key)
+    position = np.asarray(observation.state[:2], float)
     sd = max(task.sensor_noise, 1e-6)
-    return Frame(float(seen.time), position, sd, thrust)
+    return Frame(float(observation.time), position, sd, thrust)
 
 
 def _mean_thrust(task: Task, queue: jax.Array) -> Float[np.ndarray, "2"]:

@@ -255,12 +255,17 @@ class Adaptive:
             key: random key of the control.
         """
         task, belief = self.task, mind.belief
-        seen = Observation(
+        observation = Observation(
             jnp.asarray(belief.time), jnp.asarray(belief.state.mean), pending
         )
         timing = Timing(task.step, task.delay)
         ahead, command, controls = _decide(
-            mind.controller, mind.tables.predictor, timing, seen, mind.controls, key
+            mind.controller,
+            mind.tables.predictor,
+            timing,
+            observation,
+            mind.controls,
+            key,
         )
         mind = dataclasses.replace(mind, controls=controls)
         if not self.safe:
@@ -325,11 +330,11 @@ def _decide(
     controller: AbstractController,
     predictor: AbstractPredictor,
     timing: Timing,
-    seen: Observation,
+    observation: Observation,
     memory: Controls,
     key: PRNGKeyArray,
 ) -> tuple[Observation, Command, Controls]:
     """The state when the command comes into force, the command, and the sequence."""
-    ahead = timing.predict(predictor, seen) if timing.delay > 0 else seen
+    ahead = timing.predict(predictor, observation) if timing.delay > 0 else observation
     command, controls = controller(ahead, memory, key=key)
     return ahead, command, controls

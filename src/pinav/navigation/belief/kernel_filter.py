@@ -218,8 +218,8 @@ class KernelFilter:
         """
         dim, weights = len(position), self.weights
         error = position - self.state[:dim]
-        seen = self.spread[:dim, :dim] + sd**2 * np.eye(dim)
-        inverse = np.linalg.inv(np.linalg.cholesky(seen))
+        observed = self.spread[:dim, :dim] + sd**2 * np.eye(dim)
+        inverse = np.linalg.inv(np.linalg.cholesky(observed))
         surprise = inverse @ error
         by_state = self.spread[:, :dim] @ inverse.T
         by_weight = weights.cross[:dim].T @ inverse.T

@@ -91,7 +91,7 @@ class DelayCompensation(AbstractController[Inner], Generic[Inner]):
         return self.controller(ahead, memory, key=key)
 
 
-class Belief(eqx.Module, Generic[Inner]):
+class FilterState(eqx.Module, Generic[Inner]):
     """What a filter remembers.
 
     Attributes:
@@ -109,7 +109,7 @@ class Belief(eqx.Module, Generic[Inner]):
     inner: Inner
 
 
-class DriftEstimation(AbstractController[Belief[Inner]], Generic[Inner]):
+class DriftEstimation(AbstractController[FilterState[Inner]], Generic[Inner]):
     r"""Estimates a constant drift and the state, by an extended Kalman filter.
 
     The controller inside observes the state followed by the drift, as `Drifting`
@@ -138,7 +138,7 @@ class DriftEstimation(AbstractController[Belief[Inner]], Generic[Inner]):
     prior: float
     wandering: float = 0.0
 
-    def start(self, observation: Observation) -> Belief[Inner]:
+    def start(self, observation: Observation) -> FilterState[Inner]:
         state = observation.state
         mean = jnp.concatenate([state, jnp.zeros(2, state.dtype)])
         known = jnp.full(state.shape[0], self.sensor_noise**2 + LEAST, state.dtype)
@@ -146,20 +146,20 @@ class DriftEstimation(AbstractController[Belief[Inner]], Generic[Inner]):
         covariance = jnp.diag(jnp.concatenate([known, spread]))
         time = jnp.asarray(observation.time, state.dtype)
         inner = self.controller.start(Observation(time, mean, observation.pending))
-        return Belief(mean, covariance, observation.pending[0], time, inner)
+        return FilterState(mean, covariance, observation.pending[0], time, inner)
 
     def __call__(
-        self, observation: Observation, memory: Belief[Inner], *, key: PRNGKeyArray
-    ) -> tuple[Command, Belief[Inner]]:
+        self, observation: Observation, memory: FilterState[Inner], *, key: PRNGKeyArray
+    ) -> tuple[Command, FilterState[Inner]]:
         mean, covariance = self._update(observation, memory)
-        seen = Observation(observation.time, mean, observation.pending)
-        command, inner = self.controller(seen, memory.inner, key=key)
+        observed = Observation(observation.time, mean, observation.pending)
+        command, inner = self.controller(observed, memory.inner, key=key)
         time = jnp.asarray(observation.time, mean.dtype)
-        belief = Belief(mean, covariance, observation.pending[0], time, inner)
+        belief = FilterState(mean, covariance, observation.pending[0], time, inner)
         return command, belief
 
     def _update(
-        self, observation: Observation, memory: Belief[Inner]
+        self, observation: Observation, memory: FilterState[Inner]
     ) -> tuple[Float[Array, " all"], Float[Array, "all all"]]:
         """Mean and covariance after an observation; as they were at the first one."""
         elapsed = observation.time - memory.time
@@ -177,7 +177,7 @@ class DriftEstimation(AbstractController[Belief[Inner]], Generic[Inner]):
         )
 
     def _predict(
-        self, observation: Observation, memory: Belief[Inner]
+        self, observation: Observation, memory: FilterState[Inner]
     ) -> tuple[Float[Array, " all"], Float[Array, "all all"]]:
         """Mean and covariance one step on, under the commands that were in force."""
         first, second = self.timing.remainder, self.timing.rest
@@ -207,9 +207,9 @@ class DriftEstimation(AbstractController[Belief[Inner]], Generic[Inner]):
 
     def _gain(self, covariance: Float[Array, "all all"]) -> Float[Array, "all known"]:
         known = covariance.shape[0] - 2
-        seen = covariance[:known, :known]
-        error = (self.sensor_noise**2 + LEAST) * jnp.eye(known, dtype=seen.dtype)
-        return jnp.linalg.solve(seen + error, covariance[:known]).T
+        observed = covariance[:known, :known]
+        error = (self.sensor_noise**2 + LEAST) * jnp.eye(known, dtype=observed.dtype)
+        return jnp.linalg.solve(observed + error, covariance[:known]).T
 
 
 LEAST = 1e-10

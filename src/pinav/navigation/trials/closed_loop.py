@@ -216,12 +216,12 @@ def run(
     memory: Any = None
     while not ended(now, task):
         sensing, deciding, moving = _step_keys(key, now.step)
-        seen = _observe(task, now, sensing)
+        observed = _observe(task, now, sensing)
         if memory is None:
-            memory = controller.start(seen)
+            memory = controller.start(observed)
         began = time.perf_counter()
         command, memory = jax.block_until_ready(
-            _decide(controller, seen, memory, deciding)
+            _decide(controller, observed, memory, deciding)
         )
         compute.append(time.perf_counter() - began)
         now, allowed = _advance(task, truth, now, command, moving)
@@ -287,8 +287,8 @@ def _episode(
 ) -> tuple[Situation, Float[Array, "time state"], Float[Array, "control 2"]]:
     """Last situation, states and commands of one run."""
     count, first = control_steps(task), begin(task)
-    seen = observe(task, first, _step_keys(key, first.step)[0])
-    memory = jax.tree.map(jnp.asarray, controller.start(seen))
+    observed = observe(task, first, _step_keys(key, first.step)[0])
+    memory = jax.tree.map(jnp.asarray, controller.start(observed))
     states = jnp.tile(first.state[None], (count + 1, 1))
     commands = jnp.tile(first.pending[-1:], (count, 1))
 
@@ -298,8 +298,8 @@ def _episode(
     def step(carry: _Carry) -> _Carry:
         now, memory, states, commands = carry
         sensing, deciding, moving = _step_keys(key, now.step)
-        seen = observe(task, now, sensing)
-        command, memory = controller(seen, memory, key=deciding)
+        observed = observe(task, now, sensing)
+        command, memory = controller(observed, memory, key=deciding)
         later, allowed = advance(task, truth, now, command, moving)
         states = states.at[later.step].set(later.state)
         commands = commands.at[now.step].set(allowed)

@@ -121,12 +121,12 @@ _advance = eqx.filter_jit(advance)
 def _features(
     task: Task, situation: Situation, key: PRNGKeyArray
 ) -> Float[Array, " observation"]:
-    seen = observe(task, situation, key)
-    way = task.objective.target(seen.time) - seen.state[:2]
-    left = jnp.asarray(task.time_limit - seen.time)
-    frequencies, headings = seen.pending.T
+    observation = observe(task, situation, key)
+    way = task.objective.target(observation.time) - observation.state[:2]
+    left = jnp.asarray(task.time_limit - observation.time)
+    frequencies, headings = observation.pending.T
     pending = frequencies[None] * jnp.stack([jnp.cos(headings), jnp.sin(headings)])
-    return jnp.concatenate([seen.state, way, left[None], pending.ravel()])
+    return jnp.concatenate([observation.state, way, left[None], pending.ravel()])
 
 
 @eqx.filter_jit

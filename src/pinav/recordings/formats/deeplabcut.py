@@ -40,12 +40,12 @@ class DeepLabCut(AbstractFormat):
         rows = range(len(frame))
         places = [parts[name].row(row) for name in parts for row in rows]
         tables = list(parts.values())
-        seen = np.concatenate([_seen(t, reading.likelihood) for t in tables])
+        observed = np.concatenate([_is_observed(t, reading.likelihood) for t in tables])
         x, y = (np.concatenate([t.numbers(c, lost=True) for t in tables]) for c in "xy")
-        lost = int((~seen).sum())
+        lost = int((~observed).sum())
         return Tracks(
-            x=np.where(seen, x, np.nan),
-            y=np.where(seen, y, np.nan),
+            x=np.where(observed, x, np.nan),
+            y=np.where(observed, y, np.nan),
             place=places.__getitem__,
             particle=[name for name in parts for _ in rows],
             frame=np.tile(frame, len(parts)),
@@ -55,7 +55,7 @@ class DeepLabCut(AbstractFormat):
         )
 
 
-def _seen(table: Table, threshold: float) -> np.ndarray:
+def _is_observed(table: Table, threshold: float) -> np.ndarray:
     """Where the likelihood is high enough; it must be one."""
     values = table.numbers("likelihood", lost=True)
     wrong = (values < 0) | (values > 1)

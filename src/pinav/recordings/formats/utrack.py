@@ -44,11 +44,11 @@ class UTrack(AbstractFormat):
             first = int(events[:, 0].min())
             for part, row in enumerate(numbers, start=1):
                 table = row.reshape(-1, _PER_FRAME)
-                seen = np.flatnonzero(np.isfinite(table[:, 0]))
-                frames.append(first + seen)
-                rows.append(table[seen, :3])
+                observed = np.flatnonzero(np.isfinite(table[:, 0]))
+                frames.append(first + observed)
+                rows.append(table[observed, :3])
                 label = f"{number}" if len(numbers) == 1 else f"{number}.{part}"
-                names += [label] * len(seen)
+                names += [label] * len(observed)
         x, y, z = np.concatenate(rows).T
         frame = np.concatenate(frames).astype(np.int64)
         return Tracks(

@@ -64,9 +64,9 @@ def localisation(
         positions: of each segment, NaN where the particle was lost [L].
     """
     parts = [
-        _products(moments[seen], path[seen])
+        _products(moments[observed], path[observed])
         for moments, path in zip(times, positions, strict=True)
-        if (seen := np.isfinite(path).all(axis=1)).sum() > _SAMPLES + _LAGS
+        if (observed := np.isfinite(path).all(axis=1)).sum() > _SAMPLES + _LAGS
     ]
     if not parts or sum(len(part) for part in parts) < LEAST_SAMPLES:
         return None

@@ -206,14 +206,14 @@ def positions(segment: Trajectory) -> Float[np.ndarray, "time 2"]:
 
 def _track(run: str, particle: str, segments: list[Trajectory]) -> Track:
     paths = [positions(segment) for segment in segments]
-    seen = int(sum(np.isfinite(path).all(axis=1).sum() for path in paths))
+    num_observed = int(sum(np.isfinite(path).all(axis=1).sum() for path in paths))
     speeds = np.concatenate([window_speeds(s)[0] for s in segments])
     return Track(
         run=run,
         particle=particle,
         segments=len(segments),
-        samples=seen,
-        lost=int(sum(map(len, paths))) - seen,
+        samples=num_observed,
+        lost=int(sum(map(len, paths))) - num_observed,
         duration=float(sum(s.times[-1] - s.times[0] for s in segments)),
         path=float(sum(path_length(segment) for segment in segments)),
         speed=float(np.median(speeds)) if len(speeds) else None,

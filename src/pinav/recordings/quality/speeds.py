@@ -39,12 +39,12 @@ def _window_ends(segment: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 
     Where rows are further apart than that, as with times in frames, a window is a step.
     """
-    seen = np.flatnonzero(segment.observed[:, :2].all(axis=1))
-    times = segment.times[seen]
+    places = np.flatnonzero(segment.observed[:, :2].all(axis=1))
+    times = segment.times[places]
     late = np.searchsorted(times, times + WINDOW)
-    late = np.maximum(late, np.arange(len(seen)) + 1)
-    whole = late < len(seen)
-    return seen[whole], seen[late[whole]]
+    late = np.maximum(late, np.arange(len(places)) + 1)
+    whole = late < len(places)
+    return places[whole], places[late[whole]]
 
 
 def window_speeds(segment: Trajectory) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -201,15 +201,15 @@ def _two_conductivities_transform(
 ) -> Any:
     k1, k2 = inner.conductivity, outer.conductivity
     q1, q2 = (mpmath.sqrt(s / medium.diffusivity) for medium in (inner, outer))
-    a, share = q1 * radius, source / (inner.capacity * s**2)
+    a, fraction = q1 * radius, source / (inner.capacity * s**2)
     sinh = mpmath.sinh(a)
     both = k2 * (1 + q2 * radius) * sinh
-    size = -k2 * (1 + q2 * radius) * share * radius
+    size = -k2 * (1 + q2 * radius) * fraction * radius
     size /= k1 * (a * mpmath.cosh(a) - sinh) + both
     if r > radius:
-        edge = share * radius + size * sinh
+        edge = fraction * radius + size * sinh
         return edge * mpmath.exp(-q2 * (r - radius)) / r
-    return share + size * (mpmath.sinh(q1 * r) / r if r > 0 else q1)
+    return fraction + size * (mpmath.sinh(q1 * r) / r if r > 0 else q1)
 
 
 def perfused_spheres(
