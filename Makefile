@@ -34,7 +34,7 @@ lint: .venv/installed-dev
 
 validate: .venv/installed-dev
 	$(BIN)/python -m pytest validation -v -s
-	PINAV_LONG=1 $(BIN)/python -m pytest -v tests/test_docs.py -k "code and (tracker or wrong-force)"
+	PINAV_LONG=1 $(BIN)/python -m pytest -v tests/test_docs.py -k "code and (bead or tracker or wrong-force)"
 
 bench: .venv/installed-dev
 	$(BIN)/pinav bench gradient

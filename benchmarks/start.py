@@ -26,13 +26,15 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "reproduce": ("reproduce",),
     "fit": ("fit", "{data}"),
     "evaluate": ("evaluate", "{fit}", "{data}"),
+    "discover": ("discover", "{fit}"),
+    "report": ("report", "{fit}"),
     "navigate": ("navigate", "{fit}", "--from=1,1", "--to=8,8"),
     "heat": ("heat", "simulate", "{heat}"),
     "identify": ("identify", "{recording}"),
 }
 """Words of each command; a name in braces is a file that is made or given."""
 
-IN_PLACE = ("evaluate",)
+IN_PLACE = ("evaluate", "discover", "report")
 """Commands that write into the run that they are given."""
 
 TRACING = ("jaxpr_trace_duration", "jaxpr_to_mlir_module_duration")
@@ -117,7 +119,7 @@ def main(argv: Sequence[str]) -> None:
         }
         simulation = ("barrier-crossings", "--count", "8", "--noise", "0.02")
         run(folder, "simulate", *simulation, "--out", str(files["data"]))
-        if {"evaluate", "navigate"} & {*options.commands} - {"fit"}:
+        if {*IN_PLACE, "navigate"} & {*options.commands}:
             run(folder, "fit", str(files["data"]), "--out", str(files["fit"]))
         for name in options.commands:
             for state in ("cold", "warm"):

@@ -31,6 +31,7 @@ html_title = "pinav"
 myst_enable_extensions = ["dollarmath", "amsmath"]
 myst_heading_anchors = 4
 default_role = "code"
+highlight_language = "none"  # of blocks that name none: what a command prints
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 napoleon_use_ivar = True

@@ -52,7 +52,7 @@ def sandbox(tmp_path, monkeypatch):
     return tmp_path
 
 
-LONG = {"tracker.md", "wrong-force.md"}
+LONG = {"bead.md", "tracker.md", "wrong-force.md"}
 """Tutorials of some minutes: `make validate` runs them, tests read their commands."""
 
 EXTRAS = {"exchange.md": ("xarray", "h5netcdf", "sklearn", "magpylib")}
@@ -81,7 +81,7 @@ def test_the_code_of_a_page_runs(page, sandbox, fitted_runs, recording):
         if language == "python":
             run_python(text, sandbox, recording)
         elif language == "toml":
-            (sandbox / file_of(text)).parent.mkdir(exist_ok=True)
+            (sandbox / file_of(text)).parent.mkdir(parents=True, exist_ok=True)
             (sandbox / file_of(text)).write_text(text, encoding="utf-8")
         else:
             run_commands(text)

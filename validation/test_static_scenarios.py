@@ -60,8 +60,8 @@ KINDS = {"kernel-potential": KernelPotential, "kernel-mixture": KernelMixture}
 
 DRAWS = {"barrier-crossings": 5, "swirl": 5, "anisotropic-drag": 5, "porous": 10}
 """One barrier has in effect four parameters, with a swirl eight: a draw of the noise
-moves the whole field at once, and its coverage is near 0 or 1; see docs/fitting.md. One
-draw of the others."""
+moves the whole field at once, and its coverage is near 0 or 1; see docs/evidence.md.
+One draw of the others."""
 
 
 @pytest.mark.parametrize(("name", "model"), [*FOUND, POROUS, FIBRES])

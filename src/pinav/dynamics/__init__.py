@@ -1,5 +1,7 @@
 """Equations of motion of swimmers, and their solvers."""
 
+from pinav.dynamics.adaptive import Adaptive as Adaptive
+from pinav.dynamics.adaptive import InterpolatingAdjoint as InterpolatingAdjoint
 from pinav.dynamics.brownian import BOLTZMANN as BOLTZMANN
 from pinav.dynamics.brownian import BrownianSwimmer as BrownianSwimmer
 from pinav.dynamics.brownian import sample_path as sample_path
@@ -8,19 +10,17 @@ from pinav.dynamics.commanded import drive_by_arrays as drive_by_arrays
 from pinav.dynamics.commanded import drive_by_commands as drive_by_commands
 from pinav.dynamics.commanded import takes_commands as takes_commands
 from pinav.dynamics.commanded import unbound as unbound
+from pinav.dynamics.fixed_step import RK4 as RK4
+from pinav.dynamics.fixed_step import TSIT5 as TSIT5
+from pinav.dynamics.fixed_step import FixedStep as FixedStep
+from pinav.dynamics.fixed_step import Tableau as Tableau
+from pinav.dynamics.fixed_step import linear_recursion as linear_recursion
 from pinav.dynamics.forward import ForwardOnly as ForwardOnly
 from pinav.dynamics.rollout import Outcome as Outcome
 from pinav.dynamics.rollout import Rollout as Rollout
 from pinav.dynamics.rollout import rollout as rollout
-from pinav.dynamics.solvers import RK4 as RK4
-from pinav.dynamics.solvers import TSIT5 as TSIT5
 from pinav.dynamics.solvers import AbstractSolver as AbstractSolver
-from pinav.dynamics.solvers import Adaptive as Adaptive
-from pinav.dynamics.solvers import FixedStep as FixedStep
-from pinav.dynamics.solvers import InterpolatingAdjoint as InterpolatingAdjoint
-from pinav.dynamics.solvers import Tableau as Tableau
 from pinav.dynamics.solvers import VectorField as VectorField
-from pinav.dynamics.solvers import linear_recursion as linear_recursion
 from pinav.dynamics.swimmers import AbstractDynamics as AbstractDynamics
 from pinav.dynamics.swimmers import Model as Model
 from pinav.dynamics.swimmers import NeuralDynamics as NeuralDynamics

@@ -11,15 +11,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
 from pinav.arguments import State
-from pinav.dynamics.solvers import (
-    TERM,
-    AbstractSolver,
-    Adaptive,
-    Path,
-    Times,
-    VectorField,
-    step_size_controller,
-)
+from pinav.dynamics.adaptive import TERM, Adaptive, step_size_controller
+from pinav.dynamics.solvers import AbstractSolver, Path, Times, VectorField
 
 Carry = TypeVar("Carry")
 

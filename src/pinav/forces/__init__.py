@@ -1,9 +1,16 @@
 """Forces on a swimmer, known and learned; drag, flows and tensors."""
 
+from pinav.forces.distance_terms import CentralTerm as CentralTerm
+from pinav.forces.distance_terms import EllipticTerm as EllipticTerm
+from pinav.forces.distance_terms import ObstaclesTerm as ObstaclesTerm
+from pinav.forces.distance_terms import SegmentTerm as SegmentTerm
+from pinav.forces.distance_terms import WallTerm as WallTerm
 from pinav.forces.drag import Advection as Advection
 from pinav.forces.drag import InFlow as InFlow
 from pinav.forces.drag import LinearDrag as LinearDrag
 from pinav.forces.drag import TensorDrag as TensorDrag
+from pinav.forces.field_terms import LatticeTerm as LatticeTerm
+from pinav.forces.field_terms import LinearTerm as LinearTerm
 from pinav.forces.flows import AbstractFlow as AbstractFlow
 from pinav.forces.flows import PoiseuilleFlow as PoiseuilleFlow
 from pinav.forces.flows import SampledFlow as SampledFlow
@@ -15,6 +22,7 @@ from pinav.forces.flows import ZeroFlow as ZeroFlow
 from pinav.forces.force import AbstractCommandedForce as AbstractCommandedForce
 from pinav.forces.force import AbstractForce as AbstractForce
 from pinav.forces.force import AbstractLearnedForce as AbstractLearnedForce
+from pinav.forces.force import AbstractPotentialForce as AbstractPotentialForce
 from pinav.forces.force import SumForce as SumForce
 from pinav.forces.force import ZeroForce as ZeroForce
 from pinav.forces.force import as_learned_force as as_learned_force
@@ -77,13 +85,6 @@ from pinav.forces.structured import Remainder as Remainder
 from pinav.forces.structured import StructuredForce as StructuredForce
 from pinav.forces.structures import AbstractProfileTerm as AbstractProfileTerm
 from pinav.forces.structures import AbstractTerm as AbstractTerm
-from pinav.forces.structures import CentralTerm as CentralTerm
-from pinav.forces.structures import EllipticTerm as EllipticTerm
-from pinav.forces.structures import LatticeTerm as LatticeTerm
-from pinav.forces.structures import LinearTerm as LinearTerm
-from pinav.forces.structures import ObstaclesTerm as ObstaclesTerm
-from pinav.forces.structures import SegmentTerm as SegmentTerm
-from pinav.forces.structures import WallTerm as WallTerm
 from pinav.forces.tensors import AbstractDirector as AbstractDirector
 from pinav.forces.tensors import AbstractTensorField as AbstractTensorField
 from pinav.forces.tensors import BrinkmanTensor as BrinkmanTensor

@@ -32,6 +32,17 @@ class AbstractForce(eqx.Module):
         return SumForce((*_terms(self), *_terms(other)))
 
 
+class AbstractPotentialForce(AbstractForce):
+    r"""Force $-\nabla U$ of a known potential, by automatic differentiation."""
+
+    @abc.abstractmethod
+    def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
+        """Potential energy per mass $U(t, x)$ [L² T⁻²]."""
+
+    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
+        return -jax.grad(self.potential, argnums=1)(t, x)
+
+
 class SumForce(AbstractForce):
     """Sum of forces, each a term of its own.
 

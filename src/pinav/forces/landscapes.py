@@ -10,10 +10,10 @@ from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar, Vector, check_positive, point
 from pinav.errors import InputError
-from pinav.forces.force import AbstractForce
+from pinav.forces.force import AbstractForce, AbstractPotentialForce
 
 
-class PowerHill(AbstractForce):
+class PowerHill(AbstractPotentialForce):
     r"""Repulsion $-\nabla U$ from $U(x) = U_0 (1 + |x - c|^2 / s^2)^{-p}$.
 
     With $p = 1/2$ a screened charge, with $p = 1$ a Lorentzian: tails that no Gaussian
@@ -38,15 +38,11 @@ class PowerHill(AbstractForce):
         check_positive(self, "core", "exponent")
 
     def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
-        """Potential energy per mass $U(x)$ [L² T⁻²]."""
         offset = (x - self.center) / self.core
         return self.height * (1 + offset @ offset) ** (-self.exponent)
 
-    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        return -jax.grad(self.potential, argnums=1)(t, x)
 
-
-class CompactHill(AbstractForce):
+class CompactHill(AbstractPotentialForce):
     r"""Repulsion $-\nabla U$ from $U(x) = U_0 (1 - |x - c|^2 / R^2)^3$ within $R$.
 
     Beyond $R$ there is no force; force and gradient are continuous there.
@@ -68,15 +64,11 @@ class CompactHill(AbstractForce):
         check_positive(self, "radius")
 
     def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
-        """Potential energy per mass $U(x)$ [L² T⁻²]."""
         offset = (x - self.center) / self.radius
         return self.height * jnp.maximum(1 - offset @ offset, 0.0) ** 3
 
-    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        return -jax.grad(self.potential, argnums=1)(t, x)
 
-
-class RingBarrier(AbstractForce):
+class RingBarrier(AbstractPotentialForce):
     r"""Repulsion $-\nabla U$ from $U(x) = U_0 \exp(-(|x - c| - \rho)^2 / 2 w^2)$.
 
     At the very centre the force has no direction; it counts as zero there.
@@ -100,7 +92,6 @@ class RingBarrier(AbstractForce):
         check_positive(self, "radius", "width")
 
     def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
-        """Potential energy per mass $U(x)$ [L² T⁻²]."""
         offset = x - self.center
         square = offset @ offset
         # The derivative of a root at 0 is infinite, also in the branch not taken.
@@ -110,11 +101,8 @@ class RingBarrier(AbstractForce):
             -0.5 * ((distance - self.radius) / self.width) ** 2
         )
 
-    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        return -jax.grad(self.potential, argnums=1)(t, x)
 
-
-class SoftWall(AbstractForce):
+class SoftWall(AbstractPotentialForce):
     r"""Repulsion $-\nabla U$ from a straight wall in the plane, a rounded step.
 
     $U(x) = U_0 / (1 + e^{-z})$ with $z = (n \cdot x - b) / w$ and
@@ -139,12 +127,8 @@ class SoftWall(AbstractForce):
         check_positive(self, "width")
 
     def potential(self, t: Scalar, x: Float[Array, "2"]) -> Float[Array, ""]:
-        """Potential energy per mass $U(x)$ [L² T⁻²]."""
         along = jnp.cos(self.angle) * x[0] + jnp.sin(self.angle) * x[1]
         return self.height * jax.nn.sigmoid((along - self.offset) / self.width)
-
-    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        return -jax.grad(self.potential, argnums=1)(t, x)
 
 
 class PlaneWaves(AbstractForce):

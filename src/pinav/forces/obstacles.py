@@ -7,10 +7,10 @@ from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar, Vector, check_positive, point
 from pinav.errors import InputError
-from pinav.forces.force import AbstractForce
+from pinav.forces.force import AbstractForce, AbstractPotentialForce
 
 
-class GaussianRidge(AbstractForce):
+class GaussianRidge(AbstractPotentialForce):
     r"""Repulsion $-\nabla U$ from an elongated Gaussian in the plane: a fibre.
 
     $U(x) = U_0 \exp(-\tfrac12 (a^2 / l^2 + b^2 / w^2))$, with the coordinates $a$ along
@@ -38,15 +38,11 @@ class GaussianRidge(AbstractForce):
         check_positive(self, "length", "width")
 
     def potential(self, t: Scalar, x: Float[Array, "2"]) -> Float[Array, ""]:
-        """Potential energy per mass $U(t, x)$ [L² T⁻²], here the same at all times."""
         offset = x - self.center
         cos, sin = jnp.cos(self.angle), jnp.sin(self.angle)
         along = (cos * offset[0] + sin * offset[1]) / self.length
         across = (cos * offset[1] - sin * offset[0]) / self.width
         return self.height * jnp.exp(-0.5 * (along**2 + across**2))
-
-    def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        return -jax.grad(self.potential, argnums=1)(t, x)
 
 
 class GaussianSwirl(AbstractForce):

@@ -269,6 +269,15 @@ def test_a_run_of_bioheat_without_its_balance_is_refused(tmp_path, capsys):
     assert "hold no heat balance; " in capsys.readouterr().err
 
 
+def test_a_damaged_run_of_bioheat_gives_one_line(tmp_path, capsys):
+    folder = heated(tmp_path / "heat", **boxed((6, 5), 9))
+    (folder / "results.npz").write_bytes(b"PK damaged")
+    assert cli.run(["explore", str(folder)]) == 2
+    message = capsys.readouterr().err.strip()
+    assert "\n" not in message
+    assert "results.npz" in message
+
+
 def test_a_notebook_shows_the_page_in_a_frame(run):
     shown = explorer(run)._repr_html_()
     assert shown.startswith("<iframe srcdoc=")
@@ -288,10 +297,13 @@ def test_the_map_holds_the_arena_of_a_plan(content):
     assert content["plan"] is None
 
 
-@pytest.mark.parametrize("file", ["model.eqx", "posterior.npz"])
+@pytest.mark.parametrize(
+    "file", ["model.eqx", "posterior.npz", "data.npz", "config.toml"]
+)
 def test_a_damaged_run_gives_one_line(file, fitted_run, capsys):
     folder, _ = fitted_run("kernel")
     (folder / file).write_bytes(b"damaged")
+    capsys.readouterr()
     assert cli.run(["explore", str(folder)]) == 2
     message = capsys.readouterr().err.strip()
     assert "\n" not in message

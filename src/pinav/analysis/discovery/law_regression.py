@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from pinav.analysis.discovery.force_sample import ForceSample, landscape
 from pinav.analysis.discovery.laws import AbstractLaw, LawForce, Role
@@ -52,12 +52,7 @@ def fit_law(
     if starts is None:
         starts = np.array(law.shapes(landscape(sample)), float)
     with jax.enable_x64(new_val=True):
-        problem = _Regression(
-            law,
-            jnp.asarray(sample.positions),
-            jnp.asarray(sample.force),
-            jnp.asarray(sample.whitener),
-        )
+        problem = _Regression(law, sample.positions, sample.force, sample.whitener)
         low, high = _bounds(law, sample)
         scaled = [problem.with_best_amplitudes(np.clip(s, low, high)) for s in starts]
         scaled = [np.clip(start, low, high) for start in scaled]
@@ -115,37 +110,40 @@ def _force(
 
 
 @eqx.filter_jit
-def _residuals(
-    problem: "_Regression", constants: Float[Array, " constant"]
-) -> Float[Array, " component"]:
-    force = _force(problem.law, constants, problem.positions)
-    return problem.whitener @ (force - problem.force).reshape(-1)
+def _force_and_slopes(
+    law: AbstractLaw,
+    constants: Float[ArrayLike, " constant"],
+    positions: Float[ArrayLike, "point dim"],
+) -> tuple[Float[Array, "point dim"], Float[Array, "point dim constant"]]:
+    """One program for both: compiling a second one takes longer than all its calls."""
 
+    def force(constants: Float[Array, " constant"]) -> tuple[Array, Array]:
+        values = _force(law, constants, jnp.asarray(positions))
+        return values, values
 
-@eqx.filter_jit
-def _jacobian(
-    problem: "_Regression", constants: Float[Array, " constant"]
-) -> Float[Array, "component constant"]:
-    return jax.jacfwd(lambda c: _residuals(problem, c))(constants)
+    slopes, values = jax.jacfwd(force, has_aux=True)(jnp.asarray(constants))
+    return values, slopes
 
 
 class _Regression(eqx.Module):
     """Residuals of a law, as a function of its constants."""
 
     law: AbstractLaw = eqx.field(static=True)
-    positions: Float[Array, "point dim"]
-    force: Float[Array, "point dim"]
-    whitener: Float[Array, "component component"]
+    positions: Float[np.ndarray, "point dim"]
+    force: Float[np.ndarray, "point dim"]
+    whitener: Float[np.ndarray, "component component"]
 
     def residuals(
         self, constants: Float[np.ndarray, " constant"]
     ) -> Float[np.ndarray, " component"]:
-        return np.asarray(_residuals(self, jnp.asarray(constants)))
+        values, _ = _force_and_slopes(self.law, constants, self.positions)
+        return self.whitener @ (np.asarray(values) - self.force).reshape(-1)
 
     def jacobian(
         self, constants: Float[np.ndarray, " constant"]
     ) -> Float[np.ndarray, "component constant"]:
-        return np.asarray(_jacobian(self, jnp.asarray(constants)))
+        _, slopes = _force_and_slopes(self.law, constants, self.positions)
+        return self.whitener @ np.asarray(slopes).reshape(-1, len(constants))
 
     def with_best_amplitudes(
         self, constants: Float[np.ndarray, " constant"]

@@ -45,7 +45,7 @@ def fit_bayes(
     The weights of a kernel environment have a Gaussian-process prior. A network is
     distilled from a kernel fit, whose process is then the prior of its forces; a
     network that sees the time has independent weights of one variance instead, and
-    bands that are too wide (docs/fitting.md). All starts have a flat prior, as have
+    bands that are too wide (docs/evidence.md). All starts have a flat prior, as have
     constants and parametric environments unless a prior is given. The rollout is a
     strong constraint: no process noise. The result needs neither velocities nor regular
     times. A constant force along the thrust is hard to tell from a wide slope of the

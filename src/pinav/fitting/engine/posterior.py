@@ -1,5 +1,6 @@
 """The Laplace posterior of a fit: models drawn from it, and bands."""
 
+import math
 from typing import Any
 
 import equinox as eqx
@@ -176,5 +177,8 @@ def _spread(
     covariance: Float[np.ndarray, "parameter parameter"],
 ) -> Float[np.ndarray, "*place"]:
     """Standard deviations of linear functions of the parameters."""
-    variance = np.sum((jacobians @ covariance) * jacobians, axis=-1)
-    return np.sqrt(np.maximum(variance, 0.0))
+    # one large product: numpy multiplies a stack of small matrices one by one
+    *places, count = jacobians.shape
+    rows = jacobians.reshape(math.prod(places), count)
+    variance = np.sum((rows @ covariance) * rows, axis=-1)
+    return np.sqrt(np.maximum(variance, 0.0)).reshape(places)

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
-from jaxtyping import Array, Bool, Float, Shaped
+from jaxtyping import Array, Bool, Float
 
 from pinav.dynamics import AbstractDynamics, Swimmer
 from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
@@ -60,10 +60,7 @@ def observed_rates(trajectories: Trajectories) -> Rates | None:
 
 
 def _thin(rates: Rates, most: int) -> Rates:
-    return _rows(rates, informative_rows(rates.states, most))
-
-
-def _rows(rates: Rates, rows: Shaped[np.ndarray, " point"]) -> Rates:
+    rows = informative_rows(rates.states, most)
     return jax.tree.map(lambda array: array[rows], rates)
 
 
@@ -79,12 +76,14 @@ def match_kernels(swimmer: Swimmer, rates: Rates) -> KernelPotential | KernelFor
         rates: at observed states.
     """
     dim = rates.states.shape[1] // 2
-    acting = _where_a_force_acts(swimmer, rates)
+    forces = _residual_forces(swimmer, rates)
+    acting = _where_a_force_acts(forces)
     places = rates.states[acting, :dim]
-    parts = [_rows(rates, acting), _rows(rates, ~acting)]
-    parts = [_thin(part, MOST_SAMPLES) for part in parts]
-    rates = jax.tree.map(lambda *arrays: np.concatenate(arrays), *parts)
-    positions, forces = rates.states[:, :dim], _residual_forces(swimmer, rates)
+    parts = [np.flatnonzero(acting), np.flatnonzero(~acting)]
+    kept = np.concatenate(
+        [rows[informative_rows(rates.states[rows], MOST_SAMPLES)] for rows in parts]
+    )
+    positions, forces = rates.states[kept, :dim], forces[kept]
     held_out = np.arange(len(positions)) % 4 == 2
     size = float(np.sqrt(np.mean(forces[held_out] ** 2))) or 1.0
     trials: list[_Trial] = []
@@ -114,9 +113,11 @@ def match_kernels(swimmer: Swimmer, rates: Rates) -> KernelPotential | KernelFor
     return kind(jnp.asarray(weights.reshape(shape)), jnp.asarray(centers), width)
 
 
-def _where_a_force_acts(swimmer: Swimmer, rates: Rates) -> Bool[np.ndarray, " point"]:
+def _where_a_force_acts(
+    forces: Float[np.ndarray, "point dim"],
+) -> Bool[np.ndarray, " point"]:
     """At which samples more acts than a ten-millionth of the largest force."""
-    sizes = np.linalg.norm(_residual_forces(swimmer, rates), axis=1)
+    sizes = np.linalg.norm(forces, axis=1)
     acting = sizes >= LEAST_FORCE * sizes.max()
     return acting if acting.sum() > DEGREE else np.ones_like(acting)
 

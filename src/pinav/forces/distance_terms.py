@@ -1,0 +1,220 @@
+"""Terms whose force is a profile of a distance: from points, walls and segments."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PyTree
+
+from pinav.arguments import Scalar, Vector
+from pinav.forces.structures import (
+    ROUNDING,
+    AbstractProfileTerm,
+    Places,
+    distance,
+)
+
+
+class CentralTerm(AbstractProfileTerm):
+    r"""A force about a centre, $f(r)\,\hat r$ with $r = |x - c|$, or a swirl about it.
+
+    Attributes:
+        weights: $w_j$ of the profile [L T⁻²].
+        center: $c$ [L].
+        places: of the kernels [L]; fixed.
+        width: of a kernel [L]; fixed.
+        rotational: a swirl, in the plane alone.
+    """
+
+    weights: Float[Array, " kernel"]
+    center: Vector
+    places: Places
+    width: Scalar
+    rotational: bool = eqx.field(static=True, default=False)
+
+    @property
+    def kind(self) -> str:
+        return "central swirl" if self.rotational else "central"
+
+    @property
+    def latex(self) -> str:
+        return r"f(|x - c|)\,\hat\varphi" if self.rotational else r"f(|x - c|)\,\hat r"
+
+    @property
+    def geometry(self) -> PyTree:
+        return (self.center,)
+
+    @property
+    def is_odd(self) -> bool:
+        return True
+
+    def coordinates(self, x: Vector) -> Float[Array, " coordinate"]:
+        return distance(x - self.center, ROUNDING * self.width)[None]
+
+
+class EllipticTerm(AbstractProfileTerm):
+    r"""A force whose potential has similar ellipses for contours.
+
+    $z = \sqrt{(x - c)^\top e^{2S} (x - c)}$ with a traceless symmetric $S$ of the
+    entries $(p, q)$: $e^{2|S|}$ is the ratio of the axes.
+
+    Attributes:
+        weights: $w_j$ of the profile [L T⁻²].
+        center: $c$ [L].
+        shear: $p$ and $q$.
+        places: of the kernels [L]; fixed.
+        width: of a kernel [L]; fixed.
+        rotational: whether $z$ shapes a stream function.
+    """
+
+    weights: Float[Array, " kernel"]
+    center: Float[Array, "2"]
+    shear: Float[Array, "2"]
+    places: Places
+    width: Scalar
+    rotational: bool = eqx.field(static=True, default=False)
+
+    @property
+    def kind(self) -> str:
+        return "elliptic"
+
+    @property
+    def latex(self) -> str:
+        return r"f(z)\,\nabla z,\ z^2 = (x - c)^\top e^{2S} (x - c)"
+
+    @property
+    def geometry(self) -> PyTree:
+        return self.center, self.shear
+
+    @property
+    def is_odd(self) -> bool:
+        return True
+
+    def coordinates(self, x: Vector) -> Float[Array, " coordinate"]:
+        p, q = self.shear[0], self.shear[1]
+        size = jnp.sqrt(p**2 + q**2 + 1e-12)  # smooth where the ellipse is a circle
+        bent = jnp.stack([jnp.stack([p, q]), jnp.stack([q, -p])])
+        root = jnp.cosh(size) * jnp.eye(2) + jnp.sinh(size) / size * bent
+        return distance(root @ (x - self.center), ROUNDING * self.width)[None]
+
+
+class WallTerm(AbstractProfileTerm):
+    r"""A force along one direction that depends on the place along it, $f(z)\,n$.
+
+    $z = n \cdot (x - x_0)$ with $n = (\cos\phi, \sin\phi)$: a wall, a layer, a channel,
+    or, turned, a shear flow.
+
+    Attributes:
+        weights: $w_j$ of the profile [L T⁻²].
+        angle: $\phi$ of the normal to the x axis [rad].
+        origin: $x_0$ [L]; fixed.
+        places: of the kernels [L]; fixed.
+        width: of a kernel [L]; fixed.
+        rotational: the force is along the layers.
+    """
+
+    weights: Float[Array, " kernel"]
+    angle: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+    origin: Float[Array, "2"]
+    places: Places
+    width: Scalar
+    rotational: bool = eqx.field(static=True, default=False)
+
+    @property
+    def kind(self) -> str:
+        return "shear layer" if self.rotational else "wall"
+
+    @property
+    def latex(self) -> str:
+        normal = r"n^\perp" if self.rotational else "n"
+        return rf"f(n \cdot x)\,{normal}"
+
+    @property
+    def geometry(self) -> PyTree:
+        return (self.angle,)
+
+    @property
+    def is_odd(self) -> bool:
+        return False
+
+    def coordinates(self, x: Vector) -> Float[Array, " coordinate"]:
+        normal = jnp.stack([jnp.cos(self.angle), jnp.sin(self.angle)])
+        return (normal @ (x - self.origin))[None]
+
+
+class SegmentTerm(AbstractProfileTerm):
+    r"""A force away from a segment: a fibre with round ends.
+
+    Attributes:
+        weights: $w_j$ of the profile [L T⁻²].
+        ends: of the segment [L].
+        places: of the kernels [L]; fixed.
+        width: of a kernel [L]; fixed.
+        rotational: a swirl about the segment.
+    """
+
+    weights: Float[Array, " kernel"]
+    ends: Float[Array, "2 2"]
+    places: Places
+    width: Scalar
+    rotational: bool = eqx.field(static=True, default=False)
+
+    @property
+    def kind(self) -> str:
+        return "segment"
+
+    @property
+    def latex(self) -> str:
+        return r"f(z)\,\nabla z,\ z = \mathrm{dist}(x, \overline{ab})"
+
+    @property
+    def geometry(self) -> PyTree:
+        return (self.ends,)
+
+    @property
+    def is_odd(self) -> bool:
+        return True
+
+    def coordinates(self, x: Vector) -> Float[Array, " coordinate"]:
+        along = self.ends[1] - self.ends[0]
+        length = along @ along + (ROUNDING * self.width) ** 2
+        fraction = jnp.clip((x - self.ends[0]) @ along / length, 0.0, 1.0)
+        offset = x - self.ends[0] - fraction * along
+        return distance(offset, ROUNDING * self.width)[None]
+
+
+class ObstaclesTerm(AbstractProfileTerm):
+    r"""Obstacles of one kind: central forces about several centres, one profile.
+
+    Attributes:
+        weights: $w_j$ of the profile [L T⁻²].
+        centers: $c_k$ [L].
+        places: of the kernels [L]; fixed.
+        width: of a kernel [L]; fixed.
+        rotational: swirls of one kind.
+    """
+
+    weights: Float[Array, " kernel"]
+    centers: Float[Array, "center dim"]
+    places: Places
+    width: Scalar
+    rotational: bool = eqx.field(static=True, default=False)
+
+    @property
+    def kind(self) -> str:
+        return "obstacles"
+
+    @property
+    def latex(self) -> str:
+        return r"\sum_k f(|x - c_k|)\,\hat r_k"
+
+    @property
+    def geometry(self) -> PyTree:
+        return (self.centers,)
+
+    @property
+    def is_odd(self) -> bool:
+        return True
+
+    def coordinates(self, x: Vector) -> Float[Array, " coordinate"]:
+        rounding = ROUNDING * self.width
+        return jax.vmap(lambda c: distance(x - c, rounding))(self.centers)
