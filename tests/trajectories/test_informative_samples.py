@@ -1,12 +1,13 @@
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from pinav.trajectories import Trajectories, informative_rows, informative_samples
 
 
 @given(st.integers(1, 400), st.integers(1, 100))
+@example(382, 5)
 def test_no_more_rows_than_asked_for_and_in_order(count, most):
     states = np.random.default_rng(count).normal(size=(count, 3))
     rows = informative_rows(states, most)

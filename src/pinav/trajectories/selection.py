@@ -167,7 +167,7 @@ def informative_rows(
     spread = states.std(axis=0)
     scaled = states / np.where(spread > 0, spread, 1.0)
     lengths = np.linalg.norm(np.diff(scaled, axis=0, prepend=scaled[:1]), axis=1)
-    share = lengths / max(lengths.sum(), np.finfo(float).tiny)
-    shares = np.cumsum(0.5 / count + 0.5 * share)
-    parts = np.ceil(most * shares / shares[-1])  # from 1 to `most`
+    fractions = lengths / max(lengths.sum(), np.finfo(float).tiny)
+    passed = np.cumsum(0.5 / count + 0.5 * fractions)
+    parts = np.ceil(most * (passed / passed[-1]))  # from 1 to `most`: the last is exact
     return np.flatnonzero(np.diff(parts, prepend=0.0) > 0)
