@@ -13,7 +13,6 @@ from pinav.fitting.environments.catalogue import (
     CONSTANTS,
     ModelChoice,
 )
-from pinav.forces import KernelMixture
 from pinav.trajectories import Trajectories
 
 
@@ -39,7 +38,7 @@ def estimated_constants(fit: EvidenceFit, choice: ModelChoice) -> dict[str, Esti
 def rotational_part(fit: EvidenceFit, data: Trajectories) -> dict[str, Estimate]:
     """The rotational fraction of a mixture where there are data; else nothing."""
     environment = fit.model.environment
-    if not isinstance(environment, KernelMixture):
+    if not hasattr(environment, "rotation"):
         return {}
     field = field_map(environment, data)
     points = np.stack(np.meshgrid(field.x, field.y), axis=-1)

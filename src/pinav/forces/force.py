@@ -125,6 +125,11 @@ class AbstractLearnedForce(AbstractForce):
         return True
 
     @property
+    def is_conservative(self) -> bool:
+        """Whether the force is the gradient of a potential that is constant in time."""
+        return False
+
+    @property
     def kernels(self) -> "KernelPlaces | None":
         """Its kernels on a grid that may be refined; None where there are none."""
         return None

@@ -114,6 +114,10 @@ class KernelPotential(AbstractKernels):
     def weight_shape(centers: tuple[int, ...]) -> tuple[int, ...]:
         return centers[:1]
 
+    @property
+    def is_conservative(self) -> bool:
+        return True
+
     def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
         """Potential energy per mass $U(x)$ [L² T⁻²]."""
         return self.weights @ kernel_values(x, self.centers, self.width)

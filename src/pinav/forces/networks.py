@@ -157,6 +157,10 @@ class NeuralPotential(AbstractNeuralForce):
     features: AbstractFeatures
     scale: float = eqx.field(static=True, default=1.0)
 
+    @property
+    def is_conservative(self) -> bool:
+        return self.is_static
+
     def kernels_on(self, centers: Centers, width: float) -> KernelPotential:
         return KernelPotential.with_zero_weights(centers, width)
 

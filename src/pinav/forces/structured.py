@@ -56,9 +56,8 @@ class StructuredForce(AbstractLearnedForce):
 
     @property
     def is_conservative(self) -> bool:
-        """Whether it is the gradient of a potential."""
         turning = any(term.rotational for term in self.terms)
-        return isinstance(self.remainder, KernelPotential) and not turning
+        return self.remainder.is_conservative and not turning
 
     @property
     def kernels(self) -> KernelPlaces:

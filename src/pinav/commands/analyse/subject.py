@@ -9,11 +9,7 @@ from pinav.commands.analyse.settings import AnalyseSettings
 from pinav.commands.fitted_run import FittedRun
 from pinav.dynamics import OverdampedSwimmer, Swimmer, takes_commands
 from pinav.evaluation import FieldMap
-from pinav.forces import (
-    KernelPotential,
-    NeuralPotential,
-    StructuredForce,
-)
+from pinav.forces import as_learned_force
 
 COMMANDED_SAMPLES = 250
 """Samples of the reference trajectory that a model driven by commands is rolled out."""
@@ -66,7 +62,5 @@ class Subject:
     @property
     def has_potential(self) -> bool:
         """The learned force is the gradient of a learned potential."""
-        environment = self.model.environment
-        if isinstance(environment, StructuredForce):
-            return environment.is_conservative
-        return isinstance(environment, KernelPotential | NeuralPotential)
+        learned = as_learned_force(self.model.environment)
+        return learned is not None and learned.is_conservative

@@ -21,7 +21,7 @@ from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.fitting import Posterior
 from pinav.fitting.environments.catalogue import learned_part
-from pinav.forces import AbstractLearnedForce
+from pinav.forces import as_learned_force
 from pinav.identification import needs_kalman_filter
 from pinav.report import Cell, Table
 from pinav.report.text import as_text
@@ -71,7 +71,7 @@ def _posterior(run: FittedRun) -> Posterior:
             "expected a swimmer without thermal noise, commands or wandering velocity, "
             f"got the model {run.choice.name} of system {run.system.name}"
         )
-    if not isinstance(model.environment, AbstractLearnedForce):
+    if as_learned_force(model.environment) is None:
         raise InputError(
             f"{path}: its model has no learned force of the environment; fit a kernel "
             "or neural model"

@@ -24,7 +24,6 @@ from pinav.fitting.environments.refinement import (
     iterate_refined,
 )
 from pinav.fitting.outcome import Outcome
-from pinav.forces import AbstractForce
 from pinav.trajectories import Trajectories, with_velocities
 
 
@@ -142,7 +141,7 @@ KERNEL_STEPS = 20
 
 
 def _check(model: Any, noise: float | None, max_iterations: int) -> None:
-    if not isinstance(getattr(model, "environment", None), AbstractForce):
+    if not hasattr(model, "environment"):
         raise InputError(
             "fit_bayes model: expected dynamics with a force called environment, got "
             f"{type(model).__name__}"

@@ -150,7 +150,7 @@ def _proposal(specification: FitSpecification, free: BayesProblem) -> Proposal |
     is_observed = data.observed[..., : specification.dim].all(axis=-1)
     ground = Ground.of(data.states[..., : specification.dim][is_observed])
     noise = free.first_noise if specification.noise is None else specification.noise
-    turning = not isinstance(model.environment, KernelPotential)
+    turning = not model.environment.is_conservative
     proposal = propose(response, ground, noise, rotational=turning)
     if proposal is None or not proposal.noise < EXPLAINED * noise:
         return None

@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from pinav.dynamics import Swimmer
 from pinav.errors import FitError, InputError
-from pinav.forces import AbstractForce, GaussianBarrier, LinearDrag, Superposition
+from pinav.forces import AbstractForce, GaussianBarrier, LinearDrag
 from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import greatest_thrust
 from pinav.navigation.task.task import Task
@@ -115,9 +115,8 @@ class _Problem(eqx.Module):
 
 def _barriers(environment: AbstractForce) -> list[tuple[float, np.ndarray, float]]:
     """Height, centre and width of each barrier."""
-    several = isinstance(environment, Superposition)
     barriers = []
-    for each in environment.terms if several else (environment,):
+    for each in getattr(environment, "terms", (environment,)):
         if not isinstance(each, GaussianBarrier):
             raise InputError(
                 f"minimum_time: expected Gaussian barriers, got {type(each).__name__}"
