@@ -81,7 +81,8 @@ def defect_recipe(
             makes.
         max_steps: steps of each phase on trajectories at most.
         precision: as that of `curriculum`.
-        patience: slow steps in a row on trajectories after which the fit ends.
+        patience: slow steps in a row on trajectories after which the fit ends; rates
+            have two more.
 
     Raises:
         InputError: `max_steps` is not positive, or a state is not observed.
@@ -111,7 +112,7 @@ def defect_recipe(
     if rates is None:
         return match(1, None), match(last, None)
     samples = informative_samples(trajectories, MOST_SAMPLES) - np.array([0, 1])
-    return Distillation(rates), match(last, samples)
+    return Distillation(rates, patience=patience + 2), match(last, samples)
 
 
 def is_complete(trajectories: Trajectories) -> bool:
