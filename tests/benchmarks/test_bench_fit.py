@@ -97,7 +97,9 @@ def test_a_pace_extrapolates_without_the_first_step():
 
 def test_a_loop_stops_at_its_share_and_at_its_time():
     calls = []
-    assert problem.paced(lambda: calls.append(1), 8, share=0.5).done == 4 == len(calls)
+    assert (
+        problem.paced(lambda: calls.append(1), 8, fraction=0.5).done == 4 == len(calls)
+    )
     slow = problem.paced(lambda: time.sleep(0.02), 100, seconds=0.05)
     assert 1 <= slow.done < 100
     done, full, note = problem.whole_recipe([slow])

@@ -133,11 +133,12 @@ def matching(
         linear = _is_linear(model)
         rates = None if linear else distillation_rates(model, data)
         if linear or rates is not None:
+            patient = isinstance(model, Swimmer) and not linear
             exact = defect_recipe(
                 data,
                 rates=rates,
                 max_steps=DEFECT_STEPS * settings.max_steps,
-                patience=PATIENCE if isinstance(model, Swimmer) else 3,
+                patience=PATIENCE if patient else 3,
             )
             recipes = (exact, *recipes) if linear else (*recipes, exact)
     spread = float(np.std(data.states[data.observed]))

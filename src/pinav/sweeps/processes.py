@@ -49,7 +49,10 @@ class LocalProcesses(AbstractEngine):
             WorkerDeath: there was none.
         """
         worker = self._workers.get(place)
-        if worker is None or worker.poll() is not None:
+        if worker is not None and worker.poll() is not None:
+            _close(worker)  # it died between two orders
+            worker = None
+        if worker is None:
             worker = self._workers[place] = self._start()
         assert worker.stdin is not None
         assert worker.stdout is not None
