@@ -1,21 +1,19 @@
-"""All scenarios: python docs/figures/draw_scenarios.py docs/figures/scenarios.png.
+"""All scenarios.
 
 Grey is the size of the environment's force at t = 0, lines are trajectories without
 observation noise, dots their starts.
 """
 
-import io
-import sys
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from docs.figures.workshop import Workshop
 from jaxtyping import Array, Float, PRNGKeyArray
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from PIL import Image
 
 from pinav.arguments import State
 from pinav.dynamics import BrownianSwimmer, FixedStep, rollout, sample_path
@@ -78,19 +76,11 @@ def draw_medium(drag: Any, grid: Float[Array, "row column 2"], ax: Axes) -> None
         ax.quiver(x[coarse], y[coarse], flow[..., 0], flow[..., 1], **look)
 
 
-def main(path: str) -> None:
-    """Draw all planar scenarios into a file."""
-    jax.config.update("jax_enable_x64", val=True)
-    figure = Figure(figsize=(8.2, 8.4), layout="constrained")
+def figure(workshop: Workshop) -> Figure:
+    """All planar scenarios; no run is needed."""
+    del workshop
+    drawn = Figure(figsize=(8.2, 8.4), layout="constrained")
     systems = [system for name in SCENARIOS if (system := scenario(name)).dim == 2]
-    for system, ax in zip(systems, figure.subplots(4, 4).flat, strict=True):
+    for system, ax in zip(systems, drawn.subplots(4, 4).flat, strict=True):
         draw(system, ax)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, dpi=90)
-    picture = Image.open(buffer).convert("RGB")  # few colours make a small file
-    picture.quantize(48, dither=Image.Dither.NONE).save(path, optimize=True)
-    print(path)
-
-
-if __name__ == "__main__":
-    main(sys.argv[1])
+    return drawn
