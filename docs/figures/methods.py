@@ -144,8 +144,8 @@ def evaluation(workshop: Workshop) -> Figure:
         above.stairs(errors, edges, label=name, **look)
         arrays = read(folder, "evaluation.npz")
         curves[name] = ErrorCurve.from_arrays(arrays, "curve/model/clean starts")
-        physics = ErrorCurve.from_arrays(arrays, "curve/physics-only/clean starts")
-    curves["physics only"] = physics
+        physics = "curve/physics-only/clean starts"
+        curves["physics only"] = ErrorCurve.from_arrays(arrays, physics)
     above.set(yscale="log")
     above.tick_params(which="both", labelsize=SMALL)
     for distance in (0.35, 1.0):
@@ -177,11 +177,11 @@ def analysis(workshop: Workshop) -> Figure:
     folder = swirl(workshop, "kernel-mixture")
     workshop.once(folder / "analysis.npz", "analyse", folder.name)
     arrays, path = read(folder, "analysis.npz"), observed_paths(folder)
-    names = ("x", "y", "force", "distance")
-    field = FieldMap(*(arrays[name] for name in names))
+    x, y, force, distance = (arrays[n] for n in ("x", "y", "force", "distance"))
+    field = FieldMap(x, y, force, distance)
     figure = new_figure(WIDTH, 6.2)
     axes = np.ravel(figure.subplots(2, 2))
-    top = largest_near(np.linalg.norm(arrays["force"], axis=-1), field)
+    top = largest_near(np.linalg.norm(force, axis=-1), field)
     for ax, letter, part in zip(axes, "ab", ("gradient", "rotational"), strict=False):
         shown = field.showing(arrays[f"split/{part}"])
         force_map(shown, path=path, limit=top, ax=ax)
@@ -230,8 +230,8 @@ def adaptive(workshop: Workshop) -> Figure:
     times, step = arrays["moments/time"], float(arrays["step"])
     course, path = Course(arrays), arrays["path/visit 1/0"]
     limit = float(np.linalg.norm(arrays["field/true"], axis=-1).max())
-    chosen = np.linspace(0, len(times) - 1, 3).round().astype(int)
-    figure = new_figure(WIDTH, 5.0)
+    chosen = np.linspace(1, len(times) - 1, 3).round().astype(int)
+    figure = new_figure(WIDTH, 4.2)
     axes = figure.subplots(2, 3)
     for column, k in zip(axes.T, chosen, strict=True):
         mean, sd = arrays["moments/mean"][k], arrays["moments/sd"][k]
@@ -241,6 +241,9 @@ def adaptive(workshop: Workshop) -> Figure:
         paths_map(field, course, {"visit 1": [so_far]}, limit=limit, ax=column[0])
         spread_map(field, sd, course, thrust=1.0, route=so_far, ax=column[1])
         title_panel(column[0], f"t = {float(times[k]):.2g}")
+        if k != chosen[0]:
+            for ax in column:
+                ax.set_ylabel("")
     return figure
 
 
@@ -255,6 +258,8 @@ def thermal(workshop: Workshop) -> Figure:
     probe_curves(times, arrays["predicted"], places, readings=(times, values), ax=above)
     prefix = "law/tissue/"
     law = {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
+    above.set_ylim(top=49.5)
+    add_legend(above, columns=4, loc="upper left")
     perfusion_law(law, ax=below)
     add_legend(below)
     title_panel(above, "(a) seven probes along the radius, readings and fit")

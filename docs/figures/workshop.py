@@ -12,6 +12,9 @@ from PIL import Image
 COLOURS = 128
 """Of a picture: as many as its maps need to show no steps."""
 
+LARGEST = 60_000
+"""Bytes, above which a coarser choice of colours is tried."""
+
 DPI = 135
 """A figure 4.6 inches wide is then 621 pixels wide."""
 
@@ -57,7 +60,7 @@ class Workshop:
 
 
 def save_picture(drawn: Figure | Path, path: Path) -> None:
-    """Write a figure, or the picture of a run, as a PNG of few colours."""
+    """Write a figure, or the picture of a run, as a small PNG of few colours."""
     source: io.BytesIO | Path
     if isinstance(drawn, Figure):
         source = io.BytesIO()
@@ -67,7 +70,8 @@ def save_picture(drawn: Figure | Path, path: Path) -> None:
     with Image.open(source) as opened:
         flat = Image.new("RGB", opened.size, (255, 255, 255))
         flat.paste(opened, mask=opened.getchannel("A") if "A" in opened.mode else None)
-    # The octree keeps the steps of a colour map even; the median cut does not.
-    octree, plain = Image.Quantize.FASTOCTREE, Image.Dither.NONE
-    small = flat.quantize(COLOURS, method=octree, dither=plain)
-    small.save(path, optimize=True)
+    for method in (Image.Quantize.MEDIANCUT, Image.Quantize.FASTOCTREE):
+        small = flat.quantize(COLOURS, method=method, dither=Image.Dither.NONE)
+        small.save(path, optimize=True)
+        if path.stat().st_size < LARGEST:
+            break
