@@ -33,6 +33,7 @@ from pinav.fitting.environments.kernels import (
     changing_environment,
     kernel_environment,
 )
+from pinav.fitting.environments.profiles import MobilitySummary, ProfileSummary
 from pinav.fitting.environments.terms import (
     TermSummary,
     summarise_terms,
@@ -46,6 +47,7 @@ from pinav.forces import (
     KernelForce,
     KernelMixture,
     KernelPotential,
+    KernelProfile,
     LinearDrag,
     NeuralForce,
     NeuralPotential,
@@ -131,6 +133,8 @@ class DataSummary(msgspec.Struct, frozen=True):
         kernel_width: of these kernels [L].
         change: the part that changes with time, where the model has one.
         terms: with a structure, beside the kernels.
+        profile: a force in coordinates of its own, where the model is one.
+        mobility: where it is learned.
     """
 
     dim: int
@@ -140,6 +144,8 @@ class DataSummary(msgspec.Struct, frozen=True):
     kernel_width: float
     change: Change | None = None
     terms: tuple[TermSummary, ...] = ()
+    profile: ProfileSummary | None = None
+    mobility: MobilitySummary | None = None
 
     def with_kernels_of(self, environment: AbstractForce) -> "DataSummary":
         """The summary of a fitted model, whose kernels may be finer than at first."""
@@ -250,6 +256,8 @@ def build(
         )
     if CONSTANTS["drag"] in choice.paths().values():
         swimmer = with_tensor_drag(swimmer, summary)
+    if summary.mobility is not None:
+        swimmer = dataclasses.replace(swimmer, mobility=summary.mobility.mobility())
     model = MODELS[choice.name](choice, swimmer, summary)
     return with_terms(model, summary.terms)
 
@@ -271,6 +279,12 @@ def _kernels(
             np.asarray(summary.centers), summary.kernel_width
         )
     )
+
+
+def _profile(choice: ModelChoice, summary: DataSummary) -> KernelProfile:
+    if summary.profile is None:
+        raise InputError(f"model {choice.name}: its summary has no coordinates")
+    return summary.profile.profile(summary.dim)
 
 
 def _changing_potential(choice: ModelChoice, summary: DataSummary) -> ChangingPotential:
@@ -332,6 +346,9 @@ POSITION_NETWORKS = ("neural-potential", "neural-force", "ude")
 TIMED = "kernel-potential-time"
 """The model whose environment changes with time and has a prior."""
 
+PROFILE = "kernel-profile"
+"""The model whose force depends on some coordinates alone."""
+
 MODELS: dict[str, Builder] = {
     "kernel-potential": _kernels(KernelPotential),
     "kernel-force": _kernels(KernelForce),
@@ -342,6 +359,7 @@ MODELS: dict[str, Builder] = {
     "ude": _in_environment(_timed_network),
     "physics-only": _in_environment(lambda choice, summary: ZeroForce()),
     "nn-only": _black_box,
+    PROFILE: _in_environment(_profile),
     "paper-ude": _in_environment(
         lambda choice, summary: paper_force(jax.random.key(choice.seed))
     ),
