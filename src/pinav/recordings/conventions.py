@@ -169,7 +169,7 @@ def in_words(provenance: Mapping[str, Any]) -> list[str]:
     commands = provenance["commands"]
     said = [
         f"positions in {positions['unit in the file']}"
-        + (f", times {positions['scale']:g}" if positions["scale"] != 1 else "")
+        + (f", multiplied by {positions['scale']:g}" if positions["scale"] != 1 else "")
         + (", y flipped to point up" if positions["y flipped"] else ", y as it is"),
         f"times from frames at {times['fps']:g} per second"
         if times["fps"]
