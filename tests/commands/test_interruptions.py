@@ -53,8 +53,10 @@ def test_an_interrupt_ends_in_one_line_at_any_moment(moment, data, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_reader_that_leaves_a_pipe_is_no_error():
-    command = f"{sys.executable} -m pinav fit --help"
+@pytest.mark.parametrize("words", ["fit --help", "report run"])
+def test_a_reader_that_leaves_a_pipe_is_no_error(words, fitted_run):
+    run, _ = fitted_run("network")
+    command = f"cd {run.parent}; {sys.executable} -m pinav {words}"
     done = subprocess.run(
         ["bash", "-c", f"{command} | head -0"], capture_output=True, text=True
     )
