@@ -4,7 +4,6 @@ import os
 import shutil
 import subprocess
 import sys
-import types
 
 import jax
 import numpy as np
@@ -14,6 +13,7 @@ from pinav import cli
 from pinav.commands.fit import plan
 from pinav.commands.system_choice import choose_system
 from pinav.errors import InputError
+from pinav.fitting.environments.catalogue import DataSummary
 from pinav.trajectories import Trajectories
 
 
@@ -57,7 +57,7 @@ def test_data_too_large_for_the_memory_are_refused_before_they_are_fitted(monkey
     data = Trajectories.from_arrays(
         [np.arange(1000.0)], [np.zeros((1000, 2))], channels=("x", "y")
     )
-    summary = types.SimpleNamespace(centers=[(0.0, 0.0)] * 300, dim=2)
+    summary = DataSummary(2, (0.0,), (1.0,), [[0.0, 0.0]] * 300, 1.0)
     plan.check_memory(data, summary)
     monkeypatch.setattr(plan, "free_memory", lambda: 1e6)
     with pytest.raises(InputError, match="1000 samples and 600 weights need about"):
