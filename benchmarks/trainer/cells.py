@@ -35,6 +35,8 @@ class Measurement(msgspec.Struct, frozen=True):
         seed: of the network.
         rmse: of rollouts from the true starts, all states; infinite when diverged.
         seconds: of the fit, compilation included.
+        processor_seconds: of all threads of the process meanwhile, which other work on
+            the machine hardly changes.
         outcome: the word for how the fit ended.
         encounter: what the first trajectory does.
         form: of the potential.
@@ -46,6 +48,7 @@ class Measurement(msgspec.Struct, frozen=True):
     seed: int
     rmse: float
     seconds: float
+    processor_seconds: float
     outcome: str
     encounter: str
     form: str
@@ -124,10 +127,10 @@ def measure(cell: Cell, folder: Path) -> None:
     if column == "noisy-kernel":
         noisy = eqx.tree_at(lambda s: s.observation.noise, drawn.system, NOISE)
         data = simulate(noisy, key=jax.random.key(key))
-    start = time.perf_counter()
+    start, spent = time.perf_counter(), time.process_time()
     model, outcome = COLUMNS[column](drawn, data, seed)
     jax.block_until_ready(eqx.filter(model, eqx.is_array))
-    seconds = time.perf_counter() - start
+    seconds, spent = time.perf_counter() - start, time.process_time() - spent
     rmse = score(*predict(model, clean), clean).total
     write_measurement(
         folder,
@@ -137,6 +140,7 @@ def measure(cell: Cell, folder: Path) -> None:
             seed=seed,
             rmse=rmse if jnp.isfinite(rmse) else 1e300,
             seconds=seconds,
+            processor_seconds=spent,
             outcome=outcome,
             encounter=drawn.encounter,
             form=drawn.form,

@@ -23,6 +23,7 @@ from pinav.forces.force import AbstractCommandedForce as AbstractCommandedForce
 from pinav.forces.force import AbstractForce as AbstractForce
 from pinav.forces.force import AbstractLearnedForce as AbstractLearnedForce
 from pinav.forces.force import AbstractPotentialForce as AbstractPotentialForce
+from pinav.forces.force import KernelPlaces as KernelPlaces
 from pinav.forces.force import SumForce as SumForce
 from pinav.forces.force import ZeroForce as ZeroForce
 from pinav.forces.force import as_learned_force as as_learned_force
@@ -43,6 +44,7 @@ from pinav.forces.kernels import KernelStream as KernelStream
 from pinav.forces.kernels import check_kernels as check_kernels
 from pinav.forces.kernels import kernel_centers as kernel_centers
 from pinav.forces.kernels import kernel_values as kernel_values
+from pinav.forces.layered_kernels import LayeredPotential as LayeredPotential
 from pinav.forces.landscapes import CompactHill as CompactHill
 from pinav.forces.landscapes import LinearForce as LinearForce
 from pinav.forces.landscapes import PlaneWaves as PlaneWaves
