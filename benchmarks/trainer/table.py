@@ -84,7 +84,8 @@ def line(one: Measurement) -> str:
 
 def summary(measurements: Sequence[Measurement]) -> str:
     """Quantiles of the errors and times of each column."""
-    head = ("column", "fits", "median", "90 %", "95 %", "worst", "time", "worst time", "processor")
+    errors, times = ("median", "90 %", "95 %", "worst"), ("time", "worst time")
+    head = ("column", "fits", *errors, *times, "processor")
     lines = [f"{head[0]:<13}" + "".join(f"{word:>11}" for word in head[1:])]
     for column in dict.fromkeys(one.column for one in measurements):
         chosen = [one for one in measurements if one.column == column]

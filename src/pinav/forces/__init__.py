@@ -44,13 +44,13 @@ from pinav.forces.kernels import KernelStream as KernelStream
 from pinav.forces.kernels import check_kernels as check_kernels
 from pinav.forces.kernels import kernel_centers as kernel_centers
 from pinav.forces.kernels import kernel_values as kernel_values
-from pinav.forces.layered_kernels import LayeredPotential as LayeredPotential
 from pinav.forces.landscapes import CompactHill as CompactHill
 from pinav.forces.landscapes import LinearForce as LinearForce
 from pinav.forces.landscapes import PlaneWaves as PlaneWaves
 from pinav.forces.landscapes import PowerHill as PowerHill
 from pinav.forces.landscapes import RingBarrier as RingBarrier
 from pinav.forces.landscapes import SoftWall as SoftWall
+from pinav.forces.layered_kernels import LayeredPotential as LayeredPotential
 from pinav.forces.magnetics import DipolePull as DipolePull
 from pinav.forces.magnetics import InductionPull as InductionPull
 from pinav.forces.magnetics import MagneticFieldTable as MagneticFieldTable

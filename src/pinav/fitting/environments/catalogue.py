@@ -227,9 +227,7 @@ def summarise_for_matching(
     )
 
 
-def _with_layers(
-    summary: DataSummary, layers: tuple[KernelPlaces, ...]
-) -> DataSummary:
+def _with_layers(summary: DataSummary, layers: tuple[KernelPlaces, ...]) -> DataSummary:
     first, *finer = (
         KernelLayer(np.asarray(layer.centers).tolist(), float(layer.width))
         for layer in layers
