@@ -13,8 +13,9 @@ import msgspec
 from benchmarks._sweep import write_measurement
 from benchmarks.trainer.systems import BenchmarkSystem, benchmark_system
 from pinav.commands.matching import CurriculumSettings, matching
+from pinav.dynamics import Swimmer
 from pinav.evaluation import predict, score
-from pinav.fitting import fit_bayes, kernel_environment
+from pinav.fitting import Outcome, confirm, diagnose, fit_bayes, kernel_environment
 from pinav.fitting.environments.catalogue import (
     ModelChoice,
     build,
@@ -41,6 +42,7 @@ class Measurement(msgspec.Struct, frozen=True):
         encounter: what the first trajectory does.
         form: of the potential.
         width: of the potential [L].
+        cause: of an error above `FAILED`, as `diagnose` tells it.
     """
 
     key: int
@@ -53,10 +55,20 @@ class Measurement(msgspec.Struct, frozen=True):
     encounter: str
     form: str
     width: float
+    cause: str = ""
 
 
-def _by_matching(model: str, recipe: str) -> Callable[..., tuple[Any, str]]:
-    def run(drawn: BenchmarkSystem, data: Trajectories, seed: int) -> tuple[Any, str]:
+FAILED = 1e-2
+"""Error of a fit whose cause is looked for."""
+
+
+Ending = tuple[Any, Outcome, float]
+"""A fitted model, how its fit ended, and the residual of its own rollouts, which is
+infinite where noise decides it."""
+
+
+def _by_matching(model: str, recipe: str) -> Callable[..., Ending]:
+    def run(drawn: BenchmarkSystem, data: Trajectories, seed: int) -> Ending:
         choice = ModelChoice(model, seed=seed)
         known: Any = drawn.system.swimmer
         summary = summarise_for_matching(choice, known, data)
@@ -67,22 +79,21 @@ def _by_matching(model: str, recipe: str) -> Callable[..., tuple[Any, str]]:
             data,
             trainable=learned_part,
         )
-        return result.model, str(result.outcome)
+        residual = float((result.losses[-1] / data.num_observed) ** 0.5)
+        return result.model, result.outcome, residual
 
     return run
 
 
-def _by_evidence(
-    drawn: BenchmarkSystem, data: Trajectories, seed: int
-) -> tuple[Any, str]:
+def _by_evidence(drawn: BenchmarkSystem, data: Trajectories, seed: int) -> Ending:
     del seed
     known: Any = drawn.system.swimmer
     model = known.with_environment(kernel_environment(KernelPotential, data))
     result = fit_bayes(model, data, throw=False)
-    return result.model, str(result.outcome)
+    return result.model, result.outcome, float("inf")
 
 
-COLUMNS: dict[str, Callable[..., tuple[Any, str]]] = {
+COLUMNS: dict[str, Callable[..., Ending]] = {
     "network": _by_matching("ude", "curriculum"),
     "kernel": _by_matching("kernel-potential", "curriculum"),
     "black-box": _by_matching("nn-only", "curriculum"),
@@ -128,10 +139,11 @@ def measure(cell: Cell, folder: Path) -> None:
         noisy = eqx.tree_at(lambda s: s.observation.noise, drawn.system, NOISE)
         data = simulate(noisy, key=jax.random.key(key))
     start, spent = time.perf_counter(), time.process_time()
-    model, outcome = COLUMNS[column](drawn, data, seed)
+    model, outcome, residual = COLUMNS[column](drawn, data, seed)
     jax.block_until_ready(eqx.filter(model, eqx.is_array))
     seconds, spent = time.perf_counter() - start, time.process_time() - spent
     rmse = score(*predict(model, clean), clean).total
+    outcome = confirm(outcome, residual, rmse, float(clean.states.std()))
     write_measurement(
         folder,
         Measurement(
@@ -141,9 +153,15 @@ def measure(cell: Cell, folder: Path) -> None:
             rmse=rmse if jnp.isfinite(rmse) else 1e300,
             seconds=seconds,
             processor_seconds=spent,
-            outcome=outcome,
+            outcome=str(outcome),
             encounter=drawn.encounter,
             form=drawn.form,
             width=drawn.width,
+            cause=_cause(model, clean) if not rmse <= FAILED else "",
         ),
     )
+
+
+def _cause(model: Any, data: Trajectories) -> str:
+    cause = diagnose(model, data) if isinstance(model, Swimmer) else None
+    return "" if cause is None else cause.name.lower()

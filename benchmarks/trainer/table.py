@@ -79,7 +79,7 @@ def line(one: Measurement) -> str:
     name = f"{one.key:>3} {one.encounter:<6}{one.form:<9}{one.width:>5.2f}"
     fit = f"{one.column:<13}{one.seed:>3}{one.rmse:>10.1e}{one.seconds:>7.1f} s"
     fit += f"{one.processor_seconds:>7.1f} s"
-    return f"{name}  {fit}  {one.outcome}"
+    return f"{name}  {fit}  {one.outcome} {one.cause}".rstrip()
 
 
 def summary(measurements: Sequence[Measurement]) -> str:

@@ -27,6 +27,13 @@ def test_fit_learns_and_reports_what_was_asked(tiny_fit):
     assert metrics["learned"]["damping"]["sd"] is None
 
 
+def test_a_fit_of_a_few_steps_says_why_it_misses_the_data(tiny_fit):
+    run, _ = tiny_fit
+    remarks = RunFolder.open(run).read_json("metrics.json")["remarks"]
+    (sentence,) = [remark for remark in remarks if "likely cause" in remark]
+    assert "raise --max-steps" in sentence
+
+
 @pytest.mark.slow
 def test_evaluate_scores_the_stored_model(tiny_fit, capsys):
     run, data = tiny_fit

@@ -23,7 +23,6 @@ from pinav.forces.force import AbstractCommandedForce as AbstractCommandedForce
 from pinav.forces.force import AbstractForce as AbstractForce
 from pinav.forces.force import AbstractLearnedForce as AbstractLearnedForce
 from pinav.forces.force import AbstractPotentialForce as AbstractPotentialForce
-from pinav.forces.force import KernelPlaces as KernelPlaces
 from pinav.forces.force import SumForce as SumForce
 from pinav.forces.force import ZeroForce as ZeroForce
 from pinav.forces.force import as_learned_force as as_learned_force

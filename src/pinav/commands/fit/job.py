@@ -34,6 +34,7 @@ from pinav.commands.system_choice import (
     choose_system,
     write_system_of,
 )
+from pinav.dynamics import Swimmer
 from pinav.errors import FitError
 from pinav.evaluation import (
     FieldMap,
@@ -46,6 +47,8 @@ from pinav.evaluation import (
 from pinav.fitting import (
     EvidenceFit,
     Outcome,
+    confirm,
+    diagnose,
     fit_bayes,
     fit_structured,
     is_worth_a_search,
@@ -211,11 +214,13 @@ def _metrics(
     }
     if evidence is None:
         losses = read_losses("model", fitted.folder)
-        curve, outcome = losses.values[0], losses.outcomes[0]
+        curve = losses.values[0]
+        outcome = _confirmed(losses.outcomes[0], float(curve[-1]), plan, rmse)
         return FitMetrics(
             outcome=outcome,
             remarks=(
                 *_remarks(outcome),
+                *_cause(plan, fitted.model, outcome, rmse),
                 *_simpler(plan, outcome, rmse),
                 *remarks(plan.data),
             ),
@@ -242,6 +247,34 @@ def _metrics(
 
 def _remarks(outcome: str) -> tuple[str, ...]:
     return (REMARKS[outcome],) if outcome in REMARKS else ()
+
+
+def _confirmed(outcome: str, loss: float, plan: FitPlan, rmse: dict[str, float]) -> str:
+    """The word for how a fit ended, which its independent rollouts confirm."""
+    if outcome != str(Outcome.CONVERGED):
+        return outcome
+    residual = float(np.sqrt(loss / plan.data.num_observed))
+    confirmed = confirm(Outcome.CONVERGED, residual, rmse["total"], _spread(plan))
+    return str(confirmed)
+
+
+def _cause(
+    plan: FitPlan, model: Any, outcome: str, rmse: dict[str, float]
+) -> tuple[str, ...]:
+    """Why a fit that misses the data failed, where the data tell it."""
+    close = rmse["total"] <= FAILED * _spread(plan)
+    if outcome == str(Outcome.CONVERGED) or close or not isinstance(model, Swimmer):
+        return ()
+    cause = diagnose(model, plan.data)
+    return () if cause is None else (f"The likely cause of the failure: {cause}.",)
+
+
+def _spread(plan: FitPlan) -> float:
+    return float(np.std(plan.data.states[plan.data.observed]))
+
+
+FAILED = 1e-3
+"""Error of rollouts, in units of the spread of the data, whose cause is looked for."""
 
 
 def _simpler(plan: FitPlan, outcome: str, rmse: dict[str, float]) -> tuple[str, ...]:

@@ -28,6 +28,7 @@ from pinav.fitting.environments.gradient_matching import (
     match_potential,
     observed_rates,
 )
+from pinav.fitting.environments.kernel_layers import Layer
 from pinav.fitting.environments.kernels import (
     WITHOUT_PRIOR,
     KernelGrid,
@@ -46,7 +47,6 @@ from pinav.forces import (
     CholeskyTensor,
     KernelForce,
     KernelMixture,
-    KernelPlaces,
     KernelPotential,
     LayeredPotential,
     LinearDrag,
@@ -227,10 +227,9 @@ def summarise_for_matching(
     )
 
 
-def _with_layers(summary: DataSummary, layers: tuple[KernelPlaces, ...]) -> DataSummary:
+def _with_layers(summary: DataSummary, layers: tuple[Layer, ...]) -> DataSummary:
     first, *finer = (
-        KernelLayer(np.asarray(layer.centers).tolist(), float(layer.width))
-        for layer in layers
+        KernelLayer(layer.centers.tolist(), layer.width) for layer in layers
     )
     return msgspec.structs.replace(
         summary, centers=first.centers, kernel_width=first.width, finer=tuple(finer)

@@ -22,10 +22,10 @@ from jaxtyping import Array, Bool, Float
 
 from pinav.dynamics import AbstractDynamics, Swimmer
 from pinav.fitting.environments.force_regression import force_columns, regress
-from pinav.fitting.environments.kernel_layers import lay_layers
+from pinav.fitting.environments.kernel_layers import Layer, lay_layers
 from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
 from pinav.fitting.matching.distillation import Rates
-from pinav.forces import KernelForce, KernelPlaces, KernelPotential, ZeroForce
+from pinav.forces import KernelForce, KernelPotential, ZeroForce
 from pinav.trajectories import Trajectories, informative_rows
 
 DEGREE = 7
@@ -42,7 +42,7 @@ GOOD_ENOUGH = 1e-6
 """Relative error of held-out samples that needs no finer kernels."""
 
 
-def observed_rates(trajectories: Trajectories) -> Rates | None:
+def observed_rates(trajectories: Trajectories, degree: int = DEGREE) -> Rates | None:
     """Rates of all complete samples by splines; None where there are too few."""
     from scipy.interpolate import make_interp_spline  # a tenth of all imports
 
@@ -50,8 +50,8 @@ def observed_rates(trajectories: Trajectories) -> Rates | None:
     for one in trajectories:
         complete = one.observed.all(axis=1)
         times, states = one.times[complete], one.states[complete]
-        if len(times) > DEGREE:
-            spline = make_interp_spline(times, states, k=DEGREE)
+        if len(times) > degree:
+            spline = make_interp_spline(times, states, k=degree)
             parts.append(Rates(times, states, spline(times, nu=1)))
     if not parts:
         return None
@@ -79,7 +79,7 @@ def match_kernels(swimmer: Swimmer, rates: Rates) -> KernelPotential | KernelFor
     return _fit_grid(best, samples)
 
 
-def match_potential(swimmer: Swimmer, rates: Rates) -> tuple[KernelPlaces, ...]:
+def match_potential(swimmer: Swimmer, rates: Rates) -> tuple[Layer, ...]:
     """Kernels of a potential for the force that the known physics leave unexplained.
 
     A grid of one width as `match_kernels` chooses it, where one explains the force; a
@@ -91,9 +91,9 @@ def match_potential(swimmer: Swimmer, rates: Rates) -> tuple[KernelPlaces, ...]:
     """
     samples = _ForceSamples.of(swimmer, rates)
     best = _choose(_try_grids((KernelPotential,), samples))
-    if best.within > EXPLAINED:
+    if best.within > ONE_WIDTH:
         return lay_layers(samples.positions, samples.forces)
-    return (_fit_grid(best, samples).kernels,)
+    return (Layer(*surround_with_kernels(samples.places, _finer(best.grid))),)
 
 
 class _ForceSamples(NamedTuple):
@@ -112,7 +112,7 @@ class _ForceSamples(NamedTuple):
     @classmethod
     def of(cls, swimmer: Swimmer, rates: Rates) -> "_ForceSamples":
         dim = rates.states.shape[1] // 2
-        forces = _residual_forces(swimmer, rates)
+        forces = residual_forces(swimmer, rates)
         acting = _where_a_force_acts(forces)
         parts = [np.flatnonzero(acting), np.flatnonzero(~acting)]
         kept = np.concatenate(
@@ -152,8 +152,8 @@ def _try_grids(
 
 def _fit_grid(best: "_Trial", samples: _ForceSamples) -> KernelPotential | KernelForce:
     """Kernels of a trial, a little finer, fitted to all samples."""
-    kind, grid = best.kind, _grid(round(FINER * best.grid.across))
-    centers, width = surround_with_kernels(samples.places, grid)
+    kind = best.kind
+    centers, width = surround_with_kernels(samples.places, _finer(best.grid))
     columns = force_columns(kind, samples.positions, centers, width)
     weights = regress(columns, samples.forces)
     shape = _shape(kind, centers)
@@ -216,12 +216,21 @@ def _grid(across: int) -> KernelGrid:
     return KernelGrid(across, width=1.5, margin=2.0)
 
 
+def _finer(grid: KernelGrid) -> KernelGrid:
+    return _grid(round(FINER * grid.across))
+
+
 FINER = 4 / 3
 """Rates by splines are less exact than trajectories, which ask for finer kernels."""
 
 TELLING, EXPLAINED = 0.05, 1e-5
 """Relative error of held-out samples above which they cannot judge a grid, and that of
 the others at which they are explained."""
+
+
+ONE_WIDTH = 2e-5
+"""Relative error of the samples that enter a regression above which kernels of one
+width do not explain them; the errors of splines are mostly below."""
 
 
 class ForceRegion(NamedTuple):
@@ -251,7 +260,7 @@ def force_region(swimmer: Swimmer, rates: Rates) -> ForceRegion | None:
     """
     rates = _thin(rates, MOST_SAMPLES)
     positions = rates.states[:, : rates.states.shape[1] // 2]
-    sizes = np.linalg.norm(_residual_forces(swimmer, rates), axis=1)
+    sizes = np.linalg.norm(residual_forces(swimmer, rates), axis=1)
     spread = float(np.sqrt(positions.var(axis=0).mean()))
     if not (sizes.max() > ROUNDING * np.abs(rates.rates).max() and spread > 0):
         return None
@@ -331,7 +340,8 @@ TUBE = 0.25
 """Distance of the nearer positions beside the paths, in widths of a kernel."""
 
 
-def _residual_forces(swimmer: Swimmer, rates: Rates) -> Float[np.ndarray, "point dim"]:
+def residual_forces(swimmer: Swimmer, rates: Rates) -> Float[np.ndarray, "point dim"]:
+    """The force at each sample that the known physics leave unexplained."""
     known = swimmer.with_environment(ZeroForce())
     explained = _rates_of(known, rates.times, rates.states)
     return (rates.rates - explained)[:, rates.states.shape[1] // 2 :]

@@ -4,11 +4,13 @@ A grid of one width serves a hill that ends. One with a long tail acts wherever 
 swimmer goes, and a grid that is fine enough for its flanks has thousands of kernels.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float, Int
 
 from pinav.fitting.environments.force_regression import force_columns, regress
-from pinav.forces import KernelPlaces, KernelPotential, kernel_centers
+from pinav.forces import KernelPotential, kernel_centers
 
 ACROSS, WIDTH, MARGIN = 6, 1.5, 2.0
 """Intervals of the widest layer along the extent of the positions; width of a kernel
@@ -25,9 +27,21 @@ SHARE = 0.3
 Others may miss because these do."""
 
 
+class Layer(NamedTuple):
+    """Kernels of one width.
+
+    Attributes:
+        centers: of the kernels [L].
+        width: of the kernels [L].
+    """
+
+    centers: Float[np.ndarray, "kernel dim"]
+    width: float
+
+
 def lay_layers(
     positions: Float[np.ndarray, "point dim"], forces: Float[np.ndarray, "point dim"]
-) -> tuple[KernelPlaces, ...]:
+) -> tuple[Layer, ...]:
     """Layers of kernels, each half as wide as the one before.
 
     Each layer surrounds the positions whose force the wider ones leave unexplained.
@@ -54,12 +68,12 @@ def lay_layers(
 
 def _layers_around(
     positions: Float[np.ndarray, "point dim"], levels: Int[np.ndarray, " point"]
-) -> tuple[KernelPlaces, ...]:
+) -> tuple[Layer, ...]:
     """Kernels of every level around the positions of this level or of finer ones."""
     extent = float(np.ptp(positions, axis=0).max())
     spacings = [extent / ACROSS / 2.0**level for level in range(levels.max() + 1)]
     return tuple(
-        KernelPlaces(
+        Layer(
             kernel_centers(
                 positions[levels >= level], spacing=spacing, margin=MARGIN * spacing
             ),
@@ -70,7 +84,7 @@ def _layers_around(
 
 
 def _errors(
-    layers: tuple[KernelPlaces, ...],
+    layers: tuple[Layer, ...],
     positions: Float[np.ndarray, "point dim"],
     forces: Float[np.ndarray, "point dim"],
 ) -> Float[np.ndarray, " point"]:
