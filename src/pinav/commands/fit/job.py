@@ -61,6 +61,7 @@ from pinav.identification.numbers import BLOCK_NOISE
 from pinav.recordings.conventions import remarks
 from pinav.runs import RunFolder
 from pinav.scenarios import source_system
+from pinav.trajectories import Trajectories
 
 REMARKS = {
     str(Outcome.STALLED): (
@@ -215,12 +216,12 @@ def _metrics(
     if evidence is None:
         losses = read_losses("model", fitted.folder)
         curve = losses.values[0]
-        outcome = _confirmed(losses.outcomes[0], float(curve[-1]), plan, rmse)
+        outcome = _confirmed(losses.outcomes[0], float(curve[-1]), plan.data, rmse)
         return FitMetrics(
             outcome=outcome,
             remarks=(
                 *_remarks(outcome),
-                *_cause(plan, fitted.model, outcome, rmse),
+                *_cause(plan.data, fitted.model, outcome, rmse),
                 *_simpler(plan, outcome, rmse),
                 *remarks(plan.data),
             ),
@@ -249,28 +250,30 @@ def _remarks(outcome: str) -> tuple[str, ...]:
     return (REMARKS[outcome],) if outcome in REMARKS else ()
 
 
-def _confirmed(outcome: str, loss: float, plan: FitPlan, rmse: dict[str, float]) -> str:
+def _confirmed(
+    outcome: str, loss: float, data: Trajectories, rmse: dict[str, float]
+) -> str:
     """The word for how a fit ended, which its independent rollouts confirm."""
     if outcome != str(Outcome.CONVERGED):
         return outcome
-    residual = float(np.sqrt(loss / plan.data.num_observed))
-    confirmed = confirm(Outcome.CONVERGED, residual, rmse["total"], _spread(plan))
-    return str(confirmed)
+    residual = float(np.sqrt(loss / data.num_observed))
+    total, spread = rmse["total"], _spread(data)
+    return str(confirm(Outcome.CONVERGED, residual, total, spread))
 
 
 def _cause(
-    plan: FitPlan, model: Any, outcome: str, rmse: dict[str, float]
+    data: Trajectories, model: Any, outcome: str, rmse: dict[str, float]
 ) -> tuple[str, ...]:
     """Why a fit that misses the data failed, where the data tell it."""
-    close = rmse["total"] <= FAILED * _spread(plan)
+    close = rmse["total"] <= FAILED * _spread(data)
     if outcome == str(Outcome.CONVERGED) or close or not isinstance(model, Swimmer):
         return ()
-    cause = diagnose(model, plan.data)
+    cause = diagnose(model, data)
     return () if cause is None else (f"The likely cause of the failure: {cause}.",)
 
 
-def _spread(plan: FitPlan) -> float:
-    return float(np.std(plan.data.states[plan.data.observed]))
+def _spread(data: Trajectories) -> float:
+    return float(np.std(data.states[data.observed]))
 
 
 FAILED = 1e-3
