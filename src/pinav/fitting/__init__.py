@@ -51,6 +51,7 @@ from pinav.fitting.langevin import ReferencePath as ReferencePath
 from pinav.fitting.langevin import SlowReference as SlowReference
 from pinav.fitting.langevin import fit_langevin as fit_langevin
 from pinav.fitting.langevin import judge_increments as judge_increments
+from pinav.fitting.langevin import slow_reference as slow_reference
 from pinav.fitting.matching.attempts import fit_in_turns as fit_in_turns
 from pinav.fitting.matching.defects import DefectMatching as DefectMatching
 from pinav.fitting.matching.distillation import Distillation as Distillation

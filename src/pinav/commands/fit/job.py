@@ -34,13 +34,15 @@ from pinav.commands.system_choice import (
     choose_system,
     write_system_of,
 )
-from pinav.dynamics import Swimmer
+from pinav.dynamics import AbstractDynamics, Swimmer
 from pinav.errors import FitError
 from pinav.evaluation import (
     FieldMap,
     default_regions,
     field_map,
+    force_error_at_samples,
     force_errors,
+    force_line,
     predict,
     score,
 )
@@ -125,10 +127,13 @@ def fit(plan: FitPlan, folder: RunFolder) -> FitMetrics:
     }
     fields: dict[str, FieldMap] = {}
     if isinstance(fitted.model, KnownSwimmer):
-        fields = _fields(fitted.model, plan)
-        arrays |= _field_arrays(fields)
-        if fitted.posterior is not None:
-            arrays["field/sd"] = fitted.force_sd(fields["learned"])
+        if plan.data.dim == 2:
+            fields = _fields(fitted.model, plan)
+            arrays |= _field_arrays(fields)
+            if fitted.posterior is not None:
+                arrays["field/sd"] = fitted.force_sd(fields["learned"])
+        else:
+            arrays |= _line_arrays(fitted, plan)
         arrays |= profile_arrays(fitted)
     folder.write_arrays("results.npz", arrays)
     rmse = score(predictions, outcomes, plan.data).by_name()
@@ -211,7 +216,7 @@ def _metrics(
         "recipe": plan.settings.recipe,
         "rmse": rmse,
         "learned": learned,
-        "force_error": _force_errors(fields, plan),
+        "force_error": _force_errors(fitted.model, fields, plan),
     }
     if evidence is None:
         losses = read_losses("model", fitted.folder)
@@ -303,19 +308,51 @@ FAR_BETTER = 3.0
 def _fields(model: KnownSwimmer, plan: FitPlan) -> dict[str, FieldMap]:
     """The learned force around the data, and the true one where it is known."""
     fields = {"learned": field_map(model.environment, plan.data)}
-    source = source_system(plan.data.provenance)
-    if source is not None and source.environment is not None:
-        fields["true"] = field_map(source.environment, plan.data)
+    truth = _true_environment(plan)
+    if truth is not None:
+        fields["true"] = field_map(truth, plan.data)
     return fields
 
 
+def _true_environment(plan: FitPlan) -> AbstractForce | None:
+    """That of the system from which the data come, where it is known."""
+    source = source_system(plan.data.provenance)
+    return None if source is None else source.environment
+
+
 def _force_errors(
-    fields: dict[str, FieldMap], plan: FitPlan
+    model: AbstractDynamics, fields: dict[str, FieldMap], plan: FitPlan
 ) -> dict[str, float | None] | None:
+    if plan.data.dim != 2 and isinstance(model, KnownSwimmer):
+        truth = _true_environment(plan)
+        if truth is None:
+            return None
+        error = force_error_at_samples(model.environment, truth, plan.data)
+        return {"at the samples": error}
     if "true" not in fields:
         return None
     regions = default_regions(plan.data)
     return dict(force_errors(fields["learned"], fields["true"], regions))
+
+
+def _line_arrays(fitted: FittedRun, plan: FitPlan) -> dict[str, np.ndarray]:
+    """The force along lines through data that are not planar."""
+    model: Any = fitted.model
+    profile = plan.summary.profile
+    axes = range(plan.data.dim) if profile is None else profile.along
+    arrays = {}
+    for axis in axes:
+        line = force_line(
+            model.environment,
+            plan.data,
+            axis,
+            posterior=fitted.posterior,
+            truth=_true_environment(plan),
+        )
+        for name in ("places", "force", "sd", "true"):
+            if (values := getattr(line, name)) is not None:
+                arrays[f"line/{plan.data.channels[axis]}/{name}"] = values
+    return arrays
 
 
 def _field_arrays(fields: dict[str, FieldMap]) -> dict[str, np.ndarray]:

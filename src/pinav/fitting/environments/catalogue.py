@@ -35,6 +35,7 @@ from pinav.fitting.environments.kernels import (
     changing_environment,
     kernel_environment,
 )
+from pinav.fitting.environments.profiles import MobilitySummary, ProfileSummary
 from pinav.fitting.environments.terms import (
     TermSummary,
     summarise_terms,
@@ -48,6 +49,7 @@ from pinav.forces import (
     KernelForce,
     KernelMixture,
     KernelPotential,
+    KernelProfile,
     LayeredPotential,
     LinearDrag,
     NeuralForce,
@@ -147,6 +149,8 @@ class DataSummary(msgspec.Struct, frozen=True):
         change: the part that changes with time, where the model has one.
         finer: further layers of kernels, each finer than the one before.
         terms: with a structure, beside the kernels.
+        profile: a force in coordinates of its own, where the model is one.
+        mobility: where it is learned.
     """
 
     dim: int
@@ -157,6 +161,8 @@ class DataSummary(msgspec.Struct, frozen=True):
     change: Change | None = None
     finer: tuple[KernelLayer, ...] = ()
     terms: tuple[TermSummary, ...] = ()
+    profile: ProfileSummary | None = None
+    mobility: MobilitySummary | None = None
 
     def with_kernels_of(self, environment: AbstractForce) -> "DataSummary":
         """The summary of a fitted model, whose kernels may be finer than at first."""
@@ -278,6 +284,8 @@ def build(
         )
     if CONSTANTS["drag"] in choice.paths().values():
         swimmer = with_tensor_drag(swimmer, summary)
+    if summary.mobility is not None:
+        swimmer = dataclasses.replace(swimmer, mobility=summary.mobility.mobility())
     model = MODELS[choice.name](choice, swimmer, summary)
     return with_terms(model, summary.terms)
 
@@ -311,6 +319,12 @@ def _potential(
         for layer in (first, *summary.finer)
     )
     return LayeredPotential(layers) if summary.finer else layers[0]
+
+
+def _profile(choice: ModelChoice, summary: DataSummary) -> KernelProfile:
+    if summary.profile is None:
+        raise InputError(f"model {choice.name}: its summary has no coordinates")
+    return summary.profile.profile(summary.dim)
 
 
 def _changing_potential(choice: ModelChoice, summary: DataSummary) -> ChangingPotential:
@@ -372,6 +386,9 @@ POSITION_NETWORKS = ("neural-potential", "neural-force", "ude")
 TIMED = "kernel-potential-time"
 """The model whose environment changes with time and has a prior."""
 
+PROFILE = "kernel-profile"
+"""The model whose force depends on some coordinates alone."""
+
 MODELS: dict[str, Builder] = {
     "kernel-potential": _in_environment(_potential),
     "kernel-force": _kernels(KernelForce),
@@ -382,6 +399,7 @@ MODELS: dict[str, Builder] = {
     "ude": _in_environment(_timed_network),
     "physics-only": _in_environment(lambda choice, summary: ZeroForce()),
     "nn-only": _black_box,
+    PROFILE: _in_environment(_profile),
     "paper-ude": _in_environment(
         lambda choice, summary: paper_force(jax.random.key(choice.seed))
     ),
