@@ -77,6 +77,6 @@ def is_confined(prior: AbstractPrior, shape: Shape) -> bool:
     the bands made from it are too narrow. Other priors have bounds at which a part of
     them vanishes, which means nothing of the kind.
     """
-    if not isinstance(prior, WeightPrior):
+    if not isinstance(prior, WeightPrior) or len(shape) != len(prior.bounds):
         return False
     return bool(np.any(shape[:2] <= prior.bounds[:2, 0] + STEP))
