@@ -5,7 +5,7 @@ PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal --durations=30 --duratio
 SEEDS ?= 42
 OUT ?= runs/reproduce
 
-.PHONY: reproduce test test-slow test-extras coverage lint validate bench docs wheel clean
+.PHONY: reproduce test test-slow test-extras coverage lint validate bench docs figures wheel clean
 
 reproduce: .venv/installed
 	$(BIN)/pinav reproduce --seeds $(SEEDS) --out $(OUT) --resume
@@ -44,6 +44,10 @@ bench: .venv/installed-dev
 docs: .venv/installed-docs
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet $(SPHINX) docs site
 	@echo "site/index.html"
+
+# Every figure of the pages, from runs that are kept in runs/figures: an hour at first.
+figures: .venv/installed-extras
+	$(BIN)/python -m docs.figures.draw
 
 # Wheel and source distribution, in dist.
 wheel: .venv/installed
