@@ -223,10 +223,10 @@ def _smooth(terms: Terms, prior: AbstractPrior) -> Float[np.ndarray, " shape"]:
     shape = prior.start.copy()
     place = 0
     for index, term in enumerate(terms):
-        own = len(term.prior().start)
-        if own > 1:
+        entries = len(term.prior().start)
+        if entries > 1:
             shape[place] = np.log(0.1 * KERNELS)
-        place += own + (index > 0)
+        place += entries + (index > 0)
     return shape
 
 
