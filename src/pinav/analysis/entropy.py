@@ -9,7 +9,9 @@ left of $D f$ when the nearest gradient is taken away,
 $$\sigma = \min_\varphi \langle (f - \nabla\varphi) \cdot D\, (f - \nabla\varphi)
   \rangle,$$
 
-a mean over the samples, without a density and without increments.
+a mean over the samples, without a density and without increments. A gradient that is
+fitted to the samples takes too much away, so that the one of each stretch of time is
+fitted to all others: $\langle f \cdot D (f - \nabla\varphi)\rangle$ is linear in it.
 """
 
 from collections.abc import Callable
@@ -29,6 +31,10 @@ from pinav.forces.kernels import kernel_values
 
 SMALLEST = 1e-6
 """Singular values of the gradients, relative to the largest, that count as zero."""
+
+FOLDS, RIDGE = 5, 1e-3
+"""Stretches of time for each of which a potential is fitted to the others; its ridge,
+relative to the mean of the normal matrix."""
 
 BLOCKS = 20
 """Stretches of the samples whose scatter is that of the mean over places."""
@@ -90,17 +96,13 @@ def entropy_production(
     columns = mobilities @ posterior.force_jacobians(positions)
     roots = np.sqrt(diffusion)[..., None]
     # Rows are those of the square root of D applied to forces: the metric of the mean.
-    basis = _orthonormal((roots * gradients).reshape(count * dim, -1))
-    rest, slopes = (
-        part - basis @ (basis.T @ part)
-        for part in (
-            (drifts[..., None] / roots).reshape(count * dim, 1),
-            (columns / roots).reshape(count * dim, -1),
-        )
-    )
+    scaled = roots * gradients
+    forces = drifts / roots[..., 0]
+    slopes = (columns / roots).reshape(count * dim, -1)
+    rest, slopes = _without_gradients(scaled, forces.reshape(-1, 1), slopes)
     spread = slopes.T @ slopes @ posterior.covariance / count
     gradient = 2 * slopes.T @ rest[:, 0] / count
-    shares = (rest.reshape(count, dim) ** 2).sum(axis=1)
+    shares = _held_out_shares(scaled, forces)
     noise = float(np.trace(spread))
     rate = float(shares.mean()) - noise
     variance = (
@@ -115,6 +117,39 @@ def entropy_production(
         positions=positions,
         current=roots[..., 0] * rest.reshape(count, dim),
     )
+
+
+def _without_gradients(
+    gradients: Float[np.ndarray, "sample dim kernel"],
+    *fields: Float[np.ndarray, "row _"],
+) -> list[Float[np.ndarray, "row _"]]:
+    """What is left of fields when the nearest gradient is taken away."""
+    columns = gradients.reshape(-1, gradients.shape[2])
+    left, values, _ = np.linalg.svd(columns, full_matrices=False)
+    basis = left[:, values > SMALLEST * values[0]]
+    return [field - basis @ (basis.T @ field) for field in fields]
+
+
+def _held_out_shares(
+    gradients: Float[np.ndarray, "sample dim kernel"],
+    forces: Float[np.ndarray, "sample dim"],
+) -> Float[np.ndarray, " sample"]:
+    """Entropy production of each sample, its potential fitted to other times."""
+    shares = []
+    stretches = np.array_split(np.arange(len(forces)), FOLDS)
+    # Normal equations are sums over the samples: those of a stretch come off the whole.
+    parts = [
+        (np.einsum("ndk,ndl->kl", part, part), np.einsum("ndk,nd->k", part, force))
+        for part, force in ((gradients[k], forces[k]) for k in stretches)
+    ]
+    whole = [sum(part[i] for part in parts) for i in (0, 1)]
+    for stretch, part in zip(stretches, parts, strict=True):
+        matrix, right = whole[0] - part[0], whole[1] - part[1]
+        matrix += RIDGE * np.trace(matrix) / len(matrix) * np.eye(len(matrix))
+        potential = np.linalg.solve(matrix, right)
+        rest = forces[stretch] - gradients[stretch] @ potential
+        shares.append((forces[stretch] * rest).sum(axis=1))
+    return np.concatenate(shares)
 
 
 def _fields(
@@ -146,14 +181,6 @@ def _scalar_kernels(model: OverdampedSwimmer) -> Callable[[Vector], Array]:
         )
     centers, width = places.centers, places.width
     return lambda x: kernel_values(x, centers, width)
-
-
-def _orthonormal(
-    columns: Float[np.ndarray, "row column"],
-) -> Float[np.ndarray, "row rank"]:
-    """Orthonormal columns that span the same space."""
-    left, values, _ = np.linalg.svd(columns, full_matrices=False)
-    return left[:, values > SMALLEST * values[0]]
 
 
 def _variance_of_mean(values: Float[np.ndarray, " sample"]) -> float:
