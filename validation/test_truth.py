@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from validation import thermal_twins
-from validation.rotating_trap import judge_trap
 from validation.conftest import pinav
+from validation.rotating_trap import judge_trap
 
 from pinav.fitting import fit_trap
 

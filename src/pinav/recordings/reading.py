@@ -131,9 +131,11 @@ def read_recording(
             if isinstance(path, DataFrame)
             else Source.read(path, reading.layout)
         )
-        own = reading if commands is None else _without_commands(reading)
-        chosen = _format(format, source, own)
-        recording = assemble(chosen.tracks(source, own), own, source, chosen.name)
+        tracked = reading if commands is None else _without_commands(reading)
+        chosen = _format(format, source, tracked)
+        recording = assemble(
+            chosen.tracks(source, tracked), tracked, source, chosen.name
+        )
         if commands is None:
             return recording
         log = read_log(Source.read(commands, Layout(None, None, strict)), reading)
@@ -176,9 +178,9 @@ def _format(name: str | None, source: Source, reading: Reading) -> AbstractForma
             "give it as commands beside the file of the tracker"
         )
     raise InputError(
-        f"the format is not known; give its name as format, one of "
-        f"{', '.join(by_name)}, or describe the table, whose columns are "
-        f"{', '.join(names)}: start from {example_of_columns(names)}"
+        f"the format is not known; say what its columns {', '.join(names)} are: start "
+        f"from {example_of_columns(names)}, or give the name of its format, one of "
+        f"{', '.join(by_name)}"
     )
 
 

@@ -34,7 +34,7 @@ from pinav.commands.system_choice import (
     choose_system,
     write_system_of,
 )
-from pinav.dynamics import AbstractDynamics
+from pinav.dynamics import AbstractDynamics, Swimmer
 from pinav.errors import FitError
 from pinav.evaluation import (
     FieldMap,
@@ -49,18 +49,23 @@ from pinav.evaluation import (
 from pinav.fitting import (
     EvidenceFit,
     Outcome,
+    confirm,
+    diagnose,
     fit_bayes,
     fit_structured,
     is_worth_a_search,
     simpler_models,
 )
 from pinav.fitting.environments.catalogue import KnownSwimmer, build
+from pinav.fitting.evidence.evidence import Hyperparameters
+from pinav.fitting.evidence.hyperparameter_uncertainty import is_confined
 from pinav.forces import AbstractForce, as_learned_force
 from pinav.identification import fit_commanded, needs_kalman_filter
 from pinav.identification.numbers import BLOCK_NOISE
 from pinav.recordings.conventions import remarks
 from pinav.runs import RunFolder
 from pinav.scenarios import source_system
+from pinav.trajectories import Trajectories
 
 REMARKS = {
     str(Outcome.STALLED): (
@@ -217,11 +222,13 @@ def _metrics(
     }
     if evidence is None:
         losses = read_losses("model", fitted.folder)
-        curve, outcome = losses.values[0], losses.outcomes[0]
+        curve = losses.values[0]
+        outcome = _confirmed(losses.outcomes[0], float(curve[-1]), plan.data, rmse)
         return FitMetrics(
             outcome=outcome,
             remarks=(
                 *_remarks(outcome),
+                *_cause(plan.data, fitted.model, outcome, rmse),
                 *_simpler(plan, outcome, rmse),
                 *remarks(plan.data),
             ),
@@ -233,6 +240,7 @@ def _metrics(
         remarks=(
             *_remarks(evidence.outcome),
             *filter(None, [evidence.goodness]),
+            *narrow_prior(fitted.model, evidence.hyperparameters),
             *thermal_remarks(plan),
             *remarks(plan.data),
         ),
@@ -248,6 +256,48 @@ def _metrics(
 
 def _remarks(outcome: str) -> tuple[str, ...]:
     return (REMARKS[outcome],) if outcome in REMARKS else ()
+
+
+def narrow_prior(model: Any, chosen: Hyperparameters) -> tuple[str, ...]:
+    """What a prior at the edge of its range means for the bands; nothing elsewhere."""
+    force = as_learned_force(model.environment)
+    if force is None or not is_confined(force.prior(), chosen.shape):
+        return ()
+    return (
+        "The prior of the force ended at the narrowest that its kernels allow: the "
+        "bands leave other shapes of the force out and are too narrow. Give more "
+        "trajectories through the places where the force acts.",
+    )
+
+
+def _confirmed(
+    outcome: str, loss: float, data: Trajectories, rmse: dict[str, float]
+) -> str:
+    """The word for how a fit ended, which its independent rollouts confirm."""
+    if outcome != str(Outcome.CONVERGED):
+        return outcome
+    residual = float(np.sqrt(loss / data.num_observed))
+    total, spread = rmse["total"], _spread(data)
+    return str(confirm(Outcome.CONVERGED, residual, total, spread))
+
+
+def _cause(
+    data: Trajectories, model: Any, outcome: str, rmse: dict[str, float]
+) -> tuple[str, ...]:
+    """Why a fit that misses the data failed, where the data tell it."""
+    close = rmse["total"] <= FAILED * _spread(data)
+    if outcome == str(Outcome.CONVERGED) or close or not isinstance(model, Swimmer):
+        return ()
+    cause = diagnose(model, data)
+    return () if cause is None else (f"The likely cause of the failure: {cause}.",)
+
+
+def _spread(data: Trajectories) -> float:
+    return float(np.std(data.states[data.observed]))
+
+
+FAILED = 1e-3
+"""Error of rollouts, in units of the spread of the data, whose cause is looked for."""
 
 
 def _simpler(plan: FitPlan, outcome: str, rmse: dict[str, float]) -> tuple[str, ...]:
