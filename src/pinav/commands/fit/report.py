@@ -54,7 +54,7 @@ def _tables(metrics: FitMetrics) -> list[Table]:
     tables = [_one_row(metrics.rmse, "Root-mean-square errors of rollouts.")]
     if metrics.log_evidence is not None:
         chosen = {
-            "noise": metrics.noise,
+            metrics.name_of_noise: metrics.noise,
             "log evidence": metrics.log_evidence,
             "iterations": metrics.iterations,
             "outcome": metrics.outcome,
