@@ -1,4 +1,5 @@
 import json
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax
@@ -11,9 +12,9 @@ from pinav.commands.fit.metrics import FitMetrics
 from pinav.commands.fit.plan import plan_fit
 from pinav.commands.fit.settings import FitSettings
 from pinav.commands.fitted_run import FittedRun
-from pinav.errors import InputError
+from pinav.errors import FitError, InputError
 from pinav.evaluation import FieldMap, field_map, force_errors
-from pinav.fitting import Cause
+from pinav.fitting import Cause, Outcome
 from pinav.runs import RunFolder
 from pinav.scenarios import barrier_crossings, scenario
 from pinav.trajectories import Trajectories, load, save, simulate
@@ -46,6 +47,21 @@ def test_independent_rollouts_confirm_that_a_fit_converged():
     assert job._confirmed("converged", 1e-9, data, {"total": 0.5}) == "stalled"
     assert job._confirmed("converged", 1e-9, data, {"total": 1e-5}) == "converged"
     assert job._confirmed("misfit", 1e-9, data, {"total": 0.5}) == "misfit"
+
+
+@pytest.mark.parametrize(("model", "says"), [("potential", True), ("force", False)])
+def test_a_potential_that_diverged_names_the_model_that_turns(
+    monkeypatch, tmp_path, model, says
+):
+    """A vortex, fitted by a potential, ends so."""
+    diverged = SimpleNamespace(outcome=Outcome.DIVERGED)
+    monkeypatch.setattr(job, "fit_bayes", lambda *_, **__: diverged)
+    truth = barrier_crossings(jax.random.key(0))
+    settings = FitSettings(model=f"kernel-{model}", structure="free")
+    plan = plan_fit(settings, truth, simulate(truth, key=jax.random.key(0)))
+    with pytest.raises(FitError, match="the fit diverged: the states depart") as error:
+        job._infer(plan, RunFolder.create(tmp_path / "run", {}, overwrite=False))
+    assert ("choose --model kernel-mixture" in str(error.value)) == says
 
 
 @pytest.mark.slow

@@ -89,6 +89,14 @@ DIVERGED = (
     "propulsion, drag and units (--system), or fit shorter trajectories"
 )
 
+GRADIENTS = ("kernel-potential", "neural-potential")
+"""Models whose force is the gradient of a potential."""
+
+NO_GRADIENT = (
+    "; a force that turns, such as that of a vortex, is no gradient of a potential: "
+    "choose --model kernel-mixture for it"
+)
+
 
 def run(options: FitOptions) -> CommandResult:
     """Fit as the command line does."""
@@ -170,7 +178,8 @@ def _infer(plan: FitPlan, folder: RunFolder) -> None:
         else:
             result, finding = fit_bayes(model, plan.data, **options), None
     if result.outcome is Outcome.DIVERGED:
-        raise FitError(DIVERGED)
+        gradient = plan.choice.name in GRADIENTS
+        raise FitError(DIVERGED + (NO_GRADIENT if gradient else ""))
     write_fit(folder, header, result, plan.data, finding)
 
 
