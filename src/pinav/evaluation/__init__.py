@@ -35,6 +35,8 @@ from pinav.evaluation.force_fields import force_agreement as force_agreement
 from pinav.evaluation.force_fields import force_error as force_error
 from pinav.evaluation.force_fields import force_errors as force_errors
 from pinav.evaluation.force_fields import square as square
+from pinav.evaluation.restarts import RestartErrors as RestartErrors
+from pinav.evaluation.restarts import restart_errors as restart_errors
 from pinav.evaluation.rollouts import ErrorCurve as ErrorCurve
 from pinav.evaluation.rollouts import RolloutErrors as RolloutErrors
 from pinav.evaluation.rollouts import RolloutSummary as RolloutSummary

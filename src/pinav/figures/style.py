@@ -77,6 +77,8 @@ STYLES = {
     "straight line": LineStyle("straight line", ORANGE),
     "line of sight": LineStyle("line of sight", VERMILLION),
     "Gaussian process": LineStyle("Gaussian process", SKY),
+    "chosen": LineStyle("chosen", BLUE),
+    "least squares": LineStyle("least squares", VERMILLION, "--"),
     "hottest cell": LineStyle("hottest cell", HOTTEST),
     "T10": LineStyle("T10", T10),
     "T50": LineStyle("T50", T50),
