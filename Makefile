@@ -1,18 +1,15 @@
 # Each target makes .venv on first use and again when the pins change.
 PYTHON ?= python3
 BIN := .venv/bin
-PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --durations=30 --durations-min=2
+PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal --durations=30 --durations-min=2
 SEEDS ?= 42
 OUT ?= runs/reproduce
 
-.PHONY: reproduce test test-slow test-extras coverage lint validate bench docs wheel clean
+.PHONY: reproduce test test-slow test-extras coverage lint validate bench docs figures wheel clean
 
 reproduce: .venv/installed
 	$(BIN)/pinav reproduce --seeds $(SEEDS) --out $(OUT) --resume
 
-# Most of the time of these goes into compiling: without LLVM's optimisations, a quarter
-# less.
-test: export XLA_FLAGS = --xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0
 test: .venv/installed-dev
 	$(PYTEST) -m "not slow and not extras"
 
@@ -34,7 +31,7 @@ lint: .venv/installed-dev
 
 validate: .venv/installed-dev
 	$(BIN)/python -m pytest validation -v -s
-	PINAV_LONG=1 $(BIN)/python -m pytest -v tests/test_docs.py -k "code and (bead or tracker or wrong-force)"
+	PINAV_LONG=1 XLA_FLAGS=--xla_cpu_use_fusion_emitters=false $(BIN)/python -m pytest -v tests/test_docs.py -k "code and (bead or tracker or wrong-force)"
 
 bench: .venv/installed-dev
 	$(BIN)/pinav bench gradient
@@ -47,6 +44,10 @@ bench: .venv/installed-dev
 docs: .venv/installed-docs
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet $(SPHINX) docs site
 	@echo "site/index.html"
+
+# Every figure of the pages, from runs that are kept in runs/figures: an hour at first.
+figures: .venv/installed-extras
+	$(BIN)/python -m docs.figures.draw
 
 # Wheel and source distribution, in dist.
 wheel: .venv/installed

@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import msgspec
 import numpy as np
 import tyro
+from jaxtyping import Array, Float
 
 from benchmarks.fit.child import peak_memory
 from pinav.commands.parsing import parse
@@ -140,33 +141,46 @@ def in_own_process(name: str) -> Measured:
 
 def measure(name: str) -> Measured:
     """Time a case in this process."""
-    model = tumour(CASES[name].grid())
-    stepper = default_stepper(model)
-    edges = tuple(np.linspace(0.0, 1800.0, 16).tolist())
-    protocol = Piecewise.constant(edges, np.full(15, 1e4), 1e5)
-    schedule = plan_steps(protocol, stepper.longest_step(model))
-    begin = State.at_rest(model)
-
-    def outcome(amplitudes):
-        own = eqx.tree_at(lambda p: (p.starts, p.ends), protocol, (amplitudes,) * 2)
-        found = run(model, own, schedule, stepper=stepper, observe=jnp.max, start=begin)
-        return jnp.log(jnp.sum(found.final.dose))
-
-    forward = jax.jit(outcome).lower(protocol.starts).compile()
-    seconds = best_time(lambda: forward(protocol.starts))
+    outcome, amplitudes, steps = half_an_hour(CASES[name].grid())
+    forward = jax.jit(outcome).lower(amplitudes).compile()
+    seconds = best_time(lambda: forward(amplitudes))
     before, start = peak_memory(), time.perf_counter()
-    gradient = jax.jit(jax.grad(outcome)).lower(protocol.starts).compile()
+    gradient = jax.jit(jax.grad(outcome)).lower(amplitudes).compile()
     compilation = time.perf_counter() - start
-    gradient_seconds = best_time(lambda: gradient(protocol.starts))
+    gradient_seconds = best_time(lambda: gradient(amplitudes))
     used = gradient.memory_analysis()
     return Measured(
-        steps=len(schedule.steps),
+        steps=steps,
         forward=seconds,
         gradient=gradient_seconds,
         compilation=compilation,
         memory=peak_memory() - before,
         compiled=0.0 if used is None else used.temp_size_in_bytes / 2**20,
     )
+
+
+Amplitudes = Float[Array, " interval"]
+
+
+def half_an_hour(
+    grid: AbstractGrid,
+) -> tuple[Callable[[Amplitudes], Float[Array, ""]], Amplitudes, int]:
+    """Logarithm of the dose by the amplitudes, what they are, and the time steps."""
+    model = tumour(grid)
+    stepper = default_stepper(model)
+    edges = tuple(np.linspace(0.0, 1800.0, 16).tolist())
+    protocol = Piecewise.constant(edges, np.full(15, 1e4), 1e5)
+    schedule = plan_steps(protocol, stepper.longest_step(model))
+    begin = State.at_rest(model)
+
+    def outcome(amplitudes: Amplitudes) -> Float[Array, ""]:
+        driven = eqx.tree_at(lambda p: (p.starts, p.ends), protocol, (amplitudes,) * 2)
+        heated = run(
+            model, driven, schedule, stepper=stepper, observe=jnp.max, start=begin
+        )
+        return jnp.log(jnp.sum(heated.final.dose))
+
+    return outcome, protocol.starts, len(schedule.steps)
 
 
 def tumour(grid: AbstractGrid) -> Bioheat:

@@ -9,9 +9,15 @@ from pathlib import Path
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
-os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")  # this too
-os.environ["JAX_COMPILATION_CACHE_MAX_SIZE"] = str(2**31)  # which locks it, too
-os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
+# Most of the time goes into compiling: a third less without LLVM's optimisations, and a
+# sixth less of that where a program is not divided among threads.
+os.environ.setdefault(
+    "XLA_FLAGS",
+    "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0 "
+    "--xla_cpu_parallel_codegen_split_count=1",
+)
+os.environ.setdefault("JAX_TRACEBACK_FILTERING", "off")  # which takes 2 % of the time
+os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
 
 import equinox as eqx
 import hypothesis
@@ -36,6 +42,10 @@ MANY_MAPPINGS = 20_000
 """Regions of memory from which on compiled programs are let go."""
 
 
+MOST_KEPT = 2**30
+"""Bytes of compiled code that are kept for the next call."""
+
+
 @pytest.fixture(scope="module", autouse=True)
 def _let_compiled_programs_go():
     """Each compiled program holds several of the 65 530 regions that Linux allows."""
@@ -48,13 +58,33 @@ def _let_compiled_programs_go():
 
 
 def pytest_configure(config):
-    """One folder of compiled code and fitted runs for this call and its workers."""
+    """One folder of fitted runs and one of compiled code for all workers.
+
+    Runs are made for each call, except below a folder that `PINAV_TESTS` names, where
+    later calls find them (`.ci/run`). Compiled code is kept: its keys hold the program,
+    the flags and the version of the compiler. Processes that tests start, and may kill
+    while they write, have a folder of their own.
+    """
+    if "PINAV_TESTS" not in os.environ:
+        made = tempfile.mkdtemp(prefix="pinav-tests-")
+        os.environ["PINAV_TESTS"] = made
+        config.add_cleanup(lambda: shutil.rmtree(made, ignore_errors=True))
+    of_processes = os.path.join(os.environ["PINAV_TESTS"], "compiled")
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = of_processes
+    kept = config.rootpath / ".pytest_cache" / "compiled"
     if not hasattr(config, "workerinput"):
-        folder = tempfile.mkdtemp(prefix="pinav-tests-")
-        os.environ["PINAV_TESTS"] = folder
-        os.environ["JAX_COMPILATION_CACHE_DIR"] = os.path.join(folder, "compiled")
-    folder = os.environ["JAX_COMPILATION_CACHE_DIR"]
-    jax.config.update("jax_compilation_cache_dir", folder)
+        _empty_when_large(kept)
+    jax.config.update("jax_compilation_cache_dir", str(kept))
+
+
+def _empty_when_large(folder: Path) -> None:
+    if sum(path.stat().st_size for path in folder.glob("*")) > MOST_KEPT:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def pytest_collection_finish():
+    """Leave what was imported out of every later search for garbage."""
+    gc.freeze()
 
 
 def pytest_addoption(parser):
@@ -73,11 +103,6 @@ def pytest_runtest_setup(item):
             pytest.fail(f"{', '.join(missing)} missing: make test-extras installs them")
         if missing:
             pytest.skip(f"{', '.join(missing)} not installed (make test-extras)")
-
-
-def pytest_unconfigure(config):
-    if not hasattr(config, "workerinput"):
-        shutil.rmtree(os.environ["PINAV_TESTS"], ignore_errors=True)
 
 
 RECORDINGS = Path(

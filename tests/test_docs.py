@@ -3,7 +3,6 @@
 import importlib
 import os
 import re
-import shlex
 import subprocess
 import sys
 import tomllib
@@ -12,6 +11,10 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from docs.figures.draw import RECIPES
+from docs.figures.workshop import Workshop
+from docs.follow import blocks, command_lines, save_settings
+from PIL import Image
 
 from pinav import cli
 from pinav.commands import COMMANDS
@@ -23,20 +26,6 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 DOCS = ROOT / "docs"
 TUTORIALS = sorted((DOCS / "tutorials").glob("*.md"))
 PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md")), *TUTORIALS]
-
-
-def blocks(page: Path) -> list[tuple[str, str]]:
-    """Language and text of each block of code that can be run, in order."""
-    text = page.read_text(encoding="utf-8")
-    code = r"^```(python|sh|toml)\n(.*?)^```"
-    named = re.findall(code, text, re.DOTALL | re.MULTILINE)
-    return [(name, t) for name, t in named if name != "toml" or file_of(t)]
-
-
-def file_of(settings: str) -> str:
-    """The name under which a page asks to save settings, in their first line."""
-    first = re.match(r"# ([\w/.-]+\.toml)\n", settings)
-    return first[1] if first else ""
 
 
 def page_id(page: Path) -> str:
@@ -81,8 +70,7 @@ def test_the_code_of_a_page_runs(page, sandbox, fitted_runs, recording):
         if language == "python":
             run_python(text, sandbox, recording)
         elif language == "toml":
-            (sandbox / file_of(text)).parent.mkdir(parents=True, exist_ok=True)
-            (sandbox / file_of(text)).write_text(text, encoding="utf-8")
+            save_settings(text, sandbox)
         else:
             run_commands(text)
 
@@ -98,14 +86,13 @@ def run_python(text: str, sandbox: Path, recording) -> None:
 
 
 def run_commands(text: str) -> None:
-    """Run the lines that call pinav; a line may go on after a backslash."""
-    for line in text.replace("\\\n", " ").strip().splitlines():
-        words = shlex.split(line, comments=True)
-        if words[:1] == ["pinav"]:
+    """Run the lines that call pinav."""
+    for words in command_lines(text):
+        if words[0] == "pinav":
             with jax.numpy_dtype_promotion("standard"):
-                assert cli.run(words[1:]) == 0, line
+                assert cli.run(words[1:]) == 0, words
         else:
-            assert words[:1] in ([], ["make"]), f"{line!r} is never run"
+            assert words[0] == "make", f"{words} is never run"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=page_id)
@@ -114,15 +101,14 @@ def test_the_command_line_knows_the_options_that_a_page_uses(page):
     for block in re.findall(
         r"^```(?:sh|bash)\n(.*?)^```", text, re.DOTALL | re.MULTILINE
     ):
-        for line in block.replace("\\\n", " ").splitlines():
-            words = shlex.split(line, comments=True)
-            if words[:1] != ["pinav"]:
+        for words in command_lines(block):
+            if words[0] != "pinav":
                 continue
             command = cli.command_named(words[1])
-            assert command is not None, line
+            assert command is not None, words
             options = resolve(command.options)
             known = words[2:3] if command.forwards else words[2:]
-            assert parse(options, known, prog="pinav") is not None, line
+            assert parse(options, known, prog="pinav") is not None, words
 
 
 def test_the_page_of_commands_holds_the_help_of_each(monkeypatch):
@@ -150,14 +136,58 @@ def test_a_tutorial_says_what_it_needs_and_how_long_it_takes(page):
         assert part in text, part
 
 
-def test_every_page_of_a_method_says_when_it_is_wrong():
+def methods() -> list[str]:
+    """The pages of methods, as the front page lists them."""
     index = (DOCS / "index.md").read_text(encoding="utf-8")
-    methods = re.search(r'caption: "Explanation.*?\n\n(.*?)```', index, re.DOTALL)
-    assert methods is not None
-    assert len(methods[1].split()) > 8
-    for name in methods[1].split():
+    listed = re.search(r'caption: "Explanation.*?\n\n(.*?)```', index, re.DOTALL)
+    assert listed is not None
+    assert len(listed[1].split()) > 8
+    return listed[1].split()
+
+
+def test_every_page_of_a_method_says_when_it_is_wrong():
+    for name in methods():
         text = (DOCS / f"{name}.md").read_text(encoding="utf-8")
         assert "\n## When it is wrong\n" in text, name
+
+
+FIGURES = {p.name: p for p in sorted((DOCS / "figures").glob("*.png"))}
+
+
+def test_every_figure_has_a_recipe_and_is_shown():
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    shown = re.findall(r"!\[[^\]]+\]\([^)]*?([\w-]+\.png)\)", text)
+    assert set(shown) == set(RECIPES) == set(FIGURES)
+
+
+def test_every_page_of_a_method_has_a_figure():
+    for name in methods():
+        assert "](figures/" in (DOCS / f"{name}.md").read_text(encoding="utf-8"), name
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_a_figure_is_small_enough_for_a_page_and_large_enough_to_read(name):
+    path = FIGURES[name]
+    with Image.open(path) as picture:
+        assert 600 <= picture.width <= 1250
+        assert picture.mode != "RGBA"  # dark pages would shine through
+    assert path.stat().st_size < 100_000
+
+
+def test_a_run_of_a_figure_that_was_cut_short_is_made_again(tmp_path):
+    workshop, made = Workshop(tmp_path), []
+
+    def write(path):
+        made.append(path)
+        path.write_text("numbers")
+        if len(made) == 1:
+            raise RuntimeError("cut short")
+
+    with pytest.raises(RuntimeError):
+        workshop.file("numbers.txt", write)
+    for _ in range(2):
+        assert workshop.file("numbers.txt", write).read_text() == "numbers"
+    assert len(made) == 2
 
 
 RECORDED_IN = {"sessions.csv.gz": "magscope_cellbot_sessions"}

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from validation import thermal_twins
 from validation.conftest import pinav
 
 from pinav.fitting import fit_trap
@@ -91,3 +92,30 @@ def test_twins_of_the_traps_are_unbiased_and_covered():
     assert abs(np.mean(offs["k"])) < 0.02
     assert abs(np.mean(offs["D"])) < 0.015
     assert min(inside.values()) >= 17
+
+
+TWINS = {
+    "ring": (thermal_twins.judge_ring, ("drift",), "D"),
+    "wall": (thermal_twins.judge_wall, ("D normal", "D along", "force"), None),
+}
+"""What draws and fits one twin, its fields with a band, and its number."""
+
+
+@pytest.mark.parametrize("name", TWINS)
+def test_twins_of_ring_and_wall_are_unbiased_and_covered(name):
+    """Bars: bias of a field below a third of its sd, 90 to 99 % of it in the band.
+
+    Twins with even seeds showed that the tests run; those with odd seeds are judged.
+    """
+    draw, fields, number = TWINS[name]
+    judged = [draw(seed) for seed in range(1, 2 * DRAWS, 2)]
+    for quantity in fields:
+        misses = thermal_twins.Misses(np.array([one[quantity] for one in judged]))
+        print(f"{name} twins: {quantity}: {misses}")
+        assert misses.bias < 1 / 3
+        assert 0.90 < misses.covered < 0.99
+    if number is not None:
+        misses = thermal_twins.Misses(np.array([one[number] for one in judged]))
+        print(f"{name} twins: {number}: {misses}")
+        assert misses.bias < 1 / 3
+        assert misses.covered * DRAWS >= 17

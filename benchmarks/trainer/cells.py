@@ -13,8 +13,9 @@ import msgspec
 from benchmarks._sweep import write_measurement
 from benchmarks.trainer.systems import BenchmarkSystem, benchmark_system
 from pinav.commands.matching import CurriculumSettings, matching
+from pinav.dynamics import Swimmer
 from pinav.evaluation import predict, score
-from pinav.fitting import fit_bayes, kernel_environment
+from pinav.fitting import Outcome, confirm, diagnose, fit_bayes, kernel_environment
 from pinav.fitting.environments.catalogue import (
     ModelChoice,
     build,
@@ -35,10 +36,13 @@ class Measurement(msgspec.Struct, frozen=True):
         seed: of the network.
         rmse: of rollouts from the true starts, all states; infinite when diverged.
         seconds: of the fit, compilation included.
+        processor_seconds: of all threads of the process meanwhile, which other work on
+            the machine hardly changes.
         outcome: the word for how the fit ended.
         encounter: what the first trajectory does.
         form: of the potential.
         width: of the potential [L].
+        cause: of an error above `FAILED`, as `diagnose` tells it.
     """
 
     key: int
@@ -46,14 +50,25 @@ class Measurement(msgspec.Struct, frozen=True):
     seed: int
     rmse: float
     seconds: float
+    processor_seconds: float
     outcome: str
     encounter: str
     form: str
     width: float
+    cause: str = ""
 
 
-def _by_matching(model: str, recipe: str) -> Callable[..., tuple[Any, str]]:
-    def run(drawn: BenchmarkSystem, data: Trajectories, seed: int) -> tuple[Any, str]:
+FAILED = 1e-2
+"""Error of a fit whose cause is looked for."""
+
+
+Ending = tuple[Any, Outcome, float]
+"""A fitted model, how its fit ended, and the residual of its own rollouts, which is
+infinite where noise decides it."""
+
+
+def _by_matching(model: str, recipe: str) -> Callable[..., Ending]:
+    def run(drawn: BenchmarkSystem, data: Trajectories, seed: int) -> Ending:
         choice = ModelChoice(model, seed=seed)
         known: Any = drawn.system.swimmer
         summary = summarise_for_matching(choice, known, data)
@@ -64,22 +79,21 @@ def _by_matching(model: str, recipe: str) -> Callable[..., tuple[Any, str]]:
             data,
             trainable=learned_part,
         )
-        return result.model, str(result.outcome)
+        residual = float((result.losses[-1] / data.num_observed) ** 0.5)
+        return result.model, result.outcome, residual
 
     return run
 
 
-def _by_evidence(
-    drawn: BenchmarkSystem, data: Trajectories, seed: int
-) -> tuple[Any, str]:
+def _by_evidence(drawn: BenchmarkSystem, data: Trajectories, seed: int) -> Ending:
     del seed
     known: Any = drawn.system.swimmer
     model = known.with_environment(kernel_environment(KernelPotential, data))
     result = fit_bayes(model, data, throw=False)
-    return result.model, str(result.outcome)
+    return result.model, result.outcome, float("inf")
 
 
-COLUMNS: dict[str, Callable[..., tuple[Any, str]]] = {
+COLUMNS: dict[str, Callable[..., Ending]] = {
     "network": _by_matching("ude", "curriculum"),
     "kernel": _by_matching("kernel-potential", "curriculum"),
     "black-box": _by_matching("nn-only", "curriculum"),
@@ -124,11 +138,12 @@ def measure(cell: Cell, folder: Path) -> None:
     if column == "noisy-kernel":
         noisy = eqx.tree_at(lambda s: s.observation.noise, drawn.system, NOISE)
         data = simulate(noisy, key=jax.random.key(key))
-    start = time.perf_counter()
-    model, outcome = COLUMNS[column](drawn, data, seed)
+    start, spent = time.perf_counter(), time.process_time()
+    model, outcome, residual = COLUMNS[column](drawn, data, seed)
     jax.block_until_ready(eqx.filter(model, eqx.is_array))
-    seconds = time.perf_counter() - start
+    seconds, spent = time.perf_counter() - start, time.process_time() - spent
     rmse = score(*predict(model, clean), clean).total
+    outcome = confirm(outcome, residual, rmse, float(clean.states.std()))
     write_measurement(
         folder,
         Measurement(
@@ -137,9 +152,16 @@ def measure(cell: Cell, folder: Path) -> None:
             seed=seed,
             rmse=rmse if jnp.isfinite(rmse) else 1e300,
             seconds=seconds,
-            outcome=outcome,
+            processor_seconds=spent,
+            outcome=str(outcome),
             encounter=drawn.encounter,
             form=drawn.form,
             width=drawn.width,
+            cause=_cause(model, clean) if not rmse <= FAILED else "",
         ),
     )
+
+
+def _cause(model: Any, data: Trajectories) -> str:
+    cause = diagnose(model, data) if isinstance(model, Swimmer) else None
+    return "" if cause is None else cause.name.lower()

@@ -78,18 +78,21 @@ def line(one: Measurement) -> str:
     """One measurement for a terminal."""
     name = f"{one.key:>3} {one.encounter:<6}{one.form:<9}{one.width:>5.2f}"
     fit = f"{one.column:<13}{one.seed:>3}{one.rmse:>10.1e}{one.seconds:>7.1f} s"
-    return f"{name}  {fit}  {one.outcome}"
+    fit += f"{one.processor_seconds:>7.1f} s"
+    return f"{name}  {fit}  {one.outcome} {one.cause}".rstrip()
 
 
 def summary(measurements: Sequence[Measurement]) -> str:
     """Quantiles of the errors and times of each column."""
-    head = ("column", "fits", "median", "90 %", "95 %", "worst", "time", "worst time")
+    errors, times = ("median", "90 %", "95 %", "worst"), ("time", "worst time")
+    head = ("column", "fits", *errors, *times, "processor")
     lines = [f"{head[0]:<13}" + "".join(f"{word:>11}" for word in head[1:])]
     for column in dict.fromkeys(one.column for one in measurements):
         chosen = [one for one in measurements if one.column == column]
         errors = np.quantile([one.rmse for one in chosen], (0.5, 0.9, 0.95, 1.0))
         times = np.quantile([one.seconds for one in chosen], (0.5, 1.0))
         cells = [f"{len(chosen):>11}", *(f"{error:>11.1e}" for error in errors)]
-        cells += [f"{seconds:>9.1f} s" for seconds in times]
+        spent = float(np.median([one.processor_seconds for one in chosen]))
+        cells += [f"{seconds:>9.1f} s" for seconds in (*times, spent)]
         lines.append(f"{column:<13}" + "".join(cells))
     return "\n".join(lines)

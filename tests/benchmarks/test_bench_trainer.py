@@ -10,6 +10,7 @@ from pinav.errors import InputError
 
 def measurement(**changes):
     values = {"key": 4, "column": "kernel", "seed": 0, "rmse": 1e-6, "seconds": 2.0}
+    values |= {"processor_seconds": 3.0}
     drawn = {"encounter": "turn", "form": "gaussian", "width": 1.5}
     return Measurement(**(values | {"outcome": "converged"} | drawn | changes))
 

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from pinav import cli
+from pinav.commands.fit import job
 from pinav.commands.fit.metrics import FitMetrics
 from pinav.commands.fit.plan import plan_fit
 from pinav.commands.fit.settings import FitSettings
 from pinav.commands.fitted_run import FittedRun
 from pinav.errors import InputError
 from pinav.evaluation import FieldMap, field_map, force_errors
+from pinav.fitting import Cause
 from pinav.runs import RunFolder
 from pinav.scenarios import barrier_crossings, scenario
 from pinav.trajectories import Trajectories, load, save, simulate
@@ -25,6 +27,25 @@ def test_fit_learns_and_reports_what_was_asked(tiny_fit):
     assert metrics["learned"].keys() == {"damping"}
     assert metrics["learned"]["damping"]["value"] != pytest.approx(0.36, abs=1e-6)
     assert metrics["learned"]["damping"]["sd"] is None
+
+
+def test_a_fit_that_misses_the_data_says_the_likely_cause(monkeypatch):
+    truth = scenario("paper")
+    data = simulate(truth)
+    monkeypatch.setattr(job, "diagnose", lambda model, data: Cause.CHAOS)
+    far, near = {"total": 0.5}, {"total": 1e-6}
+    model = truth.true_swimmer
+    (sentence,) = job._cause(data, model, "stalled", far)
+    assert sentence.startswith("The likely cause of the failure: the motion is chaotic")
+    assert job._cause(data, model, "converged", far) == ()
+    assert job._cause(data, model, "stalled", near) == ()
+
+
+def test_independent_rollouts_confirm_that_a_fit_converged():
+    data = simulate(scenario("paper"))
+    assert job._confirmed("converged", 1e-9, data, {"total": 0.5}) == "stalled"
+    assert job._confirmed("converged", 1e-9, data, {"total": 1e-5}) == "converged"
+    assert job._confirmed("misfit", 1e-9, data, {"total": 0.5}) == "misfit"
 
 
 @pytest.mark.slow

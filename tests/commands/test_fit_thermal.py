@@ -6,7 +6,14 @@ import pytest
 from pinav import cli
 from pinav.commands.cells import EstimateRow
 from pinav.commands.fit.metrics import FitMetrics
-from pinav.commands.fit.thermal import CHECKS_FILE, ThermalRow, ThinnedRow, read_checks
+from pinav.commands.fit.thermal import (
+    CHECKS_FILE,
+    ObservedRow,
+    ReferenceRow,
+    ThermalRow,
+    ThinnedRow,
+    read_checks,
+)
 from pinav.errors import InputError
 from pinav.fitting import Estimate
 from pinav.runs import RunFolder
@@ -14,9 +21,16 @@ from pinav.runs import RunFolder
 ROW = ThermalRow(
     correlations={"x": (0.01, -0.02), "y": (0.004, 0.0)},
     limit=0.015,
-    thinned=(ThinnedRow(2, EstimateRow(0.99, 0.02)),),
-    exposure=EstimateRow(0.4, 0.1),
-    error=EstimateRow(0.2, 0.05),
+    thinned=(ThinnedRow(2, ("x", "y"), EstimateRow(0.99, 0.02)),),
+    observed=(
+        ObservedRow(
+            ("x", "y"),
+            EstimateRow(0.25, 0.006),
+            (0.25, 0.25),
+            EstimateRow(0.4, 0.1),
+            EstimateRow(0.2, 0.05),
+        ),
+    ),
     statement="The fit explains the increments.",
 )
 
@@ -43,6 +57,31 @@ def test_the_terminal_shows_the_checks_of_thermal_motion():
     ) in lines
     assert "diffusion of every 2 samples: 0.990 ± 0.020 (sd) of that of all" in lines
     assert ROW.statement in lines
+
+
+def test_fields_and_a_reference_have_sentences_of_their_own():
+    above = ObservedRow(
+        ("z",), EstimateRow(0.03, 0.001), (0.01, 0.06), EstimateRow(0.3, 0.1), None
+    )
+    exact = ObservedRow(("x", "y"), EstimateRow(0.1, 0.001), (0.1, 0.1), None, None)
+    row = ThermalRow(
+        ROW.correlations,
+        0.015,
+        (ThinnedRow(2, ("z",), EstimateRow(0.99, 0.02)),),
+        (exact, above),
+        "The fit explains the increments.",
+        ReferenceRow("z", 46, 0.033, 0.008),
+    )
+    lines = row.text().splitlines()
+    assert lines[:2] == [
+        "diffusion along z: 0.0100 to 0.0600 for nine tenths of the data, mean 0.0300 "
+        "± 0.0010 (sd)",
+        "the zero of z drifts by 0.0330 (sd over 46 knots, each known to 0.0080)",
+    ]
+    assert (
+        "diffusion along z of every 2 samples: 0.990 ± 0.020 (sd) of that of all"
+        in lines
+    )
 
 
 def test_the_checks_of_a_run_are_kept_and_a_damaged_file_is_named(tmp_path):
@@ -89,7 +128,7 @@ def test_a_run_keeps_and_shows_diffusion_blur_error_and_checks(run):
     assert "The thermal motion" in page
     assert "um of an observed position of the training data" in page
     assert checks.statement in page
-    assert "diffusion of every 2 samples over that of all" in page
+    assert "diffusion of every 2 samples over that of all, along x, y" in page
 
 
 @pytest.mark.slow

@@ -260,6 +260,16 @@ def test_force_map_scales_by_what_is_near_the_data():
     assert shared.collections[0].get_clim() == (0.0, 7.0)
 
 
+@pytest.mark.parametrize("limit", [0.0143, 0.143, 1.43, 14.3, 143.0])
+def test_a_colour_bar_has_few_labels(limit):
+    figure = figures.force_map(field(), limit=limit).figure
+    figure.set_size_inches(3.0, 3.6)
+    FigureCanvasAgg(figure).draw()
+    (bar,) = figure.axes[1:]
+    shown = [t for t in bar.get_xticklabels() if 0 <= t.get_position()[0] <= limit]
+    assert 2 <= len([label for label in shown if label.get_text()]) <= 6
+
+
 def test_force_error_map_shows_the_size_of_the_difference():
     ax = figures.force_error_map(field(1.5), field())
     values = ax.collections[0].get_array()

@@ -47,6 +47,7 @@ from pinav.forces import (
     KernelProfile,
     KernelStream,
     LatticeTerm,
+    LayeredPotential,
     LinearDrag,
     LinearForce,
     LinearMotion,
@@ -213,6 +214,9 @@ FORCES |= {
     "kernel stream": lambda: KernelStream(jnp.array([0.3, -0.2, 0.5]), centers, 1.3),
     "kernel mixture": lambda: KernelMixture(
         kernel_potential(), KernelStream(jnp.array([0.1, -0.4, 0.2]), centers, 1.3)
+    ),
+    "layered potential": lambda: LayeredPotential(
+        (kernel_potential(), KernelPotential(jnp.array([0.2]), centers[:1], 0.4))
     ),
     "timed potential": lambda: timed,
     "changing potential": lambda: ChangingPotential(kernel_potential(), timed),

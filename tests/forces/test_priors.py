@@ -21,6 +21,7 @@ from pinav.forces import (
     KernelPotential,
     KernelProfile,
     KernelStream,
+    LayeredPotential,
     LinearTerm,
     NeuralForce,
     NeuralPotential,
@@ -47,6 +48,9 @@ FORCES = {
     KernelMixture: KernelMixture.with_zero_weights(CENTERS, 1.0),
     KernelProfile: KernelProfile.with_zero_weights(
         KernelBasis.around((KernelAxis(0),), CENTERS, across=3, margin=1), (0, 1), 2
+    ),
+    LayeredPotential: LayeredPotential(
+        (STILL, KernelPotential.with_zero_weights(CENTERS[:3], 0.5))
     ),
     TimedKernelPotential: TIMED,
     ChangingPotential: ChangingPotential(STILL, TIMED),

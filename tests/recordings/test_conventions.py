@@ -115,7 +115,7 @@ WRONG = {
     "unknown names": (
         "Zeit;Lage\n0;1\n1;2\n",
         RecordingSettings(),
-        r"columns are Zeit, Lage: start from --columns t=Zeit x=Lage y=\?",
+        r"columns Zeit, Lage are: start from --columns t=Zeit x=Lage y=\?",
     ),
     "unit of no angle": (
         PLAIN,
@@ -185,7 +185,7 @@ WRONG = {
     "array of unnamed columns": (
         array(np.ones((4, 3))),
         RecordingSettings(),
-        r"columns are 0, 1, 2: start from --columns t=0 x=1 y=2",
+        r"columns 0, 1, 2 are: start from --columns t=0 x=1 y=2",
     ),
     "array of objects": (
         array(np.array([{}], object)),

@@ -212,3 +212,50 @@ def test_delay_needs_seconds(read):
     with pytest.raises(InputError, match="delay: times are in frames; give fps too"):
         read(text, columns=columns, delay=0.1)
     assert read(text, columns=columns, delay=0.1, fps=5.0).units["t"] == "s"
+
+
+COLUMNS = {"particle": "0", "frame": "1", "x": "2", "y": "3"}
+
+
+@settings(max_examples=15)
+@given(tracks())
+def test_text_of_numpy_comes_back_whole(tmp_path_factory, truth):
+    """`numpy.savetxt`: spaces between the cells, and a header that is a comment."""
+    rows = trackpy_frame(truth)[["particle", "frame", "x", "y"]].to_numpy(float)
+    folder = tmp_path_factory.mktemp("text")
+    for delimiter in " ,":
+        np.savetxt(folder / "a.txt", rows, "%.17g", delimiter)
+        check(read_recording(folder / "a.txt", columns=COLUMNS), truth)
+        header = delimiter.join(["Robot", "Frame", "Centroid_x", "Centroid_y"])
+        np.savetxt(folder / "b.txt", rows, "%.17g", delimiter, header=header)
+        names = dict(zip(COLUMNS, header.split(delimiter), strict=True))
+        check(read_recording(folder / "b.txt", columns=names), truth)
+
+
+def test_comments_above_the_header_are_passed_over(tmp_path):
+    file = tmp_path / "a.csv"
+    text = trackpy_frame(EXAMPLE).to_csv(index=False)
+    file.write_text("# MyTracker 3, Monday\n% 20 frames a second\n" + text)
+    check(read_recording(file), EXAMPLE)
+
+
+@pytest.mark.parametrize(
+    ("header", "line"),
+    [
+        (
+            "Particle ID,Frame,Centroid X (px),Centroid Y (px),Field freq (Hz),"
+            "Field heading (deg),Magnetic field x",
+            "--columns frame=Frame 'x=Centroid X (px)' 'y=Centroid Y (px)' "
+            "'particle=Particle ID' 'frequency=Field freq (Hz)' "
+            "'heading=Field heading (deg)' 'field_x=Magnetic field x'",
+        ),
+        ("1,0,0.5,0.25", "--columns t=0 x=1 y=2"),
+    ],
+)
+def test_an_unknown_table_gets_the_option_that_reads_it(tmp_path, header, line):
+    file = tmp_path / "a.csv"
+    count = len(header.split(","))
+    file.write_text(header + "\n" + ",".join(["1"] * count) + "\n")
+    with pytest.raises(InputError, match="say what its columns") as error:
+        read_recording(file)
+    assert line in str(error.value)

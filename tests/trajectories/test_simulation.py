@@ -58,9 +58,32 @@ def test_an_exposure_averages_before_the_noise():
     sharp = bead(1)
     blurred = bead(1, observation=Observation(exposure=0.1))
     middle = simulate(sharp).states[:, 1:-1]
-    # The mean of exp(-2 s) over t -+ 0.05 by linear pieces between samples.
-    factor = (np.exp(0.2) + 6 + np.exp(-0.2)) / 8
-    np.testing.assert_allclose(simulate(blurred).states[:, 1:-1], factor * middle)
+    factor = np.sinh(0.1) / 0.1  # the mean of exp(-2 s) over t -+ 0.05
+    np.testing.assert_allclose(
+        simulate(blurred).states[:, 1:-1], factor * middle, rtol=1e-3
+    )
+
+
+def test_increments_of_a_blurred_brownian_path_have_the_law_of_blur():
+    """Variance 2 D (t - T / 3), covariance D T / 3, and nothing two steps apart."""
+    interval, exposure, diffusion = 0.1, 0.08, 0.5
+    system = System(
+        name="free",
+        swimmer=OverdampedSwimmer(ZeroForce(), ZeroForce(), 1.0),
+        dim=2,
+        environment=ZeroForce(),
+        thermal_energy=diffusion,
+        observation=Observation(exposure=exposure),
+        starts=jnp.zeros((40, 2)),
+        times=jnp.linspace(0.0, 400 * interval, 401),
+    )
+    steps = np.diff(simulate(system, key=KEY).states[:, 1:-1], axis=1)
+    lags = [
+        (steps[:, lag:] * steps[:, : steps.shape[1] - lag]).mean() for lag in (0, 1, 2)
+    ]
+    unit = 2 * diffusion * interval
+    expected = [1 - exposure / interval / 3, exposure / interval / 6, 0.0]
+    np.testing.assert_allclose(np.array(lags) / unit, expected, atol=0.02)
 
 
 @pytest.mark.slow

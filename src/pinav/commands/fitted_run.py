@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from pinav.commands.constants import estimated_constants, rotational_part
 from pinav.commands.system_choice import read_system_of
-from pinav.dynamics import AbstractDynamics, with_dtype
+from pinav.dynamics import AbstractDynamics, OverdampedSwimmer, with_dtype
 from pinav.errors import InputError
 from pinav.evaluation import FieldMap
 from pinav.fitting import (
@@ -30,6 +30,7 @@ from pinav.fitting.environments.catalogue import (
     ModelChoice,
     build,
 )
+from pinav.fitting.environments.profiles import MobilitySummary
 from pinav.forces import KernelForce, KernelPotential
 from pinav.runs import RunFolder
 from pinav.systems import System, WanderingVelocity
@@ -283,6 +284,9 @@ def write_fit(
         },
     )
     summary = header.data.with_kernels_of(fit.model.environment)
+    if isinstance(fit.model, OverdampedSwimmer):
+        mobility = MobilitySummary.of(fit.model.mobility)
+        summary = msgspec.structs.replace(summary, mobility=mobility)
     header = msgspec.structs.replace(header, data=summary)
     write_model(folder, header, fit.model)
 

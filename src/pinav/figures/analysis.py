@@ -235,20 +235,38 @@ def lyapunov_figure(
         units: unit of each channel; "1" means dimensionless.
     """
     figure = new_figure(4.2, 4.6)
-    ax = figure.subplots()
+    ax = growth_map(exponents, path=path, units=units, ax=figure.subplots())
+    horizon = with_unit(f"$T$ = {exponents.horizon:.4g}", units.get("t", "1"))
+    title_panel(ax, f"Lyapunov exponent, {horizon}")
+    return figure
+
+
+def growth_map(
+    exponents: LyapunovMap,
+    *,
+    path: Path | None = None,
+    units: Mapping[str, str] = DIMENSIONLESS,
+    ax: Axes | None = None,
+) -> Axes:
+    """The map of `lyapunov_figure`.
+
+    Args:
+        exponents: as there.
+        path: as there.
+        units: as there.
+        ax: where to draw; a new figure unless given.
+    """
     values = np.where(exponents.separation > 0, exponents.separation, np.nan)
     low, high = (float(f(values)) for f in (np.nanmin, np.nanmax))
     norm = LogNorm(min(low, 0.9 * high), max(high, 1.1 * low))
-    label = r"growth of separations, $e^{\lambda T}$"
-    heat_map(values, exponents, norm, (UNCERTAIN, label), units=units, ax=ax)
+    look = (UNCERTAIN, r"growth of separations, $e^{\lambda T}$")
+    ax = heat_map(values, exponents, norm, look, units=units, ax=ax)
     if path is not None:
         ax.plot(*path.T, color=VERMILLION, lw=1.2, label="reference trajectory")
         ax.plot(*path[0], "o", color=VERMILLION, ms=4, mec=BLACK, mew=0.5)
         add_legend(ax, loc="upper left")
     ax.set(xlim=exponents.x[[0, -1]], ylim=exponents.y[[0, -1]])
-    horizon = with_unit(f"$T$ = {exponents.horizon:.4g}", units.get("t", "1"))
-    title_panel(ax, f"Lyapunov exponent, {horizon}")
-    return figure
+    return ax
 
 
 def sobol_figure(indices: SobolIndices) -> Figure:

@@ -13,7 +13,13 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator, ScalarFormatter
+from matplotlib.ticker import (
+    FuncFormatter,
+    LogLocator,
+    MaxNLocator,
+    NullLocator,
+    ScalarFormatter,
+)
 
 from pinav.analysis import LyapunovMap
 from pinav.evaluation import FieldMap, Regions
@@ -254,6 +260,7 @@ def heat_map(
 def _few_labels(bar: Colorbar, norm: Normalize) -> None:
     """Labels of a colour bar that do not run into each other."""
     if not isinstance(norm, LogNorm):
+        bar.locator = MaxNLocator(nbins=5, steps=[1, 2, 5, 10])
         bar.formatter = ScalarFormatter()
         bar.formatter.set_powerlimits((-2, 4))
         return

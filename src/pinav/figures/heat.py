@@ -308,26 +308,37 @@ def perfusion_figure(laws: Mapping[str, Mapping[str, Any]]) -> Figure:
     figure = new_figure(3.8 * len(laws), 3.2)
     panels = figure.subplots(1, len(laws), squeeze=False)[0]
     for ax, (name, law) in zip(panels, laws.items(), strict=True):
-        prepare_axes(ax)
-        temperatures = law["temperatures"]
-        visited: Bool[np.ndarray, " temperature"] = np.asarray(law["visited"], bool)
-        if law.get("true") is not None:
-            ax.plot(temperatures, law["true"], color=TRUTH, lw=WIDE, label="truth")
-        ax.fill_between(
-            temperatures, law["low"], law["high"], color=LEARNED, alpha=0.2, lw=0
-        )
-        known = np.where(visited, law["values"], np.nan)
-        ax.plot(temperatures, law["values"], ":", color=LEARNED, lw=THIN)
-        ax.plot(temperatures, known, color=LEARNED, lw=THIN, label="learned, 95 % band")
-        if np.max(law["high"]) > MANY_TIMES * np.min(law["low"]):
-            ax.set_yscale("log")
-            ax.yaxis.set_major_formatter("{x:g}")
-            ax.yaxis.set_minor_formatter(FuncFormatter(_even_tick))
-        ax.tick_params(which="both", labelsize=SMALL)
-        label_axes(ax, "temperature [°C]", "perfusion [kg/(m³ s)]")
+        perfusion_law(law, ax=ax)
         title_panel(ax, name)
     add_legend(panels[0])
     return figure
+
+
+def perfusion_law(law: Mapping[str, Any], *, ax: Axes | None = None) -> Axes:
+    """The learned perfusion of one tissue with its band, as in `perfusion_figure`.
+
+    Args:
+        law: as there.
+        ax: where to draw; a new figure unless given.
+    """
+    ax = prepare_axes(ax)
+    temperatures = law["temperatures"]
+    visited: Bool[np.ndarray, " temperature"] = np.asarray(law["visited"], bool)
+    if law.get("true") is not None:
+        ax.plot(temperatures, law["true"], color=TRUTH, lw=WIDE, label="truth")
+    ax.fill_between(
+        temperatures, law["low"], law["high"], color=LEARNED, alpha=0.2, lw=0
+    )
+    known = np.where(visited, law["values"], np.nan)
+    ax.plot(temperatures, law["values"], ":", color=LEARNED, lw=THIN)
+    ax.plot(temperatures, known, color=LEARNED, lw=THIN, label="learned, 95 % band")
+    if np.max(law["high"]) > MANY_TIMES * np.min(law["low"]):
+        ax.set_yscale("log")
+        ax.yaxis.set_major_formatter("{x:g}")
+        ax.yaxis.set_minor_formatter(FuncFormatter(_even_tick))
+    ax.tick_params(which="both", labelsize=SMALL)
+    label_axes(ax, "temperature [°C]", "perfusion [kg/(m³ s)]")
+    return ax
 
 
 def _even_tick(value: float, _: int | None = None) -> str:

@@ -236,7 +236,7 @@ def closed_loop_figure(
     """
     course, learned = Course(arrays), field_of(arrays, "field/learned")
     panels = 1 + ("field/true" in arrays) + ("field/sd" in arrays)
-    figure = new_figure(2.7 * max(panels, 2), 3.7)
+    figure = new_figure(2.7 * panels, 3.7) if panels > 1 else new_figure(4.2, 4.8)
     axes = np.ravel(figure.subplots(1, panels))
     truth = arrays.get("field/true", arrays["field/learned"])
     limit = max(float(np.linalg.norm(truth, axis=-1).max()), 1e-12)

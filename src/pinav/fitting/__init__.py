@@ -12,6 +12,8 @@ from pinav.fitting.engine.parametric_model import ravel_model as ravel_model
 from pinav.fitting.engine.posterior import Band as Band
 from pinav.fitting.engine.posterior import Estimate as Estimate
 from pinav.fitting.engine.posterior import Posterior as Posterior
+from pinav.fitting.environments.diagnosis import Cause as Cause
+from pinav.fitting.environments.diagnosis import diagnose as diagnose
 from pinav.fitting.environments.gradient_matching import (
     distillation_rates as distillation_rates,
 )
@@ -49,6 +51,7 @@ from pinav.fitting.langevin import ReferencePath as ReferencePath
 from pinav.fitting.langevin import SlowReference as SlowReference
 from pinav.fitting.langevin import fit_langevin as fit_langevin
 from pinav.fitting.langevin import judge_increments as judge_increments
+from pinav.fitting.langevin import slow_reference as slow_reference
 from pinav.fitting.matching.attempts import fit_in_turns as fit_in_turns
 from pinav.fitting.matching.defects import DefectMatching as DefectMatching
 from pinav.fitting.matching.distillation import Distillation as Distillation
@@ -73,6 +76,7 @@ from pinav.fitting.matching.state import Fit as Fit
 from pinav.fitting.matching.state import FitProgress as FitProgress
 from pinav.fitting.matching.state import FitState as FitState
 from pinav.fitting.outcome import Outcome as Outcome
+from pinav.fitting.outcome import confirm as confirm
 from pinav.fitting.structure.search import StructuredFit as StructuredFit
 from pinav.fitting.structure.search import fit_structured as fit_structured
 from pinav.fitting.structure.search import is_worth_a_search as is_worth_a_search

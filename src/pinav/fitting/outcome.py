@@ -31,3 +31,31 @@ class Outcome(enum.IntEnum):
 
     def __format__(self, spec: str) -> str:
         return format(str(self), spec)
+
+
+def confirm(
+    outcome: Outcome, residual: float, independent: float, spread: float
+) -> Outcome:
+    """An outcome that another solver than that of the fit confirms.
+
+    A fit judges itself by its own solver, whose errors grow on an unstable path: there
+    a model can follow the data by one solver alone.
+
+    Args:
+        outcome: by the fit's own solver.
+        residual: root-mean-square residual of the fit's own rollouts.
+        independent: that of rollouts by an independent solver.
+        spread: of the data.
+
+    Returns:
+        `STALLED` in place of `CONVERGED` where the independent rollouts miss the data
+        by more than three times the fit's own residual and by more than 1e-4 of their
+        spread.
+    """
+    close = independent <= max(CONFIRMED * residual, CLOSE * spread)
+    return Outcome.STALLED if outcome is Outcome.CONVERGED and not close else outcome
+
+
+CONFIRMED, CLOSE = 3.0, 1e-4
+"""Residual of independent rollouts that confirms a fit: in units of its own, and of the
+spread of the data."""

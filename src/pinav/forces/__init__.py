@@ -49,6 +49,7 @@ from pinav.forces.landscapes import PlaneWaves as PlaneWaves
 from pinav.forces.landscapes import PowerHill as PowerHill
 from pinav.forces.landscapes import RingBarrier as RingBarrier
 from pinav.forces.landscapes import SoftWall as SoftWall
+from pinav.forces.layered_kernels import LayeredPotential as LayeredPotential
 from pinav.forces.magnetics import DipolePull as DipolePull
 from pinav.forces.magnetics import InductionPull as InductionPull
 from pinav.forces.magnetics import MagneticFieldTable as MagneticFieldTable

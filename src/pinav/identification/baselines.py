@@ -127,7 +127,7 @@ def gaussian_process(
         restarts: further starts of the search of hyperparameters; 10 as published.
 
     References:
-        Sokolich et al., arXiv:2406.02722; Beaver et al., arXiv:2212.00188.
+        Kermanshah et al., arXiv:2406.02722; Beaver et al., arXiv:2212.00188.
     """
     begin = time.perf_counter()
     samples = Samples.of(track)

@@ -17,7 +17,12 @@ from pinav.recordings import units
 from pinav.recordings.table import Table
 
 DELIMITERS = ",\t;"
-"""What may separate the cells of a text file; the header tells which it is."""
+"""What may separate the cells of a text file; the header tells which it is.
+
+Where it has none of them, spaces do."""
+
+COMMENTS = ("#", "%")
+"""How lines of comments begin, which may stand above the header."""
 
 _COMMA = re.compile(r"\s*[-+]?\d+,\d+(?:[eE][-+]?\d+)?\s*")
 _POINT = re.compile(r"\s*[-+]?\d*\.\d+(?:[eE][-+]?\d+)?\s*")
@@ -62,6 +67,8 @@ def read_delimited(
 ) -> Table:
     """The table of a text file whose first line names the columns.
 
+    Columns without names are numbered from 0.
+
     Args:
         text: the file.
         skip: lines above the header.
@@ -79,12 +86,17 @@ def read_delimited(
             f"line {skip + 1}: expected the names of the columns, got nothing; "
             "export the file again"
         )
-    delimiter = max(DELIMITERS, key=lines[0].count)
+    lines[0] = header_text(lines[0])
+    delimiter = delimiter_of(lines[0])
+    if delimiter is None:
+        lines, delimiter = ["\t".join(line.split()) + "\n" for line in lines], "\t"
     reader = csv.reader(lines, delimiter=delimiter, strict=True)
     rows: list[Row] = []
     try:
         for cells in reader:
-            if not rows:
+            if not rows and names is None and all(map(is_number, cells)):
+                rows.append((skip, [str(index) for index in range(len(cells))]))
+            elif not rows:
                 _check_header([name.strip() for name in names or cells], skip + 1)
             rows.append((skip + reader.line_num, cells))
     except csv.Error as error:
@@ -92,6 +104,43 @@ def read_delimited(
     kept = [rows[0], *rows[1 + below :]]
     decimal = delimiter != ","
     return table_of(kept, "line", names=names, decimal=decimal, faults=faults)
+
+
+def delimiter_of(line: str) -> str | None:
+    """What separates the cells of a line; None where spaces do."""
+    delimiter = max(DELIMITERS, key=line.count)
+    return delimiter if delimiter in line else None
+
+
+def cells_of(line: str) -> list[str]:
+    """The cells of a line of text."""
+    delimiter = delimiter_of(line)
+    if delimiter is None:
+        return line.split()
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
+
+
+def header_text(line: str) -> str:
+    """A header without the sign of a comment."""
+    return line.lstrip("".join(COMMENTS) + " ") if line.startswith(COMMENTS) else line
+
+
+def rows_of_comments(lines: Sequence[str]) -> int:
+    """How many lines of comments stand above the header.
+
+    The last comment is the header where a row of as many numbers follows it:
+    `numpy.savetxt` writes it so.
+
+    Args:
+        lines: the first lines of the file.
+    """
+    rest = (i for i, line in enumerate(lines) if not line.startswith(COMMENTS))
+    count = next(rest, len(lines))
+    if 0 < count < len(lines):
+        cells, names = cells_of(lines[count]), cells_of(header_text(lines[count - 1]))
+        if len(cells) == len(names) and all(map(is_number, cells)):
+            return count - 1
+    return count
 
 
 def table_of(

@@ -183,9 +183,9 @@ def _format(name: str | None, source: Source, reading: Reading) -> AbstractForma
             "give it as commands beside the file of the tracker"
         )
     raise InputError(
-        f"the format is not known; give its name as format, one of "
-        f"{', '.join(by_name)}, or describe the table, whose columns are "
-        f"{', '.join(names)}: start from {example_of_columns(names)}"
+        f"the format is not known; say what its columns {', '.join(names)} are: start "
+        f"from {example_of_columns(names)}, or give the name of its format, one of "
+        f"{', '.join(by_name)}"
     )
 
 

@@ -1,6 +1,5 @@
 """A tracker's file before its format is known: its bytes, and what kind they are."""
 
-import csv
 import dataclasses
 import gzip
 import io
@@ -16,11 +15,16 @@ import numpy as np
 
 from pinav.errors import InputError
 from pinav.recordings.layout import (
-    DELIMITERS,
+    COMMENTS,
     STRICT,
     Layout,
+    cells_of,
+    delimiter_of,
+    header_text,
+    is_number,
     read_delimited,
     rows_above_header,
+    rows_of_comments,
 )
 from pinav.recordings.table import Table
 from pinav.recordings.workbook import sheet_table
@@ -181,15 +185,15 @@ class Source:
         """Rows above the header of a text file."""
         if self.layout.skip is not None:
             return self.layout.skip
-        lines = self.text[:20_000].splitlines()
-        rows = []
-        for line in lines:
-            delimiter = max(DELIMITERS, key=line.count)
-            rows.append(next(csv.reader([line], delimiter=delimiter), []))
-        return (
-            0
-            if any(line.startswith("#") for line in lines[:1])
-            else rows_above_header(rows)
+        text = self.text[:20_000].splitlines()
+        if text and text[0].startswith(COMMENTS):
+            return rows_of_comments(text)
+        spaced = not any(map(delimiter_of, text))
+        return rows_above_header(
+            [
+                cells_of(line) if spaced or delimiter_of(line) else [line]
+                for line in text
+            ]
         )
 
     @cached_property
@@ -199,11 +203,10 @@ class Source:
             return list(self.table().columns)
         if self.kind == "workbook" or not self.first_lines:
             return []
-        header = self.first_lines[0]
-        delimiter = max(DELIMITERS, key=header.count)
-        return [
-            name.strip() for name in next(csv.reader([header], delimiter=delimiter), [])
-        ]
+        names = cells_of(header_text(self.first_lines[0]))
+        if all(map(is_number, names)):
+            return [str(index) for index in range(len(names))]
+        return names
 
     def table(self) -> Table:
         """The table that a file or a DataFrame is.

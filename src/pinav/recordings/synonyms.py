@@ -31,13 +31,29 @@ def likely_columns(names: Sequence[str]) -> dict[str, str]:
     Args:
         names: of the columns of a table.
     """
-    plain = {name: _plain(name) for name in names}
     likely = {}
     for quantity, words in SYNONYMS.items():
-        match = [name for word in words for name in names if plain[name] == word]
+        short = {name: _shortened(name, quantity) for name in names}
+        match = [name for word in words for name in names if short[name] == word]
         if match:
             likely[quantity] = match[0]
     return likely
+
+
+_OF_COMMANDS = (
+    r"field(?! [xyz]\b)|magnetic|coil|command|commanded|set|rotation|rotating"
+)
+_OF_POSITIONS = "centroid|center|centre|mean|spot|particle|robot"
+_POSITIONS = ("x", "y", "z", "particle")
+
+
+def _shortened(name: str, quantity: str) -> str:
+    """A name without the words that do not change what a quantity is."""
+    plain = _plain(name)
+    if any(plain in words for words in SYNONYMS.values()):
+        return plain
+    words = _OF_POSITIONS if quantity in _POSITIONS else _OF_COMMANDS
+    return re.sub(rf" *\b({words})\b *", " ", plain).strip()
 
 
 def _plain(name: str) -> str:

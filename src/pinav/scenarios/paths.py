@@ -24,7 +24,7 @@ SUBSTEPS = 8
 
 
 def true_paths(
-    system: System, key: PRNGKeyArray | None
+    system: System, key: PRNGKeyArray | None, *, parts: int = 1
 ) -> tuple[Float64[np.ndarray, "trajectory time state"], dict[str, str | float | int]]:
     """States at the times of a system, and the method by which they were found.
 
@@ -32,10 +32,14 @@ def true_paths(
         system: with its true environment, starts and times.
         key: random key of Brownian motion and of a wandering velocity; unused where
             there is neither.
+        parts: equal parts into which the states divide each interval of the times, a
+            divisor of `SUBSTEPS`; the path does not depend on it.
 
     Raises:
         InputError: the truth is stochastic and there is no key.
     """
+    substeps = SUBSTEPS // parts
+    system = dataclasses.replace(system, times=divide_times(system.times, parts))
     truth = system.truth
     stochastic = isinstance(truth, BrownianSwimmer) or system.wandering is not None
     if not stochastic:
@@ -55,11 +59,18 @@ def true_paths(
         assert isinstance(truth, OverdampedSwimmer)
         truth = BrownianSwimmer(truth, 0.0)
     method = {"solver": "Euler-Maruyama", "substeps": SUBSTEPS}
-    return _sample_paths(system, truth, key), method
+    return _sample_paths(system, truth, key, substeps), method
+
+
+def divide_times(times: Float[Array, " time"], parts: int) -> Float[Array, " finer"]:
+    """Times that divide each interval into equal parts."""
+    count = len(times) - 1
+    places = jnp.arange(count * parts + 1.0) / parts
+    return times if parts == 1 else jnp.interp(places, jnp.arange(count + 1.0), times)
 
 
 def _sample_paths(
-    system: System, truth: BrownianSwimmer, key: PRNGKeyArray
+    system: System, truth: BrownianSwimmer, key: PRNGKeyArray, substeps: int
 ) -> Float64[np.ndarray, "trajectory time state"]:
     key = jax.random.fold_in(key, 1)  # apart from the noise of observation
     wandering = system.wandering
@@ -73,8 +84,9 @@ def _sample_paths(
             wanderer = truth
             if wandering is not None:
                 drift_key = jax.random.fold_in(path_key, 1)
-                wanderer = _wandering(truth, system, wandering, drift_key)
-            return sample_path(wanderer, y0, times, key=path_key, substeps=SUBSTEPS).ys
+                grid = divide_times(times, substeps)
+                wanderer = _wandering(truth, system, wandering, drift_key, grid)
+            return sample_path(wanderer, y0, times, key=path_key, substeps=substeps).ys
 
         return jax.vmap(one)(starts, indices)
 
@@ -87,11 +99,9 @@ def _wandering(
     system: System,
     wandering: WanderingVelocity,
     key: PRNGKeyArray,
+    grid: Float[Array, " step"],
 ) -> BrownianSwimmer:
     """The swimmer carried by one draw of its wandering velocity, linear in between."""
-    times, intervals = system.times, len(system.times) - 1
-    parts = jnp.arange(intervals * SUBSTEPS + 1) / SUBSTEPS
-    grid = jnp.interp(parts, jnp.arange(intervals + 1.0), times)
     # Over a step the process keeps this part of its value, and gains the variance
     # that it loses: exact at the steps, whatever their length.
     kept = jnp.exp(-jnp.diff(grid) / wandering.memory)

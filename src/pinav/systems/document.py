@@ -49,7 +49,7 @@ def document_of(system: System) -> TOML:
         document["learn"] = {
             one.path: encode(f"learn.{one.path}", one.prior) for one in system.learn
         }
-    document["unknown"] = {"model": system.model}
+    document["unknown"] = {"model": system.model} | system.thermal.table()
     if system.environment is not None:
         document["truth"] = _forces("truth", system.environment)
     return document | _sampling(system)

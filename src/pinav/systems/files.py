@@ -26,6 +26,7 @@ from pinav.systems.priors import AbstractNumberPrior, FreeNumber
 from pinav.systems.python import load_name
 from pinav.systems.starts import AbstractStarts
 from pinav.systems.system import MODELS, Observation, System, WanderingVelocity
+from pinav.systems.thermal_unknown import FIELDS, ThermalUnknown
 from pinav.systems.units import Units
 
 MAX_BYTES = 2**22
@@ -168,6 +169,7 @@ def parse_system(text: str, *, folder: Path | None = None, name: str = "") -> Sy
         times=_times(table),
         base_units=units,
         model=_model(table, context),
+        thermal=_thermal(table, order),
         learn=_learn(table, context),
     )
 
@@ -178,7 +180,7 @@ def _plain(cls: Any, key: str, table: TOML, context: Context) -> Any:
 
 
 def _model(table: TOML, context: Context) -> str:
-    unknown = section_of(table, "unknown", ("model",))
+    unknown = section_of(table, "unknown", ("model", *FIELDS))
     default = System.__dataclass_fields__["model"].default
     model = decode("unknown.model", str, unknown.get("model", default), context)
     if model not in MODELS:
@@ -186,6 +188,20 @@ def _model(table: TOML, context: Context) -> str:
             f"unknown.model: expected one of {', '.join(MODELS)}; got {model!r}"
         )
     return model
+
+
+def _thermal(table: TOML, order: int) -> ThermalUnknown:
+    stated = {
+        key: table.get("unknown", {})[key]
+        for key in FIELDS
+        if key in table.get("unknown", {})
+    }
+    if stated and order == 2:
+        raise InputError(
+            f"unknown.{next(iter(stated))}: thermal motion needs order = 1, a swimmer "
+            "without inertia; drop it"
+        )
+    return ThermalUnknown.of_table(stated)
 
 
 def _learn(table: TOML, context: Context) -> tuple[FreeNumber, ...]:

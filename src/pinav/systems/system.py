@@ -14,6 +14,7 @@ from pinav.errors import InputError
 from pinav.forces import AbstractForce, ZeroForce
 from pinav.systems.priors import FreeNumber
 from pinav.systems.starts import AbstractStarts
+from pinav.systems.thermal_unknown import ThermalUnknown
 from pinav.systems.units import Units
 
 MODELS = (
@@ -111,6 +112,7 @@ class System(eqx.Module):
             stated.
         base_units: units of length, time and force.
         model: name of the model that stands for the unknown unless one is chosen.
+        thermal: what stands for the unknown where motion is thermal.
         learn: numbers of the swimmer that are learned with the environment.
 
     Raises:
@@ -133,6 +135,7 @@ class System(eqx.Module):
     )
     base_units: Units = Units()
     model: str = eqx.field(static=True, default="kernel-potential")
+    thermal: ThermalUnknown = ThermalUnknown()
     learn: tuple[FreeNumber, ...] = ()
 
     def __check_init__(self) -> None:

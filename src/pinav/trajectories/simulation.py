@@ -8,7 +8,7 @@ from jaxtyping import Float64, PRNGKeyArray
 from pinav import __version__
 from pinav.errors import InputError
 from pinav.forces import RollingPropulsion
-from pinav.scenarios import true_paths
+from pinav.scenarios.paths import SUBSTEPS, divide_times, true_paths
 from pinav.systems import System, system_text
 from pinav.trajectories.degradation import MotionBlur
 from pinav.trajectories.trajectories import Trajectories
@@ -38,7 +38,9 @@ def simulate(system: System, *, key: PRNGKeyArray | None = None) -> Trajectories
         )
     shape = (len(system.starts), len(system.times), len(system.channels))
     noise = _observation_noise(system, key, shape)
-    states, method = true_paths(system, key)
+    # Heat kicks a swimmer within an exposure, which therefore has parts.
+    parts = SUBSTEPS if system.observation.exposure > 0 else 1
+    states, method = true_paths(system, key, parts=parts)
     provenance = {
         "scenario": system.name,
         "system": _text(system),
@@ -50,7 +52,7 @@ def simulate(system: System, *, key: PRNGKeyArray | None = None) -> Trajectories
     commands = _commands(system)
     return Trajectories.from_arrays(
         system.times,
-        _expose(system, states) + noise,
+        _expose(system, states, parts) + noise,
         channels=system.channels,
         commands=commands,
         units={**system.units, **{name: _UNITS[name] for name in commands}},
@@ -76,15 +78,17 @@ def _commands(system: System) -> dict[str, np.ndarray]:
 
 
 def _expose(
-    system: System, states: Float64[np.ndarray, "trajectory time state"]
+    system: System, states: Float64[np.ndarray, "trajectory part state"], parts: int
 ) -> Float64[np.ndarray, "trajectory time state"]:
     """The states as a camera averages them, which is before its noise."""
     exposure = system.observation.exposure
     if exposure == 0:
         return states
     blur, random = MotionBlur(float(exposure)), np.random.default_rng(0)
-    sharp = Trajectories.from_arrays(system.times, states, channels=system.channels)
-    return np.stack([blur(piece, sharp.channels, random).states for piece in sharp])
+    times = divide_times(system.times, parts)
+    sharp = Trajectories.from_arrays(times, states, channels=system.channels)
+    blurred = [blur(piece, sharp.channels, random).states for piece in sharp]
+    return np.stack(blurred)[:, ::parts]
 
 
 def _observation_noise(

@@ -285,6 +285,12 @@ def test_a_notebook_shows_the_page_in_a_frame(run):
     assert "explore.html" not in {path.name for path in run.iterdir()}
 
 
+def test_a_notebook_need_not_ask_for_float64(run):
+    with jax.enable_x64(new_val=False):
+        page = explorer(run).page
+    assert page == explorer(run).page
+
+
 def test_a_widget_without_its_package_is_refused(run, monkeypatch):
     monkeypatch.setitem(sys.modules, "anywidget", None)
     with pytest.raises(InputError, match=r"pip install 'pinav\[notebook\]'"):

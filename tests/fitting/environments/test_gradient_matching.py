@@ -1,16 +1,24 @@
 import jax
 import jax.numpy as jnp
+import msgspec
 import numpy as np
 import pytest
 
 from pinav.dynamics import Adaptive, NeuralDynamics, Swimmer
 from pinav.evaluation import predict, score
 from pinav.fitting import Rates, distillation_rates
+from pinav.fitting.environments.catalogue import (
+    DataSummary,
+    ModelChoice,
+    build,
+    summarise_for_matching,
+)
 from pinav.fitting.environments.gradient_matching import (
     _choose,
     _Trial,
     force_region,
     match_kernels,
+    match_potential,
     observed_rates,
     simpler_models,
 )
@@ -21,7 +29,9 @@ from pinav.forces import (
     GaussianSwirl,
     KernelForce,
     KernelPotential,
+    LayeredPotential,
     LinearDrag,
+    PowerHill,
     tanh_network,
 )
 from pinav.trajectories import Trajectories
@@ -158,3 +168,21 @@ def test_no_force_has_no_region():
     times = np.arange(9.0)
     rates = np.asarray(jax.vmap(free)(jnp.asarray(times), jnp.asarray(states)))
     assert force_region(free, Rates(times, states, rates)) is None
+
+
+def test_a_hill_with_a_long_tail_gets_layers_that_a_file_keeps():
+    hill = TRUTH.with_environment(PowerHill(3.0, [2.0, 0.3], 0.4, 2.0))
+    seen, choice = observe(hill), ModelChoice("kernel-potential")
+    summary = summarise_for_matching(choice, hill, seen)
+    kept = msgspec.json.decode(msgspec.json.encode(summary), type=DataSummary)
+    assert kept == summary
+    environment = build(choice, hill, kept).environment
+    assert isinstance(environment, LayeredPotential)
+    widths = [float(layer.width) for layer in environment.layers]
+    assert widths == sorted(widths, reverse=True)
+
+
+def test_a_barrier_that_ends_needs_kernels_of_one_width():
+    wide = TRUTH.with_environment(GaussianBarrier(3.0, [2.0, 0.3], 2.0))
+    layers = match_potential(wide, rates_of(observe(wide)))
+    assert len(layers) == 1

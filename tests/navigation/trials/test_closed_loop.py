@@ -93,7 +93,10 @@ def test_white_noise_has_the_strength_that_was_asked_for():
     np.testing.assert_allclose(np.std(error), variance**0.5, rtol=spread)
 
 
-def test_many_are_the_same_as_one_by_one_and_end_by_themselves():
+@pytest.mark.parametrize("backend", ["cpu", "gpu"])
+def test_many_are_the_same_as_one_by_one_and_end_by_themselves(backend, monkeypatch):
+    """On an accelerator, episodes run side by side, with the same result."""
+    monkeypatch.setattr(jax, "default_backend", lambda: backend)
     task = open_water(
         noise=0.4, sensor_noise=0.1, delay=0.15, objective=ReachGoal([1.0, 0.0], 0.4)
     )

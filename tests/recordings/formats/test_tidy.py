@@ -250,7 +250,7 @@ BAD = {
     "bytes that are no text": (b"t_s,x_px,y_px\n0,\xff\xfe,2\n", r"line 2: .* 0xff"),
     "zeros in the text": (b"t_s,x_px,y_px\n0,1\x00,2\n", r"line 2: .* got binary data"),
     "gzip cut short": (gzip.compress(PIXELS.encode())[:-12], r"damaged gzip file"),
-    "other delimiter": ("t_s|x_px|y_px\n0|1|2\n", r"the format is not known; give its"),
+    "other delimiter": ("t_s|x_px|y_px\n0|1|2\n", r"the format is not known; say what"),
 }
 
 

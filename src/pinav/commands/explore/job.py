@@ -5,6 +5,8 @@ import html
 from pathlib import Path
 from typing import Any
 
+import jax
+
 from pinav.commands.command import CommandResult
 from pinav.commands.explore.document import document
 from pinav.commands.explore.notebook import make_widget
@@ -60,7 +62,9 @@ def explorer(run: str | Path, *, fit: str | Path | None = None) -> Explorer:
         InputError: the folder holds no run that the page can show.
     """
     options = ExploreOptions(Path(run), None if fit is None else Path(fit))
-    return Explorer(document(_payload(RunFolder.open(options.run), options)))
+    # A notebook may not have asked for float64, in which models are fitted and kept.
+    with jax.enable_x64(new_val=True):
+        return Explorer(document(_payload(RunFolder.open(options.run), options)))
 
 
 def run(options: ExploreOptions) -> CommandResult:

@@ -35,12 +35,15 @@ from pinav.commands.system_choice import (
     choose_system,
     write_system_of,
 )
+from pinav.dynamics import AbstractDynamics, Swimmer
 from pinav.errors import FitError
 from pinav.evaluation import (
     FieldMap,
     default_regions,
     field_map,
+    force_error_at_samples,
     force_errors,
+    force_line,
     predict,
     restart_errors,
     score,
@@ -48,6 +51,8 @@ from pinav.evaluation import (
 from pinav.fitting import (
     EvidenceFit,
     Outcome,
+    confirm,
+    diagnose,
     fit_bayes,
     fit_structured,
     is_worth_a_search,
@@ -60,6 +65,7 @@ from pinav.identification.numbers import BLOCK_NOISE
 from pinav.recordings.conventions import remarks
 from pinav.runs import RunFolder
 from pinav.scenarios import source_system
+from pinav.trajectories import Trajectories
 
 REMARKS = {
     str(Outcome.STALLED): (
@@ -123,10 +129,13 @@ def fit(plan: FitPlan, folder: RunFolder) -> FitMetrics:
     }
     fields: dict[str, FieldMap] = {}
     if isinstance(fitted.model, KnownSwimmer):
-        fields = _fields(fitted.model, plan)
-        arrays |= _field_arrays(fields)
-        if fitted.posterior is not None:
-            arrays["field/sd"] = fitted.force_sd(fields["learned"])
+        if plan.data.dim == 2:
+            fields = _fields(fitted.model, plan)
+            arrays |= _field_arrays(fields)
+            if fitted.posterior is not None:
+                arrays["field/sd"] = fitted.force_sd(fields["learned"])
+        else:
+            arrays |= _line_arrays(fitted, plan)
         arrays |= profile_arrays(fitted)
     folder.write_arrays("results.npz", arrays)
     rmse = score(predictions, outcomes, plan.data).by_name()
@@ -212,15 +221,17 @@ def _metrics(
         "recipe": plan.settings.recipe,
         "rmse": rmse,
         "learned": learned,
-        "force_error": _force_errors(fields, plan),
+        "force_error": _force_errors(fitted.model, fields, plan),
     }
     if evidence is None:
         losses = read_losses("model", fitted.folder)
-        curve, outcome = losses.values[0], losses.outcomes[0]
+        curve = losses.values[0]
+        outcome = _confirmed(losses.outcomes[0], float(curve[-1]), plan.data, rmse)
         return FitMetrics(
             outcome=outcome,
             remarks=(
                 *_remarks(outcome),
+                *_cause(plan.data, fitted.model, outcome, rmse),
                 *_simpler(plan, outcome, rmse),
                 *remarks(plan.data),
             ),
@@ -249,6 +260,36 @@ def _remarks(outcome: str) -> tuple[str, ...]:
     return (REMARKS[outcome],) if outcome in REMARKS else ()
 
 
+def _confirmed(
+    outcome: str, loss: float, data: Trajectories, rmse: dict[str, float]
+) -> str:
+    """The word for how a fit ended, which its independent rollouts confirm."""
+    if outcome != str(Outcome.CONVERGED):
+        return outcome
+    residual = float(np.sqrt(loss / data.num_observed))
+    total, spread = rmse["total"], _spread(data)
+    return str(confirm(Outcome.CONVERGED, residual, total, spread))
+
+
+def _cause(
+    data: Trajectories, model: Any, outcome: str, rmse: dict[str, float]
+) -> tuple[str, ...]:
+    """Why a fit that misses the data failed, where the data tell it."""
+    close = rmse["total"] <= FAILED * _spread(data)
+    if outcome == str(Outcome.CONVERGED) or close or not isinstance(model, Swimmer):
+        return ()
+    cause = diagnose(model, data)
+    return () if cause is None else (f"The likely cause of the failure: {cause}.",)
+
+
+def _spread(data: Trajectories) -> float:
+    return float(np.std(data.states[data.observed]))
+
+
+FAILED = 1e-3
+"""Error of rollouts, in units of the spread of the data, whose cause is looked for."""
+
+
 def _simpler(plan: FitPlan, outcome: str, rmse: dict[str, float]) -> tuple[str, ...]:
     """What explains the data far better than a fit that did not converge."""
     if outcome == str(Outcome.CONVERGED):
@@ -272,19 +313,51 @@ FAR_BETTER = 3.0
 def _fields(model: KnownSwimmer, plan: FitPlan) -> dict[str, FieldMap]:
     """The learned force around the data, and the true one where it is known."""
     fields = {"learned": field_map(model.environment, plan.data)}
-    source = source_system(plan.data.provenance)
-    if source is not None and source.environment is not None:
-        fields["true"] = field_map(source.environment, plan.data)
+    truth = _true_environment(plan)
+    if truth is not None:
+        fields["true"] = field_map(truth, plan.data)
     return fields
 
 
+def _true_environment(plan: FitPlan) -> AbstractForce | None:
+    """That of the system from which the data come, where it is known."""
+    source = source_system(plan.data.provenance)
+    return None if source is None else source.environment
+
+
 def _force_errors(
-    fields: dict[str, FieldMap], plan: FitPlan
+    model: AbstractDynamics, fields: dict[str, FieldMap], plan: FitPlan
 ) -> dict[str, float | None] | None:
+    if plan.data.dim != 2 and isinstance(model, KnownSwimmer):
+        truth = _true_environment(plan)
+        if truth is None:
+            return None
+        error = force_error_at_samples(model.environment, truth, plan.data)
+        return {"at the samples": error}
     if "true" not in fields:
         return None
     regions = default_regions(plan.data)
     return dict(force_errors(fields["learned"], fields["true"], regions))
+
+
+def _line_arrays(fitted: FittedRun, plan: FitPlan) -> dict[str, np.ndarray]:
+    """The force along lines through data that are not planar."""
+    model: Any = fitted.model
+    profile = plan.summary.profile
+    axes = range(plan.data.dim) if profile is None else profile.along
+    arrays = {}
+    for axis in axes:
+        line = force_line(
+            model.environment,
+            plan.data,
+            axis,
+            posterior=fitted.posterior,
+            truth=_true_environment(plan),
+        )
+        for name in ("places", "force", "sd", "true"):
+            if (values := getattr(line, name)) is not None:
+                arrays[f"line/{plan.data.channels[axis]}/{name}"] = values
+    return arrays
 
 
 def _field_arrays(fields: dict[str, FieldMap]) -> dict[str, np.ndarray]:

@@ -8,10 +8,16 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.commands.data_file import with_all_channels
-from pinav.commands.fit.settings import EVIDENCE_RECIPES, FitSettings
+from pinav.commands.fit.settings import (
+    EVIDENCE_RECIPES,
+    THERMAL_OPTIONS,
+    FitSettings,
+)
+from pinav.commands.fit.thermal_choice import ThermalChoice
 from pinav.commands.matching import check_starts
 from pinav.errors import InputError
 from pinav.fitting.environments.catalogue import (
+    PROFILE,
     DataSummary,
     ModelChoice,
     mean_drag,
@@ -40,6 +46,7 @@ class FitPlan:
         data: as the recipe needs them.
         choice: the model that is learned.
         summary: what the untrained model takes from the data.
+        thermal: what the fit of thermal motion may learn; None for another recipe.
     """
 
     settings: FitSettings
@@ -47,6 +54,7 @@ class FitPlan:
     data: Trajectories
     choice: ModelChoice
     summary: DataSummary
+    thermal: ThermalChoice | None = None
 
 
 def plan_fit(settings: FitSettings, system: System, data: Trajectories) -> FitPlan:
@@ -84,8 +92,11 @@ def plan_fit(settings: FitSettings, system: System, data: Trajectories) -> FitPl
         )
     if settings.recipe not in EVIDENCE_RECIPES:
         check_starts(data)
+    chosen = None
+    if settings.recipe == "langevin":
+        chosen = ThermalChoice.of(settings, system, data)
     choice = ModelChoice(
-        name=str(settings.model),
+        name=PROFILE if settings.has_profile else str(settings.model),
         seed=settings.seed,
         width=settings.width,
         depth=settings.depth,
@@ -95,12 +106,14 @@ def plan_fit(settings: FitSettings, system: System, data: Trajectories) -> FitPl
         summary = summarise_for(choice, data)
     else:
         summary = summarise_for_matching(choice, system.swimmer, data)
+    if chosen is not None and settings.has_profile:
+        summary = msgspec.structs.replace(summary, profile=chosen.profile(data))
     check_memory(data, summary)
-    return FitPlan(settings, system, data, choice, summary)
+    return FitPlan(settings, system, data, choice, summary, chosen)
 
 
 def resolve(settings: FitSettings, system: System, *, thermal: bool) -> FitSettings:
-    """The settings with the model of the system and the recipe that suits the data.
+    """The settings with what the system states, and the recipe that suits the data.
 
     Args:
         settings: as given.
@@ -123,7 +136,16 @@ def resolve(settings: FitSettings, system: System, *, thermal: bool) -> FitSetti
         recipe = "langevin"
     elif recipe == "default":
         recipe = "curriculum" if name in ("ude", "nn-only") else "bayes"
-    return msgspec.structs.replace(settings, model=name, recipe=recipe)
+    settings = msgspec.structs.replace(settings, model=name, recipe=recipe)
+    if recipe != "langevin":
+        return settings
+    stated = {
+        option: getattr(settings, option) or getattr(system.thermal, option)
+        for option in THERMAL_OPTIONS
+    }
+    stated["observation"] = stated["observation"] or "exact"
+    stated["diffusion"] = stated["diffusion"] or "constant"
+    return msgspec.structs.replace(settings, **stated)
 
 
 def looks_brownian(data: Trajectories) -> bool:

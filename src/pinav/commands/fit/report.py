@@ -6,13 +6,19 @@ import numpy as np
 
 from pinav.commands.fit.metrics import FitMetrics
 from pinav.commands.fit.structure import StructureRow
-from pinav.commands.fit.thermal import ThermalRow
+from pinav.commands.fit.thermal import FIELDS_FILE, ThermalRow
 from pinav.commands.fitted_run import DATA_FILE
 from pinav.commands.matching import read_losses
 from pinav.evaluation import FieldMap, default_regions
 from pinav.figures import force_comparison, loss_curve, observed_paths, save_figure
-from pinav.figures.profiles import profile_band
-from pinav.figures.style import new_figure, with_order
+from pinav.figures.palette import TRUTH
+from pinav.figures.profiles import (
+    diffusion_bands,
+    positions_over_time,
+    profile_band,
+    value_band,
+)
+from pinav.figures.style import new_figure, with_order, with_unit
 from pinav.report import Cell, Image, Paragraph, Section, Table
 from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories, load
@@ -33,10 +39,13 @@ def fit_sections(folder: RunFolder) -> list[Section]:
         shown = _structure(folder, data, arrays, metrics.structure)
         sections.append(Section("The structure of the force", shown))
     if metrics.thermal is not None:
-        sections.append(Section("The thermal motion", _checks(metrics.thermal)))
+        content = [*_checks(metrics.thermal), *_thermal_fields(folder, data)]
+        sections.append(Section("The thermal motion", content))
     if "field/learned" in arrays:
         force = _learned_force(folder, data, arrays, metrics)
         sections.append(Section("The learned force", force))
+    if lines := _lines(folder, data, arrays):
+        sections.append(Section("The learned force", [*lines]))
     return sections
 
 
@@ -74,16 +83,26 @@ def _errors(metrics: FitMetrics) -> Table:
     return _one_row({f"after {k}": v for k, v in restarts.errors.items()}, note)
 
 
-def _checks(thermal: ThermalRow) -> list[Paragraph | Table]:
+def _checks(thermal: ThermalRow) -> list[Paragraph | Image | Table]:
     """Whether the fit explains the increments, and what the observation does."""
     lags = range(1, 1 + max(map(len, thermal.correlations.values())))
     ratios = [
-        ("exposure as a share of the interval", thermal.exposure),
-        ("error of a position, in steps by diffusion", thermal.error),
-        *(
-            (f"diffusion of every {one.every} samples over that of all", one.ratio)
-            for one in thermal.thinned
-        ),
+        (f"{name} along {', '.join(one.channels)}", value)
+        for one in thermal.observed
+        for name, value in (
+            ("diffusion, mean over the data,", one.diffusion),
+            ("exposure as a share of the interval,", one.exposure),
+            ("error of a position, in steps by diffusion,", one.error),
+        )
+        if value is not None
+    ]
+    ratios += [
+        (
+            f"diffusion of every {one.every} samples over that of all, along "
+            f"{', '.join(one.channels)}",
+            one.ratio,
+        )
+        for one in thermal.thinned
     ]
     return [
         Paragraph(thermal.statement),
@@ -94,11 +113,75 @@ def _checks(thermal: ThermalRow) -> list[Paragraph | Table]:
             f"ones lie within {thermal.limit:.3f} (two standard deviations).",
         ),
         Table(
-            ("ratio", "value", "standard deviation"),
+            ("quantity", "value", "standard deviation"),
             [(name, one.value, one.sd) for name, one in ratios],
-            "Blur and error of the positions, and the diffusion of thinned data.",
+            "Diffusion, blur and error of the positions, and the diffusion of thinned "
+            "data.",
         ),
     ]
+
+
+def _thermal_fields(folder: RunFolder, data: Trajectories) -> list[Image]:
+    """Diffusion along lines through the data, and the path of a reference."""
+    if not folder.has(FIELDS_FILE):
+        return []
+    arrays = folder.read_arrays(FIELDS_FILE)
+    length, time = data.units.get(data.channels[0], "1"), data.units.get("t", "1")
+    images = []
+    for name in data.channels:
+        if f"diffusion/{name}/places" not in arrays:
+            continue
+        parts = ("places", "values", "sd")
+        figure = new_figure(4.2, 2.6)
+        diffusion_bands(
+            *(arrays[f"diffusion/{name}/{part}"] for part in parts),
+            coordinate=name,
+            channels=data.channels,
+            units=(length, time),
+            ax=figure.add_subplot(),
+        )
+        files = save_figure(figure, folder.path / "figures", f"diffusion-{name}")
+        caption = f"Diffusion along {name} through the middle of the data, 95 % bands."
+        images.append(Image(files.svg, f"Diffusion over {name}", caption))
+    if "reference/times" in arrays:
+        figure = new_figure(4.2, 2.6)
+        value_band(
+            *(arrays[f"reference/{part}"] for part in ("times", "values", "sd")),
+            labels=(with_unit("time", time), with_unit("reference", length)),
+            ax=figure.add_subplot(),
+        )
+        files = save_figure(figure, folder.path / "figures", "reference")
+        caption = "Path of the frame of reference, about its mean, with its 95 % band."
+        images.append(Image(files.svg, "Path of the reference", caption))
+    return images
+
+
+def _lines(
+    folder: RunFolder, data: Trajectories, arrays: dict[str, np.ndarray]
+) -> list[Image]:
+    """The force along lines through data that are not planar."""
+    images = []
+    units = with_order(data.units, arrays["ys"].shape[-1] // 2)
+    for name in data.channels:
+        if f"line/{name}/places" not in arrays:
+            continue
+        places, force = (arrays[f"line/{name}/{part}"] for part in ("places", "force"))
+        figure = new_figure(4.2, 2.6)
+        axes = profile_band(
+            places,
+            force,
+            arrays.get(f"line/{name}/sd", np.zeros_like(force)),
+            coordinate=name,
+            units=(data.units.get(name, "1"), units.get("force", "?")),
+            ax=figure.add_subplot(),
+        )
+        caption = f"The force along {name} through the middle of the data"
+        if f"line/{name}/true" in arrays:
+            axes.plot(places, arrays[f"line/{name}/true"], color=TRUTH, lw=1.0, ls="--")
+            caption += "; dashed: the truth"
+        files = save_figure(figure, folder.path / "figures", f"force-{name}")
+        images.append(Image(files.svg, f"Force over {name}", f"{caption}."))
+    return images
 
 
 def _paths(
@@ -108,12 +191,22 @@ def _paths(
     with_loss = folder.has("losses-model.npz")
     figure = new_figure(7.5 if with_loss else 4.2, 3.4)
     axes = figure.subplots(1, 2) if with_loss else [figure.subplots()]
-    observed_paths(
-        [np.where(p.observed[:, :2], p.states[:, :2], np.nan) for p in data],
-        [ys[:n, :2] for ys, n in zip(arrays["ys"], data.lengths, strict=True)],
-        units=data.units,
-        ax=axes[0],
-    )
+    observed = [np.where(p.observed[:, :2], p.states[:, :2], np.nan) for p in data]
+    rollouts = [ys[:n, :2] for ys, n in zip(arrays["ys"], data.lengths, strict=True)]
+    if data.dim == 1:
+        name = data.channels[0]
+        positions_over_time(
+            [p.times for p in data],
+            [one[:, 0] for one in observed],
+            [one[:, 0] for one in rollouts],
+            labels=(
+                with_unit("time", data.units.get("t", "1")),
+                with_unit(name, data.units.get(name, "1")),
+            ),
+            ax=axes[0],
+        )
+    else:
+        observed_paths(observed, rollouts, units=data.units, ax=axes[0])
     caption = "Observed positions and rollouts of the fitted model."
     if with_loss:
         losses = read_losses("model", folder)

@@ -18,6 +18,11 @@ FitRecipeName = Literal["default", "bayes", "langevin", "curriculum", "paper"]
 EVIDENCE_RECIPES = ("bayes", "langevin")
 """Recipes that choose by the evidence and give a posterior."""
 
+THERMAL_OPTIONS = (
+    *("observation", "diffusion", "coordinates", "period", "warp", "reference"),
+)
+"""Options of the recipe langevin, which [unknown] of a system file may state, too."""
+
 MATCHED_MODELS = ("ude", "nn-only")
 """Models without evidence, which are matched to the trajectories."""
 
@@ -45,7 +50,21 @@ class FitSettings(Settings, frozen=True):
             to free kernels; free: kernels alone.
         observation: Recipe langevin: exact: positions without error; learn: the camera
             averages over an exposure and errs, and both are learned, so that neither
-            biases the diffusion or the force.
+            biases the diffusion or the force; known: both are what the system states.
+            Exact unless given here or in [unknown] of the system file, as the next
+            five.
+        diffusion: Recipe langevin: constant: one number; field: it varies in space;
+            tensor: it varies, and has a field of its own along each of --coordinates,
+            and one along all others. Where the system has a thermal energy, the
+            mobility follows from the diffusion (Einstein).
+        coordinates: Recipe langevin: names of the coordinates on which force and
+            diffusion depend, the force acting along them; all unless given.
+        period: Recipe langevin: coordinates that repeat, with their period, such as
+            x=6.2832.
+        warp: Recipe langevin: coordinates whose kernels are finer at the end of the
+            data where motion is slow, as near a wall.
+        reference: Recipe langevin: the coordinate whose zero drifts slowly, such as the
+            height above a wall that the focus leaves.
         train: Known constants to learn beside the unknown; drag: an anisotropic drag
             tensor in place of the known drag.
         seed: Seed of the network.
@@ -60,7 +79,12 @@ class FitSettings(Settings, frozen=True):
     recipe: FitRecipeName = "default"
     noise: Annotated[float | None, Range(above=0)] = None
     structure: Literal["search", "free"] = "search"
-    observation: Literal["exact", "learn"] = "exact"
+    observation: Literal["exact", "learn", "known"] | None = None
+    diffusion: Literal["constant", "field", "tensor"] | None = None
+    coordinates: tuple[str, ...] = ()
+    period: tuple[str, ...] = ()
+    warp: tuple[str, ...] = ()
+    reference: str | None = None
     train: tuple[Literal["damping", "gain", "drag"], ...] = ()
     system: SystemName = None
     seed: int = 0
@@ -92,14 +116,25 @@ class FitSettings(Settings, frozen=True):
             raise InputError("--train drag: only the recipe bayes does; drop it")
         if self.recipe == "langevin":
             self._check_langevin()
-        elif self.observation != "exact" and self.recipe != "default":
-            raise InputError(
-                "--observation: only the recipe langevin uses it; drop it or choose "
-                "--recipe langevin"
-            )
+        elif self.recipe != "default":
+            self._check_not_thermal()
         if self.noise is not None and (matched or self.recipe == "langevin"):
             raise InputError("--noise: only the recipe bayes uses it; drop --noise")
         self._check_unused()
+
+    def _check_not_thermal(self) -> None:
+        """Refuse options of thermal motion beside another recipe."""
+        for name in THERMAL_OPTIONS:
+            if getattr(self, name):
+                raise InputError(
+                    f"--{name}: only the recipe langevin uses it; drop it or choose "
+                    "--recipe langevin"
+                )
+
+    @property
+    def has_profile(self) -> bool:
+        """Whether the force has coordinates of its own."""
+        return bool(self.coordinates or self.period or self.warp)
 
     def _check_langevin(self) -> None:
         if self.model is not None and not self.model.startswith("kernel-"):
@@ -110,6 +145,12 @@ class FitSettings(Settings, frozen=True):
         if self.train:
             raise InputError(
                 "--recipe langevin: it learns no constant but diffusion; drop --train"
+            )
+        plain = (None, "kernel-potential", "kernel-force")
+        if self.has_profile and self.model not in plain:
+            raise InputError(
+                f"--model {self.model}: a force that depends on --coordinates, with "
+                "--period or --warp, is a model of its own; drop --model"
             )
 
     def _check_unused(self) -> None:

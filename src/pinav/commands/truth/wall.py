@@ -19,7 +19,7 @@ from pinav.fitting.langevin import (
     DiffusionField,
     KernelDiffusion,
     LearnedObservation,
-    SlowReference,
+    slow_reference,
 )
 from pinav.forces import KernelAxis, Warp, Weight, ZeroForce, stokes_drag
 from pinav.trajectories import Trajectories
@@ -44,9 +44,6 @@ LEAST_FRAMES = 100
 
 WARP = 0.026
 """Distance [radii] up to which the kernels are finest near the wall."""
-
-RELAXATIONS = 5
-"""Times of relaxation in height from one knot of the wall's path to the next."""
 
 
 class WallFields(NamedTuple):
@@ -93,11 +90,7 @@ def fit_wall(recording: Recording, radius: float, heat: float) -> LangevinFit:
     """Force along z and both diffusions over a wall that drifts slowly."""
     times, positions = recording.times, recording.positions
     data = Trajectories.from_arrays([times], [positions], channels=("x", "y", "z"))
-    z = positions[:, 2]
-    interval = float(np.median(np.diff(times)))
-    relaxation = 2 * interval * float(z.var() / np.mean(np.diff(z) ** 2))
-    knots = round(float(times[-1] - times[0]) / (RELAXATIONS * relaxation))
-    lowest = float(np.quantile(z, 0.002))
+    lowest = float(np.quantile(positions[:, 2], 0.002))
     axis = KernelAxis(2, warp=Warp(lowest, WARP * radius))
     environment = profile_environment(data, (axis,))
     swimmer = OverdampedSwimmer(ZeroForce(), environment, 1.0)
@@ -106,7 +99,7 @@ def fit_wall(recording: Recording, radius: float, heat: float) -> LangevinFit:
         data,
         diffusion=KernelDiffusion((axis,), groups=((0, 1), (2,))),
         observation=LearnedObservation(),
-        reference=SlowReference(2, knots=min(max(knots, 2), 200)),
+        reference=slow_reference(data, 2),
     )
 
 

@@ -25,14 +25,17 @@ from pinav.errors import InputError
 from pinav.fitting.environments.gradient_matching import (
     force_region,
     match_kernels,
+    match_potential,
     observed_rates,
 )
+from pinav.fitting.environments.kernel_layers import Layer
 from pinav.fitting.environments.kernels import (
     WITHOUT_PRIOR,
     KernelGrid,
     changing_environment,
     kernel_environment,
 )
+from pinav.fitting.environments.profiles import MobilitySummary, ProfileSummary
 from pinav.fitting.environments.terms import (
     TermSummary,
     summarise_terms,
@@ -46,6 +49,8 @@ from pinav.forces import (
     KernelForce,
     KernelMixture,
     KernelPotential,
+    KernelProfile,
+    LayeredPotential,
     LinearDrag,
     NeuralForce,
     NeuralPotential,
@@ -120,6 +125,18 @@ class Change(msgspec.Struct, frozen=True):
     times: tuple[float, float]
 
 
+class KernelLayer(msgspec.Struct, frozen=True):
+    """Kernels of one width.
+
+    Attributes:
+        centers: of the kernels [L].
+        width: of the kernels [L].
+    """
+
+    centers: list[list[float]]
+    width: float
+
+
 class DataSummary(msgspec.Struct, frozen=True):
     """The numbers that an untrained model takes from the data.
 
@@ -130,7 +147,10 @@ class DataSummary(msgspec.Struct, frozen=True):
         centers: of the kernels around the data [L].
         kernel_width: of these kernels [L].
         change: the part that changes with time, where the model has one.
+        finer: further layers of kernels, each finer than the one before.
         terms: with a structure, beside the kernels.
+        profile: a force in coordinates of its own, where the model is one.
+        mobility: where it is learned.
     """
 
     dim: int
@@ -139,7 +159,10 @@ class DataSummary(msgspec.Struct, frozen=True):
     centers: list[list[float]]
     kernel_width: float
     change: Change | None = None
+    finer: tuple[KernelLayer, ...] = ()
     terms: tuple[TermSummary, ...] = ()
+    profile: ProfileSummary | None = None
+    mobility: MobilitySummary | None = None
 
     def with_kernels_of(self, environment: AbstractForce) -> "DataSummary":
         """The summary of a fitted model, whose kernels may be finer than at first."""
@@ -195,6 +218,8 @@ def summarise_for_matching(
     rates = observed_rates(data) if isinstance(swimmer, Swimmer) else None
     if rates is None:
         return summary
+    if choice.name == "kernel-potential":
+        return _with_layers(summary, match_potential(swimmer, rates))
     if choice.name.startswith("kernel-"):
         return summary.with_kernels_of(match_kernels(swimmer, rates))
     region = force_region(swimmer, rates) if choice.name in POSITION_NETWORKS else None
@@ -205,6 +230,15 @@ def summarise_for_matching(
         summary,
         mean=(*map(float, region.center), *summary.mean[dim:]),
         std=(*[region.radius] * dim, *summary.std[dim:]),
+    )
+
+
+def _with_layers(summary: DataSummary, layers: tuple[Layer, ...]) -> DataSummary:
+    first, *finer = (
+        KernelLayer(layer.centers.tolist(), layer.width) for layer in layers
+    )
+    return msgspec.structs.replace(
+        summary, centers=first.centers, kernel_width=first.width, finer=tuple(finer)
     )
 
 
@@ -250,6 +284,8 @@ def build(
         )
     if CONSTANTS["drag"] in choice.paths().values():
         swimmer = with_tensor_drag(swimmer, summary)
+    if summary.mobility is not None:
+        swimmer = dataclasses.replace(swimmer, mobility=summary.mobility.mobility())
     model = MODELS[choice.name](choice, swimmer, summary)
     return with_terms(model, summary.terms)
 
@@ -264,13 +300,31 @@ def _in_environment(
 
 
 def _kernels(
-    kind: type[KernelForce] | type[KernelPotential] | type[KernelMixture],
+    kind: type[KernelForce] | type[KernelMixture],
 ) -> Builder:
     return _in_environment(
         lambda choice, summary: kind.with_zero_weights(
             np.asarray(summary.centers), summary.kernel_width
         )
     )
+
+
+def _potential(
+    choice: ModelChoice, summary: DataSummary
+) -> KernelPotential | LayeredPotential:
+    """Kernels of one width, or of several."""
+    first = KernelLayer(summary.centers, summary.kernel_width)
+    layers = tuple(
+        KernelPotential.with_zero_weights(np.asarray(layer.centers), layer.width)
+        for layer in (first, *summary.finer)
+    )
+    return LayeredPotential(layers) if summary.finer else layers[0]
+
+
+def _profile(choice: ModelChoice, summary: DataSummary) -> KernelProfile:
+    if summary.profile is None:
+        raise InputError(f"model {choice.name}: its summary has no coordinates")
+    return summary.profile.profile(summary.dim)
 
 
 def _changing_potential(choice: ModelChoice, summary: DataSummary) -> ChangingPotential:
@@ -332,8 +386,11 @@ POSITION_NETWORKS = ("neural-potential", "neural-force", "ude")
 TIMED = "kernel-potential-time"
 """The model whose environment changes with time and has a prior."""
 
+PROFILE = "kernel-profile"
+"""The model whose force depends on some coordinates alone."""
+
 MODELS: dict[str, Builder] = {
-    "kernel-potential": _kernels(KernelPotential),
+    "kernel-potential": _in_environment(_potential),
     "kernel-force": _kernels(KernelForce),
     "kernel-mixture": _kernels(KernelMixture),
     TIMED: _in_environment(_changing_potential),
@@ -342,6 +399,7 @@ MODELS: dict[str, Builder] = {
     "ude": _in_environment(_timed_network),
     "physics-only": _in_environment(lambda choice, summary: ZeroForce()),
     "nn-only": _black_box,
+    PROFILE: _in_environment(_profile),
     "paper-ude": _in_environment(
         lambda choice, summary: paper_force(jax.random.key(choice.seed))
     ),

@@ -11,16 +11,18 @@ References:
     69, 741 (2007).
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.linalg
 from jaxtyping import Array, Bool, Float
 
 from pinav.dynamics import AbstractDynamics, Swimmer
+from pinav.fitting.environments.force_regression import force_columns, regress
+from pinav.fitting.environments.kernel_layers import Layer, lay_layers
 from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
 from pinav.fitting.matching.distillation import Rates
 from pinav.forces import KernelForce, KernelPotential, ZeroForce
@@ -36,14 +38,11 @@ MOST_KERNELS, MOST_SAMPLES, MOST_DISTILLED = 900, 600, 250
 """Kernels of a grid, and samples that enter a regression or the distillation of a
 network, at most."""
 
-RIDGE = 1e-11
-"""Relative to the largest diagonal entry of the normal equations."""
-
 GOOD_ENOUGH = 1e-6
 """Relative error of held-out samples that needs no finer kernels."""
 
 
-def observed_rates(trajectories: Trajectories) -> Rates | None:
+def observed_rates(trajectories: Trajectories, degree: int = DEGREE) -> Rates | None:
     """Rates of all complete samples by splines; None where there are too few."""
     from scipy.interpolate import make_interp_spline  # a tenth of all imports
 
@@ -51,8 +50,8 @@ def observed_rates(trajectories: Trajectories) -> Rates | None:
     for one in trajectories:
         complete = one.observed.all(axis=1)
         times, states = one.times[complete], one.states[complete]
-        if len(times) > DEGREE:
-            spline = make_interp_spline(times, states, k=DEGREE)
+        if len(times) > degree:
+            spline = make_interp_spline(times, states, k=degree)
             parts.append(Rates(times, states, spline(times, nu=1)))
     if not parts:
         return None
@@ -75,26 +74,71 @@ def match_kernels(swimmer: Swimmer, rates: Rates) -> KernelPotential | KernelFor
         swimmer: the known physics; its environment is left out.
         rates: at observed states.
     """
-    dim = rates.states.shape[1] // 2
-    forces = _residual_forces(swimmer, rates)
-    acting = _where_a_force_acts(forces)
-    places = rates.states[acting, :dim]
-    parts = [np.flatnonzero(acting), np.flatnonzero(~acting)]
-    kept = np.concatenate(
-        [rows[informative_rows(rates.states[rows], MOST_SAMPLES)] for rows in parts]
-    )
-    positions, forces = rates.states[kept, :dim], forces[kept]
+    samples = _ForceSamples.of(swimmer, rates)
+    best = _choose(_try_grids((KernelPotential, KernelForce), samples))
+    return _fit_grid(best, samples)
+
+
+def match_potential(swimmer: Swimmer, rates: Rates) -> tuple[Layer, ...]:
+    """Kernels of a potential for the force that the known physics leave unexplained.
+
+    A grid of one width as `match_kernels` chooses it, where one explains the force; a
+    hill with a long tail asks for layers (`lay_layers`).
+
+    Args:
+        swimmer: the known physics; its environment is left out.
+        rates: at observed states.
+    """
+    samples = _ForceSamples.of(swimmer, rates)
+    best = _choose(_try_grids((KernelPotential,), samples))
+    if best.within > ONE_WIDTH:
+        return lay_layers(samples.positions, samples.forces)
+    return (Layer(*surround_with_kernels(samples.places, _finer(best.grid))),)
+
+
+class _ForceSamples(NamedTuple):
+    """Forces at samples, those of a regression.
+
+    Attributes:
+        places: all positions at which a force acts [L].
+        positions: of the samples that enter the regression [L].
+        forces: there.
+    """
+
+    places: Float[np.ndarray, "place dim"]
+    positions: Float[np.ndarray, "point dim"]
+    forces: Float[np.ndarray, "point dim"]
+
+    @classmethod
+    def of(cls, swimmer: Swimmer, rates: Rates) -> "_ForceSamples":
+        dim = rates.states.shape[1] // 2
+        forces = residual_forces(swimmer, rates)
+        acting = _where_a_force_acts(forces)
+        parts = [np.flatnonzero(acting), np.flatnonzero(~acting)]
+        kept = np.concatenate(
+            [rows[informative_rows(rates.states[rows], MOST_SAMPLES)] for rows in parts]
+        )
+        positions = rates.states[:, :dim]
+        return cls(positions[acting], positions[kept], forces[kept])
+
+
+def _try_grids(
+    kinds: Sequence[type[KernelPotential] | type[KernelForce]], samples: _ForceSamples
+) -> "list[_Trial]":
+    """Errors of grids from coarse to fine, until one needs no finer kernels."""
+    places, positions, forces = samples
     held_out = np.arange(len(positions)) % 4 == 2
     size = float(np.sqrt(np.mean(forces[held_out] ** 2))) or 1.0
     trials: list[_Trial] = []
-    for kind in (KernelPotential, KernelForce):
+    for kind in kinds:
         for across in ACROSS:
             grid = _grid(across)
             centers, width = surround_with_kernels(places, grid)
-            if len(centers) * (1 if kind is KernelPotential else dim) > MOST_KERNELS:
+            weights_each = 1 if kind is KernelPotential else places.shape[1]
+            if len(centers) * weights_each > MOST_KERNELS:
                 break
-            columns = _columns(kind, positions, centers, width)
-            weights = _ridge(columns[~held_out], forces[~held_out])
+            columns = force_columns(kind, positions, centers, width)
+            weights = regress(columns[~held_out], forces[~held_out])
             missed = np.square(columns @ weights - forces)
             held, within = (
                 float(np.sqrt(missed[part].mean())) / size
@@ -102,13 +146,16 @@ def match_kernels(swimmer: Swimmer, rates: Rates) -> KernelPotential | KernelFor
             )
             trials.append(_Trial(held, within, kind, grid))
             if held < GOOD_ENOUGH:
-                break
-        if trials[-1].held_out < GOOD_ENOUGH:
-            break
-    best = _choose(trials)
-    kind, grid = best.kind, _grid(round(FINER * best.grid.across))
-    centers, width = surround_with_kernels(places, grid)
-    weights = _ridge(_columns(kind, positions, centers, width), forces)
+                return trials
+    return trials
+
+
+def _fit_grid(best: "_Trial", samples: _ForceSamples) -> KernelPotential | KernelForce:
+    """Kernels of a trial, a little finer, fitted to all samples."""
+    kind = best.kind
+    centers, width = surround_with_kernels(samples.places, _finer(best.grid))
+    columns = force_columns(kind, samples.positions, centers, width)
+    weights = regress(columns, samples.forces)
     shape = _shape(kind, centers)
     return kind(jnp.asarray(weights.reshape(shape)), jnp.asarray(centers), width)
 
@@ -169,12 +216,21 @@ def _grid(across: int) -> KernelGrid:
     return KernelGrid(across, width=1.5, margin=2.0)
 
 
+def _finer(grid: KernelGrid) -> KernelGrid:
+    return _grid(round(FINER * grid.across))
+
+
 FINER = 4 / 3
 """Rates by splines are less exact than trajectories, which ask for finer kernels."""
 
 TELLING, EXPLAINED = 0.05, 1e-5
 """Relative error of held-out samples above which they cannot judge a grid, and that of
 the others at which they are explained."""
+
+
+ONE_WIDTH = 2e-5
+"""Relative error of the samples that enter a regression above which kernels of one
+width do not explain them; the errors of splines are mostly below."""
 
 
 class ForceRegion(NamedTuple):
@@ -204,7 +260,7 @@ def force_region(swimmer: Swimmer, rates: Rates) -> ForceRegion | None:
     """
     rates = _thin(rates, MOST_SAMPLES)
     positions = rates.states[:, : rates.states.shape[1] // 2]
-    sizes = np.linalg.norm(_residual_forces(swimmer, rates), axis=1)
+    sizes = np.linalg.norm(residual_forces(swimmer, rates), axis=1)
     spread = float(np.sqrt(positions.var(axis=0).mean()))
     if not (sizes.max() > ROUNDING * np.abs(rates.rates).max() and spread > 0):
         return None
@@ -284,7 +340,8 @@ TUBE = 0.25
 """Distance of the nearer positions beside the paths, in widths of a kernel."""
 
 
-def _residual_forces(swimmer: Swimmer, rates: Rates) -> Float[np.ndarray, "point dim"]:
+def residual_forces(swimmer: Swimmer, rates: Rates) -> Float[np.ndarray, "point dim"]:
+    """The force at each sample that the known physics leave unexplained."""
     known = swimmer.with_environment(ZeroForce())
     explained = _rates_of(known, rates.times, rates.states)
     return (rates.rates - explained)[:, rates.states.shape[1] // 2 :]
@@ -306,29 +363,3 @@ def _all_rates(
 
 def _shape(kind: type, centers: Float[np.ndarray, "kernel dim"]) -> tuple[int, ...]:
     return centers.shape if kind is KernelForce else centers.shape[:1]
-
-
-def _columns(
-    kind: type,
-    positions: Float[np.ndarray, "point dim"],
-    centers: Float[np.ndarray, "kernel dim"],
-    width: float,
-) -> Float[np.ndarray, "point dim weight"]:
-    """Force of each weight at each position."""
-    offsets = (positions[:, None] - centers[None]) / width
-    values = np.exp(-0.5 * np.sum(offsets**2, axis=2))
-    if kind is KernelPotential:
-        return np.moveaxis(offsets * values[..., None] / width, 2, 1)
-    dim = positions.shape[1]
-    columns = values[:, None, :, None] * np.eye(dim)[None, :, None, :]
-    return columns.reshape(len(positions), dim, -1)
-
-
-def _ridge(
-    columns: Float[np.ndarray, "point dim weight"],
-    forces: Float[np.ndarray, "point dim"],
-) -> Float[np.ndarray, " weight"]:
-    rows = columns.reshape(-1, columns.shape[-1])
-    normal = rows.T @ rows
-    normal[np.diag_indices_from(normal)] += RIDGE * normal.diagonal().max()
-    return scipy.linalg.solve(normal, rows.T @ forces.reshape(-1), assume_a="sym")

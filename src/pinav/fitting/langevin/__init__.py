@@ -11,6 +11,7 @@ from pinav.fitting.langevin.observation import Observation as Observation
 from pinav.fitting.langevin.observation import ObservedAxes as ObservedAxes
 from pinav.fitting.langevin.reference import ReferencePath as ReferencePath
 from pinav.fitting.langevin.reference import SlowReference as SlowReference
+from pinav.fitting.langevin.reference import slow_reference as slow_reference
 from pinav.fitting.langevin.result import LangevinFit as LangevinFit
 from pinav.fitting.langevin.verdict import IncrementVerdict as IncrementVerdict
 from pinav.fitting.langevin.verdict import judge_increments as judge_increments

@@ -5,6 +5,8 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.errors import InputError
+from pinav.fitting.langevin.increments import Increments
+from pinav.trajectories import Trajectories
 
 
 class SlowReference(eqx.Module):
@@ -32,6 +34,39 @@ class SlowReference(eqx.Module):
                 "SlowReference: expected two or more knots and a scale > 0, got "
                 f"{self.knots} and {self.scale}"
             )
+
+
+RELAXATIONS, MOST_KNOTS = 5, 200
+"""Times of relaxation from one knot to the next, and knots at most."""
+
+
+def slow_reference(trajectories: Trajectories, axis: int) -> SlowReference:
+    r"""A reference with a knot every five relaxation times of a coordinate.
+
+    Within that time $2\tau\,\mathrm{var}(x)/\langle\Delta x^2\rangle$ the motion
+    itself goes from one end of the data to the other, and cannot be told from a drift.
+
+    Args:
+        trajectories: their channels are the positions, their times those of one clock.
+        axis: the coordinate that drifts.
+
+    Raises:
+        InputError: there are no increments, or the coordinate never changes.
+    """
+    increments = Increments.of(trajectories)
+    places, steps = increments.positions[:, axis], increments.steps[:, axis]
+    change = float(np.mean(steps**2))
+    if not change > 0:
+        raise InputError(
+            f"slow_reference axis {axis}: expected a coordinate that changes, got "
+            f"{places[0]:g} throughout"
+        )
+    interval = float(np.median(increments.intervals))
+    relaxation = 2 * interval * float(places.var()) / change
+    ends = increments.times + increments.intervals
+    duration = float(ends.max() - increments.times.min())
+    knots = round(duration / (RELAXATIONS * relaxation))
+    return SlowReference(axis, knots=min(max(knots, 2), MOST_KNOTS))
 
 
 class ReferencePath(eqx.Module):

@@ -241,7 +241,8 @@ def run_many(
     """One episode a key, in one compiled call.
 
     The noise belongs to its key, whatever the controller: episodes of two controllers
-    with the same keys are pairs. Each ends by itself, so that early ones cost less.
+    with the same keys are pairs. On a processor they run one after the other, so that
+    early ends cost less; on an accelerator side by side, until the last one ends.
 
     Args:
         task: what is to be done.
@@ -250,8 +251,9 @@ def run_many(
         truth: another true swimmer than that of the task.
     """
     truth = task.truth if truth is None else truth
+    side_by_side = jax.default_backend() != "cpu"
     last, states, commands = jax.block_until_ready(
-        _episodes(task, controller, truth, keys)
+        _episodes(task, controller, truth, keys, side_by_side=side_by_side)
     )
     return Episodes.of(task, last, states, commands)
 
@@ -276,10 +278,13 @@ def _episodes(
     controller: AbstractController,
     truth: SteeredSwimmer,
     keys: Shaped[PRNGKeyArray, " episode"],
+    *,
+    side_by_side: bool,
 ) -> tuple[
     Situation, Float[Array, "episode time state"], Float[Array, "episode control 2"]
 ]:
-    return jax.lax.map(partial(_episode, task, controller, truth), keys)
+    episode = partial(_episode, task, controller, truth)
+    return jax.vmap(episode)(keys) if side_by_side else jax.lax.map(episode, keys)
 
 
 def _episode(

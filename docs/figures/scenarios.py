@@ -1,24 +1,24 @@
-"""All scenarios: python docs/figures/draw_scenarios.py docs/figures/scenarios.png.
+"""All scenarios.
 
 Grey is the size of the environment's force at t = 0, lines are trajectories without
-observation noise, dots their starts.
+observation noise, dots their starts, sky blue the medium.
 """
 
-import io
-import sys
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from docs.figures.workshop import Workshop
 from jaxtyping import Array, Float, PRNGKeyArray
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from PIL import Image
+from matplotlib.ticker import MaxNLocator
 
 from pinav.arguments import State
 from pinav.dynamics import BrownianSwimmer, FixedStep, rollout, sample_path
+from pinav.figures.palette import BLACK, PLAIN, SKY, TRACK
 from pinav.forces import BrinkmanTensor, InFlow, TensorDrag, UniaxialTensor
 from pinav.scenarios import SCENARIOS, scenario
 from pinav.systems import System
@@ -49,24 +49,26 @@ def draw(shown: System, ax: Axes) -> None:
     swimmer = truth.swimmer if isinstance(truth, BrownianSwimmer) else truth
     force = jax.vmap(jax.vmap(lambda x: swimmer.environment(0.0, x, jnp.zeros(2))))
     size = jnp.linalg.norm(force(grid), axis=-1)
-    ax.pcolormesh(xs, ys, size, cmap="Greys", vmax=1.6 * size.max(), rasterized=True)
+    ax.pcolormesh(xs, ys, size, cmap=PLAIN, vmax=1.6 * size.max(), rasterized=True)
     draw_medium(getattr(swimmer, "drag", None), grid, ax)
     for line in lines:
-        ax.plot(*line.T, lw=0.6)
-    ax.plot(*lines[:, 0].T, "k.", ms=2)
-    ax.set(title=shown.name, aspect="equal")
-    ax.title.set_size(8)
-    ax.tick_params(labelsize=6)
+        ax.plot(*line.T, color=TRACK, lw=0.6)
+    ax.plot(*lines[:, 0].T, ".", color=BLACK, ms=2)
+    ax.set_aspect("equal")
+    ax.set_title(shown.name, fontsize=6.5)
+    ax.tick_params(labelsize=5.5, length=2, pad=1.5)
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.set_major_locator(MaxNLocator(nbins=3, integer=True))
 
 
 def draw_medium(drag: Any, grid: Float[Array, "row column 2"], ax: Axes) -> None:
     """Contours of a porous medium, directors of a fibrous one, arrows of a flow."""
     x, y = np.asarray(grid[..., 0]), np.asarray(grid[..., 1])
     coarse = (slice(5, None, 10), slice(5, None, 10))
-    look = {"color": "#0072B2", "pivot": "mid", "width": 0.004, "alpha": 0.7}
+    look = {"color": SKY, "pivot": "mid", "width": 0.004, "alpha": 0.7}
     if isinstance(drag, TensorDrag) and isinstance(drag.tensor, BrinkmanTensor):
         value = jax.vmap(jax.vmap(drag.tensor.value))(grid)
-        ax.contour(x, y, value, 3, colors="#0072B2", linewidths=0.6)
+        ax.contour(x, y, value, 3, colors=SKY, linewidths=0.6)
     elif isinstance(drag, TensorDrag) and isinstance(drag.tensor, UniaxialTensor):
         angle = jax.vmap(jax.vmap(drag.tensor.director))(grid[coarse])
         headless = {"headwidth": 0, "headlength": 0, "headaxislength": 0, "scale": 18}
@@ -78,19 +80,11 @@ def draw_medium(drag: Any, grid: Float[Array, "row column 2"], ax: Axes) -> None
         ax.quiver(x[coarse], y[coarse], flow[..., 0], flow[..., 1], **look)
 
 
-def main(path: str) -> None:
-    """Draw all planar scenarios into a file."""
-    jax.config.update("jax_enable_x64", val=True)
-    figure = Figure(figsize=(8.2, 8.4), layout="constrained")
+def figure(workshop: Workshop) -> Figure:
+    """All planar scenarios; no run is needed."""
+    del workshop
+    drawn = Figure(figsize=(5.0, 5.6), layout="constrained")
     systems = [system for name in SCENARIOS if (system := scenario(name)).dim == 2]
-    for system, ax in zip(systems, figure.subplots(4, 4).flat, strict=True):
+    for system, ax in zip(systems, drawn.subplots(4, 4).flat, strict=True):
         draw(system, ax)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, dpi=90)
-    picture = Image.open(buffer).convert("RGB")  # few colours make a small file
-    picture.quantize(48, dither=Image.Dither.NONE).save(path, optimize=True)
-    print(path)
-
-
-if __name__ == "__main__":
-    main(sys.argv[1])
+    return drawn

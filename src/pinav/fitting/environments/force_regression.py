@@ -1,0 +1,37 @@
+"""Regression of kernels on forces that are known at places."""
+
+import numpy as np
+import scipy.linalg
+from jaxtyping import Float
+
+from pinav.forces import KernelForce, KernelPotential
+
+RIDGE = 1e-11
+"""Relative to the largest diagonal entry of the normal equations."""
+
+
+def force_columns(
+    kind: type[KernelPotential] | type[KernelForce],
+    positions: Float[np.ndarray, "point dim"],
+    centers: Float[np.ndarray, "kernel dim"],
+    width: float,
+) -> Float[np.ndarray, "point dim weight"]:
+    """Force of each weight at each position."""
+    offsets = (positions[:, None] - centers[None]) / width
+    values = np.exp(-0.5 * np.sum(offsets**2, axis=2))
+    if kind is KernelPotential:
+        return np.moveaxis(offsets * values[..., None] / width, 2, 1)
+    dim = positions.shape[1]
+    columns = values[:, None, :, None] * np.eye(dim)[None, :, None, :]
+    return columns.reshape(len(positions), dim, -1)
+
+
+def regress(
+    columns: Float[np.ndarray, "point dim weight"],
+    forces: Float[np.ndarray, "point dim"],
+) -> Float[np.ndarray, " weight"]:
+    """Weights of least squares, with a ridge that rounding asks for."""
+    rows = columns.reshape(-1, columns.shape[-1])
+    normal = rows.T @ rows
+    normal[np.diag_indices_from(normal)] += RIDGE * normal.diagonal().max()
+    return scipy.linalg.solve(normal, rows.T @ forces.reshape(-1), assume_a="sym")

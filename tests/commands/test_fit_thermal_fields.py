@@ -1,0 +1,273 @@
+"""Options of thermal motion: fields, coordinates, periods, a drifting reference."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import msgspec
+import numpy as np
+import pytest
+
+from pinav import cli
+from pinav.commands.fit.metrics import FitMetrics
+from pinav.commands.fit.plan import plan_fit
+from pinav.commands.fit.settings import FitSettings
+from pinav.commands.fitted_run import FittedRun
+from pinav.dynamics import OverdampedSwimmer
+from pinav.errors import InputError
+from pinav.fitting import (
+    ConstantDiffusion,
+    KernelDiffusion,
+    LearnedObservation,
+    Observation,
+)
+from pinav.forces import KernelTensor, ZeroForce
+from pinav.runs import RunFolder
+from pinav.systems import System, parse_system, system_text
+from pinav.trajectories import Trajectories
+
+LEARN = FitSettings(recipe="langevin", observation="learn")
+
+
+def system(dim=3, **parts):
+    swimmer = OverdampedSwimmer(ZeroForce(), ZeroForce(), 2.0)
+    return System("bead", swimmer, dim, thermal_energy=0.1, **parts)
+
+
+def walk(dim=3):
+    """A random walk of 400 steps in a box."""
+    random = np.random.default_rng(0)
+    path = np.cumsum(0.05 * random.normal(size=(400, dim)), axis=0)
+    return Trajectories.from_arrays(
+        np.arange(400) / 50, path[None], channels=("x", "y", "z")[:dim]
+    )
+
+
+def plan(known=None, data=None, **options):
+    settings = msgspec.structs.replace(LEARN, **options)
+    return plan_fit(settings, known or system(), walk() if data is None else data)
+
+
+def test_words_become_values():
+    chosen = plan(
+        diffusion="tensor", coordinates=("z",), warp=("z",), reference="z"
+    ).thermal
+    assert isinstance(chosen.diffusion, KernelDiffusion)
+    assert chosen.diffusion.groups == ((0, 1), (2,))
+    assert [axis.index for axis in chosen.axes] == [2]
+    assert chosen.axes[0].warp is not None
+    assert chosen.reference.axis == 2
+    assert chosen.einstein
+    assert isinstance(chosen.observation, LearnedObservation)
+
+
+def test_without_a_thermal_energy_the_drift_is_free():
+    cold = dataclasses.replace(system(), thermal_energy=None)
+    chosen = plan(cold, diffusion="field", coordinates=("x", "y")).thermal
+    assert not chosen.einstein
+    assert chosen.diffusion.groups is None
+    assert not plan().thermal.einstein  # one number, beside the known mobility
+
+
+def test_a_period_makes_increments_of_a_constant_diffusion_short():
+    chosen = plan(period=("x=2.5",), observation="exact").thermal
+    assert isinstance(chosen.diffusion, ConstantDiffusion)
+    assert [axis.period for axis in chosen.axes] == [2.5, None, None]
+    assert not chosen.is_plain
+    assert plan(observation="exact").thermal.is_plain
+
+
+def test_a_known_camera_is_that_of_the_system():
+    from pinav.systems import Observation as Camera
+
+    known = system(observation=Camera(noise=0.02, exposure=0.01))
+    chosen = plan(known, observation="known").thermal
+    assert chosen.observation == Observation(0.01, 0.02)
+
+
+FILE = """
+name = "bead"
+dimension = 3
+order = 1
+mobility = 2.0
+
+[thermal]
+energy = 0.1
+
+[unknown]
+model = "kernel-force"
+diffusion = "tensor"
+observation = "learn"
+coordinates = ["y", "z"]
+period = { y = 6.25 }
+warp = ["z"]
+reference = "z"
+"""
+
+
+def test_a_system_file_states_the_same_words():
+    stated = parse_system(FILE)
+    assert parse_system(system_text(stated)).thermal == stated.thermal
+    by_file = plan_fit(FitSettings(recipe="langevin"), stated, walk())
+    by_options = plan(
+        model="kernel-force",
+        diffusion="tensor",
+        coordinates=("y", "z"),
+        period=("y=6.25",),
+        warp=("z",),
+        reference="z",
+    )
+    assert by_file.settings == by_options.settings
+    other = plan(stated, diffusion="constant")
+    assert other.settings.diffusion == "constant"
+    assert other.settings.coordinates == ("y", "z")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('diffusion = "wavy"', "unknown.diffusion: expected one of constant, field"),
+        ('observation = "no"', "unknown.observation: expected one of exact, learn, kn"),
+        ("reference = 2", "unknown.reference: expected a word, got 2"),
+        ("period = 3.0", "unknown.period: expected numbers by coordinate"),
+        ("period = { x = -1 }", "--period: expected a coordinate and a number > 0"),
+        ('warp = "z"', r"unknown.warp: expected names of coordinates, such as \["),
+        ('difusion = "field"', "unknown.difusion: this key is unknown"),
+    ],
+)
+def test_a_wrong_word_in_a_file_is_named(text, message):
+    head = FILE.partition("model")[0]
+    with pytest.raises(InputError, match=message):
+        parse_system(head + text)
+
+
+def test_inertia_has_no_thermal_motion():
+    text = 'dimension = 2\norder = 2\ndrag = 1.0\n[unknown]\ndiffusion = "field"\n'
+    with pytest.raises(InputError, match="unknown.diffusion: thermal motion needs ord"):
+        parse_system(text)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"diffusion": "field"}, "expected one or two coordinates on which it depends"),
+        ({"coordinates": ("q",)}, "--coordinates: expected coordinates of system bead"),
+        ({"coordinates": ("z", "z")}, "--coordinates: expected each coordinate once"),
+        ({"period": ("x",)}, "--period: expected a coordinate and a number > 0, such"),
+        (
+            {"period": ("x=0",)},
+            "--period: expected a coordinate and a number > 0, such",
+        ),
+        ({"period": ("x=1", "x=2")}, "--period: expected one for each coordinate"),
+        ({"period": ("x=1",), "coordinates": ("z",)}, "--period x: fields depend on z"),
+        ({"warp": ("x",), "coordinates": ("z",)}, "--warp x: fields depend on z alone"),
+        ({"warp": ("x",), "period": ("x=1",)}, "--warp x: a coordinate that repeats"),
+        ({"reference": "x", "coordinates": ("z",)}, "--reference x: force and diffus"),
+        ({"reference": "q"}, "--reference: expected coordinates of system bead, x, y"),
+        ({"observation": "known"}, "--observation known: system bead states neither"),
+        (
+            {"coordinates": ("z",), "model": "kernel-mixture"},
+            "--model kernel-mixture: a force that depends on --coordinates",
+        ),
+        ({"recipe": "bayes"}, "--observation: only the recipe langevin uses it"),
+        (
+            {"recipe": "bayes", "observation": None, "reference": "z"},
+            "--reference: only the recipe langevin uses it; drop it",
+        ),
+    ],
+)
+def test_what_does_not_go_together_is_refused(options, message):
+    with pytest.raises(InputError, match=message):
+        plan(**options)
+
+
+def test_one_coordinate_has_no_tensor():
+    with pytest.raises(
+        InputError, match="--diffusion tensor: one coordinate has no di"
+    ):
+        plan(system(1), walk(1), diffusion="tensor")
+
+
+RING = """
+name = "ring"
+dimension = 1
+order = 1
+
+[units]
+length = "um"
+time = "s"
+force = "pN"
+
+[thermal]
+temperature = 293.15
+radius = 1.0
+viscosity = 0.8
+
+[observation]
+noise = 0.012
+exposure = 0.004
+
+[unknown]
+period = { x = 12.0 }
+
+[[truth]]
+kind = "constant-force"
+force = [0.053]
+
+[[truth]]
+kind = "plane-waves"
+amplitudes = [0.09]
+wave_vectors = [[0.5235987755982988]]
+phases = [0.0]
+
+[starts]
+states = [[0.0], [3.0], [6.0], [9.0]]
+
+[times]
+first = 0.0
+last = 20.0
+samples = 3001
+"""
+
+
+@pytest.mark.slow
+def test_a_ring_is_fitted_by_a_system_file_and_known_blur(tmp_path):
+    """D = 0.268 um²/s everywhere; the force repeats, in data that are not wrapped."""
+    (tmp_path / "ring.toml").write_text(RING)
+    data, run = str(tmp_path / "data.npz"), tmp_path / "run"
+    assert cli.run(["simulate", str(tmp_path / "ring.toml"), "--out", data]) == 0
+    learn = ["--observation", "known", "--diffusion", "field"]
+    assert cli.run(["fit", data, "--out", str(run), *learn]) == 0
+    metrics = RunFolder.open(run).read_metrics("metrics.json", FitMetrics)
+    diffusion = metrics.learned["diffusion"]
+    assert abs(diffusion.value - 0.2684) < 3 * diffusion.sd < 0.03
+    assert metrics.force_error["at the samples"] < 0.15
+    assert metrics.thermal.observed[0].exposure.value == pytest.approx(0.6)
+    page = (run / "report.html").read_text()
+    assert "Diffusion along x through the middle of the data" in page
+    fitted = FittedRun.open(run)
+    force = jax.vmap(lambda x: fitted.model.environment(0.0, x, x))
+    places = jnp.linspace(0.0, 12.0, 20)[:, None]
+    np.testing.assert_allclose(force(places), force(places + 24.0), atol=1e-9)
+    assert isinstance(fitted.model.mobility, KernelTensor)
+    again = fitted.posterior.force_sd(np.asarray(places))
+    np.testing.assert_array_less(0, again)
+
+
+@pytest.mark.slow
+def test_a_wall_is_fitted_with_a_tensor_and_a_reference(tmp_path):
+    data, run = str(tmp_path / "data.npz"), tmp_path / "run"
+    assert cli.run(["simulate", "wall", "--count", "1", "--out", data]) == 0
+    wall = ["--diffusion", "tensor", "--coordinates", "z", "--warp", "z"]
+    options = ["--observation", "learn", "--reference", "z", *wall]
+    assert cli.run(["fit", data, "--out", str(run), *options]) == 0
+    checks = RunFolder.open(run).read_metrics("metrics.json", FitMetrics).thermal
+    along, normal = checks.observed
+    assert (along.channels, normal.channels) == (("x", "y"), ("z",))
+    assert 0.05 < along.range[0] < along.range[1] < 0.142 * 1.2
+    assert normal.range[1] < along.range[1]
+    assert checks.einstein
+    assert checks.reference.channel == "z"
+    arrays = RunFolder.open(run).read_arrays("thermal.npz")
+    rising = arrays["diffusion/z/values"][:, 2]
+    assert rising[5] < rising[25] < rising[50]

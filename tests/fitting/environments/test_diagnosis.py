@@ -1,0 +1,86 @@
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.dynamics import Adaptive, Swimmer
+from pinav.fitting.environments.diagnosis import Cause, diagnose, largest_growth
+from pinav.forces import (
+    ConstantForce,
+    GaussianBarrier,
+    GaussianSwirl,
+    KernelForce,
+    KernelPotential,
+    LinearDrag,
+    LinearForce,
+    SumForce,
+)
+from pinav.trajectories import Trajectories
+
+BARRIER = GaussianBarrier(3.0, [2.0, 0.3], 1.5)
+TRUTH = Swimmer(ConstantForce([0.0, 0.05]), LinearDrag(0.3), BARRIER)
+UNTRAINED = KernelPotential.with_zero_weights(np.zeros((1, 2)), 1.0)
+
+
+def _start(angle: float) -> jax.Array:
+    """From a ring towards the barrier; paths cross, and some turn back."""
+    inwards = np.array([np.cos(angle), np.sin(angle)])
+    place = np.array([2.0, 0.3]) - 4.0 * inwards + 0.3 * inwards[::-1]
+    return jnp.asarray(np.concatenate([place, (2.5 + 0.4 * angle) * inwards]))
+
+
+def observe(truth: Swimmer, interval: float = 0.05) -> Trajectories:
+    times = jnp.arange(0.0, 8.0, interval)
+    starts = [_start(angle) for angle in range(6)]
+    states = [np.asarray(Adaptive().solve(truth, y0, times)[0]) for y0 in starts]
+    channels = ("x", "y", "vx", "vy")
+    return Trajectories.from_arrays([np.asarray(times)] * 6, states, channels=channels)
+
+
+def cause_of(truth: Swimmer, known: Swimmer, interval: float = 0.05) -> Cause | None:
+    return diagnose(known.with_environment(UNTRAINED), observe(truth, interval))
+
+
+def test_a_field_that_is_there_and_was_not_found_is_a_failed_search():
+    assert cause_of(TRUTH, TRUTH) is Cause.SEARCH
+
+
+def test_a_wrong_drag_is_wrong_physics():
+    known = eqx.tree_at(lambda m: m.drag.damping, TRUTH, 0.45)
+    assert cause_of(TRUTH, known) is Cause.PHYSICS
+
+
+def test_a_swirl_has_no_potential_but_a_field():
+    swirl = SumForce((BARRIER, GaussianSwirl(2.0, [2.0, 0.3], 1.5)))
+    truth = TRUTH.with_environment(swirl)
+    assert cause_of(truth, truth) is Cause.NO_POTENTIAL
+    free = KernelForce.with_zero_weights(np.zeros((1, 2)), 1.0)
+    assert diagnose(truth.with_environment(free), observe(truth)) is Cause.SEARCH
+
+
+def test_a_narrow_hill_between_two_samples_asks_for_shorter_intervals():
+    narrow = TRUTH.with_environment(GaussianBarrier(1.0, [0.0, 0.3], 0.12))
+    assert cause_of(narrow, narrow, 0.2) is Cause.SAMPLES
+
+
+def test_differences_on_a_saddle_grow_exponentially():
+    saddle = LinearForce(jnp.diag(jnp.array([4.0, -4.0])), [0.0, 0.0])
+    model = Swimmer(ConstantForce([0.0, 0.0]), LinearDrag(0.0), saddle)
+    times = np.linspace(0.0, 3.0, 301)
+    rest = Trajectories.from_arrays(
+        [times], [np.zeros((301, 4))], channels=("x", "y", "vx", "vy")
+    )
+    # Of (x, vx / 2) the growth is exp(2 t); in x and vx the norm is that of this
+    # matrix of hyperbolic functions.
+    c, s = np.cosh(6.0), np.sinh(6.0)
+    exact = np.linalg.norm([[c, 0.5 * s], [2.0 * s, c]], 2)
+    assert largest_growth(model, rest) == pytest.approx(exact, rel=1e-6)
+
+
+def test_too_few_samples_tell_no_cause():
+    data = observe(TRUTH)
+    few = Trajectories.from_arrays(
+        [data.times[0, :5]], [data.states[0, :5]], channels=data.channels
+    )
+    assert diagnose(TRUTH.with_environment(UNTRAINED), few) is None
