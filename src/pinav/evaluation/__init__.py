@@ -35,14 +35,14 @@ from pinav.evaluation.force_fields import force_agreement as force_agreement
 from pinav.evaluation.force_fields import force_error as force_error
 from pinav.evaluation.force_fields import force_errors as force_errors
 from pinav.evaluation.force_fields import square as square
-from pinav.evaluation.restarts import RestartErrors as RestartErrors
-from pinav.evaluation.restarts import restart_errors as restart_errors
 from pinav.evaluation.force_lines import ForceLine as ForceLine
 from pinav.evaluation.force_lines import (
     force_error_at_samples as force_error_at_samples,
 )
 from pinav.evaluation.force_lines import force_line as force_line
 from pinav.evaluation.force_lines import line_through as line_through
+from pinav.evaluation.restarts import RestartErrors as RestartErrors
+from pinav.evaluation.restarts import restart_errors as restart_errors
 from pinav.evaluation.rollouts import ErrorCurve as ErrorCurve
 from pinav.evaluation.rollouts import RolloutErrors as RolloutErrors
 from pinav.evaluation.rollouts import RolloutSummary as RolloutSummary
