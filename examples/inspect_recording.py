@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pinav.figures import recording_figure
 from pinav.recordings import labels, read_recording
 from pinav.recordings.quality.report import quality
 
@@ -41,3 +42,5 @@ print(f"scatter of a row {run.scatter:.3f} um, given 0.5 px = {0.5 * MPP:.3f} um
 for speed in run.speeds:
     print(f"{speed.frequency:4.1f} Hz: {speed.median:5.1f} um/s")
 print("what a fit cannot tell:", run.warnings or "nothing of gain, drift and delay")
+
+figure = recording_figure(recording, found)

@@ -15,6 +15,8 @@ import numpy as np
 
 jax.config.update("jax_enable_x64", val=True)
 
+from pinav.evaluation import field_map
+from pinav.figures import force_comparison
 from pinav.fitting import fit_bayes, kernel_environment
 from pinav.forces import KernelPotential
 from pinav.scenarios import barrier_crossings
@@ -42,3 +44,14 @@ for point, spread in zip(points, sd, strict=True):
     learned = np.asarray(result.model.environment(0.0, x, v))
     true = np.asarray(scenario.environment(0.0, x, v))
     print(f"at {point}: learned {learned} ± {spread}, true {true}")
+
+maps = {
+    name: field_map(force, data)
+    for name, force in (
+        ("learned", result.model.environment),
+        ("true", scenario.environment),
+    )
+}
+grid = np.stack(np.meshgrid(maps["true"].x, maps["true"].y), axis=-1)
+deviation = result.posterior.force_sd(grid.reshape(-1, 2)).reshape(grid.shape)
+figure = force_comparison(**maps, sd=deviation)

@@ -15,6 +15,7 @@ import numpy as np
 jax.config.update("jax_enable_x64", val=True)
 
 from pinav.evaluation import predict
+from pinav.figures import observed_paths
 from pinav.fitting import KernelGrid, kernel_environment, model_evidence
 from pinav.forces import KernelPotential
 from pinav.identification import (
@@ -75,3 +76,7 @@ print(f"a potential on top: {gained:+.1f} nats (this robot has none)")
 states, _ = predict(learned.model, recording)
 end = float(np.linalg.norm(states[0, 100] - seen[100]))
 print(f"10 s from the start, under the recording's own commands: off by {end:.2f} um")
+
+seconds = slice(0, 101)  # the first ten
+predicted = np.asarray(states[0, seconds])
+ax = observed_paths([seen[seconds]], [predicted], units=recording.units)

@@ -21,6 +21,7 @@ import jax
 import numpy as np
 import pytest
 from filelock import FileLock
+from matplotlib.figure import Figure
 
 DATA, RUN = "data.npz", "run"
 
@@ -136,6 +137,14 @@ def cheap_residual_fields():
         yield
 
 
+@contextlib.contextmanager
+def blank_figures():
+    """Make every figure, but draw nothing in its files: tests/figures draws them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "draw", lambda figure, renderer: None)
+        yield
+
+
 @dataclasses.dataclass(frozen=True)
 class FittedRuns:
     """Runs that were fitted once, below a folder that all workers know."""
@@ -165,7 +174,7 @@ class FittedRuns:
         jax.config.update("jax_numpy_dtype_promotion", "standard")  # in all threads
         try:
             words = RUNS[name](folder)
-            with cheap_residual_fields():
+            with cheap_residual_fields(), blank_figures():
                 assert cli.run([*words, "--out", str(folder / RUN)]) == 0
         finally:
             jax.config.update("jax_numpy_dtype_promotion", "strict")

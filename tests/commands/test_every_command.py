@@ -1,5 +1,6 @@
 """Each command runs once, on the smallest work that it accepts."""
 
+import functools
 from collections.abc import Callable
 from pathlib import Path
 
@@ -7,9 +8,14 @@ import jax
 import pytest
 from tests.commands.test_heat import small
 from tests.commands.test_truth import trap_folder
+from tests.fitted_runs import blank_figures
 
-from pinav import cli
+from pinav import analysis, cli
+from pinav.analysis.discovery.potentials import POTENTIALS
+from pinav.analysis.discovery.rotations import ROTATIONS
 from pinav.commands import COMMANDS
+from pinav.commands.analyse import rollouts
+from pinav.commands.discover import job as discover_job
 from pinav.runs import RunFolder
 
 NARROW = ("--thrust", "1", "--time-limit", "8", "--step", "0.5", "--seeds", "1")
@@ -65,6 +71,18 @@ SLOW = {"navigate", "truth"}  # they compile for more than ten seconds
 def cases():
     marks = {name: [pytest.mark.slow] for name in SLOW}
     return [pytest.param(name, marks=marks.get(name, [])) for name in WORDS]
+
+
+@pytest.fixture(autouse=True)
+def little_work(monkeypatch):
+    """Few laws, few starts of a map, blank figures: other tests have them all."""
+    few = functools.partial(
+        analysis.discover, potentials=POTENTIALS[:2], rotations=ROTATIONS[:1]
+    )
+    monkeypatch.setattr(discover_job, "discover_law", few)
+    monkeypatch.setattr(rollouts, "LYAPUNOV_POINTS", 5)
+    with blank_figures():
+        yield
 
 
 @pytest.mark.parametrize("command", cases())

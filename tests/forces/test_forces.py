@@ -16,6 +16,7 @@ import pinav
 from pinav.actuation import LinearProgramme, RotatingField, SaturatingResponse
 from pinav.analysis.discovery.laws import LawForce
 from pinav.analysis.discovery.potentials import GAUSSIAN
+from pinav.arguments import point
 from pinav.errors import InputError
 from pinav.forces import (
     AbstractForce,
@@ -341,7 +342,7 @@ def test_derivatives_agree_with_differences(make):
     def along(s):
         return force(T + 0.3 * s, X + s * V, V - s * X)
 
-    slope = jax.jvp(along, (0.0,), (1.0,))[1]
+    slope = jax.jit(lambda s: jax.jvp(along, (s,), (1.0,))[1])(0.0)
     difference = (along(step) - along(-step)) / (2 * step)
     np.testing.assert_allclose(slope, difference, atol=1e-8)
 
@@ -356,7 +357,7 @@ def test_vmap_equals_a_loop(make):
     )
     looped = [force(t, x, v) for t, x, v in zip(ts, xs, vs, strict=True)]
     np.testing.assert_allclose(
-        jax.vmap(force)(ts, xs, vs), jnp.stack(looped), atol=1e-14
+        jax.jit(jax.vmap(force))(ts, xs, vs), jnp.stack(looped), atol=1e-14
     )
 
 
@@ -530,6 +531,11 @@ def test_text_is_no_number(make):
     name = dataclasses.fields(make)[0].name
     with pytest.raises(InputError, match=rf"\.{name}: expected a number, got '0.8'"):
         AbstractForce.__check_init__(with_field(make, name, "0.8"))
+
+
+def test_a_point_of_text_is_refused():
+    with pytest.raises(InputError, match=r"center: expected numbers, got \['a', 2.0\]"):
+        point("center", 2)(["a", 2.0])
 
 
 def with_field(make, name, value):

@@ -9,7 +9,7 @@ from pinav.figures.palette import (
     LEARNED,
     TRUTH,
 )
-from pinav.figures.style import label_axes, prepare_axes
+from pinav.figures.style import add_legend, label_axes, prepare_axes
 
 
 def truth_band(
@@ -38,9 +38,11 @@ def truth_band(
     ax.fill_between(
         places, learned - half, learned + half, color=LEARNED, alpha=0.25, lw=0
     )
-    ax.plot(places, learned, color=LEARNED, lw=1.2)
+    ax.plot(places, learned, color=LEARNED, lw=1.2, label="learned, 95 % band")
     low, high = truth - 2 * truth_sd, truth + 2 * truth_sd
-    ax.plot(places, truth, color=TRUTH, lw=1.0, ls="--")
+    ax.plot(places, truth, color=TRUTH, lw=1.0, ls="--", label="known independently")
     ax.fill_between(places, low, high, color=TRUTH, alpha=0.12, lw=0)
-    label_axes(ax, *labels)
+    x, y = (label.replace("um", "µm") for label in labels)
+    label_axes(ax, x, y)
+    add_legend(ax)
     return ax
