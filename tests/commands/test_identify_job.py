@@ -9,9 +9,13 @@ import pytest
 
 from pinav import cli
 from pinav.commands.identify.metrics import (
+    CandidateRow,
+    CoverageOfBands,
+    HorizonErrors,
     IdentifyMetrics,
     TrackMetrics,
     label,
+    pooled_coverage,
     summarise_tracks,
 )
 from pinav.commands.identify.settings import IdentifySettings
@@ -98,7 +102,10 @@ def test_the_page_says_what_it_is_about(run):
     assert "nothing here is a claim about tissue" in page
     assert "µm" in page
     assert (run / "candidates.csv").read_text().startswith("track,model,log_evidence")
-    assert (run / "figures" / "track-0.svg").is_file()
+    for name in ("track-0", "growth-0", "speed-0", "horizons"):
+        assert (run / "figures" / f"{name}.svg").is_file()
+    assert "gain (um per turn)" in page
+    assert "median end-point error over the path" in page
 
 
 @pytest.mark.slow
@@ -113,7 +120,7 @@ def test_resuming_a_finished_run_changes_nothing(run, capsys):
     ]
     assert cli.run([*words, "--out", str(run)]) == 0
     assert (run / "metrics.json").read_text() == before
-    assert "The evidence chooses" in capsys.readouterr().out
+    assert "Gain matrix, rows x and y" in capsys.readouterr().out
 
 
 def idle():
@@ -197,6 +204,30 @@ def test_a_track_that_was_not_fitted_is_told():
         summary=summarise_tracks([]),
     )
     assert "not fitted: too short" in metrics.text()
+
+
+def test_a_summary_holds_gain_errors_and_pooled_bands():
+    def track(inside, rollouts):
+        horizons = {"10": HorizonErrors(relative=0.04, median=1.0, rollouts=rollouts)}
+        row = CandidateRow(
+            name="model",
+            log_evidence=0.0,
+            seconds=0.0,
+            velocity_r2=0.9,
+            reason="",
+            horizons=horizons,
+        )
+        bands = CoverageOfBands(inside=inside, at_end=inside, rollouts=rollouts)
+        return TrackMetrics(
+            chosen="model", gain=[[1.0, -2.0], [2.0, 1.5]], rows=(row,), coverage=bands
+        )
+
+    several = {"a": track(0.9, 30), "b": track(0.7, 10), "c": track(None, 0)}
+    assert pooled_coverage(several.values()) == pytest.approx(0.85)
+    assert pooled_coverage([several["c"]]) is None
+    assert several["a"].gain_text() == "1 -2; 2 1.5"
+    assert several["a"].error_at(10.0, "model") == 0.04
+    assert several["a"].error_at(10.0, "other") is None
 
 
 def test_a_label_is_the_last_step():

@@ -1,6 +1,7 @@
 """Fits of synthetic robots: what is known comes back within its interval."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from pinav.dynamics import Adaptive, rollout
 from pinav.errors import InputError
 from pinav.identification import (
     Blocks,
+    ErrorGrowth,
     FrameJitter,
     Rollouts,
     coverage,
@@ -21,10 +23,13 @@ from pinav.identification import (
     with_free,
     with_response,
 )
+from pinav.identification.error_growth import LENGTHS
 from pinav.identification.findings import extrapolation
+from pinav.identification.fit import Search
 from pinav.identification.forecast import programme_of
 from pinav.identification.likelihood import Design, negative_log_evidence
 from pinav.identification.models import MATRIX
+from pinav.identification.priors import Prior
 from pinav.identification.tracks import (
     COMPILATION,
     PER_BLOCK,
@@ -92,6 +97,76 @@ def test_open_loop_errors_are_those_of_the_disturbance(track, fit):
     assert len(found.distance) == 16
     assert found.median < 2.5  # um; 0.3 um/s over 10 s with a memory of 1 s
     assert found.relative < 0.05
+
+
+def test_growth_of_errors_agrees_with_rollouts_of_each_length(track, fit):
+    jitter = FrameJitter.of(track, path_of(fit))
+    growth = ErrorGrowth.of(track, fit, jitter, path_of(fit))
+    np.testing.assert_allclose(growth.lengths, LENGTHS)
+    for length in (1.0, 10.0, 30.0):
+        place = list(LENGTHS).index(length)
+        alone = errors(track, Rollouts.of(track, length), path_of(fit))
+        assert growth.rollouts[place] == alone.rollouts
+        np.testing.assert_allclose(growth.errors[1, place], alone.median)
+    np.testing.assert_allclose(growth.reference, growth.errors[1])
+    # The promise is that of the bands: about 90 % of all ends lie within.
+    assert (growth.promised[2:] > growth.errors[1, 2:]).all()
+    assert np.mean(growth.promised > 0.7 * growth.errors[2]) > 0.8
+
+
+def stub_search(track, monkeypatch, slope):
+    """A search of two response parameters with this gradient beside the prior's."""
+    candidate = with_response(MATRIX, "slipping")
+    search = Search(Design.of(candidate, Blocks.of(track)), candidate, Prior.of(track))
+    mean, sd = search.prior.mean[search.places], search.prior.sd[search.places]
+
+    def value_and_gradient(self, learned):
+        return 0.0, (learned - mean) / sd**2 + slope(learned - mean)
+
+    monkeypatch.setattr(Search, "__call__", value_and_gradient)
+    return mean, sd, search
+
+
+def test_a_flat_direction_is_as_wide_as_its_prior_and_adds_no_evidence(
+    track, monkeypatch
+):
+    mean, sd, search = stub_search(track, monkeypatch, lambda offset: -offset)
+    covariance, volume = search.laplace(mean)
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), sd)
+    expected = np.log(sd * np.sqrt(2 * np.pi)).sum()
+    np.testing.assert_allclose(volume, expected)
+
+
+def test_a_kink_at_one_frequency_makes_no_narrow_interval(track, monkeypatch):
+    """Of a density exp(-5 |x|), rounded within 0.02, the deviation is 0.28."""
+
+    def leap(offset):
+        slope = np.zeros_like(offset)
+        slope[0] = 5 * np.clip(offset[0] / 0.02, -1, 1)
+        return slope
+
+    mean, _, search = stub_search(track, monkeypatch, leap)
+    covariance, _ = search.laplace(mean)
+    assert 0.14 < np.sqrt(covariance[0, 0]) < 0.28  # 0.06 by its curvature at 0
+
+
+def test_intervals_of_the_response_are_those_of_the_posterior(track):
+    """Minus its logarithm rises by a half over one deviation, within a factor of 2."""
+    candidate = with_response(MATRIX, "slipping")
+    learned = fit_track(track, candidate)
+    with jax.enable_x64(new_val=True):
+        search = Search(
+            Design.of(candidate, Blocks.of(track)), candidate, Prior.of(track)
+        )
+        best = learned.theta[search.places]
+        covariance, _ = search.laplace(best)
+        least = search(best)[0]
+        for index in range(2):
+            # The conditional maximum of all others lies along the covariance.
+            along = covariance[:, index] / np.sqrt(covariance[index, index])
+            for sign in (-1, 1):
+                rise = search(best + sign * along)[0] - least
+                assert 0.2 < rise < 1.0, (candidate.learned[index], sign)
 
 
 def test_evidence_does_not_depend_on_the_place_or_on_padding(track, fit):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pinav.fitting import Estimate
-from pinav.identification.findings import _offset, _range, shortcomings
+from pinav.identification.findings import _offset, _range, choice, shortcomings
 from pinav.identification.forecast import Errors
 from pinav.identification.models import (
     COMMAND_RESPONSE,
@@ -33,6 +33,15 @@ def test_a_loss_to_least_squares_is_said():
     (sentence,) = shortcomings(*rows(0.07, 0.04))
     assert "loses to least squares: 0.070 against 0.040" in sentence
     assert shortcomings(*rows(0.03, 0.04)) == []
+
+
+def test_evidence_is_said_to_choose_only_what_has_most_of_it():
+    most = choice("slips", "slipping", {"linear": 1.0, "slipping": 9.0})
+    assert most == "The evidence chooses: slips."
+    less = choice("slips", "slipping", {"linear": 3.5, "slipping": 1.0})
+    assert "does not decide the response" in less
+    assert "linear is 2.5 nats ahead of slipping" in less
+    assert choice("drift only", "linear", {}) == "The evidence chooses: drift only."
 
 
 def test_a_prediction_of_nothing_and_a_single_rollout_are_said():

@@ -41,6 +41,8 @@ from pinav.evaluation.force_lines import (
 )
 from pinav.evaluation.force_lines import force_line as force_line
 from pinav.evaluation.force_lines import line_through as line_through
+from pinav.evaluation.restarts import RestartErrors as RestartErrors
+from pinav.evaluation.restarts import restart_errors as restart_errors
 from pinav.evaluation.rollouts import ErrorCurve as ErrorCurve
 from pinav.evaluation.rollouts import RolloutErrors as RolloutErrors
 from pinav.evaluation.rollouts import RolloutSummary as RolloutSummary

@@ -81,7 +81,7 @@ STYLES = {
     "scalar gain": LineStyle("scalar gain", ORANGE),
     "gain matrix and drift": LineStyle("gain matrix and drift", GREEN),
     "chosen": LineStyle("chosen", BLUE),
-    "least squares": LineStyle("least squares", VERMILLION),
+    "least squares": LineStyle("least squares", VERMILLION, "--"),
     "Gaussian-process disturbance": LineStyle("Gaussian-process disturbance", SKY),
     "neural ODE": LineStyle("neural ODE", PURPLE),
     "hottest cell": LineStyle("hottest cell", HOTTEST),

@@ -5,6 +5,7 @@ from pinav.identification.baselines import black_box as black_box
 from pinav.identification.baselines import gaussian_process as gaussian_process
 from pinav.identification.baselines import least_squares as least_squares
 from pinav.identification.commanded_fit import fit_commanded as fit_commanded
+from pinav.identification.error_growth import ErrorGrowth as ErrorGrowth
 from pinav.identification.findings import DelayFindings as DelayFindings
 from pinav.identification.findings import delay_findings as delay_findings
 from pinav.identification.findings import finding_sentences as finding_sentences

@@ -16,6 +16,7 @@ from pinav.identification.models import (
     DIAGONAL,
     DRIFT_ONLY,
     MATRIX,
+    RESPONSES,
     SCALAR,
     CandidateModel,
     like,
@@ -137,7 +138,7 @@ def finding_sentences(
         delays: from `delay_findings`; None where nothing was commanded.
     """
     sentences = [
-        f"The evidence chooses: {selection.chosen}.",
+        _choice(selection),
         *_shortcomings(selection),
     ]
     if delays is None:
@@ -159,6 +160,34 @@ def finding_sentences(
         for name in ("Gaussian process", "potential")
     ]
     return [sentence for sentence in sentences if sentence]
+
+
+def _choice(selection: Selection) -> str:
+    responses = RESPONSES if selection.train.commanded else ()
+    evidence = {
+        response: selection.row(with_response(MATRIX, response).name).log_evidence
+        for response in responses
+    }
+    return choice(selection.chosen, selection.best.candidate.response, evidence)
+
+
+def choice(chosen: str, response: str, evidence: dict[str, float]) -> str:
+    """The chosen model, and why it is that one where another has more evidence.
+
+    Args:
+        chosen: its name.
+        response: what becomes of its speed at high frequencies.
+        evidence: of each response without delay [nats]; empty without commands.
+    """
+    best = max(evidence, key=lambda name: evidence[name], default=response)
+    if best == response:
+        return f"The evidence chooses: {chosen}."
+    more = evidence[best] - evidence[response]
+    return (
+        f"Chosen: {chosen}. The evidence does not decide the response, {best} is "
+        f"{more:.1f} nats ahead of {response}; {response} is kept, because it contains "
+        "the linear and the saturating law and claims least where the recording ends."
+    )
 
 
 FEEBLE = 0.1

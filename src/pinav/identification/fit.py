@@ -24,7 +24,6 @@ from pinav.identification.kalman import Disturbance
 from pinav.identification.likelihood import (
     Design,
     Field,
-    compiled_whiten,
     disturbance_of,
     value_and_slope,
 )
@@ -128,7 +127,7 @@ def fit_track(
     prior = Prior.of(track) if prior is None else prior
     with jax.enable_x64(new_val=True):
         search = Search(Design.of(candidate, Blocks.of(track)), candidate, prior)
-        begins = np.unique([search.begin(start, delay) for delay in STARTS], axis=0)
+        begins = np.unique(search.begins(start), axis=0)
         ends = [search.descend(begin) for begin in begins]
         best = min(ends, key=lambda pair: pair[1])
         if not math.isfinite(best[1]):
@@ -141,6 +140,10 @@ def fit_track(
 
 STARTS = (0.1, 0.4)
 """Delays from which a search begins where no simpler candidate had one [s]."""
+
+
+WHITE = ("log_memory", "log_noise")
+"""What is small where the velocity of a track is nearly white."""
 
 
 class Search:
@@ -168,17 +171,32 @@ class Search:
         self.base = np.array([fixed.get(name, 0.0) for name in NAMES])
         self.evaluations = 0
 
-    def begin(self, start: TrackFit | None, delay: float) -> np.ndarray:
-        """Where a search begins: at the prior, or where a simpler candidate ended."""
+    def begins(self, start: TrackFit | None) -> list[np.ndarray]:
+        """Where searches begin: at the prior, or where a simpler candidate ended.
+
+        Without one two kinds of noise are tried, a velocity that is remembered beside
+        errors of positions, and one that is nearly white without them: the posterior
+        has a maximum at either, and they can be 150 nats apart.
+        """
         theta = self.theta(self.prior.mean[self.places])
         if start is not None:
             shared = [i for i in self.places if NAMES[i] in start.candidate.learned]
             theta[shared] = start.theta[shared]
+        several = [theta]
+        if start is None:
+            white, noise = theta.copy(), [NAMES.index(name) for name in WHITE]
+            white[noise] -= 2 * self.prior.sd[noise]
+            several.append(white)
         if "delay" in self.candidate.free and (
             start is None or "delay" not in start.candidate.free
         ):
-            theta[NAMES.index("delay")] = delay
-        return theta[self.places]
+            place = NAMES.index("delay")
+            several = [
+                np.where(np.arange(len(one)) == place, delay, one)
+                for one in several
+                for delay in STARTS
+            ]
+        return [one[self.places] for one in several]
 
     def theta(self, learned: Float[np.ndarray, " learned"]) -> np.ndarray:
         """All nonlinear parameters."""
@@ -192,7 +210,7 @@ class Search:
         """Negative log posterior density and its gradient."""
         self.evaluations += 1
         theta = jnp.asarray(self.theta(learned))
-        value, slope = value_and_slope(theta, self.design, self.field)
+        (value, _), slope = value_and_slope(theta, self.design, self.field)
         mean, sd = self.prior.mean[self.places], self.prior.sd[self.places]
         offset = (learned - mean) / sd
         value = float(value) + 0.5 * float(offset @ offset)
@@ -221,27 +239,55 @@ class Search:
     def laplace(
         self, learned: Float[np.ndarray, " learned"]
     ) -> tuple[Float[np.ndarray, "learned learned"], float]:
-        """Covariance about the maximum, and the logarithm of its volume."""
-        steps = self.steps()
-        # Differences of gradients, not of values: values lose half of their digits.
-        rows = np.array(
-            [
-                (self(learned + s)[1] - self(learned - s)[1]) / (2 * s.max())
-                for s in steps
-            ]
-        )
-        curvature = (rows + rows.T) / 2
-        values = np.maximum(np.linalg.eigvalsh(curvature), 1e-8)
-        volume = 0.5 * (len(values) * math.log(2 * math.pi) - np.log(values).sum())
-        return self._spread(curvature), float(volume)
+        """Covariance about the maximum, and the logarithm of its volume.
 
-    def _spread(
-        self, curvature: Float[np.ndarray, "learned learned"]
-    ) -> Float[np.ndarray, "learned learned"]:
-        """Covariance of a curvature; nothing is less certain than its prior was."""
+        In units of the prior's deviations no curvature is below 1: nothing is less
+        certain than its prior was, and a direction that the data leave flat adds
+        neither evidence nor width.
+        """
+        rows = np.array([self._curvature(learned, step) for step in self.steps()])
+        for index, place in enumerate(self.places):
+            if NAMES[place] in RESPONSE_PARAMETERS:
+                rows[index] = self._curvature_of_interval(learned, index, rows[index])
         sd = self.prior.sd[self.places]
-        values, vectors = np.linalg.eigh(sd[:, None] * curvature * sd)
-        return sd[:, None] * (vectors / np.maximum(values, 1.0) @ vectors.T) * sd
+        scaled = sd[:, None] * (rows + rows.T) / 2 * sd
+        values, vectors = np.linalg.eigh(scaled)
+        values = np.maximum(values, 1.0)
+        volume = np.log(sd).sum() + 0.5 * np.log(2 * math.pi / values).sum()
+        return sd[:, None] * (vectors / values @ vectors.T) * sd, float(volume)
+
+    def _curvature(
+        self,
+        learned: Float[np.ndarray, " learned"],
+        step: Float[np.ndarray, " learned"],
+    ) -> Float[np.ndarray, " learned"]:
+        """A row of the curvature, over a step along one parameter."""
+        # Differences of gradients, not of values: values lose half of their digits.
+        return (self(learned + step)[1] - self(learned - step)[1]) / (2 * step.max())
+
+    def _curvature_of_interval(
+        self,
+        learned: Float[np.ndarray, " learned"],
+        index: int,
+        row: Float[np.ndarray, " learned"],
+    ) -> Float[np.ndarray, " learned"]:
+        """A row of the curvature, over a step as long as the deviation that it makes.
+
+        The corner of a response is where its law bends most: a curvature within a
+        fiftieth of the prior can be that of one commanded frequency, and the interval
+        then far too narrow, or of a plateau beside a wall.
+        """
+        sd = self.prior.sd[self.places][index]
+        length = DIFFERENCE * sd
+        for _ in range(STEPS_OF_INTERVAL):
+            width = 1 / math.sqrt(row[index]) if row[index] > 0 else math.inf
+            before, length = length, float(np.clip(width, DIFFERENCE * sd, WIDEST * sd))
+            if abs(length - before) < 0.2 * before:
+                break
+            step = np.zeros(len(learned))
+            step[index] = length
+            row = self._curvature(learned, step)
+        return row
 
     def result(self, learned: Float[np.ndarray, " learned"], value: float) -> TrackFit:
         """Evidence and posterior about the maximum."""
@@ -275,8 +321,8 @@ class Search:
     def _coefficients(
         self, learned: Float[np.ndarray, " learned"]
     ) -> tuple[np.ndarray, np.ndarray]:
-        problem = compiled_whiten(jnp.asarray(self.theta(learned)), self.design)
-        best, information = problem.coefficients()
+        theta = jnp.asarray(self.theta(learned))
+        (_, (best, information)), _ = value_and_slope(theta, self.design, self.field)
         return np.asarray(best), np.asarray(information)
 
     def _joint(
@@ -292,5 +338,12 @@ class Search:
         return best, np.block([[spread, cross.T], [cross, alone + cross @ slopes.T]])
 
 
-DIFFERENCE, ACROSS_KINKS = 0.02, 0.25
-"""Steps of central differences, in standard deviations of the prior."""
+DIFFERENCE, ACROSS_KINKS, WIDEST = 0.02, 0.25, 0.5
+"""Steps of central differences, in standard deviations of the prior: the usual one,
+that across kinks, and the widest for a parameter of the response."""
+
+STEPS_OF_INTERVAL = 4
+"""Lengths that are tried at most."""
+
+RESPONSE_PARAMETERS = ("log_corner", "logit_residual")
+"""Parameters whose curvature is taken over their own interval."""

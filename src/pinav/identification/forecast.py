@@ -114,14 +114,18 @@ def programme_of(piece: Trajectory) -> HeldProgramme:
     The last one is held for as many times more as make the number of times round, so
     that what is compiled for one segment serves others.
     """
-    more = round_up_to(len(piece.times), LEAST_SIZE) - len(piece.times)
+    size = LEAST_SIZE
+    while size < len(piece.times):
+        size *= 2
+    more = size - len(piece.times)
     later = piece.times[-1] + 1.0 + np.arange(more)
     held = [jnp.asarray(np.pad(v, (0, more), "edge")) for v in commands_of(piece)]
     return HeldProgramme(jnp.asarray(np.concatenate([piece.times, later])), *held)
 
 
 LEAST_SIZE = 2048
-"""Samples, of which a multiple is compiled for."""
+"""Samples that are compiled for at least; for longer segments, twice as many and so
+on, since a program takes longer to compile than to run on twice the samples."""
 
 
 def cycles(fit: TrackFit, piece: Trajectory) -> Float[np.ndarray, "time 2"]:

@@ -277,7 +277,16 @@ def negative_log_evidence(
     design: Design,
     field: Field | None = None,
 ) -> Float[Array, ""]:
-    r"""Without the priors of the nonlinear parameters.
+    """`evidence_and_coefficients` without the coefficients."""
+    return evidence_and_coefficients(theta, design, field)[0]
+
+
+def evidence_and_coefficients(
+    theta: Float[Array, " parameter"],
+    design: Design,
+    field: Field | None = None,
+) -> tuple[Float[Array, ""], tuple[Float[Array, " coefficient"], Float[Array, "k k"]]]:
+    r"""Negative log evidence, without the priors of the nonlinear parameters.
 
     Weights of a field, of unit prior variance each, are integrated out: once the
     coefficients are projected out, the whitened targets y have the covariance
@@ -287,9 +296,12 @@ def negative_log_evidence(
         theta: nonlinear parameters.
         design: the track, as the candidate sees it.
         field: displacements by a field; none unless given.
+
+    Returns:
+        It, and the best coefficients with their information, a field left out.
     """
     problem = whiten(theta, design, field)
-    best, _ = problem.coefficients()
+    best, information = problem.coefficients()
     present = jnp.sum(jnp.any(problem.rows != 0, axis=0).astype(theta.dtype))
     constant = (
         problem.log_variance
@@ -299,7 +311,7 @@ def negative_log_evidence(
     residuals = problem.target - problem.rows @ best
     columns = problem.field
     if not columns.shape[1]:
-        return 0.5 * residuals @ residuals + constant
+        return 0.5 * residuals @ residuals + constant, (best, information)
     columns = columns - problem.rows @ problem.solve(problem.rows.T @ columns)
     # Woodbury's identity: the matrix is as large as the field has weights, not data.
     factor = jnp.linalg.cholesky(jnp.eye(columns.shape[1]) + columns.T @ columns)
@@ -307,11 +319,16 @@ def negative_log_evidence(
         factor, columns.T @ residuals, lower=True
     )
     squares = residuals @ residuals - explained @ explained
-    return 0.5 * squares + jnp.sum(jnp.log(jnp.diagonal(factor))) + constant
+    value = 0.5 * squares + jnp.sum(jnp.log(jnp.diagonal(factor))) + constant
+    return value, (best, information)
 
 
-value_and_slope = eqx.filter_jit(eqx.filter_value_and_grad(negative_log_evidence))
-"""The negative log evidence and its gradient, compiled once for each size of track."""
+value_and_slope = eqx.filter_jit(
+    eqx.filter_value_and_grad(evidence_and_coefficients, has_aux=True)
+)
+"""The negative log evidence with the coefficients, and its gradient, compiled once for
+each size of track: a second program for the coefficients alone costs more than the
+gradients that it saves."""
 
 compiled_whiten = eqx.filter_jit(whiten)
 """The least-squares problem, compiled."""

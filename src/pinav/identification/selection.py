@@ -167,7 +167,7 @@ class _Comparison:
         self.chosen = DRIFT_ONLY.name
         if self.train.commanded:
             self._fit(SCALAR, DRIFT_ONLY.name)
-            self._fit(MATRIX, SCALAR.name)
+            self._fit(MATRIX, None)
             for response in RESPONSES[1:]:
                 self._fit(with_response(MATRIX, response), MATRIX.name)
             self.chosen = self._response()
@@ -209,10 +209,11 @@ class _Comparison:
         propulsion compares nothing else; neither is chosen.
         """
         chosen = self.fits[self.chosen].candidate
-        for base, dropped in ((SCALAR, ()), (DRIFT_ONLY, COMMAND_RESPONSE)):
-            candidate = like(base, chosen, without=dropped)
+        idle = like(DRIFT_ONLY, chosen, without=COMMAND_RESPONSE)
+        simpler = ((like(SCALAR, chosen), self.chosen), (idle, DRIFT_ONLY.name))
+        for candidate, start in simpler:
             if candidate.name not in self.fits:
-                self._fit(candidate, None)
+                self._fit(candidate, start)
 
     def residual(self, name: str) -> None:
         """A position-dependent residual on the chosen candidate."""

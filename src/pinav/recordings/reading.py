@@ -3,6 +3,7 @@
 import dataclasses
 import os
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 from pinav.errors import InputError
 from pinav.recordings.assembly import assemble
@@ -166,6 +167,12 @@ def _format(name: str | None, source: Source, reading: Reading) -> AbstractForma
     names = source.column_names
     if source.kind == "workbook":
         names = list(source.table().columns)
+    if source.kind == "folder" and _is_zarr(source.path):
+        raise InputError(
+            "Zarr, as of GEFF, is not read; export its nodes with time, position and "
+            "track as CSV and give that file with --columns frame=t x=x y=y "
+            "particle=track"
+        )
     if not names:
         raise InputError(
             f"the format is not known ({_KINDS.get(source.kind, source.kind)}); give "
@@ -182,6 +189,12 @@ def _format(name: str | None, source: Source, reading: Reading) -> AbstractForma
         f"from {example_of_columns(names)}, or give the name of its format, one of "
         f"{', '.join(by_name)}"
     )
+
+
+def _is_zarr(folder: Path) -> bool:
+    """Whether a folder is a group of Zarr, of version 2 or 3, or is called so."""
+    group = any((folder / name).is_file() for name in ("zarr.json", ".zgroup"))
+    return group or folder.suffix in (".zarr", ".geff")
 
 
 _KINDS = {

@@ -12,7 +12,7 @@ import pytest
 from scipy.io import savemat
 
 from pinav.errors import InputError
-from pinav.recordings import labels
+from pinav.recordings import labels, read_recording
 
 FRAMES = np.arange(4)
 X, Y, Z = FRAMES + 1.0, 2 * FRAMES + 1.0, 3 * FRAMES + 1.0
@@ -309,3 +309,15 @@ DAMAGED = {
 def test_damage_is_named(read, name, content, message):
     with pytest.raises(InputError, match=message):
         read(content, name=name)
+
+
+@pytest.mark.parametrize(
+    ("name", "file"),
+    [("a.geff", "zarr.json"), ("a", ".zgroup"), ("a.zarr", "README")],
+)
+def test_zarr_is_refused_with_what_to_export_instead(tmp_path, name, file):
+    folder = tmp_path / name
+    folder.mkdir()
+    (folder / file).write_text("{}")
+    with pytest.raises(InputError, match="as of GEFF.*export its nodes.*--columns"):
+        read_recording(folder)

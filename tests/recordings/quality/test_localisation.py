@@ -77,6 +77,21 @@ def test_steps_of_the_command_are_no_error():
     np.testing.assert_allclose(found.deviation, 0.1, rtol=0.1)
 
 
+@pytest.mark.parametrize("interval", [0.1, 0.5])
+def test_motion_that_changes_from_row_to_row_is_no_diffusion(interval):
+    """A velocity with a memory of 1 s: its steps are no parabola over four rows."""
+    random = np.random.default_rng(1)
+    times = interval * np.arange(3000)
+    decay = np.exp(-interval)
+    kicks = random.standard_normal((3000, 2))
+    velocity = [0.3 * kicks[0]]
+    for kick in kicks[1:]:
+        velocity.append(decay * velocity[-1] + 0.3 * np.sqrt(1 - decay**2) * kick)
+    path = interval * np.cumsum(velocity, axis=0)
+    found = localisation([times], [path + 0.2 * random.standard_normal(path.shape)])
+    np.testing.assert_allclose(found.deviation, 0.2, rtol=0.1)
+
+
 def test_segments_and_lost_rows_are_not_bridged():
     times, path = observed(deviation=0.3, count=3000)
     path[1500:] += 500.0

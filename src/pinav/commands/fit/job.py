@@ -3,13 +3,14 @@
 import dataclasses
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from pinav.commands.cells import EstimateRow
 from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
 from pinav.commands.fit import FIT
-from pinav.commands.fit.metrics import FitMetrics, Loss
+from pinav.commands.fit.metrics import FitMetrics, Loss, RestartRow
 from pinav.commands.fit.plan import FitPlan, plan_fit
 from pinav.commands.fit.settings import EVIDENCE_RECIPES, FitOptions
 from pinav.commands.fit.structure import profile_arrays, structure_row
@@ -44,6 +45,7 @@ from pinav.evaluation import (
     force_errors,
     force_line,
     predict,
+    restart_errors,
     score,
 )
 from pinav.fitting import (
@@ -148,6 +150,9 @@ def fit(plan: FitPlan, folder: RunFolder) -> FitMetrics:
     folder.write_arrays("results.npz", arrays)
     rmse = score(predictions, outcomes, plan.data).by_name()
     metrics = _metrics(plan, fitted, rmse, fields)
+    if needs_kalman_filter(plan.system):
+        restarts = RestartRow.of_errors(restart_errors(fitted.model, plan.data))
+        metrics = msgspec.structs.replace(metrics, restarts=restarts)
     folder.write_metrics("metrics.json", metrics)
     return metrics
 

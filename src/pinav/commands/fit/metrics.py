@@ -5,6 +5,7 @@ import msgspec
 from pinav.commands.cells import EstimateRow
 from pinav.commands.fit.structure import StructureRow
 from pinav.commands.fit.thermal import ThermalRow
+from pinav.evaluation import RestartErrors
 from pinav.report import number
 
 
@@ -20,6 +21,37 @@ class Loss(msgspec.Struct, frozen=True):
     end: float | None
 
 
+class RestartRow(msgspec.Struct, frozen=True):
+    """Median end-point errors of rollouts that start anew at observed positions.
+
+    Attributes:
+        errors: by the length of the rollouts in units of time [L].
+        rollouts: their number.
+    """
+
+    errors: dict[str, float | None]
+    rollouts: int
+
+    @classmethod
+    def of_errors(cls, restarts: RestartErrors | None) -> "RestartRow | None":
+        """The row of such errors, where there are any."""
+        if restarts is None:
+            return None
+        pairs = zip(restarts.lengths, restarts.errors, strict=True)
+        return cls({f"{a:g}": float(b) for a, b in pairs}, restarts.rollouts)
+
+    def text(self) -> str:
+        """The errors in words."""
+        errors = (
+            f"{number(error, 3)} after {length}"
+            for length, error in self.errors.items()
+        )
+        return (
+            f"error of rollouts from observed positions, median of {self.rollouts}: "
+            f"{', '.join(errors)}"
+        )
+
+
 class FitMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
     r"""The numbers of a fit.
 
@@ -27,7 +59,8 @@ class FitMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
         model: name of the model that stands for the unknown.
         recipe: how it was fitted.
         outcome: the word for how the fit ended.
-        rmse: root-mean-square errors of rollouts on the training data, by channel.
+        rmse: root-mean-square errors of rollouts on the training data, by channel; of
+            a recording each is a whole film long.
         learned: constants learned beside the environment.
         remarks: sentences on what limits the result, each with a remedy.
         force_error: relative error of the force by region, where the truth is known.
@@ -39,6 +72,7 @@ class FitMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
         log_evidence: of the fit [nats].
         structure: what the search for a structure came to.
         thermal: checks of thermal motion whose observation is learned.
+        restarts: errors of a recording by the length of rollouts.
     """
 
     model: str
@@ -55,6 +89,7 @@ class FitMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
     log_evidence: float | None = None
     structure: StructureRow | None = None
     thermal: ThermalRow | None = None
+    restarts: RestartRow | None = None
 
     @property
     def name_of_noise(self) -> str:
@@ -64,7 +99,10 @@ class FitMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
 
     def text(self) -> str:
         """The metrics for a terminal."""
-        lines = [self._how(), f"RMSE: {_joined(self.rmse)}"]
+        errors = f"RMSE: {_joined(self.rmse)}"
+        if self.restarts is not None:
+            errors = self.restarts.text()
+        lines = [self._how(), errors]
         if self.structure is not None:
             lines.append(self.structure.text())
         for name, learned in self.learned.items():

@@ -52,7 +52,7 @@ def fit_sections(folder: RunFolder) -> list[Section]:
 
 def _tables(metrics: FitMetrics) -> list[Table]:
     """Errors, choices of the evidence, loss and constants, as far as there are any."""
-    tables = [_one_row(metrics.rmse, "Root-mean-square errors of rollouts.")]
+    tables = [_errors(metrics)]
     if metrics.log_evidence is not None:
         chosen = {
             metrics.name_of_noise: metrics.noise,
@@ -69,6 +69,19 @@ def _tables(metrics: FitMetrics) -> list[Table]:
         header = ("constant", "value", "standard deviation")
         tables.append(Table(header, rows, "Constants learned."))
     return tables
+
+
+def _errors(metrics: FitMetrics) -> Table:
+    """Errors by the length of rollouts for a recording, else those of whole ones."""
+    restarts = metrics.restarts
+    if restarts is None:
+        return _one_row(metrics.rmse, "Root-mean-square errors of rollouts.")
+    note = (
+        f"Median end-point error of {restarts.rollouts} rollouts from observed "
+        "positions, by their length in units of time. A rollout of the whole film adds "
+        "up all that wanders; its error is in metrics.json."
+    )
+    return _one_row({f"after {k}": v for k, v in restarts.errors.items()}, note)
 
 
 def _checks(thermal: ThermalRow) -> list[Paragraph | Image | Table]:

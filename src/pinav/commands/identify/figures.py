@@ -3,30 +3,52 @@
 import numpy as np
 
 from pinav.identification import (
+    ErrorGrowth,
     Forecast,
     FrameJitter,
     Rollouts,
     Selection,
     Track,
     TrackFit,
+    least_squares,
 )
 from pinav.identification.forecast import cycles
 from pinav.identification.tracks import commands_of
+
+SHOWN_ROLLOUTS = 6
+"""Rollouts that are drawn one by one; more would be a tangle."""
 
 
 def figure_arrays(
     selection: Selection, whole: TrackFit, jitter: FrameJitter, rollouts: Rollouts
 ) -> dict[str, np.ndarray]:
-    """What the figures of a track need."""
+    """What the figures of a track need.
+
+    Args:
+        selection: of the track.
+        whole: the chosen candidate, fitted to all of it.
+        jitter: scatter of single frames.
+        rollouts: on the held-out part; a few of them are kept.
+    """
     held_out, fit = selection.held_out, selection.best
     arrays: dict[str, np.ndarray] = {}
-    for index, piece in enumerate(held_out.pieces):
-        arrays[f"observed/{index}"] = piece.states
-    ends = zip(rollouts.piece, rollouts.first, rollouts.last, strict=True)
+    count = min(SHOWN_ROLLOUTS, len(rollouts))
     forecasts = [Forecast.of(piece, fit, jitter) for piece in held_out.pieces]
-    for index, (segment, a, b) in enumerate(ends):
-        arrays[f"predicted/{index}"] = forecasts[segment].rollout(int(a), int(b))
-        arrays[f"sd/{index}"] = np.sqrt(forecasts[segment].variance(int(a), int(b))[-1])
+    shown = np.linspace(0, len(rollouts) - 1, count).astype(int)
+    for index, place in enumerate(shown):
+        segment = int(rollouts.piece[place])
+        first, last = int(rollouts.first[place]), int(rollouts.last[place])
+        piece, forecast = held_out.pieces[segment], forecasts[segment]
+        arrays[f"start/{index}"] = np.array(piece.times[first])
+        arrays[f"observed/{index}"] = piece.states[first : last + 1]
+        arrays[f"predicted/{index}"] = forecast.rollout(first, last)
+        arrays[f"sd/{index}"] = np.sqrt(forecast.variance(first, last)[-1])
+    for index, piece in enumerate(held_out.pieces):
+        arrays[f"whole/{index}"] = piece.states
+    reference = least_squares(selection.train).displacement()
+    growth = ErrorGrowth.of(held_out, fit, jitter, reference)
+    for name in ("lengths", "errors", "reference", "promised"):
+        arrays[f"growth/{name}"] = getattr(growth, name)
     if whole.candidate.gains:
         arrays |= _speed_law(selection.track, whole)
     return arrays

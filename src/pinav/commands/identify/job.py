@@ -13,6 +13,7 @@ from pinav.commands.fitted_run import DATA_FILE, ModelHeader, save_data, write_f
 from pinav.commands.identify import IDENTIFY
 from pinav.commands.identify.figures import figure_arrays
 from pinav.commands.identify.metrics import (
+    SHOWN,
     CandidateRow,
     CoverageOfBands,
     DelayMetrics,
@@ -49,9 +50,6 @@ from pinav.recordings.conventions import remarks
 from pinav.runs import RunFolder
 from pinav.systems import system_text
 from pinav.trajectories import Trajectories
-
-SHOWN = 10.0
-"""Horizon of bands, of figures and of the table in the terminal [s]."""
 
 THREADS = 2
 """Tracks fitted side by side; JAX computes without Python's lock."""
@@ -104,13 +102,16 @@ def identify(
     def result(index: int) -> "_Result":
         track = several[index]
         return _identify_track(
-            track, settings.train_fraction, recording.units, full=track.name in full
+            track,
+            settings.train_fraction,
+            full=track.name in full,
+            drawn=track.name in drawn,
         )
 
     with ThreadPoolExecutor(max_workers=THREADS) as pool:
         for index, one in zip(undone, pool.map(result, undone), strict=True):
             name = several[index].name
-            if name in drawn and one.arrays:
+            if one.arrays:
                 arrays = one.arrays | _in_image(recording, one.arrays)
                 folder.write_arrays(f"track-{index}.npz", arrays)
             if one.fit is not None:
@@ -177,9 +178,9 @@ class _Result:
 
 
 def _identify_track(
-    track: Track, fraction: float, units: dict[str, str], *, full: bool
+    track: Track, fraction: float, *, full: bool, drawn: bool
 ) -> _Result:
-    """Results of one track, and the arrays behind its figures."""
+    """Results of one track, and the arrays behind its figures where it is drawn."""
     residuals = tuple(RESIDUALS) if full else ()
     baselines = tuple(BASELINES) if full else ("least squares",)
     if not track.commanded:
@@ -210,7 +211,7 @@ def _identify_track(
         delay=None if delays is None else DelayMetrics.of(delays),
         seconds=time.perf_counter() - begin,
     )
-    arrays = figure_arrays(selection, whole, jitter, rollouts)
+    arrays = figure_arrays(selection, whole, jitter, rollouts) if drawn else {}
     return _Result(metrics, arrays, whole, jitter.deviation)
 
 
@@ -309,7 +310,7 @@ def _in_image(
         return {}
     pixels = {}
     for key, values in arrays.items():
-        if key.startswith(("observed/", "predicted/")):
+        if key.startswith(("observed/", "predicted/", "whole/")):
             pixels[f"image {key}"] = image_positions(recording, values)
         if key.startswith("sd/"):
             pixels[f"image {key}"] = np.abs(image_positions(recording, values))

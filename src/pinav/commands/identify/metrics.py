@@ -114,6 +114,20 @@ class TrackMetrics(msgspec.Struct, frozen=True):
     delay: DelayMetrics | None = None
     seconds: float = 0.0
 
+    def error_at(self, horizon: float, name: str) -> NUMBER:
+        """Relative error of rollouts of a length [s], of one line of the table."""
+        for row in self.rows:
+            if row.name == name and not row.reason:
+                return row.horizons[f"{horizon:g}"].relative
+        return None
+
+    def gain_text(self) -> str:
+        """The gain matrix on a line; a dash where there is none."""
+        if self.gain is None:
+            return "–"
+        rows = (" ".join(f"{value:.3g}" for value in row) for row in self.gain)
+        return "; ".join(rows)
+
 
 class SummaryRow(msgspec.Struct, frozen=True):
     """Medians over tracks of one candidate or baseline.
@@ -173,6 +187,12 @@ class IdentifyMetrics(msgspec.Struct, frozen=True):
             "columns 1 s to 30 s: end-point error of held-out open-loop rollouts over "
             "the length of the path"
         )
+        pooled = pooled_coverage(self.tracks.values())
+        if pooled is not None and len(self.tracks) > 1:
+            lines.append(
+                f"nominal 90 % bands hold {100 * pooled:.0f} % of the held-out "
+                "positions of all tracks"
+            )
         for name, track in self.tracks.items():
             lines += [f"{name}:", *(f"  {line}" for line in _track_lines(track))]
         lines += self.remarks
@@ -197,6 +217,20 @@ def summarise_tracks(tracks: Iterable[TrackMetrics]) -> dict[str, SummaryRow]:
             if row.name == track.chosen:
                 rows.setdefault("chosen", []).append(row)
     return {name: SummaryRow.of(group) for name, group in rows.items()}
+
+
+SHOWN = 10.0
+"""Length of the rollouts of bands, of figures and of tables of all tracks [s]."""
+
+
+def pooled_coverage(tracks: Iterable[TrackMetrics]) -> NUMBER:
+    """Share of held-out positions within bands, over all rollouts; none without any."""
+    bands = [track.coverage for track in tracks if track.coverage is not None]
+    count = sum(band.rollouts for band in bands)
+    inside = sum(
+        as_float(band.inside) * band.rollouts for band in bands if band.rollouts
+    )
+    return inside / count if count else None
 
 
 def as_float(value: NUMBER) -> float:
@@ -242,6 +276,8 @@ def _track_lines(track: TrackMetrics) -> list[str]:
     if track.reason:
         return [f"not fitted: {track.reason}"]
     lines, bands = list(track.findings), track.coverage
+    if track.gain is not None:
+        lines.append(f"Gain matrix, rows x and y of the velocity: {track.gain_text()}.")
     if bands is not None and bands.rollouts:
         lines.append(
             f"Nominal 90 % bands hold {100 * as_float(bands.inside):.0f} % of the "

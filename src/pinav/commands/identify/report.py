@@ -1,14 +1,27 @@
 """Figures and sections of `pinav identify`."""
 
 import numpy as np
-from matplotlib.axes import Axes
 
-from pinav.commands.identify.metrics import IdentifyMetrics, TrackMetrics, as_float
+from pinav.commands.identify.metrics import (
+    SHOWN,
+    IdentifyMetrics,
+    TrackMetrics,
+    as_float,
+    label,
+    pooled_coverage,
+)
 from pinav.figures import save_figure
-from pinav.figures.identification import horizon_errors, rollout_paths, speed_law
+from pinav.figures.identification import (
+    error_growth,
+    horizon_errors,
+    rollout_paths,
+    single_rollouts,
+    speed_law,
+)
 from pinav.figures.style import new_figure
 from pinav.fitting import Estimate
 from pinav.identification import interval, positive_interval
+from pinav.identification.findings import LEAST_SQUARES
 from pinav.identification.forecast import HORIZONS
 from pinav.report import Image, Paragraph, Section, Table
 from pinav.runs import RunFolder
@@ -90,7 +103,32 @@ def _overview(
             "Rollout error over the horizon for each model",
             "Error over horizon, medians over tracks.",
         ),
+        _track_table(metrics),
     ]
+
+
+def _track_table(metrics: IdentifyMetrics) -> Table:
+    """Each track on a line: what was chosen, its gain, its errors and its bands."""
+    fitted = {n: track for n, track in metrics.tracks.items() if not track.reason}
+    rows = []
+    for name, track in fitted.items():
+        bands = track.coverage
+        inside = None if bands is None else bands.inside
+        held = "–" if inside is None else f"{100 * inside:.0f} %"
+        errors = [
+            _cell(track.error_at(SHOWN, row)) for row in (track.chosen, LEAST_SQUARES)
+        ]
+        rows.append((name, label(track.chosen), track.gain_text(), *errors, held))
+    unit = metrics.units["x"]
+    header = ("track", "model", f"gain ({unit} per turn)", "10 s", "least squares")
+    note = (
+        "Gain: the matrix of the whole track, rows x and y of the velocity. 10 s: "
+        "median end-point error over the path, of the chosen model and of least "
+        "squares. In band: held-out positions within nominal bands of 90 %"
+    )
+    pooled = pooled_coverage(fitted.values())
+    note += "." if pooled is None else f"; pooled {100 * pooled:.0f} %."
+    return Table((*header, "in band"), rows, note)
 
 
 def _cell(value: float | None) -> float | str:
@@ -207,48 +245,97 @@ def _rows(result: TrackMetrics) -> Table:
 
 
 def _figures(folder: RunFolder, index: int, units: dict[str, str]) -> list[Image]:
+    """Rollouts one by one, their error over time, and the speed by frequency."""
     arrays = folder.read_arrays(f"track-{index}.npz")
-    law = "law/places" in arrays
-    figure = new_figure(7.5 if law else 4.2, 3.6)
-    axes = figure.subplots(1, 2) if law else [figure.subplots()]
-    _paths(arrays, "", units["x"], axes[0])
-    caption = (
-        "Held-out part: observed positions, rollouts of 10 s, bands at their ends."
-    )
-    if law:
-        curve = (arrays["law/places"], arrays["law/fitted"], arrays["law/sd"])
-        unit = f"{units['x']}/{units['t']}"
-        speed_law(
-            arrays["law/frequency"], arrays["law/speed"], curve, unit=unit, ax=axes[1]
-        )
-        caption += " Right: speed along the command, over blocks."
-    files = save_figure(figure, folder.path / "figures", f"track-{index}")
-    images = [Image(files.svg, "Observed and predicted paths of a track", caption)]
+    images = [_rollouts(folder, index, arrays, units)] if "start/0" in arrays else []
+    if len(arrays["growth/lengths"]) > 1:
+        images.append(_growth(folder, index, arrays, units))
+    if "law/places" in arrays:
+        images.append(_law(folder, index, arrays, units))
     return images + _overlay(folder, index, arrays)
+
+
+def _rollouts(
+    folder: RunFolder,
+    index: int,
+    arrays: dict[str, np.ndarray],
+    units: dict[str, str],
+) -> Image:
+    seen, paths, sds, starts = (
+        _numbered(arrays, name) for name in ("observed", "predicted", "sd", "start")
+    )
+    figure = new_figure(4.6, 2.1 * -(-len(seen) // 3) + 0.7)
+    titles = [f"from {float(start):.0f} {units['t']}" for start in starts]
+    panels = list(zip(seen, paths, sds, strict=True))
+    plane = {"x": units["x"], "y": units["x"]}
+    single_rollouts(panels, titles, units=plane, figure=figure)
+    files = save_figure(figure, folder.path / "figures", f"track-{index}")
+    caption = (
+        f"Held-out part: {len(seen)} rollouts of 10 s, evenly spread over it, each "
+        "from an observed position (○) that is put at the origin. × is where the robot "
+        "was 10 s later, the ellipse where the model expects 90 % of each coordinate."
+    )
+    return Image(files.svg, "Observed and predicted paths, one by one", caption)
+
+
+def _growth(
+    folder: RunFolder,
+    index: int,
+    arrays: dict[str, np.ndarray],
+    units: dict[str, str],
+) -> Image:
+    names = ("lengths", "errors", "reference", "promised")
+    curves = [arrays[f"growth/{name}"] for name in names]
+    figure = new_figure(4.2, 3.4)
+    error_growth(*curves, units=units, ax=figure.subplots())
+    files = save_figure(figure, folder.path / "figures", f"growth-{index}")
+    caption = (
+        "Held-out part: end-point error of rollouts over their length, median and the "
+        "middle 80 %, with the median of least squares. Dotted: the distance within "
+        "which the model's own bands expect 90 % of the ends; it should run along the "
+        "upper edge."
+    )
+    return Image(files.svg, "End-point error over the length of rollouts", caption)
+
+
+def _law(
+    folder: RunFolder,
+    index: int,
+    arrays: dict[str, np.ndarray],
+    units: dict[str, str],
+) -> Image:
+    curve = (arrays["law/places"], arrays["law/fitted"], arrays["law/sd"])
+    figure = new_figure(4.2, 3.4)
+    unit = f"{units['x']}/{units['t']}"
+    points = arrays["law/frequency"], arrays["law/speed"]
+    speed_law(*points, curve, unit=unit, ax=figure.subplots())
+    files = save_figure(figure, folder.path / "figures", f"speed-{index}")
+    caption = "Speed along the command over blocks of the whole track, by frequency."
+    return Image(files.svg, "Speed along the command against frequency", caption)
 
 
 def _overlay(
     folder: RunFolder, index: int, arrays: dict[str, np.ndarray]
 ) -> list[Image]:
-    """The same paths as they lie on the recorded image, where there was one."""
-    if not any(key.startswith("image ") for key in arrays):
+    """The same rollouts as they lie on the recorded image, where there was one."""
+    if "image whole/0" not in arrays:
         return []
+    names = ("whole", "predicted", "observed", "sd")
+    whole, paths, seen, sds = (_numbered(arrays, f"image {name}") for name in names)
     figure = new_figure(4.2, 3.6)
+    ends = [path[-1] for path in seen]
     ax = figure.subplots()
-    _paths(arrays, "image ", "px", ax)
+    rollout_paths(whole, paths, ends, sds, units={"x": "px", "y": "px"}, ax=ax)
     ax.invert_yaxis()
     files = save_figure(figure, folder.path / "figures", f"image-{index}")
     caption = "The same in the pixels of the image, y down: to lay over a frame."
     return [Image(files.svg, "Paths of a track in image coordinates", caption)]
 
 
-def _paths(arrays: dict[str, np.ndarray], prefix: str, unit: str, ax: Axes) -> None:
-    def group(name: str) -> list[np.ndarray]:
-        keys = [key for key in arrays if key.startswith(f"{prefix}{name}/")]
-        return [arrays[key] for key in sorted(keys, key=_trailing_number)]
-
-    groups = (group(name) for name in ("observed", "predicted", "sd"))
-    rollout_paths(*groups, units={"x": unit, "y": unit}, ax=ax)
+def _numbered(arrays: dict[str, np.ndarray], name: str) -> list[np.ndarray]:
+    """The arrays `name/0`, `name/1` and so on, in this order."""
+    keys = [key for key in arrays if key.startswith(f"{name}/")]
+    return [arrays[key] for key in sorted(keys, key=_trailing_number)]
 
 
 def _trailing_number(key: str) -> int:

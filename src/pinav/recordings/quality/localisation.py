@@ -1,10 +1,11 @@
 r"""Localisation error and diffusion of a moving particle, from its positions alone.
 
 Third divided differences remove any motion that is a parabola over four samples, with
-irregular times too. What they leave of independent errors of variance $\sigma^2$ and of
-a diffusion $D$ has known covariances at lags 0 to 3, linear in both: errors alone
-correlate over three lags, diffusion over two. Weighted least squares on the measured
-covariances gives both numbers; it extends the covariance estimator to particles that
+irregular times too. What they leave of independent errors of variance $\sigma^2$, of a
+diffusion $D$ and of a velocity that is itself a random walk, as where commands change
+from row to row, has known covariances at lags 0 to 3, linear in all three: errors alone
+correlate over three lags, the others over two. Weighted least squares on the measured
+covariances gives the numbers; it extends the covariance estimator to particles that
 are driven. Robots also jitter, which looks like diffusion from row to row, so that the
 scatter of all causes is given beside them.
 
@@ -13,11 +14,12 @@ References:
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import final
 
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import nnls
 
 _SAMPLES, _LAGS = 4, 4
 _MEDIAN = 0.6744897501960817  # of the size of a standard normal number
@@ -84,11 +86,12 @@ def localisation(
 
 def _products(
     times: Float[np.ndarray, " time"], path: Float[np.ndarray, "time 2"]
-) -> Float[np.ndarray, "window 12"]:
-    """Covariance of the differences at each lag; what error and diffusion make of it.
+) -> Float[np.ndarray, "window 16"]:
+    """Covariance of the differences at each lag, and what each cause makes of it.
 
     Each row holds, for the lags 0 to 3, the measured product averaged over both
-    coordinates, then the factor of the variance, then the factor of the diffusion.
+    coordinates, then the factors of the variance, of the diffusion, and of the
+    intensity of a velocity that is a random walk.
     """
     count = len(times) - _SAMPLES + 1
     index = np.arange(count)[:, None] + np.arange(_SAMPLES)
@@ -107,8 +110,8 @@ def _products(
         late = rows + lag
         overlap = weights[rows, lag:] * weights[late, : _SAMPLES - lag]
         columns.append(overlap.sum(axis=1))
-    for lag in range(_LAGS):
-        columns.append(_brownian(times, weights, rows, lag))
+    for walk in (_brownian, _integrated_brownian):
+        columns += [_of_walk(walk, times, weights, rows, lag) for lag in range(_LAGS)]
     table = np.stack(columns, axis=1)
     return table[np.isfinite(table).all(axis=1)]
 
@@ -121,39 +124,43 @@ def _weights(times: Float[np.ndarray, "window 4"]) -> Float[np.ndarray, "window 
     return weights / np.linalg.norm(weights, axis=1, keepdims=True)
 
 
-def _brownian(
-    times: np.ndarray, weights: np.ndarray, rows: np.ndarray, lag: int
+def _of_walk(
+    covariance: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    times: np.ndarray,
+    weights: np.ndarray,
+    rows: np.ndarray,
+    lag: int,
 ) -> Float[np.ndarray, " window"]:
-    """Covariance of two differences of a Brownian path whose diffusion is 1."""
+    """Covariance of two differences of a path that starts at rest with the window."""
     offsets = np.arange(_SAMPLES)
     early = times[rows[:, None] + offsets] - times[rows, None]
     late = times[rows[:, None] + lag + offsets] - times[rows, None]
-    shared = 2.0 * np.minimum(early[:, :, None], late[:, None, :])
+    shared = covariance(early[:, :, None], late[:, None, :])
     return np.einsum("ij,ik,ijk->i", weights[rows], weights[rows + lag], shared)
 
 
-def _error_and_diffusion(table: Float[np.ndarray, "window 12"]) -> tuple[float, float]:
+def _brownian(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Of a Brownian path whose diffusion is 1, at two times."""
+    return 2.0 * np.minimum(one, other)
+
+
+def _integrated_brownian(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Of a path whose velocity is a random walk of unit intensity, at two times."""
+    first, last = np.minimum(one, other), np.maximum(one, other)
+    return first**2 * (3 * last - first) / 6
+
+
+def _error_and_diffusion(table: Float[np.ndarray, "window 16"]) -> tuple[float, float]:
     """Variance of the error and diffusion, neither of them negative."""
-    measured, error, diffusion = np.split(table.mean(axis=0), 3)
-    design = np.stack([error, diffusion / diffusion[0]], axis=1)
+    measured, *causes = np.split(table.mean(axis=0), 4)
+    design = np.stack([cause / cause[0] for cause in causes], axis=1)
     root = np.eye(_LAGS)
-    variances = np.zeros(2)
+    variances = np.zeros(len(causes))
     for _ in range(_REFINEMENTS):
-        variances = _least_squares(root @ design, root @ measured)
+        variances, _ = nnls(root @ design, root @ measured)
         root = np.linalg.inv(np.linalg.cholesky(_sampling(design @ variances)))
     variance = min(variances[0], max(measured[0], 0.0))  # of all causes
-    return float(variance), float(variances[1] / diffusion[0])
-
-
-def _least_squares(design: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """Coefficients of two columns, neither of them negative."""
-    coefficients = np.linalg.lstsq(design, measured)[0]
-    for negative in np.flatnonzero(coefficients < 0):
-        other = design[:, 1 - negative]
-        coefficients = np.zeros(2)
-        coefficients[1 - negative] = max(other @ measured / (other @ other), 0.0)
-        break
-    return coefficients
+    return float(variance), float(variances[1] / causes[1][0])
 
 
 def _sampling(covariances: np.ndarray) -> np.ndarray:
