@@ -45,7 +45,7 @@ docs: .venv/installed-docs
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet $(SPHINX) docs site
 	@echo "site/index.html"
 
-# Every figure of the pages, from runs that are kept in runs/figures: an hour at first.
+# Every figure of the pages, from runs that are kept in runs/figures.
 figures: .venv/installed-extras
 	$(BIN)/python -m docs.figures.draw
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from validation import thermal_twins
 from validation.conftest import pinav
+from validation.rotating_trap import judge_trap
 
 from pinav.fitting import fit_trap
 
@@ -119,3 +120,17 @@ def test_twins_of_ring_and_wall_are_unbiased_and_covered(name):
         print(f"{name} twins: {number}: {misses}")
         assert misses.bias < 1 / 3
         assert misses.covered * DRAWS >= 17
+
+
+@pytest.mark.parametrize("turning", [0.0, 1.0])
+def test_entropy_production_of_a_turning_trap_is_covered(turning):
+    """Bar: at least 17 of 20 draws with odd seeds within the 95 % interval."""
+    true = 2 * turning**2
+    rates = [judge_trap(seed, turning).rate for seed in range(1, 2 * DRAWS, 2)]
+    inside = sum(abs(one.value - true) < 1.96 * one.sd for one in rates)
+    mean = np.mean([one.value for one in rates])
+    print(
+        f"turning {turning:g}: mean {mean:.3f}, true {true:g}, mean sd "
+        f"{np.mean([one.sd for one in rates]):.3f}, covered {inside} of {DRAWS}"
+    )
+    assert inside >= 17

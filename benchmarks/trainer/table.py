@@ -9,7 +9,7 @@ import tyro
 
 from benchmarks._sweep import measurements
 from benchmarks.trainer.cells import COLUMNS, SEEDLESS, Measurement, cell_of
-from benchmarks.trainer.systems import DEVELOPMENT, JUDGED, NUM_SYSTEMS
+from benchmarks.trainer.systems import DEVELOPMENT, JUDGED
 from pinav.commands.parsing import parse
 from pinav.commands.settings import Settings
 from pinav.commands.worker_settings import WorkerSettings
@@ -31,7 +31,11 @@ class Options(Settings, frozen=True):
         tyro.conf.arg(help="Even keys, on which recipes are tried, or odd ones."),
     ] = "development"
     keys: Annotated[
-        tuple[int, ...], tyro.conf.arg(help="Keys of systems; those of --half if none.")
+        tuple[int, ...],
+        tyro.conf.arg(
+            help="Keys of systems; those of --half if none. From 60 on they are "
+            "further systems for development."
+        ),
     ] = ()
     columns: Annotated[
         tuple[str, ...], tyro.conf.arg(help="Any of: " + ", ".join(COLUMNS) + ".")
@@ -47,8 +51,8 @@ class Options(Settings, frozen=True):
                     f"--columns: {name!r} is unknown; choose some of: {known}"
                 )
         for key in self.keys:
-            if not 0 <= key < NUM_SYSTEMS:
-                raise InputError(f"--keys: expected 0 to {NUM_SYSTEMS - 1}, got {key}")
+            if key < 0:
+                raise InputError(f"--keys: expected 0 or more, got {key}")
         if not self.seeds:
             raise InputError("--seeds: expected one or more")
 

@@ -39,7 +39,12 @@ def point(name: str, dim: int | None = None) -> Callable[[Any], Vector]:
             raise InputError(
                 f"{name}: expected a point of shape {expected}, got {shape}"
             )
-        return value if isinstance(value, jax.Array) else jnp.asarray(value, float)
+        if isinstance(value, jax.Array):
+            return value
+        try:
+            return jnp.asarray(value, float)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{name}: expected numbers, got {value!r}") from error
 
     return convert
 

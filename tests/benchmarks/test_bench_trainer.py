@@ -19,7 +19,7 @@ def measurement(**changes):
     ("words", "message"),
     [
         (["--columns", "magic"], "--columns: 'magic' is unknown; choose some of"),
-        (["--keys", "60"], "--keys: expected 0 to 59, got 60"),
+        (["--keys", "-1"], "--keys: expected 0 or more, got -1"),
         (["--workers", "0"], "--workers: expected 1 or more, got 0"),
         (["--seeds"], "--seeds: expected one or more"),
     ],

@@ -8,6 +8,7 @@ import sys
 import time
 
 import pytest
+from tests.commands.test_every_command import WORDS, Folder
 
 MAIN = [sys.executable, "-m", "pinav"]
 
@@ -38,14 +39,7 @@ def data(tmp_path_factory):
 @pytest.mark.parametrize("moment", MOMENTS)
 def test_an_interrupt_ends_in_one_line_at_any_moment(moment, data, tmp_path):
     out = tmp_path / "run"
-    words = [*MAIN, "fit", str(data), "--out", str(out), "--max-steps", "3"]
-    process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
-    time.sleep(moment)
-    process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=120)
-    assert process.returncode in (0, 130), errors
-    if process.returncode == 130:
-        assert one_line(errors), errors
+    interrupt(["fit", str(data), "--out", str(out), "--max-steps", "3"], moment)
     assert not list(out.glob("**/.*.tmp"))
     if moment in MOMENTS[::6]:  # each of these is a whole fit
         again = pinav("fit", data, "--out", out, "--max-steps", "3", "--resume")
@@ -53,8 +47,35 @@ def test_an_interrupt_ends_in_one_line_at_any_moment(moment, data, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_reader_that_leaves_a_pipe_is_no_error():
-    command = f"{sys.executable} -m pinav fit --help"
+@pytest.mark.parametrize("moment", [0.2, 1.0, 3.0])
+@pytest.mark.parametrize(
+    "command", ["explore", "heat", "identify", "navigate", "truth"]
+)
+def test_other_commands_end_in_one_line_too(command, moment, tmp_path, fitted_run):
+    folder = Folder(tmp_path, fitted_run)
+    identify = (folder.data("identified"), *folder.out)
+    words = identify if command == "identify" else WORDS[command](folder)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    interrupt([command, *words], moment)
+    assert not list(tmp_path.glob("**/.*.tmp"))
+    assert all(path.read_bytes() == content for path, content in before.items())
+
+
+def interrupt(words, moment):
+    """Send Ctrl-C to a command after some seconds: it has ended, or says so."""
+    process = subprocess.Popen([*MAIN, *words], stderr=subprocess.PIPE, text=True)
+    time.sleep(moment)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=120)
+    assert process.returncode in (0, 130), errors
+    assert process.returncode == 0 or one_line(errors), errors
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", ["fit --help", "report run"])
+def test_a_reader_that_leaves_a_pipe_is_no_error(words, fitted_run):
+    run, _ = fitted_run("network")
+    command = f"cd {run.parent}; {sys.executable} -m pinav {words}"
     done = subprocess.run(
         ["bash", "-c", f"{command} | head -0"], capture_output=True, text=True
     )

@@ -1,12 +1,20 @@
 """Data and runs that a command cannot use are refused before anything is computed."""
 
 import os
+import shutil
 import subprocess
 import sys
 
+import jax
+import numpy as np
 import pytest
 
 from pinav import cli
+from pinav.commands.fit import plan
+from pinav.commands.system_choice import choose_system
+from pinav.errors import InputError
+from pinav.fitting.environments.catalogue import DataSummary
+from pinav.trajectories import Trajectories
 
 
 def complaint(words, capsys):
@@ -42,3 +50,49 @@ def test_a_terminal_that_knows_ascii_alone_gets_the_text():
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout
+
+
+def test_data_too_large_for_the_memory_are_refused_before_they_are_fitted(monkeypatch):
+    """Otherwise 50 GB are asked for after two minutes."""
+    data = Trajectories.from_arrays(
+        [np.arange(1000.0)], [np.zeros((1000, 2))], channels=("x", "y")
+    )
+    summary = DataSummary(2, (0.0,), (1.0,), [[0.0, 0.0]] * 300, 1.0)
+    plan.check_memory(data, summary)
+    monkeypatch.setattr(plan, "free_memory", lambda: 1e6)
+    with pytest.raises(InputError, match="1000 samples and 600 weights need about"):
+        plan.check_memory(data, summary)
+
+
+@pytest.mark.parametrize("command", ["analyse", "discover", "report", "explore"])
+def test_a_model_of_another_run_is_not_taken_for_ones_own(command, fitted_run, capsys):
+    """Otherwise Equinox ends with a traceback about leaves."""
+    other, _ = fitted_run("network")
+    run, _ = fitted_run("kernel")
+    shutil.copy(other / "model.eqx", run)
+    line = complaint((command, run), capsys)
+    assert "model.eqx is not the file that this run wrote; delete it and" in line
+
+
+def test_data_of_an_unknown_scenario_are_fitted_with_the_system_that_is_given():
+    """Otherwise the whole fit runs before the name is refused."""
+    data = Trajectories.from_arrays(
+        [np.arange(5.0)],
+        [np.zeros((5, 2))],
+        channels=("x", "y"),
+        provenance={"scenario": "one of last year"},
+    )
+    assert choose_system("brownian", data).name == "brownian"
+    with pytest.raises(InputError, match="--system: the data do not say which"):
+        choose_system(None, data)
+
+
+@pytest.mark.slow
+def test_a_langevin_run_is_evaluated_on_its_own_data(fitted_run, capsys):
+    """Otherwise rollouts of a stochastic truth ask the user for a key of JAX."""
+    run, data = fitted_run("langevin")
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        assert cli.run(["evaluate", str(run), str(data)]) == 0
+    out = capsys.readouterr().out
+    assert "RMSE, training error" in out
+    assert "do not trust it there" in out  # bands far from data rest on the prior

@@ -138,3 +138,8 @@ def test_a_force_of_first_order_is_a_velocity():
 def test_a_unit_that_is_not_stated_is_not_drawn():
     assert force_unit({"x": "?", "t": "?"}) == "?"
     assert with_unit("$|F|$", "?") == "$|F|$"
+    units = {"x": "um", "t": "s"}
+    assert force_unit(with_order(units, 1, "pN")) == "pN"
+    assert force_unit(with_order(units, 1, "pN"), lengths=2) == "pN um"
+    assert force_unit(with_order(units, 1)) == "um s⁻¹"
+    assert force_unit(with_order(units, 2, "pN")) == "um s⁻²"

@@ -16,6 +16,7 @@ import pinav
 from pinav.actuation import LinearProgramme, RotatingField, SaturatingResponse
 from pinav.analysis.discovery.laws import LawForce
 from pinav.analysis.discovery.potentials import GAUSSIAN
+from pinav.arguments import point
 from pinav.errors import InputError
 from pinav.forces import (
     AbstractForce,
@@ -530,6 +531,11 @@ def test_text_is_no_number(make):
     name = dataclasses.fields(make)[0].name
     with pytest.raises(InputError, match=rf"\.{name}: expected a number, got '0.8'"):
         AbstractForce.__check_init__(with_field(make, name, "0.8"))
+
+
+def test_a_point_of_text_is_refused():
+    with pytest.raises(InputError, match=r"center: expected numbers, got \['a', 2.0\]"):
+        point("center", 2)(["a", 2.0])
 
 
 def with_field(make, name, value):

@@ -229,3 +229,21 @@ def test_tracks_of_like_length_share_a_size_that_encloses_them():
     own = [shared_sizes([count])[0] for count in counts]
     assert seconds(counts, sizes) < min(seconds(counts, one), seconds(counts, own))
     assert shared_sizes(counts[::-1]) == sizes[::-1]
+
+
+def test_a_heading_that_never_changes_leaves_the_other_gain_at_zero(synthetic):
+    """Its columns are proportional to each other: the information is singular."""
+    times, _, _ = synthetic.robot(duration=30.0)
+    constant = np.full_like(times, -1.5708)  # not quite along y, as a table says it
+    frequency = np.where(times % 6 < 4, 2.0, 0.0)
+    path = np.concatenate([[0.0], np.cumsum(3.0 * frequency[:-1] * np.diff(times))])
+    random = np.random.default_rng(0)
+    states = np.stack([np.zeros_like(path), -path], axis=1)
+    states = states + 0.05 * random.normal(size=states.shape)
+    commands = {"frequency": frequency, "heading": constant}
+    track = tracks(synthetic.as_recording((times, states, commands)))[0]
+    fit = fit_track(track, MATRIX)
+    np.testing.assert_allclose(fit.gain[:, 1], [0.0, 3.0], atol=0.05)
+    np.testing.assert_allclose(fit.gain[:, 0], 0.0, atol=0.01)
+    assert np.linalg.eigvalsh(fit.covariance).min() >= 0
+    assert fit.estimates()["heading offset"].sd > 1.0

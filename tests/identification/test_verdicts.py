@@ -58,6 +58,7 @@ def test_an_interval_holds_its_value(low, value, high, text):
 def test_an_offset_that_is_not_known_is_not_stated():
     assert _offset(Estimate(0.57, 0.34)) == "not known to within 19 degrees"
     assert _offset(Estimate(0.57, 0.01)) == "32.7 ± 0.6 degrees"
+    assert _offset(Estimate(0.57, 4.0)).startswith("not known, because the heading")
 
 
 def test_a_verdict_compares_with_the_same_model():

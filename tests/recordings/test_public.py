@@ -1,9 +1,12 @@
 """Public recordings: a wrong file, a missing network, and the tables written."""
 
+import functools
 import gzip
 import hashlib
+import http.server
 import io
 import json
+import threading
 import urllib.error
 
 import numpy as np
@@ -67,6 +70,57 @@ def test_another_file_and_no_file_are_refused(tmp_path):
         fetch_recording("dragged_trap", tmp_path, tmp_path / "none")
     with pytest.raises(InputError, match="recording 'moon' is unknown; choose one of"):
         public_recording("moon")
+
+
+class Server(http.server.SimpleHTTPRequestHandler):
+    """The files of a folder, without a word on the terminal."""
+
+    def log_message(self, *words):
+        del words
+
+
+@pytest.fixture
+def served(tmp_path, monkeypatch):
+    """A folder whose files stand where those of the authors' repositories do."""
+    folder = tmp_path / "served"
+    folder.mkdir()
+    handler = functools.partial(Server, directory=str(folder))
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        thread = threading.Thread(target=server.serve_forever, daemon=True)
+        thread.start()
+        host = f"http://127.0.0.1:{server.server_port}"
+        local = property(lambda self: f"{host}/{self.name}")
+        monkeypatch.setattr(public.PublicRecording, "address", local)
+        monkeypatch.setenv("no_proxy", "127.0.0.1")
+        yield folder
+        server.shutdown()
+        thread.join()
+
+
+def test_a_recording_is_fetched_and_its_checksum_verified(
+    served, tmp_path, monkeypatch, capsys
+):
+    name = "dragged_trap"
+    (served / name).write_bytes(CONTENT[name])
+    words = ["data", "fetch", name, "--out", str(tmp_path / "truth")]
+    assert cli.run(words) == 2
+    assert "expected the checksum 80da7843a802e782" in capsys.readouterr().err
+    assert not (tmp_path / "truth").exists()
+    digest = hashlib.sha256(CONTENT[name]).hexdigest()
+    faked = tuple(one._replace(sha256=digest) for one in PUBLIC)
+    monkeypatch.setattr(public, "PUBLIC", faked)
+    assert cli.run(words) == 0
+    path = tmp_path / "truth" / name / "recording.csv.gz"
+    assert str(path) in capsys.readouterr().out
+    assert read_recording(path, BUILT_IN[name]).positions.shape == (2, 1)
+
+
+def test_a_server_without_the_file_leads_to_the_way_by_hand(served, tmp_path, capsys):
+    assert cli.run(["data", "fetch", "trap_at_rest", "--out", str(tmp_path)]) == 2
+    message = capsys.readouterr().err
+    assert "trap_at_rest: no download" in message
+    assert "by hand: git clone" in message
+    assert served.is_dir()
 
 
 def test_without_a_network_the_way_by_hand_is_told(tmp_path, monkeypatch, capsys):

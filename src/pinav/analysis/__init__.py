@@ -10,6 +10,8 @@ from pinav.analysis.discovery.force_sample import CentralTest as CentralTest
 from pinav.analysis.discovery.force_sample import ForceSample as ForceSample
 from pinav.analysis.discovery.force_sample import central_test as central_test
 from pinav.analysis.discovery.laws import LawForce as LawForce
+from pinav.analysis.entropy import EntropyProduction as EntropyProduction
+from pinav.analysis.entropy import entropy_production as entropy_production
 from pinav.analysis.helmholtz import HelmholtzSplit as HelmholtzSplit
 from pinav.analysis.helmholtz import helmholtz_split as helmholtz_split
 from pinav.analysis.helmholtz import rotational_fractions as rotational_fractions

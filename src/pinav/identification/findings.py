@@ -307,6 +307,8 @@ VAGUE = math.radians(5.0)
 def _offset(offset: Estimate) -> str:
     """An offset with its standard deviation, where it is known at all."""
     sd = math.degrees(offset.sd)
+    if offset.sd > math.pi:
+        return "not known, because the heading hardly changes"
     if offset.sd > VAGUE:
         return f"not known to within {sd:.0f} degrees"
     return f"{math.degrees(offset.value):.1f} ± {sd:.1f} degrees"

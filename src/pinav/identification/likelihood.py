@@ -84,6 +84,13 @@ class Field(eqx.Module):
         )
 
 
+UNDETERMINED = 1e-8
+"""Information about every gain and drift, in parts of the greatest that the data have
+of one: a heading that turns by less than a ten-thousandth of a radian determines one
+direction only, and the gain across it stays at zero. What data determine is shifted
+by a hundred-millionth of itself."""
+
+
 class Whitened(eqx.Module):
     """The least-squares problem that the filter leaves.
 
@@ -103,10 +110,19 @@ class Whitened(eqx.Module):
 
     @property
     def information(self) -> Float[Array, "k k"]:
-        """Information of the coefficients; 1 on the diagonal where absent."""
+        """Information of the coefficients; 1 on the diagonal where absent.
+
+        A heading that never changes makes the columns of two gains proportional and the
+        information of their difference zero. `UNDETERMINED` of that of the better known
+        one, the same for both, keeps the gain that nothing tells at zero; in parts of
+        its own column it would be as large as that column is small.
+        """
         information = self.rows.T @ self.rows
-        absent = jnp.diagonal(information) == 0
-        return information + jnp.diag(absent.astype(information.dtype))
+        diagonal = jnp.diagonal(information)
+        gain, drift = diagonal[:4].max(), diagonal[4:].max()
+        greatest = jnp.concatenate([jnp.full(4, gain), jnp.full(2, drift)])
+        ridge = jnp.where(diagonal == 0, 1.0, UNDETERMINED * greatest)
+        return information + jnp.diag(ridge)
 
     def solve(self, right: Array) -> Array:
         """The inverse of the information, applied."""

@@ -205,8 +205,8 @@ def _scale(tracks: Tracks, reading: Reading) -> tuple[float, str]:
 def _conventions(tracks: Tracks, reading: Reading) -> dict[str, Any]:
     """What was done to positions, times and commands."""
     scale, _unit = _scale(tracks, reading)
-    own = f"{BEYOND:g} times the {100 * ORDINARY:g} % quantile of the steps"
-    jump = reading.jump or JUMPS.get(tracks.length_unit, own)
+    default = f"{BEYOND:g} times the {100 * ORDINARY:g} % quantile of the steps"
+    jump = reading.jump or JUMPS.get(tracks.length_unit, default)
     return {
         "positions": {
             "unit in the file": tracks.length_unit,

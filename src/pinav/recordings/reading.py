@@ -131,9 +131,11 @@ def read_recording(
             if isinstance(path, DataFrame)
             else Source.read(path, reading.layout)
         )
-        own = reading if commands is None else _without_commands(reading)
-        chosen = _format(format, source, own)
-        recording = assemble(chosen.tracks(source, own), own, source, chosen.name)
+        tracked = reading if commands is None else _without_commands(reading)
+        chosen = _format(format, source, tracked)
+        recording = assemble(
+            chosen.tracks(source, tracked), tracked, source, chosen.name
+        )
         if commands is None:
             return recording
         log = read_log(Source.read(commands, Layout(None, None, strict)), reading)

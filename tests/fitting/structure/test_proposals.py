@@ -4,15 +4,14 @@ import pytest
 
 from pinav.errors import InputError
 from pinav.fitting.environments.terms import TermSummary, summarise_terms, with_terms
-from pinav.fitting.structure.proposals import (
-    Ground,
+from pinav.fitting.structure.proposals import polish, quick_evidence
+from pinav.fitting.structure.response import ForceResponse
+from pinav.fitting.structure.starts import (
+    Region,
     central_term,
     linear_term,
-    polish,
-    quick_evidence,
     wall_term,
 )
-from pinav.fitting.structure.response import ForceResponse
 from pinav.forces import (
     GaussianBarrier,
     KernelPotential,
@@ -23,7 +22,7 @@ from pinav.forces import (
 from pinav.scenarios import scenario
 
 POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 150, 2))
-GROUND = Ground.of(POINTS[0])
+REGION = Region.of(POINTS[0])
 
 
 def response(truth, noise=0.01):
@@ -45,18 +44,18 @@ def response(truth, noise=0.01):
 
 def test_a_centre_is_polished_from_nearby():
     data = response(GaussianBarrier(3.0, [4.0, 6.0], 1.5))
-    made = polish((central_term(GROUND, np.array([4.3, 5.8])),), data)
+    made = polish((central_term(REGION, np.array([4.3, 5.8])),), data)
     np.testing.assert_allclose(made.terms[0].center, [4.0, 6.0], atol=0.02)
     assert made.noise == pytest.approx(0.01, rel=0.2)
 
 
 def test_the_evidence_prefers_the_kind_that_is_right():
     data = response(SoftWall(4.0, 0.7, 7.0, 0.8))
-    wall = quick_evidence((wall_term(GROUND, 0.7),), data)
+    wall = quick_evidence((wall_term(REGION, 0.7),), data)
     others = [
-        (linear_term(GROUND),),
-        (central_term(GROUND, np.array([7.0, 5.0])),),
-        (wall_term(GROUND, 1.2),),
+        (linear_term(REGION),),
+        (central_term(REGION, np.array([7.0, 5.0])),),
+        (wall_term(REGION, 1.2),),
     ]
     assert wall > max(quick_evidence(terms, data) for terms in others) + 20
 
@@ -65,9 +64,9 @@ def test_terms_are_built_again_from_what_a_file_keeps():
     model = scenario("barrier-crossings").swimmer
     free = KernelPotential.with_zero_weights(POINTS[0, :3], 1.0)
     terms = (
-        central_term(GROUND, np.array([4.0, 6.0])),
-        wall_term(GROUND, 0.7),
-        linear_term(GROUND),
+        central_term(REGION, np.array([4.0, 6.0])),
+        wall_term(REGION, 0.7),
+        linear_term(REGION),
     )
     force = StructuredForce(terms, free)
     kept = summarise_terms(force)

@@ -17,6 +17,7 @@ from tqdm import tqdm
 
 from pinav.analysis import (
     Influence,
+    entropy_production,
     helmholtz_split,
     influence,
     rotational_fractions,
@@ -25,6 +26,7 @@ from pinav.analysis import (
 from pinav.commands.analyse.metrics import (
     AnalysisMetrics,
     ConstantEffect,
+    EntropyMetrics,
     HelmholtzMetrics,
     InfluenceRow,
 )
@@ -39,8 +41,10 @@ from pinav.evaluation import check_planar, field_map
 from pinav.fitting.environments.catalogue import CONSTANTS
 from pinav.forces import (
     AbstractLearnedForce,
+    KernelTensor,
     LinearDrag,
     MagneticPropulsion,
+    ZeroForce,
 )
 from pinav.runs import RunFolder
 
@@ -69,7 +73,8 @@ def analyse(settings: AnalyseSettings, run: Path) -> AnalysisMetrics:
         bar.update()
         rollouts = vary_rollouts(subject, split_arrays["potential"])
         bar.update()
-    arrays |= split_arrays | sd_arrays | effects.arrays | rollouts.arrays
+    entropy, currents, entropy_left_out = produce_entropy(fitted)
+    arrays |= split_arrays | sd_arrays | effects.arrays | rollouts.arrays | currents
     left_out = () if fitted.evidence else (f"standard deviations: {NO_POSTERIOR}",)
     metrics = AnalysisMetrics(
         model=fitted.choice.name,
@@ -78,13 +83,16 @@ def analyse(settings: AnalyseSettings, run: Path) -> AnalysisMetrics:
         settings=msgspec.to_builtins(settings),
         helmholtz=msgspec.structs.replace(split, sd=sd),
         potential="learned" if subject.has_potential else "of the gradient part",
-        left_out=(*left_out, *effects.left_out, *rollouts.left_out),
+        left_out=(
+            *(*left_out, *effects.left_out, *rollouts.left_out, *entropy_left_out),
+        ),
         above_two_sd=significance,
         influence=effects.influence,
         constants=effects.constants,
         lyapunov=rollouts.lyapunov,
         sobol=rollouts.sobol,
         landmark=rollouts.landmark,
+        entropy=entropy,
     )
     _write(fitted.folder, metrics, arrays)
     return metrics
@@ -252,6 +260,50 @@ def _constant_effects(
         )
         rows.append(row)
     return tuple(rows), arrays
+
+
+MOST_SAMPLES = 4000
+"""Samples at most over which entropy production is a mean."""
+
+
+def produce_entropy(
+    run: FittedRun,
+) -> tuple[EntropyMetrics | None, Arrays, tuple[str, ...]]:
+    """Entropy production of thermal motion, with the current at the samples.
+
+    Args:
+        run: of a fit.
+
+    Returns:
+        The numbers, the arrays, and what is left out; nothing for other motion.
+    """
+    evidence = run.evidence
+    if evidence is None or "diffusion" not in evidence.constants:
+        return None, {}, ()
+    model: Any = run.model
+    if not isinstance(model.propulsion, ZeroForce):
+        reason = "the swimmer is driven by its propulsion, which is no steady state"
+        return None, {}, (f"entropy production: {reason}",)
+    if model.environment.is_conservative:
+        reason = "the model is a potential, which makes none; fit --model kernel-force"
+        return None, {}, (f"entropy production: {reason}",)
+    data = run.data
+    samples = data.positions[data.observed.all(axis=-1)]
+    samples = samples[:: max(len(samples) // MOST_SAMPLES, 1)]
+    number = evidence.constants["diffusion"]
+    field = np.full(samples.shape, number.value)
+    if isinstance(model.mobility, KernelTensor) and run.system.thermal_energy:
+        mobility = jax.vmap(model.mobility.diagonal)(jnp.asarray(samples))
+        field = float(run.system.thermal_energy) * np.asarray(mobility)
+    try:
+        entropy = entropy_production(
+            evidence.posterior, samples, field, number.sd / number.value
+        )
+    except InputError as error:
+        return None, {}, (str(error),)
+    arrays = {"entropy/positions": samples, "entropy/current": entropy.current}
+    speed = _rms(entropy.current)
+    return EntropyMetrics(entropy.rate.value, entropy.rate.sd, speed), arrays, ()
 
 
 def _rms(values: Float[np.ndarray, "... 2"]) -> float:

@@ -35,6 +35,30 @@ class HelmholtzMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
         )
 
 
+class EntropyMetrics(msgspec.Struct, frozen=True):
+    """How far thermal motion is from equilibrium.
+
+    Attributes:
+        rate: entropy production [k_B T⁻¹].
+        sd: its standard deviation.
+        speed: root mean square of the current velocity at the samples [L T⁻¹].
+    """
+
+    rate: float
+    sd: float
+    speed: float
+
+    def sentence(self) -> str:
+        """The rate in words, and whether equilibrium is excluded."""
+        out = self.rate > 2 * self.sd
+        verdict = "out of equilibrium" if out else "equilibrium is not excluded"
+        return (
+            f"entropy production of a steady state: {self.rate:.3g} ± {self.sd:.2g} "
+            f"(sd) k_B per unit of time: {verdict}; current velocity {self.speed:.3g} "
+            "(rms)"
+        )
+
+
 class InfluenceRow(msgspec.Struct, frozen=True):
     """The influence of a trajectory on the fit.
 
@@ -131,6 +155,7 @@ class AnalysisMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
         constants: effects of constants.
         sobol: indices of rollouts.
         landmark: highest point of the potential near the data [L].
+        entropy: production of thermal motion, where it can be told.
     """
 
     model: str
@@ -146,10 +171,13 @@ class AnalysisMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
     constants: tuple[ConstantEffect, ...] | None = None
     sobol: tuple[SobolRow, ...] | None = None
     landmark: tuple[float, float] | None = None
+    entropy: EntropyMetrics | None = None
 
     def text(self) -> str:
         """The findings for a terminal."""
         lines = [self.helmholtz.sentence()]
+        if self.entropy is not None:
+            lines.append(self.entropy.sentence())
         if self.above_two_sd is not None:
             parts = ", ".join(f"{k} {v:.0%}" for k, v in self.above_two_sd.items())
             lines.append(f"force above two standard deviations: {parts} of the region")

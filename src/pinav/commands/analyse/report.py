@@ -82,6 +82,9 @@ def analysis_sections(folder: RunFolder) -> list[Section]:
             [*_parts(results, figures), _potential(results, figures)],
         )
     ]
+    if results.metrics.entropy is not None:
+        paragraph = Paragraph(f"{results.metrics.entropy.sentence().capitalize()}.")
+        sections.append(Section("Out of equilibrium", [paragraph]))
     if results.metrics.influence:
         content = [*_influence(results, figures), *_constants(results, figures)]
         sections.append(Section("What the force depends on", content))

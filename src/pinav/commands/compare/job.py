@@ -42,7 +42,7 @@ QUESTIONS = (
 """Pairs of models that answer a question, and what each of them stands for."""
 
 NETWORKS = ("neural-potential", "neural-force")
-"""Candidates whose prior is the process of the kernels that taught them."""
+"""Candidates distilled from a fit of kernels, whose process is their prior."""
 
 KERNEL_POTENTIAL = ("first-order", "isotropic-drag", "anisotropic-drag")
 """Candidates whose environment is a kernel potential."""

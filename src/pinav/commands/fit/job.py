@@ -57,6 +57,8 @@ from pinav.fitting import (
     simpler_models,
 )
 from pinav.fitting.environments.catalogue import KnownSwimmer, build
+from pinav.fitting.evidence.evidence import Hyperparameters
+from pinav.fitting.evidence.hyperparameter_uncertainty import is_confined
 from pinav.forces import AbstractForce, as_learned_force
 from pinav.identification import fit_commanded, needs_kalman_filter
 from pinav.identification.numbers import BLOCK_NOISE
@@ -238,6 +240,7 @@ def _metrics(
         remarks=(
             *_remarks(evidence.outcome),
             *filter(None, [evidence.goodness]),
+            *narrow_prior(fitted.model, evidence.hyperparameters),
             *thermal_remarks(plan),
             *remarks(plan.data),
         ),
@@ -253,6 +256,18 @@ def _metrics(
 
 def _remarks(outcome: str) -> tuple[str, ...]:
     return (REMARKS[outcome],) if outcome in REMARKS else ()
+
+
+def narrow_prior(model: Any, chosen: Hyperparameters) -> tuple[str, ...]:
+    """What a prior at the edge of its range means for the bands; nothing elsewhere."""
+    force = as_learned_force(model.environment)
+    if force is None or not is_confined(force.prior(), chosen.shape):
+        return ()
+    return (
+        "The prior of the force ended at the narrowest that its kernels allow: the "
+        "bands leave other shapes of the force out and are too narrow. Give more "
+        "trajectories through the places where the force acts.",
+    )
 
 
 def _confirmed(

@@ -56,6 +56,12 @@ class FitMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
     structure: StructureRow | None = None
     thermal: ThermalRow | None = None
 
+    @property
+    def name_of_noise(self) -> str:
+        """What `noise` is called in a table."""
+        thermal = self.recipe == "langevin"
+        return "thermal noise, √(2D)" if thermal else "noise of a position"
+
     def text(self) -> str:
         """The metrics for a terminal."""
         lines = [self._how(), f"RMSE: {_joined(self.rmse)}"]
@@ -79,7 +85,7 @@ class FitMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
             start, end = number(self.loss.start, 3), number(self.loss.end, 3)
             return f"loss: {start} -> {end} ({self.outcome})"
         return (
-            f"noise: {number(self.noise, 3)}, log evidence "
+            f"{self.name_of_noise}: {number(self.noise, 3)}; log evidence "
             f"{number(self.log_evidence, 5)}, {self.iterations} steps ({self.outcome})"
         )
 

@@ -9,6 +9,7 @@ from pinav.commands.fit.structure import StructureRow
 from pinav.commands.fit.thermal import FIELDS_FILE, ThermalRow
 from pinav.commands.fitted_run import DATA_FILE
 from pinav.commands.matching import read_losses
+from pinav.commands.system_choice import read_system_of
 from pinav.evaluation import FieldMap, default_regions
 from pinav.figures import force_comparison, loss_curve, observed_paths, save_figure
 from pinav.figures.palette import TRUTH
@@ -54,7 +55,7 @@ def _tables(metrics: FitMetrics) -> list[Table]:
     tables = [_one_row(metrics.rmse, "Root-mean-square errors of rollouts.")]
     if metrics.log_evidence is not None:
         chosen = {
-            "noise": metrics.noise,
+            metrics.name_of_noise: metrics.noise,
             "log evidence": metrics.log_evidence,
             "iterations": metrics.iterations,
             "outcome": metrics.outcome,
@@ -148,7 +149,7 @@ def _lines(
 ) -> list[Image]:
     """The force along lines through data that are not planar."""
     images = []
-    units = with_order(data.units, arrays["ys"].shape[-1] // 2)
+    units = _units(folder, data, arrays)
     for name in data.channels:
         if f"line/{name}/places" not in arrays:
             continue
@@ -249,7 +250,7 @@ def _learned_force(
         true=FieldMap.of_arrays(arrays, "true", regions) if true else None,
         sd=arrays.get("field/sd"),
         path=_joined(data),
-        units=with_order(data.units, arrays["ys"].shape[-1] // 2),
+        units=_units(folder, data, arrays),
     )
     unit = data.units.get("x", "1")
     files = save_figure(figure, folder.path / "figures", "force")
@@ -290,3 +291,12 @@ def _joined(data: Trajectories) -> np.ndarray:
 
 def _one_row(values: Mapping[str, Cell], caption: str) -> Table:
     return Table(tuple(values), [tuple(values.values())], caption)
+
+
+def _units(
+    folder: RunFolder, data: Trajectories, arrays: Mapping[str, np.ndarray]
+) -> Mapping[str, str]:
+    """Units of the data, the order of the dynamics, and the unit of their forces."""
+    system = read_system_of(folder)
+    order = arrays["ys"].shape[-1] // 2
+    return with_order(data.units, order, system.base_units.force)

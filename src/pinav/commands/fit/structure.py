@@ -66,10 +66,10 @@ class StructureRow(msgspec.Struct, frozen=True):
             names = ", and ".join(term.text() for term in self.terms)
             return f"structure: {names}; {number(self.gain, 3)} nats over free kernels"
         if self.gain is None:
-            return "structure: none that explains the data; free kernels"
+            return "structure: free kernels; no structure tried explains the data"
         return (
-            "structure: none; the best one tried is at "
-            f"{number(self.gain, 3)} nats to free kernels"
+            "structure: free kernels; the log evidence of the best structure tried "
+            f"differs by {number(self.gain, 3)} nats"
         )
 
 

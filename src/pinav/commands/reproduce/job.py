@@ -173,8 +173,8 @@ def _evaluate(
             trained = fitted.models[f"model-{label}"]
             rows.append(scored(f"{entry.name}-untrained", seed, before))
             rows.append(scored(entry.name, seed, trained))
-            own, _ = predict(trained, data, solver=FixedStep())
-            arrays[f"{label}/own"] = own[0]
+            integrated, _ = predict(trained, data, solver=FixedStep())
+            arrays[f"{label}/own"] = integrated[0]
             if isinstance(trained, Swimmer):
                 arrays |= _force_arrays(trained, label, data)
     order = list(ROWS)

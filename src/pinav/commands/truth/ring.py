@@ -208,15 +208,17 @@ def _diffusion_row(
     other: PeerRing | None,
 ) -> TruthRow:
     scale = ring.radius**2
-    known, own = (
+    known, without_route = (
         Estimate(scale * e.value, scale * e.sd)
         for e in (truth.diffusion_of(learned.drift), learned.diffusion)
     )
-    met = abs(known.value - own.value) <= 2 * math.hypot(known.sd, own.sd)
+    met = abs(known.value - without_route.value) <= 2 * math.hypot(
+        known.sd, without_route.sd
+    )
     row = compare_estimates(
         "D against the drift's route [um²/s]",
         known,
-        own,
+        without_route,
         bar="within 2 sd",
         met=met,
         naive=scale * naive,

@@ -107,8 +107,8 @@ class Process(eqx.Module):
 
         largest = np.log(np.sum(variances) / len(values))
         bounds = (largest + 2 * np.log(LEAST_MISFIT), largest + 2.0)
-        found = minimize_scalar(loss, bounds=bounds, method="bounded")
-        kept = variances / (variances + np.exp(found.x))
+        optimum = minimize_scalar(loss, bounds=bounds, method="bounded")
+        kept = variances / (variances + np.exp(optimum.x))
         return basis @ (kept * along)
 
 
@@ -178,8 +178,8 @@ class TangentWeights(AbstractWeights):
     def posterior(
         self, quadratic: Quadratic, chosen: Hyperparameters
     ) -> WeightPosterior:
-        found = self.infer(quadratic, chosen.shape, chosen.noise)
-        return found.mean, found.covariance
+        inference = self.infer(quadratic, chosen.shape, chosen.noise)
+        return inference.mean, inference.covariance
 
     def infer(
         self, quadratic: Quadratic, shape: Shape, noise: float | None
@@ -200,9 +200,9 @@ class TangentWeights(AbstractWeights):
             - np.linalg.slogdet(tangent.precision).logabsdet
             + quadratic.log_determinant
         )
-        found = eqx.tree_at(lambda c: c.log_evidence, chosen, float(log_evidence))
+        corrected = eqx.tree_at(lambda c: c.log_evidence, chosen, float(log_evidence))
         mean = self.point + steps @ change
-        return Inference(found, mean, steps @ covariance @ steps.T)
+        return Inference(corrected, mean, steps @ covariance @ steps.T)
 
     def shape_covariance(
         self, quadratic: Quadratic, chosen: Hyperparameters, noise: float | None
@@ -271,8 +271,8 @@ def _slopes(
         return free(theta)(t, x, jnp.zeros_like(x))
 
     slopes = jax.vmap(jax.jacrev(force), (None, 0, 0))
-    found = slopes(theta, places.times, places.positions)
-    return found.reshape(-1, theta.shape[0])
+    jacobian = slopes(theta, places.times, places.positions)
+    return jacobian.reshape(-1, theta.shape[0])
 
 
 def _neighbours(

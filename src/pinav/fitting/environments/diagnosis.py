@@ -107,7 +107,7 @@ def diagnose(model: Swimmer, trajectories: Trajectories) -> Cause | None:
     return Cause.CHAOS if chaotic else Cause.SEARCH
 
 
-UNEXPLAINED, FAR_BETTER, NO_FIELD = 3e-3, 0.2, 0.05
+UNEXPLAINED, FAR_BETTER, NO_FIELD = 3e-3, 0.2, 0.2
 """Relative error of held-out forces that a field leaves unexplained; share of it that a
 better field leaves; error at which there is no field."""
 

@@ -112,8 +112,8 @@ class Whitened(eqx.Module):
         reached = data.rows @ columns
         if reached.shape[1] < reached.shape[0]:
             basis, square = np.linalg.qr(reached)
-            own, singular, _ = np.linalg.svd(square)
-            vectors, variances = (basis @ own)[:, ::-1], singular[::-1] ** 2
+            rotation, singular, _ = np.linalg.svd(square)
+            vectors, variances = (basis @ rotation)[:, ::-1], singular[::-1] ** 2
         else:
             variances, vectors = np.linalg.eigh(reached @ reached.T)
         targets = vectors.T @ data.targets
@@ -197,7 +197,7 @@ def best_hyperparameters(
 
     from scipy.optimize import minimize  # 0.2 s that other fits do without
 
-    found = minimize(
+    search = minimize(
         loss,
         start,
         method="L-BFGS-B",
@@ -205,7 +205,7 @@ def best_hyperparameters(
         bounds=bounds,
         options={"ftol": 1e-8, "gtol": 1e-3, "eps": 1e-4, "maxiter": 60},
     )
-    return at_shape(data, covariance, found.x, noise)
+    return at_shape(data, covariance, search.x, noise)
 
 
 def shape_slope(
@@ -281,13 +281,13 @@ def best_amplitude(
 
     coarse = LOG_RATIOS[np.argmax(evidence_at(largest * np.exp(LOG_RATIOS))[0])]
     step = LOG_RATIOS[1] - LOG_RATIOS[0]
-    found = minimize_scalar(
+    search = minimize_scalar(
         loss,
         bounds=(coarse - step, coarse + step),
         method="bounded",
         options={"xatol": 1e-7},
     )
-    ratio = largest * np.exp(found.x)
+    ratio = largest * np.exp(search.x)
     value, variance = evidence_at(ratio)
     return Hyperparameters(
         shape=np.asarray(shape),

@@ -11,7 +11,7 @@ from pinav.fitting.evidence.evidence import (
     posterior_mean,
     shape_slope,
 )
-from pinav.forces.priors import AbstractPrior, Matrix, Shape
+from pinav.forces.priors import AbstractPrior, Matrix, Shape, WeightPrior
 
 STEP, SHAPE_SD = 1e-3, 2.0
 """Difference step in the shape, and standard deviation of its own prior.
@@ -67,3 +67,16 @@ def shape_changes(
     values, vectors = np.linalg.eigh((bend + bend.T) / 2)
     spread = vectors / np.sqrt(np.maximum(values, 0.0) + SHAPE_SD**-2)
     return slopes @ spread
+
+
+def is_confined(prior: AbstractPrior, shape: Shape) -> bool:
+    """Whether the search for the shape of a kernel prior ended at a lower bound.
+
+    The evidence would choose a narrower prior than the kernels allow. It still rises
+    there, so that a normal distribution about this shape knows nothing of others, and
+    the bands made from it are too narrow. Other priors have bounds at which a part of
+    them vanishes, which means nothing of the kind.
+    """
+    if not isinstance(prior, WeightPrior) or len(shape) != len(prior.bounds):
+        return False
+    return bool(np.any(shape[:2] <= prior.bounds[:2, 0] + STEP))

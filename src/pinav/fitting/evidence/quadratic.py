@@ -71,13 +71,13 @@ def eliminate_flat(
         FitError: the data do not determine them, even with the weights known.
     """
     hessian, gradient = quadratic.hessian, quadratic.gradient
-    own, border = hessian[np.ix_(mask, mask)], hessian[np.ix_(mask, ~mask)]
-    if is_singular(own):
+    free_block, border = hessian[np.ix_(mask, mask)], hessian[np.ix_(mask, ~mask)]
+    if is_singular(free_block):
         raise FitError(
             "the fit is singular: the data do not determine the learned constants; "
             "learn fewer of them"
         )
-    covariance = np.linalg.inv(own)
+    covariance = np.linalg.inv(free_block)
     slope, change = -covariance @ border, -covariance @ gradient[mask]
     point = quadratic.point
     block = FlatBlock(
@@ -93,7 +93,7 @@ def eliminate_flat(
         squares=quadratic.squares + float(gradient[mask] @ change),
         num_free=quadratic.num_free - int(mask.sum()),
         log_determinant=quadratic.log_determinant
-        + float(np.linalg.slogdet(own).logabsdet),
+        + float(np.linalg.slogdet(free_block).logabsdet),
     )
     return reduced, block
 

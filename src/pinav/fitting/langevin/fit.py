@@ -54,7 +54,7 @@ ROUNDS = 5
 
 NEGLIGIBLE = 0.1
 """Change of the means of all increments, in squares of standard deviations, that ends
-the turns: it is that of a tenth of one parameter's doubt."""
+the turns: it is that of a tenth of one parameter's standard deviation."""
 
 
 def fit_langevin(

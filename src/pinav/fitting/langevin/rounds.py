@@ -272,7 +272,7 @@ def diffusion_share(
     fit: EvidenceFit,
     field: DiffusionField,
 ) -> EvidenceFit:
-    """The fit whose posterior holds the doubt of the diffusion too, by refits of draws.
+    """The fit whose posterior counts the uncertainty of D, by refits of draws.
 
     Args:
         belief: the last one.
@@ -301,8 +301,8 @@ def diffusion_share(
 
 
 DRAWS = 6
-"""Diffusions drawn for their share in the doubt of the force: its standard deviation is
-then known to a third, and it is the smaller part."""
+"""Diffusions drawn for their share in the uncertainty of the force: that share is then
+known to a third, and it is the smaller part."""
 
 
 def langevin_checks(

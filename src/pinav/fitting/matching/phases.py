@@ -173,13 +173,13 @@ class LBFGS(AbstractPhase):
                 gradient, curvature, params
             )
         direction = jax.tree.map(jnp.negative, ascent)
-        found = _weak_wolfe_search(
+        step = _weak_wolfe_search(
             jax.value_and_grad(loss),
             (params, value, gradient),
             direction,
             self.max_evaluations,
         )
-        params, next_value, next_gradient = found
+        params, next_value, next_gradient = step
         return params, (curvature, next_value, next_gradient), value
 
     def finish(self, loss: Loss, params: PyTree, state: PyTree) -> PyTree:

@@ -6,7 +6,7 @@ polished by the engine's own steps. Terms are added as long as the evidence gain
 than their geometry costs.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -30,24 +30,19 @@ from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.least_squares import Regression
 from pinav.fitting.structure.response import ForceResponse
+from pinav.fitting.structure.starts import (
+    KERNELS,
+    Region,
+    central_term,
+    ellipses,
+    scanned_terms,
+)
 from pinav.forces import (
     AbstractTerm,
     CentralTerm,
-    EllipticTerm,
-    LinearTerm,
     SumForce,
-    WallTerm,
 )
 from pinav.forces.priors import AbstractPrior, MixturePrior
-
-KERNELS = 36
-"""Kernels of a profile across the extent of the data."""
-
-BEYOND = 4.0
-"""Reach of a profile beyond the data, in widths of its kernels."""
-
-GRID, ANGLES = 7, 18
-"""Places along each side of the data, and directions, that are scanned."""
 
 CLOSER = (0.3, 0.1)
 """Sizes of further grids of centres, each about the best of those before."""
@@ -59,67 +54,6 @@ POLISH = 8
 """Steps of the engine for the geometry of a proposal."""
 
 Terms = tuple[AbstractTerm, ...]
-
-
-class Ground(eqx.Module):
-    """Where the data are.
-
-    Attributes:
-        middle: of the data [L].
-        extent: longest side of the box around them [L].
-        crowded: longest side of the box around nine tenths of them [L].
-        heart: the middle of that box [L].
-    """
-
-    middle: Float[np.ndarray, " dim"]
-    extent: float
-    crowded: float
-    heart: Float[np.ndarray, " dim"]
-
-    @classmethod
-    def of(cls, positions: Float[np.ndarray, "sample dim"]) -> "Ground":
-        """The ground of observed positions."""
-        low, high = positions.min(axis=0), positions.max(axis=0)
-        few, most = np.quantile(positions, [0.05, 0.95], axis=0)
-        return cls(
-            middle=(low + high) / 2,
-            extent=float((high - low).max()),
-            crowded=float((most - few).max()),
-            heart=(few + most) / 2,
-        )
-
-    @property
-    def width(self) -> float:
-        """Of a kernel of a profile [L]."""
-        return self.extent / KERNELS
-
-    def grid(
-        self, middle: Float[np.ndarray, " dim"] | None = None, fraction: float = 1.0
-    ) -> Float[np.ndarray, "point dim"]:
-        """Places that are scanned.
-
-        Args:
-            middle: of the grid [L]; that of most of the data unless given.
-            fraction: its size, as a share of the extent of most of the data.
-        """
-        middle = self.heart if middle is None else middle
-        axis = np.linspace(-0.5, 0.5, GRID) * self.crowded * fraction
-        axes = np.meshgrid(*[axis] * len(middle), indexing="ij")
-        return middle + np.stack(axes, axis=-1).reshape(-1, len(middle))
-
-    def distances(self) -> tuple[Float[Array, " kernel"], Float[Array, ""]]:
-        """Places of the kernels of a profile of a distance, and their width."""
-        # as far as from one corner to the other: the same for every centre, so that
-        # all of them share one compilation
-        reach = 0.75 * np.sqrt(len(self.middle)) * self.extent
-        places = np.arange(0.5, reach / self.width + BEYOND) * self.width
-        return jnp.asarray(places), jnp.asarray(self.width)
-
-    def offsets(self) -> tuple[Float[Array, " kernel"], Float[Array, ""]]:
-        """Places of the kernels of a profile along a direction, and their width."""
-        half = 0.55 * np.sqrt(len(self.middle)) * self.extent / self.width + BEYOND
-        places = np.arange(-half, half + 1.0) * self.width
-        return jnp.asarray(places), jnp.asarray(self.width)
 
 
 class Proposal(eqx.Module):
@@ -223,10 +157,10 @@ def _smooth(terms: Terms, prior: AbstractPrior) -> Float[np.ndarray, " shape"]:
     shape = prior.start.copy()
     place = 0
     for index, term in enumerate(terms):
-        own = len(term.prior().start)
-        if own > 1:
+        entries = len(term.prior().start)
+        if entries > 1:
             shape[place] = np.log(0.1 * KERNELS)
-        place += own + (index > 0)
+        place += entries + (index > 0)
     return shape
 
 
@@ -268,7 +202,7 @@ def polish(terms: Terms, response: ForceResponse) -> Proposal | None:
 
 
 def propose(
-    response: ForceResponse, ground: Ground, noise: float, *, rotational: bool
+    response: ForceResponse, region: Region, noise: float, *, rotational: bool
 ) -> Proposal | None:
     """The structure of highest evidence; None where no term explains anything.
 
@@ -277,14 +211,14 @@ def propose(
 
     Args:
         response: of the data to forces.
-        ground: where they are.
+        region: where they are.
         noise: of the observations, roughly.
         rotational: whether the force may have no potential.
     """
     best: Proposal | None = None
     while best is None or len(best.terms) < MOST_TERMS:
         terms = () if best is None else best.terms
-        trials = _extended(terms, response, ground, noise, rotational=rotational)
+        trials = _extended(terms, response, region, noise, rotational=rotational)
         if not trials:
             break
         most = max(one.log_evidence for one in trials)
@@ -307,21 +241,21 @@ the misfit before, above which further terms lead nowhere."""
 def _extended(
     terms: Terms,
     response: ForceResponse,
-    ground: Ground,
+    region: Region,
     noise: float,
     *,
     rotational: bool,
 ) -> list[Proposal]:
     """Structures with one term more than there are, of each kind, polished."""
     proposals: list[Proposal] = []
-    for starts in _starts(ground, rotational=rotational):
+    for starts in scanned_terms(region, rotational=rotational):
         chosen = _best(starts, terms, response)
         for fraction in CLOSER:
             if not isinstance(chosen, CentralTerm):
                 break
             closer = [
-                central_term(ground, place, rotational=chosen.rotational)
-                for place in ground.grid(np.asarray(chosen.center), fraction)
+                central_term(region, place, rotational=chosen.rotational)
+                for place in region.grid(np.asarray(chosen.center), fraction)
             ]
             chosen = _best([chosen, *closer], terms, response)
         made = polish((*terms, chosen), response)
@@ -329,31 +263,11 @@ def _extended(
             continue
         proposals.append(made)
         last = made.terms[-1]
-        unexplained = made.noise > ENOUGH * noise and len(ground.middle) == 2
+        unexplained = made.noise > ENOUGH * noise and len(region.middle) == 2
         if isinstance(last, CentralTerm) and unexplained:
             bent = polish((*terms, _best(ellipses(last), terms, response)), response)
             proposals += [bent] if bent is not None else []
     return proposals
-
-
-def ellipses(term: CentralTerm) -> list[AbstractTerm]:
-    """Elliptic terms about the centre of a central one, in several directions."""
-    turns = 2 * np.pi * np.arange(8) / 8
-    return [
-        EllipticTerm(
-            weights=jnp.zeros_like(term.weights),
-            center=term.center,
-            shear=jnp.asarray(SHEAR * np.array([np.cos(turn), np.sin(turn)])),
-            places=term.places,
-            width=term.width,
-            rotational=term.rotational,
-        )
-        for turn in turns
-    ]
-
-
-SHEAR = 0.3
-"""Size of $S$ of the ellipses that are tried: axes in the ratio of 1.8."""
 
 
 def _best(
@@ -362,52 +276,3 @@ def _best(
     """The term that explains most beside those that there are."""
     values = [quick_evidence((*terms, start), response) for start in starts]
     return starts[int(np.argmax(values))]
-
-
-def _starts(ground: Ground, *, rotational: bool) -> Iterator[list[AbstractTerm]]:
-    """Terms of each kind, with the geometries that are scanned."""
-    for turn in (False, True) if rotational else (False,):
-        yield [linear_term(ground, rotational=turn)]
-        yield [central_term(ground, place, rotational=turn) for place in ground.grid()]
-        if len(ground.middle) == 2:
-            angles = np.pi * np.arange(ANGLES) / ANGLES
-            yield [wall_term(ground, angle, rotational=turn) for angle in angles]
-
-
-def central_term(
-    ground: Ground, center: Float[np.ndarray, " dim"], *, rotational: bool = False
-) -> CentralTerm:
-    """A central term about a place, without weight yet."""
-    places, width = ground.distances()
-    return CentralTerm(
-        weights=jnp.zeros_like(places),
-        center=jnp.asarray(center),
-        places=places,
-        width=width,
-        rotational=rotational,
-    )
-
-
-def wall_term(ground: Ground, angle: float, *, rotational: bool = False) -> WallTerm:
-    """A wall whose normal has this angle, without weight yet."""
-    places, width = ground.offsets()
-    return WallTerm(
-        weights=jnp.zeros_like(places),
-        angle=jnp.asarray(angle),
-        origin=jnp.asarray(ground.middle),
-        places=places,
-        width=width,
-        rotational=rotational,
-    )
-
-
-def linear_term(ground: Ground, *, rotational: bool = False) -> LinearTerm:
-    """A linear force, zero as yet."""
-    dim = len(ground.middle)
-    count = 1 if rotational else dim + dim * (dim + 1) // 2
-    return LinearTerm(
-        weights=jnp.zeros(count),
-        origin=jnp.asarray(ground.middle),
-        scale=jnp.asarray(ground.extent / 2),
-        rotational=rotational,
-    )

@@ -29,8 +29,9 @@ from pinav.fitting.environments.refinement import (
 )
 from pinav.fitting.evidence.model_evidence import DECISIVE, model_evidence
 from pinav.fitting.outcome import Outcome
-from pinav.fitting.structure.proposals import Ground, Proposal, propose
+from pinav.fitting.structure.proposals import Proposal, propose
 from pinav.fitting.structure.response import force_response
+from pinav.fitting.structure.starts import Region
 from pinav.forces import (
     KernelForce,
     KernelMixture,
@@ -148,10 +149,10 @@ def _proposal(specification: FitSpecification, free: BayesProblem) -> Proposal |
         specification.dim,
     )
     is_observed = data.observed[..., : specification.dim].all(axis=-1)
-    ground = Ground.of(data.states[..., : specification.dim][is_observed])
+    region = Region.of(data.states[..., : specification.dim][is_observed])
     noise = free.first_noise if specification.noise is None else specification.noise
     turning = not model.environment.is_conservative
-    proposal = propose(response, ground, noise, rotational=turning)
+    proposal = propose(response, region, noise, rotational=turning)
     if proposal is None or not proposal.noise < EXPLAINED * noise:
         return None
     return proposal

@@ -152,8 +152,8 @@ def _margins(
 
     def escape(control: Planar) -> tuple[Float[Array, ""], Float[Array, ""]]:
         rest = jnp.tile(control[None], (count - 1, 1))
-        own = drive.command(control, observation.pending[-1], prediction.step)
-        return margin(rest, command), margin(rest, own)
+        unchanged = drive.command(control, observation.pending[-1], prediction.step)
+        return margin(rest, command), margin(rest, unchanged)
 
     after, instead = jax.vmap(escape)(escapes)
     return escapes, after, instead

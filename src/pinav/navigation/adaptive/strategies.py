@@ -87,16 +87,16 @@ class Sampled(AbstractStrategy):
 class Doubted(AbstractStrategy):
     r"""A fraction $\kappa$ of the deviation is taken off the thrust in the plan.
 
-    Reachability under doubt: what the thrust can just do against the mean force, it
-    may not be able to do against the true one. The force at the swimmer is as it is;
-    the mean is made stronger where it is doubtful and pushes,
+    Reachability under uncertainty: what the thrust can just do against the mean force,
+    it may not be able to do against the true one. The force at the swimmer is as it is;
+    the mean is made stronger where it is uncertain and pushes,
     $F (1 + \kappa\, s / \max(|F|, s))$.
 
     Attributes:
-        doubt: $\kappa$.
+        caution: $\kappa$.
     """
 
-    doubt: float
+    caution: float
 
     def tables(
         self, belief: Belief, physics: TabulatedModel, thrust: float
@@ -106,7 +106,7 @@ class Doubted(AbstractStrategy):
         draws = belief.samples(axes_of(grid), DRAWS, seed=belief.count)
         spread = np.sqrt(np.mean(np.var(draws, axis=0, ddof=1), axis=-1))
         size = np.linalg.norm(force, axis=-1)
-        factor = 1 + self.doubt * spread / np.maximum(np.maximum(size, spread), 1e-12)
+        factor = 1 + self.caution * spread / np.maximum(np.maximum(size, spread), 1e-12)
         return with_force(physics, force * factor[..., None])
 
 

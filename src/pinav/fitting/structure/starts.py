@@ -1,0 +1,158 @@
+"""Terms with a structure at the places where a search for one begins.
+
+Their kernels and their scanned places come from where the data are.
+"""
+
+from collections.abc import Iterator
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from pinav.forces import (
+    AbstractTerm,
+    CentralTerm,
+    EllipticTerm,
+    LinearTerm,
+    WallTerm,
+)
+
+KERNELS = 36
+"""Kernels of a profile across the extent of the data."""
+
+BEYOND = 4.0
+"""Reach of a profile beyond the data, in widths of its kernels."""
+
+GRID, ANGLES = 7, 18
+"""Places along each side of the data, and directions, that are scanned."""
+
+
+class Region(eqx.Module):
+    """The region with data.
+
+    Attributes:
+        middle: of the data [L].
+        extent: longest side of the box around them [L].
+        crowded: longest side of the box around nine tenths of them [L].
+        heart: the middle of that box [L].
+    """
+
+    middle: Float[np.ndarray, " dim"]
+    extent: float
+    crowded: float
+    heart: Float[np.ndarray, " dim"]
+
+    @classmethod
+    def of(cls, positions: Float[np.ndarray, "sample dim"]) -> "Region":
+        """The region of observed positions."""
+        low, high = positions.min(axis=0), positions.max(axis=0)
+        few, most = np.quantile(positions, [0.05, 0.95], axis=0)
+        return cls(
+            middle=(low + high) / 2,
+            extent=float((high - low).max()),
+            crowded=float((most - few).max()),
+            heart=(few + most) / 2,
+        )
+
+    @property
+    def width(self) -> float:
+        """Of a kernel of a profile [L]."""
+        return self.extent / KERNELS
+
+    def grid(
+        self, middle: Float[np.ndarray, " dim"] | None = None, fraction: float = 1.0
+    ) -> Float[np.ndarray, "point dim"]:
+        """Places that are scanned.
+
+        Args:
+            middle: of the grid [L]; that of most of the data unless given.
+            fraction: its size, as a share of the extent of most of the data.
+        """
+        middle = self.heart if middle is None else middle
+        axis = np.linspace(-0.5, 0.5, GRID) * self.crowded * fraction
+        axes = np.meshgrid(*[axis] * len(middle), indexing="ij")
+        return middle + np.stack(axes, axis=-1).reshape(-1, len(middle))
+
+    def distances(self) -> tuple[Float[Array, " kernel"], Float[Array, ""]]:
+        """Places of the kernels of a profile of a distance, and their width."""
+        # as far as from one corner to the other: the same for every centre, so that
+        # all of them share one compilation
+        reach = 0.75 * np.sqrt(len(self.middle)) * self.extent
+        places = np.arange(0.5, reach / self.width + BEYOND) * self.width
+        return jnp.asarray(places), jnp.asarray(self.width)
+
+    def offsets(self) -> tuple[Float[Array, " kernel"], Float[Array, ""]]:
+        """Places of the kernels of a profile along a direction, and their width."""
+        half = 0.55 * np.sqrt(len(self.middle)) * self.extent / self.width + BEYOND
+        places = np.arange(-half, half + 1.0) * self.width
+        return jnp.asarray(places), jnp.asarray(self.width)
+
+
+def scanned_terms(region: Region, *, rotational: bool) -> Iterator[list[AbstractTerm]]:
+    """Terms of each kind, with the geometries that are scanned."""
+    for turn in (False, True) if rotational else (False,):
+        yield [linear_term(region, rotational=turn)]
+        yield [central_term(region, place, rotational=turn) for place in region.grid()]
+        if len(region.middle) == 2:
+            angles = np.pi * np.arange(ANGLES) / ANGLES
+            yield [wall_term(region, angle, rotational=turn) for angle in angles]
+
+
+def central_term(
+    region: Region, center: Float[np.ndarray, " dim"], *, rotational: bool = False
+) -> CentralTerm:
+    """A central term about a place, without weight yet."""
+    places, width = region.distances()
+    return CentralTerm(
+        weights=jnp.zeros_like(places),
+        center=jnp.asarray(center),
+        places=places,
+        width=width,
+        rotational=rotational,
+    )
+
+
+def wall_term(region: Region, angle: float, *, rotational: bool = False) -> WallTerm:
+    """A wall whose normal has this angle, without weight yet."""
+    places, width = region.offsets()
+    return WallTerm(
+        weights=jnp.zeros_like(places),
+        angle=jnp.asarray(angle),
+        origin=jnp.asarray(region.middle),
+        places=places,
+        width=width,
+        rotational=rotational,
+    )
+
+
+def linear_term(region: Region, *, rotational: bool = False) -> LinearTerm:
+    """A linear force, zero as yet."""
+    dim = len(region.middle)
+    count = 1 if rotational else dim + dim * (dim + 1) // 2
+    return LinearTerm(
+        weights=jnp.zeros(count),
+        origin=jnp.asarray(region.middle),
+        scale=jnp.asarray(region.extent / 2),
+        rotational=rotational,
+    )
+
+
+def ellipses(term: CentralTerm) -> list[AbstractTerm]:
+    """Elliptic terms about the centre of a central one, in several directions."""
+    turns = 2 * np.pi * np.arange(8) / 8
+    return [
+        EllipticTerm(
+            weights=jnp.zeros_like(term.weights),
+            center=term.center,
+            shear=jnp.asarray(SHEAR * np.array([np.cos(turn), np.sin(turn)])),
+            places=term.places,
+            width=term.width,
+            rotational=term.rotational,
+        )
+        for turn in turns
+    ]
+
+
+SHEAR = 0.3
+"""Size of $S$ of the ellipses that are tried: axes in the ratio of 1.8."""
