@@ -34,7 +34,8 @@ from pinav.forces import (
     PowerHill,
     tanh_network,
 )
-from pinav.trajectories import Trajectories
+from pinav.scenarios import scenario
+from pinav.trajectories import Trajectories, simulate
 
 BARRIER = GaussianBarrier(3.0, [2.0, 0.3], 0.8)
 TRUTH = Swimmer(ConstantForce([0.0, 0.05]), LinearDrag(0.3), BARRIER)
@@ -182,7 +183,7 @@ def test_a_hill_with_a_long_tail_gets_layers_that_a_file_keeps():
     assert widths == sorted(widths, reverse=True)
 
 
-def test_a_barrier_that_ends_needs_kernels_of_one_width():
-    wide = TRUTH.with_environment(GaussianBarrier(3.0, [2.0, 0.3], 2.0))
-    layers = match_potential(wide, rates_of(observe(wide)))
+def test_the_papers_barrier_needs_kernels_of_one_width():
+    paper = scenario("paper")
+    layers = match_potential(paper.swimmer, rates_of(simulate(paper)))
     assert len(layers) == 1
