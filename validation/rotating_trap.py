@@ -4,7 +4,7 @@ import numpy as np
 
 from pinav.analysis import entropy_production
 from pinav.dynamics import OverdampedSwimmer
-from pinav.fitting import fit_langevin
+from pinav.fitting import Estimate, fit_langevin
 from pinav.forces import KernelForce, ZeroForce
 from pinav.trajectories import Trajectories
 
@@ -38,6 +38,7 @@ def judge_trap(seed, turning):
     swimmer = OverdampedSwimmer(ZeroForce(), force, 1.0)
     fit = fit_langevin(swimmer, data, refine=None)
     places, diffusion = xs[::EVERY], fit.diffusion
+    assert isinstance(diffusion, Estimate)
     field = np.full(places.shape, diffusion.value)
     return entropy_production(
         fit.posterior, places, field, diffusion.sd / diffusion.value

@@ -21,6 +21,7 @@ from pinav.fitting import (
     warp_at_slow_end,
 )
 from pinav.fitting.langevin import KernelDiffusion
+from pinav.fitting.langevin.diffusion import DiffusionField
 from pinav.forces import (
     KernelAxis,
     ZeroForce,
@@ -175,6 +176,7 @@ def judge_wall(seed):
     gaps = np.quantile(tracks[..., 2], np.linspace(0.02, 0.98, 40))
     points = np.stack([0 * gaps, 0 * gaps, gaps], axis=1)
     normal, along, force = wall_law(gaps)
+    assert isinstance(fit.diffusion, DiffusionField)
     learned, log_sd = fit.diffusion(points), fit.diffusion.log_sd(points)
     values, sd = forces_at(fit, points)
     return {
