@@ -62,7 +62,7 @@ def test_a_file_has_its_row_and_its_paths_lie_on_the_image(
     assert row["chosen"] < 0.1
     assert "lab/a.csv" in capsys.readouterr().out
     arrays = np.load(out / "lab-a.csv" / "fit" / "track-0.npz")
-    seen = arrays["image observed/0"]  # in pixels, y down, as in the file
+    seen = arrays["image whole/0"]  # in pixels, y down, as in the file
     assert np.allclose(seen[-1], [40 + 0.2 * 599, 90 + 0.1 * 599], atol=1)
     assert np.allclose(arrays["image sd/0"], arrays["sd/0"] / 0.5)
     assert (out / "lab-a.csv" / "fit" / "figures" / "image-0.svg").is_file()
