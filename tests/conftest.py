@@ -16,7 +16,7 @@ os.environ.setdefault(
     "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0 "
     "--xla_cpu_parallel_codegen_split_count=1",
 )
-os.environ.setdefault("JAX_TRACEBACK_FILTERING", "off")  # which takes 2 % of the time
+os.environ.setdefault("JAX_TRACEBACK_FILTERING", "off")  # which takes time
 os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
 
 import equinox as eqx
