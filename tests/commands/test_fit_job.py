@@ -44,9 +44,9 @@ def test_a_fit_that_misses_the_data_says_the_likely_cause(monkeypatch):
 
 def test_independent_rollouts_confirm_that_a_fit_converged():
     data = simulate(scenario("paper"))
-    assert job._confirmed("converged", 1e-9, data, {"total": 0.5}) == "stalled"
-    assert job._confirmed("converged", 1e-9, data, {"total": 1e-5}) == "converged"
-    assert job._confirmed("misfit", 1e-9, data, {"total": 0.5}) == "misfit"
+    assert job._confirm_outcome("converged", 1e-9, data, {"total": 0.5}) == "stalled"
+    assert job._confirm_outcome("converged", 1e-9, data, {"total": 1e-5}) == "converged"
+    assert job._confirm_outcome("misfit", 1e-9, data, {"total": 0.5}) == "misfit"
 
 
 @pytest.mark.parametrize(("model", "says"), [("potential", True), ("force", False)])

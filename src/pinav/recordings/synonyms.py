@@ -33,7 +33,7 @@ def likely_columns(names: Sequence[str]) -> dict[str, str]:
     """
     likely = {}
     for quantity, words in SYNONYMS.items():
-        short = {name: _shortened(name, quantity) for name in names}
+        short = {name: _without_qualifiers(name, quantity) for name in names}
         match = [name for word in words for name in names if short[name] == word]
         if match:
             likely[quantity] = match[0]
@@ -47,7 +47,7 @@ _OF_POSITIONS = "centroid|center|centre|mean|spot|particle|robot"
 _POSITIONS = ("x", "y", "z", "particle")
 
 
-def _shortened(name: str, quantity: str) -> str:
+def _without_qualifiers(name: str, quantity: str) -> str:
     """A name without the words that do not change what a quantity is."""
     plain = _plain(name)
     if any(plain in words for words in SYNONYMS.values()):

@@ -91,9 +91,6 @@ DIVERGED = (
     "propulsion, drag and units (--system), or fit shorter trajectories"
 )
 
-GRADIENTS = ("kernel-potential", "neural-potential")
-"""Models whose force is the gradient of a potential."""
-
 NO_GRADIENT = (
     "; a force that turns, such as that of a vortex, is no gradient of a potential: "
     "choose --model kernel-mixture for it"
@@ -183,7 +180,8 @@ def _infer(plan: FitPlan, folder: RunFolder) -> None:
         else:
             result, finding = fit_bayes(model, plan.data, **options), None
     if result.outcome is Outcome.DIVERGED:
-        gradient = plan.choice.name in GRADIENTS
+        force = as_learned_force(model.environment)
+        gradient = force is not None and force.is_conservative
         raise FitError(DIVERGED + (NO_GRADIENT if gradient else ""))
     write_fit(folder, header, result, plan.data, finding)
 
@@ -237,7 +235,9 @@ def _metrics(
     if evidence is None:
         losses = read_losses("model", fitted.folder)
         curve = losses.values[0]
-        outcome = _confirmed(losses.outcomes[0], float(curve[-1]), plan.data, rmse)
+        outcome = _confirm_outcome(
+            losses.outcomes[0], float(curve[-1]), plan.data, rmse
+        )
         return FitMetrics(
             outcome=outcome,
             remarks=(
@@ -284,7 +284,7 @@ def narrow_prior(model: Any, chosen: Hyperparameters) -> tuple[str, ...]:
     )
 
 
-def _confirmed(
+def _confirm_outcome(
     outcome: str, loss: float, data: Trajectories, rmse: dict[str, float]
 ) -> str:
     """The word for how a fit ended, which its independent rollouts confirm."""
