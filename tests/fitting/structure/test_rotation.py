@@ -12,7 +12,7 @@ from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.fitting.evidence.quadratic import Quadratic, restrict
 from pinav.fitting.structure import search
 from pinav.fitting.structure.response import ForceResponse
-from pinav.fitting.structure.rotation import surveyed_gain
+from pinav.fitting.structure.rotation import SurveyedRotation, weigh_surveyed
 from pinav.fitting.structure.starts import Region
 from pinav.fitting.structure.survey import Survey
 from pinav.forces import (
@@ -52,8 +52,8 @@ def response(truth):
 
 
 def test_the_evidence_asks_for_a_rotational_part_where_the_force_turns():
-    assert surveyed_gain(response(PULL), 0.05, (), KERNELS) < DECISIVE
-    assert surveyed_gain(response(PULL + SWIRL), 0.05, (), KERNELS) > 50
+    assert weigh_surveyed(response(PULL), 0.05, (), KERNELS).gain < DECISIVE
+    assert weigh_surveyed(response(PULL + SWIRL), 0.05, (), KERNELS).gain > 50
 
 
 def test_parameters_that_are_restricted_to_zero_leave_the_same_squares():
@@ -100,7 +100,8 @@ def ended(monkeypatch):
             object.__setattr__(fit, "outcome", outcome)
             return search.StructuredFit(fit, 0.0)
 
-        monkeypatch.setattr(search, "surveyed_gain", lambda *_: surveyed)
+        asked = SurveyedRotation(surveyed)
+        monkeypatch.setattr(search, "weigh_surveyed", lambda *_: asked)
         monkeypatch.setattr(search, "fitted_gain", lambda _: fitted)
         monkeypatch.setattr(search._Search, "best", best)
         found = search._weighed(made, survey)

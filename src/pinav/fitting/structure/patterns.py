@@ -5,11 +5,12 @@ are the peaks of the potential that free kernels have in the linearised data.
 """
 
 from collections.abc import Iterator
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, PyTree
 from scipy.ndimage import maximum_filter
 
 from pinav.errors import FitError
@@ -31,8 +32,9 @@ MOST_PERIODS = 6
 MAP, MAP_POINTS = KernelGrid(across=16, margin=2.0), 61
 """Kernels of the map whose peaks are sought, and points along each side of it."""
 
-PEAK, MOST_PEAKS = 0.4, 8
-"""Height of a peak that counts, relative to the highest; and how many there may be."""
+PEAK, MOST_PEAKS, APART = 0.4, 8, 15
+"""Height of a peak that counts, relative to the highest; how many there may be; and
+points of the map within which a peak is the only one."""
 
 
 def lattices(region: Region) -> list[LatticeTerm]:
@@ -69,7 +71,9 @@ def obstacles(response: ForceResponse, region: Region) -> Iterator[ObstaclesTerm
     start = central_term(region, region.middle)
     for sign in (1.0, -1.0):
         rise = np.where(is_seen, sign * (heights - middle), 0.0)
-        is_peak = (rise == maximum_filter(rise, size=5)) & (rise > PEAK * rise.max())
+        is_peak = (rise == maximum_filter(rise, size=APART)) & (
+            rise > PEAK * rise.max()
+        )
         centers = places[is_peak]
         if 2 <= len(centers) <= MOST_PEAKS:
             yield ObstaclesTerm(
@@ -100,5 +104,5 @@ def free_potential(
     return KernelPotential(jnp.asarray(mean), kernels.centers, kernels.width)
 
 
-def _weights(force: KernelPotential) -> Float[jax.Array, " kernel"]:
+def _weights(force: Any) -> PyTree:
     return force.weights

@@ -211,10 +211,7 @@ def propose(
         best = _pruned(winner, response)
         if best.noise < ENOUGH * noise or best.noise > PROGRESS * before:
             break
-    if best is None or best.noise < ENOUGH * noise or len(region.middle) != 2:
-        return best
-    candidates = [best, *_patterns(response, region)]
-    return max(candidates, key=lambda one: one.log_evidence)
+    return best
 
 
 def _patterns(response: ForceResponse, region: Region) -> list[Proposal]:
@@ -276,7 +273,10 @@ def _extended(
         if isinstance(last, CentralTerm) and unexplained:
             bent = polish((*terms, _best(ellipses(last), terms, response)), response)
             proposals += [bent] if bent is not None else []
-    return proposals
+    explained = any(one.noise < ENOUGH * noise for one in proposals)
+    if terms or explained or len(region.middle) != 2:
+        return proposals
+    return proposals + _patterns(response, region)
 
 
 def _best(

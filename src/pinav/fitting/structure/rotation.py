@@ -7,7 +7,7 @@ the states of a fitted mixture, where it is that of the fits near the decision.
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import PyTree
@@ -46,14 +46,26 @@ Finer = Callable[[KernelPotential], KernelPotential | None]
 """A potential on a finer grid; None where there is no room for one."""
 
 
-def surveyed_gain(
+class SurveyedRotation(NamedTuple):
+    """What data that are linearised before any fit say of a rotational part.
+
+    Attributes:
+        gain: log evidence of it beside a potential [nats].
+        is_plain: a mixture explains the data, and a potential alone does not.
+    """
+
+    gain: float
+    is_plain: bool = False
+
+
+def weigh_surveyed(
     response: ForceResponse,
     noise: float,
     terms: Terms,
     potential: KernelPotential,
     finer: Finer = lambda _: None,
-) -> float:
-    """Log evidence of a rotational part in the linearised data [nats].
+) -> SurveyedRotation:
+    """The evidence of a rotational part in the linearised data.
 
     It is compared beside the conservative structure that was proposed, if one was, and,
     unless the mixture alone explains the data, on kernels as fine as the potential asks
@@ -75,7 +87,7 @@ def surveyed_gain(
         alone = LinearisedObservations.of(restrict(quadratic, kept))
         whole = LinearisedObservations.of(quadratic)
     except FitError:
-        return 0.0
+        return SurveyedRotation(0.0)
     prior = _beside(terms, potential).prior()
     chosen = best_hyperparameters(
         alone, prior.covariance, prior.start, prior.bounds, None, prior.slopes
@@ -96,13 +108,13 @@ def surveyed_gain(
     )
     gain = float(best.log_evidence - chosen.log_evidence)
     enough = EXPLAINED * noise
-    told = best.noise < enough < chosen.noise
-    if gain < DECISIVE or scale > 0.0 or told:
-        return gain
+    found = SurveyedRotation(gain, best.noise < enough < chosen.noise)
+    if gain < DECISIVE or scale > 0.0 or found.is_plain:
+        return found
     better = finer(potential)
     if better is None or len(better.weights) > MOST_KERNELS:
-        return gain
-    return surveyed_gain(response, noise, terms, better, finer)
+        return found
+    return weigh_surveyed(response, noise, terms, better, finer)
 
 
 def fitted_gain(fit: EvidenceFit) -> float:

@@ -30,7 +30,7 @@ from pinav.fitting.environments.refinement import (
 from pinav.fitting.evidence.model_evidence import DECISIVE, model_evidence
 from pinav.fitting.outcome import Outcome
 from pinav.fitting.structure.proposals import Proposal
-from pinav.fitting.structure.rotation import fitted_gain, mixture_on, surveyed_gain
+from pinav.fitting.structure.rotation import fitted_gain, mixture_on, weigh_surveyed
 from pinav.fitting.structure.survey import Survey
 from pinav.forces import (
     AbstractForce,
@@ -208,11 +208,13 @@ def _weighed(search: _Search, survey: Survey) -> StructuredFit:
         made = AS_FINE_AS_ASKED.finer(kernels, data)
         return made if isinstance(made, KernelPotential) else None
 
-    proposal = survey.proposal(rotational=False)
-    terms = () if proposal is None else proposal.terms
-    rotation = surveyed_gain(
-        survey.response, survey.noise, terms, search.kernels, finer
-    )
+    data = survey.response, survey.noise
+    asked = weigh_surveyed(*data, (), search.kernels)
+    proposal = None if asked.is_plain else survey.proposal(rotational=False)
+    if asked.gain > DECISIVE and not asked.is_plain:
+        terms = () if proposal is None else proposal.terms
+        asked = weigh_surveyed(*data, terms, search.kernels, finer)
+    rotation = asked.gain
     turning = None
     if rotation > DECISIVE:
         turning = _turning(search, survey)
