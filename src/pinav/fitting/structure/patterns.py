@@ -32,7 +32,7 @@ MOST_PERIODS = 6
 MAP, MAP_POINTS = KernelGrid(across=16, margin=2.0), 61
 """Kernels of the map whose peaks are sought, and points along each side of it."""
 
-PEAK, MOST_PEAKS, APART = 0.4, 8, 15
+PEAK, MOST_PEAKS, APART = 0.6, 8, 15
 """Height of a peak that counts, relative to the highest; how many there may be; and
 points of the map within which a peak is the only one."""
 
