@@ -20,7 +20,7 @@ from pinav.dynamics import (
 from pinav.errors import InputError
 from pinav.evaluation import square
 from pinav.fitting import Posterior
-from pinav.forces import RollingPropulsion
+from pinav.forces import RollingPropulsion, ZeroForce
 from pinav.navigation import (
     CommandLimits,
     Disc,
@@ -144,18 +144,48 @@ def system_task(settings: NavigateSettings, system: System) -> Task:
     Raises:
         InputError: the system is not planar or states no true environment.
     """
+    _check_planar(system)
+    return _task_of(settings, system, system.true_swimmer, np.zeros((0, 2)))
+
+
+def known_task(settings: NavigateSettings, system: System, data: Trajectories) -> Task:
+    """The same in a system of which nothing more than data are known.
+
+    The truth of the task is the known physics; the arena surrounds the data, too.
+
+    Raises:
+        InputError: the system or the data are not planar.
+    """
+    _check_planar(system)
+    if data.dim != 2:
+        raise InputError(
+            f"--data: expected positions in the plane, got {', '.join(data.channels)}"
+        )
+    corners = np.reshape(square(data), (2, 2)).T
+    swimmer = system.swimmer.with_environment(ZeroForce())
+    return _task_of(settings, system, swimmer, corners)
+
+
+def _check_planar(system: System) -> None:
     if system.dim != 2:
         raise InputError(
-            f"--system: expected a swimmer in the plane, got {system.name!r}, which "
-            f"has {system.dim} dimensions; state a system with dimension = 2"
+            f"system: expected a swimmer in the plane, got {system.name!r}, which has "
+            f"{system.dim} dimensions; state a system with dimension = 2"
         )
-    truth = system.true_swimmer
-    actuator, limits, lag = _actuation(settings, truth)
+
+
+def _task_of(
+    settings: NavigateSettings,
+    system: System,
+    swimmer: Swimmer | OverdampedSwimmer,
+    places: Float[np.ndarray, "place 2"],
+) -> Task:
+    actuator, limits, lag = _actuation(settings, swimmer)
     return _task(
         settings,
-        SteeredSwimmer(truth, actuator),
+        SteeredSwimmer(swimmer, actuator),
         limits,
-        _arena(settings, np.zeros((0, 2))),
+        _arena(settings, places),
         lag if settings.delay is None else settings.delay,
         name=system.name,
     )
