@@ -37,8 +37,8 @@ from pinav.fitting.environments.catalogue import (
     learned_part,
     summarise_data,
 )
-from pinav.fitting.matching.fit import split_trainable
 from pinav.fitting.matching.objectives import Observations
+from pinav.fitting.matching.trainable import split_trainable
 from pinav.scenarios import barrier_crossings, paper
 from pinav.trajectories import Trajectories, concatenate, simulate
 

@@ -56,10 +56,10 @@ from pinav.fitting.matching.attempts import fit_in_turns as fit_in_turns
 from pinav.fitting.matching.defects import DefectMatching as DefectMatching
 from pinav.fitting.matching.distillation import Distillation as Distillation
 from pinav.fitting.matching.distillation import Rates as Rates
-from pinav.fitting.matching.fit import Problem as Problem
 from pinav.fitting.matching.fit import fit as fit
 from pinav.fitting.matching.fit import fit_many as fit_many
 from pinav.fitting.matching.gauss_newton import GaussNewton as GaussNewton
+from pinav.fitting.matching.members import Problem as Problem
 from pinav.fitting.matching.objectives import AbstractObjective as AbstractObjective
 from pinav.fitting.matching.objectives import Observations as Observations
 from pinav.fitting.matching.objectives import TrajectoryLoss as TrajectoryLoss
