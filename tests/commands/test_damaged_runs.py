@@ -99,7 +99,7 @@ def case(folder: Path, copy: Callable) -> None:
 
 
 def session(folder: Path, copy: Callable) -> None:
-    """Frames of a rig, a table of the same, a session that was begun, and a secret.
+    """Frames of a rig, a table of the same, and a session that was begun.
 
     What a rig writes while it runs is not damaged: pinav waits for better lines.
     """
@@ -110,7 +110,6 @@ def session(folder: Path, copy: Callable) -> None:
     rows = [f"{0.1 * n:.1f},{n},0,1,0.5" for n in range(60)]
     header = "t_s,x_um,y_um,freq_hz,alpha_rad"
     (folder / "table.csv").write_text("\n".join([header, *rows, ""]))
-    (folder / "secret.txt").write_text("a secret of some length")
     assert cli.run(["live", str(folder / "rig.lines"), "--out", str(folder)]) == 0
 
 
@@ -160,7 +159,7 @@ SUBJECTS: dict[str, Subject] = {
     "live": Subject(
         session,
         (
-            ("live", "rig.lines", "--out", ".", "--resume", "--token", "secret.txt"),
+            ("live", "rig.lines", "--out", ".", "--resume"),
             ("live", "frames.jsonl", "--replay"),
             ("live", "table.csv", "--replay", "--frames", "5"),
         ),

@@ -1,6 +1,6 @@
 """Fitting: phases that minimise an objective, and the Bayesian fit of kernels."""
 
-from pinav.fitting.bayes.derived import derived as derived
+from pinav.fitting.bayes.derived import derive as derive
 from pinav.fitting.bayes.derived import principal_drags as principal_drags
 from pinav.fitting.bayes.derived import rotational_fraction as rotational_fraction
 from pinav.fitting.bayes.fit_bayes import fit_bayes as fit_bayes
