@@ -192,14 +192,14 @@ def find_offset(recording: Trajectories, log: CommandLog) -> Offset:
             table[shift] = _explained_fraction(recording, log, shift)
         return table[shift]
 
-    best, step = max(places.tolist(), key=explained), reach / 80
+    best, step = max(places.tolist(), key=fraction_at), reach / 80
     for _ in range(3):
-        best = max((best + step * np.linspace(-1, 1, 21)).tolist(), key=explained)
+        best = max((best + step * np.linspace(-1, 1, 21)).tolist(), key=fraction_at)
         step /= 10
     top = fraction_at(best)
     if top < FIRM:
         return Offset(0.0, 0.0, 0.0, top)
-    return Offset(best, *_interval(explained, best, top, last - first), top)
+    return Offset(best, *_interval(fraction_at, best, top, last - first), top)
 
 
 def _interval(
@@ -211,7 +211,7 @@ def _interval(
     for side in (-1.0, 1.0):
         shift = 1e-3
         while shift < duration:
-            left = 1.0 - fraction_at(best + side * shift)
+            left = 1.0 - explained(best + side * shift)
             if count * math.log(max(left, 1e-12) / max(1.0 - top, 1e-12)) > 3.84:
                 break
             shift *= 1.3
