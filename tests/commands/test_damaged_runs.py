@@ -11,7 +11,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import jax
+import msgspec
+import numpy as np
 import pytest
+from benchmarks.fit import compare
+from benchmarks.fit.contestants import Effort
+from benchmarks.fit.table import Measurement
 from tests.commands.test_heat import small
 from tests.commands.test_interruptions import one_line
 from tests.commands.test_truth import trap_folder
@@ -59,6 +64,7 @@ STAGES = (
     (SimulateTask, "run"),
     (LearnTask, "run"),
     (report_page, "write_report"),
+    (compare, "_train"),
 )
 """Where the numbers of each command begin."""
 
@@ -123,6 +129,22 @@ def systems(folder: Path, copy: Callable) -> None:
         shutil.copy(file, folder)
 
 
+def measured(folder: Path, copy: Callable) -> None:
+    """Two fits that a benchmark has kept."""
+    (folder / "out").mkdir()
+    effort = msgspec.json.encode(Effort()).decode()
+    (folder / "out" / "effort.json").write_text(effort)
+    for seed in (0, 1):
+        kept = Measurement(
+            **{"seed": seed, "iterations": 10, "fit_seconds": 6.0, "cold_seconds": 8.0},
+            **{"full_seconds": None, "peak_mib": 500.0, "note": ""},
+            **{"rmse": 1e-5, "force": 0.1},
+        )
+        file = folder / "out" / f"ude-{seed}"
+        file.with_suffix(".json").write_bytes(msgspec.json.encode(kept))
+        np.savez(file.with_suffix(".npz"), curve=np.array([[1.0, 0.5], [2.0, 0.1]]))
+
+
 SYSTEMS = Path(__file__).parents[2] / "examples" / "systems"
 FETCH = ("data", "fetch", "dragged_trap", "--source", "authors.txt", "--out", "out")
 SUBJECTS: dict[str, Subject] = {
@@ -163,6 +185,10 @@ SUBJECTS: dict[str, Subject] = {
             ("live", "frames.jsonl", "--replay"),
             ("live", "table.csv", "--replay", "--frames", "5"),
         ),
+    ),
+    "bench": Subject(
+        measured,
+        (("bench", "fit", "--out", "out", "--only", "ude", "--seeds", "0", "1"),),
     ),
     "simulate": Subject(
         systems,
