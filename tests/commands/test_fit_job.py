@@ -33,7 +33,7 @@ def test_fit_learns_and_reports_what_was_asked(tiny_fit):
 def test_a_fit_that_misses_the_data_says_the_likely_cause(monkeypatch):
     truth = scenario("paper")
     data = simulate(truth)
-    monkeypatch.setattr(job, "diagnose", lambda model, data: Cause.CHAOS)
+    monkeypatch.setattr(remarks, "diagnose", lambda model, data: Cause.CHAOS)
     far, near = {"total": 0.5}, {"total": 1e-6}
     model = truth.true_swimmer
     (sentence,) = remarks.likely_cause(data, model, "stalled", far)
