@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from pinav import cli
+from pinav.commands.export.datatree import datatree_of
 from pinav.commands.export.spots import force_sds, learned_force, spot_table
 from pinav.commands.fitted_run import FittedRun
 from pinav.dynamics import paper_black_box
@@ -81,11 +82,18 @@ def test_the_deviation_of_a_static_force_does_not_depend_on_time(kernel_run):
     assert np.isnan(force_sds(None, force, points, np.zeros(2))).all()
 
 
+def test_a_run_is_not_read_in_single_precision(kernel_run):
+    run = FittedRun.open(kernel_run)
+    with jax.enable_x64(new_val=False):
+        with pytest.raises(InputError, match=r"opening a run needs .*jax_enable_x64"):
+            FittedRun.open(kernel_run)
+        with pytest.raises(InputError, match=r"posterior needs float64: call jax\."):
+            datatree_of(run)
+
+
 @pytest.mark.extras("xarray", "h5netcdf")
 def test_a_tree_of_datasets_comes_back_as_it_was(kernel_run, tmp_path):
     import xarray
-
-    from pinav.commands.export.datatree import datatree_of
 
     out = tmp_path / "run.nc"
     more = ("--draws", "400", "--points", "6", "--seed", "3")

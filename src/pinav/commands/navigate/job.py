@@ -38,6 +38,7 @@ from pinav.navigation import (
     summary,
 )
 from pinav.navigation import run as run_episode
+from pinav.navigation.adaptive.steering import Adaptive
 from pinav.runs import RunFolder
 
 MAP_POINTS = 61
@@ -244,9 +245,15 @@ def run(options: NavigateOptions) -> CommandResult:
     """Navigate as the command line does."""
     settings = options.settings
     if options.run is None:
-        adaptive = online.online_controller(settings, options.online)
+        known = online.task_to_learn(settings, options.online)
+        adaptive = Adaptive.of(
+            online.observe_positions(known, options.online.position_noise),
+            online.STRATEGIES[options.online.strategy],
+        )
         folder = start_run(NAVIGATE, options, settings, options.online)
-        learned = online.learn_online(settings, options.online, adaptive, folder)
+        learned = online.learn_online(
+            settings, options.online, adaptive, known.time_limit, folder
+        )
         return CommandResult(learned, online.text(learned), folder)
     problem = navigation_problem(settings, FittedRun.open(options.run))
     folder = start_run(NAVIGATE, options, settings, fitted=options.run.name)

@@ -18,7 +18,7 @@ class NavigateSettings(Settings, frozen=True):
         goal: Where it should end.
         tolerance: Distance from the goal that counts as there.
         thrust: Greatest thrust: an acceleration where the model has inertia, else a
-            force. A recording's robot has its own.
+            force. A swimmer whose propulsion takes frequency and heading has its own.
         keep_out: Discs that must not be entered.
         arena: Rectangle that must not be left; around data, start and goal unless
             given.
@@ -32,7 +32,8 @@ class NavigateSettings(Settings, frozen=True):
             cost more; 0 takes the model for true.
         seeds: Runs of each controller, each with its own noise.
         seed: Seed of all noise.
-        frequency: Recording: greatest frequency commanded [Hz].
+        frequency: Greatest frequency commanded, of a swimmer whose propulsion takes
+            frequency and heading [Hz].
     """
 
     start: Annotated[str | None, tyro.conf.arg(name="from", metavar="X,Y")] = None
@@ -91,8 +92,11 @@ class OnlineSettings(Settings, frozen=True):
     """How a task is done without any data beforehand.
 
     Attributes:
-        learn_online: Learn the force while steering; needs --task and no run.
-        task: Name of a task, such as barrier-weak.
+        learn_online: Learn the force while steering; needs no run, but --task or
+            --system.
+        task: Name of a task, such as barrier-weak, with places of its own.
+        system: A system file, or the name of a built-in system, whose true environment
+            the swimmer does not know; needs --from and --to.
         strategy: What a plan makes of what is not known: takes the mean for true,
             avoids it, seeks it, expects stronger forces there, or takes draws for true.
         position_noise: Standard deviation of the observed positions.
@@ -101,15 +105,17 @@ class OnlineSettings(Settings, frozen=True):
 
     learn_online: bool = False
     task: str | None = None
+    system: str | None = None
     strategy: StrategyName = "curious"
     position_noise: Annotated[float, Range(above=0)] = 0.02
     visits: Annotated[int, Range(1)] = 2
 
     def check_together(self) -> None:
-        if self.learn_online != (self.task is not None):
+        worlds = [w for w in (self.task, self.system) if w is not None]
+        if len(worlds) != self.learn_online:
             raise InputError(
-                "--learn-online and --task: expected both or none of them, such as "
-                "--learn-online --task barrier-weak"
+                "--learn-online: expected it together with --task or with --system, "
+                "such as --learn-online --task barrier-weak"
             )
 
 
@@ -124,7 +130,7 @@ class NavigateOptions(RunOptions, frozen=True):
     trajectory that would tell most about the force along the route. Writes
     metrics.json, report.html, figures and an animation. A negative number takes an
     equals sign: --from=-1,2. With --learn-online there is no run: the force of a named
-    task is learned on the way, from noisy positions alone.
+    task, or of a system, is learned on the way, from noisy positions alone.
 
     Attributes:
         run: Folder of pinav fit, of trajectories or of a recording; none with
@@ -136,15 +142,20 @@ class NavigateOptions(RunOptions, frozen=True):
     online: OnlineSettings = OnlineSettings()
 
     def check_together(self) -> None:
-        if self.online.learn_online:
-            if self.run is not None or self.settings.start or self.settings.goal:
-                raise InputError(
-                    "--learn-online: expected no run, --from or --to, for the task has "
-                    "its own places; leave them out"
-                )
-        elif self.run is None:
+        if self.run is None and not self.online.learn_online:
             raise InputError(
-                "RUN: expected the folder of a fit, or --learn-online with --task"
+                "RUN: expected the folder of a fit, or --learn-online with --task or "
+                "--system"
             )
-        else:
+        if self.run is not None and self.online.learn_online:
+            raise InputError(
+                "--learn-online: expected no run, because nothing is known beforehand; "
+                "leave out one of them"
+            )
+        if self.online.task is None:
             self.settings.places()
+        elif self.settings.start or self.settings.goal:
+            raise InputError(
+                "--task: expected no --from or --to, for the task has its own places; "
+                "leave them out"
+            )

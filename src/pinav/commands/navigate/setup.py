@@ -5,6 +5,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from pinav.actuation import LinearResponse
 from pinav.commands.fitted_run import FittedRun
@@ -32,6 +33,7 @@ from pinav.navigation import (
 )
 from pinav.navigation.task.steering import greatest_thrust
 from pinav.scenarios import source_system
+from pinav.systems import System
 from pinav.trajectories import Trajectories
 
 
@@ -115,8 +117,9 @@ def navigation_problem(settings: NavigateSettings, run: FittedRun) -> Navigation
         known, truth = source.true_swimmer, source.name
     delay = lag if settings.delay is None else settings.delay
     steered = SteeredSwimmer(known, actuator)
+    corners = np.reshape(square(run.data), (2, 2)).T
     return NavigationProblem(
-        task=_task(settings, steered, limits, run.data, delay),
+        task=_task(settings, steered, limits, _arena(settings, corners), delay),
         model=SteeredSwimmer(model, actuator),
         samples=tuple(
             SteeredSwimmer(draw, actuator)
@@ -132,6 +135,32 @@ def navigation_problem(settings: NavigateSettings, run: FittedRun) -> Navigation
     )
 
 
+def system_task(settings: NavigateSettings, system: System) -> Task:
+    """The task of going through the true environment of a system, without data.
+
+    The actuator is that of `navigation_problem`. The arena surrounds start and goal
+    unless the settings state it.
+
+    Raises:
+        InputError: the system is not planar or states no true environment.
+    """
+    if system.dim != 2:
+        raise InputError(
+            f"--system: expected a swimmer in the plane, got {system.name!r}, which "
+            f"has {system.dim} dimensions; state a system with dimension = 2"
+        )
+    truth = system.true_swimmer
+    actuator, limits, lag = _actuation(settings, truth)
+    return _task(
+        settings,
+        SteeredSwimmer(truth, actuator),
+        limits,
+        _arena(settings, np.zeros((0, 2))),
+        lag if settings.delay is None else settings.delay,
+        name=system.name,
+    )
+
+
 def _actuation(
     settings: NavigateSettings, model: Swimmer | OverdampedSwimmer
 ) -> tuple[RollingActuator, CommandLimits, float]:
@@ -140,15 +169,10 @@ def _actuation(
     A first-order follower of the command is taken for a further delay by its time
     constant, which is right for commands that change slowly against it.
     """
-    if not takes_commands(model):
+    propulsion = unbound(model) if takes_commands(model) else model.propulsion
+    if not isinstance(propulsion, RollingPropulsion):
         gain = settings.thrust * jnp.eye(2)
         return RollingActuator(gain, LinearResponse()), CommandLimits(1.0), 0.0
-    propulsion = unbound(model)
-    if not isinstance(propulsion, RollingPropulsion):
-        raise InputError(
-            "navigate: expected a propulsion by rolling, got "
-            f"{type(propulsion).__name__}"
-        )
     actuator = RollingActuator(propulsion.gain, propulsion.response)
     lag = float(propulsion.delay) + float(propulsion.lag)
     return actuator, CommandLimits(settings.frequency), lag
@@ -181,18 +205,19 @@ def _task(
     settings: NavigateSettings,
     truth: SteeredSwimmer,
     limits: CommandLimits,
-    data: Trajectories,
+    arena: Rectangle,
     delay: float,
+    name: str = "navigate",
 ) -> Task:
     start, _ = settings.places()
     rest = (0.0, 0.0) if isinstance(truth.dynamics, Swimmer) else ()
     return Task(
-        name="navigate",
+        name=name,
         truth=truth,
         start=jnp.asarray([*start, *rest]),
         objective=_goal(settings),
         limits=limits,
-        arena=_arena(settings, data),
+        arena=arena,
         keep_out=_discs(settings),
         step=settings.step,
         time_limit=settings.time_limit,
@@ -202,14 +227,14 @@ def _task(
     )
 
 
-def _arena(settings: NavigateSettings, data: Trajectories) -> Rectangle:
-    """The arena that was given, or one around data, start and goal."""
+def _arena(
+    settings: NavigateSettings, places: Float[np.ndarray, "place 2"]
+) -> Rectangle:
+    """The arena that was given, or one around start, goal and further places [L]."""
     box = settings.box()
     if box is not None:
         return Rectangle(list(box[:2]), list(box[2:]))
     ends = np.array(settings.places())
     margin = 0.25 * float(np.linalg.norm(ends[1] - ends[0])) + settings.tolerance
-    x_from, x_to, y_from, y_to = square(data)
-    lower = np.minimum(ends.min(axis=0) - margin, [x_from, y_from])
-    upper = np.maximum(ends.max(axis=0) + margin, [x_to, y_to])
-    return Rectangle(lower, upper)
+    inside = np.concatenate([ends - margin, ends + margin, places])
+    return Rectangle(inside.min(axis=0), inside.max(axis=0))

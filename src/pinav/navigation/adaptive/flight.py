@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int, PRNGKeyArray
 
+from pinav.errors import InputError
 from pinav.navigation.adaptive.steering import Adaptive, Mind
 from pinav.navigation.adaptive.strategies import axes_of
 from pinav.navigation.belief.belief import Belief, Frame
@@ -67,9 +68,17 @@ def know_truth(adaptive: Adaptive, frame: Frame) -> Belief:
     Args:
         adaptive: the controller.
         frame: the first one.
+
+    Raises:
+        InputError: the true force changes in time.
     """
     task = adaptive.task
     truth = tabulate_model(task, task.truth).table
+    if len(truth.values) > 1:
+        raise InputError(
+            f"task {task.name!r}: learning on the way expected a true force that does "
+            "not change in time"
+        )
     force = np.asarray(truth.values - adaptive.physics.table.values)[0, ..., :2]
     return take_for_granted(
         axes_of(truth.grid),
