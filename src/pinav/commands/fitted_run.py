@@ -131,12 +131,12 @@ class FittedRun:
         system = read_system_of(folder)
         headers: list[ModelHeader] = []
 
-        def untrained(content: dict[str, Any]) -> AbstractDynamics:
+        def build_untrained(content: dict[str, Any]) -> AbstractDynamics:
             headers.append(msgspec.convert(content, ModelHeader))
             return build_model(headers[-1], system)
 
         models = {
-            name.removesuffix(".eqx"): folder.read_model(name, untrained)
+            name.removesuffix(".eqx"): folder.read_model(name, build_untrained)
             for name in names
         }
         choice = headers[0].choice

@@ -263,7 +263,7 @@ def _learned_force(
         FieldMap.of_arrays(arrays, "learned", regions),
         true=FieldMap.of_arrays(arrays, "true", regions) if true else None,
         sd=arrays.get("field/sd"),
-        path=_joined(data),
+        path=_join_tracks(data),
         units=units_of(data, read_system_of(folder)),
     )
     unit = data.units.get("x", "1")
@@ -291,7 +291,7 @@ def _learned_force(
     return content
 
 
-def _joined(data: Trajectories) -> np.ndarray:
+def _join_tracks(data: Trajectories) -> np.ndarray:
     """All observed paths in one array, a row of NaN between two."""
     gap = np.full((1, 2), np.nan)
     return np.concatenate(

@@ -224,7 +224,8 @@ def _rollouts(
     units: dict[str, str],
 ) -> Image:
     seen, paths, sds, starts = (
-        _numbered(arrays, name) for name in ("observed", "predicted", "sd", "start")
+        _rollout_arrays(arrays, name)
+        for name in ("observed", "predicted", "sd", "start")
     )
     figure = new_figure(4.6, 2.1 * -(-len(seen) // 3) + 0.7)
     titles = [f"from {float(start):.0f} {units['t']}" for start in starts]
@@ -283,7 +284,9 @@ def _overlay(
     if "image whole/0" not in arrays:
         return []
     names = ("whole", "predicted", "observed", "sd")
-    whole, paths, seen, sds = (_numbered(arrays, f"image {name}") for name in names)
+    whole, paths, seen, sds = (
+        _rollout_arrays(arrays, f"image {name}") for name in names
+    )
     figure = new_figure(4.2, 3.6)
     ends = [path[-1] for path in seen]
     ax = figure.subplots()
@@ -294,7 +297,7 @@ def _overlay(
     return [Image(files.svg, "Paths of a track in image coordinates", caption)]
 
 
-def _numbered(arrays: dict[str, np.ndarray], name: str) -> list[np.ndarray]:
+def _rollout_arrays(arrays: dict[str, np.ndarray], name: str) -> list[np.ndarray]:
     """The arrays `name/0`, `name/1` and so on, in this order."""
     keys = [key for key in arrays if key.startswith(f"{name}/")]
     return [arrays[key] for key in sorted(keys, key=_trailing_number)]
