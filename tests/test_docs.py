@@ -233,3 +233,15 @@ def test_the_make_targets_exist():
 def test_links_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)#]+)", page.read_text(encoding="utf-8")):
         assert (page.parent / target).exists(), f"{page.name} links to {target}"
+
+
+PLACES = (ROOT, ROOT / "src/pinav", ROOT / "src/pinav/recordings")
+"""Folders from which the pages name files."""
+
+
+@pytest.mark.parametrize("page", PAGES, ids=page_id)
+def test_a_file_of_the_repository_that_a_page_names_is_there(page):
+    text = page.read_text(encoding="utf-8")
+    folders = r"tests|validation|benchmarks|examples|src|docs|forces|fitting|formats"
+    for name in re.findall(rf"\b((?:{folders})/[\w/-]+\.(?:py|toml|js))\b", text):
+        assert any((place / name).exists() for place in PLACES), name

@@ -85,6 +85,7 @@ def navigate(
         step=_step_times(problem, steered, settings),
         units=problem.data.units,
         order=problem.order,
+        force=problem.force,
         thrust=problem.thrust,
         delay=task.delay,
         suggestion=suggestion,

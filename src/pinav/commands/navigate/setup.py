@@ -66,6 +66,7 @@ class NavigationProblem:
         discs: that must not be entered.
         data: what was fitted.
         order: of the dynamics in time.
+        force: unit of a force, where the mobility makes a velocity of it.
     """
 
     task: Task
@@ -77,6 +78,7 @@ class NavigationProblem:
     discs: tuple[Disc, ...]
     data: Trajectories
     order: int
+    force: str
 
     @property
     def physics(self) -> SteeredSwimmer:
@@ -132,6 +134,7 @@ def navigation_problem(settings: NavigateSettings, run: FittedRun) -> Navigation
         discs=_discs(settings),
         data=run.data,
         order=run.system.order,
+        force=run.system.base_units.force,
     )
 
 
