@@ -17,10 +17,9 @@ from pinav.commands.design.metrics import (
     relative_bound,
 )
 from pinav.commands.design.settings import DesignOptions, DesignSettings
-from pinav.commands.navigate.online import observe_positions
-from pinav.commands.navigate.setup import known_task, system_task
 from pinav.commands.recording_settings import RecordingSettings
 from pinav.commands.start import fingerprint, start_run
+from pinav.commands.steering import known_task, observe_positions, system_task
 from pinav.errors import InputError
 from pinav.navigation import Disc, Experiment, Rectangle, Task
 from pinav.navigation.adaptive.steering import Adaptive
@@ -75,7 +74,7 @@ def _compare(
     options: DesignOptions, settings: DesignSettings, system: System
 ) -> Finding:
     """Simulated campaigns of each design, in pairs of the same noise."""
-    task = system_task(settings.task_settings(), system)
+    task = system_task(settings, system)
     adaptive = _adaptive(task, settings)
     experiment = _experiment(settings, adaptive)
     folder = start_run(DESIGN, options, settings, system=options.system)
@@ -112,7 +111,7 @@ def _suggest(
     """What recordings leave open, and what to record next."""
     parts = [read_data(path, RecordingSettings()) for path in options.data]
     data = concatenate(parts) if len(parts) > 1 else parts[0]
-    task = known_task(settings.task_settings(), system, data)
+    task = known_task(settings, system, data)
     adaptive = _adaptive(task, settings)
     experiment = _experiment(settings, adaptive)
     folder = start_run(
