@@ -171,7 +171,7 @@ def test_a_figure_is_small_enough_for_a_page_and_large_enough_to_read(name):
     with Image.open(path) as picture:
         assert 600 <= picture.width <= 1250
         assert picture.mode != "RGBA"  # dark pages would shine through
-    assert path.stat().st_size < 100_000
+    assert path.stat().st_size < 60_000
 
 
 def test_a_run_of_a_figure_that_was_cut_short_is_made_again(tmp_path):
