@@ -8,7 +8,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from pinav.dynamics import Swimmer
-from pinav.navigation.model.predictors import ControlMap, InertialTable, OverdampedTable
+from pinav.navigation.model.predictors import (
+    ControlMap,
+    InertialTable,
+    OverdampedTable,
+    split_rates,
+)
 from pinav.navigation.model.tables import (
     FieldTable,
     Grid,
@@ -71,7 +76,7 @@ def tabulate_model(
     table = tabulate(model, grid, moments)
     inertial = isinstance(model.dynamics, Swimmer)
     predictor = (InertialTable if inertial else OverdampedTable)(table, model.actuator)
-    drive = ControlMap.of(model.actuator, task.limits)
+    drive = ControlMap.of(model.actuator, task.limits, task.dim)
     # A table of zeros instead of none: one compiled program serves all models.
     spread = eqx.tree_at(
         lambda s: s.values, table, jnp.zeros_like(table.values[..., :1])
@@ -97,9 +102,8 @@ def noise_margin(task: Task) -> float:
     Three standard deviations of where it takes a swimmer during one time unit or, where
     the position itself is noisy, five control steps; and of the sensor.
     """
-    inertial = task.start.shape[0] == 4
     reaction = 5 * task.step + task.delay
-    noise = math.sqrt(reaction**3 / 3 if inertial else reaction)
+    noise = math.sqrt(reaction**3 / 3 if task.inertial else reaction)
     return 3 * math.hypot(task.noise * noise, task.sensor_noise) + 0.1
 
 
@@ -109,6 +113,6 @@ def _greatest_rate(
     """Greatest acceleration, or velocity, that thrust gives."""
     thrusts = drive.thrusts(HEADINGS)
     if not inertial:
-        mobility = table.values[0, ..., 2:].reshape(*table.grid.shape, 2, 2)
-        thrusts = jnp.einsum("xyab,hb->xyha", mobility, thrusts)
+        _, mobility = split_rates(table.values[0])
+        thrusts = jnp.einsum("...ab,hb->...ha", mobility, thrusts)
     return jnp.max(jnp.linalg.norm(thrusts, axis=-1))
