@@ -12,7 +12,9 @@ from pinav.trajectories import simulate
 
 KEY = jax.random.key(1)
 CURRENTS = {name for name in SCENARIOS if name.endswith("-current")}
-PLANAR = sorted(SCENARIOS.keys() - {"paper", "brownian", "wall", "ring"} - CURRENTS)
+PLANAR = sorted(
+    SCENARIOS.keys() - {"paper", "brownian", "box", "wall", "ring"} - CURRENTS
+)
 RK = FixedStep(substeps=2)
 
 

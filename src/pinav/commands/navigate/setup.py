@@ -17,7 +17,7 @@ from pinav.dynamics import (
     unbound,
 )
 from pinav.errors import InputError
-from pinav.evaluation import square
+from pinav.evaluation import enclosing_cube
 from pinav.fitting import Posterior
 from pinav.forces import RollingPropulsion
 from pinav.navigation import (
@@ -91,7 +91,8 @@ class NavigationProblem:
     @property
     def thrust(self) -> float:
         """The greatest thrust that can be commanded."""
-        return float(greatest_thrust(self.model.actuator, self.task.limits))
+        task = self.task
+        return float(greatest_thrust(self.model.actuator, task.limits, task.dim))
 
 
 def navigation_problem(settings: NavigateSettings, run: FittedRun) -> NavigationProblem:
@@ -101,15 +102,17 @@ def navigation_problem(settings: NavigateSettings, run: FittedRun) -> Navigation
     thrust cannot be steered gets one that can, of the size that the settings state.
 
     Raises:
-        InputError: the run holds no fitted swimmer in the plane.
+        InputError: the run holds no fitted swimmer in the plane or in space, or the
+            settings name places of another dimension.
     """
-    model = run.model
-    if not isinstance(model, Swimmer | OverdampedSwimmer) or run.data.dim != 2:
+    model, dim = run.model, run.data.dim
+    if not isinstance(model, Swimmer | OverdampedSwimmer) or dim < 2:
         raise InputError(
-            f"{run.folder.path}: expected a swimmer in the plane, got the model "
-            f"{run.choice.name} of {', '.join(run.data.channels)}"
+            f"{run.folder.path}: expected a swimmer in the plane or in space, got the "
+            f"model {run.choice.name} of {', '.join(run.data.channels)}"
         )
-    actuator, limits, lag = _actuation(settings, model)
+    settings.check_dimension(dim)
+    actuator, limits, lag = _actuation(settings, model, dim)
     known, truth, source = model, None, source_system(run.data.provenance)
     if source is not None and source.environment is not None:
         known, truth = source.true_swimmer, source.name
@@ -133,7 +136,7 @@ def navigation_problem(settings: NavigateSettings, run: FittedRun) -> Navigation
 
 
 def _actuation(
-    settings: NavigateSettings, model: Swimmer | OverdampedSwimmer
+    settings: NavigateSettings, model: Swimmer | OverdampedSwimmer, dim: int
 ) -> tuple[RollingActuator, CommandLimits, float]:
     """What commands do, their limits, and the time from command to motion [T].
 
@@ -141,7 +144,7 @@ def _actuation(
     constant, which is right for commands that change slowly against it.
     """
     if not takes_commands(model):
-        gain = settings.thrust * jnp.eye(2)
+        gain = settings.thrust * jnp.eye(dim)
         return RollingActuator(gain, LinearResponse()), CommandLimits(1.0), 0.0
     propulsion = unbound(model)
     if not isinstance(propulsion, RollingPropulsion):
@@ -162,9 +165,15 @@ def _draws(run: FittedRun, settings: NavigateSettings) -> list[AbstractDynamics]
 
 
 def _evidence(run: FittedRun, model: AbstractDynamics) -> Evidence | None:
-    """The fit's evidence; none for stochastic paths, whose states are not smoothed."""
+    """The fit's evidence where the next trajectory can be suggested.
+
+    Not of stochastic paths, whose states are not smoothed, nor in space, where
+    candidates have no elevation.
+    """
     evidence = run.evidence
     if evidence is None or "diffusion" in evidence.constants or takes_commands(model):
+        return None
+    if run.data.dim > 2:
         return None
     return Evidence(evidence.posterior, run.noise, evidence.states)
 
@@ -174,7 +183,7 @@ def _goal(settings: NavigateSettings) -> ReachGoal:
 
 
 def _discs(settings: NavigateSettings) -> tuple[Disc, ...]:
-    return tuple(Disc(list(disc[:2]), disc[2]) for disc in settings.discs())
+    return tuple(Disc(list(disc[:-1]), disc[-1]) for disc in settings.discs())
 
 
 def _task(
@@ -185,7 +194,7 @@ def _task(
     delay: float,
 ) -> Task:
     start, _ = settings.places()
-    rest = (0.0, 0.0) if isinstance(truth.dynamics, Swimmer) else ()
+    rest = [0.0] * len(start) if isinstance(truth.dynamics, Swimmer) else []
     return Task(
         name="navigate",
         truth=truth,
@@ -206,10 +215,10 @@ def _arena(settings: NavigateSettings, data: Trajectories) -> Rectangle:
     """The arena that was given, or one around data, start and goal."""
     box = settings.box()
     if box is not None:
-        return Rectangle(list(box[:2]), list(box[2:]))
+        return Rectangle(*map(list, (box[: len(box) // 2], box[len(box) // 2 :])))
     ends = np.array(settings.places())
     margin = 0.25 * float(np.linalg.norm(ends[1] - ends[0])) + settings.tolerance
-    x_from, x_to, y_from, y_to = square(data)
-    lower = np.minimum(ends.min(axis=0) - margin, [x_from, y_from])
-    upper = np.maximum(ends.max(axis=0) + margin, [x_to, y_to])
+    low, high = enclosing_cube(data)
+    lower = np.minimum(ends.min(axis=0) - margin, low)
+    upper = np.maximum(ends.max(axis=0) + margin, high)
     return Rectangle(lower, upper)

@@ -112,7 +112,7 @@ class FieldTable(eqx.Module):
         cell = jnp.minimum(jnp.floor(place), most - 3.0)
         block = self._block(t, cell.astype(int) - 1)
         weights = cubic_weights(place - cell)
-        product = functools.reduce(lambda a, b: a[..., None] * b, weights)
+        product = functools.reduce(jnp.multiply.outer, weights)
         return jnp.tensordot(product, block, self.grid.dim)
 
     def _block(

@@ -165,6 +165,7 @@ def position_legs(
     points = grid.row
     drift, mobility = split_rates(jax.vmap(lambda x: table(t, x))(points))
     risk = jax.vmap(lambda x: arrival.time_cost.risk(t, x))(points)
+    lattice_risk = risk.reshape(grid.shape).astype(jnp.float32)
     reach = CELLS * jnp.min(grid.spacing)
 
     def along(thrust: Vector) -> Legs:
@@ -174,7 +175,8 @@ def position_legs(
         feet = jax.vmap(grid.coordinates)(points + ways)
         corners = Corners.of(tuple(feet.T), grid.shape)
         # Of both ends: to look it up on the way would take most of the time of a plan.
-        mean_risk = (risk + corners.interpolate(risk.reshape(grid.shape))) / 2
+        ahead = corners.interpolate(lattice_risk).astype(risk.dtype)
+        mean_risk = (risk + ahead) / 2
         discount, arrives = jax.vmap(arrival.leg)(points, ways, h, mean_risk)
         return Legs(discount.astype(jnp.float32), arrives, corners)
 
