@@ -37,11 +37,11 @@ def box() -> System:
 
     Gaussian barriers that keep apart, of heights uniform in [2, 4] and widths in
     [1.6, 2]: the steepest push with up to 1.3, more than the thrust of 1. The field is
-    the same for every key. A known trap of stiffness 0.04 about the middle, such as that
-    of a standing wave of sound, keeps swimmers in the box. Starts are uniform in the
-    box; the thrust turns to another direction every time unit. Observed every 0.2 for 15
-    time units, with an error of 0.02. Expected: swimmers slide off the obstacles and
-    between them.
+    the same for every key. A known trap of stiffness 0.04 about the middle, such as
+    that of a standing wave of sound, keeps swimmers in the box. Starts are uniform in
+    the box; the thrust turns to another direction every time unit. Observed every 0.2
+    for 15 time units, with an error of 0.02. Expected: swimmers slide off the obstacles
+    and between them.
 
     It has 16 trajectories unless another number is given.
     """
