@@ -7,6 +7,7 @@ from typing import Protocol, TypeVar
 
 import msgspec
 
+from benchmarks._options import read_kept
 from pinav.commands.sweep import engine_of
 from pinav.commands.worker_settings import WorkerSettings
 from pinav.files import write_text
@@ -49,6 +50,5 @@ def measurements(
         if outcome.failure:
             print(f"{cell.label}: {outcome.failure}", file=sys.stderr)
             continue
-        content = (store.folder(cell) / FILE).read_bytes()
-        results.append(msgspec.json.decode(content, type=kind))
+        results.append(read_kept(store.folder(cell) / FILE, kind))
     return results

@@ -19,7 +19,7 @@ import numpy as np
 import tyro
 
 from benchmarks import heat
-from pinav.commands.parsing import parse
+from benchmarks._options import begin
 from pinav.dynamics import FixedStep
 from pinav.errors import InputError
 from pinav.files import write_text
@@ -93,11 +93,9 @@ class Row(msgspec.Struct, frozen=True):
 
 
 def main(argv: Sequence[str]) -> None:
-    options = parse(Options, argv, prog="pinav bench accelerator")
+    options = begin(Options, argv, "accelerator")
     if options is None:
         return
-    options.check()
-    jax.config.update("jax_enable_x64", val=True)
     device = jax.devices()[0]
     print(f"device: {device.device_kind} ({device.platform}), JAX {jax.__version__}")
     print(

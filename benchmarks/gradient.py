@@ -30,7 +30,7 @@ from pinav.dynamics import (
     with_dtype,
 )
 from pinav.fitting.environments.catalogue import learned_part
-from pinav.fitting.matching.fit import split_trainable
+from pinav.fitting.matching.trainable import split_trainable
 from pinav.forces import paper_force
 from pinav.scenarios import paper
 from pinav.trajectories import simulate

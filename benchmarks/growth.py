@@ -20,7 +20,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter, ScalarFormatter
 
-from pinav.commands.parsing import parse
+from benchmarks._options import begin
 from pinav.dynamics import FixedStep
 from pinav.errors import InputError
 from pinav.figures.files import save_figure
@@ -37,8 +37,8 @@ from pinav.fitting.environments.catalogue import (
     learned_part,
     summarise_data,
 )
-from pinav.fitting.matching.fit import split_trainable
 from pinav.fitting.matching.objectives import Observations
+from pinav.fitting.matching.trainable import split_trainable
 from pinav.scenarios import barrier_crossings, paper
 from pinav.trajectories import Trajectories, concatenate, simulate
 
@@ -74,11 +74,9 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def main(argv: Sequence[str]) -> None:
-    options = parse(Options, argv, prog="pinav bench growth")
+    options = begin(Options, argv, "growth")
     if options is None:
         return
-    options.check()
-    jax.config.update("jax_enable_x64", val=True)
     options.out.mkdir(parents=True, exist_ok=True)
     measured = measure(options)
     print(text(measured))

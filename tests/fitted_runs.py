@@ -13,6 +13,7 @@ fitted through a folder with a lock.
 import contextlib
 import dataclasses
 import shutil
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -20,10 +21,12 @@ import equinox as eqx
 import jax
 import numpy as np
 import pytest
+import tomli_w
 from filelock import FileLock
 from matplotlib.figure import Figure
 
 DATA, RUN = "data.npz", "run"
+EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
 def network(folder: Path) -> list[str]:
@@ -95,6 +98,23 @@ def reproduced(folder: Path) -> list[str]:
     return ["reproduce", *SHORT, "--lbfgs-steps", "3"]
 
 
+def studied(folder: Path) -> list[str]:
+    """A study of two cells that are soon done."""
+    return ["study", "noise", *STUDY]
+
+
+STUDY = ("--models", "physics-only", "--count", "1", "--sigmas", "0.01", "0.1")
+"""A study of what needs no fit."""
+
+
+def heated(folder: Path) -> list[str]:
+    """A tumour on a coarse grid."""
+    content = tomllib.loads((EXAMPLES / "heat" / "tumour.toml").read_text())
+    content["grid"]["cells"], content["step"] = 24, 20.0
+    (folder / "tumour.toml").write_text(tomli_w.dumps(content))
+    return ["heat", "simulate", str(folder / "tumour.toml")]
+
+
 RUNS: dict[str, Callable[[Path], list[str]]] = {
     "network": network,
     "kernel": kernel,
@@ -102,6 +122,8 @@ RUNS: dict[str, Callable[[Path], list[str]]] = {
     "langevin": langevin,
     "identified": identified,
     "reproduced": reproduced,
+    "studied": studied,
+    "heated": heated,
 }
 
 

@@ -34,6 +34,7 @@ ORDER = [
     "figures",
     "report",
     "checkpoints",
+    "manifest",
     "runs",
     "commands",
     "regressor",

@@ -9,7 +9,8 @@ import pytest
 import tomli_w
 
 from pinav.errors import InputError
-from pinav.runs import REPAIR, SCHEMA, RunFolder, environment
+from pinav.manifest import REPAIR
+from pinav.runs import SCHEMA, RunFolder, environment
 
 CONFIG = {
     "run": {"schema": SCHEMA, "command": "test"},

@@ -49,7 +49,7 @@ class Laboratory:
     """A true environment, and what was recorded of it."""
 
     def __init__(self, seed: int):
-        self.truth = many_barriers().swimmer
+        self.truth = many_barriers().true_swimmer
         self.experiment = Experiment(
             RollingActuator(THRUST * jnp.eye(2), LinearResponse()),
             CommandLimits(1.0),

@@ -4,7 +4,6 @@ It trains, writes what was learned, and prints one line of JSON.
 """
 
 import importlib
-import json
 import re
 import resource
 import sys
@@ -16,6 +15,7 @@ import numpy as np
 
 from benchmarks.fit.contestants import BY_NAME, Effort
 from benchmarks.fit.problem import Problem
+from benchmarks.fit.table import Measured
 
 
 def main(launched: str, name: str, seed: str, data: str, result: str, effort: str):
@@ -26,14 +26,14 @@ def main(launched: str, name: str, seed: str, data: str, result: str, effort: st
     trained = train(problem, int(seed), msgspec.json.decode(effort, type=Effort))
     seconds = time.perf_counter() - start
     np.savez(result, curve=trained.curve, **trained.arrays)
-    measured = {
-        "iterations": trained.iterations,
-        "fit_seconds": seconds,
-        "full_seconds": trained.full_seconds,
-        "peak_mib": peak_memory(),
-        "note": trained.note,
-    }
-    print(json.dumps(measured))
+    measured = Measured(
+        iterations=trained.iterations,
+        fit_seconds=seconds,
+        full_seconds=trained.full_seconds,
+        peak_mib=peak_memory(),
+        note=trained.note,
+    )
+    print(msgspec.json.encode(measured).decode())
 
 
 def peak_memory() -> float:

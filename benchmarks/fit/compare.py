@@ -1,6 +1,5 @@
 """Runs the contestants one after the other, scores them, and prints the table."""
 
-import json
 import os
 import subprocess
 import sys
@@ -14,10 +13,11 @@ import msgspec
 import numpy as np
 import tyro
 
+from benchmarks._options import begin, read_arrays, read_kept
 from benchmarks.fit import table
 from benchmarks.fit.contestants import BY_NAME, CONTESTANTS, Contestant, Effort
 from benchmarks.fit.problem import physics_file
-from pinav.commands.parsing import parse
+from benchmarks.fit.table import Measured, Measurement
 from pinav.errors import InputError
 from pinav.files import write_text, write_whole
 
@@ -61,11 +61,9 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def main(argv: Sequence[str]) -> None:
-    options = parse(Options, argv, prog="pinav bench fit")
+    options = begin(Options, argv, "fit")
     if options is None:
         return
-    options.check()
-    jax.config.update("jax_enable_x64", val=True)
     compare(options)
 
 
@@ -74,7 +72,7 @@ def compare(options: Options) -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     _check_settings(options)
     chosen = [c for c in CONTESTANTS if c.name in options.only]
-    found: dict[str, list[dict[str, Any]]] = {c.name: [] for c in chosen}
+    found: dict[str, list[Measurement]] = {c.name: [] for c in chosen}
     absent: dict[str, str] = {}
     for contestant in chosen:
         if contestant.missing():
@@ -93,9 +91,7 @@ def compare(options: Options) -> None:
     _draw(options, found)
 
 
-def measured(
-    contestant: Contestant, seed: int, options: Options
-) -> dict[str, Any] | str:
+def measured(contestant: Contestant, seed: int, options: Options) -> Measurement | str:
     """Measurement and scores of one contestant and seed, or why there are none.
 
     A finished one is read from its file, which is written last.
@@ -105,15 +101,15 @@ def measured(
         failure = _train(contestant, seed, file, options)
         if failure:
             return failure
-    measurement = json.loads(file.read_text(encoding="utf-8"))
-    if "rmse" not in measurement:
+    measurement = read_kept(file, Measurement)
+    if measurement.rmse is None:
         from benchmarks.fit.scores import scores
         from pinav.scenarios import scenario
 
-        with np.load(file.with_suffix(".npz")) as stored:
-            arrays = {name: stored[name] for name in stored.files}
-        measurement |= scores(scenario(contestant.scenario), arrays)
-        write_text(file, json.dumps(measurement, indent=2), overwrite=True)
+        arrays = read_arrays(file.with_suffix(".npz"))
+        errors = scores(scenario(contestant.scenario), arrays)
+        measurement = msgspec.structs.replace(measurement, **errors)
+        write_text(file, _as_json(measurement), overwrite=True)
     return measurement
 
 
@@ -129,10 +125,14 @@ def _train(contestant: Contestant, seed: int, file: Path, options: Options) -> s
     if done.returncode != 0:
         lines = done.stderr.strip().splitlines() or ["no message"]
         return f"exit status {done.returncode}: {lines[-1]}"
-    measurement = json.loads(done.stdout.splitlines()[-1])
-    measurement |= {"seed": seed, "cold_seconds": cold}
-    write_text(file, json.dumps(measurement, indent=2))
+    said = msgspec.json.decode(done.stdout.splitlines()[-1], type=Measured)
+    numbers = msgspec.structs.asdict(said)
+    write_text(file, _as_json(Measurement(seed=seed, cold_seconds=cold, **numbers)))
     return ""
+
+
+def _as_json(content: Any) -> str:
+    return msgspec.json.format(msgspec.json.encode(content), indent=2).decode()
 
 
 def _run_child(contestant, seed, data, result, effort):
@@ -186,9 +186,7 @@ def _check_settings(options: Options) -> None:
 
 
 def _write(options: Options, found, rows) -> None:
-    write_text(
-        options.out / "results.json", json.dumps(found, indent=2), overwrite=True
-    )
+    write_text(options.out / "results.json", _as_json(found), overwrite=True)
     write_text(options.out / "results.csv", table.as_csv(rows), overwrite=True)
 
 
@@ -200,9 +198,9 @@ def _draw(options: Options, found) -> None:
     curves = {}
     for name, measurements in found.items():
         for measurement in measurements[:1]:
-            with np.load(options.out / f"{name}-{measurement['seed']}.npz") as stored:
-                if len(stored["curve"]):
-                    curves[name] = stored["curve"]
+            stored = read_arrays(options.out / f"{name}-{measurement.seed}.npz")
+            if "curve" in stored and len(stored["curve"]):
+                curves[name] = stored["curve"]
     if curves:
         files = save_figure(figure(curves), options.out, "convergence")
         print(f"figure: {files.png}")

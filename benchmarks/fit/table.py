@@ -3,14 +3,46 @@
 import csv
 import io
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from benchmarks.fit.contestants import BY_NAME, OURS, Contestant
 
-Measurement = Mapping[str, Any]
-"""What is known of one contestant and seed: see `compare.measured`."""
+
+class Measured(msgspec.Struct, frozen=True, kw_only=True):
+    """What the process of a contestant says.
+
+    Attributes:
+        iterations: steps taken.
+        fit_seconds: wall time of the fit [s].
+        full_seconds: that of the whole recipe [s], where it was cut short.
+        peak_mib: peak resident memory [MiB].
+        note: what a reader should know.
+    """
+
+    iterations: int
+    fit_seconds: float
+    full_seconds: float | None
+    peak_mib: float
+    note: str
+
+
+class Measurement(Measured, frozen=True, kw_only=True):
+    """What is known of one contestant and seed.
+
+    Attributes:
+        seed: of the network or of the noise.
+        cold_seconds: wall time of the process [s].
+        rmse: of all states; none before it is scored.
+        force: relative error on visited ground; none before it is scored.
+    """
+
+    seed: int
+    cold_seconds: float
+    rmse: float | None = None
+    force: float | None = None
 
 
 class Spread(NamedTuple):
@@ -64,26 +96,26 @@ def row(contestant: Contestant, measurements: Sequence[Measurement]) -> Row:
 
     return Row(
         contestant,
-        rmse=over_seeds(lambda m: m["rmse"]),
-        force=over_seeds(lambda m: m["force"]),
-        iterations=over_seeds(lambda m: m["iterations"]),
+        rmse=over_seeds(lambda m: m.rmse),
+        force=over_seeds(lambda m: m.force),
+        iterations=over_seeds(lambda m: m.iterations),
         fit_seconds=over_seeds(full_fit_seconds),
         cold_seconds=over_seeds(full_cold_seconds),
-        peak_mib=over_seeds(lambda m: m["peak_mib"]),
-        extrapolated=any(m["full_seconds"] is not None for m in measurements),
-        notes=tuple(dict.fromkeys(m["note"] for m in measurements if m["note"])),
+        peak_mib=over_seeds(lambda m: m.peak_mib),
+        extrapolated=any(m.full_seconds is not None for m in measurements),
+        notes=tuple(dict.fromkeys(m.note for m in measurements if m.note)),
     )
 
 
 def full_fit_seconds(measurement: Measurement) -> float:
     """Wall time of the fit [s]; extrapolated where the recipe was cut short."""
-    full = measurement["full_seconds"]
-    return measurement["fit_seconds"] if full is None else full
+    full = measurement.full_seconds
+    return measurement.fit_seconds if full is None else full
 
 
 def full_cold_seconds(measurement: Measurement) -> float:
     """Wall time of the process [s]; extrapolated where the recipe was cut short."""
-    outside = measurement["cold_seconds"] - measurement["fit_seconds"]
+    outside = measurement.cold_seconds - measurement.fit_seconds
     return outside + full_fit_seconds(measurement)
 
 

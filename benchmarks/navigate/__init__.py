@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
-import jax
 import msgspec
 import tyro
 
+from benchmarks._options import begin
 from benchmarks.navigate.contest import CONTROLLERS, Contest, contest
 from benchmarks.navigate.strategies import compare_strategies
 from benchmarks.navigate.tables import (
@@ -21,7 +21,6 @@ from benchmarks.navigate.tables import (
     text,
     tracking_table,
 )
-from pinav.commands.parsing import parse
 from pinav.errors import InputError
 from pinav.figures import save_figure
 from pinav.figures.navigation import outcome_bars
@@ -70,11 +69,9 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def main(argv: Sequence[str]) -> None:
-    options = parse(Options, argv, prog="pinav bench navigate")
+    options = begin(Options, argv, "navigate")
     if options is None:
         return
-    options.check()
-    jax.config.update("jax_enable_x64", val=True)
     if options.learn_online:
         compare_strategies(options.out, options.tasks, options.seeds)
         return

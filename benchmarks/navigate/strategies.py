@@ -42,6 +42,7 @@ def compare_strategies(out: Path, tasks: Sequence[str], seeds: int) -> None:
         file = f"learn-online-{name}.json"
         if not (folder.path / file).exists():
             folder.write_json(file, _contest(name, range(seeds)))
+        folder.check_file(file)
         rows = msgspec.convert(folder.read_json(file), dict[str, OnlineRow])
         table = online_table(rows)
         folder.write_table(f"learn-online-{name}.csv", table.header, table.rows)

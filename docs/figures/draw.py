@@ -10,7 +10,7 @@ from pathlib import Path
 
 import jax
 from docs.figures import methods, next_trajectory, scenarios
-from docs.figures.tutorials import from_tutorial, one_shot
+from docs.figures.tutorials import from_tutorial, one_shot, swimmer
 from docs.figures.workshop import Workshop, save_picture
 from matplotlib.figure import Figure
 
@@ -44,7 +44,7 @@ RECIPES: Mapping[str, Recipe] = {
     "method-discovery.png": methods.discovery,
     "method-adaptive.png": methods.adaptive,
     "method-thermal.png": methods.thermal,
-    "tutorial-swimmer.png": from_tutorial("swimmer", "my", "force"),
+    "tutorial-swimmer.png": swimmer,
     "tutorial-field.png": from_tutorial("tracker", "field", "force"),
     "tutorial-route.png": from_tutorial("tracker", "there", "navigate-closed-loop"),
     "tutorial-wall.png": from_tutorial("bead", "wall", "truth-wall-0"),

@@ -9,6 +9,7 @@ from docs.figures.workshop import Workshop
 from matplotlib.figure import Figure
 
 from pinav.evaluation import FieldMap
+from pinav.figures import force_comparison
 from pinav.figures.analysis import one_legend
 from pinav.figures.force_maps import force_error_map, force_map
 from pinav.figures.style import new_figure, title_panel
@@ -19,6 +20,21 @@ def from_tutorial(name: str, run: str, figure: str) -> Callable[[Workshop], Path
     return lambda workshop: (
         workshop.tutorial(name) / "runs" / run / "figures" / f"{figure}.png"
     )
+
+
+def swimmer(workshop: Workshop) -> Figure:
+    """The figure `force.png` of the run, narrower, so that it is small enough."""
+    run = workshop.tutorial("swimmer") / "runs" / "my"
+    arrays = read(run, "results.npz")
+    figure = force_comparison(
+        FieldMap.of_arrays(arrays, "learned"),
+        true=FieldMap.of_arrays(arrays, "true"),
+        sd=arrays["field/sd"],
+        path=observed_paths(run),
+    )
+    figure.set_size_inches(WIDTH, 6.4)
+    figure.draw_without_rendering()  # places the panels in the new size
+    return figure
 
 
 def one_shot(workshop: Workshop) -> Figure:

@@ -16,9 +16,7 @@ Files are written under a temporary name and renamed, so that none is ever half
 written; nothing is pickled.
 """
 
-import contextvars
 import csv
-import hashlib
 import io
 import json
 import platform
@@ -37,10 +35,11 @@ from pinav import __version__
 from pinav.checkpoints import FileCheckpoint, Tree, read_tree, write_tree
 from pinav.errors import InputError
 from pinav.files import atomic_write, write_text
+from pinav.manifest import MANIFEST_FILE, Manifest
 
 Metrics = TypeVar("Metrics", bound=msgspec.Struct)
 
-METRICS_FILE, MANIFEST_FILE = "metrics.json", "manifest.json"
+METRICS_FILE = "metrics.json"
 
 LOCK_FILE = ".lock"
 """Held by the process that is at work on a run of many cells."""
@@ -53,9 +52,6 @@ FIRST_FILES = (
     *("data.npz", "metrics.jsonl"),
 )
 """Files that a run has before it has computed anything worth keeping."""
-
-REPAIR: contextvars.ContextVar[str] = contextvars.ContextVar("repair", default="")
-"""How the files that are written now are made again; the command line says so."""
 
 REPORTED_PACKAGES = ("jax", "jaxlib", "equinox", "diffrax", "optax", "numpy", "scipy")
 
@@ -189,22 +185,14 @@ class RunFolder:
                 f"{schema}, expected {SCHEMA}); repeat the run with --overwrite"
             )
 
-    def manifest(self) -> dict[str, dict[str, str]]:
-        """Every file that the run wrote: its hash, and how it is made again."""
-        try:
-            text = (self.path / MANIFEST_FILE).read_text(encoding="utf-8")
-            content = json.loads(text)
-        except (OSError, UnicodeDecodeError, json.JSONDecodeError):
-            return {}
-        return content if isinstance(content, dict) else {}
+    @property
+    def manifest(self) -> Manifest:
+        """The files that the run wrote."""
+        return Manifest(self.path)
 
     def record(self, *names: str) -> None:
         """Note that the run wrote these files; `--overwrite` deletes no others."""
-        manifest = self.manifest()
-        for name in names:
-            manifest[name] = {"repair": REPAIR.get(), "hash": self._hash(name)}
-        text = json.dumps(manifest, indent=1)
-        write_text(self.path / MANIFEST_FILE, text, overwrite=True)
+        self.manifest.record(*names)
 
     def check_file(self, name: str) -> None:
         """Require that a file is the one that the run wrote.
@@ -212,25 +200,11 @@ class RunFolder:
         Raises:
             InputError: it is missing, damaged, or taken from another run.
         """
-        entry = self.manifest().get(name)
-        if not self.has(name):
-            raise InputError(f"{self.path / name} is missing; {self.repair(name)}")
-        if entry is not None and entry.get("hash") not in ("", self._hash(name)):
-            raise InputError(
-                f"{self.path / name} is not the file that this run wrote; "
-                f"{self.repair(name)}"
-            )
+        self.manifest.check(name)
 
     def repair(self, name: str) -> str:
         """The words that say how a damaged or missing file is made again."""
-        entry = self.manifest().get(name, {})
-        return entry.get("repair") or "repeat the run with --overwrite"
-
-    def _hash(self, name: str) -> str:
-        """Hash of a file that does not change any more; empty for others."""
-        if name.startswith(("checkpoint-", "metrics.jsonl")) or not self.has(name):
-            return ""
-        return hashlib.sha256((self.path / name).read_bytes()).hexdigest()[:16]
+        return self.manifest.repair(name)
 
     def settings(self) -> dict[str, Any]:
         """The settings that decided the numbers of the run."""
@@ -364,13 +338,13 @@ class RunFolder:
         """The run is finished, or holds a part that took time to compute."""
         return self.has(METRICS_FILE) or any(
             (self.path / name).is_file()
-            for name in self.manifest()
+            for name in self.manifest.entries()
             if name not in FIRST_FILES
         )
 
     def _remove_run(self) -> None:
         """Remove the files that the run wrote, and nothing else; config.toml last."""
-        names = [name for name in self.manifest() if name != "config.toml"]
+        names = [name for name in self.manifest.entries() if name != "config.toml"]
         for name in (*names, MANIFEST_FILE, "config.toml"):
             file = self.path / name
             if self.path.resolve() in file.resolve().parents:

@@ -33,7 +33,7 @@ def measurement(**changed):
         "rmse": 1e-5,
         "force": 0.1,
     }
-    return base | changed
+    return table.Measurement(**(base | changed))
 
 
 def test_a_spread_is_median_best_and_worst():
@@ -123,10 +123,8 @@ def child(monkeypatch):
             damping=0.36,
             gain=0.034,
         )
-        stdout = json.dumps(
-            {k: measurement()[k] for k in ("iterations", "fit_seconds", "full_seconds")}
-            | {"peak_mib": 100.0, "note": ""}
-        )
+        names = ("iterations", "fit_seconds", "full_seconds", "peak_mib", "note")
+        stdout = json.dumps({name: getattr(measurement(), name) for name in names})
         return subprocess.CompletedProcess([], 0, stdout, "")
 
     monkeypatch.setattr(compare, "_run_child", run)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from pinav.commands.evaluate.job import evaluate
-from pinav.commands.fit.job import REMARKS
 from pinav.commands.fit.metrics import FitMetrics
+from pinav.commands.fit.remarks import REMARKS
 from pinav.commands.fitted_run import ModelHeader, build_model
 from pinav.commands.study.job import study
 from pinav.commands.study.settings import StudySettings

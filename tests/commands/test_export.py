@@ -9,11 +9,17 @@ import numpy as np
 import pytest
 
 from pinav import cli
+from pinav.commands.export.datatree import datatree_of
 from pinav.commands.export.spots import force_sds, learned_force, spot_table
 from pinav.commands.fitted_run import FittedRun
+from pinav.commands.force_units import units_of
 from pinav.dynamics import paper_black_box
 from pinav.errors import InputError
+from pinav.figures.style import force_unit
 from pinav.recordings import read_recording
+from pinav.scenarios import scenario
+from pinav.systems import Units
+from pinav.trajectories import simulate
 
 
 @pytest.fixture(scope="module")
@@ -81,11 +87,27 @@ def test_the_deviation_of_a_static_force_does_not_depend_on_time(kernel_run):
     assert np.isnan(force_sds(None, force, points, np.zeros(2))).all()
 
 
+def test_a_force_is_shown_in_the_unit_of_the_system():
+    system = scenario("brownian")
+    data = simulate(system.with_starts(count=1), key=jax.random.key(0))
+    assert force_unit(units_of(data, system)) == "pN"
+    assert force_unit(units_of(data, scenario("wall"))) == "pN"
+    free = dataclasses.replace(system, base_units=Units("um", "s"))
+    assert force_unit(units_of(data, free)) == "um s⁻¹"
+
+
+def test_a_run_is_not_read_in_single_precision(kernel_run):
+    run = FittedRun.open(kernel_run)
+    with jax.enable_x64(new_val=False):
+        with pytest.raises(InputError, match=r"opening a run needs .*jax_enable_x64"):
+            FittedRun.open(kernel_run)
+        with pytest.raises(InputError, match=r"posterior needs float64: call jax\."):
+            datatree_of(run)
+
+
 @pytest.mark.extras("xarray", "h5netcdf")
 def test_a_tree_of_datasets_comes_back_as_it_was(kernel_run, tmp_path):
     import xarray
-
-    from pinav.commands.export.datatree import datatree_of
 
     out = tmp_path / "run.nc"
     more = ("--draws", "400", "--points", "6", "--seed", "3")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pinav import cli
-from pinav.commands.fit import job
+from pinav.commands.fit import job, remarks
 from pinav.commands.fit.metrics import FitMetrics
 from pinav.commands.fit.plan import plan_fit
 from pinav.commands.fit.settings import FitSettings
@@ -33,20 +33,22 @@ def test_fit_learns_and_reports_what_was_asked(tiny_fit):
 def test_a_fit_that_misses_the_data_says_the_likely_cause(monkeypatch):
     truth = scenario("paper")
     data = simulate(truth)
-    monkeypatch.setattr(job, "diagnose", lambda model, data: Cause.CHAOS)
+    monkeypatch.setattr(remarks, "diagnose", lambda model, data: Cause.CHAOS)
     far, near = {"total": 0.5}, {"total": 1e-6}
     model = truth.true_swimmer
-    (sentence,) = job._cause(data, model, "stalled", far)
+    (sentence,) = remarks.likely_cause(data, model, "stalled", far)
     assert sentence.startswith("The likely cause of the failure: the motion is chaotic")
-    assert job._cause(data, model, "converged", far) == ()
-    assert job._cause(data, model, "stalled", near) == ()
+    assert remarks.likely_cause(data, model, "converged", far) == ()
+    assert remarks.likely_cause(data, model, "stalled", near) == ()
 
 
 def test_independent_rollouts_confirm_that_a_fit_converged():
     data = simulate(scenario("paper"))
-    assert job._confirm_outcome("converged", 1e-9, data, {"total": 0.5}) == "stalled"
-    assert job._confirm_outcome("converged", 1e-9, data, {"total": 1e-5}) == "converged"
-    assert job._confirm_outcome("misfit", 1e-9, data, {"total": 0.5}) == "misfit"
+    assert remarks.confirm_outcome("converged", 1e-9, data, {"total": 0.5}) == "stalled"
+    assert (
+        remarks.confirm_outcome("converged", 1e-9, data, {"total": 1e-5}) == "converged"
+    )
+    assert remarks.confirm_outcome("misfit", 1e-9, data, {"total": 0.5}) == "misfit"
 
 
 @pytest.mark.parametrize(("model", "says"), [("potential", True), ("force", False)])

@@ -10,12 +10,32 @@ from pinav import cli
 from pinav.commands.navigate.online import STRATEGIES, OnlineMetrics, text
 
 REFUSALS = {
-    "task alone": (["--task", "vortex"], "expected both or none of them"),
-    "flag alone": (["--learn-online"], "expected both or none of them"),
+    "task alone": (["--task", "vortex"], "expected it together with --task or with"),
+    "flag alone": (["--learn-online"], "expected it together with --task or with"),
+    "two worlds": (
+        ["--learn-online", "--task", "vortex", "--system", "paper"],
+        "expected it together with --task or with",
+    ),
     "nothing": ([], "RUN: expected the folder of a fit, or --learn-online"),
+    "a run": (
+        ["somewhere", "--learn-online", "--task", "vortex"],
+        "--learn-online: expected no run",
+    ),
     "places": (
         ["--learn-online", "--task", "vortex", "--from", "1,1"],
-        "expected no run, --from or --to",
+        "--task: expected no --from or --to",
+    ),
+    "a system without places": (
+        ["--learn-online", "--system", "paper"],
+        "--from, --to: expected the places",
+    ),
+    "an unknown system": (
+        ["--learn-online", "--system", "maze", "--from=1,1", "--to=2,2"],
+        "maze",
+    ),
+    "a system in space": (
+        ["--learn-online", "--system", "wall", "--from=1,1", "--to=2,2"],
+        "system: expected a swimmer in the plane, got 'wall'",
     ),
     "a run without places": (["somewhere"], "--from, --to: expected the places"),
     "an unknown task": (
@@ -100,3 +120,53 @@ def test_a_task_is_learned_from_no_data_to_a_report(tmp_path, capsys):
     assert "data:image/gif;base64," in page
     for figure in ("belief", "bands", "paths", "regret"):
         assert (out / "figures" / f"learn-online-{figure}.svg").exists()
+
+
+OWN = """
+name = "own"
+dimension = 2
+order = 1
+mobility = 0.5
+
+[propulsion]
+kind = "rolling-propulsion"
+speed = 0.4
+
+[[forces]]
+kind = "constant-force"
+force = [0.0, -0.8]
+
+[[truth]]
+kind = "gaussian-barrier"
+height = 2.0
+center = [5.0, 5.0]
+width = 1.5
+
+[starts]
+kind = "uniform-starts"
+lower = [0.0, 0.0]
+upper = [9.0, 9.0]
+count = 2
+
+[times]
+first = 0.0
+last = 10.0
+samples = 101
+"""
+"""A roller of mobility 1/2 that sinks, in a barrier of which it does not know."""
+
+
+@pytest.mark.slow
+def test_a_system_of_the_users_own_is_learned_with_what_it_knows(tmp_path, capsys):
+    file, out = tmp_path / "own.toml", tmp_path / "out"
+    file.write_text(OWN, encoding="utf-8")
+    words = ["navigate", "--learn-online", "--system", str(file), "--seeds", "1"]
+    words += ["--from=1,1", "--to=9,9", "--visits", "1", "--noise", "0.02", "--json"]
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        assert cli.run([*words, "--out", str(out)]) == 0
+    rows = json.loads(capsys.readouterr().out)["controllers"]
+    assert rows["visit 1"]["success"]["value"] == 1.0
+    assert rows["visit 1"]["regret"]["value"] < 1.4
+    assert rows["visit 1"]["force_error"] < 0.4
+    assert rows["visit 1"]["cover"] > 0.8
+    assert rows["visit 1"]["consistency"] < 2.0

@@ -37,7 +37,7 @@ def execute(
     else:
         _prepare_jax()
     run = resolve(command.run)
-    from pinav.runs import REPAIR
+    from pinav.manifest import REPAIR
 
     REPAIR.set(_repair(command))
     on_start()

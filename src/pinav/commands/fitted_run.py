@@ -16,7 +16,7 @@ from pinav.commands.constants import estimated_constants, rotational_part
 from pinav.commands.system_choice import read_system_of
 from pinav.dynamics import AbstractDynamics, OverdampedSwimmer, with_dtype
 from pinav.errors import InputError
-from pinav.evaluation import FieldMap
+from pinav.evaluation import FieldMap, require_x64
 from pinav.fitting import (
     Estimate,
     EvidenceFit,
@@ -117,8 +117,10 @@ class FittedRun:
         """Read a run.
 
         Raises:
-            InputError: the folder holds no run or no model, or a file is damaged.
+            InputError: the folder holds no run or no model, a file is damaged, or x64
+                is switched off.
         """
+        require_x64("opening a run")
         folder = RunFolder.open(path)
         names = folder.models()
         if not names:
@@ -129,12 +131,12 @@ class FittedRun:
         system = read_system_of(folder)
         headers: list[ModelHeader] = []
 
-        def untrained(content: dict[str, Any]) -> AbstractDynamics:
+        def build_untrained(content: dict[str, Any]) -> AbstractDynamics:
             headers.append(msgspec.convert(content, ModelHeader))
             return build_model(headers[-1], system)
 
         models = {
-            name.removesuffix(".eqx"): folder.read_model(name, untrained)
+            name.removesuffix(".eqx"): folder.read_model(name, build_untrained)
             for name in names
         }
         choice = headers[0].choice

@@ -22,8 +22,8 @@ from pinav.fitting import (
     is_complete,
     paper_recipe,
 )
-from pinav.fitting.matching.fit import Trainable
 from pinav.fitting.matching.state import AbstractCheckpoint, FitProgress
+from pinav.fitting.matching.trainable import Trainable
 from pinav.forces import ZeroForce, as_learned_force
 from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import msgspec
 import tyro
 
+from pinav.commands.plain_help import plain_help
 from pinav.errors import InputError
 
 Options = TypeVar("Options", bound=msgspec.Struct)
@@ -30,7 +31,12 @@ def parse(options: type[Options], argv: Sequence[str], prog: str) -> Options | N
                 args=list(argv),
                 prog=prog,
                 **_defaults(options, argv),
-                config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+                config=(
+                    tyro.conf.OmitArgPrefixes,
+                    tyro.conf.FlagCreatePairsOff,
+                    tyro.conf.DisallowNone,
+                ),
+                registry=plain_help(),
             )
     except SystemExit as stop:
         if not stop.code:

@@ -32,7 +32,7 @@ def write_report(folder: RunFolder) -> Path:
     if not folder.has("metrics.json"):
         advice = "continue it with --resume" if maker.resumable else "repeat it"
         raise InputError(f"{folder.path} is not finished; {advice}, then report")
-    for name in folder.manifest():
+    for name in folder.manifest.entries():
         if name.endswith((".eqx", ".npz")) and not name.startswith("checkpoint-"):
             folder.check_file(name)
     additions = [c for c in COMMANDS if c.report is not None and not c.title]

@@ -58,7 +58,7 @@ class Sweep:
         def record(cell: Cell, outcome: Outcome) -> None:
             del cell, outcome  # one that is done makes the run worth keeping
             name = f"{FOLDER}/{SWEEP_FILE}"
-            if name not in self.folder.manifest():
+            if name not in self.folder.manifest.entries():
                 self.folder.record(name)
 
         return run_sweep(

@@ -48,7 +48,7 @@ class FilesOptions(ResumableOptions, frozen=True, kw_only=True):
 
     Attributes:
         data: The file; of several, each gets a run below --out, and all one table.
-        workers: who makes the runs of several files.
+        workers: Who makes the runs of several files.
     """
 
     data: Annotated[tuple[Path, ...], tyro.conf.Positional]

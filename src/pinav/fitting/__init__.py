@@ -1,6 +1,6 @@
 """Fitting: phases that minimise an objective, and the Bayesian fit of kernels."""
 
-from pinav.fitting.bayes.derived import derived as derived
+from pinav.fitting.bayes.derived import derive as derive
 from pinav.fitting.bayes.derived import principal_drags as principal_drags
 from pinav.fitting.bayes.derived import rotational_fraction as rotational_fraction
 from pinav.fitting.bayes.fit_bayes import fit_bayes as fit_bayes
@@ -56,10 +56,10 @@ from pinav.fitting.matching.attempts import fit_in_turns as fit_in_turns
 from pinav.fitting.matching.defects import DefectMatching as DefectMatching
 from pinav.fitting.matching.distillation import Distillation as Distillation
 from pinav.fitting.matching.distillation import Rates as Rates
-from pinav.fitting.matching.fit import Problem as Problem
 from pinav.fitting.matching.fit import fit as fit
 from pinav.fitting.matching.fit import fit_many as fit_many
 from pinav.fitting.matching.gauss_newton import GaussNewton as GaussNewton
+from pinav.fitting.matching.members import Problem as Problem
 from pinav.fitting.matching.objectives import AbstractObjective as AbstractObjective
 from pinav.fitting.matching.objectives import Observations as Observations
 from pinav.fitting.matching.objectives import TrajectoryLoss as TrajectoryLoss

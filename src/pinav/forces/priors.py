@@ -172,16 +172,16 @@ class StationaryPrior(AbstractPrior):
         return np.array([(-1.2, np.log(10 * extent))])
 
     def covariance(self, shape: Shape) -> Matrix:
-        scaled = self._scaled(shape)
+        scaled = self._relative_distances(shape)
         gram = np.exp(-scaled) * (1 + scaled if self.smooth else 1.0)
         return np.kron(gram, np.eye(self.components))
 
     def slopes(self, shape: Shape) -> Matrices:
-        scaled = self._scaled(shape)
+        scaled = self._relative_distances(shape)
         slope = np.exp(-scaled) * (scaled**2 if self.smooth else scaled)
         return np.kron(slope, np.eye(self.components))[None]
 
-    def _scaled(self, shape: Shape) -> Gram:
+    def _relative_distances(self, shape: Shape) -> Gram:
         """Distances in length scales."""
         offsets = self.centers[:, None] - self.centers[None]
         root = np.sqrt(3.0) if self.smooth else 1.0

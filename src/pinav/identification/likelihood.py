@@ -147,7 +147,7 @@ def displacements(theta: Array, design: Design) -> Float[Array, "sample 2"]:
 
 @eqx.filter_custom_vjp
 def _displacements(drive: Array, design: Design) -> Array:
-    return jax.lax.cond(_lags(drive), _lagged, _prompt, drive, design)
+    return jax.lax.cond(_lags(drive), _lag_response, _follow_at_once, drive, design)
 
 
 @_displacements.def_fwd
@@ -169,10 +169,10 @@ def _displacements_reverse(
     del residuals, perturbed
 
     def lagged(drive: Array, cotangent: Array) -> Array:
-        return jax.vjp(lambda d: _lagged(d, design), drive)[1](cotangent)[0]
+        return jax.vjp(lambda d: _lag_response(d, design), drive)[1](cotangent)[0]
 
     def prompt(drive: Array, cotangent: Array) -> Array:
-        jacobian = jax.jacfwd(lambda d: _prompt(d, design))(drive)
+        jacobian = jax.jacfwd(lambda d: _follow_at_once(d, design))(drive)
         return jnp.einsum("sa,sad->d", cotangent, jacobian)
 
     return jax.lax.cond(_lags(drive), lagged, prompt, drive, cotangent)
@@ -182,17 +182,17 @@ def _lags(drive: Array) -> Array:
     return jnp.exp(drive[3]) > 2e-4
 
 
-def _lagged(drive: Array, design: Design) -> Array:
-    programme, response, ts = _driven(drive, design)
+def _lag_response(drive: Array, design: Design) -> Array:
+    programme, response, ts = _programme_of(drive, design)
     return programme.lagged_integral(response, ts, jnp.exp(drive[3]))
 
 
-def _prompt(drive: Array, design: Design) -> Array:
-    programme, response, ts = _driven(drive, design)
+def _follow_at_once(drive: Array, design: Design) -> Array:
+    programme, response, ts = _programme_of(drive, design)
     return programme.integral(response, ts)
 
 
-def _driven(
+def _programme_of(
     drive: Array, design: Design
 ) -> tuple[HeldProgramme, SwitchedResponse, Array]:
     blocks: Any = design.blocks  # as JAX arrays

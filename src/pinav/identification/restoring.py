@@ -90,7 +90,7 @@ def restoring_force(train: Track, held_out: Track) -> RestoringForce:
     Raises:
         InputError: the training part is too short.
     """
-    positions = [_spaced(piece.times, piece.states) for piece in train.pieces]
+    positions = [_resample(piece.times, piece.states) for piece in train.pieces]
     rows = [_rows(path) for path in positions if len(path) > 2]
     if sum(len(steps) for steps, _ in rows) < LEAST_STEPS:
         raise InputError(
@@ -115,7 +115,7 @@ def restoring_force(train: Track, held_out: Track) -> RestoringForce:
     )
 
 
-def _spaced(times: np.ndarray, states: np.ndarray) -> Float[np.ndarray, "time 2"]:
+def _resample(times: np.ndarray, states: np.ndarray) -> Float[np.ndarray, "time 2"]:
     """Positions at equal intervals."""
     at = np.arange(times[0], times[-1], INTERVAL)
     return np.stack([np.interp(at, times, column) for column in states.T], axis=1)
@@ -140,7 +140,7 @@ def _share_of_variance(force: RestoringForce, held_out: Track) -> float:
     ahead = round(HORIZON / force.interval)
     displacements, predicted = [], []
     for piece in held_out.pieces:
-        path = _spaced(piece.times, piece.states)
+        path = _resample(piece.times, piece.states)
         for start in range(1, len(path) - ahead):
             before, here = path[start - 1], path[start]
             for _ in range(ahead):

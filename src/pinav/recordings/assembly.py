@@ -42,7 +42,7 @@ def assemble(
             trajectory.
     """
     tracks, faults = _sound(in_known_units(tracks, reading), source)
-    tracks = _selected(tracks, reading, source.stem)
+    tracks = _select(tracks, reading, source.stem)
     tracks = _drop_empty_commands(tracks)
     _check_commands(tracks, reading)
     by_name = particles(tracks, reading)
@@ -117,7 +117,7 @@ def _sound(tracks: Tracks, source: Source) -> tuple[Tracks, list[str]]:
     return tracks.select(kept), several
 
 
-def _selected(tracks: Tracks, reading: Reading, stem: str) -> Tracks:
+def _select(tracks: Tracks, reading: Reading, stem: str) -> Tracks:
     """The rows of the runs and particles that the user names.
 
     Raises:

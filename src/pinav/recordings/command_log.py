@@ -187,19 +187,19 @@ def find_offset(recording: Trajectories, log: CommandLog) -> Offset:
     places = np.concatenate([c + np.linspace(-reach, reach, 161) for c in centres])
     table: dict[float, float] = {}
 
-    def explained(shift: float) -> float:
+    def fraction_at(shift: float) -> float:
         if shift not in table:
-            table[shift] = _explained(recording, log, shift)
+            table[shift] = _explained_fraction(recording, log, shift)
         return table[shift]
 
-    best, step = max(places.tolist(), key=explained), reach / 80
+    best, step = max(places.tolist(), key=fraction_at), reach / 80
     for _ in range(3):
-        best = max((best + step * np.linspace(-1, 1, 21)).tolist(), key=explained)
+        best = max((best + step * np.linspace(-1, 1, 21)).tolist(), key=fraction_at)
         step /= 10
-    top = explained(best)
+    top = fraction_at(best)
     if top < FIRM:
         return Offset(0.0, 0.0, 0.0, top)
-    return Offset(best, *_interval(explained, best, top, last - first), top)
+    return Offset(best, *_interval(fraction_at, best, top, last - first), top)
 
 
 def _interval(
@@ -219,7 +219,9 @@ def _interval(
     return ends[0], ends[1]
 
 
-def _explained(recording: Trajectories, log: CommandLog, shift: float) -> float:
+def _explained_fraction(
+    recording: Trajectories, log: CommandLog, shift: float
+) -> float:
     """Share of the velocity's variance, by a turned or a mirrored gain."""
     inside = any(
         piece.times[-1] > log.times[0] + shift

@@ -223,13 +223,13 @@ class Source:
         if self.kind == "workbook":
             return sheet_table(self.content, self.layout, self.faults)
         if self.kind == "text":
-            return self.delimited(skip=self.skip)
+            return self.read_text_table(skip=self.skip)
         raise InputError(
             f"expected a table as text, workbook, parquet or array, got {self.kind}; "
             "export it as CSV"
         )
 
-    def delimited(
+    def read_text_table(
         self, *, skip: int = 0, below: int = 0, names: Sequence[str] | None = None
     ) -> Table:
         """The table of a text file; see `read_delimited`.

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int, PyTree
 
 from pinav.errors import InputError
 from pinav.fitting import EvidenceFit
-from pinav.fitting.bayes.derived import derived
+from pinav.fitting.bayes.derived import derive
 from pinav.fitting.engine.posterior import Posterior
 from pinav.fitting.engine.steps import ShortenedStep
 from pinav.fitting.least_squares import fit_regression
@@ -238,7 +238,7 @@ def perfusion_curve(
         visited: range [°C] that its tissue went through.
     """
     at = jnp.asarray(temperatures, float)
-    estimates = derived(posterior, lambda model: jnp.log(law(model)(at)))
+    estimates = derive(posterior, lambda model: jnp.log(law(model)(at)))
     return PerfusionCurve(
         temperatures=np.asarray(at),
         values=np.exp([estimate.value for estimate in estimates]),

@@ -208,6 +208,11 @@ class Trajectories(eqx.Module):
         return map(self.trajectory, range(len(self)))
 
     @property
+    def spread(self) -> float:
+        """Standard deviation of all observed numbers together; 1 where it is zero."""
+        return float(np.std(self.states[self.observed])) or 1.0
+
+    @property
     def num_observed(self) -> int:
         """Number of observed values, all trajectories and channels together."""
         return int(self.observed.sum())

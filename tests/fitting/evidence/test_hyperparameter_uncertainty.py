@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pinav.commands.fit.job import narrow_prior
+from pinav.commands.fit.remarks import narrow_prior
 from pinav.dynamics import OverdampedSwimmer
 from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.evidence.hyperparameter_uncertainty import is_confined

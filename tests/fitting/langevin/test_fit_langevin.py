@@ -9,7 +9,7 @@ from pinav.dynamics import BrownianSwimmer, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.fitting import (
     Posterior,
-    derived,
+    derive,
     fit_langevin,
     kernel_environment,
     model_evidence,
@@ -196,7 +196,7 @@ def test_the_delta_method_is_exact_for_a_linear_quantity():
     model = swimmer(HarmonicTrap(1.0, [2.0, 0.0]))
     free, theta = ravel_model(model, lambda m: m.environment.center)
     covariance = np.array([[2.0, 0.5], [0.5, 1.0]])
-    (found,) = derived(
+    (found,) = derive(
         Posterior(free, np.asarray(theta), covariance),
         lambda m: m.environment.center[:1] - 3 * m.environment.center[1:],
     )

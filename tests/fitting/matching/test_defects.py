@@ -16,7 +16,7 @@ from pinav.fitting import (
     fit,
 )
 from pinav.fitting.matching.defects import DAMPINGS, full_step
-from pinav.fitting.matching.fit import split_trainable
+from pinav.fitting.matching.trainable import split_trainable
 from pinav.fitting.matching.windows import Windows
 from pinav.forces import GaussianBarrier, LinearDrag, ZeroForce
 from pinav.trajectories import Trajectories

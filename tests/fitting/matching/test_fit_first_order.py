@@ -14,7 +14,7 @@ from pinav.fitting import (
     curriculum,
     fit,
 )
-from pinav.fitting.matching.fit import split_trainable
+from pinav.fitting.matching.trainable import split_trainable
 from pinav.fitting.matching.windows import Windows
 from pinav.forces import (
     GaussianBarrier,

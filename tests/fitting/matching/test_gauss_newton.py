@@ -20,8 +20,9 @@ from pinav.fitting import (
     fit,
     kernel_environment,
 )
-from pinav.fitting.matching.fit import _run_chunk, split_trainable
 from pinav.fitting.matching.gauss_newton import low_rank
+from pinav.fitting.matching.members import run_chunk
+from pinav.fitting.matching.trainable import split_trainable
 from pinav.fitting.matching.windows import Windows
 from pinav.forces import (
     GaussianBarrier,
@@ -154,7 +155,7 @@ def data():
 
 @pytest.mark.slow
 def test_the_curriculum_fits_kernels_and_compiles_once(data):
-    compiled = _run_chunk._cached._cache_size()
+    compiled = run_chunk._cached._cache_size()
     found = learn_environment(kernel_swimmer(data), data, curriculum(data))
     assert found.losses[-1] < 1e-8 * found.losses[0]
     assert len(found.losses) - 1 <= 20
@@ -164,7 +165,7 @@ def test_the_curriculum_fits_kernels_and_compiles_once(data):
         "L = 25",
         "L = 30",
     ]
-    assert _run_chunk._cached._cache_size() == compiled + 1
+    assert run_chunk._cached._cache_size() == compiled + 1
 
 
 @pytest.mark.slow

@@ -80,7 +80,7 @@ def test_what_stationary_beads_gain_keeps_them_stationary(exposure):
 def test_a_bead_follows_a_steady_drive_at_the_distance_of_the_lag():
     times = np.arange(50.0)
     data = TrapData(*map(jnp.asarray, (times, 0 * times, 3 * times)), even=True)
-    behind = data.drive - data.followed(TRAP)
+    behind = data.drive - data.mean_path(TRAP)
     lag = 3 / TRAP.rate + 3 * TRAP.exposure / 2
     np.testing.assert_allclose(behind, jnp.full(50, lag), rtol=1e-12)
 

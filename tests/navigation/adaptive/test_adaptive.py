@@ -8,9 +8,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
+from pinav.forces import (
+    ConstantDirector,
+    ConstantForce,
+    TensorDrag,
+    UniaxialTensor,
+    ZeroForce,
+)
 from pinav.navigation import Disc, Rectangle, physics_only, task, time_to_go
 from pinav.navigation.adaptive.flight import fly, know_truth
+from pinav.navigation.adaptive.known import with_known
 from pinav.navigation.adaptive.safety import check_command
 from pinav.navigation.adaptive.scores import score_force
 from pinav.navigation.adaptive.steering import Adaptive
@@ -27,6 +36,7 @@ from pinav.navigation.control.controller import Observation
 from pinav.navigation.control.prediction import TrajectoryPrediction
 from pinav.navigation.model.tabulated import tabulate_model
 from pinav.navigation.task.objectives import ReachGoal
+from pinav.navigation.task.steering import SteeredSwimmer
 
 STRATEGIES = {
     "certain": Certain(),
@@ -213,3 +223,49 @@ def test_a_flight_that_knows_nothing_arrives_and_the_second_visit_is_quicker():
     assert second.arrival_time < 1.2 * oracle.arrival_time
     again = fly(adaptive, key=jax.random.key(1))
     np.testing.assert_array_equal(first.states, again.states)
+
+
+def steered(dynamics, **changes):
+    """The vortex' task with another swimmer."""
+    known = small_task(**changes)
+    truth = SteeredSwimmer(dynamics, known.truth.actuator)
+    rest = jnp.zeros(2) if isinstance(dynamics, Swimmer) else jnp.zeros(0)
+    start = jnp.concatenate([known.start[:2], rest])
+    return dataclasses.replace(known, truth=truth, start=start)
+
+
+def test_known_forces_and_unequal_drag_are_no_part_of_what_is_learned():
+    gravity = jnp.array([0.0, -0.3])
+    tensor = UniaxialTensor(0.5, 0.2, ConstantDirector(0.0))
+    drag = np.diag([0.5, 0.2])
+    swimmer = Swimmer(
+        ZeroForce(), TensorDrag(tensor), ZeroForce(), ConstantForce(gravity)
+    )
+    adaptive = Adaptive.of(steered(swimmer), points=13, speeds=5)
+    assert adaptive.motion.damping == pytest.approx(0.35)
+    belief = adaptive.believe(frame_at(3.0, 5.0))
+    velocity = np.array([0.4, -0.2])
+    state = np.array([3.0, 5.0, *velocity])
+    filters = tuple(dataclasses.replace(f, state=state) for f in belief.filters)
+    moving = dataclasses.replace(belief, filters=filters)
+    frame = with_known(
+        frame_at(3.04, 4.98, 0.1, thrust=(0.2, 0.1)), moving, adaptive.physics
+    )
+    expected = (
+        np.array([0.2, 0.1])
+        + np.asarray(gravity)
+        - (drag - 0.35 * np.eye(2)) @ velocity
+    )
+    np.testing.assert_allclose(frame.thrust, expected, atol=1e-9)
+
+
+def test_thrust_counts_by_the_mobility_without_inertia():
+    swimmer = OverdampedSwimmer(
+        ZeroForce(), ZeroForce(), 0.5, known_force=ConstantForce([0.3, 0.0])
+    )
+    adaptive = Adaptive.of(steered(swimmer), points=13)
+    belief = adaptive.believe(frame_at(3.0, 5.0))
+    frame = with_known(
+        frame_at(3.0, 5.0, 0.1, thrust=(0.0, 0.8)), belief, adaptive.physics
+    )
+    np.testing.assert_allclose(frame.thrust, [0.15, 0.4], atol=1e-9)

@@ -12,7 +12,7 @@ from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer, with_dtype
 from pinav.errors import FitError
 from pinav.fitting import Outcome, Posterior
 from pinav.fitting.engine.parametric_model import ParametricModel, ravel_model
-from pinav.fitting.matching.fit import Trainable
+from pinav.fitting.matching.trainable import Trainable
 from pinav.trajectories import Trajectories, smooth_states
 
 MISFIT_PROBABILITY = 1e-3

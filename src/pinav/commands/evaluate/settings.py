@@ -1,6 +1,7 @@
 """Options of `pinav evaluate`."""
 
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -34,6 +35,8 @@ class EvaluateOptions(Settings, frozen=True):
     run: tyro.conf.Positional[Path]
     data: tyro.conf.Positional[Path]
     calibrate: Path | None = None
-    regions: tuple[float, float] | None = None
+    regions: Annotated[
+        tuple[float, float] | None, tyro.conf.arg(metavar="FLOAT FLOAT")
+    ] = None
     recording: RecordingSettings = RecordingSettings()
     json: AsJson = False

@@ -16,7 +16,7 @@ from pinav.commands.export.spots import (
 )
 from pinav.commands.fitted_run import FittedRun
 from pinav.errors import InputError
-from pinav.evaluation import extent
+from pinav.evaluation import extent, require_x64
 from pinav.fitting import ParametricModel, Posterior
 from pinav.fitting.engine.parametric_model import parameter_names
 from pinav.trajectories import POSITION_CHANNELS
@@ -57,8 +57,10 @@ def datatree_of(
         seed: of the draws.
 
     Raises:
-        InputError: xarray is not installed, or the run learned no force.
+        InputError: xarray is not installed, the run learned no force, or x64 is
+            switched off.
     """
+    require_x64("drawing from a posterior")
     try:
         from xarray import DataTree
     except ImportError as error:

@@ -99,7 +99,7 @@ class FitMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
 
     def text(self) -> str:
         """The metrics for a terminal."""
-        errors = f"RMSE: {_joined(self.rmse)}"
+        errors = f"RMSE: {_list_values(self.rmse)}"
         if self.restarts is not None:
             errors = self.restarts.text()
         lines = [self._how(), errors]
@@ -128,5 +128,5 @@ class FitMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
         )
 
 
-def _joined(values: dict[str, float | None]) -> str:
+def _list_values(values: dict[str, float | None]) -> str:
     return ", ".join(f"{name} {number(value, 3)}" for name, value in values.items())

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.commands.fitted_run import FittedRun
-from pinav.fitting import derived
+from pinav.fitting import derive
 from pinav.forces import AbstractProfileTerm, StructuredForce
 from pinav.report import number
 
@@ -83,7 +83,7 @@ def structure_row(run: FittedRun) -> StructureRow | None:
     gain = evidence.structure.gain
     rows: list[TermRow] = []
     for index, term in enumerate(getattr(force, "terms", ())):
-        numbers = derived(evidence.posterior, lambda m, i=index: _numbers(m, i))
+        numbers = derive(evidence.posterior, lambda m, i=index: _numbers(m, i))
         rows.append(
             TermRow(
                 term.kind,
@@ -119,7 +119,7 @@ def profile_arrays(run: FittedRun) -> dict[str, np.ndarray]:
         def profile(model: Any, i: int = index, z: Any = places) -> Array:
             return jax.vmap(model.environment.terms[i].profile)(jnp.asarray(z))
 
-        values = derived(run.posterior, profile)
+        values = derive(run.posterior, profile)
         arrays[f"structure/{index}"] = np.stack(
             [places, [v.value for v in values], [v.sd for v in values]]
         )

@@ -143,7 +143,9 @@ class ThermalRow(msgspec.Struct, frozen=True):
             },
             limit=checks.band,
             thinned=tuple(
-                ThinnedRow(one.every, _named(one.axes, data), EstimateRow.of(one.ratio))
+                ThinnedRow(
+                    one.every, _channel_names(one.axes, data), EstimateRow.of(one.ratio)
+                )
                 for one in checks.thinned
             ),
             observed=observed_rows(fit, data),
@@ -242,7 +244,7 @@ def _draws(
     return np.array([mean(one) for one in field.samples(DRAWS)])
 
 
-def _named(axes: Sequence[int], data: Trajectories) -> tuple[str, ...]:
+def _channel_names(axes: Sequence[int], data: Trajectories) -> tuple[str, ...]:
     return tuple(data.channels[axis] for axis in axes)
 
 

@@ -180,13 +180,13 @@ def _source_numbers(settings: Learn) -> Callable[[Any], Any]:
         source: Any = model.sources[0]
         numbers = []
         if settings.power_scale:
-            numbers.append(_scaled(source).scale)
+            numbers.append(_unshifted_source(source).scale)
         return (*numbers, source.shift) if settings.spot else tuple(numbers)
 
     return pick
 
 
-def _scaled(source: Any) -> Any:
+def _unshifted_source(source: Any) -> Any:
     """The source that has the factor of the power."""
     return source.source if isinstance(source, ShiftedSource) else source
 

@@ -35,7 +35,7 @@ from pinav.commands.heat.simulate import spacing
 from pinav.commands.heat.task import AbstractTask, TaskResult
 from pinav.errors import InputError
 from pinav.fitting import EvidenceFit
-from pinav.fitting.bayes.derived import derived
+from pinav.fitting.bayes.derived import derive
 from pinav.thermal.bioheat import Bioheat
 from pinav.thermal.learning import (
     ProbeResiduals,
@@ -126,7 +126,7 @@ def _compare(learning: LearningCase, fit: EvidenceFit) -> tuple[QuantityMetrics,
     true: list[float | None] = [None] * len(names)
     if learning.truth is not None and names:
         true = np.asarray(quantities(learning.truth.model)).tolist()
-    estimates = derived(fit.posterior, quantities) if names else []
+    estimates = derive(fit.posterior, quantities) if names else []
     return tuple(
         QuantityMetrics(name, one.value, one.sd, truth)
         for name, one, truth in zip(names, estimates, true, strict=True)

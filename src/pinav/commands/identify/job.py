@@ -97,7 +97,7 @@ def identify(
     compared = longest[: settings.max_tracks] if settings.candidates == "all" else []
     full = {track.name for track in compared}
     drawn = {track.name for track in longest[:FIGURES]}
-    undone = [i for i in _alternate_lengths(several) if not folder.has(_stored(i))]
+    undone = [i for i in _alternate_lengths(several) if not folder.has(_track_file(i))]
 
     def result(index: int) -> "_Result":
         track = several[index]
@@ -116,10 +116,10 @@ def identify(
                 folder.write_arrays(f"track-{index}.npz", arrays)
             if one.fit is not None:
                 _write_track_fit(folder, index, one, name, recording.units)
-            folder.write_metrics(_stored(index), one.metrics)
+            folder.write_metrics(_track_file(index), one.metrics)
             folder.append_record({"track": name, "chosen": one.metrics.chosen})
     results = {
-        track.name: folder.read_metrics(_stored(i), TrackMetrics)
+        track.name: folder.read_metrics(_track_file(i), TrackMetrics)
         for i, track in enumerate(several)
     }
     chosen = _system_track(settings.track, results)
@@ -159,7 +159,7 @@ def _alternate_lengths(several: list[Track]) -> list[int]:
     return [index for pair in pairs for index in pair if index is not None]
 
 
-def _stored(index: int) -> str:
+def _track_file(index: int) -> str:
     return f"track-{index}.json"
 
 

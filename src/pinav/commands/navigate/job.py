@@ -23,6 +23,7 @@ from pinav.commands.navigate.setup import NavigationProblem, navigation_problem
 from pinav.commands.navigate.suggestion import suggest_trajectory
 from pinav.commands.navigate.tables import text
 from pinav.commands.start import start_run
+from pinav.commands.steering import observe_positions
 from pinav.errors import InputError
 from pinav.evaluation import distances
 from pinav.navigation import (
@@ -38,6 +39,7 @@ from pinav.navigation import (
     summary,
 )
 from pinav.navigation import run as run_episode
+from pinav.navigation.adaptive.steering import Adaptive
 from pinav.runs import RunFolder
 
 MAP_POINTS = 61
@@ -84,6 +86,7 @@ def navigate(
         step=_step_times(problem, steered, settings),
         units=problem.data.units,
         order=problem.order,
+        force=problem.force,
         thrust=problem.thrust,
         delay=task.delay,
         suggestion=suggestion,
@@ -244,9 +247,15 @@ def run(options: NavigateOptions) -> CommandResult:
     """Navigate as the command line does."""
     settings = options.settings
     if options.run is None:
-        adaptive = online.online_controller(settings, options.online)
+        known = online.task_to_learn(settings, options.online)
+        adaptive = Adaptive.of(
+            observe_positions(known, options.online.position_noise),
+            online.STRATEGIES[options.online.strategy],
+        )
         folder = start_run(NAVIGATE, options, settings, options.online)
-        learned = online.learn_online(settings, options.online, adaptive, folder)
+        learned = online.learn_online(
+            settings, options.online, adaptive, known.time_limit, folder
+        )
         return CommandResult(learned, online.text(learned), folder)
     problem = navigation_problem(settings, FittedRun.open(options.run))
     folder = start_run(NAVIGATE, options, settings, fitted=options.run.name)

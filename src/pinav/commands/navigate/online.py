@@ -13,6 +13,7 @@ from tqdm import tqdm
 from pinav.commands.cells import Row
 from pinav.commands.navigate.metrics import ArrivalRow, IntervalRow
 from pinav.commands.navigate.settings import NavigateSettings, OnlineSettings
+from pinav.commands.steering import observe_positions, system_task
 from pinav.navigation import Disc, Task, task
 from pinav.navigation.adaptive.flight import Flight, fly
 from pinav.navigation.adaptive.scores import Outcome, judge_flights, true_force
@@ -29,6 +30,7 @@ from pinav.navigation.belief.belief import Belief
 from pinav.report import Table
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
+from pinav.scenarios import find_system
 
 STRATEGIES: Mapping[str, AbstractStrategy] = {
     "certain": Certain(),
@@ -116,10 +118,7 @@ class OnlineMetrics(msgspec.Struct, frozen=True):
 
 
 def online_task(name: str, *, position_noise: float, delay: float | None) -> Task:
-    """A task whose positions alone are observed, with an error.
-
-    With inertia the time limit is doubled, so that a slow arrival is a regret and not a
-    failure.
+    """A task of the package as `observe_positions` has it.
 
     Args:
         name: of the task.
@@ -130,12 +129,8 @@ def online_task(name: str, *, position_noise: float, delay: float | None) -> Tas
         InputError: no task has that name.
     """
     known = task(name)
-    return dataclasses.replace(
-        known,
-        sensor_noise=position_noise,
-        delay=known.delay if delay is None else delay,
-        time_limit=known.time_limit * (2 if len(known.start) == 4 else 1),
-    )
+    delayed = known if delay is None else dataclasses.replace(known, delay=delay)
+    return observe_positions(delayed, position_noise)
 
 
 def oracle_flights(adaptive: Adaptive, seeds: Sequence[int], seed: int) -> list[Flight]:
@@ -177,25 +172,37 @@ def _key(seed: int, index: int) -> PRNGKeyArray:
     return jax.random.fold_in(jax.random.key(seed), index)
 
 
-def online_controller(settings: NavigateSettings, online: OnlineSettings) -> Adaptive:
-    """The controller that the options ask for.
+def task_to_learn(settings: NavigateSettings, online: OnlineSettings) -> Task:
+    """The task that the options ask for, before its observation is changed.
 
     Raises:
-        InputError: the task is unknown, or is not to reach a place.
+        InputError: the task or the system is unknown, or the system cannot be steered
+            through.
     """
-    problem = online_task(
-        online.task or "", position_noise=online.position_noise, delay=settings.delay
-    )
-    return Adaptive.of(problem, STRATEGIES[online.strategy])
+    if online.system is not None:
+        return system_task(settings, find_system(online.system))
+    known = task(online.task or "")
+    if settings.delay is None:
+        return known
+    return dataclasses.replace(known, delay=settings.delay)
 
 
 def learn_online(
     settings: NavigateSettings,
     online: OnlineSettings,
     adaptive: Adaptive,
+    own_limit: float,
     folder: RunFolder,
 ) -> OnlineMetrics:
-    """Do a task without data beforehand, and write the results."""
+    """Do a task without data beforehand, and write the results.
+
+    Args:
+        settings: of the command.
+        online: of learning.
+        adaptive: the controller.
+        own_limit: time limit of the task itself [T].
+        folder: of the run.
+    """
     problem = adaptive.task
     seeds = range(settings.seeds)
     flights = {
@@ -208,9 +215,9 @@ def learn_online(
         position_noise=online.position_noise,
         delay=problem.delay,
         time_limit=problem.time_limit,
-        own_limit=task(problem.name).time_limit,
+        own_limit=own_limit,
         thrust=adaptive.thrust,
-        controllers=rows_of(flights, adaptive, task(problem.name).time_limit),
+        controllers=rows_of(flights, adaptive, own_limit),
     )
     folder.write_arrays("results.npz", _arrays(adaptive, flights))
     folder.write_metrics("metrics.json", metrics)

@@ -73,8 +73,8 @@ def weakness(settings: StudySettings, folder: RunFolder) -> WeaknessMetrics:
     seed = settings.seeds[0]
     clean = clean_data("barrier-crossings", seed, settings.count)
     several = with_noise(clean, settings.sigma, seed)
-    ude = _stored(folder, "model-ude.eqx", _fit_ude, settings, single)
-    kernel = _stored(folder, "model-kernel.eqx", _fit_kernel, settings, several)
+    ude = _read_or_fit(folder, "model-ude.eqx", _fit_ude, settings, single)
+    kernel = _read_or_fit(folder, "model-kernel.eqx", _fit_kernel, settings, several)
     physics = paper().swimmer
     held = held_out(paper(), until=20.0, count=settings.held_out)
     chosen = {UDE: (ude, single), KERNEL: (kernel, clean), PHYSICS: (physics, single)}
@@ -96,7 +96,7 @@ def weakness(settings: StudySettings, folder: RunFolder) -> WeaknessMetrics:
     return metrics
 
 
-def _stored(
+def _read_or_fit(
     folder: RunFolder,
     name: str,
     make: Callable[

@@ -1,6 +1,7 @@
 """Settings of `pinav truth`."""
 
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -13,12 +14,17 @@ class TruthSettings(Settings, frozen=True):
     Attributes:
         only: Cases that are judged, by the names of their folders; all of them unless
             given.
-        peer: Run StochasticForceInference on the same recordings, where it is
-            installed.
+        peer: Whether StochasticForceInference runs on the same recordings.
     """
 
     only: tuple[str, ...] = ()
-    peer: bool = True
+    peer: Annotated[
+        bool,
+        tyro.conf.arg(
+            help="Leave out StochasticForceInference, which runs on the same "
+            "recordings where it is installed."
+        ),
+    ] = True
 
 
 class TruthOptions(RunOptions, frozen=True, kw_only=True):

@@ -18,7 +18,7 @@ from pinav.fitting.engine.posterior import Estimate, Posterior
 from pinav.forces import AbstractForce, CholeskyTensor, KernelMixture, TensorDrag
 
 
-def derived(
+def derive(
     posterior: Posterior, quantity: Callable[[Any], Float[Array, " value"]]
 ) -> list[Estimate]:
     """Values of a function of the model, with their standard deviations.
@@ -69,7 +69,7 @@ def principal_drags(posterior: Posterior) -> dict[str, Estimate]:
             f"{type(tensor or drag).__name__}"
         )
     names = ("along", "across", "director")
-    values = derived(posterior, lambda model: _principal(model.drag.tensor))
+    values = derive(posterior, lambda model: _principal(model.drag.tensor))
     found: dict[str, Estimate] = dict(zip(names, values, strict=True))
     if not np.isfinite(found["director"].sd):
         found["director"] = Estimate(found["director"].value, float("inf"))
@@ -115,7 +115,7 @@ def rotational_fraction(
         gradient = _total_square(model.environment.gradient, time, places)
         return jnp.stack([rotation / (rotation + gradient)])
 
-    return derived(posterior, fraction)[0]
+    return derive(posterior, fraction)[0]
 
 
 def _total_square(

@@ -10,7 +10,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree
 
-from pinav.fitting.matching.fit import Trainable, split_trainable
+from pinav.fitting.matching.trainable import Trainable, split_trainable
 
 
 class ParametricModel(eqx.Module):

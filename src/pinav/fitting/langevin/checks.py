@@ -61,7 +61,7 @@ class LangevinChecks(eqx.Module):
     def failures(self) -> tuple[str, ...]:
         """One sentence for each check that fails."""
         return (
-            *self._correlated(),
+            *self._correlation_remarks(),
             *(
                 f"Diffusion along {_words(one.axes)} from every {one.every} samples is "
                 f"{one.ratio.value:.3f}({one.ratio.sd:.3f}) times that of all: steps "
@@ -77,7 +77,7 @@ class LangevinChecks(eqx.Module):
             ),
         )
 
-    def _correlated(self) -> tuple[str, ...]:
+    def _correlation_remarks(self) -> tuple[str, ...]:
         limit = max(SIGNIFICANT * self.band / 2, SLIGHT)
         lags, axes = np.nonzero(np.abs(self.correlations) > limit)
         return tuple(

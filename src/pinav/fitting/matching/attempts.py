@@ -7,9 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from pinav.dynamics import AbstractDynamics
-from pinav.fitting.matching.fit import Recipe, Trainable, fit_many
+from pinav.fitting.matching.fit import Recipe, fit_many
 from pinav.fitting.matching.objectives import AbstractObjective
 from pinav.fitting.matching.state import AbstractCheckpoint, Fit, FitProgress
+from pinav.fitting.matching.trainable import Trainable
 from pinav.fitting.outcome import Outcome
 from pinav.trajectories import Trajectories
 

@@ -1,16 +1,22 @@
 """`fit`: a recipe of phases applied to one model, or to many at once."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, PyTree, Shaped
+from jaxtyping import Array, PyTree, Shaped
 
 from pinav.dynamics import AbstractDynamics, with_dtype
 from pinav.errors import FitError, InputError
+from pinav.fitting.matching.members import (
+    Problem,
+    begin_phase,
+    finish_phase,
+    member_losses,
+    run_chunk,
+)
 from pinav.fitting.matching.objectives import (
     AbstractObjective,
     Observations,
@@ -23,11 +29,11 @@ from pinav.fitting.matching.state import (
     FitProgress,
     FitState,
 )
+from pinav.fitting.matching.trainable import Trainable, split_trainable
 from pinav.fitting.outcome import Outcome
 from pinav.trajectories import Trajectories
 
 Recipe = Sequence[AbstractPhase]
-Trainable = Callable[[Any], PyTree]
 
 
 def fit(
@@ -123,28 +129,6 @@ def fit_many(
         return task.results(start, state)
 
 
-class Problem(eqx.Module):
-    """What is minimised, as a function of the parameters alone.
-
-    Attributes:
-        static: the model without the leaves that train.
-        observations: what the model is to explain.
-        objective: how badly it does.
-    """
-
-    static: PyTree
-    observations: Observations
-    objective: AbstractObjective
-
-    def model(self, params: PyTree) -> Any:
-        """The model with these parameters."""
-        return eqx.combine(params, self.static)
-
-    def __call__(self, params: PyTree) -> Float[Array, ""]:
-        """Loss of these parameters."""
-        return self.objective(self.model(params), self.observations)
-
-
 class _FitTask(eqx.Module):
     """The parts of a fit that do not change while it runs.
 
@@ -191,9 +175,9 @@ class _FitTask(eqx.Module):
         """State of the minimiser at the start of a phase; outcomes after the last."""
         if phase == len(self.recipe):
             return jnp.zeros(jax.tree.leaves(params)[0].shape[0], int)
-        values = _member_losses(self.problem, params, self.at_once)
+        values = member_losses(self.problem, params, self.at_once)
         members = (params, values)
-        return _begin_phase(self.problem, self.recipe[phase], members, self.at_once)
+        return begin_phase(self.problem, self.recipe[phase], members, self.at_once)
 
     def abreast(self, phase: AbstractPhase) -> int | None:
         """How many members take a step side by side; None for all of them."""
@@ -210,7 +194,7 @@ class _FitTask(eqx.Module):
         phase = self.recipe[state.phase]
         left = phase.num_steps - (state.taken - state.starts[-1])
         count = min(phase.chunk_steps, left)
-        params, minimiser, losses, done = _run_chunk(
+        params, minimiser, losses, done = run_chunk(
             self.problem,
             phase,
             state.params,
@@ -221,13 +205,13 @@ class _FitTask(eqx.Module):
         )
         starts, taken = state.starts, state.taken + count
         if count == left or bool(done):
-            params = _finish_phase(self.problem, phase, params, minimiser, self.at_once)
+            params = finish_phase(self.problem, phase, params, minimiser, self.at_once)
             starts = (*starts, taken)
             outcomes = jax.vmap(phase.outcome)(minimiser)
             minimiser = self.begin(len(starts) - 1, params)
             if len(starts) > len(self.recipe):
                 minimiser = outcomes.astype(minimiser.dtype)
-                final = _member_losses(self.problem, params, self.at_once)
+                final = member_losses(self.problem, params, self.at_once)
                 losses = losses.at[:, taken].set(final.astype(losses.dtype))
         chunk = np.asarray(losses)[:, state.taken : taken]
         state = FitState(params, minimiser, losses, starts, taken)
@@ -295,130 +279,3 @@ def _stack(several: list[Observations]) -> Observations:
 
     padded = [jax.tree.map(pad, one) for one in several]
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *padded)
-
-
-def _for_each(
-    function: Callable[..., PyTree],
-    problem: Problem,
-    members: tuple[PyTree, ...],
-    at_once: int | None,
-) -> PyTree:
-    """`function(problem, *member)` for all members, `at_once` of them side by side."""
-    count = jax.tree.leaves(members)[0].shape[0]
-    observations = problem.observations
-    shared = observations.times.shape[0] == 1
-
-    def one(own: Observations, *member: PyTree) -> PyTree:
-        return function(eqx.tree_at(lambda p: p.observations, problem, own), *member)
-
-    if shared:
-        observations = jax.tree.map(lambda leaf: leaf[0], observations)
-    if at_once is None or at_once >= count:
-        axes = (None if shared else 0, *(0 for _ in members))
-        return jax.vmap(one, axes)(observations, *members)
-    # In a batch of one, both branches of a condition would still be computed.
-    size = None if at_once == 1 else at_once
-    if shared:
-        return jax.lax.map(lambda m: one(observations, *m), members, batch_size=size)
-    return jax.lax.map(lambda m: one(*m), (observations, *members), batch_size=size)
-
-
-@eqx.filter_jit
-def _begin_phase(
-    problem: Problem,
-    phase: AbstractPhase,
-    members: tuple[PyTree, ...],
-    at_once: int | None,
-) -> PyTree:
-    return _for_each(phase.init, problem, members, at_once)
-
-
-@eqx.filter_jit
-def _finish_phase(
-    problem: Problem,
-    phase: AbstractPhase,
-    params: PyTree,
-    minimiser: PyTree,
-    at_once: int | None,
-) -> PyTree:
-    return _for_each(phase.finish, problem, (params, minimiser), at_once)
-
-
-@eqx.filter_jit
-def _member_losses(
-    problem: Problem, params: PyTree, at_once: int | None
-) -> Float[Array, " member"]:
-    return _for_each(lambda p, own: p(own), problem, (params,), at_once)
-
-
-@eqx.filter_jit
-def _run_chunk(
-    problem: Problem,
-    phase: AbstractPhase,
-    params: PyTree,
-    minimiser: PyTree,
-    losses: Float[Array, "member step"],
-    position: Int[Array, "2"],
-    at_once: int | None = None,
-) -> tuple[PyTree, PyTree, Float[Array, "member step"], Bool[Array, ""]]:
-    """Take `count` steps from `offset`: traced numbers, so that one compile serves.
-
-    Phases that differ in their arrays alone, such as the window of `GaussNewton`,
-    share the compiled function too.
-    """
-    offset, count = position
-
-    def body(
-        index: Int[Array, ""], carry: tuple[PyTree, PyTree, Float[Array, "member step"]]
-    ) -> tuple[PyTree, PyTree, Float[Array, "member step"]]:
-        params, minimiser, losses = carry
-        params, minimiser, values = _for_each(
-            phase.step, problem, (params, minimiser), at_once
-        )
-        losses = losses.at[:, offset + index].set(values.astype(losses.dtype))
-        return params, minimiser, losses
-
-    carry = jax.lax.fori_loop(0, count, body, (params, minimiser, losses))
-    return *carry, jnp.all(jax.vmap(phase.is_done)(carry[1]))
-
-
-def split_trainable(
-    model: Any, trainable: Trainable, dtype: type
-) -> tuple[PyTree, PyTree]:
-    """The model as (leaves that train, everything else), to be recombined.
-
-    Args:
-        model: the model.
-        trainable: picks a subtree or a tuple of subtrees; their inexact arrays and
-            Python floats train.
-        dtype: floating-point type of the leaves that train.
-
-    Raises:
-        InputError: the selection holds no number that could train.
-    """
-
-    def as_array(leaf: Any) -> Any:
-        return jnp.asarray(leaf, dtype) if _is_number(leaf) else leaf
-
-    def subtrees(model: Any) -> list[PyTree]:
-        return _without_nesting(trainable(model))
-
-    chosen = jax.tree.map(as_array, subtrees(model))
-    model = eqx.tree_at(subtrees, model, chosen)
-    spec = jax.tree.map(lambda _: False, model)
-    spec = eqx.tree_at(subtrees, spec, jax.tree.map(eqx.is_inexact_array, chosen))
-    if not any(jax.tree.leaves(spec)):
-        raise InputError(
-            "fit trainable: the selection holds no floating-point array or number; "
-            "pick leaves of the model, such as lambda m: m.environment"
-        )
-    return eqx.partition(model, spec)
-
-
-def _without_nesting(selection: PyTree) -> list[PyTree]:
-    """Subtrees of nested tuples in one list, as `eqx.tree_at` needs them."""
-    return jax.tree.leaves(selection, is_leaf=lambda s: not isinstance(s, tuple | list))
-
-
-def _is_number(leaf: Any) -> bool:
-    return isinstance(leaf, float) or eqx.is_inexact_array(leaf)

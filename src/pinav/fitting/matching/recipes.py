@@ -53,7 +53,7 @@ def curriculum(
         raise InputError(f"curriculum max_steps: expected >= 1, got {max_steps}")
     last = int(trajectories.lengths.max()) - 1
     windows = [5**power for power in range(20) if 5**power < last]
-    spread = _spread(trajectories)
+    spread = trajectories.spread
     steps = [
         GaussNewton(jnp.asarray(w), target=spread / 500, steps=max_steps)
         for w in windows
@@ -94,7 +94,7 @@ def defect_recipe(
             "defect_recipe: expected every state observed, because each is the start "
             "of a step; choose curriculum"
         )
-    last, spread = int(trajectories.lengths.max()) - 1, _spread(trajectories)
+    last, spread = int(trajectories.lengths.max()) - 1, trajectories.spread
 
     def match(
         window: int, samples: Int[np.ndarray, "sample 2"] | None
@@ -118,10 +118,6 @@ def defect_recipe(
 def is_complete(trajectories: Trajectories) -> bool:
     """Whether every state of every sample is observed."""
     return all(bool(one.observed.all()) for one in trajectories)
-
-
-def _spread(trajectories: Trajectories) -> float:
-    return float(np.std(trajectories.states[trajectories.observed])) or 1.0
 
 
 def _full_rollout(

@@ -96,7 +96,7 @@ class TrapData(eqx.Module):
         """Durations from frame to frame [T]."""
         return jnp.diff(self.times)
 
-    def followed(self, trap: TrapModel) -> Float[Array, " frame"]:
+    def mean_path(self, trap: TrapModel) -> Float[Array, " frame"]:
         """Mean position over each exposure of a bead that no heat moves [L].
 
         The drive is linear from frame to frame; before the first frame it moved as in
@@ -159,7 +159,7 @@ def trap_likelihood(trap: TrapModel, data: TrapData) -> TrapLikelihood:
     onward = [
         jnp.concatenate([part, 0 * ones]) for part in (steps.decay, steps.reach, kept)
     ]
-    deviations = data.positions - data.followed(trap)
+    deviations = data.positions - data.mean_path(trap)
     columns = jnp.stack([deviations, jnp.ones_like(deviations)], axis=1)
 
     def step(state: Array, inputs: tuple[Array, ...]) -> tuple[Array, Array]:

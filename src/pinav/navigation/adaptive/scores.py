@@ -98,12 +98,15 @@ def judge_flights(
         adaptive: the controller; its task says what is true.
         own_limit: time limit of the task itself [T].
         oracle: flights with the truth, of the same keys; none for the oracle itself.
+            A pair whose oracle did not arrive has no regret.
     """
     times = np.array([flight.arrival_time for flight in flights])
     arrived = times[np.isfinite(times)]
     count, ratio, scores = len(flights), None, None
     if oracle:
-        ratio = median(times / np.array([flight.arrival_time for flight in oracle]))
+        best = np.array([flight.arrival_time for flight in oracle])
+        pairs = np.isfinite(best)
+        ratio = median(times[pairs] / best[pairs]) if pairs.any() else None
         scores = np.array([score_force(flight, adaptive) for flight in flights])
     quantiles = (np.nan, np.nan, np.nan)
     if len(arrived):

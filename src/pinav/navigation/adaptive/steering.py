@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from pinav.errors import InputError
+from pinav.navigation.adaptive.known import motion_of, with_known
 from pinav.navigation.adaptive.safety import Verdict, check_command
 from pinav.navigation.adaptive.strategies import (
     BONUS,
@@ -29,11 +30,15 @@ from pinav.navigation.control.mppi import PathIntegral
 from pinav.navigation.control.prediction import GradientGuide, TrajectoryPrediction
 from pinav.navigation.control.simple import physics_only
 from pinav.navigation.model.predictors import AbstractPredictor, InertialTable
-from pinav.navigation.model.tabulated import TabulatedModel, tabulate_model
+from pinav.navigation.model.tabulated import (
+    TabulatedModel,
+    greatest_rate,
+    tabulate_model,
+)
 from pinav.navigation.planning.plan import TimeToGo, check_places
 from pinav.navigation.planning.replanning import Replanner
 from pinav.navigation.task.objectives import ReachGoal
-from pinav.navigation.task.steering import Command, greatest_thrust
+from pinav.navigation.task.steering import Command
 from pinav.navigation.task.task import Task
 from pinav.navigation.task.zones import Rectangle
 
@@ -150,6 +155,11 @@ class Adaptive:
             )
         check_places(task)
         physics = tabulate_model(task, physics_only(task.truth))
+        if len(physics.table.values) > 1:
+            raise InputError(
+                f"task {task.name!r}: learning on the way expected known forces and "
+                "flows that do not change in time"
+            )
         inertial = isinstance(physics.predictor, InertialTable)
         if points is None:
             points = POINTS if inertial else FLAT_POINTS
@@ -164,8 +174,8 @@ class Adaptive:
             task,
             Priced(BONUS) if strategy is None else strategy,
             physics,
-            _motion(task, physics, inertial=inertial),
-            float(greatest_thrust(task.truth.actuator, task.limits)),
+            motion_of(task, physics),
+            float(greatest_rate(physics.table, physics.control_map, inertial=inertial)),
             over_arena,
             about_goal,
             safe,
@@ -206,8 +216,13 @@ class Adaptive:
         )
 
     def learn(self, mind: Mind, frame: Frame) -> Mind:
-        """The mind after a frame: its belief, and the plan where one is due."""
-        belief = mind.belief.after(frame)
+        """The mind after a frame: its belief, and the plan where one is due.
+
+        Args:
+            mind: before it.
+            frame: with the mean thrust since the last one.
+        """
+        belief = mind.belief.after(with_known(frame, mind.belief, self.physics))
         oldest = belief.time - STALL_TIME - self.task.step / 2
         track = (*mind.track, (belief.time, belief.state.mean[:2]))
         track = tuple(entry for entry in track if entry[0] >= oldest)
@@ -304,16 +319,6 @@ def _window(task: Task, objective: ReachGoal) -> Rectangle:
     half = WINDOW * float(np.max(upper - lower))
     middle = np.clip(np.asarray(objective.goal), lower + half, upper - half)
     return Rectangle(middle - half, middle + half)
-
-
-def _motion(
-    task: Task, physics: TabulatedModel, *, inertial: bool
-) -> InertialMotion | OverdampedMotion:
-    """The known dynamics, from the tables of physics alone."""
-    matrix = np.asarray(physics.table.values[0, 2, 2, 2:]).reshape(2, 2)
-    if inertial:
-        return InertialMotion(float(np.trace(matrix)) / 2, task.noise)
-    return OverdampedMotion(task.noise)
 
 
 def _path_integral(

@@ -132,7 +132,7 @@ def with_force(
         force: on their grid.
     """
     values = np.array(physics.table.values)
-    values[0, ..., :2] += force
+    values[..., :2] += force
     table = FieldTable(physics.table.grid, jnp.asarray(values))
     return eqx.tree_at(
         lambda model: (model.table, model.predictor.table), physics, (table, table)

@@ -83,7 +83,7 @@ def tabulate_model(
     )
     if samples:
         spread = force_spread([tabulate(one, grid, moments) for one in samples])
-        thrust = _greatest_rate(table, drive, inertial=inertial)
+        thrust = greatest_rate(table, drive, inertial=inertial)
         spread = eqx.tree_at(lambda s: s.values, spread, spread.values / thrust)
     time_cost = TimeCost(
         task.keep_out,
@@ -107,7 +107,7 @@ def noise_margin(task: Task) -> float:
     return 3 * math.hypot(task.noise * noise, task.sensor_noise) + 0.1
 
 
-def _greatest_rate(
+def greatest_rate(
     table: FieldTable, drive: ControlMap, *, inertial: bool
 ) -> Float[Array, ""]:
     """Greatest acceleration, or velocity, that thrust gives."""

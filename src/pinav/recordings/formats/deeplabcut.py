@@ -86,7 +86,7 @@ def _from_csv(source: Source) -> tuple[np.ndarray, dict[str, Table]]:
             "header cut short?"
         )
     unique = [f"c{index}" for index in range(width)]
-    table = source.delimited(skip=len(levels) - 1, names=["frame", *unique])
+    table = source.read_text_table(skip=len(levels) - 1, names=["frame", *unique])
     columns = [table.columns[name] for name in unique]
     return table.whole_numbers("frame", least=0), _parts(names, columns, table)
 

@@ -31,7 +31,7 @@ class SFI(AbstractFormat):
 
     def tracks(self, source: Source, reading: Reading) -> Tracks:
         comments = _comments(source.text)
-        table = source.delimited(skip=len(comments))
+        table = source.read_text_table(skip=len(comments))
         facts = dict(_entry(line) for line in comments if ":" in line)
         frame = table.whole_numbers("frame", least=0)
         extras = {_PREFIX.sub("", name): name for name in table.columns}

@@ -37,11 +37,11 @@ class TrackMateCSV(AbstractFormat):
         return {"TRACK_ID", "POSITION_X", "FRAME"} <= set(source.column_names)
 
     def tracks(self, source: Source, reading: Reading) -> Tracks:
-        table = source.delimited()
+        table = source.read_text_table()
         stated: dict[str, str] = {}
         if "POSITION_X" in table.columns and _is_raw(table):
             stated = _units(table)
-            table = source.delimited(below=_ABOVE)
+            table = source.read_text_table(below=_ABOVE)
         for name in _COLUMNS:
             table.column(name)
         tracked = np.array(
@@ -104,11 +104,11 @@ def _times(
     times = spots.numbers("POSITION_T")
     if np.array_equal(times, frame):
         word = units.bare(stated.get("POSITION_T")) or "a unit of time"
-        return None, "frame", _uncalibrated(word, reading)
+        return None, "frame", _calibration_remarks(word, reading)
     return factor * times, unit, ()
 
 
-def _uncalibrated(unit: str, reading: Reading) -> tuple[str, ...]:
+def _calibration_remarks(unit: str, reading: Reading) -> tuple[str, ...]:
     """That times are frames, unless the user says how many there are in a second."""
     return () if reading.fps is not None else (UNCALIBRATED.format(unit=unit),)
 
@@ -206,5 +206,5 @@ def _calibrated_times(
         return None, unit, ()
     if interval == 1.0:
         unit = root.get("timeUnits") or "a unit of time"
-        return None, "frame", _uncalibrated(unit, reading)
+        return None, "frame", _calibration_remarks(unit, reading)
     return factor * interval * frame, unit, ()

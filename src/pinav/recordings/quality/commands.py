@@ -97,7 +97,7 @@ def drive(segments: Sequence[Trajectory]) -> Drive | None:
         sectors=len(np.unique((turn * SECTORS).astype(int))),
         condition=_condition(drives, normalised=True),
         raw_condition=_condition(drives, normalised=False),
-        aligned=_aligned(heading[frequency != 0]),
+        aligned=_alignment(heading[frequency != 0]),
         delay=_share_of_delay(segments),
     )
 
@@ -112,7 +112,7 @@ def _with_one(drives: Float[np.ndarray, "time 2"]) -> Float[np.ndarray, "time 3"
     return np.concatenate([drives, np.ones((len(drives), 1))], axis=1)
 
 
-def _aligned(headings: Float[np.ndarray, " time"]) -> float:
+def _alignment(headings: Float[np.ndarray, " time"]) -> float:
     """Greatest share of headings within 10 degrees of an axis, either way along it."""
     axes = np.radians(np.arange(0, 180, 5))
     if not len(headings):

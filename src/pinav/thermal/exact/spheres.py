@@ -127,13 +127,13 @@ def _integral(
 ) -> Any:
     """Integral of e^(-ps) times a function with a square root at 0."""
 
-    def scaled(u: float) -> Any:
+    def integrand(u: float) -> Any:
         s = u * u
         return 2 * u * np.exp(-medium.rate * s) * function(s) if s > 0 else 0.0
 
     # In the square root of time the integrand is smooth at zero.
     value, _ = scipy.integrate.quad(
-        scaled, np.sqrt(low), np.sqrt(high), epsabs=1e-13, epsrel=1e-13, limit=400
+        integrand, np.sqrt(low), np.sqrt(high), epsabs=1e-13, epsrel=1e-13, limit=400
     )
     return value
 

@@ -1,0 +1,114 @@
+"""The options of the commands: explained in plain words, and named as they are."""
+
+import contextlib
+import importlib
+import io
+import re
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from pinav.commands import COMMANDS
+from pinav.commands.command import Command
+from pinav.commands.dispatch import execute
+from pinav.commands.parsing import parse
+
+ROOT = Path(__file__).parents[1]
+PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
+SOURCES = [*(ROOT / "src").rglob("*.py"), *(ROOT / "examples").rglob("*.py")]
+OPTION = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
+
+BENCHMARKS = {
+    "accelerator": "accelerator",
+    "fields": "fields.table",
+    "fit": "fit.compare",
+    "gradient": "gradient",
+    "growth": "growth",
+    "heat": "heat",
+    "navigate": "navigate",
+    "recordings": "recordings",
+    "start": "start",
+    "trainer": "trainer.table",
+}
+"""Modules that hold the options of the benchmarks."""
+
+FOREIGN = {
+    "--version",  # of pinav itself
+    "--xla",  # begins the names of XLA's flags
+    *("--key", "--nifti"),  # examples/heat/phantom.py
+    *("--array", "--cpus-per-task", "--wrap"),  # sbatch
+    *("--nthreads", "--nworkers", "--protocol", "--scheduler-file", "--tls-ca-file"),
+}
+"""Options of other programs that the pages call, the last ones of dask."""
+
+
+@cache
+def help_of(name: str) -> str:
+    """What `pinav NAME --help` or `pinav bench NAME --help` prints."""
+    text = io.StringIO()
+    with contextlib.redirect_stdout(text):
+        if name.startswith("bench "):
+            module = importlib.import_module(f"benchmarks.{BENCHMARKS[name[6:]]}")
+            assert parse(module.Options, ["--help"], prog=f"pinav {name}") is None
+        else:
+            (command,) = (c for c in COMMANDS if c.name == name)
+            execute(command, ["--help"])
+    return text.getvalue()
+
+
+def options_of(name: str) -> set[str]:
+    """The options that a command takes."""
+    return set(OPTION.findall(help_of(name)))
+
+
+NAMES = [command.name for command in COMMANDS] + [f"bench {n}" for n in BENCHMARKS]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_help_is_in_plain_words(name, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "100")
+    text = help_of(name)
+    for jargon in ("None", "{}", "(default: )", "(default: True)", "(default: False)"):
+        assert jargon not in text, text
+    for line in text.splitlines():
+        described = re.match(r"│ (?:-\S+|[A-Z\[]+)(?: [^ ]+)*? {2,}(\S.*?) *│$", line)
+        if described and not described[1].startswith(("show this help",)):
+            assert described[1][0].isupper() or not described[1][0].isalpha(), line
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.name)
+def test_what_is_given_by_its_place_is_called_by_its_name(command: Command):
+    usage = help_of(command.name).splitlines()[0]
+    assert not re.search(r"(?<!-)\b(PATH|STR)\b(?<! PATH\])", plain(usage)), usage
+
+
+def plain(usage: str) -> str:
+    """A usage without its options."""
+    return re.sub(r"\[?--[a-z-]+( [^\]\s]+)*\]?", "", usage)
+
+
+def unknown_options(path: Path) -> set[str]:
+    """Options that a file names and that no program takes."""
+    known = set.union(FOREIGN, *(options_of(name) for name in NAMES))
+    return set(OPTION.findall(path.read_text(encoding="utf-8"))) - known
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_every_option_that_a_page_names_exists(path):
+    gone = {"--ladder", "--learn"} if path.name == "CHANGELOG.md" else set()
+    assert unknown_options(path) <= gone
+
+
+def test_every_option_that_a_message_or_an_example_names_exists():
+    unknown = {path: unknown_options(path) for path in SOURCES}
+    assert not {path: words for path, words in unknown.items() if words}
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_a_command_line_in_a_sentence_uses_options_of_its_command(path):
+    text = path.read_text(encoding="utf-8")
+    lines = re.findall(r"`pinav (bench [a-z]+|[a-z]+)([^`]*)`", text)
+    for name, words in lines:
+        if name in NAMES:
+            assert set(OPTION.findall(words)) <= options_of(name), (name, words)
