@@ -286,8 +286,9 @@ class RunFolder:
         """
         path = self.path / name
         try:
-            with np.load(path, allow_pickle=False) as file:
-                return dict(file)
+            # opened here, because NumPy leaves a damaged file open
+            with open(path, "rb") as file, np.load(file, allow_pickle=False) as kept:
+                return dict(kept)
         except Exception as error:
             raise InputError(
                 f"{path} cannot be read ({error}); {self.repair(name)}"
