@@ -73,7 +73,7 @@ def mix_shapes(
     rng = np.random.default_rng(0)
     low, high = prior.bounds.T
     first = WIDER * shape_spread(data, prior, chosen, noise)
-    stages, fits = [(chosen.shape, first)], [chosen]
+    stages, fits, shares = [(chosen.shape, first)], [chosen], np.ones(1)
     for count in DRAWS:
         middle, spread = stages[-1]
         drawn = middle + rng.standard_normal((count, len(middle))) @ spread.T
