@@ -63,8 +63,13 @@ def shape_spread(
     chosen: Hyperparameters,
     noise: float | None = None,
 ) -> Float[np.ndarray, "shape shape"]:
-    r"""A root $A^{-1/2}$ of the covariance of the shape: see `shape_changes`."""
-    return _slopes_and_spread(data, prior, chosen, noise)[1]
+    r"""The symmetric root $A^{-1/2}$ of the covariance of the shape: see `shape_changes`.
+
+    It does not depend on signs of eigenvectors, which rounding may turn.
+    """
+    root = _slopes_and_spread(data, prior, chosen, noise)[1]
+    variances, vectors = np.linalg.eigh(root @ root.T)
+    return (vectors * np.sqrt(variances)) @ vectors.T
 
 
 def _slopes_and_spread(
