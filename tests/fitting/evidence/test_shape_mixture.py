@@ -47,7 +47,7 @@ def data(second: float) -> LinearisedObservations:
 
 def by_quadrature(observed, prior, noise):
     """Mean and covariance of the mixture on a fine grid of shapes."""
-    grid = np.linspace(*prior.bounds[0], 2001)
+    grid = np.linspace(*prior.bounds[0], 201)
     fits = [at_shape(observed, prior.covariance, np.array([s]), noise) for s in grid]
     logs = np.array([fit.log_evidence for fit in fits])
     shares = np.exp(logs - logs.max())

@@ -63,7 +63,7 @@ def shape_spread(
     chosen: Hyperparameters,
     noise: float | None = None,
 ) -> Float[np.ndarray, "shape shape"]:
-    r"""The symmetric root $A^{-1/2}$ of the covariance of the shape: see `shape_changes`.
+    r"""The symmetric root $A^{-1/2}$ of the covariance: see `shape_changes`.
 
     It does not depend on signs of eigenvectors, which rounding may turn.
     """
