@@ -38,6 +38,8 @@ from pinav.navigation.trials.metrics import regret, summary
 
 # %% [markdown]
 # Data and fit
+# ------------
+#
 # The task is to pass the barrier with less thrust than it has force; what is known of
 # it are eight trajectories, which were not recorded for the task.
 
@@ -52,6 +54,8 @@ model = steered_swimmer(crossing, fit.model)
 
 # %% [markdown]
 # The plan
+# --------
+#
 # The time-to-go from anywhere, on the learned force.
 
 # %%
@@ -74,6 +78,8 @@ with tempfile.TemporaryDirectory() as folder:
 
 # %% [markdown]
 # In closed loop
+# --------------
+#
 # The true environment, with noise; the controllers differ in what they know.
 
 # %%
@@ -96,6 +102,8 @@ print(f"regret, median of the pairs: {ratio.value:.3f}")
 
 # %% [markdown]
 # What to record next
+# -------------------
+#
 # Which of many drive programmes, from near the start, tells most of the route?
 
 # %%

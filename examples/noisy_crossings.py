@@ -43,7 +43,8 @@ for point, spread in zip(points, sd, strict=True):
     x, v = jnp.asarray(point), jnp.zeros(2)
     learned = np.asarray(result.model.environment(0.0, x, v))
     true = np.asarray(scenario.environment(0.0, x, v))
-    print(f"at {point}: learned {learned} ± {spread}, true {true}")
+    numbers = (np.round(vector, 4) for vector in (learned, spread, true))
+    print("at {}: learned {} ± {}, true {}".format(point, *numbers))
 
 maps = {
     name: field_map(force, data)

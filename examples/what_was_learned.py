@@ -37,7 +37,10 @@ from pinav.scenarios import barrier_crossings
 from pinav.trajectories import simulate
 
 # %% [markdown]
-# Data and fit: four short crossings
+# Data and fit
+# ------------
+#
+# Four short crossings.
 
 # %%
 scenario = eqx.tree_at(
@@ -53,6 +56,8 @@ print(f"{fit.outcome} after {fit.iterations} iterations")
 
 # %% [markdown]
 # Which part is a gradient?
+# -------------------------
+#
 # Nothing told the fit that the force has a potential.
 
 # %%
@@ -71,6 +76,7 @@ with tempfile.TemporaryDirectory() as folder:
 
 # %% [markdown]
 # Which trajectory, and which constant, decides the force?
+# --------------------------------------------------------
 
 # %%
 found = influence(
@@ -92,6 +98,7 @@ for name, change in found.constants.items():
 
 # %% [markdown]
 # What decides where a swimmer ends?
+# ----------------------------------
 
 # %%
 start, times = fit.states[0, 0], data.times[0]

@@ -144,7 +144,7 @@ def test_no_name_of_a_command_is_spelled_outside_its_folder():
         ),
         (["evaluate", "nowhere", "x.npz"], "nowhere holds no run"),
         (["report", "nowhere"], "nowhere holds no run"),
-        (["bench"], "Missing from pinav bench: STR"),
+        (["bench"], "Missing from pinav bench: NAME"),
         (
             ["bench", "nothing"],
             "benchmark 'nothing' is unknown; choose one of: .*gradient",

@@ -171,7 +171,7 @@ def test_a_figure_is_small_enough_for_a_page_and_large_enough_to_read(name):
     with Image.open(path) as picture:
         assert 600 <= picture.width <= 1250
         assert picture.mode != "RGBA"  # dark pages would shine through
-    assert path.stat().st_size < 100_000
+    assert path.stat().st_size < 60_000
 
 
 def test_a_run_of_a_figure_that_was_cut_short_is_made_again(tmp_path):
@@ -233,3 +233,15 @@ def test_the_make_targets_exist():
 def test_links_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)#]+)", page.read_text(encoding="utf-8")):
         assert (page.parent / target).exists(), f"{page.name} links to {target}"
+
+
+PLACES = (ROOT, ROOT / "src/pinav", ROOT / "src/pinav/recordings")
+"""Folders from which the pages name files."""
+
+
+@pytest.mark.parametrize("page", PAGES, ids=page_id)
+def test_a_file_of_the_repository_that_a_page_names_is_there(page):
+    text = page.read_text(encoding="utf-8")
+    folders = r"tests|validation|benchmarks|examples|src|docs|forces|fitting|formats"
+    for name in re.findall(rf"\b((?:{folders})/[\w/-]+\.(?:py|toml|js))\b", text):
+        assert any((place / name).exists() for place in PLACES), name

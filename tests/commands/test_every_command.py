@@ -52,6 +52,20 @@ WORDS: dict[str, Callable[[Folder], tuple[str, ...]]] = {
     "navigate": lambda f: (
         *(f.run("kernel"), "--from", "1,1", "--to", "2,2", *NARROW, *f.out),
     ),
+    "design": lambda f: (
+        *("shear", "--from=1,5", "--to=9,5", "--arena=0,0,10,10", "--tolerance", "0.5"),
+        *(
+            "--designs",
+            "grid",
+            "--seeds",
+            "1",
+            "--most",
+            "1",
+            "--thrust",
+            "1.5",
+            *f.out,
+        ),
+    ),
     "explore": lambda f: (f.run("kernel"),),
     "live": lambda f: (f.data("identified"), "--replay", "--frames", "20"),
     "export": lambda f: (
@@ -65,7 +79,7 @@ WORDS: dict[str, Callable[[Folder], tuple[str, ...]]] = {
 SHARED = {"reproduce": "reproduced", "identify": "identified", "fit": "kernel"}
 """Commands whose runs are made once for all tests, and those runs."""
 
-SLOW = {"navigate", "truth"}  # they compile for more than ten seconds
+SLOW = {"design", "navigate", "truth"}  # they compile for more than ten seconds
 
 
 def cases():

@@ -12,9 +12,14 @@ from pinav import cli
 from pinav.commands.export.datatree import datatree_of
 from pinav.commands.export.spots import force_sds, learned_force, spot_table
 from pinav.commands.fitted_run import FittedRun
+from pinav.commands.force_units import units_of
 from pinav.dynamics import paper_black_box
 from pinav.errors import InputError
+from pinav.figures.style import force_unit
 from pinav.recordings import read_recording
+from pinav.scenarios import scenario
+from pinav.systems import Units
+from pinav.trajectories import simulate
 
 
 @pytest.fixture(scope="module")
@@ -80,6 +85,15 @@ def test_the_deviation_of_a_static_force_does_not_depend_on_time(kernel_run):
     early, late = (force_sds(run.posterior, force, points, t) for t in np.zeros((2, 2)))
     np.testing.assert_array_equal(early, late)
     assert np.isnan(force_sds(None, force, points, np.zeros(2))).all()
+
+
+def test_a_force_is_shown_in_the_unit_of_the_system():
+    system = scenario("brownian")
+    data = simulate(system.with_starts(count=1), key=jax.random.key(0))
+    assert force_unit(units_of(data, system)) == "pN"
+    assert force_unit(units_of(data, scenario("wall"))) == "pN"
+    free = dataclasses.replace(system, base_units=Units("um", "s"))
+    assert force_unit(units_of(data, free)) == "um s⁻¹"
 
 
 def test_a_run_is_not_read_in_single_precision(kernel_run):

@@ -18,8 +18,11 @@ from pinav.commands.identify.metrics import (
     pooled_coverage,
     summarise_tracks,
 )
+from pinav.commands.identify.quantities import QUANTITIES
+from pinav.commands.identify.report import _estimate
 from pinav.commands.identify.settings import IdentifySettings
 from pinav.errors import InputError
+from pinav.fitting import Estimate
 from pinav.identification.selection import RESIDUALS
 from pinav.trajectories import Trajectories, is_trajectories, save
 
@@ -233,3 +236,14 @@ def test_a_summary_holds_gain_errors_and_pooled_bands():
 def test_a_label_is_the_last_step():
     assert label("gain matrix and drift + slipping + delay") == "+ delay"
     assert label("drift only") == "drift only"
+
+
+def test_quantities_are_named_in_words_and_units_of_the_recording():
+    titles = [quantity.title for quantity in QUANTITIES.values()]
+    assert len(set(titles)) == len(titles)
+    assert {"still", "driven", "slow"}.isdisjoint(titles)
+    units = {"x": "um", "t": "s"}
+    row = _estimate("driven", Estimate(2.0, 0.1), units)
+    assert row[:3] == ("wandering under a command", "um/s", 2.0)
+    assert 0 < row[3] < 2.0 < row[4]  # of a logarithm
+    assert _estimate("of a new model", Estimate(1.0, 0.1), units)[1] == "1"

@@ -35,7 +35,7 @@ REFUSALS = {
     ),
     "a system in space": (
         ["--learn-online", "--system", "wall", "--from=1,1", "--to=2,2"],
-        "--system: expected a swimmer in the plane, got 'wall'",
+        "system: expected a swimmer in the plane, got 'wall'",
     ),
     "a run without places": (["somewhere"], "--from, --to: expected the places"),
     "an unknown task": (

@@ -1,7 +1,9 @@
 """`pinav live` on the command line: a replay, a followed file, messages."""
 
 import json
+import math
 
+import msgspec
 import pytest
 from tests.live.sessions import HELLO, frame_line
 
@@ -59,6 +61,37 @@ def test_a_growing_table_is_watched_for_people(tmp_path, capsys):
     text = capsys.readouterr().out
     assert "mode: identifying" in text
     assert "2.0s  identifying  at (20, 0)" in text
+
+
+def circle(path, start, session="a"):
+    """A robot of 3 um per cycle that drives in a circle, from a place on."""
+    lines, (x, y) = [encode(msgspec.structs.replace(HELLO, session=session))], start
+    for n in range(150):
+        heading = 0.08 * n
+        lines.append(frame_line(n, x=x, y=y, frequency=1.0, heading=heading) + b"\n")
+        x, y = x + 0.3 * math.cos(heading), y + 0.3 * math.sin(heading)
+    path.write_bytes(b"".join([*lines, b'{"type":"bye"}\n']))
+    return path
+
+
+def test_an_earlier_session_tells_the_drive_of_the_next(tmp_path, capsys):
+    monday, tuesday = tmp_path / "monday", tmp_path / "tuesday.jsonl"
+    first = circle(tmp_path / "monday.jsonl", (0.0, 0.0))
+    assert cli.run(["live", str(first), "--out", str(monday)]) == 0
+    rows, _ = said(capsys)
+    states = [row for row in rows if row["type"] == "state"]
+    assert states[0]["gain"] is None
+    gain = states[-1]["gain"]
+    assert gain == pytest.approx(3.0, rel=0.1)
+    circle(tuesday, (50.0, 20.0), session="b")
+    words = ["live", str(tuesday), "--replay"]
+    assert cli.run([*words, "--prior", str(monday)]) == 0
+    rows, _ = said(capsys)
+    state = next(row for row in rows if row["type"] == "state")
+    assert state["gain"] == pytest.approx(gain, rel=0.01)
+    assert (state["x"], state["y"]) == pytest.approx((50.0, 20.0), abs=0.1)
+    assert cli.run([*words, "--prior", str(tmp_path / "nobody")]) == 2
+    assert "session.npz cannot be read" in capsys.readouterr().err
 
 
 def test_commands_go_to_a_file_and_stop_with_watch(lines, tmp_path, capsys):

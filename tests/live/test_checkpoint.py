@@ -2,12 +2,21 @@
 
 import dataclasses
 
+import msgspec
 import numpy as np
 import pytest
-from tests.live.sessions import Follow, LastPosition, begun, feed, frame_line
+from tests.live.sessions import (
+    HELLO,
+    Follow,
+    LastPosition,
+    begun,
+    feed,
+    frame_line,
+    line,
+)
 
 from pinav.errors import InputError
-from pinav.live.checkpoint import read_session, write_session
+from pinav.live.checkpoint import read_session, with_drive_of, write_session
 from pinav.live.session import Session
 
 
@@ -43,7 +52,7 @@ def test_a_damaged_checkpoint_is_one_line(tmp_path, content):
     path = tmp_path / "session.npz"
     if content is not None:
         path.write_bytes(content)
-    with pytest.raises(InputError, match="cannot be read .*begin without --resume"):
+    with pytest.raises(InputError, match="cannot be read .*begin without it"):
         read_session(path, begun())
 
 
@@ -54,3 +63,51 @@ def test_a_checkpoint_of_another_version_is_refused(tmp_path, monkeypatch):
     monkeypatch.undo()
     with pytest.raises(InputError, match="version 0, expected 1"):
         read_session(path, begun())
+
+
+def kept(path, **more):
+    """A session whose robot was driven, in a file."""
+    lines = [frame_line(n, x=1.0 * n, frequency=2.0) for n in range(5)]
+    session, _ = feed(begun(**more), lines)
+    write_session(path, session)
+    return session
+
+
+class Driven(LastPosition):
+    """A robot that was driven, whatever the frames say."""
+
+    @property
+    def driven(self):
+        return True
+
+
+def test_an_earlier_drive_is_known_and_the_state_begins_anew(tmp_path):
+    path = tmp_path / "session.npz"
+    kept(path)
+    session = with_drive_of(path, Session(Driven()))
+    assert session.last is None
+    assert session.counts.frames == 0
+    refused = session.after(frame_line(0))
+    assert refused.session.counts.refused == 1
+    greeted = session.after(line(HELLO)).session
+    learned = greeted.after(frame_line(0, t=0.0, x=70.0)).session
+    assert learned.estimator.restarts == (0,)
+    assert len(learned.estimator.frames) == 6
+    assert learned.counts.frames == 1
+
+
+def test_another_unit_of_length_is_refused(tmp_path):
+    path = tmp_path / "session.npz"
+    kept(path)
+    session = with_drive_of(path, Session(Driven()))
+    hello = msgspec.structs.replace(HELLO, units="mm")
+    outcome = session.after(line(hello))
+    assert outcome.hang_up
+    assert "lengths in mm, expected um of --prior" in outcome.answers[0].text
+
+
+def test_a_session_without_a_drive_is_no_prior(tmp_path):
+    path = tmp_path / "session.npz"
+    write_session(path, begun())
+    with pytest.raises(InputError, match="had not seen the robot driven"):
+        with_drive_of(path, Session(LastPosition()))

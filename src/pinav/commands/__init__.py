@@ -4,6 +4,7 @@ from pinav.commands.analyse import ANALYSE
 from pinav.commands.bench import BENCH
 from pinav.commands.compare import COMPARE
 from pinav.commands.data import DATA
+from pinav.commands.design import DESIGN
 from pinav.commands.discover import DISCOVER
 from pinav.commands.evaluate import EVALUATE
 from pinav.commands.explore import EXPLORE
@@ -35,6 +36,7 @@ COMMANDS = (
     TRUTH,
     HEAT,
     NAVIGATE,
+    DESIGN,
     LIVE,
     EXPLORE,
     EXPORT,

@@ -89,7 +89,7 @@ def read_session(path: Path, session: Session) -> Session:
     except Exception as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(
-            f"{path} cannot be read ({reason}); begin without --resume"
+            f"{path} cannot be read ({reason}); begin without it"
         ) from error
     return dataclasses.replace(
         session,
@@ -102,6 +102,30 @@ def read_session(path: Path, session: Session) -> Session:
         doubted=header.doubted,
         counts=header.counts,
         resumed_at=None if header.last is None else header.last.seq,
+    )
+
+
+def with_drive_of(path: Path, session: Session) -> Session:
+    """A new session that knows the drive of the robot from an earlier one.
+
+    Where the robot is, and what happened to it, is not taken over.
+
+    Args:
+        path: of the earlier session's file.
+        session: a new one, with an estimator of the same settings.
+
+    Raises:
+        InputError: the file is missing, damaged, or of another version; no drive had
+            been seen.
+    """
+    earlier = read_session(path, session)
+    if earlier.hello is None or not earlier.estimator.driven:
+        raise InputError(
+            f"{path}: the session had not seen the robot driven, so that nothing is "
+            "known; begin without --prior"
+        )
+    return dataclasses.replace(
+        session, estimator=earlier.estimator, known_in=earlier.hello.units
     )
 
 

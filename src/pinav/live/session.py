@@ -90,6 +90,8 @@ class Session:
         repeating: the last line was a frame that had been there before.
         resumed_at: last frame that was learned from by a process before this one.
         counts: how often each thing happened.
+        known_in: unit of length in which an earlier session has learned the drive;
+            empty where there is none.
     """
 
     estimator: AbstractEstimator
@@ -105,6 +107,7 @@ class Session:
     repeating: bool = False
     resumed_at: int | None = None
     counts: Counts = Counts()
+    known_in: str = ""
 
     def after(self, line: bytes, *, newest: bool = True) -> "Outcome":
         """The session after a line, and what is answered.
@@ -151,6 +154,9 @@ class Session:
             return dataclasses.replace(self._refuse(text), hang_up=True)
         if not hmac.compare_digest(hello.token.encode(), self.token.encode()):
             return dataclasses.replace(self._refuse("wrong token"), hang_up=True)
+        if self.known_in not in ("", hello.units):
+            text = f"lengths in {hello.units}, expected {self.known_in} of --prior"
+            return dataclasses.replace(self._refuse(text), hang_up=True)
         same = self.hello is not None and self.hello.session == hello.session
         last = self.last if same else None
         session = dataclasses.replace(self, hello=hello, last=last, ended=False)
@@ -207,7 +213,8 @@ class Session:
     def _jump_to(self, frame: Frame) -> str:
         """Why a frame does not go on from the last one; empty where it does."""
         if self.last is None:
-            return "the session has begun anew" if self.counts.frames else ""
+            learned = self.counts.frames or self.known_in
+            return "the session has begun anew" if learned else ""
         if frame.t <= self.last.t:
             return f"the clock went back by {self.last.t - frame.t:.6g} s"
         assert self.hello is not None

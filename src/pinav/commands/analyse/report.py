@@ -14,6 +14,8 @@ from pinav.commands.analyse.metrics import (
     InfluenceRow,
     SobolRow,
 )
+from pinav.commands.force_units import units_of
+from pinav.commands.system_choice import read_system_of
 from pinav.evaluation import FieldMap, default_regions
 from pinav.figures import (
     constants_figure,
@@ -25,7 +27,7 @@ from pinav.figures import (
     trust_map,
 )
 from pinav.figures.analysis import one_legend
-from pinav.figures.style import new_figure, title_panel, with_order
+from pinav.figures.style import new_figure, title_panel
 from pinav.report import Cell, Image, Paragraph, Section, Table
 from pinav.report.images import Figures
 from pinav.runs import RunFolder
@@ -61,7 +63,7 @@ class Results:
         x, y, force, distance = (arrays[n] for n in ("x", "y", "force", "distance"))
         field = FieldMap(x, y, force, distance, default_regions(data))
         paths = [np.where(p.observed[:, :2], p.states[:, :2], np.nan) for p in data]
-        units = with_order(data.units, metrics.order)
+        units = units_of(data, read_system_of(folder))
         return cls(metrics, arrays, field, paths, units)
 
     @property

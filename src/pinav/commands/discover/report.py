@@ -4,6 +4,8 @@ from collections.abc import Callable
 
 from pinav.commands.discover.job import LAWS_FILE, SAMPLE_FILE, ranking
 from pinav.commands.discover.metrics import ConstantRow, DiscoveryMetrics, LawRow
+from pinav.commands.force_units import units_of
+from pinav.commands.system_choice import read_system_of
 from pinav.figures import formula_figure, law_figure
 from pinav.figures.style import force_unit
 from pinav.report import Cell, Code, Image, Paragraph, Section, Table
@@ -18,7 +20,7 @@ def law_sections(folder: RunFolder) -> list[Section]:
         return []
     metrics = folder.read_metrics(LAWS_FILE, DiscoveryMetrics)
     arrays, figures = folder.read_arrays(SAMPLE_FILE), Figures(folder.path)
-    units = load(folder.path / "data.npz").units
+    units = units_of(load(folder.path / "data.npz"), read_system_of(folder))
     figure = law_figure(
         [law.name for law in metrics.laws],
         [law.difference for law in metrics.laws],

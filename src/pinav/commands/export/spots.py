@@ -10,9 +10,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pinav.commands.fitted_run import FittedRun
-from pinav.dynamics import Swimmer, with_dtype
+from pinav.commands.force_units import units_of
+from pinav.dynamics import with_dtype
 from pinav.errors import InputError
-from pinav.figures.style import force_unit, with_order
+from pinav.figures.style import force_unit
 from pinav.fitting import Posterior
 from pinav.forces import AbstractForce, as_learned_force, forces_at
 from pinav.trajectories import POSITION_CHANNELS
@@ -105,9 +106,8 @@ def force_sds(
 
 def result_units(run: FittedRun) -> tuple[str, str, str]:
     """Units of length, time and the learned force; "?" where not stated."""
-    units = run.data.units
-    order = 2 if isinstance(run.model, Swimmer) else 1
-    return units["x"], units["t"], force_unit(with_order(units, order))
+    units = units_of(run.data, run.system)
+    return units["x"], units["t"], force_unit(units)
 
 
 def napari_csv(table: SpotTable) -> str:

@@ -8,6 +8,7 @@ from pinav.commands.fit.metrics import FitMetrics
 from pinav.commands.fit.structure import StructureRow
 from pinav.commands.fit.thermal import FIELDS_FILE, ThermalRow
 from pinav.commands.fitted_run import DATA_FILE
+from pinav.commands.force_units import units_of
 from pinav.commands.matching import read_losses
 from pinav.commands.system_choice import read_system_of
 from pinav.evaluation import FieldMap, default_regions
@@ -19,7 +20,7 @@ from pinav.figures.profiles import (
     profile_band,
     value_band,
 )
-from pinav.figures.style import new_figure, with_order, with_unit
+from pinav.figures.style import new_figure, with_unit
 from pinav.report import Cell, Image, Paragraph, Section, Table
 from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories, load
@@ -162,7 +163,7 @@ def _lines(
 ) -> list[Image]:
     """The force along lines through data that are not planar."""
     images = []
-    units = _units(folder, data, arrays)
+    units = units_of(data, read_system_of(folder))
     for name in data.channels:
         if f"line/{name}/places" not in arrays:
             continue
@@ -263,7 +264,7 @@ def _learned_force(
         true=FieldMap.of_arrays(arrays, "true", regions) if true else None,
         sd=arrays.get("field/sd"),
         path=_join_tracks(data),
-        units=_units(folder, data, arrays),
+        units=units_of(data, read_system_of(folder)),
     )
     unit = data.units.get("x", "1")
     files = save_figure(figure, folder.path / "figures", "force")
@@ -304,12 +305,3 @@ def _join_tracks(data: Trajectories) -> np.ndarray:
 
 def _one_row(values: Mapping[str, Cell], caption: str) -> Table:
     return Table(tuple(values), [tuple(values.values())], caption)
-
-
-def _units(
-    folder: RunFolder, data: Trajectories, arrays: Mapping[str, np.ndarray]
-) -> Mapping[str, str]:
-    """Units of the data, the order of the dynamics, and the unit of their forces."""
-    system = read_system_of(folder)
-    order = arrays["ys"].shape[-1] // 2
-    return with_order(data.units, order, system.base_units.force)

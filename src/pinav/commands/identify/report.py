@@ -10,6 +10,7 @@ from pinav.commands.identify.metrics import (
     label,
     pooled_coverage,
 )
+from pinav.commands.identify.quantities import QUANTITIES, Quantity
 from pinav.figures import save_figure
 from pinav.figures.identification import (
     error_growth,
@@ -159,62 +160,23 @@ def _track(
     ]
 
 
-POSITIVE = (
-    "corner",
-    "lag",
-    "still",
-    "driven",
-    "memory",
-    "noise",
-    "slow",
-    "slow memory",
-)
-"""Quantities whose logarithm was fitted."""
-
-
 def _estimates(result: TrackMetrics, units: dict[str, str]) -> Table:
-    rows = []
-    for name, value in result.estimates.items():
-        estimate = Estimate(as_float(value.value), as_float(value.sd))
-        between = positive_interval if name in POSITIVE else interval
-        row = (name, _unit(name, units), estimate.value, *between(estimate))
-        rows.append((*row, MEANINGS.get(name, "")))
+    rows = [
+        _estimate(name, Estimate(as_float(value.value), as_float(value.sd)), units)
+        for name, value in result.estimates.items()
+    ]
     note = "The chosen candidate on the whole track, with intervals of 95 %."
     return Table(("quantity", "unit", "value", "from", "to", "meaning"), rows, note)
 
 
-def _unit(name: str, units: dict[str, str]) -> str:
-    """Unit of an estimated quantity."""
-    length, time = units["x"], units["t"]
-    by_name = {
-        "gain": length,
-        "heading offset": "rad",
-        "corner": "Hz",
-        "delay": time,
-        "lag": time,
-        "memory": time,
-        "slow memory": time,
-        "noise": length,
-    }
-    if name in ("drift x", "drift y", "still", "driven", "slow"):
-        return f"{length}/{time}"
-    return by_name.get(name, "1")
-
-
-MEANINGS = {
-    "gain": "displacement per turn of the field",
-    "gain x/y": "ratio of the gains along both axes",
-    "heading offset": "angle from the commanded heading to the motion",
-    "residual": "part of the gain that remains far above the corner frequency",
-    "lag": "time constant with which the motion follows the command",
-    "still": "standard deviation of the wandering velocity without a command",
-    "driven": "its growth under a command, at 1 Hz",
-    "memory": "correlation time of the wandering velocity",
-    "noise": "error of the mean position of a block of time",
-    "slow": "standard deviation of the drift that changes",
-    "slow memory": "its correlation time",
-}
-"""Sentences on quantities whose names do not say all."""
+def _estimate(
+    name: str, estimate: Estimate, units: dict[str, str]
+) -> tuple[str | float, ...]:
+    """A row of the table; a quantity that is not described there keeps its name."""
+    shown = QUANTITIES.get(name, Quantity(name, "1"))
+    between = positive_interval if shown.positive else interval
+    unit = shown.unit.format(length=units["x"], time=units["t"])
+    return (shown.title, unit, estimate.value, *between(estimate), shown.meaning)
 
 
 def _gain(result: TrackMetrics, units: dict[str, str]) -> list[Table]:

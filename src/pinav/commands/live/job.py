@@ -14,7 +14,7 @@ from pinav.commands.data_file import read_data
 from pinav.commands.live.settings import LiveOptions, LiveSettings
 from pinav.errors import InputError
 from pinav.identification.tracks import tracks
-from pinav.live.checkpoint import read_session
+from pinav.live.checkpoint import read_session, with_drive_of
 from pinav.live.drive_estimator import DriveEstimator
 from pinav.live.loop import Loop
 from pinav.live.messages import Command, Event, FromPinav, Limits, State
@@ -100,14 +100,26 @@ MOST_LATENCIES = 100_000
 """Latencies that are kept."""
 
 
-def new_session(settings: LiveSettings, token: str = "") -> Session:
-    """The session that settings ask for, with nothing learned."""
+def new_session(
+    settings: LiveSettings, token: str = "", prior: Path | None = None
+) -> Session:
+    """The session that settings ask for, with nothing learned but an earlier drive.
+
+    Args:
+        settings: of the command line.
+        token: shared secret.
+        prior: folder of an earlier session.
+
+    Raises:
+        InputError: `prior` holds no session that has seen the robot driven.
+    """
     goal = settings.goal()
     pilot = None
     if goal is not None:
         discs = np.array(settings.discs(), float).reshape(-1, 3)
         pilot = RollerPilot(np.array(goal), settings.tolerance, discs)
-    return Session(DriveEstimator(), pilot, token)
+    session = Session(DriveEstimator(), pilot, token)
+    return session if prior is None else with_drive_of(prior / CHECKPOINT, session)
 
 
 def run(options: LiveOptions) -> CommandResult:
@@ -143,7 +155,7 @@ def _places(options: LiveOptions) -> Places:
 
 def _live(options: LiveOptions, tally: Tally) -> None:
     token = _secret(options.token)
-    session = new_session(options.settings, token)
+    session = new_session(options.settings, token, options.prior)
     checkpoint = None
     if options.out is not None:
         options.out.mkdir(parents=True, exist_ok=True)
@@ -166,7 +178,7 @@ def _live(options: LiveOptions, tally: Tally) -> None:
 
 def _replay(options: LiveOptions, tally: Tally) -> None:
     for lines in _lines_of_tracks(Path(options.source), options):
-        session = new_session(options.settings)
+        session = new_session(options.settings, prior=options.prior)
         for answer, took in replay(session, lines, options.rate()):
             tally.show(answer)
             if isinstance(answer, State):

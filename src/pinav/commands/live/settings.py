@@ -66,6 +66,8 @@ class LiveOptions(Settings, frozen=True, kw_only=True):
         recording: How a recording that is replayed is read.
         out: Folder for the checkpoint of each second.
         resume: Go on from the checkpoint in --out.
+        prior: Folder (--out) of an earlier session with the same robot, whose drive is
+            then known from the first frame on.
         token: File with the secret that a rig on another machine must know.
         page: Port of a page in the browser of this machine; none unless given.
         status: Print a line for people each second instead of lines of JSON.
@@ -80,6 +82,7 @@ class LiveOptions(Settings, frozen=True, kw_only=True):
     recording: RecordingSettings = RecordingSettings()
     out: Path | None = None
     resume: bool = False
+    prior: Path | None = None
     token: Path | None = None
     page: Annotated[int | None, Range(above=-1, below=65536)] = None
     status: bool = False

@@ -23,6 +23,7 @@ from pinav.commands.navigate.setup import NavigationProblem, navigation_problem
 from pinav.commands.navigate.suggestion import suggest_trajectory
 from pinav.commands.navigate.tables import text
 from pinav.commands.start import start_run
+from pinav.commands.steering import observe_positions
 from pinav.errors import InputError
 from pinav.evaluation import distances
 from pinav.navigation import (
@@ -85,6 +86,7 @@ def navigate(
         step=_step_times(problem, steered, settings),
         units=problem.data.units,
         order=problem.order,
+        force=problem.force,
         thrust=problem.thrust,
         delay=task.delay,
         suggestion=suggestion,
@@ -247,7 +249,7 @@ def run(options: NavigateOptions) -> CommandResult:
     if options.run is None:
         known = online.task_to_learn(settings, options.online)
         adaptive = Adaptive.of(
-            online.observe_positions(known, options.online.position_noise),
+            observe_positions(known, options.online.position_noise),
             online.STRATEGIES[options.online.strategy],
         )
         folder = start_run(NAVIGATE, options, settings, options.online)

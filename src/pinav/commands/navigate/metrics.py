@@ -133,6 +133,7 @@ class NavigationMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
         step: computing times.
         units: of the channels.
         order: of the dynamics in time.
+        force: unit of a force, where the mobility makes a velocity of it.
         thrust: greatest thrust.
         delay: from command to motion [T].
         suggestion: of the next trajectory.
@@ -146,6 +147,7 @@ class NavigationMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
     step: StepTimes
     units: dict[str, str] = {}
     order: int = 2
+    force: str = "1"
     thrust: float = 1.0
     delay: float = 0.0
     suggestion: SuggestionRow | None = None

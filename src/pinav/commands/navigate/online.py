@@ -13,7 +13,7 @@ from tqdm import tqdm
 from pinav.commands.cells import Row
 from pinav.commands.navigate.metrics import ArrivalRow, IntervalRow
 from pinav.commands.navigate.settings import NavigateSettings, OnlineSettings
-from pinav.commands.navigate.setup import system_task
+from pinav.commands.steering import observe_positions, system_task
 from pinav.navigation import Disc, Task, task
 from pinav.navigation.adaptive.flight import Flight, fly
 from pinav.navigation.adaptive.scores import Outcome, judge_flights, true_force
@@ -131,23 +131,6 @@ def online_task(name: str, *, position_noise: float, delay: float | None) -> Tas
     known = task(name)
     delayed = known if delay is None else dataclasses.replace(known, delay=delay)
     return observe_positions(delayed, position_noise)
-
-
-def observe_positions(known: Task, position_noise: float) -> Task:
-    """A task whose positions alone are observed, with an error.
-
-    With inertia the time limit is doubled, so that a slow arrival is a regret and not a
-    failure.
-
-    Args:
-        known: the task.
-        position_noise: standard deviation of each coordinate [L].
-    """
-    return dataclasses.replace(
-        known,
-        sensor_noise=position_noise,
-        time_limit=known.time_limit * (2 if len(known.start) == 4 else 1),
-    )
 
 
 def oracle_flights(adaptive: Adaptive, seeds: Sequence[int], seed: int) -> list[Flight]:

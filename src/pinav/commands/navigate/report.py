@@ -49,7 +49,7 @@ def navigation_sections(folder: RunFolder) -> list[Section]:
 
 
 def _units(metrics: NavigationMetrics) -> Mapping[str, str]:
-    return with_order(metrics.units, metrics.order)
+    return with_order(metrics.units, metrics.order, metrics.force)
 
 
 def _plan(figures: Figures, arrays: Arrays, metrics: NavigationMetrics) -> Image:

@@ -127,7 +127,7 @@ def fly(
         record.decided(mind, time.perf_counter() - start)
         before = now.pending
         now, allowed = _advance(task, task.truth, now, command, keys[2])
-        thrust = _mean_thrust(task, jnp.concatenate([before, allowed[None]]))
+        thrust = mean_thrust(task, jnp.concatenate([before, allowed[None]]))
         sensing = _keys(key, int(now.step))[0]
         frame = _frame(task, now, thrust, sensing)
         start, planned = time.perf_counter(), mind.planned
@@ -157,8 +157,13 @@ def _frame(
     return Frame(float(observation.time), position, sd, thrust)
 
 
-def _mean_thrust(task: Task, queue: jax.Array) -> Float[np.ndarray, "2"]:
-    """Mean thrust of the last control step: of what was in force then."""
+def mean_thrust(task: Task, queue: jax.Array) -> Float[np.ndarray, "2"]:
+    """Mean thrust of the last control step: of what was in force then.
+
+    Args:
+        task: whose delay counts.
+        queue: pending commands, and the one that was given.
+    """
     whole = math.floor(task.delay / task.step + 1e-9)
     part = max(task.delay / task.step - whole, 0.0)
     first, second = (queue[k] for k in ((0, 1) if part > 1e-9 or not whole else (0, 0)))

@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.navigation.belief.belief import Belief, Frame
-from pinav.navigation.belief.motion import InertialMotion, OverdampedMotion
+from pinav.navigation.belief.kernel_filter import KernelFilter
+from pinav.navigation.belief.motion import InertialMotion, OverdampedMotion, Vector
 from pinav.navigation.model.predictors import InertialTable
 from pinav.navigation.model.tables import FieldTable
 from pinav.navigation.model.tabulated import TabulatedModel
@@ -29,7 +30,22 @@ def motion_of(task: Task, physics: TabulatedModel) -> InertialMotion | Overdampe
 
 
 def with_known(frame: Frame, belief: Belief, physics: TabulatedModel) -> Frame:
-    r"""A frame whose thrust is all that is known of the rate since the last one.
+    """A frame whose thrust is all that is known of the rate since the last one.
+
+    Args:
+        frame: with the mean thrust since the last one.
+        belief: before it.
+        physics: tables without the environment.
+    """
+    elapsed = frame.time - belief.time
+    rate = known_rate(belief.best, frame.thrust, elapsed, physics)
+    return dataclasses.replace(frame, thrust=rate)
+
+
+def known_rate(
+    before: KernelFilter, thrust: Vector, elapsed: float, physics: TabulatedModel
+) -> Vector:
+    r"""What is known of the rate of the velocity, or of the position without inertia.
 
     A table of the known physics holds the rate at rest a and a matrix D or M at each
     place. With the thrust u and the drag $\gamma$ of the motion, the known rate is
@@ -37,23 +53,21 @@ def with_known(frame: Frame, belief: Belief, physics: TabulatedModel) -> Frame:
     way as it was believed.
 
     Args:
-        frame: with the mean thrust since the last one.
-        belief: before it.
+        before: the filter that leads, at the beginning of the way.
+        thrust: u.
+        elapsed: duration of the way [T].
         physics: tables without the environment.
     """
-    assert frame.position is not None
-    state, dim = belief.state.mean, len(frame.position)
-    motion = belief.best.motion
+    motion, state = before.motion, before.state
+    dim = motion.dim_of(state)
     inertial = isinstance(motion, InertialMotion)
     velocity = state[dim:] if inertial else np.zeros(dim)
-    middle = state[:dim] + velocity * (frame.time - belief.time) / 2
+    middle = state[:dim] + velocity * elapsed / 2
     values = np.asarray(_at(physics.table, jnp.asarray(middle)), float)
     rate, matrix = values[:dim], values[dim:].reshape(dim, dim)
     if inertial:
-        rate = rate + frame.thrust - (matrix - motion.damping * np.eye(dim)) @ velocity
-    else:
-        rate = rate + matrix @ frame.thrust
-    return dataclasses.replace(frame, thrust=rate)
+        return rate + thrust - (matrix - motion.damping * np.eye(dim)) @ velocity
+    return rate + matrix @ thrust
 
 
 @eqx.filter_jit

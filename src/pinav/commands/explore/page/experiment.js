@@ -242,8 +242,9 @@ const withoutParameters = (model) => ({ model, count: 0, at() {} });
 
 /** Units of length, time and force; an empty text where there is none. */
 function unitsOf(units, order) {
-  const plain = (unit) => (["1", "?", undefined].includes(unit) ? "" : unit);
+  const plain = (unit) => (["1", "?", undefined].includes(unit) ? "" : unit.replace("um", "µm"));
   const [length, time] = [plain(units.x), plain(units.t)];
-  const force = order === 2 && length && time ? `${length}/${time}²` : (plain(units.force) ?? "");
+  const rate = length && time ? `${length}/${time}${order === 2 ? "²" : ""}` : "";
+  const force = (order === 1 && plain(units.force)) || rate;
   return { length, time, force };
 }

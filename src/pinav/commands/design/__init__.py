@@ -1,0 +1,12 @@
+"""The command `pinav design`."""
+
+from pinav.commands.command import Command
+
+DESIGN = Command(
+    name="design",
+    summary="choose which trajectories to record until a way is known",
+    options="pinav.commands.design.settings:DesignOptions",
+    run="pinav.commands.design.job:run",
+    title="Design of experiments",
+    report="pinav.commands.design.report:design_sections",
+)

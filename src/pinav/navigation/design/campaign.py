@@ -1,0 +1,256 @@
+"""Record, learn, and choose what to record next, until the force along a way is known.
+
+A campaign is a sequence of trajectories. After each one the belief of
+`pinav.navigation.belief` is brought up to date, the way is planned anew on its mean,
+and the campaign ends when the force along that way is known well enough.
+"""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from pinav.errors import InputError
+from pinav.navigation.adaptive.flight import mean_thrust
+from pinav.navigation.adaptive.known import with_known
+from pinav.navigation.adaptive.scores import true_force
+from pinav.navigation.adaptive.steering import Adaptive
+from pinav.navigation.adaptive.strategies import Certain
+from pinav.navigation.belief.belief import Belief, Frame
+from pinav.navigation.design.candidates import CandidateTrajectories, Experiment
+from pinav.navigation.design.choices import AbstractDesign
+from pinav.navigation.task.objectives import ReachGoal
+from pinav.navigation.task.task import Task
+from pinav.navigation.trials.closed_loop import advance, begin
+
+DRAWS = 100
+"""Draws of the force whose errors decide whether a way is known."""
+
+CONFIDENCE = 0.95
+"""Probability that the error is below the accuracy when a campaign ends."""
+
+WAY_POINTS = 40
+"""Points of a way at which the force is asked for."""
+
+Way = Float[np.ndarray, "point 2"]
+
+_advance = eqx.filter_jit(advance)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Decision:
+    """What is known of the way after some trajectories.
+
+    Attributes:
+        way: the planned one [L]; the straight line where no plan arrives.
+        arrives: whether the plan arrives at the goal.
+        error: bound of the relative error of the force along the way, which holds with
+            a probability of 95 %.
+        true_error: the relative error itself, where the truth is known.
+    """
+
+    way: Way
+    arrives: bool
+    error: float
+    true_error: float | None = None
+
+    def certain(self, accuracy: float) -> bool:
+        """Whether nothing further need be recorded."""
+        return self.arrives and self.error <= accuracy
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Campaign:
+    """What was recorded, and what was known after each trajectory.
+
+    Attributes:
+        accuracy: relative error of the force that was asked for.
+        paths: true positions of each trajectory [L].
+        decisions: before the first trajectory and after each.
+        belief: at the end.
+    """
+
+    accuracy: float
+    paths: tuple[Float[np.ndarray, "time 2"], ...]
+    decisions: tuple[Decision, ...]
+    belief: Belief
+
+    @property
+    def finished(self) -> bool:
+        """Whether the way is known well enough, by the belief."""
+        return self.decisions[-1].certain(self.accuracy)
+
+    @property
+    def right(self) -> bool | None:
+        """Whether the true error is then below the accuracy; none if not finished."""
+        error = self.decisions[-1].true_error
+        if not self.finished or error is None:
+            return None
+        return error <= self.accuracy
+
+
+def run_campaign(
+    adaptive: Adaptive,
+    design: AbstractDesign,
+    experiment: Experiment,
+    *,
+    accuracy: float,
+    most: int,
+    key: PRNGKeyArray,
+) -> Campaign:
+    """A campaign in the task's true environment.
+
+    Args:
+        adaptive: the task, what is known of it, and its planner.
+        design: how trajectories are chosen.
+        experiment: how they are recorded.
+        accuracy: relative error of the force along the way that is small enough.
+        most: trajectories after which the campaign is given up.
+        key: random key of noise and choices.
+
+    Raises:
+        InputError: `accuracy` is not between 0 and 1, or `most` is below 1.
+    """
+    if not 0 < accuracy < 1:
+        raise InputError(f"accuracy: expected between 0 and 1, got {accuracy}")
+    if most < 1:
+        raise InputError(f"most: expected 1 or more, got {most}")
+    task = adaptive.task
+    sd = max(task.sensor_noise, 1e-6)
+    first = Frame(0.0, np.asarray(task.start[:2], float), sd, np.zeros(2))
+    belief = adaptive.believe(first)
+    decisions, paths = [decide(adaptive, belief)], []
+    for count in range(most):
+        choose, noise = jax.random.split(jax.random.fold_in(key, count))
+        way = decisions[-1].way
+        chosen = design.choose(adaptive, belief, way, experiment, count, key=choose)
+        frames, path = record(task, experiment, chosen, key=noise)
+        belief = learn(adaptive, belief, frames)
+        paths.append(path)
+        decisions.append(decide(adaptive, belief))
+        if decisions[-1].certain(accuracy):
+            break
+    return Campaign(accuracy, tuple(paths), tuple(decisions), belief)
+
+
+def record(
+    task: Task,
+    experiment: Experiment,
+    candidate: CandidateTrajectories,
+    *,
+    key: PRNGKeyArray,
+) -> tuple[list[Frame], Float[np.ndarray, "time 2"]]:
+    """A trajectory of the true swimmer, until it leaves the arena.
+
+    Args:
+        task: the truth, its noise, and what is forbidden.
+        experiment: how it is recorded.
+        candidate: a single one.
+        key: random key of the noise.
+
+    Returns:
+        Its frames, and the true positions then [L].
+    """
+    assert isinstance(task.objective, ReachGoal)
+    endless = dataclasses.replace(
+        task,
+        start=candidate.starts,
+        objective=ReachGoal(task.objective.goal, 1e-9),
+        time_limit=experiment.duration,
+    )
+    now, sd = begin(endless), max(task.sensor_noise, 1e-6)
+    moments = np.arange(round(experiment.duration / task.step)) * task.step
+    commands = commands_at(experiment, candidate, moments)
+    states, thrusts = [now.state], [np.zeros(2)]
+    for k, command in enumerate(commands):
+        before = now.pending
+        now, allowed = _advance(
+            endless, endless.truth, now, command, jax.random.fold_in(key, k)
+        )
+        if bool(now.violated):
+            break
+        states.append(now.state)
+        thrusts.append(mean_thrust(task, jnp.concatenate([before, allowed[None]])))
+    path = np.asarray(jnp.stack(states), float)[:, :2]
+    seed = np.asarray(jax.random.key_data(key)).tolist()
+    seen = path + sd * np.random.default_rng(seed).standard_normal(path.shape)
+    frames = [
+        Frame(k * task.step, seen[k], sd, thrust) for k, thrust in enumerate(thrusts)
+    ]
+    return frames, path
+
+
+def commands_at(
+    experiment: Experiment,
+    candidate: CandidateTrajectories,
+    moments: Float[np.ndarray, " time"],
+) -> Float[Array, "time 2"]:
+    """Frequency and heading of a candidate at some moments [T]."""
+    knots = np.asarray(experiment.knots)
+    series = (candidate.frequency, candidate.heading)
+    return jnp.asarray(
+        np.stack([np.interp(moments, knots, np.asarray(s)) for s in series], axis=1)
+    )
+
+
+def learn(adaptive: Adaptive, belief: Belief, frames: Sequence[Frame]) -> Belief:
+    """The belief after a further trajectory.
+
+    Args:
+        adaptive: what is known of the swimmer.
+        belief: before it.
+        frames: of the trajectory, the first one at rest.
+    """
+    belief = belief.restart(frames[0], speed_sd=frames[0].sd)
+    for frame in frames[1:]:
+        belief = belief.after(with_known(frame, belief, adaptive.physics))
+    return belief
+
+
+def decide(adaptive: Adaptive, belief: Belief) -> Decision:
+    r"""Plan the way on the mean force, and say how well the force along it is known.
+
+    The error of a draw F of the belief is $|F - \bar F| / |F|$, root sums of squares
+    over the way; the bound is its quantile of 95 %.
+
+    Args:
+        adaptive: the task and its planner.
+        belief: of the force.
+    """
+    task = adaptive.task
+    tables = Certain().tables(belief, adaptive.physics, adaptive.thrust)
+    route = adaptive.replanner.plan(tables).route(task.start, task.step)
+    arrives = bool(jnp.isfinite(route.arrival_time))
+    way = np.asarray(route.ys, float)[:, :2]
+    if not arrives:
+        assert isinstance(task.objective, ReachGoal)
+        ends = np.asarray(task.start[:2], float), np.asarray(task.objective.goal, float)
+        way = np.linspace(*ends, WAY_POINTS)
+    way = _equally_spaced(way)
+    basis = belief.best.kernels.basis(way)
+    draws = belief.best.sample_weights(DRAWS, belief.count)
+    forces = np.einsum("pdw,kw->kpd", basis, draws)
+    mean = basis @ belief.best.all_weights()
+    gaps = np.linalg.norm((forces - mean).reshape(DRAWS, -1), axis=1)
+    sizes = np.linalg.norm(forces.reshape(DRAWS, -1), axis=1)
+    truth = true_force(task, way)
+    size = np.linalg.norm(truth)
+    return Decision(
+        way,
+        arrives,
+        float(np.quantile(gaps / np.maximum(sizes, 1e-300), CONFIDENCE)),
+        float(np.linalg.norm(mean - truth) / size) if size > 0 else math.nan,
+    )
+
+
+def _equally_spaced(points: Way) -> Float[np.ndarray, "way 2"]:
+    """Points of equal distance along a path."""
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    asked = np.linspace(0.0, along[-1], WAY_POINTS)
+    return np.stack([np.interp(asked, along, axis) for axis in points.T], axis=1)

@@ -1,0 +1,136 @@
+"""`pinav design`: refusals, words, and runs from end to end."""
+
+import csv
+import json
+
+import jax
+import msgspec
+import numpy as np
+import pytest
+
+from pinav import cli
+from pinav.commands.design.metrics import DesignMetrics, DesignRow, NextRow
+from pinav.navigation.belief.belief import Belief, Frame
+from pinav.navigation.belief.motion import OverdampedMotion
+from pinav.navigation.design.campaign import Campaign, Decision
+
+PLACES = ("--from=1,1", "--to=9,9")
+
+REFUSALS = {
+    "no places": (["paper"], "--from, --to: expected the places"),
+    "an unknown system": (["maze", *PLACES], "maze"),
+    "a system in space": (["wall", *PLACES], "expected a swimmer in the plane"),
+    "a release that is no rectangle": (
+        ["paper", *PLACES, "--release", "3,3,1,1"],
+        "--release: expected X0,Y0,X1,Y1 with X0 < X1",
+    ),
+    "a release outside": (
+        ["paper", *PLACES, "--release=-50,0,1,1"],
+        "--release: expected a rectangle inside of the arena",
+    ),
+    "no design": (["paper", *PLACES, "--designs"], "--designs"),
+    "a short trajectory": (
+        ["paper", *PLACES, "--duration", "0.1"],
+        "--duration: expected two steps or more",
+    ),
+    "an accuracy of one": (["paper", *PLACES, "--accuracy", "1"], "--accuracy"),
+    "data that are not there": (
+        ["paper", *PLACES, "--data", "nowhere.csv"],
+        "nowhere.csv",
+    ),
+}
+
+
+def run(words):
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        return cli.run(words)
+
+
+@pytest.mark.parametrize(("words", "message"), REFUSALS.values(), ids=REFUSALS)
+def test_what_makes_no_sense_is_refused(words, message, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert run(["design", *words, "--out", str(out)]) == cli.USAGE_ERROR
+    assert message in capsys.readouterr().err
+    assert not out.exists()
+
+
+def campaign(bounds, errors, accuracy=0.1):
+    """A campaign of which only the decisions are known."""
+    decisions = tuple(
+        Decision(np.zeros((2, 2)), arrives=True, error=bound, true_error=error)
+        for bound, error in zip(bounds, errors, strict=True)
+    )
+    paths = (np.zeros((2, 2)),) * (len(bounds) - 1)
+    first = Frame(0.0, np.zeros(2), 0.1, np.zeros(2))
+    motion, corner = OverdampedMotion(0.1), np.ones(2)
+    belief = Belief.start(
+        first, lower=-corner, upper=corner, motion=motion, thrust=1.0, scales=(2.0,)
+    )
+    return Campaign(accuracy, paths, decisions, belief)
+
+
+def test_a_row_counts_trajectories_and_what_was_right():
+    right = campaign([1.0, 0.3, 0.09], [1.0, 0.08, 0.05])
+    wrong = campaign([1.0, 0.5, 0.2, 0.09], [1.0, 0.4, 0.3, 0.2])
+    given_up = campaign([1.0, 0.9, 0.8, 0.7, 0.6], [1.0, 0.9, 0.8, 0.7, 0.6])
+    row = DesignRow.of_campaigns([right, wrong, given_up])
+    assert (row.campaigns, row.finished, row.right) == (3, 2, 1)
+    assert (row.fewest, row.trajectories, row.largest) == (2, 3, 4)
+    assert row.reached is None
+    assert row.error == pytest.approx(0.2)
+    assert DesignRow.of_campaigns([right]).reached == 1
+
+
+def test_the_words_compare_designs():
+    done = DesignRow(4, 4, 6.0, 5, 8, 5.0, 4, 0.08)
+    slow = DesignRow(4, 4, 15.0, 12, 18, 14.0, 4, 0.09)
+    lost = DesignRow(4, 1, None, 20, 24, None, 1, 0.4)
+    rows = {"informed": done, "grid": slow, "random": lost}
+    words = DesignMetrics("mine", 0.1, rows).text()
+    assert "took 40 % of the trajectories of the grid one" in words
+    assert "Most random campaigns were given up." in words
+
+
+def test_the_words_say_what_to_record_next():
+    row = NextRow(
+        trajectories=8,
+        arrives=True,
+        error=0.3,
+        certain=False,
+        sd=0.1,
+        sd_after=0.06,
+        start=(1.0, 2.0),
+    )
+    words = DesignMetrics("mine", 0.1, next=row).text()
+    assert "known to 30 % with a probability of 95 %. Record next" in words
+    assert "released at (1, 2)" in words
+    done = msgspec.structs.replace(row, error=0.08, certain=True)
+    assert (
+        "nothing further need be recorded"
+        in DesignMetrics("mine", 0.1, next=done).text()
+    )
+    lost = msgspec.structs.replace(row, arrives=False, start=None)
+    assert "no plan reaches the goal" in DesignMetrics("mine", 0.1, next=lost).text()
+    assert "no candidate trajectory" in DesignMetrics("mine", 0.1, next=lost).text()
+
+
+@pytest.mark.slow
+def test_designs_are_compared_and_recordings_are_continued(tmp_path, capsys):
+    ends = ("--from=1,5", "--to=9,5", "--tolerance", "0.5", "--thrust", "1.5")
+    few = ("--seeds", "1", "--most", "2", "--duration", "2", "--designs", "informed")
+    out = str(tmp_path / "campaigns")
+    words = ["design", "shear", *ends, *few, "--arena=0,0,10,10", "--json"]
+    assert run([*words, "--out", out]) == 0
+    row = json.loads(capsys.readouterr().out)["designs"]["informed"]
+    assert row["campaigns"] == 1
+    assert (tmp_path / "campaigns" / "report.html").exists()
+
+    data, out = str(tmp_path / "data.csv"), tmp_path / "next"
+    assert run(["simulate", "shear", "--out", data, "--noise", "0.02"]) == 0
+    words = ["design", "shear", "--data", data, *ends, "--out", str(out)]
+    assert run([*words, "--arena=0,0,10,10"]) == 0
+    assert "trajectories the force" in capsys.readouterr().out
+    with (out / "next.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == ["t", "frequency", "heading"]
+    assert float(rows[-1]["t"]) == pytest.approx(5.0)

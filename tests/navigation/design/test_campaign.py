@@ -1,0 +1,226 @@
+"""Campaigns: what is chosen, recorded, learned, and when it is enough."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.errors import InputError
+from pinav.navigation import Disc, Experiment, Rectangle, task
+from pinav.navigation.adaptive.steering import Adaptive
+from pinav.navigation.adaptive.strategies import Certain
+from pinav.navigation.belief.belief import Frame
+from pinav.navigation.design.campaign import (
+    Decision,
+    decide,
+    learn,
+    record,
+    run_campaign,
+)
+from pinav.navigation.design.candidates import CandidateTrajectories
+from pinav.navigation.design.choices import (
+    GridDesign,
+    InformedDesign,
+    RandomDesign,
+    expected_sd,
+)
+
+NOISE = 0.02
+
+
+def current(**changes):
+    """The unknown current of the task `vortex`, positions with an error."""
+    return dataclasses.replace(task("vortex"), sensor_noise=NOISE, **changes)
+
+
+def experiment_of(problem, duration=3.0, region=None):
+    return Experiment(
+        actuator=problem.truth.actuator,
+        limits=problem.limits,
+        region=problem.arena if region is None else region,
+        noise=np.full(2, NOISE),
+        duration=duration,
+        interval=problem.step,
+        knot=duration / 8,
+    )
+
+
+@pytest.fixture(scope="module")
+def adaptive():
+    return Adaptive.of(current(), Certain(), points=21)
+
+
+@pytest.fixture(scope="module")
+def belief(adaptive):
+    first = Frame(0.0, np.asarray(adaptive.task.start, float), NOISE, np.zeros(2))
+    return adaptive.believe(first)
+
+
+def straight(experiment, start, heading, frequency=None):
+    """A single programme with one heading."""
+    knots = len(experiment.knots)
+    most = experiment.limits.max_frequency if frequency is None else frequency
+    return CandidateTrajectories(
+        jnp.asarray(start, float), jnp.full(knots, most), jnp.full(knots, heading)
+    )
+
+
+def test_nothing_recorded_is_nothing_known(adaptive, belief):
+    decision = decide(adaptive, belief)
+    assert decision.true_error == pytest.approx(1.0)
+    assert 0.9 < decision.error < 1.2
+    assert not decision.certain(0.5)
+    ends = decision.way[[0, -1]]
+    np.testing.assert_allclose(ends[0], adaptive.task.start, atol=0.3)
+    steps = np.linalg.norm(np.diff(decision.way, axis=0), axis=1)
+    np.testing.assert_allclose(steps, steps.mean(), rtol=0.05)
+
+
+def test_a_way_is_certain_if_it_arrives_and_the_bound_is_small():
+    way = np.zeros((2, 2))
+    assert Decision(way, arrives=True, error=0.09).certain(0.1)
+    assert not Decision(way, arrives=True, error=0.11).certain(0.1)
+    assert not Decision(way, arrives=False, error=0.09).certain(0.1)
+
+
+def test_a_record_is_the_true_path_with_the_error_of_the_sensor():
+    problem = current(noise=0.0)
+    experiment = experiment_of(problem)
+    chosen = straight(experiment, [3.0, 5.0], 0.4)
+    frames, path = record(problem, experiment, chosen, key=jax.random.key(1))
+    assert [f.time for f in frames] == pytest.approx(
+        problem.step * np.arange(len(path))
+    )
+    errors = np.stack([f.position for f in frames]) - path
+    assert np.std(errors) == pytest.approx(NOISE, rel=0.3)
+    # The rate of the path is the thrust and the current at its middle.
+    rates = np.diff(path, axis=0) / problem.step
+    middles = jnp.asarray((path[1:] + path[:-1]) / 2)
+    thrust = np.asarray(problem.truth.actuator(jnp.array([chosen.frequency[0], 0.4])))
+    known = jax.vmap(
+        lambda x: problem.truth(0.0, x, jnp.array([chosen.frequency[0], 0.4]))
+    )(middles)
+    np.testing.assert_allclose(rates, known, atol=5e-3)
+    np.testing.assert_allclose(frames[1].thrust, thrust)
+
+
+def test_a_record_ends_at_the_edge_of_the_arena():
+    problem = current(noise=0.0)
+    experiment = experiment_of(problem, duration=8.0)
+    edge = float(problem.arena.upper[0]) - 0.3
+    chosen = straight(experiment, [edge, 5.0], 0.0)
+    frames, path = record(problem, experiment, chosen, key=jax.random.key(0))
+    assert len(frames) == len(path) < 0.5 * experiment.duration / problem.step
+    assert np.all(path <= np.asarray(problem.arena.upper))
+
+
+def test_what_was_recorded_lowers_the_error_there(adaptive, belief):
+    problem = adaptive.task
+    experiment = experiment_of(problem)
+    before = decide(adaptive, belief).way
+    heading = float(np.arctan2(*(before[-1] - before[0])[::-1]))
+    later = belief
+    for k in range(3):
+        start = before[k * len(before) // 3]
+        chosen = straight(experiment, start, heading)
+        frames, _ = record(problem, experiment, chosen, key=jax.random.key(k))
+        later = learn(adaptive, later, frames)
+    _, spread = later.force(before)
+    _, unknown = belief.force(before)
+    assert np.sqrt(np.mean(spread**2)) < 0.5 * np.sqrt(np.mean(unknown**2))
+
+
+def test_a_candidate_along_the_way_tells_more_than_one_elsewhere(adaptive, belief):
+    problem = adaptive.task
+    experiment = experiment_of(problem)
+    way = np.linspace([2.0, 2.0], [4.0, 2.0], 20)
+    _, sd = belief.force(way)
+    now = float(np.sqrt(np.mean(sd**2)))
+    on = expected_sd(
+        adaptive, belief, way, experiment, straight(experiment, [2.0, 2.0], 0.0)
+    )
+    far = expected_sd(
+        adaptive, belief, way, experiment, straight(experiment, [2.0, 8.0], 0.0)
+    )
+    assert on < 0.6 * now
+    assert far == pytest.approx(now, rel=0.05)
+    edge = float(problem.arena.upper[0]) - 0.05
+    leaves = straight(experiment, [edge, 5.0], 0.0)
+    assert expected_sd(adaptive, belief, way, experiment, leaves) == np.inf
+
+
+def test_a_grid_fills_the_region_evenly(adaptive, belief):
+    region = Rectangle([1.0, 2.0], [5.0, 4.0])
+    experiment = experiment_of(adaptive.task, region=region)
+    way = np.zeros((2, 2))
+    starts, headings = [], []
+    for count in range(36):
+        chosen = GridDesign().choose(
+            adaptive, belief, way, experiment, count, key=jax.random.key(0)
+        )
+        starts.append(np.asarray(chosen.starts))
+        headings.append(float(chosen.heading[0]))
+    share = (np.stack(starts) - [1.0, 2.0]) / [4.0, 2.0]
+    assert np.all((share >= 0) & (share <= 1))
+    cells = np.floor(share * [2, 3]).astype(int)
+    counts = np.unique(cells, axis=0, return_counts=True)[1]
+    assert len(counts) == 6
+    assert counts.max() - counts.min() <= 2
+    quarters = np.bincount((np.array(headings) // (np.pi / 2)).astype(int))
+    assert quarters.min() >= 7
+
+
+def test_nobody_is_released_in_a_disc():
+    disc = Disc([5.0, 5.0], 2.0)
+    adaptive = Adaptive.of(current(keep_out=(disc,)), Certain(), points=21)
+    region = Rectangle([2.5, 2.5], [7.5, 7.5])
+    experiment = experiment_of(adaptive.task, region=region)
+    first = Frame(0.0, np.array([1.0, 5.0]), NOISE, np.zeros(2))
+    belief, way = adaptive.believe(first), np.zeros((2, 2))
+    for design in (GridDesign(), RandomDesign()):
+        for count in range(4):
+            chosen = design.choose(
+                adaptive, belief, way, experiment, count, key=jax.random.key(count)
+            )
+            gap = np.linalg.norm(np.asarray(chosen.starts) - 5.0)
+            assert gap > 2.0
+    inside = experiment_of(adaptive.task, region=Rectangle([4.0, 4.0], [6.0, 6.0]))
+    with pytest.raises(InputError, match="release: expected a place outside"):
+        RandomDesign().choose(adaptive, belief, way, inside, 0, key=jax.random.key(0))
+
+
+def test_a_campaign_ends_when_the_way_is_known(adaptive):
+    design = InformedDesign(candidates=6, variations=2, rounds=1)
+    campaign = run_campaign(
+        adaptive,
+        design,
+        experiment_of(adaptive.task, duration=5.0),
+        accuracy=0.6,
+        most=8,
+        key=jax.random.key(3),
+    )
+    assert campaign.finished
+    assert campaign.right
+    assert len(campaign.decisions) == len(campaign.paths) + 1
+    assert not any(d.certain(0.6) for d in campaign.decisions[:-1])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"accuracy": 1.0}, "accuracy: expected between 0 and 1, got 1.0"),
+        ({"most": 0}, "most: expected 1 or more, got 0"),
+    ],
+)
+def test_bad_requests_are_refused(adaptive, changes, message):
+    settings = {"accuracy": 0.1, "most": 3} | changes
+    with pytest.raises(InputError, match=message):
+        run_campaign(
+            adaptive,
+            RandomDesign(),
+            experiment_of(adaptive.task),
+            key=jax.random.key(0),
+            **settings,
+        )
