@@ -9,6 +9,7 @@ from pinav.analysis.discovery.potentials import POTENTIALS, TWO_GAUSSIANS
 from pinav.commands.discover.job import LAWS_FILE, SAMPLE_FILE, text
 from pinav.commands.discover.metrics import DiscoveryMetrics
 from pinav.commands.discover.report import law_sections
+from pinav.commands.system_choice import write_system_of
 from pinav.runs import RunFolder
 from pinav.scenarios import paper
 from pinav.trajectories import save, simulate
@@ -93,6 +94,7 @@ def test_report_section_holds_figure_and_tables(tmp_path):
     )
     assert law_sections(folder) == []
     save(simulate(paper()), folder.path / "data.npz")
+    write_system_of(folder, paper())
     folder.write_json(LAWS_FILE, msgspec.to_builtins(METRICS))
     force = np.linspace(-1.0, 1.0, 20).reshape(10, 2)
     arrays = {"learned": force, "sd": 0.1 + 0.0 * force, "law": 1.1 * force}

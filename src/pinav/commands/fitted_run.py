@@ -5,14 +5,21 @@ import hashlib
 from collections.abc import Iterator
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax.numpy as jnp
 import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from pinav.commands.constants import estimated_constants, rotational_part
+from pinav.commands.evidence_file import (
+    MODEL_FILE,
+    POSTERIOR_FILE,
+    EvidenceResult,
+    StructureSearch,
+    read_evidence,
+    write_evidence,
+)
 from pinav.commands.system_choice import read_system_of
 from pinav.dynamics import AbstractDynamics, OverdampedSwimmer, with_dtype
 from pinav.errors import InputError
@@ -20,34 +27,19 @@ from pinav.evaluation import FieldMap, require_x64
 from pinav.fitting import (
     Estimate,
     EvidenceFit,
-    Hyperparameters,
     Posterior,
-    ravel_model,
 )
-from pinav.fitting.bayes.function_prior import TangentWeights
 from pinav.fitting.environments.catalogue import (
     DataSummary,
     ModelChoice,
     build,
 )
 from pinav.fitting.environments.profiles import MobilitySummary
-from pinav.forces import KernelForce, KernelPotential
 from pinav.runs import RunFolder
 from pinav.systems import System, WanderingVelocity
 from pinav.trajectories import Trajectories, load, save
 
-DATA_FILE, MODEL_FILE, POSTERIOR_FILE = "data.npz", "model.eqx", "posterior.npz"
-
-
-class StructureSearch(NamedTuple):
-    """What a search for a structure of the force came to.
-
-    Attributes:
-        gain: log evidence of the structured force over the free one [nats]; NaN where
-            no structure explained the data well enough to be fitted.
-    """
-
-    gain: float
+DATA_FILE = "data.npz"
 
 
 class ModelHeader(msgspec.Struct, frozen=True):
@@ -62,34 +54,6 @@ class ModelHeader(msgspec.Struct, frozen=True):
     choice: ModelChoice
     data: DataSummary
     dtype: str = "float64"
-
-
-@dataclasses.dataclass(frozen=True)
-class EvidenceResult:
-    """The result of a fit by the evidence, as a run keeps it.
-
-    Attributes:
-        posterior: of the learned parameters.
-        hyperparameters: chosen by the evidence.
-        constants: learned constants by name.
-        states: smoothed states of the training trajectories.
-        outcome: the word for how the fit ended.
-        iterations: steps taken.
-        goodness: a sentence on whether the residuals look like noise; empty where
-            nothing can be said.
-        process: kernels of the process that is the prior of a network, if it is one.
-        structure: what the search for a structure came to; None without a search.
-    """
-
-    posterior: Posterior
-    hyperparameters: Hyperparameters
-    constants: dict[str, Estimate]
-    states: Float[np.ndarray, "trajectory time state"]
-    outcome: str
-    iterations: int
-    goodness: str = ""
-    process: KernelForce | KernelPotential | None = None
-    structure: StructureSearch | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -142,7 +106,7 @@ class FittedRun:
         choice = headers[0].choice
         evidence = None
         if folder.has(POSTERIOR_FILE):
-            evidence = _read_evidence(folder, choice, models["model"])
+            evidence = read_evidence(folder, choice, models["model"])
         data = load(folder.path / DATA_FILE)
         return cls(folder, system, data, models, choice, evidence)
 
@@ -257,107 +221,13 @@ def write_fit(
     structure: StructureSearch | None = None,
 ) -> None:
     """Write the model and the posterior of a fit by the evidence."""
-    chosen = fit.hyperparameters
-    estimates = estimated_constants(fit, header.choice) | rotational_part(fit, data)
-    constants = {
-        f"constant/{name}": np.array([estimate.value, estimate.sd])
-        for name, estimate in estimates.items()
-    }
-    folder.write_arrays(
-        POSTERIOR_FILE,
-        {
-            "mean": fit.posterior.mean,
-            "covariance": fit.posterior.covariance,
-            "shape": chosen.shape,
-            "amplitude": np.array(chosen.amplitude),
-            "noise": np.array(chosen.noise),
-            "log_evidence": np.array(chosen.log_evidence),
-            "iterations": np.array(fit.iterations),
-            "outcome": np.array(str(fit.outcome)),
-            "goodness": np.array(fit.goodness.statement if fit.goodness else ""),
-            "states": data.states if fit.states is None else fit.states,
-            **_process_arrays(fit),
-            **(
-                {}
-                if structure is None
-                else {"structure/gain": np.array(structure.gain)}
-            ),
-            **constants,
-        },
-    )
+    write_evidence(folder, header.choice, fit, data, structure)
     summary = header.data.with_kernels_of(fit.model.environment)
     if isinstance(fit.model, OverdampedSwimmer):
         mobility = MobilitySummary.of(fit.model.mobility)
         summary = msgspec.structs.replace(summary, mobility=mobility)
     header = msgspec.structs.replace(header, data=summary)
     write_model(folder, header, fit.model)
-
-
-def _process_arrays(fit: EvidenceFit) -> dict[str, np.ndarray]:
-    """The kernels of the process that is the prior of a network; else nothing."""
-    weights = fit.linear.weights
-    if not isinstance(weights, TangentWeights):
-        return {}
-    kernels: Any = weights.process.kernels
-    return {
-        "process/centers": np.asarray(kernels.centers),
-        "process/width": np.asarray(kernels.width),
-    }
-
-
-def _read_evidence(
-    folder: RunFolder, choice: ModelChoice, model: AbstractDynamics
-) -> EvidenceResult:
-    folder.check_file(POSTERIOR_FILE)
-    stored = folder.read_arrays(POSTERIOR_FILE)
-    try:
-        free, theta = ravel_model(model, choice.trainable)
-        if theta.shape != stored["mean"].shape:
-            raise InputError(
-                f"{folder.path}: {POSTERIOR_FILE} and {MODEL_FILE} are not of the same "
-                "fit; copy both from one run"
-            )
-        hyperparameters = Hyperparameters(
-            shape=stored["shape"],
-            amplitude=float(stored["amplitude"]),
-            noise=float(stored["noise"]),
-            log_evidence=float(stored["log_evidence"]),
-        )
-        return EvidenceResult(
-            posterior=Posterior(free, stored["mean"], stored["covariance"]),
-            hyperparameters=hyperparameters,
-            constants={
-                name.removeprefix("constant/"): Estimate(*map(float, stored[name]))
-                for name in sorted(stored)
-                if name.startswith("constant/")
-            },
-            states=stored["states"],
-            outcome=str(stored["outcome"]),
-            iterations=int(stored["iterations"]),
-            goodness=str(stored["goodness"]) if "goodness" in stored else "",
-            process=_read_process(choice, stored),
-            structure=StructureSearch(float(stored["structure/gain"]))
-            if "structure/gain" in stored
-            else None,
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(
-            f"{folder.path / POSTERIOR_FILE} is damaged ({error}); "
-            f"{folder.repair(POSTERIOR_FILE)}"
-        ) from error
-
-
-def _read_process(
-    choice: ModelChoice, stored: dict[str, np.ndarray]
-) -> KernelForce | KernelPotential | None:
-    if "process/centers" not in stored:
-        return None
-    kind = KernelForce if choice.name == "neural-force" else KernelPotential
-    return kind.with_zero_weights(
-        stored["process/centers"], float(stored["process/width"])
-    )
 
 
 def _hashes(data: Trajectories) -> Iterator[bytes]:

@@ -35,7 +35,7 @@ class _PlainStruct:
             spec = ConstructorRegistry.get_struct_spec(info)
         finally:
             self.asking_tyro = False
-        if spec is None:
+        if not isinstance(spec, StructConstructorSpec):
             return None
         fields = tuple(_describe(field) for field in spec.fields)
         return dataclasses.replace(spec, fields=fields)

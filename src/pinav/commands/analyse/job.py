@@ -34,7 +34,8 @@ from pinav.commands.analyse.rollouts import vary_rollouts
 from pinav.commands.analyse.settings import AnalyseOptions, AnalyseSettings
 from pinav.commands.analyse.subject import Arrays, Subject
 from pinav.commands.command import CommandResult
-from pinav.commands.fitted_run import EvidenceResult, FittedRun
+from pinav.commands.evidence_file import EvidenceResult
+from pinav.commands.fitted_run import FittedRun
 from pinav.dynamics import OverdampedSwimmer, Swimmer, drive_by_commands, takes_commands
 from pinav.errors import FitError, InputError
 from pinav.evaluation import check_planar, field_map

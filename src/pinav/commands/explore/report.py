@@ -8,6 +8,6 @@ def explorer_sections(folder: RunFolder) -> list[Section]:
     """A link to the page, where there is one."""
     if not folder.has("explore.html"):
         return []
-    words = "In this page the learned model runs: drag a start, see its path and band."
+    words = "In this page the model itself runs: change the conditions, see the effect."
     link = Link("explore.html", "Explore the model")
     return [Section("Explorer", [Paragraph(words), link])]

@@ -8,6 +8,11 @@ import msgspec
 from pinav.commands.cells import EstimateRow
 from pinav.commands.command import CommandResult
 from pinav.commands.data_file import read_data
+from pinav.commands.evidence_file import (
+    MODEL_FILE,
+    POSTERIOR_FILE,
+    StructureSearch,
+)
 from pinav.commands.fit import FIT
 from pinav.commands.fit.fields import (
     error_of_force,
@@ -28,11 +33,8 @@ from pinav.commands.fit.settings import EVIDENCE_RECIPES, FitOptions
 from pinav.commands.fit.structure import profile_arrays, structure_row
 from pinav.commands.fit.thermal import fit_thermal, read_checks, thermal_remarks
 from pinav.commands.fitted_run import (
-    MODEL_FILE,
-    POSTERIOR_FILE,
     FittedRun,
     ModelHeader,
-    StructureSearch,
     save_data,
     write_fit,
     write_model,
