@@ -11,7 +11,9 @@ import pytest
 from pinav import cli
 from pinav.actuation import SaturatingResponse
 from pinav.commands.fitted_run import FittedRun
+from pinav.commands.navigate.job import navigate
 from pinav.commands.navigate.metrics import NavigationMetrics
+from pinav.commands.navigate.report import navigation_sections
 from pinav.commands.navigate.settings import NavigateSettings
 from pinav.commands.navigate.setup import navigation_problem
 from pinav.commands.navigate.tables import text
@@ -32,8 +34,9 @@ def settings(**changes):
 def test_places_are_numbers_with_commas():
     assert settings().places() == ((0.5, 1.0), (9.5, 9.5))
     assert numbers("--keep-out", "-1, 2.5,0.3", 3) == (-1.0, 2.5, 0.3)
-    for bad in ("1", "1,2,3", "1,x", "nan,1", ""):
-        with pytest.raises(InputError, match="--from: expected 2 numbers with commas"):
+    assert numbers("--to", "1,2,3", 2, 3) == (1.0, 2.0, 3.0)
+    for bad in ("1", "1,2,3,4", "1,x", "nan,1", ""):
+        with pytest.raises(InputError, match="--from: expected 2 or 3 numbers with co"):
             NavigateSettings(start=bad, goal="1,2").check()
 
 
@@ -45,8 +48,8 @@ def test_places_are_numbers_with_commas():
         ({"delay": -0.1}, "--delay: expected 0 or more"),
         ({"seeds": 0}, "--seeds: expected 1 or more"),
         ({"samples": 1}, "--samples: expected 0, or 2 and more"),
-        ({"keep_out": ("1,2",)}, "--keep-out: expected 3 numbers"),
-        ({"arena": "1,2,3"}, "--arena: expected 4 numbers"),
+        ({"keep_out": ("1,2",)}, "--keep-out: expected 3 or 4 numbers"),
+        ({"arena": "1,2,3"}, "--arena: expected 4 or 6 numbers"),
     ],
 )
 def test_settings_without_sense_are_refused(change, message):
@@ -169,3 +172,68 @@ def test_an_arena_that_is_not_given_holds_both_ends(tmp_path):
     arena = navigation_problem(settings(), run).task.arena
     for place in ([0.5, 1.0], [9.5, 9.5]):
         assert float(arena.distance(jnp.array(place))) < -1.0
+
+
+def space_run(tmp_path):
+    """The run of a swimmer in three dimensions, carried by a known flow."""
+    swimmer = OverdampedSwimmer(
+        ZeroForce(), ZeroForce(), 1.0, UniformFlow([0.2, 0.0, 0.1])
+    )
+    data = Trajectories.from_arrays(
+        [np.arange(3.0)],
+        [np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 1.0], [2.0, 1.0, 0.0]])],
+        channels=("x", "y", "z"),
+        units={"x": "1", "y": "1", "z": "1", "t": "1"},
+    )
+    folder = RunFolder.create(
+        tmp_path / "run", {"run": {"command": "fit"}}, overwrite=True
+    )
+    system = System("water", swimmer, 3)
+    return FittedRun(folder, system, data, {"model": swimmer}, ModelChoice(), None)
+
+
+IN_SPACE = {"start": "0,0,0", "goal": "2,1,1", "time_limit": 8.0}
+
+
+def test_a_run_in_space_gives_a_task_in_space(tmp_path):
+    chosen = NavigateSettings(**IN_SPACE, thrust=1.5, keep_out=("1,1,-1,0.5",))
+    problem = navigation_problem(chosen, space_run(tmp_path))
+    assert problem.task.dim == 3
+    assert not problem.task.inertial
+    np.testing.assert_allclose(problem.thrust, 1.5)
+    np.testing.assert_allclose(problem.task.keep_out[0].center, [1.0, 1.0, -1.0])
+    upward = problem.model(0.0, jnp.zeros(3), jnp.array([1.0, 0.3, np.pi / 2]))
+    np.testing.assert_allclose(upward, [0.2, 0.0, 1.6], atol=1e-9)
+    for place in ([0.0, 0.0, 0.0], [2.0, 1.0, 1.0]):
+        assert float(problem.task.arena.distance(jnp.array(place))) < 0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"start": "0,0"}, "--from: expected 3 numbers with commas"),
+        ({"goal": "1,1"}, "--to: expected 3 numbers"),
+        ({"arena": "0,0,1,1"}, "--arena: expected 6 numbers"),
+        ({"keep_out": ("0,0,1",)}, "--keep-out: expected 4 numbers"),
+    ],
+)
+def test_places_of_another_dimension_are_refused(tmp_path, change, message):
+    with pytest.raises(InputError, match=message):
+        navigation_problem(NavigateSettings(**(IN_SPACE | change)), space_run(tmp_path))
+
+
+@pytest.mark.slow
+def test_a_run_in_space_from_plan_to_report(tmp_path):
+    problem = navigation_problem(
+        NavigateSettings(**IN_SPACE, seeds=2, noise=0.02), space_run(tmp_path)
+    )
+    folder = RunFolder.create(
+        tmp_path / "there", {"run": {"command": "navigate"}}, overwrite=True
+    )
+    metrics = navigate(
+        NavigateSettings(**IN_SPACE, seeds=2, noise=0.02), problem, folder
+    )
+    assert metrics.controllers["learned"].success.value == 1.0
+    titles = [section.title for section in navigation_sections(folder)]
+    assert titles == ["Outcome", "Closed loop"]
+    assert (folder.path / "figures" / "navigate-closed-loop.png").exists()

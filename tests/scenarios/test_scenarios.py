@@ -12,7 +12,8 @@ from pinav.trajectories import simulate
 
 KEY = jax.random.key(1)
 CURRENTS = {name for name in SCENARIOS if name.endswith("-current")}
-PLANAR = sorted(SCENARIOS.keys() - {"paper", "brownian", "wall", "ring"} - CURRENTS)
+OTHERS = {"paper", "brownian", "box", "wall", "ring"}
+PLANAR = sorted(SCENARIOS.keys() - OTHERS - CURRENTS)
 RK = FixedStep(substeps=2)
 
 

@@ -5,13 +5,13 @@ import math
 from pinav.errors import InputError
 
 
-def numbers(option: str, text: str, count: int) -> tuple[float, ...]:
+def numbers(option: str, text: str, *counts: int) -> tuple[float, ...]:
     """Numbers with commas between them.
 
     Args:
         option: what the message calls them.
         text: such as "0.5,1".
-        count: how many are expected.
+        counts: how many there may be.
 
     Raises:
         InputError: they are not so many finite numbers.
@@ -20,10 +20,10 @@ def numbers(option: str, text: str, count: int) -> tuple[float, ...]:
         values = tuple(float(word) for word in text.split(","))
     except ValueError:
         values = ()
-    if len(values) != count or not all(map(math.isfinite, values)):
-        example = ",".join("1234"[:count])
+    if len(values) not in counts or not all(map(math.isfinite, values)):
+        example = ",".join("123456"[: counts[0]])
         raise InputError(
-            f"{option}: expected {count} numbers with commas between them, such as "
-            f"{example}, got {text!r}"
+            f"{option}: expected {' or '.join(map(str, counts))} numbers with commas "
+            f"between them, such as {example}, got {text!r}"
         )
     return values

@@ -10,7 +10,7 @@ from pinav.actuation import LinearResponse
 from pinav.commands.steering_settings import SteeringSettings
 from pinav.dynamics import OverdampedSwimmer, Swimmer, takes_commands, unbound
 from pinav.errors import InputError
-from pinav.evaluation import square
+from pinav.evaluation import enclosing_cube
 from pinav.forces import RollingPropulsion, ZeroForce
 from pinav.navigation import (
     CommandLimits,
@@ -31,7 +31,7 @@ def system_task(settings: SteeringSettings, system: System) -> Task:
     Raises:
         InputError: the system is not planar or states no true environment.
     """
-    _check_planar(system)
+    _check_planar(settings, system)
     truth = system.true_swimmer
     return task_of(settings, truth, truth, np.zeros((0, 2)), system.name)
 
@@ -44,12 +44,12 @@ def known_task(settings: SteeringSettings, system: System, data: Trajectories) -
     Raises:
         InputError: the system or the data are not planar.
     """
-    _check_planar(system)
+    _check_planar(settings, system)
     if data.dim != 2:
         raise InputError(
             f"--data: expected positions in the plane, got {', '.join(data.channels)}"
         )
-    corners = np.reshape(square(data), (2, 2)).T
+    corners = np.array(enclosing_cube(data))
     swimmer = system.swimmer.with_environment(ZeroForce())
     return task_of(settings, swimmer, swimmer, corners, system.name)
 
@@ -71,19 +71,20 @@ def observe_positions(known: Task, position_noise: float) -> Task:
     )
 
 
-def _check_planar(system: System) -> None:
+def _check_planar(settings: SteeringSettings, system: System) -> None:
     if system.dim != 2:
         raise InputError(
             f"system: expected a swimmer in the plane, got {system.name!r}, which has "
             f"{system.dim} dimensions; state a system with dimension = 2"
         )
+    settings.check_dimension(2)
 
 
 def task_of(
     settings: SteeringSettings,
     model: Swimmer | OverdampedSwimmer,
     truth: Swimmer | OverdampedSwimmer,
-    places: Float[np.ndarray, "place 2"],
+    places: Float[np.ndarray, "place dim"],
     name: str,
 ) -> Task:
     """The task of going from a place to a place.
@@ -101,7 +102,7 @@ def task_of(
     """
     start, goal = settings.places()
     actuator, limits, lag = _actuation(settings, model)
-    rest = (0.0, 0.0) if isinstance(truth, Swimmer) else ()
+    rest = [0.0] * len(start) if isinstance(truth, Swimmer) else []
     return Task(
         name=name,
         truth=SteeredSwimmer(truth, actuator),
@@ -109,7 +110,7 @@ def task_of(
         objective=ReachGoal(list(goal), settings.tolerance),
         limits=limits,
         arena=_arena(settings, places),
-        keep_out=tuple(Disc(list(d[:2]), d[2]) for d in settings.discs()),
+        keep_out=tuple(Disc(list(d[:-1]), d[-1]) for d in settings.discs()),
         step=settings.step,
         time_limit=settings.time_limit,
         noise=settings.noise,
@@ -127,7 +128,7 @@ def _actuation(
     """
     propulsion = unbound(model) if takes_commands(model) else model.propulsion
     if not isinstance(propulsion, RollingPropulsion):
-        gain = settings.thrust * jnp.eye(2)
+        gain = settings.thrust * jnp.eye(len(settings.places()[0]))
         return RollingActuator(gain, LinearResponse()), CommandLimits(1.0), 0.0
     actuator = RollingActuator(propulsion.gain, propulsion.response)
     lag = float(propulsion.delay) + float(propulsion.lag)
@@ -135,12 +136,12 @@ def _actuation(
 
 
 def _arena(
-    settings: SteeringSettings, places: Float[np.ndarray, "place 2"]
+    settings: SteeringSettings, places: Float[np.ndarray, "place dim"]
 ) -> Rectangle:
     """The arena that was given, or one around start, goal and further places [L]."""
     box = settings.box()
     if box is not None:
-        return Rectangle(list(box[:2]), list(box[2:]))
+        return Rectangle(*map(list, (box[: len(box) // 2], box[len(box) // 2 :])))
     ends = np.array(settings.places())
     margin = 0.25 * float(np.linalg.norm(ends[1] - ends[0])) + settings.tolerance
     inside = np.concatenate([ends - margin, ends + margin, places])

@@ -13,14 +13,14 @@ class SteeringSettings(Settings, frozen=True):
     """Where to go, with which swimmer.
 
     Attributes:
-        start: Where the run begins.
+        start: Where the run begins; with a z where the swimmer moves in space.
         goal: Where it should end.
         tolerance: Distance from the goal that counts as there.
         thrust: Greatest thrust: an acceleration where the model has inertia, else a
             force. A swimmer whose propulsion takes frequency and heading has its own.
-        keep_out: Discs that must not be entered.
-        arena: Rectangle that must not be left; around data, start and goal unless
-            given.
+        keep_out: Discs, or balls X,Y,Z,R in space, that must not be entered.
+        arena: Rectangle, or box X0,Y0,Z0,X1,Y1,Z1 in space, that must not be left;
+            around data, start and goal unless given.
         step: How long a command holds.
         time_limit: When a run has failed; also horizon of the plan.
         noise: White noise of the true swimmer: it adds noise * sqrt(dt) to the
@@ -49,7 +49,7 @@ class SteeringSettings(Settings, frozen=True):
         self.box()
         for name, place in (("--from", self.start), ("--to", self.goal)):
             if place is not None:
-                numbers(name, place, 2)
+                numbers(name, place, 2, 3)
 
     def places(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Start and goal.
@@ -62,12 +62,26 @@ class SteeringSettings(Settings, frozen=True):
                 "--from, --to: expected the places where the way begins and ends, such "
                 "as --from 0.5,1 --to 9.5,9.5"
             )
-        return numbers("--from", self.start, 2), numbers("--to", self.goal, 2)
+        start, goal = self.start, self.goal
+        return numbers("--from", start, 2, 3), numbers("--to", goal, 2, 3)
+
+    def check_dimension(self, dim: int) -> None:
+        """Refuse places that have not as many coordinates as the swimmer.
+
+        Raises:
+            InputError: a place, disc or arena has another number.
+        """
+        given = [("--from", self.start, dim), ("--to", self.goal, dim)]
+        given += [("--arena", self.arena, 2 * dim)]
+        given += [("--keep-out", text, dim + 1) for text in self.keep_out]
+        for name, text, count in given:
+            if text is not None:
+                numbers(name, text, count)
 
     def discs(self) -> list[tuple[float, ...]]:
-        """Centre and radius of each disc that must not be entered."""
-        return [numbers("--keep-out", text, 3) for text in self.keep_out]
+        """Centre and radius of each disc or ball that must not be entered."""
+        return [numbers("--keep-out", text, 3, 4) for text in self.keep_out]
 
     def box(self) -> tuple[float, ...] | None:
         """Corners of the arena."""
-        return None if self.arena is None else numbers("--arena", self.arena, 4)
+        return None if self.arena is None else numbers("--arena", self.arena, 4, 6)

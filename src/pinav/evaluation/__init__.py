@@ -29,6 +29,7 @@ from pinav.evaluation.force_fields import agreement as agreement
 from pinav.evaluation.force_fields import check_planar as check_planar
 from pinav.evaluation.force_fields import default_regions as default_regions
 from pinav.evaluation.force_fields import distances as distances
+from pinav.evaluation.force_fields import enclosing_cube as enclosing_cube
 from pinav.evaluation.force_fields import extent as extent
 from pinav.evaluation.force_fields import field_map as field_map
 from pinav.evaluation.force_fields import force_agreement as force_agreement

@@ -194,11 +194,19 @@ def square(trajectories: Trajectories) -> tuple[float, float, float, float]:
     Returns:
         x from, x to, y from, y to.
     """
+    (x_from, y_from), (x_to, y_to) = enclosing_cube(trajectories)
+    return x_from, x_to, y_from, y_to
+
+
+def enclosing_cube(
+    trajectories: Trajectories,
+) -> tuple[Float[np.ndarray, " dim"], Float[np.ndarray, " dim"]]:
+    """Lower and upper corner of the same in any number of dimensions [L]."""
     samples = _observed_positions(trajectories)[0]
     margin = default_regions(trajectories).near
     low, high = samples.min(axis=0), samples.max(axis=0)
     middle, half = (low + high) / 2, (high - low).max() / 2 + margin
-    return middle[0] - half, middle[0] + half, middle[1] - half, middle[1] + half
+    return middle - half, middle + half
 
 
 def distances(

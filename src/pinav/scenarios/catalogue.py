@@ -20,6 +20,7 @@ from pinav.scenarios.media import (
 )
 from pinav.scenarios.random_fields import fibres, many_barriers
 from pinav.scenarios.random_starts import Scenario
+from pinav.scenarios.spaces import box
 from pinav.scenarios.thermal_truths import ring, wall
 from pinav.systems import System
 
@@ -40,6 +41,7 @@ SCENARIOS: dict[str, Scenario] = {
     "channel-current": channel_current,
     "vortex-current": vortex_current,
     "drift-current": drift_current,
+    "box": box,
     "wall": wall,
     "ring": ring,
 }

@@ -62,10 +62,10 @@ def test_line_of_sight_is_straight_where_the_drift_is_known():
 def test_cruising_speed_is_thrust_over_drag():
     """The environment and the flow do not count."""
     task = open_water(inert=True)
-    speed = cruising_speed(task.truth, task.limits, task.start)
+    speed = cruising_speed(task.truth, task)
     np.testing.assert_allclose(speed, 1 / DRAG)
     carried = open_water(environment=Advection(UniformFlow([0.0, 0.3])))
-    speed = cruising_speed(carried.truth, carried.limits, carried.start)
+    speed = cruising_speed(carried.truth, carried)
     np.testing.assert_allclose(speed, 1.0)
 
 

@@ -95,7 +95,7 @@ def test_the_vortex_cannot_be_crossed_more_quickly_by_a_direct_method():
     middles = found.headings[5::10]
     near = direct_time(task, np.append(middles, found.time))
     np.testing.assert_allclose(near, found.time, rtol=2e-3)
-    end = found.xs[-1] + 0.3 * np.asarray(direction(jnp.asarray(found.headings[-1])))
+    end = found.xs[-1] + 0.3 * np.asarray(direction(jnp.asarray(found.headings[-1:])))
     np.testing.assert_allclose(end, task.objective.goal, atol=1e-6)
     assert np.all(-task.arena.distance(jnp.asarray(found.xs.min(axis=0))) > 0)
     assert np.all(-task.arena.distance(jnp.asarray(found.xs.max(axis=0))) > 0)

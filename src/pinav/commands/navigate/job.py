@@ -179,16 +179,16 @@ def _arrays(
     count = round(end / task.step) + 1 if end else len(route.ts)
     arrays = {
         "arena": np.array([task.arena.lower, task.arena.upper]),
-        "start": np.asarray(task.start[:2]),
+        "start": np.asarray(task.start[: task.dim]),
         "goal": np.asarray(problem.goal.goal),
         "tolerance": np.asarray(problem.goal.tolerance),
         "discs": np.array([[*z.center, z.radius] for z in problem.discs]),
         "step": np.asarray(task.step),
-        "route": np.asarray(route.ys)[:count, :2],
+        "route": np.asarray(route.ys)[:count, : task.dim],
         "plan/time": np.where(plan.unreachable, np.inf, plan.map),
-        **_lattice(plan),
-        **_maps(problem),
     }
+    if task.dim == 2:
+        arrays |= _lattice(plan) | _maps(problem)
     for name, runs in episodes.items():
         arrays[f"states/{name}"] = runs.states
         arrays[f"steps/{name}"] = runs.steps

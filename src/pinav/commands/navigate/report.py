@@ -13,6 +13,7 @@ from pinav.commands.navigate.tables import (
 )
 from pinav.figures.animation import Trails, save_animation
 from pinav.figures.navigation import Course, closed_loop_figure, outcome_bars, plan_map
+from pinav.figures.space import space_figure
 from pinav.figures.style import new_figure, with_order
 from pinav.report import Image, Paragraph, Section
 from pinav.report.images import Figures
@@ -40,6 +41,9 @@ def navigation_sections(folder: RunFolder) -> list[Section]:
         controller_table(metrics.controllers, metrics.regret),
         figures.image("navigate-outcome", bars, caption),
     ]
+    if len(arrays["start"]) > 2:
+        loops = _in_space(figures, arrays, metrics)
+        return [Section("Outcome", outcome), Section("Closed loop", [loops])]
     return [
         Section("Outcome", outcome),
         Section("Plan", [_plan(figures, arrays, metrics)]),
@@ -66,10 +70,12 @@ def _plan(figures: Figures, arrays: Arrays, metrics: NavigationMetrics) -> Image
     return figures.image("navigate-plan", figure, caption, width=0.6)
 
 
-def _loops(figures: Figures, arrays: Arrays, metrics: NavigationMetrics) -> Image:
-    paths = {
+def _paths(arrays: Arrays, metrics: NavigationMetrics) -> dict[str, list[np.ndarray]]:
+    """Positions of a few runs of each controller [L]."""
+    dim = len(arrays["start"])
+    return {
         name: [
-            states[: steps + 1, :2]
+            states[: steps + 1, :dim]
             for states, steps in zip(
                 arrays[f"states/{name}"][:DRAWN],
                 arrays[f"steps/{name}"][:DRAWN],
@@ -78,8 +84,25 @@ def _loops(figures: Figures, arrays: Arrays, metrics: NavigationMetrics) -> Imag
         ]
         for name in metrics.controllers
     }
+
+
+def _in_space(figures: Figures, arrays: Arrays, metrics: NavigationMetrics) -> Image:
+    figure = space_figure(arrays, _paths(arrays, metrics), units=_units(metrics))
+    caption = (
+        f"Paths of at most {DRAWN} runs of each controller, in "
+        f"{environment_words(metrics)}, from start (circle) to goal (cross), and "
+        "the way planned on the learned force (dashed). The controllers differ in the "
+        "model with which they plan. Balls must not be entered."
+    )
+    return figures.image("navigate-closed-loop", figure, caption)
+
+
+def _loops(figures: Figures, arrays: Arrays, metrics: NavigationMetrics) -> Image:
     figure = closed_loop_figure(
-        arrays, paths, thrust=metrics.thrust, units=_units(metrics)
+        arrays,
+        _paths(arrays, metrics),
+        thrust=metrics.thrust,
+        units=_units(metrics),
     )
     caption = (
         f"Paths of at most {DRAWN} runs of each controller, in "

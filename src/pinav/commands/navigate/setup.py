@@ -16,7 +16,7 @@ from pinav.dynamics import (
     takes_commands,
 )
 from pinav.errors import InputError
-from pinav.evaluation import square
+from pinav.evaluation import enclosing_cube
 from pinav.fitting import Posterior
 from pinav.navigation import (
     Disc,
@@ -95,25 +95,28 @@ class NavigationProblem:
     @property
     def thrust(self) -> float:
         """The greatest thrust that can be commanded."""
-        return float(greatest_thrust(self.model.actuator, self.task.limits))
+        task = self.task
+        return float(greatest_thrust(self.model.actuator, task.limits, task.dim))
 
 
 def navigation_problem(settings: NavigateSettings, run: FittedRun) -> NavigationProblem:
     """The navigation problem of a run, from its system and model alone.
 
     Raises:
-        InputError: the run holds no fitted swimmer in the plane.
+        InputError: the run holds no fitted swimmer in the plane or in space, or the
+            settings name places of another dimension.
     """
-    model = run.model
-    if not isinstance(model, Swimmer | OverdampedSwimmer) or run.data.dim != 2:
+    model, dim = run.model, run.data.dim
+    if not isinstance(model, Swimmer | OverdampedSwimmer) or dim < 2:
         raise InputError(
-            f"{run.folder.path}: expected a swimmer in the plane, got the model "
-            f"{run.choice.name} of {', '.join(run.data.channels)}"
+            f"{run.folder.path}: expected a swimmer in the plane or in space, got the "
+            f"model {run.choice.name} of {', '.join(run.data.channels)}"
         )
+    settings.check_dimension(dim)
     known, truth, source = model, None, source_system(run.data.provenance)
     if source is not None and source.environment is not None:
         known, truth = source.true_swimmer, source.name
-    corners = np.reshape(square(run.data), (2, 2)).T
+    corners = np.array(enclosing_cube(run.data))
     task = task_of(settings, model, known, corners, NAVIGATE.name)
     actuator = task.truth.actuator
     return NavigationProblem(
@@ -140,8 +143,14 @@ def _draws(run: FittedRun, settings: NavigateSettings) -> list[AbstractDynamics]
 
 
 def _evidence(run: FittedRun, model: AbstractDynamics) -> Evidence | None:
-    """The fit's evidence; none for stochastic paths, whose states are not smoothed."""
+    """The fit's evidence where the next trajectory can be suggested.
+
+    Not of stochastic paths, whose states are not smoothed, nor in space, where
+    candidates have no elevation.
+    """
     evidence = run.evidence
     if evidence is None or "diffusion" in evidence.constants or takes_commands(model):
+        return None
+    if run.data.dim > 2:
         return None
     return Evidence(evidence.posterior, run.noise, evidence.states)

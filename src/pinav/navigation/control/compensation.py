@@ -125,6 +125,7 @@ class DriftEstimation(AbstractController[FilterState[Inner]], Generic[Inner]):
         sensor_noise: standard deviation of each observed component.
         prior: standard deviation of the drift at first.
         wandering: of the drift, the standard deviation of its change in a unit of time.
+        dim: components of the drift.
 
     References:
         Jazwinski, Stochastic Processes and Filtering Theory (1970), ch. 8.
@@ -137,12 +138,13 @@ class DriftEstimation(AbstractController[FilterState[Inner]], Generic[Inner]):
     sensor_noise: float
     prior: float
     wandering: float = 0.0
+    dim: int = eqx.field(static=True, default=2)
 
     def start(self, observation: Observation) -> FilterState[Inner]:
         state = observation.state
-        mean = jnp.concatenate([state, jnp.zeros(2, state.dtype)])
+        mean = jnp.concatenate([state, jnp.zeros(self.dim, state.dtype)])
         known = jnp.full(state.shape[0], self.sensor_noise**2 + LEAST, state.dtype)
-        spread = jnp.full(2, self.prior**2, state.dtype)
+        spread = jnp.full(self.dim, self.prior**2, state.dtype)
         covariance = jnp.diag(jnp.concatenate([known, spread]))
         time = jnp.asarray(observation.time, state.dtype)
         inner = self.controller.start(Observation(time, mean, observation.pending))
@@ -201,12 +203,12 @@ class DriftEstimation(AbstractController[FilterState[Inner]], Generic[Inner]):
         """What a step adds to the covariance."""
         size, step = mean.shape[0], self.timing.step
         variances = jnp.full(size, LEAST, mean.dtype)
-        variances = variances.at[-4:-2].add(self.noise**2 * step)
-        variances = variances.at[-2:].add(self.wandering**2 * step)
+        variances = variances.at[-2 * self.dim : -self.dim].add(self.noise**2 * step)
+        variances = variances.at[-self.dim :].add(self.wandering**2 * step)
         return jnp.diag(variances)
 
     def _gain(self, covariance: Float[Array, "all all"]) -> Float[Array, "all known"]:
-        known = covariance.shape[0] - 2
+        known = covariance.shape[0] - self.dim
         observed = covariance[:known, :known]
         error = (self.sensor_noise**2 + LEAST) * jnp.eye(known, dtype=observed.dtype)
         return jnp.linalg.solve(observed + error, covariance[:known]).T

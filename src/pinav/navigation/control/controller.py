@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 from pinav.arguments import Scalar, State
 from pinav.navigation.task.steering import Command
 
-Controls = Float[Array, "step 2"]
+Controls = Float[Array, "step dim"]
 """Thrusts of the coming steps, in units of the greatest one."""
 
 Memory = TypeVar("Memory", bound=PyTree)
@@ -28,7 +28,7 @@ class Observation(eqx.Module):
 
     time: Scalar
     state: State
-    pending: Float[Array, "command 2"]
+    pending: Float[Array, "command dim"]
 
 
 class AbstractController(eqx.Module, Generic[Memory]):

@@ -46,16 +46,17 @@ class ArrivalCost(AbstractCost):
     plan: TimeToGo
 
     def __call__(self, ts: Times, ys: Course, controls: Controls) -> Float[Array, ""]:
-        plan, ways = self.plan, jnp.diff(ys[:, :2], axis=0)
+        plan = self.plan
+        xs = ys[:, : plan.goal.shape[0]]
         fraction = jax.vmap(entry_fraction, (0, 0, None, None))(
-            ys[:-1, :2], ways, plan.goal, plan.tolerance
+            xs[:-1], jnp.diff(xs, axis=0), plan.goal, plan.tolerance
         )
         # One until the goal is entered, zero ever after: what follows costs nothing.
         away = jnp.cumprod(jnp.isinf(fraction).astype(ys.dtype))
         before = jnp.concatenate([jnp.ones_like(away[:1]), away[:-1]])
         time_cost = plan.tables.time_cost
-        running_cost = jax.vmap(time_cost.running_cost)(ts[1:], ys[1:, :2])
-        running_cost = running_cost + _collisions(time_cost, ys) * plan.horizon
+        running_cost = jax.vmap(time_cost.running_cost)(ts[1:], xs[1:])
+        running_cost = running_cost + _collisions(time_cost, xs) * plan.horizon
         running = before * jnp.minimum(fraction, 1.0) * jnp.diff(ts) * running_cost
         return jnp.sum(running) + away[-1] * plan.at(ys[-1], ts[-1])
 
@@ -74,10 +75,11 @@ class TrackingCost(AbstractCost):
     effort: float = 0.0
 
     def __call__(self, ts: Times, ys: Course, controls: Controls) -> Float[Array, ""]:
+        xs = ys[:, : self.time_cost.arena.dim]
         targets = jax.vmap(self.objective.target)(ts[1:])
-        error = jnp.sum((ys[1:, :2] - targets) ** 2, axis=1)
-        running_cost = jax.vmap(self.time_cost.running_cost)(ts[1:], ys[1:, :2]) - 1
-        walls = running_cost + COLLISION * _collisions(self.time_cost, ys)
+        error = jnp.sum((xs[1:] - targets) ** 2, axis=1)
+        running_cost = jax.vmap(self.time_cost.running_cost)(ts[1:], xs[1:]) - 1
+        walls = running_cost + COLLISION * _collisions(self.time_cost, xs)
         change = jnp.sum(jnp.diff(controls, axis=0) ** 2)
         return jnp.sum((error + walls) * jnp.diff(ts)) + self.effort * change
 
@@ -86,7 +88,9 @@ COLLISION = 1e3
 """Cost of a unit of time in a wall, where a path is followed [L²]."""
 
 
-def _collisions(time_cost: TimeCost, ys: Course) -> Float[Array, " step"]:
-    """One for each later state in a wall."""
-    clearance = jax.vmap(time_cost.clearance)(ys[1:, :2])
-    return (clearance < 0).astype(ys.dtype)
+def _collisions(
+    time_cost: TimeCost, xs: Float[Array, "time dim"]
+) -> Float[Array, " step"]:
+    """One for each later position in a wall."""
+    clearance = jax.vmap(time_cost.clearance)(xs[1:])
+    return (clearance < 0).astype(xs.dtype)

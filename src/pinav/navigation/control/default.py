@@ -50,7 +50,9 @@ def controller(
     check_places(task)
     tables = tabulate_model(task, model, samples=samples, risk_aversion=risk_aversion)
     filtered = task.sensor_noise > 0 or bool(drift)
-    predictor = Drifting(tables.predictor) if filtered else tables.predictor
+    predictor = tables.predictor
+    if filtered:
+        predictor = Drifting(predictor, task.dim)
     steered = _undelayed_controller(task, model, tables, predictor)
     timing = Timing(task.step, task.delay)
     # The filter stands outside: it must see observations as they are, not ahead.
@@ -61,6 +63,7 @@ def controller(
             steered,
             predictor,
             timing,
+            dim=task.dim,
             noise=task.noise,
             sensor_noise=task.sensor_noise,
             prior=drift or 0.0,

@@ -20,7 +20,7 @@ from pinav.navigation.control.controller import (
 )
 from pinav.navigation.control.costs import AbstractCost
 from pinav.navigation.control.prediction import AbstractGuide, TrajectoryPrediction
-from pinav.navigation.model.predictors import within_disc
+from pinav.navigation.model.predictors import within_ball
 from pinav.navigation.task.steering import Command, direction
 
 _Descent = tuple[Controls, optax.OptState, Controls, Float[Array, ""]]
@@ -55,7 +55,7 @@ class GradientMPC(AbstractController[Controls]):
         check_positive(self, "iterations", "rate")
 
     def start(self, observation: Observation) -> Controls:
-        ahead = SMALL * direction(observation.pending[-1, 1])
+        ahead = SMALL * direction(observation.pending[-1, 1:])
         return jnp.tile(
             ahead.astype(observation.state.dtype), (self.prediction.steps, 1)
         )
@@ -95,7 +95,7 @@ class GradientMPC(AbstractController[Controls]):
             slope = jnp.where(jnp.isfinite(slope), slope, 0.0)
             with jax.numpy_dtype_promotion("standard"):  # as optax expects
                 change, progress = method.update(slope, progress)
-            controls = within_disc(controls - length * cast(Array, change))
+            controls = within_ball(controls - length * cast(Array, change))
             return (controls, progress, best, least), None
 
         least = jnp.asarray(jnp.inf, controls.dtype)

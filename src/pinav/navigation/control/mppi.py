@@ -18,7 +18,7 @@ from pinav.navigation.control.controller import (
 )
 from pinav.navigation.control.costs import AbstractCost
 from pinav.navigation.control.prediction import AbstractGuide, TrajectoryPrediction
-from pinav.navigation.model.predictors import within_disc
+from pinav.navigation.model.predictors import within_ball
 from pinav.navigation.task.steering import Command
 
 
@@ -64,7 +64,8 @@ class PathIntegral(AbstractController[Controls]):
         check_positive(self, "spread", "temperature")
 
     def start(self, observation: Observation) -> Controls:
-        return jnp.zeros((self.prediction.steps, 2), observation.state.dtype)
+        dim = self.prediction.control_map.dim
+        return jnp.zeros((self.prediction.steps, dim), observation.state.dtype)
 
     def __call__(
         self, observation: Observation, memory: Controls, *, key: PRNGKeyArray
@@ -75,9 +76,9 @@ class PathIntegral(AbstractController[Controls]):
             other = self.guide(observation, self.prediction)
 
         def improve(
-            centers: Float[Array, "2 step 2"],
+            centers: Float[Array, "2 step dim"],
             inputs: tuple[Float[Array, ""], PRNGKeyArray],
-        ) -> tuple[Float[Array, "2 step 2"], None]:
+        ) -> tuple[Float[Array, "2 step dim"], None]:
             better = self._improve(observation, centers, *inputs)
             return jnp.stack([better, better]), None
 
@@ -90,14 +91,14 @@ class PathIntegral(AbstractController[Controls]):
     def _improve(
         self,
         observation: Observation,
-        centers: Float[Array, "2 step 2"],
+        centers: Float[Array, "2 step dim"],
         width: Scalar,
         key: PRNGKeyArray,
     ) -> Controls:
         """Mean of the two centres and of changes of either, by the weights."""
         changes = width * self._changes(key).astype(centers.dtype)
         around = centers[jnp.arange(self.samples) % 2] + changes
-        tried = jnp.concatenate([centers, BEYOND * within_disc(around / BEYOND)])
+        tried = jnp.concatenate([centers, BEYOND * within_ball(around / BEYOND)])
         costs = self._costs(observation, tried)
         least = jnp.min(costs)
         unit = self.temperature * (jnp.median(costs) - least) + 1e-9
@@ -105,18 +106,20 @@ class PathIntegral(AbstractController[Controls]):
         return jnp.tensordot(weights, tried, 1)
 
     def _costs(
-        self, observation: Observation, many: Float[Array, "sample step 2"]
+        self, observation: Observation, many: Float[Array, "sample step dim"]
     ) -> Float[Array, " sample"]:
         ts, ys = jax.vmap(lambda controls: self.prediction(observation, controls))(many)
         costs = jax.vmap(self.cost)(ts, ys, many)
         # Finite, so that the median and the differences below remain numbers.
         return jnp.where(jnp.isfinite(costs), costs, jnp.finfo(costs.dtype).max / 4)
 
-    def _changes(self, key: PRNGKeyArray) -> Float[Array, "sample step 2"]:
+    def _changes(self, key: PRNGKeyArray) -> Float[Array, "sample step dim"]:
         """Random sequences of unit size, linear between their knots."""
         steps = self.prediction.steps
         knots = max(2, -(-steps // STEPS_PER_KNOT) + 1)
-        values = jax.random.normal(key, (self.samples, knots, 2))
+        values = jax.random.normal(
+            key, (self.samples, knots, self.prediction.control_map.dim)
+        )
         place = jnp.linspace(0.0, knots - 1.0, steps)
         hats = jnp.maximum(
             0.0, 1 - jnp.abs(place[:, None] - jnp.arange(float(knots))[None])

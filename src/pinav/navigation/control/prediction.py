@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from pinav.arguments import Planar, Scalar, State
+from pinav.arguments import Scalar, State, Vector
 from pinav.errors import InputError
 from pinav.navigation.control.controller import Controls, Observation
 from pinav.navigation.model.predictors import AbstractPredictor, ControlMap
@@ -50,7 +50,7 @@ class TrajectoryPrediction(eqx.Module):
         )
 
         def move(
-            carry: tuple[State, Command], inputs: tuple[Scalar, Planar]
+            carry: tuple[State, Command], inputs: tuple[Scalar, Vector]
         ) -> tuple[tuple[State, Command], State]:
             y, previous = carry
             t, control = inputs
@@ -61,7 +61,7 @@ class TrajectoryPrediction(eqx.Module):
         _, ys = jax.lax.scan(move, (y0, previous), (ts[:-1], controls))
         return ts, jnp.concatenate([y0[None], ys])
 
-    def command(self, observation: Observation, control: Planar) -> Command:
+    def command(self, observation: Observation, control: Vector) -> Command:
         """The command now that a control stands for."""
         return self.control_map.command(control, observation.pending[-1], self.step)
 
@@ -90,7 +90,7 @@ class GradientGuide(AbstractGuide):
     ) -> Controls:
         def move(
             carry: tuple[State, Command], t: Scalar
-        ) -> tuple[tuple[State, Command], Planar]:
+        ) -> tuple[tuple[State, Command], Vector]:
             y, previous = carry
             control = self.plan.control(t, y, previous, prediction.predictor)
             command = prediction.control_map.command(control, previous, prediction.step)

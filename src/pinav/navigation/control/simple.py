@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from pinav.arguments import Planar, Scalar, State
+from pinav.arguments import Scalar, Vector
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.navigation.control.controller import AbstractController, Observation
 from pinav.navigation.task.objectives import AbstractObjective
@@ -17,6 +17,7 @@ from pinav.navigation.task.steering import (
     Command,
     CommandLimits,
     SteeredSwimmer,
+    direction_angles,
     greatest_thrust,
 )
 from pinav.navigation.task.task import Task
@@ -48,10 +49,10 @@ class StraightLine(AbstractController[tuple[()]]):
     def __call__(
         self, observation: Observation, memory: tuple[()], *, key: PRNGKeyArray
     ) -> tuple[Command, tuple[()]]:
-        offset = self.objective.target(observation.time) - observation.state[:2]
-        heading = jnp.arctan2(offset[1], offset[0])
-        frequency = jnp.full_like(heading, self.limits.max_frequency)
-        return jnp.stack([frequency, heading]), ()
+        target = self.objective.target(observation.time)
+        offset = target - observation.state[: target.shape[0]]
+        frequency = jnp.full((1,), self.limits.max_frequency, offset.dtype)
+        return jnp.concatenate([frequency, direction_angles(offset)]), ()
 
 
 class LineOfSight(AbstractController[tuple[()]]):
@@ -76,7 +77,7 @@ class LineOfSight(AbstractController[tuple[()]]):
     @classmethod
     def of(cls, task: Task, model: SteeredSwimmer) -> "LineOfSight":
         """For a task, at the speed that the greatest thrust keeps up."""
-        speed = cruising_speed(model, task.limits, task.start)
+        speed = cruising_speed(model, task)
         return cls(task.objective, model, task.limits, speed)
 
     def start(self, observation: Observation) -> tuple[()]:
@@ -86,34 +87,35 @@ class LineOfSight(AbstractController[tuple[()]]):
         self, observation: Observation, memory: tuple[()], *, key: PRNGKeyArray
     ) -> tuple[Command, tuple[()]]:
         t, y = observation.time, observation.state
-        rate = self.objective.guidance(t, y[:2], self.speed)
-        if y.shape[0] > 2:
-            rate = (rate - y[2:]) / REACTION
-        thrust = rate - self.model(t, y, jnp.zeros_like(y[:2]))[-2:]
+        dim = observation.pending.shape[1]
+        rate = self.objective.guidance(t, y[:dim], self.speed)
+        if y.shape[0] > dim:
+            rate = (rate - y[dim:]) / REACTION
+        thrust = rate - self.model(t, y, jnp.zeros_like(y[:dim]))[-dim:]
         return command_of(self.model.actuator, self.limits, thrust), ()
 
 
-def cruising_speed(
-    model: SteeredSwimmer, limits: CommandLimits, state: State
-) -> Float[Array, ""]:
+def cruising_speed(model: SteeredSwimmer, task: Task) -> Float[Array, ""]:
     """Speed that the greatest thrust keeps up against drag alone [L T⁻¹].
 
     Args:
         model: the swimmer.
-        limits: what may be commanded.
-        state: at which the drag is taken.
+        task: its limits, and the start, at which the drag is taken.
     """
-    thrust = greatest_thrust(model.actuator, limits)
-    if state.shape[0] == 2:
+    dim, state = task.dim, task.start
+    thrust = greatest_thrust(model.actuator, task.limits, dim)
+    if not task.inertial:
         return thrust
-    idle = physics_only(model).under(jnp.zeros(2, state.dtype))
-    slopes = jax.jacfwd(lambda v: idle(0.0, jnp.append(state[:2], v))[2:])(state[2:])
-    # The mean of both directions: the tensor of an anisotropic drag has no single one.
-    return thrust / (-jnp.trace(slopes) / 2)
+    idle = physics_only(model).under(jnp.zeros(dim, state.dtype))
+    slopes = jax.jacfwd(lambda v: idle(0.0, jnp.append(state[:dim], v))[dim:])(
+        state[dim:]
+    )
+    # The mean of all directions: the tensor of an anisotropic drag has no single one.
+    return thrust / (-jnp.trace(slopes) / dim)
 
 
 def command_of(
-    actuator: AbstractActuator, limits: CommandLimits, thrust: Planar
+    actuator: AbstractActuator, limits: CommandLimits, thrust: Vector
 ) -> Command:
     """The command whose thrust is the wanted one, or the nearest in its direction.
 
@@ -123,18 +125,22 @@ def command_of(
         thrust: wanted [L T⁻²].
     """
     frequencies = jnp.linspace(0.0, limits.max_frequency, TABULATED, dtype=thrust.dtype)
-    toward = jnp.arctan2(thrust[1], thrust[0])
+    toward = direction_angles(thrust)
 
-    def correct(_: Int[Array, ""], heading: Float[Array, ""]) -> Float[Array, ""]:
-        made = actuator(jnp.stack([frequencies[-1], heading]))
-        return heading + toward - jnp.arctan2(made[1], made[0])
+    def made(frequency: Scalar, angles: Float[Array, " angle"]) -> Vector:
+        return actuator(jnp.append(frequency, angles))
+
+    def correct(
+        _: Int[Array, ""], angles: Float[Array, " angle"]
+    ) -> Float[Array, " angle"]:
+        return angles + toward - direction_angles(made(frequencies[-1], angles))
 
     # A fixed number of corrections, so that it can be batched and differentiated.
-    heading = jax.lax.fori_loop(0, TURNS, correct, toward)
-    thrusts = jax.vmap(lambda f: actuator(jnp.stack([f, heading])))(frequencies)
+    angles = jax.lax.fori_loop(0, TURNS, correct, toward)
+    thrusts = jax.vmap(lambda frequency: made(frequency, angles))(frequencies)
     sizes = jnp.linalg.norm(thrusts, axis=1)
     frequency = jnp.interp(jnp.linalg.norm(thrust), sizes, frequencies)
-    return jnp.stack([frequency, heading])
+    return jnp.append(frequency, angles)
 
 
 def steered_swimmer(

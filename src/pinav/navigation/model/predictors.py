@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.arguments import Planar, Scalar, State
+from pinav.arguments import Scalar, State, Vector
 from pinav.errors import InputError
 from pinav.navigation.model.tables import FieldTable
 from pinav.navigation.task.steering import (
@@ -17,7 +17,8 @@ from pinav.navigation.task.steering import (
     Command,
     CommandLimits,
     SteeredSwimmer,
-    direction,
+    all_directions,
+    direction_angles,
 )
 
 
@@ -59,11 +60,11 @@ class InertialTable(AbstractPredictor):
 
     def step(self, t: Scalar, y: State, command: Command, duration: Scalar) -> State:
         half = jnp.asarray(duration, y.dtype) / 2
-        x, v = y[:2] + half * y[2:], y[2:]
-        rates = self.table(jnp.asarray(t, y.dtype) + half, x)
-        drag = rates[2:].reshape(2, 2)
-        push = rates[:2] + self.actuator(command) - drag @ v
-        implicit = jnp.eye(2, dtype=y.dtype) + half * drag
+        x, v = jnp.split(y, 2)
+        x = x + half * v
+        force, drag = split_rates(self.table(jnp.asarray(t, y.dtype) + half, x))
+        push = force + self.actuator(command) - drag @ v
+        implicit = jnp.eye(x.shape[0], dtype=y.dtype) + half * drag
         v = v + 2 * half * _solve(implicit, push)
         return jnp.concatenate([x + half * v, v])
 
@@ -85,34 +86,37 @@ class OverdampedTable(AbstractPredictor):
         middle = y + duration / 2 * self._velocity(t, y, thrust)
         return y + duration * self._velocity(t + duration / 2, middle, thrust)
 
-    def _velocity(self, t: Scalar, x: Planar, thrust: Planar) -> Planar:
-        rates = self.table(t, x)
-        return rates[:2] + rates[2:].reshape(2, 2) @ thrust
+    def _velocity(self, t: Scalar, x: Vector, thrust: Vector) -> Vector:
+        drift, mobility = split_rates(self.table(t, x))
+        return drift + mobility @ thrust
 
 
 class Drifting(AbstractPredictor):
     r"""Another predictor, and a constant rate that it does not know.
 
-    The rate b is the last pair of the state: (x, b) or (x, v, b). It adds to the
+    The rate b comes last in the state: (x, b) or (x, v, b). It adds to the
     velocity [L T⁻¹], or to the acceleration [L T⁻²] where there is one: half of it
     before the step of the other predictor and half after, which is of second order.
 
     Attributes:
         predictor: what is known.
+        dim: components of the rate.
     """
 
     predictor: AbstractPredictor
+    dim: int = eqx.field(static=True, default=2)
 
     def step(self, t: Scalar, y: State, command: Command, duration: Scalar) -> State:
-        state, drift = y[:-2], y[-2:]
+        dim = self.dim
+        state, drift = y[:-dim], y[-dim:]
         half = jnp.asarray(duration, y.dtype) / 2 * drift
-        state = state.at[-2:].add(half)
-        state = self.predictor.step(t, state, command, duration).at[-2:].add(half)
+        state = state.at[-dim:].add(half)
+        state = self.predictor.step(t, state, command, duration).at[-dim:].add(half)
         return jnp.concatenate([state, drift])
 
 
 class ControlMap(eqx.Module):
-    r"""Commands as controls: vectors in the unit disc, in units of the greatest thrust.
+    r"""Commands as controls: vectors in the unit ball, in units of the greatest thrust.
 
     A vector w stands for the frequency $|w| f_b$ in its own direction, where $f_b$ is
     the allowed frequency of the greatest thrust.
@@ -121,21 +125,25 @@ class ControlMap(eqx.Module):
         frequency: $f_b$ [cycles T⁻¹].
         limits: what may be commanded.
         actuator: what a command does.
+        dim: components of a control.
     """
 
     frequency: float
     limits: CommandLimits
     actuator: AbstractActuator
+    dim: int = eqx.field(static=True, default=2)
 
     @classmethod
-    def of(cls, actuator: AbstractActuator, limits: CommandLimits) -> "ControlMap":
-        """The drive of an actuator within limits.
+    def of(
+        cls, actuator: AbstractActuator, limits: CommandLimits, dim: int = 2
+    ) -> "ControlMap":
+        """The drive of an actuator within limits, in the plane or in space.
 
         Raises:
             InputError: no allowed command gives thrust.
         """
         frequencies = np.linspace(0.0, limits.max_frequency, 513)
-        commands = jnp.stack([jnp.asarray(frequencies), jnp.zeros(513)], axis=1)
+        commands = jnp.zeros((513, dim)).at[:, 0].set(frequencies)
         thrusts = np.linalg.norm(np.asarray(jax.vmap(actuator)(commands)), axis=1)
         best = int(np.argmax(thrusts))
         if not thrusts[best] > 0:
@@ -143,41 +151,55 @@ class ControlMap(eqx.Module):
                 f"limits: expected a frequency that gives thrust, got none up to "
                 f"{limits.max_frequency}; raise max_frequency"
             )
-        return cls(float(frequencies[best]), limits, actuator)
+        return cls(float(frequencies[best]), limits, actuator, dim)
 
-    def command(self, control: Planar, previous: Command, duration: Scalar) -> Command:
+    def command(self, control: Vector, previous: Command, duration: Scalar) -> Command:
         """The allowed command for a control, `duration` [T] after the previous one."""
         length = jnp.sqrt(control @ control + 1e-12)
-        idle = control @ control < 1e-12  # where the heading has no derivative
-        turned = jnp.arctan2(
-            jnp.where(idle, 0.0, control[1]), jnp.where(idle, 1.0, control[0])
-        )
-        heading = jnp.where(idle, previous[1], turned)
-        command = jnp.stack([jnp.minimum(length, 1.0) * self.frequency, heading])
+        idle = control @ control < 1e-12  # where the direction has no derivative
+        along_x = jnp.eye(1, self.dim, dtype=control.dtype)[0]
+        turned = direction_angles(jnp.where(idle, along_x, control))
+        angles = jnp.where(idle, previous[1:], turned)
+        frequency = jnp.minimum(length, 1.0) * self.frequency
+        command = jnp.concatenate([frequency[None], angles])
         if math.isinf(self.limits.max_turning_rate):
             return command
         return self.limits.clip(command, previous, duration)
 
-    def thrusts(self, count: int) -> Float[Array, "{count} 2"]:
-        """Greatest thrust [L T⁻²] in `count` equally spaced headings."""
-        headings = jnp.linspace(0.0, 2 * math.pi, count, endpoint=False)
-        ahead = jnp.full_like(headings, self.frequency)
-        return jax.vmap(self.actuator)(jnp.stack([ahead, headings], axis=1))
+    def thrusts(self, count: int) -> Float[Array, "{count} dim"]:
+        """Greatest thrust [L T⁻²] in `count` directions all around."""
 
-    def controls(self, count: int) -> Float[Array, "{count} 2"]:
-        """Equally spaced directions of the greatest thrust."""
-        headings = jnp.linspace(0.0, 2 * math.pi, count, endpoint=False)
-        return jax.vmap(direction)(headings)
+        def thrust(control: Vector) -> Vector:
+            angles = direction_angles(control)
+            ahead = jnp.full((1,), self.frequency, control.dtype)
+            return self.actuator(jnp.concatenate([ahead, angles]))
+
+        return jax.vmap(thrust)(self.controls(count))
+
+    def controls(self, count: int) -> Float[Array, "{count} dim"]:
+        """Directions of the greatest thrust, spaced as equally as may be."""
+        return jnp.asarray(all_directions(count, self.dim))
 
 
-def within_disc(controls: Float[Array, "*many 2"]) -> Float[Array, "*many 2"]:
+def split_rates(
+    channels: Float[Array, "*many channel"],
+) -> tuple[Float[Array, "*many dim"], Float[Array, "*many dim dim"]]:
+    """The channels of `tabulate`: a rate, and the matrix of drag or mobility."""
+    dim = math.isqrt(channels.shape[-1])  # dim and its square
+    shape = (*channels.shape[:-1], dim, dim)
+    return channels[..., :dim], channels[..., dim:].reshape(shape)
+
+
+def within_ball(controls: Float[Array, "*many dim"]) -> Float[Array, "*many dim"]:
     """Vectors, those that are longer than one shortened to it."""
     length = jnp.sqrt(jnp.sum(controls**2, axis=-1, keepdims=True) + 1e-12)
     return controls / jnp.maximum(length, 1.0)
 
 
-def _solve(matrix: Float[Array, "2 2"], vector: Planar) -> Planar:
-    """Solution of two linear equations."""
+def _solve(matrix: Float[Array, "dim dim"], vector: Vector) -> Vector:
+    """Solution of a few linear equations; of two by hand, which is quicker."""
+    if vector.shape[0] > 2:
+        return jnp.linalg.solve(matrix, vector)
     a, b, c, d = matrix[0, 0], matrix[0, 1], matrix[1, 0], matrix[1, 1]
     x, y = vector[0], vector[1]
     return jnp.stack([d * x - b * y, a * y - c * x]) / (a * d - b * c)

@@ -4,6 +4,7 @@ A plan asks for the force at millions of points and a controller at thousands of
 in every step; a table answers at the same price whatever the model is.
 """
 
+import functools
 from collections.abc import Callable, Sequence
 
 import equinox as eqx
@@ -12,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from pinav.arguments import Planar, Scalar
+from pinav.arguments import Scalar, Vector
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.forces import cubic_weights
@@ -20,18 +21,23 @@ from pinav.navigation.task.steering import HeldThrust, SteeredSwimmer
 from pinav.navigation.task.zones import Rectangle
 
 
+def place_words(x: Vector) -> str:
+    """A position in a message: its coordinates in brackets."""
+    return f"({', '.join(f'{float(coordinate):.3g}' for coordinate in x)})"
+
+
 class Grid(eqx.Module):
-    """Equally spaced points of a rectangle in the plane.
+    """Equally spaced points of a rectangle, or box.
 
     Attributes:
         lower: the first point [L].
-        spacing: between neighbours along x and y [L].
-        shape: how many points along x and y.
+        spacing: between neighbours along each axis [L].
+        shape: how many points along each axis.
     """
 
-    lower: Planar
-    spacing: Planar
-    shape: tuple[int, int] = eqx.field(static=True)
+    lower: Vector
+    spacing: Vector
+    shape: tuple[int, ...] = eqx.field(static=True)
 
     @classmethod
     def over(cls, region: Rectangle, count: int, margin: int = 0) -> "Grid":
@@ -51,16 +57,27 @@ class Grid(eqx.Module):
         cells = np.maximum(np.ceil(extent * (count - 1) / extent.max() - 1e-9), 3)
         spacing = jnp.asarray(extent / cells)
         shape = tuple(int(n) + 1 + 2 * margin for n in cells)
-        return cls(region.lower - margin * spacing, spacing, (shape[0], shape[1]))
+        return cls(region.lower - margin * spacing, spacing, shape)
 
     @property
-    def points(self) -> Float[Array, "x y 2"]:
+    def dim(self) -> int:
+        """How many axes it has."""
+        return len(self.shape)
+
+    @property
+    def points(self) -> Float[Array, "*lattice dim"]:
         """All points [L]."""
         along = [jnp.arange(n, dtype=self.spacing.dtype) for n in self.shape]
         steps = jnp.stack(jnp.meshgrid(*along, indexing="ij"), axis=-1)
-        return self.lower[None, None] + steps * self.spacing[None, None]
+        ahead = (None,) * self.dim
+        return self.lower[ahead] + steps * self.spacing[ahead]
 
-    def coordinates(self, x: Planar) -> Planar:
+    @property
+    def row(self) -> Float[Array, "point dim"]:
+        """All points one after the other [L], those of the last axis side by side."""
+        return self.points.reshape(-1, self.dim)
+
+    def coordinates(self, x: Vector) -> Vector:
         """Where a position [L] is, counted in cells from the first point."""
         return (x - self.lower) / self.spacing.astype(x.dtype)
 
@@ -84,24 +101,26 @@ class FieldTable(eqx.Module):
     """
 
     grid: Grid
-    values: Float[Array, "time x y channel"]
+    values: Float[Array, "time *lattice channel"]
     start: Scalar = 0.0
     interval: Scalar = 1.0
 
-    def __call__(self, t: Scalar, x: Planar) -> Float[Array, " channel"]:
+    def __call__(self, t: Scalar, x: Vector) -> Float[Array, " channel"]:
         """Values at time `t` [T] and position `x` [L]."""
         most = jnp.asarray(self.grid.shape, x.dtype)
         place = jnp.clip(self.grid.coordinates(x), 1.0, most - 2.0)
         cell = jnp.minimum(jnp.floor(place), most - 3.0)
-        across, along = cubic_weights(place - cell)
-        corner = cell.astype(int) - 1
-        weights = across[:, None] * along[None, :]
-        return jnp.tensordot(weights, self._block(t, corner), 2)
+        block = self._block(t, cell.astype(int) - 1)
+        weights = cubic_weights(place - cell)
+        product = functools.reduce(jnp.multiply.outer, weights)
+        return jnp.tensordot(product, block, self.grid.dim)
 
-    def _block(self, t: Scalar, corner: Int[Array, "2"]) -> Float[Array, "4 4 channel"]:
-        """The four by four values around a place, at one time."""
+    def _block(
+        self, t: Scalar, corner: Int[Array, " dim"]
+    ) -> Float[Array, "*four channel"]:
+        """The four values along each axis around a place, at one time."""
         count, channels = self.values.shape[0], self.values.shape[-1]
-        shape = (min(count, 2), 4, 4, channels)
+        shape = (min(count, 2), *(4,) * self.grid.dim, channels)
         if count == 1:
             return jax.lax.dynamic_slice(self.values, (0, *corner, 0), shape)[0]
         moment = jnp.clip((jnp.asarray(t) - self.start) / self.interval, 0, count - 1)
@@ -117,9 +136,9 @@ def tabulate(
 ) -> FieldTable:
     r"""Table of a model's rate of change, linear in velocity or thrust.
 
-    Six channels: the rate without thrust and velocity, and row by row the matrix D of
-    the drag, $\dot v = a - D v + u$, for a swimmer with inertia, or M of the mobility,
-    $\dot x = a + M u$, for one without.
+    The channels are the rate without thrust and velocity and, row by row, the matrix D
+    of the drag, $\dot v = a - D v + u$, for a swimmer with inertia, or M of the
+    mobility, $\dot x = a + M u$, for one without.
 
     Args:
         model: whose propulsion commands replace.
@@ -130,47 +149,53 @@ def tabulate(
         InputError: a value is not finite.
     """
     values = np.stack(
-        [np.asarray(_map(model.dynamics, t, grid.points)) for t in jnp.asarray(times)]
+        [np.asarray(_map(model.dynamics, t, grid.row)) for t in jnp.asarray(times)]
     )
     _check_finite(values, grid)
     interval = float(times[1] - times[0]) if len(times) > 1 else 1.0
-    return FieldTable(grid, jnp.asarray(values), float(times[0]), interval)
+    lattice = jnp.asarray(values.reshape(len(times), *grid.shape, -1))
+    return FieldTable(grid, lattice, float(times[0]), interval)
 
 
 @eqx.filter_jit
 def _map(
-    dynamics: Swimmer | OverdampedSwimmer, t: Scalar, points: Float[Array, "x y 2"]
-) -> Float[Array, "x y channel"]:
+    dynamics: Swimmer | OverdampedSwimmer, t: Scalar, points: Float[Array, "point dim"]
+) -> Float[Array, "point channel"]:
     """Channels at many points; compiled once for all models of one form."""
     at = _rates if isinstance(dynamics, Swimmer) else _velocities
-    return jax.vmap(jax.vmap(at, (None, None, 0)), (None, None, 0))(dynamics, t, points)
+    # In batches: thousands of kernels at all points at once do not fit into memory.
+    return jax.lax.map(lambda x: at(dynamics, t, x), points, batch_size=BATCH)
+
+
+BATCH = 512
+"""Points at which a model is evaluated at once."""
 
 
 def _rates(
-    dynamics: Swimmer | OverdampedSwimmer, t: Scalar, x: Planar
+    dynamics: Swimmer | OverdampedSwimmer, t: Scalar, x: Vector
 ) -> Float[Array, " channel"]:
     """Acceleration at rest, and minus its change by a unit of velocity."""
     swimmer = _with_thrust(dynamics, jnp.zeros_like(x))
 
-    def acceleration(v: Planar) -> Planar:
-        return swimmer(t, jnp.concatenate([x, v]))[2:]
+    def acceleration(v: Vector) -> Vector:
+        return swimmer(t, jnp.concatenate([x, v]))[x.shape[0] :]
 
     return _linear(acceleration, -jnp.ones((), x.dtype), x)
 
 
 def _velocities(
-    dynamics: Swimmer | OverdampedSwimmer, t: Scalar, x: Planar
+    dynamics: Swimmer | OverdampedSwimmer, t: Scalar, x: Vector
 ) -> Float[Array, " channel"]:
     """Velocity without thrust, and its change by a unit of thrust."""
 
-    def velocity(thrust: Planar) -> Planar:
+    def velocity(thrust: Vector) -> Vector:
         return _with_thrust(dynamics, thrust)(t, x)
 
     return _linear(velocity, jnp.ones((), x.dtype), x)
 
 
 def _linear(
-    function: Callable[[Planar], Planar], sign: Scalar, x: Planar
+    function: Callable[[Vector], Vector], sign: Scalar, x: Vector
 ) -> Float[Array, " channel"]:
     """Value at zero and signed matrix of a function that is linear.
 
@@ -178,23 +203,23 @@ def _linear(
     kernels by what they do not depend on to values that were never written.
     """
     zero = function(jnp.zeros_like(x))
-    columns = [function(unit) - zero for unit in jnp.eye(2, dtype=x.dtype)]
+    columns = [function(unit) - zero for unit in jnp.eye(x.shape[0], dtype=x.dtype)]
     return jnp.concatenate([zero, (sign * jnp.stack(columns, axis=1)).ravel()])
 
 
 def _with_thrust(
-    dynamics: Swimmer | OverdampedSwimmer, thrust: Planar
+    dynamics: Swimmer | OverdampedSwimmer, thrust: Vector
 ) -> Swimmer | OverdampedSwimmer:
     return eqx.tree_at(lambda swimmer: swimmer.propulsion, dynamics, HeldThrust(thrust))
 
 
-def _check_finite(values: Float[np.ndarray, "time x y channel"], grid: Grid) -> None:
-    bad = np.argwhere(~np.isfinite(values).all(axis=(0, 3)))
+def _check_finite(values: Float[np.ndarray, "time point channel"], grid: Grid) -> None:
+    bad = np.flatnonzero(~np.isfinite(values).all(axis=(0, 2)))
     if len(bad):
-        x, y = np.asarray(grid.points[tuple(bad[0])])
+        where = place_words(grid.row[bad[0]])
         raise InputError(
             f"model: expected a finite force on the arena, got {len(bad)} of "
-            f"{values[0, ..., 0].size} points without, as at ({x:.3g}, {y:.3g}); fit "
+            f"{values.shape[1]} points without, as at {where}; fit "
             "it again, or make the arena smaller"
         )
 
@@ -211,8 +236,7 @@ def sample_times(
         count: of times for a model that changes.
     """
     probes = np.array([0.0, 0.31, 0.73]) * time_limit
-    across, along = (n // 4 + 1 for n in grid.shape)
-    coarse = Grid(grid.lower, grid.spacing * 4, (across, along))
+    coarse = Grid(grid.lower, grid.spacing * 4, tuple(n // 4 + 1 for n in grid.shape))
     values = tabulate(model, coarse, probes).values
     changes = bool(jnp.any(jnp.ptp(values, axis=0) > 1e-9 * jnp.max(jnp.abs(values))))
     return np.linspace(0.0, time_limit, count) if changes else np.zeros(1)
@@ -229,7 +253,7 @@ def force_spread(tables: Sequence[FieldTable]) -> FieldTable:
     """
     if len(tables) < 2:
         raise InputError(f"samples: expected 2 or more models, got {len(tables)}")
-    rates = jnp.stack([table.values[..., :2] for table in tables])
-    variance = jnp.sum(jnp.var(rates, axis=0, ddof=1), axis=-1, keepdims=True) / 2
     first = tables[0]
+    rates = jnp.stack([table.values[..., : first.grid.dim] for table in tables])
+    variance = jnp.mean(jnp.var(rates, axis=0, ddof=1), axis=-1, keepdims=True)
     return FieldTable(first.grid, jnp.sqrt(variance), first.start, first.interval)

@@ -8,7 +8,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from pinav.dynamics import Swimmer
-from pinav.navigation.model.predictors import ControlMap, InertialTable, OverdampedTable
+from pinav.navigation.model.predictors import (
+    ControlMap,
+    InertialTable,
+    OverdampedTable,
+    split_rates,
+)
 from pinav.navigation.model.tables import (
     FieldTable,
     Grid,
@@ -47,7 +52,7 @@ def tabulate_model(
     samples: Sequence[SteeredSwimmer] = (),
     risk_aversion: float = 4.0,
     margin: float | None = None,
-    points: int = 81,
+    points: int | None = None,
     times: int = 41,
 ) -> TabulatedModel:
     r"""Tables of a model on a task's arena.
@@ -60,18 +65,20 @@ def tabulate_model(
         risk_aversion: cost of time where that spread is as great as the thrust.
         margin: from walls, over which time costs more [L]; half the tolerance or what
             the noise asks for unless given.
-        points: of the tables, along the longer side.
+        points: of the tables, along the longer side; 81 in the plane and 41 in space
+            unless given.
         times: of the tables of a model that changes in time.
 
     Raises:
         InputError: the model is not finite on the arena; fewer than two samples.
     """
-    grid = Grid.over(task.arena, points, margin=2)
+    usual = 81 if task.dim == 2 else 41
+    grid = Grid.over(task.arena, usual if points is None else points, margin=2)
     moments = sample_times(model, grid, task.time_limit, times)
     table = tabulate(model, grid, moments)
     inertial = isinstance(model.dynamics, Swimmer)
     predictor = (InertialTable if inertial else OverdampedTable)(table, model.actuator)
-    drive = ControlMap.of(model.actuator, task.limits)
+    drive = ControlMap.of(model.actuator, task.limits, task.dim)
     # A table of zeros instead of none: one compiled program serves all models.
     spread = eqx.tree_at(
         lambda s: s.values, table, jnp.zeros_like(table.values[..., :1])
@@ -97,9 +104,8 @@ def noise_margin(task: Task) -> float:
     Three standard deviations of where it takes a swimmer during one time unit or, where
     the position itself is noisy, five control steps; and of the sensor.
     """
-    inertial = task.start.shape[0] == 4
     reaction = 5 * task.step + task.delay
-    noise = math.sqrt(reaction**3 / 3 if inertial else reaction)
+    noise = math.sqrt(reaction**3 / 3 if task.inertial else reaction)
     return 3 * math.hypot(task.noise * noise, task.sensor_noise) + 0.1
 
 
@@ -109,6 +115,6 @@ def greatest_rate(
     """Greatest acceleration, or velocity, that thrust gives."""
     thrusts = drive.thrusts(HEADINGS)
     if not inertial:
-        mobility = table.values[0, ..., 2:].reshape(*table.grid.shape, 2, 2)
-        thrusts = jnp.einsum("xyab,hb->xyha", mobility, thrusts)
+        _, mobility = split_rates(table.values[0])
+        thrusts = jnp.einsum("...ab,hb->...ha", mobility, thrusts)
     return jnp.max(jnp.linalg.norm(thrusts, axis=-1))

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from pinav.arguments import Planar, Scalar
+from pinav.arguments import Scalar, Vector
 from pinav.navigation.model.tables import FieldTable
 from pinav.navigation.task.zones import AbstractZone, Rectangle, clearance
 
@@ -33,26 +33,33 @@ class TimeCost(eqx.Module):
     spread: FieldTable
     risk_aversion: Scalar
 
-    def clearance(self, x: Planar) -> Float[Array, ""]:
+    def clearance(self, x: Vector) -> Float[Array, ""]:
         """Distance from the nearest forbidden place [L]."""
         return clearance(x, self.keep_out, self.arena)
 
-    def running_cost(self, t: Scalar, x: Planar) -> Float[Array, ""]:
+    def running_cost(self, t: Scalar, x: Vector) -> Float[Array, ""]:
         """Cost of a unit of time, at time `t` [T] and position `x` [L]."""
-        lack = jnp.maximum(0.0, 1 - self.clearance(x) / self.margin)
-        risk = self.risk_aversion * self.spread(t, x)[0] ** 2
-        return 1 + self.steepness * lack**2 + risk
+        return 1 + self.nearness(self.clearance(x)) + self.risk(t, x)
+
+    def nearness(self, clearance: Float[Array, "*many"]) -> Float[Array, "*many"]:
+        """What time costs more at this distance from forbidden places [L]."""
+        lack = jnp.maximum(0.0, 1 - clearance / self.margin)
+        return self.steepness * lack**2
+
+    def risk(self, t: Scalar, x: Vector) -> Float[Array, ""]:
+        """What time costs more where the model is uncertain."""
+        return self.risk_aversion * self.spread(t, x)[0] ** 2
 
 
 def entry_fraction(
-    x: Planar, displacement: Planar, goal: Planar, tolerance: Scalar
+    x: Vector, displacement: Vector, goal: Vector, tolerance: Scalar
 ) -> Float[Array, ""]:
-    """Fraction of a straight step after which it enters a disc; infinite if never.
+    """Fraction of a straight step after which it enters a ball; infinite if never.
 
     Args:
         x: where the step begins [L].
         displacement: the whole step [L].
-        goal: middle of the disc [L].
+        goal: middle of the ball [L].
         tolerance: its radius [L].
     """
     offset = x - goal

@@ -8,22 +8,26 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from pinav.arguments import Planar, Scalar
+from pinav.arguments import Scalar, Vector
+from pinav.navigation.model.predictors import split_rates
 from pinav.navigation.model.tables import FieldTable, Grid
 from pinav.navigation.model.tabulated import TabulatedModel
 from pinav.navigation.planning.value_iteration import (
+    CELLS,
     ArrivalTest,
+    Corners,
+    Legs,
     Sweep,
+    iterate_policies,
     iterate_sweeps,
     phase_sweep,
+    position_legs,
     position_sweep,
     sweep_back,
 )
 from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.task import Task
-
-CELLS = 1.5
-"""How many cells a step of the plan crosses, at most."""
+from pinav.navigation.task.zones import Rectangle
 
 Start = Float[Array, "moment ..."] | None
 """Values of a plan before, from which a steady model is swept on; zeros for None."""
@@ -55,13 +59,19 @@ def arrival_test(
     )
 
 
-def position_steps(
+@eqx.filter_jit
+def position_step(
     table: FieldTable, arrival: ArrivalTest, grid: Grid
-) -> Float[Array, "x y heading"]:
-    """How long a step from each point in each direction is, to cross `CELLS` [T]."""
-    speeds = _speeds(table, arrival.thrusts, grid)
-    speeds = jnp.maximum(speeds, SLOWEST * jnp.max(speeds))
-    return CELLS * jnp.min(grid.spacing) / speeds
+) -> Float[Array, ""]:
+    """How long a step is that crosses `CELLS` at the greatest speed [T]."""
+
+    def fastest(x: Vector) -> Float[Array, ""]:
+        drift, mobility = split_rates(table(0.0, x))
+        velocities = drift[None] + arrival.thrusts @ mobility.T
+        return jnp.max(jnp.linalg.norm(velocities, axis=1))
+
+    speed = jnp.max(jax.vmap(fastest)(grid.row))
+    return CELLS * jnp.min(grid.spacing) / speed
 
 
 @eqx.filter_jit
@@ -69,28 +79,77 @@ def position_values(
     table: FieldTable,
     arrival: ArrivalTest,
     grid: Grid,
-    steps: Float[Array, "x y heading"],
+    step: Float[Array, ""],
     times: Float[Array, " moment"] | None,
     begin: Start = None,
-    most: int | Int[Array, ""] | None = None,
-) -> Float[Array, "moment x y"]:
+    sweeps: Int[Array, ""] | None = None,
+) -> Float[Array, "moment ..."]:
     """Values over positions, for a swimmer without inertia.
 
     Args:
         table: of the model.
         arrival: what the plan is about.
         grid: the positions.
-        steps: how long the step from each point in each direction is [T].
+        step: as `position_step` says; slower steps of a steady model are longer [T].
         times: of a model that changes [T]; None for a steady one.
         begin: values from which a steady model is swept.
-        most: sweeps; as many as there may be cells on the way unless given.
+        sweeps: of a steady model, at most; until its values have settled unless given.
     """
+    fastest = CELLS * jnp.min(grid.spacing) / step
+    slowest = fastest if times is not None else SLOWEST * fastest
 
-    def sweep_at(t: Scalar) -> Sweep:
-        return position_sweep(table, arrival, grid, t, steps)
+    def legs_at(t: Scalar) -> Legs:
+        return position_legs(table, arrival, grid, t, (slowest, fastest))
 
-    most = 20 * max(grid.shape) if most is None else most
-    return _settle(sweep_at, grid.shape, most, times, begin)
+    if times is not None or sweeps is not None:
+        return _settle(
+            lambda t: position_sweep(legs_at(t), grid.shape),
+            grid.shape,
+            0 if sweeps is None else sweeps,
+            times,
+            begin,
+        )
+    first = jnp.zeros(grid.shape, jnp.float32) if begin is None else begin[0]
+    most = 20 * max(grid.shape)
+    return iterate_policies(legs_at(0.0), first, most, SETTLED)[None]
+
+
+def settled_values(
+    table: FieldTable, arrival: ArrivalTest, grid: Grid, region: Rectangle
+) -> Float[Array, "1 ..."]:
+    """Values over positions of a steady model, on coarser grids first.
+
+    What a search for the best steps does not know yet it learns from the next points
+    only. The values of a grid with half as many points along each axis tell it at
+    once, so that few searches are left.
+
+    Args:
+        table: of the model.
+        arrival: what the plan is about.
+        grid: the positions.
+        region: that it spans.
+    """
+    begin = None
+    if math.prod(grid.shape) > FEW:
+        coarse = Grid.over(region, (max(grid.shape) + 1) // 2)
+        rough = settled_values(table, arrival, coarse, region)
+        begin = _refined(rough, coarse, grid)
+    step = position_step(table, arrival, grid)
+    return position_values(table, arrival, grid, step, None, begin)
+
+
+FEW = 3000
+"""Points of a grid that needs no coarser one before it."""
+
+
+@eqx.filter_jit
+def _refined(
+    values: Float[Array, "1 ..."], coarse: Grid, grid: Grid
+) -> Float[Array, "1 ..."]:
+    """Values at the points of a finer grid."""
+    places = jax.vmap(coarse.coordinates)(grid.row)
+    corners = Corners.of(tuple(places.T), coarse.shape)
+    return corners.interpolate(values[0]).reshape(1, *grid.shape)
 
 
 def sweep_times(
@@ -121,20 +180,6 @@ SETTLED = 1e-5
 
 SLOWEST = 0.2
 """Least speed for which a step of the plan is made longer, of the greatest one."""
-
-
-@eqx.filter_jit
-def _speeds(
-    table: FieldTable, thrusts: Float[Array, "heading 2"], grid: Grid
-) -> Float[Array, "x y heading"]:
-    """Speed at each point of a grid in each direction of the thrust [L T⁻¹]."""
-
-    def speeds(x: Planar) -> Float[Array, " heading"]:
-        rates = table(0.0, x)
-        velocities = rates[None, :2] + thrusts @ rates[2:].reshape(2, 2).T
-        return jnp.linalg.norm(velocities, axis=1)
-
-    return jax.vmap(jax.vmap(speeds))(grid.points)
 
 
 def phase_step(
@@ -177,11 +222,11 @@ def phase_values(
 
 def top_speed(task: Task, tables: TabulatedModel, arrival: ArrivalTest) -> float:
     """Speed that the plan has to know: where thrust and mean force meet the drag."""
-    values = tables.table.values
+    forces, drags = split_rates(tables.table.values)
     thrust = float(jnp.max(jnp.linalg.norm(arrival.thrusts, axis=1)))
-    force = float(jnp.mean(jnp.linalg.norm(values[..., :2], axis=-1)))
-    drag = float(jnp.mean(values[..., 2] + values[..., 5])) / 2
+    force = float(jnp.mean(jnp.linalg.norm(forces, axis=-1)))
+    drag = float(jnp.mean(jnp.trace(drags, axis1=-2, axis2=-1))) / task.dim
     extent = float(jnp.linalg.norm(task.arena.upper - task.arena.lower))
     longest = math.sqrt(2 * (thrust + force) * extent)
     terminal = (thrust + force) / drag if drag > 0 else longest
-    return max(min(terminal, longest), float(jnp.linalg.norm(task.start[2:4])))
+    return max(min(terminal, longest), float(jnp.linalg.norm(task.start[task.dim :])))

@@ -8,18 +8,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from pinav.arguments import Planar, Scalar, State
+from pinav.arguments import Scalar, State, Vector
 from pinav.errors import InputError
 from pinav.navigation.model.predictors import AbstractPredictor, InertialTable
-from pinav.navigation.model.tables import Grid
+from pinav.navigation.model.tables import Grid, place_words
 from pinav.navigation.model.tabulated import TabulatedModel, tabulate_model
 from pinav.navigation.model.time_cost import entry_fraction
 from pinav.navigation.planning.lattice import (
     arrival_test,
     phase_step,
     phase_values,
-    position_steps,
+    position_step,
     position_values,
+    settled_values,
     sweep_times,
     top_speed,
 )
@@ -28,8 +29,9 @@ from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import Command, SteeredSwimmer
 from pinav.navigation.task.task import Task
 
-HEADINGS = 24
-"""Directions of the thrust that are tried at each position, and by the policy."""
+HEADINGS = {2: 24, 3: 96}
+"""Directions of the thrust that are tried at each position, and by the policy, in the
+plane and in space."""
 
 PHASE_HEADINGS = 16
 """The same where there is inertia, and four dimensions."""
@@ -75,7 +77,7 @@ class TimeToGo(eqx.Module):
     step: Float[Array, ""]
     horizon: float = eqx.field(static=True)
     tables: TabulatedModel
-    goal: Planar
+    goal: Vector
     tolerance: Float[Array, ""]
 
     def at(self, y: State, t: Scalar = 0.0) -> Float[Array, ""]:
@@ -84,7 +86,8 @@ class TimeToGo(eqx.Module):
         It is the time-to-go where walls are far and the model is certain. A state may
         have more components than the lattice has axes.
         """
-        state = jnp.roll(y[:4], 2) if self.lower.shape[0] == 4 else y[:2]
+        axes, dim = self.lower.shape[0], self.goal.shape[0]
+        state = jnp.roll(y[:axes], axes - dim)  # velocities first
         place = (state - self.lower.astype(y.dtype)) / self.spacing.astype(y.dtype)
         if self.values.shape[0] > 1:
             moment = jnp.asarray(t, y.dtype) / self.step.astype(y.dtype)
@@ -94,22 +97,21 @@ class TimeToGo(eqx.Module):
         return -self.scale.astype(y.dtype) * jnp.log(jnp.maximum(value, FLOOR))
 
     @property
-    def map(self) -> Float[np.ndarray, "x y"]:
+    def map(self) -> Float[np.ndarray, "*lattice"]:
         """Cost-to-go at the points of the plan's grid, from rest, at first [T]."""
         values = np.asarray(self.values[0])
-        if values.ndim == 4:
-            middle = values.shape[0] // 2
-            values = values[middle, middle]
+        while values.ndim > self.goal.shape[0]:
+            values = values[values.shape[0] // 2]
         return -float(self.scale) * np.log(np.maximum(values, FLOOR))
 
     @property
-    def unreachable(self) -> Bool[np.ndarray, "x y"]:
+    def unreachable(self) -> Bool[np.ndarray, "*lattice"]:
         """Where the goal cannot be reached from rest within the time limit."""
         return self.map > self.horizon
 
     def control(
         self, t: Scalar, y: State, previous: Command, predictor: AbstractPredictor
-    ) -> Planar:
+    ) -> Vector:
         """Direction of the greatest thrust after which the goal is nearest in time.
 
         Args:
@@ -118,10 +120,10 @@ class TimeToGo(eqx.Module):
             previous: the command before.
             predictor: says what comes of a thrust.
         """
-        controls = self.tables.control_map.controls(HEADINGS)
+        controls = self.tables.control_map.controls(HEADINGS[self.goal.shape[0]])
         step = self.step.astype(y.dtype)
 
-        def after(control: Planar) -> Float[Array, ""]:
+        def after(control: Vector) -> Float[Array, ""]:
             command = self.tables.control_map.command(control, previous, step)
             ahead = predictor.step(t, y, command, step)
             return self.at(ahead, jnp.asarray(t, y.dtype) + step)
@@ -166,14 +168,14 @@ def _route(plan: TimeToGo, start: State, step: float, count: int) -> Route:
         control = plan.control(t, y, previous, tables.predictor)
         command = tables.control_map.command(control, previous, step)
         ahead = tables.predictor.step(t, y, command, step)
-        when = t + step * entry_fraction(
-            y[:2], ahead[:2] - y[:2], plan.goal, plan.tolerance
-        )
+        x = y[: plan.goal.shape[0]]
+        way = ahead[: plan.goal.shape[0]] - x
+        when = t + step * entry_fraction(x, way, plan.goal, plan.tolerance)
         y = jnp.where(jnp.isfinite(arrived), y, ahead)
         return (y, command, jnp.minimum(arrived, when)), y
 
     ts = step * jnp.arange(count + 1, dtype=start.dtype)
-    begin = (start, jnp.zeros(2), jnp.asarray(jnp.inf))
+    begin = (start, jnp.zeros_like(plan.goal), jnp.asarray(jnp.inf))
     (_, _, arrived), ys = jax.lax.scan(move, begin, ts[:-1])
     return Route(ts, jnp.concatenate([start[None], ys]), arrived)
 
@@ -192,13 +194,15 @@ def time_to_go(
         task: whose objective is to reach a place; its truth is not used.
         model: what is believed.
         tables: tables of the model; `tabulate_model(task, model)` unless given.
-        points: of the plan, along the longer side of the arena; 101 for positions, 41
-            for positions and velocities unless given.
+        points: of the plan, along the longer side of the arena; 101 for positions in
+            the plane, 41 for positions in space and for positions and velocities in
+            the plane unless given.
         speeds: points of the plan along either axis of the velocity.
 
     Raises:
         InputError: the task is to follow a path; start or goal are in a wall or outside
-            the arena; the model is not finite; the goal cannot be reached.
+            the arena; the model is not finite; the goal cannot be reached; the swimmer
+            has inertia in space.
     """
     if not isinstance(task.objective, ReachGoal):
         raise InputError(
@@ -208,9 +212,15 @@ def time_to_go(
     tables = tabulate_model(task, model) if tables is None else tables
     check_places(task)
     inertial = isinstance(tables.predictor, InertialTable)
-    count = (41 if inertial else 101) if points is None else points
-    grid = Grid.over(task.arena, count)
-    headings = PHASE_HEADINGS if inertial else HEADINGS
+    if inertial and task.dim > 2:
+        raise InputError(
+            f"task {task.name!r}: expected a swimmer without inertia in {task.dim} "
+            "dimensions, where a plan over positions and velocities has no bounds that "
+            "memory keeps; give a system of order 1"
+        )
+    usual = 101 if task.dim == 2 and not inertial else 41
+    grid = Grid.over(task.arena, usual if points is None else points)
+    headings = PHASE_HEADINGS if inertial else HEADINGS[task.dim]
     arrival = arrival_test(task.objective, task.time_limit, tables, grid, headings)
     if inertial:
         plan = _phase_plan(task, tables, arrival, grid, speeds)
@@ -226,11 +236,11 @@ def check_places(task: Task) -> None:
     Raises:
         InputError: it is.
     """
-    places = {"start": task.start[:2]}
+    places = {"start": task.start[: task.dim]}
     if isinstance(task.objective, ReachGoal):
         places["goal"] = task.objective.goal
     for name, x in places.items():
-        where = f"({float(x[0]):.3g}, {float(x[1]):.3g})"
+        where = place_words(x)
         if not float(task.arena.distance(x)) <= 0:
             raise InputError(f"{name}: expected a place in the arena, got {where}")
         if any(float(zone.distance(x)) < 0 for zone in task.keep_out):
@@ -244,11 +254,10 @@ def check_reachable(task: Task, plan: TimeToGo) -> None:
         InputError: it cannot.
     """
     if float(plan.at(task.start)) > plan.horizon:
-        goal, start = plan.goal, task.start
+        start = task.start[: task.dim]
         raise InputError(
             f"goal: expected a place that can be reached within {plan.horizon:g}, got "
-            f"({float(goal[0]):.3g}, {float(goal[1]):.3g}) from "
-            f"({float(start[0]):.3g}, {float(start[1]):.3g}); walls or drift are "
+            f"{place_words(plan.goal)} from {place_words(start)}; walls or drift are "
             "stronger than this thrust"
         )
 
@@ -256,14 +265,14 @@ def check_reachable(task: Task, plan: TimeToGo) -> None:
 def _position_plan(
     task: Task, tables: TabulatedModel, arrival: ArrivalTest, grid: Grid
 ) -> TimeToGo:
-    steps = position_steps(tables.table, arrival, grid)
-    shortest = float(jnp.min(steps))
-    times = sweep_times(task, tables, shortest)
-    if times is not None:
-        steps = jnp.full_like(steps, shortest)
-    values = position_values(tables.table, arrival, grid, steps, times)
+    step = position_step(tables.table, arrival, grid)
+    times = sweep_times(task, tables, float(step))
+    if times is None:
+        values = settled_values(tables.table, arrival, grid, task.arena)
+    else:
+        values = position_values(tables.table, arrival, grid, step, times)
     lattice = (grid.lower, grid.spacing)
-    return assemble_plan(task, tables, arrival, values, lattice, shortest)
+    return assemble_plan(task, tables, arrival, values, lattice, step)
 
 
 def _phase_plan(

@@ -11,7 +11,7 @@ from pinav.navigation.planning.lattice import (
     arrival_test,
     phase_step,
     phase_values,
-    position_steps,
+    position_step,
     position_values,
     top_speed,
 )
@@ -128,23 +128,21 @@ class Replanner(eqx.Module):
         begin: Float[Array, "moment ..."] | None,
         sweeps: int,
     ) -> TimeToGo:
-        arrival = self._arrival(tables, HEADINGS)
+        arrival = self._arrival(tables, HEADINGS[self.task.dim])
         if begin is None:
             begin = jnp.zeros((1, *self.grid.shape), jnp.float32)
-        steps = position_steps(tables.table, arrival, self.grid)
+        step = position_step(tables.table, arrival, self.grid)
         values = position_values(
             tables.table,
             arrival,
             self.grid,
-            steps,
+            step,
             None,
             begin,
             jnp.asarray(sweeps),
         )
         lattice = (self.grid.lower, self.grid.spacing)
-        return assemble_plan(
-            self.task, tables, arrival, values, lattice, jnp.min(steps)
-        )
+        return assemble_plan(self.task, tables, arrival, values, lattice, step)
 
     def _arrival(self, tables: TabulatedModel, headings: int) -> ArrivalTest:
         return arrival_test(

@@ -22,7 +22,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from pinav.arguments import Planar, Scalar
+from pinav.arguments import Scalar, Vector
+from pinav.navigation.model.predictors import split_rates
 from pinav.navigation.model.tables import FieldTable, Grid
 from pinav.navigation.model.time_cost import TimeCost, entry_fraction
 
@@ -50,34 +51,33 @@ class ArrivalTest(eqx.Module):
         scale: of the transform [T].
     """
 
-    goal: Planar
+    goal: Vector
     tolerance: Float[Array, ""]
     time_cost: TimeCost
-    thrusts: Float[Array, "heading 2"]
+    thrusts: Float[Array, "heading dim"]
     scale: Float[Array, ""]
 
     def leg(
-        self, t: Scalar, x: Planar, displacement: Planar, h: Scalar
+        self, x: Vector, displacement: Vector, h: Scalar, risk: Scalar
     ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
         """Discount of a straight step, and whether it ends in the goal.
 
         A step into a wall has the discount zero.
 
         Args:
-            t: when it begins [T].
             x: where it begins [L].
             displacement: [L].
             h: how long it takes [T].
+            risk: what time costs more on the way.
         """
         fraction = entry_fraction(x, displacement, self.goal, self.tolerance)
         arrives = jnp.isfinite(fraction)
         fraction = jnp.where(arrives, fraction, 1.0)
         places = jnp.linspace(0.0, 1.0, PROBES)[:, None] * displacement[None]
-        places = x[None] + fraction * places
-        free = jax.vmap(self.time_cost.clearance)(places) >= 0
-        running_cost = jax.vmap(self.time_cost.running_cost, (None, 0))(t, places[1::2])
-        discount = jnp.exp(-jnp.mean(running_cost) * fraction * h / self.scale)
-        return jnp.where(jnp.all(free), discount, 0.0), arrives
+        clearance = jax.vmap(self.time_cost.clearance)(x[None] + fraction * places)
+        running_cost = 1 + jnp.mean(self.time_cost.nearness(clearance[1::2])) + risk
+        discount = jnp.exp(-running_cost * fraction * h / self.scale)
+        return jnp.where(jnp.all(clearance >= 0), discount, 0.0), arrives
 
 
 class Corners(eqx.Module):
@@ -121,42 +121,120 @@ class Corners(eqx.Module):
         return total
 
 
-def position_sweep(
+class Legs(eqx.Module):
+    """Straight steps from the points of a grid, one or one for each direction.
+
+    Attributes:
+        discount: of what follows; zero through a wall.
+        arrives: whether they end in the goal.
+        corners: where they end.
+    """
+
+    discount: Float[Array, "*heading point"]
+    arrives: Bool[Array, "*heading point"]
+    corners: Corners
+
+    def worth(self, values: Values) -> Float[Array, "*heading point"]:
+        """What each step is worth if the rest is worth `values`."""
+        onward = jnp.where(self.arrives, 1.0, self.corners.interpolate(values))
+        return self.discount * onward.astype(jnp.float32)
+
+    def best(self, values: Values) -> "Legs":
+        """The step that is worth most, at each point."""
+        choice = jnp.argmax(self.worth(values), axis=0)[None]
+        return jax.tree.map(lambda a: jnp.take_along_axis(a, choice, 0)[0], self)
+
+
+def position_legs(
     table: FieldTable,
     arrival: ArrivalTest,
     grid: Grid,
     t: Scalar,
-    steps: Float[Array, "x y heading"],
-) -> Sweep:
-    """A sweep over positions, for a swimmer without inertia.
+    speeds: tuple[Scalar, Scalar],
+) -> Legs:
+    """Steps in every direction over positions, for a swimmer without inertia.
 
     Args:
         table: velocity without thrust and mobility.
         arrival: the goal, the walls, the thrust.
         grid: the positions.
         t: when the steps begin [T].
-        steps: how long the step from each point in each direction is [T].
+        speeds: a step is as long as crossing `CELLS` takes at its speed, or at the
+            first of these where it is slower; not longer than at the second [L T⁻¹].
     """
+    points = grid.row
+    drift, mobility = split_rates(jax.vmap(lambda x: table(t, x))(points))
+    risk = jax.vmap(lambda x: arrival.time_cost.risk(t, x))(points)
+    lattice_risk = risk.reshape(grid.shape).astype(jnp.float32)
+    reach = CELLS * jnp.min(grid.spacing)
 
-    def look(
-        x: Planar, h: Scalar, thrust: Planar
-    ) -> tuple[Float[Array, ""], Bool[Array, ""], Planar]:
-        rates = table(t, x)
-        displacement = h * (rates[:2] + rates[2:].reshape(2, 2) @ thrust)
-        discount, arrives = arrival.leg(t, x, displacement, h)
-        return discount, arrives, grid.coordinates(x + displacement)
+    def along(thrust: Vector) -> Legs:
+        velocities = drift + mobility @ thrust
+        h = reach / jnp.clip(jnp.linalg.norm(velocities, axis=1), *speeds)
+        ways = h[:, None] * velocities
+        feet = jax.vmap(grid.coordinates)(points + ways)
+        corners = Corners.of(tuple(feet.T), grid.shape)
+        # Of both ends: to look it up on the way would take most of the time of a plan.
+        ahead = corners.interpolate(lattice_risk).astype(risk.dtype)
+        mean_risk = (risk + ahead) / 2
+        discount, arrives = jax.vmap(arrival.leg)(points, ways, h, mean_risk)
+        return Legs(discount.astype(jnp.float32), arrives, corners)
 
-    each = jax.vmap(look, (None, 0, 0))
-    each = jax.vmap(jax.vmap(each, (0, 0, None)), (0, 0, None))
-    discount, arrives, feet = each(grid.points, steps, arrival.thrusts)
-    discount = discount.astype(jnp.float32)
-    corners = Corners.of((feet[..., 0], feet[..., 1]), grid.shape)
+    # One direction after the other: all at once do not fit into memory in space.
+    return jax.lax.map(along, arrival.thrusts)
 
-    def sweep(values: Values) -> Values:
-        onward = jnp.where(arrives, 1.0, corners.interpolate(values))
-        return jnp.max(discount * onward.astype(jnp.float32), axis=-1)
 
-    return sweep
+CELLS = 1.5
+"""How many cells a step of the plan crosses, at most."""
+
+
+def position_sweep(legs: Legs, shape: tuple[int, ...]) -> Sweep:
+    """A sweep over positions: the best of all steps at each point.
+
+    Args:
+        legs: in every direction.
+        shape: of the grid.
+    """
+    return lambda values: jnp.max(legs.worth(values), axis=0).reshape(shape)
+
+
+def iterate_policies(
+    legs: Legs, begin: Values, most: int | Int[Array, ""], tolerance: float
+) -> Values:
+    """Values that the best steps no longer change by more than `tolerance`.
+
+    Between two searches for the best steps the last ones are followed many times,
+    which costs little: modified policy iteration.
+
+    Args:
+        legs: in every direction, of a model that does not change in time.
+        begin: the first values.
+        most: searches.
+        tolerance: greatest change.
+
+    References:
+        Puterman and Shin, Management Science 24, 1127 (1978).
+    """
+    shape = begin.shape
+
+    def search(values: Values) -> Values:
+        best = legs.best(values)
+
+        def follow(_: Int[Array, ""], values: Values) -> Values:
+            return best.worth(values).reshape(shape)
+
+        return jax.lax.fori_loop(0, FOLLOWED, follow, values)
+
+    def improve(state: _Iterate) -> _Iterate:
+        values, _change, count = state
+        new = search(values)
+        return new, jnp.max(jnp.abs(new - values)), count + 1
+
+    return _iterate(improve, begin, most, tolerance)
+
+
+FOLLOWED = 24
+"""How often the best steps are followed before better ones are sought."""
 
 
 def phase_sweep(
@@ -201,7 +279,7 @@ def _kicks(
     """The change of velocity by force and drag, and that by a unit of thrust."""
     count = velocities.shape[0]
     v = jnp.stack(jnp.meshgrid(velocities, velocities, indexing="ij"), axis=-1)
-    rates = jax.vmap(jax.vmap(table, (None, 0)), (None, 0))(t, grid.points)
+    rates = jax.vmap(lambda x: table(t, x))(grid.row).reshape(*grid.shape, -1)
     drag = rates[..., 2:].reshape(*grid.shape, 2, 2)
     damping = jnp.mean(jnp.trace(drag, axis1=2, axis2=3)) / 2
     impulse = h * (1 - damping * h / 2)
@@ -231,9 +309,12 @@ def _coast(
     """The way at constant velocity, separately along x and y, and its discount."""
 
     def leg(
-        x: Planar, vx: Scalar, vy: Scalar
+        x: Vector, vx: Scalar, vy: Scalar
     ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
-        return arrival.leg(t, x, h * jnp.stack([vx, vy]), h)
+        way = h * jnp.stack([vx, vy])
+        places = x[None] + jnp.array([[0.25], [0.75]]) * way[None]
+        risk = jax.vmap(lambda place: arrival.time_cost.risk(t, place))(places)
+        return arrival.leg(x, way, h, jnp.mean(risk))
 
     each = jax.vmap(jax.vmap(leg, (0, None, None)), (0, None, None))
     each = jax.vmap(jax.vmap(each, (None, None, 0)), (None, 0, None))
@@ -309,13 +390,24 @@ def iterate_sweeps(
         tolerance: greatest change.
     """
 
-    def improve(
-        state: tuple[Values, Float[Array, ""], Int[Array, ""]],
-    ) -> tuple[Values, Float[Array, ""], Int[Array, ""]]:
+    def improve(state: _Iterate) -> _Iterate:
         values, _change, count = state
         new = sweep(values)
         return new, jnp.max(jnp.abs(new - values)), count + 1
 
+    return _iterate(improve, begin, most, tolerance)
+
+
+_Iterate = tuple[Values, Float[Array, ""], Int[Array, ""]]
+"""Values, the greatest change by the last iteration, and how many there were."""
+
+
+def _iterate(
+    improve: Callable[[_Iterate], _Iterate],
+    begin: Values,
+    most: int | Int[Array, ""],
+    tolerance: float,
+) -> Values:
     first = (begin, jnp.ones((), jnp.float32), jnp.zeros((), int))
     return jax.lax.while_loop(
         lambda state: (state[1] > tolerance) & (state[2] < most), improve, first

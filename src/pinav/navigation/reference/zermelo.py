@@ -114,7 +114,7 @@ def quickest(
 
     def miss(unknown: Planar) -> Planar:
         y = extremal.until(unknown[0], unknown[1] * longest)[-1]
-        return y[:2] + tolerance * direction(y[2]) - goal
+        return y[:2] + tolerance * direction(y[2:]) - goal
 
     residual = jax.jit(miss)
     for row, column in _approaches(misses):
@@ -178,7 +178,7 @@ class _Extremal(eqx.Module):
 
     def _rate(self, t: Scalar, y: Float[Array, "3"]) -> Float[Array, "3"]:
         x, heading = y[:2], y[2]
-        velocity = self.speed * direction(heading) + self.current(x)
+        velocity = self.speed * direction(heading[None]) + self.current(x)
         return jnp.append(velocity, turning_rate(self.current, x, heading))
 
 

@@ -8,14 +8,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from pinav.arguments import Planar, Scalar, check_positive, point
+from pinav.arguments import Scalar, Vector, check_positive, point
 
 
 class AbstractPath(eqx.Module):
     """A curve that is to be followed at a speed, as a point that moves along it."""
 
     @abc.abstractmethod
-    def __call__(self, t: Scalar) -> Planar:
+    def __call__(self, t: Scalar) -> Vector:
         """Where the swimmer should be at time `t` [L]."""
 
 
@@ -28,14 +28,14 @@ class LinePath(AbstractPath):
         duration: from start to end [T], positive.
     """
 
-    start: Planar = eqx.field(converter=point("LinePath.start", 2))
-    end: Planar = eqx.field(converter=point("LinePath.end", 2))
+    start: Vector = eqx.field(converter=point("LinePath.start"))
+    end: Vector = eqx.field(converter=point("LinePath.end"))
     duration: Scalar
 
     def __check_init__(self) -> None:
         check_positive(self, "duration")
 
-    def __call__(self, t: Scalar) -> Planar:
+    def __call__(self, t: Scalar) -> Vector:
         progress = jnp.clip(jnp.asarray(t) / self.duration, 0.0, 1.0)
         return self.start + progress * (self.end - self.start)
 
@@ -50,7 +50,7 @@ class CirclePath(AbstractPath):
         phase: $\phi_0$ [rad].
     """
 
-    center: Planar = eqx.field(converter=point("CirclePath.center", 2))
+    center: Vector = eqx.field(converter=point("CirclePath.center", 2))
     radius: Scalar
     period: Scalar
     phase: Scalar = 0.0
@@ -58,7 +58,7 @@ class CirclePath(AbstractPath):
     def __check_init__(self) -> None:
         check_positive(self, "radius", "period")
 
-    def __call__(self, t: Scalar) -> Planar:
+    def __call__(self, t: Scalar) -> Vector:
         angle = self.phase + 2 * math.pi * jnp.asarray(t) / self.period
         return self.center + self.radius * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
 
@@ -72,14 +72,14 @@ class FigureEightPath(AbstractPath):
         period: $T$ [T], positive.
     """
 
-    center: Planar = eqx.field(converter=point("FigureEightPath.center", 2))
+    center: Vector = eqx.field(converter=point("FigureEightPath.center", 2))
     radius: Scalar
     period: Scalar
 
     def __check_init__(self) -> None:
         check_positive(self, "radius", "period")
 
-    def __call__(self, t: Scalar) -> Planar:
+    def __call__(self, t: Scalar) -> Vector:
         angle = 2 * math.pi * jnp.asarray(t) / self.period
         across = jnp.sin(angle) * jnp.cos(angle)
         return self.center + self.radius * jnp.stack([jnp.sin(angle), across])
@@ -93,11 +93,11 @@ class AbstractObjective(eqx.Module):
     """What is to be done, and when it is done."""
 
     @abc.abstractmethod
-    def target(self, t: Scalar) -> Planar:
+    def target(self, t: Scalar) -> Vector:
         """Where the swimmer should be, or go to, at time `t` [L]."""
 
     @abc.abstractmethod
-    def guidance(self, t: Scalar, x: Planar, speed: Scalar) -> Planar:
+    def guidance(self, t: Scalar, x: Vector, speed: Scalar) -> Vector:
         """Velocity that leads there along the line of sight [L T⁻¹].
 
         Args:
@@ -107,10 +107,10 @@ class AbstractObjective(eqx.Module):
         """
 
     @abc.abstractmethod
-    def distance(self, x: Planar) -> Float[Array, ""]:
+    def distance(self, x: Vector) -> Float[Array, ""]:
         """From position `x` to where the task ends [L]: not positive there."""
 
-    def is_reached(self, x: Planar) -> Bool[Array, ""]:
+    def is_reached(self, x: Vector) -> Bool[Array, ""]:
         """Whether the task ends at position `x` [L]."""
         return self.distance(x) <= 0
 
@@ -123,23 +123,23 @@ class ReachGoal(AbstractObjective):
         tolerance: how near is there [L], positive.
 
     Raises:
-        InputError: `goal` is not a point in the plane, or `tolerance` is not positive.
+        InputError: `goal` is not a point, or `tolerance` is not positive.
     """
 
-    goal: Planar = eqx.field(converter=point("ReachGoal.goal", 2))
+    goal: Vector = eqx.field(converter=point("ReachGoal.goal"))
     tolerance: Scalar
 
     def __check_init__(self) -> None:
         check_positive(self, "tolerance")
 
-    def target(self, t: Scalar) -> Planar:
+    def target(self, t: Scalar) -> Vector:
         return self.goal
 
-    def guidance(self, t: Scalar, x: Planar, speed: Scalar) -> Planar:
+    def guidance(self, t: Scalar, x: Vector, speed: Scalar) -> Vector:
         offset = self.goal - x
         return speed * offset / jnp.maximum(jnp.linalg.norm(offset), 1e-12)
 
-    def distance(self, x: Planar) -> Float[Array, ""]:
+    def distance(self, x: Vector) -> Float[Array, ""]:
         return jnp.linalg.norm(x - self.goal) - self.tolerance
 
 
@@ -152,13 +152,13 @@ class FollowPath(AbstractObjective):
 
     path: AbstractPath
 
-    def target(self, t: Scalar) -> Planar:
+    def target(self, t: Scalar) -> Vector:
         return self.path(t)
 
-    def guidance(self, t: Scalar, x: Planar, speed: Scalar) -> Planar:
+    def guidance(self, t: Scalar, x: Vector, speed: Scalar) -> Vector:
         t = jnp.asarray(t, x.dtype)
         target, velocity = jax.jvp(self.path, (t,), (jnp.ones_like(t),))
         return velocity + (target - x) / CATCH_UP
 
-    def distance(self, x: Planar) -> Float[Array, ""]:
+    def distance(self, x: Vector) -> Float[Array, ""]:
         return jnp.full((), math.inf, x.dtype)

@@ -1,8 +1,10 @@
-r"""Swimmers that take commands: rotation frequency and heading.
+r"""Swimmers that take commands: rotation frequency and direction.
 
-A command is held from one control step to the next. It is the pair of the frequency f
-of the rotating field [cycles T⁻¹] and the heading $\theta$ [rad], the angle of the
-normal of the plane in which the field rotates to the x axis.
+A command is held from one control step to the next. It is the frequency f of the
+rotating field [cycles T⁻¹] and the direction of the normal of the plane in which the
+field rotates: in the plane its heading $\theta$ [rad], the angle to the x axis; in
+space the heading of its projection on the xy plane, and its elevation $\epsilon$ [rad]
+above it.
 """
 
 import abc
@@ -11,50 +13,95 @@ import math
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.actuation import AbstractField, AbstractResponse, StepOutResponse
-from pinav.arguments import Planar, Scalar, State, Vector, check_positive
+from pinav.arguments import Scalar, State, Vector, check_positive
 from pinav.dynamics import RK4, FixedStep, OverdampedSwimmer, Swimmer
 from pinav.forces import AbstractForce
 
-Command = Float[Array, "2"]
-"""Frequency [cycles T⁻¹] and heading [rad]."""
+Command = Float[Array, " dim"]
+"""Frequency [cycles T⁻¹] and heading [rad]; in space also the elevation [rad]."""
 
 
-def direction(heading: Scalar) -> Planar:
-    r"""Unit vector $n(\theta)$ of a heading [rad]."""
-    heading = jnp.asarray(heading)
-    return jnp.stack([jnp.cos(heading), jnp.sin(heading)])
+def direction(angles: Float[Array, " angle"]) -> Vector:
+    r"""Unit vector $n(\theta)$ of a heading, or of heading and elevation [rad].
+
+    In space $n = (\cos\theta\cos\epsilon, \sin\theta\cos\epsilon, \sin\epsilon)$.
+    """
+    planar = jnp.stack([jnp.cos(angles[0]), jnp.sin(angles[0])])
+    for elevation in angles[1:]:
+        planar = jnp.append(planar * jnp.cos(elevation), jnp.sin(elevation))
+    return planar
+
+
+def direction_angles(vector: Vector) -> Float[Array, " angle"]:
+    """Heading, and in space elevation, of a vector that is not zero [rad]."""
+    heading = jnp.arctan2(vector[1], vector[0])
+    if vector.shape[0] == 2:
+        return heading[None]
+    across = jnp.sqrt(vector[0] ** 2 + vector[1] ** 2 + TINY)
+    return jnp.stack([heading, jnp.arctan2(vector[2], across)])
+
+
+TINY = 1e-24
+"""What keeps the elevation of a vertical direction differentiable [L²]."""
+
+
+def all_directions(count: int, dim: int) -> Float[np.ndarray, "{count} {dim}"]:
+    r"""Unit vectors all around, equally spaced in the plane and nearly so in space.
+
+    In space they lie on a spiral from pole to pole, each at the golden angle from the
+    one before.
+
+    References:
+        Gonzalez, Math. Geosci. 42, 49 (2010), for the lattice of the spiral.
+    """
+    places = np.arange(count)
+    if dim == 2:
+        angles = 2 * np.pi * places / count
+        return np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    height = 1 - (2 * places + 1) / count
+    angles = np.pi * (3 - np.sqrt(5.0)) * places
+    across = np.sqrt(1 - height**2)
+    return np.stack([across * np.cos(angles), across * np.sin(angles), height], axis=1)
 
 
 class SteeringField(AbstractField):
-    r"""Field that rotates about a heading in the plane, as coils make it.
+    r"""Field that rotates about a direction, as coils make it.
 
-    $$B(t) = B_0 (\cos(2\pi f t)\, \hat z + \sin(2\pi f t)\, n(\theta) \times \hat z).$$
+    $$B(t) = B_0 (\cos(2\pi f t)\, e(\theta, \epsilon) + \sin(2\pi f t)\, n(\theta -
+    \tfrac{\pi}{2})), \qquad e = (-\sin\epsilon\cos\theta, -\sin\epsilon\sin\theta,
+    \cos\epsilon);$$
+
+    $e$ is $\hat z$ where the direction lies in the plane.
 
     Attributes:
         amplitude: $B_0$ [B].
         frequency: $f$ [cycles T⁻¹].
         heading: $\theta$, of the normal of the plane of rotation [rad].
+        elevation: $\epsilon$ of that normal above the xy plane [rad].
     """
 
     amplitude: Scalar
     frequency: Scalar
     heading: Scalar
+    elevation: Scalar = 0.0
 
     def __call__(self, t: Scalar) -> Float[Array, "3"]:
         phase = 2 * math.pi * self.frequency * jnp.asarray(t)
-        across = jnp.asarray(self.heading) - math.pi / 2
-        planar = self.amplitude * jnp.sin(phase) * direction(across)
-        return jnp.append(planar, self.amplitude * jnp.cos(phase))
+        heading, elevation = jnp.asarray(self.heading), jnp.asarray(self.elevation)
+        across = jnp.stack([jnp.sin(heading), -jnp.cos(heading), 0.0 * heading])
+        upright = direction(jnp.stack([heading, elevation + math.pi / 2]))
+        return self.amplitude * (jnp.cos(phase) * upright + jnp.sin(phase) * across)
 
 
 class AbstractActuator(eqx.Module):
     """What a command does to the swimmer."""
 
     @abc.abstractmethod
-    def __call__(self, command: Command) -> Planar:
+    def __call__(self, command: Command) -> Vector:
         """Thrust [L T⁻²] of a command: a velocity [L T⁻¹] where mobility is 1."""
 
 
@@ -96,12 +143,12 @@ class HelicalActuator(AbstractActuator):
 
     def field(self, command: Command) -> SteeringField:
         """The field that a command stands for."""
-        return SteeringField(self.amplitude, command[0], command[1])
+        return SteeringField(self.amplitude, *command)
 
-    def __call__(self, command: Command) -> Planar:
+    def __call__(self, command: Command) -> Vector:
         turning = StepOutResponse(self.step_out)(command[0])
         torque = 2 * math.pi * self.rotational_drag * turning
-        return self.gain * torque * direction(command[1])
+        return self.gain * torque * direction(command[1:])
 
 
 class RollingActuator(AbstractActuator):
@@ -112,11 +159,11 @@ class RollingActuator(AbstractActuator):
         response: $s(f)$, the effective frequency.
     """
 
-    gain: Float[Array, "2 2"]
+    gain: Float[Array, "dim dim"]
     response: AbstractResponse
 
-    def __call__(self, command: Command) -> Planar:
-        return self.gain @ (self.response(command[0]) * direction(command[1]))
+    def __call__(self, command: Command) -> Vector:
+        return self.gain @ (self.response(command[0]) * direction(command[1:]))
 
 
 class HeldThrust(AbstractForce):
@@ -126,7 +173,7 @@ class HeldThrust(AbstractForce):
         thrust: [L T⁻²].
     """
 
-    thrust: Planar
+    thrust: Vector
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return self.thrust.astype(x.dtype)
@@ -166,10 +213,11 @@ class SteeredSwimmer(eqx.Module):
 
 
 def greatest_thrust(
-    actuator: AbstractActuator, limits: "CommandLimits"
+    actuator: AbstractActuator, limits: "CommandLimits", dim: int = 2
 ) -> Float[Array, ""]:
     """Size of the thrust at the greatest frequency [L T⁻²], along x."""
-    return jnp.linalg.norm(actuator(jnp.array([limits.max_frequency, 0.0])))
+    command = jnp.zeros(dim).at[0].set(limits.max_frequency)
+    return jnp.linalg.norm(actuator(command))
 
 
 class CommandLimits(eqx.Module):
@@ -177,8 +225,8 @@ class CommandLimits(eqx.Module):
 
     Attributes:
         max_frequency: greatest frequency [cycles T⁻¹], positive.
-        max_turning_rate: greatest rate of change of the heading [rad T⁻¹], positive;
-            infinite means that coils turn at once.
+        max_turning_rate: greatest rate at which the direction turns [rad T⁻¹],
+            positive; infinite means that coils turn at once.
         max_amplitude: greatest field [B], positive.
 
     Raises:
@@ -195,6 +243,20 @@ class CommandLimits(eqx.Module):
     def clip(self, command: Command, previous: Command, duration: Scalar) -> Command:
         """The nearest allowed command after `previous` has held for `duration` [T]."""
         frequency = jnp.clip(command[0], 0.0, self.max_frequency)
-        turn = jnp.mod(command[1] - previous[1] + math.pi, 2 * math.pi) - math.pi
         most = jnp.asarray(self.max_turning_rate * duration)
-        return jnp.stack([frequency, previous[1] + jnp.clip(turn, -most, most)])
+        angles = turned_angles(previous[1:], command[1:], most)
+        return jnp.concatenate([frequency[None], angles])
+
+
+def turned_angles(
+    before: Float[Array, " angle"], wanted: Float[Array, " angle"], most: Scalar
+) -> Float[Array, " angle"]:
+    """Angles after a turn by at most `most` [rad], the short way: on a great circle."""
+    if before.shape[0] == 1:
+        turn = jnp.mod(wanted - before + math.pi, 2 * math.pi) - math.pi
+        return before + jnp.clip(turn, -most, most)
+    start, end = direction(before), direction(wanted)
+    across = end - (end @ start) * start
+    size = jnp.sqrt(across @ across + TINY)
+    turn = jnp.minimum(jnp.arctan2(size, end @ start), most)
+    return direction_angles(jnp.cos(turn) * start + jnp.sin(turn) * across / size)

@@ -43,3 +43,13 @@ class Task(eqx.Module):
     noise: float = 0.0
     sensor_noise: float = 0.0
     delay: float = eqx.field(static=True, default=0.0)
+
+    @property
+    def dim(self) -> int:
+        """Dimensions of the space."""
+        return self.arena.dim
+
+    @property
+    def inertial(self) -> bool:
+        """Whether the state holds a velocity."""
+        return self.start.shape[0] > self.dim

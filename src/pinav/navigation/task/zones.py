@@ -7,41 +7,41 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from pinav.arguments import Planar, Scalar, check_positive, point
+from pinav.arguments import Scalar, Vector, check_positive, point
 from pinav.errors import InputError
 
 
 class AbstractZone(eqx.Module):
-    """A region of the plane."""
+    """A region of the plane or of space."""
 
     @abc.abstractmethod
-    def distance(self, x: Planar) -> Float[Array, ""]:
+    def distance(self, x: Vector) -> Float[Array, ""]:
         """Signed distance from its edge [L]: negative inside."""
 
 
 class Disc(AbstractZone):
-    """A disc.
+    """A disc in the plane, a ball in space.
 
     Attributes:
         center: [L].
         radius: [L], positive.
 
     Raises:
-        InputError: `center` is not a point in the plane, or `radius` a number <= 0.
+        InputError: `center` is not a point, or `radius` a number <= 0.
     """
 
-    center: Planar = eqx.field(converter=point("Disc.center", 2))
+    center: Vector = eqx.field(converter=point("Disc.center"))
     radius: Scalar
 
     def __check_init__(self) -> None:
         check_positive(self, "radius")
 
-    def distance(self, x: Planar) -> Float[Array, ""]:
+    def distance(self, x: Vector) -> Float[Array, ""]:
         return _length(x - self.center) - self.radius
 
 
 class Wall(AbstractZone):
-    """A straight wall with round ends.
+    """A straight wall with round ends: in space, a rod.
 
     Attributes:
         start: where its middle line begins [L].
@@ -49,36 +49,36 @@ class Wall(AbstractZone):
         half_width: from the middle line to the surface [L], positive.
 
     Raises:
-        InputError: an end is not a point in the plane, or `half_width` a number <= 0.
+        InputError: an end is not a point, or `half_width` a number <= 0.
     """
 
-    start: Planar = eqx.field(converter=point("Wall.start", 2))
-    end: Planar = eqx.field(converter=point("Wall.end", 2))
+    start: Vector = eqx.field(converter=point("Wall.start"))
+    end: Vector = eqx.field(converter=point("Wall.end"))
     half_width: Scalar
 
     def __check_init__(self) -> None:
         check_positive(self, "half_width")
 
-    def distance(self, x: Planar) -> Float[Array, ""]:
+    def distance(self, x: Vector) -> Float[Array, ""]:
         along = self.end - self.start
         fraction = jnp.clip((x - self.start) @ along / (along @ along), 0.0, 1.0)
         return _length(x - self.start - fraction * along) - self.half_width
 
 
 class Rectangle(AbstractZone):
-    """A rectangle along the axes: also the arena, which must not be left.
+    """A rectangle, or box, along the axes: also the arena, which must not be left.
 
     Attributes:
-        lower: corner of least x and y [L].
-        upper: corner of greatest x and y [L].
+        lower: corner of the least coordinates [L].
+        upper: corner of the greatest coordinates [L].
 
     Raises:
-        InputError: a corner is not a point in the plane, or `lower` is not below
+        InputError: a corner is not a point, or `lower` is not below
             `upper`.
     """
 
-    lower: Planar = eqx.field(converter=point("Rectangle.lower", 2))
-    upper: Planar = eqx.field(converter=point("Rectangle.upper", 2))
+    lower: Vector = eqx.field(converter=point("Rectangle.lower"))
+    upper: Vector = eqx.field(converter=point("Rectangle.upper"))
 
     def __check_init__(self) -> None:
         lower, upper = self.lower, self.upper
@@ -87,21 +87,26 @@ class Rectangle(AbstractZone):
                 f"Rectangle: expected lower below upper, got {lower} and {upper}"
             )
 
-    def distance(self, x: Planar) -> Float[Array, ""]:
+    @property
+    def dim(self) -> int:
+        """How many dimensions it has."""
+        return self.lower.shape[0]
+
+    def distance(self, x: Vector) -> Float[Array, ""]:
         beyond = jnp.maximum(self.lower - x, x - self.upper)
         outside = _length(jnp.maximum(beyond, 0.0))
         return outside + jnp.minimum(jnp.max(beyond), 0.0)
 
 
 def clearance(
-    x: Planar, keep_out: tuple[AbstractZone, ...], arena: Rectangle
+    x: Vector, keep_out: tuple[AbstractZone, ...], arena: Rectangle
 ) -> Float[Array, ""]:
     """Distance from the nearest forbidden place [L]: negative inside of one."""
     distances = [zone.distance(x) for zone in keep_out]
     return jnp.min(jnp.stack([*distances, -arena.distance(x)]))
 
 
-def _length(offset: Planar) -> Float[Array, ""]:
+def _length(offset: Vector) -> Float[Array, ""]:
     """Length of a vector, with a gradient of zero where it vanishes."""
     square = offset @ offset
     positive = square > 0

@@ -20,10 +20,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, PRNGKeyArray, PyTree, Shaped
 
-from pinav.arguments import Planar, Scalar, State
+from pinav.arguments import Scalar, State
 from pinav.dynamics import RK4, FixedStep
 from pinav.navigation.control.controller import AbstractController, Memory, Observation
-from pinav.navigation.task.steering import Command, SteeredSwimmer
+from pinav.navigation.task.steering import (
+    Command,
+    SteeredSwimmer,
+    direction_angles,
+)
 from pinav.navigation.task.task import Task
 from pinav.navigation.task.zones import clearance
 
@@ -46,7 +50,7 @@ class Situation(eqx.Module):
 
     step: Int[Array, ""]
     state: State
-    pending: Float[Array, "command 2"]
+    pending: Float[Array, "command dim"]
     reached: Bool[Array, ""]
     violated: Bool[Array, ""]
     arrival_time: Float[Array, ""]
@@ -57,7 +61,9 @@ class Situation(eqx.Module):
         return self.reached | self.violated | (self.step >= control_steps(task))
 
 
-_Carry = tuple[Situation, PyTree, Float[Array, "time state"], Float[Array, "control 2"]]
+_Carry = tuple[
+    Situation, PyTree, Float[Array, "time state"], Float[Array, "control dim"]
+]
 """Situation, memory of the controller, states and commands of an episode so far."""
 
 
@@ -82,7 +88,7 @@ class Episodes(eqx.Module):
 
     ts: Float[np.ndarray, " time"]
     states: Float[np.ndarray, "*run time state"]
-    commands: Float[np.ndarray, "*run control 2"]
+    commands: Float[np.ndarray, "*run control dim"]
     steps: Int[np.ndarray, "*run"]
     reached: Bool[np.ndarray, "*run"]
     violated: Bool[np.ndarray, "*run"]
@@ -128,9 +134,9 @@ def control_steps(task: Task) -> int:
 
 def begin(task: Task) -> Situation:
     """The start of an episode: at rest, with the heading to the first target."""
-    toward = task.objective.target(task.step) - task.start[:2]
-    heading = jnp.arctan2(toward[1], toward[0])
-    idle = jnp.stack([jnp.zeros_like(heading), heading])
+    x = task.start[: task.dim]
+    angles = direction_angles(task.objective.target(task.step) - x)
+    idle = jnp.append(jnp.zeros_like(angles[:1]), angles)
     whole, part = _delay(task)
     return Situation(
         step=jnp.zeros((), int),
@@ -139,7 +145,7 @@ def begin(task: Task) -> Situation:
         reached=jnp.zeros((), bool),
         violated=jnp.zeros((), bool),
         arrival_time=jnp.full((), jnp.inf, task.start.dtype),
-        clearance=clearance(task.start[:2], task.keep_out, task.arena),
+        clearance=clearance(x, task.keep_out, task.arena),
     )
 
 
@@ -157,7 +163,7 @@ def advance(
     situation: Situation,
     command: Command,
     key: PRNGKeyArray,
-) -> tuple[Situation, Planar]:
+) -> tuple[Situation, Command]:
     """One control step of the true swimmer.
 
     Args:
@@ -227,7 +233,7 @@ def run(
         now, allowed = _advance(task, truth, now, command, moving)
         states.append(now.state)
         commands.append(allowed)
-    paths, controls = np.stack(states), np.asarray(commands, float).reshape(-1, 2)
+    paths, controls = np.stack(states), np.asarray(commands, float)
     return Episodes.of(task, now, paths, controls, compute)
 
 
@@ -281,7 +287,7 @@ def _episodes(
     *,
     side_by_side: bool,
 ) -> tuple[
-    Situation, Float[Array, "episode time state"], Float[Array, "episode control 2"]
+    Situation, Float[Array, "episode time state"], Float[Array, "episode control dim"]
 ]:
     episode = partial(_episode, task, controller, truth)
     return jax.vmap(episode)(keys) if side_by_side else jax.lax.map(episode, keys)
@@ -289,7 +295,7 @@ def _episodes(
 
 def _episode(
     task: Task, controller: AbstractController, truth: SteeredSwimmer, key: PRNGKeyArray
-) -> tuple[Situation, Float[Array, "time state"], Float[Array, "control 2"]]:
+) -> tuple[Situation, Float[Array, "time state"], Float[Array, "control dim"]]:
     """Last situation, states and commands of one run."""
     count, first = control_steps(task), begin(task)
     observed = observe(task, first, _step_keys(key, first.step)[0])
@@ -321,10 +327,11 @@ def _judge(
 ) -> Situation:
     """The situation with a new state; nothing changes once an episode has ended."""
     over = now.reached | now.violated
-    near = clearance(state[:2], task.keep_out, task.arena)
+    before, x = now.state[: task.dim], state[: task.dim]
+    near = clearance(x, task.keep_out, task.arena)
     violated = ~(near >= 0)  # so that a lost state ends the episode, too
-    reached = task.objective.is_reached(state[:2]) & ~violated
-    fraction = _fraction_before(task.objective.distance(now.state[:2]), task, state)
+    reached = task.objective.is_reached(x) & ~violated
+    fraction = _fraction_before(*map(task.objective.distance, (before, x)))
     arrival = jnp.where(reached, t + fraction * duration, now.arrival_time)
     later = Situation(
         now.step,
@@ -338,9 +345,9 @@ def _judge(
     return jax.tree.map(lambda old, new: jnp.where(over, old, new), now, later)
 
 
-def _fraction_before(before: Scalar, task: Task, state: State) -> Float[Array, ""]:
-    """Fraction of a short step after which the task was done."""
-    gain = before - task.objective.distance(state[:2])
+def _fraction_before(before: Scalar, after: Scalar) -> Float[Array, ""]:
+    """Fraction of a short step after which the task was done, by its distances."""
+    gain = before - after
     crossing = before / jnp.where(gain > 0, gain, 1.0)
     return jnp.where(gain > 0, jnp.clip(crossing, 0.0, 1.0), 1.0)
 
@@ -350,7 +357,7 @@ def _kicks(
 ) -> Float[Array, "part state"]:
     """White noise of every short step: of the velocity where there is inertia."""
     numbers = jax.random.normal(key, (durations.shape[0], state.shape[0]), state.dtype)
-    moved = jnp.arange(state.shape[0]) >= state.shape[0] - 2
+    moved = jnp.arange(state.shape[0]) >= state.shape[0] - task.dim
     strength = task.noise * jnp.sqrt(durations)[:, None]
     return jnp.where(moved[None], strength * numbers, 0.0)
 

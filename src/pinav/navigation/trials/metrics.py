@@ -11,6 +11,7 @@ from scipy.stats import binom, binomtest
 
 from pinav.errors import InputError
 from pinav.navigation.task.objectives import FollowPath
+from pinav.navigation.task.steering import direction
 from pinav.navigation.task.task import Task
 from pinav.navigation.trials.closed_loop import Episodes
 
@@ -156,17 +157,20 @@ def tracking_errors(
         power: of the distance.
     """
     targets = np.asarray(jax.vmap(task.objective.target)(jnp.asarray(episodes.ts)))
-    distances = np.linalg.norm(episodes.states[..., :2] - targets[None], axis=-1)
+    distances = np.linalg.norm(
+        episodes.states[..., : task.dim] - targets[None], axis=-1
+    )
     during = _within_episode(episodes, len(episodes.ts), offset=1)
     return np.mean(distances**power, axis=1, where=during)
 
 
 def _efficiencies(episodes: Episodes, task: Task) -> Float[np.ndarray, " episode"]:
     """Straight distance over the length of the way."""
-    steps = np.diff(episodes.states[..., :2], axis=1)
+    steps = np.diff(episodes.states[..., : task.dim], axis=1)
     lengths = np.sum(np.linalg.norm(steps, axis=-1), axis=1)
     straight = np.linalg.norm(
-        episodes.states[:, -1, :2] - np.asarray(task.start[:2])[None], axis=1
+        episodes.states[:, -1, : task.dim] - np.asarray(task.start)[None, : task.dim],
+        axis=1,
     )
     return straight / np.maximum(lengths, np.finfo(float).tiny)
 
@@ -178,7 +182,9 @@ def _efforts(episodes: Episodes, task: Task) -> Float[np.ndarray, " episode"]:
 
 
 def _turnings(episodes: Episodes) -> Float[np.ndarray, " episode"]:
-    turns = np.abs(np.diff(episodes.commands[..., 1], axis=1))
+    ahead = jax.vmap(jax.vmap(direction))(jnp.asarray(episodes.commands[..., 1:]))
+    cosines = np.sum(np.asarray(ahead[:, 1:] * ahead[:, :-1]), axis=-1)
+    turns = np.arccos(np.clip(cosines, -1.0, 1.0))
     during = _within_episode(episodes, turns.shape[1], offset=-1)
     return np.sum(np.where(during, turns, 0.0), axis=1)
 

@@ -1,0 +1,189 @@
+"""Plans, commands and closed loops in three dimensions, against closed forms."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.actuation import LinearResponse
+from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.errors import InputError
+from pinav.forces import LinearDrag, UniformFlow, ZeroForce
+from pinav.navigation.control.default import controller
+from pinav.navigation.model.predictors import ControlMap
+from pinav.navigation.model.tabulated import tabulate_model
+from pinav.navigation.planning.plan import time_to_go
+from pinav.navigation.task.objectives import ReachGoal
+from pinav.navigation.task.steering import (
+    CommandLimits,
+    HelicalActuator,
+    RollingActuator,
+    SteeredSwimmer,
+    SteeringField,
+    all_directions,
+    direction,
+    direction_angles,
+)
+from pinav.navigation.task.task import Task
+from pinav.navigation.task.zones import Disc, Rectangle, Wall
+from pinav.navigation.trials.closed_loop import run_many
+from pinav.navigation.trials.metrics import summary
+
+ROLLING = RollingActuator(jnp.eye(3), LinearResponse())
+GOAL, TOLERANCE = np.array([1.5, 1.0, 0.5]), 0.25
+
+
+def swimming(drift=(0.0, 0.0, 0.0), start=(-1.5, -1.0, -0.5), keep_out=(), **settings):
+    swimmer = OverdampedSwimmer(ZeroForce(), ZeroForce(), 1.0, UniformFlow(drift))
+    options = {"step": 0.1, "time_limit": 15.0} | settings
+    return Task(
+        name="test",
+        truth=SteeredSwimmer(swimmer, ROLLING),
+        start=jnp.array(start),
+        objective=ReachGoal(GOAL, TOLERANCE),
+        limits=CommandLimits(1.0),
+        arena=Rectangle([-2.5] * 3, [2.5] * 3),
+        keep_out=keep_out,
+        **options,
+    )
+
+
+def planned(task, points=25):
+    tables = tabulate_model(task, task.truth, margin=0.01, points=9)
+    return time_to_go(task, task.truth, tables=tables, points=points)
+
+
+def drifted_time(x, drift):
+    """Time to a ball at speed 1: |d - w T| = T + tolerance, its first root."""
+    away, w = GOAL - x, np.asarray(drift)
+    a, b = w @ w - 1, -(away @ w) - TOLERANCE
+    roots = np.roots([a, 2 * b, away @ away - TOLERANCE**2])
+    return min(r.real for r in roots if abs(r.imag) < 1e-12 and r.real > 0)
+
+
+@pytest.mark.parametrize("drift", [(0.0, 0.0, 0.0), (0.4, -0.3, 0.2)])
+def test_time_to_go_in_a_uniform_drift_is_that_of_the_closed_form(drift):
+    """Without a drift it is the distance over the speed."""
+    plan = planned(swimming(drift))
+    places = jax.random.uniform(jax.random.key(1), (30, 3), minval=-1.5, maxval=1.5)
+    found = np.array([plan.at(x) for x in places])
+    exact = np.array([drifted_time(np.asarray(x), drift) for x in places])
+    # Twenty degrees between directions and cells of 0.2 make a plan a little slow.
+    assert (found / exact)[exact > 1].min() > 0.99
+    assert (found / exact)[exact > 1].max() < 1.09
+
+
+@pytest.mark.slow
+def test_the_way_round_a_ball_is_two_tangents_and_an_arc():
+    radius, start = 0.9, np.array([-1.5, -1.0, -0.5])
+    task = swimming(keep_out=(Disc([0.0, 0.0, 0.0], radius),), start=tuple(start))
+    plan = planned(task, points=33)
+    ends = np.linalg.norm(start), np.linalg.norm(GOAL)
+    tangents = [np.sqrt(end**2 - radius**2) for end in ends]
+    turned = np.pi - sum(np.arccos(radius / end) for end in ends)
+    exact = sum(tangents) + radius * turned - TOLERANCE
+    np.testing.assert_allclose(plan.at(task.start), exact, rtol=0.07)
+    route = plan.route(task.start)
+    assert float(jnp.linalg.norm(route.ys, axis=1).min()) > radius - 0.05
+
+
+@pytest.mark.slow
+def test_coarser_grids_first_do_not_change_the_plan():
+    """The values are those that sweeps from nothing end in."""
+    task = swimming((0.3, 0.0, -0.2), keep_out=(Disc([0.0, 0.0, 0.0], 0.8),))
+    fine, alone = planned(task, points=21), planned(task, points=14)
+    assert fine.values.size > 3000 > alone.values.size
+    places = jax.random.uniform(jax.random.key(2), (20, 3), minval=1.0, maxval=2.0)
+    np.testing.assert_allclose(
+        [float(fine.at(x)) for x in places],
+        [float(alone.at(x)) for x in places],
+        atol=0.2,
+    )
+
+
+@pytest.mark.slow
+def test_a_controller_reaches_a_goal_in_space_against_a_drift():
+    task = swimming((-0.3, 0.2, 0.0), noise=0.05, time_limit=9.0)
+    tables = controller(task, task.truth)
+    keys = jax.random.split(jax.random.key(0), 2)
+    episodes = run_many(task, tables, keys)
+    assert episodes.reached.all()
+    exact = drifted_time(np.asarray(task.start), (-0.3, 0.2, 0.0))
+    assert episodes.arrival_time.max() < 1.15 * exact
+    outcome = summary(episodes, task)
+    assert 0.8 < outcome.efficiency <= 1.0
+    assert outcome.turning > 0
+
+
+def test_directions_in_space_are_unit_vectors_all_around():
+    ahead = all_directions(96, 3)
+    np.testing.assert_allclose(np.linalg.norm(ahead, axis=1), 1.0)
+    np.testing.assert_allclose(ahead.mean(axis=0), 0.0, atol=0.02)
+    nearest = np.sort(ahead @ ahead.T, axis=1)[:, -2]
+    assert np.degrees(np.arccos(nearest)).min() > 15
+    angles = jax.vmap(direction_angles)(jnp.asarray(ahead))
+    np.testing.assert_allclose(jax.vmap(direction)(angles), ahead, atol=1e-9)
+
+
+def test_the_field_turns_about_the_direction_of_the_command():
+    field = SteeringField(2.0, 1.5, 0.7, -0.4)
+    ahead = direction(jnp.array([0.7, -0.4]))
+    for t in (0.0, 0.13, 0.41):
+        np.testing.assert_allclose(field(t) @ ahead, 0.0, atol=1e-12)
+        np.testing.assert_allclose(jnp.linalg.norm(field(t)), 2.0)
+    turn = jnp.cross(field(0.0), field(0.01)) @ ahead
+    assert turn > 0  # by the right hand about the direction
+
+
+def test_the_thrust_of_a_screw_is_along_the_command_in_space():
+    screw = HelicalActuator(gain=1.0, moment=1.0, amplitude=1.0, rotational_drag=0.1)
+    thrust = screw(jnp.array([0.5, 0.7, -0.4]))
+    ahead = direction(jnp.array([0.7, -0.4]))
+    np.testing.assert_allclose(thrust, jnp.linalg.norm(thrust) * ahead, atol=1e-12)
+
+
+def test_a_direction_turns_on_a_great_circle_and_not_faster_than_allowed():
+    limits = CommandLimits(1.0, max_turning_rate=2.0)
+    before, wanted = jnp.array([1.0, 0.2, 0.1]), jnp.array([1.0, 2.2, -0.6])
+    command = limits.clip(wanted, before, 0.1)
+    start, middle, end = (direction(c[1:]) for c in (before, command, wanted))
+    np.testing.assert_allclose(jnp.arccos(start @ middle), 0.2, rtol=1e-6)
+    np.testing.assert_allclose(
+        jnp.arccos(start @ middle) + jnp.arccos(middle @ end),
+        jnp.arccos(start @ end),
+        rtol=1e-6,
+    )
+    np.testing.assert_allclose(
+        direction(limits.clip(wanted, before, 10.0)[1:]), end, atol=1e-9
+    )
+
+
+def test_controls_in_space_become_commands_along_them():
+    drive = ControlMap.of(ROLLING, CommandLimits(0.8), 3)
+    control, before = jnp.array([0.3, -0.4, 0.2]), jnp.array([0.0, 0.5, 0.3])
+    command = drive.command(control, before, 0.1)
+    np.testing.assert_allclose(ROLLING(command), 0.8 * control, atol=1e-6)
+    idle = drive.command(jnp.zeros(3), before, 0.1)
+    np.testing.assert_allclose(idle[1:], before[1:])
+    np.testing.assert_allclose(drive.thrusts(50), 0.8 * all_directions(50, 3))
+
+
+def test_distances_from_a_ball_a_rod_and_a_box():
+    x = jnp.array([1.0, 2.0, 2.0])
+    np.testing.assert_allclose(Disc([0.0, 0.0, 0.0], 1.0).distance(x), 2.0)
+    rod = Wall([1.0, 0.0, 0.0], [1.0, 0.0, 9.0], 0.5)
+    np.testing.assert_allclose(rod.distance(x), 1.5)
+    np.testing.assert_allclose(Rectangle([0.0] * 3, [3.0] * 3).distance(x), -1.0)
+
+
+def test_inertia_in_space_is_refused():
+    task = swimming(start=(-1.5, -1.0, -0.5, 0.0, 0.0, 0.0))
+    heavy = Swimmer(ZeroForce(), LinearDrag(1.0), ZeroForce())
+    with pytest.raises(InputError, match=r"expected a swimmer without inertia in 3"):
+        time_to_go(task, SteeredSwimmer(heavy, ROLLING))
+
+
+def test_places_in_a_wall_in_space_are_refused_by_their_coordinates():
+    task = swimming(keep_out=(Disc(GOAL, 0.5),))
+    with pytest.raises(InputError, match=r"goal: .* got \(1.5, 1, 0.5\) in a wall"):
+        planned(task)
