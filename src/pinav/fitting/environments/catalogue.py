@@ -23,10 +23,8 @@ from pinav.dynamics import (
 )
 from pinav.errors import InputError
 from pinav.fitting.environments.gradient_matching import (
-    force_region,
     match_kernels,
     match_potential,
-    observed_rates,
 )
 from pinav.fitting.environments.kernel_layers import Layer
 from pinav.fitting.environments.kernels import (
@@ -36,6 +34,7 @@ from pinav.fitting.environments.kernels import (
     kernel_environment,
 )
 from pinav.fitting.environments.profiles import MobilitySummary, ProfileSummary
+from pinav.fitting.environments.rates import force_region, observed_rates
 from pinav.fitting.environments.terms import (
     TermSummary,
     summarise_terms,
