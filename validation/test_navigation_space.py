@@ -7,7 +7,6 @@ import time
 
 import jax
 import jax.numpy as jnp
-import pytest
 
 from pinav.actuation import LinearResponse
 from pinav.navigation import (
@@ -26,8 +25,6 @@ from pinav.navigation import (
     time_to_go,
 )
 from pinav.scenarios import scenario
-
-pytestmark = pytest.mark.slow
 
 RUNS = 20
 
