@@ -45,8 +45,8 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
         InputError: they are missing or damaged.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            return dict(file)
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as kept:
+            return dict(kept)
     except Exception as error:
         raise InputError(
             f"{path} cannot be read ({error}); delete all files of that name and "

@@ -7,7 +7,6 @@ from typing import Protocol, TypeVar
 
 import msgspec
 
-from benchmarks._options import read_kept
 from pinav.commands.sweep import engine_of
 from pinav.commands.worker_settings import WorkerSettings
 from pinav.files import write_text
@@ -50,5 +49,5 @@ def measurements(
         if outcome.failure:
             print(f"{cell.label}: {outcome.failure}", file=sys.stderr)
             continue
-        results.append(read_kept(store.folder(cell) / FILE, kind))
+        results.append(store.read_result(cell, FILE, kind))
     return results

@@ -20,12 +20,17 @@ WORDS = (
 
 def damaged(content: bytes, rng: random.Random) -> bytes:
     """The content with one damage; half of those of a text or an archive are inside."""
-    rules = [cut, scratch, turn, replace_all, empty]
+    rules: list[Rule] = [damage_bytes] * 5
     if content[:2] == b"PK":
         rules += 5 * [change_member]
     elif _is_text(content):
         rules += [change_value] * 3 + [drop_line, repeat_line]
     return rng.choice(rules)(content, rng)
+
+
+def damage_bytes(content: bytes, rng: random.Random) -> bytes:
+    """The content cut, with bytes changed, turned round, replaced, or empty."""
+    return rng.choice((cut, scratch, turn, replace_all, empty))(content, rng)
 
 
 def damage(file: Path, rng: random.Random) -> None:

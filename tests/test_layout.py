@@ -47,9 +47,6 @@ PACKAGES = sorted(p.parent for p in SOURCES if p.name == "__init__.py")
 COMMANDS = ROOT / "commands"
 TESTS = Path(__file__).parent
 
-UNTANGLED_LATER = {"study -> evaluate"}
-"""Imports between the folders of two commands that are still to go; add none."""
-
 
 def imported_modules(source: str) -> Iterator[str]:
     """Dotted paths below pinav that a source imports, at any depth of the code.

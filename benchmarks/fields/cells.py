@@ -83,7 +83,8 @@ def _free(system: System, data: Trajectories) -> Fitted:
 
 
 def _structured(system: System, data: Trajectories) -> Fitted:
-    result = fit_structured(_untrained(system, data), data, throw=False)
+    model = _untrained(system, data)
+    result = fit_structured(model, data, weigh_rotation=True, throw=False)
     fit = result.fit
     return Fitted(fit.model, str(fit.outcome), fit.posterior, result.gain)
 

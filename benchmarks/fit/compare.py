@@ -85,10 +85,12 @@ def compare(options: Options) -> None:
             else:
                 found[contestant.name].append(outcome)
     rows = [table.row(BY_NAME[name], ms) for name, ms in found.items() if ms]
+    curves = _curves(options, found)
     _write(options, found, rows)
     print(table.text(rows, absent))
     print("\n".join(["", *table.verdicts(rows)]))
-    _draw(options, found)
+    if curves:
+        _draw(options, curves)
 
 
 def measured(contestant: Contestant, seed: int, options: Options) -> Measurement | str:
@@ -178,7 +180,7 @@ def _check_settings(options: Options) -> None:
     content = msgspec.json.encode(options.effort).decode()
     if not file.exists():
         write_text(file, content)
-    elif file.read_text(encoding="utf-8") != content:
+    elif file.read_bytes() != content.encode():
         raise InputError(
             f"--out {options.out}: holds results of other steps or seconds; choose "
             "another folder"
@@ -190,17 +192,35 @@ def _write(options: Options, found, rows) -> None:
     write_text(options.out / "results.csv", table.as_csv(rows), overwrite=True)
 
 
-def _draw(options: Options, found) -> None:
-    """The figure, where there is a curve to show."""
-    from benchmarks.fit.convergence import figure
-    from pinav.figures.files import save_figure
-
+def _curves(
+    options: Options, found: dict[str, list[Measurement]]
+) -> dict[str, np.ndarray]:
+    """Error over time of the first seed of each contestant that has one."""
     curves = {}
     for name, measurements in found.items():
         for measurement in measurements[:1]:
-            stored = read_arrays(options.out / f"{name}-{measurement.seed}.npz")
-            if "curve" in stored and len(stored["curve"]):
-                curves[name] = stored["curve"]
-    if curves:
-        files = save_figure(figure(curves), options.out, "convergence")
-        print(f"figure: {files.png}")
+            path = options.out / f"{name}-{measurement.seed}.npz"
+            curve = read_arrays(path).get("curve", np.zeros((0, 2)))
+            number = np.issubdtype(curve.dtype, np.floating)
+            plane = curve.ndim == 2 and curve.shape[1] == 2
+            if not (number and plane and np.all((curve > 0) & (curve < LOST))):
+                raise InputError(
+                    f"{path}: expected a curve of seconds and errors > 0; delete all "
+                    "files of that name and repeat the benchmark"
+                )
+            if len(curve):
+                curves[name] = curve
+    return curves
+
+
+LOST = 1e100
+"""An error that no fit has."""
+
+
+def _draw(options: Options, curves: dict[str, np.ndarray]) -> None:
+    """The figure of the curves."""
+    from benchmarks.fit.convergence import figure
+    from pinav.figures.files import save_figure
+
+    files = save_figure(figure(curves), options.out, "convergence")
+    print(f"figure: {files.png}")

@@ -1,6 +1,8 @@
 """Files that are either whole or absent, whatever happens while they are written."""
 
+import io
 import os
+import re
 import secrets
 from collections.abc import Callable
 from pathlib import Path
@@ -58,6 +60,21 @@ def write_whole(path: Path, write: Callable[[BinaryIO], object]) -> None:
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def is_temporary(path: Path) -> bool:
+    """The name is one that `write_whole` gives a file while it is written."""
+    return re.fullmatch(r"\..+\.[0-9a-f]{8}\.tmp", path.name) is not None
+
+
+def append_line(path: Path, line: bytes) -> None:
+    """Append a line to a file, after the end of one that a kill has cut off."""
+    with open(path, "a+b") as file:
+        if file.tell():
+            file.seek(-1, io.SEEK_END)
+            if file.read(1) != b"\n":
+                file.write(b"\n")
+        file.write(line + b"\n")
 
 
 def check_regular(path: str | os.PathLike[str]) -> None:

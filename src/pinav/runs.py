@@ -20,7 +20,6 @@ import csv
 import io
 import json
 import platform
-import re
 import tomllib
 from collections.abc import Callable, Sequence
 from importlib import metadata
@@ -34,7 +33,7 @@ import tomli_w
 from pinav import __version__
 from pinav.checkpoints import FileCheckpoint, Tree, read_tree, write_tree
 from pinav.errors import InputError
-from pinav.files import atomic_write, write_text
+from pinav.files import append_line, atomic_write, is_temporary, write_text
 from pinav.manifest import MANIFEST_FILE, Manifest
 
 Metrics = TypeVar("Metrics", bound=msgspec.Struct)
@@ -286,8 +285,9 @@ class RunFolder:
         """
         path = self.path / name
         try:
-            with np.load(path, allow_pickle=False) as file:
-                return dict(file)
+            # opened here, because NumPy leaves a damaged file open
+            with open(path, "rb") as file, np.load(file, allow_pickle=False) as kept:
+                return dict(kept)
         except Exception as error:
             raise InputError(
                 f"{path} cannot be read ({error}); {self.repair(name)}"
@@ -298,10 +298,7 @@ class RunFolder:
         path = self.path / "metrics.jsonl"
         if not path.exists():
             self.record(path.name)
-        with open(path, "a+b") as file:
-            if file.tell() and not _ends_with_newline(path):
-                file.write(b"\n")  # the line before was cut off by a kill
-            file.write(_as_json(record) + b"\n")
+        append_line(path, _as_json(record))
 
     def write_model(self, name: str, header: dict[str, Any], model: Any) -> None:
         """Write a model: a JSON line that says how to build it, then its leaves."""
@@ -331,7 +328,7 @@ class RunFolder:
     def _holds_anything(self) -> bool:
         if not self.path.is_dir():
             return False
-        names = {p.name for p in self.path.iterdir() if not _is_temporary(p)}
+        names = {p.name for p in self.path.iterdir() if not is_temporary(p)}
         return bool(names - {"environment.json", MANIFEST_FILE, LOCK_FILE})
 
     def _is_worth_keeping(self) -> bool:
@@ -355,7 +352,7 @@ class RunFolder:
         """Remove what a killed process left of a file that it was writing."""
         for folder in (self.path, self.path / "figures"):
             for file in folder.glob(".*.tmp"):
-                if _is_temporary(file):
+                if is_temporary(file):
                     file.unlink()
 
 
@@ -378,17 +375,6 @@ def _as_json(content: Any) -> bytes:
 def _plain(value: Any) -> Any:
     """A builtin value for a number or an array of NumPy."""
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)
-
-
-def _is_temporary(path: Path) -> bool:
-    """The name is one that `write_whole` gives a file while it is written."""
-    return re.fullmatch(r"\..+\.[0-9a-f]{8}\.tmp", path.name) is not None
-
-
-def _ends_with_newline(path: Path) -> bool:
-    with open(path, "rb") as file:
-        file.seek(-1, io.SEEK_END)
-        return file.read(1) == b"\n"
 
 
 def _make_folder(path: Path) -> None:

@@ -9,6 +9,7 @@ import time
 
 import pytest
 from tests.commands.test_every_command import WORDS, Folder
+from tests.damage import damage_bytes
 
 MAIN = [sys.executable, "-m", "pinav"]
 
@@ -101,21 +102,6 @@ def test_a_limit_of_memory_is_named():
     assert "raise it to 4 GiB" in done.stderr
 
 
-def damaged(content: bytes, rng: random.Random) -> bytes:
-    """The content cut, with bytes changed, with a part repeated, or empty."""
-    place = rng.randrange(len(content) + 1)
-    junk = bytes(rng.randrange(256) for _ in range(rng.randrange(1, 20)))
-    return rng.choice(
-        (
-            content[:place],
-            content[:place] + junk + content[place + len(junk) :],
-            content[place:] + content[:place],
-            junk,
-            b"",
-        )
-    )
-
-
 COMMANDS_OF_DATA = (
     ("inspect",),
     ("identify", "--out", "out"),
@@ -134,7 +120,7 @@ def test_damaged_data_never_end_in_a_traceback(
     rng = random.Random(seed)
     monkeypatch.chdir(tmp_path)
     name = rng.choice(("data.csv", "data.npz", "system.toml"))
-    (tmp_path / name).write_bytes(damaged(data.read_bytes(), rng))
+    (tmp_path / name).write_bytes(damage_bytes(data.read_bytes(), rng))
     (tmp_path / "mine.txt").write_text("mine")
     if name == "system.toml":
         argv = ["fit", str(data), "--system", name, "--out", "out", "--max-steps", "1"]

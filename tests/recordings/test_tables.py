@@ -55,6 +55,12 @@ def damaged_frames():
     yield "no x", frame.drop(columns="x"), r"format is not known"
     yield "word", frame.assign(x=xs), r"row 0, column 'x': .* got 'a'"
     yield "infinite", frame.replace({"y": {0.5: np.inf}}), r"row 1, column 'y': .*'inf'"
+    huge = frame.replace({"y": {0.5: 1e200}})
+    yield (
+        "huge",
+        huge,
+        r"row 1, column 'y': expected a number below 1e\+100, got '1e\+200'",
+    )
     for name, old, new, message in (
         ("half", 4, 3.5, r"row 3, column 'frame': .* got 3.5"),
         ("twice", 4, 2, r"row 3, column 'frame': .* stands in row 2 already"),

@@ -276,6 +276,16 @@ def test_damaged_files_are_named(place, text, tmp_path):
         sweep_status(tmp_path)
 
 
+def test_a_damaged_result_of_a_cell_is_named(tmp_path):
+    (cell,) = cells_of("square", 1)
+    sweep(tmp_path, [cell])
+    store = CellStore.of_run(tmp_path)
+    (store.folder(cell) / "row.json").write_text("{")
+    for name in ("row.json", "absent.json"):
+        with pytest.raises(InputError, match=r"cannot be read .* delete .*--resume"):
+            store.read_result(cell, name, dict)
+
+
 def test_a_folder_without_an_outcome_is_damaged(tmp_path):
     (cell,) = cells_of("square", 1)
     store = CellStore.of_run(tmp_path)

@@ -31,9 +31,12 @@ class StructureSearch(NamedTuple):
     Attributes:
         gain: log evidence of the structured force over the free one [nats]; NaN where
             no structure explained the data well enough to be fitted.
+        rotation: log evidence of a rotational part beside a potential [nats]; NaN where
+            none was weighed.
     """
 
     gain: float
+    rotation: float = float("nan")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,7 +98,10 @@ def write_evidence(
             **(
                 {}
                 if structure is None
-                else {"structure/gain": np.array(structure.gain)}
+                else {
+                    "structure/gain": np.array(structure.gain),
+                    "structure/rotation": np.array(structure.rotation),
+                }
             ),
             **constants,
         },
@@ -155,7 +161,10 @@ def read_evidence(
             iterations=int(stored["iterations"]),
             goodness=str(stored["goodness"]) if "goodness" in stored else "",
             process=_read_process(choice, stored),
-            structure=StructureSearch(float(stored["structure/gain"]))
+            structure=StructureSearch(
+                float(stored["structure/gain"]),
+                float(stored.get("structure/rotation", np.nan)),
+            )
             if "structure/gain" in stored
             else None,
         )

@@ -1,7 +1,6 @@
 """One run for each of several files, and one table of them all."""
 
 import hashlib
-import json
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -124,7 +123,7 @@ def _row(cell: Cell, outcome: Outcome, sweep: Sweep) -> dict[str, str | float | 
     row: dict[str, str | float | None] = {"file": cell.label, "run": place}
     if outcome.failure:
         return row | {"failure": outcome.failure}
-    metrics = json.loads((folder / METRICS_FILE).read_text(encoding="utf-8"))
+    metrics = sweep.store.read_result(cell, METRICS_FILE, dict)
     return row | {"failure": None} | dict(_numbers(metrics))
 
 

@@ -12,6 +12,7 @@ from pinav.arguments import Scalar, Vector
 from pinav.forces.priors import (
     AbstractPrior,
     IsotropicPrior,
+    MixturePrior,
 )
 from pinav.forces.structures import AbstractTerm, quarter_turn
 
@@ -129,9 +130,12 @@ class LinearTerm(AbstractTerm):
     def geometry(self) -> PyTree:
         return ()
 
-    def prior(self) -> IsotropicPrior:
+    def prior(self) -> AbstractPrior:
+        """Either part may be all there is: a uniform force has no slope."""
         dim = self.origin.shape[0]
-        return IsotropicPrior(1 if self.rotational else dim + dim * (dim + 1) // 2)
+        if self.rotational:
+            return IsotropicPrior(1)
+        return MixturePrior(IsotropicPrior(dim), IsotropicPrior(dim * (dim + 1) // 2))
 
     def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
         place = (x - self.origin) / self.scale

@@ -272,15 +272,6 @@ def rolling_about(frequency: Float[Array, " block"]) -> Float[Array, " step"]:
     return highest
 
 
-def negative_log_evidence(
-    theta: Float[Array, " parameter"],
-    design: Design,
-    field: Field | None = None,
-) -> Float[Array, ""]:
-    """`evidence_and_coefficients` without the coefficients."""
-    return evidence_and_coefficients(theta, design, field)[0]
-
-
 def evidence_and_coefficients(
     theta: Float[Array, " parameter"],
     design: Design,

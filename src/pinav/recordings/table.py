@@ -100,11 +100,11 @@ class Table:
             lost: whether a cell may be empty or NaN, which becomes NaN.
 
         Raises:
-            InputError: the column is missing, or a cell is no finite number.
+            InputError: the column is missing, or a cell is no number below 1e100.
         """
         cells = self.column(name)
         values = _as_floats(cells)
-        if values is None or not (lost or np.isfinite(values).all()):
+        if values is None or _is_wrong(values, lost=lost):
             values = np.array(
                 [
                     self._number(row, name, cell, lost=lost)
@@ -123,7 +123,7 @@ class Table:
             number = math.nan if "_" in text else float(text)
         except ValueError:
             number = math.nan
-        if math.isfinite(number):
+        if abs(number) < LARGEST:
             return number
         shown = repr(text) if text else "an empty cell"
         remedy = (
@@ -133,9 +133,9 @@ class Table:
             if lost
             else "give its value or delete the row"
         )
+        wanted = f"a number below {LARGEST:g}" if math.isfinite(number) else FINITE
         self.refuse(
-            row,
-            f"{self.where(row, name)}: expected a finite number, got {shown}; {remedy}",
+            row, f"{self.where(row, name)}: expected {wanted}, got {shown}; {remedy}"
         )
         return math.nan
 
@@ -251,6 +251,19 @@ def _seconds_of_day(time: datetime.time) -> float:
     return (
         3600.0 * time.hour + 60.0 * time.minute + time.second + 1e-6 * time.microsecond
     )
+
+
+FINITE = "a finite number"
+
+LARGEST = 1e100
+"""Of a number that may be one of a recording: squares of larger ones overflow."""
+
+
+def _is_wrong(values: Float64[np.ndarray, " row"], *, lost: bool) -> bool:
+    """Whether a number is too large or, unless it may be lost, not finite."""
+    if lost:
+        values = values[np.isfinite(values)]
+    return not bool(np.all(np.abs(values) < LARGEST))
 
 
 def _as_floats(cells: Sequence[Any] | np.ndarray) -> np.ndarray | None:

@@ -46,12 +46,10 @@ class Family(NamedTuple):
     Attributes:
         draw: the field by random numbers.
         structure: names of the terms that make it, sorted; none where it has none.
-        model: what stands for the unknown: with a potential, or without.
     """
 
     draw: Draw
     structure: tuple[str, ...] = ()
-    model: str = "kernel-potential"
 
 
 def random_system(family: str, key: int) -> System:
@@ -88,8 +86,7 @@ def random_system(family: str, key: int) -> System:
         environment=FAMILIES[family].draw(rng),
     )
     rule = dataclasses.replace(MANY, seed=int(rng.integers(2**31)))
-    system = planar_system(f"{family}-{key}", truth, rule).with_starts()
-    return dataclasses.replace(system, model=FAMILIES[family].model)
+    return planar_system(f"{family}-{key}", truth, rule).with_starts()
 
 
 def _place(rng: np.random.Generator, spread: float = 1.5) -> list[float]:
@@ -225,10 +222,8 @@ FAMILIES: dict[str, Family] = {
     "random-matern-5/2": Family(_smooth(5.0)),
     "random-matern-3/2": Family(_smooth(3.0)),
     "saddle": Family(_saddle, ("linear",)),
-    "vortex": Family(_vortex, ("central swirl",), "kernel-mixture"),
-    "vortex-saddle": Family(
-        _sum(_vortex, _saddle), ("central swirl", "linear"), "kernel-mixture"
-    ),
+    "vortex": Family(_vortex, ("central swirl",)),
+    "vortex-saddle": Family(_sum(_vortex, _saddle), ("central swirl", "linear")),
     "hill-wall": Family(_sum(_gaussian, _wall), ("central", "wall")),
     "hill-saddle": Family(_sum(_compact, _saddle), ("central", "linear")),
     "uniform": Family(

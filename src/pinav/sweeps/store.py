@@ -17,6 +17,7 @@ import shutil
 import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import TypeVar
 
 import filelock
 import msgspec
@@ -25,6 +26,8 @@ from pinav import __version__
 from pinav.errors import InputError
 from pinav.files import write_whole
 from pinav.sweeps.cell import Cell, Outcome
+
+Result = TypeVar("Result")
 
 FOLDER, SWEEP_FILE, LOCK_FILE = "cells", "sweep.json", ".lock"
 CELL_FILE, OUTCOME_FILE = "cell.toml", "outcome.json"
@@ -111,6 +114,26 @@ class CellStore:
             raise InputError(
                 f"{folder / OUTCOME_FILE} cannot be read ({error}); delete {folder} "
                 "and continue with --resume"
+            ) from error
+
+    def read_result(self, cell: Cell, name: str, kind: type[Result]) -> Result:
+        """What a finished cell has written as JSON.
+
+        Args:
+            cell: that is done.
+            name: of the file in its folder.
+            kind: of the content.
+
+        Raises:
+            InputError: the file is missing or damaged.
+        """
+        folder = self.folder(cell)
+        try:
+            return msgspec.json.decode((folder / name).read_bytes(), type=kind)
+        except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
+            raise InputError(
+                f"{folder / name} cannot be read ({error}); delete {folder} and "
+                "continue with --resume"
             ) from error
 
     def wait_for(self, cell: Cell) -> Outcome | None:

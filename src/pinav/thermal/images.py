@@ -9,6 +9,7 @@ import importlib
 from pathlib import Path
 from types import ModuleType
 from typing import BinaryIO
+from zipfile import BadZipFile
 
 import equinox as eqx
 import numpy as np
@@ -117,11 +118,11 @@ def check_place(image: Image, reference: Image) -> None:
 
 def _read_array(path: Path) -> np.ndarray:
     try:
-        values = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError, MemoryError) as error:
+        with open(path, "rb") as file:
+            values = np.load(file, allow_pickle=False)
+    except (OSError, ValueError, EOFError, MemoryError, BadZipFile) as error:
         raise InputError(f"{path}: cannot be read: {error}") from error
     if not isinstance(values, np.ndarray):
-        values.close()
         raise InputError(
             f"{path}: expected one array of NumPy, got several; use np.save"
         )

@@ -68,7 +68,7 @@ def test_it_shows_the_recording_in_its_units(page, recorded):
     track = page.run("[...explorer.experiment.tracks[0].x]")
     seen = run.data.states[0, :, 0][run.data.observed[0, :, 0]]
     np.testing.assert_allclose(track, seen[:: len(seen) // len(track)], rtol=1e-5)
-    assert "um" in page.run("document.getElementById('panel').textContent")
+    assert "µm" in page.run("document.getElementById('panel').textContent")
     assert page.run("document.documentElement.scrollWidth") <= 400
 
 

@@ -16,13 +16,12 @@ from pinav.fitting.environments.catalogue import (
 from pinav.fitting.environments.gradient_matching import (
     _choose,
     _Trial,
-    force_region,
     match_kernels,
     match_potential,
-    observed_rates,
     simpler_models,
 )
 from pinav.fitting.environments.kernels import KernelGrid
+from pinav.fitting.environments.rates import force_region, observed_rates
 from pinav.forces import (
     ConstantForce,
     GaussianBarrier,

@@ -130,6 +130,7 @@ BAD = {
         changed(2, "bodyparts,nose"),
         r"line 3: expected 1 cells, got",
     ),
+    "coords alone": (changed(3, "coords"), r"line 3: expected 3 cells, got 0; is the"),
     "x missing": (changed(3, "coords,z,y,likelihood"), r"column 'x' of 'nose' is mis"),
     "likelihood missing": (
         changed(3, "coords,x,y,p"),

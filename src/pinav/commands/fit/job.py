@@ -63,7 +63,12 @@ from pinav.fitting import (
     fit_structured,
     is_worth_a_search,
 )
-from pinav.fitting.environments.catalogue import KnownSwimmer, build
+from pinav.fitting.environments.catalogue import (
+    MIXTURE,
+    KnownSwimmer,
+    build,
+    is_mixture,
+)
 from pinav.forces import AbstractForce, as_learned_force
 from pinav.identification import fit_commanded, needs_kalman_filter
 from pinav.identification.numbers import BLOCK_NOISE
@@ -159,14 +164,19 @@ def _infer(plan: FitPlan, folder: RunFolder) -> None:
             "throw": False,
         }
         if searched:
-            structured = fit_structured(model, plan.data, **options)
-            result, finding = structured.fit, StructureSearch(structured.gain)
+            weighed = {"weigh_rotation": plan.weigh_rotation}
+            structured = fit_structured(model, plan.data, **options, **weighed)
+            result = structured.fit
+            finding = StructureSearch(structured.gain, structured.rotation)
         else:
             result, finding = fit_bayes(model, plan.data, **options), None
     if result.outcome is Outcome.DIVERGED:
         force = as_learned_force(model.environment)
         gradient = force is not None and force.is_conservative
         raise FitError(DIVERGED + (NO_GRADIENT if gradient else ""))
+    if is_mixture(result.model.environment):
+        choice = msgspec.structs.replace(plan.choice, name=MIXTURE)
+        header = msgspec.structs.replace(header, choice=choice)
     write_fit(folder, header, result, plan.data, finding)
 
 
@@ -210,7 +220,7 @@ def _metrics(
     evidence = fitted.evidence
     learned = {name: EstimateRow.of(one) for name, one in fitted.constants.items()}
     common = {
-        "model": plan.choice.name,
+        "model": fitted.choice.name,
         "recipe": plan.settings.recipe,
         "rmse": rmse,
         "learned": learned,

@@ -41,7 +41,8 @@ class FitPlan:
     """Everything that decides a fit.
 
     Attributes:
-        settings: with model and recipe resolved.
+        settings: with model and recipe resolved; the model stays open where neither
+            the user nor the system names another than the default.
         system: the known physics.
         data: as the recipe needs them.
         choice: the model that is learned.
@@ -55,6 +56,11 @@ class FitPlan:
     choice: ModelChoice
     summary: DataSummary
     thermal: ThermalChoice | None = None
+
+    @property
+    def weigh_rotation(self) -> bool:
+        """Whether the evidence chooses between a potential and a mixture."""
+        return self.settings.model is None
 
 
 def plan_fit(settings: FitSettings, system: System, data: Trajectories) -> FitPlan:
@@ -75,6 +81,7 @@ def plan_fit(settings: FitSettings, system: System, data: Trajectories) -> FitPl
     thermal = system.thermal_energy is not None or (
         not commanded and looks_brownian(data)
     )
+    is_open = settings.model is None and system.model == ModelChoice().name
     settings = resolve(settings, system, thermal=thermal)
     settings.check()
     check_system(settings, system)
@@ -109,6 +116,8 @@ def plan_fit(settings: FitSettings, system: System, data: Trajectories) -> FitPl
     if chosen is not None and settings.has_profile:
         summary = msgspec.structs.replace(summary, profile=chosen.profile(data))
     check_memory(data, summary)
+    if is_open and settings.recipe == "bayes":
+        settings = msgspec.structs.replace(settings, model=None)
     return FitPlan(settings, system, data, choice, summary, chosen)
 
 

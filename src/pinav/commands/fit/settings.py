@@ -35,8 +35,9 @@ class FitSettings(Settings, frozen=True):
             position alone, -potential: that is conservative, -mixture: with a gradient
             and a rotational part, -time: that changes with time; ude: the paper's
             network of position and time; physics-only: nothing (fits --train); nn-only:
-            a black box in place of all physics. The model that the system names unless
-            given.
+            a black box in place of all physics. Unless given: the model that the system
+            names, and where that is kernel-potential, kernel-mixture if the evidence of
+            six planar trajectories or more prefers it.
         recipe: bayes: noisy or incomplete data, every setting chosen by the evidence,
             with uncertainty; langevin: the same for thermal motion without inertia,
             with the diffusion coefficient; curriculum: noise-free data, Gauss-Newton

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from pinav.commands.fitted_run import FittedRun
 from pinav.fitting import derive
+from pinav.fitting.environments.catalogue import MIXTURE
 from pinav.forces import AbstractProfileTerm, StructuredForce
 from pinav.report import number
 
@@ -55,13 +56,35 @@ class StructureRow(msgspec.Struct, frozen=True):
         terms: with structure; none where free kernels alone are preferred.
         gain: log evidence over free kernels [nats]; None where no structure explained
             the data well enough to be fitted.
+        rotation: log evidence of a rotational part beside a potential [nats]; None
+            where none was weighed.
+        turns: whether the force has a rotational part.
     """
 
     terms: tuple[TermRow, ...]
     gain: float | None
+    rotation: float | None = None
+    turns: bool = False
 
     def text(self) -> str:
-        """One line for a terminal."""
+        """One line for a terminal, and one on the rotation where it was weighed."""
+        return "\n".join([self._structure(), *self._rotation()])
+
+    def _rotation(self) -> list[str]:
+        if self.rotation is None:
+            return []
+        nats = f"{number(self.rotation, 3)} nats"
+        if self.turns:
+            return [
+                "force: a gradient and a rotational part (kernel-mixture), which the "
+                f"log evidence prefers to a potential alone by {nats}"
+            ]
+        return [
+            "force: a potential (kernel-potential); the log evidence of a rotational "
+            f"part beside it differs by {nats}"
+        ]
+
+    def _structure(self) -> str:
         if self.terms:
             names = ", and ".join(term.text() for term in self.terms)
             return f"structure: {names}; {number(self.gain, 3)} nats over free kernels"
@@ -92,7 +115,13 @@ def structure_row(run: FittedRun) -> StructureRow | None:
                 tuple(one.sd for one in numbers),
             )
         )
-    return StructureRow(tuple(rows), gain if np.isfinite(gain) else None)
+    rotation = evidence.structure.rotation
+    return StructureRow(
+        tuple(rows),
+        gain if np.isfinite(gain) else None,
+        rotation if np.isfinite(rotation) else None,
+        turns=run.choice.name == MIXTURE,
+    )
 
 
 def _numbers(model: Any, index: int) -> Float[Array, " number"]:

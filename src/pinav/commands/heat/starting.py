@@ -71,12 +71,13 @@ def _read_state(path: Path, shape: tuple[int, ...]) -> State:
 def _read_arrays(path: Path) -> dict[str, np.ndarray]:
     """Arrays of an npz file by their names, or of an npy file as temperatures."""
     try:
-        content = np.load(path, allow_pickle=False)
-        if isinstance(content, np.ndarray):
-            return {"temperature": content}
-        with content:
-            names = [n for n in ("temperature", "dose") if n in content]
-            return {name: content[name] for name in names}
+        with open(path, "rb") as file:
+            content = np.load(file, allow_pickle=False)
+            if isinstance(content, np.ndarray):
+                return {"temperature": content}
+            with content:
+                names = [n for n in ("temperature", "dose") if n in content]
+                return {name: content[name] for name in names}
     except (
         OSError,
         ValueError,

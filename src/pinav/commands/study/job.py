@@ -133,8 +133,7 @@ def study(
 def _row_of(cell: Cell, outcome: Outcome, store: CellStore) -> StudyRow:
     """The row of a cell that is done; one that failed has no scores."""
     if not outcome.failure:
-        content = (store.folder(cell) / ROW_FILE).read_bytes()
-        return msgspec.json.decode(content, type=StudyRow)
+        return store.read_result(cell, ROW_FILE, StudyRow)
     return _empty_row(cell, f"failed: {outcome.failure}")
 
 

@@ -23,10 +23,8 @@ from pinav.dynamics import (
 )
 from pinav.errors import InputError
 from pinav.fitting.environments.gradient_matching import (
-    force_region,
     match_kernels,
     match_potential,
-    observed_rates,
 )
 from pinav.fitting.environments.kernel_layers import Layer
 from pinav.fitting.environments.kernels import (
@@ -36,6 +34,7 @@ from pinav.fitting.environments.kernels import (
     kernel_environment,
 )
 from pinav.fitting.environments.profiles import MobilitySummary, ProfileSummary
+from pinav.fitting.environments.rates import force_region, observed_rates
 from pinav.fitting.environments.terms import (
     TermSummary,
     summarise_terms,
@@ -56,6 +55,7 @@ from pinav.forces import (
     NeuralPotential,
     PositionFeatures,
     PositionTimeFeatures,
+    StructuredForce,
     TensorDrag,
     TimedKernelPotential,
     ZeroForce,
@@ -383,6 +383,9 @@ def _paper_black_box(
 POSITION_NETWORKS = ("neural-potential", "neural-force", "ude")
 """Models whose network sees standardised positions."""
 
+MIXTURE = "kernel-mixture"
+"""The model with a gradient and a rotational part."""
+
 TIMED = "kernel-potential-time"
 """The model whose environment changes with time and has a prior."""
 
@@ -392,7 +395,7 @@ PROFILE = "kernel-profile"
 MODELS: dict[str, Builder] = {
     "kernel-potential": _in_environment(_potential),
     "kernel-force": _kernels(KernelForce),
-    "kernel-mixture": _kernels(KernelMixture),
+    MIXTURE: _kernels(KernelMixture),
     TIMED: _in_environment(_changing_potential),
     "neural-potential": _static_network(NeuralPotential),
     "neural-force": _static_network(NeuralForce),
@@ -406,6 +409,13 @@ MODELS: dict[str, Builder] = {
     "paper-nn-only": _paper_black_box,
 }
 """Models by name; those of the paper have its networks as Table 1 states them."""
+
+
+def is_mixture(environment: AbstractForce) -> bool:
+    """Whether the free kernels of a force have a rotational part beside a gradient."""
+    if isinstance(environment, StructuredForce):
+        environment = environment.remainder
+    return isinstance(environment, KernelMixture)
 
 
 def learned_part(model: Any) -> Any:

@@ -19,14 +19,16 @@ from pinav.dynamics import RK4, FixedStep, Swimmer
 from pinav.fitting.environments.force_regression import force_columns, regress
 from pinav.fitting.environments.gradient_matching import (
     ACROSS,
-    DEGREE,
     MOST_KERNELS,
-    MOST_SAMPLES,
     match_kernels,
+)
+from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
+from pinav.fitting.environments.rates import (
+    DEGREE,
+    MOST_SAMPLES,
     observed_rates,
     residual_forces,
 )
-from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
 from pinav.fitting.matching.distillation import Rates
 from pinav.forces import KernelForce, KernelPotential, as_learned_force
 from pinav.trajectories import Trajectories, informative_rows

@@ -14,53 +14,35 @@ References:
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from pinav.dynamics import AbstractDynamics, Swimmer
 from pinav.fitting.environments.force_regression import force_columns, regress
 from pinav.fitting.environments.kernel_layers import Layer, lay_layers
 from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
+from pinav.fitting.environments.rates import (
+    DEGREE,
+    MOST_SAMPLES,
+    observed_rates,
+    rates_of,
+    residual_forces,
+    thin_rates,
+)
 from pinav.fitting.matching.distillation import Rates
 from pinav.forces import KernelForce, KernelPotential, ZeroForce
 from pinav.trajectories import Trajectories, informative_rows
 
-DEGREE = 7
-"""Of the splines: exact states deserve more than a cubic."""
-
 ACROSS = (6, 8, 11, 15, 20, 27, 36, 48)
 """Intervals of the grids of kernels that are tried, along the extent of the data."""
 
-MOST_KERNELS, MOST_SAMPLES, MOST_DISTILLED = 900, 600, 250
-"""Kernels of a grid, and samples that enter a regression or the distillation of a
-network, at most."""
+MOST_KERNELS, MOST_DISTILLED = 900, 250
+"""Kernels of a grid, and samples that enter the distillation of a network, at most."""
 
 GOOD_ENOUGH = 1e-6
 """Relative error of held-out samples that needs no finer kernels."""
-
-
-def observed_rates(trajectories: Trajectories, degree: int = DEGREE) -> Rates | None:
-    """Rates of all complete samples by splines; None where there are too few."""
-    from scipy.interpolate import make_interp_spline  # a tenth of all imports
-
-    parts: list[Rates] = []
-    for one in trajectories:
-        complete = one.observed.all(axis=1)
-        times, states = one.times[complete], one.states[complete]
-        if len(times) > degree:
-            spline = make_interp_spline(times, states, k=degree)
-            parts.append(Rates(times, states, spline(times, nu=1)))
-    if not parts:
-        return None
-    return jax.tree.map(lambda *arrays: np.concatenate(arrays), *parts)
-
-
-def _thin(rates: Rates, most: int) -> Rates:
-    rows = informative_rows(rates.states, most)
-    return jax.tree.map(lambda array: array[rows], rates)
 
 
 def match_kernels(swimmer: Swimmer, rates: Rates) -> KernelPotential | KernelForce:
@@ -233,50 +215,6 @@ ONE_WIDTH = 2e-5
 width do not explain them; the errors of splines are mostly below."""
 
 
-class ForceRegion(NamedTuple):
-    """Where the unknown force acts.
-
-    Attributes:
-        center: mean position, weighted by the magnitude of the force [L].
-        radius: root-mean-square distance from it for each direction [L].
-    """
-
-    center: Float[np.ndarray, " dim"]
-    radius: float
-
-
-def force_region(swimmer: Swimmer, rates: Rates) -> ForceRegion | None:
-    """Where the force that the known physics leave unexplained acts.
-
-    A network whose positions are standardised by this region begins with a force that
-    varies over the right distance, however far the swimmer coasts beyond it.
-
-    Args:
-        swimmer: the known physics.
-        rates: at observed states.
-
-    Returns:
-        The region; None where nothing acts.
-    """
-    rates = _thin(rates, MOST_SAMPLES)
-    positions = rates.states[:, : rates.states.shape[1] // 2]
-    sizes = np.linalg.norm(residual_forces(swimmer, rates), axis=1)
-    spread = float(np.sqrt(positions.var(axis=0).mean()))
-    if not (sizes.max() > ROUNDING * np.abs(rates.rates).max() and spread > 0):
-        return None
-    weights = sizes / sizes.sum()
-    center = weights @ positions
-    radius = float(np.sqrt((weights @ (positions - center) ** 2).mean()))
-    return ForceRegion(center, max(radius, LEAST_RADIUS * spread))
-
-
-ROUNDING = 1e-12
-"""Relative to the largest rate: no force that is told from rounding."""
-
-LEAST_RADIUS = 0.02
-"""Of a region where a force acts, in standard deviations of the positions."""
-
-
 def simpler_models(
     swimmer: AbstractDynamics, trajectories: Trajectories
 ) -> dict[str, Swimmer]:
@@ -315,13 +253,13 @@ def distillation_rates(model: Any, trajectories: Trajectories) -> Rates | None:
     rng = np.random.default_rng(0)
     dim = rates.states.shape[1] // 2
     if not isinstance(model, Swimmer):
-        rates = _thin(rates, MOST_SAMPLES)
+        rates = thin_rates(rates, MOST_SAMPLES)
         spread = rates.states.std(axis=0)
         offsets = BESIDE * spread * rng.normal(size=rates.states.shape)
         beside = Rates(rates.times, rates.states + offsets, rates.rates)
         return jax.tree.map(lambda *a: np.concatenate(a), rates, beside)
     environment = match_kernels(model, rates)
-    rates = _thin(rates, MOST_DISTILLED)
+    rates = thin_rates(rates, MOST_DISTILLED)
     teacher = model.with_environment(environment)
     reach = TUBE * float(environment.width)
     moved = [rates.states] * 3
@@ -330,7 +268,7 @@ def distillation_rates(model: Any, trajectories: Trajectories) -> Rates | None:
         shift[:, :dim] = factor * reach * rng.normal(size=(len(shift), dim))
         moved[int(factor)] = rates.states + shift
     times, states = np.tile(rates.times, 3), np.concatenate(moved)
-    return Rates(times, states, _rates_of(teacher, times, states)[:, dim:])
+    return Rates(times, states, rates_of(teacher, times, states)[:, dim:])
 
 
 BESIDE = 0.02
@@ -338,27 +276,6 @@ BESIDE = 0.02
 
 TUBE = 0.25
 """Distance of the nearer positions beside the paths, in widths of a kernel."""
-
-
-def residual_forces(swimmer: Swimmer, rates: Rates) -> Float[np.ndarray, "point dim"]:
-    """The force at each sample that the known physics leave unexplained."""
-    known = swimmer.with_environment(ZeroForce())
-    explained = _rates_of(known, rates.times, rates.states)
-    return (rates.rates - explained)[:, rates.states.shape[1] // 2 :]
-
-
-def _rates_of(
-    model: Any, times: Float[np.ndarray, " point"], states: Float[np.ndarray, "point n"]
-) -> Float[np.ndarray, "point n"]:
-    with jax.enable_x64(new_val=True):
-        return np.asarray(_all_rates(model, jnp.asarray(times), jnp.asarray(states)))
-
-
-@eqx.filter_jit
-def _all_rates(
-    model: Any, times: Float[Array, " point"], states: Float[Array, "point n"]
-) -> Float[Array, "point n"]:
-    return jax.vmap(lambda t, y: model(t, y))(times, states)
 
 
 def _shape(kind: type, centers: Float[np.ndarray, "kernel dim"]) -> tuple[int, ...]:

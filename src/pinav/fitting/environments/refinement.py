@@ -16,6 +16,7 @@ from pinav.errors import InputError
 from pinav.fitting.engine.iterate import EvidenceProgress, iterate
 from pinav.fitting.engine.problem import AbstractProblem, Step
 from pinav.fitting.environments.kernels import KernelGrid, lay_kernels, num_weights
+from pinav.fitting.evidence.hyperparameter_uncertainty import is_confined
 from pinav.fitting.outcome import Outcome
 from pinav.forces import AbstractForce, AbstractLearnedForce, as_learned_force
 from pinav.forces.priors import Shape
@@ -31,6 +32,8 @@ class Refinement(eqx.Module):
             too coarse.
         max_weights: weights at most. A step costs the square of their number, the
             search for the shape of their prior the cube.
+        envelope: whether kernels are too coarse, too, where the envelope of their prior
+            ended at the narrowest that they allow.
 
     Raises:
         InputError: `factor` is not greater than one, or another number not positive.
@@ -39,6 +42,7 @@ class Refinement(eqx.Module):
     factor: float = 1.5
     shortest: float = 1.0
     max_weights: int = 2000
+    envelope: bool = False
 
     def __check_init__(self) -> None:
         for name, least in (("factor", 1), ("shortest", 0), ("max_weights", 0)):
@@ -58,6 +62,8 @@ class Refinement(eqx.Module):
         learned = as_learned_force(environment)
         if learned is None or not len(shape):
             return False
+        if self.envelope and is_confined(learned.prior(), shape):
+            return True
         scales = learned.length_scales(shape)
         return min(scales, default=np.inf) < self.shortest
 
@@ -85,6 +91,10 @@ class Refinement(eqx.Module):
 
 AS_FINE_AS_ASKED = Refinement()
 """Unless a fit is told otherwise."""
+
+AS_FINE_AS_BUMPS = Refinement(envelope=True)
+"""Of thermal fits: few paths about one obstacle leave a prior that is a single bump,
+which must be allowed to be narrow."""
 
 
 def iterate_refined(

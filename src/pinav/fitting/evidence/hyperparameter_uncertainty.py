@@ -53,7 +53,31 @@ def shape_changes(
     """
     if not len(chosen.shape):
         return np.zeros((data.rows.shape[1], 0))
+    slopes, spread = _slopes_and_spread(data, prior, chosen, noise)
+    return slopes @ spread
 
+
+def shape_spread(
+    data: LinearisedObservations,
+    prior: AbstractPrior,
+    chosen: Hyperparameters,
+    noise: float | None = None,
+) -> Float[np.ndarray, "shape shape"]:
+    r"""The symmetric root $A^{-1/2}$ of the covariance: see `shape_changes`.
+
+    It does not depend on signs of eigenvectors, which rounding may turn.
+    """
+    root = _slopes_and_spread(data, prior, chosen, noise)[1]
+    variances, vectors = np.linalg.eigh(root @ root.T)
+    return (vectors * np.sqrt(variances)) @ vectors.T
+
+
+def _slopes_and_spread(
+    data: LinearisedObservations,
+    prior: AbstractPrior,
+    chosen: Hyperparameters,
+    noise: float | None,
+) -> tuple[Float[np.ndarray, "weight shape"], Float[np.ndarray, "shape shape"]]:
     def at(offset: Shape) -> Float[np.ndarray, " both"]:
         shape = chosen.shape + offset
         white = Whitened.of(data, prior.covariance(shape))
@@ -65,8 +89,7 @@ def shape_changes(
     both = np.stack([at(a) - at(-a) for a in unit], axis=1) / (2 * STEP)
     bend, slopes = -both[: len(unit)], both[len(unit) :]
     values, vectors = np.linalg.eigh((bend + bend.T) / 2)
-    spread = vectors / np.sqrt(np.maximum(values, 0.0) + SHAPE_SD**-2)
-    return slopes @ spread
+    return slopes, vectors / np.sqrt(np.maximum(values, 0.0) + SHAPE_SD**-2)
 
 
 def is_confined(prior: AbstractPrior, shape: Shape) -> bool:

@@ -98,6 +98,22 @@ def eliminate_flat(
     return reduced, block
 
 
+def restrict(quadratic: Quadratic, kept: Bool[np.ndarray, " parameter"]) -> Quadratic:
+    """The sum of squares where all parameters but those in `kept` are zero."""
+    change = -quadratic.point[~kept]
+    block = quadratic.hessian[np.ix_(~kept, ~kept)]
+    border = quadratic.hessian[np.ix_(kept, ~kept)]
+    slope = quadratic.gradient[~kept]
+    return Quadratic(
+        point=quadratic.point[kept],
+        hessian=quadratic.hessian[np.ix_(kept, kept)],
+        gradient=quadratic.gradient[kept] + border @ change,
+        squares=quadratic.squares + float((2 * slope + block @ change) @ change),
+        num_free=quadratic.num_free,
+        log_determinant=quadratic.log_determinant,
+    )
+
+
 def is_singular(matrix: Float[np.ndarray, "n n"]) -> bool:
     """Whether a normal matrix, its rows and columns scaled, lost all digits."""
     scale = np.sqrt(np.diag(matrix))

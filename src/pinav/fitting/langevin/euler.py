@@ -21,6 +21,7 @@ from pinav.fitting.engine.steps import FullStep
 from pinav.fitting.environments.refinement import Refinement, iterate_refined
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.langevin.increments import Increments
+from pinav.fitting.langevin.shapes import mix_over_shapes
 from pinav.fitting.least_squares import Regression
 from pinav.trajectories import Trajectories
 
@@ -59,7 +60,7 @@ def fit_euler(
     with jax.enable_x64(new_val=True):
         problem = begin(with_dtype(swimmer, jnp.float64))
         ended = iterate_refined(problem, begin, refine, trajectories, max_iterations=1)
-        fit = evidence_fit(*ended, not_finite=NOT_FINITE, advice={})
+        fit = mix_over_shapes(evidence_fit(*ended, not_finite=NOT_FINITE, advice={}))
     return eqx.tree_at(
         lambda f: f.constants, fit, {"diffusion": _diffusion(ended[2][-1], diffusion)}
     )

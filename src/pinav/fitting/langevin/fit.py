@@ -16,7 +16,7 @@ from pinav.fitting.bayes.parameters import learned_environment
 from pinav.fitting.engine.evidence_fit import EvidenceFit
 from pinav.fitting.engine.posterior import Estimate
 from pinav.fitting.environments.kernels import check_size
-from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED, Refinement
+from pinav.fitting.environments.refinement import AS_FINE_AS_BUMPS, Refinement
 from pinav.fitting.langevin.diffusion import (
     ConstantDiffusion,
     Diffusion,
@@ -45,6 +45,7 @@ from pinav.fitting.langevin.rounds import (
     langevin_checks,
     motion_covariance,
 )
+from pinav.fitting.langevin.shapes import mix_over_shapes
 from pinav.fitting.langevin.tracking import resting_path, track_reference
 from pinav.forces import KernelProfile
 from pinav.trajectories import Trajectories
@@ -65,7 +66,7 @@ def fit_langevin(
     observation: Observation | LearnedObservation | None = None,
     einstein: bool = True,
     reference: SlowReference | None = None,
-    refine: Refinement | None = AS_FINE_AS_ASKED,
+    refine: Refinement | None = AS_FINE_AS_BUMPS,
 ) -> LangevinFit:
     r"""Fit the force, and the diffusion, to stochastic paths.
 
@@ -185,7 +186,7 @@ def _fit_in_turns(
             )
     covariance, *spreads = motion_covariance(problem, step, belief.motion)
     field = DiffusionField(belief.motion.diffusion, covariance)
-    fit = diffusion_share(belief, relation, padding, fit, field)
+    fit = diffusion_share(belief, relation, padding, mix_over_shapes(fit), field)
     observed = () if observation is None else observed_axes(belief.motion, *spreads)
     return LangevinFit(
         regression=_with_numbers(fit, field, observed),

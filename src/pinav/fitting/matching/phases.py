@@ -69,7 +69,34 @@ class AbstractPhase(eqx.Module):
         """
 
 
-class Adam(AbstractPhase):
+class AbstractGradientPhase(AbstractPhase):
+    """Many small steps along gradients, all of which are taken.
+
+    Attributes:
+        steps: number of steps.
+    """
+
+    steps: eqx.AbstractVar[int]
+
+    @property
+    def num_steps(self) -> int:
+        return self.steps
+
+    def finish(self, loss: Loss, params: PyTree, state: PyTree) -> PyTree:
+        return params
+
+    def is_done(self, state: PyTree) -> Bool[Array, ""]:
+        return jnp.zeros((), bool)
+
+    def outcome(self, state: PyTree) -> Int[Array, ""]:
+        return jnp.asarray(Outcome.COMPLETED)
+
+    @property
+    def side_by_side(self) -> bool:
+        return True
+
+
+class Adam(AbstractGradientPhase):
     """Adam at a constant learning rate.
 
     Attributes:
@@ -93,10 +120,6 @@ class Adam(AbstractPhase):
     def name(self) -> str:
         return "Adam"
 
-    @property
-    def num_steps(self) -> int:
-        return self.steps
-
     def init(self, loss: Loss, params: PyTree, value: Float[Array, ""]) -> PyTree:
         return optax.adam(self.learning_rate).init(params)
 
@@ -108,25 +131,12 @@ class Adam(AbstractPhase):
             updates, state = optax.adam(self.learning_rate).update(gradient, state)
         return eqx.apply_updates(params, updates), state, value
 
-    def finish(self, loss: Loss, params: PyTree, state: PyTree) -> PyTree:
-        return params
-
-    def is_done(self, state: PyTree) -> Bool[Array, ""]:
-        return jnp.zeros((), bool)
-
-    def outcome(self, state: PyTree) -> Int[Array, ""]:
-        return jnp.asarray(Outcome.COMPLETED)
-
     @property
     def chunk_steps(self) -> int:
         return 250
 
-    @property
-    def side_by_side(self) -> bool:
-        return True
 
-
-class LBFGS(AbstractPhase):
+class LBFGS(AbstractGradientPhase):
     """Limited-memory BFGS with a weak Wolfe line search by bisection.
 
     The line search is ours because it must evaluate the loss at one place in the
@@ -156,10 +166,6 @@ class LBFGS(AbstractPhase):
     def name(self) -> str:
         return "L-BFGS"
 
-    @property
-    def num_steps(self) -> int:
-        return self.steps
-
     def init(self, loss: Loss, params: PyTree, value: Float[Array, ""]) -> PyTree:
         gradient = jax.grad(loss)(params)
         return optax.scale_by_lbfgs(self.memory).init(params), value, gradient
@@ -182,22 +188,9 @@ class LBFGS(AbstractPhase):
         params, next_value, next_gradient = step
         return params, (curvature, next_value, next_gradient), value
 
-    def finish(self, loss: Loss, params: PyTree, state: PyTree) -> PyTree:
-        return params
-
-    def is_done(self, state: PyTree) -> Bool[Array, ""]:
-        return jnp.zeros((), bool)
-
-    def outcome(self, state: PyTree) -> Int[Array, ""]:
-        return jnp.asarray(Outcome.COMPLETED)
-
     @property
     def chunk_steps(self) -> int:
         return 25
-
-    @property
-    def side_by_side(self) -> bool:
-        return True
 
 
 class BestSoFar(AbstractPhase):

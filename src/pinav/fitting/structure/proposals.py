@@ -10,10 +10,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float, PyTree
 
 from pinav.errors import FitError
 from pinav.fitting.engine.iterate import iterate
@@ -26,20 +25,22 @@ from pinav.fitting.evidence.evidence import (
     posterior_mean,
 )
 from pinav.fitting.evidence.model_evidence import DECISIVE
-from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.least_squares import Regression
-from pinav.fitting.structure.response import ForceResponse
+from pinav.fitting.structure.patterns import lattices, obstacles
+from pinav.fitting.structure.response import ForceResponse, force_quadratic
 from pinav.fitting.structure.starts import (
     KERNELS,
     Region,
     central_term,
+    circular,
     ellipses,
     scanned_terms,
 )
 from pinav.forces import (
     AbstractTerm,
     CentralTerm,
+    EllipticTerm,
     SumForce,
 )
 from pinav.forces.priors import AbstractPrior, MixturePrior
@@ -49,6 +50,13 @@ CLOSER = (0.3, 0.1)
 
 MOST_TERMS = 3
 """Terms of a structure."""
+
+EXPLAINED = 1.5
+"""Misfit of a proposal, relative to the noise, above which it is not fitted: its free
+remainder would have to carry too much."""
+
+MOST_ROUNDS = 4
+"""Times that a term is added, after some of which an earlier one may go."""
 
 POLISH = 8
 """Steps of the engine for the geometry of a proposal."""
@@ -70,44 +78,14 @@ class Proposal(eqx.Module):
     noise: float
 
 
-@eqx.filter_jit
-def _columns(
-    terms: Terms, response: ForceResponse
-) -> tuple[Float[Array, "weight weight"], Float[Array, " weight"], Float[Array, ""]]:
-    """Normal equations of the weights of terms of a given geometry."""
-
-    def force(weights: tuple[Array, ...], t: Any, x: Array) -> Array:
-        placed = eqx.tree_at(
-            lambda each: [term.weights for term in each], terms, list(weights)
-        )
-        return SumForce(placed)(t, x, jnp.zeros_like(x))
-
-    zero = tuple(jnp.zeros_like(term.weights) for term in terms)
-    slopes = jax.vmap(jax.vmap(jax.jacrev(force), (None, 0, 0)), (None, 0, 0))
-    parts = slopes(zero, response.times, response.points)
-    basis = jnp.concatenate(parts, axis=-1)
-    basis = basis.reshape(len(basis), -1, basis.shape[-1])
-    rows = jnp.einsum("idf,ifw->idw", response.rows, basis)
-    rows = rows.reshape(-1, rows.shape[-1])
-    flat = response.forces.reshape(len(basis), -1)
-    offset = response.targets - jnp.einsum("idf,if->id", response.rows, flat)
-    offset = offset.reshape(-1)
-    return rows.T @ rows, rows.T @ offset, offset @ offset
-
-
 def _linearised(terms: Terms, response: ForceResponse) -> LinearisedObservations:
     """What the data say of the weights of terms of a given geometry."""
-    hessian, gradient, squares = map(np.asarray, _columns(terms, response))
-    return LinearisedObservations.of(
-        Quadratic(
-            point=np.zeros(len(gradient)),
-            hessian=hessian,
-            gradient=gradient,
-            squares=float(squares),
-            num_free=response.num_free,
-            log_determinant=0.0,
-        )
-    )
+    quadratic = force_quadratic(SumForce(terms), response, _weights)
+    return LinearisedObservations.of(quadratic)
+
+
+def _weights(force: Any) -> PyTree:
+    return [term.weights for term in force.terms]
 
 
 def _prior(terms: Terms) -> AbstractPrior:
@@ -182,7 +160,7 @@ def polish(terms: Terms, response: ForceResponse) -> Proposal | None:
         problem = Regression.of(
             SumForce(terms),
             response,
-            weights=lambda m: [term.weights for term in m.terms],
+            weights=_weights,
             weights_prior=GaussianWeights(_prior(terms)),
             constants=lambda m: [term.geometry for term in m.terms],
             step_rule=FullStep(),
@@ -207,7 +185,8 @@ def propose(
     """The structure of highest evidence; None where no term explains anything.
 
     Terms are added while the data are not explained to the noise, the evidence gains,
-    and the last term explained a good part of what was left.
+    and the last term explained a good part of what was left. Terms that a later one
+    made needless are removed.
 
     Args:
         response: of the data to forces.
@@ -216,7 +195,9 @@ def propose(
         rotational: whether the force may have no potential.
     """
     best: Proposal | None = None
-    while best is None or len(best.terms) < MOST_TERMS:
+    for _ in range(MOST_ROUNDS):
+        if best is not None and len(best.terms) == MOST_TERMS:
+            break
         terms = () if best is None else best.terms
         trials = _extended(terms, response, region, noise, rotational=rotational)
         if not trials:
@@ -227,10 +208,35 @@ def propose(
         before = np.inf if best is None else best.noise
         if best is not None and winner.log_evidence < best.log_evidence + 2 * DECISIVE:
             break
-        best = winner
+        best = _pruned(winner, response)
         if best.noise < ENOUGH * noise or best.noise > PROGRESS * before:
             break
     return best
+
+
+def _patterns(response: ForceResponse, region: Region) -> list[Proposal]:
+    """Lattices and obstacles of one kind, polished, where simpler terms fail."""
+    starts = [_best(lattices(region), (), response), *obstacles(response, region)]
+    made = [polish((start,), response) for start in starts]
+    return [one for one in made if one is not None and np.isfinite(one.log_evidence)]
+
+
+def _pruned(proposal: Proposal, response: ForceResponse) -> Proposal:
+    """Without terms that a later one made needless, and with circles for ellipses."""
+    terms = proposal.terms
+    if len(terms) < 2:
+        return proposal
+    for index in range(len(terms)):
+        rest = terms[:index] + terms[index + 1 :]
+        simpler = [rest] if index < len(terms) - 1 else []
+        if isinstance(terms[index], EllipticTerm):
+            circle = (*terms[:index], circular(terms[index]), *terms[index + 1 :])
+            simpler.append(circle)
+        for fewer in simpler:
+            made = polish(fewer, response)
+            if made and made.log_evidence >= proposal.log_evidence - 2 * DECISIVE:
+                return _pruned(made, response)
+    return proposal
 
 
 ENOUGH, PROGRESS = 1.15, 0.8
@@ -267,7 +273,10 @@ def _extended(
         if isinstance(last, CentralTerm) and unexplained:
             bent = polish((*terms, _best(ellipses(last), terms, response)), response)
             proposals += [bent] if bent is not None else []
-    return proposals
+    explained = any(one.noise < ENOUGH * noise for one in proposals)
+    if terms or explained or len(region.middle) != 2:
+        return proposals
+    return proposals + _patterns(response, region)
 
 
 def _best(

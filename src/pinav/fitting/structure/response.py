@@ -6,13 +6,14 @@ then the evidence of any structure is a regression without dynamics, in millisec
 It is that of the fit to first order; the fit of the chosen structure has the last word.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, Int
+from jaxtyping import Array, ArrayLike, Float, Int, PyTree
 
 from pinav.arguments import Scalar, State, Vector
 from pinav.dynamics import FixedStep
@@ -21,6 +22,7 @@ from pinav.fitting.engine.multiple_shooting import (
     eliminate,
     propagate,
 )
+from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.matching.objectives import Observations
 from pinav.forces import AbstractForce, ConstantForce, forces_at
 
@@ -63,6 +65,55 @@ class ForceResponse(eqx.Module):
         changes = forces_at(force, self.times, self.points) - self.forces
         flat = changes.reshape(len(changes), -1)
         return (jnp.einsum("idf,if->id", self.rows, flat) + self.targets).reshape(-1)
+
+
+def force_quadratic(
+    force: AbstractForce,
+    response: ForceResponse,
+    weights: Callable[[Any], PyTree],
+) -> Quadratic:
+    """What the data say of the weights of a force that is linear in them.
+
+    Args:
+        force: its other numbers are held.
+        response: of the data to forces.
+        weights: picks the leaves from a force; it must not be made anew for each call,
+            which would be compiled again.
+    """
+    normal = _weight_equations(force, response, weights)
+    hessian, gradient, squares = map(np.asarray, normal)
+    return Quadratic(
+        point=np.zeros(len(gradient)),
+        hessian=hessian,
+        gradient=gradient,
+        squares=float(squares),
+        num_free=response.num_free,
+        log_determinant=0.0,
+    )
+
+
+@eqx.filter_jit
+def _weight_equations(
+    force: AbstractForce, response: ForceResponse, weights: Callable[[Any], PyTree]
+) -> tuple[Float[Array, "weight weight"], Float[Array, " weight"], Float[Array, ""]]:
+    """Normal equations of the weights, about none."""
+
+    def at(leaves: list[Array], t: Scalar, x: Vector) -> Vector:
+        placed = eqx.tree_at(lambda f: jax.tree.leaves(weights(f)), force, leaves)
+        return placed(t, x, jnp.zeros_like(x))
+
+    zero = [jnp.zeros_like(leaf) for leaf in jax.tree.leaves(weights(force))]
+    slopes = jax.vmap(jax.vmap(jax.jacrev(at), (None, 0, 0)), (None, 0, 0))
+    parts = slopes(zero, response.times, response.points)
+    shape = response.points.shape
+    basis = jnp.concatenate([part.reshape(*shape, -1) for part in parts], axis=-1)
+    basis = basis.reshape(len(basis), -1, basis.shape[-1])
+    rows = jnp.einsum("idf,ifw->idw", response.rows, basis)
+    rows = rows.reshape(-1, rows.shape[-1])
+    flat = response.forces.reshape(len(basis), -1)
+    offset = response.targets - jnp.einsum("idf,if->id", response.rows, flat)
+    offset = offset.reshape(-1)
+    return rows.T @ rows, rows.T @ offset, offset @ offset
 
 
 def force_response(

@@ -29,27 +29,20 @@ from pinav.fitting.environments.refinement import (
 )
 from pinav.fitting.evidence.model_evidence import DECISIVE, model_evidence
 from pinav.fitting.outcome import Outcome
-from pinav.fitting.structure.proposals import Proposal, propose
-from pinav.fitting.structure.response import force_response
-from pinav.fitting.structure.starts import Region
+from pinav.fitting.structure.proposals import Proposal
+from pinav.fitting.structure.rotation import fitted_gain, mixture_on, weigh_surveyed
+from pinav.fitting.structure.survey import Survey
 from pinav.forces import (
+    AbstractForce,
     KernelForce,
     KernelMixture,
     KernelPotential,
     StructuredForce,
-    ZeroForce,
 )
 from pinav.trajectories import Trajectories, with_velocities
 
 LEAST_TRAJECTORIES, LEAST_SAMPLES = 6, 600
 """Trajectories and observed numbers below which data are not worth a search."""
-
-MOST_TRAJECTORIES = 32
-"""Trajectories that a search looks at; the fits see all."""
-
-EXPLAINED = 1.5
-"""Misfit of a proposal, relative to the noise, above which it is not fitted: its free
-remainder would have to carry too much."""
 
 
 class StructuredFit(eqx.Module):
@@ -59,10 +52,14 @@ class StructuredFit(eqx.Module):
         fit: the result, structured or free.
         gain: log evidence of the structured force over the free one on the kernels with
             which fits begin [nats]; NaN where no structure was fitted.
+        rotation: log evidence of a rotational part beside a potential [nats]: of the
+            fit where it has one, of the data linearised before it where it has none;
+            NaN where none was weighed.
     """
 
     fit: EvidenceFit
     gain: float
+    rotation: float = np.nan
 
     @property
     def structure(self) -> StructuredForce | None:
@@ -80,6 +77,7 @@ def fit_structured(
     solver: FixedStep | None = None,
     max_iterations: int = 20,
     on_step: Callable[[EvidenceProgress], None] | None = None,
+    weigh_rotation: bool = False,
     throw: bool = True,
 ) -> StructuredFit:
     """Fit kernels, and a structured force where the data show one; see `fit_bayes`.
@@ -93,6 +91,8 @@ def fit_structured(
         solver: steps between samples; `FixedStep()` unless given.
         max_iterations: after which a fit counts as stalled.
         on_step: called after each step.
+        weigh_rotation: fit a `KernelMixture` in place of a `KernelPotential` where the
+            evidence prefers a rotational part, or the potential alone diverges.
         throw: raise where the fit did not converge.
 
     Raises:
@@ -103,24 +103,15 @@ def fit_structured(
     with jax.enable_x64(new_val=True):
         solver = FixedStep() if solver is None else solver
         specification = FitSpecification(model, trajectories, learn, noise, solver)
-        free = specification.problem(model)
-        proposal = _proposal(specification, free)
-
-        def ended(problem: BayesProblem, refine: Refinement | None) -> EvidenceFit:
-            how = iterate_refined(
-                problem,
-                specification.problem,
-                refine,
-                trajectories,
-                max_iterations,
-                on_step,
-            )
-            advice = ADVICE if throw else {}
-            return evidence_fit(*how, not_finite=NOT_FINITE, advice=advice)
-
-        if proposal is None:
-            return StructuredFit(ended(free, AS_FINE_AS_ASKED), np.nan)
-        return _better(specification, free, proposal, ended, max_iterations, on_step)
+        search = _Search(specification, max_iterations, on_step, throw)
+        weighed = isinstance(model.environment, KernelPotential) and weigh_rotation
+        if not is_worth_a_search(model, trajectories):
+            return StructuredFit(search.ended(search.free(), AS_FINE_AS_ASKED), np.nan)
+        survey = Survey.of(specification, search.free())
+        if weighed:
+            return _weighed(search, survey)
+        turning = not model.environment.is_conservative
+        return search.best(survey.proposal(rotational=turning))
 
 
 def is_worth_a_search(model: Any, trajectories: Trajectories) -> bool:
@@ -134,62 +125,125 @@ def is_worth_a_search(model: Any, trajectories: Trajectories) -> bool:
     )
 
 
-def _proposal(specification: FitSpecification, free: BayesProblem) -> Proposal | None:
-    """The structure that explains the linearised data nearly to the noise, if any."""
-    model, data = specification.model, specification.trajectories
-    if free.states is None or not is_worth_a_search(model, data):
-        return None
-    chosen = slice(None, None, -(-len(data) // MOST_TRAJECTORIES))
-    observations = jax.tree.map(lambda leaf: leaf[chosen], free.observations)
-    response = force_response(
-        eqx.tree_at(lambda m: m.environment, model, ZeroForce()),
-        free.states[chosen],
-        observations,
-        specification.solver,
-        specification.dim,
-    )
-    is_observed = data.observed[..., : specification.dim].all(axis=-1)
-    region = Region.of(data.states[..., : specification.dim][is_observed])
-    noise = free.first_noise if specification.noise is None else specification.noise
-    turning = not model.environment.is_conservative
-    proposal = propose(response, region, noise, rotational=turning)
-    if proposal is None or not proposal.noise < EXPLAINED * noise:
-        return None
-    return proposal
+class _Search(eqx.Module):
+    """Fits of one kind of free kernels, with structured terms and without.
 
+    Attributes:
+        specification: what is asked; its model is that of the free kernels.
+        max_iterations: of each fit.
+        on_step: called after each step.
+        throw: raise where a fit did not converge.
+    """
 
-def _better(
-    specification: FitSpecification,
-    free: BayesProblem,
-    proposal: Proposal,
-    ended: Callable[[BayesProblem, Refinement | None], EvidenceFit],
-    max_iterations: int,
-    on_step: Callable[[EvidenceProgress], None] | None,
-) -> StructuredFit:
-    """The free fit or the structured one, by their evidence."""
-    model = specification.model
-    force = StructuredForce(proposal.terms, model.environment)
-    start = eqx.tree_at(lambda m: m.environment, model, force)
-    try:
-        structured = ended(specification.problem(start), None)
-    except FitError:
-        structured = None
-    if structured is None or structured.outcome is Outcome.DIVERGED:
-        return StructuredFit(ended(free, AS_FINE_AS_ASKED), np.nan)
+    specification: FitSpecification
+    max_iterations: int
+    on_step: Callable[[EvidenceProgress], None] | None
+    throw: bool
 
-    def is_coarse(step: Step) -> bool:
-        shape = step.hyperparameters.shape
-        return AS_FINE_AS_ASKED.is_needed(model.environment, shape)
+    @property
+    def kernels(self) -> Any:
+        return self.specification.model.environment
 
-    outcome, steps = iterate(free, max_iterations, on_step, is_coarse)
-    alone = evidence_fit(free, outcome, steps, not_finite=NOT_FINITE, advice={})
-    gain = _evidence(structured) - _evidence(alone)
-    if gain > DECISIVE:
-        return StructuredFit(structured, gain)
-    if outcome is Outcome.CONVERGED and not is_coarse(steps[-1]):
-        return StructuredFit(alone, gain)
-    return StructuredFit(ended(free, AS_FINE_AS_ASKED), gain)
+    def of(self, environment: AbstractForce) -> "_Search":
+        """The same with other free kernels."""
+        model = eqx.tree_at(
+            lambda m: m.environment, self.specification.model, environment
+        )
+        return eqx.tree_at(lambda s: s.specification.model, self, model)
+
+    def free(self) -> BayesProblem:
+        return self.specification.problem(self.specification.model)
+
+    def ended(self, problem: BayesProblem, refine: Refinement | None) -> EvidenceFit:
+        """A fit, begun anew on finer kernels where it asks for them."""
+        how = iterate_refined(
+            problem,
+            self.specification.problem,
+            refine,
+            self.specification.trajectories,
+            self.max_iterations,
+            self.on_step,
+        )
+        advice = ADVICE if self.throw else {}
+        return evidence_fit(*how, not_finite=NOT_FINITE, advice=advice)
+
+    def best(self, proposal: Proposal | None) -> StructuredFit:
+        """The free fit or that of a proposed structure, by their evidence."""
+        model, free = self.specification.model, self.free()
+        structured = None if proposal is None else self._structured(proposal)
+        if structured is None or structured.outcome is Outcome.DIVERGED:
+            return StructuredFit(self.ended(free, AS_FINE_AS_ASKED), np.nan)
+
+        def is_coarse(step: Step) -> bool:
+            shape = step.hyperparameters.shape
+            return AS_FINE_AS_ASKED.is_needed(model.environment, shape)
+
+        outcome, steps = iterate(free, self.max_iterations, self.on_step, is_coarse)
+        alone = evidence_fit(free, outcome, steps, not_finite=NOT_FINITE, advice={})
+        gain = _evidence(structured) - _evidence(alone)
+        if gain > DECISIVE:
+            return StructuredFit(structured, gain)
+        if outcome is Outcome.CONVERGED and not is_coarse(steps[-1]):
+            return StructuredFit(alone, gain)
+        return StructuredFit(self.ended(free, AS_FINE_AS_ASKED), gain)
+
+    def _structured(self, proposal: Proposal) -> EvidenceFit | None:
+        """The fit of a proposal beside the free kernels; None where it fails."""
+        force = StructuredForce(proposal.terms, self.kernels)
+        try:
+            return self.ended(self.of(force).free(), None)
+        except FitError:
+            return None
 
 
 def _evidence(fit: EvidenceFit) -> float:
     return model_evidence(fit.linear, fit.hyperparameters).log_evidence
+
+
+def _weighed(search: _Search, survey: Survey) -> StructuredFit:
+    """The fit of a potential or that of a mixture, by the evidence of its rotation."""
+
+    def finer(kernels: KernelPotential) -> KernelPotential | None:
+        data = search.specification.trajectories
+        made = AS_FINE_AS_ASKED.finer(kernels, data)
+        return made if isinstance(made, KernelPotential) else None
+
+    data = survey.response, survey.noise
+    asked = weigh_surveyed(*data, (), search.kernels)
+    proposal = None if asked.is_plain else survey.proposal(rotational=False)
+    if asked.gain > DECISIVE and not asked.is_plain:
+        terms = () if proposal is None else proposal.terms
+        asked = weigh_surveyed(*data, terms, search.kernels, finer)
+    rotation = asked.gain
+    turning = None
+    if rotation > DECISIVE:
+        turning = _turning(search, survey)
+        if turning is not None and turning.rotation > DECISIVE:
+            return turning
+        rotation = np.nan if turning is None else turning.rotation
+    still, error = None, None
+    try:
+        still = search.best(proposal)
+    except FitError as raised:
+        error = raised
+    if still is not None and still.fit.outcome is not Outcome.DIVERGED:
+        return StructuredFit(still.fit, still.gain, rotation)
+    turning = _turning(search, survey) if turning is None else turning
+    if turning is not None:
+        return turning
+    if still is None:
+        assert error is not None
+        raise error
+    return still
+
+
+def _turning(search: _Search, survey: Survey) -> StructuredFit | None:
+    """The fit of a mixture; None where it fails."""
+    try:
+        proposal = survey.proposal(rotational=True)
+        found = search.of(mixture_on(search.kernels)).best(proposal)
+    except FitError:
+        return None
+    if found.fit.outcome is Outcome.DIVERGED:
+        return None
+    return StructuredFit(found.fit, found.gain, fitted_gain(found.fit))

@@ -138,6 +138,17 @@ def linear_term(region: Region, *, rotational: bool = False) -> LinearTerm:
     )
 
 
+def circular(term: EllipticTerm) -> CentralTerm:
+    """The central term with the profile of an elliptic one."""
+    return CentralTerm(
+        weights=term.weights,
+        center=term.center,
+        places=term.places,
+        width=term.width,
+        rotational=term.rotational,
+    )
+
+
 def ellipses(term: CentralTerm) -> list[AbstractTerm]:
     """Elliptic terms about the centre of a central one, in several directions."""
     turns = 2 * np.pi * np.arange(8) / 8

@@ -80,9 +80,10 @@ def _from_csv(source: Source) -> tuple[np.ndarray, dict[str, Table]]:
             )
     names = _names(levels)
     width = len(levels["coords"])
-    if len(names) != width:
+    if width == 0 or len(names) != width:
+        expected = len(names) or len(levels["bodyparts"])
         raise InputError(
-            f"line {len(levels)}: expected {len(names)} cells, got {width}; is the "
+            f"line {len(levels)}: expected {expected} cells, got {width}; is the "
             "header cut short?"
         )
     unique = [f"c{index}" for index in range(width)]

@@ -1,0 +1,108 @@
+"""Terms that repeat themselves, where a search begins: lattices, obstacles of one kind.
+
+A lattice is sought by the period and direction of a square one; the places of obstacles
+are the peaks of the potential that free kernels have in the linearised data.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, PyTree
+from scipy.ndimage import maximum_filter
+
+from pinav.errors import FitError
+from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
+from pinav.fitting.evidence.evidence import (
+    LinearisedObservations,
+    Whitened,
+    at_shape,
+    posterior_mean,
+)
+from pinav.fitting.structure.response import ForceResponse, force_quadratic
+from pinav.fitting.structure.starts import Region, central_term
+from pinav.forces import KernelPotential, LatticeTerm, ObstaclesTerm
+from pinav.forces.field_terms import HARMONICS
+
+MOST_PERIODS = 6
+"""Periods of a lattice across most of the data, at most."""
+
+MAP, MAP_POINTS = KernelGrid(across=16, margin=2.0), 61
+"""Kernels of the map whose peaks are sought, and points along each side of it."""
+
+PEAK, MOST_PEAKS, APART = 0.6, 8, 15
+"""Height of a peak that counts, relative to the highest; how many there may be; and
+points of the map within which a peak is the only one."""
+
+
+def lattices(region: Region) -> list[LatticeTerm]:
+    """Square lattices of all periods and directions that the data could show."""
+    finest = 2 * np.pi * MOST_PERIODS / region.crowded
+    # a step changes the phase at the rim of the data by a radian
+    step = 2.0 / region.crowded
+    made = []
+    for size in np.arange(2 * np.pi / region.crowded, finest, step):
+        turns = max(int(np.ceil(0.5 * np.pi * size / step)), 2)
+        for angle in 0.5 * np.pi * np.arange(turns) / turns:
+            one = size * np.array([np.cos(angle), np.sin(angle)])
+            vectors = jnp.asarray([one, [-one[1], one[0]]])
+            weights = jnp.zeros(2 * len(HARMONICS))
+            made.append(LatticeTerm(weights, vectors, jnp.asarray(region.middle)))
+    return made
+
+
+def obstacles(response: ForceResponse, region: Region) -> Iterator[ObstaclesTerm]:
+    """Several hills or several wells at the peaks of the free potential, if any."""
+    positions = np.asarray(response.points).reshape(-1, 2)
+    potential = free_potential(response, positions)
+    if potential is None:
+        return
+    axes = np.linspace(positions.min(axis=0), positions.max(axis=0), MAP_POINTS).T
+    places = np.stack(np.meshgrid(*axes), axis=-1)
+    at = jax.vmap(lambda x: potential.potential(jnp.zeros(()), x))
+    heights = np.asarray(at(jnp.asarray(places.reshape(-1, 2)))).reshape(
+        places.shape[:2]
+    )
+    gaps = np.linalg.norm(places[:, :, None] - positions[None, None, ::4], axis=-1)
+    is_seen = gaps.min(axis=-1) < float(potential.width)
+    middle = np.median(heights[is_seen])
+    start = central_term(region, region.middle)
+    for sign in (1.0, -1.0):
+        rise = np.where(is_seen, sign * (heights - middle), 0.0)
+        is_peak = (rise == maximum_filter(rise, size=APART)) & (
+            rise > PEAK * rise.max()
+        )
+        centers = places[is_peak]
+        if 2 <= len(centers) <= MOST_PEAKS:
+            yield ObstaclesTerm(
+                start.weights, jnp.asarray(centers), start.places, start.width
+            )
+
+
+def free_potential(
+    response: ForceResponse, positions: Float[np.ndarray, "point 2"]
+) -> KernelPotential | None:
+    """Free kernels of the linearised data; None where the data do not depend on them.
+
+    Args:
+        response: of the data to forces.
+        positions: around which kernels are laid [L].
+    """
+    kernels = KernelPotential.with_zero_weights(*surround_with_kernels(positions, MAP))
+    prior = kernels.prior()
+    shape = prior.start.copy()
+    shape[1] = prior.bounds[1, 1]
+    try:
+        quadratic = force_quadratic(kernels, response, _weights)
+        data = LinearisedObservations.of(quadratic)
+    except FitError:
+        return None
+    chosen = at_shape(data, prior.covariance, shape)
+    mean = posterior_mean(Whitened.of(data, prior.covariance(shape)), chosen)
+    return KernelPotential(jnp.asarray(mean), kernels.centers, kernels.width)
+
+
+def _weights(force: Any) -> PyTree:
+    return force.weights

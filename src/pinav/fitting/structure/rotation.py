@@ -1,0 +1,182 @@
+r"""Whether a force turns: the evidence of a rotational part beside a potential.
+
+A `KernelMixture` holds a stream function beside the potential, and a prior that may
+send it to nothing. The two are compared in one and the same linear problem: once before
+any fit, about the smoothed states, where the comparison costs no dynamics; and about
+the states of a fitted mixture, where it is that of the fits near the decision.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import PyTree
+
+from pinav.errors import FitError
+from pinav.fitting.engine.evidence_fit import EvidenceFit
+from pinav.fitting.evidence.evidence import (
+    LinearisedObservations,
+    at_shape,
+    best_hyperparameters,
+)
+from pinav.fitting.evidence.model_evidence import (
+    DECISIVE,
+    LinearFit,
+    model_evidence,
+)
+from pinav.fitting.evidence.quadratic import restrict
+from pinav.fitting.evidence.weights import GaussianWeights
+from pinav.fitting.structure.proposals import EXPLAINED, Terms
+from pinav.fitting.structure.response import ForceResponse, force_quadratic
+from pinav.forces import (
+    AbstractLearnedForce,
+    KernelMixture,
+    KernelPotential,
+    StructuredForce,
+)
+
+RATIOS = (-3.0, -1.0, 1.0)
+"""Logarithms of the amplitude of a rotational part, relative to the potential, that are
+tried before any fit."""
+
+MOST_KERNELS = 1000
+"""Of a grid on which the two are compared before any fit."""
+
+Finer = Callable[[KernelPotential], KernelPotential | None]
+"""A potential on a finer grid; None where there is no room for one."""
+
+
+class SurveyedRotation(NamedTuple):
+    """What data that are linearised before any fit say of a rotational part.
+
+    Attributes:
+        gain: log evidence of it beside a potential [nats].
+        is_plain: a mixture explains the data, and a potential alone does not.
+    """
+
+    gain: float
+    is_plain: bool = False
+
+
+def weigh_surveyed(
+    response: ForceResponse,
+    noise: float,
+    terms: Terms,
+    potential: KernelPotential,
+    finer: Finer = lambda _: None,
+) -> SurveyedRotation:
+    """The evidence of a rotational part in the linearised data.
+
+    It is compared beside the conservative structure that was proposed, if one was, and,
+    unless the mixture alone explains the data, on kernels as fine as the potential asks
+    for: what coarse kernels miss, a rotational part would seem to explain. The search
+    for its own shape is short, so that the gain is at least this.
+
+    Args:
+        response: of the data to forces.
+        noise: of the observations, roughly.
+        terms: conservative ones that are there in any case; there may be none.
+        potential: the kernels.
+        finer: how kernels are laid anew.
+    """
+    mixture = mixture_on(potential)
+    try:
+        quadratic = force_quadratic(_beside(terms, mixture), response, _weights)
+        kept = np.ones(len(quadratic.gradient), bool)
+        kept[-len(potential.weights) :] = False
+        alone = LinearisedObservations.of(restrict(quadratic, kept))
+        whole = LinearisedObservations.of(quadratic)
+    except FitError:
+        return SurveyedRotation(0.0)
+    prior = _beside(terms, potential).prior()
+    chosen = best_hyperparameters(
+        alone, prior.covariance, prior.start, prior.bounds, None, prior.slopes
+    )
+    shared, ratio = np.split(chosen.shape, [-1 if terms else len(chosen.shape)])
+    scale = shared[-len(potential.prior().start)]
+    covariance = _beside(terms, mixture).prior().covariance
+    stationary = potential.prior().start
+    stationary[:2] = scale, potential.prior().bounds[1, 1]
+    best = max(
+        (
+            at_shape(
+                whole, covariance, np.concatenate([shared, stationary, [amount], ratio])
+            )
+            for amount in RATIOS
+        ),
+        key=lambda one: one.log_evidence,
+    )
+    gain = float(best.log_evidence - chosen.log_evidence)
+    enough = EXPLAINED * noise
+    found = SurveyedRotation(gain, best.noise < enough < chosen.noise)
+    if gain < DECISIVE or scale > 0.0 or found.is_plain:
+        return found
+    better = finer(potential)
+    if better is None or len(better.weights) > MOST_KERNELS:
+        return found
+    return weigh_surveyed(response, noise, terms, better, finer)
+
+
+def fitted_gain(fit: EvidenceFit) -> float:
+    """Log evidence of a fit over that of its conservative part alone [nats].
+
+    Both are of the linear problem in which the fit ended.
+
+    Args:
+        fit: of a `KernelMixture`, with structured terms or without.
+    """
+    force, linear = fit.model.environment, fit.linear
+    conservative, kept, num_geometry = _without_rotation(force)
+    prior = conservative.prior()
+    reduced = LinearFit(
+        quadratic=restrict(linear.quadratic, kept),
+        weights=GaussianWeights(prior),
+        noise=linear.noise,
+        num_observed=linear.num_observed,
+        flat_information=linear.flat_information,
+    )
+    chosen = best_hyperparameters(
+        LinearisedObservations.of(reduced.quadratic),
+        prior.covariance,
+        prior.start,
+        prior.bounds,
+        linear.noise,
+        prior.slopes,
+    )
+    own = model_evidence(linear, fit.hyperparameters).log_evidence
+    # the geometry of turning terms is a cost of theirs alone
+    cost = 0.5 * num_geometry * float(np.log(linear.num_observed))
+    return own - model_evidence(reduced, chosen).log_evidence - cost
+
+
+def mixture_on(potential: KernelPotential) -> KernelMixture:
+    """An untrained mixture on the kernels of a potential."""
+    centers = np.asarray(potential.centers)
+    return KernelMixture.with_zero_weights(centers, float(potential.width))
+
+
+def _weights(force: Any) -> PyTree:
+    return force.parameters
+
+
+def _beside(
+    terms: Terms, free: KernelPotential | KernelMixture
+) -> StructuredForce | KernelPotential | KernelMixture:
+    return StructuredForce(terms, free) if terms else free
+
+
+def _without_rotation(
+    force: KernelMixture | StructuredForce,
+) -> tuple[AbstractLearnedForce, np.ndarray, int]:
+    """What has a potential, which weights are its own, and the numbers of the rest."""
+    terms = force.terms if isinstance(force, StructuredForce) else ()
+    free = force.remainder if isinstance(force, StructuredForce) else force
+    assert isinstance(free, KernelMixture)
+    still = tuple(term for term in terms if not term.rotational)
+    kept = [np.full(term.weights.size, not term.rotational) for term in terms]
+    count = free.gradient.weights.size
+    kept += [np.full(count, fill) for fill in (True, False)]
+    geometry = sum(
+        leaf.size for term in terms if term.rotational for leaf in term.geometry
+    )
+    return _beside(still, free.gradient), np.concatenate(kept), int(geometry)

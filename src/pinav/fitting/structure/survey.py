@@ -1,0 +1,64 @@
+"""A survey of the data before any fit: their response to forces, and where they are."""
+
+import equinox as eqx
+import jax
+
+from pinav.fitting.bayes.neural import FitSpecification
+from pinav.fitting.bayes.problem import BayesProblem
+from pinav.fitting.structure.proposals import EXPLAINED, Proposal, propose
+from pinav.fitting.structure.response import ForceResponse, force_response
+from pinav.fitting.structure.starts import Region
+from pinav.forces import ZeroForce
+
+MOST_TRAJECTORIES = 32
+"""Trajectories that a survey looks at; the fits see all."""
+
+
+class Survey(eqx.Module):
+    """What the data say of any force, linearised about their smoothed states.
+
+    Attributes:
+        response: of the observations to forces; about no force at all.
+        region: where the observations are.
+        noise: of the observations, roughly or as it was given.
+    """
+
+    response: ForceResponse
+    region: Region
+    noise: float
+
+    @classmethod
+    def of(cls, specification: FitSpecification, problem: BayesProblem) -> "Survey":
+        """The survey of the data of a fit.
+
+        Args:
+            specification: what is asked of the fit.
+            problem: its start, with smoothed states.
+        """
+        data, dim = specification.trajectories, specification.dim
+        if problem.states is None:
+            raise ValueError("Survey.of: expected a problem with states")
+        chosen = slice(None, None, -(-len(data) // MOST_TRAJECTORIES))
+        response = force_response(
+            eqx.tree_at(lambda m: m.environment, specification.model, ZeroForce()),
+            problem.states[chosen],
+            jax.tree.map(lambda leaf: leaf[chosen], problem.observations),
+            specification.solver,
+            dim,
+        )
+        is_observed = data.observed[..., :dim].all(axis=-1)
+        given = specification.noise
+        return cls(
+            response=response,
+            region=Region.of(data.states[..., :dim][is_observed]),
+            noise=problem.first_noise if given is None else given,
+        )
+
+    def proposal(self, *, rotational: bool) -> Proposal | None:
+        """The structure that explains the data nearly to the noise, if any does.
+
+        Args:
+            rotational: whether the force may have no potential.
+        """
+        best = propose(self.response, self.region, self.noise, rotational=rotational)
+        return best if best and best.noise < EXPLAINED * self.noise else None

@@ -1,0 +1,57 @@
+import jax.numpy as jnp
+import numpy as np
+
+from pinav.fitting.structure.patterns import lattices, obstacles
+from pinav.fitting.structure.proposals import propose
+from pinav.fitting.structure.response import ForceResponse
+from pinav.fitting.structure.starts import Region
+from pinav.forces import GaussianBarrier, LatticeTerm, PlaneWaves, SumForce, forces_at
+
+POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 300, 2))
+REGION = Region.of(POINTS[0])
+
+
+def response(truth):
+    """Every force is observed, with noise."""
+    points, times = jnp.asarray(POINTS), jnp.zeros(POINTS.shape[:2])
+    forces = np.asarray(forces_at(truth, times, points))
+    noise = 0.02 * np.random.default_rng(2).normal(size=forces.shape)
+    count = forces[0].size
+    return ForceResponse(
+        rows=jnp.eye(count)[None],
+        targets=jnp.asarray(-(forces + noise).reshape(1, -1)),
+        points=points,
+        times=times,
+        forces=jnp.zeros_like(points),
+        num_free=count,
+        squares=0.0,
+    )
+
+
+def test_obstacles_are_sought_at_the_peaks_of_the_free_potential():
+    centers = np.array([[3.0, 3.0], [7.0, 4.0], [5.0, 7.5]])
+    hills = SumForce(tuple(GaussianBarrier(3.0, place, 1.0) for place in centers))
+    (term,) = (t for t in obstacles(response(hills), REGION) if len(t.centers) == 3)
+    gaps = np.linalg.norm(np.asarray(term.centers)[:, None] - centers, axis=-1)
+    assert gaps.min(axis=0).max() < 0.4
+
+
+def test_square_lattices_of_every_period_and_direction_are_tried():
+    sizes = {
+        round(float(np.linalg.norm(t.wave_vectors[0])), 6) for t in lattices(REGION)
+    }
+    assert min(sizes) < 2 * np.pi / 8.0
+    assert max(sizes) > 2 * np.pi / 2.0
+    for term in lattices(REGION):
+        one, other = np.asarray(term.wave_vectors)
+        assert abs(one @ other) < 1e-12
+
+
+def test_the_search_names_a_lattice():
+    along = 2 * np.pi / 4.0 * np.array([np.cos(0.4), np.sin(0.4)])
+    vectors = np.stack([along, [-along[1], along[0]]])
+    waves = PlaneWaves(np.full(2, 1.0), vectors, np.array([0.3, 1.0]))
+    (term,) = propose(response(waves), REGION, 0.02, rotational=False).terms
+    assert isinstance(term, LatticeTerm)
+    found = np.asarray(term.wave_vectors)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 2 * np.pi / 4, rtol=0.01)

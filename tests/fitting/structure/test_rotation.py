@@ -1,0 +1,155 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.dynamics import FixedStep
+from pinav.errors import FitError
+from pinav.fitting import EvidenceFit, Outcome, fit_structured
+from pinav.fitting.bayes.neural import FitSpecification
+from pinav.fitting.environments.kernels import kernel_environment
+from pinav.fitting.evidence.model_evidence import DECISIVE
+from pinav.fitting.evidence.quadratic import Quadratic, restrict
+from pinav.fitting.structure import search
+from pinav.fitting.structure.response import ForceResponse
+from pinav.fitting.structure.rotation import SurveyedRotation, weigh_surveyed
+from pinav.fitting.structure.starts import Region
+from pinav.fitting.structure.survey import Survey
+from pinav.forces import (
+    GaussianBarrier,
+    GaussianSwirl,
+    KernelMixture,
+    KernelPotential,
+    forces_at,
+    kernel_centers,
+)
+from pinav.scenarios import scenario
+from pinav.trajectories import simulate
+
+POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 150, 2))
+PULL = GaussianBarrier(-3.0, [4.0, 6.0], 2.0)
+SWIRL = GaussianSwirl(1.0, [6.0, 5.0], 2.0)
+KERNELS = KernelPotential.with_zero_weights(
+    kernel_centers(POINTS[0], spacing=1.2, margin=2.4), 1.2
+)
+
+
+def response(truth):
+    """Every force is observed, with noise."""
+    points, times = jnp.asarray(POINTS), jnp.zeros(POINTS.shape[:2])
+    forces = np.asarray(forces_at(truth, times, points))
+    noise = 0.05 * np.random.default_rng(2).normal(size=forces.shape)
+    count = forces[0].size
+    return ForceResponse(
+        rows=jnp.eye(count)[None],
+        targets=jnp.asarray(-(forces + noise).reshape(1, -1)),
+        points=points,
+        times=times,
+        forces=jnp.zeros_like(points),
+        num_free=count,
+        squares=0.0,
+    )
+
+
+def test_the_evidence_asks_for_a_rotational_part_where_the_force_turns():
+    assert weigh_surveyed(response(PULL), 0.05, (), KERNELS).gain < DECISIVE
+    assert weigh_surveyed(response(PULL + SWIRL), 0.05, (), KERNELS).gain > 50
+
+
+def test_parameters_that_are_restricted_to_zero_leave_the_same_squares():
+    rng = np.random.default_rng(3)
+    factor, kept = rng.normal(size=(5, 5)), np.array([True, False, True, True, False])
+    whole = Quadratic(
+        point=rng.normal(size=5),
+        hessian=factor @ factor.T,
+        gradient=rng.normal(size=5),
+        squares=7.0,
+        num_free=20,
+        log_determinant=0.3,
+    )
+
+    def value(quadratic, theta):
+        change = theta - quadratic.point
+        slope = 2 * quadratic.gradient + quadratic.hessian @ change
+        return quadratic.squares + slope @ change
+
+    theta = np.where(kept, rng.normal(size=5), 0.0)
+    assert value(restrict(whole, kept), theta[kept]) == pytest.approx(
+        value(whole, theta)
+    )
+
+
+@pytest.fixture
+def ended(monkeypatch):
+    """Searches whose fits end as they are told, without any data."""
+    truth = scenario("barrier-crossings")
+    data = simulate(truth, key=jax.random.key(0))
+    model = truth.swimmer.with_environment(kernel_environment(KernelPotential, data))
+    asked = FitSpecification(model, data, lambda _: (), None, FixedStep())
+    made = search._Search(asked, 20, None, throw=False)
+    survey = Survey(response(PULL), Region.of(POINTS[0]), 0.05)
+    monkeypatch.setattr(Survey, "proposal", lambda self, *, rotational: None)
+
+    def weigh(surveyed, fitted, potential, mixture):
+        def best(self, proposal):
+            outcome = mixture if isinstance(self.kernels, KernelMixture) else potential
+            if outcome is None:
+                raise FitError("it failed")
+            fit = object.__new__(EvidenceFit)
+            object.__setattr__(fit, "model", self.specification.model)
+            object.__setattr__(fit, "outcome", outcome)
+            return search.StructuredFit(fit, 0.0)
+
+        asked = SurveyedRotation(surveyed)
+        monkeypatch.setattr(search, "weigh_surveyed", lambda *_: asked)
+        monkeypatch.setattr(search, "fitted_gain", lambda _: fitted)
+        monkeypatch.setattr(search._Search, "best", best)
+        found = search._weighed(made, survey)
+        return type(found.fit.model.environment), found.fit.outcome, found.rotation
+
+    return weigh
+
+
+FINE, BAD = Outcome.CONVERGED, Outcome.DIVERGED
+
+
+@pytest.mark.parametrize(
+    ("gains", "potential", "mixture", "kind", "rotation"),
+    [
+        ((-9.0, 40.0), FINE, FINE, KernelPotential, -9.0),
+        ((80.0, 40.0), FINE, FINE, KernelMixture, 40.0),
+        ((80.0, 1.0), FINE, FINE, KernelPotential, 1.0),
+        ((-9.0, 40.0), BAD, FINE, KernelMixture, 40.0),
+        ((-9.0, 40.0), None, FINE, KernelMixture, 40.0),
+        ((80.0, 40.0), FINE, BAD, KernelPotential, None),
+    ],
+)
+def test_the_evidence_of_the_fit_decides_and_a_potential_that_fails_yields(
+    ended, gains, potential, mixture, kind, rotation
+):
+    taken, outcome, told = ended(*gains, potential, mixture)
+    assert (taken, outcome) == (kind, FINE)
+    assert np.isnan(told) if rotation is None else told == rotation
+
+
+def test_where_both_fail_the_error_is_that_of_the_potential(ended):
+    with pytest.raises(FitError, match="it failed"):
+        ended(-9.0, 40.0, None, None)
+    assert ended(-9.0, 40.0, BAD, None)[:2] == (KernelPotential, BAD)
+
+
+@pytest.mark.slow
+def test_a_force_that_turns_is_fitted_without_naming_the_model():
+    truth = scenario("swirl")
+    data = simulate(truth.with_starts(count=8), key=jax.random.key(0))
+    positions = data.only(("x", "y"))
+    kernels = kernel_environment(KernelPotential, positions, dim=2)
+    model = truth.swimmer.with_environment(kernels)
+    found = fit_structured(model, positions, weigh_rotation=True)
+    assert found.rotation > 100
+    places = jnp.asarray([[4.0, 5.0], [6.0, 4.0], [5.0, 6.5]])
+    times = jnp.zeros(3)
+    true = forces_at(truth.environment, times, places)
+    learned = forces_at(found.fit.model.environment, times, places)
+    assert jnp.linalg.norm(learned - true) < 0.1 * jnp.linalg.norm(true)
+    assert not found.fit.model.environment.is_conservative
