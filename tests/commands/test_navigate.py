@@ -234,6 +234,6 @@ def test_a_run_in_space_from_plan_to_report(tmp_path):
         NavigateSettings(**IN_SPACE, seeds=2, noise=0.02), problem, folder
     )
     assert metrics.controllers["learned"].success.value == 1.0
-    titles = [section.title for section in navigation_sections(folder)]
+    titles = [section.heading for section in navigation_sections(folder)]
     assert titles == ["Outcome", "Closed loop"]
     assert (folder.path / "figures" / "navigate-closed-loop.png").exists()

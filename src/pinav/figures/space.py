@@ -13,6 +13,7 @@ from matplotlib.patches import Circle
 from pinav.figures.palette import BLACK, GREY, PAPER, PLAN, WALL
 from pinav.figures.style import (
     DIMENSIONLESS,
+    SMALL,
     THIN,
     channel_label,
     label_plane,
@@ -79,6 +80,7 @@ def _draw_perspective(
     ax.set_box_aspect(upper - lower)
     for name in "xyz":
         getattr(ax, f"set_{name}label")(channel_label(name, units))
+    ax.tick_params(labelsize=SMALL)
     title_panel(cast(Axes, ax), "(a) in perspective")
 
 
