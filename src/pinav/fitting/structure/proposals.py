@@ -276,7 +276,9 @@ def _extended(
     explained = any(one.noise < ENOUGH * noise for one in proposals)
     if terms or explained or len(region.middle) != 2:
         return proposals
-    return proposals + _patterns(response, region)
+    patterns = _patterns(response, region)
+    # of a sum that is not explained yet a pattern is a poor beginning
+    return proposals + [one for one in patterns if one.noise < EXPLAINED * noise]
 
 
 def _best(
