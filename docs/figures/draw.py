@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import jax
-from docs.figures import methods, next_trajectory, scenarios
+from docs.figures import methods, scenarios
 from docs.figures.tutorials import from_tutorial, one_shot, swimmer
 from docs.figures.workshop import Workshop, save_picture
 from matplotlib.figure import Figure
@@ -32,11 +32,19 @@ def convergence(workshop: Workshop) -> Path:
     return workshop.run("bench", *words) / "convergence.png"
 
 
+def designs(workshop: Workshop) -> Path:
+    """How well a way is known after each trajectory of simulated campaigns."""
+    places = ("--from=1,5", "--to=9,5", "--arena=0,0,10,10", "--tolerance", "0.4")
+    words = ("design", "shear", *places, "--thrust", "1.5", "--noise", "0.05")
+    run = workshop.run("designs", *words, "--seeds", "3")
+    return run / "figures" / "design-bounds.png"
+
+
 RECIPES: Mapping[str, Recipe] = {
     "figure1-ude.png": figure1,
     "scenarios.png": scenarios.figure,
     "convergence.png": convergence,
-    "next-trajectory.png": next_trajectory.figure,
+    "designs.png": designs,
     "method-models.png": methods.models,
     "method-identification.png": methods.identification,
     "method-evaluation.png": methods.evaluation,

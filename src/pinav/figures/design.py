@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
+from matplotlib.ticker import LogLocator
 
 from pinav.figures.navigation import Course, field_of, spread_map
 from pinav.figures.palette import BLACK, GREY, NEXT, PURPLE, TRACK
@@ -44,6 +45,9 @@ def bounds_figure(
     ax.axhline(100 * accuracy, color=BLACK, lw=0.8, ls=":", label="asked for")
     ax.set_yscale("log")
     ax.set_ylim(top=110)
+    ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    ax.yaxis.set_major_formatter("{x:g}")
+    ax.yaxis.set_minor_formatter("")
     label_axes(ax, "trajectories", "bound of the error [%]")
     add_legend(ax)
     return figure
