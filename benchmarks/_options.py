@@ -2,21 +2,17 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import jax
 import msgspec
 import numpy as np
 
 from pinav.commands.parsing import parse
+from pinav.commands.settings import Settings
 from pinav.errors import InputError
 
-
-class _Checked(Protocol):
-    def check(self) -> None: ...
-
-
-Options = TypeVar("Options", bound=_Checked)
+Options = TypeVar("Options", bound=Settings)
 Kept = TypeVar("Kept")
 
 

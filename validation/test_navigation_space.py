@@ -61,9 +61,9 @@ def test_the_true_force_leads_through_the_box():
 def test_a_plan_in_space_takes_seconds():
     """Processor time, with everything compiled before."""
     task = box_task()
-    for _ in range(2):
-        began = time.process_time()
-        plan = time_to_go(task, task.truth, tables=tabulate_model(task, task.truth))
-        taken = time.process_time() - began
+    time_to_go(task, task.truth, tables=tabulate_model(task, task.truth))
+    began = time.process_time()
+    plan = time_to_go(task, task.truth, tables=tabulate_model(task, task.truth))
+    taken = time.process_time() - began
     print("plan", float(plan.at(task.start)), "processor time", taken)
     assert taken < 20.0  # ten seconds on two cores

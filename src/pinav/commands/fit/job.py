@@ -164,8 +164,9 @@ def _infer(plan: FitPlan, folder: RunFolder) -> None:
             "throw": False,
         }
         if searched:
-            weighed = {"weigh_rotation": plan.weigh_rotation}
-            structured = fit_structured(model, plan.data, **options, **weighed)
+            structured = fit_structured(
+                model, plan.data, weigh_rotation=plan.weigh_rotation, **options
+            )
             result = structured.fit
             finding = StructureSearch(structured.gain, structured.rotation)
         else:

@@ -49,7 +49,9 @@ def lattices(region: Region) -> list[LatticeTerm]:
             one = size * np.array([np.cos(angle), np.sin(angle)])
             vectors = jnp.asarray([one, [-one[1], one[0]]])
             weights = jnp.zeros(2 * len(HARMONICS))
-            made.append(LatticeTerm(weights, vectors, jnp.asarray(region.middle)))
+            origin = jnp.asarray(region.middle)
+            lattice = LatticeTerm(weights=weights, wave_vectors=vectors, origin=origin)
+            made.append(lattice)
     return made
 
 
@@ -77,7 +79,10 @@ def obstacles(response: ForceResponse, region: Region) -> Iterator[ObstaclesTerm
         centers = places[is_peak]
         if 2 <= len(centers) <= MOST_PEAKS:
             yield ObstaclesTerm(
-                start.weights, jnp.asarray(centers), start.places, start.width
+                weights=start.weights,
+                centers=jnp.asarray(centers),
+                places=start.places,
+                width=start.width,
             )
 
 

@@ -229,8 +229,9 @@ def _pruned(proposal: Proposal, response: ForceResponse) -> Proposal:
     for index in range(len(terms)):
         rest = terms[:index] + terms[index + 1 :]
         simpler = [rest] if index < len(terms) - 1 else []
-        if isinstance(terms[index], EllipticTerm):
-            circle = (*terms[:index], circular(terms[index]), *terms[index + 1 :])
+        term = terms[index]
+        if isinstance(term, EllipticTerm):
+            circle = (*terms[:index], circular(term), *terms[index + 1 :])
             simpler.append(circle)
         for fewer in simpler:
             made = polish(fewer, response)

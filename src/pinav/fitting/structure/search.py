@@ -38,6 +38,7 @@ from pinav.forces import (
     KernelMixture,
     KernelPotential,
     StructuredForce,
+    as_learned_force,
 )
 from pinav.trajectories import Trajectories, with_velocities
 
@@ -110,7 +111,8 @@ def fit_structured(
         survey = Survey.of(specification, search.free())
         if weighed:
             return _weighed(search, survey)
-        turning = not model.environment.is_conservative
+        force = as_learned_force(model.environment)
+        turning = force is None or not force.is_conservative
         return search.best(survey.proposal(rotational=turning))
 
 

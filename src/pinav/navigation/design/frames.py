@@ -46,7 +46,8 @@ def believe_data(
                 f"data: trajectory {number} has fewer than two observed positions; "
                 "leave it out"
             )
-        moved = np.linalg.norm(np.diff([f.position for f in frames], axis=0), axis=1)
+        places = [f.position for f in frames if f.position is not None]
+        moved = np.linalg.norm(np.diff(np.stack(places), axis=0), axis=1)
         speed = SPEED * float(np.sum(moved)) / (frames[-1].time - frames[0].time)
         sd = max(speed, position_noise)
         if belief is None:
