@@ -1,0 +1,41 @@
+"""What a search for a structure says in words."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from pinav.commands.fit.structure import StructureRow, TermRow
+
+CENTRE = TermRow("central", "f(r)", (4.99, 5.01), (0.004, 0.003))
+
+
+def test_a_term_is_named_with_its_numbers():
+    assert CENTRE.text() == "central about (4.990, 5.010) ± 0.0040"
+    assert TermRow("linear", "A x", (), ()).text() == "linear"
+    wall = TermRow("wall", "f(n x)", (np.pi / 3,), (0.01,))
+    assert wall.text() == "wall with its normal at 60.000 ± 0.57 degrees"
+    other = TermRow("obstacles", "h", (1.0, 2.0), (0.1, 0.2))
+    assert other.text() == "obstacles with (1.000, 2.000) ± 0.20"
+
+
+def test_structures_are_weighed_against_free_kernels():
+    found = StructureRow((CENTRE,), gain=31.0)
+    assert found.text().endswith("; 31.0 nats over free kernels")
+    assert "no structure tried explains" in StructureRow((), None).text()
+    assert "differs by −4.40 nats" in StructureRow((), -4.4).text()
+
+
+@pytest.mark.parametrize(
+    ("rotation", "turns", "words"),
+    [
+        (1245.0, True, "prefers to a potential alone by 1245 nats"),
+        (-3.2, False, "rotational part beside it differs by −3.20 nats"),
+    ],
+)
+def test_the_run_says_which_kind_of_force_the_evidence_took(rotation, turns, words):
+    row = StructureRow((CENTRE,), gain=31.0, rotation=rotation, turns=turns)
+    structure, force = row.text().splitlines()
+    assert structure.startswith("structure: central about")
+    assert words in force
+    unweighed = msgspec.structs.replace(row, rotation=None)
+    assert unweighed.text() == structure
