@@ -184,7 +184,9 @@ def test_the_papers_weakness_stands_beside_what_several_trajectories_give(
     """The truth in place of one fit, a barrier of half the height of the other."""
     half = eqx.tree_at(lambda force: force.height, paper_barrier(), 5.25 / 2)
     models = {"model-ude.eqx": paper_swimmer(half), "model-kernel.eqx": paper_swimmer()}
-    monkeypatch.setattr(weakness_job, "_read_or_fit", lambda _, name, *rest: models[name])
+    monkeypatch.setattr(
+        weakness_job, "_read_or_fit", lambda _, name, *rest: models[name]
+    )
     out = tmp_path / "run"
     argv = ["study", "paper-weakness", "--out", str(out), "--held-out", "3"]
     assert cli.run([*argv, "--count", "1"]) == 0
