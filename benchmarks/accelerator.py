@@ -20,6 +20,7 @@ import tyro
 
 from benchmarks import heat
 from benchmarks._options import begin
+from pinav.commands.settings import Settings
 from pinav.dynamics import FixedStep
 from pinav.errors import InputError
 from pinav.files import write_text
@@ -44,7 +45,7 @@ SIDE = 0.064
 """Side of the heated cube [m]."""
 
 
-class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class Options(Settings, frozen=True):
     """Time fits, a run of bioheat and closed loops on the device that JAX finds."""
 
     out: Annotated[Path, tyro.conf.arg(help="Folder of the results.")] = Path(
@@ -63,7 +64,7 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         int, tyro.conf.arg(help="Fits: steps of each window at most.")
     ] = 20
 
-    def check(self) -> None:
+    def check_together(self) -> None:
         """Raise `InputError` where an option makes no sense."""
         for name in ("fits", "cells", "loops"):
             if any(value < 1 for value in getattr(self, name)):

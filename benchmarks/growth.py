@@ -13,7 +13,6 @@ from typing import Annotated, Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import msgspec
 import numpy as np
 import tyro
 from matplotlib.axes import Axes
@@ -21,6 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter, ScalarFormatter
 
 from benchmarks._options import begin
+from pinav.commands.settings import Settings
 from pinav.dynamics import FixedStep
 from pinav.errors import InputError
 from pinav.figures.files import save_figure
@@ -43,7 +43,7 @@ from pinav.scenarios import barrier_crossings, paper
 from pinav.trajectories import Trajectories, concatenate, simulate
 
 
-class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class Options(Settings, frozen=True):
     """Time a Gauss-Newton iteration as trajectories, widths and fits grow in number."""
 
     out: Annotated[Path, tyro.conf.arg(help="Folder of the results.")] = Path(
@@ -63,7 +63,7 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         int, tyro.conf.arg(help="Many fits: steps of each window at most.")
     ] = 20
 
-    def check(self) -> None:
+    def check_together(self) -> None:
         """Raise `InputError` where an option makes no sense."""
         for name in ("trajectories", "widths", "fits"):
             if any(value < 1 for value in getattr(self, name)):

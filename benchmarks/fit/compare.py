@@ -18,13 +18,14 @@ from benchmarks.fit import table
 from benchmarks.fit.contestants import BY_NAME, CONTESTANTS, Contestant, Effort
 from benchmarks.fit.problem import physics_file
 from benchmarks.fit.table import Measured, Measurement
+from pinav.commands.settings import Settings
 from pinav.errors import InputError
 from pinav.files import write_text, write_whole
 
 ROOT = Path(__file__).parents[2]
 
 
-class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class Options(Settings, frozen=True):
     """Compare fits: the paper's recipe, other tools and ours, in one table.
 
     Every contestant and seed trains in a cold process of its own, strictly one after
@@ -44,7 +45,7 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = tuple(BY_NAME)
     effort: Effort = Effort()
 
-    def check(self) -> None:
+    def check_together(self) -> None:
         """Raise `InputError` where an option makes no sense."""
         for name in self.only:
             if name not in BY_NAME:

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
-import msgspec
 import tyro
 
 from benchmarks._options import begin
@@ -21,6 +20,7 @@ from benchmarks.navigate.tables import (
     text,
     tracking_table,
 )
+from pinav.commands.settings import Settings
 from pinav.errors import InputError
 from pinav.figures import save_figure
 from pinav.figures.navigation import outcome_bars
@@ -28,7 +28,7 @@ from pinav.navigation.task.catalogue import TASKS
 from pinav.runs import RunFolder
 
 
-class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class Options(Settings, frozen=True):
     """Closed loops of six controllers on the tasks of navigation.
 
     A killed benchmark goes on where it was: what --out holds is not done again.
@@ -52,7 +52,7 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         int, tyro.conf.arg(help="Models drawn from each posterior, for the plan.")
     ] = 8
 
-    def check(self) -> None:
+    def check_together(self) -> None:
         """Raise `InputError` where an option makes no sense."""
         for name in self.tasks:
             if name not in TASKS:
