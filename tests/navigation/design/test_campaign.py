@@ -24,6 +24,7 @@ from pinav.navigation.design.choices import (
     GridDesign,
     InformedDesign,
     RandomDesign,
+    Stage,
     expected_sd,
 )
 
@@ -138,17 +139,14 @@ def test_a_candidate_along_the_way_tells_more_than_one_elsewhere(adaptive, belie
     way = np.linspace([2.0, 2.0], [4.0, 2.0], 20)
     _, sd = belief.force(way)
     now = float(np.sqrt(np.mean(sd**2)))
-    on = expected_sd(
-        adaptive, belief, way, experiment, straight(experiment, [2.0, 2.0], 0.0)
-    )
-    far = expected_sd(
-        adaptive, belief, way, experiment, straight(experiment, [2.0, 8.0], 0.0)
-    )
+    stage = Stage(adaptive, experiment, belief, way)
+    on = expected_sd(stage, straight(experiment, [2.0, 2.0], 0.0))
+    far = expected_sd(stage, straight(experiment, [2.0, 8.0], 0.0))
     assert on < 0.6 * now
     assert far == pytest.approx(now, rel=0.05)
     edge = float(problem.arena.upper[0]) - 0.05
     leaves = straight(experiment, [edge, 5.0], 0.0)
-    assert expected_sd(adaptive, belief, way, experiment, leaves) == np.inf
+    assert expected_sd(stage, leaves) == np.inf
 
 
 def test_a_grid_fills_the_region_evenly(adaptive, belief):
@@ -158,7 +156,7 @@ def test_a_grid_fills_the_region_evenly(adaptive, belief):
     starts, headings = [], []
     for count in range(36):
         chosen = GridDesign().choose(
-            adaptive, belief, way, experiment, count, key=jax.random.key(0)
+            Stage(adaptive, experiment, belief, way, count), key=jax.random.key(0)
         )
         starts.append(np.asarray(chosen.starts))
         headings.append(float(chosen.heading[0]))
@@ -182,13 +180,15 @@ def test_nobody_is_released_in_a_disc():
     for design in (GridDesign(), RandomDesign()):
         for count in range(4):
             chosen = design.choose(
-                adaptive, belief, way, experiment, count, key=jax.random.key(count)
+                Stage(adaptive, experiment, belief, way, count),
+                key=jax.random.key(count),
             )
             gap = np.linalg.norm(np.asarray(chosen.starts) - 5.0)
             assert gap > 2.0
     inside = experiment_of(adaptive.task, region=Rectangle([4.0, 4.0], [6.0, 6.0]))
     with pytest.raises(InputError, match="release: expected a place outside"):
-        RandomDesign().choose(adaptive, belief, way, inside, 0, key=jax.random.key(0))
+        stage = Stage(adaptive, inside, belief, way)
+        RandomDesign().choose(stage, key=jax.random.key(0))
 
 
 def test_a_campaign_ends_when_the_way_is_known(adaptive):

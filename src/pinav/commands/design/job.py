@@ -31,6 +31,7 @@ from pinav.navigation.design.choices import (
     GridDesign,
     InformedDesign,
     RandomDesign,
+    Stage,
     expected_sd,
 )
 from pinav.navigation.design.frames import believe_data
@@ -120,10 +121,9 @@ def _suggest(
     belief = believe_data(adaptive, system.swimmer, data, settings.position_noise)
     decision = decide(adaptive, belief)
     key = jax.random.key(settings.seed)
-    chosen = InformedDesign().choose(
-        adaptive, belief, decision.way, experiment, 0, key=key
-    )
-    after = expected_sd(adaptive, belief, decision.way, experiment, chosen)
+    stage = Stage(adaptive, experiment, belief, decision.way)
+    chosen = InformedDesign().choose(stage, key=key)
+    after = expected_sd(stage, chosen)
     _, spread = belief.force(decision.way)
     x, y = np.asarray(chosen.starts[:2], float).tolist()
     possible = bool(np.isfinite(after))

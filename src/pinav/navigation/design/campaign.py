@@ -23,7 +23,7 @@ from pinav.navigation.adaptive.steering import Adaptive
 from pinav.navigation.adaptive.strategies import Certain
 from pinav.navigation.belief.belief import Belief, Frame
 from pinav.navigation.design.candidates import CandidateTrajectories, Experiment
-from pinav.navigation.design.choices import AbstractDesign
+from pinav.navigation.design.choices import AbstractDesign, Stage
 from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.task import Task
 from pinav.navigation.trials.closed_loop import advance, begin
@@ -128,7 +128,8 @@ def run_campaign(
     for count in range(most):
         choose, noise = jax.random.split(jax.random.fold_in(key, count))
         way = decisions[-1].way
-        chosen = design.choose(adaptive, belief, way, experiment, count, key=choose)
+        stage = Stage(adaptive, experiment, belief, way, count)
+        chosen = design.choose(stage, key=choose)
         frames, path = record(task, experiment, chosen, key=noise)
         belief = learn(adaptive, belief, frames)
         paths.append(path)
@@ -198,15 +199,25 @@ def commands_at(
     )
 
 
-def learn(adaptive: Adaptive, belief: Belief, frames: Sequence[Frame]) -> Belief:
+def learn(
+    adaptive: Adaptive,
+    belief: Belief,
+    frames: Sequence[Frame],
+    speed_sd: float | None = None,
+) -> Belief:
     """The belief after a further trajectory.
 
     Args:
         adaptive: what is known of the swimmer.
         belief: before it.
-        frames: of the trajectory, the first one at rest.
+        frames: of the trajectory.
+        speed_sd: standard deviation of each component of the first velocity; at rest
+            unless given.
     """
-    belief = belief.restart(frames[0], speed_sd=frames[0].sd)
+    at_rest = frames[0].sd
+    belief = belief.restart(
+        frames[0], speed_sd=at_rest if speed_sd is None else speed_sd
+    )
     for frame in frames[1:]:
         belief = belief.after(with_known(frame, belief, adaptive.physics))
     return belief

@@ -1,6 +1,7 @@
 """How the next trajectory of a campaign is chosen."""
 
 import abc
+import dataclasses
 import math
 
 import equinox as eqx
@@ -24,28 +25,34 @@ COARSE = 2
 Way = Float[np.ndarray, "point 2"]
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Stage:
+    """Where a campaign stands.
+
+    Attributes:
+        adaptive: the task, and what is known of it.
+        experiment: how trajectories are recorded.
+        belief: of the force.
+        way: along which the force matters [L].
+        count: trajectories so far.
+    """
+
+    adaptive: Adaptive
+    experiment: Experiment
+    belief: Belief
+    way: Way
+    count: int = 0
+
+
 class AbstractDesign(eqx.Module):
     """Chooses what is recorded next."""
 
     @abc.abstractmethod
-    def choose(
-        self,
-        adaptive: Adaptive,
-        belief: Belief,
-        way: Way,
-        experiment: Experiment,
-        count: int,
-        *,
-        key: PRNGKeyArray,
-    ) -> CandidateTrajectories:
+    def choose(self, stage: Stage, *, key: PRNGKeyArray) -> CandidateTrajectories:
         """The next trajectory, a single one.
 
         Args:
-            adaptive: the task, and what is known of it.
-            belief: of the force.
-            way: along which the force matters [L].
-            experiment: how trajectories are recorded.
-            count: trajectories so far.
+            stage: of the campaign.
             key: random key.
         """
 
@@ -53,17 +60,9 @@ class AbstractDesign(eqx.Module):
 class RandomDesign(AbstractDesign):
     """Random starts and random programmes."""
 
-    def choose(
-        self,
-        adaptive: Adaptive,
-        belief: Belief,
-        way: Way,
-        experiment: Experiment,
-        count: int,
-        *,
-        key: PRNGKeyArray,
-    ) -> CandidateTrajectories:
-        return _allowed(adaptive.task, experiment.draw(64, key=key))[0]
+    def choose(self, stage: Stage, *, key: PRNGKeyArray) -> CandidateTrajectories:
+        drawn = stage.experiment.draw(64, key=key)
+        return _keep_allowed(stage.adaptive.task, drawn)[0]
 
 
 class GridDesign(AbstractDesign):
@@ -76,17 +75,12 @@ class GridDesign(AbstractDesign):
         Halton, Numer. Math. 2, 84 (1960).
     """
 
-    def choose(
-        self,
-        adaptive: Adaptive,
-        belief: Belief,
-        way: Way,
-        experiment: Experiment,
-        count: int,
-        *,
-        key: PRNGKeyArray,
-    ) -> CandidateTrajectories:
-        shares = np.array([[_halton(n, b) for b in (2, 3, 5)] for n in range(1, 513)])
+    def choose(self, stage: Stage, *, key: PRNGKeyArray) -> CandidateTrajectories:
+        from scipy.stats import qmc  # half a second that other designs do without
+
+        sequence = qmc.Halton(3, scramble=False)
+        shares = sequence.fast_forward(1).random(512)  # its first point is a corner
+        experiment = stage.experiment
         region = experiment.region
         lower, upper = np.asarray(region.lower), np.asarray(region.upper)
         places = lower + shares[:, :2] * (upper - lower)
@@ -96,8 +90,8 @@ class GridDesign(AbstractDesign):
             jnp.full(shape, experiment.limits.max_frequency),
             jnp.broadcast_to(2 * math.pi * jnp.asarray(shares[:, 2:]), shape),
         )
-        allowed = _allowed(adaptive.task, all_of_them)
-        return allowed[count % len(allowed.starts)]
+        allowed = _keep_allowed(stage.adaptive.task, all_of_them)
+        return allowed[stage.count % len(allowed.starts)]
 
 
 class InformedDesign(AbstractDesign):
@@ -118,64 +112,42 @@ class InformedDesign(AbstractDesign):
     variations: int = eqx.field(static=True, default=8)
     rounds: int = eqx.field(static=True, default=2)
 
-    def choose(
-        self,
-        adaptive: Adaptive,
-        belief: Belief,
-        way: Way,
-        experiment: Experiment,
-        count: int,
-        *,
-        key: PRNGKeyArray,
-    ) -> CandidateTrajectories:
+    def choose(self, stage: Stage, *, key: PRNGKeyArray) -> CandidateTrajectories:
+        experiment = stage.experiment
         keys = jax.random.split(key, self.rounds + 2)
         drawn = experiment.draw(4 * self.candidates, key=keys[0])
-        along = _along(way, drawn, experiment, keys[1])
+        along = _along(stage.way, drawn, experiment, keys[1])
         half = self.candidates // 2
-        mixed = _joined(along[:half], _allowed(adaptive.task, drawn)[:half])
-        best, least = self._best(adaptive, belief, way, experiment, mixed)
+        others = _keep_allowed(stage.adaptive.task, drawn)
+        best, least = _best(stage, _join(along[:half], others[:half]))
         for round_key in keys[2:]:
             varied = experiment.vary(best, self.variations, key=round_key)
-            other, sd = self._best(adaptive, belief, way, experiment, varied)
+            other, sd = _best(stage, varied)
             if sd < least:
                 best, least = other, sd
         return best
 
-    def _best(
-        self,
-        adaptive: Adaptive,
-        belief: Belief,
-        way: Way,
-        experiment: Experiment,
-        candidates: CandidateTrajectories,
-    ) -> tuple[CandidateTrajectories, float]:
-        sds = [
-            expected_sd(adaptive, belief, way, experiment, candidates[k])
-            for k in range(len(candidates.starts))
-        ]
-        best = int(np.argmin(sds))
-        return candidates[best], sds[best]
+
+def _best(
+    stage: Stage, candidates: CandidateTrajectories
+) -> tuple[CandidateTrajectories, float]:
+    """The candidate of the smallest expected standard deviation, and that."""
+    count = len(candidates.starts)
+    sds = [expected_sd(stage, candidates[k]) for k in range(count)]
+    best = int(np.argmin(sds))
+    return candidates[best], sds[best]
 
 
-def expected_sd(
-    adaptive: Adaptive,
-    belief: Belief,
-    way: Way,
-    experiment: Experiment,
-    candidate: CandidateTrajectories,
-) -> float:
+def expected_sd(stage: Stage, candidate: CandidateTrajectories) -> float:
     """Standard deviation of the force along a way that is expected after a candidate.
 
     Infinite where the candidate should enter something forbidden.
 
     Args:
-        adaptive: the task, and what is known of it.
-        belief: before it.
-        way: points [L].
-        experiment: how it would be recorded.
+        stage: before the candidate.
         candidate: a single one.
     """
-    task = adaptive.task
+    adaptive, experiment, task = stage.adaptive, stage.experiment, stage.adaptive.task
     step = COARSE * task.step
     moments = np.arange(round(experiment.duration / step)) * step
     series = (candidate.frequency, candidate.heading)
@@ -184,7 +156,7 @@ def expected_sd(
     thrusts = _thrusts(task.truth.actuator, jnp.asarray(np.stack(commands, axis=1)))
     sd = max(task.sensor_noise, 1e-6) / math.sqrt(COARSE)
     place = np.asarray(candidate.starts[:2], float)
-    one = belief.best
+    one = stage.belief.best
     one = one.restart(*one.motion.start(place, sd, sd))
     path = [place]
     for k, thrust in enumerate(np.asarray(thrusts, float)):
@@ -196,7 +168,7 @@ def expected_sd(
         path.append(one.state[:2])
     if float(_least_clearance(task, jnp.asarray(np.stack(path)))) < 0:
         return math.inf
-    _, spread = one.force(way)
+    _, spread = one.force(stage.way)
     return float(np.sqrt(np.mean(spread**2)))
 
 
@@ -221,11 +193,13 @@ def _along(
     return CandidateTrajectories(jnp.asarray(places), drawn.frequency, heading)
 
 
-def _joined(*parts: CandidateTrajectories) -> CandidateTrajectories:
+def _join(*parts: CandidateTrajectories) -> CandidateTrajectories:
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
 
 
-def _allowed(task: Task, candidates: CandidateTrajectories) -> CandidateTrajectories:
+def _keep_allowed(
+    task: Task, candidates: CandidateTrajectories
+) -> CandidateTrajectories:
     """Candidates that are not released in something forbidden.
 
     Raises:
@@ -241,16 +215,6 @@ def _allowed(task: Task, candidates: CandidateTrajectories) -> CandidateTrajecto
             f"among {len(room)}; state a larger rectangle"
         )
     return candidates[free]
-
-
-def _halton(index: int, base: int) -> float:
-    """Number of the Halton sequence between 0 and 1."""
-    value, share = 0.0, 1.0
-    while index:
-        index, digit = divmod(index, base)
-        share /= base
-        value += digit * share
-    return value
 
 
 @eqx.filter_jit

@@ -11,9 +11,9 @@ from pinav.dynamics import (
     drive_by_commands,
 )
 from pinav.errors import InputError
-from pinav.navigation.adaptive.known import with_known
 from pinav.navigation.adaptive.steering import Adaptive
 from pinav.navigation.belief.belief import Belief, Frame
+from pinav.navigation.design.campaign import learn
 from pinav.trajectories import Trajectories, Trajectory
 
 SPEED = 2.0
@@ -52,9 +52,7 @@ def believe_data(
         sd = max(speed, position_noise)
         if belief is None:
             belief = adaptive.believe(frames[0])
-        belief = belief.restart(frames[0], speed_sd=sd)
-        for frame in frames[1:]:
-            belief = belief.after(with_known(frame, belief, adaptive.physics))
+        belief = learn(adaptive, belief, frames, sd)
     assert belief is not None
     return belief
 
