@@ -1,31 +1,17 @@
-import jax.numpy as jnp
 import numpy as np
+from tests.fitting.structure.observed_forces import observed_forces
 
 from pinav.fitting.structure.patterns import lattices, obstacles
 from pinav.fitting.structure.proposals import propose
-from pinav.fitting.structure.response import ForceResponse
 from pinav.fitting.structure.starts import Region
-from pinav.forces import GaussianBarrier, LatticeTerm, PlaneWaves, SumForce, forces_at
+from pinav.forces import GaussianBarrier, LatticeTerm, PlaneWaves, SumForce
 
 POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 300, 2))
 REGION = Region.of(POINTS[0])
 
 
 def response(truth):
-    """Every force is observed, with noise."""
-    points, times = jnp.asarray(POINTS), jnp.zeros(POINTS.shape[:2])
-    forces = np.asarray(forces_at(truth, times, points))
-    noise = 0.02 * np.random.default_rng(2).normal(size=forces.shape)
-    count = forces[0].size
-    return ForceResponse(
-        rows=jnp.eye(count)[None],
-        targets=jnp.asarray(-(forces + noise).reshape(1, -1)),
-        points=points,
-        times=times,
-        forces=jnp.zeros_like(points),
-        num_free=count,
-        squares=0.0,
-    )
+    return observed_forces(truth, POINTS, 0.02)
 
 
 def test_obstacles_are_sought_at_the_peaks_of_the_free_potential():

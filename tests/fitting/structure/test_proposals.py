@@ -1,11 +1,11 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.fitting.structure.observed_forces import observed_forces
 
 from pinav.errors import InputError
 from pinav.fitting.environments.terms import TermSummary, summarise_terms, with_terms
 from pinav.fitting.structure.proposals import polish, quick_evidence
-from pinav.fitting.structure.response import ForceResponse
 from pinav.fitting.structure.starts import (
     Region,
     central_term,
@@ -17,7 +17,6 @@ from pinav.forces import (
     KernelPotential,
     SoftWall,
     StructuredForce,
-    forces_at,
 )
 from pinav.scenarios import scenario
 
@@ -26,20 +25,7 @@ REGION = Region.of(POINTS[0])
 
 
 def response(truth, noise=0.01):
-    """Every force is observed, with noise."""
-    points, times = jnp.asarray(POINTS), jnp.zeros(POINTS.shape[:2])
-    forces = np.asarray(forces_at(truth, times, points))
-    noise = noise * np.random.default_rng(2).normal(size=forces.shape)
-    count = forces[0].size
-    return ForceResponse(
-        rows=jnp.eye(count)[None],
-        targets=jnp.asarray(-(forces + noise).reshape(1, -1)),
-        points=points,
-        times=times,
-        forces=jnp.zeros_like(points),
-        num_free=count,
-        squares=0.0,
-    )
+    return observed_forces(truth, POINTS, noise)
 
 
 def test_a_centre_is_polished_from_nearby():

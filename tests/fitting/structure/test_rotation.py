@@ -2,6 +2,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.fitting.structure.observed_forces import observed_forces
 
 from pinav.dynamics import FixedStep
 from pinav.errors import FitError
@@ -11,8 +12,7 @@ from pinav.fitting.environments.kernels import kernel_environment
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.fitting.evidence.quadratic import Quadratic, restrict
 from pinav.fitting.structure import search
-from pinav.fitting.structure.response import ForceResponse
-from pinav.fitting.structure.rotation import SurveyedRotation, weigh_surveyed
+from pinav.fitting.structure.rotation import SurveyedRotation, survey_rotation
 from pinav.fitting.structure.starts import Region
 from pinav.fitting.structure.survey import Survey
 from pinav.forces import (
@@ -35,25 +35,12 @@ KERNELS = KernelPotential.with_zero_weights(
 
 
 def response(truth):
-    """Every force is observed, with noise."""
-    points, times = jnp.asarray(POINTS), jnp.zeros(POINTS.shape[:2])
-    forces = np.asarray(forces_at(truth, times, points))
-    noise = 0.05 * np.random.default_rng(2).normal(size=forces.shape)
-    count = forces[0].size
-    return ForceResponse(
-        rows=jnp.eye(count)[None],
-        targets=jnp.asarray(-(forces + noise).reshape(1, -1)),
-        points=points,
-        times=times,
-        forces=jnp.zeros_like(points),
-        num_free=count,
-        squares=0.0,
-    )
+    return observed_forces(truth, POINTS, 0.05)
 
 
 def test_the_evidence_asks_for_a_rotational_part_where_the_force_turns():
-    assert weigh_surveyed(response(PULL), 0.05, (), KERNELS).gain < DECISIVE
-    assert weigh_surveyed(response(PULL + SWIRL), 0.05, (), KERNELS).gain > 50
+    assert survey_rotation(response(PULL), 0.05, (), KERNELS).gain < DECISIVE
+    assert survey_rotation(response(PULL + SWIRL), 0.05, (), KERNELS).gain > 50
 
 
 def test_parameters_that_are_restricted_to_zero_leave_the_same_squares():
@@ -101,10 +88,10 @@ def ended(monkeypatch):
             return search.StructuredFit(fit, 0.0)
 
         asked = SurveyedRotation(surveyed)
-        monkeypatch.setattr(search, "weigh_surveyed", lambda *_: asked)
+        monkeypatch.setattr(search, "survey_rotation", lambda *_: asked)
         monkeypatch.setattr(search, "fitted_gain", lambda _: fitted)
         monkeypatch.setattr(search._Search, "best", best)
-        found = search._weighed(made, survey)
+        found = search._weigh_rotation(made, survey)
         return type(found.fit.model.environment), found.fit.outcome, found.rotation
 
     return weigh

@@ -186,8 +186,8 @@ def test_nobody_is_released_in_a_disc():
             gap = np.linalg.norm(np.asarray(chosen.starts) - 5.0)
             assert gap > 2.0
     inside = experiment_of(adaptive.task, region=Rectangle([4.0, 4.0], [6.0, 6.0]))
+    stage = Stage(adaptive, inside, belief, way)
     with pytest.raises(InputError, match="release: expected a place outside"):
-        stage = Stage(adaptive, inside, belief, way)
         RandomDesign().choose(stage, key=jax.random.key(0))
 
 

@@ -208,7 +208,7 @@ def propose(
         before = np.inf if best is None else best.noise
         if best is not None and winner.log_evidence < best.log_evidence + 2 * DECISIVE:
             break
-        best = _pruned(winner, response)
+        best = _prune(winner, response)
         if best.noise < ENOUGH * noise or best.noise > PROGRESS * before:
             break
     return best
@@ -221,8 +221,8 @@ def _patterns(response: ForceResponse, region: Region) -> list[Proposal]:
     return [one for one in made if one is not None and np.isfinite(one.log_evidence)]
 
 
-def _pruned(proposal: Proposal, response: ForceResponse) -> Proposal:
-    """Without terms that a later one made needless, and with circles for ellipses."""
+def _prune(proposal: Proposal, response: ForceResponse) -> Proposal:
+    """Leave out terms that a later one made needless; make circles of ellipses."""
     terms = proposal.terms
     if len(terms) < 2:
         return proposal
@@ -236,7 +236,7 @@ def _pruned(proposal: Proposal, response: ForceResponse) -> Proposal:
         for fewer in simpler:
             made = polish(fewer, response)
             if made and made.log_evidence >= proposal.log_evidence - 2 * DECISIVE:
-                return _pruned(made, response)
+                return _prune(made, response)
     return proposal
 
 

@@ -58,7 +58,7 @@ class SurveyedRotation(NamedTuple):
     is_plain: bool = False
 
 
-def weigh_surveyed(
+def survey_rotation(
     response: ForceResponse,
     noise: float,
     terms: Terms,
@@ -108,13 +108,13 @@ def weigh_surveyed(
     )
     gain = float(best.log_evidence - chosen.log_evidence)
     enough = EXPLAINED * noise
-    found = SurveyedRotation(gain, best.noise < enough < chosen.noise)
-    if gain < DECISIVE or scale > 0.0 or found.is_plain:
-        return found
+    rotation = SurveyedRotation(gain, best.noise < enough < chosen.noise)
+    if gain < DECISIVE or scale > 0.0 or rotation.is_plain:
+        return rotation
     better = finer(potential)
     if better is None or len(better.weights) > MOST_KERNELS:
-        return found
-    return weigh_surveyed(response, noise, terms, better, finer)
+        return rotation
+    return survey_rotation(response, noise, terms, better, finer)
 
 
 def fitted_gain(fit: EvidenceFit) -> float:
@@ -143,10 +143,11 @@ def fitted_gain(fit: EvidenceFit) -> float:
         linear.noise,
         prior.slopes,
     )
-    own = model_evidence(linear, fit.hyperparameters).log_evidence
+    with_rotation = model_evidence(linear, fit.hyperparameters).log_evidence
     # the geometry of turning terms is a cost of theirs alone
     cost = 0.5 * num_geometry * float(np.log(linear.num_observed))
-    return own - model_evidence(reduced, chosen).log_evidence - cost
+    without = model_evidence(reduced, chosen).log_evidence
+    return with_rotation - without - cost
 
 
 def mixture_on(potential: KernelPotential) -> KernelMixture:

@@ -30,7 +30,7 @@ from pinav.fitting.environments.refinement import (
 from pinav.fitting.evidence.model_evidence import DECISIVE, model_evidence
 from pinav.fitting.outcome import Outcome
 from pinav.fitting.structure.proposals import Proposal
-from pinav.fitting.structure.rotation import fitted_gain, mixture_on, weigh_surveyed
+from pinav.fitting.structure.rotation import fitted_gain, mixture_on, survey_rotation
 from pinav.fitting.structure.survey import Survey
 from pinav.forces import (
     AbstractForce,
@@ -107,10 +107,10 @@ def fit_structured(
         search = _Search(specification, max_iterations, on_step, throw)
         weighed = isinstance(model.environment, KernelPotential) and weigh_rotation
         if not is_worth_a_search(model, trajectories):
-            return StructuredFit(search.ended(search.free(), AS_FINE_AS_ASKED), np.nan)
+            return StructuredFit(search.fit(search.free(), AS_FINE_AS_ASKED), np.nan)
         survey = Survey.of(specification, search.free())
         if weighed:
-            return _weighed(search, survey)
+            return _weigh_rotation(search, survey)
         force = as_learned_force(model.environment)
         turning = force is None or not force.is_conservative
         return search.best(survey.proposal(rotational=turning))
@@ -156,7 +156,7 @@ class _Search(eqx.Module):
     def free(self) -> BayesProblem:
         return self.specification.problem(self.specification.model)
 
-    def ended(self, problem: BayesProblem, refine: Refinement | None) -> EvidenceFit:
+    def fit(self, problem: BayesProblem, refine: Refinement | None) -> EvidenceFit:
         """A fit, begun anew on finer kernels where it asks for them."""
         how = iterate_refined(
             problem,
@@ -172,9 +172,9 @@ class _Search(eqx.Module):
     def best(self, proposal: Proposal | None) -> StructuredFit:
         """The free fit or that of a proposed structure, by their evidence."""
         model, free = self.specification.model, self.free()
-        structured = None if proposal is None else self._structured(proposal)
+        structured = None if proposal is None else self._fit_proposal(proposal)
         if structured is None or structured.outcome is Outcome.DIVERGED:
-            return StructuredFit(self.ended(free, AS_FINE_AS_ASKED), np.nan)
+            return StructuredFit(self.fit(free, AS_FINE_AS_ASKED), np.nan)
 
         def is_coarse(step: Step) -> bool:
             shape = step.hyperparameters.shape
@@ -187,13 +187,13 @@ class _Search(eqx.Module):
             return StructuredFit(structured, gain)
         if outcome is Outcome.CONVERGED and not is_coarse(steps[-1]):
             return StructuredFit(alone, gain)
-        return StructuredFit(self.ended(free, AS_FINE_AS_ASKED), gain)
+        return StructuredFit(self.fit(free, AS_FINE_AS_ASKED), gain)
 
-    def _structured(self, proposal: Proposal) -> EvidenceFit | None:
+    def _fit_proposal(self, proposal: Proposal) -> EvidenceFit | None:
         """The fit of a proposal beside the free kernels; None where it fails."""
         force = StructuredForce(proposal.terms, self.kernels)
         try:
-            return self.ended(self.of(force).free(), None)
+            return self.fit(self.of(force).free(), None)
         except FitError:
             return None
 
@@ -202,7 +202,7 @@ def _evidence(fit: EvidenceFit) -> float:
     return model_evidence(fit.linear, fit.hyperparameters).log_evidence
 
 
-def _weighed(search: _Search, survey: Survey) -> StructuredFit:
+def _weigh_rotation(search: _Search, survey: Survey) -> StructuredFit:
     """The fit of a potential or that of a mixture, by the evidence of its rotation."""
 
     def finer(kernels: KernelPotential) -> KernelPotential | None:
@@ -211,11 +211,11 @@ def _weighed(search: _Search, survey: Survey) -> StructuredFit:
         return made if isinstance(made, KernelPotential) else None
 
     data = survey.response, survey.noise
-    asked = weigh_surveyed(*data, (), search.kernels)
+    asked = survey_rotation(*data, (), search.kernels)
     proposal = None if asked.is_plain else survey.proposal(rotational=False)
     if asked.gain > DECISIVE and not asked.is_plain:
         terms = () if proposal is None else proposal.terms
-        asked = weigh_surveyed(*data, terms, search.kernels, finer)
+        asked = survey_rotation(*data, terms, search.kernels, finer)
     rotation = asked.gain
     turning = None
     if rotation > DECISIVE:
