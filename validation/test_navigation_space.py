@@ -15,7 +15,7 @@ import pytest
 from pinav.actuation import LinearResponse
 from pinav.evaluation import force_error_at_samples
 from pinav.fitting import fit_bayes, kernel_environment
-from pinav.forces import KernelPotential, WallMobility
+from pinav.forces import KernelPotential, PlaneWaves, WallMobility
 from pinav.navigation import (
     Behind,
     CommandLimits,
@@ -38,7 +38,7 @@ from pinav.scenarios import scenario
 from pinav.systems import System
 from pinav.trajectories import simulate
 
-RUNS, KEY = 100, 1
+RUNS, KEY = 20, 1
 """Runs of each controller, and the key of the recordings."""
 
 
@@ -148,6 +148,32 @@ def test_a_learned_model_leads_through_space(name):
     assert episodes["learned"].reached.mean() >= 0.98
     late = regret(episodes["learned"], episodes["truth"])
     assert late.value < WORST_REGRET[name]
+
+
+@pytest.mark.parametrize("key", [1, 3])
+def test_random_fields_in_space(key):
+    """A potential of length scale 2.2, as smooth as can be, from 64 recordings."""
+    rng = np.random.default_rng(key)
+    field = PlaneWaves(
+        np.full(WAVES, np.sqrt(2 / WAVES)),
+        rng.normal(size=(WAVES, 3)) / 2.2,
+        rng.uniform(0.0, 2 * np.pi, WAVES),
+    )
+    starts, noise = jax.random.split(jax.random.key(key))
+    system = scenario("box", starts, count=64).with_truth(field)
+    data = simulate(system, key=noise)
+    kernels = kernel_environment(KernelPotential, data, dim=3)
+    began = time.process_time()
+    fit = fit_bayes(system.swimmer.with_environment(kernels), data, throw=False)
+    seconds = time.process_time() - began
+    error = force_error_at_samples(fit.model.environment, field, data)
+    print(f"field {key}: {fit.outcome}, error {error:.2%}, {seconds:.0f} s")
+    assert error < 0.10
+    assert seconds < 90.0
+
+
+WAVES = 100
+"""Of a random field."""
 
 
 def test_a_plan_in_space_takes_seconds():

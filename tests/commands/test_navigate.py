@@ -21,7 +21,13 @@ from pinav.commands.places import numbers
 from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import InputError
 from pinav.fitting.environments.catalogue import ModelChoice
-from pinav.forces import RollingPropulsion, UniformFlow, ZeroForce
+from pinav.forces import (
+    Plane,
+    RollingPropulsion,
+    UniformFlow,
+    WallMobility,
+    ZeroForce,
+)
 from pinav.runs import RunFolder
 from pinav.systems import System
 from pinav.trajectories import Trajectories
@@ -174,11 +180,10 @@ def test_an_arena_that_is_not_given_holds_both_ends(tmp_path):
         assert float(arena.distance(jnp.array(place))) < -1.0
 
 
-def space_run(tmp_path):
+def space_run(tmp_path, mobility=1.0):
     """The run of a swimmer in three dimensions, carried by a known flow."""
-    swimmer = OverdampedSwimmer(
-        ZeroForce(), ZeroForce(), 1.0, UniformFlow([0.2, 0.0, 0.1])
-    )
+    flow = UniformFlow([0.2, 0.0, 0.1])
+    swimmer = OverdampedSwimmer(ZeroForce(), ZeroForce(), mobility, flow)
     data = Trajectories.from_arrays(
         [np.arange(3.0)],
         [np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 1.0], [2.0, 1.0, 0.0]])],
@@ -206,6 +211,13 @@ def test_a_run_in_space_gives_a_task_in_space(tmp_path):
     np.testing.assert_allclose(upward, [0.2, 0.0, 1.6], atol=1e-9)
     for place in ([0.0, 0.0, 0.0], [2.0, 1.0, 1.0]):
         assert float(problem.task.arena.distance(jnp.array(place))) < 0
+
+
+def test_the_wall_of_the_mobility_must_not_be_touched(tmp_path):
+    mobility = WallMobility(0.5, 1.0, Plane([0.0, 0.0, 1.0], -1.0))
+    run = space_run(tmp_path, mobility)
+    wall = navigation_problem(NavigateSettings(**IN_SPACE), run).task.keep_out[-1]
+    np.testing.assert_allclose(wall.distance(jnp.array([3.0, 2.0, 1.0])), 1.5)
 
 
 @pytest.mark.parametrize(

@@ -35,12 +35,14 @@ from pinav.forces import (
     MagneticPropulsion,
     Moving,
     NeuralForce,
+    Plane,
     PoiseuilleFlow,
     RollingPropulsion,
     ShearFlow,
     SumForce,
     Superposition,
     TensorDrag,
+    Tube,
     UniaxialTensor,
     UniformFlow,
     WavyDirector,
@@ -257,6 +259,17 @@ def test_dimensions_one_and_three():
         again = parse_system(system_text(system))
         assert eqx.tree_equal(again, system, typematch=True)
         assert again.channels == ("x", "y", "z")[:dim]
+
+
+def test_a_wall_is_a_plane_unless_it_says_that_it_is_a_tube():
+    text = "dimension = 3\norder = 1\n[mobility]\n" + (
+        'kind = "wall-mobility"\nradius = 5.0\nviscosity = 1.0\n[mobility.wall]\n'
+    )
+    plane = parse_system(text + "normal = [0, 0, 1]\nposition = 2.0")
+    assert eqx.tree_equal(plane.swimmer.mobility.wall, Plane([0.0, 0.0, 1.0], 2.0))
+    tube = 'kind = "tube"\nalong = [1, 0, 0]\nmiddle = [0, 1, 2]\nradius = 40.0'
+    found = parse_system(text + tube).swimmer.mobility.wall
+    assert eqx.tree_equal(found, Tube([1.0, 0.0, 0.0], [0.0, 1.0, 2.0], 40.0))
 
 
 def test_friendly_parameters_are_read_and_written():

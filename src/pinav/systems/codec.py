@@ -248,7 +248,8 @@ def decode_module(key: str, family: type, value: Any, context: Context) -> Any:
 
 
 def _class_of(key: str, family: type, value: TOML, context: Context) -> type:
-    kind = value.get("kind", kebab(family) if not inspect.isabstract(family) else None)
+    usual = USUAL.get(family) if inspect.isabstract(family) else kebab(family)
+    kind = value.get("kind", usual)
     known = kinds(family)
     if isinstance(kind, str) and ".py:" in kind:
         cls = load_name(f"{key}.kind", kind, context.folder)
@@ -262,6 +263,10 @@ def _class_of(key: str, family: type, value: TOML, context: Context) -> type:
             f"file.py:Class; got {got}{_guess(kind, known)}"
         )
     return known[kind]
+
+
+USUAL: dict[type, str] = {pinav.forces.AbstractSurface: "plane"}
+"""Kinds that tables of abstract families state without saying so."""
 
 
 def _constructor(

@@ -1,5 +1,7 @@
 """Plans, commands and closed loops in three dimensions, against closed forms."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,7 +10,15 @@ import pytest
 from pinav.actuation import LinearResponse
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
-from pinav.forces import LinearDrag, UniformFlow, ZeroForce
+from pinav.forces import (
+    ConstantForce,
+    LinearDrag,
+    Plane,
+    SampledFlow,
+    Tube,
+    UniformFlow,
+    ZeroForce,
+)
 from pinav.navigation.control.default import controller
 from pinav.navigation.model.predictors import ControlMap
 from pinav.navigation.model.tabulated import tabulate_model
@@ -25,7 +35,7 @@ from pinav.navigation.task.steering import (
     direction_angles,
 )
 from pinav.navigation.task.task import Task
-from pinav.navigation.task.zones import Disc, Rectangle, Wall
+from pinav.navigation.task.zones import Behind, Disc, Rectangle, Wall
 from pinav.navigation.trials.closed_loop import run_many
 from pinav.navigation.trials.metrics import summary
 
@@ -174,6 +184,43 @@ def test_distances_from_a_ball_a_rod_and_a_box():
     rod = Wall([1.0, 0.0, 0.0], [1.0, 0.0, 9.0], 0.5)
     np.testing.assert_allclose(rod.distance(x), 1.5)
     np.testing.assert_allclose(Rectangle([0.0] * 3, [3.0] * 3).distance(x), -1.0)
+
+
+def test_what_is_behind_a_wall_or_outside_a_tube_is_forbidden():
+    floor = Behind(Plane([0.0, 0.0, 2.0], 1.0), nearest=0.25)
+    np.testing.assert_allclose(floor.distance(jnp.array([3.0, 1.0, 2.0])), 0.75)
+    assert floor.distance(jnp.array([3.0, 1.0, 1.1])) < 0
+    vessel = Behind(Tube([1.0, 0.0, 0.0], [0.0, 0.0, 0.0], 2.0), nearest=0.5)
+    np.testing.assert_allclose(vessel.distance(jnp.array([9.0, 0.6, 0.8])), 0.5)
+    assert vessel.distance(jnp.array([9.0, 0.0, 1.6])) < 0
+
+
+def test_a_plan_in_a_drift_that_changes_is_that_of_its_mean():
+    steady = swimming((0.3, 0.0, 0.0))
+    times = jnp.array([0.0, steady.time_limit])
+    velocities = jnp.array([[0.5, 0.1, 0.0], [0.1, -0.1, 0.0]])
+    flow = SampledFlow(times, velocities)
+    swimmer = OverdampedSwimmer(ZeroForce(), ZeroForce(), 1.0, flow)
+    changing = dataclasses.replace(steady, truth=SteeredSwimmer(swimmer, ROLLING))
+    expected, plan = planned(steady, points=13), planned(changing, points=13)
+    np.testing.assert_allclose(plan.values, expected.values, atol=2e-5)
+
+
+def test_samples_in_a_flow_that_changes_differ_by_their_forces_alone():
+    task = swimming()
+    flow = SampledFlow(jnp.array([0.0, 15.0]), jnp.array([[0.5, 0, 0], [0.1, 0, 0]]))
+    samples = [
+        SteeredSwimmer(
+            OverdampedSwimmer(ZeroForce(), ConstantForce([push, 0.0, 0.0]), 1.0, flow),
+            ROLLING,
+        )
+        for push in (-0.3, 0.3)
+    ]
+    tables = tabulate_model(task, samples[0], samples=samples, points=5)
+    assert tables.table.values.shape[0] > 1
+    spread = tables.time_cost.spread
+    assert spread.values.shape[0] == 1
+    np.testing.assert_allclose(spread.values, np.sqrt(0.18 / 3), rtol=1e-6)
 
 
 def test_inertia_in_space_is_refused():

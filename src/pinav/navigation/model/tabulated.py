@@ -1,5 +1,6 @@
 r"""A model on a task's arena, as tables: what plan and controllers work with."""
 
+import dataclasses
 import math
 from collections.abc import Sequence
 
@@ -7,7 +8,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from pinav.dynamics import Swimmer
+from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.forces import ZeroFlow
 from pinav.navigation.model.predictors import (
     ControlMap,
     InertialTable,
@@ -84,7 +86,9 @@ def tabulate_model(
         lambda s: s.values, table, jnp.zeros_like(table.values[..., :1])
     )
     if samples:
-        spread = force_spread([tabulate(one, grid, moments) for one in samples])
+        unknown = _without_flow(samples[0])
+        changes = sample_times(unknown, grid, task.time_limit, times)
+        spread = force_spread([tabulate(one, grid, changes) for one in samples])
         thrust = greatest_rate(table, drive, inertial=inertial)
         spread = eqx.tree_at(lambda s: s.values, spread, spread.values / thrust)
     time_cost = TimeCost(
@@ -96,6 +100,14 @@ def tabulate_model(
         risk_aversion,
     )
     return TabulatedModel(table, predictor, drive, time_cost)
+
+
+def _without_flow(model: SteeredSwimmer) -> SteeredSwimmer:
+    """A model in a fluid at rest, whose swing does not tell samples apart."""
+    if not isinstance(model.dynamics, OverdampedSwimmer):
+        return model
+    still = dataclasses.replace(model.dynamics, flow=ZeroFlow())
+    return dataclasses.replace(model, dynamics=still)
 
 
 def noise_margin(task: Task) -> float:
