@@ -15,6 +15,7 @@ from pinav.dynamics import (
     FixedStep,
     ForwardOnly,
     InterpolatingAdjoint,
+    OverdampedSwimmer,
     Swimmer,
     linear_recursion,
     rollout,
@@ -279,3 +280,17 @@ def test_forward_only_takes_the_steps_of_adaptive_across_jumps_of_the_thrust():
     run = solve(swimmer, y0, ts, solver=ForwardOnly())
     np.testing.assert_allclose(run.ys, expected.ys, rtol=0, atol=1e-10)
     assert run.outcome == expected.outcome
+
+
+@pytest.mark.parametrize("tableau", [TSIT5, RK4], ids=["tsit5", "rk4"])
+def test_a_thrust_that_jumps_at_samples_is_followed_exactly(tableau):
+    """Each step sees the thrust between its ends, whichever way the times round."""
+    times = jnp.arange(20.0) * 0.1
+    thrust = jnp.tile(jnp.cos(jnp.arange(20.0))[:, None], (1, 3))
+    swimmer = OverdampedSwimmer(
+        ScheduledThrust(times, thrust, thrust, 0.0, 0.0), ZeroForce(), 1.0
+    )
+    ts = jnp.linspace(0.0, 2.0, 21)  # differs from `times` in the last digit
+    run = rollout(swimmer, jnp.zeros(3), ts, solver=FixedStep(tableau))
+    expected = jnp.concatenate([jnp.zeros(1), 0.1 * jnp.cumsum(thrust[:, 0])])
+    np.testing.assert_allclose(run.ys[:, 1], expected, rtol=0, atol=1e-12)

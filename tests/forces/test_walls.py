@@ -109,6 +109,18 @@ def test_the_weight_of_the_bead_of_the_recording():
     np.testing.assert_allclose(layer(0.0, x, x), [0.0, 0.0, 4.0])
 
 
+@pytest.mark.parametrize("height", [0.5, 0.01, -0.01, -2.0])
+def test_a_double_layer_pushes_as_its_potential_falls_and_no_more_than_at_contact(
+    height,
+):
+    layer = DoubleLayer(0.08, 0.02, RADIUS, FLOOR)
+    x = jnp.array([0.3, 0.0, 0.5 + RADIUS + height])
+    push = layer(0.0, x, x)
+    slope = jax.grad(lambda x: layer.potential(0.0, x))(x)
+    np.testing.assert_allclose(push, -slope, atol=1e-12)
+    assert 0 < push[2] <= 4.0
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [

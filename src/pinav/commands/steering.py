@@ -11,8 +11,9 @@ from pinav.commands.steering_settings import SteeringSettings
 from pinav.dynamics import OverdampedSwimmer, Swimmer, takes_commands, unbound
 from pinav.errors import InputError
 from pinav.evaluation import enclosing_cube
-from pinav.forces import RollingPropulsion, ZeroForce
+from pinav.forces import RollingPropulsion, WallMobility, ZeroForce
 from pinav.navigation import (
+    Behind,
     CommandLimits,
     Disc,
     ReachGoal,
@@ -91,7 +92,7 @@ def task_of(
 
     The actuator is the propulsion of the model where that takes frequency and heading;
     a swimmer whose thrust cannot be steered gets one that can, of the size that the
-    settings state.
+    settings state. The wall of a mobility must not be touched.
 
     Args:
         settings: of the command line.
@@ -110,12 +111,23 @@ def task_of(
         objective=ReachGoal(list(goal), settings.tolerance),
         limits=limits,
         arena=_arena(settings, places),
-        keep_out=tuple(Disc(list(d[:-1]), d[-1]) for d in settings.discs()),
+        keep_out=(
+            *(Disc(list(d[:-1]), d[-1]) for d in settings.discs()),
+            *_walls(model),
+        ),
         step=settings.step,
         time_limit=settings.time_limit,
         noise=settings.noise,
         delay=lag if settings.delay is None else settings.delay,
     )
+
+
+def _walls(model: Swimmer | OverdampedSwimmer) -> tuple[Behind, ...]:
+    """The wall that the mobility knows, which the swimmer's surface must not touch."""
+    mobility = getattr(model, "mobility", None)
+    if not isinstance(mobility, WallMobility):
+        return ()
+    return (Behind(mobility.wall, mobility.radius),)
 
 
 def _actuation(

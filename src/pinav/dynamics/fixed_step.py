@@ -180,10 +180,11 @@ def _runge_kutta_step(
     tableau: Tableau, vector_field: VectorField, y: State, t: Scalar, h: Scalar
 ) -> State:
     """The stages in a row: the quickest to run."""
-    slopes = [vector_field(t, y)]
-    for node, row in zip(tableau.nodes[1:], tableau.stages, strict=True):
+    times = _stage_times(t, h, jnp.asarray(tableau.nodes, y.dtype))
+    slopes = [vector_field(times[0], y)]
+    for time, row in zip(times[1:], tableau.stages, strict=True):
         y_stage = y + h * _combine(row, slopes)
-        slopes.append(vector_field(t + node * h, y_stage))
+        slopes.append(vector_field(time, y_stage))
     return y + h * _combine(tableau.weights, slopes)
 
 
@@ -204,13 +205,31 @@ def _looped_runge_kutta_step(
         slopes: Float[Array, "stage state"],
         inputs: tuple[Int[Array, ""], Scalar, Float[Array, " stage"]],
     ) -> tuple[Float[Array, "stage state"], None]:
-        index, node, row = inputs
-        slope = vector_field(t + node * h, y + h * (row @ slopes))
+        index, time, row = inputs
+        slope = vector_field(time, y + h * (row @ slopes))
         return slopes.at[index].set(slope), None
 
     empty = jnp.zeros((count, y.shape[0]), y.dtype)
-    slopes, _ = jax.lax.scan(stage, empty, (jnp.arange(count), nodes, rows))
+    times = _stage_times(t, h, nodes)
+    slopes, _ = jax.lax.scan(stage, empty, (jnp.arange(count), times, rows))
     return y + h * (weights @ slopes)
+
+
+def _stage_times(
+    t: Scalar, h: Scalar, nodes: Float[Array, " stage"]
+) -> Float[Array, " stage"]:
+    """Times of the stages, those at the ends moved inside the step.
+
+    A thrust often jumps at a sample. Its value there belongs to the next step, and the
+    rounding of either time must not decide between the two.
+    """
+    largest = jnp.maximum(jnp.abs(t), jnp.abs(t + h))
+    inset = ROUNDING * jnp.finfo(nodes.dtype).eps * jnp.sign(h) * largest
+    return t + nodes * h + (1 - 2 * nodes) * inset
+
+
+ROUNDING = 8.0
+"""Units in the last place by which a time may be off."""
 
 
 def _combine(weights: tuple[float, ...], slopes: list[State]) -> State:

@@ -16,6 +16,7 @@ from pinav.forces.flows import PoiseuilleFlow as PoiseuilleFlow
 from pinav.forces.flows import SampledFlow as SampledFlow
 from pinav.forces.flows import ShearFlow as ShearFlow
 from pinav.forces.flows import SumFlow as SumFlow
+from pinav.forces.flows import TubeFlow as TubeFlow
 from pinav.forces.flows import UniformFlow as UniformFlow
 from pinav.forces.flows import VortexFlow as VortexFlow
 from pinav.forces.flows import ZeroFlow as ZeroFlow
@@ -86,6 +87,9 @@ from pinav.forces.structured import Remainder as Remainder
 from pinav.forces.structured import StructuredForce as StructuredForce
 from pinav.forces.structures import AbstractProfileTerm as AbstractProfileTerm
 from pinav.forces.structures import AbstractTerm as AbstractTerm
+from pinav.forces.surfaces import AbstractSurface as AbstractSurface
+from pinav.forces.surfaces import Plane as Plane
+from pinav.forces.surfaces import Tube as Tube
 from pinav.forces.tensors import AbstractDirector as AbstractDirector
 from pinav.forces.tensors import AbstractTensorField as AbstractTensorField
 from pinav.forces.tensors import BrinkmanTensor as BrinkmanTensor
@@ -97,7 +101,6 @@ from pinav.forces.tensors import WavyDirector as WavyDirector
 from pinav.forces.tensors import as_tensor as as_tensor
 from pinav.forces.tensors import tensor_matrix as tensor_matrix
 from pinav.forces.walls import DoubleLayer as DoubleLayer
-from pinav.forces.walls import Plane as Plane
 from pinav.forces.walls import WallMobility as WallMobility
 from pinav.forces.walls import Weight as Weight
 from pinav.forces.walls import brenner_mobility as brenner_mobility

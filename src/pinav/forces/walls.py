@@ -1,4 +1,4 @@
-r"""A sphere near a plane wall: its mobility, its weight, and the wall's double layer.
+r"""A sphere near a wall: its mobility, its weight, and the wall's double layer.
 
 Lengths are in um, viscosities in mPa s and forces in pN. A gap is $\epsilon = h / a$,
 the distance between surface and wall in radii; a mobility is relative to that far from
@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from pinav.arguments import Scalar, Vector, check_positive, point
 from pinav.errors import InputError
 from pinav.forces.force import AbstractForce
+from pinav.forces.surfaces import AbstractSurface
 from pinav.forces.tensors import AbstractTensorField
 
 GRAVITY = 9.81e-6
@@ -115,41 +116,15 @@ NEAR, FAR = 0.11, 0.14
 """Gaps [radii] between which lubrication passes into the series."""
 
 
-class Plane(eqx.Module):
-    r"""A plane $\{x : n \cdot x = p\}$ that bounds the fluid on the side of $n$.
-
-    Attributes:
-        normal: $n$, which points into the fluid; its length is without effect.
-        position: $p$ [L], measured along the unit normal from the origin.
-
-    Raises:
-        InputError: `normal` is no vector, or zero.
-    """
-
-    normal: Vector = eqx.field(converter=point("Plane.normal"))
-    position: Scalar = 0.0
-
-    def __check_init__(self) -> None:
-        if not jnp.any(self.normal != 0):
-            raise InputError("Plane.normal: expected a vector that is not zero")
-
-    @property
-    def unit_normal(self) -> Vector:
-        """$n$ with the length 1."""
-        return self.normal / jnp.linalg.norm(self.normal)
-
-    def distance(self, x: Vector) -> Float[Array, ""]:
-        """Distance of a point from the plane [L]; negative behind it."""
-        return self.unit_normal.astype(x.dtype) @ x - self.position
-
-
 class WallMobility(AbstractTensorField):
-    r"""Mobility of a sphere near a plane wall, in two dimensions or three.
+    r"""Mobility of a sphere near a wall, in two dimensions or three.
 
     $M = (M_\perp\, n n^\top + M_\parallel (I - n n^\top)) / 6\pi\mu a$ with
     `normal_mobility` and `parallel_mobility` of the gap. It vanishes at contact
     normal to the wall, so that its divergence pushes away from the wall where there is
-    heat: leave that out, and the wall seems to repel.
+    heat: leave that out, and the wall seems to repel. A curved wall counts as the plane
+    that touches it where it is nearest, which holds for spheres that are small against
+    its radius; the far side of a tube is left out.
 
     Attributes:
         radius: $a$ [um], positive.
@@ -162,7 +137,7 @@ class WallMobility(AbstractTensorField):
 
     radius: Scalar
     viscosity: Scalar
-    wall: Plane
+    wall: AbstractSurface
 
     def __check_init__(self) -> None:
         check_positive(self, "radius", "viscosity")
@@ -183,7 +158,7 @@ class WallMobility(AbstractTensorField):
         return normal_mobility(gap) / drag, parallel_mobility(gap) / drag
 
     def _apply(self, x: Vector, vector: Vector, across: Array, along: Array) -> Vector:
-        normal = self.wall.unit_normal.astype(x.dtype)
+        normal = self.wall.normal_at(x)
         return along * vector + (across - along) * (normal @ vector) * normal
 
 
@@ -221,6 +196,8 @@ class Weight(AbstractForce):
 class DoubleLayer(AbstractForce):
     r"""Screened repulsion of a sphere by a wall, $U = E\, e^{-h / \ell}$.
 
+    A sphere that reaches into the wall is pushed as at contact.
+
     Attributes:
         energy: $E$ where the surfaces touch [pN um]; a few $k_B T$ or more.
         length: $\ell$, the Debye length [um], positive.
@@ -237,16 +214,20 @@ class DoubleLayer(AbstractForce):
     energy: Scalar
     length: Scalar
     radius: Scalar
-    wall: Plane
+    wall: AbstractSurface
 
     def __check_init__(self) -> None:
         check_positive(self, "length", "radius")
 
     def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
         """Potential energy [pN um]."""
-        height = self.wall.distance(x) - self.radius
-        return self.energy * jnp.exp(-height / self.length)
+        gaps = self._gap(x)
+        return self.energy * (jnp.exp(-jnp.maximum(gaps, 0)) - jnp.minimum(gaps, 0))
+
+    def _gap(self, x: Vector) -> Float[Array, ""]:
+        """Distance between surface and wall, in Debye lengths."""
+        return (self.wall.distance(x) - self.radius) / self.length
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        push = self.potential(t, x) / self.length
-        return push * self.wall.unit_normal.astype(x.dtype)
+        push = self.energy / self.length * jnp.exp(-jnp.maximum(self._gap(x), 0))
+        return push * self.wall.normal_at(x)

@@ -61,6 +61,7 @@ from pinav.navigation.task.steering import RollingActuator as RollingActuator
 from pinav.navigation.task.steering import SteeredSwimmer as SteeredSwimmer
 from pinav.navigation.task.task import Task as Task
 from pinav.navigation.task.zones import AbstractZone as AbstractZone
+from pinav.navigation.task.zones import Behind as Behind
 from pinav.navigation.task.zones import Disc as Disc
 from pinav.navigation.task.zones import Rectangle as Rectangle
 from pinav.navigation.task.zones import Wall as Wall

@@ -22,6 +22,7 @@ from pinav.scenarios.random_fields import fibres, many_barriers
 from pinav.scenarios.random_starts import Scenario
 from pinav.scenarios.spaces import box
 from pinav.scenarios.thermal_truths import ring, wall
+from pinav.scenarios.vessels import above_wall, tube
 from pinav.systems import System
 
 SCENARIOS: dict[str, Scenario] = {
@@ -42,6 +43,8 @@ SCENARIOS: dict[str, Scenario] = {
     "vortex-current": vortex_current,
     "drift-current": drift_current,
     "box": box,
+    "above-wall": above_wall,
+    "tube": tube,
     "wall": wall,
     "ring": ring,
 }

@@ -5,6 +5,7 @@ import pytest
 
 from pinav.errors import InputError
 from pinav.fitting import KernelGrid, kernel_environment
+from pinav.fitting.environments.catalogue import ModelChoice, summarise_for
 from pinav.fitting.environments.kernels import (
     LIMIT,
     MOST_WEIGHTS,
@@ -31,6 +32,13 @@ def test_kernels_in_space_are_laid_coarsely_unless_asked(tracks, kind):
     assert num_weights(made) <= MOST_WEIGHTS
     asked = kernel_environment(kind, tracks, KernelGrid(), dim=3)
     assert num_weights(asked) > MOST_WEIGHTS
+
+
+def test_a_model_by_name_has_the_kernels_of_a_fit(tracks):
+    made = kernel_environment(KernelPotential, tracks, dim=3)
+    summary = summarise_for(ModelChoice("kernel-potential"), tracks)
+    np.testing.assert_array_equal(summary.centers, made.centers)
+    assert summary.kernel_width == made.width
 
 
 def test_more_weights_than_can_be_fitted_are_refused_with_the_remedy():

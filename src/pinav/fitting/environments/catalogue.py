@@ -178,12 +178,14 @@ class DataSummary(msgspec.Struct, frozen=True):
         )
 
 
-def summarise_data(data: Trajectories, grid: KernelGrid = WITHOUT_PRIOR) -> DataSummary:
+def summarise_data(
+    data: Trajectories, grid: KernelGrid | None = WITHOUT_PRIOR
+) -> DataSummary:
     """The summary of trajectories for a model without a prior.
 
     Args:
         data: the trajectories.
-        grid: how kernels are laid around them.
+        grid: how kernels are laid around them; that of `kernel_environment` where None.
     """
     is_observed = data.observed
     columns = [
@@ -249,7 +251,7 @@ def summarise_for(choice: ModelChoice, data: Trajectories) -> DataSummary:
         choice: the model.
         data: the trajectories.
     """
-    summary = summarise_data(data, KernelGrid())
+    summary = summarise_data(data, None)
     if choice.name != TIMED:
         return summary
     change = changing_environment(data, dim=summary.dim).change

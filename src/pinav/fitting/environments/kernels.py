@@ -74,8 +74,8 @@ def kernel_environment(
 
     Unless given, the grid is as fine as a twelfth of the longer side of the data, the
     kernels are as wide as the grid is fine, and they reach four intervals beyond the
-    samples: a prior must not end within its own length scale. In space the grid is
-    coarser, so that the weights are at most `MOST_WEIGHTS`. That is where `fit_bayes`
+    samples: a prior must not end within its own length scale. In space the grid is the
+    finest whose weights are at most `MOST_WEIGHTS`. That is where `fit_bayes`
     begins; it lays finer ones where the evidence asks for them (`Refinement`).
 
     Args:
@@ -90,7 +90,7 @@ def kernel_environment(
             there are no `dim` channels.
     """
     made = kind.with_zero_weights(*lay_kernels(trajectories, grid, dim))
-    across = KernelGrid().across
+    across = FINEST
     while grid is None and num_weights(made) > MOST_WEIGHTS and across > 1:
         across -= 1
         coarse = KernelGrid(across, margin=IN_TIME.margin)
@@ -102,6 +102,10 @@ MOST_WEIGHTS = 1000
 """Weights with which a fit begins at most, unless a grid is given. A plane never has as
 many; in space a twelfth of the extent makes thousands, and the search for the shape of
 their prior costs the cube of their number."""
+
+FINEST = 24
+"""Intervals across the data of the finest grid in space: that of a long, thin region
+has few kernels."""
 
 LIMIT = 4000
 """Weights beyond which a fit is refused: one step would take hours."""

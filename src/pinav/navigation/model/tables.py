@@ -115,6 +115,12 @@ class FieldTable(eqx.Module):
         product = functools.reduce(jnp.multiply.outer, weights)
         return jnp.tensordot(product, block, self.grid.dim)
 
+    @property
+    def mean(self) -> "FieldTable":
+        """The mean over time: one that does not change."""
+        values = jnp.mean(self.values, axis=0, keepdims=True)
+        return eqx.tree_at(lambda table: table.values, self, values)
+
     def _block(
         self, t: Scalar, corner: Int[Array, " dim"]
     ) -> Float[Array, "*four channel"]:

@@ -153,10 +153,10 @@ def _refined(
 
 
 def sweep_times(
-    task: Task, tables: TabulatedModel, step: float
+    task: Task, table: FieldTable, step: float
 ) -> Float[Array, " moment"] | None:
     """When a plan is swept, as far apart as its steps; None for a steady model."""
-    steady = tables.table.values.shape[0] == 1
+    steady = table.values.shape[0] == 1
     return None if steady else jnp.arange(0.0, task.time_limit, step)
 
 

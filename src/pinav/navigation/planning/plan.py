@@ -265,12 +265,14 @@ def check_reachable(task: Task, plan: TimeToGo) -> None:
 def _position_plan(
     task: Task, tables: TabulatedModel, arrival: ArrivalTest, grid: Grid
 ) -> TimeToGo:
-    step = position_step(tables.table, arrival, grid)
-    times = sweep_times(task, tables, float(step))
+    # Times would be a fourth axis in space: there the plan is that of the mean.
+    table = tables.table if task.dim == 2 else tables.table.mean
+    step = position_step(table, arrival, grid)
+    times = sweep_times(task, table, float(step))
     if times is None:
-        values = settled_values(tables.table, arrival, grid, task.arena)
+        values = settled_values(table, arrival, grid, task.arena)
     else:
-        values = position_values(tables.table, arrival, grid, step, times)
+        values = position_values(table, arrival, grid, step, times)
     lattice = (grid.lower, grid.spacing)
     return assemble_plan(task, tables, arrival, values, lattice, step)
 
@@ -282,7 +284,7 @@ def _phase_plan(
     velocities = jnp.linspace(-top, top, speeds)
     width = float(velocities[1] - velocities[0])
     step = float(phase_step(arrival, velocities))
-    times = sweep_times(task, tables, step)
+    times = sweep_times(task, tables.table, step)
     most = math.ceil(task.time_limit / step)  # as many steps as there is time for
     steps = jnp.asarray(step), jnp.asarray(most)
     values = phase_values(tables.table, arrival, grid, velocities, steps, times)

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar, Vector, check_positive, point
 from pinav.errors import InputError
+from pinav.forces import AbstractSurface
 
 
 class AbstractZone(eqx.Module):
@@ -96,6 +97,21 @@ class Rectangle(AbstractZone):
         beyond = jnp.maximum(self.lower - x, x - self.upper)
         outside = _length(jnp.maximum(beyond, 0.0))
         return outside + jnp.minimum(jnp.max(beyond), 0.0)
+
+
+class Behind(AbstractZone):
+    """What lies behind a surface, or nearer to it than a distance.
+
+    Attributes:
+        surface: such as a wall of the system.
+        nearest: distance that is kept from it, such as the swimmer's radius [L].
+    """
+
+    surface: AbstractSurface
+    nearest: Scalar = 0.0
+
+    def distance(self, x: Vector) -> Float[Array, ""]:
+        return self.surface.distance(x) - self.nearest
 
 
 def clearance(

@@ -1,0 +1,122 @@
+r"""Heavy swimmers without inertia in space, above a wall and in a tube.
+
+Lengths are in um, forces in pN. The swimmer is a sphere of radius 5 um in water, which
+a force drags; its thermal motion, 0.3 um in a second, is left out of the recordings and
+belongs into the noise of a task.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from pinav.dynamics import OverdampedSwimmer
+from pinav.forces import (
+    Domain,
+    DoubleLayer,
+    GaussianBarrier,
+    LinearForce,
+    Plane,
+    Superposition,
+    Tube,
+    TubeFlow,
+    WallMobility,
+    Weight,
+    ZeroForce,
+    random_barriers,
+)
+from pinav.scenarios.random_starts import with_random_starts
+from pinav.scenarios.thrusts import out_and_back
+from pinav.systems import Observation, System, UniformStarts, Units
+
+UNITS = Units("um", "s", "pN")
+
+RADIUS, VISCOSITY, EXCESS_DENSITY = 5.0, 1.0, 20.0
+"""Of the sphere [um], of water [mPa s], and of the sphere over water [kg m⁻³]."""
+
+FIELD_SEED = 2
+"""The field is drawn once: keys of the scenario change its starts, not its world."""
+
+
+@with_random_starts
+def above_wall() -> System:
+    r"""A heavy swimmer above a wall at z = 0, among eight unknown soft posts.
+
+    Its mobility is that of a sphere near a plane; its weight of 0.10 pN and the
+    repulsion by the wall, of 5 pN um and 1 um, are known, as is a trap of 0.01 pN/um
+    along x and y, which keeps it above a square of 100 um. The posts are Gaussian
+    barriers of 15 to 25 pN um and widths of 11 to 14 um, their centres up to 20 um
+    high: the steepest push with up to 1.3 pN. A force of 2 pN drags it out and back
+    along one direction after the other, for 1.5 s each way; more across than up and
+    down. Observed every 0.25 s for 45 s, with an error of 0.2 um. Expected: it sinks by
+    1.1 um/s far from the wall, and at a gap of a radius rises at 0.4 and slides at 0.7
+    of the speed far away.
+
+    It has 16 trajectories unless another number is given.
+    """
+    floor = Plane([0.0, 0.0, 1.0])
+    posts = random_barriers(
+        Domain((10.0, 10.0, 5.0), (90.0, 90.0, 20.0)),
+        8,
+        heights=(15.0, 25.0),
+        widths=(11.0, 14.0),
+        key=jax.random.key(FIELD_SEED),
+    )
+    trap = LinearForce(-0.01 * jnp.diag(jnp.array([1.0, 1.0, 0.0])), [50.0, 50.0, 0.0])
+    weight = Weight(RADIUS, EXCESS_DENSITY, [0.0, 0.0, -1.0])
+    return System(
+        name="above-wall",
+        swimmer=OverdampedSwimmer(
+            out_and_back(45.0, 1.5, 2.0, steep=0.5),
+            ZeroForce(),
+            WallMobility(RADIUS, VISCOSITY, floor),
+            known_force=weight + DoubleLayer(5.0, 1.0, RADIUS, floor) + trap,
+        ),
+        dim=3,
+        environment=posts,
+        observation=Observation(noise=0.2),
+        rule=UniformStarts(lower=(0.0, 0.0, 8.0), upper=(100.0, 100.0, 35.0), count=16),
+        times=jnp.linspace(0.0, 45.0, 181),
+        base_units=UNITS,
+    )
+
+
+@with_random_starts
+def tube() -> System:
+    r"""A swimmer in a tube along x of radius 40 um, with soft plaques on its wall.
+
+    The fluid flows along +x, 4 um/s on the axis in the mean and half as much more and
+    less every 7.5 s, as lymph does. The mobility is that near the wall, which repels as
+    that of `above_wall` does; the swimmer has no weight here. All that is known. Three
+    plaques, Gaussian barriers of 18 to 22 pN um and 15 to 17 um near the wall, are not:
+    the steepest push with up to 0.8 pN. A force of 2 pN drags the swimmer out and back
+    for 1 s each way. Observed every 0.2 s for 15 s, with an error of 0.2 um. Expected:
+    near the wall both flow and mobility are less.
+
+    It has 16 trajectories unless another number is given.
+    """
+    vessel = Tube([1.0, 0.0, 0.0], [0.0, 0.0, 0.0], 40.0)
+    plaques = Superposition(
+        eqx.filter_vmap(GaussianBarrier)(
+            jnp.array([22.0, 20.0, 18.0]),
+            jnp.array([[30.0, 20.0, 6.0], [62.0, -16.0, 14.0], [90.0, 4.0, -22.0]]),
+            jnp.array([17.0, 16.0, 15.0]),
+        )
+    )
+    return System(
+        name="tube",
+        swimmer=OverdampedSwimmer(
+            out_and_back(15.0, 1.0, 2.0),
+            ZeroForce(),
+            WallMobility(RADIUS, VISCOSITY, vessel),
+            flow=TubeFlow(4.0, vessel, pulse=0.5, frequency=1 / 7.5),
+            known_force=DoubleLayer(5.0, 1.0, RADIUS, vessel),
+        ),
+        dim=3,
+        environment=plaques,
+        observation=Observation(noise=0.2),
+        rule=UniformStarts(
+            lower=(0.0, -22.0, -22.0), upper=(110.0, 22.0, 22.0), count=16
+        ),
+        times=jnp.linspace(0.0, 15.0, 76),
+        base_units=UNITS,
+    )
