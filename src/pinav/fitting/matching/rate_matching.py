@@ -96,7 +96,7 @@ class RateMatching(AbstractDampedPhase):
             computed = jax.vmap(rate, (None, 0, 0))(
                 theta, self.targets.times, self.targets.states
             )
-            return (computed - targets / size).reshape(-1)
+            return (computed - targets / size[None]).reshape(-1)
 
         jacobian = jax.vmap(jax.jacrev(rate), (None, 0, 0))(
             theta, self.targets.times, self.targets.states
