@@ -67,6 +67,8 @@ class BayesReporter(AbstractReporter):
 
     def __call__(self, progress: EvidenceProgress) -> None:
         """Take note of one step."""
+        label = progress.force or self.label
+        self.bar.set_description(label, refresh=False)
         self.bar.set_postfix_str(
             f"{progress.parameters} unknowns, noise {progress.noise:.3g}, log evidence "
             f"{progress.log_evidence:.1f}, defect {progress.defect:.0e}",
@@ -75,7 +77,7 @@ class BayesReporter(AbstractReporter):
         self.bar.update(1)
         self.folder.append_record(
             {
-                "model": self.label,
+                "model": label,
                 "step": progress.done,
                 "unknowns": progress.parameters,
                 "noise": progress.noise,

@@ -1,10 +1,16 @@
 import numpy as np
 from tests.fitting.structure.observed_forces import observed_forces
 
-from pinav.fitting.structure.patterns import lattices, obstacles
+from pinav.fitting.structure.patterns import PotentialMap, lattices, obstacles
 from pinav.fitting.structure.proposals import propose
 from pinav.fitting.structure.starts import Region
-from pinav.forces import GaussianBarrier, LatticeTerm, PlaneWaves, SumForce
+from pinav.forces import (
+    GaussianBarrier,
+    LatticeTerm,
+    LinearForce,
+    PlaneWaves,
+    SumForce,
+)
 
 POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 300, 2))
 REGION = Region.of(POINTS[0])
@@ -17,9 +23,17 @@ def response(truth):
 def test_obstacles_are_sought_at_the_peaks_of_the_free_potential():
     centers = np.array([[3.0, 3.0], [7.0, 4.0], [5.0, 7.5]])
     hills = SumForce(tuple(GaussianBarrier(3.0, place, 1.0) for place in centers))
-    (term,) = (t for t in obstacles(response(hills), REGION) if len(t.centers) == 3)
+    seen = PotentialMap.of(response(hills))
+    (term,) = (t for t in obstacles(seen, REGION) if len(t.centers) == 3)
     gaps = np.linalg.norm(np.asarray(term.centers)[:, None] - centers, axis=-1)
     assert gaps.min(axis=0).max() < 0.4
+
+
+def test_a_hill_is_a_summit_whatever_linear_force_stands_beside_it():
+    hill = GaussianBarrier(3.0, [4.0, 6.0], 1.0)
+    saddle = LinearForce(np.array([[1.0, 0.5], [0.5, -1.0]]), [5.0, 5.0])
+    summits = PotentialMap.of(response(hill + saddle)).summits()
+    np.testing.assert_allclose(summits[0], [4.0, 6.0], atol=0.5)
 
 
 def test_square_lattices_of_every_period_and_direction_are_tried():

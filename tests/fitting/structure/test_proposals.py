@@ -5,16 +5,18 @@ from tests.fitting.structure.observed_forces import observed_forces
 
 from pinav.errors import InputError
 from pinav.fitting.environments.terms import TermSummary, summarise_terms, with_terms
-from pinav.fitting.structure.proposals import polish, quick_evidence
+from pinav.fitting.structure.proposals import propose
 from pinav.fitting.structure.starts import (
     Region,
     central_term,
     linear_term,
     wall_term,
 )
+from pinav.fitting.structure.trials import polish, quick_evidence
 from pinav.forces import (
     GaussianBarrier,
     KernelPotential,
+    LinearForce,
     SoftWall,
     StructuredForce,
 )
@@ -44,6 +46,27 @@ def test_the_evidence_prefers_the_kind_that_is_right():
         (wall_term(REGION, 1.2),),
     ]
     assert wall > max(quick_evidence(terms, data) for terms in others) + 20
+
+
+HILL = GaussianBarrier(3.0, [4.0, 6.0], 1.5)
+SADDLE = LinearForce(np.array([[2.0, 0.5], [0.5, -2.0]]), [5.0, 5.0])
+
+
+@pytest.mark.parametrize(
+    ("truth", "kinds"),
+    [
+        (SADDLE, ["linear"]),
+        (HILL + SADDLE, ["linear", "central"]),
+    ],
+)
+def test_the_search_names_what_is_there_and_nothing_beside_it(truth, kinds):
+    found = propose(response(truth), REGION, 0.01, rotational=False)
+    assert [term.kind for term in found.terms] == kinds
+
+
+def test_a_term_that_left_the_data_is_no_proposal():
+    far = central_term(REGION, np.array([1e6, 0.0]))
+    assert polish((far,), response(SADDLE)) is None
 
 
 def test_terms_are_built_again_from_what_a_file_keeps():

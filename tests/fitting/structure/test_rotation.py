@@ -77,7 +77,7 @@ def ended(monkeypatch):
     survey = Survey(response(PULL), Region.of(POINTS[0]), 0.05)
     monkeypatch.setattr(Survey, "proposal", lambda self, *, rotational: None)
 
-    def weigh(surveyed, fitted, potential, mixture):
+    def weigh(surveyed, beside, fitted, potential, mixture):
         def best(self, proposal):
             outcome = mixture if isinstance(self.kernels, KernelMixture) else potential
             if outcome is None:
@@ -89,6 +89,7 @@ def ended(monkeypatch):
 
         asked = SurveyedRotation(surveyed)
         monkeypatch.setattr(search, "survey_rotation", lambda *_: asked)
+        monkeypatch.setattr(search, "_rotation_beside", lambda *_: beside)
         monkeypatch.setattr(search, "fitted_gain", lambda _: fitted)
         monkeypatch.setattr(search._Search, "best", best)
         found = search._weigh_rotation(made, survey)
@@ -103,12 +104,13 @@ FINE, BAD = Outcome.CONVERGED, Outcome.DIVERGED
 @pytest.mark.parametrize(
     ("gains", "potential", "mixture", "kind", "rotation"),
     [
-        ((-9.0, 40.0), FINE, FINE, KernelPotential, -9.0),
-        ((80.0, 40.0), FINE, FINE, KernelMixture, 40.0),
-        ((80.0, 1.0), FINE, FINE, KernelPotential, 1.0),
-        ((-9.0, 40.0), BAD, FINE, KernelMixture, 40.0),
-        ((-9.0, 40.0), None, FINE, KernelMixture, 40.0),
-        ((80.0, 40.0), FINE, BAD, KernelPotential, None),
+        ((-9.0, 90.0, 40.0), FINE, FINE, KernelPotential, -9.0),
+        ((80.0, 90.0, 40.0), FINE, FINE, KernelMixture, 40.0),
+        ((80.0, -4.0, 40.0), FINE, FINE, KernelPotential, -4.0),
+        ((80.0, 90.0, 1.0), FINE, FINE, KernelPotential, 1.0),
+        ((-9.0, 90.0, 40.0), BAD, FINE, KernelMixture, 40.0),
+        ((-9.0, 90.0, 40.0), None, FINE, KernelMixture, 40.0),
+        ((80.0, 90.0, 40.0), FINE, BAD, KernelPotential, None),
     ],
 )
 def test_the_evidence_of_the_fit_decides_and_a_potential_that_fails_yields(
@@ -121,8 +123,8 @@ def test_the_evidence_of_the_fit_decides_and_a_potential_that_fails_yields(
 
 def test_where_both_fail_the_error_is_that_of_the_potential(ended):
     with pytest.raises(FitError, match="it failed"):
-        ended(-9.0, 40.0, None, None)
-    assert ended(-9.0, 40.0, BAD, None)[:2] == (KernelPotential, BAD)
+        ended(-9.0, -9.0, 40.0, None, None)
+    assert ended(-9.0, -9.0, 40.0, BAD, None)[:2] == (KernelPotential, BAD)
 
 
 @pytest.mark.slow

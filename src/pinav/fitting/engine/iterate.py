@@ -27,6 +27,7 @@ class EvidenceProgress(eqx.Module):
         defect: by which the states miss the dynamics, relative to their spread.
         noise: standard deviation of the observations.
         log_evidence: of the hyperparameters chosen.
+        force: name of the force, where one fit tries several.
     """
 
     done: int
@@ -35,6 +36,7 @@ class EvidenceProgress(eqx.Module):
     defect: float
     noise: float
     log_evidence: float
+    force: str = ""
 
 
 PROBES = 2

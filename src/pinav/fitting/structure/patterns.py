@@ -7,10 +7,11 @@ are the peaks of the potential that free kernels have in the linearised data.
 from collections.abc import Iterator
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, PyTree
+from jaxtyping import Bool, Float, PyTree
 from scipy.ndimage import maximum_filter
 
 from pinav.errors import FitError
@@ -55,28 +56,74 @@ def lattices(region: Region) -> list[LatticeTerm]:
     return made
 
 
-def obstacles(response: ForceResponse, region: Region) -> Iterator[ObstaclesTerm]:
+class PotentialMap(eqx.Module):
+    """The potential that free kernels have in the linearised data.
+
+    Attributes:
+        places: of a grid [L].
+        heights: of the potential there [L² T⁻²].
+        is_seen: whether there are data nearby.
+    """
+
+    places: Float[np.ndarray, "row column 2"]
+    heights: Float[np.ndarray, "row column"]
+    is_seen: Bool[np.ndarray, "row column"]
+
+    @classmethod
+    def of(cls, response: ForceResponse) -> "PotentialMap | None":
+        """The map of the data; None where they do not depend on it."""
+        positions = np.asarray(response.points).reshape(-1, 2)
+        potential = free_potential(response, positions)
+        if potential is None:
+            return None
+        axes = np.linspace(positions.min(axis=0), positions.max(axis=0), MAP_POINTS).T
+        places = np.stack(np.meshgrid(*axes), axis=-1)
+        at = jax.vmap(lambda x: potential.potential(jnp.zeros(()), x))
+        heights = np.asarray(at(jnp.asarray(places.reshape(-1, 2))))
+        gaps = np.linalg.norm(places[:, :, None] - positions[None, None, ::4], axis=-1)
+        return cls(
+            places=places,
+            heights=heights.reshape(places.shape[:2]),
+            is_seen=gaps.min(axis=-1) < float(potential.width),
+        )
+
+    def peaks(
+        self, heights: Float[np.ndarray, "row column"], apart: int, least: float
+    ) -> Float[np.ndarray, "peak 2"]:
+        """Where heights over the map have peaks, the highest first [L].
+
+        Args:
+            heights: what to look at.
+            apart: points within which a peak is the only one.
+            least: height of a peak that counts, relative to the highest.
+        """
+        seen = np.where(self.is_seen, heights, 0.0)
+        is_peak = (seen == maximum_filter(seen, size=apart)) & (
+            seen > least * seen.max()
+        )
+        order = np.argsort(-seen[is_peak])
+        return self.places[is_peak][order]
+
+    def summits(self) -> Float[np.ndarray, "place 2"]:
+        """Where the potential differs most from that of a linear force [L]."""
+        x, y = np.moveaxis(self.places, -1, 0)
+        columns = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
+        seen = columns[self.is_seen], self.heights[self.is_seen]
+        rest = self.heights - columns @ np.linalg.lstsq(*seen, rcond=None)[0]
+        return self.peaks(np.abs(rest), NEARBY, SUMMIT)[:MOST_PEAKS]
+
+
+NEARBY, SUMMIT = 9, 0.3
+"""Points of the map within which a summit is the only one, and its height at least,
+relative to the highest."""
+
+
+def obstacles(seen: PotentialMap, region: Region) -> Iterator[ObstaclesTerm]:
     """Several hills or several wells at the peaks of the free potential, if any."""
-    positions = np.asarray(response.points).reshape(-1, 2)
-    potential = free_potential(response, positions)
-    if potential is None:
-        return
-    axes = np.linspace(positions.min(axis=0), positions.max(axis=0), MAP_POINTS).T
-    places = np.stack(np.meshgrid(*axes), axis=-1)
-    at = jax.vmap(lambda x: potential.potential(jnp.zeros(()), x))
-    heights = np.asarray(at(jnp.asarray(places.reshape(-1, 2)))).reshape(
-        places.shape[:2]
-    )
-    gaps = np.linalg.norm(places[:, :, None] - positions[None, None, ::4], axis=-1)
-    is_seen = gaps.min(axis=-1) < float(potential.width)
-    middle = np.median(heights[is_seen])
+    middle = np.median(seen.heights[seen.is_seen])
     start = central_term(region, region.middle)
     for sign in (1.0, -1.0):
-        rise = np.where(is_seen, sign * (heights - middle), 0.0)
-        is_peak = (rise == maximum_filter(rise, size=APART)) & (
-            rise > PEAK * rise.max()
-        )
-        centers = places[is_peak]
+        centers = seen.peaks(sign * (seen.heights - middle), APART, PEAK)
         if 2 <= len(centers) <= MOST_PEAKS:
             yield ObstaclesTerm(
                 weights=start.weights,

@@ -7,43 +7,23 @@ than their geometry costs.
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, PyTree
+from jaxtyping import Float
 
-from pinav.errors import FitError
-from pinav.fitting.engine.iterate import iterate
-from pinav.fitting.engine.steps import FullStep
-from pinav.fitting.evidence.evidence import (
-    LinearisedObservations,
-    Whitened,
-    at_shape,
-    best_hyperparameters,
-    posterior_mean,
-)
 from pinav.fitting.evidence.model_evidence import DECISIVE
-from pinav.fitting.evidence.weights import GaussianWeights
-from pinav.fitting.least_squares import Regression
-from pinav.fitting.structure.patterns import lattices, obstacles
-from pinav.fitting.structure.response import ForceResponse, force_quadratic
+from pinav.fitting.structure.patterns import PotentialMap, lattices, obstacles
+from pinav.fitting.structure.response import ForceResponse
 from pinav.fitting.structure.starts import (
-    KERNELS,
     Region,
-    central_term,
     circular,
     ellipses,
     scanned_terms,
 )
-from pinav.forces import (
-    AbstractTerm,
-    CentralTerm,
-    EllipticTerm,
-    SumForce,
-)
-from pinav.forces.priors import AbstractPrior, MixturePrior
+from pinav.fitting.structure.trials import Proposal, Terms, polish, quick_evidence
+from pinav.forces import AbstractTerm, CentralTerm, EllipticTerm
 
 CLOSER = (0.3, 0.1)
 """Sizes of further grids of centres, each about the best of those before."""
@@ -55,128 +35,19 @@ EXPLAINED = 1.5
 """Misfit of a proposal, relative to the noise, above which it is not fitted: its free
 remainder would have to carry too much."""
 
+HOPELESS = 5.0
+"""Misfit of as many terms as there may be, relative to the noise, at which the search
+ends: none of them is worth leaving out for another."""
+
 MOST_ROUNDS = 4
 """Times that a term is added, after some of which an earlier one may go."""
 
-POLISH = 8
-"""Steps of the engine for the geometry of a proposal."""
+PROMISING = 3
+"""Kinds that are polished, of those that were scanned."""
 
-Terms = tuple[AbstractTerm, ...]
-
-
-class Proposal(eqx.Module):
-    """Terms with their geometry, and what the linearised data think of them.
-
-    Attributes:
-        terms: with weights.
-        log_evidence: less what the geometry costs.
-        noise: standard deviation of what they leave unexplained.
-    """
-
-    terms: Terms
-    log_evidence: float
-    noise: float
-
-
-def _linearised(terms: Terms, response: ForceResponse) -> LinearisedObservations:
-    """What the data say of the weights of terms of a given geometry."""
-    quadratic = force_quadratic(SumForce(terms), response, _weights)
-    return LinearisedObservations.of(quadratic)
-
-
-def _weights(force: Any) -> PyTree:
-    return [term.weights for term in force.terms]
-
-
-def _prior(terms: Terms) -> AbstractPrior:
-    """Prior of several terms, independent of each other."""
-    whole = terms[0].prior()
-    for term in terms[1:]:
-        whole = MixturePrior(whole, term.prior())
-    return whole
-
-
-def quick_evidence(terms: Terms, response: ForceResponse) -> float:
-    """Log evidence of terms of a geometry, at a fixed smoothness of their profiles.
-
-    The noise is estimated: far from the right geometry nothing explains the data, and
-    with the noise fixed wild profiles would.
-    """
-    prior = _prior(terms)
-    try:
-        data = _linearised(terms, response)
-    except FitError:
-        return -np.inf
-    best = at_shape(data, prior.covariance, _smooth(terms, prior))
-    return best.log_evidence - cost(terms, response)
-
-
-def with_profiles(terms: Terms, response: ForceResponse) -> Terms:
-    """The terms with the weights of highest evidence for their geometry.
-
-    Raises:
-        FitError: the data do not depend on them.
-    """
-    prior, data = _prior(terms), _linearised(terms, response)
-    chosen = best_hyperparameters(
-        data, prior.covariance, _smooth(terms, prior), prior.bounds, None, prior.slopes
-    )
-    white = Whitened.of(data, prior.covariance(chosen.shape))
-    mean, made = posterior_mean(white, chosen), []
-    for term in terms:
-        count = len(term.weights)
-        weights, mean = jnp.asarray(mean[:count]), mean[count:]
-        made.append(eqx.tree_at(lambda one: one.weights, term, weights))
-    return tuple(made)
-
-
-def _smooth(terms: Terms, prior: AbstractPrior) -> Float[np.ndarray, " shape"]:
-    """The start of the search, with profiles as smooth as a tenth of the extent."""
-    shape = prior.start.copy()
-    place = 0
-    for index, term in enumerate(terms):
-        entries = len(term.prior().start)
-        if entries > 1:
-            shape[place] = np.log(0.1 * KERNELS)
-        place += entries + (index > 0)
-    return shape
-
-
-def cost(terms: Terms, response: ForceResponse) -> float:
-    """What the numbers of the geometry cost: a prior of unit information each."""
-    count = sum(leaf.size for term in terms for leaf in term.geometry)
-    return 0.5 * count * float(np.log(response.num_free)) + 3.0 * len(terms)
-
-
-def polish(terms: Terms, response: ForceResponse) -> Proposal | None:
-    """Profiles and geometry of the highest evidence; None where there is no best.
-
-    A geometry has no derivative while its profile is zero, so that the profiles come
-    first.
-    """
-    try:
-        terms = with_profiles(terms, response)
-        shaped = any(term.geometry for term in terms)
-        problem = Regression.of(
-            SumForce(terms),
-            response,
-            weights=_weights,
-            weights_prior=GaussianWeights(_prior(terms)),
-            constants=lambda m: [term.geometry for term in m.terms],
-            step_rule=FullStep(),
-            is_linear=not shaped,
-            num_projected=response.num_projected,
-        )
-        _, steps = iterate(problem, POLISH)
-    except FitError:
-        return None
-    if not steps:
-        return None
-    best = max(steps, key=lambda step: step.hyperparameters.log_evidence)
-    fitted = problem.parametric(jnp.asarray(best.move.theta))
-    chosen = best.hyperparameters
-    value = float(chosen.log_evidence) - cost(terms, response)
-    return Proposal(fitted.terms, value, chosen.noise)
+ENOUGH, PROGRESS = 1.15, 0.8
+"""Misfit, relative to the noise, at which nothing is left to explain; and relative to
+the misfit before, above which further terms lead nowhere."""
 
 
 def propose(
@@ -194,12 +65,15 @@ def propose(
         noise: of the observations, roughly.
         rotational: whether the force may have no potential.
     """
+    planar = len(region.middle) == 2
+    seen = PotentialMap.of(response) if planar else None
+    ground = _Ground(response, region, noise, seen)
     best: Proposal | None = None
     for _ in range(MOST_ROUNDS):
         if best is not None and len(best.terms) == MOST_TERMS:
             break
         terms = () if best is None else best.terms
-        trials = _extended(terms, response, region, noise, rotational=rotational)
+        trials = ground.extended(terms, rotational=rotational)
         if not trials:
             break
         most = max(one.log_evidence for one in trials)
@@ -208,17 +82,16 @@ def propose(
         before = np.inf if best is None else best.noise
         if best is not None and winner.log_evidence < best.log_evidence + 2 * DECISIVE:
             break
-        best = _prune(winner, response)
-        if best.noise < ENOUGH * noise or best.noise > PROGRESS * before:
+        best = winner
+        if best.noise > PROGRESS * before or (
+            len(best.terms) == MOST_TERMS and best.noise > HOPELESS * noise
+        ):
+            break
+        if best.noise < EXPLAINED * noise or len(best.terms) == MOST_TERMS:
+            best = _prune(winner, response)
+        if best.noise < ENOUGH * noise:
             break
     return best
-
-
-def _patterns(response: ForceResponse, region: Region) -> list[Proposal]:
-    """Lattices and obstacles of one kind, polished, where simpler terms fail."""
-    starts = [_best(lattices(region), (), response), *obstacles(response, region)]
-    made = [polish((start,), response) for start in starts]
-    return [one for one in made if one is not None and np.isfinite(one.log_evidence)]
 
 
 def _prune(proposal: Proposal, response: ForceResponse) -> Proposal:
@@ -240,51 +113,81 @@ def _prune(proposal: Proposal, response: ForceResponse) -> Proposal:
     return proposal
 
 
-ENOUGH, PROGRESS = 1.15, 0.8
-"""Misfit, relative to the noise, at which nothing is left to explain; and relative to
-the misfit before, above which further terms lead nowhere."""
+class _Ground(eqx.Module):
+    """Where terms are sought.
 
+    Attributes:
+        response: of the data to forces.
+        region: where they are.
+        noise: of the observations, roughly.
+        seen: the potential of free kernels, in the plane.
+    """
 
-def _extended(
-    terms: Terms,
-    response: ForceResponse,
-    region: Region,
-    noise: float,
-    *,
-    rotational: bool,
-) -> list[Proposal]:
-    """Structures with one term more than there are, of each kind, polished."""
-    proposals: list[Proposal] = []
-    for starts in scanned_terms(region, rotational=rotational):
-        chosen = _best(starts, terms, response)
+    response: ForceResponse
+    region: Region
+    noise: float
+    seen: PotentialMap | None
+
+    def extended(self, terms: Terms, *, rotational: bool) -> list[Proposal]:
+        """Structures with one term more than there are, of each kind, polished.
+
+        A linear force stands beside the first: where swimmers are flung out, nothing
+        else explains anything without it.
+        """
+        linear, *kinds = scanned_terms(
+            self.region, self._summits, rotational=rotational
+        )
+        beside = terms or tuple(linear)
+        found = [(*beside, self._scan(starts, beside)) for starts in kinds]
+        worth = [quick_evidence(one, self.response) for one in found]
+        least = sorted(worth)[-PROMISING:][0]
+        found = [one for one, value in zip(found, worth, strict=True) if value >= least]
+        proposals = self._polished([(*terms, *linear), *found])
+        if self.seen is None or self._is_explained(proposals):
+            return proposals
+        starts = ellipses(self.region, self._summits)
+        proposals += self._polished([(*beside, self._scan(starts, beside))])
+        if terms or self._is_explained(proposals):
+            return proposals
+        starts = obstacles(self.seen, self.region)
+        lattice = self._best(lattices(self.region), ())
+        patterns = self._polished([(lattice,), *((start,) for start in starts)])
+        # of a sum that is not explained yet a pattern is a poor beginning
+        return proposals + [
+            one for one in patterns if one.noise < EXPLAINED * self.noise
+        ]
+
+    @property
+    def _summits(self) -> Float[np.ndarray, "place dim"]:
+        if self.seen is None:
+            return np.zeros((0, len(self.region.middle)))
+        return self.seen.summits()
+
+    def _is_explained(self, proposals: Sequence[Proposal]) -> bool:
+        return any(one.noise < ENOUGH * self.noise for one in proposals)
+
+    def _polished(self, structures: Sequence[Terms]) -> list[Proposal]:
+        made = [polish(terms, self.response) for terms in structures]
+        return [one for one in made if one and np.isfinite(one.log_evidence)]
+
+    def _scan(self, starts: Sequence[AbstractTerm], terms: Terms) -> AbstractTerm:
+        """The best term of a kind, its centre on finer and finer grids."""
+        chosen = self._best(starts, terms)
         for fraction in CLOSER:
-            if not isinstance(chosen, CentralTerm):
+            if not isinstance(chosen, CentralTerm | EllipticTerm):
                 break
-            closer = [
-                central_term(region, place, rotational=chosen.rotational)
-                for place in region.grid(np.asarray(chosen.center), fraction)
-            ]
-            chosen = _best([chosen, *closer], terms, response)
-        made = polish((*terms, chosen), response)
-        if made is None or not np.isfinite(made.log_evidence):
-            continue
-        proposals.append(made)
-        last = made.terms[-1]
-        unexplained = made.noise > ENOUGH * noise and len(region.middle) == 2
-        if isinstance(last, CentralTerm) and unexplained:
-            bent = polish((*terms, _best(ellipses(last), terms, response)), response)
-            proposals += [bent] if bent is not None else []
-    explained = any(one.noise < ENOUGH * noise for one in proposals)
-    if terms or explained or len(region.middle) != 2:
-        return proposals
-    patterns = _patterns(response, region)
-    # of a sum that is not explained yet a pattern is a poor beginning
-    return proposals + [one for one in patterns if one.noise < EXPLAINED * noise]
+            places = self.region.grid(np.asarray(chosen.center), fraction)
+            closer = [_moved(chosen, place) for place in places]
+            chosen = self._best([chosen, *closer], terms)
+        return chosen
+
+    def _best(self, starts: Sequence[AbstractTerm], terms: Terms) -> AbstractTerm:
+        """The term that explains most beside those that there are."""
+        values = [quick_evidence((*terms, start), self.response) for start in starts]
+        return starts[int(np.argmax(values))]
 
 
-def _best(
-    starts: Sequence[AbstractTerm], terms: Terms, response: ForceResponse
-) -> AbstractTerm:
-    """The term that explains most beside those that there are."""
-    values = [quick_evidence((*terms, start), response) for start in starts]
-    return starts[int(np.argmax(values))]
+def _moved(
+    term: CentralTerm | EllipticTerm, center: Float[np.ndarray, " dim"]
+) -> CentralTerm | EllipticTerm:
+    return eqx.tree_at(lambda one: one.center, term, jnp.asarray(center))

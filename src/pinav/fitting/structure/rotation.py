@@ -6,7 +6,6 @@ any fit, about the smoothed states, where the comparison costs no dynamics; and 
 the states of a fitted mixture, where it is that of the fits near the decision.
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +19,6 @@ from pinav.fitting.evidence.evidence import (
     best_hyperparameters,
 )
 from pinav.fitting.evidence.model_evidence import (
-    DECISIVE,
     LinearFit,
     model_evidence,
 )
@@ -38,12 +36,6 @@ from pinav.forces import (
 RATIOS = (-3.0, -1.0, 1.0)
 """Logarithms of the amplitude of a rotational part, relative to the potential, that are
 tried before any fit."""
-
-MOST_KERNELS = 1000
-"""Of a grid on which the two are compared before any fit."""
-
-Finer = Callable[[KernelPotential], KernelPotential | None]
-"""A potential on a finer grid; None where there is no room for one."""
 
 
 class SurveyedRotation(NamedTuple):
@@ -63,21 +55,18 @@ def survey_rotation(
     noise: float,
     terms: Terms,
     potential: KernelPotential,
-    finer: Finer = lambda _: None,
 ) -> SurveyedRotation:
     """The evidence of a rotational part in the linearised data.
 
-    It is compared beside the conservative structure that was proposed, if one was, and,
-    unless the mixture alone explains the data, on kernels as fine as the potential asks
-    for: what coarse kernels miss, a rotational part would seem to explain. The search
-    for its own shape is short, so that the gain is at least this.
+    It is compared beside conservative terms, if there are any. On kernels that are too
+    coarse a rotational part explains what they miss. The search for its own shape is
+    short, so that the gain is at least this.
 
     Args:
         response: of the data to forces.
         noise: of the observations, roughly.
         terms: conservative ones that are there in any case; there may be none.
         potential: the kernels.
-        finer: how kernels are laid anew.
     """
     mixture = mixture_on(potential)
     try:
@@ -108,13 +97,7 @@ def survey_rotation(
     )
     gain = float(best.log_evidence - chosen.log_evidence)
     enough = EXPLAINED * noise
-    rotation = SurveyedRotation(gain, best.noise < enough < chosen.noise)
-    if gain < DECISIVE or scale > 0.0 or rotation.is_plain:
-        return rotation
-    better = finer(potential)
-    if better is None or len(better.weights) > MOST_KERNELS:
-        return rotation
-    return survey_rotation(response, noise, terms, better, finer)
+    return SurveyedRotation(gain, best.noise < enough < chosen.noise)
 
 
 def fitted_gain(fit: EvidenceFit) -> float:

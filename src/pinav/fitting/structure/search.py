@@ -6,6 +6,7 @@ one, each with its own engine run on the same data. The one of higher evidence i
 result. A structured force keeps free kernels beside its terms.
 """
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -156,6 +157,12 @@ class _Search(eqx.Module):
     def free(self) -> BayesProblem:
         return self.specification.problem(self.specification.model)
 
+    def report(self, progress: EvidenceProgress) -> None:
+        """Pass a step on, with the name of the force."""
+        if self.on_step is not None:
+            named = dataclasses.replace(progress, force=name_force(self.kernels))
+            self.on_step(named)
+
     def fit(self, problem: BayesProblem, refine: Refinement | None) -> EvidenceFit:
         """A fit, begun anew on finer kernels where it asks for them."""
         how = iterate_refined(
@@ -164,7 +171,7 @@ class _Search(eqx.Module):
             refine,
             self.specification.trajectories,
             self.max_iterations,
-            self.on_step,
+            self.report,
         )
         advice = ADVICE if self.throw else {}
         return evidence_fit(*how, not_finite=NOT_FINITE, advice=advice)
@@ -180,7 +187,7 @@ class _Search(eqx.Module):
             shape = step.hyperparameters.shape
             return AS_FINE_AS_ASKED.is_needed(model.environment, shape)
 
-        outcome, steps = iterate(free, self.max_iterations, self.on_step, is_coarse)
+        outcome, steps = iterate(free, self.max_iterations, self.report, is_coarse)
         alone = evidence_fit(free, outcome, steps, not_finite=NOT_FINITE, advice={})
         gain = _evidence(structured) - _evidence(alone)
         if gain > DECISIVE:
@@ -193,9 +200,26 @@ class _Search(eqx.Module):
         """The fit of a proposal beside the free kernels; None where it fails."""
         force = StructuredForce(proposal.terms, self.kernels)
         try:
-            return self.fit(self.of(force).free(), None)
+            search = self.of(force)
+            return search.fit(search.free(), None)
         except FitError:
             return None
+
+
+def name_force(force: AbstractForce) -> str:
+    """The kinds of the terms of a force, and its free kernels; empty if it has none."""
+    if isinstance(force, StructuredForce):
+        kinds = " + ".join(term.kind for term in force.terms)
+        return f"{kinds} + {name_force(force.remainder)}"
+    return KERNEL_NAMES.get(type(force), "")
+
+
+KERNEL_NAMES: dict[type[AbstractForce], str] = {
+    KernelPotential: "kernel-potential",
+    KernelForce: "kernel-force",
+    KernelMixture: "kernel-mixture",
+}
+"""Free kernels as the options of commands name them."""
 
 
 def _evidence(fit: EvidenceFit) -> float:
@@ -204,22 +228,15 @@ def _evidence(fit: EvidenceFit) -> float:
 
 def _weigh_rotation(search: _Search, survey: Survey) -> StructuredFit:
     """The fit of a potential or that of a mixture, by the evidence of its rotation."""
-
-    def finer(kernels: KernelPotential) -> KernelPotential | None:
-        data = search.specification.trajectories
-        made = AS_FINE_AS_ASKED.finer(kernels, data)
-        return made if isinstance(made, KernelPotential) else None
-
-    data = survey.response, survey.noise
-    asked = survey_rotation(*data, (), search.kernels)
+    kernels = search.kernels
+    asked = survey_rotation(survey.response, survey.noise, (), kernels)
+    turning, rotation = None, asked.gain
     proposal = None if asked.is_plain else survey.proposal(rotational=False)
-    if asked.gain > DECISIVE and not asked.is_plain:
-        terms = () if proposal is None else proposal.terms
-        asked = survey_rotation(*data, terms, search.kernels, finer)
-    rotation = asked.gain
-    turning = None
-    if rotation > DECISIVE:
-        turning = _turning(search, survey)
+    turned = None
+    if rotation > DECISIVE and proposal is None:
+        turned = survey.proposal(rotational=True)
+    if asked.is_plain or turned is not None:
+        turning = _turning(search, turned)
         if turning is not None and turning.rotation > DECISIVE:
             return turning
         rotation = np.nan if turning is None else turning.rotation
@@ -229,8 +246,15 @@ def _weigh_rotation(search: _Search, survey: Survey) -> StructuredFit:
     except FitError as raised:
         error = raised
     if still is not None and still.fit.outcome is not Outcome.DIVERGED:
+        if rotation > DECISIVE:
+            rotation = _rotation_beside(search, survey, still.fit)
+        if rotation > DECISIVE:
+            turning = _turning(search, turned)
+            rotation = np.nan if turning is None else turning.rotation
+            if turning is not None and rotation > DECISIVE:
+                return turning
         return StructuredFit(still.fit, still.gain, rotation)
-    turning = _turning(search, survey) if turning is None else turning
+    turning = _turning(search, turned) if turning is None else turning
     if turning is not None:
         return turning
     if still is None:
@@ -239,10 +263,19 @@ def _weigh_rotation(search: _Search, survey: Survey) -> StructuredFit:
     return still
 
 
-def _turning(search: _Search, survey: Survey) -> StructuredFit | None:
-    """The fit of a mixture; None where it fails."""
+def _rotation_beside(search: _Search, survey: Survey, fit: EvidenceFit) -> float:
+    """Log evidence of a rotational part in the data linearised about a potential."""
+    force = fit.model.environment
+    terms = force.terms if isinstance(force, StructuredForce) else ()
+    free = force.remainder if isinstance(force, StructuredForce) else force
+    assert isinstance(free, KernelPotential)
+    about = Survey.of(search.specification, search.free(), fit)
+    return survey_rotation(about.response, survey.noise, terms, free).gain
+
+
+def _turning(search: _Search, proposal: Proposal | None) -> StructuredFit | None:
+    """The fit of a mixture, beside a structure or alone; None where it fails."""
     try:
-        proposal = survey.proposal(rotational=True)
         found = search.of(mixture_on(search.kernels)).best(proposal)
     except FitError:
         return None

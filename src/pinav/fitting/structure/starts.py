@@ -3,7 +3,7 @@
 Their kernels and their scanned places come from where the data are.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -36,12 +36,14 @@ class Region(eqx.Module):
         extent: longest side of the box around them [L].
         crowded: longest side of the box around nine tenths of them [L].
         heart: the middle of that box [L].
+        ranks: positions along each axis with equal shares of the data between them [L].
     """
 
     middle: Float[np.ndarray, " dim"]
     extent: float
     crowded: float
     heart: Float[np.ndarray, " dim"]
+    ranks: Float[np.ndarray, "rank dim"]
 
     @classmethod
     def of(cls, positions: Float[np.ndarray, "sample dim"]) -> "Region":
@@ -53,6 +55,7 @@ class Region(eqx.Module):
             extent=float((high - low).max()),
             crowded=float((most - few).max()),
             heart=(few + most) / 2,
+            ranks=np.quantile(positions, np.linspace(0.05, 0.95, GRID), axis=0),
         )
 
     @property
@@ -71,8 +74,12 @@ class Region(eqx.Module):
         """
         middle = self.heart if middle is None else middle
         axis = np.linspace(-0.5, 0.5, GRID) * self.crowded * fraction
-        axes = np.meshgrid(*[axis] * len(middle), indexing="ij")
-        return middle + np.stack(axes, axis=-1).reshape(-1, len(middle))
+        return middle + _meshed([axis] * len(middle))
+
+    def places(self) -> Float[np.ndarray, "point dim"]:
+        """Where centres are scanned first: evenly, and densely where the data are."""
+        # swimmers that are flung out make the even grid coarse
+        return np.concatenate([self.grid(), _meshed(self.ranks.T)])
 
     def distances(self) -> tuple[Float[Array, " kernel"], Float[Array, ""]]:
         """Places of the kernels of a profile of a distance, and their width."""
@@ -89,11 +96,27 @@ class Region(eqx.Module):
         return jnp.asarray(places), jnp.asarray(self.width)
 
 
-def scanned_terms(region: Region, *, rotational: bool) -> Iterator[list[AbstractTerm]]:
-    """Terms of each kind, with the geometries that are scanned."""
+def _meshed(
+    axes: Sequence[Float[np.ndarray, " place"]] | Float[np.ndarray, "dim place"],
+) -> Float[np.ndarray, "point dim"]:
+    """All points whose coordinates are among these."""
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+
+
+def scanned_terms(
+    region: Region, summits: Float[np.ndarray, "place dim"], *, rotational: bool
+) -> Iterator[list[AbstractTerm]]:
+    """Terms of each kind, with the geometries that are scanned.
+
+    Args:
+        region: of the data.
+        summits: further places of centres [L]; there may be none.
+        rotational: whether terms without a potential are among them.
+    """
+    centers = np.concatenate([region.places(), summits])
     for turn in (False, True) if rotational else (False,):
         yield [linear_term(region, rotational=turn)]
-        yield [central_term(region, place, rotational=turn) for place in region.grid()]
+        yield [central_term(region, place, rotational=turn) for place in centers]
         if len(region.middle) == 2:
             angles = np.pi * np.arange(ANGLES) / ANGLES
             yield [wall_term(region, angle, rotational=turn) for angle in angles]
@@ -149,21 +172,30 @@ def circular(term: EllipticTerm) -> CentralTerm:
     )
 
 
-def ellipses(term: CentralTerm) -> list[AbstractTerm]:
-    """Elliptic terms about the centre of a central one, in several directions."""
-    turns = 2 * np.pi * np.arange(8) / 8
+def ellipses(
+    region: Region, centers: Float[np.ndarray, "place 2"]
+) -> list[EllipticTerm]:
+    """Elliptic terms about several centres, in several directions.
+
+    Args:
+        region: of the data.
+        centers: [L].
+    """
+    places, width = region.distances()
+    turns = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     return [
         EllipticTerm(
-            weights=jnp.zeros_like(term.weights),
-            center=term.center,
+            weights=jnp.zeros_like(places),
+            center=jnp.asarray(center),
             shear=jnp.asarray(SHEAR * np.array([np.cos(turn), np.sin(turn)])),
-            places=term.places,
-            width=term.width,
-            rotational=term.rotational,
+            places=places,
+            width=width,
         )
+        for center in centers
         for turn in turns
     ]
 
 
-SHEAR = 0.3
-"""Size of $S$ of the ellipses that are tried: axes in the ratio of 1.8."""
+SHEAR, DIRECTIONS = 0.4, 8
+"""Size of $S$ of the ellipses that are tried, axes in the ratio of 2.2; and how many
+directions."""

@@ -1,10 +1,12 @@
-"""A survey of the data before any fit: their response to forces, and where they are."""
+"""A survey of the data, before a fit or about one: their response to forces."""
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 
 from pinav.fitting.bayes.neural import FitSpecification
 from pinav.fitting.bayes.problem import BayesProblem
+from pinav.fitting.engine.evidence_fit import EvidenceFit
 from pinav.fitting.structure.proposals import EXPLAINED, Proposal, propose
 from pinav.fitting.structure.response import ForceResponse, force_response
 from pinav.fitting.structure.starts import Region
@@ -18,7 +20,7 @@ class Survey(eqx.Module):
     """What the data say of any force, linearised about their smoothed states.
 
     Attributes:
-        response: of the observations to forces; about no force at all.
+        response: of the observations to forces.
         region: where the observations are.
         noise: of the observations, roughly or as it was given.
     """
@@ -28,20 +30,29 @@ class Survey(eqx.Module):
     noise: float
 
     @classmethod
-    def of(cls, specification: FitSpecification, problem: BayesProblem) -> "Survey":
+    def of(
+        cls,
+        specification: FitSpecification,
+        problem: BayesProblem,
+        fit: EvidenceFit | None = None,
+    ) -> "Survey":
         """The survey of the data of a fit.
 
         Args:
             specification: what is asked of the fit.
             problem: its start, with smoothed states.
+            fit: about which the data are linearised; about the smoothed states and no
+                force unless given.
         """
         data, dim = specification.trajectories, specification.dim
-        if problem.states is None:
+        states = problem.states if fit is None else fit.states
+        still = eqx.tree_at(lambda m: m.environment, specification.model, ZeroForce())
+        if states is None:
             raise ValueError("Survey.of: expected a problem with states")
         chosen = slice(None, None, -(-len(data) // MOST_TRAJECTORIES))
         response = force_response(
-            eqx.tree_at(lambda m: m.environment, specification.model, ZeroForce()),
-            problem.states[chosen],
+            still if fit is None else fit.model,
+            jnp.asarray(states)[chosen],
             jax.tree.map(lambda leaf: leaf[chosen], problem.observations),
             specification.solver,
             dim,

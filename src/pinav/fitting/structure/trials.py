@@ -1,0 +1,188 @@
+"""Terms tried on the linearised data: their profiles, their evidence, and a polish.
+
+A geometry is scored at a fixed smoothness of the profiles in milliseconds; the engine's
+own steps polish the geometries that are worth it.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, PyTree
+
+from pinav.errors import FitError
+from pinav.fitting.engine.iterate import iterate
+from pinav.fitting.engine.steps import FullStep
+from pinav.fitting.evidence.evidence import (
+    Hyperparameters,
+    LinearisedObservations,
+    Whitened,
+    at_shape,
+    best_hyperparameters,
+    posterior_mean,
+)
+from pinav.fitting.evidence.weights import GaussianWeights
+from pinav.fitting.least_squares import Regression
+from pinav.fitting.structure.response import ForceResponse, force_quadratic
+from pinav.fitting.structure.starts import KERNELS
+from pinav.forces import AbstractProfileTerm, AbstractTerm, SumForce
+from pinav.forces.priors import AbstractPrior, MixturePrior
+
+POLISH = 8
+"""Steps of the engine for the geometry of a proposal."""
+
+Terms = tuple[AbstractTerm, ...]
+
+
+class Proposal(eqx.Module):
+    """Terms with their geometry, and what the linearised data think of them.
+
+    Attributes:
+        terms: with weights.
+        log_evidence: less what the geometry costs.
+        noise: standard deviation of what they leave unexplained.
+    """
+
+    terms: Terms
+    log_evidence: float
+    noise: float
+
+
+def _linearised(terms: Terms, response: ForceResponse) -> LinearisedObservations:
+    """What the data say of the weights of terms of a given geometry."""
+    quadratic = force_quadratic(SumForce(terms), response, _weights)
+    return LinearisedObservations.of(quadratic)
+
+
+def _weights(force: Any) -> PyTree:
+    return [term.weights for term in force.terms]
+
+
+def _prior(terms: Terms) -> AbstractPrior:
+    """Prior of several terms, independent of each other."""
+    whole = terms[0].prior()
+    for term in terms[1:]:
+        whole = MixturePrior(whole, term.prior())
+    return whole
+
+
+def quick_evidence(terms: Terms, response: ForceResponse) -> float:
+    """Log evidence of terms of a geometry, at the better of a few smoothnesses.
+
+    The noise is estimated: far from the right geometry nothing explains the data, and
+    with the noise fixed wild profiles would.
+    """
+    prior = _prior(terms)
+    try:
+        data = _linearised(terms, response)
+    except FitError:
+        return -np.inf
+    return _smoothest(terms, data, prior).log_evidence - cost(terms, response)
+
+
+def with_profiles(terms: Terms, response: ForceResponse) -> Terms:
+    """The terms with the weights of highest evidence for their geometry.
+
+    Raises:
+        FitError: the data do not depend on them.
+    """
+    prior, data = _prior(terms), _linearised(terms, response)
+    start = _smoothest(terms, data, prior).shape
+    chosen = best_hyperparameters(
+        data, prior.covariance, start, prior.bounds, None, prior.slopes
+    )
+    white = Whitened.of(data, prior.covariance(chosen.shape))
+    mean, made = posterior_mean(white, chosen), []
+    for term in terms:
+        count = len(term.weights)
+        weights, mean = jnp.asarray(mean[:count]), mean[count:]
+        made.append(eqx.tree_at(lambda one: one.weights, term, weights))
+    return tuple(made)
+
+
+def _smoothest(
+    terms: Terms, data: LinearisedObservations, prior: AbstractPrior
+) -> Hyperparameters:
+    """The best of a few smoothnesses, which all profiles share."""
+    tried = [
+        at_shape(data, prior.covariance, _smooth(terms, prior, scale))
+        for scale in SMOOTHNESSES
+    ]
+    return max(tried, key=lambda one: one.log_evidence)
+
+
+def _smooth(
+    terms: Terms, prior: AbstractPrior, scale: float
+) -> Float[np.ndarray, " shape"]:
+    """The start of a search, with profiles of a length scale, in extents."""
+    shape = prior.start.copy()
+    place = 0
+    for index, term in enumerate(terms):
+        if isinstance(term, AbstractProfileTerm):
+            shape[place] = np.log(scale * KERNELS)
+        place += len(term.prior().start) + (index > 0)
+    return shape
+
+
+SMOOTHNESSES = (0.1, 0.04)
+"""Length scales of profiles that are tried, as shares of the extent."""
+
+
+def cost(terms: Terms, response: ForceResponse) -> float:
+    """What the numbers of the geometry cost: a prior of unit information each."""
+    count = sum(leaf.size for term in terms for leaf in term.geometry)
+    return 0.5 * count * float(np.log(response.num_free)) + 3.0 * len(terms)
+
+
+def polish(terms: Terms, response: ForceResponse) -> Proposal | None:
+    """Profiles and geometry of the highest evidence; None where there is no best.
+
+    A geometry has no derivative while its profile is zero, so that the profiles come
+    first.
+    """
+    try:
+        terms = with_profiles(terms, response)
+        shaped = any(term.geometry for term in terms)
+        problem = Regression.of(
+            SumForce(terms),
+            response,
+            weights=_weights,
+            weights_prior=GaussianWeights(_prior(terms)),
+            constants=lambda m: [term.geometry for term in m.terms],
+            step_rule=FullStep(),
+            is_linear=not shaped,
+            num_projected=response.num_projected,
+        )
+        _, steps = iterate(problem, POLISH)
+    except FitError:
+        return None
+    steps.sort(key=lambda step: step.hyperparameters.log_evidence, reverse=True)
+    for best in steps:
+        fitted = problem.parametric(jnp.asarray(best.move.theta))
+        if all(_is_in_reach(term, response) for term in fitted.terms):
+            break
+    else:
+        return None
+    chosen = best.hyperparameters
+    value = float(chosen.log_evidence) - cost(terms, response)
+    return Proposal(fitted.terms, value, chosen.noise)
+
+
+def _is_in_reach(term: AbstractTerm, response: ForceResponse) -> bool:
+    """Whether the kernels of a profile reach most of the data.
+
+    Of a term that left them nothing is determined, and the integral over its geometry
+    is no evidence.
+    """
+    if not isinstance(term, AbstractProfileTerm):
+        return True
+    points = response.points.reshape(-1, response.points.shape[-1])
+    z = np.asarray(jax.vmap(term.coordinates)(points))
+    reach = float(term.places.max()) + float(term.width)
+    return bool(np.mean(np.abs(z).min(axis=-1) < reach) > MOST)
+
+
+MOST = 0.5
+"""Share of the data that the kernels of a profile must reach."""
