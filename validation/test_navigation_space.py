@@ -56,8 +56,8 @@ class Journey(NamedTuple):
     """
 
     scenario: str
-    start: tuple[float, float, float]
-    goal: tuple[float, float, float]
+    start: tuple[float, ...]
+    goal: tuple[float, ...]
     arena: tuple[list[float], list[float]]
     tolerance: float
     step: float
@@ -121,7 +121,8 @@ def test_a_learned_model_leads_through_space(name):
     began = time.process_time()
     fit = fit_bayes(system.swimmer.with_environment(kernels), data)
     seconds = time.process_time() - began
-    error = force_error_at_samples(fit.model.environment, system.environment, data)
+    field = system.true_swimmer.environment
+    error = force_error_at_samples(fit.model.environment, field, data)
     print(f"{name}: force error at the samples {error:.2%}, {seconds:.0f} s")
 
     task = JOURNEYS[name].task(system)
@@ -141,6 +142,7 @@ def test_a_learned_model_leads_through_space(name):
         episodes[which] = run_many(task, steering, keys)
         outcome = summary(episodes[which], task)
         print(which, outcome, regret(episodes[which], episodes["truth"]))
+    steering = controller(task, models["learned"][0])
     compute = run(task, steering, key=keys[0]).compute[1:]
     print(f"control step: median {1e3 * np.median(compute):.1f} ms")
     assert error < 0.10
