@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from pinav.dynamics import AbstractDynamics, FixedStep, Swimmer
+from pinav.dynamics import AbstractDynamics, FixedStep
 from pinav.errors import InputError
 from pinav.fitting import (
     AbstractObjective,
@@ -17,10 +17,10 @@ from pinav.fitting import (
     TrajectoryLoss,
     curriculum,
     defect_recipe,
-    distillation_rates,
     fit_in_turns,
     is_complete,
     paper_recipe,
+    rates_to_match,
 )
 from pinav.fitting.matching.state import AbstractCheckpoint, FitProgress
 from pinav.fitting.matching.trainable import Trainable
@@ -79,13 +79,11 @@ class Matching:
         recipes: the phases of each attempt.
         objective: what they minimise.
         dtype: floating-point type of the fit.
-        enough: loss below which no other attempt is made.
     """
 
     recipes: tuple[tuple[AbstractPhase, ...], ...]
     objective: AbstractObjective
     dtype: type
-    enough: float = 0.0
 
     @property
     def precision(self) -> str:
@@ -109,7 +107,6 @@ class Matching:
             trainable=trainable,
             objective=self.objective,
             dtype=self.dtype,
-            enough=self.enough,
             checkpoint=checkpoint,
             on_chunk=on_chunk,
         )
@@ -118,7 +115,10 @@ class Matching:
 def matching(
     settings: MatchingSettings, data: Trajectories, model: AbstractDynamics
 ) -> Matching:
-    """The paper's recipe as the paper has it, or the Gauss-Newton curriculum.
+    """The paper's recipe as the paper has it, or the default one.
+
+    The default begins with propagated defects where every state is observed, and turns
+    to the curriculum of windows where these fail or some states are missing.
 
     Args:
         settings: name and steps of the recipe.
@@ -131,31 +131,15 @@ def matching(
     recipes = (curriculum(data, max_steps=settings.max_steps),)
     if is_complete(data):
         linear = _is_linear(model)
-        rates = None if linear else distillation_rates(model, data)
+        rates = None if linear else rates_to_match(model, data)
         if linear or rates is not None:
-            patient = isinstance(model, Swimmer) and not linear
-            exact = defect_recipe(
-                data,
-                rates=rates,
-                max_steps=DEFECT_STEPS * settings.max_steps,
-                patience=PATIENCE if patient else 3,
-            )
-            recipes = (exact, *recipes) if linear else (*recipes, exact)
-    spread = float(np.std(data.states[data.observed]))
-    enough = data.num_observed * (ENOUGH * spread) ** 2
-    objective = TrajectoryLoss(FixedStep(substeps=2))
-    return Matching(recipes, objective, jnp.float64, enough)
+            steps = DEFECT_STEPS * settings.max_steps
+            recipes = (defect_recipe(data, rates=rates, max_steps=steps), *recipes)
+    return Matching(recipes, TrajectoryLoss(FixedStep(substeps=2)), jnp.float64)
 
 
 DEFECT_STEPS = 2
 """Steps of propagated defects for each of a window."""
-
-PATIENCE = 10
-"""Slow steps in a row of a network beside known physics: stretches of gains of a few
-per cent come before steps that gain most of what is left."""
-
-ENOUGH = 1e-5
-"""Residual of a fit that is kept as it is, in units of the spread of the data."""
 
 
 def _is_linear(model: AbstractDynamics) -> bool:

@@ -15,7 +15,7 @@ from pinav.fitting.engine.posterior import Posterior as Posterior
 from pinav.fitting.environments.diagnosis import Cause as Cause
 from pinav.fitting.environments.diagnosis import diagnose as diagnose
 from pinav.fitting.environments.gradient_matching import (
-    distillation_rates as distillation_rates,
+    rates_to_match as rates_to_match,
 )
 from pinav.fitting.environments.gradient_matching import (
     simpler_models as simpler_models,
@@ -54,8 +54,6 @@ from pinav.fitting.langevin import judge_increments as judge_increments
 from pinav.fitting.langevin import slow_reference as slow_reference
 from pinav.fitting.matching.attempts import fit_in_turns as fit_in_turns
 from pinav.fitting.matching.defects import DefectMatching as DefectMatching
-from pinav.fitting.matching.distillation import Distillation as Distillation
-from pinav.fitting.matching.distillation import Rates as Rates
 from pinav.fitting.matching.fit import fit as fit
 from pinav.fitting.matching.fit import fit_many as fit_many
 from pinav.fitting.matching.gauss_newton import GaussNewton as GaussNewton
@@ -67,6 +65,8 @@ from pinav.fitting.matching.phases import LBFGS as LBFGS
 from pinav.fitting.matching.phases import AbstractPhase as AbstractPhase
 from pinav.fitting.matching.phases import Adam as Adam
 from pinav.fitting.matching.phases import BestSoFar as BestSoFar
+from pinav.fitting.matching.rate_matching import RateMatching as RateMatching
+from pinav.fitting.matching.rate_matching import Rates as Rates
 from pinav.fitting.matching.recipes import curriculum as curriculum
 from pinav.fitting.matching.recipes import defect_recipe as defect_recipe
 from pinav.fitting.matching.recipes import is_complete as is_complete

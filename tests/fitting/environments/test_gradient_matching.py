@@ -6,7 +6,7 @@ import pytest
 
 from pinav.dynamics import Adaptive, NeuralDynamics, Swimmer
 from pinav.evaluation import predict, score
-from pinav.fitting import Rates, distillation_rates
+from pinav.fitting import Rates, rates_to_match
 from pinav.fitting.environments.catalogue import (
     DataSummary,
     ModelChoice,
@@ -129,14 +129,14 @@ def test_too_few_samples_give_no_rates(data):
         [data.times[0, :5]], [data.states[0, :5]], channels=data.channels
     )
     assert observed_rates(short) is None
-    assert distillation_rates(TRUTH, short) is None
+    assert rates_to_match(TRUTH, short) is None
     assert simpler_models(TRUTH, short) == {}
 
 
 def test_a_black_box_is_asked_for_the_same_rates_beside_the_path(data):
     network = tanh_network(5, 4, width=4, depth=1, key=jax.random.key(0))
     box = NeuralDynamics(network, (0.0,) * 5, (1.0,) * 5)
-    targets = distillation_rates(box, data)
+    targets = rates_to_match(box, data)
     assert targets is not None
     half = len(targets.times) // 2
     np.testing.assert_array_equal(targets.rates[:half], targets.rates[half:])

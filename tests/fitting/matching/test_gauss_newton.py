@@ -9,11 +9,11 @@ from pinav.dynamics import Adaptive, FixedStep, NeuralDynamics, Swimmer
 from pinav.errors import InputError
 from pinav.fitting import (
     WITHOUT_PRIOR,
-    Distillation,
     GaussNewton,
     Observations,
     Outcome,
     Problem,
+    RateMatching,
     Rates,
     TrajectoryLoss,
     curriculum,
@@ -211,8 +211,8 @@ def test_bad_requests_are_refused(data):
         GaussNewton(window=jnp.asarray(1), target=0.0, rank=0)
     with pytest.raises(InputError, match="curriculum max_steps: expected >= 1, got 0"):
         curriculum(data, max_steps=0)
-    with pytest.raises(InputError, match="Distillation.steps: expected >= 1, got 0"):
-        Distillation(Rates(np.zeros(1), np.zeros((1, 4)), np.zeros((1, 2))), 0)
+    with pytest.raises(InputError, match="RateMatching.steps: expected >= 1, got 0"):
+        RateMatching(Rates(np.zeros(1), np.zeros((1, 4)), np.zeros((1, 2))), 0)
     with pytest.raises(InputError, match="expected an objective with a FixedStep"):
         fit(
             kernel_swimmer(data),

@@ -29,7 +29,7 @@ from pinav.fitting.environments.rates import (
     observed_rates,
     residual_forces,
 )
-from pinav.fitting.matching.distillation import Rates
+from pinav.fitting.matching.rate_matching import Rates
 from pinav.forces import KernelForce, KernelPotential, as_learned_force
 from pinav.trajectories import Trajectories, informative_rows
 

@@ -2,9 +2,8 @@ r"""Gradient matching: the unknown along the observed paths, without a rollout.
 
 Complete states that are all but exact give their own rates of change, by splines, and
 with the known physics the unknown force at every sample. Kernels as fine as held-out
-samples ask for carry it to the places beside the paths, where it decides how fast
-neighbouring rollouts depart from each other. Networks are distilled from these rates
-before their first rollout (`Distillation`).
+samples ask for carry it to the places beside the paths. Networks learn the rates
+themselves before the errors of their rollouts (`RateMatching`).
 
 References:
     Varah, SIAM J. Sci. Stat. Comput. 3, 28 (1982); Ramsay et al., J. R. Stat. Soc. B
@@ -27,19 +26,18 @@ from pinav.fitting.environments.rates import (
     DEGREE,
     MOST_SAMPLES,
     observed_rates,
-    rates_of,
     residual_forces,
     thin_rates,
 )
-from pinav.fitting.matching.distillation import Rates
+from pinav.fitting.matching.rate_matching import Rates
 from pinav.forces import KernelForce, KernelPotential, ZeroForce
 from pinav.trajectories import Trajectories, informative_rows
 
 ACROSS = (6, 8, 11, 15, 20, 27, 36, 48)
 """Intervals of the grids of kernels that are tried, along the extent of the data."""
 
-MOST_KERNELS, MOST_DISTILLED = 900, 250
-"""Kernels of a grid, and samples that enter the distillation of a network, at most."""
+MOST_KERNELS, MOST_MATCHED = 900, 500
+"""Kernels of a grid, and samples whose rates a network learns, at most."""
 
 GOOD_ENOUGH = 1e-6
 """Relative error of held-out samples that needs no finer kernels."""
@@ -233,12 +231,12 @@ def simpler_models(
     }
 
 
-def distillation_rates(model: Any, trajectories: Trajectories) -> Rates | None:
-    """Rates that a model is distilled from, at and beside the observed states.
+def rates_to_match(model: Any, trajectories: Trajectories) -> Rates | None:
+    """Rates that a model learns first, at the observed states.
 
-    Beside them the force of a swimmer is that of the matched kernels. A model without
-    known physics is asked for the same rates there as at the samples, so that its
-    rollouts do not depart from each other.
+    Those of a swimmer are of its velocity alone: the rates of its position are known. A
+    model without known physics is asked for the same rates beside the states, too, so
+    that its rollouts do not depart from each other.
 
     Args:
         model: whose unknown part is to be learned.
@@ -250,32 +248,20 @@ def distillation_rates(model: Any, trajectories: Trajectories) -> Rates | None:
     rates = observed_rates(trajectories)
     if rates is None:
         return None
-    rng = np.random.default_rng(0)
     dim = rates.states.shape[1] // 2
     if not isinstance(model, Swimmer):
         rates = thin_rates(rates, MOST_SAMPLES)
         spread = rates.states.std(axis=0)
+        rng = np.random.default_rng(0)
         offsets = BESIDE * spread * rng.normal(size=rates.states.shape)
         beside = Rates(rates.times, rates.states + offsets, rates.rates)
         return jax.tree.map(lambda *a: np.concatenate(a), rates, beside)
-    environment = match_kernels(model, rates)
-    rates = thin_rates(rates, MOST_DISTILLED)
-    teacher = model.with_environment(environment)
-    reach = TUBE * float(environment.width)
-    moved = [rates.states] * 3
-    for factor in (1.0, 2.0):
-        shift = np.zeros_like(rates.states)
-        shift[:, :dim] = factor * reach * rng.normal(size=(len(shift), dim))
-        moved[int(factor)] = rates.states + shift
-    times, states = np.tile(rates.times, 3), np.concatenate(moved)
-    return Rates(times, states, rates_of(teacher, times, states)[:, dim:])
+    rates = thin_rates(rates, MOST_MATCHED)
+    return Rates(rates.times, rates.states, rates.rates[:, dim:])
 
 
 BESIDE = 0.02
 """Distance of states beside the paths, in standard deviations of each channel."""
-
-TUBE = 0.25
-"""Distance of the nearer positions beside the paths, in widths of a kernel."""
 
 
 def _shape(kind: type, centers: Float[np.ndarray, "kernel dim"]) -> tuple[int, ...]:

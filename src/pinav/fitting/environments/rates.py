@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.dynamics import Swimmer
-from pinav.fitting.matching.distillation import Rates
+from pinav.fitting.matching.rate_matching import Rates
 from pinav.forces import ZeroForce
 from pinav.trajectories import Trajectories, informative_rows
 

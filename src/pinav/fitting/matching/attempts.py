@@ -23,11 +23,10 @@ def fit_in_turns(
     trainable: Trainable,
     objective: AbstractObjective | None = None,
     dtype: type = jnp.float32,
-    enough: float = 0.0,
     checkpoint: AbstractCheckpoint | None = None,
     on_chunk: Callable[[FitProgress], None] | None = None,
 ) -> list[Fit]:
-    """Fit several models; those that miss the data begin anew by the next recipe.
+    """Fit several models; those that do not converge begin anew by the next recipe.
 
     Of the attempts at a model the one with the smallest loss is kept. The loss curves
     of all models are those of all attempts, one after the other.
@@ -39,8 +38,6 @@ def fit_in_turns(
         trainable: see `fit_many`, as the other arguments.
         objective: what is minimised.
         dtype: precision of the fit.
-        enough: loss below which no other recipe is tried. A fit that ended with a
-            hundred times as much left has come to the noise, and is kept, too.
         checkpoint: of the first recipe; later ones begin anew after an interruption.
         on_chunk: called after each chunk of steps.
     """
@@ -54,7 +51,7 @@ def fit_in_turns(
         **options,
     )
     for recipe in recipes[1:]:
-        missed = [i for i, fit in enumerate(fits) if _can_gain(fit, enough)]
+        missed = [i for i, fit in enumerate(fits) if fit.outcome not in ENDED]
         if not missed:
             break
         chosen = [models[i] for i in missed]
@@ -65,17 +62,7 @@ def fit_in_turns(
 
 
 ENDED = (Outcome.CONVERGED, Outcome.COMPLETED)
-"""Outcomes of fits that have nothing more to gain by their own recipe."""
-
-NOISE = 100.0
-"""What is left of a fit that ended is noise above this multiple of `enough`."""
-
-
-def _can_gain(fit: Fit, enough: float) -> bool:
-    """Whether another recipe may lower the loss of a fit."""
-    left = fit.losses[-1]
-    is_noise = fit.outcome in ENDED and left > NOISE * enough
-    return not left <= enough and not is_noise
+"""Outcomes of fits that begin no other recipe."""
 
 
 def _join(before: Fit, after: Fit | None, example: Fit) -> Fit:

@@ -6,9 +6,9 @@ from jaxtyping import Int
 
 from pinav.errors import InputError
 from pinav.fitting.matching.defects import DefectMatching
-from pinav.fitting.matching.distillation import Distillation, Rates
 from pinav.fitting.matching.gauss_newton import GaussNewton
 from pinav.fitting.matching.phases import LBFGS, AbstractPhase, Adam
+from pinav.fitting.matching.rate_matching import RateMatching, Rates
 from pinav.trajectories import Trajectories, informative_samples
 
 
@@ -77,12 +77,11 @@ def defect_recipe(
 
     Args:
         trajectories: every state observed, without noise.
-        rates: of change that the model learns first, such as `distillation_rates`
+        rates: of change that the model learns first, such as `rates_to_match`
             makes.
         max_steps: steps of each phase on trajectories at most.
         precision: as that of `curriculum`.
-        patience: slow steps in a row on trajectories after which the fit ends; rates
-            have two more.
+        patience: slow steps in a row after which a phase ends.
 
     Raises:
         InputError: `max_steps` is not positive, or a state is not observed.
@@ -112,7 +111,7 @@ def defect_recipe(
     if rates is None:
         return match(1, None), match(last, None)
     samples = informative_samples(trajectories, MOST_SAMPLES) - np.array([0, 1])
-    return Distillation(rates, patience=patience + 2), match(last, samples)
+    return RateMatching(rates, patience=patience), match(last, samples)
 
 
 def is_complete(trajectories: Trajectories) -> bool:
@@ -135,7 +134,7 @@ def _full_rollout(
 FIRST_DAMPING, LINEAR_DAMPING = 1e-2, 1e-7
 """Of the first step, and that of a model that is linear in its parameters."""
 
-MOST_SAMPLES = 700
+MOST_SAMPLES = 500
 """Samples whose errors a network is trained on at once, at most: with fewer, its error
 between them stays."""
 
