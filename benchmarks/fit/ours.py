@@ -15,18 +15,19 @@ from pinav.fitting import (
     Fit,
     FitProgress,
     TrajectoryLoss,
-    curriculum,
     defect_recipe,
     fit,
     fit_bayes,
     kernel_environment,
     paper_recipe,
+    rates_to_match,
 )
 from pinav.fitting.environments.catalogue import (
     ModelChoice,
     build,
     learned_part,
     summarise_data,
+    summarise_for_matching,
 )
 from pinav.forces import KernelPotential
 from pinav.scenarios import scenario
@@ -106,8 +107,10 @@ def paper_network(problem: Problem, seed: int, effort: Effort) -> Trained:
 def network(problem: Problem, seed: int, effort: Effort) -> Trained:
     """The paper's network, our default recipe."""
     data, known = _data(problem)
-    model = _model("ude", known, seed, data)
-    recipe = curriculum(data, max_steps=effort.gauss_newton_steps)
+    choice = ModelChoice("ude", seed=seed)
+    model = build(choice, known, summarise_for_matching(choice, known, data))
+    rates = rates_to_match(model, data)
+    recipe = defect_recipe(data, rates=rates, max_steps=effort.gauss_newton_steps)
     return _network(*_fit(problem, data, model, recipe, exact=True))
 
 

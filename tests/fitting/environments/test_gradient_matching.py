@@ -97,9 +97,11 @@ def test_held_out_samples_judge_a_grid_only_where_they_can_be_predicted():
     coarse, fine = KernelGrid(6), KernelGrid(48)
     telling = [
         _Trial(0.04, 0.2, KernelPotential, coarse),
-        _Trial(0.02, 1e-5, KernelPotential, fine),
+        _Trial(0.019, 1e-5, KernelPotential, fine),
     ]
     assert _choose(telling).grid is fine
+    alike = [telling[0], _Trial(0.02, 1e-5, KernelPotential, fine)]
+    assert _choose(alike).grid is coarse, "hardly worse, and smoother beside the data"
     mute = [
         _Trial(0.9, 0.2, KernelPotential, coarse),
         _Trial(2.0, 0.9e-5, KernelPotential, fine),
@@ -121,7 +123,7 @@ def test_kernels_stay_where_the_force_acts():
     seen = observe(narrow)
     environment = match_kernels(narrow, rates_of(seen))
     distance = np.linalg.norm(np.asarray(environment.centers) - [2.0, 0.3], axis=1)
-    assert distance.max() < 0.5 * np.ptp(seen.states[..., :2], axis=(0, 1)).max()
+    assert distance.max() < 0.55 * np.ptp(seen.states[..., :2], axis=(0, 1)).max()
 
 
 def test_too_few_samples_give_no_rates(data):

@@ -1,12 +1,11 @@
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from tests.fitting.structure.observed_forces import observed_forces
 
 from pinav.dynamics import FixedStep
 from pinav.errors import FitError
-from pinav.fitting import EvidenceFit, Outcome, fit_structured
+from pinav.fitting import EvidenceFit, Outcome
 from pinav.fitting.bayes.neural import FitSpecification
 from pinav.fitting.environments.kernels import kernel_environment
 from pinav.fitting.evidence.model_evidence import DECISIVE
@@ -20,11 +19,10 @@ from pinav.forces import (
     GaussianSwirl,
     KernelMixture,
     KernelPotential,
-    forces_at,
     kernel_centers,
 )
-from pinav.scenarios import scenario
-from pinav.trajectories import simulate
+from pinav.scenarios import random_system, scenario
+from pinav.trajectories import simulate, with_velocities
 
 POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 150, 2))
 PULL = GaussianBarrier(-3.0, [4.0, 6.0], 2.0)
@@ -127,18 +125,14 @@ def test_where_both_fail_the_error_is_that_of_the_potential(ended):
     assert ended(-9.0, -9.0, 40.0, BAD, None)[:2] == (KernelPotential, BAD)
 
 
-@pytest.mark.slow
-def test_a_force_that_turns_is_fitted_without_naming_the_model():
-    truth = scenario("swirl")
-    data = simulate(truth.with_starts(count=8), key=jax.random.key(0))
-    positions = data.only(("x", "y"))
+def test_trajectories_of_a_vortex_show_its_rotation_before_any_fit():
+    truth = random_system("vortex", 0)
+    data = simulate(truth.with_starts(count=6), key=jax.random.key(0))
+    positions = with_velocities(data.only(("x", "y")))
     kernels = kernel_environment(KernelPotential, positions, dim=2)
     model = truth.swimmer.with_environment(kernels)
-    found = fit_structured(model, positions, weigh_rotation=True)
-    assert found.rotation > 100
-    places = jnp.asarray([[4.0, 5.0], [6.0, 4.0], [5.0, 6.5]])
-    times = jnp.zeros(3)
-    true = forces_at(truth.environment, times, places)
-    learned = forces_at(found.fit.model.environment, times, places)
-    assert jnp.linalg.norm(learned - true) < 0.1 * jnp.linalg.norm(true)
-    assert not found.fit.model.environment.is_conservative
+    with jax.enable_x64(new_val=True):
+        asked = FitSpecification(model, positions, lambda _: (), None, FixedStep())
+        survey = Survey.of(asked, asked.problem(model))
+        found = survey_rotation(survey.response, survey.noise, (), kernels)
+    assert found.gain > 100

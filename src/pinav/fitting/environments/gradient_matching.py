@@ -170,7 +170,10 @@ class _Trial(NamedTuple):
 
 
 def _choose(trials: list[_Trial]) -> _Trial:
-    """The best trial; a potential unless a force without one is `FAR_BETTER`.
+    """The coarsest of the best trials; a potential unless others are `FAR_BETTER`.
+
+    Held-out errors near those of the splines hardly tell grids from each other, and a
+    finer one leaves more of the force undecided beside the path.
 
     Where samples are too far apart to predict each other, the ones that are left out
     tell nothing; then the coarsest potential is taken that explains the samples
@@ -185,11 +188,16 @@ def _choose(trials: list[_Trial]) -> _Trial:
         for several in (trials, potentials)
     )
     far_better = FAR_BETTER * best.held_out < potential.held_out
-    return best if far_better else potential
+    chosen = best if far_better else potential
+    return next(
+        trial
+        for trial in trials
+        if trial.kind is chosen.kind and trial.held_out <= AS_GOOD * chosen.held_out
+    )
 
 
-FAR_BETTER = 10.0
-"""Factor in the error of held-out samples."""
+FAR_BETTER, AS_GOOD = 10.0, 2.0
+"""Factors in the error of held-out samples."""
 
 
 def _grid(across: int) -> KernelGrid:

@@ -1,0 +1,52 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.fitting import fit_structured
+from pinav.fitting.environments.kernels import kernel_environment
+from pinav.fitting.structure.search import name_force
+from pinav.fitting.structure.starts import Region, linear_term
+from pinav.forces import (
+    KernelMixture,
+    KernelPotential,
+    StructuredForce,
+    ZeroForce,
+    forces_at,
+)
+from pinav.scenarios import random_system
+from pinav.trajectories import simulate
+
+PLACES = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+
+
+def test_a_force_is_named_by_its_terms_and_its_free_kernels():
+    mixture = KernelMixture.with_zero_weights(PLACES, 1.0)
+    structured = StructuredForce((linear_term(Region.of(PLACES)),), mixture)
+    assert name_force(structured) == "linear + kernel-mixture"
+    potential = KernelPotential.with_zero_weights(PLACES, 1.0)
+    assert name_force(potential) == "kernel-potential"
+    assert name_force(ZeroForce()) == ""
+
+
+@pytest.mark.slow
+def test_a_linear_force_is_found_and_each_step_names_what_is_fitted():
+    truth = random_system("saddle", 0)
+    data = simulate(truth.with_starts(count=6), key=jax.random.key(0))
+    positions = data.only(("x", "y"))
+    kernels = kernel_environment(KernelPotential, positions, dim=2)
+    model = truth.swimmer.with_environment(kernels)
+    fitted: list[str] = []
+    found = fit_structured(
+        model,
+        positions,
+        weigh_rotation=True,
+        on_step=lambda progress: fitted.append(progress.force),
+    )
+    assert found.structure is not None
+    assert [term.kind for term in found.structure.terms] == ["linear"]
+    assert {"linear + kernel-potential", "kernel-potential"} <= set(fitted)
+    places, times = jnp.asarray(2.0 + 6.0 * PLACES), jnp.zeros(3)
+    true = forces_at(truth.environment, times, places)
+    learned = forces_at(found.fit.model.environment, times, places)
+    assert jnp.linalg.norm(learned - true) < 0.05 * jnp.linalg.norm(true)
