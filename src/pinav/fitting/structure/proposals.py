@@ -73,7 +73,7 @@ def propose(
         if best is not None and len(best.terms) == MOST_TERMS:
             break
         terms = () if best is None else best.terms
-        trials = ground.extended(terms, rotational=rotational)
+        trials = ground.extend(terms, rotational=rotational)
         if not trials:
             break
         most = max(one.log_evidence for one in trials)
@@ -128,36 +128,34 @@ class _Ground(eqx.Module):
     noise: float
     seen: PotentialMap | None
 
-    def extended(self, terms: Terms, *, rotational: bool) -> list[Proposal]:
+    def extend(self, terms: Terms, *, rotational: bool) -> list[Proposal]:
         """Structures with one term more than there are, of each kind, polished.
 
         A linear force stands beside the first: where swimmers are flung out, nothing
         else explains anything without it.
         """
-        linear, *kinds = scanned_terms(
-            self.region, self._summits, rotational=rotational
-        )
+        summits = self._summits()
+        linear, *kinds = scanned_terms(self.region, summits, rotational=rotational)
         beside = terms or tuple(linear)
-        found = [(*beside, self._scan(starts, beside)) for starts in kinds]
-        worth = [quick_evidence(one, self.response) for one in found]
+        best = [(*beside, self._scan(starts, beside)) for starts in kinds]
+        worth = [quick_evidence(one, self.response) for one in best]
         least = sorted(worth)[-PROMISING:][0]
-        found = [one for one, value in zip(found, worth, strict=True) if value >= least]
-        proposals = self._polished([(*terms, *linear), *found])
+        best = [one for one, value in zip(best, worth, strict=True) if value >= least]
+        proposals = self._polish_each([(*terms, *linear), *best])
         if self.seen is None or self._is_explained(proposals):
             return proposals
-        starts = ellipses(self.region, self._summits)
-        proposals += self._polished([(*beside, self._scan(starts, beside))])
+        starts = ellipses(self.region, summits)
+        proposals += self._polish_each([(*beside, self._scan(starts, beside))])
         if terms or self._is_explained(proposals):
             return proposals
         starts = obstacles(self.seen, self.region)
         lattice = self._best(lattices(self.region), ())
-        patterns = self._polished([(lattice,), *((start,) for start in starts)])
+        patterns = self._polish_each([(lattice,), *((start,) for start in starts)])
         # of a sum that is not explained yet a pattern is a poor beginning
         return proposals + [
             one for one in patterns if one.noise < EXPLAINED * self.noise
         ]
 
-    @property
     def _summits(self) -> Float[np.ndarray, "place dim"]:
         if self.seen is None:
             return np.zeros((0, len(self.region.middle)))
@@ -166,7 +164,7 @@ class _Ground(eqx.Module):
     def _is_explained(self, proposals: Sequence[Proposal]) -> bool:
         return any(one.noise < ENOUGH * self.noise for one in proposals)
 
-    def _polished(self, structures: Sequence[Terms]) -> list[Proposal]:
+    def _polish_each(self, structures: Sequence[Terms]) -> list[Proposal]:
         made = [polish(terms, self.response) for terms in structures]
         return [one for one in made if one and np.isfinite(one.log_evidence)]
 
@@ -177,7 +175,7 @@ class _Ground(eqx.Module):
             if not isinstance(chosen, CentralTerm | EllipticTerm):
                 break
             places = self.region.grid(np.asarray(chosen.center), fraction)
-            closer = [_moved(chosen, place) for place in places]
+            closer = [_move(chosen, place) for place in places]
             chosen = self._best([chosen, *closer], terms)
         return chosen
 
@@ -187,7 +185,7 @@ class _Ground(eqx.Module):
         return starts[int(np.argmax(values))]
 
 
-def _moved(
+def _move(
     term: CentralTerm | EllipticTerm, center: Float[np.ndarray, " dim"]
 ) -> CentralTerm | EllipticTerm:
     return eqx.tree_at(lambda one: one.center, term, jnp.asarray(center))

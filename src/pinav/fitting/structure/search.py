@@ -276,9 +276,9 @@ def _rotation_beside(search: _Search, survey: Survey, fit: EvidenceFit) -> float
 def _turning(search: _Search, proposal: Proposal | None) -> StructuredFit | None:
     """The fit of a mixture, beside a structure or alone; None where it fails."""
     try:
-        found = search.of(mixture_on(search.kernels)).best(proposal)
+        mixture = search.of(mixture_on(search.kernels)).best(proposal)
     except FitError:
         return None
-    if found.fit.outcome is Outcome.DIVERGED:
+    if mixture.fit.outcome is Outcome.DIVERGED:
         return None
-    return StructuredFit(found.fit, found.gain, fitted_gain(found.fit))
+    return StructuredFit(mixture.fit, mixture.gain, fitted_gain(mixture.fit))

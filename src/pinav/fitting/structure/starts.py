@@ -74,12 +74,12 @@ class Region(eqx.Module):
         """
         middle = self.heart if middle is None else middle
         axis = np.linspace(-0.5, 0.5, GRID) * self.crowded * fraction
-        return middle + _meshed([axis] * len(middle))
+        return middle + _mesh([axis] * len(middle))
 
     def places(self) -> Float[np.ndarray, "point dim"]:
         """Where centres are scanned first: evenly, and densely where the data are."""
         # swimmers that are flung out make the even grid coarse
-        return np.concatenate([self.grid(), _meshed(self.ranks.T)])
+        return np.concatenate([self.grid(), _mesh(self.ranks.T)])
 
     def distances(self) -> tuple[Float[Array, " kernel"], Float[Array, ""]]:
         """Places of the kernels of a profile of a distance, and their width."""
@@ -96,7 +96,7 @@ class Region(eqx.Module):
         return jnp.asarray(places), jnp.asarray(self.width)
 
 
-def _meshed(
+def _mesh(
     axes: Sequence[Float[np.ndarray, " place"]] | Float[np.ndarray, "dim place"],
 ) -> Float[np.ndarray, "point dim"]:
     """All points whose coordinates are among these."""

@@ -50,7 +50,7 @@ class Proposal(eqx.Module):
     noise: float
 
 
-def _linearised(terms: Terms, response: ForceResponse) -> LinearisedObservations:
+def _linearise(terms: Terms, response: ForceResponse) -> LinearisedObservations:
     """What the data say of the weights of terms of a given geometry."""
     quadratic = force_quadratic(SumForce(terms), response, _weights)
     return LinearisedObservations.of(quadratic)
@@ -76,7 +76,7 @@ def quick_evidence(terms: Terms, response: ForceResponse) -> float:
     """
     prior = _prior(terms)
     try:
-        data = _linearised(terms, response)
+        data = _linearise(terms, response)
     except FitError:
         return -np.inf
     return _smoothest(terms, data, prior).log_evidence - cost(terms, response)
@@ -88,7 +88,7 @@ def with_profiles(terms: Terms, response: ForceResponse) -> Terms:
     Raises:
         FitError: the data do not depend on them.
     """
-    prior, data = _prior(terms), _linearised(terms, response)
+    prior, data = _prior(terms), _linearise(terms, response)
     start = _smoothest(terms, data, prior).shape
     chosen = best_hyperparameters(
         data, prior.covariance, start, prior.bounds, None, prior.slopes
