@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, ArrayLike, Float
 
 from pinav.dynamics import Swimmer, with_dtype
 
@@ -32,12 +32,21 @@ def decompose(
         PI-NAV paper, addendum 3 (structural interpretability).
     """
     exact = with_dtype(swimmer, jnp.float64)
+    terms = _terms(exact, np.asarray(times, float), np.asarray(states, float))
+    return Decomposition(np.asarray(times), jax.tree.map(np.asarray, terms))
+
+
+@eqx.filter_jit
+def _terms(
+    swimmer: Swimmer,
+    times: Float[ArrayLike, " time"],
+    states: Float[ArrayLike, "time state"],
+) -> dict[str, Float[Array, "time dim"]]:
+    """One compiled program in place of one for each operation."""
     x, v = jnp.split(jnp.asarray(states), 2, axis=1)
     forces = {
-        "propulsion": exact.propulsion,
-        "environment": exact.environment,
-        "drag": exact.drag,
+        "propulsion": swimmer.propulsion,
+        "environment": swimmer.environment,
+        "drag": swimmer.drag,
     }
-    ts = jnp.asarray(times)
-    terms = {k: np.asarray(jax.vmap(f)(ts, x, v)) for k, f in forces.items()}
-    return Decomposition(np.asarray(times), terms)
+    return {name: jax.vmap(force)(times, x, v) for name, force in forces.items()}
