@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int, PyTree
 
-from pinav.arguments import Scalar, State, Vector
+from pinav.arguments import Scalar, State, Vector, on_device
 from pinav.dynamics import FixedStep
 from pinav.fitting.engine.multiple_shooting import (
     StepDerivatives,
@@ -142,12 +142,12 @@ def force_response(
     when = _means((times[:, 1:, None] + times[:, :-1, None]) / 2, group, groups)[..., 0]
     count = int(np.asarray(observations.observed).sum())
     return ForceResponse(
-        rows=jnp.asarray(rows),
-        targets=jnp.asarray(targets),
-        points=jnp.asarray(points),
-        times=jnp.asarray(when),
+        rows=on_device(rows),
+        targets=on_device(targets),
+        points=on_device(points),
+        times=on_device(when),
         forces=forces_at(model.environment, when, points),
-        num_free=count - states[:, 0].size,
+        num_free=count - states.shape[0] * states.shape[2],
         squares=float(np.sum(np.asarray(squares)) - left),
     )
 
@@ -185,9 +185,7 @@ def _normal_equations(
     """Of each trajectory, by the forces in each group of steps, starts eliminated."""
     spread = jax.nn.one_hot(group, groups, dtype=states.dtype)
 
-    def step(
-        push: Vector, y: State, t0: Scalar, t1: Scalar
-    ) -> tuple[State, State]:
+    def step(push: Vector, y: State, t0: Scalar, t1: Scalar) -> tuple[State, State]:
         force = model.environment + ConstantForce(push)
         moved = eqx.tree_at(lambda m: m.environment, model, force)
         end = solver.looped_step(moved, y, t0, t1)
