@@ -6,11 +6,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Complex, Float, Int
 
 from pinav.actuation import HeldProgramme
 from pinav.evaluation import normal_quantile
-from pinav.identification.fit import TrackFit
+from pinav.identification.fit import GainAtEnd, TrackFit
 from pinav.identification.kalman import Disturbance, transitions
 from pinav.identification.models import NAMES, RESPONSES, SwitchedResponse
 from pinav.identification.tracks import Track, commands_of, round_up_to
@@ -146,13 +146,34 @@ def _cycles(programme: HeldProgramme, index: Array, drive: Array) -> Array:
 
 
 def path_of(fit: TrackFit) -> Displacement:
-    """Displacements by gain and drift alone."""
+    """Displacements by gain and drift alone, and by where the gain has wandered."""
 
     def displacement(piece: Trajectory) -> Float[np.ndarray, "time 2"]:
-        along = cycles(fit, piece) @ fit.gain.T
-        return along + np.outer(piece.times - piece.times[0], fit.drift)
+        turned = cycles(fit, piece)
+        along = turned @ fit.gain.T
+        path = along + np.outer(piece.times - piece.times[0], fit.drift)
+        if fit.at_end is None:
+            return path
+        end = fit.at_end
+        departure = end.observed - end.slopes @ fit.coefficients
+        moved = departure * _fading_cycles(fit, end, piece, turned)
+        return path + np.stack([moved.real, moved.imag], axis=1)
 
     return displacement
+
+
+def _fading_cycles(
+    fit: TrackFit, end: GainAtEnd, piece: Trajectory, turned: np.ndarray
+) -> Complex[np.ndarray, " time"]:
+    """Displacement by a departure of the gain at the end of training, as it fades.
+
+    Before that moment it fades backwards: a path wants no leap there.
+    """
+    disturbance = fit.disturbance
+    away = np.abs(piece.times[:-1] - end.time)
+    fading = float(disturbance.gain_wander) * np.exp(-away / float(disturbance.gain_memory))
+    steps = fading * (np.diff(turned, axis=0) @ np.array([1.0, 1.0j]))
+    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def cache_by_segment(displacement: Displacement) -> Displacement:
@@ -233,6 +254,8 @@ class Forecast(eqx.Module):
             response would add above the frequencies that were fitted [L].
         frame: variance of a single frame about the mean path [L²].
         disturbance: the noise.
+        turned: integral of the response along the heading, x + iy [cycles].
+        departure: variance of a wandering gain at each sample, 1 without knowledge.
     """
 
     piece: Trajectory
@@ -242,6 +265,8 @@ class Forecast(eqx.Module):
     beyond: Float[np.ndarray, "time 2"]
     frame: Float[np.ndarray, "time 2"]
     disturbance: Disturbance
+    turned: Complex[np.ndarray, " time"]
+    departure: Float[np.ndarray, " time"]
 
     @classmethod
     def of(cls, piece: Trajectory, fit: TrackFit, jitter: FrameJitter) -> "Forecast":
@@ -250,7 +275,18 @@ class Forecast(eqx.Module):
         slopes, covariance = _slopes(piece, fit, path)
         frame = jitter.variance(piece)
         beyond = _beyond(piece, fit)
-        return cls(piece, path, slopes, covariance, beyond, frame, fit.disturbance)
+        turned = cycles(fit, piece) @ np.array([1.0, 1.0j])
+        return cls(
+            piece,
+            path,
+            slopes,
+            covariance,
+            beyond,
+            frame,
+            fit.disturbance,
+            turned,
+            _departure(piece, fit),
+        )
 
     def rollout(self, first: int, last: int) -> Float[np.ndarray, "sample 2"]:
         """Positions from the observed one at sample `first` on [L]."""
@@ -276,6 +312,8 @@ class Forecast(eqx.Module):
             variances = _wandering_variances(
                 jnp.asarray(np.pad(intervals, more, constant_values=1.0)),
                 jnp.asarray(np.pad(frequency[samples][:-1], more)),
+                jnp.asarray(np.pad(np.diff(self.turned[samples]), more)),
+                jnp.asarray(self.departure[samples.start]),
                 self.disturbance,
             )
         return np.concatenate([[0.0], np.asarray(variances)[: len(intervals)]])
@@ -283,17 +321,23 @@ class Forecast(eqx.Module):
 
 @eqx.filter_jit
 def _wandering_variances(
-    intervals: Array, frequency: Array, disturbance: Disturbance
+    intervals: Array,
+    frequency: Array,
+    turned: Array,
+    departure: Array,
+    disturbance: Disturbance,
 ) -> Array:
     """Variance of the way after each interval, of velocities unknown at first."""
-    steps = transitions(intervals, disturbance.strength(frequency), disturbance)
+    strength = disturbance.strength(frequency)
+    steps = transitions(intervals, strength, disturbance, turned)
 
     def step(spread: Array, inputs: tuple[Array, Array]) -> tuple[Array, Array]:
         matrix, noise = inputs
-        spread = matrix @ spread @ matrix.T + noise
-        return spread, spread[0, 0]
+        spread = matrix @ spread @ matrix.conj().T + noise.astype(matrix.dtype)
+        return spread, spread[0, 0].real
 
-    unknown = jnp.diag(jnp.array([0.0, 1.0, 1.0]))
+    variances = jnp.array([0.0, 1.0, 1.0, 0.0]).at[3].set(departure)
+    unknown = jnp.diag(variances).astype(turned.dtype)
     return jax.lax.scan(step, unknown, (steps.matrix, steps.noise))[1]
 
 
@@ -304,12 +348,18 @@ def _slopes(
     learned = fit.candidate.learned
     drive = [name for name in NAMES[:4] if name in learned]
     elapsed = piece.times - piece.times[0]
-    gains = np.einsum("gab,tb->tag", fit.candidate.matrices(), cycles(fit, piece))
+    turned = cycles(fit, piece)
+    gains = np.einsum("gab,tb->tag", fit.candidate.matrices(), turned)
     drifts = np.einsum("ga,t->tag", fit.candidate.velocities(), elapsed)
     columns = [_drive_slope(piece, fit, path, name)[:, :, None] for name in drive]
     places = [learned.index(name) for name in drive]
     places += list(range(len(learned), len(fit.covariance)))
-    slopes = np.concatenate([*columns, gains, drifts], axis=2)
+    linear = np.concatenate([gains, drifts], axis=2)
+    if fit.at_end is not None:
+        fading = _fading_cycles(fit, fit.at_end, piece, turned)
+        moved = np.outer(fading, fit.at_end.slopes)
+        linear = linear - np.stack([moved.real, moved.imag], axis=1)
+    slopes = np.concatenate([*columns, linear], axis=2)
     return slopes, fit.covariance[np.ix_(places, places)]
 
 
@@ -321,6 +371,15 @@ def _drive_slope(
     theta[NAMES.index(name)] += step
     moved = path_of(eqx.tree_at(lambda f: f.theta, fit, theta))(piece)
     return (moved - path) / step
+
+
+def _departure(piece: Trajectory, fit: TrackFit) -> Float[np.ndarray, " time"]:
+    """Variance of a wandering gain, which was known best where the training ended."""
+    if fit.at_end is None:
+        return np.ones(len(piece.times))
+    away = np.abs(piece.times - fit.at_end.time)
+    decay = np.exp(-2 * away / float(fit.disturbance.gain_memory))
+    return 1 - decay * (1 - fit.at_end.variance)
 
 
 DISCREPANCY = 0.3

@@ -7,18 +7,21 @@ n innovations, k coefficients whose priors hold the information of one observati
 normal priors of the nonlinear parameters $\theta$.
 """
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Complex, Float, Int
 
 from pinav.actuation import HeldProgramme
 from pinav.identification.kalman import (
     Disturbance,
     Innovations,
+    Transition,
     innovations,
+    last_gain,
     transitions,
 )
 from pinav.identification.models import (
@@ -55,6 +58,15 @@ class Design(eqx.Module):
             jnp.asarray(candidate.velocities()),
             jnp.asarray(RESPONSES.index(candidate.response)),
         )
+
+    def combine(
+        self, columns: Complex[Array, "*shape 3"]
+    ) -> Complex[Array, "*shape coefficient"]:
+        """What each coefficient makes of columns along x, along y and of time."""
+        gains = in_plane(jnp.swapaxes(self.gains, 1, 2))
+        drifts = in_plane(self.drifts)
+        by_gain = columns[..., :2] @ gains.T
+        return jnp.concatenate([by_gain, columns[..., 2:] @ drifts[None]], axis=-1)
 
 
 class Field(eqx.Module):
@@ -135,7 +147,7 @@ class Whitened(eqx.Module):
 
 def disturbance_of(theta: Float[Array, " parameter"]) -> Disturbance:
     """The noise that the parameters describe."""
-    names = ("still", "driven", "memory", "slow", "slow_memory", "noise")
+    names = [field.name for field in dataclasses.fields(Disturbance)]
     values = [jnp.exp(theta[NAMES.index(f"log_{name}")]) for name in names]
     return Disturbance(*values)
 
@@ -219,36 +231,73 @@ def whiten(
     known = along @ field.gain.T + elapsed * field.drift[None]
     samples = [blocks.positions - known, along, elapsed, blocks.frequency[:, None]]
     means = block_means(jnp.concatenate(samples, axis=-1), blocks)
-    observed = means[:, :2] - field.offset
-    weights = field.columns.shape[2]
-    columns = [observed, means[:, 2:5], field.columns[:, 0], field.columns[:, 1]]
-    filtered = innovations_of_columns(
-        theta, jnp.concatenate(columns, axis=-1), means[:, 5], blocks
-    )
-    x, y, along_x, along_y, time = jnp.moveaxis(filtered.columns[:, :5], -1, 0)
-    along = jnp.stack([along_x, along_y])
-    gains = jnp.einsum("gab,br->gar", design.gains, along)
-    drifts = design.drifts[:, :, None] * time[None, None]
-    by_weight = filtered.columns[:, 5:]
+    drive = Drive(means[:, 4], means[:, 5], in_plane(means[:, 2:4]))
+    observed = in_plane(means[:, :2] - field.offset)
+    weights = in_plane(jnp.swapaxes(field.columns, 1, 2))
+    given = means[:, 2:5].astype(weights.dtype)
+    columns = jnp.concatenate([observed[:, None], given, weights], axis=1)
+    filtered = innovations_of_columns(theta, columns, drive, blocks)
+    rows = design.combine(filtered.columns[:, 1:4])
     return Whitened(
-        rows=jnp.concatenate([gains, drifts]).reshape(6, -1).T,
-        field=jnp.concatenate([by_weight[:, :weights], by_weight[:, weights:]]),
-        target=jnp.concatenate([x, y]),
+        rows=apart(rows),
+        field=apart(filtered.columns[:, 4:]),
+        target=apart(filtered.columns[:, 0]),
         log_variance=jnp.sum(filtered.log_variance),
         count=jnp.sum(_steps(blocks)),
     )
 
 
+def in_plane(vectors: Float[Array, "*shape 2"]) -> Complex[Array, "*shape"]:
+    """Vectors of the plane as complex numbers."""
+    return jax.lax.complex(vectors[..., 0], vectors[..., 1])
+
+
+def apart(points: Complex[Array, " row *column"]) -> Float[Array, " twice *column"]:
+    """Complex numbers as real ones: x of all, and then y of all."""
+    return jnp.concatenate([points.real, points.imag])
+
+
+class Drive(eqx.Module):
+    """What moves the blocks of a track, as far as the noise depends on it.
+
+    Attributes:
+        times: mean of each block [T].
+        frequency: commanded [T⁻¹].
+        cycles: integral of the response along the heading, x + iy.
+    """
+
+    times: Float[Array, " block"]
+    frequency: Float[Array, " block"]
+    cycles: Complex[Array, " block"]
+
+
+@eqx.filter_jit
+def drive_of(theta: Float[Array, " parameter"], design: Design) -> Drive:
+    """The drive of a candidate on a track."""
+    blocks = design.blocks
+    rest = jnp.stack([blocks.times, blocks.frequency], axis=-1)
+    samples = jnp.concatenate([rest, displacements(theta, design)], axis=-1)
+    means = block_means(samples, blocks)
+    return Drive(means[:, 0], means[:, 1], in_plane(means[:, 2:]))
+
+
 def innovations_of_columns(
-    theta: Array, columns: Array, frequency: Array, blocks: Any
+    theta: Array, columns: Array, drive: Drive, blocks: Any
 ) -> Innovations:
-    """Innovations of columns given at each block; the fifth column is the time."""
+    """Innovations of columns given at each block, x + iy."""
     disturbance = disturbance_of(theta)
-    present = (blocks.counts > 0).astype(columns.dtype)
-    steps = jnp.where(_steps(blocks) > 0, jnp.diff(columns[:, 4]), 1.0)
-    strength = disturbance.strength(rolling_about(frequency))
-    transition = transitions(steps, strength, disturbance)
+    present = (blocks.counts > 0).astype(drive.times.dtype)
+    transition = transitions_of(disturbance, drive, _steps(blocks))
     return innovations(columns, present, blocks.begins, transition, disturbance.noise)
+
+
+def transitions_of(
+    disturbance: Disturbance, drive: Drive, within: Float[Array, " step"]
+) -> Transition:
+    """From each block to the next; `within` is 1 for the steps within a segment."""
+    steps = jnp.where(within > 0, jnp.diff(drive.times), 1.0)
+    strength = disturbance.strength(rolling_about(drive.frequency))
+    return transitions(steps, strength, disturbance, jnp.diff(drive.cycles))
 
 
 def _steps(blocks: Any) -> Float[Array, " step"]:
@@ -320,6 +369,34 @@ value_and_slope = eqx.filter_jit(
 """The negative log evidence with the coefficients, and its gradient, compiled once for
 each size of track: a second program for the coefficients alone costs more than the
 gradients that it saves."""
+
+@eqx.filter_jit
+def gain_at_end(
+    theta: Float[Array, " parameter"], design: Design
+) -> tuple[Complex[Array, " column"], Float[Array, ""]]:
+    """The wandering gain at the end of a track, in its standard deviation.
+
+    Args:
+        theta: nonlinear parameters.
+        design: the track, as the candidate sees it.
+
+    Returns:
+        Its mean from the observed positions and, in their place, from the columns of
+        the coefficients; and the variance of either part.
+    """
+    blocks: Any = design.blocks
+    drive = drive_of(theta, design)
+    observed = in_plane(block_means(blocks.positions, blocks))[:, None]
+    elapsed = drive.times[:, None].astype(observed.dtype)
+    cycles = jnp.stack([drive.cycles.real, drive.cycles.imag], axis=1)
+    along = cycles.astype(observed.dtype)
+    rows = jnp.concatenate([along, elapsed], axis=1)
+    columns = jnp.concatenate([observed, design.combine(rows)], axis=1)
+    disturbance = disturbance_of(theta)
+    transition = transitions_of(disturbance, drive, _steps(blocks))
+    present = blocks.counts > 0
+    return last_gain(columns, present, blocks.begins, transition, disturbance.noise)
+
 
 compiled_whiten = eqx.filter_jit(whiten)
 """The least-squares problem, compiled."""

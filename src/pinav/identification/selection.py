@@ -36,6 +36,7 @@ from pinav.identification.models import (
     RESPONSES,
     SCALAR,
     SLOW_DRIFT,
+    WANDERING_GAIN,
     CandidateModel,
     like,
     with_free,
@@ -173,6 +174,7 @@ class _Comparison:
             self.chosen = self._response()
             self._extend("delay", "delay")
             self._extend("lag", "log_lag")
+            self._extend("wandering gain", *WANDERING_GAIN)
         self._extend("time-dependent drift", *SLOW_DRIFT)
         if self.train.commanded:
             self._compare_with_simpler()
