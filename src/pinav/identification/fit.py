@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Float
 from scipy.optimize import minimize
 
 from pinav.actuation import HeldProgramme
@@ -25,35 +25,17 @@ from pinav.identification.likelihood import (
     Design,
     Field,
     disturbance_of,
-    gain_at_end,
     value_and_slope,
 )
 from pinav.identification.models import (
     ABSENT,
     NAMES,
-    WANDERING_GAIN,
     CandidateModel,
     response_of,
 )
 from pinav.identification.priors import Prior
 from pinav.identification.quantities import estimates_about, speed_about
 from pinav.identification.tracks import Blocks, Track
-
-
-class GainAtEnd(eqx.Module):
-    """A wandering gain at the end of a track, x + iy in its standard deviation.
-
-    Attributes:
-        time: of the last block [T].
-        observed: its mean where all coefficients are zero.
-        slopes: what one of each coefficient takes from that.
-        variance: of either part.
-    """
-
-    time: float
-    observed: complex
-    slopes: Complex[np.ndarray, " coefficient"]
-    variance: float
 
 
 class TrackFit(eqx.Module):
@@ -67,7 +49,8 @@ class TrackFit(eqx.Module):
         log_evidence: the nonlinear parameters integrated out by Laplace's method.
         evaluations: of the likelihood.
         fastest: highest frequency that was commanded while it was fitted [Hz].
-        at_end: the gain where the track ends, if it wanders.
+        wandering: the same beside a gain that wanders, where the evidence prefers
+            that; bands are those of this fit about the path of the constant gain.
     """
 
     candidate: CandidateModel
@@ -77,7 +60,7 @@ class TrackFit(eqx.Module):
     log_evidence: float
     evaluations: int
     fastest: float
-    at_end: GainAtEnd | None = None
+    wandering: "TrackFit | None" = None
 
     @property
     def gain(self) -> Float[np.ndarray, "2 2"]:
@@ -326,17 +309,7 @@ class Search:
             log_evidence=volume - value,
             evaluations=self.evaluations,
             fastest=float(np.max(self.design.blocks.frequency)),
-            at_end=self._gain_at_end(learned),
         )
-
-    def _gain_at_end(self, learned: Float[np.ndarray, " learned"]) -> GainAtEnd | None:
-        if WANDERING_GAIN[0] not in self.candidate.learned:
-            return None
-        found, variance = gain_at_end(jnp.asarray(self.theta(learned)), self.design)
-        blocks: Any = self.design.blocks
-        time = float(np.max(np.asarray(blocks.times)[np.asarray(blocks.real)]))
-        observed, *slopes = np.asarray(found)
-        return GainAtEnd(time, complex(observed), np.array(slopes), float(variance))
 
     def steps(self) -> Float[np.ndarray, "learned learned"]:
         """Differences, a fraction of the prior; held commands make kinks in delays."""

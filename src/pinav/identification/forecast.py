@@ -10,7 +10,7 @@ from jaxtyping import Array, Complex, Float, Int
 
 from pinav.actuation import HeldProgramme
 from pinav.evaluation import normal_quantile
-from pinav.identification.fit import GainAtEnd, TrackFit
+from pinav.identification.fit import TrackFit
 from pinav.identification.kalman import Disturbance, transitions
 from pinav.identification.models import NAMES, RESPONSES, SwitchedResponse
 from pinav.identification.tracks import Track, commands_of, round_up_to
@@ -146,34 +146,13 @@ def _cycles(programme: HeldProgramme, index: Array, drive: Array) -> Array:
 
 
 def path_of(fit: TrackFit) -> Displacement:
-    """Displacements by gain and drift alone, and by where the gain has wandered."""
+    """Displacements by gain and drift alone."""
 
     def displacement(piece: Trajectory) -> Float[np.ndarray, "time 2"]:
-        turned = cycles(fit, piece)
-        along = turned @ fit.gain.T
-        path = along + np.outer(piece.times - piece.times[0], fit.drift)
-        if fit.at_end is None:
-            return path
-        end = fit.at_end
-        departure = end.observed - end.slopes @ fit.coefficients
-        moved = departure * _fading_cycles(fit, end, piece, turned)
-        return path + np.stack([moved.real, moved.imag], axis=1)
+        along = cycles(fit, piece) @ fit.gain.T
+        return along + np.outer(piece.times - piece.times[0], fit.drift)
 
     return displacement
-
-
-def _fading_cycles(
-    fit: TrackFit, end: GainAtEnd, piece: Trajectory, turned: np.ndarray
-) -> Complex[np.ndarray, " time"]:
-    """Displacement by a departure of the gain at the end of training, as it fades.
-
-    Before that moment it fades backwards: a path wants no leap there.
-    """
-    disturbance = fit.disturbance
-    away = np.abs(piece.times[:-1] - end.time)
-    fading = float(disturbance.gain_wander) * np.exp(-away / float(disturbance.gain_memory))
-    steps = fading * (np.diff(turned, axis=0) @ np.array([1.0, 1.0j]))
-    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def cache_by_segment(displacement: Displacement) -> Displacement:
@@ -255,7 +234,6 @@ class Forecast(eqx.Module):
         frame: variance of a single frame about the mean path [L²].
         disturbance: the noise.
         turned: integral of the response along the heading, x + iy [cycles].
-        departure: variance of a wandering gain at each sample, 1 without knowledge.
     """
 
     piece: Trajectory
@@ -266,7 +244,6 @@ class Forecast(eqx.Module):
     frame: Float[np.ndarray, "time 2"]
     disturbance: Disturbance
     turned: Complex[np.ndarray, " time"]
-    departure: Float[np.ndarray, " time"]
 
     @classmethod
     def of(cls, piece: Trajectory, fit: TrackFit, jitter: FrameJitter) -> "Forecast":
@@ -275,18 +252,9 @@ class Forecast(eqx.Module):
         slopes, covariance = _slopes(piece, fit, path)
         frame = jitter.variance(piece)
         beyond = _beyond(piece, fit)
+        noise = (fit.wandering or fit).disturbance
         turned = cycles(fit, piece) @ np.array([1.0, 1.0j])
-        return cls(
-            piece,
-            path,
-            slopes,
-            covariance,
-            beyond,
-            frame,
-            fit.disturbance,
-            turned,
-            _departure(piece, fit),
-        )
+        return cls(piece, path, slopes, covariance, beyond, frame, noise, turned)
 
     def rollout(self, first: int, last: int) -> Float[np.ndarray, "sample 2"]:
         """Positions from the observed one at sample `first` on [L]."""
@@ -313,7 +281,6 @@ class Forecast(eqx.Module):
                 jnp.asarray(np.pad(intervals, more, constant_values=1.0)),
                 jnp.asarray(np.pad(frequency[samples][:-1], more)),
                 jnp.asarray(np.pad(np.diff(self.turned[samples]), more)),
-                jnp.asarray(self.departure[samples.start]),
                 self.disturbance,
             )
         return np.concatenate([[0.0], np.asarray(variances)[: len(intervals)]])
@@ -321,13 +288,9 @@ class Forecast(eqx.Module):
 
 @eqx.filter_jit
 def _wandering_variances(
-    intervals: Array,
-    frequency: Array,
-    turned: Array,
-    departure: Array,
-    disturbance: Disturbance,
+    intervals: Array, frequency: Array, turned: Array, disturbance: Disturbance
 ) -> Array:
-    """Variance of the way after each interval, of velocities unknown at first."""
+    """Variance of the way after each interval, velocities and gain unknown at first."""
     strength = disturbance.strength(frequency)
     steps = transitions(intervals, strength, disturbance, turned)
 
@@ -336,8 +299,7 @@ def _wandering_variances(
         spread = matrix @ spread @ matrix.conj().T + noise.astype(matrix.dtype)
         return spread, spread[0, 0].real
 
-    variances = jnp.array([0.0, 1.0, 1.0, 0.0]).at[3].set(departure)
-    unknown = jnp.diag(variances).astype(turned.dtype)
+    unknown = jnp.diag(jnp.array([0.0, 1.0, 1.0, 1.0])).astype(turned.dtype)
     return jax.lax.scan(step, unknown, (steps.matrix, steps.noise))[1]
 
 
@@ -345,22 +307,17 @@ def _slopes(
     piece: Trajectory, fit: TrackFit, path: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Of a displacement by each unknown, and the covariance of the unknowns."""
-    learned = fit.candidate.learned
+    known = fit.wandering or fit
+    learned = known.candidate.learned
     drive = [name for name in NAMES[:4] if name in learned]
     elapsed = piece.times - piece.times[0]
-    turned = cycles(fit, piece)
-    gains = np.einsum("gab,tb->tag", fit.candidate.matrices(), turned)
+    gains = np.einsum("gab,tb->tag", fit.candidate.matrices(), cycles(fit, piece))
     drifts = np.einsum("ga,t->tag", fit.candidate.velocities(), elapsed)
     columns = [_drive_slope(piece, fit, path, name)[:, :, None] for name in drive]
     places = [learned.index(name) for name in drive]
-    places += list(range(len(learned), len(fit.covariance)))
-    linear = np.concatenate([gains, drifts], axis=2)
-    if fit.at_end is not None:
-        fading = _fading_cycles(fit, fit.at_end, piece, turned)
-        moved = np.outer(fading, fit.at_end.slopes)
-        linear = linear - np.stack([moved.real, moved.imag], axis=1)
-    slopes = np.concatenate([*columns, linear], axis=2)
-    return slopes, fit.covariance[np.ix_(places, places)]
+    places += list(range(len(learned), len(known.covariance)))
+    slopes = np.concatenate([*columns, gains, drifts], axis=2)
+    return slopes, known.covariance[np.ix_(places, places)]
 
 
 def _drive_slope(
@@ -373,16 +330,7 @@ def _drive_slope(
     return (moved - path) / step
 
 
-def _departure(piece: Trajectory, fit: TrackFit) -> Float[np.ndarray, " time"]:
-    """Variance of a wandering gain, which was known best where the training ended."""
-    if fit.at_end is None:
-        return np.ones(len(piece.times))
-    away = np.abs(piece.times - fit.at_end.time)
-    decay = np.exp(-2 * away / float(fit.disturbance.gain_memory))
-    return 1 - decay * (1 - fit.at_end.variance)
-
-
-DISCREPANCY = 0.3
+DISCREPANCY = 0.25
 """Standard deviation of the slope of the response above the fitted frequencies, in
 slopes at rest: between none and the whole of it, all are seen. Chosen on five sessions
 and half of the other recordings, judged on the rest (docs/identification.md)."""

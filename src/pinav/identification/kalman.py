@@ -18,7 +18,7 @@ References:
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Complex, Float
+from jaxtyping import Array, Complex, Float
 
 
 class Disturbance(eqx.Module):
@@ -202,36 +202,6 @@ def _update(ahead: State, row: Array, noise: Array) -> tuple[Array, Array, State
     innovation = row - mean[0]
     mean = mean + gain[:, None] * innovation[None]
     return innovation, variance, (mean, covariance - jnp.outer(gain, column.conj()))
-
-
-def last_gain(
-    columns: Complex[Array, "block column"],
-    present: Bool[Array, " block"],
-    begins: Float[Array, " block"],
-    transition: Transition,
-    noise: Float[Array, ""],
-) -> tuple[Complex[Array, " column"], Float[Array, ""]]:
-    """The wandering gain at the last block, for each column, and its variance.
-
-    Args:
-        columns: see `innovations`.
-        present: which blocks are no padding.
-        begins: 1 for the first block of a segment.
-        transition: from each block to the next.
-        noise: standard deviation of an observed coordinate.
-    """
-
-    def step(state: State, inputs: tuple[Array, ...]) -> tuple[State, None]:
-        matrix, added, row, here, new = inputs
-        _, _, updated = _update(_predict(state, matrix, added), row, noise)
-        begun = _begin(row, noise)
-        after = [jnp.where(new > 0, a, b) for a, b in zip(begun, updated, strict=True)]
-        kept = [jnp.where(here, a, b) for a, b in zip(after, state, strict=True)]
-        return (kept[0], kept[1]), None
-
-    rows = transition.matrix, transition.noise, columns[1:], present[1:], begins[1:]
-    (mean, covariance), _ = jax.lax.scan(step, _begin(columns[0], noise), rows)
-    return mean[3], covariance[3, 3].real
 
 
 def smoothed_velocity(

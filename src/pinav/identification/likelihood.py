@@ -21,7 +21,6 @@ from pinav.identification.kalman import (
     Innovations,
     Transition,
     innovations,
-    last_gain,
     transitions,
 )
 from pinav.identification.models import (
@@ -369,33 +368,6 @@ value_and_slope = eqx.filter_jit(
 """The negative log evidence with the coefficients, and its gradient, compiled once for
 each size of track: a second program for the coefficients alone costs more than the
 gradients that it saves."""
-
-@eqx.filter_jit
-def gain_at_end(
-    theta: Float[Array, " parameter"], design: Design
-) -> tuple[Complex[Array, " column"], Float[Array, ""]]:
-    """The wandering gain at the end of a track, in its standard deviation.
-
-    Args:
-        theta: nonlinear parameters.
-        design: the track, as the candidate sees it.
-
-    Returns:
-        Its mean from the observed positions and, in their place, from the columns of
-        the coefficients; and the variance of either part.
-    """
-    blocks: Any = design.blocks
-    drive = drive_of(theta, design)
-    observed = in_plane(block_means(blocks.positions, blocks))[:, None]
-    elapsed = drive.times[:, None].astype(observed.dtype)
-    cycles = jnp.stack([drive.cycles.real, drive.cycles.imag], axis=1)
-    along = cycles.astype(observed.dtype)
-    rows = jnp.concatenate([along, elapsed], axis=1)
-    columns = jnp.concatenate([observed, design.combine(rows)], axis=1)
-    disturbance = disturbance_of(theta)
-    transition = transitions_of(disturbance, drive, _steps(blocks))
-    present = blocks.counts > 0
-    return last_gain(columns, present, blocks.begins, transition, disturbance.noise)
 
 
 compiled_whiten = eqx.filter_jit(whiten)

@@ -28,7 +28,7 @@ class Prior(eqx.Module):
         Speeds about a tenth of the track's, within a factor of 20 (two sd); the
         corner about the geometric mean of the commanded frequencies, within a factor
         of 20; delays of a camera and its computer, 0.2 ± 0.2 s; lags about 0.1 s; a
-        gain that wanders by about a tenth within a minute.
+        gain that wanders by about a tenth within ten blocks.
         """
         speed = _typical_speed(track)
         jitter = math.log(0.2 * speed * track.width)
@@ -46,7 +46,7 @@ class Prior(eqx.Module):
             "log_slow": (quick, 1.5),
             "log_slow_memory": (math.log(30.0 * track.width), 1.0),
             "log_gain_wander": (quick - frequency, 1.5),
-            "log_gain_memory": (math.log(120.0 * track.width), 1.0),
+            "log_gain_memory": (math.log(10.0 * track.width), 1.0),
         }
         mean, sd = np.array([table[name] for name in NAMES]).T
         return cls(mean, sd)
