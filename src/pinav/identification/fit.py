@@ -20,11 +20,11 @@ from pinav.forces import (
     UniformFlow,
     ZeroForce,
 )
+from pinav.identification.blocks_filter import disturbance_of
 from pinav.identification.kalman import Disturbance
 from pinav.identification.likelihood import (
     Design,
     Field,
-    disturbance_of,
     value_and_slope,
 )
 from pinav.identification.models import (

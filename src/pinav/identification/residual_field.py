@@ -19,17 +19,19 @@ from pinav.fitting.engine.iterate import iterate
 from pinav.fitting.engine.steps import FullStep, ShortenedStep
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.least_squares import Regression
+from pinav.identification.blocks_filter import (
+    Drive,
+    apart,
+    in_plane,
+    innovations_of_columns,
+)
 from pinav.identification.displacement_field import path_displacement
 from pinav.identification.fit import TrackFit
 from pinav.identification.forecast import Errors, Rollouts, path_of
 from pinav.identification.likelihood import (
     Design,
-    Drive,
-    apart,
     compiled_whiten,
     drive_of,
-    in_plane,
-    innovations_of_columns,
 )
 from pinav.identification.tracks import Blocks, Track
 from pinav.trajectories import Trajectories, Trajectory

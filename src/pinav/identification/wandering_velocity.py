@@ -6,10 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from pinav.identification.blocks_filter import rolling_about
 from pinav.identification.fit import TrackFit
 from pinav.identification.forecast import cycles
 from pinav.identification.kalman import smoothed_velocity, transitions
-from pinav.identification.likelihood import rolling_about
 from pinav.identification.tracks import Track, block_indices, commands_of
 from pinav.trajectories import Trajectory
 
