@@ -20,14 +20,19 @@ from pinav.forces import (
     UniformFlow,
     ZeroForce,
 )
+from pinav.identification.blocks_filter import disturbance_of
 from pinav.identification.kalman import Disturbance
 from pinav.identification.likelihood import (
     Design,
     Field,
-    disturbance_of,
     value_and_slope,
 )
-from pinav.identification.models import ABSENT, NAMES, CandidateModel, response_of
+from pinav.identification.models import (
+    ABSENT,
+    NAMES,
+    CandidateModel,
+    response_of,
+)
 from pinav.identification.priors import Prior
 from pinav.identification.quantities import estimates_about, speed_about
 from pinav.identification.tracks import Blocks, Track
@@ -44,6 +49,8 @@ class TrackFit(eqx.Module):
         log_evidence: the nonlinear parameters integrated out by Laplace's method.
         evaluations: of the likelihood.
         fastest: highest frequency that was commanded while it was fitted [Hz].
+        wandering: the same beside a gain that wanders, where the evidence prefers
+            that; bands are those of this fit about the path of the constant gain.
     """
 
     candidate: CandidateModel
@@ -53,6 +60,7 @@ class TrackFit(eqx.Module):
     log_evidence: float
     evaluations: int
     fastest: float
+    wandering: "TrackFit | None" = None
 
     @property
     def gain(self) -> Float[np.ndarray, "2 2"]:
