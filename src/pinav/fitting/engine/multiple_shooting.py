@@ -88,9 +88,9 @@ def _step_derivatives(
     by = (0, 1) if parameters else 1
     slopes = jax.vmap(derivative(step, by, has_aux=True), (None, 0, 0, 0))
     jacobians, ends = slopes(theta, states[:-1], times[:-1], times[1:])
-    if parameters:
-        return StepDerivatives(*jacobians, ends)
-    return StepDerivatives(jnp.zeros((*ends.shape, 0), ends.dtype), jacobians, ends)
+    nothing = jnp.zeros((*ends.shape, 0), ends.dtype)
+    by_parameter, by_state = jacobians if parameters else (nothing, jacobians)
+    return StepDerivatives(by_parameter, by_state, ends)
 
 
 def propagate(
