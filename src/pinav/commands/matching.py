@@ -20,6 +20,7 @@ from pinav.fitting import (
     fit_in_turns,
     is_complete,
     paper_recipe,
+    prior_root,
     rates_to_match,
 )
 from pinav.fitting.matching.state import AbstractCheckpoint, FitProgress
@@ -134,7 +135,9 @@ def matching(
         rates = None if linear else rates_to_match(model, data)
         if linear or rates is not None:
             steps = DEFECT_STEPS * settings.max_steps
-            recipes = (defect_recipe(data, rates=rates, max_steps=steps), *recipes)
+            root = prior_root(model, data) if linear else None
+            first = defect_recipe(data, rates=rates, prior_root=root, max_steps=steps)
+            recipes = (first, *recipes)
     return Matching(recipes, TrajectoryLoss(FixedStep(substeps=2)), jnp.float64)
 
 

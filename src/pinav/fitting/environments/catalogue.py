@@ -23,6 +23,7 @@ from pinav.dynamics import (
 )
 from pinav.errors import InputError
 from pinav.fitting.environments.gradient_matching import (
+    lay_kernels_of,
     match_kernels,
     match_potential,
 )
@@ -223,7 +224,8 @@ def summarise_for_matching(
     if choice.name == "kernel-potential":
         return _with_layers(summary, match_potential(swimmer, rates))
     if choice.name.startswith("kernel-"):
-        return summary.with_kernels_of(match_kernels(swimmer, rates))
+        laid = lay_kernels_of(KernelForce, swimmer, rates)
+        return summary.with_kernels_of(laid or match_kernels(swimmer, rates))
     region = force_region(swimmer, rates) if choice.name in POSITION_NETWORKS else None
     if region is None:
         return summary

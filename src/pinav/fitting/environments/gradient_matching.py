@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from pinav.dynamics import AbstractDynamics, Swimmer
+from pinav.fitting.environments.force_prior import ForcePrior, lay_smooth_kernels
 from pinav.fitting.environments.force_regression import force_columns, regress
 from pinav.fitting.environments.kernel_layers import Layer, lay_layers
 from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
@@ -30,7 +31,12 @@ from pinav.fitting.environments.rates import (
     thin_rates,
 )
 from pinav.fitting.matching.rate_matching import Rates
-from pinav.forces import KernelForce, KernelPotential, ZeroForce
+from pinav.forces import (
+    AbstractLearnedForce,
+    KernelForce,
+    KernelPotential,
+    ZeroForce,
+)
 from pinav.trajectories import Trajectories, informative_rows
 
 ACROSS = (6, 8, 11, 15, 20, 27, 36, 48)
@@ -59,16 +65,58 @@ def match_kernels(swimmer: Swimmer, rates: Rates) -> KernelPotential | KernelFor
     return _fit_grid(best, samples)
 
 
+def lay_kernels_of(
+    kind: type[KernelPotential] | type[KernelForce], swimmer: Swimmer, rates: Rates
+) -> KernelPotential | KernelForce | None:
+    """Untrained kernels with a prior that suits what the known physics leave.
+
+    Args:
+        kind: of the kernels.
+        swimmer: the known physics; its environment is left out.
+        rates: at observed states.
+
+    Returns:
+        The kernels; None where no grid of one width suits the force.
+    """
+    prior = lay_smooth_kernels(kind, *_ForceSamples.of(swimmer, rates))
+    return None if prior is None else prior.environment  # pyright: ignore
+
+
+def prior_root(
+    model: AbstractDynamics, trajectories: Trajectories
+) -> Float[np.ndarray, "weight weight"] | None:
+    """A root of the prior of a kernel model's weights, as its data ask for.
+
+    Args:
+        model: untrained, linear in what it learns.
+        trajectories: exact, every state observed.
+
+    Returns:
+        The root; None where the data or the model are of another kind.
+    """
+    rates = observed_rates(trajectories)
+    if rates is None or not isinstance(model, Swimmer):
+        return None
+    environment = model.environment
+    if not isinstance(environment, AbstractLearnedForce):
+        return None
+    _, positions, forces = _ForceSamples.of(model, rates)
+    return ForcePrior.of(environment, positions, forces).root()
+
+
 def match_potential(swimmer: Swimmer, rates: Rates) -> tuple[Layer, ...]:
     """Kernels of a potential for the force that the known physics leave unexplained.
 
-    A grid of one width as `match_kernels` chooses it, where one explains the force; a
-    hill with a long tail asks for layers (`lay_layers`).
+    A grid of one width where one explains the force; a hill with a long tail asks for
+    layers (`lay_layers`).
 
     Args:
         swimmer: the known physics; its environment is left out.
         rates: at observed states.
     """
+    kernels = lay_kernels_of(KernelPotential, swimmer, rates)
+    if kernels is not None:
+        return (Layer(np.asarray(kernels.centers), float(kernels.width)),)
     samples = _ForceSamples.of(swimmer, rates)
     best = _choose(_try_grids((KernelPotential,), samples))
     if best.within > ONE_WIDTH:

@@ -10,6 +10,7 @@ References:
     Bock, multiple shooting with the states from the data; Levenberg 1944.
 """
 
+import dataclasses
 from collections.abc import Callable
 
 import equinox as eqx
@@ -29,13 +30,18 @@ from pinav.fitting.matching.windows import Windows
 
 
 class DefectMatching(AbstractRolloutPhase):
-    """Damped Gauss-Newton steps on propagated defects, with the whole Jacobian.
+    r"""Damped Gauss-Newton steps on propagated defects, with the whole Jacobian.
 
     Errors begin anew at zero where a window begins.
 
     Attributes:
         samples: the (trajectory, step) whose errors count; all unless given. A few
             hundred tell what a network can represent.
+        prior_root: $C$ with $C C^\top$ the prior covariance of the parameters; steps
+            are then damped in units of the prior, so that what the data do not
+            determine stays as smooth as the prior says.
+        least_damping: below which no step is damped, the square of the residuals'
+            numerical error where there is a prior.
 
     Raises:
         InputError: `steps` is not positive.
@@ -44,6 +50,10 @@ class DefectMatching(AbstractRolloutPhase):
     window: Int[Array, ""] = eqx.field(converter=jnp.asarray)
     target: Float[Array, ""] = eqx.field(converter=lambda x: jnp.asarray(x, float))
     samples: Int[Array, "sample 2"] | None = None
+    prior_root: Float[Array, "parameter direction"] | None = None
+    least_damping: Float[Array, ""] = eqx.field(
+        converter=lambda x: jnp.asarray(x, float), default=0.0
+    )
     damping: Float[Array, ""] = eqx.field(
         converter=lambda x: jnp.asarray(x, float), default=1e-2
     )
@@ -72,8 +82,21 @@ class DefectMatching(AbstractRolloutPhase):
         def residuals(theta: Float[Array, " parameter"]) -> Float[Array, " row"]:
             return self._rows_that_count(windows, errors(theta))
 
-        linear = residuals(theta), jacobian
-        return full_step(residuals, theta, linear, state.damping)
+        damping = jnp.maximum(state.damping, self.least_damping / DAMPINGS[0])
+        root = self.prior_root
+        if root is None or root.shape[0] != theta.shape[0]:  # or constants train, too
+            return full_step(residuals, theta, (residuals(theta), jacobian), damping)
+
+        def move(z: Float[Array, " direction"]) -> Float[Array, " parameter"]:
+            return theta + root @ z
+
+        step = full_step(
+            lambda z: residuals(move(z)),
+            jnp.zeros(root.shape[1], theta.dtype),
+            (residuals(theta), jacobian @ root),
+            damping,
+        )
+        return dataclasses.replace(step, theta=move(step.theta))
 
     def _rows_that_count(
         self, windows: Windows, rows: Float[Array, "residual ..."]

@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from pinav.errors import InputError
 from pinav.fitting.matching.defects import DefectMatching
@@ -65,6 +65,7 @@ def defect_recipe(
     trajectories: Trajectories,
     *,
     rates: Rates | None = None,
+    prior_root: Float[np.ndarray, "parameter direction"] | None = None,
     max_steps: int = 40,
     precision: float = 3e-8,
     patience: int = 3,
@@ -79,6 +80,8 @@ def defect_recipe(
         trajectories: every state observed, without noise.
         rates: of change that the model learns first, such as `rates_to_match`
             makes.
+        prior_root: of a model that is linear in its parameters, such as `ForcePrior`
+            tells: see `DefectMatching`.
         max_steps: steps of each phase on trajectories at most.
         precision: as that of `curriculum`.
         patience: slow steps in a row after which a phase ends.
@@ -102,6 +105,8 @@ def defect_recipe(
             jnp.asarray(window),
             precision * spread,
             samples=None if samples is None else jnp.asarray(samples),
+            prior_root=None if prior_root is None else jnp.asarray(prior_root),
+            least_damping=0.0 if prior_root is None else (LEAST_RESIDUAL * spread) ** 2,
             damping=FIRST_DAMPING if rates is not None else LINEAR_DAMPING,
             patience=jnp.asarray(patience),
             converged=CONVERGED * spread,
@@ -133,6 +138,9 @@ def _full_rollout(
 
 FIRST_DAMPING, LINEAR_DAMPING = 1e-2, 1e-7
 """Of the first step, and that of a model that is linear in its parameters."""
+
+LEAST_RESIDUAL = 1e-6
+"""Of a step from exact data, in units of their spread, that a prior takes for noise."""
 
 MOST_SAMPLES = 500
 """Samples whose errors a network is trained on at once, at most: with fewer, its error
