@@ -28,11 +28,12 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "evaluate": ("evaluate", "{fit}", "{data}"),
     "discover": ("discover", "{fit}"),
     "report": ("report", "{fit}"),
-    "navigate": ("navigate", "{fit}", "--from=1,1", "--to=8,8"),
+    "navigate": ("navigate", "{fit}", "--from=-1,-1", "--to=11,-1"),
     "heat": ("heat", "simulate", "{heat}"),
     "identify": ("identify", "{recording}"),
 }
-"""Words of each command; a name in braces is a file that is made or given."""
+"""Words of each command; a name in braces is a file that is made or given. The places
+of `navigate` are off the barrier, whose slopes are steeper than the thrust."""
 
 IN_PLACE = ("evaluate", "discover", "report")
 """Commands that write into the run that they are given."""
@@ -60,16 +61,12 @@ class Phases(msgspec.Struct, frozen=True):
     compiling: float
     programs: int
 
-    def line(self, name: str) -> str:
-        """The row of the table."""
+    def cells(self) -> str:
+        """The row of the table, less its name."""
         rest = self.clock - self.imports - self.tracing - self.compiling
         parts = (self.imports, self.tracing, self.compiling, rest)
-        cells = [self.clock, self.processor, *parts]
-        return (
-            f"{name:<18}"
-            + "".join(f"{x:>10.1f}" for x in cells)
-            + (f"{self.programs:>10}")
-        )
+        numbers = (self.clock, self.processor, *parts)
+        return "".join(f"{x:>10.1f}" for x in numbers) + f"{self.programs:>10}"
 
 
 HEADER = (
@@ -87,7 +84,7 @@ class Options(Settings, frozen=True):
 
     commands: Annotated[
         tuple[str, ...], tyro.conf.arg(help="Any of: " + ", ".join(COMMANDS) + ".")
-    ] = ("reproduce", "fit", "evaluate", "navigate", "heat")
+    ] = tuple(COMMANDS)
     recording: Annotated[
         Path | None, tyro.conf.arg(help="A recording, for the command identify.")
     ] = None
@@ -99,8 +96,6 @@ class Options(Settings, frozen=True):
                 raise InputError(
                     f"--commands: {name!r} is unknown; choose some of: {known}"
                 )
-        if "identify" in self.commands and self.recording is None:
-            raise InputError("--recording: identify needs a file of a tracker")
 
 
 def main(argv: Sequence[str]) -> None:
@@ -110,24 +105,71 @@ def main(argv: Sequence[str]) -> None:
     options.check()
     print(HEADER)
     with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
-        files = {
-            "data": folder / "data.csv",
-            "fit": folder / "fit-warm",
-            "heat": Path(__file__).parents[1] / "examples" / "heat" / "tumour.toml",
-            "recording": options.recording,
-        }
-        simulation = ("barrier-crossings", "--count", "8", "--noise", "0.02")
-        run(folder, "simulate", *simulation, "--out", str(files["data"]))
-        if {*IN_PLACE, "navigate"} & {*options.commands}:
-            run(folder, "fit", str(files["data"]), "--out", str(files["fit"]))
+        files = Files(Path(place), options.recording)
         for name in options.commands:
             for state in ("cold", "warm"):
-                words = [word.format(**files) for word in COMMANDS[name]]
-                if name not in IN_PLACE:
-                    words += ["--out", str(folder / f"{name}-{state}"), "--overwrite"]
-                phases = run(folder, *words, cache=folder / f"cache-{name}")
-                print(phases.line(f"{name} {state}"), flush=True)
+                print(f"{name} {state}".ljust(18) + row(files, name, state), flush=True)
+
+
+def row(files: "Files", name: str, state: str) -> str:
+    """Cells of a command, or the reason why it has none."""
+    try:
+        words = [files.resolve(word) for word in COMMANDS[name]]
+        if name not in IN_PLACE:
+            words += ["--out", str(files.folder / f"{name}-{state}"), "--overwrite"]
+        return run(files.folder, *words, cache=files.folder / f"cache-{name}").cells()
+    except (FitError, InputError) as error:
+        return f"  no figures: {error}"
+
+
+class Files:
+    """Files that commands are given; those that must be made are made when asked for.
+
+    Attributes:
+        folder: where they are.
+        recording: of a tracker, where there is one.
+    """
+
+    def __init__(self, folder: Path, recording: Path | None) -> None:
+        self.folder = folder
+        self.recording = recording
+
+    def resolve(self, word: str) -> str:
+        """A word of a command line, its file in braces made.
+
+        Raises:
+            FitError: it cannot be made.
+            InputError: it must be given, and is not.
+        """
+        known = {
+            "{data}": self.data,
+            "{fit}": self.fit,
+            "{heat}": lambda: Path(__file__).parents[1] / "examples/heat/tumour.toml",
+            "{recording}": self.given,
+        }
+        return str(known[word]()) if word in known else word
+
+    def data(self) -> Path:
+        """Eight noisy trajectories."""
+        made = self.folder / "data.csv"
+        if not made.exists():
+            words = ("barrier-crossings", "--count", "8", "--noise", "0.02")
+            run(self.folder, "simulate", *words, "--out", str(made))
+        return made
+
+    def fit(self) -> Path:
+        """The fit of these trajectories."""
+        made = self.folder / "fit-of-others"
+        if not (made / "metrics.json").exists():
+            words = (str(self.data()), "--out", str(made), "--overwrite")
+            run(self.folder, "fit", *words)
+        return made
+
+    def given(self) -> Path:
+        """The recording."""
+        if self.recording is None:
+            raise InputError("--recording: identify needs a file of a tracker")
+        return self.recording
 
 
 def run(folder: Path, *words: str, cache: Path | None = None) -> Phases:
@@ -152,7 +194,8 @@ def run(folder: Path, *words: str, cache: Path | None = None) -> Phases:
     done = subprocess.run(command, env=environment, capture_output=True, text=True)
     clock = time.perf_counter() - begin
     if done.returncode:
-        raise FitError(f"pinav {' '.join(words)}: {done.stderr.strip()[-300:]}")
+        reason = " ".join(done.stderr.split())[-300:]
+        raise FitError(f"pinav {' '.join(words)}: {reason}")
     phases = msgspec.json.decode(report.read_bytes(), type=Phases)
     return msgspec.structs.replace(phases, clock=clock)
 

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from pinav.errors import InputError
 
@@ -23,6 +23,17 @@ Planar = Float[Array, "2"]
 
 State = Float[Array, " state"]
 """State y of a swimmer: its position, and its velocity where it has inertia."""
+
+
+def on_device(values: ArrayLike) -> Array:
+    """An array for JAX with the numbers of numpy's, outside of compiled functions.
+
+    With its type stated it is copied; without, JAX compiles a program for each shape.
+    """
+    if isinstance(values, jax.Array):
+        return values
+    numbers = np.asarray(values)
+    return jnp.asarray(numbers, jax.dtypes.canonicalize_dtype(numbers.dtype))
 
 
 def point(name: str, dim: int | None = None) -> Callable[[Any], Vector]:

@@ -6,7 +6,10 @@ from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
 import equinox as eqx
+import jax
+import numpy as np
 
+from pinav.arguments import on_device
 from pinav.errors import InputError
 from pinav.files import atomic_write
 from pinav.fitting import AbstractCheckpoint, FitState
@@ -44,6 +47,13 @@ def _at(shape: FitState, header: dict[str, Any]) -> FitState:
     )
 
 
+def _read_leaf(file: BinaryIO, like: Any) -> Any:
+    """A leaf from a file, without a program that is compiled for its shape."""
+    if isinstance(like, jax.Array):
+        return on_device(np.load(file))
+    return eqx.default_deserialise_filter_spec(file, like)
+
+
 def write_tree(path: Path, header: str, tree: Any) -> None:
     """Write one line of text and the leaves of a tree, atomically."""
 
@@ -72,7 +82,7 @@ def read_tree(
     try:
         with open(path, "rb") as file:
             like = build(json.loads(file.readline()))
-            return eqx.tree_deserialise_leaves(file, like)
+            return eqx.tree_deserialise_leaves(file, like, filter_spec=_read_leaf)
     except InputError:
         raise
     except Exception as error:

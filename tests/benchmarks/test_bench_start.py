@@ -1,25 +1,44 @@
 import pytest
-from benchmarks.start import HEADER, Phases, main, run
+from benchmarks.start import COMMANDS, HEADER, Options, Phases, main, run
 
+from benchmarks import start
 from pinav.errors import FitError, InputError
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--commands", "magic"], "--commands: 'magic' is unknown; choose some of"),
-        (["--commands", "identify"], "--recording: identify needs a file"),
-    ],
-)
-def test_bad_options_are_refused(words, message):
-    with pytest.raises(InputError, match=message):
-        main(words)
+def test_an_unknown_command_is_refused():
+    with pytest.raises(
+        InputError, match="--commands: 'magic' is unknown; choose some of"
+    ):
+        main(["--commands", "magic"])
+
+
+def test_a_row_that_fails_says_why_and_the_table_goes_on(capsys, monkeypatch):
+    def fail(folder, *words, cache=None):
+        if words[0] == "simulate":
+            raise FitError("pinav simulate: no room")
+        return Phases(12.0, 10.0, 4.0, 3.0, 2.0, 20)
+
+    monkeypatch.setattr(start, "run", fail)
+    main(["--commands", "identify", "fit", "heat"])
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[:2] for line in lines[1:]] == [
+        [name, state]
+        for name in ("identify", "fit", "heat")
+        for state in ("cold", "warm")
+    ]
+    assert "no figures: --recording: identify needs a file" in lines[1]
+    assert "no figures: pinav simulate: no room" in lines[3]
+    assert "12.0" in lines[5]
+
+
+def test_every_command_is_measured_unless_asked_otherwise():
+    assert set(Options().commands) == set(COMMANDS)
 
 
 def test_a_row_has_a_number_for_every_column():
     phases = Phases(12.0, 10.0, 4.0, 3.0, 2.0, 20)
-    assert len(phases.line("fit").split()) == len(HEADER.split())
-    assert "3.0" in phases.line("fit")
+    assert len(phases.cells().split()) == len(HEADER.split()) - 1
+    assert "3.0" in phases.cells()
 
 
 @pytest.mark.slow

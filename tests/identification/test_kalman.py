@@ -24,9 +24,18 @@ def disturbance(**changes):
         "memory": 1.3,
         "slow": 0.3,
         "slow_memory": 9.0,
+        "gain_wander": 0.0,
+        "gain_memory": 20.0,
         "noise": 0.2,
     }
     return Disturbance(**{k: jnp.asarray(v) for k, v in (values | changes).items()})
+
+
+def steps_of(known, strength, times=TIMES, cycles=None):
+    """Transitions of a strength that is the same at all times."""
+    count = len(times) - 1
+    cycles = jnp.zeros(count, complex) if cycles is None else cycles
+    return transitions(jnp.diff(times), jnp.full(count, strength), known, cycles)
 
 
 def integrated_covariance(times, memory):
@@ -38,11 +47,10 @@ def integrated_covariance(times, memory):
 
 def test_likelihood_is_that_of_the_dense_covariance():
     known = disturbance()
-    strength = jnp.full(len(TIMES) - 1, 0.7)
-    steps = transitions(jnp.diff(TIMES), strength, known)
+    steps = steps_of(known, 0.7)
     values = jnp.array([0.3, 0.1, 0.7, 0.4, 1.2, 0.2, -0.5])
     found = innovations(
-        values[:, None], jnp.ones(len(TIMES)), FIRST, steps, known.noise
+        values[:, None].astype(complex), jnp.ones(len(TIMES)), FIRST, steps, known.noise
     )
     times = np.asarray(TIMES)
     covariance = 0.7**2 * integrated_covariance(times, 1.3)
@@ -53,15 +61,44 @@ def test_likelihood_is_that_of_the_dense_covariance():
     expected = scipy.stats.multivariate_normal(cov=dense).logpdf(
         np.asarray(values[1:] - values[0])
     )
-    whiten, log_variance = found.columns[:, 0], found.log_variance
+    assert not found.columns.imag.any()
+    whiten, log_variance = found.columns[:, 0].real, found.log_variance
     value = -0.5 * (whiten @ whiten + log_variance.sum() + 6 * np.log(2 * np.pi))
     np.testing.assert_allclose(value, expected, rtol=1e-9)
 
 
+def dense_gain(known, turned):
+    """Covariance of positions, either part."""
+    times = np.asarray(TIMES)
+    decays = np.exp(-abs(times[:, None] - times[None]) / 20.0)
+    along = 0.5 * np.tril(np.ones((7, 7)), -1) @ np.diag([*turned, 0.0])
+    quick = 0.7**2 * integrated_covariance(times, 1.3)
+    quick += 0.3**2 * integrated_covariance(times, 9.0) + 0.2**2 * np.eye(7)
+    return quick + along @ decays @ along.conj().T
+
+
+def test_a_wandering_gain_is_that_of_the_dense_covariance():
+    known = disturbance(gain_wander=0.5)
+    real, imaginary = jax.random.normal(jax.random.key(3), (2, 7))
+    values = jax.lax.complex(real, imaginary)
+    turned = jax.lax.complex(imaginary, 2 * real)[:6]
+    steps = steps_of(known, 0.7, cycles=turned)
+    found = innovations(values[:, None], jnp.ones(7), FIRST, steps, known.noise)
+    difference = np.concatenate([-np.ones((6, 1)), np.eye(6)], axis=1)
+    dense = difference @ dense_gain(known, turned) @ difference.T
+    moved = np.asarray(values[1:] - values[0])
+    squares = (moved.conj() @ np.linalg.solve(dense, moved)).real
+    whitened = found.columns[:, 0]
+    np.testing.assert_allclose(jnp.vdot(whitened, whitened).real, squares, rtol=1e-9)
+    volume = np.linalg.slogdet(dense)[1]
+    np.testing.assert_allclose(found.log_variance.sum(), volume, rtol=1e-9)
+
+
 def test_filter_is_linear_and_ignores_padding():
-    known = disturbance()
-    steps = transitions(jnp.diff(TIMES), jnp.full(6, 0.7), known)
-    columns = jax.random.normal(jax.random.key(0), (7, 2))
+    known = disturbance(gain_wander=0.5)
+    turned = jax.random.normal(jax.random.key(2), (6,), complex)
+    steps = steps_of(known, 0.7, cycles=turned)
+    columns = jax.random.normal(jax.random.key(0), (7, 2), complex)
     both = jnp.concatenate([columns, (2 * columns[:, :1] - columns[:, 1:])], axis=1)
     found = innovations(both, jnp.ones(7), FIRST, steps, known.noise).columns
     np.testing.assert_allclose(found[:, 2], 2 * found[:, 0] - found[:, 1], atol=1e-12)
@@ -75,9 +112,9 @@ def test_filter_is_linear_and_ignores_padding():
 
 def test_two_transitions_make_one():
     known = disturbance()
-    halves = transitions(jnp.array([0.5, 0.7]), jnp.full(2, 0.8), known)
-    whole = transitions(jnp.array([1.2]), jnp.full(1, 0.8), known)
-    first, second = halves.matrix
+    halves = steps_of(known, 0.8, jnp.array([0.0, 0.5, 1.2]))
+    whole = steps_of(known, 0.8, jnp.array([0.0, 1.2]))
+    first, second = halves.matrix.real
     np.testing.assert_allclose(second @ first, whole.matrix[0], rtol=1e-12)
     noise = second @ halves.noise[0] @ second.T + halves.noise[1]
     np.testing.assert_allclose(noise, whole.noise[0], rtol=1e-9, atol=1e-12)
@@ -85,7 +122,7 @@ def test_two_transitions_make_one():
 
 def test_short_intervals_do_not_cancel():
     known = disturbance(memory=1e5, slow=0.0)
-    steps = transitions(jnp.array([1e-3]), jnp.ones(1), known)
+    steps = steps_of(known, 1.0, jnp.array([0.0, 1e-3]))
     np.testing.assert_allclose(steps.noise[0, 0, 0], 2 / 3 * 1e-9 / 1e5, rtol=1e-2)
 
 
@@ -99,8 +136,8 @@ def test_strength_grows_with_the_drive(quiet):
 def test_smoothed_velocity_of_a_steady_motion_is_its_speed():
     times = jnp.arange(60.0)
     known = disturbance(slow=2.0, slow_memory=1e3, noise=0.01, still=0.05)
-    steps = transitions(jnp.diff(times), jnp.full(59, 0.05), known)
-    positions = jnp.stack([1.5 * times, -0.5 * times], axis=1)
+    steps = steps_of(known, 0.05, times)
+    positions = jax.lax.complex(1.5 * times, -0.5 * times)
     velocity, slow, sd = smoothed_velocity(positions, jnp.full(60, 0.05), steps, known)
     np.testing.assert_allclose(velocity[30], [1.5, -0.5], atol=0.01)
     np.testing.assert_allclose(slow[30], velocity[30], atol=0.05)
@@ -109,11 +146,11 @@ def test_smoothed_velocity_of_a_steady_motion_is_its_speed():
 
 def test_a_new_segment_forgets_the_one_before():
     known = disturbance()
-    steps = transitions(jnp.diff(TIMES), jnp.full(6, 0.7), known)
-    columns = jax.random.normal(jax.random.key(1), (7, 1))
+    steps = steps_of(known, 0.7)
+    columns = jax.random.normal(jax.random.key(1), (7, 1), complex)
     begins = FIRST.at[3].set(1.0)
     both = innovations(columns, jnp.ones(7), begins, steps, known.noise)
-    tail = transitions(jnp.diff(TIMES[3:]), jnp.full(3, 0.7), known)
+    tail = steps_of(known, 0.7, TIMES[3:])
     alone = innovations(columns[3:], jnp.ones(4), FIRST[:4], tail, known.noise)
     np.testing.assert_allclose(both.columns[3:], alone.columns)
     np.testing.assert_allclose(both.log_variance[3:], alone.log_variance)

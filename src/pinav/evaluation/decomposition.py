@@ -4,8 +4,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
+from pinav.arguments import on_device
 from pinav.dynamics import Swimmer, with_dtype
 
 
@@ -32,12 +33,21 @@ def decompose(
         PI-NAV paper, addendum 3 (structural interpretability).
     """
     exact = with_dtype(swimmer, jnp.float64)
-    x, v = jnp.split(jnp.asarray(states), 2, axis=1)
+    terms = _terms(exact, on_device(times), on_device(states))
+    return Decomposition(np.asarray(times), jax.tree.map(np.asarray, terms))
+
+
+@eqx.filter_jit
+def _terms(
+    swimmer: Swimmer,
+    times: Float[Array, " time"],
+    states: Float[Array, "time state"],
+) -> dict[str, Float[Array, "time dim"]]:
+    """One compiled program in place of one for each operation."""
+    x, v = jnp.split(states, 2, axis=1)
     forces = {
-        "propulsion": exact.propulsion,
-        "environment": exact.environment,
-        "drag": exact.drag,
+        "propulsion": swimmer.propulsion,
+        "environment": swimmer.environment,
+        "drag": swimmer.drag,
     }
-    ts = jnp.asarray(times)
-    terms = {k: np.asarray(jax.vmap(f)(ts, x, v)) for k, f in forces.items()}
-    return Decomposition(np.asarray(times), terms)
+    return {name: jax.vmap(force)(times, x, v) for name, force in forces.items()}

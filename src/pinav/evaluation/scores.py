@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from pinav.arguments import on_device
 from pinav.dynamics import (
     AbstractDynamics,
     AbstractSolver,
@@ -99,7 +100,7 @@ def predict(
     solver = ForwardOnly() if solver is None else solver
     source = trajectories if driven_by is None else driven_by
     commands = source.commands if takes_commands(dynamics) else {}
-    programme = jax.tree.map(jnp.asarray, (source.times, commands))
+    programme = jax.tree.map(on_device, (source.times, commands))
     model = with_dtype(dynamics, jnp.float64)
     ys, outcomes = _rollouts(model, first, times, programme, solver)
     codes = np.where(known, outcomes, Outcome.DIVERGED)

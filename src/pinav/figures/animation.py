@@ -1,6 +1,7 @@
 """An animation of closed-loop runs, as one GIF file."""
 
 import dataclasses
+import itertools
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -74,16 +75,20 @@ def save_animation(
     figure, axes = _stage(arrays, trails, units)
     canvas = FigureCanvasAgg(figure)
     figure.set_dpi(DOTS)
-    figure.draw_without_rendering()
+    canvas.draw()
     figure.set_layout_engine("none")
+    still = canvas.copy_from_bbox(figure.bbox)  # what no frame changes is drawn once
     moving = [_actors(ax, trails) for ax in axes]
     clock = figure.text(0.99, 0.99, "", fontsize=SMALL, ha="right", va="top")
     frames = []
     for step in _frame_steps(trails.steps):
+        canvas.restore_region(still)
         clock.set_text(f"t = {step * trails.step:.2f}")
-        for actors in moving:
+        figure.draw_artist(clock)
+        for ax, actors in zip(axes, moving, strict=True):
             _move(actors, trails, step)
-        canvas.draw()
+            for artist in itertools.chain(*actors.values()):
+                ax.draw_artist(artist)
         image = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
         frames.append(image.quantize(64, method=Image.Quantize.FASTOCTREE))
     path.parent.mkdir(parents=True, exist_ok=True)

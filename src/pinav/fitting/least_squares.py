@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree
 
+from pinav.arguments import on_device
 from pinav.errors import InputError
 from pinav.fitting.engine.constant_priors import ConstantPriors
 from pinav.fitting.engine.evidence_fit import EvidenceFit, evidence_fit
@@ -226,7 +227,7 @@ class Regression(AbstractProblem):
 
     def linearise(self, theta: Parameters, states: States) -> AbstractLocalModel | None:
         residuals, jacobian = _linearise(
-            self.parametric, self.residuals, jnp.asarray(theta)
+            self.parametric, self.residuals, on_device(theta)
         )
         rows, right = np.asarray(jacobian), np.asarray(residuals)
         if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(right))):
@@ -252,13 +253,13 @@ class Regression(AbstractProblem):
         in_time = getattr(self.residuals, "in_time", None)
         if in_time is None:
             return None
-        theta = jnp.asarray(step.move.theta)
+        theta = on_device(step.move.theta)
         residuals = _residuals(self.parametric, self.residuals, theta)
         return in_time(np.asarray(residuals))
 
     def flat_information(self) -> tuple[int, float]:
         count = eqx.filter_eval_shape(
-            self.residuals, self.parametric(jnp.asarray(self.theta))
+            self.residuals, self.parametric.at(self.theta)
         ).shape[0]
         total, flat = count - self.num_projected, int(self.flat.sum())
         return total, flat * float(np.log(total)) + self.log_determinant
@@ -284,7 +285,7 @@ class LocalRegression(AbstractLocalModel):
     def predict(self, theta: Parameters) -> Prediction:
         if np.array_equal(theta, self.theta):
             return Prediction(self.residuals, None)
-        inputs = self.problem.residuals, jnp.asarray(theta)
+        inputs = self.problem.residuals, on_device(theta)
         return Prediction(_residuals(self.problem.parametric, *inputs), None)
 
     def pull_back(self, residuals: Float[Array, "..."]) -> Parameters:

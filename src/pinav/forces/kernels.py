@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
-from pinav.arguments import Scalar, Vector
+from pinav.arguments import Scalar, Vector, on_device
 from pinav.errors import InputError
 from pinav.forces.force import AbstractLearnedForce, KernelPlaces
 from pinav.forces.priors import Centers, Shape, WeightPrior
@@ -46,8 +46,9 @@ class AbstractKernels(AbstractLearnedForce):
         cls: type[Kernels], centers: Centers, width: float
     ) -> Kernels:
         """A force without weight yet: kernels at places, of a width [L]."""
-        places = jnp.asarray(centers)
-        return cls(jnp.zeros(cls.weight_shape(places.shape)), places, width)
+        places = on_device(centers)
+        weights = on_device(np.zeros(cls.weight_shape(places.shape)))
+        return cls(weights, places, width)
 
     @property
     def parameters(self) -> PyTree:

@@ -193,9 +193,16 @@ def tanh_network(
             raise InputError(
                 f"network {name}: expected a positive integer, got {value}"
             )
-    return eqx.nn.MLP(in_size, out_size, width, depth, activation=jnp.tanh, key=key)
+    return _draw_network((in_size, out_size, width, depth), key)
 
 
+@eqx.filter_jit
+def _draw_network(sizes: tuple[int, int, int, int], key: PRNGKeyArray) -> eqx.nn.MLP:
+    """One compiled program in place of one for each array."""
+    return eqx.nn.MLP(*sizes, activation=jnp.tanh, key=key)
+
+
+@eqx.filter_jit
 def spread_weights(network: eqx.nn.MLP) -> eqx.nn.MLP:
     r"""The network with all weights and biases times $\sqrt 3$.
 

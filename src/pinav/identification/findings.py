@@ -153,6 +153,7 @@ def finding_sentences(
             _delay(delays),
         ]
         sentences.append(_gain(selection, "lag", "a lag of the heading"))
+        sentences.append(_wandering(selection))
         sentences.append(extrapolation(selection.train, selection.held_out))
     sentences.append(_gain(selection, "time-dependent drift", "a drift that changes"))
     sentences += [
@@ -360,6 +361,20 @@ def _gain(selection: Selection, label: str, meaning: str) -> str:
         return f"{meaning.capitalize()}: not fitted, {selection.row(names[0]).reason}."
     difference = _difference(selection, names[0])
     return f"{meaning[0].upper()}{meaning[1:]}: {_words(difference)}."
+
+
+def _wandering(selection: Selection) -> str:
+    """Whether the gain wanders, and by how much where the bands allow for it."""
+    text = _gain(selection, "wandering gain", "a gain that wanders")
+    fit = selection.best.wandering
+    if fit is None:
+        return text
+    found = fit.estimates()
+    part = found["gain wander"].value / max(found["gain"].value, 1e-30)
+    return (
+        f"{text[:-1]}: by {100 * part:.2g} % of the gain with a memory of "
+        f"{found['gain memory'].value:.2g} s; the bands allow for it."
+    )
 
 
 def _words(difference: float) -> str:

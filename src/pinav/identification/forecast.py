@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Complex, Float, Int
 
 from pinav.actuation import HeldProgramme
 from pinav.evaluation import normal_quantile
@@ -233,6 +233,7 @@ class Forecast(eqx.Module):
             response would add above the frequencies that were fitted [L].
         frame: variance of a single frame about the mean path [L²].
         disturbance: the noise.
+        turned: integral of the response along the heading, x + iy [cycles].
     """
 
     piece: Trajectory
@@ -242,6 +243,7 @@ class Forecast(eqx.Module):
     beyond: Float[np.ndarray, "time 2"]
     frame: Float[np.ndarray, "time 2"]
     disturbance: Disturbance
+    turned: Complex[np.ndarray, " time"]
 
     @classmethod
     def of(cls, piece: Trajectory, fit: TrackFit, jitter: FrameJitter) -> "Forecast":
@@ -250,7 +252,9 @@ class Forecast(eqx.Module):
         slopes, covariance = _slopes(piece, fit, path)
         frame = jitter.variance(piece)
         beyond = _beyond(piece, fit)
-        return cls(piece, path, slopes, covariance, beyond, frame, fit.disturbance)
+        noise = (fit.wandering or fit).disturbance
+        turned = cycles(fit, piece) @ np.array([1.0, 1.0j])
+        return cls(piece, path, slopes, covariance, beyond, frame, noise, turned)
 
     def rollout(self, first: int, last: int) -> Float[np.ndarray, "sample 2"]:
         """Positions from the observed one at sample `first` on [L]."""
@@ -276,6 +280,7 @@ class Forecast(eqx.Module):
             variances = _wandering_variances(
                 jnp.asarray(np.pad(intervals, more, constant_values=1.0)),
                 jnp.asarray(np.pad(frequency[samples][:-1], more)),
+                jnp.asarray(np.pad(np.diff(self.turned[samples]), more)),
                 self.disturbance,
             )
         return np.concatenate([[0.0], np.asarray(variances)[: len(intervals)]])
@@ -283,17 +288,18 @@ class Forecast(eqx.Module):
 
 @eqx.filter_jit
 def _wandering_variances(
-    intervals: Array, frequency: Array, disturbance: Disturbance
+    intervals: Array, frequency: Array, turned: Array, disturbance: Disturbance
 ) -> Array:
-    """Variance of the way after each interval, of velocities unknown at first."""
-    steps = transitions(intervals, disturbance.strength(frequency), disturbance)
+    """Variance of the way after each interval, velocities and gain unknown at first."""
+    strength = disturbance.strength(frequency)
+    steps = transitions(intervals, strength, disturbance, turned)
 
     def step(spread: Array, inputs: tuple[Array, Array]) -> tuple[Array, Array]:
         matrix, noise = inputs
-        spread = matrix @ spread @ matrix.T + noise
-        return spread, spread[0, 0]
+        spread = matrix @ spread @ matrix.conj().T + noise.astype(matrix.dtype)
+        return spread, spread[0, 0].real
 
-    unknown = jnp.diag(jnp.array([0.0, 1.0, 1.0]))
+    unknown = jnp.diag(jnp.array([0.0, 1.0, 1.0, 1.0])).astype(turned.dtype)
     return jax.lax.scan(step, unknown, (steps.matrix, steps.noise))[1]
 
 
@@ -301,16 +307,17 @@ def _slopes(
     piece: Trajectory, fit: TrackFit, path: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Of a displacement by each unknown, and the covariance of the unknowns."""
-    learned = fit.candidate.learned
+    known = fit.wandering or fit
+    learned = known.candidate.learned
     drive = [name for name in NAMES[:4] if name in learned]
     elapsed = piece.times - piece.times[0]
     gains = np.einsum("gab,tb->tag", fit.candidate.matrices(), cycles(fit, piece))
     drifts = np.einsum("ga,t->tag", fit.candidate.velocities(), elapsed)
     columns = [_drive_slope(piece, fit, path, name)[:, :, None] for name in drive]
     places = [learned.index(name) for name in drive]
-    places += list(range(len(learned), len(fit.covariance)))
+    places += list(range(len(learned), len(known.covariance)))
     slopes = np.concatenate([*columns, gains, drifts], axis=2)
-    return slopes, fit.covariance[np.ix_(places, places)]
+    return slopes, known.covariance[np.ix_(places, places)]
 
 
 def _drive_slope(
@@ -323,7 +330,7 @@ def _drive_slope(
     return (moved - path) / step
 
 
-DISCREPANCY = 0.3
+DISCREPANCY = 0.25
 """Standard deviation of the slope of the response above the fitted frequencies, in
 slopes at rest: between none and the whole of it, all are seen. Chosen on five sessions
 and half of the other recordings, judged on the rest (docs/identification.md)."""

@@ -1,8 +1,12 @@
 r"""The Kalman filter behind every evidence here: a path with a wandering velocity.
 
-Along each axis $\dot p = \sigma(t) z + u$ with Ornstein-Uhlenbeck processes: a quick
-one z of variance 1, whose strength $\sigma$ grows with the drive, and a slow one u, the
-drift that changes. Observed is $p$ plus white noise. Known regressors add to p, and the
+Points of the plane are complex numbers, $p = x + iy$. In
+$\dot p = \sigma(t) z + u + \gamma\,\dot c\,g$ there are three complex
+Ornstein-Uhlenbeck processes, whose real and imaginary parts are independent: a quick
+one z of variance 1, whose strength $\sigma$ grows with the drive; a slow one u, the
+drift that changes; and g, a gain that wanders. The command $\dot c$ is turned and
+stretched by $\gamma g$: its real part is a change of the gain, its imaginary part one
+of the heading. Observed is $p$ plus white noise. Known regressors add to p, and the
 filter is linear: filtered as further columns, they make the fit of their coefficients
 ordinary least squares.
 
@@ -14,7 +18,7 @@ References:
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Complex, Float
 
 
 class Disturbance(eqx.Module):
@@ -26,6 +30,8 @@ class Disturbance(eqx.Module):
         memory: correlation time of the quick velocity [T].
         slow: standard deviation of the slow velocity [L T⁻¹].
         slow_memory: its correlation time [T].
+        gain_wander: standard deviation of either part of $\gamma g$ [L per cycle].
+        gain_memory: its correlation time [T].
         noise: of the mean position of a block [L].
     """
 
@@ -34,6 +40,8 @@ class Disturbance(eqx.Module):
     memory: Float[Array, ""]
     slow: Float[Array, ""]
     slow_memory: Float[Array, ""]
+    gain_wander: Float[Array, ""]
+    gain_memory: Float[Array, ""]
     noise: Float[Array, ""]
 
     def strength(self, frequency: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
@@ -44,44 +52,53 @@ class Disturbance(eqx.Module):
 
 
 class Transition(eqx.Module):
-    """From one block to the next: state (p, z, u).
+    """From one block to the next: state (p, z, u, g).
 
     Attributes:
         matrix: of the mean.
         noise: covariance that is added.
     """
 
-    matrix: Float[Array, "*step 3 3"]
-    noise: Float[Array, "*step 3 3"]
+    matrix: Complex[Array, "*step 4 4"]
+    noise: Float[Array, "*step 4 4"]
 
 
 def transitions(
     intervals: Float[Array, " step"],
     strength: Float[Array, " step"],
     disturbance: Disturbance,
+    cycles: Complex[Array, " step"],
 ) -> Transition:
-    """Exact transitions over intervals [T], the strength of each held.
+    """Transitions over intervals [T], the strength and the wandering gain of each held.
+
+    They are exact but for the gain, whose memory is long against an interval.
 
     Args:
         intervals: between two times.
         strength: of the quick velocity in each.
-        disturbance: memories and the slow velocity.
+        disturbance: memories, the slow velocity and the wandering gain.
+        cycles: turns of the robot in each, along its heading.
     """
     slow = jnp.broadcast_to(disturbance.slow, strength.shape)
     quick = _integrate(intervals, disturbance.memory, strength)
     drift = _integrate(intervals, disturbance.slow_memory, slow)
+    ratio = intervals / disturbance.gain_memory
     zero, one = jnp.zeros_like(intervals), jnp.ones_like(intervals)
     matrix = [
-        [one, quick[0], drift[0]],
-        [zero, quick[1], zero],
-        [zero, zero, drift[1]],
+        [one, quick[0], drift[0], zero],
+        [zero, quick[1], zero, zero],
+        [zero, zero, drift[1], zero],
+        [zero, zero, zero, jnp.exp(-ratio)],
     ]
     noise = [
-        [quick[2] + drift[2], quick[3], drift[3]],
-        [quick[3], quick[4], zero],
-        [drift[3], zero, drift[4]],
+        [quick[2] + drift[2], quick[3], drift[3], zero],
+        [quick[3], quick[4], zero, zero],
+        [drift[3], zero, drift[4], zero],
+        [zero, zero, zero, -jnp.expm1(-2 * ratio)],
     ]
-    return Transition(*(_stack(rows) for rows in (matrix, noise)))
+    known = _stack(matrix).astype(cycles.dtype)
+    moved = disturbance.gain_wander.astype(cycles.dtype) * cycles
+    return Transition(known.at[..., 0, 3].set(moved), _stack(noise))
 
 
 def _stack(rows: list[list[Array]]) -> Array:
@@ -112,16 +129,16 @@ class Innovations(eqx.Module):
     """What each block adds to the ones before it, in its own standard deviation.
 
     Attributes:
-        columns: whitened columns; zero where there is no block.
+        columns: whitened columns, x + iy; zero where there is no block.
         log_variance: of each innovation; zero where there is no block.
     """
 
-    columns: Float[Array, "step column"]
+    columns: Complex[Array, "step column"]
     log_variance: Float[Array, " step"]
 
 
 def innovations(
-    columns: Float[Array, "block column"],
+    columns: Complex[Array, "block column"],
     present: Float[Array, " block"],
     begins: Float[Array, " block"],
     transition: Transition,
@@ -130,11 +147,11 @@ def innovations(
     """Filter the columns of segments; the first block of each only sets its start.
 
     Args:
-        columns: observed positions and regressors at each block.
+        columns: observed positions and regressors at each block, x + iy.
         present: 1 for a block, 0 for padding, which comes last.
         begins: 1 for the first block of a segment.
         transition: from each block to the next.
-        noise: standard deviation of an observed position.
+        noise: standard deviation of an observed coordinate.
     """
 
     def step(state: State, inputs: tuple[Array, ...]) -> tuple[State, tuple]:
@@ -143,7 +160,7 @@ def innovations(
         innovation, variance, updated = _update(ahead, row, noise)
         begun = _begin(row, noise)
         after = [jnp.where(new > 0, a, b) for a, b in zip(begun, updated, strict=True)]
-        whitened = here * innovation / jnp.sqrt(variance)
+        whitened = innovation * (here / jnp.sqrt(variance)).astype(row.dtype)
         return (after[0], after[1]), (whitened, here * jnp.log(variance))
 
     here = present[1:] * (1 - begins[1:])
@@ -153,33 +170,42 @@ def innovations(
 
 
 State = tuple[Array, Array]
-"""Mean of (p, z, u) for each column, and their covariance."""
+"""Mean of (p, z, u, g) for each column, and their Hermitian covariance, each part of a
+complex number for itself."""
 
 
 def _begin(row: Array, noise: Array) -> State:
     """The state at the first block of a segment."""
     unit = jnp.zeros_like(row)
     one = jnp.ones(())
-    return jnp.stack([row, unit, unit]), jnp.diag(jnp.stack([noise**2, one, one]))
+    variances = jnp.diag(jnp.stack([noise**2, one, one, one]))
+    return jnp.stack([row, unit, unit, unit]), variances.astype(row.dtype)
 
 
 def _predict(state: State, matrix: Array, added: Array) -> State:
     mean, covariance = state
-    return matrix @ mean, matrix @ covariance @ matrix.T + added
+    half = _product(matrix, covariance)
+    spread = _product(matrix, half.conj().T)
+    return _product(matrix, mean), spread + added.astype(spread.dtype)
+
+
+def _product(matrix: Array, other: Array) -> Array:
+    return jnp.sum(matrix[:, :, None] * other[None], axis=1)
 
 
 def _update(ahead: State, row: Array, noise: Array) -> tuple[Array, Array, State]:
     """What an observation adds, its variance, and the state that knows it."""
     mean, covariance = ahead
-    variance = covariance[0, 0] + noise**2
-    gain = covariance[:, 0] / variance
+    variance = covariance[0, 0].real + noise**2
+    column = covariance[:, 0]
+    gain = column / variance.astype(column.dtype)
     innovation = row - mean[0]
     mean = mean + gain[:, None] * innovation[None]
-    return innovation, variance, (mean, covariance - jnp.outer(gain, gain) * variance)
+    return innovation, variance, (mean, covariance - jnp.outer(gain, column.conj()))
 
 
 def smoothed_velocity(
-    positions: Float[Array, "block 2"],
+    positions: Complex[Array, " block"],
     strength: Float[Array, " block"],
     transition: Transition,
     disturbance: Disturbance,
@@ -187,7 +213,7 @@ def smoothed_velocity(
     """Velocity of both processes at each block.
 
     Args:
-        positions: what the regressors leave [L].
+        positions: what the regressors leave [L], x + iy.
         strength: of the quick velocity at each block.
         transition: from each block to the next.
         disturbance: slow velocity and noise.
@@ -199,7 +225,8 @@ def smoothed_velocity(
     References:
         Rauch, Tung and Striebel, AIAA J. 3, 1445 (1965).
     """
-    noise, start = disturbance.noise, _begin(positions[0], disturbance.noise)
+    noise, rows = disturbance.noise, positions[:, None]
+    start = _begin(rows[0], noise)
 
     def forth(state: State, inputs: tuple[Array, ...]) -> tuple[State, tuple]:
         matrix, added, row = inputs
@@ -210,20 +237,22 @@ def smoothed_velocity(
     def back(later: State, inputs: tuple) -> tuple[State, State]:
         mean, covariance = later
         (past_mean, past_spread), (ahead_mean, ahead_spread), matrix = inputs
-        gain = jnp.linalg.solve(ahead_spread, matrix @ past_spread).T
+        gain = jnp.linalg.solve(ahead_spread, matrix @ past_spread).conj().T
         mean = past_mean + gain @ (mean - ahead_mean)
-        covariance = past_spread + gain @ (covariance - ahead_spread) @ gain.T
+        covariance = past_spread + gain @ (covariance - ahead_spread) @ gain.conj().T
         return (mean, covariance), (mean, covariance)
 
-    rows = transition.matrix, transition.noise, positions[1:]
-    last, (states, ahead) = jax.lax.scan(forth, start, rows)
+    inputs = transition.matrix, transition.noise, rows[1:]
+    last, (states, ahead) = jax.lax.scan(forth, start, inputs)
     passed = states, ahead, transition.matrix
     _, (means, spreads) = jax.lax.scan(back, last, passed, reverse=True)
     means = jnp.concatenate([means, last[0][None]])
     spreads = jnp.concatenate([spreads, last[1][None]])
     slow = jnp.broadcast_to(disturbance.slow, strength.shape)
-    weights = jnp.stack([jnp.zeros_like(strength), strength, slow], axis=1)
+    nothing = jnp.zeros_like(strength)
+    weights = jnp.stack([nothing, strength, slow, nothing], axis=1)
+    means = jnp.stack([means[..., 0].real, means[..., 0].imag], axis=-1)
     both = jnp.einsum("bs,bsa->ba", weights, means)
     alone = slow[:, None] * means[:, 2]
-    variance = jnp.einsum("bs,bst,bt->b", weights, spreads, weights)
+    variance = jnp.einsum("bs,bst,bt->b", weights, spreads.real, weights)
     return both, alone, jnp.sqrt(variance)

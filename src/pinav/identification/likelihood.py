@@ -12,18 +12,18 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Complex, Float, Int
 
 from pinav.actuation import HeldProgramme
-from pinav.identification.kalman import (
-    Disturbance,
-    Innovations,
-    innovations,
-    transitions,
+from pinav.identification.blocks_filter import (
+    Drive,
+    apart,
+    in_plane,
+    innovations_of_columns,
+    steps_within,
 )
 from pinav.identification.models import (
     COMMAND_RESPONSE,
-    NAMES,
     RESPONSES,
     CandidateModel,
     SwitchedResponse,
@@ -55,6 +55,15 @@ class Design(eqx.Module):
             jnp.asarray(candidate.velocities()),
             jnp.asarray(RESPONSES.index(candidate.response)),
         )
+
+    def combine(
+        self, columns: Complex[Array, "*shape 3"]
+    ) -> Complex[Array, "*shape coefficient"]:
+        """What each coefficient makes of columns along x, along y and of time."""
+        gains = in_plane(jnp.swapaxes(self.gains, 1, 2))
+        drifts = in_plane(self.drifts)
+        by_gain = columns[..., :2] @ gains.T
+        return jnp.concatenate([by_gain, columns[..., 2:] @ drifts[None]], axis=-1)
 
 
 class Field(eqx.Module):
@@ -131,13 +140,6 @@ class Whitened(eqx.Module):
     def coefficients(self) -> tuple[Float[Array, " coefficient"], Float[Array, "k k"]]:
         """Best coefficients and their information."""
         return self.solve(self.rows.T @ self.target), self.information
-
-
-def disturbance_of(theta: Float[Array, " parameter"]) -> Disturbance:
-    """The noise that the parameters describe."""
-    names = ("still", "driven", "memory", "slow", "slow_memory", "noise")
-    values = [jnp.exp(theta[NAMES.index(f"log_{name}")]) for name in names]
-    return Disturbance(*values)
 
 
 def displacements(theta: Array, design: Design) -> Float[Array, "sample 2"]:
@@ -219,57 +221,30 @@ def whiten(
     known = along @ field.gain.T + elapsed * field.drift[None]
     samples = [blocks.positions - known, along, elapsed, blocks.frequency[:, None]]
     means = block_means(jnp.concatenate(samples, axis=-1), blocks)
-    observed = means[:, :2] - field.offset
-    weights = field.columns.shape[2]
-    columns = [observed, means[:, 2:5], field.columns[:, 0], field.columns[:, 1]]
-    filtered = innovations_of_columns(
-        theta, jnp.concatenate(columns, axis=-1), means[:, 5], blocks
-    )
-    x, y, along_x, along_y, time = jnp.moveaxis(filtered.columns[:, :5], -1, 0)
-    along = jnp.stack([along_x, along_y])
-    gains = jnp.einsum("gab,br->gar", design.gains, along)
-    drifts = design.drifts[:, :, None] * time[None, None]
-    by_weight = filtered.columns[:, 5:]
+    drive = Drive(means[:, 4], means[:, 5], in_plane(means[:, 2:4]))
+    observed = in_plane(means[:, :2] - field.offset)
+    weights = in_plane(jnp.swapaxes(field.columns, 1, 2))
+    given = means[:, 2:5].astype(weights.dtype)
+    columns = jnp.concatenate([observed[:, None], given, weights], axis=1)
+    filtered = innovations_of_columns(theta, columns, drive, blocks)
+    rows = design.combine(filtered.columns[:, 1:4])
     return Whitened(
-        rows=jnp.concatenate([gains, drifts]).reshape(6, -1).T,
-        field=jnp.concatenate([by_weight[:, :weights], by_weight[:, weights:]]),
-        target=jnp.concatenate([x, y]),
+        rows=apart(rows),
+        field=apart(filtered.columns[:, 4:]),
+        target=apart(filtered.columns[:, 0]),
         log_variance=jnp.sum(filtered.log_variance),
-        count=jnp.sum(_steps(blocks)),
+        count=jnp.sum(steps_within(blocks)),
     )
 
 
-def innovations_of_columns(
-    theta: Array, columns: Array, frequency: Array, blocks: Any
-) -> Innovations:
-    """Innovations of columns given at each block; the fifth column is the time."""
-    disturbance = disturbance_of(theta)
-    present = (blocks.counts > 0).astype(columns.dtype)
-    steps = jnp.where(_steps(blocks) > 0, jnp.diff(columns[:, 4]), 1.0)
-    strength = disturbance.strength(rolling_about(frequency))
-    transition = transitions(steps, strength, disturbance)
-    return innovations(columns, present, blocks.begins, transition, disturbance.noise)
-
-
-def _steps(blocks: Any) -> Float[Array, " step"]:
-    """1 for each step within a segment."""
-    present = (blocks.counts[1:] > 0).astype(blocks.counts.dtype)
-    return present * (1 - blocks.begins[1:])
-
-
-def rolling_about(frequency: Float[Array, " block"]) -> Float[Array, " step"]:
-    """Highest frequency from one block before each step to one block after it.
-
-    When a robot starts or stops it does so within a delay that the logs do not fix; a
-    disturbance as small as at rest would make that moment the most exact of data.
-    """
-    padded = jnp.concatenate([frequency[:1], frequency, frequency[-1:]])
-    later = padded[1:], padded[2:], padded[3:]
-    steps = frequency.shape[0] - 1
-    highest = padded[:steps]
-    for shifted in later:
-        highest = jnp.maximum(highest, shifted[:steps])
-    return highest
+@eqx.filter_jit
+def drive_of(theta: Float[Array, " parameter"], design: Design) -> Drive:
+    """The drive of a candidate on a track."""
+    blocks = design.blocks
+    rest = jnp.stack([blocks.times, blocks.frequency], axis=-1)
+    samples = jnp.concatenate([rest, displacements(theta, design)], axis=-1)
+    means = block_means(samples, blocks)
+    return Drive(means[:, 0], means[:, 1], in_plane(means[:, 2:]))
 
 
 def evidence_and_coefficients(
@@ -320,6 +295,7 @@ value_and_slope = eqx.filter_jit(
 """The negative log evidence with the coefficients, and its gradient, compiled once for
 each size of track: a second program for the coefficients alone costs more than the
 gradients that it saves."""
+
 
 compiled_whiten = eqx.filter_jit(whiten)
 """The least-squares problem, compiled."""

@@ -31,7 +31,10 @@ COMMAND_RESPONSE = ("log_corner", "logit_residual", "delay", "log_lag")
 SLOW_DRIFT = ("log_slow", "log_slow_memory")
 """Parameters of a drift that changes."""
 
-NAMES = (*COMMAND_RESPONSE, *NOISE, *SLOW_DRIFT)
+WANDERING_GAIN = ("log_gain_wander", "log_gain_memory")
+"""Parameters of a gain that wanders."""
+
+NAMES = (*COMMAND_RESPONSE, *NOISE, *SLOW_DRIFT, *WANDERING_GAIN)
 """All nonlinear parameters, in their order."""
 
 ABSENT = {
@@ -41,6 +44,8 @@ ABSENT = {
     "log_lag": math.log(1e-4),
     "log_slow": math.log(1e-9),
     "log_slow_memory": math.log(60.0),
+    "log_gain_wander": math.log(1e-9),
+    "log_gain_memory": math.log(60.0),
 }
 """Values of parameters that a candidate has not."""
 
@@ -157,7 +162,7 @@ MATRIX = CandidateModel("gain matrix and drift", gains=FULL, drifts=BOTH)
 def with_response(candidate: CandidateModel, response: str) -> CandidateModel:
     """The candidate with another response, whose parameters are learned."""
     free = tuple(
-        name for name in candidate.free if name in ("delay", "log_lag", *SLOW_DRIFT)
+        name for name in candidate.free if name not in ("log_corner", "logit_residual")
     )
     return CandidateModel(
         f"{candidate.name} + {response}" if response != "linear" else candidate.name,

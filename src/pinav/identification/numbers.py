@@ -31,6 +31,8 @@ NOISE_PATHS = {
     "log_memory": "wandering.memory",
     "log_slow": "wandering.slow",
     "log_slow_memory": "wandering.slow_memory",
+    "log_gain_wander": "wander of the gain",
+    "log_gain_memory": "memory of the gain",
     "log_noise": BLOCK_NOISE,
 }
 """Names of the parameters of the noise among the constants of a fit."""

@@ -27,13 +27,15 @@ class Prior(eqx.Module):
 
         Speeds about a tenth of the track's, within a factor of 20 (two sd); the
         corner about the geometric mean of the commanded frequencies, within a factor
-        of 20; delays of a camera and its computer, 0.2 ± 0.2 s; lags about 0.1 s.
+        of 20; delays of a camera and its computer, 0.2 ± 0.2 s; lags about 0.1 s; a
+        gain that wanders by about a tenth within ten blocks.
         """
         speed = _typical_speed(track)
         jitter = math.log(0.2 * speed * track.width)
         quick = math.log(0.1 * speed)
+        frequency = math.log(_typical_frequency(track))
         table = {
-            "log_corner": (math.log(_typical_frequency(track)), 1.5),
+            "log_corner": (frequency, 1.5),
             "logit_residual": (0.0, 1.5),
             "delay": (0.2, 0.2),
             "log_lag": (math.log(0.1), 1.0),
@@ -43,6 +45,8 @@ class Prior(eqx.Module):
             "log_noise": (jitter, 1.5),
             "log_slow": (quick, 1.5),
             "log_slow_memory": (math.log(30.0 * track.width), 1.0),
+            "log_gain_wander": (quick - frequency, 1.5),
+            "log_gain_memory": (math.log(10.0 * track.width), 1.0),
         }
         mean, sd = np.array([table[name] for name in NAMES]).T
         return cls(mean, sd)

@@ -19,14 +19,19 @@ from pinav.fitting.engine.iterate import iterate
 from pinav.fitting.engine.steps import FullStep, ShortenedStep
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.least_squares import Regression
+from pinav.identification.blocks_filter import (
+    Drive,
+    apart,
+    in_plane,
+    innovations_of_columns,
+)
 from pinav.identification.displacement_field import path_displacement
 from pinav.identification.fit import TrackFit
 from pinav.identification.forecast import Errors, Rollouts, path_of
 from pinav.identification.likelihood import (
     Design,
-    block_means,
     compiled_whiten,
-    innovations_of_columns,
+    drive_of,
 )
 from pinav.identification.tracks import Blocks, Track
 from pinav.trajectories import Trajectories, Trajectory
@@ -112,12 +117,14 @@ class FilteredDisplacement(eqx.Module):
     Attributes:
         theta: parameters of the candidate's filter.
         blocks: the observed path.
+        drive: what moves the blocks.
         target: whitened displacements.
         basis: of what gain and drift can explain, orthonormal; it is projected out.
     """
 
     theta: Float[Array, " parameter"]
     blocks: Blocks
+    drive: Drive
     target: Float[Array, " row"]
     basis: Float[Array, "row coefficient"]
 
@@ -126,7 +133,9 @@ class FilteredDisplacement(eqx.Module):
         moved = path_displacement(
             lambda t, x: environment(t, x, jnp.zeros_like(x)), self.blocks
         )
-        return _filtered_rows(self.theta, moved[..., None], self.blocks)[:, 0]
+        columns = in_plane(moved)[:, None]
+        filtered = innovations_of_columns(self.theta, columns, self.drive, self.blocks)
+        return apart(filtered.columns[:, 0])
 
     def __call__(self, environment: Any) -> Float[Array, " row"]:
         """Displacements by the environment less the observed ones."""
@@ -155,12 +164,14 @@ class _BaseDesign(eqx.Module):
     @classmethod
     def of(cls, track: Track, base: TrackFit) -> "_BaseDesign":
         blocks, theta = Blocks.of(track), jnp.asarray(base.theta)
-        whitened = compiled_whiten(theta, Design.of(base.candidate, blocks))
+        design = Design.of(base.candidate, blocks)
+        whitened = compiled_whiten(theta, design)
         rows = np.asarray(whitened.rows)
         present = np.any(rows != 0, axis=0)
         residuals = FilteredDisplacement(
             theta=theta,
-            blocks=jax.tree.map(jnp.asarray, blocks),
+            blocks=design.blocks,
+            drive=drive_of(theta, design),
             target=whitened.target,
             basis=jnp.asarray(np.linalg.qr(rows[:, present])[0]),
         )
@@ -178,24 +189,6 @@ class _BaseDesign(eqx.Module):
         left = np.asarray(self.residuals.target - moved)
         coefficients[self.present] = np.linalg.lstsq(self.rows, left, rcond=None)[0]
         return coefficients
-
-
-def _filtered_rows(
-    theta: Array, columns: Array, blocks: Blocks
-) -> Float[Array, "row column"]:
-    rest = block_means(jnp.stack([blocks.times, blocks.frequency], axis=-1), blocks)
-    whitened = [_filtered_axis(theta, columns[:, a], rest, blocks) for a in (0, 1)]
-    return jnp.concatenate(whitened)
-
-
-def _filtered_axis(
-    theta: Array, columns: Array, rest: Array, blocks: Blocks
-) -> Float[Array, "step column"]:
-    """The columns of one axis through the filter, which wants the time as the fifth."""
-    padded = jnp.concatenate(
-        [jnp.zeros((columns.shape[0], 4)), rest[:, :1], columns], axis=-1
-    )
-    return innovations_of_columns(theta, padded, rest[:, 1], blocks).columns[:, 5:]
 
 
 def residual_errors(track: Track, rollouts: Rollouts, fit: ResidualFit) -> Errors:

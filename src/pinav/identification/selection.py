@@ -1,5 +1,6 @@
 """Model selection: all candidates on one track, scored on data that none has seen."""
 
+import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -36,6 +37,7 @@ from pinav.identification.models import (
     RESPONSES,
     SCALAR,
     SLOW_DRIFT,
+    WANDERING_GAIN,
     CandidateModel,
     like,
     with_free,
@@ -176,6 +178,7 @@ class _Comparison:
         self._extend("time-dependent drift", *SLOW_DRIFT)
         if self.train.commanded:
             self._compare_with_simpler()
+            self._allow_for_wandering_gain()
 
     def _fit(self, candidate: CandidateModel, start: str | None) -> TrackFit:
         begin = time.perf_counter()
@@ -214,6 +217,18 @@ class _Comparison:
         for candidate, start in simpler:
             if candidate.name not in self.fits:
                 self._fit(candidate, start)
+
+    def _allow_for_wandering_gain(self) -> None:
+        """The chosen candidate beside a gain that wanders, for the bands alone.
+
+        Its path is no better than that of a constant gain, and far worse where the
+        wander is a large part of the gain.
+        """
+        best = self.fits[self.chosen]
+        wandering = with_free(best.candidate, "wandering gain", *WANDERING_GAIN)
+        fit = self._fit(wandering, self.chosen)
+        if fit.log_evidence > best.log_evidence:
+            self.fits[self.chosen] = dataclasses.replace(best, wandering=fit)
 
     def residual(self, name: str) -> None:
         """A position-dependent residual on the chosen candidate."""

@@ -6,10 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from pinav.identification.blocks_filter import rolling_about
 from pinav.identification.fit import TrackFit
 from pinav.identification.forecast import cycles
 from pinav.identification.kalman import smoothed_velocity, transitions
-from pinav.identification.likelihood import rolling_about
 from pinav.identification.tracks import Track, block_indices, commands_of
 from pinav.trajectories import Trajectory
 
@@ -48,16 +48,22 @@ def _piece(piece: Trajectory, width: float, fit: TrackFit) -> tuple[np.ndarray, 
     def means(values: np.ndarray) -> np.ndarray:
         return np.bincount(index, values) / counts
 
-    left = piece.states - cycles(fit, piece) @ fit.gain.T
+    turned = cycles(fit, piece)
+    left = piece.states - turned @ fit.gain.T
     left = left - np.outer(piece.times - piece.times[0], fit.drift)
     times = means(piece.times)
     frequency = means(commands_of(piece)[0])
-    positions = np.stack([means(column) for column in left.T], axis=1)
+    positions, along = (means(a) + 1j * means(b) for a, b in (left.T, turned.T))
     with jax.enable_x64(new_val=True):
         disturbance, rate = fit.disturbance, jnp.asarray(frequency)
         step_strength = disturbance.strength(rolling_about(rate))
         strength = disturbance.strength(rate)
-        steps = transitions(jnp.asarray(np.diff(times)), step_strength, disturbance)
+        steps = transitions(
+            jnp.asarray(np.diff(times)),
+            step_strength,
+            disturbance,
+            jnp.asarray(np.diff(along)),
+        )
         velocity, slow, sd = smoothed_velocity(
             jnp.asarray(positions), strength, steps, disturbance
         )

@@ -57,7 +57,8 @@ def assemble(
     if not whole:
         raise InputError(
             f"the longest of {len(pieces)} segments has a single position; "
-            "expected two or more rows of a particle within a gap and a jump"
+            "expected two or more rows of a particle within a gap and a jump; check "
+            "the unit of positions, or set --jump and --gap"
         )
     faults += [fault for particle in by_name.values() for fault in particle.faults]
     scale, unit = _scale(tracks, reading)
@@ -90,7 +91,11 @@ def assemble(
             "bad rows left out": faults,
             "segments left out": [p.label for p in pieces if len(p.times) < 2],
             "doubts": dict(tracks.doubts),
-            "notes": [*tracks.notes, *_rate_notes(tracks, reading)],
+            "notes": [
+                *tracks.notes,
+                *_rate_notes(tracks, reading),
+                *_lost_notes(tracks, len(by_name)),
+            ],
             "trajectories": [piece.label for piece in whole],
         },
     )
@@ -177,6 +182,24 @@ def _rate_notes(tracks: Tracks, reading: Reading) -> list[str]:
     if abs(rate / reading.fps - 1) < 0.01:
         return []
     return [f"fps {reading.fps:g} was given, the times of the file say {rate:.4g}"]
+
+
+def _lost_notes(tracks: Tracks, count: int) -> list[str]:
+    """Rows that stand where trackers put a particle that they have lost, in words.
+
+    Args:
+        tracks: rows of the file.
+        count: of particles, each of which may begin at the origin.
+    """
+    notes = []
+    for place in (0.0, -1.0):
+        rows = int(((tracks.x == place) & (tracks.y == place)).sum())
+        if count < rows < len(tracks.x):
+            notes.append(
+                f"{rows} rows stand at exactly ({place:g}, {place:g}), where some "
+                "trackers put a particle that is lost: leave their cells empty if so"
+            )
+    return notes
 
 
 def _check_commands(tracks: Tracks, reading: Reading) -> None:

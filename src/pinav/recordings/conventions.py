@@ -41,6 +41,8 @@ def doubts(recording: Trajectories) -> list[str]:
         *recording.provenance.get("doubts", {}).values(),
         *_of_times(recording),
         *_of_mirror(recording),
+        *_of_reversal(recording),
+        *_of_degrees(recording),
     ]
 
 
@@ -70,6 +72,58 @@ def _of_mirror(recording: Trajectories) -> list[str]:
     ]
 
 
+def _of_reversal(recording: Trajectories) -> list[str]:
+    count = int((recording.commands.get("frequency", np.zeros(1)) < 0).sum())
+    if not count or "positions" not in recording.provenance:
+        return []
+    return [
+        f"{count} rows have a negative frequency: write its size, and add pi to the "
+        "heading of a robot that rolls backwards"
+    ]
+
+
+def _of_degrees(recording: Trajectories) -> list[str]:
+    said = recording.provenance
+    stated = "heading" in said.get("units of columns", {})
+    if stated or said.get("format") != "table":
+        return []
+    text = _degrees_in_words(recording)
+    return [text] if text else []
+
+
+def _degrees_in_words(recording: Trajectories) -> str:
+    """What is said where motion follows the headings as if they were degrees."""
+    best = max(rotations(recording, math.radians(1.0)))
+    read = max(rotations(recording))
+    if best < CLEAR or best < read + BETTER:
+        return ""
+    return (
+        f"headings in radians explain {100 * max(read, 0.0):.0f} % of the velocity, in "
+        f"degrees {100 * best:.0f} %: --units heading=deg or heading=rad settles it"
+    )
+
+
+def remarks_on_headings(recording: Trajectories) -> list[str]:
+    """What looks odd about headings although their convention is stated.
+
+    Args:
+        recording: what `read_recording` gives.
+    """
+    said = [heading_remark(recording)]
+    if not _of_degrees(recording):
+        said.append(_degrees_in_words(recording))
+    proper, mirrored = rotations(recording)
+    stated = recording.provenance.get("positions", {}).get("y stated", False)
+    if stated and mirrored >= CLEAR and mirrored >= proper + BETTER:
+        said.append(
+            f"motion mirrors the commands: they explain {100 * max(proper, 0.0):.0f} % "
+            "of the velocity, with headings counted the other way "
+            f"{100 * mirrored:.0f} %; check --y, the sense of the headings, and that x "
+            "and y are not exchanged"
+        )
+    return [text for text in said if text]
+
+
 def heading_remark(recording: Trajectories) -> str:
     """What is said of a heading that is off by about a right angle; mostly nothing.
 
@@ -92,9 +146,14 @@ def heading_remark(recording: Trajectories) -> str:
     )
 
 
-def rotations(recording: Trajectories) -> tuple[float, float]:
-    """Share of the velocity's variance by a turned gain, and by a mirrored one."""
-    samples = _samples(recording)
+def rotations(recording: Trajectories, scale: float = 1.0) -> tuple[float, float]:
+    """Share of the velocity's variance by a turned gain, and by a mirrored one.
+
+    Args:
+        recording: what `read_recording` gives.
+        scale: on the logged headings.
+    """
+    samples = _samples(recording, scale)
     if samples is None:
         return 0.0, 0.0
     velocity, drive = samples
@@ -112,11 +171,17 @@ def _complex_gain(velocity: np.ndarray, drive: np.ndarray) -> tuple[complex, flo
     )
 
 
-def _samples(recording: Trajectories) -> tuple[np.ndarray, np.ndarray] | None:
+def _samples(
+    recording: Trajectories, scale: float = 1.0
+) -> tuple[np.ndarray, np.ndarray] | None:
     """Velocities and drives of all trajectories as complex numbers; None where idle."""
     if not {"frequency", "heading"} <= set(recording.commands):
         return None
-    parts = [_velocities(piece) for piece in recording]
+    offset = recording.provenance.get("commands", {}).get("heading_offset", 0.0)
+    parts = [
+        _velocities(piece, offset + scale * (piece.commands["heading"] - offset))
+        for piece in recording
+    ]
     velocity = np.concatenate([v for v, _ in parts])
     drive = np.concatenate([c for _, c in parts])
     if len(velocity) < 20 or not (np.abs(drive) > 0).any():
@@ -124,12 +189,13 @@ def _samples(recording: Trajectories) -> tuple[np.ndarray, np.ndarray] | None:
     return velocity, drive
 
 
-def _velocities(piece: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+def _velocities(
+    piece: Trajectory, heading: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     places = np.flatnonzero(piece.observed[:, :2].all(axis=1))
     times = piece.times[places]
     path = piece.states[places, 0] + 1j * piece.states[places, 1]
-    frequency, heading = piece.commands["frequency"], piece.commands["heading"]
-    drive = (frequency * np.exp(1j * heading))[places]
+    drive = (piece.commands["frequency"] * np.exp(1j * heading))[places]
     late = np.searchsorted(times, times + WINDOW)
     late = np.maximum(late, np.arange(len(times)) + 1)
     rows = np.flatnonzero(late < len(times))
@@ -152,7 +218,7 @@ def remarks(recording: Trajectories) -> tuple[str, ...]:
     return (
         f"read as: {'; '.join(said)}",
         *((f"{len(bad)} bad rows left out, the first: {bad[0]}",) if bad else ()),
-        *filter(None, [heading_remark(recording)]),
+        *remarks_on_headings(recording),
         *recording.provenance.get("notes", []),
     )
 

@@ -151,7 +151,7 @@ def _not_before(
         faults.append(
             f"{tracks.where(row, 'time')}: time {time:g} {fault} the time "
             f"{latest:g} of {tracks.place(before)}; sort the rows by time and "
-            "delete repeats"
+            "delete repeats, or name the column of runs or particles"
         )
     return np.array(kept, np.int64), faults
 

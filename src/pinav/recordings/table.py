@@ -129,6 +129,8 @@ class Table:
         remedy = (
             "write decimals with a point"
             if "," in text
+            else "write stamps of a clock as 13:30:01.5 or 2024-05-01T13:30:01"
+            if ":" in text
             else "correct the cell"
             if lost
             else "give its value or delete the row"

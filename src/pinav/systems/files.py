@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import tomli_w
 
+from pinav.arguments import on_device
 from pinav.errors import InputError
 from pinav.files import check_regular, write_text
 from pinav.systems.codec import (
@@ -239,13 +240,13 @@ def _starts(
             )
     stated = {key: value for key, value in section.items() if key != "states"}
     if not stated:
-        return None, jnp.asarray(states)
+        return None, on_device(states)
     rule = decode_module("starts", AbstractStarts, stated, context)
     try:
         drawn = rule.draw(order)
     except InputError as error:
         raise InputError(f"starts: {error}") from error
-    return rule, jnp.asarray(states) if "states" in section else drawn
+    return rule, on_device(states) if "states" in section else drawn
 
 
 def _times(table: TOML) -> Any:
@@ -262,7 +263,7 @@ def _times(table: TOML) -> Any:
         times = _even_times(section)
     if len(times) < 2 or not (np.diff(times) > 0).all():
         raise InputError("times: expected two or more increasing times")
-    return jnp.asarray(times)
+    return on_device(times)
 
 
 def _even_times(section: TOML) -> np.ndarray:

@@ -142,7 +142,7 @@ def test_recording_without_commands_scale_or_rate_says_so(read):
 
 
 def test_what_was_left_out_is_noted(read):
-    text = "frame,t_s,x_px,y_px\n0,0,0,0\n1,0.1,0,0\n2,0.1,0,0\n3,0.3,90,0\n"
+    text = "frame,t_s,x_px,y_px\n0,0,5,0\n1,0.1,5,0\n2,0.1,5,0\n3,0.3,90,0\n"
     notes = quality(read(text)).notes
     assert notes == [
         "1 repeated times left out",

@@ -9,9 +9,9 @@ class BenchOptions(Settings, frozen=True, forbid_unknown_fields=True):
     """Run a benchmark of a source checkout and print its table.
 
     Attributes:
-        name: Name of the benchmark: accelerator, fields, fit, gradient, growth, heat,
-            navigate, recordings, start or trainer. What follows it are options of its
-            own: pinav bench fit --help.
+        name: Name of the benchmark: accelerator, choice, fields, fit, gradient, growth,
+            heat, navigate, recordings, start or trainer. What follows it are options of
+            its own: pinav bench fit --help.
     """
 
     name: tyro.conf.Positional[str]

@@ -72,5 +72,14 @@ QUANTITIES = {
         "its correlation time",
         positive=True,
     ),
+    "gain wander": Quantity(
+        "wandering of the gain",
+        "{length}",
+        "its standard deviation, along the heading and across",
+        positive=True,
+    ),
+    "gain memory": Quantity(
+        "memory of the gain", "{time}", "its correlation time", positive=True
+    ),
 }
 """By the names of the estimates."""

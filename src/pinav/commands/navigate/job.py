@@ -3,9 +3,8 @@
 from collections.abc import Mapping
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray, Shaped
+from jaxtyping import Float, PRNGKeyArray, Shaped
 from tqdm import tqdm
 
 from pinav.commands.command import CommandResult
@@ -26,6 +25,7 @@ from pinav.commands.start import start_run
 from pinav.commands.steering import observe_positions
 from pinav.errors import InputError
 from pinav.evaluation import distances
+from pinav.forces import forces_at
 from pinav.navigation import (
     AbstractController,
     Episodes,
@@ -235,12 +235,8 @@ def _maps(problem: NavigationProblem) -> Arrays:
 def _forces(
     swimmer: SteeredSwimmer, points: Float[np.ndarray, "point 2"]
 ) -> Float[np.ndarray, "point 2"]:
-    environment = swimmer.dynamics.environment
-
-    def at(x: Float[Array, "2"]) -> Float[Array, "2"]:
-        return environment(0.0, x, jnp.zeros_like(x))
-
-    return np.asarray(jax.vmap(at)(jnp.asarray(points)))
+    times = np.zeros(len(points))
+    return np.asarray(forces_at(swimmer.dynamics.environment, times, points))
 
 
 def run(options: NavigateOptions) -> CommandResult:

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from pinav.arguments import on_device
 from pinav.dynamics import FixedStep
 from pinav.errors import FitError, InputError
 from pinav.fitting.bayes.parameters import (
@@ -72,14 +73,14 @@ class LocalTrajectories(AbstractLocalModel):
     scale: Float[np.ndarray, " state"]
 
     def predict(self, theta: Parameters) -> Prediction:
-        inputs = jnp.asarray(theta), self.states, self.observations, self.solver
+        inputs = on_device(theta), self.states, self.observations, self.solver
         return predict(self.parametric, *inputs)
 
     def pull_back(self, residuals: Float[Array, "..."]) -> Parameters:
         return np.asarray(pull_back(self.linear, residuals))
 
     def advance(self, mean: Parameters) -> States:
-        return advance(self.states, self.linear, jnp.asarray(mean - self.theta))
+        return advance(self.states, self.linear, on_device(mean - self.theta))
 
     def defect(self, mean: Parameters, noise: float) -> float:
         """The largest defect, relative to the spread of its channel."""
@@ -161,7 +162,7 @@ class BayesProblem(AbstractProblem):
         return cls(
             parametric=parametric,
             theta=np.asarray(theta),
-            states=jnp.asarray(states),
+            states=on_device(states),
             weights=weights,
             priors=priors,
             step_rule=rule,
@@ -186,7 +187,7 @@ class BayesProblem(AbstractProblem):
         self, theta: Parameters, states: Any
     ) -> AbstractLocalModel | None:  # with dynamics there are states
         linear = linearise(
-            self.parametric, jnp.asarray(theta), states, self.observations, self.solver
+            self.parametric, on_device(theta), states, self.observations, self.solver
         )
         if not np.all(np.isfinite(linear.start_factor)):
             return None

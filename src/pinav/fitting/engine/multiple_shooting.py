@@ -78,20 +78,19 @@ def _step_derivatives(
         y: Float[Array, " state"],
         t0: Float[Array, ""],
         t1: Float[Array, ""],
-    ) -> Float[Array, " state"]:
-        return solver.looped_step(parametric(theta), y, t0, t1)
+    ) -> tuple[Float[Array, " state"], Float[Array, " state"]]:
+        end = solver.looped_step(parametric(theta), y, t0, t1)
+        return end, end
 
-    axes, inputs = (None, 0, 0, 0), (theta, states[:-1], times[:-1], times[1:])
-    derivative = jax.jacfwd if theta.shape[0] <= FEW else jax.jacrev
-    ends = jax.vmap(step, axes)(*inputs)
+    # One derivative by both with the end beside it: half of the code and of the work.
+    is_reverse = parameters and theta.shape[0] > FEW
+    derivative = jax.jacrev if is_reverse else jax.jacfwd
+    by = (0, 1) if parameters else 1
+    slopes = jax.vmap(derivative(step, by, has_aux=True), (None, 0, 0, 0))
+    jacobians, ends = slopes(theta, states[:-1], times[:-1], times[1:])
     nothing = jnp.zeros((*ends.shape, 0), ends.dtype)
-    return StepDerivatives(
-        by_parameter=jax.vmap(derivative(step), axes)(*inputs)
-        if parameters
-        else nothing,
-        by_state=jax.vmap(jax.jacfwd(step, argnums=1), axes)(*inputs),
-        ends=ends,
-    )
+    by_parameter, by_state = jacobians if parameters else (nothing, jacobians)
+    return StepDerivatives(by_parameter, by_state, ends)
 
 
 def propagate(

@@ -10,6 +10,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree
 
+from pinav.arguments import on_device
 from pinav.fitting.matching.trainable import Trainable, split_trainable
 
 
@@ -28,6 +29,17 @@ class ParametricModel(eqx.Module):
         """The model with these parameters."""
         return eqx.combine(self.unravel(theta), self.static)
 
+    def at(self, theta: Float[np.ndarray, " parameter"]) -> Any:
+        """The same outside of compiled functions, without a program for each leaf."""
+        shapes, tree = jax.tree.flatten(jax.eval_shape(self.unravel, theta))
+        ends = np.cumsum([shape.size for shape in shapes])
+        parts = np.split(np.asarray(theta), ends[:-1])
+        leaves = [
+            on_device(part.reshape(shape.shape))
+            for part, shape in zip(parts, shapes, strict=False)
+        ]
+        return eqx.combine(jax.tree.unflatten(tree, leaves), self.static)
+
 
 def ravel_model(
     model: Any, trainable: Trainable
@@ -38,8 +50,9 @@ def ravel_model(
         InputError: the selection holds no number that could be a parameter.
     """
     free, static = split_trainable(model, trainable, jnp.float64)
-    theta, unravel = ravel_pytree(free)
-    return ParametricModel(static, unravel), theta
+    _, unravel = eqx.filter_eval_shape(ravel_pytree, free)  # which compiles nothing
+    theta = np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(free)])
+    return ParametricModel(static, unravel), on_device(theta)
 
 
 def known_model(model: Any) -> ParametricModel:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
-from pinav.arguments import Scalar, State, Vector
+from pinav.arguments import Scalar, State, Vector, on_device
 from pinav.dynamics import FixedStep
 from pinav.fitting.engine.multiple_shooting import sensitivities
 from pinav.fitting.engine.parametric_model import ParametricModel
@@ -59,7 +59,7 @@ class Posterior(eqx.Module):
     def model(self) -> Any:
         """The model with the best parameters."""
         with jax.enable_x64(new_val=True):
-            return self.free(jnp.asarray(self.mean))
+            return self.free.at(self.mean)
 
     def draws(self, count: int, *, key: PRNGKeyArray) -> Float[Array, "draw parameter"]:
         """Parameters drawn from the posterior, one vector a row."""
@@ -67,7 +67,7 @@ class Posterior(eqx.Module):
         root = vectors * np.sqrt(np.maximum(eigenvalues, 0.0))
         with jax.enable_x64(new_val=True):
             normal = jax.random.normal(key, (count, len(self.mean)), jnp.float64)
-            return jnp.asarray(self.mean)[None] + normal @ jnp.asarray(root).T
+            return on_device(self.mean[None] + np.asarray(normal) @ root.T)
 
     def samples(self, count: int, *, key: PRNGKeyArray) -> list[Any]:
         """Models drawn from the posterior."""
@@ -99,9 +99,9 @@ class Posterior(eqx.Module):
         """
         with jax.enable_x64(new_val=True):
             points = jnp.asarray(positions, jnp.float64)
-            mean = jnp.asarray(self.mean)
+            mean = on_device(self.mean)
             return np.asarray(
-                _force_jacobians(self.free, mean, points, jnp.asarray(time))
+                _force_jacobians(self.free, mean, points, on_device(time))
             )
 
     def rollout_band(
@@ -127,7 +127,7 @@ class Posterior(eqx.Module):
         with jax.enable_x64(new_val=True):
             times = jnp.asarray(ts, jnp.float64)
             start = jnp.asarray(y0, jnp.float64)
-            theta = jnp.asarray(self.mean)
+            theta = on_device(self.mean)
             ys, columns = linear_rollout(self.free, theta, start, times, solver)
         states = np.shape(start)[0]
         start_variance = np.broadcast_to(np.asarray(start_sd, float) ** 2, (states,))

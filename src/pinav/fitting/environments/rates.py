@@ -4,10 +4,10 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from pinav.arguments import on_device
 from pinav.dynamics import Swimmer
 from pinav.fitting.matching.rate_matching import Rates
 from pinav.forces import ZeroForce
@@ -65,7 +65,7 @@ def rates_of(
         states: where it is asked.
     """
     with jax.enable_x64(new_val=True):
-        return np.asarray(_all_rates(model, jnp.asarray(times), jnp.asarray(states)))
+        return np.asarray(_all_rates(model, on_device(times), on_device(states)))
 
 
 @eqx.filter_jit

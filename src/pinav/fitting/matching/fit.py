@@ -6,8 +6,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, PyTree, Shaped
+from jaxtyping import Array, ArrayLike, Int, PyTree, Shaped
 
+from pinav.arguments import on_device
 from pinav.dynamics import AbstractDynamics, with_dtype
 from pinav.errors import FitError, InputError
 from pinav.fitting.matching.members import (
@@ -153,9 +154,7 @@ class _FitTask(eqx.Module):
     ) -> "_FitTask":
         dtype = observations.times.dtype.type
         parts = [split_trainable(m, trainable, dtype) for m in models]
-        stacked = jax.tree.map(
-            lambda *leaves: jnp.stack(leaves), *(p for p, _ in parts)
-        )
+        stacked = jax.tree.map(_stack_leaves, *(p for p, _ in parts))
         problem = Problem(parts[0][1], observations, objective)
         return cls(problem, stacked, tuple(recipe), at_once)
 
@@ -207,7 +206,7 @@ class _FitTask(eqx.Module):
         if count == left or bool(done):
             params = finish_phase(self.problem, phase, params, minimiser, self.at_once)
             starts = (*starts, taken)
-            outcomes = jax.vmap(phase.outcome)(minimiser)
+            outcomes = _outcomes(phase, minimiser)
             minimiser = self.begin(len(starts) - 1, params)
             if len(starts) > len(self.recipe):
                 minimiser = outcomes.astype(minimiser.dtype)
@@ -228,7 +227,9 @@ class _FitTask(eqx.Module):
 
         def one(member: int) -> Fit:
             model, initial = (
-                self.problem.model(jax.tree.map(lambda a: a[member], params))
+                self.problem.model(
+                    jax.tree.map(lambda a: on_device(np.asarray(a)[member]), params)
+                )
                 for params in (state.params, start.params)
             )
             finite = bool(np.isfinite(losses[member, -1]))
@@ -242,7 +243,7 @@ class _FitTask(eqx.Module):
 def _in_mode(tree: PyTree) -> PyTree:
     """Arrays made with x64 on, as the mode in force would have made them."""
     return jax.tree.map(
-        lambda leaf: jnp.asarray(np.asarray(leaf)) if eqx.is_array(leaf) else leaf, tree
+        lambda leaf: on_device(np.asarray(leaf)) if eqx.is_array(leaf) else leaf, tree
     )
 
 
@@ -273,9 +274,21 @@ def _stack(several: list[Observations]) -> Observations:
         )
     longest = max(one.times.shape[1] for one in several)
 
-    def pad(array: Shaped[Array, "trajectory time ..."]) -> Shaped[Array, "..."]:
+    def pad(
+        array: Shaped[Array, "trajectory time ..."],
+    ) -> Shaped[np.ndarray, "trajectory longest ..."]:
         widths = [(0, 0), (0, longest - array.shape[1])] + [(0, 0)] * (array.ndim - 2)
-        return jnp.pad(array, widths, "constant" if array.dtype == bool else "edge")
+        return np.pad(array, widths, "constant" if array.dtype == bool else "edge")
 
     padded = [jax.tree.map(pad, one) for one in several]
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *padded)
+    return jax.tree.map(_stack_leaves, *padded)
+
+
+def _stack_leaves(*leaves: ArrayLike) -> Array:
+    """A leaf of all members, with an axis in front; numpy compiles nothing for it."""
+    return on_device(np.stack(leaves))
+
+
+@eqx.filter_jit
+def _outcomes(phase: AbstractPhase, minimiser: PyTree) -> Int[Array, " member"]:
+    return jax.vmap(phase.outcome)(minimiser)

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from pinav.arguments import on_device
 from pinav.dynamics import AbstractDynamics, AbstractSolver, FixedStep
 from pinav.errors import InputError
 from pinav.trajectories import Trajectories
@@ -31,7 +32,7 @@ class Observations(eqx.Module):
         return cls(
             jnp.asarray(trajectories.times, dtype),
             jnp.asarray(trajectories.states, dtype),
-            jnp.asarray(trajectories.observed),
+            on_device(trajectories.observed),
         )
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, PyTree
 from scipy.ndimage import maximum_filter
 
+from pinav.arguments import on_device
 from pinav.errors import FitError
 from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
 from pinav.fitting.evidence.evidence import (
@@ -78,8 +79,8 @@ class PotentialMap(eqx.Module):
             return None
         axes = np.linspace(positions.min(axis=0), positions.max(axis=0), MAP_POINTS).T
         places = np.stack(np.meshgrid(*axes), axis=-1)
-        at = jax.vmap(lambda x: potential.potential(jnp.zeros(()), x))
-        heights = np.asarray(at(jnp.asarray(places.reshape(-1, 2))))
+        at = jax.jit(jax.vmap(lambda x: potential.potential(0.0, x)))
+        heights = np.asarray(at(places.reshape(-1, 2)))
         gaps = np.linalg.norm(places[:, :, None] - positions[None, None, ::4], axis=-1)
         return cls(
             places=places,
@@ -192,7 +193,7 @@ def free_potential(
         return None
     chosen = at_shape(data, prior.covariance, shape)
     mean = posterior_mean(Whitened.of(data, prior.covariance(shape)), chosen)
-    return KernelPotential(jnp.asarray(mean), kernels.centers, kernels.width)
+    return KernelPotential(on_device(mean), kernels.centers, kernels.width)
 
 
 def _weights(force: Any) -> PyTree:

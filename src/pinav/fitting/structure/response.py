@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int, PyTree
 
-from pinav.arguments import Scalar, State, Vector
+from pinav.arguments import Scalar, State, Vector, on_device
 from pinav.dynamics import FixedStep
 from pinav.fitting.engine.multiple_shooting import (
     StepDerivatives,
@@ -143,12 +143,12 @@ def force_response(
     when = _means((times[:, 1:, None] + times[:, :-1, None]) / 2, group, groups)[..., 0]
     count = int(np.asarray(observations.observed).sum())
     return ForceResponse(
-        rows=jnp.asarray(rows),
-        targets=jnp.asarray(targets),
-        points=jnp.asarray(points),
-        times=jnp.asarray(when),
+        rows=on_device(rows),
+        targets=on_device(targets),
+        points=on_device(points),
+        times=on_device(when),
         forces=forces_at(model.environment, when, points),
-        num_free=count - states[:, 0].size,
+        num_free=count - states.shape[0] * states.shape[2],
         squares=max(float(np.sum(np.asarray(squares)) - left), 0.0),
     )
 
@@ -186,22 +186,20 @@ def _normal_equations(
     """Of each trajectory, by the forces in each group of steps, starts eliminated."""
     spread = jax.nn.one_hot(group, groups, dtype=states.dtype)
 
-    def step(push: Vector, y: State, t0: Scalar, t1: Scalar) -> State:
+    def step(push: Vector, y: State, t0: Scalar, t1: Scalar) -> tuple[State, State]:
         force = model.environment + ConstantForce(push)
         moved = eqx.tree_at(lambda m: m.environment, model, force)
-        return solver.looped_step(moved, y, t0, t1)
+        end = solver.looped_step(moved, y, t0, t1)
+        return end, end
 
     def one(inputs: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array]:
         states, times, data, observed = inputs
+        slopes = jax.vmap(jax.jacfwd(step, (0, 1), has_aux=True), (None, 0, 0, 0))
         at = (jnp.zeros(dim), states[:-1], times[:-1], times[1:])
-        axes = (None, 0, 0, 0)
-        by_force = jax.vmap(jax.jacfwd(step), axes)(*at)
+        (by_force, by_state), ends = slopes(*at)
         columns = jnp.einsum("ksd,kg->ksgd", by_force, spread)
-        steps = StepDerivatives(
-            by_parameter=columns.reshape(*by_force.shape[:2], -1),
-            by_state=jax.vmap(jax.jacfwd(step, argnums=1), axes)(*at),
-            ends=jax.vmap(step, axes)(*at),
-        )
+        columns = columns.reshape(*by_force.shape[:2], -1)
+        steps = StepDerivatives(columns, by_state, ends)
         reach = propagate(steps, states).columns
         residuals = states + reach[..., -1] - data
         rows = jnp.concatenate([reach[..., :-1], residuals[..., None]], axis=2)

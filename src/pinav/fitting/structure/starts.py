@@ -6,10 +6,10 @@ Their kernels and their scanned places come from where the data are.
 from collections.abc import Iterator, Sequence
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from pinav.arguments import on_device
 from pinav.forces import (
     AbstractTerm,
     CentralTerm,
@@ -96,13 +96,13 @@ class Region(eqx.Module):
         # all of them share one compilation
         reach = 0.75 * np.sqrt(len(self.middle)) * self.extent
         places = np.arange(0.5, reach / self.width + BEYOND) * self.width
-        return jnp.asarray(places), jnp.asarray(self.width)
+        return on_device(places), on_device(self.width)
 
     def offsets(self) -> tuple[Float[Array, " kernel"], Float[Array, ""]]:
         """Places of the kernels of a profile along a direction, and their width."""
         half = 0.55 * np.sqrt(len(self.middle)) * self.extent / self.width + BEYOND
         places = np.arange(-half, half + 1.0) * self.width
-        return jnp.asarray(places), jnp.asarray(self.width)
+        return on_device(places), on_device(self.width)
 
 
 def _mesh(
@@ -137,8 +137,8 @@ def central_term(
     """A central term about a place, without weight yet."""
     places, width = region.distances()
     return CentralTerm(
-        weights=jnp.zeros_like(places),
-        center=jnp.asarray(center),
+        weights=on_device(np.zeros(places.shape)),
+        center=on_device(center),
         places=places,
         width=width,
         rotational=rotational,
@@ -149,9 +149,9 @@ def wall_term(region: Region, angle: float, *, rotational: bool = False) -> Wall
     """A wall whose normal has this angle, without weight yet."""
     places, width = region.offsets()
     return WallTerm(
-        weights=jnp.zeros_like(places),
-        angle=jnp.asarray(angle),
-        origin=jnp.asarray(region.middle),
+        weights=on_device(np.zeros(places.shape)),
+        angle=on_device(angle),
+        origin=on_device(region.middle),
         places=places,
         width=width,
         rotational=rotational,
@@ -163,9 +163,9 @@ def linear_term(region: Region, *, rotational: bool = False) -> LinearTerm:
     dim = len(region.middle)
     count = 1 if rotational else dim + dim * (dim + 1) // 2
     return LinearTerm(
-        weights=jnp.zeros(count),
-        origin=jnp.asarray(region.middle),
-        scale=jnp.asarray(region.extent / 2),
+        weights=on_device(np.zeros(count)),
+        origin=on_device(region.middle),
+        scale=on_device(region.extent / 2),
         rotational=rotational,
     )
 
@@ -194,9 +194,9 @@ def ellipses(
     turns = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     return [
         EllipticTerm(
-            weights=jnp.zeros_like(places),
-            center=jnp.asarray(center),
-            shear=jnp.asarray(SHEAR * np.array([np.cos(turn), np.sin(turn)])),
+            weights=on_device(np.zeros(places.shape)),
+            center=on_device(center),
+            shear=on_device(SHEAR * np.array([np.cos(turn), np.sin(turn)])),
             places=places,
             width=width,
         )

@@ -8,10 +8,10 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, PyTree
+from jaxtyping import Array, Float, PyTree
 
+from pinav.arguments import on_device
 from pinav.errors import FitError
 from pinav.fitting.engine.iterate import iterate
 from pinav.fitting.engine.steps import FullStep
@@ -131,7 +131,7 @@ def with_profiles(terms: Terms, response: ForceResponse) -> Terms:
     mean, made = posterior_mean(white, chosen), []
     for term in terms:
         count = len(term.weights)
-        weights, mean = jnp.asarray(mean[:count]), mean[count:]
+        weights, mean = on_device(mean[:count]), mean[count:]
         made.append(eqx.tree_at(lambda one: one.weights, term, weights))
     return tuple(made)
 
@@ -199,7 +199,7 @@ def polish(terms: Terms, response: ForceResponse) -> Proposal | None:
         return None
     steps.sort(key=lambda step: step.hyperparameters.log_evidence, reverse=True)
     for best in steps:
-        fitted = problem.parametric(jnp.asarray(best.move.theta))
+        fitted = problem.parametric.at(best.move.theta)
         if all(_is_in_reach(term, response) for term in fitted.terms):
             break
     else:
@@ -223,10 +223,17 @@ def _is_in_reach(term: AbstractTerm, response: ForceResponse) -> bool:
     """
     if not isinstance(term, AbstractProfileTerm):
         return True
-    points = response.points.reshape(-1, response.points.shape[-1])
-    z = np.asarray(jax.vmap(term.coordinates)(points))
-    reach = float(term.places.max()) + float(term.width)
+    z = np.asarray(_coordinates(term, response.points))
+    z = z.reshape(-1, z.shape[-1])
+    reach = float(np.max(term.places)) + float(term.width)
     return bool(np.mean(np.abs(z).min(axis=-1) < reach) > MOST)
+
+
+@eqx.filter_jit
+def _coordinates(
+    term: AbstractProfileTerm, points: Float[Array, "trajectory group dim"]
+) -> Float[Array, "trajectory group coordinate"]:
+    return jax.vmap(jax.vmap(term.coordinates))(points)
 
 
 MOST = 0.5

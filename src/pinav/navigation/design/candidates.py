@@ -112,6 +112,7 @@ class Experiment(eqx.Module):
         )
         return CommandedThrust(programme, self.actuator)
 
+    @eqx.filter_jit
     def draw(self, count: int, *, key: PRNGKeyArray) -> CandidateTrajectories:
         """Random candidates: released at rest, uniformly in the region.
 
@@ -136,6 +137,7 @@ class Experiment(eqx.Module):
             heading=jnp.concatenate([first, first + walk], axis=1),
         )
 
+    @eqx.filter_jit
     def vary(
         self,
         candidate: CandidateTrajectories,

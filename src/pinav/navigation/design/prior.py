@@ -63,7 +63,7 @@ class PriorField(eqx.Module):
             for a, b in zip(lower, upper, strict=True)
         ]
         centers = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
-        return KernelPotential(jnp.zeros(len(centers)), jnp.asarray(centers), width)
+        return KernelPotential.with_zero_weights(centers, width)
 
     def amplitude(self, kernels: KernelPotential) -> float:
         """Standard deviation of the weights that gives the strength."""
@@ -73,7 +73,7 @@ class PriorField(eqx.Module):
             filled = eqx.tree_at(lambda k: k.weights, kernels, weights)
             return filled(0.0, middle, jnp.zeros_like(middle))
 
-        slopes = np.asarray(jax.jacfwd(force)(kernels.weights))
+        slopes = np.asarray(jax.jit(jax.jacfwd(force))(kernels.weights))
         return self.strength / math.sqrt(np.mean(np.sum(slopes**2, axis=1)))
 
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from pinav.arguments import Scalar, State, Vector
+from pinav.arguments import Scalar, State, Vector, on_device
 from pinav.errors import InputError
 from pinav.navigation.model.tables import FieldTable
 from pinav.navigation.task.steering import (
@@ -143,8 +143,10 @@ class ControlMap(eqx.Module):
             InputError: no allowed command gives thrust.
         """
         frequencies = np.linspace(0.0, limits.max_frequency, 513)
-        commands = jnp.zeros((513, dim)).at[:, 0].set(frequencies)
-        thrusts = np.linalg.norm(np.asarray(jax.vmap(actuator)(commands)), axis=1)
+        commands = np.zeros((513, dim))
+        commands[:, 0] = frequencies
+        every = eqx.filter_jit(eqx.filter_vmap(actuator))(on_device(commands))
+        thrusts = np.linalg.norm(np.asarray(every), axis=1)
         best = int(np.argmax(thrusts))
         if not thrusts[best] > 0:
             raise InputError(
@@ -166,6 +168,7 @@ class ControlMap(eqx.Module):
             return command
         return self.limits.clip(command, previous, duration)
 
+    @eqx.filter_jit
     def thrusts(self, count: int) -> Float[Array, "{count} dim"]:
         """Greatest thrust [L T⁻²] in `count` directions all around."""
 

@@ -253,7 +253,7 @@ def check_reachable(task: Task, plan: TimeToGo) -> None:
     Raises:
         InputError: it cannot.
     """
-    if float(plan.at(task.start)) > plan.horizon:
+    if float(eqx.filter_jit(plan.at)(task.start)) > plan.horizon:
         start = task.start[: task.dim]
         raise InputError(
             f"goal: expected a place that can be reached within {plan.horizon:g}, got "

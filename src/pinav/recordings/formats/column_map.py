@@ -8,7 +8,11 @@ import numpy as np
 
 from pinav.errors import InputError
 from pinav.recordings import units
-from pinav.recordings.conventions import TURNS
+from pinav.recordings.formats.column_doubts import (
+    check_one_unit,
+    doubts_of_columns,
+    unread_particles,
+)
 from pinav.recordings.formats.format import AbstractFormat
 from pinav.recordings.rows import COMMAND_UNITS, Reading, Tracks
 from pinav.recordings.source import Source
@@ -51,8 +55,10 @@ class MappedTable(AbstractFormat):
 
     def tracks(self, source: Source, reading: Reading) -> Tracks:
         columns = _check_columns(reading.columns or {}, reading.units or {})
-        table, columns = long_table(source.table(), columns)
+        whole_table = source.table()
+        table, columns = long_table(whole_table, columns)
         units_of = _units(table, columns, reading)
+        check_one_unit(units_of)
 
         def whole(name: str) -> np.ndarray | None:
             if name not in columns:
@@ -84,9 +90,9 @@ class MappedTable(AbstractFormat):
             length_unit=length_unit,
             time_unit=time_unit,
             columns={"time": columns.get("t", ""), "frame": columns.get("frame", "")},
-            notes=table.notes,
+            notes=(*table.notes, *unread_particles(whole_table, columns)),
             facts={"columns": dict(columns), "units of columns": dict(units_of)},
-            doubts=_doubts(time, time_unit, commands, units_of, reading),
+            doubts=doubts_of_columns(table, columns, units_of, reading, time, commands),
         )
 
 
@@ -134,31 +140,6 @@ def _commands(
     }
 
 
-def _doubts(
-    time: np.ndarray | None,
-    time_unit: str,
-    commands: Mapping[str, np.ndarray],
-    stated: Mapping[str, str],
-    reading: Reading,
-) -> dict[str, str]:
-    """What nobody states and what looks like something else."""
-    doubts = {}
-    if time is not None and time_unit != "frame" and "t" not in (reading.units or {}):
-        steps = np.diff(np.unique(time))
-        if len(steps) and np.array_equal(steps, np.round(steps)) and steps.min() == 1:
-            doubts["t"] = (
-                "the times are whole numbers that count by one, as frames do: name "
-                "their column as frame and give --fps, or state --units t=s"
-            )
-    turned = np.abs(commands.get("heading", np.zeros(1)))
-    if "heading" not in stated and np.nanmax(turned, initial=0.0) > TURNS:
-        doubts["heading"] = (
-            f"headings reach {np.nanmax(turned):.4g}, and no unit is stated: state "
-            "--units heading=deg, or heading=rad where turns are counted on"
-        )
-    return doubts
-
-
 def long_table(
     table: Table, columns: Mapping[str, str]
 ) -> tuple[Table, dict[str, str]]:
@@ -171,7 +152,7 @@ def long_table(
             "columns: a star stands for the particles in x and y both, such as x=x* "
             "y=y*, and no column names them then"
         )
-    names = [_particles(table, column) for column in wide.values()]
+    names = [particles_of(table, column) for column in wide.values()]
     particles = [name for name in names[0] if all(name in other for other in names[1:])]
     if not particles:
         raise InputError(
@@ -196,7 +177,7 @@ def long_table(
     return long, {**columns, "particle": label}
 
 
-def _particles(table: Table, pattern: str) -> list[str]:
+def particles_of(table: Table, pattern: str) -> list[str]:
     """What the star stands for in the headings that match a pattern."""
     before, after = (re.escape(part) for part in pattern.split(_STAR, 1))
     matches = (
