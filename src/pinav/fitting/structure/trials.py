@@ -80,7 +80,7 @@ def _with_finer_profile(term: AbstractProfileTerm) -> AbstractTerm:
     return eqx.tree_at(
         lambda one: (one.weights, one.places, one.width),
         term,
-        (jnp.zeros_like(places), jnp.asarray(places), width),
+        (on_device(np.zeros(len(places))), on_device(np.asarray(places)), width),
     )
 
 
