@@ -24,7 +24,7 @@ def test_an_array_of_jax_is_itself():
 def test_no_program_is_compiled_for_a_new_shape():
     events = []
 
-    def listen(event: str, duration: float, **_: object) -> None:
+    def listen(event: str, duration_secs: float, **_: object) -> None:
         events.append(event)
 
     monitoring.register_event_duration_secs_listener(listen)
