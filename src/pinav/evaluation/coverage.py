@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from pinav.arguments import on_device
 from pinav.dynamics import FixedStep
 from pinav.evaluation.force_fields import FieldMap
 from pinav.evaluation.process_noise import wandering_variance
@@ -157,11 +158,11 @@ def _bands(
 ) -> Bands:
     """One trajectory after the other, so that those of equal length compile once."""
     solver = FixedStep() if solver is None else solver
-    theta, covariance = map(jnp.asarray, (posterior.mean, posterior.covariance))
+    theta, covariance = map(on_device, (posterior.mean, posterior.covariance))
     models = driven_models(posterior.free, theta, trajectories)
     each = zip(starts, by_parameter, spread, trajectories.times, strict=True)
     rows = [
-        _linear_band(driven, theta, covariance, tuple(map(jnp.asarray, start)), solver)
+        _linear_band(driven, theta, covariance, tuple(map(on_device, start)), solver)
         for driven, start in zip(models, each, strict=True)
     ]
     ys, sd = (np.stack(part) for part in zip(*rows, strict=True))

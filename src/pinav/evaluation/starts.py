@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from pinav.arguments import on_device
 from pinav.dynamics import (
     AbstractDynamics,
     FixedStep,
@@ -79,7 +80,7 @@ def estimate_starts(
     require_x64("estimating starts")
     head = first_samples(trajectories, count)
     dim = head.dim
-    states = jnp.asarray(smooth_states(head, dim))
+    states = on_device(smooth_states(head, dim))
     scale = np.maximum(np.ptp(np.asarray(states), axis=1), np.finfo(float).tiny)
     free = ParametricModel(with_dtype(dynamics, jnp.float64), _nothing)
     solver = FixedStep(substeps=4) if solver is None else solver
@@ -126,8 +127,8 @@ def driven_models(
     return [
         DrivenModel(
             free,
-            jnp.asarray(times),
-            {name: jnp.asarray(values[index]) for name, values in commands.items()},
+            on_device(times),
+            {name: on_device(values[index]) for name, values in commands.items()},
         )
         for index, times in enumerate(trajectories.times)
     ]

@@ -72,11 +72,15 @@ class WeightPrior(AbstractPrior):
         centers: $c$ of the kernels [L].
         width: of a kernel [L].
         components: weights of each kernel, independent of each other.
+        floor: $\varphi$, below which no standard deviation falls: $D_i D_j$ becomes
+            $D_i D_j + \varphi^2$. Where the data end, an envelope that they chose knows
+            nothing, and without a floor its band would be too sure.
     """
 
     centers: Centers = eqx.field(converter=_exact)
     width: float = eqx.field(converter=float)
     components: int = 1
+    floor: float = 0.0
 
     @property
     def start(self) -> Shape:
@@ -96,21 +100,27 @@ class WeightPrior(AbstractPrior):
         length_scale, reach = np.exp(shape[:2])
         from_middle = self._scaled_centers - shape[2:]
         squares = (from_middle**2).sum(axis=-1)
-        factors = [
-            self._squares / length_scale**2,
-            (squares[:, None] + squares[None]) / reach**2,
-            *(from_middle.T[:, :, None] + from_middle.T[:, None]) / reach**2,
+        alike, faded = self._factors(shape)
+        by_envelope = alike * faded / reach**2
+        scalars = [
+            alike * (faded + self.floor**2) * self._squares / length_scale**2,
+            by_envelope * (squares[:, None] + squares[None]),
+            *(by_envelope * (x[:, None] + x[None]) for x in from_middle.T),
         ]
-        scalar = self._scalar(shape)
-        return np.stack([self._per_component(scalar * factor) for factor in factors])
+        return np.stack([self._per_component(scalar) for scalar in scalars])
 
     def _scalar(self, shape: Shape) -> Gram:
         """Covariance of one component."""
+        alike, faded = self._factors(shape)
+        return alike * (faded + self.floor**2)
+
+    def _factors(self, shape: Shape) -> tuple[Gram, Gram]:
+        """What two kernels have in common by their distance, and by the envelope."""
         length_scale, reach = np.exp(shape[:2])
         from_middle = self._scaled_centers - shape[2:]
         envelope = np.exp(-0.5 * (from_middle**2).sum(axis=-1) / reach**2)
-        covariance = np.exp(-0.5 * self._squares / length_scale**2)
-        return covariance * np.outer(envelope, envelope)
+        alike = np.exp(-0.5 * self._squares / length_scale**2)
+        return alike, np.outer(envelope, envelope)
 
     def _per_component(self, scalar: Gram) -> Matrix:
         if self.components > 1:

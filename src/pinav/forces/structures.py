@@ -38,6 +38,11 @@ ROUNDING = 1e-3
 derivative at the point itself would not exist."""
 
 
+FLOOR = 0.01
+"""Least standard deviation of a profile where its envelope ends, relative to where it
+is largest."""
+
+
 class AbstractTerm(AbstractForce):
     """A part of a force that is linear in its weights, given its geometry.
 
@@ -98,7 +103,8 @@ class AbstractProfileTerm(AbstractTerm):
         return profile_kernels(self, z) @ self.weights
 
     def prior(self) -> AbstractPrior:
-        base = WeightPrior(np.asarray(self.places)[:, None], float(self.width))
+        places = np.asarray(self.places)[:, None]
+        base = WeightPrior(places, float(self.width), floor=FLOOR)
         return DistancePrior(base) if self.is_odd else base
 
     def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:

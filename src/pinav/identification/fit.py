@@ -146,6 +146,9 @@ def fit_track(
         return search.result(*best)
 
 
+ENOUGH = 1e-7
+"""Relative gain of the log posterior at which a search ends: some 1e-4 nats."""
+
 STARTS = (0.1, 0.4)
 """Delays from which a search begins where no simpler candidate had one [s]."""
 
@@ -178,6 +181,7 @@ class Search:
         fixed = {**ABSENT, **candidate.fixed}
         self.base = np.array([fixed.get(name, 0.0) for name in NAMES])
         self.evaluations = 0
+        self.known, self.known_field = {}, field
 
     def begins(self, start: TrackFit | None) -> list[np.ndarray]:
         """Where searches begin: at the prior, or where a simpler candidate ended.
@@ -216,9 +220,7 @@ class Search:
         self, learned: Float[np.ndarray, " learned"]
     ) -> tuple[float, Float[np.ndarray, " learned"]]:
         """Negative log posterior density and its gradient."""
-        self.evaluations += 1
-        theta = jnp.asarray(self.theta(learned))
-        (value, _), slope = value_and_slope(theta, self.design, self.field)
+        (value, _), slope = self._evaluate(learned)
         mean, sd = self.prior.mean[self.places], self.prior.sd[self.places]
         offset = (learned - mean) / sd
         value = float(value) + 0.5 * float(offset @ offset)
@@ -227,6 +229,20 @@ class Search:
         if not (math.isfinite(value) and np.isfinite(slope).all()):
             return 1e30, np.zeros_like(offset)
         return value, slope
+
+    def _evaluate(self, learned: Float[np.ndarray, " learned"]) -> Any:
+        """What `value_and_slope` gives, computed once for each point.
+
+        Curvatures and derivatives of the coefficients ask for the same points.
+        """
+        if self.known_field is not self.field:
+            self.known, self.known_field = {}, self.field
+        key = learned.tobytes()
+        if key not in self.known:
+            self.evaluations += 1
+            theta = jnp.asarray(self.theta(learned))
+            self.known[key] = value_and_slope(theta, self.design, self.field)
+        return self.known[key]
 
     def descend(
         self, begin: Float[np.ndarray, " learned"]
@@ -240,7 +256,7 @@ class Search:
             jac=True,
             method="L-BFGS-B",
             bounds=bounds,
-            options={"maxiter": 100, "ftol": 1e-9, "gtol": 1e-4},
+            options={"maxiter": 100, "ftol": ENOUGH, "gtol": 1e-4},
         )
         return end.x, float(end.fun) if end.fun < 1e29 else math.inf
 
@@ -329,8 +345,7 @@ class Search:
     def _coefficients(
         self, learned: Float[np.ndarray, " learned"]
     ) -> tuple[np.ndarray, np.ndarray]:
-        theta = jnp.asarray(self.theta(learned))
-        (_, (best, information)), _ = value_and_slope(theta, self.design, self.field)
+        (_, (best, information)), _ = self._evaluate(learned)
         return np.asarray(best), np.asarray(information)
 
     def _joint(

@@ -221,8 +221,8 @@ class _Comparison:
     def _allow_for_wandering_gain(self) -> None:
         """The chosen candidate beside a gain that wanders, for the bands alone.
 
-        Its path is no better than that of a constant gain, and worse where a robot
-        that sticks for a while is taken for one whose gain wanders far.
+        Its path is no better than that of a constant gain, and far worse where the
+        wander is a large part of the gain.
         """
         best = self.fits[self.chosen]
         wandering = with_free(best.candidate, "wandering gain", *WANDERING_GAIN)

@@ -204,3 +204,13 @@ def test_fewer_rows_than_starts_leave_nothing():
     rest, factor, _ = eliminate(jnp.asarray(rng.normal(size=(2, 7))), 3, 4)
     np.testing.assert_allclose(rest, 0.0, atol=1e-13)
     assert factor.shape == (4, 4)
+
+
+@pytest.mark.parametrize("environment", ENVIRONMENTS.values(), ids=ENVIRONMENTS)
+def test_a_model_outside_of_compiled_functions_is_the_same(environment):
+    swimmer = Swimmer(ZeroForce(), LinearDrag(jnp.array(0.4)), environment)
+    free, theta = ravel_model(
+        swimmer, lambda m: (m.environment.weights, m.drag.damping)
+    )
+    placed = free.at(np.asarray(theta) + 0.1)
+    assert eqx.tree_equal(placed, free(theta + 0.1))

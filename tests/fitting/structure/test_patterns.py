@@ -1,10 +1,17 @@
 import numpy as np
 from tests.fitting.structure.observed_forces import observed_forces
 
-from pinav.fitting.structure.patterns import PotentialMap, lattices, obstacles
+from pinav.fitting.structure.patterns import (
+    PotentialMap,
+    lattices,
+    obstacles,
+    twins,
+    with_one_less,
+)
 from pinav.fitting.structure.proposals import propose
-from pinav.fitting.structure.starts import Region
+from pinav.fitting.structure.starts import Region, central_term
 from pinav.forces import (
+    CentralTerm,
     GaussianBarrier,
     LatticeTerm,
     LinearForce,
@@ -55,3 +62,15 @@ def test_the_search_names_a_lattice():
     assert isinstance(term, LatticeTerm)
     found = np.asarray(term.wave_vectors)
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), 2 * np.pi / 4, rtol=0.01)
+
+
+def test_obstacles_are_joined_one_by_one_and_left_out_one_by_one():
+    first = central_term(REGION, np.array([3.0, 3.0]))
+    (pair,) = twins(first, np.array([[7.0, 4.0]]))
+    np.testing.assert_allclose(pair.centers, [[3.0, 3.0], [7.0, 4.0]])
+    (three,) = twins(pair, np.array([[5.0, 7.5]]))
+    fewer = [np.asarray(term.centers[:, 0]).tolist() for term in with_one_less(three)]
+    assert fewer == [[7.0, 5.0], [3.0, 5.0], [3.0, 7.0]]
+    alone = list(with_one_less(pair))
+    assert all(isinstance(term, CentralTerm) for term in alone)
+    np.testing.assert_allclose([term.center[0] for term in alone], [7.0, 3.0])

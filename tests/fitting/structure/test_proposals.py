@@ -1,3 +1,5 @@
+import dataclasses
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -5,7 +7,7 @@ from tests.fitting.structure.observed_forces import observed_forces
 
 from pinav.errors import InputError
 from pinav.fitting.environments.terms import TermSummary, summarise_terms, with_terms
-from pinav.fitting.structure.proposals import propose
+from pinav.fitting.structure.proposals import propose, prune, refine
 from pinav.fitting.structure.starts import (
     Region,
     central_term,
@@ -17,6 +19,7 @@ from pinav.forces import (
     GaussianBarrier,
     KernelPotential,
     LinearForce,
+    RingBarrier,
     SoftWall,
     StructuredForce,
 )
@@ -62,6 +65,41 @@ SADDLE = LinearForce(np.array([[2.0, 0.5], [0.5, -2.0]]), [5.0, 5.0])
 def test_the_search_names_what_is_there_and_nothing_beside_it(truth, kinds):
     found = propose(response(truth), REGION, 0.01, rotational=False)
     assert [term.kind for term in found.terms] == kinds
+
+
+def test_a_needless_term_goes_and_a_needed_one_stays():
+    data = response(HILL + SADDLE)
+    hill = central_term(REGION, np.array([4.1, 5.9]))
+    both = polish((linear_term(REGION), hill), data)
+    assert len(prune(both, data).terms) == 2
+    spare = polish((wall_term(REGION, 1.2), hill), response(HILL))
+    (term,) = prune(spare, response(HILL)).terms
+    assert term.kind == "central"
+
+
+def test_profiles_become_finer_where_the_data_ask_for_it():
+    narrow = RingBarrier(2.0, [5.0, 5.0], 3.0, 0.15)
+    data = response(narrow)
+    coarse = polish((central_term(REGION, np.array([5.02, 5.0])),), data)
+    finer = refine(coarse, data)
+    assert finer.terms[0].width < coarse.terms[0].width
+    assert finer.log_evidence > coarse.log_evidence
+    smooth = polish((central_term(REGION, np.array([4.1, 5.9])),), response(HILL))
+    assert refine(smooth, response(HILL)) is smooth
+
+
+def test_kernels_of_a_profile_are_fine_where_few_swimmers_are_flung_out():
+    flung = np.concatenate([POINTS[0], [[60.0, 5.0]]])
+    assert Region.of(flung).extent == pytest.approx(60.0, rel=0.02)
+    assert Region.of(flung).width == pytest.approx(60.0 / 81, rel=0.02)
+    assert REGION.width == pytest.approx(10.0 / 36, rel=0.02)
+
+
+def test_what_no_force_explains_counts_as_noise():
+    data = response(HILL)
+    noisy = dataclasses.replace(data, squares=3 * data.num_free * 0.01**2)
+    hill = (central_term(REGION, np.array([4.1, 5.9])),)
+    assert polish(hill, noisy).noise == pytest.approx(0.02, rel=0.1)
 
 
 def test_a_term_that_left_the_data_is_no_proposal():

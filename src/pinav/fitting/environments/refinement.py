@@ -107,7 +107,8 @@ def iterate_refined(
 ) -> tuple[AbstractProblem, Outcome, list[Step]]:
     """Iterate on kernels as fine as the evidence asks for.
 
-    Each grid begins anew, so that the result is that of its own fit.
+    Each grid begins anew, so that the result is that of its own fit. Where finer
+    kernels diverge the coarser ones are fitted to their end.
 
     Args:
         problem: the fit on the first kernels.
@@ -137,9 +138,13 @@ def iterate_refined(
         model = problem.parametric(jnp.asarray(problem.theta))
         model = eqx.tree_at(lambda m: m.environment, model, better)
         again = begin(model, states=problem.states)
-        return iterate_refined(
+        finest = iterate_refined(
             again, begin, refine, trajectories, max_iterations, on_step
         )
+        if finest[1] is not Outcome.DIVERGED:
+            return finest
+        # better too smooth than lost
+        outcome, steps = iterate(problem, max_iterations, on_step)
     if outcome is Outcome.CONVERGED and is_coarse(steps[-1]):
         outcome = Outcome.UNDER_RESOLVED
     return problem, outcome, steps

@@ -25,7 +25,7 @@ from pinav.fitting.evidence.evidence import (
 )
 from pinav.fitting.structure.response import ForceResponse, force_quadratic
 from pinav.fitting.structure.starts import Region, central_term
-from pinav.forces import KernelPotential, LatticeTerm, ObstaclesTerm
+from pinav.forces import CentralTerm, KernelPotential, LatticeTerm, ObstaclesTerm
 from pinav.forces.field_terms import HARMONICS
 
 MOST_PERIODS = 6
@@ -131,6 +131,45 @@ def obstacles(seen: PotentialMap, region: Region) -> Iterator[ObstaclesTerm]:
                 centers=jnp.asarray(centers),
                 places=start.places,
                 width=start.width,
+            )
+
+
+def twins(
+    term: CentralTerm | ObstaclesTerm, places: Float[np.ndarray, "place dim"]
+) -> list[ObstaclesTerm]:
+    """Obstacles of the kind of a central term, one more than there are.
+
+    Args:
+        term: whose profile they share.
+        places: of the additional one [L].
+    """
+    several = isinstance(term, ObstaclesTerm)
+    centers = term.centers if several else term.center[None]
+    return [
+        ObstaclesTerm(
+            weights=term.weights,
+            centers=jnp.concatenate([centers, jnp.asarray(place)[None]]),
+            places=term.places,
+            width=term.width,
+            rotational=term.rotational,
+        )
+        for place in places
+    ]
+
+
+def with_one_less(term: ObstaclesTerm) -> Iterator[ObstaclesTerm | CentralTerm]:
+    """The obstacles without each of them in turn; the last of all is a central term."""
+    for index in range(len(term.centers)):
+        centers = jnp.delete(term.centers, index, axis=0)
+        if len(centers) > 1:
+            yield eqx.tree_at(lambda one: one.centers, term, centers)
+        else:
+            yield CentralTerm(
+                weights=term.weights,
+                center=centers[0],
+                places=term.places,
+                width=term.width,
+                rotational=term.rotational,
             )
 
 

@@ -6,7 +6,7 @@ polished by the engine's own steps. Terms are added as long as the evidence gain
 than their geometry costs.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,7 +14,13 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.fitting.evidence.model_evidence import DECISIVE
-from pinav.fitting.structure.patterns import PotentialMap, lattices, obstacles
+from pinav.fitting.structure.patterns import (
+    PotentialMap,
+    lattices,
+    obstacles,
+    twins,
+    with_one_less,
+)
 from pinav.fitting.structure.response import ForceResponse
 from pinav.fitting.structure.starts import (
     Region,
@@ -23,7 +29,13 @@ from pinav.fitting.structure.starts import (
     scanned_terms,
 )
 from pinav.fitting.structure.trials import Proposal, Terms, polish, quick_evidence
-from pinav.forces import AbstractTerm, CentralTerm, EllipticTerm
+from pinav.forces import (
+    AbstractTerm,
+    CentralTerm,
+    EllipticTerm,
+    LinearTerm,
+    ObstaclesTerm,
+)
 
 CLOSER = (0.3, 0.1)
 """Sizes of further grids of centres, each about the best of those before."""
@@ -31,7 +43,7 @@ CLOSER = (0.3, 0.1)
 MOST_TERMS = 3
 """Terms of a structure."""
 
-EXPLAINED = 1.5
+EXPLAINED = 1.7
 """Misfit of a proposal, relative to the noise, above which it is not fitted: its free
 remainder would have to carry too much."""
 
@@ -45,7 +57,7 @@ MOST_ROUNDS = 4
 PROMISING = 3
 """Kinds that are polished, of those that were scanned."""
 
-ENOUGH, PROGRESS = 1.15, 0.8
+ENOUGH, PROGRESS = 1.4, 0.8
 """Misfit, relative to the noise, at which nothing is left to explain; and relative to
 the misfit before, above which further terms lead nowhere."""
 
@@ -79,6 +91,7 @@ def propose(
         most = max(one.log_evidence for one in trials)
         # kinds come in the order of their freedom: a linear force is a wall, too
         winner = next(t for t in trials if t.log_evidence >= most - 2 * DECISIVE)
+        winner = ground.exchange(winner, rotational=rotational)
         before = np.inf if best is None else best.noise
         if best is not None and winner.log_evidence < best.log_evidence + 2 * DECISIVE:
             break
@@ -88,29 +101,56 @@ def propose(
         ):
             break
         if best.noise < EXPLAINED * noise or len(best.terms) == MOST_TERMS:
-            best = _prune(winner, response)
+            best = prune(winner, response)
         if best.noise < ENOUGH * noise:
             break
     return best
 
 
-def _prune(proposal: Proposal, response: ForceResponse) -> Proposal:
-    """Leave out terms that a later one made needless; make circles of ellipses."""
-    terms = proposal.terms
-    if len(terms) < 2:
-        return proposal
-    for index in range(len(terms)):
-        rest = terms[:index] + terms[index + 1 :]
-        simpler = [rest] if index < len(terms) - 1 else []
-        term = terms[index]
-        if isinstance(term, EllipticTerm):
-            circle = (*terms[:index], circular(term), *terms[index + 1 :])
-            simpler.append(circle)
-        for fewer in simpler:
-            made = polish(fewer, response)
-            if made and made.log_evidence >= proposal.log_evidence - 2 * DECISIVE:
-                return _prune(made, response)
+def refine(proposal: Proposal, response: ForceResponse) -> Proposal:
+    """Lay kernels of profiles closer to each other where the evidence gains.
+
+    Args:
+        proposal: terms that explain the data.
+        response: of the data to forces.
+    """
+    for _ in range(MOST_HALVINGS):
+        finer = proposal.finer
+        made = None if finer is None else polish(finer, response)
+        if made is None or made.log_evidence < proposal.log_evidence + DECISIVE:
+            break
+        proposal = made
     return proposal
+
+
+MOST_HALVINGS = 2
+"""Times that the width of the kernels of a profile may be halved."""
+
+
+def prune(proposal: Proposal, response: ForceResponse) -> Proposal:
+    """Leave out terms and centres that are needless; make circles of ellipses.
+
+    Args:
+        proposal: terms that explain the data.
+        response: of the data to forces.
+    """
+    for fewer in _simpler(proposal.terms):
+        made = polish(fewer, response)
+        if made and made.log_evidence >= proposal.log_evidence - 2 * DECISIVE:
+            return prune(made, response)
+    return proposal
+
+
+def _simpler(terms: Terms) -> Iterator[Terms]:
+    """Structures with one term, one centre or one direction less."""
+    for index, term in enumerate(terms):
+        before, after = terms[:index], terms[index + 1 :]
+        if after:  # without the last term the evidence was asked before
+            yield before + after
+        if isinstance(term, EllipticTerm):
+            yield (*before, circular(term), *after)
+        if isinstance(term, ObstaclesTerm):
+            yield from ((*before, fewer, *after) for fewer in with_one_less(term))
 
 
 class _Ground(eqx.Module):
@@ -138,6 +178,7 @@ class _Ground(eqx.Module):
         linear, *kinds = scanned_terms(self.region, summits, rotational=rotational)
         beside = terms or tuple(linear)
         best = [(*beside, self._scan(starts, beside)) for starts in kinds]
+        best += self._with_twins(terms)
         worth = [quick_evidence(one, self.response) for one in best]
         least = sorted(worth)[-PROMISING:][0]
         best = [one for one, value in zip(best, worth, strict=True) if value >= least]
@@ -156,6 +197,39 @@ class _Ground(eqx.Module):
             one for one in patterns if one.noise < EXPLAINED * self.noise
         ]
 
+    def exchange(self, proposal: Proposal, *, rotational: bool) -> Proposal:
+        """The structure with earlier terms in place of which another explains more.
+
+        The first of several terms is found while the others are not there, and takes
+        what it can of them: an ellipse stands for a hill and a wall.
+        """
+        for index, term in enumerate(proposal.terms[:-1]):
+            simpler = isinstance(term, EllipticTerm)
+            explained = self._is_explained([proposal])
+            if isinstance(term, LinearTerm) or (explained and not simpler):
+                continue
+            rest = proposal.terms[:index] + proposal.terms[index + 1 :]
+            _, *kinds = scanned_terms(
+                self.region, self._summits(), rotational=rotational
+            )
+            others = [(self._scan(starts, rest), *rest) for starts in kinds]
+            likely = max(others, key=lambda one: quick_evidence(one, self.response))
+            for other in self._polish_each([likely]):
+                gain = other.log_evidence - proposal.log_evidence
+                if gain > (-2 if simpler else 2) * DECISIVE:
+                    return self.exchange(other, rotational=rotational)
+        return proposal
+
+    def _with_twins(self, terms: Terms) -> list[Terms]:
+        """Structures in which a centre of force has another one of its kind."""
+        made: list[Terms] = []
+        for index, term in enumerate(terms):
+            if isinstance(term, CentralTerm | ObstaclesTerm):
+                rest = terms[:index] + terms[index + 1 :]
+                places = np.concatenate([self.region.places(), self._summits()])
+                made.append((*rest, self._scan(twins(term, places), rest)))
+        return made
+
     def _summits(self) -> Float[np.ndarray, "place dim"]:
         if self.seen is None:
             return np.zeros((0, len(self.region.middle)))
@@ -172,9 +246,9 @@ class _Ground(eqx.Module):
         """The best term of a kind, its centre on finer and finer grids."""
         chosen = self._best(starts, terms)
         for fraction in CLOSER:
-            if not isinstance(chosen, CentralTerm | EllipticTerm):
+            if not isinstance(chosen, CentralTerm | EllipticTerm | ObstaclesTerm):
                 break
-            places = self.region.grid(np.asarray(chosen.center), fraction)
+            places = self.region.grid(_last_center(chosen), fraction)
             closer = [_move(chosen, place) for place in places]
             chosen = self._best([chosen, *closer], terms)
         return chosen
@@ -185,7 +259,17 @@ class _Ground(eqx.Module):
         return starts[int(np.argmax(values))]
 
 
-def _move(
-    term: CentralTerm | EllipticTerm, center: Float[np.ndarray, " dim"]
-) -> CentralTerm | EllipticTerm:
+Centered = CentralTerm | EllipticTerm | ObstaclesTerm
+
+
+def _last_center(term: Centered) -> Float[np.ndarray, " dim"]:
+    if isinstance(term, ObstaclesTerm):
+        return np.asarray(term.centers[-1])
+    return np.asarray(term.center)
+
+
+def _move(term: Centered, center: Float[np.ndarray, " dim"]) -> Centered:
+    if isinstance(term, ObstaclesTerm):
+        moved = term.centers.at[-1].set(jnp.asarray(center))
+        return eqx.tree_at(lambda one: one.centers, term, moved)
     return eqx.tree_at(lambda one: one.center, term, jnp.asarray(center))

@@ -58,13 +58,14 @@ class ForceResponse(eqx.Module):
     @property
     def num_projected(self) -> int:
         """Data that count less than one each: the starts, and what was compressed."""
-        return self.targets.size - self.num_free
+        return self.targets.size + 1 - self.num_free
 
     def __call__(self, force: AbstractForce) -> Float[Array, " residual"]:
-        """Residuals of another force."""
+        """Residuals of another force, the last of them what no force explains."""
         changes = forces_at(force, self.times, self.points) - self.forces
         flat = changes.reshape(len(changes), -1)
-        return (jnp.einsum("idf,if->id", self.rows, flat) + self.targets).reshape(-1)
+        left = jnp.einsum("idf,if->id", self.rows, flat) + self.targets
+        return jnp.append(left.reshape(-1), jnp.sqrt(self.squares))
 
 
 def force_quadratic(
@@ -86,7 +87,7 @@ def force_quadratic(
         point=np.zeros(len(gradient)),
         hessian=hessian,
         gradient=gradient,
-        squares=float(squares),
+        squares=float(squares) + response.squares,
         num_free=response.num_free,
         log_determinant=0.0,
     )
@@ -148,7 +149,7 @@ def force_response(
         times=on_device(when),
         forces=forces_at(model.environment, when, points),
         num_free=count - states.shape[0] * states.shape[2],
-        squares=float(np.sum(np.asarray(squares)) - left),
+        squares=max(float(np.sum(np.asarray(squares)) - left), 0.0),
     )
 
 

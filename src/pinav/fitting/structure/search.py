@@ -33,6 +33,7 @@ from pinav.fitting.outcome import Outcome
 from pinav.fitting.structure.proposals import Proposal
 from pinav.fitting.structure.rotation import fitted_gain, mixture_on, survey_rotation
 from pinav.fitting.structure.survey import Survey
+from pinav.fitting.structure.trials import Terms
 from pinav.forces import (
     AbstractForce,
     KernelForce,
@@ -197,13 +198,31 @@ class _Search(eqx.Module):
         return StructuredFit(self.fit(free, AS_FINE_AS_ASKED), gain)
 
     def _fit_proposal(self, proposal: Proposal) -> EvidenceFit | None:
-        """The fit of a proposal beside the free kernels; None where it fails."""
-        force = StructuredForce(proposal.terms, self.kernels)
+        """The fit of a proposal beside the free kernels; None where it fails.
+
+        The proposal explains data linearised about smoothed states, whose errors
+        needless terms may explain; about the fit it is asked again what is needed.
+        """
         try:
-            search = self.of(force)
-            return search.fit(search.free(), None)
+            fit = self._fit_terms(proposal.terms)
+            if fit.outcome is Outcome.DIVERGED:
+                return fit
+            survey = Survey.of(self.specification, self.free(), fit)
+            other = survey.better(fit.model.environment.terms)
+            if other is None:
+                return fit
+            better = self._fit_terms(other.terms, fit.states)
         except FitError:
             return None
+        is_worse = _evidence(fit) - _evidence(better) > DECISIVE
+        return fit if is_worse or better.outcome is Outcome.DIVERGED else better
+
+    def _fit_terms(self, terms: Terms, states: Any = None) -> EvidenceFit:
+        """The fit of terms beside the free kernels, begun at given states or anew."""
+        search = self.of(StructuredForce(terms, self.kernels))
+        specification = search.specification
+        problem = specification.problem(specification.model, states=states)
+        return search.fit(problem, None)
 
 
 def name_force(force: AbstractForce) -> str:
@@ -231,11 +250,10 @@ def _weigh_rotation(search: _Search, survey: Survey) -> StructuredFit:
     kernels = search.kernels
     asked = survey_rotation(survey.response, survey.noise, (), kernels)
     turning, rotation = None, asked.gain
-    proposal = None if asked.is_plain else survey.proposal(rotational=False)
-    turned = None
+    proposal, turned = survey.proposal(rotational=False), None
     if rotation > DECISIVE and proposal is None:
         turned = survey.proposal(rotational=True)
-    if asked.is_plain or turned is not None:
+    if proposal is None and (asked.is_plain or turned is not None):
         turning = _turning(search, turned)
         if turning is not None and turning.rotation > DECISIVE:
             return turning
@@ -249,7 +267,7 @@ def _weigh_rotation(search: _Search, survey: Survey) -> StructuredFit:
         if rotation > DECISIVE:
             rotation = _rotation_beside(search, survey, still.fit)
         if rotation > DECISIVE:
-            turning = _turning(search, turned)
+            turning = _turning(search, proposal if turned is None else turned)
             rotation = np.nan if turning is None else turning.rotation
             if turning is not None and rotation > DECISIVE:
                 return turning

@@ -18,8 +18,9 @@ from pinav.forces import (
     WallTerm,
 )
 
-KERNELS = 36
-"""Kernels of a profile across the extent of the data."""
+KERNELS, FINER, FINEST = 36, 1.5, 3
+"""Kernels of a profile across the ground that most of the data are on; the factor by
+which there are more across the extent where that is larger, once or a few times."""
 
 BEYOND = 4.0
 """Reach of a profile beyond the data, in widths of its kernels."""
@@ -36,6 +37,8 @@ class Region(eqx.Module):
         extent: longest side of the box around them [L].
         crowded: longest side of the box around nine tenths of them [L].
         heart: the middle of that box [L].
+        inner: twice the longest distance between the quartiles: of data that are spread
+            evenly their extent, of swimmers that are flung out less [L].
         ranks: positions along each axis with equal shares of the data between them [L].
     """
 
@@ -43,6 +46,7 @@ class Region(eqx.Module):
     extent: float
     crowded: float
     heart: Float[np.ndarray, " dim"]
+    inner: float
     ranks: Float[np.ndarray, "rank dim"]
 
     @classmethod
@@ -50,18 +54,23 @@ class Region(eqx.Module):
         """The region of observed positions."""
         low, high = positions.min(axis=0), positions.max(axis=0)
         few, most = np.quantile(positions, [0.05, 0.95], axis=0)
+        lower, upper = np.quantile(positions, [0.25, 0.75], axis=0)
         return cls(
             middle=(low + high) / 2,
             extent=float((high - low).max()),
             crowded=float((most - few).max()),
             heart=(few + most) / 2,
+            inner=2 * float((upper - lower).max()),
             ranks=np.quantile(positions, np.linspace(0.05, 0.95, GRID), axis=0),
         )
 
     @property
     def width(self) -> float:
         """Of a kernel of a profile [L]."""
-        return self.extent / KERNELS
+        # few widths, so that regions share compilations
+        wanted = np.log(self.extent / max(self.inner, 1e-9)) / np.log(FINER)
+        finer = FINER ** np.clip(np.floor(wanted + 0.3), 0, FINEST - 1)
+        return float(self.extent / round(KERNELS * finer))
 
     def grid(
         self, middle: Float[np.ndarray, " dim"] | None = None, fraction: float = 1.0

@@ -3,13 +3,15 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from pinav.fitting.bayes.neural import FitSpecification
 from pinav.fitting.bayes.problem import BayesProblem
 from pinav.fitting.engine.evidence_fit import EvidenceFit
-from pinav.fitting.structure.proposals import EXPLAINED, Proposal, propose
+from pinav.fitting.structure.proposals import EXPLAINED, propose, prune, refine
 from pinav.fitting.structure.response import ForceResponse, force_response
 from pinav.fitting.structure.starts import Region
+from pinav.fitting.structure.trials import Proposal, Terms, polish
 from pinav.forces import ZeroForce
 
 MOST_TRAJECTORIES = 32
@@ -73,3 +75,15 @@ class Survey(eqx.Module):
         """
         best = propose(self.response, self.region, self.noise, rotational=rotational)
         return best if best and best.noise < EXPLAINED * self.noise else None
+
+    def better(self, terms: Terms) -> Proposal | None:
+        """A structure of fewer terms, or of finer profiles, where the data ask for it.
+
+        Args:
+            terms: those that there are.
+        """
+        whole = polish(terms, self.response)
+        if whole is None or not np.isfinite(whole.log_evidence):
+            return None
+        other = prune(refine(whole, self.response), self.response)
+        return None if other is whole else other

@@ -43,11 +43,45 @@ class Proposal(eqx.Module):
         terms: with weights.
         log_evidence: less what the geometry costs.
         noise: standard deviation of what they leave unexplained.
+        length_scales: of the profile of each term, in widths of its kernels; infinite
+            where it has none.
     """
 
     terms: Terms
     log_evidence: float
     noise: float
+    length_scales: tuple[float, ...] = ()
+
+    @property
+    def finer(self) -> Terms | None:
+        """The terms with finer profiles where they are too coarse; None if none is."""
+        coarse = [scale < SHORTEST for scale in self.length_scales]
+        if not any(coarse):
+            return None
+        return tuple(
+            _with_finer_profile(term)
+            if is_coarse and isinstance(term, AbstractProfileTerm)
+            else term
+            for term, is_coarse in zip(self.terms, coarse, strict=True)
+        )
+
+
+SHORTEST = 1.5
+"""Length scale of a profile, in widths of its kernels, below which they are laid closer
+to each other."""
+
+
+def _with_finer_profile(term: AbstractProfileTerm) -> AbstractTerm:
+    """The term on kernels of half the width, without weight."""
+    width, count = term.width / 2, 2 * len(term.places)
+    places = (np.arange(count) + 0.5) * width
+    if not term.is_odd:
+        places = term.places[0] + np.arange(count - 1) * width
+    return eqx.tree_at(
+        lambda one: (one.weights, one.places, one.width),
+        term,
+        (on_device(np.zeros(len(places))), on_device(np.asarray(places)), width),
+    )
 
 
 def _linearise(terms: Terms, response: ForceResponse) -> LinearisedObservations:
@@ -118,12 +152,17 @@ def _smooth(
 ) -> Float[np.ndarray, " shape"]:
     """The start of a search, with profiles of a length scale, in extents."""
     shape = prior.start.copy()
-    place = 0
-    for index, term in enumerate(terms):
+    for term, place in zip(terms, _shape_places(terms), strict=True):
         if isinstance(term, AbstractProfileTerm):
             shape[place] = np.log(scale * KERNELS)
-        place += len(term.prior().start) + (index > 0)
     return shape
+
+
+def _shape_places(terms: Terms) -> list[int]:
+    """Where in the shape of their prior that of each term begins."""
+    counts = [len(term.prior().start) for term in terms]
+    # between two terms there is the ratio of their amplitudes, from the second on
+    return [sum(counts[:index]) + max(index - 1, 0) for index in range(len(terms))]
 
 
 SMOOTHNESSES = (0.1, 0.04)
@@ -167,7 +206,13 @@ def polish(terms: Terms, response: ForceResponse) -> Proposal | None:
         return None
     chosen = best.hyperparameters
     value = float(chosen.log_evidence) - cost(terms, response)
-    return Proposal(fitted.terms, value, chosen.noise)
+    scales = tuple(
+        float(np.exp(chosen.shape[place]))
+        if isinstance(term, AbstractProfileTerm)
+        else np.inf
+        for term, place in zip(terms, _shape_places(terms), strict=True)
+    )
+    return Proposal(fitted.terms, value, chosen.noise, scales)
 
 
 def _is_in_reach(term: AbstractTerm, response: ForceResponse) -> bool:
