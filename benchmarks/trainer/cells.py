@@ -15,6 +15,7 @@ from benchmarks.trainer.systems import BenchmarkSystem, benchmark_system
 from pinav.commands.matching import CurriculumSettings, matching
 from pinav.dynamics import Swimmer
 from pinav.evaluation import predict, score
+from pinav.evaluation.force_fields import field_map, force_errors
 from pinav.fitting import Outcome, confirm, diagnose, fit_bayes, kernel_environment
 from pinav.fitting.environments.catalogue import (
     ModelChoice,
@@ -43,6 +44,9 @@ class Measurement(msgspec.Struct, frozen=True):
         form: of the potential.
         width: of the potential [L].
         cause: of an error above `FAILED`, as `diagnose` tells it.
+        visited: relative error of the force within a short distance of the data
+            (`pinav.evaluation.Regions`); None without a force.
+        near: the same within a longer distance.
     """
 
     key: int
@@ -56,6 +60,8 @@ class Measurement(msgspec.Struct, frozen=True):
     form: str
     width: float
     cause: str = ""
+    visited: float | None = None
+    near: float | None = None
 
 
 FAILED = 1e-2
@@ -158,8 +164,20 @@ def measure(cell: Cell, folder: Path) -> None:
             form=drawn.form,
             width=drawn.width,
             cause=_cause(model, clean) if not rmse <= FAILED else "",
+            **_force_errors(model, drawn, clean),
         ),
     )
+
+
+def _force_errors(
+    model: Any, drawn: BenchmarkSystem, data: Trajectories
+) -> dict[str, float]:
+    if not isinstance(model, Swimmer) or drawn.system.environment is None:
+        return {}
+    pair = model.environment, drawn.system.environment
+    learned, true = (field_map(force, data) for force in pair)
+    errors = force_errors(learned, true)
+    return {name: errors[name] for name in ("visited", "near")}
 
 
 def _cause(model: Any, data: Trajectories) -> str:

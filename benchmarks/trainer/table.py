@@ -83,13 +83,15 @@ def line(one: Measurement) -> str:
     name = f"{one.key:>3} {one.encounter:<6}{one.form:<9}{one.width:>5.2f}"
     fit = f"{one.column:<13}{one.seed:>3}{one.rmse:>10.1e}{one.seconds:>7.1f} s"
     fit += f"{one.processor_seconds:>7.1f} s"
+    if one.visited is not None and one.near is not None:
+        fit += f"  force {one.visited:.1e} {one.near:.1e}"
     return f"{name}  {fit}  {one.outcome} {one.cause}".rstrip()
 
 
 def summary(measurements: Sequence[Measurement]) -> str:
-    """Quantiles of the errors and times of each column."""
+    """Quantiles of the errors and times of each column, median errors of the force."""
     errors, times = ("median", "90 %", "95 %", "worst"), ("time", "worst time")
-    head = ("column", "fits", *errors, *times, "processor")
+    head = ("column", "fits", *errors, *times, "processor", "force", "near")
     lines = [f"{head[0]:<13}" + "".join(f"{word:>11}" for word in head[1:])]
     for column in dict.fromkeys(one.column for one in measurements):
         chosen = [one for one in measurements if one.column == column]
@@ -98,5 +100,8 @@ def summary(measurements: Sequence[Measurement]) -> str:
         cells = [f"{len(chosen):>11}", *(f"{error:>11.1e}" for error in errors)]
         spent = float(np.median([one.processor_seconds for one in chosen]))
         cells += [f"{seconds:>9.1f} s" for seconds in (*times, spent)]
+        for force in ("visited", "near"):
+            known = [e for one in chosen if (e := getattr(one, force)) is not None]
+            cells += [f"{np.median(known):>11.1e}" if known else f"{'-':>11}"]
         lines.append(f"{column:<13}" + "".join(cells))
     return "\n".join(lines)

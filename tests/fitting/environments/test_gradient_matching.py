@@ -4,13 +4,21 @@ import msgspec
 import numpy as np
 import pytest
 
-from pinav.dynamics import Adaptive, NeuralDynamics, Swimmer
+from pinav.dynamics import Adaptive, FixedStep, NeuralDynamics, Swimmer
 from pinav.evaluation import predict, score
-from pinav.fitting import Rates, rates_to_match
+from pinav.evaluation.force_fields import field_map, force_errors
+from pinav.fitting import (
+    Rates,
+    TrajectoryLoss,
+    defect_recipe,
+    fit,
+    rates_to_match,
+)
 from pinav.fitting.environments.catalogue import (
     DataSummary,
     ModelChoice,
     build,
+    learned_part,
     summarise_for_matching,
 )
 from pinav.fitting.environments.gradient_matching import (
@@ -18,6 +26,7 @@ from pinav.fitting.environments.gradient_matching import (
     _Trial,
     match_kernels,
     match_potential,
+    prior_root,
     simpler_models,
 )
 from pinav.fitting.environments.kernels import KernelGrid
@@ -173,7 +182,7 @@ def test_no_force_has_no_region():
 
 
 def test_a_hill_with_a_long_tail_gets_layers_that_a_file_keeps():
-    hill = TRUTH.with_environment(PowerHill(3.0, [2.0, 0.3], 0.4, 2.0))
+    hill = TRUTH.with_environment(PowerHill(3.0, [2.0, 0.3], 0.05, 2.0))
     seen, choice = observe(hill), ModelChoice("kernel-potential")
     summary = summarise_for_matching(choice, hill, seen)
     kept = msgspec.json.decode(msgspec.json.encode(summary), type=DataSummary)
@@ -182,6 +191,37 @@ def test_a_hill_with_a_long_tail_gets_layers_that_a_file_keeps():
     assert isinstance(environment, LayeredPotential)
     widths = [float(layer.width) for layer in environment.layers]
     assert widths == sorted(widths, reverse=True)
+
+
+def test_exact_data_leave_the_force_beside_the_path_to_a_smooth_prior():
+    paper = scenario("paper")
+    data, choice = simulate(paper), ModelChoice("kernel-potential")
+    untrained = build(
+        choice, paper.swimmer, summarise_for_matching(choice, paper.swimmer, data)
+    )
+    root = prior_root(untrained, data)
+    recipe = defect_recipe(data, prior_root=root)
+    objective = TrajectoryLoss(FixedStep(substeps=2))
+    fitted = fit(
+        untrained,
+        data,
+        recipe,
+        trainable=learned_part,
+        objective=objective,
+        dtype=np.float64,
+    )
+    assert total(fitted.model, data) < 1e-5
+    learned = field_map(fitted.model.environment, data)
+    errors = force_errors(learned, field_map(paper.environment, data))
+    assert errors["visited"] < 1e-3
+    assert errors["near"] < 3e-3
+
+
+def test_only_kernels_of_exact_states_have_a_prior_by_rates(data):
+    assert prior_root(TRUTH, data) is None, "nothing to learn"
+    inner = tanh_network(5, 4, width=4, depth=1, key=jax.random.key(0))
+    network = NeuralDynamics(inner, (0.0,) * 5, (1.0,) * 5)
+    assert prior_root(network, data) is None, "no force"
 
 
 def test_the_papers_barrier_needs_kernels_of_one_width():

@@ -15,6 +15,7 @@ from pinav.fitting import (
     defect_recipe,
     fit,
 )
+from pinav.fitting.matching.damped_phase import DampedState
 from pinav.fitting.matching.defects import DAMPINGS, full_step
 from pinav.fitting.matching.trainable import split_trainable
 from pinav.fitting.matching.windows import Windows
@@ -65,6 +66,22 @@ def test_a_step_of_a_linear_problem_is_that_of_the_ridge(shape):
     ridge = np.linalg.solve(normal, matrix.T @ (matrix @ theta - wanted))
     assert step.damping == pytest.approx(least)
     np.testing.assert_allclose(step.theta, theta - ridge, atol=1e-9)
+
+
+def test_what_the_data_leave_open_stays_where_the_prior_has_no_variance(data):
+    params, static = split_trainable(TRUTH, lambda m: m.environment, np.float64)
+    theta, _ = ravel_pytree(params)
+    problem = Problem(static, Observations.of(data, np.float64), OBJECTIVE)
+    root = jnp.zeros((len(theta), 1), theta.dtype).at[0].set(1.0)
+    phase = DefectMatching(jnp.asarray(100), 0.0, prior_root=root)
+    windows = Windows.of(problem, params, phase.window, phase.linearisation)
+    state = DampedState.begin(phase.damping, jnp.asarray(1.0, theta.dtype))
+    step = phase.best_step(windows, 1.01 * theta, state)
+    moved = np.asarray(step.theta - 1.01 * theta)
+    assert moved[0] != 0.0
+    np.testing.assert_array_equal(moved[1:], 0.0)
+    more = DefectMatching(jnp.asarray(100), 0.0, prior_root=root[:-1])
+    assert np.all(np.asarray(more.best_step(windows, 1.01 * theta, state).theta) != 0)
 
 
 def test_a_step_that_lowers_nothing_stays(data):

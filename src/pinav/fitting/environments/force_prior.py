@@ -12,8 +12,6 @@ References:
     Processes for Machine Learning (2006), chapter 5.
 """
 
-from typing import TypeVar
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -33,7 +31,7 @@ from pinav.fitting.evidence.evidence import (
 from pinav.forces import AbstractLearnedForce, KernelForce, KernelPotential
 from pinav.forces.priors import Matrix
 
-Kernels = TypeVar("Kernels", KernelPotential, KernelForce)
+Kinds = type[KernelPotential] | type[KernelForce]
 
 FIRST, FINER = 12, 1.5
 """Intervals of the first grid along the extent of the data; factor to the next one."""
@@ -122,7 +120,7 @@ AS_FINE_AS_FORCES = Refinement(envelope=True)
 
 
 def lay_smooth_kernels(
-    kind: type[Kernels],
+    kind: Kinds,
     places: Float[np.ndarray, "place dim"],
     positions: Float[np.ndarray, "point dim"],
     forces: Float[np.ndarray, "point dim"],
@@ -148,7 +146,7 @@ def lay_smooth_kernels(
 
 
 def _num_weights(
-    kind: type[Kernels], places: Float[np.ndarray, "place dim"], across: float
+    kind: Kinds, places: Float[np.ndarray, "place dim"], across: float
 ) -> int:
     return int(np.prod(kind.weight_shape(np.shape(_lay(places, across)[0]))))
 
