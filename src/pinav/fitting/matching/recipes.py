@@ -139,7 +139,7 @@ def _full_rollout(
 FIRST_DAMPING, LINEAR_DAMPING = 1e-2, 1e-7
 """Of the first step, and that of a model that is linear in its parameters."""
 
-LEAST_RESIDUAL = 1e-6
+LEAST_RESIDUAL = 1e-7
 """Of a step from exact data, in units of their spread, that a prior takes for noise."""
 
 MOST_SAMPLES = 500
