@@ -10,17 +10,16 @@ import numpy as np
 
 from benchmarks.fit.contestants import Effort
 from benchmarks.fit.problem import Problem, Trained, network_arrays
+from pinav.commands.matching import CurriculumSettings, matching
 from pinav.dynamics import FixedStep
 from pinav.fitting import (
     Fit,
     FitProgress,
     TrajectoryLoss,
-    defect_recipe,
     fit,
     fit_bayes,
     kernel_environment,
     paper_recipe,
-    rates_to_match,
 )
 from pinav.fitting.environments.catalogue import (
     ModelChoice,
@@ -106,21 +105,25 @@ def paper_network(problem: Problem, seed: int, effort: Effort) -> Trained:
 
 def network(problem: Problem, seed: int, effort: Effort) -> Trained:
     """The paper's network, our default recipe."""
-    data, known = _data(problem)
-    choice = ModelChoice("ude", seed=seed)
-    model = build(choice, known, summarise_for_matching(choice, known, data))
-    rates = rates_to_match(model, data)
-    recipe = defect_recipe(data, rates=rates, max_steps=effort.gauss_newton_steps)
-    return _network(*_fit(problem, data, model, recipe, exact=True))
+    return _network(*_by_default("ude", problem, seed, effort))
 
 
 def kernel(problem: Problem, seed: int, effort: Effort) -> Trained:
     """A kernel potential, our default recipe."""
-    data, known = _data(problem)
-    model = _model("kernel-potential", known, seed, data)
-    recipe = defect_recipe(data, max_steps=effort.gauss_newton_steps)
-    found, trained = _fit(problem, data, model, recipe, exact=True)
+    found, trained = _by_default("kernel-potential", problem, seed, effort)
     return trained._replace(arrays=kernel_arrays(found.model))
+
+
+def _by_default(
+    name: str, problem: Problem, seed: int, effort: Effort
+) -> tuple[Fit, Trained]:
+    """The first attempt of the default recipe, as commands compose it."""
+    data, known = _data(problem)
+    choice = ModelChoice(name, seed=seed)
+    model = build(choice, known, summarise_for_matching(choice, known, data))
+    settings = CurriculumSettings(max_steps=effort.gauss_newton_steps)
+    recipe = matching(settings, data, model).recipes[0]
+    return _fit(problem, data, model, recipe, exact=True)
 
 
 def kernel_arrays(swimmer) -> dict[str, np.ndarray]:
