@@ -20,6 +20,7 @@ from pinav.analysis.discovery.refit import Refit, RefitProblem, refit
 from pinav.dynamics import Adaptive, FixedStep, NeuralDynamics, rollout
 from pinav.errors import FitError, InputError
 from pinav.fitting import Outcome, Posterior
+from pinav.fitting.engine.parametric_model import known_model
 from pinav.forces import GaussianBarrier
 from pinav.scenarios import barrier_crossings
 from pinav.systems import Observation
@@ -168,7 +169,7 @@ def test_messages(crossings):
         discover(posterior, data, refits=0)
     network = eqx.nn.MLP(5, 4, 2, 1, key=jax.random.key(0))
     black_box = NeuralDynamics(network, (0.0,) * 5, (1.0,) * 5)
-    wrong = eqx.tree_at(lambda p: p.free, posterior, lambda theta: black_box)
+    wrong = eqx.tree_at(lambda p: p.free, posterior, known_model(black_box))
     with pytest.raises(InputError, match="expected that of a swimmer"):
         discover(wrong, data)
     cliff = GaussianBarrier(height=np.inf, center=[5.0, 5.0], width=0.1)
