@@ -369,11 +369,11 @@ def _wandering(selection: Selection) -> str:
     fit = selection.best.wandering
     if fit is None:
         return text
-    found = fit.estimates()
-    part = found["gain wander"].value / max(found["gain"].value, 1e-30)
+    estimates = fit.estimates()
+    part = estimates["gain wander"].value / max(estimates["gain"].value, 1e-30)
     return (
         f"{text[:-1]}: by {100 * part:.2g} % of the gain with a memory of "
-        f"{found['gain memory'].value:.2g} s; the bands allow for it."
+        f"{estimates['gain memory'].value:.2g} s; the bands allow for it."
     )
 
 

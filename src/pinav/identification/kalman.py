@@ -190,6 +190,7 @@ def _predict(state: State, matrix: Array, added: Array) -> State:
 
 
 def _product(matrix: Array, other: Array) -> Array:
+    """Element by element: four rows are too few for a call of a matrix product."""
     return jnp.sum(matrix[:, :, None] * other[None], axis=1)
 
 

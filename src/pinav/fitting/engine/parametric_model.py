@@ -36,6 +36,7 @@ class ParametricModel(eqx.Module):
         parts = np.split(np.asarray(theta), ends[:-1])
         leaves = [
             on_device(part.reshape(shape.shape))
+            # of no parameters there is one empty part and no leaf
             for part, shape in zip(parts, shapes, strict=False)
         ]
         return eqx.combine(jax.tree.unflatten(tree, leaves), self.static)

@@ -16,7 +16,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from pinav.dynamics import RK4, FixedStep, Swimmer
-from pinav.fitting.environments.force_regression import force_columns, regress
+from pinav.fitting.environments.force_regression import (
+    KernelKind,
+    force_columns,
+    regress,
+)
 from pinav.fitting.environments.gradient_matching import (
     ACROSS,
     MOST_KERNELS,
@@ -207,7 +211,7 @@ FEWEST, PLANE = 50, 2
 
 
 def _held_out_error(
-    kind: type[KernelPotential] | type[KernelForce],
+    kind: KernelKind,
     positions: Float[np.ndarray, "point dim"],
     forces: Float[np.ndarray, "point dim"],
     extra: Float[np.ndarray, "point dim column"],

@@ -19,7 +19,13 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
+from pinav.arguments import on_device
+from pinav.fitting.environments.force_regression import KernelKind
+from pinav.fitting.environments.kernels import (
+    KernelGrid,
+    num_weights,
+    surround_with_kernels,
+)
 from pinav.fitting.environments.refinement import Refinement
 from pinav.fitting.evidence.evidence import (
     Hyperparameters,
@@ -31,17 +37,9 @@ from pinav.fitting.evidence.evidence import (
 from pinav.forces import AbstractLearnedForce, KernelForce, KernelPotential
 from pinav.forces.priors import Matrix
 
-Kinds = type[KernelPotential] | type[KernelForce]
-
-FIRST, FINER = 12, 1.5
-"""Intervals of the first grid along the extent of the data; factor to the next one."""
-
-FEWEST = 4
-"""Intervals of the coarsest grid that is tried, where finer ones have too many
-weights."""
-
-MOST_WEIGHTS = 900
-"""Weights of kernels that are laid, at most."""
+FIRST, FEWEST = 12, 4
+"""Intervals of the first grid along the extent of the data, and of the coarsest one,
+which is tried where finer ones have too many weights."""
 
 MOST_SEARCHED = 500
 """Weights beyond which a search for the shape of their prior would take minutes where
@@ -86,7 +84,9 @@ class ForcePrior(eqx.Module):
             positions: at which the force is known [L].
             forces: there [L T⁻²].
         """
-        columns = _columns(environment, positions)
+        with jax.enable_x64(new_val=True):
+            columns = np.asarray(_columns(environment, on_device(positions)))
+        columns = columns.reshape(-1, columns.shape[-1])
         targets = forces.reshape(-1)
         size = float(np.sqrt(np.mean(targets**2))) or 1.0
         data, prior = _independent(columns, targets), environment.prior()
@@ -115,12 +115,12 @@ class ForcePrior(eqx.Module):
         return (vectors * np.sqrt(variances))[:, ::-1]
 
 
-AS_FINE_AS_FORCES = Refinement(envelope=True)
+AS_FINE_AS_FORCES = Refinement(max_weights=900, envelope=True)
 """Asks for finer kernels where length scale or envelope end at a width."""
 
 
 def lay_smooth_kernels(
-    kind: Kinds,
+    kind: KernelKind,
     places: Float[np.ndarray, "place dim"],
     positions: Float[np.ndarray, "point dim"],
     forces: Float[np.ndarray, "point dim"],
@@ -133,46 +133,41 @@ def lay_smooth_kernels(
         positions: at which the force is known [L].
         forces: there [L T⁻²].
     """
-    across = float(FIRST)
-    while _num_weights(kind, places, across) > MOST_WEIGHTS and across > FEWEST:
-        across /= FINER
-    while _num_weights(kind, places, across) <= MOST_WEIGHTS:
-        laid = kind.with_zero_weights(*_lay(places, across))
+    rule, across = AS_FINE_AS_FORCES, float(FIRST)
+    laid = _lay(kind, places, across)
+    while num_weights(laid) > rule.max_weights and across > FEWEST:
+        across /= rule.factor
+        laid = _lay(kind, places, across)
+    while num_weights(laid) <= rule.max_weights:
         prior = ForcePrior.of(laid, positions, forces)
         if prior.suits:
             return prior
-        across *= FINER
+        across *= rule.factor
+        laid = _lay(kind, places, across)
     return None
 
 
-def _num_weights(
-    kind: Kinds, places: Float[np.ndarray, "place dim"], across: float
-) -> int:
-    return int(np.prod(kind.weight_shape(np.shape(_lay(places, across)[0]))))
-
-
 def _lay(
-    places: Float[np.ndarray, "place dim"], across: float
-) -> tuple[Float[np.ndarray, "kernel dim"], float]:
-    return surround_with_kernels(places, KernelGrid(round(across)))
+    kind: KernelKind, places: Float[np.ndarray, "place dim"], across: float
+) -> KernelPotential | KernelForce:
+    grid = KernelGrid(round(across))
+    return kind.with_zero_weights(*surround_with_kernels(places, grid))
 
 
+@eqx.filter_jit
 def _columns(
-    environment: AbstractLearnedForce, positions: Float[np.ndarray, "point dim"]
-) -> Float[np.ndarray, "row weight"]:
-    """Force of each weight at each position, its components one after the other."""
+    environment: AbstractLearnedForce, positions: Float[Array, "point dim"]
+) -> Float[Array, "point dim weight"]:
+    """Force of each weight at each position; compiled once for grids of one size."""
     weights, unravel = ravel_pytree(environment.parameters)
 
     def force(
         weights: Float[Array, " weight"], x: Float[Array, " dim"]
     ) -> Float[Array, " dim"]:
-        made = eqx.tree_at(lambda e: e.parameters, environment, unravel(weights))
-        return made(jnp.zeros(()), x, jnp.zeros_like(x))
+        filled = eqx.tree_at(lambda e: e.parameters, environment, unravel(weights))
+        return filled(jnp.zeros(()), x, jnp.zeros_like(x))
 
-    with jax.enable_x64(new_val=True):
-        of_all = jax.jit(jax.vmap(jax.jacrev(force), (None, 0)))
-        columns = np.asarray(of_all(weights, jnp.asarray(positions)))
-    return columns.reshape(-1, columns.shape[-1])
+    return jax.vmap(jax.jacrev(force), (None, 0))(weights, positions)
 
 
 def _independent(

@@ -6,12 +6,15 @@ from jaxtyping import Float
 
 from pinav.forces import KernelForce, KernelPotential
 
+KernelKind = type[KernelPotential] | type[KernelForce]
+"""Kernels whose forces are known in closed form."""
+
 RIDGE = 1e-11
 """Relative to the largest diagonal entry of the normal equations."""
 
 
 def force_columns(
-    kind: type[KernelPotential] | type[KernelForce],
+    kind: KernelKind,
     positions: Float[np.ndarray, "point dim"],
     centers: Float[np.ndarray, "kernel dim"],
     width: float,

@@ -20,7 +20,11 @@ from jaxtyping import Bool, Float
 
 from pinav.dynamics import AbstractDynamics, Swimmer
 from pinav.fitting.environments.force_prior import ForcePrior, lay_smooth_kernels
-from pinav.fitting.environments.force_regression import force_columns, regress
+from pinav.fitting.environments.force_regression import (
+    KernelKind,
+    force_columns,
+    regress,
+)
 from pinav.fitting.environments.kernel_layers import Layer, lay_layers
 from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
 from pinav.fitting.environments.rates import (
@@ -66,7 +70,7 @@ def match_kernels(swimmer: Swimmer, rates: Rates) -> KernelPotential | KernelFor
 
 
 def lay_kernels_of(
-    kind: type[KernelPotential] | type[KernelForce], swimmer: Swimmer, rates: Rates
+    kind: KernelKind, swimmer: Swimmer, rates: Rates
 ) -> KernelPotential | KernelForce | None:
     """Untrained kernels with a prior that suits what the known physics leave.
 
@@ -114,10 +118,11 @@ def match_potential(swimmer: Swimmer, rates: Rates) -> tuple[Layer, ...]:
         swimmer: the known physics; its environment is left out.
         rates: at observed states.
     """
-    kernels = lay_kernels_of(KernelPotential, swimmer, rates)
-    if kernels is not None:
-        return (Layer(np.asarray(kernels.centers), float(kernels.width)),)
     samples = _ForceSamples.of(swimmer, rates)
+    prior = lay_smooth_kernels(KernelPotential, *samples)
+    laid = None if prior is None else prior.environment.kernels
+    if laid is not None:
+        return (Layer(np.asarray(laid.centers), float(laid.width)),)
     best = _choose(_try_grids((KernelPotential,), samples))
     if best.within > ONE_WIDTH:
         return lay_layers(samples.positions, samples.forces)
@@ -150,9 +155,7 @@ class _ForceSamples(NamedTuple):
         return cls(positions[acting], positions[kept], forces[kept])
 
 
-def _try_grids(
-    kinds: Sequence[type[KernelPotential] | type[KernelForce]], samples: _ForceSamples
-) -> "list[_Trial]":
+def _try_grids(kinds: Sequence[KernelKind], samples: _ForceSamples) -> "list[_Trial]":
     """Errors of grids from coarse to fine, until one needs no finer kernels."""
     places, positions, forces = samples
     held_out = np.arange(len(positions)) % 4 == 2
@@ -213,7 +216,7 @@ class _Trial(NamedTuple):
 
     held_out: float
     within: float
-    kind: type[KernelPotential] | type[KernelForce]
+    kind: KernelKind
     grid: KernelGrid
 
 

@@ -79,7 +79,8 @@ def propose(
     """
     planar = len(region.middle) == 2
     seen = PotentialMap.of(response) if planar else None
-    ground = _Ground(response, region, noise, seen)
+    summits = np.zeros((0, len(region.middle))) if seen is None else seen.summits()
+    ground = _Ground(response, region, noise, seen, summits)
     best: Proposal | None = None
     for _ in range(MOST_ROUNDS):
         if best is not None and len(best.terms) == MOST_TERMS:
@@ -161,12 +162,14 @@ class _Ground(eqx.Module):
         region: where they are.
         noise: of the observations, roughly.
         seen: the potential of free kernels, in the plane.
+        summits: of that potential, further places of centres [L].
     """
 
     response: ForceResponse
     region: Region
     noise: float
     seen: PotentialMap | None
+    summits: Float[np.ndarray, "place dim"]
 
     def extend(self, terms: Terms, *, rotational: bool) -> list[Proposal]:
         """Structures with one term more than there are, of each kind, polished.
@@ -174,8 +177,7 @@ class _Ground(eqx.Module):
         A linear force stands beside the first: where swimmers are flung out, nothing
         else explains anything without it.
         """
-        summits = self._summits()
-        linear, *kinds = scanned_terms(self.region, summits, rotational=rotational)
+        linear, *kinds = scanned_terms(self.region, self.summits, rotational=rotational)
         beside = terms or tuple(linear)
         best = [(*beside, self._scan(starts, beside)) for starts in kinds]
         best += self._with_twins(terms)
@@ -185,7 +187,7 @@ class _Ground(eqx.Module):
         proposals = self._polish_each([(*terms, *linear), *best])
         if self.seen is None or self._is_explained(proposals):
             return proposals
-        starts = ellipses(self.region, summits)
+        starts = ellipses(self.region, self.summits)
         proposals += self._polish_each([(*beside, self._scan(starts, beside))])
         if terms or self._is_explained(proposals):
             return proposals
@@ -203,15 +205,13 @@ class _Ground(eqx.Module):
         The first of several terms is found while the others are not there, and takes
         what it can of them: an ellipse stands for a hill and a wall.
         """
+        explained = self._is_explained([proposal])
         for index, term in enumerate(proposal.terms[:-1]):
             simpler = isinstance(term, EllipticTerm)
-            explained = self._is_explained([proposal])
             if isinstance(term, LinearTerm) or (explained and not simpler):
                 continue
             rest = proposal.terms[:index] + proposal.terms[index + 1 :]
-            _, *kinds = scanned_terms(
-                self.region, self._summits(), rotational=rotational
-            )
+            _, *kinds = scanned_terms(self.region, self.summits, rotational=rotational)
             others = [(self._scan(starts, rest), *rest) for starts in kinds]
             likely = max(others, key=lambda one: quick_evidence(one, self.response))
             for other in self._polish_each([likely]):
@@ -223,17 +223,12 @@ class _Ground(eqx.Module):
     def _with_twins(self, terms: Terms) -> list[Terms]:
         """Structures in which a centre of force has another one of its kind."""
         made: list[Terms] = []
+        places = np.concatenate([self.region.places(), self.summits])
         for index, term in enumerate(terms):
             if isinstance(term, CentralTerm | ObstaclesTerm):
                 rest = terms[:index] + terms[index + 1 :]
-                places = np.concatenate([self.region.places(), self._summits()])
                 made.append((*rest, self._scan(twins(term, places), rest)))
         return made
-
-    def _summits(self) -> Float[np.ndarray, "place dim"]:
-        if self.seen is None:
-            return np.zeros((0, len(self.region.middle)))
-        return self.seen.summits()
 
     def _is_explained(self, proposals: Sequence[Proposal]) -> bool:
         return any(one.noise < ENOUGH * self.noise for one in proposals)

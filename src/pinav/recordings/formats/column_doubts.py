@@ -108,7 +108,7 @@ def unread_particles(table: Table, columns: Mapping[str, str]) -> list[str]:
         table: as the file has it.
         columns: names of the quantities, perhaps with stars.
     """
-    patterns = [_numbered(columns[name]) for name in "xy"]
+    patterns = [_number_pattern(columns[name]) for name in "xy"]
     others = [
         [h for h in map(str, table.columns) if pattern.fullmatch(h)] if pattern else []
         for pattern in patterns
@@ -130,7 +130,7 @@ def unread_particles(table: Table, columns: Mapping[str, str]) -> list[str]:
     ]
 
 
-def _numbered(column: str) -> re.Pattern[str] | None:
+def _number_pattern(column: str) -> re.Pattern[str] | None:
     """Columns that differ from this one in a number, or match its star."""
     place = re.search(r"\*|\d+", column)
     if place is None:

@@ -152,7 +152,7 @@ def long_table(
             "columns: a star stands for the particles in x and y both, such as x=x* "
             "y=y*, and no column names them then"
         )
-    names = [particles_of(table, column) for column in wide.values()]
+    names = [_particles(table, column) for column in wide.values()]
     particles = [name for name in names[0] if all(name in other for other in names[1:])]
     if not particles:
         raise InputError(
@@ -177,7 +177,7 @@ def long_table(
     return long, {**columns, "particle": label}
 
 
-def particles_of(table: Table, pattern: str) -> list[str]:
+def _particles(table: Table, pattern: str) -> list[str]:
     """What the star stands for in the headings that match a pattern."""
     before, after = (re.escape(part) for part in pattern.split(_STAR, 1))
     matches = (
