@@ -1,8 +1,10 @@
 import ast
 import json
 import os
+import signal
 import subprocess
 import sys
+import threading
 import time
 from importlib import metadata
 from pathlib import Path
@@ -170,6 +172,30 @@ def test_an_interruption_says_how_to_go_on(capsys, monkeypatch):
     )
     line = capsys.readouterr().err
     assert line.endswith("continue with: pinav fit 'my data.csv' --out r --resume\n")
+
+
+def test_an_interrupt_that_a_library_makes_an_error_of_its_own_is_an_interrupt(
+    capsys, monkeypatch
+):
+    def call_compiled_code(*_):
+        try:
+            cli._interrupt(signal.SIGINT, None)
+        except KeyboardInterrupt:
+            raise ValueError("invalid affine transformation matrix") from None
+
+    monkeypatch.setattr(cli, "SIGNALLED", threading.Event())
+    monkeypatch.setattr(dispatch, "execute", call_compiled_code)
+    assert cli.run(["explore", "run"]) == cli.INTERRUPTED
+    assert capsys.readouterr().err == "pinav: interrupted\n"
+
+
+def test_an_error_without_an_interrupt_is_raised(monkeypatch):
+    def fail(*_):
+        raise ValueError("ours")
+
+    monkeypatch.setattr(dispatch, "execute", fail)
+    with pytest.raises(ValueError, match="ours"):
+        cli.run(["explore", "run"])
 
 
 def test_a_config_file_of_a_recording_sets_how_it_is_read_and_split(tmp_path):

@@ -5,6 +5,7 @@ import os
 import re
 import signal
 import sys
+import threading
 from collections.abc import Callable, Sequence
 
 from pinav import __version__
@@ -32,8 +33,22 @@ def main(argv: Sequence[str] | None = None) -> None:
     sys.exit(code)
 
 
+SIGNALLED = threading.Event()
+"""Set once an interrupt was asked for.
+
+Compiled libraries that call Python turn the `KeyboardInterrupt` inside such a call into
+an error of their own, so that the exception alone does not tell an interrupt.
+"""
+
+
 def _interruptible() -> None:
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGINT, _interrupt)
+
+
+def _interrupt(number: int, frame: object) -> None:
+    del number, frame
+    SIGNALLED.set()
+    raise KeyboardInterrupt
 
 
 def run(argv: Sequence[str], on_start: Callable[[], None] = lambda: None) -> int:
@@ -56,28 +71,38 @@ def run(argv: Sequence[str], on_start: Callable[[], None] = lambda: None) -> int
         )
     _prepare_process(argv)
     from pinav.commands.dispatch import execute
-    from pinav.errors import FitError, InputError
 
     try:
         _check_limits()
         execute(command, argv[1:], on_start)
-    except InputError as error:
-        return _complain(str(error))
-    except FitError as error:
-        return _complain(str(error), code=1)
-    except BrokenPipeError:
-        raise
-    except OSError as error:
-        return _complain(_about_files(command, error))
-    except MemoryError as error:
-        return _complain(f"not enough memory: {error}; give less data at once", code=1)
-    except RuntimeError as error:
-        if "RESOURCE_EXHAUSTED" in str(error):
-            return _complain("not enough memory; give less data at once", code=1)
-        raise
     except KeyboardInterrupt:
         return _complain(_how_to_go_on(command, argv), code=INTERRUPTED)
+    except Exception as error:
+        if SIGNALLED.is_set():
+            return _complain(_how_to_go_on(command, argv), code=INTERRUPTED)
+        return _complain_of(error, command)
     return 0
+
+
+def _complain_of(error: Exception, command: Command) -> int:
+    """Say what is wrong in one line; an error that is nobody's fault but ours is raised."""
+    from pinav.errors import FitError, InputError
+
+    match error:
+        case InputError():
+            return _complain(str(error))
+        case FitError():
+            return _complain(str(error), code=1)
+        case BrokenPipeError():
+            raise error
+        case OSError():
+            return _complain(_about_files(command, error))
+        case MemoryError():
+            line = f"not enough memory: {error}; give less data at once"
+            return _complain(line, code=1)
+        case RuntimeError() if "RESOURCE_EXHAUSTED" in str(error):
+            return _complain("not enough memory; give less data at once", code=1)
+    raise error
 
 
 def _about_files(command: Command, error: OSError) -> str:
