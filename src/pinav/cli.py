@@ -85,7 +85,7 @@ def run(argv: Sequence[str], on_start: Callable[[], None] = lambda: None) -> int
 
 
 def _complain_of(error: Exception, command: Command) -> int:
-    """Say what is wrong in one line; an error that is nobody's fault but ours is raised."""
+    """Say what is wrong in one line; raise an error of our own."""
     from pinav.errors import FitError, InputError
 
     match error:
