@@ -146,8 +146,8 @@ DAMAGE = {
         lambda s: f"line {s.line(1)}, column {s.columns['x']!r}: {NUMBER} 'wall'",
     ),
     "word in y": (
-        lambda s: s.edited(2, "y", "-"),
-        lambda s: f"line {s.line(2)}, column {s.columns['y']!r}: {NUMBER} '-'",
+        lambda s: s.edited(2, "y", "low"),
+        lambda s: f"line {s.line(2)}, column {s.columns['y']!r}: {NUMBER} 'low'",
     ),
     "word in frame": (
         lambda s: s.edited(3, "frame", "four"),

@@ -1,5 +1,6 @@
 """The data of a command: trajectories of pinav, or a recording of a tracker."""
 
+import contextlib
 from pathlib import Path
 
 import msgspec
@@ -9,6 +10,7 @@ from pinav.errors import InputError
 from pinav.recordings.conventions import doubts
 from pinav.systems import System
 from pinav.trajectories import (
+    PREFIX,
     Trajectories,
     is_trajectories,
     load,
@@ -46,7 +48,30 @@ def read_data(
                 f"--{option}: {path} holds trajectories of pinav, to which this option "
                 "of recordings does not apply; drop it"
             )
-    return load(path, units=recording.stated_units())
+    try:
+        return load(path, units=recording.stated_units())
+    except InputError as error:
+        hint = _as_a_table(path)
+        if not hint:
+            raise
+        raise InputError(f"{error}; or read it as a tracker's table: {hint}") from error
+
+
+def _as_a_table(path: Path) -> str:
+    """The option that reads a table as a recording; none for what pinav wrote."""
+    if path.suffix.lower() != ".csv" or not path.is_file():
+        return ""
+    from pinav.recordings.source import Source
+    from pinav.recordings.synonyms import example_of_columns, likely_columns
+
+    with contextlib.suppress(InputError):
+        source = Source.read(path)
+        names = source.column_names
+        if not source.text.startswith(PREFIX) and {"x", "y"} <= set(
+            likely_columns(names)
+        ):
+            return example_of_columns(names)
+    return ""
 
 
 def with_all_channels(data: Trajectories, system: System) -> Trajectories:

@@ -176,6 +176,7 @@ def table_of(
         line, cells = body.pop(0)
         stated = {n: str(c).strip() for n, c in zip(header, cells, strict=False) if c}
         notes = (f"{place} {line} states the units",)
+    body = _without_empty_ends(body, len(header))
     body = _of_width(body, len(header), place, faults)
     if not body:
         raise InputError(
@@ -184,6 +185,9 @@ def table_of(
     columns: dict[str, Sequence[Any]] = dict(
         zip(header, zip(*(cells for _, cells in body), strict=True), strict=True)
     )
+    columns, joined = _without_thousands(columns)
+    if joined:
+        notes = (*notes, "signs between thousands were left out")
     if decimal and _has_decimal_commas(columns):
         columns = {n: [_with_point(c) for c in cells] for n, cells in columns.items()}
         notes = (*notes, "decimal commas were read as points")
@@ -214,6 +218,17 @@ def _is_row_of_units(cells: Sequence[Any]) -> bool:
     )
 
 
+def _without_empty_ends(body: Sequence[Row], width: int) -> list[Row]:
+    """Rows without the empty cells beyond the header that a last delimiter makes."""
+    return [
+        (
+            number,
+            cells if any(c not in ("", None) for c in cells[width:]) else cells[:width],
+        )
+        for number, cells in body
+    ]
+
+
 def _of_width(
     body: Sequence[Row], width: int, place: str, faults: dict[str, str] | None
 ) -> list[Row]:
@@ -240,6 +255,37 @@ def _has_decimal_commas(columns: dict[str, Sequence[Any]]) -> bool:
     words = [c for cells in columns.values() for c in cells if isinstance(c, str)]
     commas = any(_COMMA.fullmatch(word) for word in words)
     return commas and not any(_POINT.fullmatch(word) for word in words)
+
+
+_THOUSANDS = re.compile(r"\s*[-+]?\d{1,3}(,\d{3})+(\.\d*)?\s*")
+_GROUPS = re.compile(r"\s*[-+]?\d{1,3}(['’\u00a0\u202f]\d{3})+([.,]\d*)?\s*")
+_SURE = re.compile(r".*,\d{3}[.,].*")
+"""A number with commas between thousands, one with other signs there, and one of the
+first kind whose comma is no decimal one."""
+
+
+def _without_thousands(
+    columns: dict[str, Sequence[Any]],
+) -> tuple[dict[str, Sequence[Any]], bool]:
+    """The columns without signs between thousands, and whether there were some.
+
+    Commas are such signs where all of them may be, and one of them must be.
+    """
+    words = [c for cells in columns.values() for c in cells if isinstance(c, str)]
+    commas = [w for w in words if _COMMA.fullmatch(w) or _THOUSANDS.fullmatch(w)]
+    signs = "'’\u00a0\u202f" if any(map(_GROUPS.fullmatch, words)) else ""
+    if any(map(_SURE.fullmatch, commas)) and all(map(_THOUSANDS.fullmatch, commas)):
+        signs += ","
+    if not signs:
+        return columns, False
+
+    def in_one(cell: Any) -> Any:
+        if not isinstance(cell, str):
+            return cell
+        numeric = _GROUPS.fullmatch(cell) or _THOUSANDS.fullmatch(cell)
+        return cell.translate(dict.fromkeys(map(ord, signs))) if numeric else cell
+
+    return {n: [in_one(c) for c in cells] for n, cells in columns.items()}, True
 
 
 def _with_point(cell: Any) -> Any:

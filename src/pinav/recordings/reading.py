@@ -3,7 +3,6 @@
 import dataclasses
 import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 from pinav.errors import InputError
 from pinav.recordings.assembly import assemble
@@ -12,7 +11,9 @@ from pinav.recordings.formats.column_map import MappedTable
 from pinav.recordings.formats.deeplabcut import DeepLabCut
 from pinav.recordings.formats.described import DESCRIBED
 from pinav.recordings.formats.format import AbstractFormat
+from pinav.recordings.formats.geff import Geff
 from pinav.recordings.formats.icy import Icy
+from pinav.recordings.formats.idtracker import IdTracker
 from pinav.recordings.formats.imagej import ImageJ
 from pinav.recordings.formats.magscope import MagScope
 from pinav.recordings.formats.matlab import Matlab
@@ -32,6 +33,8 @@ from pinav.recordings.synonyms import example_of_columns, likely_columns
 from pinav.trajectories import Trajectories
 
 FORMATS: tuple[AbstractFormat, ...] = (
+    IdTracker(),
+    Geff(),
     Tidy(),
     TrackMateCSV(),
     TrackMateProject(),
@@ -167,12 +170,6 @@ def _format(name: str | None, source: Source, reading: Reading) -> AbstractForma
     names = source.column_names
     if source.kind == "workbook":
         names = list(source.table().columns)
-    if source.kind == "folder" and _is_zarr(source.path):
-        raise InputError(
-            "Zarr, as of GEFF, is not read; export its nodes with time, position and "
-            "track as CSV and give that file with --columns frame=t x=x y=y "
-            "particle=track"
-        )
     if not names:
         raise InputError(
             f"the format is not known ({_KINDS.get(source.kind, source.kind)}); give "
@@ -191,14 +188,9 @@ def _format(name: str | None, source: Source, reading: Reading) -> AbstractForma
     )
 
 
-def _is_zarr(folder: Path) -> bool:
-    """Whether a folder is a group of Zarr, of version 2 or 3, or is called so."""
-    group = any((folder / name).is_file() for name in ("zarr.json", ".zgroup"))
-    return group or folder.suffix in (".zarr", ".geff")
-
-
 _KINDS = {
     "old workbook": "a workbook of Excel before 2007: save it as .xlsx",
+    "json": "JSON, whose layout nobody knows",
     "folder": "a folder without the files of a known one",
     "zip": "an archive without the arrays of a known tracker",
 }

@@ -39,6 +39,7 @@ Kind = Literal[
     "matlab",
     "array",
     "old workbook",
+    "json",
     "folder",
     "frame",
 ]
@@ -141,6 +142,8 @@ class Source:
             rest = self.content[_MATLAB_HDF5:]
             return "hdf5" if rest.startswith(b"\x89HDF") else "matlab"
         start = self.content[:200].lstrip(b"\xef\xbb\xbf \r\n\t")
+        if start.startswith((b"{", b"[{", b"[[")):
+            return "json"
         return "xml" if start.startswith(b"<") else "text"
 
     @cached_property
@@ -150,8 +153,9 @@ class Source:
         Raises:
             InputError: a byte is not UTF-8; the message names its line.
         """
+        wide = self.content.startswith((b"\xff\xfe", b"\xfe\xff"))
         try:
-            text = self.content.decode("utf-8-sig")
+            text = self.content.decode("utf-16" if wide else "utf-8-sig")
         except UnicodeDecodeError as error:
             text = self._latin(error)
         if "\0" in text:

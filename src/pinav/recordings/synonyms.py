@@ -11,7 +11,10 @@ SYNONYMS: Mapping[str, tuple[str, ...]] = {
     "x": ("x", "x um", "x px", "pos x", "posx", "xpos", "position x", "x position"),
     "y": ("y", "y um", "y px", "pos y", "posy", "ypos", "position y", "y position"),
     "z": ("z", "z um", "pos z", "posz", "zpos", "position z", "z position"),
-    "particle": ("particle", "id", "track", "track id", "trackid", "robot", "bot"),
+    "particle": (
+        *("particle", "id", "track", "track id", "trackid", "trajectory", "tid"),
+        *("robot", "bot"),
+    ),
     "run": ("run", "experiment", "movie", "video"),
     "frequency": ("frequency", "freq", "freq hz", "f", "rolling frequency", "drive"),
     "heading": ("heading", "alpha", "alpha rad", "angle", "angle rad", "azimuth"),
@@ -43,7 +46,7 @@ def likely_columns(names: Sequence[str]) -> dict[str, str]:
 _OF_COMMANDS = (
     r"field(?! [xyz]\b)|magnetic|coil|command|commanded|set|rotation|rotating"
 )
-_OF_POSITIONS = "centroid|center|centre|mean|spot|particle|robot"
+_OF_POSITIONS = "centroid|wcentroid|center|centre|mean|spot|particle|robot"
 _POSITIONS = ("x", "y", "z", "particle")
 
 
@@ -57,7 +60,7 @@ def _without_qualifiers(name: str, quantity: str) -> str:
 
 
 def _plain(name: str) -> str:
-    return re.sub(r"[\s_.\-]+", " ", units.split_heading(name)[0]).strip().lower()
+    return re.sub(r"[\s_.#\-]+", " ", units.split_heading(name)[0]).strip().lower()
 
 
 def example_of_columns(names: Sequence[str]) -> str:

@@ -3,6 +3,7 @@
 import dataclasses
 import datetime
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any, final
 
@@ -12,7 +13,7 @@ from jaxtyping import Float64, Int64
 from pinav.errors import InputError
 from pinav.recordings import units
 
-_LOST = ("", "nan", "na", "n/a", "none", "null")
+_LOST = ("", "nan", "na", "n/a", "n.a.", "#n/a", "none", "null", "-", "--", "?")
 """Words for a number that is not there, in lower case."""
 
 
@@ -144,8 +145,9 @@ class Table:
     def times(self, name: str) -> tuple[Float64[np.ndarray, " row"], str]:
         """The times of a column, and "s" where they were stamps of a clock.
 
-        Stamps such as `12:30:01.5` or `2024-03-20T15:10:30.5` become seconds since the
-        first of them; a clock that passes midnight goes on.
+        Stamps such as `12:30:01.5`, `2:05.31` (minutes and seconds) or
+        `2024-03-20T15:10:30.5` become seconds since the first of them; a clock that
+        passes midnight goes on.
 
         Raises:
             InputError: the column is missing, or a cell is no time.
@@ -230,8 +232,15 @@ def _stamp(cell: Any) -> float | None:
     """Seconds of a stamp of a clock, with or without its date; else None."""
     if isinstance(cell, datetime.time):
         return _seconds_of_day(cell)
+    if isinstance(cell, datetime.timedelta):
+        return cell.total_seconds()
     if isinstance(cell, str) and ":" in cell:
         text = cell.strip().replace(",", ".")
+        elapsed = _ELAPSED.fullmatch(text)
+        if elapsed:
+            return 60.0 * float(elapsed[1]) + float(elapsed[2])
+        if text.count(":") == 1:
+            return None  # minutes and seconds, or hours and minutes
         try:
             cell = datetime.datetime.fromisoformat(text)
         except ValueError:
@@ -247,6 +256,10 @@ def _stamp(cell: Any) -> float | None:
             _DAY * cell.toordinal() + (cell.replace(tzinfo=None) - day).total_seconds()
         )
     return None
+
+
+_ELAPSED = re.compile(r"(\d+):([0-5]?\d\.\d+)")
+"""Minutes and seconds; two whole numbers could be hours and minutes as well."""
 
 
 def _seconds_of_day(time: datetime.time) -> float:

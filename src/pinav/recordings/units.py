@@ -8,16 +8,17 @@ from pinav.errors import InputError
 _MICROMETRES: Mapping[str, float] = {
     **dict.fromkeys(("um", "µm", "μm", "micron", "microns"), 1.0),
     **dict.fromkeys(("micrometer", "micrometre", "micrometers", "micrometres"), 1.0),
-    "nm": 1e-3,
-    "mm": 1e3,
-    "cm": 1e4,
+    **dict.fromkeys(("nm", "nanometer", "nanometre"), 1e-3),
+    **dict.fromkeys(("mm", "millimeter", "millimetre"), 1e3),
+    **dict.fromkeys(("cm", "centimeter", "centimetre"), 1e4),
     "m": 1e6,
 }
 _SECONDS: Mapping[str, float] = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0),
-    **dict.fromkeys(("ms", "msec"), 1e-3),
-    "min": 60.0,
-    "h": 3600.0,
+    **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), 1e-3),
+    **dict.fromkeys(("min", "minute", "minutes"), 60.0),
+    **dict.fromkeys(("h", "hour", "hours"), 3600.0),
+    **dict.fromkeys(("d", "day", "days"), 86_400.0),
 }
 _PIXELS = ("px", "pixel", "pixels")
 _FRAMES = ("frame", "frames")
@@ -38,6 +39,13 @@ _COMMANDS: Mapping[str, Mapping[str, float]] = {
 _STATED = re.compile(
     r"(?P<name>.*?)\s*(?:\[(?P<a>[^\]]*)\]|\((?P<b>[^)]*)\)|/\s*(?P<c>\S+))\s*"
 )
+
+
+_BEHIND_UNDERSCORE = {
+    *("um", "µm", "μm", "nm", "mm", "cm", "px", "pixel", "pixels"),
+    *("s", "sec", "ms", "deg", "rad", "Hz", "hz", "kHz", "rpm"),
+}
+"""Units that are read there; a single letter could be anything, but for seconds."""
 
 
 def bare(unit: str | None) -> str:
@@ -62,12 +70,14 @@ def is_unit(word: str) -> bool:
 def split_heading(heading: str) -> tuple[str, str]:
     """Name and unit of the heading of a column, such as `x [um]`, `x (µm)` or `t/ms`.
 
-    What stands in brackets or behind a stroke is no unit unless it is known as one;
-    the name is then the whole heading.
+    What stands in brackets, behind a stroke or, as in `x_um`, behind the last
+    underscore is no unit unless it is known as one; the name is then the whole heading.
     """
     match = _STATED.fullmatch(heading.strip())
     if match is None:
-        return heading.strip(), ""
+        name, _, unit = heading.strip().rpartition("_")
+        sure = name and unit in _BEHIND_UNDERSCORE
+        return (name, unit) if sure else (heading.strip(), "")
     unit = match["a"] or match["b"] or match["c"] or ""
     if not is_unit(unit) or not match["name"]:
         return heading.strip(), ""

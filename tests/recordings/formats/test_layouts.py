@@ -315,9 +315,9 @@ def test_damage_is_named(read, name, content, message):
     ("name", "file"),
     [("a.geff", "zarr.json"), ("a", ".zgroup"), ("a.zarr", "README")],
 )
-def test_zarr_is_refused_with_what_to_export_instead(tmp_path, name, file):
+def test_zarr_without_a_graph_is_refused_with_what_to_export(tmp_path, name, file):
     folder = tmp_path / name
     folder.mkdir()
     (folder / file).write_text("{}")
-    with pytest.raises(InputError, match="as of GEFF.*export its nodes.*--columns"):
+    with pytest.raises(InputError, match="one graph of GEFF.*got none.*--columns"):
         read_recording(folder)

@@ -262,7 +262,7 @@ def test_damage_is_named_with_its_place(read, content, message):
 
 
 BAD_READING = {
-    "format": ({"format": "excel"}, r"format: expected one of tidy.* got 'excel'"),
+    "format": ({"format": "excel"}, r"format: expected one of .*tidy.* got 'excel'"),
     "mpp": ({"mpp": 0.0}, r"mpp: expected > 0, got 0"),
     "gap": ({"gap": 0}, r"gap: expected > 0"),
     "jump": ({"jump": -1.0}, r"jump: expected > 0"),

@@ -133,7 +133,7 @@ def unread_particles(table: Table, columns: Mapping[str, str]) -> list[str]:
 def _number_pattern(column: str) -> re.Pattern[str] | None:
     """Columns that differ from this one in a number, or match its star."""
     place = re.search(r"\*|\d+", column)
-    if place is None:
+    if place is None or column.isdigit():  # the number of a column without a name
         return None
     before, after = column[: place.start()], column[place.end() :]
     return re.compile(f"{re.escape(before)}\\d+{re.escape(after)}")

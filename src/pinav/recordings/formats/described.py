@@ -74,7 +74,9 @@ class DescribedTable(AbstractFormat):
             y=factor * table.numbers(headings["y"], lost=True),
             z=None if z is None or np.ptp(z[np.isfinite(z)]) == 0 else factor * z,
             place=table.row,
-            particle=table.labels(headings["particle"]),
+            particle=table.labels(headings["particle"])
+            if "particle" in headings
+            else None,
             frame=table.whole_numbers(headings["frame"], least=0)
             if "frame" in headings
             else None,
@@ -125,5 +127,17 @@ NAPARI_PLANE = DescribedTable(
 IDTRACKER = DescribedTable("idtracker.ai", {"t": "seconds|time", "x": "x*", "y": "y*"})
 """`trajectories.csv`: seconds and the columns x1, y1, x2, y2...; px, y down."""
 
-DESCRIBED = (IMARIS, CELLPROFILER, NAPARI, NAPARI_PLANE, IDTRACKER)
+TREX_TABLE = DescribedTable(
+    "trex-csv",
+    {
+        "x": r"X#wcentroid( \(cm\))?",
+        "y": r"Y#wcentroid( \(cm\))?",
+        "frame": "frame",
+        "t": "time",
+    },
+    length_unit="cm",
+)
+"""One individual as TRex exports it to CSV: cm, seconds, y down."""
+
+DESCRIBED = (TREX_TABLE, IMARIS, CELLPROFILER, NAPARI, NAPARI_PLANE, IDTRACKER)
 """All of them, in the order in which a file is tried."""
