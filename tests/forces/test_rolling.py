@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from pinav.actuation import (
+    STRETCH,
     HeldProgramme,
     LinearProgramme,
     LinearResponse,
     SaturatingResponse,
     SlippingResponse,
     StepOutResponse,
+    follow,
 )
 from pinav.dynamics import Adaptive, OverdampedSwimmer, rollout
 from pinav.errors import InputError
@@ -129,6 +131,17 @@ def test_a_lag_follows_its_differential_equation():
     np.testing.assert_allclose(found, expected, atol=1e-3)
     prompt = programme.lagged_integral(response, TIMES, jnp.asarray(1e-4))
     np.testing.assert_allclose(prompt, programme.integral(response, TIMES), atol=2e-3)
+
+
+@pytest.mark.parametrize("count", [1, STRETCH, 3 * STRETCH + 5])
+def test_a_follower_goes_step_by_step_through_any_number_of_commands(count):
+    times = jnp.cumsum(jax.random.uniform(jax.random.key(0), (count,)))
+    commands = jax.random.normal(jax.random.key(1), (count, 2))
+    states = [commands[0]]
+    for interval, command in zip(np.diff(times), commands[:-1], strict=True):
+        kept = jnp.exp(-interval / 0.7)
+        states.append(kept * states[-1] + (1 - kept) * command)
+    np.testing.assert_allclose(follow(times, commands, 0.7), jnp.stack(states))
 
 
 def test_a_rolling_robot_moves_by_gain_delay_and_drift():

@@ -102,13 +102,11 @@ def delay_findings(track: Track, fit: TrackFit) -> DelayFindings:
 
     Args:
         track: all of it.
-        fit: a candidate of it with a gain; its response is kept.
+        fit: of all of it, a candidate with a gain; its response is kept.
     """
     candidate = with_response(MATRIX, fit.candidate.response)
-    without = fit_track(track, candidate, start=fit).estimates()["heading offset"]
-    both = fit_track(
-        track, with_free(candidate, "delay", "delay"), start=fit
-    ).estimates()
+    without = _like(fit, candidate, track).estimates()["heading offset"]
+    both = _like(fit, with_free(candidate, "delay", "delay"), track).estimates()
     rate, spread = turning_rate(track)
     zero_offset = None
     if abs(without.value) < ALIGNED:
@@ -125,6 +123,13 @@ def delay_findings(track: Track, fit: TrackFit) -> DelayFindings:
         turning_rate=rate,
         confounded=spread < CONSTANT_TURNING,
     )
+
+
+def _like(fit: TrackFit, candidate: CandidateModel, track: Track) -> TrackFit:
+    """The fit of a candidate: the one at hand where it is of the same candidate."""
+    if candidate.name == fit.candidate.name:
+        return fit
+    return fit_track(track, candidate, start=fit)
 
 
 def finding_sentences(

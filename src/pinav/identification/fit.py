@@ -136,7 +136,8 @@ def fit_track(
     with jax.enable_x64(new_val=True):
         search = Search(Design.of(candidate, Blocks.of(track)), candidate, prior)
         begins = np.unique(search.begins(start), axis=0)
-        ends = [search.descend(begin) for begin in begins]
+        sizes = search.sizes(start)
+        ends = [search.descend(begin, sizes) for begin in begins]
         best = min(ends, key=lambda pair: pair[1])
         if not math.isfinite(best[1]):
             raise FitError(
@@ -210,6 +211,19 @@ class Search:
             ]
         return [one[self.places] for one in several]
 
+    def sizes(self, start: TrackFit | None) -> Float[np.ndarray, " learned"]:
+        """Over what each parameter matters: its deviation in a simpler candidate.
+
+        It is that of the prior where no simpler candidate has the parameter.
+        """
+        sizes = self.prior.sd[self.places]
+        if start is None:
+            return sizes
+        learned = start.candidate.learned
+        known = dict(zip(learned, np.sqrt(start.covariance.diagonal()), strict=False))
+        places = zip(self.places, sizes, strict=True)
+        return np.array([known.get(NAMES[place], size) for place, size in places])
+
     def theta(self, learned: Float[np.ndarray, " learned"]) -> np.ndarray:
         """All nonlinear parameters."""
         theta = self.base.copy()
@@ -240,25 +254,38 @@ class Search:
         key = learned.tobytes()
         if key not in self.known:
             self.evaluations += 1
-            theta = jnp.asarray(self.theta(learned))
+            theta = self.theta(learned)
             self.known[key] = value_and_slope(theta, self.design, self.field)
         return self.known[key]
 
     def descend(
-        self, begin: Float[np.ndarray, " learned"]
+        self,
+        begin: Float[np.ndarray, " learned"],
+        sizes: Float[np.ndarray, " learned"] | None = None,
     ) -> tuple[Float[np.ndarray, " learned"], float]:
-        """The nearest maximum of the posterior, and minus its logarithm."""
+        """The nearest maximum of the posterior, and minus its logarithm.
+
+        Args:
+            begin: where the search begins.
+            sizes: units of the search; the prior's deviations unless given.
+        """
+        units = self.prior.sd[self.places] if sizes is None else sizes
         bounds = self.prior.bounds()[self.places]
         low, high = bounds.T
+
+        def scaled(place: np.ndarray) -> tuple[float, np.ndarray]:
+            value, slope = self(place * units)
+            return value, slope * units
+
         end = minimize(
-            self,
-            np.clip(begin, low, high),
+            scaled,
+            np.clip(begin, low, high) / units,
             jac=True,
             method="L-BFGS-B",
-            bounds=bounds,
-            options={"maxiter": 100, "ftol": ENOUGH, "gtol": 1e-4},
+            bounds=bounds / units[:, None],
+            options={"maxiter": 100, "ftol": ENOUGH, "gtol": 1e-3},
         )
-        return end.x, float(end.fun) if end.fun < 1e29 else math.inf
+        return end.x * units, float(end.fun) if end.fun < 1e29 else math.inf
 
     def laplace(
         self, learned: Float[np.ndarray, " learned"]

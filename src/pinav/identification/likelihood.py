@@ -143,64 +143,15 @@ class Whitened(eqx.Module):
 
 
 def displacements(theta: Array, design: Design) -> Float[Array, "sample 2"]:
-    """Integral of the response along the heading, delayed and lagged [cycles]."""
-    return _displacements(theta[: len(COMMAND_RESPONSE)], design)
+    """Integral of the response along the heading, delayed and lagged [cycles].
 
-
-@eqx.filter_custom_vjp
-def _displacements(drive: Array, design: Design) -> Array:
-    return jax.lax.cond(_lags(drive), _lag_response, _follow_at_once, drive, design)
-
-
-@_displacements.def_fwd
-def _displacements_forward(
-    perturbed: Any, drive: Array, design: Design
-) -> tuple[Array, None]:
-    del perturbed
-    return _displacements(drive, design), None
-
-
-@_displacements.def_bwd
-def _displacements_reverse(
-    residuals: None, cotangent: Array, perturbed: Any, drive: Array, design: Design
-) -> Array:
-    """Differentiates the branch that was taken, without room for the other one.
-
-    Without a lag in forward mode: few parameters stand before thousands of samples.
+    A candidate without a lag has one that is too short to matter: one program for all.
     """
-    del residuals, perturbed
-
-    def lagged(drive: Array, cotangent: Array) -> Array:
-        return jax.vjp(lambda d: _lag_response(d, design), drive)[1](cotangent)[0]
-
-    def prompt(drive: Array, cotangent: Array) -> Array:
-        jacobian = jax.jacfwd(lambda d: _follow_at_once(d, design))(drive)
-        return jnp.einsum("sa,sad->d", cotangent, jacobian)
-
-    return jax.lax.cond(_lags(drive), lagged, prompt, drive, cotangent)
-
-
-def _lags(drive: Array) -> Array:
-    return jnp.exp(drive[3]) > 2e-4
-
-
-def _lag_response(drive: Array, design: Design) -> Array:
-    programme, response, ts = _programme_of(drive, design)
-    return programme.lagged_integral(response, ts, jnp.exp(drive[3]))
-
-
-def _follow_at_once(drive: Array, design: Design) -> Array:
-    programme, response, ts = _programme_of(drive, design)
-    return programme.integral(response, ts)
-
-
-def _programme_of(
-    drive: Array, design: Design
-) -> tuple[HeldProgramme, SwitchedResponse, Array]:
+    corner, residual, delay, lag = theta[: len(COMMAND_RESPONSE)]
     blocks: Any = design.blocks  # as JAX arrays
     programme = HeldProgramme(blocks.times, blocks.frequency, blocks.heading)
-    response = SwitchedResponse(design.response, drive[0], drive[1])
-    return programme, response, blocks.times - drive[2]
+    response = SwitchedResponse(design.response, corner, residual)
+    return programme.lagged_integral(response, blocks.times - delay, jnp.exp(lag))
 
 
 def block_means(values: Array, blocks: Blocks) -> Array:
@@ -289,9 +240,7 @@ def evidence_and_coefficients(
     return value, (best, information)
 
 
-value_and_slope = eqx.filter_jit(
-    eqx.filter_value_and_grad(evidence_and_coefficients, has_aux=True)
-)
+value_and_slope = jax.jit(jax.value_and_grad(evidence_and_coefficients, has_aux=True))
 """The negative log evidence with the coefficients, and its gradient, compiled once for
 each size of track: a second program for the coefficients alone costs more than the
 gradients that it saves."""

@@ -41,7 +41,7 @@ ABSENT = {
     "log_corner": 0.0,
     "logit_residual": 0.0,
     "delay": 0.0,
-    "log_lag": math.log(1e-4),
+    "log_lag": math.log(1e-9),
     "log_slow": math.log(1e-9),
     "log_slow_memory": math.log(60.0),
     "log_gain_wander": math.log(1e-9),

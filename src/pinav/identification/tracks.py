@@ -182,7 +182,7 @@ def _counts(pieces: Sequence[Trajectory], width: float) -> tuple[int, int]:
     return sum(len(piece.times) for piece in pieces), blocks
 
 
-COMPILATION, PER_SAMPLE, PER_BLOCK = 7.0, 1.5e-4, 3.6e-3
+COMPILATION, PER_SAMPLE, PER_BLOCK = 6.0, 1.5e-4, 3.6e-3
 """Rough seconds: to compile a likelihood for a size, and to fit all candidates for each
 sample and block of it. Only how tracks share sizes hangs on them, no result."""
 
