@@ -42,6 +42,19 @@ def test_an_odd_table_is_read(read, content):
     np.testing.assert_allclose(-piece.states[:, 1], [2, 3, 4])
 
 
+def test_a_table_of_r_without_a_name_for_its_row_numbers(read):
+    text = 't,x,y\n"1",0,1,2\n"2",0.5,2,3\n"3",1,3,4\n'
+    data = read(text, columns=TXY, **UM)
+    np.testing.assert_allclose(data.trajectory(0).states[:, 0], [1, 2, 3])
+
+
+def test_a_row_of_units_may_hold_some_that_are_not_known(read):
+    text = "t,x,y,area\ns,mm,mm,cm²\n0,0.001,0.002,1\n0.5,0.002,0.003,1\n"
+    data = read(text, columns=TXY)
+    assert (data.units["x"], data.units["t"]) == ("um", "s")
+    np.testing.assert_allclose(data.trajectory(0).states[:, 0], [1, 2])
+
+
 def test_numbers_that_a_comma_could_divide_either_way_stay_decimal(read):
     data = read("t;x;y\n0;1,001;2\n1;1,002;3\n", columns=TXY, **UM)
     np.testing.assert_allclose(data.trajectory(0).states[:, 0], [1.001, 1.002])

@@ -166,10 +166,12 @@ def table_of(
     """
     number, first = rows[0]
     header = [str(c or "").strip() for c in first] if names is None else list(names)
-    _check_header(header, number, place)
     body = [
         (i, cells) for i, cells in rows[1:] if any(c not in ("", None) for c in cells)
     ]
+    if names is None and _numbers_its_rows(header, body):
+        header = ["", *header]
+    _check_header(header, number, place)
     stated: dict[str, str] = {}
     notes: tuple[str, ...] = ()
     if body and _is_row_of_units(body[0][1]):
@@ -201,6 +203,14 @@ def table_of(
     )
 
 
+def _numbers_its_rows(header: Sequence[str], body: Sequence[Row]) -> bool:
+    """Whether each row has one cell more, the first a number, as R writes it."""
+    longer = all(len(cells) == len(header) + 1 for _, cells in body)
+    numbered = all(str(cells[0]).strip('"').isdigit() for _, cells in body[:1])
+    empty = all(cells[-1] in ("", None) for _, cells in body)
+    return bool(body) and all(header) and longer and numbered and not empty
+
+
 def _check_header(header: Sequence[str], line: int, place: str = "line") -> None:
     for name in header:
         if name and header.count(name) > 1:
@@ -213,9 +223,9 @@ def _is_row_of_units(cells: Sequence[Any]) -> bool:
     words = [str(c).strip() for c in cells if c not in ("", None)]
     if not words or any(is_number(word) for word in words):
         return False
-    return any(map(units.is_unit, words)) and all(
-        units.is_unit(w) or w.strip("()[]-– ") == "" or w[0] in "([" for w in words
-    )
+    known = [w for w in words if units.is_unit(w)]
+    silent = [w for w in words if w.strip("()[]-– ") == "" or w[0] in "(["]
+    return bool(known) and len(words) - len(silent) < 2 * len(known)
 
 
 def _without_empty_ends(body: Sequence[Row], width: int) -> list[Row]:
