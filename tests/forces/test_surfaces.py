@@ -6,14 +6,28 @@ import numpy as np
 import pytest
 
 from pinav.errors import InputError
-from pinav.forces import DoubleLayer, Plane, Tube, TubeFlow, WallMobility, tensor_matrix
+from pinav.forces import (
+    Bifurcation,
+    BifurcationFlow,
+    DoubleLayer,
+    Plane,
+    Tube,
+    TubeFlow,
+    WallMobility,
+    tensor_matrix,
+)
 
 VESSEL = Tube([3.0, 0.0, 4.0], [1.0, 2.0, 3.0], 2.0)
+FORK = Bifurcation(
+    [1.0, 2.0, 3.0],
+    jnp.array([[-1.0, 0.0, 0.0], [2.0, 1.0, 0.0], [2.0, -1.0, 0.5]]),
+    jnp.array([2.0, 1.5, 1.0]),
+)
 ACROSS = jnp.array([0.8, 0.0, -0.6])
 """A unit vector across the tube, as (0, 1, 0) is."""
 
 
-@pytest.mark.parametrize("surface", [Plane([1.0, 2.0, -2.0], 0.7), VESSEL])
+@pytest.mark.parametrize("surface", [Plane([1.0, 2.0, -2.0], 0.7), VESSEL, FORK])
 def test_the_normal_is_the_gradient_of_the_distance(surface):
     for offset in jax.random.normal(jax.random.key(0), (5, 3)):
         x = VESSEL.middle + offset
@@ -64,6 +78,57 @@ def test_a_pulse_swings_about_the_mean():
     np.testing.assert_allclose(speeds, [-3.0, -4.2, -1.8, -3.0], rtol=1e-9)
 
 
+def test_tubes_that_continue_each_other_are_a_tube():
+    along = jnp.stack([VESSEL.along, -VESSEL.along])
+    both = Bifurcation(VESSEL.middle, along, jnp.full(2, VESSEL.radius))
+    flows = (
+        TubeFlow(-3.0, VESSEL, pulse=0.4, frequency=2.0),
+        BifurcationFlow(3.0, both, jnp.ones(1), pulse=0.4, frequency=2.0),
+    )
+    for offset in jax.random.normal(jax.random.key(1), (8, 3)):
+        x = VESSEL.middle + offset
+        np.testing.assert_allclose(both.distance(x), VESSEL.distance(x), rtol=1e-12)
+        np.testing.assert_allclose(both.normal_at(x), VESSEL.normal_at(x), atol=1e-12)
+        one, other = (flow(0.3, x + 6.0 * VESSEL.axis) for flow in flows)
+        np.testing.assert_allclose(one, other, atol=1e-12)
+        one, other = (flow(0.3, x) @ VESSEL.axis for flow in flows)
+        assert 0.8 * one >= other >= one  # both run backwards
+
+
+def test_what_enters_a_bifurcation_leaves_it_by_its_shares():
+    flow = BifurcationFlow(3.0, FORK, jnp.array([0.7, 0.3]))
+    rng = np.random.default_rng(0)
+    volumes = []
+    for axis, radius in zip(FORK.axes, FORK.radii, strict=True):
+        across = np.linalg.qr(np.column_stack([axis, rng.normal(size=(3, 2))]))[0][:, 1]
+        places = (jnp.arange(400.0) + 0.5) / 400 * radius
+        centre = FORK.middle + 9.0 * axis
+        speeds = jax.vmap(lambda r, c=centre, a=across: flow(0.0, c + r * a))(places)
+        volumes.append(
+            float(jnp.sum(speeds @ axis * 2 * jnp.pi * places) * radius / 400)
+        )
+    whole = 0.5 * 3.0 * np.pi * 4.0
+    np.testing.assert_allclose(volumes, [-whole, 0.7 * whole, 0.3 * whole], rtol=1e-5)
+
+
+def test_the_fluid_rests_at_the_walls_of_a_bifurcation_and_is_smooth_in_it():
+    flow = BifurcationFlow(3.0, FORK, jnp.array([0.5, 0.5]))
+    directions = jax.random.normal(jax.random.key(2), (6, 3))
+    for direction in directions / jnp.linalg.norm(directions, axis=1, keepdims=True):
+        low, high = 0.0, 60.0  # from the middle outwards until the wall, by bisection
+        for _ in range(60):
+            middle = (low + high) / 2
+            inside = FORK.distance(FORK.middle + middle * direction) > 0
+            low, high = (middle, high) if inside else (low, middle)
+        np.testing.assert_allclose(
+            flow(0.0, FORK.middle + low * direction), 0.0, atol=1e-9
+        )
+    speeds = jax.vmap(lambda s: flow(0.0, FORK.middle + s * FORK.axes[1]))(
+        jnp.linspace(-3.0, 6.0, 901)
+    )
+    assert float(jnp.abs(jnp.diff(speeds, axis=0)).max()) < 0.1
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
@@ -71,6 +136,30 @@ def test_a_pulse_swings_about_the_mean():
         (lambda: Tube([1.0, 0.0], [0.0] * 3, 1.0), "Tube.along: expected a point"),
         (lambda: Tube([1.0, 0.0, 0.0], [0.0], 1.0), "Tube.middle: expected a point"),
         (lambda: Tube([1.0, 0.0, 0.0], [0.0] * 3, 0.0), "Tube.radius: expected > 0"),
+        (
+            lambda: Bifurcation([0.0] * 3, jnp.ones((1, 3)), jnp.ones(1)),
+            "Bifurcation.along: expected the directions of two tubes",
+        ),
+        (
+            lambda: Bifurcation([0.0] * 3, jnp.eye(3), jnp.ones(2)),
+            "Bifurcation.radii: expected 3 of them",
+        ),
+        (
+            lambda: Bifurcation([0.0] * 3, jnp.eye(3), jnp.array([1.0, 0.0, 1.0])),
+            "Bifurcation.radii: expected > 0",
+        ),
+        (
+            lambda: Bifurcation([0.0] * 3, jnp.zeros((2, 3)), jnp.ones(2)),
+            "Bifurcation.along: expected vectors that are not zero",
+        ),
+        (
+            lambda: BifurcationFlow(1.0, FORK, jnp.ones(1)),
+            "BifurcationFlow.shares: expected 2 of them",
+        ),
+        (
+            lambda: BifurcationFlow(1.0, FORK, jnp.array([0.5, 0.6])),
+            "BifurcationFlow.shares: expected parts that sum to 1",
+        ),
     ],
 )
 def test_values_that_make_no_sense_are_refused(make, message):
