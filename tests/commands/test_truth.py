@@ -18,7 +18,8 @@ from pinav.commands.truth.cases import (
     read_recording,
 )
 from pinav.commands.truth.metrics import TruthCase, TruthMetrics, TruthRow, case_table
-from pinav.commands.truth.wall import WallFields, bulk_diffusion, mobility_rows
+from pinav.commands.truth.wall import bulk_diffusion, mobility_rows
+from pinav.commands.truth.wall_fields import WallFields
 from pinav.errors import InputError
 from pinav.evaluation.truth import wall_score
 from pinav.forces import brenner_mobility, parallel_mobility
