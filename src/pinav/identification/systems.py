@@ -274,6 +274,11 @@ def prior_about(theta: Float[np.ndarray, " parameter"], wide: Prior) -> Prior:
 
 
 def needs_kalman_filter(system: System) -> bool:
-    """Whether a fit must be `fit_commanded`: commands or a wandering velocity."""
-    commanded = isinstance(system.swimmer.propulsion, RollingPropulsion)
+    """Whether a fit must be `fit_commanded`.
+
+    It must where commands come from the data, and where a velocity wanders. A
+    propulsion that has a programme is a force like any other.
+    """
+    propulsion = system.swimmer.propulsion
+    commanded = isinstance(propulsion, RollingPropulsion) and propulsion.unbound
     return commanded or system.wandering is not None
