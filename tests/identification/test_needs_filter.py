@@ -22,5 +22,5 @@ def test_commands_of_a_programme_are_known_forces(name):
 
 def test_a_velocity_that_wanders_is_filtered():
     wandering = WanderingVelocity(still=0.1, driven=0.2, memory=1.0)
-    system = dataclasses.replace(scenario("barrier-crossings"), wandering=wandering)
+    system = dataclasses.replace(scenario("drift-current"), wandering=wandering)
     assert needs_kalman_filter(system)
