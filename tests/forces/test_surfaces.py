@@ -27,10 +27,18 @@ ACROSS = jnp.array([0.8, 0.0, -0.6])
 """A unit vector across the tube, as (0, 1, 0) is."""
 
 
-@pytest.mark.parametrize("surface", [Plane([1.0, 2.0, -2.0], 0.7), VESSEL, FORK])
-def test_the_normal_is_the_gradient_of_the_distance(surface):
+@pytest.mark.parametrize(
+    ("surface", "place"),
+    [
+        (Plane([1.0, 2.0, -2.0], 0.7), VESSEL.middle),
+        (VESSEL, VESSEL.middle),
+        (FORK, FORK.middle + 9.0 * FORK.axes[0]),
+        (FORK, FORK.middle + 9.0 * FORK.axes[2]),
+    ],
+)
+def test_the_normal_is_the_gradient_of_the_distance(surface, place):
     for offset in jax.random.normal(jax.random.key(0), (5, 3)):
-        x = VESSEL.middle + offset
+        x = place + 0.5 * offset
         slope = jax.grad(surface.distance)(x)
         np.testing.assert_allclose(surface.normal_at(x), slope, atol=1e-12)
         np.testing.assert_allclose(jnp.linalg.norm(slope), 1.0, rtol=1e-12)
@@ -87,12 +95,29 @@ def test_tubes_that_continue_each_other_are_a_tube():
     )
     for offset in jax.random.normal(jax.random.key(1), (8, 3)):
         x = VESSEL.middle + offset
-        np.testing.assert_allclose(both.distance(x), VESSEL.distance(x), rtol=1e-12)
-        np.testing.assert_allclose(both.normal_at(x), VESSEL.normal_at(x), atol=1e-12)
+        if VESSEL.distance(x) > 0:
+            assert 0.95 < both.distance(x) / VESSEL.distance(x) <= 1 + 1e-12
+            assert both.normal_at(x) @ VESSEL.normal_at(x) > 0.98
+        far = x + 6.0 * VESSEL.axis
+        np.testing.assert_allclose(both.distance(far), VESSEL.distance(far), rtol=1e-12)
+        normals = both.normal_at(far), VESSEL.normal_at(far)
+        np.testing.assert_allclose(*normals, atol=1e-12)
         one, other = (flow(0.3, x + 6.0 * VESSEL.axis) for flow in flows)
         np.testing.assert_allclose(one, other, atol=1e-12)
         one, other = (flow(0.3, x) @ VESSEL.axis for flow in flows)
         assert 0.8 * one >= other >= one  # both run backwards
+
+
+def test_where_tubes_meet_distance_and_flow_have_slopes_that_are_continuous():
+    flow = BifurcationFlow(3.0, FORK, jnp.array([0.6, 0.4]))
+    beside = FORK.middle + jnp.array([0.5, 0.4, 0.3])  # off the axes, as the cusps are
+    line = jnp.linspace(-1.4, 1.4, 2001)
+    inside = jax.vmap(lambda s: FORK.distance(beside + s * ACROSS))(line) > 0.05
+    slopes = jax.jacfwd(FORK.distance), jax.jacfwd(lambda x: flow(0.0, x))
+    for function in (*slopes, FORK.normal_at):
+        values = jax.vmap(lambda s, f=function: f(beside + s * ACROSS))(line)
+        jumps = jnp.abs(jnp.diff(values, axis=0)).reshape(2000, -1).max(axis=1)
+        assert float(jnp.max(jnp.where(inside[1:] & inside[:-1], jumps, 0.0))) < 0.05
 
 
 def test_what_enters_a_bifurcation_leaves_it_by_its_shares():

@@ -100,10 +100,14 @@ class Bifurcation(AbstractSurface):
 
     With two tubes that continue each other it is a straight tube; with three it is the
     Y of a vessel that parts. The fluid fills the union of the tubes, each of which
-    begins with half a ball about the point. The distance is the largest one from the
-    walls of the single tubes: exact in each tube, and a lower bound beside the edge
-    where the walls of two tubes meet. There the normal changes at once from that of one
-    tube to that of the other.
+    begins with half a ball about the point. With $d_i$ the distance from the wall of
+    tube i, and nothing outside of it,
+
+    $$d = \frac{\sum_i w_i d_i}{\sum_i w_i}, \qquad w_i = d_i^8,$$
+
+    and the normal is that mean of theirs: exact in each tube, smooth where they
+    overlap, and nowhere more than the largest $d_i$, which is a lower bound of the
+    distance from the wall of the union.
 
     Attributes:
         middle: where the axes meet [L].
@@ -152,15 +156,33 @@ class Bifurcation(AbstractSurface):
         return jax.vmap(across)(self.axes.astype(x.dtype))
 
     def distance(self, x: Vector) -> Float[Array, ""]:
-        return jnp.max(self._distances(self.from_axes(x)))
+        distances = self._distances(self.from_axes(x))
+        largest = jnp.max(distances)
+        mean = jnp.sum(_nearness(distances) * distances)
+        return jnp.where(largest > 0, mean, largest)
 
     def normal_at(self, x: Vector) -> Vector:
         across = self.from_axes(x)
-        nearest = across[jnp.argmax(self._distances(across))]
-        return -nearest / _length(nearest)
+        inwards = -across / jax.vmap(_length)(across)[:, None]
+        mean = _nearness(self._distances(across)) @ inwards
+        return mean / _length(mean)
 
     def _distances(self, across: Float[Array, "tube 3"]) -> Float[Array, " tube"]:
         return self.radii.astype(across.dtype) - jax.vmap(_length)(across)
+
+
+SHARPNESS = 8
+"""Power of the distance by which the tubes count that a point lies in."""
+
+
+def _nearness(distances: Float[Array, " tube"]) -> Float[Array, " tube"]:
+    """How much each tube counts at a point; outside of all, the nearest one alone."""
+    largest = jax.lax.stop_gradient(jnp.max(distances))
+    inside = largest > 0
+    scale = jnp.where(inside, largest, 1.0)
+    weights = (jnp.maximum(distances, 0.0) / scale) ** SHARPNESS
+    weights = jnp.where(inside, weights, (distances == largest).astype(distances.dtype))
+    return weights / jnp.sum(weights)
 
 
 def _length(vector: Vector) -> Float[Array, ""]:
