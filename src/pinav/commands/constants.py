@@ -9,10 +9,7 @@ from pinav.fitting import (
     principal_drags,
     rotational_fraction,
 )
-from pinav.fitting.environments.catalogue import (
-    CONSTANTS,
-    ModelChoice,
-)
+from pinav.fitting.environments.choice import CONSTANTS, ModelChoice
 from pinav.trajectories import Trajectories
 
 

@@ -17,7 +17,7 @@ from pinav.fitting import (
     ravel_model,
 )
 from pinav.fitting.bayes.function_prior import TangentWeights
-from pinav.fitting.environments.catalogue import ModelChoice
+from pinav.fitting.environments.choice import ModelChoice
 from pinav.forces import KernelForce, KernelPotential
 from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories

@@ -29,12 +29,10 @@ from pinav.fitting import (
     EvidenceFit,
     Posterior,
 )
-from pinav.fitting.environments.catalogue import (
-    DataSummary,
-    ModelChoice,
-    build,
-)
+from pinav.fitting.environments.catalogue import build
+from pinav.fitting.environments.choice import ModelChoice
 from pinav.fitting.environments.profiles import MobilitySummary
+from pinav.fitting.environments.summary import DataSummary
 from pinav.runs import RunFolder
 from pinav.systems import System, WanderingVelocity
 from pinav.trajectories import Trajectories, load, save

@@ -63,12 +63,8 @@ from pinav.fitting import (
     fit_structured,
     is_worth_a_search,
 )
-from pinav.fitting.environments.catalogue import (
-    MIXTURE,
-    KnownSwimmer,
-    build,
-    is_mixture,
-)
+from pinav.fitting.environments.catalogue import build, is_mixture
+from pinav.fitting.environments.choice import MIXTURE, KnownSwimmer
 from pinav.forces import AbstractForce, as_learned_force
 from pinav.identification import fit_commanded, needs_kalman_filter
 from pinav.identification.numbers import BLOCK_NOISE

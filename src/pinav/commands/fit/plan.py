@@ -16,11 +16,10 @@ from pinav.commands.fit.settings import (
 from pinav.commands.fit.thermal_choice import ThermalChoice
 from pinav.commands.matching import check_starts
 from pinav.errors import InputError
-from pinav.fitting.environments.catalogue import (
-    PROFILE,
+from pinav.fitting.environments.choice import PROFILE, ModelChoice
+from pinav.fitting.environments.mean_drag import mean_drag
+from pinav.fitting.environments.summary import (
     DataSummary,
-    ModelChoice,
-    mean_drag,
     summarise_for,
     summarise_for_matching,
 )

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from pinav.commands.fitted_run import FittedRun
 from pinav.fitting import derive
-from pinav.fitting.environments.catalogue import MIXTURE
+from pinav.fitting.environments.choice import MIXTURE
 from pinav.forces import AbstractProfileTerm, StructuredForce
 from pinav.report import number
 
