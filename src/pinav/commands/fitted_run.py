@@ -217,9 +217,10 @@ def write_fit(
     fit: EvidenceFit,
     data: Trajectories,
     structure: StructureSearch | None = None,
+    support: float | None = None,
 ) -> None:
     """Write the model and the posterior of a fit by the evidence."""
-    write_evidence(folder, header.choice, fit, data, structure)
+    write_evidence(folder, header.choice, fit, data, structure, support)
     summary = header.data.with_kernels_of(fit.model.environment)
     if isinstance(fit.model, OverdampedSwimmer):
         mobility = MobilitySummary.of(fit.model.mobility)

@@ -43,7 +43,6 @@ from pinav.forces import (
     NeuralPotential,
     PositionFeatures,
     PositionTimeFeatures,
-    StructuredForce,
     TimedKernelPotential,
     ZeroForce,
     paper_force,
@@ -186,10 +185,3 @@ MODELS: dict[str, Builder] = {
     "paper-nn-only": _paper_black_box,
 }
 """Models by name; those of the paper have its networks as Table 1 states them."""
-
-
-def is_mixture(environment: AbstractForce) -> bool:
-    """Whether the free kernels of a force have a rotational part beside a gradient."""
-    if isinstance(environment, StructuredForce):
-        environment = environment.remainder
-    return isinstance(environment, KernelMixture)

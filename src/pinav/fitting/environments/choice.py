@@ -6,7 +6,7 @@ from typing import Any
 import msgspec
 
 from pinav.dynamics import OverdampedSwimmer, Swimmer
-from pinav.forces import AbstractForce, AbstractLearnedForce
+from pinav.forces import as_learned_force
 
 KnownSwimmer = Swimmer | OverdampedSwimmer
 """Physics whose environment alone is unknown."""
@@ -64,11 +64,7 @@ class ModelChoice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 def learned_part(model: Any) -> Any:
     """The part of a model that trains unless more is asked for."""
-    learned = model.environment if isinstance(model, KnownSwimmer) else model
-    if isinstance(learned, AbstractForce) and not isinstance(
-        learned, AbstractLearnedForce
-    ):
-        return ()
-    if isinstance(learned, AbstractLearnedForce) and learned.geometry:
-        return learned.parameters, learned.geometry
-    return learned.parameters
+    if not isinstance(model, KnownSwimmer):
+        return model.parameters
+    learned = as_learned_force(model.environment)
+    return () if learned is None else learned.trainable
