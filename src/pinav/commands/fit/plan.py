@@ -24,7 +24,11 @@ from pinav.fitting.environments.summary import (
     summarise_for_matching,
 )
 from pinav.forces import LinearDrag
-from pinav.identification import needs_kalman_filter, trajectories_of
+from pinav.identification import (
+    needs_kalman_filter,
+    record_commands,
+    trajectories_of,
+)
 from pinav.systems import System
 from pinav.trajectories import Trajectories
 
@@ -76,7 +80,7 @@ def plan_fit(settings: FitSettings, system: System, data: Trajectories) -> FitPl
         )
     commanded = needs_kalman_filter(system)
     if commanded:
-        data = trajectories_of(data, system.name)
+        data = record_commands(system, trajectories_of(data, system.name))
     thermal = system.thermal_energy is not None or (
         not commanded and looks_brownian(data)
     )
