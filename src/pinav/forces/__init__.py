@@ -25,6 +25,8 @@ from pinav.forces.force import AbstractCommandedForce as AbstractCommandedForce
 from pinav.forces.force import AbstractForce as AbstractForce
 from pinav.forces.force import AbstractLearnedForce as AbstractLearnedForce
 from pinav.forces.force import AbstractPotentialForce as AbstractPotentialForce
+from pinav.forces.force import HelmholtzParts as HelmholtzParts
+from pinav.forces.force import KernelPlaces as KernelPlaces
 from pinav.forces.force import SumForce as SumForce
 from pinav.forces.force import ZeroForce as ZeroForce
 from pinav.forces.force import as_learned_force as as_learned_force
@@ -86,6 +88,7 @@ from pinav.forces.random_obstacles import random_barriers as random_barriers
 from pinav.forces.random_obstacles import random_fibres as random_fibres
 from pinav.forces.structured import Remainder as Remainder
 from pinav.forces.structured import StructuredForce as StructuredForce
+from pinav.forces.structured import split_structure as split_structure
 from pinav.forces.structures import AbstractProfileTerm as AbstractProfileTerm
 from pinav.forces.structures import AbstractTerm as AbstractTerm
 from pinav.forces.surfaces import AbstractSurface as AbstractSurface
