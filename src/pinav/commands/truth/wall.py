@@ -72,7 +72,7 @@ def judge_wall(case: Case, recording: Recording, *, peer: bool) -> Judgement:
             bulk_diffusion(constants),
             free,
             naive_fields(recording),
-            None if other is None else other.fields(fields.heights),
+            None if other is None else other.fields(fields),
         ),
         *_force_rows(fit, heights - contact, contact, constants, other),
     ]
@@ -97,6 +97,7 @@ def _score(
         fields.across if normal else fields.along,
         radius,
         normal=normal,
+        sd=fields.across_sd if normal else fields.along_sd,
         bulk=bulk,
         least_gap=NEAR * radius,
     )

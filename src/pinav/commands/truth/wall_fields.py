@@ -29,12 +29,14 @@ class WallFields(NamedTuple):
         heights: quantiles of those visited [um].
         along: D along the wall [um²/s].
         across: D normal to it.
-        across_sd: its standard deviation.
+        along_sd: standard deviation of D along the wall.
+        across_sd: of D normal to it.
     """
 
     heights: Float[np.ndarray, " height"]
     along: Float[np.ndarray, " height"]
     across: Float[np.ndarray, " height"]
+    along_sd: Float[np.ndarray, " height"]
     across_sd: Float[np.ndarray, " height"]
 
 
@@ -62,7 +64,7 @@ def wall_fields(fit: LangevinFit, heights: Float[np.ndarray, " frame"]) -> WallF
     points[:, 2] = places
     assert isinstance(fit.diffusion, DiffusionField)
     values, sd = fit.diffusion(points), fit.diffusion.sd(points)
-    return WallFields(places, values[:, 0], values[:, 2], sd[:, 2])
+    return WallFields(places, values[:, 0], values[:, 2], sd[:, 0], sd[:, 2])
 
 
 class PeerFields(NamedTuple):
@@ -76,13 +78,13 @@ class PeerFields(NamedTuple):
     heights: Float[np.ndarray, " height"]
     said: PeerWall
 
-    def fields(self, heights: Float[np.ndarray, " place"]) -> WallFields:
-        """Its diffusions at other heights; it gives no errors of them."""
+    def fields(self, ours: WallFields) -> WallFields:
+        """Its diffusions at our heights, with our errors, since it gives none."""
         along, across = (
-            np.interp(heights, self.heights, values)
+            np.interp(ours.heights, self.heights, values)
             for values in (self.said.along, self.said.across)
         )
-        return WallFields(heights, along, across, np.zeros_like(heights))
+        return ours._replace(along=along, across=across)
 
     def force(
         self, heights: Float[np.ndarray, " place"]
@@ -114,4 +116,6 @@ def naive_fields(recording: Recording) -> WallFields:
     heights = np.array([starts[part].mean() for part in order])
     values = np.array([squares[part].mean(axis=0) for part in order])
     along, across = values[:, :2].mean(axis=1), values[:, 2]
-    return WallFields(heights, along, across, across * np.sqrt(2 / len(order[0])))
+    relative = np.sqrt(2 / len(order[0]))
+    sd = along * relative / np.sqrt(2), across * relative
+    return WallFields(heights, along, across, *sd)
