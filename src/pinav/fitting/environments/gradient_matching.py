@@ -36,10 +36,10 @@ from pinav.fitting.environments.rates import (
 )
 from pinav.fitting.matching.rate_matching import Rates
 from pinav.forces import (
-    AbstractLearnedForce,
     KernelForce,
     KernelPotential,
     ZeroForce,
+    as_learned_force,
 )
 from pinav.trajectories import Trajectories, informative_rows
 
@@ -101,8 +101,8 @@ def prior_root(
     rates = observed_rates(trajectories)
     if rates is None or not isinstance(model, Swimmer):
         return None
-    environment = model.environment
-    if not isinstance(environment, AbstractLearnedForce):
+    environment = as_learned_force(model.environment)
+    if environment is None:
         return None
     _, positions, forces = _ForceSamples.of(model, rates)
     return ForcePrior.of(environment, positions, forces).root()
