@@ -43,7 +43,7 @@ def test_an_odd_table_is_read(read, content):
 
 
 def test_a_table_of_r_without_a_name_for_its_row_numbers(read):
-    text = 't,x,y\n"1",0,1,2\n"2",0.5,2,3\n"3",1,3,4\n'
+    text = '"t" "x" "y"\n"1" 0 1 2\n"2" 0.5 2 3\n"3" 1 3 4\n'
     data = read(text, columns=TXY, **UM)
     np.testing.assert_allclose(data.trajectory(0).states[:, 0], [1, 2, 3])
 

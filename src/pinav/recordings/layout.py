@@ -169,7 +169,7 @@ def table_of(
     body = [
         (i, cells) for i, cells in rows[1:] if any(c not in ("", None) for c in cells)
     ]
-    if names is None and _numbers_its_rows(header, body):
+    if decimal and names is None and _numbers_its_rows(header, body):
         header = ["", *header]
     _check_header(header, number, place)
     stated: dict[str, str] = {}
@@ -206,9 +206,9 @@ def table_of(
 def _numbers_its_rows(header: Sequence[str], body: Sequence[Row]) -> bool:
     """Whether each row has one cell more, the first a number, as R writes it."""
     longer = all(len(cells) == len(header) + 1 for _, cells in body)
-    numbered = all(str(cells[0]).strip('"').isdigit() for _, cells in body[:1])
-    empty = all(cells[-1] in ("", None) for _, cells in body)
-    return bool(body) and all(header) and longer and numbered and not empty
+    first = [str(cells[0]).strip('"') for _, cells in body]
+    counted = first == [str(1 + i) for i in range(len(body))]
+    return bool(body) and all(header) and longer and counted
 
 
 def _check_header(header: Sequence[str], line: int, place: str = "line") -> None:

@@ -28,7 +28,7 @@ class Group:
 
     path: Path
 
-    def attributes(self) -> dict[str, Any]:
+    def attributes(self) -> Mapping[str, Any]:
         """What the group says of itself; nothing where it is no group."""
         if (self.path / "zarr.json").is_file():
             return _json(self.path / "zarr.json").get("attributes") or {}
@@ -80,7 +80,7 @@ class _Stored:
     codecs: Sequence[Mapping[str, Any]]
 
 
-def _json(file: Path) -> dict[str, Any]:
+def _json(file: Path) -> Mapping[str, Any]:
     try:
         said = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
