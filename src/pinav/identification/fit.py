@@ -227,6 +227,8 @@ class Search:
         value += float(np.log(sd).sum()) + 0.5 * len(sd) * math.log(2 * math.pi)
         slope = np.asarray(slope)[self.places] + offset / sd
         if not (math.isfinite(value) and np.isfinite(slope).all()):
+            # A large number makes L-BFGS shorten its step, infinity would end the
+            # search.
             return 1e30, np.zeros_like(offset)
         return value, slope
 
@@ -274,6 +276,8 @@ class Search:
             if NAMES[place] in RESPONSE_PARAMETERS:
                 rows[index] = self._curvature_of_interval(learned, index, rows[index])
         sd = self.prior.sd[self.places]
+        # Differences are symmetric only to their own error, and eigh reads one
+        # triangle.
         scaled = sd[:, None] * (rows + rows.T) / 2 * sd
         values, vectors = np.linalg.eigh(scaled)
         values = np.maximum(values, 1.0)
