@@ -12,6 +12,7 @@ from pinav.forces.drag import TensorDrag as TensorDrag
 from pinav.forces.field_terms import LatticeTerm as LatticeTerm
 from pinav.forces.field_terms import LinearTerm as LinearTerm
 from pinav.forces.flows import AbstractFlow as AbstractFlow
+from pinav.forces.flows import BifurcationFlow as BifurcationFlow
 from pinav.forces.flows import PoiseuilleFlow as PoiseuilleFlow
 from pinav.forces.flows import SampledFlow as SampledFlow
 from pinav.forces.flows import ShearFlow as ShearFlow
@@ -91,6 +92,7 @@ from pinav.forces.structured import split_structure as split_structure
 from pinav.forces.structures import AbstractProfileTerm as AbstractProfileTerm
 from pinav.forces.structures import AbstractTerm as AbstractTerm
 from pinav.forces.surfaces import AbstractSurface as AbstractSurface
+from pinav.forces.surfaces import Bifurcation as Bifurcation
 from pinav.forces.surfaces import Plane as Plane
 from pinav.forces.surfaces import Tube as Tube
 from pinav.forces.tensors import AbstractDirector as AbstractDirector
