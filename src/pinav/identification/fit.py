@@ -135,6 +135,7 @@ def fit_track(
     prior = Prior.of(track) if prior is None else prior
     with jax.enable_x64(new_val=True):
         search = Search(Design.of(candidate, Blocks.of(track)), candidate, prior)
+        # Starts that coincide are searched once.
         begins = np.unique(search.begins(start), axis=0)
         ends = [search.descend(begin) for begin in begins]
         best = min(ends, key=lambda pair: pair[1])

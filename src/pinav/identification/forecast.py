@@ -105,6 +105,7 @@ def errors(track: Track, rollouts: Rollouts, displacement: Displacement) -> Erro
 
 
 def _cumulated_length(positions: np.ndarray) -> np.ndarray:
+    # The noise of the frames lengthens this path, and that of other models alike.
     steps = np.hypot(*np.diff(positions, axis=0).T)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
@@ -334,6 +335,7 @@ def _drive_slope(
     step = 1e-3
     theta = np.array(fit.theta)
     theta[NAMES.index(name)] += step
+    # A forward difference is enough: a band needs its slope to some per mille.
     moved = path_of(eqx.tree_at(lambda f: f.theta, fit, theta))(piece)
     return (moved - path) / step
 
@@ -347,6 +349,7 @@ and half of the other recordings, judged on the rest (docs/identification.md).""
 def _beyond(piece: Trajectory, fit: TrackFit) -> Float[np.ndarray, "time 2"]:
     """Displacement by the excess of the frequency over all that was fitted [L]."""
     frequency, heading = commands_of(piece)
+    # Beyond the fastest command of the fit the response is extrapolated.
     excess = np.maximum(frequency - fit.fastest, 0.0)
     drive = excess[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
     steps = drive[:-1] * np.diff(piece.times)[:, None]

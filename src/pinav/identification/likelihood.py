@@ -273,6 +273,7 @@ def evidence_and_coefficients(
     """
     problem = whiten(theta, design, field)
     best, information = problem.coefficients()
+    # Absent coefficients have zero columns and cost nothing.
     present = jnp.sum(jnp.any(problem.rows != 0, axis=0).astype(theta.dtype))
     constant = (
         problem.log_variance
