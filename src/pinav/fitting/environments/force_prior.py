@@ -20,7 +20,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from pinav.arguments import on_device
-from pinav.fitting.environments.force_regression import KernelKind
+from pinav.fitting.environments.force_regression import KernelKind, regress
 from pinav.fitting.environments.kernels import (
     KernelGrid,
     num_weights,
@@ -200,12 +200,25 @@ def lay_smooth_kernels(
         across /= rule.factor
         laid = _lay(kind, places, across)
     while num_weights(laid) <= rule.max_weights:
-        prior = ForcePrior.of(laid, positions, forces)
-        if prior.suits:
-            return prior
+        if _explains(laid, positions, forces):
+            prior = ForcePrior.of(laid, positions, forces)
+            if prior.suits:
+                return prior
         across *= rule.factor
         laid = _lay(kind, places, across)
     return None
+
+
+def _explains(
+    environment: AbstractLearnedForce,
+    positions: Float[np.ndarray, "point dim"],
+    forces: Float[np.ndarray, "point dim"],
+) -> bool:
+    """Whether any weights explain the forces, which no prior makes easier."""
+    columns, targets = _regression(environment, positions, forces)
+    weights = regress(columns.reshape(*forces.shape, -1), forces)
+    missed = _root_mean_square(columns @ weights - targets)
+    return missed <= NOISE * _root_mean_square(targets)
 
 
 def _lay(
