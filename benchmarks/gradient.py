@@ -29,7 +29,7 @@ from pinav.dynamics import (
     InterpolatingAdjoint,
     with_dtype,
 )
-from pinav.fitting.environments.catalogue import learned_part
+from pinav.fitting.environments.choice import learned_part
 from pinav.fitting.matching.trainable import split_trainable
 from pinav.forces import paper_force
 from pinav.scenarios import paper

@@ -31,12 +31,9 @@ from pinav.figures.palette import (
 from pinav.figures.style import SMALL, add_legend, label_axes, new_figure, prepare_axes
 from pinav.files import write_text
 from pinav.fitting import GaussNewton, Problem, TrajectoryLoss, curriculum, fit_many
-from pinav.fitting.environments.catalogue import (
-    ModelChoice,
-    build,
-    learned_part,
-    summarise_data,
-)
+from pinav.fitting.environments.catalogue import build
+from pinav.fitting.environments.choice import ModelChoice, learned_part
+from pinav.fitting.environments.summary import summarise_data
 from pinav.fitting.matching.objectives import Observations
 from pinav.fitting.matching.trainable import split_trainable
 from pinav.scenarios import barrier_crossings, paper

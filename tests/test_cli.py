@@ -1,4 +1,3 @@
-import ast
 import json
 import os
 import signal
@@ -70,20 +69,6 @@ def test_every_part_of_a_command_can_be_imported(command):
     assert callable(resolve(command.run))
     assert command.report is None or callable(resolve(command.report))
     assert not command.title or command.report is not None
-
-
-def test_no_name_of_a_command_is_spelled_outside_its_folder():
-    keys_too = {"truth", "data"}  # keys of files, which commands spell as well
-    names = {command.name for command in COMMANDS} - keys_too
-    root, tasks_of_heat = Path(cli.__file__).parent, ("simulate",)
-    spelled = []
-    for path in [*root.glob("commands/**/*.py"), root / "cli.py", root / "runs.py"]:
-        place = path.relative_to(root)
-        for node in ast.walk(ast.parse(path.read_text())):
-            name = node.value if isinstance(node, ast.Constant) else None
-            if name in names and name not in (*place.parts, *tasks_of_heat):
-                spelled.append(f"{place}:{node.lineno}: {name}")
-    assert not spelled
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import ast
 import graphlib
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -10,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import pinav
+import pinav.forces
 
 ORDER = [
     "errors",
@@ -153,6 +155,22 @@ MOST = {"dict[str, Any]": 30, "# type: ignore": 0, "# noqa": 0}
 def test_what_should_vanish_becomes_no_more(words):
     count = sum(path.read_text(encoding="utf-8").count(words) for path in SOURCES)
     assert count <= MOST[words]
+
+
+def test_environments_are_asked_by_their_methods_not_for_their_classes():
+    """A new kind of kernels or networks is one file; see `AbstractLearnedForce`."""
+    base = pinav.forces.AbstractLearnedForce
+    public = vars(pinav.forces).items()
+    classes = {name: kind for name, kind in public if isinstance(kind, type)}
+    learned = {name for name, kind in classes.items() if issubclass(kind, base)}
+    checks = []
+    for path in SOURCES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and ast.unparse(node.func) == "isinstance":
+                asked = set(re.findall(r"\w+", ast.unparse(node.args[1])))
+                if learned & asked:
+                    checks.append(f"{path.relative_to(ROOT)}:{node.lineno}")
+    assert len(checks) <= 5, checks
 
 
 def test_import_reader_sees_every_form():

@@ -15,7 +15,9 @@ from pinav.commands.study.stochastic_force_inference import infer_force
 from pinav.evaluation import field_map, force_coverage
 from pinav.evaluation.force_fields import force_agreement
 from pinav.fitting import Posterior, fit_bayes, fit_structured
-from pinav.fitting.environments.catalogue import ModelChoice, build, summarise_for
+from pinav.fitting.environments.catalogue import build
+from pinav.fitting.environments.choice import ModelChoice
+from pinav.fitting.environments.summary import summarise_for
 from pinav.forces import StructuredForce
 from pinav.scenarios import FAMILIES, random_system
 from pinav.sweeps import Cell

@@ -21,13 +21,9 @@ from pinav.fitting import (
     kernel_environment,
     paper_recipe,
 )
-from pinav.fitting.environments.catalogue import (
-    ModelChoice,
-    build,
-    learned_part,
-    summarise_data,
-    summarise_for_matching,
-)
+from pinav.fitting.environments.catalogue import build
+from pinav.fitting.environments.choice import ModelChoice, learned_part
+from pinav.fitting.environments.summary import summarise_data, summarise_for_matching
 from pinav.forces import KernelPotential
 from pinav.scenarios import scenario
 from pinav.trajectories import Trajectories, load

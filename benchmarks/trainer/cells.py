@@ -17,12 +17,9 @@ from pinav.dynamics import Swimmer
 from pinav.evaluation import predict, score
 from pinav.evaluation.force_fields import field_map, force_errors
 from pinav.fitting import Outcome, confirm, diagnose, fit_bayes, kernel_environment
-from pinav.fitting.environments.catalogue import (
-    ModelChoice,
-    build,
-    learned_part,
-    summarise_for_matching,
-)
+from pinav.fitting.environments.catalogue import build
+from pinav.fitting.environments.choice import ModelChoice, learned_part
+from pinav.fitting.environments.summary import summarise_for_matching
 from pinav.forces import KernelPotential
 from pinav.sweeps import Cell
 from pinav.trajectories import Trajectories, simulate

@@ -1,5 +1,8 @@
-"""The table of strategies: what its folder holds is not flown again."""
+"""Tables of controllers and strategies; what a folder holds is not flown again."""
 
+import json
+
+import pytest
 from benchmarks.navigate import main
 from benchmarks.navigate.strategies import compare_strategies
 
@@ -39,3 +42,12 @@ def test_finished_tasks_are_read(tmp_path, capsys):
     main(["--learn-online", "--tasks", "vortex", "--seeds", "2", "--out", str(out)])
     assert "1.250 (1.200–1.300)" in capsys.readouterr().out
     assert (out / "learn-online-vortex.csv").exists()
+
+
+@pytest.mark.slow
+def test_a_learned_current_serves_a_follower(tmp_path):
+    """One fit and two runs; the swimmers are observed under a programme of commands."""
+    out = tmp_path / "bench"
+    main(["--tasks", "follow-line", "--fits", "1", "--seeds", "2", "--out", str(out)])
+    rows = json.loads((out / "task-follow-line.json").read_text())["controllers"]
+    assert rows["learned"]["tracking"] < rows["physics only"]["tracking"] / 3

@@ -18,7 +18,9 @@ from pinav.commands.sweep import Sweep
 from pinav.errors import FitError
 from pinav.evaluation import field_map, force_errors
 from pinav.fitting import Refinement
-from pinav.fitting.environments.catalogue import ModelChoice, build, summarise_for
+from pinav.fitting.environments.catalogue import build
+from pinav.fitting.environments.choice import ModelChoice
+from pinav.fitting.environments.summary import summarise_for
 from pinav.runs import RunFolder
 from pinav.scenarios import scenario
 from pinav.sweeps import InThisProcess

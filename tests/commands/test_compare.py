@@ -15,14 +15,10 @@ from pinav.commands.compare.settings import CompareSettings
 from pinav.commands.fit.settings import FitSettings
 from pinav.commands.fitted_run import ModelHeader, build_model
 from pinav.errors import InputError
-from pinav.fitting.environments.catalogue import (
-    ModelChoice,
-    build,
-    mean_drag,
-    summarise_data,
-    summarise_for,
-    with_tensor_drag,
-)
+from pinav.fitting.environments.catalogue import build
+from pinav.fitting.environments.choice import ModelChoice
+from pinav.fitting.environments.mean_drag import mean_drag, with_tensor_drag
+from pinav.fitting.environments.summary import summarise_data, summarise_for
 from pinav.forces import tensor_matrix
 from pinav.runs import RunFolder
 from pinav.scenarios import scenario

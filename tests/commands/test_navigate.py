@@ -20,7 +20,7 @@ from pinav.commands.navigate.tables import text
 from pinav.commands.places import numbers
 from pinav.dynamics import OverdampedSwimmer
 from pinav.errors import InputError
-from pinav.fitting.environments.catalogue import ModelChoice
+from pinav.fitting.environments.choice import ModelChoice
 from pinav.forces import (
     Plane,
     RollingPropulsion,

@@ -13,7 +13,7 @@ from pinav import cli
 from pinav.commands.fit import plan
 from pinav.commands.system_choice import choose_system
 from pinav.errors import InputError
-from pinav.fitting.environments.catalogue import DataSummary
+from pinav.fitting.environments.summary import DataSummary
 from pinav.trajectories import Trajectories
 
 

@@ -17,7 +17,7 @@ from pinav.commands.study.settings import StudySettings
 from pinav.commands.sweep import Sweep
 from pinav.errors import FitError
 from pinav.figures.errors import scaling_figure
-from pinav.fitting.environments.catalogue import ModelChoice
+from pinav.fitting.environments.choice import ModelChoice
 from pinav.runs import RunFolder
 from pinav.scenarios import barrier_crossings
 from pinav.scenarios.crossings import paper_barrier, paper_swimmer

@@ -18,7 +18,8 @@ from pinav.commands.truth.cases import (
     read_recording,
 )
 from pinav.commands.truth.metrics import TruthCase, TruthMetrics, TruthRow, case_table
-from pinav.commands.truth.wall import WallFields, bulk_diffusion, mobility_rows
+from pinav.commands.truth.wall import bulk_diffusion, mobility_rows
+from pinav.commands.truth.wall_fields import WallFields
 from pinav.errors import InputError
 from pinav.evaluation.truth import wall_score
 from pinav.forces import brenner_mobility, parallel_mobility
@@ -186,7 +187,9 @@ def test_diffusion_that_obeys_hydrodynamics_meets_the_bars_of_a_wall():
         0.14 * np.asarray(mobility(jnp.asarray(gaps)))
         for mobility in (parallel_mobility, brenner_mobility)
     )
-    fields = WallFields(1.5 * gaps + 8.0, along, 1.2 * across, 0.01 * across)
+    fields = WallFields(
+        1.5 * gaps + 8.0, along, 1.2 * across, 0.01 * along, 0.01 * across
+    )
     free = [
         wall_score(fields.heights, values, 1.5, normal=normal)
         for values, normal in ((fields.along, False), (fields.across, True))

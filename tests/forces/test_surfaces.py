@@ -6,17 +6,39 @@ import numpy as np
 import pytest
 
 from pinav.errors import InputError
-from pinav.forces import DoubleLayer, Plane, Tube, TubeFlow, WallMobility, tensor_matrix
+from pinav.forces import (
+    Bifurcation,
+    BifurcationFlow,
+    DoubleLayer,
+    Plane,
+    Tube,
+    TubeFlow,
+    WallMobility,
+    tensor_matrix,
+)
 
 VESSEL = Tube([3.0, 0.0, 4.0], [1.0, 2.0, 3.0], 2.0)
+FORK = Bifurcation(
+    [1.0, 2.0, 3.0],
+    jnp.array([[-1.0, 0.0, 0.0], [2.0, 1.0, 0.0], [2.0, -1.0, 0.5]]),
+    jnp.array([2.0, 1.5, 1.0]),
+)
 ACROSS = jnp.array([0.8, 0.0, -0.6])
 """A unit vector across the tube, as (0, 1, 0) is."""
 
 
-@pytest.mark.parametrize("surface", [Plane([1.0, 2.0, -2.0], 0.7), VESSEL])
-def test_the_normal_is_the_gradient_of_the_distance(surface):
+@pytest.mark.parametrize(
+    ("surface", "place"),
+    [
+        (Plane([1.0, 2.0, -2.0], 0.7), VESSEL.middle),
+        (VESSEL, VESSEL.middle),
+        (FORK, FORK.middle + 9.0 * FORK.axes[0]),
+        (FORK, FORK.middle + 9.0 * FORK.axes[2]),
+    ],
+)
+def test_the_normal_is_the_gradient_of_the_distance(surface, place):
     for offset in jax.random.normal(jax.random.key(0), (5, 3)):
-        x = VESSEL.middle + offset
+        x = place + 0.5 * offset
         slope = jax.grad(surface.distance)(x)
         np.testing.assert_allclose(surface.normal_at(x), slope, atol=1e-12)
         np.testing.assert_allclose(jnp.linalg.norm(slope), 1.0, rtol=1e-12)
@@ -64,6 +86,74 @@ def test_a_pulse_swings_about_the_mean():
     np.testing.assert_allclose(speeds, [-3.0, -4.2, -1.8, -3.0], rtol=1e-9)
 
 
+def test_tubes_that_continue_each_other_are_a_tube():
+    along = jnp.stack([VESSEL.along, -VESSEL.along])
+    both = Bifurcation(VESSEL.middle, along, jnp.full(2, VESSEL.radius))
+    flows = (
+        TubeFlow(-3.0, VESSEL, pulse=0.4, frequency=2.0),
+        BifurcationFlow(3.0, both, jnp.ones(1), pulse=0.4, frequency=2.0),
+    )
+    for offset in jax.random.normal(jax.random.key(1), (8, 3)):
+        x = VESSEL.middle + offset
+        if VESSEL.distance(x) > 0:
+            assert 0.95 < both.distance(x) / VESSEL.distance(x) <= 1 + 1e-12
+            assert both.normal_at(x) @ VESSEL.normal_at(x) > 0.98
+        far = x + 6.0 * VESSEL.axis
+        np.testing.assert_allclose(both.distance(far), VESSEL.distance(far), rtol=1e-12)
+        normals = both.normal_at(far), VESSEL.normal_at(far)
+        np.testing.assert_allclose(*normals, atol=1e-12)
+        one, other = (flow(0.3, x + 6.0 * VESSEL.axis) for flow in flows)
+        np.testing.assert_allclose(one, other, atol=1e-12)
+        one, other = (flow(0.3, x) @ VESSEL.axis for flow in flows)
+        assert 0.8 * one >= other >= one  # both run backwards
+
+
+def test_where_tubes_meet_distance_and_flow_have_slopes_that_are_continuous():
+    flow = BifurcationFlow(3.0, FORK, jnp.array([0.6, 0.4]))
+    beside = FORK.middle + jnp.array([0.5, 0.4, 0.3])  # off the axes, as the cusps are
+    line = jnp.linspace(-1.4, 1.4, 2001)
+    inside = jax.vmap(lambda s: FORK.distance(beside + s * ACROSS))(line) > 0.05
+    slopes = jax.jacfwd(FORK.distance), jax.jacfwd(lambda x: flow(0.0, x))
+    for function in (*slopes, FORK.normal_at):
+        values = jax.vmap(lambda s, f=function: f(beside + s * ACROSS))(line)
+        jumps = jnp.abs(jnp.diff(values, axis=0)).reshape(2000, -1).max(axis=1)
+        assert float(jnp.max(jnp.where(inside[1:] & inside[:-1], jumps, 0.0))) < 0.05
+
+
+def test_what_enters_a_bifurcation_leaves_it_by_its_shares():
+    flow = BifurcationFlow(3.0, FORK, jnp.array([0.7, 0.3]))
+    rng = np.random.default_rng(0)
+    volumes = []
+    for axis, radius in zip(FORK.axes, FORK.radii, strict=True):
+        across = np.linalg.qr(np.column_stack([axis, rng.normal(size=(3, 2))]))[0][:, 1]
+        places = (jnp.arange(400.0) + 0.5) / 400 * radius
+        centre = FORK.middle + 9.0 * axis
+        speeds = jax.vmap(lambda r, c=centre, a=across: flow(0.0, c + r * a))(places)
+        volumes.append(
+            float(jnp.sum(speeds @ axis * 2 * jnp.pi * places) * radius / 400)
+        )
+    whole = 0.5 * 3.0 * np.pi * 4.0
+    np.testing.assert_allclose(volumes, [-whole, 0.7 * whole, 0.3 * whole], rtol=1e-5)
+
+
+def test_the_fluid_rests_at_the_walls_of_a_bifurcation_and_is_smooth_in_it():
+    flow = BifurcationFlow(3.0, FORK, jnp.array([0.5, 0.5]))
+    directions = jax.random.normal(jax.random.key(2), (6, 3))
+    for direction in directions / jnp.linalg.norm(directions, axis=1, keepdims=True):
+        low, high = 0.0, 60.0  # from the middle outwards until the wall, by bisection
+        for _ in range(60):
+            middle = (low + high) / 2
+            inside = FORK.distance(FORK.middle + middle * direction) > 0
+            low, high = (middle, high) if inside else (low, middle)
+        np.testing.assert_allclose(
+            flow(0.0, FORK.middle + low * direction), 0.0, atol=1e-9
+        )
+    speeds = jax.vmap(lambda s: flow(0.0, FORK.middle + s * FORK.axes[1]))(
+        jnp.linspace(-3.0, 6.0, 901)
+    )
+    assert float(jnp.abs(jnp.diff(speeds, axis=0)).max()) < 0.1
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
@@ -71,6 +161,30 @@ def test_a_pulse_swings_about_the_mean():
         (lambda: Tube([1.0, 0.0], [0.0] * 3, 1.0), "Tube.along: expected a point"),
         (lambda: Tube([1.0, 0.0, 0.0], [0.0], 1.0), "Tube.middle: expected a point"),
         (lambda: Tube([1.0, 0.0, 0.0], [0.0] * 3, 0.0), "Tube.radius: expected > 0"),
+        (
+            lambda: Bifurcation([0.0] * 3, jnp.ones((1, 3)), jnp.ones(1)),
+            "Bifurcation.along: expected the directions of two tubes",
+        ),
+        (
+            lambda: Bifurcation([0.0] * 3, jnp.eye(3), jnp.ones(2)),
+            "Bifurcation.radii: expected 3 of them",
+        ),
+        (
+            lambda: Bifurcation([0.0] * 3, jnp.eye(3), jnp.array([1.0, 0.0, 1.0])),
+            "Bifurcation.radii: expected > 0",
+        ),
+        (
+            lambda: Bifurcation([0.0] * 3, jnp.zeros((2, 3)), jnp.ones(2)),
+            "Bifurcation.along: expected vectors that are not zero",
+        ),
+        (
+            lambda: BifurcationFlow(1.0, FORK, jnp.ones(1)),
+            "BifurcationFlow.shares: expected 2 of them",
+        ),
+        (
+            lambda: BifurcationFlow(1.0, FORK, jnp.array([0.5, 0.6])),
+            "BifurcationFlow.shares: expected parts that sum to 1",
+        ),
     ],
 )
 def test_values_that_make_no_sense_are_refused(make, message):

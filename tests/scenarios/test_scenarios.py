@@ -12,7 +12,8 @@ from pinav.trajectories import simulate
 
 KEY = jax.random.key(1)
 CURRENTS = {name for name in SCENARIOS if name.endswith("-current")}
-OTHERS = {"paper", "brownian", "box", "above-wall", "tube", "wall", "ring"}
+SPATIAL = {"box", "above-wall", "tube", "bifurcation"}
+OTHERS = SPATIAL | {"paper", "brownian", "wall", "ring"}
 PLANAR = sorted(SCENARIOS.keys() - OTHERS - CURRENTS)
 RK = FixedStep(substeps=2)
 

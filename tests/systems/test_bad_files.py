@@ -179,6 +179,10 @@ BAD = {
         swap('"drag.damping"', '"drag.dumping"'),
         "learn: 'drag.dumping' is not in the swimmer",
     ),
+    "learn beyond the forces": (
+        swap('"drag.damping"', '"known_force.terms[7].stiffness"'),
+        r"learn: 'known_force.terms\[7\].stiffness' is not in the swimmer",
+    ),
     "learn unknown prior": (
         swap('kind = "normal"', 'kind = "beta"'),
         "learn.'drag.damping'.kind: expected one of flat",

@@ -261,7 +261,7 @@ def test_dimensions_one_and_three():
         assert again.channels == ("x", "y", "z")[:dim]
 
 
-def test_a_wall_is_a_plane_unless_it_says_that_it_is_a_tube():
+def test_a_wall_is_a_plane_unless_it_says_that_it_is_another_surface():
     text = "dimension = 3\norder = 1\n[mobility]\n" + (
         'kind = "wall-mobility"\nradius = 5.0\nviscosity = 1.0\n[mobility.wall]\n'
     )
@@ -270,6 +270,24 @@ def test_a_wall_is_a_plane_unless_it_says_that_it_is_a_tube():
     tube = 'kind = "tube"\nalong = [1, 0, 0]\nmiddle = [0, 1, 2]\nradius = 40.0'
     found = parse_system(text + tube).swimmer.mobility.wall
     assert eqx.tree_equal(found, Tube([1.0, 0.0, 0.0], [0.0, 1.0, 2.0], 40.0))
+    system = scenario("bifurcation")
+    again = parse_system(system_text(system))
+    assert eqx.tree_equal(again.swimmer.mobility, system.swimmer.mobility)
+    assert eqx.tree_equal(again.swimmer.flow, system.swimmer.flow)
+
+
+def test_numbers_of_several_forces_and_of_a_wall_can_be_learned():
+    system = scenario("above-wall")
+    paths = ("mobility.wall.position", "known_force.terms[0].excess_density")
+    text = (
+        system_text(system)
+        + "\n[learn]\n"
+        + "".join(f'"{path}" = {{kind = "flat"}}\n' for path in paths)
+    )
+    free = parse_system(text).learn
+    assert [number.path for number in free] == list(paths)
+    numbers = [float(number.pick(system.swimmer)) for number in free]
+    assert numbers == [0.0, 20.0]
 
 
 def test_friendly_parameters_are_read_and_written():

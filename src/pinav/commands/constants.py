@@ -9,10 +9,8 @@ from pinav.fitting import (
     principal_drags,
     rotational_fraction,
 )
-from pinav.fitting.environments.catalogue import (
-    CONSTANTS,
-    ModelChoice,
-)
+from pinav.fitting.environments.choice import CONSTANTS, ModelChoice
+from pinav.forces import as_learned_force, split_structure
 from pinav.trajectories import Trajectories
 
 
@@ -38,7 +36,8 @@ def estimated_constants(fit: EvidenceFit, choice: ModelChoice) -> dict[str, Esti
 def rotational_part(fit: EvidenceFit, data: Trajectories) -> dict[str, Estimate]:
     """The rotational fraction of a mixture where there are data; else nothing."""
     environment = fit.model.environment
-    if not hasattr(environment, "rotation"):
+    learned = as_learned_force(environment)
+    if learned is None or learned.helmholtz is None or split_structure(learned)[0]:
         return {}
     field = field_map(environment, data)
     points = np.stack(np.meshgrid(field.x, field.y), axis=-1)

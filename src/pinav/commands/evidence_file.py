@@ -17,7 +17,7 @@ from pinav.fitting import (
     ravel_model,
 )
 from pinav.fitting.bayes.function_prior import TangentWeights
-from pinav.fitting.environments.catalogue import ModelChoice
+from pinav.fitting.environments.choice import ModelChoice
 from pinav.forces import KernelForce, KernelPotential
 from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories
@@ -54,6 +54,8 @@ class EvidenceResult:
             nothing can be said.
         process: kernels of the process that is the prior of a network, if it is one.
         structure: what the search for a structure came to; None without a search.
+        support: log evidence of a field beside commands over none [nats]; None where it
+            was not asked.
     """
 
     posterior: Posterior
@@ -65,6 +67,7 @@ class EvidenceResult:
     goodness: str = ""
     process: KernelForce | KernelPotential | None = None
     structure: StructureSearch | None = None
+    support: float | None = None
 
 
 def write_evidence(
@@ -73,6 +76,7 @@ def write_evidence(
     fit: EvidenceFit,
     data: Trajectories,
     structure: StructureSearch | None = None,
+    support: float | None = None,
 ) -> None:
     """Write what a fit by the evidence has found beside its model."""
     chosen = fit.hyperparameters
@@ -103,6 +107,7 @@ def write_evidence(
                     "structure/rotation": np.array(structure.rotation),
                 }
             ),
+            **({} if support is None else {"support": np.array(support)}),
             **constants,
         },
     )
@@ -167,6 +172,7 @@ def read_evidence(
             )
             if "structure/gain" in stored
             else None,
+            support=float(stored["support"]) if "support" in stored else None,
         )
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, InputError):

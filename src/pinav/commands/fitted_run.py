@@ -29,12 +29,10 @@ from pinav.fitting import (
     EvidenceFit,
     Posterior,
 )
-from pinav.fitting.environments.catalogue import (
-    DataSummary,
-    ModelChoice,
-    build,
-)
+from pinav.fitting.environments.catalogue import build
+from pinav.fitting.environments.choice import ModelChoice
 from pinav.fitting.environments.profiles import MobilitySummary
+from pinav.fitting.environments.summary import DataSummary
 from pinav.runs import RunFolder
 from pinav.systems import System, WanderingVelocity
 from pinav.trajectories import Trajectories, load, save
@@ -219,9 +217,10 @@ def write_fit(
     fit: EvidenceFit,
     data: Trajectories,
     structure: StructureSearch | None = None,
+    support: float | None = None,
 ) -> None:
     """Write the model and the posterior of a fit by the evidence."""
-    write_evidence(folder, header.choice, fit, data, structure)
+    write_evidence(folder, header.choice, fit, data, structure, support)
     summary = header.data.with_kernels_of(fit.model.environment)
     if isinstance(fit.model, OverdampedSwimmer):
         mobility = MobilitySummary.of(fit.model.mobility)

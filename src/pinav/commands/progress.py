@@ -10,6 +10,9 @@ from tqdm import tqdm
 from pinav.fitting import EvidenceProgress, FitProgress
 from pinav.runs import RunFolder
 
+OPEN_END = "{desc}: {n_fmt} steps [{elapsed}{postfix}]"
+"""Format of a bar whose end is not known."""
+
 
 class AbstractReporter(abc.ABC):
     """A bar while a fit runs, closed whatever ends it, and its record in the run.
@@ -21,7 +24,13 @@ class AbstractReporter(abc.ABC):
 
     def __init__(self, folder: RunFolder, label: str) -> None:
         self.folder, self.label = folder, label
-        self.bar = tqdm(desc=label, unit="step", leave=True, dynamic_ncols=True)
+        self.bar = tqdm(
+            desc=f"{label}: preparing and compiling",
+            unit="step",
+            leave=True,
+            dynamic_ncols=True,
+            bar_format=OPEN_END,
+        )
 
     def __enter__(self) -> "AbstractReporter":
         return self
@@ -47,6 +56,7 @@ class FitReporter(AbstractReporter):
         last = progress.losses[:, -1]
         if self.bar.total is None:
             done_before = progress.done - progress.losses.shape[1]
+            self.bar.bar_format = None
             self.bar.reset(total=progress.total)
             self.bar.initial = self.bar.n = done_before  # resumed: rate without it
         self.bar.set_description(f"{self.label} {progress.phase}", refresh=False)
@@ -68,7 +78,7 @@ class BayesReporter(AbstractReporter):
     def __call__(self, progress: EvidenceProgress) -> None:
         """Take note of one step."""
         label = progress.force or self.label
-        self.bar.set_description(label, refresh=False)
+        self.bar.set_description_str(label, refresh=False)
         self.bar.set_postfix_str(
             f"{progress.parameters} unknowns, noise {progress.noise:.3g}, log evidence "
             f"{progress.log_evidence:.1f}, defect {progress.defect:.0e}",
@@ -84,4 +94,18 @@ class BayesReporter(AbstractReporter):
                 "log_evidence": progress.log_evidence,
                 "defect": progress.defect,
             }
+        )
+
+
+class RoundReporter(AbstractReporter):
+    """Shows the rounds in which noise and prior of a field are chosen in turn."""
+
+    def __call__(self, progress: tuple[int, float]) -> None:
+        """Take note of one round: its number and the log likelihood."""
+        done, likelihood = progress
+        self.bar.set_description_str(self.label, refresh=False)
+        self.bar.set_postfix_str(f"log likelihood {likelihood:.1f}", refresh=False)
+        self.bar.update(1)
+        self.folder.append_record(
+            {"model": self.label, "step": done, "log_likelihood": likelihood}
         )

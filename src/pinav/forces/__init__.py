@@ -12,6 +12,7 @@ from pinav.forces.drag import TensorDrag as TensorDrag
 from pinav.forces.field_terms import LatticeTerm as LatticeTerm
 from pinav.forces.field_terms import LinearTerm as LinearTerm
 from pinav.forces.flows import AbstractFlow as AbstractFlow
+from pinav.forces.flows import BifurcationFlow as BifurcationFlow
 from pinav.forces.flows import PoiseuilleFlow as PoiseuilleFlow
 from pinav.forces.flows import SampledFlow as SampledFlow
 from pinav.forces.flows import ShearFlow as ShearFlow
@@ -24,6 +25,8 @@ from pinav.forces.force import AbstractCommandedForce as AbstractCommandedForce
 from pinav.forces.force import AbstractForce as AbstractForce
 from pinav.forces.force import AbstractLearnedForce as AbstractLearnedForce
 from pinav.forces.force import AbstractPotentialForce as AbstractPotentialForce
+from pinav.forces.force import HelmholtzParts as HelmholtzParts
+from pinav.forces.force import KernelPlaces as KernelPlaces
 from pinav.forces.force import SumForce as SumForce
 from pinav.forces.force import ZeroForce as ZeroForce
 from pinav.forces.force import as_learned_force as as_learned_force
@@ -85,9 +88,11 @@ from pinav.forces.random_obstacles import random_barriers as random_barriers
 from pinav.forces.random_obstacles import random_fibres as random_fibres
 from pinav.forces.structured import Remainder as Remainder
 from pinav.forces.structured import StructuredForce as StructuredForce
+from pinav.forces.structured import split_structure as split_structure
 from pinav.forces.structures import AbstractProfileTerm as AbstractProfileTerm
 from pinav.forces.structures import AbstractTerm as AbstractTerm
 from pinav.forces.surfaces import AbstractSurface as AbstractSurface
+from pinav.forces.surfaces import Bifurcation as Bifurcation
 from pinav.forces.surfaces import Plane as Plane
 from pinav.forces.surfaces import Tube as Tube
 from pinav.forces.tensors import AbstractDirector as AbstractDirector

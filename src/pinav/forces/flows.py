@@ -4,10 +4,12 @@ import abc
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar, Vector, check_positive, point, refuse_text
-from pinav.forces.surfaces import Tube
+from pinav.errors import InputError
+from pinav.forces.surfaces import Bifurcation, Tube
 
 
 class AbstractFlow(eqx.Module):
@@ -167,6 +169,76 @@ class TubeFlow(AbstractFlow):
     def __call__(self, t: Scalar, x: Vector) -> Vector:
         across = self.tube.from_axis(x)
         profile = jnp.maximum(1 - (across @ across) / self.tube.radius**2, 0.0)
-        swing = 1 + self.pulse * jnp.sin(2 * jnp.pi * self.frequency * jnp.asarray(t))
+        swing = _swing(self.pulse, self.frequency, t)
         speed = self.peak * profile * swing.astype(x.dtype)
         return speed * self.tube.axis.astype(x.dtype)
+
+
+class BifurcationFlow(AbstractFlow):
+    r"""Pulsatile flow through tubes that meet: in by the first, out by the others.
+
+    $$u = (1 + p \sin 2\pi f t) \frac{\sum_i q_i^3\, u_i\, e_i}{\sum_i q_i^2},
+    \qquad q_i = \max(1 - r_i^2 / R_i^2, 0),$$
+
+    where $r_i$ is the distance from the axis of tube i and $e_i$ its direction. Where
+    the tubes do not overlap this is the parabolic flow of each of them, and at the wall
+    the fluid is at rest. $u_1 = -u_m$ and $u_i = u_m\, s_i R_1^2 / R_i^2$, so that the
+    part $s_i$ of the volume leaves through tube i. Where they overlap, within about a
+    radius of the point where they meet, the flow is a weighted mean of theirs and not
+    free of sources: between two tubes that continue each other it is up to 11 % too
+    slow. It follows the pressure at once, as
+    that of `TubeFlow`.
+
+    Attributes:
+        peak: $u_m$, mean over time on the axis of the first tube, towards the others
+            [L T⁻¹]; negative runs backwards.
+        wall: where the walls are; its first tube is the trunk.
+        shares: $s_i$ of the other tubes, which sum to 1.
+        pulse: p, part of the mean by which the flow swings.
+        frequency: f [cycles T⁻¹].
+
+    Raises:
+        InputError: `shares` are not as many as tubes after the first, or do not sum
+            to 1.
+    """
+
+    peak: Scalar
+    wall: Bifurcation
+    shares: Float[Array, " branch"] = eqx.field(converter=jnp.asarray)
+    pulse: Scalar = 0.0
+    frequency: Scalar = 1.0
+
+    def __check_init__(self) -> None:
+        branches = len(self.wall.radii) - 1
+        if self.shares.shape != (branches,):
+            raise InputError(
+                f"BifurcationFlow.shares: expected {branches} of them, one for each "
+                f"tube after the first, got {self.shares.shape}"
+            )
+        if isinstance(self.shares, Tracer):
+            return
+        if abs(float(jnp.sum(self.shares)) - 1) > 1e-6:
+            raise InputError(
+                "BifurcationFlow.shares: expected parts that sum to 1, got "
+                f"{self.shares}"
+            )
+
+    def __call__(self, t: Scalar, x: Vector) -> Vector:
+        radii = self.wall.radii.astype(x.dtype)
+        across = self.wall.from_axes(x)
+        profiles = jnp.maximum(1 - jnp.sum(across**2, axis=1) / radii**2, 0.0)
+        shares = jnp.concatenate([-jnp.ones(1, x.dtype), self.shares.astype(x.dtype)])
+        speeds = self.peak * shares * radii[0] ** 2 / radii**2
+        swing = _swing(self.pulse, self.frequency, t).astype(x.dtype)
+        together = jnp.maximum(jnp.sum(profiles**2), TINY)
+        directed = (profiles**3 * speeds) @ self.wall.axes.astype(x.dtype)
+        return swing * directed / together
+
+
+TINY = 1e-30
+"""Sum of the squared profiles of tubes below which a place counts as outside of all."""
+
+
+def _swing(pulse: Scalar, frequency: Scalar, t: Scalar) -> Float[Array, ""]:
+    """The factor of a pulsatile flow at a time."""
+    return 1 + pulse * jnp.sin(2 * jnp.pi * frequency * jnp.asarray(t))

@@ -115,6 +115,26 @@ class AbstractLearnedForce(AbstractForce):
         """
 
     @property
+    def trainable(self) -> PyTree:
+        """All leaves that train, those of the geometry included."""
+        return (self.parameters, self.geometry) if self.geometry else self.parameters
+
+    @property
+    def kind(self) -> str:
+        """Name of its kind, as progress bars show it; empty where it has none."""
+        return ""
+
+    @property
+    def helmholtz(self) -> "HelmholtzParts | None":
+        """Its gradient and its rotational part, where it holds both apart."""
+        return None
+
+    @property
+    def periods(self) -> dict[int, float]:
+        """Period [L] of each coordinate in which it repeats itself."""
+        return {}
+
+    @property
     def is_linear(self) -> bool:
         """Whether the force is linear in its weights."""
         return True
@@ -156,6 +176,18 @@ class KernelPlaces(NamedTuple):
 
     centers: Float[Array, "kernel dim"]
     width: Scalar
+
+
+class HelmholtzParts(NamedTuple):
+    """The two parts of a planar force.
+
+    Attributes:
+        gradient: with a potential.
+        rotation: with a stream function.
+    """
+
+    gradient: AbstractLearnedForce
+    rotation: AbstractLearnedForce
 
 
 def as_learned_force(force: AbstractForce) -> AbstractLearnedForce | None:

@@ -62,6 +62,11 @@ class KernelProfile(AbstractLearnedForce):
     def dim(self) -> int:
         return self.space
 
+    @property
+    def periods(self) -> dict[int, float]:
+        axes = self.basis.axes
+        return {axis.index: axis.period for axis in axes if axis.period is not None}
+
     def prior(self) -> StationaryPrior:
         return StationaryPrior(np.asarray(self.basis.centers), len(self.along))
 

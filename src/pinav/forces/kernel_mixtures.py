@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, PyTree
 
 from pinav.arguments import Scalar, Vector
 from pinav.errors import InputError
-from pinav.forces.force import AbstractLearnedForce, KernelPlaces
+from pinav.forces.force import AbstractLearnedForce, HelmholtzParts, KernelPlaces
 from pinav.forces.kernels import (
     KernelPotential,
     KernelStream,
@@ -53,6 +53,14 @@ class KernelMixture(AbstractLearnedForce):
     @property
     def parameters(self) -> PyTree:
         return self.gradient.weights, self.rotation.weights
+
+    @property
+    def kind(self) -> str:
+        return "kernel-mixture"
+
+    @property
+    def helmholtz(self) -> HelmholtzParts:
+        return HelmholtzParts(self.gradient, self.rotation)
 
     @property
     def dim(self) -> int:

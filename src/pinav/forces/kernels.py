@@ -90,6 +90,10 @@ class KernelForce(AbstractKernels):
     centers: Float[Array, "kernel dim"]
     width: Scalar
 
+    @property
+    def kind(self) -> str:
+        return "kernel-force"
+
     @staticmethod
     def weight_shape(centers: tuple[int, ...]) -> tuple[int, ...]:
         return centers
@@ -110,6 +114,10 @@ class KernelPotential(AbstractKernels):
     weights: Float[Array, " kernel"]
     centers: Float[Array, "kernel dim"]
     width: Scalar
+
+    @property
+    def kind(self) -> str:
+        return "kernel-potential"
 
     @staticmethod
     def weight_shape(centers: tuple[int, ...]) -> tuple[int, ...]:

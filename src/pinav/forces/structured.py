@@ -5,7 +5,12 @@ from jaxtyping import Array, Float, PyTree
 
 from pinav.arguments import Scalar, Vector
 from pinav.errors import InputError
-from pinav.forces.force import AbstractLearnedForce, KernelPlaces
+from pinav.forces.force import (
+    AbstractForce,
+    AbstractLearnedForce,
+    HelmholtzParts,
+    KernelPlaces,
+)
 from pinav.forces.kernel_mixtures import KernelMixture
 from pinav.forces.kernels import KernelForce, KernelPotential
 from pinav.forces.priors import AbstractPrior, Centers, MixturePrior
@@ -51,6 +56,10 @@ class StructuredForce(AbstractLearnedForce):
         return (*(term.weights for term in self.terms), *rest)
 
     @property
+    def kind(self) -> str:
+        return " + ".join(part.kind for part in (*self.terms, self.remainder))
+
+    @property
     def geometry(self) -> PyTree:
         return tuple(leaf for term in self.terms for leaf in term.geometry)
 
@@ -58,6 +67,11 @@ class StructuredForce(AbstractLearnedForce):
     def is_conservative(self) -> bool:
         turning = any(term.rotational for term in self.terms)
         return self.remainder.is_conservative and not turning
+
+    @property
+    def helmholtz(self) -> HelmholtzParts | None:
+        """Of the remainder."""
+        return self.remainder.helmholtz
 
     @property
     def kernels(self) -> KernelPlaces:
@@ -97,3 +111,12 @@ class StructuredForce(AbstractLearnedForce):
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return sum((term(t, x, v) for term in self.terms), self.remainder(t, x, v))
+
+
+def split_structure(
+    force: AbstractForce,
+) -> tuple[tuple[AbstractTerm, ...], AbstractForce]:
+    """The structured terms of a force, and what there is beside them."""
+    if isinstance(force, StructuredForce):
+        return force.terms, force.remainder
+    return (), force

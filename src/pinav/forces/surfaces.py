@@ -1,9 +1,11 @@
-"""Surfaces that bound a fluid: a plane, and a straight tube."""
+"""Surfaces that bound a fluid: a plane, a straight tube, and tubes that meet."""
 
 import abc
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar, Vector, check_positive, point
@@ -91,6 +93,96 @@ class Tube(AbstractSurface):
     def normal_at(self, x: Vector) -> Vector:
         across = self.from_axis(x)
         return -across / _length(across)
+
+
+class Bifurcation(AbstractSurface):
+    r"""The wall of tubes that meet in a point and lead away from it, with fluid inside.
+
+    With two tubes that continue each other it is a straight tube; with three it is the
+    Y of a vessel that parts. The fluid fills the union of the tubes, each of which
+    begins with half a ball about the point. With $d_i$ the distance from the wall of
+    tube i, and nothing outside of it,
+
+    $$d = \frac{\sum_i w_i d_i}{\sum_i w_i}, \qquad w_i = d_i^8,$$
+
+    and the normal is that mean of theirs: exact in each tube, smooth where they
+    overlap, and nowhere more than the largest $d_i$, which is a lower bound of the
+    distance from the wall of the union.
+
+    Attributes:
+        middle: where the axes meet [L].
+        along: directions that lead away from there; their lengths are without effect.
+        radii: $R_i$ of the tubes [L], positive.
+
+    Raises:
+        InputError: `middle` is not a point in space, `along` and `radii` are not those
+            of two tubes or more, a direction is zero, or a radius is <= 0.
+    """
+
+    middle: Float[Array, "3"] = eqx.field(converter=point("Bifurcation.middle", 3))
+    along: Float[Array, "tube 3"] = eqx.field(converter=jnp.asarray)
+    radii: Float[Array, " tube"] = eqx.field(converter=jnp.asarray)
+
+    def __check_init__(self) -> None:
+        if self.along.ndim != 2 or self.along.shape[1] != 3 or len(self.along) < 2:
+            raise InputError(
+                "Bifurcation.along: expected the directions of two tubes or more, of "
+                f"shape (tube, 3), got {self.along.shape}"
+            )
+        if self.radii.shape != (len(self.along),):
+            raise InputError(
+                f"Bifurcation.radii: expected {len(self.along)} of them, one for each "
+                f"direction, got {self.radii.shape}"
+            )
+        if isinstance(self.along, Tracer) or isinstance(self.radii, Tracer):
+            return
+        if not bool(jnp.all(self.radii > 0)):
+            raise InputError(f"Bifurcation.radii: expected > 0, got {self.radii}")
+        if not bool(jnp.all(jnp.any(self.along != 0, axis=1))):
+            raise InputError("Bifurcation.along: expected vectors that are not zero")
+
+    @property
+    def axes(self) -> Float[Array, "tube 3"]:
+        """Unit vectors that lead away along the tubes."""
+        return self.along / jnp.linalg.norm(self.along, axis=1, keepdims=True)
+
+    def from_axes(self, x: Vector) -> Float[Array, "tube 3"]:
+        """The ways from the nearest points of the axes to a point [L]."""
+        offset = x - self.middle.astype(x.dtype)
+
+        def across(axis: Float[Array, "3"]) -> Float[Array, "3"]:
+            return offset - jnp.maximum(axis @ offset, 0.0) * axis
+
+        return jax.vmap(across)(self.axes.astype(x.dtype))
+
+    def distance(self, x: Vector) -> Float[Array, ""]:
+        distances = self._distances(self.from_axes(x))
+        largest = jnp.max(distances)
+        mean = jnp.sum(_nearness(distances) * distances)
+        return jnp.where(largest > 0, mean, largest)
+
+    def normal_at(self, x: Vector) -> Vector:
+        across = self.from_axes(x)
+        inwards = -across / jax.vmap(_length)(across)[:, None]
+        mean = _nearness(self._distances(across)) @ inwards
+        return mean / _length(mean)
+
+    def _distances(self, across: Float[Array, "tube 3"]) -> Float[Array, " tube"]:
+        return self.radii.astype(across.dtype) - jax.vmap(_length)(across)
+
+
+SHARPNESS = 8
+"""Power of the distance by which the tubes count that a point lies in."""
+
+
+def _nearness(distances: Float[Array, " tube"]) -> Float[Array, " tube"]:
+    """How much each tube counts at a point; outside of all, the nearest one alone."""
+    largest = jax.lax.stop_gradient(jnp.max(distances))
+    inside = largest > 0
+    scale = jnp.where(inside, largest, 1.0)
+    weights = (jnp.maximum(distances, 0.0) / scale) ** SHARPNESS
+    weights = jnp.where(inside, weights, (distances == largest).astype(distances.dtype))
+    return weights / jnp.sum(weights)
 
 
 def _length(vector: Vector) -> Float[Array, ""]:

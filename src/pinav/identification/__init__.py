@@ -33,6 +33,7 @@ from pinav.identification.selection import split as split
 from pinav.identification.systems import evidence_fit_of as evidence_fit_of
 from pinav.identification.systems import needs_kalman_filter as needs_kalman_filter
 from pinav.identification.systems import posterior_of as posterior_of
+from pinav.identification.systems import record_commands as record_commands
 from pinav.identification.systems import system_of as system_of
 from pinav.identification.tracks import Blocks as Blocks
 from pinav.identification.tracks import Track as Track

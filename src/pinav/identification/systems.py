@@ -1,5 +1,6 @@
 """A fitted response as a system, and a system as a candidate model."""
 
+import dataclasses
 import math
 
 import jax
@@ -14,7 +15,7 @@ from pinav.actuation import (
     SlippingResponse,
     StepOutResponse,
 )
-from pinav.dynamics import OverdampedSwimmer
+from pinav.dynamics import OverdampedSwimmer, takes_commands
 from pinav.errors import InputError
 from pinav.fitting import (
     EvidenceFit,
@@ -62,6 +63,7 @@ from pinav.systems import (
     Units,
     WanderingVelocity,
 )
+from pinav.trajectories import COMMAND_UNITS, Trajectories, commands_of
 
 RESPONSE_NAMES: dict[type[AbstractResponse], str] = {
     LinearResponse: "linear",
@@ -233,11 +235,10 @@ def _response_name(swimmer: OverdampedSwimmer) -> str:
     propulsion = swimmer.propulsion
     if isinstance(propulsion, ZeroForce):
         return "linear"
-    if not (isinstance(propulsion, RollingPropulsion) and propulsion.unbound):
+    if not isinstance(propulsion, RollingPropulsion):
         raise InputError(
-            "system.propulsion: expected RollingPropulsion without a programme, or no "
-            f"propulsion, got {type(propulsion).__name__}; the commands come from the "
-            "trajectories"
+            "system.propulsion: expected RollingPropulsion or no propulsion beside a "
+            f"wandering velocity, got {type(propulsion).__name__}"
         )
     return RESPONSE_NAMES[type(propulsion.response)]
 
@@ -275,5 +276,25 @@ def prior_about(theta: Float[np.ndarray, " parameter"], wide: Prior) -> Prior:
 
 def needs_kalman_filter(system: System) -> bool:
     """Whether a fit must be `fit_commanded`: commands or a wandering velocity."""
-    commanded = isinstance(system.swimmer.propulsion, RollingPropulsion)
-    return commanded or system.wandering is not None
+    return takes_commands(system.swimmer) or system.wandering is not None
+
+
+def record_commands(system: System, data: Trajectories) -> Trajectories:
+    """The data with the commands of the system's programme, where it has one.
+
+    Those at the time of a sample are taken, to hold until the next one.
+
+    Raises:
+        InputError: the data record other commands.
+    """
+    stated = commands_of(system, data.times)
+    for name, values in stated.items():
+        recorded = data.commands.get(name)
+        if recorded is not None and not np.allclose(recorded, values, equal_nan=True):
+            raise InputError(
+                f"system.propulsion.programme: the data record another {name} than "
+                "the programme commands; leave the programme out, and the commands "
+                "are those of the data"
+            )
+    units = {**data.units, **{name: COMMAND_UNITS[name] for name in stated}}
+    return dataclasses.replace(data, commands={**data.commands, **stated}, units=units)

@@ -50,6 +50,40 @@ def number(value: float | int | None, digits: int = 4) -> str:
     return text.replace("-", "−")
 
 
+def quantity(value: float | int | None, unit: str, digits: int = 3) -> str:
+    """A number with its unit; dimensionless ("1") and unknown ("?") ones are left out.
+
+    Args:
+        value: the number.
+        unit: such as "um".
+        digits: significant digits.
+    """
+    return number(value, digits) + ("" if unit in NO_UNIT else f" {unit}")
+
+
+def heading(name: str, unit: str) -> str:
+    """The heading of a column of numbers in a unit, such as "x [um]"."""
+    return name if unit in NO_UNIT else f"{name} [{unit}]"
+
+
+NO_UNIT = ("", "1", "?")
+"""Units that are not printed."""
+
+
+def measured(value: float | None, sd: float | None) -> str:
+    """A number to the last digit that its standard deviation leaves, and that.
+
+    Args:
+        value: the estimate.
+        sd: its standard deviation; None where there is none.
+    """
+    if value is None or sd is None or not (0 < sd < math.inf) or value == 0.0:
+        return number(value, 6) + ("" if sd is None else f" ± {number(sd, 2)} (sd)")
+    orders = math.floor(math.log10(abs(value))) - math.floor(math.log10(sd))
+    digits = min(max(orders + 2, 1), 8)
+    return f"{number(value, digits)} ± {number(sd, 2)} (sd)"
+
+
 class AbstractBlock(abc.ABC):
     """One piece of a section."""
 

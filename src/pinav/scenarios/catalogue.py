@@ -22,7 +22,7 @@ from pinav.scenarios.random_fields import fibres, many_barriers
 from pinav.scenarios.random_starts import Scenario
 from pinav.scenarios.spaces import box
 from pinav.scenarios.thermal_truths import ring, wall
-from pinav.scenarios.vessels import above_wall, tube
+from pinav.scenarios.vessels import above_wall, bifurcation, tube
 from pinav.systems import System
 
 SCENARIOS: dict[str, Scenario] = {
@@ -45,6 +45,7 @@ SCENARIOS: dict[str, Scenario] = {
     "box": box,
     "above-wall": above_wall,
     "tube": tube,
+    "bifurcation": bifurcation,
     "wall": wall,
     "ring": ring,
 }

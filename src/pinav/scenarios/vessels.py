@@ -1,4 +1,4 @@
-r"""Heavy swimmers without inertia in space, above a wall and in a tube.
+r"""Heavy swimmers without inertia in space, above a wall and in vessels.
 
 Lengths are in um, forces in pN. The swimmer is a sphere of radius 5 um in water, which
 a force drags; its thermal motion, 0.3 um in a second, is left out of the recordings and
@@ -11,6 +11,8 @@ import jax.numpy as jnp
 
 from pinav.dynamics import OverdampedSwimmer
 from pinav.forces import (
+    Bifurcation,
+    BifurcationFlow,
     Domain,
     DoubleLayer,
     GaussianBarrier,
@@ -116,6 +118,59 @@ def tube() -> System:
         observation=Observation(noise=0.2),
         rule=UniformStarts(
             lower=(0.0, -22.0, -22.0), upper=(110.0, 22.0, 22.0), count=16
+        ),
+        times=jnp.linspace(0.0, 15.0, 76),
+        base_units=UNITS,
+    )
+
+
+@with_random_starts
+def bifurcation() -> System:
+    r"""A swimmer in a vessel that parts into two, with soft plaques at the fork.
+
+    The trunk along x has a radius of 40 um; at x = 60 um it parts into two tubes of
+    32 um, 30 degrees to either side, as Murray's law has it for equal ones. The fluid
+    flows out of the trunk, 4 um/s on its axis in the mean and half as much more and
+    less every 7.5 s; 35 % of it go into the tube of y > 0. The swimmer, its mobility
+    and the repulsion by the wall are those of `tube`. All that is known. Three plaques,
+    Gaussian barriers of 16 to 20 pN um and 13 to 15 um, one of them in the mouth of the
+    tube of y > 0, are not. A force of 2 pN drags the swimmer out and back for 1 s each
+    way. Observed every 0.2 s for 15 s, with an error of 0.2 um. Expected: most
+    swimmers are carried into one of the tubes, more of them into that of y < 0.
+
+    It has 16 trajectories unless another number is given.
+    """
+    turn = jnp.pi / 6
+    upper = jnp.array([jnp.cos(turn), jnp.sin(turn), 0.0])
+    lower = upper * jnp.array([1.0, -1.0, 1.0])
+    vessel = Bifurcation(
+        [60.0, 0.0, 0.0],
+        jnp.stack([jnp.array([-1.0, 0.0, 0.0]), upper, lower]),
+        jnp.array([40.0, 32.0, 32.0]),
+    )
+    plaques = Superposition(
+        eqx.filter_vmap(GaussianBarrier)(
+            jnp.array([18.0, 20.0, 16.0]),
+            jnp.array([[30.0, -18.0, 8.0], [76.0, 20.0, 4.0], [92.0, -22.0, -10.0]]),
+            jnp.array([15.0, 13.0, 14.0]),
+        )
+    )
+    return System(
+        name="bifurcation",
+        swimmer=OverdampedSwimmer(
+            out_and_back(15.0, 1.0, 2.0),
+            ZeroForce(),
+            WallMobility(RADIUS, VISCOSITY, vessel),
+            flow=BifurcationFlow(
+                4.0, vessel, jnp.array([0.35, 0.65]), pulse=0.5, frequency=1 / 7.5
+            ),
+            known_force=DoubleLayer(5.0, 1.0, RADIUS, vessel),
+        ),
+        dim=3,
+        environment=plaques,
+        observation=Observation(noise=0.2),
+        rule=UniformStarts(
+            lower=(0.0, -22.0, -16.0), upper=(100.0, 22.0, 16.0), count=16
         ),
         times=jnp.linspace(0.0, 15.0, 76),
         base_units=UNITS,

@@ -2,7 +2,7 @@
 
 import abc
 import math
-from operator import attrgetter
+import re
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -91,7 +91,8 @@ class FreeNumber(eqx.Module):
     """A number of a swimmer that is learned with the unknown environment.
 
     Attributes:
-        path: where it stands in the swimmer, such as `drag.damping`.
+        path: where it stands in the swimmer, such as `drag.damping`, or
+            `known_force.terms[0].excess_density` in the first of several forces.
         prior: what is known of it.
     """
 
@@ -104,9 +105,16 @@ class FreeNumber(eqx.Module):
         Raises:
             InputError: the swimmer has nothing there.
         """
+        part = swimmer
         try:
-            return attrgetter(self.path)(swimmer)
-        except AttributeError as error:
+            for place, name in STEPS.findall(self.path):
+                part = getattr(part, name) if name else part[int(place)]
+        except (AttributeError, IndexError, TypeError) as error:
             raise InputError(
                 f"learn: {self.path!r} is not in the swimmer: {error}"
             ) from error
+        return part
+
+
+STEPS = re.compile(r"\[(\d+)\]|([^.\[\]]+)")
+"""Steps of a path: a place in a tuple, in brackets, or the name of a field."""

@@ -20,6 +20,8 @@ from pinav.trajectories.selection import informative_samples as informative_samp
 from pinav.trajectories.selection import split as split
 from pinav.trajectories.selection import with_missing_channels as with_missing_channels
 from pinav.trajectories.selection import with_velocities as with_velocities
+from pinav.trajectories.simulation import COMMAND_UNITS as COMMAND_UNITS
+from pinav.trajectories.simulation import commands_of as commands_of
 from pinav.trajectories.simulation import simulate as simulate
 from pinav.trajectories.smoothing import local_polynomial as local_polynomial
 from pinav.trajectories.smoothing import smooth_states as smooth_states

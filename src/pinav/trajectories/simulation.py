@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float64, PRNGKeyArray
+from jaxtyping import ArrayLike, Float, Float64, PRNGKeyArray
 
 from pinav import __version__
 from pinav.errors import InputError
@@ -13,7 +13,7 @@ from pinav.systems import System, system_text
 from pinav.trajectories.degradation import MotionBlur
 from pinav.trajectories.trajectories import Trajectories
 
-_UNITS = {"frequency": "Hz", "heading": "rad"}
+COMMAND_UNITS = {"frequency": "Hz", "heading": "rad"}
 """Units of commands."""
 
 
@@ -49,13 +49,13 @@ def simulate(system: System, *, key: PRNGKeyArray | None = None) -> Trajectories
         **method,
         "pinav": __version__,
     }
-    commands = _commands(system)
+    commands = commands_of(system, system.times)
     return Trajectories.from_arrays(
         system.times,
         _expose(system, states, parts) + noise,
         channels=system.channels,
         commands=commands,
-        units={**system.units, **{name: _UNITS[name] for name in commands}},
+        units={**system.units, **{name: COMMAND_UNITS[name] for name in commands}},
         provenance=provenance,
     )
 
@@ -68,12 +68,14 @@ def _text(system: System) -> str | None:
     return None if ".py:" in text else text  # data must not run a file of Python
 
 
-def _commands(system: System) -> dict[str, np.ndarray]:
-    """What the operator commanded, where the system states it."""
+def commands_of(
+    system: System, times: Float[ArrayLike, "*shape"]
+) -> dict[str, Float[np.ndarray, "*shape"]]:
+    """What the programme of the system commands at some times; nothing without one."""
     propulsion = system.swimmer.propulsion
     if not isinstance(propulsion, RollingPropulsion) or propulsion.programme is None:
         return {}
-    frequency, heading = jax.vmap(propulsion.programme)(system.times)
+    frequency, heading = jnp.vectorize(propulsion.programme)(jnp.asarray(times))
     return {"frequency": np.asarray(frequency), "heading": np.asarray(heading)}
 
 

@@ -119,6 +119,17 @@ def test_a_wall_is_found_where_it_stands(normal):
         wall_score(gaps[:3], values[:3], 1.5, normal=normal)
 
 
+def test_heights_that_are_doubtful_place_no_wall():
+    gaps = np.linspace(0.05, 2.0, 40)
+    true = 0.15 * np.asarray(brenner_mobility(jnp.asarray(gaps / 1.5)))
+    near = gaps < 0.3
+    learned = np.where(near, 1.2 * true, true)
+    sd = np.where(near, 0.2, 0.002) * learned
+    plain = wall_score(gaps + 7.0, learned, 1.5, normal=True)
+    weighted = wall_score(gaps + 7.0, learned, 1.5, normal=True, sd=sd)
+    assert abs(weighted.contact - 7.0) < 1e-3 < 0.01 < abs(plain.contact - 7.0)
+
+
 def test_boltzmanns_law_gives_the_weight():
     heights = RANDOM.exponential(0.56, size=20_000)
     force = boltzmann_force(heights, 0.2, 2.5, 4.0)

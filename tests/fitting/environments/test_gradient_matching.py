@@ -14,13 +14,8 @@ from pinav.fitting import (
     fit,
     rates_to_match,
 )
-from pinav.fitting.environments.catalogue import (
-    DataSummary,
-    ModelChoice,
-    build,
-    learned_part,
-    summarise_for_matching,
-)
+from pinav.fitting.environments.catalogue import build
+from pinav.fitting.environments.choice import ModelChoice, learned_part
 from pinav.fitting.environments.gradient_matching import (
     _choose,
     _Trial,
@@ -31,6 +26,7 @@ from pinav.fitting.environments.gradient_matching import (
 )
 from pinav.fitting.environments.kernels import KernelGrid
 from pinav.fitting.environments.rates import force_region, observed_rates
+from pinav.fitting.environments.summary import DataSummary, summarise_for_matching
 from pinav.forces import (
     ConstantForce,
     GaussianBarrier,

@@ -18,6 +18,7 @@ from pinav.forces import (
     GaussianBarrier,
     GaussianSwirl,
     KernelMixture,
+    KernelPlaces,
     KernelPotential,
     kernel_centers,
 )
@@ -27,9 +28,7 @@ from pinav.trajectories import simulate, with_velocities
 POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 150, 2))
 PULL = GaussianBarrier(-3.0, [4.0, 6.0], 2.0)
 SWIRL = GaussianSwirl(1.0, [6.0, 5.0], 2.0)
-KERNELS = KernelPotential.with_zero_weights(
-    kernel_centers(POINTS[0], spacing=1.2, margin=2.4), 1.2
-)
+KERNELS = KernelPlaces(kernel_centers(POINTS[0], spacing=1.2, margin=2.4), 1.2)
 
 
 def response(truth):
@@ -134,5 +133,5 @@ def test_trajectories_of_a_vortex_show_its_rotation_before_any_fit():
     with jax.enable_x64(new_val=True):
         asked = FitSpecification(model, positions, lambda _: (), None, FixedStep())
         survey = Survey.of(asked, asked.problem(model))
-        found = survey_rotation(survey.response, survey.noise, (), kernels)
+        found = survey_rotation(survey.response, survey.noise, (), kernels.kernels)
     assert found.gain > 100

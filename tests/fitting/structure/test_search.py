@@ -5,13 +5,11 @@ import pytest
 
 from pinav.fitting import fit_structured
 from pinav.fitting.environments.kernels import kernel_environment
-from pinav.fitting.structure.search import name_force
 from pinav.fitting.structure.starts import Region, linear_term
 from pinav.forces import (
     KernelMixture,
     KernelPotential,
     StructuredForce,
-    ZeroForce,
     forces_at,
 )
 from pinav.scenarios import random_system
@@ -23,10 +21,9 @@ PLACES = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
 def test_a_force_is_named_by_its_terms_and_its_free_kernels():
     mixture = KernelMixture.with_zero_weights(PLACES, 1.0)
     structured = StructuredForce((linear_term(Region.of(PLACES)),), mixture)
-    assert name_force(structured) == "linear + kernel-mixture"
+    assert structured.kind == "linear + kernel-mixture"
     potential = KernelPotential.with_zero_weights(PLACES, 1.0)
-    assert name_force(potential) == "kernel-potential"
-    assert name_force(ZeroForce()) == ""
+    assert potential.kind == "kernel-potential"
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ from pinav.actuation import LinearResponse
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.forces import (
+    AbstractFlow,
     AbstractForce,
     ConstantDirector,
     GaussianBarrier,
@@ -28,6 +29,7 @@ from pinav.navigation.model.tables import (
     force_spread,
     sample_times,
     tabulate,
+    tabulate_over_time,
 )
 from pinav.navigation.task.steering import (
     CommandLimits,
@@ -50,6 +52,11 @@ def inertial(environment=None, drag=None):
 def carried(flow):
     dynamics = OverdampedSwimmer(ZeroForce(), ZeroForce(), 0.7, flow)
     return SteeredSwimmer(dynamics, ROLLING)
+
+
+class Swinging(AbstractFlow):
+    def __call__(self, t, x):
+        return jnp.sin(t) * x
 
 
 def table_of(function, count=9):
@@ -158,6 +165,23 @@ def test_times_are_many_only_where_the_model_changes():
     assert len(sample_times(inertial(barrier), grid, 9.0, 7)) == 1
     moving = inertial(Moving(barrier, LinearMotion([0.1, 0.0])))
     assert np.allclose(sample_times(moving, grid, 9.0, 7), np.linspace(0, 9, 7))
+
+
+@pytest.mark.parametrize(
+    "flow", [ShearFlow(0.3, 0.5), Swinging()], ids=["steady", "swings"]
+)
+def test_a_flow_that_swings_is_all_that_is_evaluated_over_time(flow):
+    barrier = GaussianBarrier(2.0, [2.0, 0.5], 1.0)
+    model = SteeredSwimmer(
+        OverdampedSwimmer(ZeroForce(), barrier, 0.7, flow=flow), ROLLING
+    )
+    grid = Grid.over(REGION, 11)
+    moments = sample_times(model, grid, 9.0, 7)
+    table = tabulate_over_time(model, grid, 9.0, 7)
+    plain = tabulate(model, grid, moments)
+    assert len(moments) == (7 if isinstance(flow, Swinging) else 1)
+    assert jnp.allclose(table.values, plain.values, rtol=1e-12, atol=1e-14)
+    assert (table.start, table.interval) == (plain.start, plain.interval)
 
 
 def test_the_spread_of_two_models_is_that_of_two_numbers():

@@ -39,7 +39,7 @@ from pinav.commands.fitted_run import FittedRun
 from pinav.dynamics import OverdampedSwimmer, Swimmer, drive_by_commands, takes_commands
 from pinav.errors import FitError, InputError
 from pinav.evaluation import check_planar, field_map
-from pinav.fitting.environments.catalogue import CONSTANTS
+from pinav.fitting.environments.choice import CONSTANTS
 from pinav.forces import (
     AbstractLearnedForce,
     KernelTensor,

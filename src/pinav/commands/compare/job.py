@@ -15,16 +15,14 @@ from pinav.commands.system_choice import choose_system
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import FitError, InputError
 from pinav.fitting import EvidenceFit, Outcome, fit_bayes, fit_langevin, model_evidence
-from pinav.fitting.environments.catalogue import (
-    TIMED,
-    DataSummary,
-    ModelChoice,
-    build,
+from pinav.fitting.environments.catalogue import build
+from pinav.fitting.environments.choice import TIMED, ModelChoice
+from pinav.fitting.environments.mean_drag import (
     mean_drag,
-    summarise_for,
     with_linear_drag,
     with_tensor_drag,
 )
+from pinav.fitting.environments.summary import DataSummary, summarise_for
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.report.text import as_text
 from pinav.runs import RunFolder

@@ -20,7 +20,7 @@ from pinav.commands.fitted_run import FittedRun
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.fitting import Posterior
-from pinav.fitting.environments.catalogue import learned_part
+from pinav.fitting.environments.choice import learned_part
 from pinav.forces import as_learned_force
 from pinav.identification import needs_kalman_filter
 from pinav.report import Cell, Table

@@ -41,6 +41,7 @@ from pinav.evaluation import (
     score,
     summarise,
 )
+from pinav.report import quantity
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories
@@ -52,6 +53,9 @@ EXTENSION = 2.0
 
 BASELINE = "physics-only"
 """Name of the known physics alone in the tables."""
+
+WITHIN = "within the training horizon"
+"""Name of the part of a rollout that is as long as the training data."""
 
 Arrays = dict[str, np.ndarray]
 
@@ -88,6 +92,7 @@ def evaluate(
         name: _predictions(model, setting, clean) for name, model in models.items()
     }
     rollouts, arrays = _rollouts(sources, setting)
+    unit = fitted.data.units["x"]
     single = len(fitted.models) == 1
     whiteness = residual_whiteness(setting) if single else None
     if whiteness is not None:
@@ -103,14 +108,14 @@ def evaluate(
             if setting.estimate
             else "the first sample of each trajectory"
         ),
-        regions=setting.regions.definition(fitted.data.units["x"]),
+        regions=setting.regions.definition(unit),
         domain=setting.domain,
         horizon=fitted.horizon,
         rmse={name: _errors(source["data"]) for name, source in sources.items()},
         rollouts=rollouts,
         force=_forces(models, setting),
         num_training=fitted.shared_trajectories(setting.data),
-        unit=fitted.data.units["x"],
+        units=dict(fitted.data.units),
         whiteness=None if whiteness is None else residual_rows(whiteness),
         constants=recovered_constants(setting) if single else None,
         coverage=coverage_rows(setting, clean) if single else None,
@@ -119,10 +124,35 @@ def evaluate(
             if calibration is None
             else calibrate_band(setting, calibration, recording)
         ),
-        notes=setting.notes,
+        notes=(*setting.notes, *_worse_than_physics(rollouts, unit)),
     )
     _write(fitted.folder, metrics, arrays)
     return metrics
+
+
+def _worse_than_physics(
+    rollouts: Mapping[str, Mapping[str, Mapping[str, RolloutRow]]], unit: str
+) -> list[str]:
+    """A sentence for each model whose rollouts err more than the known physics."""
+
+    def median(model: str) -> float:
+        row = rollouts[model]["data"].get(WITHIN)
+        value = np.nan if row is None else row.median
+        return value if isinstance(value, float) else np.inf
+
+    alone = median(BASELINE)
+    return [
+        f"The learned force makes rollouts worse: {model} errs by "
+        f"{quantity(median(model), unit)} in the median, the known physics alone by "
+        f"{quantity(alone, unit)}. Do not predict or steer with it: these data do not "
+        "determine it, or another model suits it (pinav compare weighs several)."
+        for model in rollouts
+        if median(model) > WORSE * alone
+    ]
+
+
+WORSE = 1.1
+"""Error relative to that of the known physics above which a warning is due."""
 
 
 def _baseline(run: FittedRun) -> dict[str, AbstractDynamics]:
@@ -169,7 +199,7 @@ def _rollouts(
             arrays |= error_curve(errors).as_arrays(f"curve/{model}/{source}")
             horizon = setting.run.horizon * (1 + 1e-9)
             parts = {
-                "within the training horizon": summarise(errors, until=horizon),
+                WITHIN: summarise(errors, until=horizon),
                 "beyond it": summarise(errors, after=horizon),
             }
             rows[model][source] = {

@@ -89,7 +89,7 @@ class EvaluationMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
         rollouts: by model, source of starts and part of the time.
         force: by model and region, where the truth is known and planar.
         num_training: number of scored trajectories that the run was fitted to.
-        unit: of length; "1" where dimensionless, "?" where not stated.
+        units: of channels and time; "1" where dimensionless, "?" where not stated.
         whiteness: of the residuals, by channel.
         constants: recovered constants, where the truth is known.
         coverage: fraction inside nominal 95 % bands, by what and region.
@@ -107,12 +107,17 @@ class EvaluationMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
     rollouts: dict[str, dict[str, dict[str, RolloutRow]]]
     force: dict[str, dict[str, ForceRow]]
     num_training: int = 0
-    unit: str = "1"
+    units: dict[str, str] = {}
     whiteness: dict[str, ResidualRow] | None = None
     constants: tuple[ConstantRow, ...] | None = None
     coverage: dict[str, dict[str, Cell]] | None = None
     calibration: CalibrationRow | None = None
     notes: tuple[str, ...] = ()
+
+    @property
+    def unit(self) -> str:
+        """Of length."""
+        return self.units.get("x", "")
 
     @property
     def error_name(self) -> str:

@@ -9,7 +9,7 @@ from pinav.commands.evaluate.metrics import (
     EvaluationMetrics,
     ResidualRow,
 )
-from pinav.report import Table
+from pinav.report import Table, heading, quantity
 
 BEYOND_DATA = (
     "In unvisited places a band rests on the assumed prior alone, which fades away "
@@ -35,7 +35,9 @@ def tables(metrics: EvaluationMetrics) -> list[Table]:
 
 
 def _errors(metrics: EvaluationMetrics) -> Table:
-    columns = list(next(iter(metrics.rmse.values())))
+    units = {"position": metrics.unit} | metrics.units
+    names = next(iter(metrics.rmse.values()))
+    columns = [heading(name, units.get(name, "")) for name in names]
     rows = [(name, *row.values()) for name, row in metrics.rmse.items()]
     return Table(
         (f"RMSE, {metrics.error_name}", *columns),
@@ -60,16 +62,18 @@ def _rollouts(metrics: EvaluationMetrics) -> Table:
         for source, parts in sources.items()
         for part, row in parts.items()
     ]
-    header = ("position error of rollouts", "median", "90 %")
+    unit = metrics.unit
+    header = ("position error of rollouts", heading("median", unit))
+    header += (heading("90 %", unit),)
     header += ("median/path (%)", "90 %/path (%)", "diverged (%)", "trajectories")
-    unit = "" if metrics.unit in ("1", "?") else f" {metrics.unit}"
     return Table(
         header,
         rows,
         "Root-mean-square position error of each trajectory: median and 90th "
         "percentile over trajectories, also over the length of the path. Diverged: not "
         f"finite, or farther off than the extent of the training data, "
-        f"{metrics.domain:.3g}{unit}. The training horizon is {metrics.horizon:.3g}. "
+        f"{quantity(metrics.domain, unit)}. The training horizon is "
+        f"{quantity(metrics.horizon, metrics.units.get('t', ''))}. "
         "Clean starts are those of held-out trajectories of the system without "
         "observation noise.",
     )

@@ -15,7 +15,7 @@ from pinav.evaluation import (
     force_errors,
     force_line,
 )
-from pinav.fitting.environments.catalogue import KnownSwimmer
+from pinav.fitting.environments.choice import KnownSwimmer
 from pinav.forces import AbstractForce
 from pinav.scenarios import source_system
 

@@ -41,7 +41,7 @@ from pinav.commands.fitted_run import (
 )
 from pinav.commands.many_files import run_files
 from pinav.commands.matching import matching, read_losses, write_losses
-from pinav.commands.progress import BayesReporter, FitReporter
+from pinav.commands.progress import BayesReporter, FitReporter, RoundReporter
 from pinav.commands.recording_settings import RecordingSettings
 from pinav.commands.settings import Settings
 from pinav.commands.start import fingerprint, start_run
@@ -63,12 +63,9 @@ from pinav.fitting import (
     fit_structured,
     is_worth_a_search,
 )
-from pinav.fitting.environments.catalogue import (
-    MIXTURE,
-    KnownSwimmer,
-    build,
-    is_mixture,
-)
+from pinav.fitting.environments.catalogue import build
+from pinav.fitting.environments.choice import MIXTURE, KnownSwimmer
+from pinav.fitting.evidence.model_evidence import model_evidence
 from pinav.forces import AbstractForce, as_learned_force
 from pinav.identification import fit_commanded, needs_kalman_filter
 from pinav.identification.numbers import BLOCK_NOISE
@@ -151,7 +148,8 @@ def _infer(plan: FitPlan, folder: RunFolder) -> None:
         write_fit(folder, header, fit_thermal(plan, model, folder), plan.data)
         return
     if needs_kalman_filter(plan.system):
-        write_fit(folder, header, _fit_commanded(plan, model.environment), plan.data)
+        result, support = _fit_commanded(plan, model.environment, folder)
+        write_fit(folder, header, result, plan.data, support=support)
         return
     search = plan.settings.structure == "search"
     searched = search and is_worth_a_search(model, plan.data)
@@ -175,22 +173,39 @@ def _infer(plan: FitPlan, folder: RunFolder) -> None:
         force = as_learned_force(model.environment)
         gradient = force is not None and force.is_conservative
         raise FitError(DIVERGED + (NO_GRADIENT if gradient else ""))
-    if is_mixture(result.model.environment):
+    learned = as_learned_force(result.model.environment)
+    if learned is not None and learned.helmholtz is not None:
         choice = msgspec.structs.replace(plan.choice, name=MIXTURE)
         header = msgspec.structs.replace(header, choice=choice)
     write_fit(folder, header, result, plan.data, finding)
 
 
-def _fit_commanded(plan: FitPlan, environment: AbstractForce) -> EvidenceFit:
-    """Fit a field beside commands and a wandering velocity."""
-    result = fit_commanded(plan.system, plan.data, as_learned_force(environment))
+def _fit_commanded(
+    plan: FitPlan, environment: AbstractForce, folder: RunFolder
+) -> tuple[EvidenceFit, float | None]:
+    """Fit a field beside commands and a wandering velocity; its evidence over none."""
+    field, support = as_learned_force(environment), None
+    with RoundReporter(folder, plan.choice.name) as report:
+
+        def note(done: int, likelihood: float) -> None:
+            report((done, likelihood))
+
+        result = fit_commanded(plan.system, plan.data, field, on_round=note)
+        if field is not None:
+            report.label = "without a field"
+            alone = fit_commanded(plan.system, plan.data, None, on_round=note)
+            support = _evidence(result) - _evidence(alone)
     # The residuals are whitened, so that their noise is 1; a run keeps the system's,
     # or where that states none what the fit found for the mean of a block.
     noise = plan.system.observation.noise
     if noise == 0:
         noise = result.constants[BLOCK_NOISE].value
     chosen = dataclasses.replace(result.hyperparameters, noise=noise)
-    return dataclasses.replace(result, hyperparameters=chosen)
+    return dataclasses.replace(result, hyperparameters=chosen), support
+
+
+def _evidence(fit: EvidenceFit) -> float:
+    return model_evidence(fit.linear, fit.hyperparameters).log_evidence
 
 
 def _match(plan: FitPlan, folder: RunFolder) -> None:
@@ -226,6 +241,7 @@ def _metrics(
         "rmse": rmse,
         "learned": learned,
         "force_error": error_of_force(fitted.model, fields, plan),
+        "units": dict(plan.data.units),
     }
     if evidence is None:
         losses = read_losses("model", fitted.folder)
@@ -256,6 +272,7 @@ def _metrics(
         amplitude=evidence.hyperparameters.amplitude,
         log_evidence=evidence.hyperparameters.log_evidence,
         structure=structure_row(fitted),
+        support=evidence.support,
         thermal=read_checks(fitted.folder),
         **common,
     )

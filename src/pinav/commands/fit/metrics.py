@@ -1,12 +1,15 @@
 """The results of `pinav fit`, as `metrics.json` holds them."""
 
+from collections.abc import Mapping
+
 import msgspec
 
 from pinav.commands.cells import EstimateRow
 from pinav.commands.fit.structure import StructureRow
 from pinav.commands.fit.thermal import ThermalRow
 from pinav.evaluation import RestartErrors
-from pinav.report import number
+from pinav.fitting.evidence.model_evidence import DECISIVE
+from pinav.report import NO_UNIT, measured, number, quantity
 
 
 class Loss(msgspec.Struct, frozen=True):
@@ -40,10 +43,15 @@ class RestartRow(msgspec.Struct, frozen=True):
         pairs = zip(restarts.lengths, restarts.errors, strict=True)
         return cls({f"{a:g}": float(b) for a, b in pairs}, restarts.rollouts)
 
-    def text(self) -> str:
-        """The errors in words."""
+    def text(self, units: Mapping[str, str]) -> str:
+        """The errors in words.
+
+        Args:
+            units: of the channels and of time.
+        """
         errors = (
-            f"{number(error, 3)} after {length}"
+            f"{quantity(error, units.get('x', ''))} after "
+            f"{quantity(float(length), units.get('t', ''))}"
             for length, error in self.errors.items()
         )
         return (
@@ -73,6 +81,8 @@ class FitMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
         structure: what the search for a structure came to.
         thermal: checks of thermal motion whose observation is learned.
         restarts: errors of a recording by the length of rollouts.
+        support: log evidence of a field beside commands over none [nats].
+        units: of the channels and of time.
     """
 
     model: str
@@ -90,6 +100,8 @@ class FitMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
     structure: StructureRow | None = None
     thermal: ThermalRow | None = None
     restarts: RestartRow | None = None
+    support: float | None = None
+    units: dict[str, str] = {}
 
     @property
     def name_of_noise(self) -> str:
@@ -99,15 +111,16 @@ class FitMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
 
     def text(self) -> str:
         """The metrics for a terminal."""
-        errors = f"RMSE: {_list_values(self.rmse)}"
+        errors = f"RMSE: {self._errors()}"
         if self.restarts is not None:
-            errors = self.restarts.text()
+            errors = self.restarts.text(self.units)
         lines = [self._how(), errors]
+        if self.support is not None:
+            lines.append(support_sentence(self.support))
         if self.structure is not None:
             lines.append(self.structure.text())
         for name, learned in self.learned.items():
-            spread = "" if learned.sd is None else f" ± {number(learned.sd, 2)} (sd)"
-            lines.append(f"{name}: {number(learned.value, 6)}{spread}")
+            lines.append(f"{name}: {measured(learned.value, learned.sd)}")
         if self.thermal is not None:
             lines.append(self.thermal.text())
         if self.force_error is not None:
@@ -123,10 +136,42 @@ class FitMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
             start, end = number(self.loss.start, 3), number(self.loss.end, 3)
             return f"loss: {start} -> {end} ({self.outcome})"
         return (
-            f"{self.name_of_noise}: {number(self.noise, 3)}; log evidence "
+            f"{self.name_of_noise}: {quantity(self.noise, self._unit_of_noise())}; "
+            "log evidence "
             f"{number(self.log_evidence, 5)}, {self.iterations} steps ({self.outcome})"
         )
 
+    def _unit_of_noise(self) -> str:
+        length, time = (self.units.get(name, "") for name in ("x", "t"))
+        if self.recipe != "langevin" or {length, time} & set(NO_UNIT):
+            return length
+        return f"{length}/√{time}"
 
-def _list_values(values: dict[str, float | None]) -> str:
-    return ", ".join(f"{name} {number(value, 3)}" for name, value in values.items())
+    def _errors(self) -> str:
+        units = {"position": self.units.get("x", "")} | self.units
+        return ", ".join(
+            f"{name} {quantity(value, units.get(name, ''))}"
+            for name, value in self.rmse.items()
+        )
+
+
+def support_sentence(gain: float) -> str:
+    """What the evidence says of a field beside the commands, with the remedy.
+
+    Args:
+        gain: log evidence of the field over none [nats].
+    """
+    nats = f"{number(abs(gain), 3)} nats"
+    if gain > DECISIVE:
+        return f"field of position: supported, by {nats} over the known physics alone"
+    lead = (
+        "against it"
+        if gain < -DECISIVE
+        else f"which is not decisive (below {DECISIVE:g})"
+    )
+    sign = "+" if gain > 0 else "−"
+    return (
+        "field of position: not supported: its log evidence over the known physics "
+        f"alone is {sign}{nats}, {lead}. Do not steer by it: use "
+        "the system without a field, which pinav fit --model physics-only gives"
+    )

@@ -16,16 +16,19 @@ from pinav.commands.fit.settings import (
 from pinav.commands.fit.thermal_choice import ThermalChoice
 from pinav.commands.matching import check_starts
 from pinav.errors import InputError
-from pinav.fitting.environments.catalogue import (
-    PROFILE,
+from pinav.fitting.environments.choice import PROFILE, ModelChoice
+from pinav.fitting.environments.mean_drag import mean_drag
+from pinav.fitting.environments.summary import (
     DataSummary,
-    ModelChoice,
-    mean_drag,
     summarise_for,
     summarise_for_matching,
 )
 from pinav.forces import LinearDrag
-from pinav.identification import needs_kalman_filter, trajectories_of
+from pinav.identification import (
+    needs_kalman_filter,
+    record_commands,
+    trajectories_of,
+)
 from pinav.systems import System
 from pinav.trajectories import Trajectories
 
@@ -77,7 +80,7 @@ def plan_fit(settings: FitSettings, system: System, data: Trajectories) -> FitPl
         )
     commanded = needs_kalman_filter(system)
     if commanded:
-        data = trajectories_of(data, system.name)
+        data = record_commands(system, trajectories_of(data, system.name))
     thermal = system.thermal_energy is not None or (
         not commanded and looks_brownian(data)
     )

@@ -10,8 +10,8 @@ from jaxtyping import Array, Float
 
 from pinav.commands.fitted_run import FittedRun
 from pinav.fitting import derive
-from pinav.fitting.environments.catalogue import MIXTURE
-from pinav.forces import AbstractProfileTerm, StructuredForce
+from pinav.fitting.environments.choice import MIXTURE
+from pinav.forces import AbstractProfileTerm, split_structure
 from pinav.report import number
 
 POINTS = 121
@@ -133,11 +133,12 @@ def profile_arrays(run: FittedRun) -> dict[str, np.ndarray]:
     """Profile of each term that has one, with its standard deviation, by place."""
     model: Any = run.model
     force = getattr(model, "environment", None)
-    if not isinstance(force, StructuredForce) or run.posterior is None:
+    terms = () if force is None else split_structure(force)[0]
+    if not terms or run.posterior is None:
         return {}
     arrays: dict[str, np.ndarray] = {}
     samples = jnp.asarray(run.data.positions[run.data.observed[..., :2].all(-1)])
-    for index, term in enumerate(force.terms):
+    for index, term in enumerate(terms):
         if not isinstance(term, AbstractProfileTerm):
             continue
         is_observed = np.asarray(jax.vmap(term.coordinates)(samples))

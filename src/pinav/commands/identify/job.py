@@ -26,7 +26,8 @@ from pinav.commands.many_files import run_files
 from pinav.commands.start import fingerprint, start_run
 from pinav.commands.system_choice import write_system_of
 from pinav.errors import FitError, InputError
-from pinav.fitting.environments.catalogue import ModelChoice, summarise_data
+from pinav.fitting.environments.choice import ModelChoice
+from pinav.fitting.environments.summary import summarise_data
 from pinav.identification import (
     FrameJitter,
     Rollouts,

@@ -38,12 +38,9 @@ from pinav.evaluation import (
     predict,
     score,
 )
-from pinav.fitting.environments.catalogue import (
-    ModelChoice,
-    build,
-    learned_part,
-    summarise_for_matching,
-)
+from pinav.fitting.environments.catalogue import build
+from pinav.fitting.environments.choice import ModelChoice, learned_part
+from pinav.fitting.environments.summary import summarise_for_matching
 from pinav.runs import RunFolder
 from pinav.scenarios import scenario
 from pinav.systems import System

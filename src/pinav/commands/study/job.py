@@ -38,13 +38,9 @@ from pinav.evaluation import (
 from pinav.files import write_text
 from pinav.fitting import Outcome as FitOutcome
 from pinav.fitting import fit_bayes
-from pinav.fitting.environments.catalogue import (
-    KnownSwimmer,
-    ModelChoice,
-    build,
-    summarise_data,
-    summarise_for,
-)
+from pinav.fitting.environments.catalogue import build
+from pinav.fitting.environments.choice import KnownSwimmer, ModelChoice
+from pinav.fitting.environments.summary import summarise_data, summarise_for
 from pinav.scenarios import scenario
 from pinav.sweeps import Cell, CellStore, Outcome
 from pinav.systems import System

@@ -28,7 +28,7 @@ def judges(settings: TruthSettings) -> dict[str, Judge]:
         "trap": judge_trap,
         "dragged trap": judge_dragged_trap,
         "ring": functools.partial(judge_ring, peer=settings.peer),
-        "wall": judge_wall,
+        "wall": functools.partial(judge_wall, peer=settings.peer),
     }
 
 

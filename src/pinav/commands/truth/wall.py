@@ -2,27 +2,28 @@
 
 import math
 import time
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import msgspec
 import numpy as np
 from jaxtyping import Float
 
 from pinav.commands.truth.cases import Case, Constants, Recording
 from pinav.commands.truth.judged import Curve, Judgement
 from pinav.commands.truth.metrics import TruthRow, compare_estimates, error_row
-from pinav.dynamics import BrownianSwimmer, OverdampedSwimmer
-from pinav.evaluation.truth import WallScore, boltzmann_force, wall_score
-from pinav.fitting import Estimate, LangevinFit, fit_langevin, profile_environment
-from pinav.fitting.langevin import (
-    DiffusionField,
-    KernelDiffusion,
-    LearnedObservation,
-    slow_reference,
+from pinav.commands.truth.peer import is_installed
+from pinav.commands.truth.wall_fields import (
+    PeerFields,
+    WallFields,
+    ask_peer,
+    fit_wall,
+    naive_fields,
+    wall_fields,
 )
-from pinav.forces import KernelAxis, Warp, Weight, ZeroForce, stokes_drag
-from pinav.trajectories import Trajectories
+from pinav.evaluation.truth import WallScore, boltzmann_force, wall_score
+from pinav.fitting import Estimate, LangevinFit
+from pinav.forces import Weight, stokes_drag
 
 ALONG, ACROSS = (0.015, 0.025), (0.03, 0.05)
 """Bars: error of D along and across the wall with the bulk's D free, and given."""
@@ -42,28 +43,12 @@ FORCE_FROM, FORCE_TO = 0.165, 1.32
 LEAST_FRAMES = 100
 """Frames between the two without which nothing is said of the weight."""
 
-WARP = 0.026
-"""Distance [radii] up to which the kernels are finest near the wall."""
 
+def judge_wall(case: Case, recording: Recording, *, peer: bool) -> Judgement:
+    """Both mobilities against hydrodynamics, the force against the weight.
 
-class WallFields(NamedTuple):
-    """Diffusion at heights of the centre, from the drifting wall.
-
-    Attributes:
-        heights: quantiles of those visited [um].
-        along: D along the wall [um²/s].
-        across: D normal to it.
-        across_sd: its standard deviation.
+    The peer knows no wall that drifts: it is given the heights above the learned one.
     """
-
-    heights: Float[np.ndarray, " height"]
-    along: Float[np.ndarray, " height"]
-    across: Float[np.ndarray, " height"]
-    across_sd: Float[np.ndarray, " height"]
-
-
-def judge_wall(case: Case, recording: Recording) -> Judgement:
-    """Both mobilities against hydrodynamics, the force against the weight."""
     begun = time.perf_counter()
     constants = case.description.constants
     radius, heat = constants.radius_um, constants.heat
@@ -75,54 +60,23 @@ def judge_wall(case: Case, recording: Recording) -> Judgement:
     fields = wall_fields(fit, heights)
     free = [_score(fields, radius, normal=n) for n in (False, True)]
     contact = free[1].contact
-    rows = [
-        *mobility_rows(
-            fields, radius, bulk_diffusion(constants), free, naive_fields(recording)
-        ),
-        *_force_rows(fit, heights - contact, contact, constants),
-    ]
     notes = (*_notes(fit, free), *_boltzmann(heights - contact, radius, heat))
     seconds = time.perf_counter() - begun
+    other = None
+    if peer and is_installed():
+        other = ask_peer(recording, heights, heat, radius)
+    rows = [
+        *mobility_rows(
+            fields,
+            radius,
+            bulk_diffusion(constants),
+            free,
+            naive_fields(recording),
+            None if other is None else other.fields(fields),
+        ),
+        *_force_rows(fit, heights - contact, contact, constants, other),
+    ]
     return Judgement(tuple(rows), (_curve(fields, free[1]),), notes, seconds)
-
-
-def fit_wall(recording: Recording, radius: float, heat: float) -> LangevinFit:
-    """Force along z and both diffusions over a wall that drifts slowly."""
-    times, positions = recording.times, recording.positions
-    data = Trajectories.from_arrays([times], [positions], channels=("x", "y", "z"))
-    lowest = float(np.quantile(positions[:, 2], 0.002))
-    axis = KernelAxis(2, warp=Warp(lowest, WARP * radius))
-    environment = profile_environment(data, (axis,))
-    swimmer = OverdampedSwimmer(ZeroForce(), environment, 1.0)
-    return fit_langevin(
-        BrownianSwimmer(swimmer, heat),
-        data,
-        diffusion=KernelDiffusion((axis,), groups=((0, 1), (2,))),
-        observation=LearnedObservation(),
-        reference=slow_reference(data, 2),
-    )
-
-
-def wall_fields(fit: LangevinFit, heights: Float[np.ndarray, " frame"]) -> WallFields:
-    """Diffusion at 80 quantiles of the heights."""
-    places = np.quantile(heights, np.linspace(0.01, 0.99, 80))
-    points = np.zeros((80, 3))
-    points[:, 2] = places
-    assert isinstance(fit.diffusion, DiffusionField)
-    values, sd = fit.diffusion(points), fit.diffusion.sd(points)
-    return WallFields(places, values[:, 0], values[:, 2], sd[:, 2])
-
-
-def naive_fields(recording: Recording) -> WallFields:
-    """Diffusion of one lag in 80 bins of height: no blur, and a wall at rest."""
-    steps = np.diff(recording.positions, axis=0)
-    squares = steps**2 / (2 * np.diff(recording.times)[:, None])
-    starts = recording.positions[:-1, 2]
-    order = np.array_split(np.argsort(starts), 80)
-    heights = np.array([starts[part].mean() for part in order])
-    values = np.array([squares[part].mean(axis=0) for part in order])
-    along, across = values[:, :2].mean(axis=1), values[:, 2]
-    return WallFields(heights, along, across, across * np.sqrt(2 / len(order[0])))
 
 
 def bulk_diffusion(constants: Constants) -> float | None:
@@ -143,6 +97,7 @@ def _score(
         fields.across if normal else fields.along,
         radius,
         normal=normal,
+        sd=fields.across_sd if normal else fields.along_sd,
         bulk=bulk,
         least_gap=NEAR * radius,
     )
@@ -154,6 +109,7 @@ def mobility_rows(
     bulk: float | None,
     free: list[WallScore],
     naive: WallFields,
+    other: WallFields | None = None,
 ) -> list[TruthRow]:
     """Both diffusions off hydrodynamics, and how far their walls are apart.
 
@@ -163,19 +119,40 @@ def mobility_rows(
         bulk: D far from the wall, where it is known [um²/s].
         free: scores along and normal to the wall with the bulk's D free.
         naive: diffusions of one lag.
+        other: those of the peer.
     """
+
+    def error(fields: WallFields | None, bulk: float | None = None) -> float | None:
+        if fields is None:
+            return None
+        return _score(fields, radius, normal=normal, bulk=bulk).error
+
     rows = []
     for name, bars, score, normal in (
         ("along", ALONG, free[0], False),
         ("normal to", ACROSS, free[1], True),
     ):
         words = f"D {name} the wall off hydrodynamics, D0"
-        plain = _score(naive, radius, normal=normal).error
-        rows.append(error_row(f"{words} free", score.error, bars[0], naive=plain))
+        rows.append(
+            error_row(
+                f"{words} free",
+                score.error,
+                bars[0],
+                naive=error(naive),
+                peer=error(other),
+            )
+        )
         if bulk is not None:
             given = _score(fields, radius, normal=normal, bulk=bulk)
-            plain = _score(naive, radius, normal=normal, bulk=bulk).error
-            rows.append(error_row(f"{words} given", given.error, bars[1], naive=plain))
+            rows.append(
+                error_row(
+                    f"{words} given",
+                    given.error,
+                    bars[1],
+                    naive=error(naive, bulk),
+                    peer=error(other, bulk),
+                )
+            )
     apart = 1e3 * abs(free[0].contact - free[1].contact)
     rows.append(
         TruthRow(
@@ -194,6 +171,7 @@ def _force_rows(
     gaps: Float[np.ndarray, " frame"],
     contact: float,
     constants: Constants,
+    other: PeerFields | None,
 ) -> list[TruthRow]:
     """The force where it is the weight alone: rms, worst, and its mean."""
     if constants.density_excess_kg_m3 is None or constants.radius_um is None:
@@ -212,27 +190,37 @@ def _force_rows(
     rms, worst = float(np.sqrt(np.mean(off**2))), float(np.abs(off).max())
     mean = _mean_force(fit, gaps, contact, radius)
     away = abs(mean.value - true) / mean.sd
+    row = compare_estimates(
+        "mean force far from the wall [pN]",
+        Estimate(true, 0.0),
+        mean,
+        bar=f"within {WEIGHT_OFF:g} sd",
+        met=away <= WEIGHT_OFF,
+    )
+    rest: tuple[float | None, ...] = (None, None)
+    if other is not None:
+        theirs = other.force(places + contact) - true
+        rest = float(np.sqrt(np.mean(theirs**2))), float(np.abs(theirs).max())
+        far = other.force(_far(gaps, radius) + contact)
+        row = msgspec.structs.replace(row, peer=float(far.mean()))
     return [
-        _small("force off the weight, rms [pN]", rms, RMS),
-        _small("force off the weight, worst [pN]", worst, WORST),
+        _small("force off the weight, rms [pN]", rms, RMS, rest[0]),
+        _small("force off the weight, worst [pN]", worst, WORST, rest[1]),
         _small("own sd of the weight [pN]", mean.sd, WEIGHT_SD),
-        compare_estimates(
-            "mean force far from the wall [pN]",
-            Estimate(true, 0.0),
-            mean,
-            bar=f"within {WEIGHT_OFF:g} sd",
-            met=away <= WEIGHT_OFF,
-        ),
+        row,
     ]
 
 
-def _small(quantity: str, value: float, most: float) -> TruthRow:
+def _small(
+    quantity: str, value: float, most: float, peer: float | None = None
+) -> TruthRow:
     return TruthRow(
         quantity=quantity,
         truth=0.0,
         learned=value,
         bar=f"at most {most:g}",
         met=value <= most,
+        peer=peer,
     )
 
 

@@ -49,16 +49,22 @@ def wall_score(
     radius: float,
     *,
     normal: bool,
+    sd: Float[np.ndarray, " height"] | None = None,
     bulk: float | None = None,
     least_gap: float = 0.0,
 ) -> WallScore:
     """Score a diffusion against the mobility near a wall, which is placed to suit it.
+
+    It is placed by least squares of the logarithm, weighted by the standard deviations
+    where they are given.
 
     Args:
         heights: of the centre, from any zero [L].
         diffusion: learned, normal to the wall or along it [L² T⁻¹].
         radius: of the sphere [L].
         normal: to the wall, by Brenner's series; else along it.
+        sd: standard deviation of the diffusion [L² T⁻¹]; alike in the logarithm at all
+            heights unless given.
         bulk: $D_0$; free unless given.
         least_gap: gap above which errors count [L].
 
@@ -71,6 +77,8 @@ def wall_score(
             f"{len(heights)}"
         )
     mobility = brenner_mobility if normal else parallel_mobility
+    weights = np.ones_like(diffusion) if sd is None else diffusion / sd
+    weights = weights / np.sqrt(np.mean(weights**2))
 
     def log_theory(contact: float, log_bulk: float) -> np.ndarray:
         gaps = np.maximum((heights - contact) / radius, 1e-3)
@@ -78,7 +86,8 @@ def wall_score(
 
     def misfit(numbers: np.ndarray) -> np.ndarray:
         log_bulk = np.log(bulk) if bulk is not None else numbers[1]
-        return log_theory(numbers[0] * radius, log_bulk) - np.log(diffusion)
+        excess = log_theory(numbers[0] * radius, log_bulk) - np.log(diffusion)
+        return weights * excess
 
     lowest, top = heights.min() / radius, float(np.log(diffusion.max()))
     starts = [lowest - gap for gap in (0.01, 0.05, 0.3)]

@@ -15,7 +15,12 @@ from jaxtyping import Array, Float
 
 from pinav.errors import InputError
 from pinav.fitting.engine.posterior import Estimate, Posterior
-from pinav.forces import AbstractForce, CholeskyTensor, KernelMixture, TensorDrag
+from pinav.forces import (
+    AbstractForce,
+    CholeskyTensor,
+    TensorDrag,
+    as_learned_force,
+)
 
 
 def derive(
@@ -103,7 +108,8 @@ def rotational_fraction(
         InputError: the environment is no mixture, or there are no points.
     """
     environment = posterior.model.environment
-    if not isinstance(environment, KernelMixture) or not len(points):
+    learned = as_learned_force(environment)
+    if learned is None or learned.helmholtz is None or not len(points):
         raise InputError(
             "rotational_fraction: expected a KernelMixture and one or more points, got "
             f"{type(environment).__name__} and {len(points)} points"
@@ -111,8 +117,9 @@ def rotational_fraction(
     places = jnp.asarray(points)
 
     def fraction(model: Any) -> Float[Array, "1"]:
-        rotation = _total_square(model.environment.rotation, time, places)
-        gradient = _total_square(model.environment.gradient, time, places)
+        parts = model.environment.helmholtz
+        rotation = _total_square(parts.rotation, time, places)
+        gradient = _total_square(parts.gradient, time, places)
         return jnp.stack([rotation / (rotation + gradient)])
 
     return derive(posterior, fraction)[0]

@@ -71,13 +71,16 @@ def geometry_leaves(model: Any) -> tuple:
 
 
 def constant_leaves(model: Any, learn: Learn) -> tuple:
-    """The constants to learn."""
+    """The constants to learn; a learned environment among them adds nothing."""
     if learn is None:
         return ()
     if not callable(learn):
         return tuple(number.pick(model) for number in learn)
     picked = learn(model)
-    return tuple(picked) if isinstance(picked, tuple | list) else (picked,)
+    parts = picked if isinstance(picked, tuple | list) else (picked,)
+    if learned_environment(model) is None:
+        return tuple(parts)
+    return tuple(part for part in parts if part is not model.environment)
 
 
 def constant_priors(

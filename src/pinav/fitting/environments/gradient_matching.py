@@ -41,11 +41,11 @@ from pinav.fitting.environments.rates import (
 )
 from pinav.fitting.matching.rate_matching import Rates
 from pinav.forces import (
-    AbstractLearnedForce,
     KernelForce,
     KernelPotential,
     LayeredPotential,
     ZeroForce,
+    as_learned_force,
 )
 from pinav.trajectories import Trajectories, informative_rows
 
@@ -107,8 +107,8 @@ def prior_root(
     rates = observed_rates(trajectories)
     if rates is None or not isinstance(model, Swimmer):
         return None
-    environment = model.environment
-    if not isinstance(environment, AbstractLearnedForce):
+    environment = as_learned_force(model.environment)
+    if environment is None:
         return None
     _, positions, forces = _ForceSamples.of(model, rates)
     if isinstance(environment, LayeredPotential):

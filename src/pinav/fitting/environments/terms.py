@@ -19,6 +19,7 @@ from pinav.forces import (
     SegmentTerm,
     StructuredForce,
     WallTerm,
+    split_structure,
 )
 
 TERMS: dict[str, type[AbstractTerm]] = {
@@ -52,8 +53,6 @@ class TermSummary(msgspec.Struct, frozen=True):
 
 def summarise_terms(force: AbstractForce) -> tuple[TermSummary, ...]:
     """The terms of a force; none where it has no structure."""
-    if not isinstance(force, StructuredForce):
-        return ()
     return tuple(
         TermSummary(
             type(term).__name__,
@@ -64,7 +63,7 @@ def summarise_terms(force: AbstractForce) -> tuple[TermSummary, ...]:
             },
             term.rotational,
         )
-        for term in force.terms
+        for term in split_structure(force)[0]
     )
 
 

@@ -47,7 +47,7 @@ from pinav.fitting.langevin.rounds import (
 )
 from pinav.fitting.langevin.shapes import mix_over_shapes
 from pinav.fitting.langevin.tracking import resting_path, track_reference
-from pinav.forces import KernelProfile
+from pinav.forces import as_learned_force
 from pinav.trajectories import Trajectories
 
 ROUNDS = 5
@@ -224,9 +224,9 @@ def _with_numbers(
 def _periods(swimmer: OverdampedSwimmer, diffusion: Diffusion) -> dict[int, float]:
     """Periods of the coordinates, as environment or diffusion state them."""
     axes = diffusion.axes if isinstance(diffusion, KernelDiffusion) else ()
-    if isinstance(swimmer.environment, KernelProfile):
-        axes = (*axes, *swimmer.environment.basis.axes)
-    return {axis.index: axis.period for axis in axes if axis.period is not None}
+    periods = {axis.index: axis.period for axis in axes if axis.period is not None}
+    learned = as_learned_force(swimmer.environment)
+    return periods if learned is None else periods | learned.periods
 
 
 def _thermal_energy(model: AbstractDynamics) -> float:

@@ -29,8 +29,10 @@ from pinav.fitting.structure.response import ForceResponse, force_quadratic
 from pinav.forces import (
     AbstractLearnedForce,
     KernelMixture,
+    KernelPlaces,
     KernelPotential,
     StructuredForce,
+    split_structure,
 )
 
 RATIOS = (-3.0, -1.0, 1.0)
@@ -54,7 +56,7 @@ def survey_rotation(
     response: ForceResponse,
     noise: float,
     terms: Terms,
-    potential: KernelPotential,
+    kernels: KernelPlaces,
 ) -> SurveyedRotation:
     """The evidence of a rotational part in the linearised data.
 
@@ -66,9 +68,10 @@ def survey_rotation(
         response: of the data to forces.
         noise: of the observations, roughly.
         terms: conservative ones that are there in any case; there may be none.
-        potential: the kernels.
+        kernels: of both parts.
     """
-    mixture = mixture_on(potential)
+    mixture = mixture_on(kernels)
+    potential = mixture.gradient
     try:
         quadratic = force_quadratic(_beside(terms, mixture), response, _weights)
         kept = np.ones(len(quadratic.gradient), bool)
@@ -133,10 +136,10 @@ def fitted_gain(fit: EvidenceFit) -> float:
     return with_rotation - without - cost
 
 
-def mixture_on(potential: KernelPotential) -> KernelMixture:
-    """An untrained mixture on the kernels of a potential."""
-    centers = np.asarray(potential.centers)
-    return KernelMixture.with_zero_weights(centers, float(potential.width))
+def mixture_on(kernels: KernelPlaces) -> KernelMixture:
+    """An untrained mixture on given kernels."""
+    centers = np.asarray(kernels.centers)
+    return KernelMixture.with_zero_weights(centers, float(kernels.width))
 
 
 def _weights(force: Any) -> PyTree:
@@ -150,17 +153,15 @@ def _beside(
 
 
 def _without_rotation(
-    force: KernelMixture | StructuredForce,
+    force: Any,
 ) -> tuple[AbstractLearnedForce, np.ndarray, int]:
     """What has a potential, which weights are its own, and the numbers of the rest."""
-    terms = force.terms if isinstance(force, StructuredForce) else ()
-    free = force.remainder if isinstance(force, StructuredForce) else force
-    assert isinstance(free, KernelMixture)
+    (terms, _), gradient = split_structure(force), force.helmholtz.gradient
     still = tuple(term for term in terms if not term.rotational)
     kept = [np.full(term.weights.size, not term.rotational) for term in terms]
-    count = free.gradient.weights.size
+    count = len(gradient.weights)
     kept += [np.full(count, fill) for fill in (True, False)]
     geometry = sum(
         leaf.size for term in terms if term.rotational for leaf in term.geometry
     )
-    return _beside(still, free.gradient), np.concatenate(kept), int(geometry)
+    return _beside(still, gradient), np.concatenate(kept), int(geometry)

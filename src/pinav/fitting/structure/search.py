@@ -36,11 +36,9 @@ from pinav.fitting.structure.survey import Survey
 from pinav.fitting.structure.trials import Terms
 from pinav.forces import (
     AbstractForce,
-    KernelForce,
-    KernelMixture,
-    KernelPotential,
     StructuredForce,
     as_learned_force,
+    split_structure,
 )
 from pinav.trajectories import Trajectories, with_velocities
 
@@ -68,7 +66,7 @@ class StructuredFit(eqx.Module):
     def structure(self) -> StructuredForce | None:
         """The structured force, where one was preferred."""
         environment = self.fit.model.environment
-        return environment if isinstance(environment, StructuredForce) else None
+        return environment if split_structure(environment)[0] else None
 
 
 def fit_structured(
@@ -107,23 +105,23 @@ def fit_structured(
         solver = FixedStep() if solver is None else solver
         specification = FitSpecification(model, trajectories, learn, noise, solver)
         search = _Search(specification, max_iterations, on_step, throw)
-        weighed = isinstance(model.environment, KernelPotential) and weigh_rotation
         if not is_worth_a_search(model, trajectories):
             return StructuredFit(search.fit(search.free(), AS_FINE_AS_ASKED), np.nan)
         survey = Survey.of(specification, search.free())
-        if weighed:
+        turning = not search.kernels.is_conservative
+        if weigh_rotation and not turning:
             return _weigh_rotation(search, survey)
-        force = as_learned_force(model.environment)
-        turning = force is None or not force.is_conservative
         return search.best(survey.proposal(rotational=turning))
 
 
 def is_worth_a_search(model: Any, trajectories: Trajectories) -> bool:
     """Whether the data could tell a structure, in a plane and of static kernels."""
-    environment = model.environment
+    force = as_learned_force(model.environment)
     return (
-        isinstance(environment, KernelPotential | KernelForce | KernelMixture)
-        and environment.dim == 2
+        force is not None
+        and force.kernels is not None
+        and force.is_static
+        and force.dim == 2
         and len(trajectories) >= LEAST_TRAJECTORIES
         and trajectories.num_observed >= LEAST_SAMPLES
     )
@@ -161,7 +159,7 @@ class _Search(eqx.Module):
     def report(self, progress: EvidenceProgress) -> None:
         """Pass a step on, with the name of the force."""
         if self.on_step is not None:
-            named = dataclasses.replace(progress, force=name_force(self.kernels))
+            named = dataclasses.replace(progress, force=self.kernels.kind)
             self.on_step(named)
 
     def fit(self, problem: BayesProblem, refine: Refinement | None) -> EvidenceFit:
@@ -225,29 +223,13 @@ class _Search(eqx.Module):
         return search.fit(problem, None)
 
 
-def name_force(force: AbstractForce) -> str:
-    """The kinds of the terms of a force, and its free kernels; empty if it has none."""
-    if isinstance(force, StructuredForce):
-        kinds = " + ".join(term.kind for term in force.terms)
-        return f"{kinds} + {name_force(force.remainder)}"
-    return KERNEL_NAMES.get(type(force), "")
-
-
-KERNEL_NAMES: dict[type[AbstractForce], str] = {
-    KernelPotential: "kernel-potential",
-    KernelForce: "kernel-force",
-    KernelMixture: "kernel-mixture",
-}
-"""Free kernels as the options of commands name them."""
-
-
 def _evidence(fit: EvidenceFit) -> float:
     return model_evidence(fit.linear, fit.hyperparameters).log_evidence
 
 
 def _weigh_rotation(search: _Search, survey: Survey) -> StructuredFit:
     """The fit of a potential or that of a mixture, by the evidence of its rotation."""
-    kernels = search.kernels
+    kernels = search.kernels.kernels
     asked = survey_rotation(survey.response, survey.noise, (), kernels)
     turning, rotation = None, asked.gain
     proposal, turned = survey.proposal(rotational=False), None
@@ -284,17 +266,15 @@ def _weigh_rotation(search: _Search, survey: Survey) -> StructuredFit:
 def _rotation_beside(search: _Search, survey: Survey, fit: EvidenceFit) -> float:
     """Log evidence of a rotational part in the data linearised about a potential."""
     force = fit.model.environment
-    terms = force.terms if isinstance(force, StructuredForce) else ()
-    free = force.remainder if isinstance(force, StructuredForce) else force
-    assert isinstance(free, KernelPotential)
+    terms, _ = split_structure(force)
     about = Survey.of(search.specification, search.free(), fit)
-    return survey_rotation(about.response, survey.noise, terms, free).gain
+    return survey_rotation(about.response, survey.noise, terms, force.kernels).gain
 
 
 def _turning(search: _Search, proposal: Proposal | None) -> StructuredFit | None:
     """The fit of a mixture, beside a structure or alone; None where it fails."""
     try:
-        mixture = search.of(mixture_on(search.kernels)).best(proposal)
+        mixture = search.of(mixture_on(search.kernels.kernels)).best(proposal)
     except FitError:
         return None
     if mixture.fit.outcome is Outcome.DIVERGED:

@@ -4,6 +4,7 @@ A plan asks for the force at millions of points and a controller at thousands of
 in every step; a table answers at the same price whatever the model is.
 """
 
+import dataclasses
 import functools
 from collections.abc import Callable, Sequence
 
@@ -16,7 +17,7 @@ from jaxtyping import Array, Float, Int
 from pinav.arguments import Scalar, Vector
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
-from pinav.forces import cubic_weights
+from pinav.forces import ZeroFlow, ZeroForce, cubic_weights
 from pinav.navigation.task.steering import HeldThrust, SteeredSwimmer
 from pinav.navigation.task.zones import Rectangle
 
@@ -246,6 +247,57 @@ def sample_times(
     values = tabulate(model, coarse, probes).values
     changes = bool(jnp.any(jnp.ptp(values, axis=0) > 1e-9 * jnp.max(jnp.abs(values))))
     return np.linspace(0.0, time_limit, count) if changes else np.zeros(1)
+
+
+def tabulate_over_time(
+    model: SteeredSwimmer, grid: Grid, until: float, count: int
+) -> FieldTable:
+    """Table of a model, at `count` times if it changes in time and at one if not.
+
+    Where nothing changes but the flow that carries a swimmer, the flow is all that is
+    evaluated at each time: kernels are many, and their force stays the same.
+
+    Args:
+        model: whose propulsion commands replace.
+        grid: where.
+        until: the last time [T].
+        count: of times.
+
+    Raises:
+        InputError: a value is not finite.
+    """
+    moments, still = sample_times(model, grid, until, count), at_rest(model)
+    if len(moments) == 1 or len(sample_times(still, grid, until, count)) > 1:
+        return tabulate(model, grid, moments)
+    table, carried = (
+        tabulate(still, grid, STATIC),
+        tabulate(_flow(model), grid, moments),
+    )
+    rates = table.values[..., : grid.dim] + carried.values[..., : grid.dim]
+    mobility = table.values[..., grid.dim :]
+    mobility = jnp.broadcast_to(mobility, (*rates.shape[:-1], mobility.shape[-1]))
+    values = jnp.concatenate([rates, mobility], axis=-1)
+    return dataclasses.replace(carried, values=values)
+
+
+STATIC = np.zeros(1)
+"""The one time of a table that does not change."""
+
+
+def at_rest(model: SteeredSwimmer) -> SteeredSwimmer:
+    """A model in a fluid at rest, where it has no inertia; unchanged where it has."""
+    if not isinstance(model.dynamics, OverdampedSwimmer):
+        return model
+    still = dataclasses.replace(model.dynamics, flow=ZeroFlow())
+    return dataclasses.replace(model, dynamics=still)
+
+
+def _flow(model: SteeredSwimmer) -> SteeredSwimmer:
+    """What the flow of a model does alone, where nothing else acts."""
+    dynamics = model.dynamics
+    assert isinstance(dynamics, OverdampedSwimmer)
+    carried = OverdampedSwimmer(ZeroForce(), ZeroForce(), 1.0, flow=dynamics.flow)
+    return dataclasses.replace(model, dynamics=carried)
 
 
 def force_spread(tables: Sequence[FieldTable]) -> FieldTable:

@@ -1,6 +1,5 @@
 r"""A model on a task's arena, as tables: what plan and controllers work with."""
 
-import dataclasses
 import math
 from collections.abc import Sequence
 
@@ -8,8 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from pinav.dynamics import OverdampedSwimmer, Swimmer
-from pinav.forces import ZeroFlow
+from pinav.dynamics import Swimmer
 from pinav.navigation.model.predictors import (
     ControlMap,
     InertialTable,
@@ -19,9 +17,11 @@ from pinav.navigation.model.predictors import (
 from pinav.navigation.model.tables import (
     FieldTable,
     Grid,
+    at_rest,
     force_spread,
     sample_times,
     tabulate,
+    tabulate_over_time,
 )
 from pinav.navigation.model.time_cost import TimeCost
 from pinav.navigation.task.steering import SteeredSwimmer
@@ -76,8 +76,7 @@ def tabulate_model(
     """
     usual = 81 if task.dim == 2 else 41
     grid = Grid.over(task.arena, usual if points is None else points, margin=2)
-    moments = sample_times(model, grid, task.time_limit, times)
-    table = tabulate(model, grid, moments)
+    table = tabulate_over_time(model, grid, task.time_limit, times)
     inertial = isinstance(model.dynamics, Swimmer)
     predictor = (InertialTable if inertial else OverdampedTable)(table, model.actuator)
     drive = ControlMap.of(model.actuator, task.limits, task.dim)
@@ -86,8 +85,7 @@ def tabulate_model(
         lambda s: s.values, table, jnp.zeros_like(table.values[..., :1])
     )
     if samples:
-        unknown = _without_flow(samples[0])
-        changes = sample_times(unknown, grid, task.time_limit, times)
+        changes = sample_times(at_rest(samples[0]), grid, task.time_limit, times)
         spread = force_spread([tabulate(one, grid, changes) for one in samples])
         thrust = greatest_rate(table, drive, inertial=inertial)
         spread = eqx.tree_at(lambda s: s.values, spread, spread.values / thrust)
@@ -100,14 +98,6 @@ def tabulate_model(
         risk_aversion,
     )
     return TabulatedModel(table, predictor, drive, time_cost)
-
-
-def _without_flow(model: SteeredSwimmer) -> SteeredSwimmer:
-    """A model in a fluid at rest, whose swing does not tell samples apart."""
-    if not isinstance(model.dynamics, OverdampedSwimmer):
-        return model
-    still = dataclasses.replace(model.dynamics, flow=ZeroFlow())
-    return dataclasses.replace(model, dynamics=still)
 
 
 def noise_margin(task: Task) -> float:

@@ -1,0 +1,182 @@
+"""The numbers that an untrained model takes from the data."""
+
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from pinav.dynamics import Swimmer
+from pinav.fitting.environments.choice import POSITION_NETWORKS, TIMED, ModelChoice
+from pinav.fitting.environments.gradient_matching import (
+    lay_kernels_of,
+    match_kernels,
+    match_potential,
+)
+from pinav.fitting.environments.kernel_layers import Layer
+from pinav.fitting.environments.kernels import (
+    WITHOUT_PRIOR,
+    KernelGrid,
+    changing_environment,
+    kernel_environment,
+)
+from pinav.fitting.environments.profiles import MobilitySummary, ProfileSummary
+from pinav.fitting.environments.rates import force_region, observed_rates
+from pinav.fitting.environments.terms import TermSummary, summarise_terms
+from pinav.forces import AbstractForce, KernelForce, KernelPotential, as_learned_force
+from pinav.trajectories import Trajectories
+
+
+class Change(msgspec.Struct, frozen=True):
+    """Kernels and splines of a potential that changes with time.
+
+    Attributes:
+        centers: of the kernels [L].
+        width: of the kernels [L].
+        splines: number of functions of time.
+        times: first and last time [T].
+    """
+
+    centers: list[list[float]]
+    width: float
+    splines: int
+    times: tuple[float, float]
+
+
+class KernelLayer(msgspec.Struct, frozen=True):
+    """Kernels of one width.
+
+    Attributes:
+        centers: of the kernels [L].
+        width: of the kernels [L].
+    """
+
+    centers: list[list[float]]
+    width: float
+
+
+class DataSummary(msgspec.Struct, frozen=True):
+    """The numbers that an untrained model takes from the data.
+
+    Attributes:
+        dim: number of coordinates.
+        mean: of each observed state, then of time.
+        std: standard deviation of each of them; 1 where it is zero.
+        centers: of the kernels around the data [L].
+        kernel_width: of these kernels [L].
+        change: the part that changes with time, where the model has one.
+        finer: further layers of kernels, each finer than the one before.
+        terms: with a structure, beside the kernels.
+        profile: a force in coordinates of its own, where the model is one.
+        mobility: where it is learned.
+    """
+
+    dim: int
+    mean: tuple[float, ...]
+    std: tuple[float, ...]
+    centers: list[list[float]]
+    kernel_width: float
+    change: Change | None = None
+    finer: tuple[KernelLayer, ...] = ()
+    terms: tuple[TermSummary, ...] = ()
+    profile: ProfileSummary | None = None
+    mobility: MobilitySummary | None = None
+
+    def with_kernels_of(self, environment: AbstractForce) -> "DataSummary":
+        """The summary of a fitted model, whose kernels may be finer than at first."""
+        learned = as_learned_force(environment)
+        if learned is None or learned.kernels is None:
+            return self
+        kernels = learned.kernels
+        return msgspec.structs.replace(
+            self,
+            centers=np.asarray(kernels.centers).tolist(),
+            kernel_width=float(kernels.width),
+            terms=summarise_terms(learned),
+        )
+
+
+def summarise_data(
+    data: Trajectories, grid: KernelGrid | None = WITHOUT_PRIOR
+) -> DataSummary:
+    """The summary of trajectories for a model without a prior.
+
+    Args:
+        data: the trajectories.
+        grid: how kernels are laid around them; that of `kernel_environment` where None.
+    """
+    is_observed = data.observed
+    columns = [
+        data.states[..., i][is_observed[..., i]] for i in range(is_observed.shape[2])
+    ]
+    columns.append(data.times[is_observed.any(axis=-1)])
+    deviations = [float(column.std()) if column.size else 0.0 for column in columns]
+    kernels = kernel_environment(KernelPotential, data, grid, dim=data.dim)
+    return DataSummary(
+        dim=data.dim,
+        mean=tuple(float(column.mean()) if column.size else 0.0 for column in columns),
+        std=tuple(value if value > 0 else 1.0 for value in deviations),
+        centers=np.asarray(kernels.centers).tolist(),
+        kernel_width=float(kernels.width),
+    )
+
+
+def summarise_for_matching(
+    choice: ModelChoice, swimmer: Any, data: Trajectories
+) -> DataSummary:
+    """The summary of trajectories without noise.
+
+    Kernels are as fine as the data ask for, and the positions that a network sees are
+    standardised where the force acts.
+
+    Args:
+        choice: the model.
+        swimmer: the known physics.
+        data: the trajectories.
+    """
+    summary = summarise_data(data)
+    rates = observed_rates(data) if isinstance(swimmer, Swimmer) else None
+    if rates is None:
+        return summary
+    if choice.name == "kernel-potential":
+        return _with_layers(summary, match_potential(swimmer, rates))
+    if choice.name.startswith("kernel-"):
+        laid = lay_kernels_of(KernelForce, swimmer, rates)
+        return summary.with_kernels_of(laid or match_kernels(swimmer, rates))
+    region = force_region(swimmer, rates) if choice.name in POSITION_NETWORKS else None
+    if region is None:
+        return summary
+    dim = summary.dim
+    return msgspec.structs.replace(
+        summary,
+        mean=(*map(float, region.center), *summary.mean[dim:]),
+        std=(*[region.radius] * dim, *summary.std[dim:]),
+    )
+
+
+def _with_layers(summary: DataSummary, layers: tuple[Layer, ...]) -> DataSummary:
+    first, *finer = (
+        KernelLayer(layer.centers.tolist(), layer.width) for layer in layers
+    )
+    return msgspec.structs.replace(
+        summary, centers=first.centers, kernel_width=first.width, finer=tuple(finer)
+    )
+
+
+def summarise_for(choice: ModelChoice, data: Trajectories) -> DataSummary:
+    """The summary of trajectories for a model with a prior, and its kernels.
+
+    Args:
+        choice: the model.
+        data: the trajectories.
+    """
+    summary = summarise_data(data, None)
+    if choice.name != TIMED:
+        return summary
+    change = changing_environment(data, dim=summary.dim).change
+    timed = Change(
+        centers=np.asarray(change.centers).tolist(),
+        width=float(change.width),
+        splines=change.weights.shape[1],
+        times=(float(change.first), float(change.last)),
+    )
+    return msgspec.structs.replace(summary, change=timed)
