@@ -76,7 +76,8 @@ def test_weights_of_a_layer_are_as_large_as_the_forces_ask_for():
         KernelPotential.with_zero_weights(centers, width)
         for centers, width in ((places[:40], 0.8), (places[40:60], 0.3))
     ]
-    truth = KernelPotential(2.0 * rng.normal(size=40), places[:40], 0.8)
+    weights = jnp.asarray(2.0 * rng.normal(size=40))
+    truth = KernelPotential(weights, jnp.asarray(places[:40]), 0.8)
     root = layers_root(
         LayeredPotential(tuple(layers)), places, forces_of(truth, places)
     )

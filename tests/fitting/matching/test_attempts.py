@@ -61,7 +61,9 @@ def test_what_converged_waits_for_the_others():
 
 def test_a_later_attempt_begins_with_another_network_of_the_same_weights():
     network = tanh_network(2, 2, width=8, depth=1, key=jax.random.key(0))
-    model = TRUTH.with_environment(NeuralForce(network, PositionFeatures((0.0, 0.0))))
+    model = TRUTH.with_environment(
+        NeuralForce(network, PositionFeatures((0.0, 0.0), (1.0, 1.0)))
+    )
     shuffled = _shuffle(model, lambda m: m.environment.parameters, 0)
     for before, after in zip(
         jax.tree.leaves(model), jax.tree.leaves(shuffled), strict=True

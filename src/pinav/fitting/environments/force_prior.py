@@ -141,6 +141,7 @@ def layers_root(
     counts = [num_weights(layer) for layer in environment.layers]
     layer = np.repeat(np.arange(len(counts)), counts)
     variances = np.full(len(layer), 1.0 / normal.diagonal().mean())
+    mean = np.zeros_like(pull)
     for _ in range(LAYER_ROUNDS):
         covariance = np.linalg.inv(normal + np.diag(1.0 / variances))
         mean = covariance @ pull

@@ -94,7 +94,9 @@ def _through_positions_and_slopes(
     knots = np.concatenate([first, inner, last])
     values = BSpline.design_matrix(times, knots, degree)
     scale = degree / (knots[degree + 1 : degree + count] - knots[1:count])
-    differences = scipy.sparse.diags([-scale, scale], [0, 1], (count - 1, count))
+    here = scipy.sparse.eye_array(count - 1, count)
+    next_one = scipy.sparse.eye_array(count - 1, count, k=1)
+    differences = scipy.sparse.diags_array(scale) @ (next_one - here)
     slopes = BSpline.design_matrix(times, knots[1:-1], degree - 1) @ differences
     in_turns = np.arange(count).reshape(2, -1).T.ravel()
     rows = scipy.sparse.vstack([values, slopes]).tocsr()[in_turns]

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from pinav.arguments import on_device
 from pinav.dynamics import AbstractDynamics
 from pinav.fitting.matching.fit import Recipe, fit_many
 from pinav.fitting.matching.objectives import AbstractObjective
@@ -78,7 +79,9 @@ def _shuffle(
     rng = np.random.default_rng(seed)
 
     def reorder(leaf: Array) -> Array:
-        return rng.permuted(leaf.ravel()).reshape(leaf.shape) if leaf.ndim > 1 else leaf
+        if leaf.ndim < 2:
+            return leaf
+        return on_device(rng.permuted(np.ravel(leaf)).reshape(leaf.shape))
 
     return eqx.combine(jax.tree.map(reorder, trained), fixed)
 
