@@ -22,6 +22,7 @@ from pinav.fitting import (
     paper_recipe,
     prior_root,
     rates_to_match,
+    substeps_for,
 )
 from pinav.fitting.matching.state import AbstractCheckpoint, FitProgress
 from pinav.fitting.matching.trainable import Trainable
@@ -129,6 +130,7 @@ def matching(
     if settings.recipe == "paper":
         recipe = paper_recipe(settings.adam_steps, settings.lbfgs_steps)
         return Matching((recipe,), TrajectoryLoss(FixedStep()), jnp.float32)
+    substeps = substeps_for(data)
     recipes = (curriculum(data, max_steps=settings.max_steps),)
     if is_complete(data):
         linear = _is_linear(model)
@@ -136,9 +138,16 @@ def matching(
         if linear or rates is not None:
             steps = DEFECT_STEPS * settings.max_steps
             root = prior_root(model, data) if linear else None
-            first = defect_recipe(data, rates=rates, prior_root=root, max_steps=steps)
-            recipes = (first, *recipes)
-    return Matching(recipes, TrajectoryLoss(FixedStep(substeps=2)), jnp.float64)
+            first = defect_recipe(
+                data,
+                rates=rates,
+                prior_root=root,
+                substeps=substeps,
+                max_steps=steps,
+            )
+            recipes = (first, *recipes) if linear else (first, first, *recipes)
+    solver = FixedStep(substeps=2 * substeps)
+    return Matching(recipes, TrajectoryLoss(solver), jnp.float64)
 
 
 DEFECT_STEPS = 2

@@ -37,6 +37,7 @@ from pinav.fitting.environments.kernels import (
 )
 from pinav.fitting.environments.kernels import warp_at_slow_end as warp_at_slow_end
 from pinav.fitting.environments.networks import neural_environment as neural_environment
+from pinav.fitting.environments.rates import substeps_for as substeps_for
 from pinav.fitting.environments.refinement import Refinement as Refinement
 from pinav.fitting.evidence.evidence import Hyperparameters as Hyperparameters
 from pinav.fitting.evidence.model_evidence import LinearFit as LinearFit

@@ -6,8 +6,9 @@ from pinav.fitting.environments.force_prior import (
     NOISE,
     ForcePrior,
     lay_smooth_kernels,
+    layers_root,
 )
-from pinav.forces import GaussianBarrier, KernelForce, KernelPotential
+from pinav.forces import GaussianBarrier, KernelForce, KernelPotential, LayeredPotential
 
 PATH = np.stack(
     [np.linspace(-3.0, 5.0, 80), 0.3 + 0.4 * np.sin(np.linspace(0.0, 3.0, 80))], axis=1
@@ -66,3 +67,22 @@ def test_a_potential_does_not_explain_a_force_that_turns():
         forces,
     )
     assert kernels.chosen.log_evidence > potential.chosen.log_evidence
+
+
+def test_weights_of_a_layer_are_as_large_as_the_forces_ask_for():
+    rng = np.random.default_rng(2)
+    places = rng.uniform(-2.0, 2.0, size=(200, 2))
+    layers = [
+        KernelPotential.with_zero_weights(centers, width)
+        for centers, width in ((places[:40], 0.8), (places[40:60], 0.3))
+    ]
+    weights = jnp.asarray(2.0 * rng.normal(size=40))
+    truth = KernelPotential(weights, jnp.asarray(places[:40]), 0.8)
+    root = layers_root(
+        LayeredPotential(tuple(layers)), places, forces_of(truth, places)
+    )
+    sizes = root.diagonal()
+    np.testing.assert_array_equal(root, np.diag(sizes))
+    np.testing.assert_allclose(sizes[:40], sizes[0])
+    assert 1.5 < sizes[0] < 2.7
+    assert sizes[40:].max() < 0.05

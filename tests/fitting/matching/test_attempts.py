@@ -1,13 +1,21 @@
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from pinav.dynamics import Adaptive, Swimmer
 from pinav.fitting import Adam, Outcome, RateMatching, Rates, curriculum, fit_in_turns
-from pinav.fitting.matching.attempts import _join
+from pinav.fitting.matching.attempts import _join, _shuffle
 from pinav.fitting.matching.state import Fit
-from pinav.forces import GaussianBarrier, LinearDrag, ZeroForce
+from pinav.forces import (
+    GaussianBarrier,
+    LinearDrag,
+    NeuralForce,
+    PositionFeatures,
+    ZeroForce,
+    tanh_network,
+)
 from pinav.trajectories import Trajectories
 
 TRUTH = Swimmer(ZeroForce(), LinearDrag(0.5), GaussianBarrier(2.0, [1.0, 0.2], 0.8))
@@ -49,6 +57,21 @@ def test_what_converged_waits_for_the_others():
     other = ended(Outcome.STALLED, 9.0, 8.0, 7.0)
     kept = _join(ended(Outcome.CONVERGED, 9.0, 1.0), None, other)
     assert kept.losses.tolist() == [9.0, 1.0, 1.0, 1.0, 1.0]
+
+
+def test_a_later_attempt_begins_with_another_network_of_the_same_weights():
+    network = tanh_network(2, 2, width=8, depth=1, key=jax.random.key(0))
+    model = TRUTH.with_environment(
+        NeuralForce(network, PositionFeatures((0.0, 0.0), (1.0, 1.0)))
+    )
+    shuffled = _shuffle(model, lambda m: m.environment.parameters, 0)
+    for before, after in zip(
+        jax.tree.leaves(model), jax.tree.leaves(shuffled), strict=True
+    ):
+        assert np.array_equal(before, after) == (np.ndim(before) < 2)
+        np.testing.assert_array_equal(np.sort(before, None), np.sort(after, None))
+    same = _shuffle(TRUTH, lambda m: m.environment, 0)
+    assert jax.tree.all(jax.tree.map(np.array_equal, same, TRUTH))
 
 
 @pytest.mark.slow

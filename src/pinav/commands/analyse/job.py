@@ -41,11 +41,11 @@ from pinav.errors import FitError, InputError
 from pinav.evaluation import check_planar, field_map
 from pinav.fitting.environments.choice import CONSTANTS
 from pinav.forces import (
-    AbstractLearnedForce,
     KernelTensor,
     LinearDrag,
     MagneticPropulsion,
     ZeroForce,
+    as_learned_force,
 )
 from pinav.runs import RunFolder
 
@@ -101,9 +101,8 @@ def analyse(settings: AnalyseSettings, run: Path) -> AnalysisMetrics:
 
 def _subject(settings: AnalyseSettings, run: FittedRun) -> Subject:
     model = run.model
-    if not isinstance(model, Swimmer | OverdampedSwimmer) or not isinstance(
-        model.environment, AbstractLearnedForce
-    ):
+    is_swimmer = isinstance(model, Swimmer | OverdampedSwimmer)
+    if not is_swimmer or as_learned_force(model.environment) is None:
         raise InputError(
             f"{run.folder.path}: its model has no learned force of the environment; "
             "fit a kernel or neural model"

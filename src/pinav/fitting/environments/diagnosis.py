@@ -28,12 +28,10 @@ from pinav.fitting.environments.gradient_matching import (
 )
 from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
 from pinav.fitting.environments.rates import (
-    DEGREE,
     MOST_SAMPLES,
     observed_rates,
     residual_forces,
 )
-from pinav.fitting.matching.rate_matching import Rates
 from pinav.forces import KernelForce, KernelPotential, as_learned_force
 from pinav.trajectories import Trajectories, informative_rows
 
@@ -90,7 +88,7 @@ def diagnose(model: Swimmer, trajectories: Trajectories) -> Cause | None:
     if rates is None:
         return None
     # Noise makes splines of all degrees disagree everywhere, and tells no cause.
-    doubts = _doubts(rates, observed_rates(trajectories, degree=DEGREE - 2))
+    doubts = np.zeros(len(rates.times)) if rates.doubts is None else rates.doubts
     forces = residual_forces(model, rates)
     largest = float(np.linalg.norm(forces, axis=1).max())
     if np.median(doubts) > RELIABLE * largest:
@@ -157,14 +155,6 @@ def _derivatives(
         return jax.jacfwd(lambda y: solver.step(model, y, t0, t1))(y)
 
     return jax.vmap(derivative)(states[:-1], times[:-1], times[1:])
-
-
-def _doubts(rates: Rates, others: Rates | None) -> Float[np.ndarray, " point"]:
-    """Differences between the accelerations of two splines at each sample."""
-    dim = rates.states.shape[1] // 2
-    if others is None or len(others.rates) != len(rates.rates):
-        return np.zeros(len(rates.rates))
-    return np.linalg.norm((rates.rates - others.rates)[:, dim:], axis=1)
 
 
 class _Fields(NamedTuple):

@@ -20,7 +20,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from pinav.arguments import on_device
-from pinav.fitting.environments.force_regression import KernelKind
+from pinav.fitting.environments.force_regression import KernelKind, regress
 from pinav.fitting.environments.kernels import (
     KernelGrid,
     num_weights,
@@ -34,16 +34,17 @@ from pinav.fitting.evidence.evidence import (
     best_hyperparameters,
     posterior_mean,
 )
-from pinav.forces import AbstractLearnedForce, KernelForce, KernelPotential
+from pinav.forces import (
+    AbstractLearnedForce,
+    KernelForce,
+    KernelPotential,
+    LayeredPotential,
+)
 from pinav.forces.priors import Matrix
 
 FIRST, FEWEST = 12, 4
 """Intervals of the first grid along the extent of the data, and of the coarsest one,
 which is tried where finer ones have too many weights."""
-
-MOST_SEARCHED = 500
-"""Weights beyond which a search for the shape of their prior would take minutes where
-kernels have several widths; the shape at which a search begins is then taken."""
 
 NOISE = 1e-3
 """Of the forces, relative to their root mean square."""
@@ -84,22 +85,20 @@ class ForcePrior(eqx.Module):
             positions: at which the force is known [L].
             forces: there [L T⁻²].
         """
-        with jax.enable_x64(new_val=True):
-            columns = np.asarray(_columns(environment, on_device(positions)))
-        columns = columns.reshape(-1, columns.shape[-1])
-        targets = forces.reshape(-1)
-        size = float(np.sqrt(np.mean(targets**2))) or 1.0
+        columns, targets = _regression(environment, positions, forces)
+        size = _root_mean_square(targets) or 1.0
         data, prior = _independent(columns, targets), environment.prior()
-        start, bounds = prior.start, prior.bounds
-        if columns.shape[1] > MOST_SEARCHED and len(start) > environment.dim + 2:
-            bounds = np.stack([start, start], axis=1)
         chosen = best_hyperparameters(
-            data, prior.covariance, start, bounds, NOISE * size, prior.slopes
+            data,
+            prior.covariance,
+            prior.start,
+            prior.bounds,
+            NOISE * size,
+            prior.slopes,
         )
         mean = posterior_mean(Whitened.of(data, prior.covariance(chosen.shape)), chosen)
-        missed = float(np.sqrt(np.mean(np.square(columns @ mean - targets))))
-        each = float(np.sqrt(np.mean(np.sum(columns**2, axis=1))))
-        return cls(environment, chosen, missed / size, WHITE * missed / each)
+        missed = _root_mean_square(columns @ mean - targets)
+        return cls(environment, chosen, missed / size, _white(columns, missed))
 
     @property
     def suits(self) -> bool:
@@ -114,6 +113,69 @@ class ForcePrior(eqx.Module):
         # A white part leaves room for what the smooth prior misses.
         variances = np.maximum(values, 0.0) + self.white**2
         return (vectors * np.sqrt(variances))[:, ::-1]
+
+
+def layers_root(
+    environment: LayeredPotential,
+    positions: Float[np.ndarray, "point dim"],
+    forces: Float[np.ndarray, "point dim"],
+) -> Matrix:
+    r"""A root of the prior of layers: weights of one layer are alike in size.
+
+    A layer is as fine as its kernels, so that its weights need no length scale. Their
+    standard deviations $s_l$ follow from the evidence by
+    $s_l^2 \leftarrow \lVert m_l \rVert^2 / \gamma_l$, with the mean m of the weights
+    and the number $\gamma_l$ of those that the forces determine.
+
+    Args:
+        environment: untrained.
+        positions: at which the force is known [L].
+        forces: there [L T⁻²].
+
+    References:
+        MacKay, Neural Computation 4, 415 (1992), eq. (21).
+    """
+    columns, targets = _regression(environment, positions, forces)
+    noise = NOISE * _root_mean_square(targets) or 1.0
+    rows = columns / noise
+    normal, pull = rows.T @ rows, rows.T @ (targets / noise)
+    counts = [num_weights(layer) for layer in environment.layers]
+    layer = np.repeat(np.arange(len(counts)), counts)
+    variances = np.full(len(layer), 1.0 / normal.diagonal().mean())
+    mean = np.zeros_like(pull)
+    for _ in range(LAYER_ROUNDS):
+        covariance = np.linalg.inv(normal + np.diag(1.0 / variances))
+        mean = covariance @ pull
+        determined = 1.0 - covariance.diagonal() / variances
+        squares, known = (np.bincount(layer, w) for w in (mean**2, determined))
+        largest = squares.sum()
+        variances = np.maximum(squares / known, LEAST_LAYER * largest)[layer]
+    missed = _root_mean_square(columns @ mean - targets)
+    return np.diag(np.sqrt(variances + _white(columns, missed) ** 2))
+
+
+LAYER_ROUNDS, LEAST_LAYER = 12, 1e-20
+"""Iterations, and the least variance of a layer relative to all squares."""
+
+
+def _regression(
+    environment: AbstractLearnedForce,
+    positions: Float[np.ndarray, "point dim"],
+    forces: Float[np.ndarray, "point dim"],
+) -> tuple[Float[np.ndarray, "row weight"], Float[np.ndarray, " row"]]:
+    """Columns of each weight, and what they are to explain."""
+    with jax.enable_x64(new_val=True):
+        columns = np.asarray(_columns(environment, on_device(positions)))
+    return columns.reshape(-1, columns.shape[-1]), forces.reshape(-1)
+
+
+def _white(columns: Float[np.ndarray, "row weight"], missed: float) -> float:
+    """Standard deviation of weights which together make up for a missed force."""
+    return WHITE * missed / float(np.sqrt(np.mean(np.sum(columns**2, axis=1))))
+
+
+def _root_mean_square(values: Float[np.ndarray, "..."]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 AS_FINE_AS_FORCES = Refinement(max_weights=900, envelope=True)
@@ -140,12 +202,25 @@ def lay_smooth_kernels(
         across /= rule.factor
         laid = _lay(kind, places, across)
     while num_weights(laid) <= rule.max_weights:
-        prior = ForcePrior.of(laid, positions, forces)
-        if prior.suits:
-            return prior
+        if _explains(laid, positions, forces):
+            prior = ForcePrior.of(laid, positions, forces)
+            if prior.suits:
+                return prior
         across *= rule.factor
         laid = _lay(kind, places, across)
     return None
+
+
+def _explains(
+    environment: AbstractLearnedForce,
+    positions: Float[np.ndarray, "point dim"],
+    forces: Float[np.ndarray, "point dim"],
+) -> bool:
+    """Whether any weights explain the forces, which no prior makes easier."""
+    columns, targets = _regression(environment, positions, forces)
+    weights = regress(columns.reshape(*forces.shape, -1), forces)
+    missed = _root_mean_square(columns @ weights - targets)
+    return missed <= NOISE * _root_mean_square(targets)
 
 
 def _lay(

@@ -10,6 +10,7 @@ References:
     69, 741 (2007).
 """
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -19,7 +20,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from pinav.dynamics import AbstractDynamics, Swimmer
-from pinav.fitting.environments.force_prior import ForcePrior, lay_smooth_kernels
+from pinav.fitting.environments.force_prior import (
+    ForcePrior,
+    lay_smooth_kernels,
+    layers_root,
+)
 from pinav.fitting.environments.force_regression import (
     KernelKind,
     force_columns,
@@ -27,8 +32,8 @@ from pinav.fitting.environments.force_regression import (
 )
 from pinav.fitting.environments.kernel_layers import Layer, lay_layers
 from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
+from pinav.fitting.environments.path_splines import DEGREE
 from pinav.fitting.environments.rates import (
-    DEGREE,
     MOST_SAMPLES,
     observed_rates,
     residual_forces,
@@ -38,6 +43,7 @@ from pinav.fitting.matching.rate_matching import Rates
 from pinav.forces import (
     KernelForce,
     KernelPotential,
+    LayeredPotential,
     ZeroForce,
     as_learned_force,
 )
@@ -105,6 +111,8 @@ def prior_root(
     if environment is None:
         return None
     _, positions, forces = _ForceSamples.of(model, rates)
+    if isinstance(environment, LayeredPotential):
+        return layers_root(environment, positions, forces)
     return ForcePrior.of(environment, positions, forces).root()
 
 
@@ -147,7 +155,8 @@ class _ForceSamples(NamedTuple):
         dim = rates.states.shape[1] // 2
         forces = residual_forces(swimmer, rates)
         acting = _where_a_force_acts(forces)
-        parts = [np.flatnonzero(acting), np.flatnonzero(~acting)]
+        known = _where_it_is_known(rates, forces)
+        parts = [np.flatnonzero(known & acting), np.flatnonzero(known & ~acting)]
         kept = np.concatenate(
             [rows[informative_rows(rates.states[rows], MOST_SAMPLES)] for rows in parts]
         )
@@ -200,6 +209,20 @@ def _where_a_force_acts(
     acting = sizes >= LEAST_FORCE * sizes.max()
     return acting if acting.sum() > DEGREE else np.ones_like(acting)
 
+
+def _where_it_is_known(
+    rates: Rates, forces: Float[np.ndarray, "point dim"]
+) -> Bool[np.ndarray, " point"]:
+    """At which points splines agree on the force, unless that is almost nowhere."""
+    if rates.doubts is None:
+        return np.ones(len(forces), bool)
+    known = rates.doubts <= RELIABLE * np.linalg.norm(forces, axis=1).max()
+    return known if known.mean() > MOSTLY else np.ones_like(known)
+
+
+RELIABLE, MOSTLY = 1e-3, 0.5
+"""Doubts of a force that count as none, relative to the largest one; share of the
+points above which the others are left out."""
 
 LEAST_FORCE = 1e-7
 """Relative to the largest force: what acts less is left without kernels."""
@@ -316,10 +339,10 @@ def rates_to_match(model: Any, trajectories: Trajectories) -> Rates | None:
         spread = rates.states.std(axis=0)
         rng = np.random.default_rng(0)
         offsets = BESIDE * spread * rng.normal(size=rates.states.shape)
-        beside = Rates(rates.times, rates.states + offsets, rates.rates)
+        beside = dataclasses.replace(rates, states=rates.states + offsets)
         return jax.tree.map(lambda *a: np.concatenate(a), rates, beside)
     rates = thin_rates(rates, MOST_MATCHED)
-    return Rates(rates.times, rates.states, rates.rates[:, dim:])
+    return dataclasses.replace(rates, rates=rates.rates[:, dim:])
 
 
 BESIDE = 0.02

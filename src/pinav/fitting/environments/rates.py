@@ -9,32 +9,43 @@ from jaxtyping import Array, Float
 
 from pinav.arguments import on_device
 from pinav.dynamics import Swimmer
+from pinav.fitting.environments.path_splines import (
+    PathSpline,
+    path_spline,
+    quadrature_error,
+)
 from pinav.fitting.matching.rate_matching import Rates
 from pinav.forces import ZeroForce
 from pinav.trajectories import Trajectories, informative_rows
-
-DEGREE = 7
-"""Of the splines: exact states deserve more than a cubic."""
 
 MOST_SAMPLES = 600
 """Samples that enter a regression, at most."""
 
 
-def observed_rates(trajectories: Trajectories, degree: int = DEGREE) -> Rates | None:
-    """Rates of all complete samples by splines; None where there are too few."""
-    from scipy.interpolate import make_interp_spline  # a tenth of all imports
-
-    parts: list[Rates] = []
-    for one in trajectories:
-        complete = one.observed.all(axis=1)
-        times, states = one.times[complete], one.states[complete]
-        if len(times) > degree:
-            # Samples without noise bear a high degree, whose derivative errs little.
-            spline = make_interp_spline(times, states, k=degree)
-            parts.append(Rates(times, states, spline(times, nu=1)))
+def observed_rates(trajectories: Trajectories) -> Rates | None:
+    """Rates at all complete samples and midway between them; None where too few are."""
+    parts = [
+        _rates_along(path, _with_middles(path.times))
+        for path in path_splines(trajectories)
+    ]
     if not parts:
         return None
     return jax.tree.map(lambda *arrays: np.concatenate(arrays), *parts)
+
+
+def path_splines(trajectories: Trajectories) -> list[PathSpline]:
+    """The splines through all trajectories that have enough complete samples."""
+    paths = (path_spline(one, trajectories.dim) for one in trajectories)
+    return [path for path in paths if path is not None]
+
+
+def _rates_along(path: PathSpline, times: Float[np.ndarray, " point"]) -> Rates:
+    return Rates(times, path.states(times), path.rates(times), path.doubts(times))
+
+
+def _with_middles(times: Float[np.ndarray, " time"]) -> Float[np.ndarray, " point"]:
+    middles = 0.5 * (times[:-1] + times[1:])
+    return np.insert(times, np.arange(1, len(times)), middles)
 
 
 def thin_rates(rates: Rates, most: int) -> Rates:
@@ -118,3 +129,18 @@ ROUNDING = 1e-12
 
 LEAST_RADIUS = 0.02
 """Of a region where a force acts, in standard deviations of the positions."""
+
+
+def substeps_for(trajectories: Trajectories) -> int:
+    """Steps between two samples whose derivatives a fit can trust, a power of two.
+
+    Args:
+        trajectories: without noise.
+    """
+    errors = [quadrature_error(path) for path in path_splines(trajectories)]
+    finer = np.log2(max([*errors, STEP_ERROR]) / STEP_ERROR) / ORDER
+    return min(2 ** int(np.ceil(finer)), MOST_SUBSTEPS)
+
+
+STEP_ERROR, ORDER, MOST_SUBSTEPS = 1e-4, 4, 8
+"""Relative error of a step that is linearised; order of its solver; steps at most."""

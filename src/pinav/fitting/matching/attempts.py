@@ -3,14 +3,18 @@
 import dataclasses
 from collections.abc import Callable, Sequence
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
+from pinav.arguments import on_device
 from pinav.dynamics import AbstractDynamics
 from pinav.fitting.matching.fit import Recipe, fit_many
 from pinav.fitting.matching.objectives import AbstractObjective
 from pinav.fitting.matching.state import AbstractCheckpoint, Fit, FitProgress
-from pinav.fitting.matching.trainable import Trainable
+from pinav.fitting.matching.trainable import Trainable, split_trainable
 from pinav.fitting.outcome import Outcome
 from pinav.trajectories import Trajectories
 
@@ -28,6 +32,8 @@ def fit_in_turns(
 ) -> list[Fit]:
     """Fit several models; those that do not converge begin anew by the next recipe.
 
+    A later attempt begins with the entries of each matrix of weights in another order,
+    which is another draw of a network and leaves kernels without weights as they are.
     Of the attempts at a model the one with the smallest loss is kept. The loss curves
     of all models are those of all attempts, one after the other.
 
@@ -50,11 +56,11 @@ def fit_in_turns(
         on_chunk=on_chunk,
         **options,
     )
-    for recipe in recipes[1:]:
+    for number, recipe in enumerate(recipes[1:]):
         missed = [i for i, fit in enumerate(fits) if fit.outcome not in ENDED]
         if not missed:
             break
-        chosen = [models[i] for i in missed]
+        chosen = [_shuffle(models[i], trainable, number) for i in missed]
         again = fit_many(chosen, trajectories, recipe, on_chunk=on_chunk, **options)
         others = dict(zip(missed, again, strict=True))
         fits = [_join(fit, others.get(i), again[0]) for i, fit in enumerate(fits)]
@@ -63,6 +69,21 @@ def fit_in_turns(
 
 ENDED = (Outcome.CONVERGED, Outcome.COMPLETED)
 """Outcomes of fits that begin no other recipe."""
+
+
+def _shuffle(
+    model: AbstractDynamics, trainable: Trainable, seed: int
+) -> AbstractDynamics:
+    """The model with the entries of each trainable matrix in another order."""
+    trained, fixed = split_trainable(model, trainable, jnp.float64)
+    rng = np.random.default_rng(seed)
+
+    def reorder(leaf: Array) -> Array:
+        if leaf.ndim < 2:
+            return leaf
+        return on_device(rng.permuted(np.ravel(leaf)).reshape(leaf.shape))
+
+    return eqx.combine(jax.tree.map(reorder, trained), fixed)
 
 
 def _join(before: Fit, after: Fit | None, example: Fit) -> Fit:

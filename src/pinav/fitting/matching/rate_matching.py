@@ -23,11 +23,13 @@ class Rates(eqx.Module):
         times: of each state [T].
         states: the states.
         rates: of change of the last channels; of a swimmer's velocity alone.
+        doubts: estimated error of all rates of a state, where it is known.
     """
 
     times: Float[np.ndarray, " point"]
     states: Float[np.ndarray, "point state"]
     rates: Float[np.ndarray, "point channel"]
+    doubts: Float[np.ndarray, " point"] | None = None
 
 
 def _on_device(rates: Rates) -> Rates:

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from pinav.dynamics import RK4, FixedStep
 from pinav.errors import InputError
 from pinav.fitting.matching.defects import DefectMatching
 from pinav.fitting.matching.gauss_newton import GaussNewton
@@ -66,6 +67,7 @@ def defect_recipe(
     *,
     rates: Rates | None = None,
     prior_root: Float[np.ndarray, "parameter direction"] | None = None,
+    substeps: int = 1,
     max_steps: int = 40,
     precision: float = 3e-8,
     patience: int = 3,
@@ -82,6 +84,7 @@ def defect_recipe(
             makes.
         prior_root: of a model that is linear in its parameters, such as `ForcePrior`
             tells: see `DefectMatching`.
+        substeps: of the linearisation, between two samples.
         max_steps: steps of each phase on trajectories at most.
         precision: as that of `curriculum`.
         patience: slow steps in a row after which a phase ends.
@@ -111,6 +114,7 @@ def defect_recipe(
             patience=jnp.asarray(patience),
             converged=CONVERGED * spread,
             steps=max_steps,
+            linearisation=FixedStep(RK4, substeps),
         )
 
     if rates is None:

@@ -154,7 +154,8 @@ class Windows(eqx.Module):
 
         The defect of a step is where it leads from one sample, less the next sample;
         $e_{k+1} = A_k e_k + d_k$, from zero wherever the rollout restarts. The
-        matrices are those of `theta`, the defects those of the parameters asked for.
+        matrices are those of `theta`, the defects those of the parameters asked for,
+        corrected as those of `surrogate`.
         """
         data = self.problem.observations
         inputs = data.states[:, :-1], data.times[:, :-1], data.times[:, 1:]
@@ -168,10 +169,15 @@ class Windows(eqx.Module):
 
         matrices = jnp.where(self.restart[..., None, None], 0.0, of_all(matrix))
 
-        def errors(theta: Float[Array, " parameter"]) -> Float[Array, " residual"]:
+        def ends(theta: Float[Array, " parameter"], solver: FixedStep) -> Ends:
             model = self.problem.model(self.unravel(theta))
-            step = self.problem.objective.solver.looped_step
-            defects = self._differences(of_all(lambda *at: step(model, *at)))
+            return of_all(lambda *at: solver.looped_step(model, *at))
+
+        exact = ends(theta, self.problem.objective.solver)
+        correction = exact - ends(theta, self.solver)
+
+        def errors(theta: Float[Array, " parameter"]) -> Float[Array, " residual"]:
+            defects = self._differences(ends(theta, self.solver) + correction)
             rows = jax.vmap(_sensitivities)(matrices, defects[..., None])[..., 0]
             return jnp.where(data.observed[:, 1:], rows, 0.0).reshape(-1)
 
