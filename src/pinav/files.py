@@ -36,7 +36,8 @@ def atomic_write(
         raise InputError(f"{path}: expected the name of a file, got a folder")
     if path.exists() and not overwrite:
         raise InputError(
-            f"{path}: exists already; choose another name or allow overwriting"
+            f"{path}: exists already; choose another name, or replace it by "
+            "--overwrite (in Python by overwrite=True)"
         )
     try:
         write_whole(path, write)

@@ -9,6 +9,7 @@ import pytest
 from pinav import cli
 from pinav.commands.evaluate.job import evaluate
 from pinav.commands.evaluate.metrics import EvaluationMetrics
+from pinav.commands.evaluate.setting import true_system
 from pinav.commands.evaluate.tables import tables
 from pinav.commands.held_out import held_out
 from pinav.errors import InputError
@@ -20,6 +21,8 @@ from pinav.scenarios import barrier_crossings, scenario
 from pinav.trajectories import Trajectories, save, simulate
 
 pytestmark = pytest.mark.slow
+
+KEY = jax.random.key(0)
 
 
 def short_shots(key, columns, samples=51):
@@ -160,6 +163,13 @@ def test_data_of_other_channels_are_refused(judged, tmp_path):
         evaluate(judged, path)
     with pytest.raises(InputError, match="expected 0 < visited < near"):
         evaluate(judged, path, regions=Regions(2.0, 1.0))
+
+
+def test_data_of_a_system_with_another_state_are_refused():
+    bead = scenario("brownian")
+    data = simulate(eqx.tree_at(lambda s: s.times, bead, bead.times[:3]), key=KEY)
+    with pytest.raises(InputError, match=r"'brownian', whose state is \(x, y\), but"):
+        true_system(barrier_crossings(), data, data)
 
 
 def test_held_out_starts_are_clean_and_their_own():

@@ -151,7 +151,7 @@ def test_arviz_reads_the_file_and_summarises_the_posterior(kernel_run, tmp_path)
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        ((), "exists already; choose another name or allow overwriting"),
+        ((), "exists already; choose another name, or replace it by --overwrite"),
         (("--draws", "0"), "draws: expected 1 or more"),
         (("--points", "1"), "points: expected 2 or more"),
     ],

@@ -208,6 +208,7 @@ class Regression(AbstractProblem):
                 f"fit_regression: expected more than {flat.sum()} residuals, one for "
                 f"each constant, got {count}"
             )
+        # Constants alone are few and well determined: they start hardly damped.
         damped = ChordSteps(1e-2 if flat.all() else 1.0, by_curvature=True)
         return cls(
             parametric=parametric,
@@ -316,5 +317,7 @@ def _linearise(
 ) -> tuple[Float[Array, " residual"], Float[Array, "residual parameter"]]:
     """Residuals and their Jacobian, some columns at a time."""
     value, push = jax.linearize(lambda at: residuals(parametric(at)), theta)
+    # A few tangents at a time: all at once would hold every intermediate result for
+    # each parameter.
     columns = jax.lax.map(push, jnp.eye(theta.shape[0]), batch_size=TANGENTS)
     return value, columns.T

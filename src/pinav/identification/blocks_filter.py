@@ -63,6 +63,7 @@ def transitions_of(
     disturbance: Disturbance, drive: Drive, within: Float[Array, " step"]
 ) -> Transition:
     """From each block to the next; `within` is 1 for the steps within a segment."""
+    # Between segments any positive step does: the filter begins anew there.
     steps = jnp.where(within > 0, jnp.diff(drive.times), 1.0)
     strength = disturbance.strength(rolling_about(drive.frequency))
     return transitions(steps, strength, disturbance, jnp.diff(drive.cycles))

@@ -173,6 +173,8 @@ class _Problem:
             log_determinant=2 * float(problem.log_variance),
         )
         reduced, block = eliminate_flat(full, np.arange(columns.shape[1]) < flat)
+        # A coefficient costs half the logarithm of the number of observations, as its
+        # prior holds the information of one.
         information = 2 * float(problem.log_variance) + flat * np.log(2 * count)
         return reduced, block, information
 
@@ -188,6 +190,7 @@ class _Problem:
             covariance = self.weights.prior.covariance(chosen.shape)
             hessian = self.quadratic(learned)[0].hessian
             root = determined_directions(chosen.amplitude**2 * covariance, hessian)
+            # Columns of unit prior variance, in the directions that the data determine.
             columns = self.field.columns @ jnp.asarray(root)
             self.search.field = eqx.tree_at(
                 lambda field: field.columns, self.field, columns
@@ -251,6 +254,8 @@ def _result(
         return joint_posterior(block, weights, covariance, 1.0)[0]
 
     slopes = problem.search.slopes(learned, conditional_mean)
+    # The linear unknowns follow the nonlinear ones: their covariance is that at given
+    # noise, and what they follow.
     cross = slopes @ spread
     unknown = np.concatenate([learned, mean])
     covariance = np.block([[spread, cross.T], [cross, alone + cross @ slopes.T]])

@@ -30,6 +30,7 @@ def determined_directions(covariance: np.ndarray, hessian: np.ndarray) -> np.nda
     A smooth prior has hundreds of weights and some tens of such directions; only they
     pass through the filter at each step of the search for the noise.
     """
+    # A smooth prior is singular to rounding, where a Cholesky factor fails.
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     signal, turned = np.linalg.eigh(root.T @ hessian @ root)
@@ -96,6 +97,7 @@ def _weight_columns(
 
         return path_displacement(velocity, blocks)
 
+    # Exact at any point, as the force is linear in its weights.
     _, linear = jax.linearize(along, theta)
     # A few weights at a time: all of them at every sample would take gigabytes.
     columns = jax.lax.map(linear, jnp.eye(theta.shape[0]), batch_size=32)

@@ -71,6 +71,7 @@ def _growth(
 ) -> Float[np.ndarray, "3 length"]:
     """Error, that of another model, and the promised one; NaN beyond the segment."""
     times, positions = forecast.piece.times, forecast.piece.states
+    # Times of frames carry rounding: one at the very end of a length counts.
     ends = np.searchsorted(times, times[first] + LENGTHS - 1e-9)
     fits = ends < len(times)
     ends = ends[fits]

@@ -135,6 +135,7 @@ def fit_track(
     prior = Prior.of(track) if prior is None else prior
     with jax.enable_x64(new_val=True):
         search = Search(Design.of(candidate, Blocks.of(track)), candidate, prior)
+        # Starts that coincide are searched once.
         begins = np.unique(search.begins(start), axis=0)
         ends = [search.descend(begin) for begin in begins]
         best = min(ends, key=lambda pair: pair[1])
@@ -227,6 +228,8 @@ class Search:
         value += float(np.log(sd).sum()) + 0.5 * len(sd) * math.log(2 * math.pi)
         slope = np.asarray(slope)[self.places] + offset / sd
         if not (math.isfinite(value) and np.isfinite(slope).all()):
+            # A large number makes L-BFGS shorten its step, infinity would end the
+            # search.
             return 1e30, np.zeros_like(offset)
         return value, slope
 
@@ -274,6 +277,8 @@ class Search:
             if NAMES[place] in RESPONSE_PARAMETERS:
                 rows[index] = self._curvature_of_interval(learned, index, rows[index])
         sd = self.prior.sd[self.places]
+        # Differences are symmetric only to their own error, and eigh reads one
+        # triangle.
         scaled = sd[:, None] * (rows + rows.T) / 2 * sd
         values, vectors = np.linalg.eigh(scaled)
         values = np.maximum(values, 1.0)

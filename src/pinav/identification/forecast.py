@@ -45,6 +45,7 @@ class Rollouts(eqx.Module):
         places = []
         for index, piece in enumerate(track.pieces):
             times = piece.times
+            # Times of a camera carry rounding: a rollout that just fits is not lost.
             starts = np.arange(times[0], times[-1] - horizon + 1e-9, STRIDE)
             first = np.searchsorted(times, starts - 1e-9)
             last = np.searchsorted(times, times[first] + horizon - 1e-9)
@@ -104,6 +105,7 @@ def errors(track: Track, rollouts: Rollouts, displacement: Displacement) -> Erro
 
 
 def _cumulated_length(positions: np.ndarray) -> np.ndarray:
+    # The noise of the frames lengthens this path, and that of other models alike.
     steps = np.hypot(*np.diff(positions, axis=0).T)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
@@ -118,6 +120,8 @@ def programme_of(piece: Trajectory) -> HeldProgramme:
     while size < len(piece.times):
         size *= 2
     more = size - len(piece.times)
+    # Lengths are powers of two, so that few programs are compiled; what follows the
+    # last command reaches no sample.
     later = piece.times[-1] + 1.0 + np.arange(more)
     held = [jnp.asarray(np.pad(v, (0, more), "edge")) for v in commands_of(piece)]
     return HeldProgramme(jnp.asarray(np.concatenate([piece.times, later])), *held)
@@ -133,6 +137,7 @@ def cycles(fit: TrackFit, piece: Trajectory) -> Float[np.ndarray, "time 2"]:
     index = RESPONSES.index(fit.candidate.response)
     with jax.enable_x64(new_val=True):
         programme, drive = programme_of(piece), jnp.asarray(fit.theta[:4])
+        # The response is chosen by its place, in one compiled program for all of them.
         integral = _cycles(programme, jnp.asarray(index), drive)
     return np.asarray(integral)[: len(piece.times)]
 
@@ -264,11 +269,14 @@ class Forecast(eqx.Module):
     def variance(self, first: int, last: int) -> Float[np.ndarray, "sample 2"]:
         """Of a rollout: disturbance, unknowns, response, jitter at both ends [L²]."""
         samples = slice(first, last + 1)
+        # A rollout begins at an observed position: what the parameters moved before it
+        # cancels.
         slopes = self.slopes[samples] - self.slopes[first]
         unknown = np.einsum("tap,pq,taq->ta", slopes, self.covariance, slopes)
         response = (self.beyond[samples] - self.beyond[first]) ** 2
         frame = self.frame[samples]
         wandering = self._wandering(samples)[:, None]
+        # The first frame errs, too, as the rollout begins there.
         return wandering + unknown + response + frame + frame[:1]
 
     def _wandering(self, samples: slice) -> Float[np.ndarray, " sample"]:
@@ -299,6 +307,7 @@ def _wandering_variances(
         spread = matrix @ spread @ matrix.conj().T + noise.astype(matrix.dtype)
         return spread, spread[0, 0].real
 
+    # The position is where the rollout begins, the velocities are stationary.
     unknown = jnp.diag(jnp.array([0.0, 1.0, 1.0, 1.0])).astype(turned.dtype)
     return jax.lax.scan(step, unknown, (steps.matrix, steps.noise))[1]
 
@@ -326,6 +335,7 @@ def _drive_slope(
     step = 1e-3
     theta = np.array(fit.theta)
     theta[NAMES.index(name)] += step
+    # A forward difference is enough: a band needs its slope to some per mille.
     moved = path_of(eqx.tree_at(lambda f: f.theta, fit, theta))(piece)
     return (moved - path) / step
 
@@ -339,6 +349,7 @@ and half of the other recordings, judged on the rest (docs/identification.md).""
 def _beyond(piece: Trajectory, fit: TrackFit) -> Float[np.ndarray, "time 2"]:
     """Displacement by the excess of the frequency over all that was fitted [L]."""
     frequency, heading = commands_of(piece)
+    # Beyond the fastest command of the fit the response is extrapolated.
     excess = np.maximum(frequency - fit.fastest, 0.0)
     drive = excess[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
     steps = drive[:-1] * np.diff(piece.times)[:, None]

@@ -47,6 +47,8 @@ class Disturbance(eqx.Module):
     def strength(self, frequency: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
         r"""$\sigma$ at these frequencies."""
         rolling = frequency > 0
+        # The inner choice keeps the root away from 0, where its slope is infinite: the
+        # outer choice alone would make NaN of the gradient.
         root = jnp.sqrt(jnp.where(rolling, frequency, 1.0))
         return jnp.sqrt(self.still**2 + self.driven**2 * jnp.where(rolling, root, 0.0))
 
@@ -97,6 +99,7 @@ def transitions(
         [zero, zero, zero, -jnp.expm1(-2 * ratio)],
     ]
     known = _stack(matrix).astype(cycles.dtype)
+    # The gain is held over a step: its memory is long against a block.
     moved = disturbance.gain_wander.astype(cycles.dtype) * cycles
     return Transition(known.at[..., 0, 3].set(moved), _stack(noise))
 
@@ -109,6 +112,7 @@ def _integrate(interval: Array, memory: Array, strength: Array) -> tuple[Array, 
     """What one process of variance 1 adds: reach, decay, and three covariances."""
     ratio = interval / memory
     decay = jnp.exp(-ratio)
+    # 1 - exp(-ratio) without loss of digits where an interval is short.
     reach = memory * -jnp.expm1(-ratio)
     spread = 2 * ratio - 3 + 4 * decay - decay**2
     spread = jnp.where(ratio < SMALL, 2 * ratio**3 / 3, spread)  # cancellation
@@ -163,6 +167,7 @@ def innovations(
         whitened = innovation * (here / jnp.sqrt(variance)).astype(row.dtype)
         return (after[0], after[1]), (whitened, here * jnp.log(variance))
 
+    # The first block of a segment sets the start and is no evidence.
     here = present[1:] * (1 - begins[1:])
     rows = transition.matrix, transition.noise, columns[1:], here, begins[1:]
     _, (whitened, log_variance) = jax.lax.scan(step, _begin(columns[0], noise), rows)
@@ -178,6 +183,8 @@ def _begin(row: Array, noise: Array) -> State:
     """The state at the first block of a segment."""
     unit = jnp.zeros_like(row)
     one = jnp.ones(())
+    # The position is known as well as its block; the processes are stationary, of
+    # variance 1.
     variances = jnp.diag(jnp.stack([noise**2, one, one, one]))
     return jnp.stack([row, unit, unit, unit]), variances.astype(row.dtype)
 
@@ -238,6 +245,7 @@ def smoothed_velocity(
     def back(later: State, inputs: tuple) -> tuple[State, State]:
         mean, covariance = later
         (past_mean, past_spread), (ahead_mean, ahead_spread), matrix = inputs
+        # P A' Q^-1 as the adjoint of Q^-1 A P, since both covariances are Hermitian.
         gain = jnp.linalg.solve(ahead_spread, matrix @ past_spread).conj().T
         mean = past_mean + gain @ (mean - ahead_mean)
         covariance = past_spread + gain @ (covariance - ahead_spread) @ gain.conj().T

@@ -128,6 +128,7 @@ class Whitened(eqx.Module):
         """
         information = self.rows.T @ self.rows
         diagonal = jnp.diagonal(information)
+        # Gains and drifts have units of their own, and so a ridge of their own.
         gain, drift = diagonal[:4].max(), diagonal[4:].max()
         greatest = jnp.concatenate([jnp.full(4, gain), jnp.full(2, drift)])
         ridge = jnp.where(diagonal == 0, 1.0, UNDETERMINED * greatest)
@@ -174,6 +175,8 @@ def _displacements_reverse(
         return jax.vjp(lambda d: _lag_response(d, design), drive)[1](cotangent)[0]
 
     def prompt(drive: Array, cotangent: Array) -> Array:
+        # Four parameters and a path: forward derivatives are cheaper than to go back
+        # through the whole integral.
         jacobian = jax.jacfwd(lambda d: _follow_at_once(d, design))(drive)
         return jnp.einsum("sa,sad->d", cotangent, jacobian)
 
@@ -206,6 +209,7 @@ def _programme_of(
 def block_means(values: Array, blocks: Blocks) -> Array:
     """Means over the samples of each block; zero in padding."""
     total = jnp.zeros((blocks.counts.shape[0], values.shape[1]))
+    # Padding belongs to block 0 and adds nothing there.
     total = total.at[blocks.block].add(jnp.where(blocks.real[:, None], values, 0.0))
     return total / jnp.maximum(blocks.counts, 1.0)[:, None]
 
@@ -218,6 +222,7 @@ def whiten(
     field = Field.nothing(blocks) if field is None else field
     along = displacements(theta, design)
     elapsed = (blocks.times - blocks.times[0])[:, None]
+    # What is known is taken from the positions before they are filtered.
     known = along @ field.gain.T + elapsed * field.drift[None]
     samples = [blocks.positions - known, along, elapsed, blocks.frequency[:, None]]
     means = block_means(jnp.concatenate(samples, axis=-1), blocks)
@@ -268,6 +273,7 @@ def evidence_and_coefficients(
     """
     problem = whiten(theta, design, field)
     best, information = problem.coefficients()
+    # Absent coefficients have zero columns and cost nothing.
     present = jnp.sum(jnp.any(problem.rows != 0, axis=0).astype(theta.dtype))
     constant = (
         problem.log_variance
@@ -278,6 +284,7 @@ def evidence_and_coefficients(
     columns = problem.field
     if not columns.shape[1]:
         return 0.5 * residuals @ residuals + constant, (best, information)
+    # The coefficients are profiled out of the field's columns, as out of the target.
     columns = columns - problem.rows @ problem.solve(problem.rows.T @ columns)
     # Woodbury's identity: the matrix is as large as the field has weights, not data.
     factor = jnp.linalg.cholesky(jnp.eye(columns.shape[1]) + columns.T @ columns)

@@ -60,7 +60,7 @@ class Prior(eqx.Module):
 
 
 def _typical_speed(track: Track) -> float:
-    """Median speed over blocks."""
+    """Root-mean-square speed over the length of a block."""
     speeds = []
     for piece in track.pieces:
         index = np.arange(0, len(piece.times))

@@ -319,6 +319,7 @@ class Blocks(eqx.Module):
             return np.pad(np.concatenate(values), (0, samples - length))
 
         times = np.concatenate([piece.times for piece in track.pieces])
+        # Time goes on in the padding, so that no interval vanishes.
         later = times.max() + 1.0 + np.arange(samples - length)
         states = np.concatenate([piece.states for piece in track.pieces])
         return cls(
@@ -335,5 +336,7 @@ class Blocks(eqx.Module):
 
 def block_indices(times: np.ndarray, width: float) -> np.ndarray:
     """Number of the block of each sample; empty blocks are left out."""
+    # A sample on the border of two blocks belongs to the later one, whatever its
+    # rounding.
     raw = np.floor((times - times[0]) / width + 1e-9).astype(np.int64)
     return np.unique(raw, return_inverse=True)[1]

@@ -86,6 +86,8 @@ def _mean_rate_jvp(
     first, last = (_counted_rate(t, cutoff) for t in (begin, end))
     crossed = _crosses(begin, end, cutoff)
     small = (jnp.abs(change) < SMALL_CHANGE) & ~(crossed | _crosses(begin, end, BREAK))
+    # What is not chosen below must be finite, too: a gradient multiplies it by zero,
+    # and NaN would remain.
     divisor = jnp.where(small | (change == 0), 1.0, change)
     by_end = jnp.where(small, _series(end, last, change), (last - mean) / divisor)
     by_begin = jnp.where(

@@ -116,6 +116,8 @@ def _stages(inputs: _Inputs) -> _Stages:
     def step(begin: Cells, forced: tuple[Array, Array]) -> tuple[Cells, _Stages]:
         dt, (level, later) = forced
         taken = _sink_slope(balance, begin)
+        # How the sources change over the step, without which a Rosenbrock method loses
+        # its order where the rates depend on time.
         drift = _shift(balance, level, later).temperature
 
         def solve(right: Cells) -> Cells:
@@ -300,6 +302,7 @@ class _Linearised(eqx.Module):
             after = right.after + change + 0.5 * dt * (3 * k1 + k2)
             return after, _Stages(k1, k2, after)
 
+        # A change of the start is part of the right-hand side.
         begin = jnp.zeros_like(right.after[0])
         return jax.lax.scan(advance, begin, (self.steps, right))[1]
 

@@ -194,6 +194,7 @@ class RKL2(AbstractStepper):
             flows = carry.flows + change.energy
             return March(after, total, flows, None), watch.keep(after, total)
 
+        # Backwards each step is computed anew: the stages of all of them would not fit.
         if temperature.size * len(steps) > FEW_VALUES:
             advance = jax.checkpoint(advance)
         begin = March(temperature, total, jnp.zeros(3), None)
@@ -236,6 +237,7 @@ def _stable_step(stages: int, rate: float) -> float:
 def _rkl2_coefficients(s: int) -> tuple[Any, float]:
     """Coefficients of the stages 2 to s, one row for each, and that of the first."""
     j = np.arange(s + 1.0)
+    # The first three are equal: a choice that the order leaves free.
     b = np.where(j < 3, 1 / 3, (j**2 + j - 2) / np.where(j < 1, 1, 2 * j * (j + 1)))
     w = 4 / (s**2 + s - 2)
     j, b1, b2 = j[2:], b[1:-1], b[:-2]

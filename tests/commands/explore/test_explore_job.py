@@ -1,6 +1,7 @@
 """The page's file: what is in it, what may not be, and what is refused."""
 
 import base64
+import dataclasses
 import hashlib
 import html
 import json
@@ -32,6 +33,7 @@ from pinav.forces import (
     NeuralForce,
     PositionFeatures,
     Superposition,
+    ZeroForce,
 )
 from pinav.runs import RunFolder
 
@@ -314,3 +316,11 @@ def test_a_damaged_run_gives_one_line(file, fitted_run, capsys):
     message = capsys.readouterr().err.strip()
     assert "\n" not in message
     assert file in message
+
+
+def test_without_an_environment_the_title_is_the_system_alone(run, content):
+    fitted = FittedRun.open(run)
+    assert content["title"] == f"{fitted.system.name}: kernel-potential"
+    bare = {"model": fitted.model.with_environment(ZeroForce())}
+    plain = dataclasses.replace(fitted, models=bare, evidence=None)
+    assert payload.payload_of(plain)["title"] == fitted.system.name

@@ -95,7 +95,7 @@ def read_setting(
     """
     fitted = FittedRun.open(run)
     trajectories, notes = read_scored(data, fitted, recording)
-    truth = true_system(fitted, trajectories)
+    truth = true_system(fitted.system, trajectories, fitted.data)
     notes += _limits(fitted, truth)
     regions = default_regions(fitted.data) if regions is None else regions
     return Setting(fitted, trajectories, truth, regions, notes)
@@ -130,11 +130,24 @@ def read_scored(
     return data.select(long.tolist()), (note,)
 
 
-def true_system(run: FittedRun, data: Trajectories) -> System | None:
-    """The system that the data, or else the training data, were simulated from."""
-    for trajectories in (data, run.data):
+def true_system(
+    system: System, data: Trajectories, training: Trajectories
+) -> System | None:
+    """The system that the data, or else the training data, were simulated from.
+
+    Raises:
+        InputError: its state is not that of the system of the run.
+    """
+    for trajectories in (data, training):
         source = source_system(trajectories.provenance)
         if source is not None and source.environment is not None:
+            if source.channels != system.channels:
+                raise InputError(
+                    f"data: simulated from system {source.name!r}, whose state is "
+                    f"({', '.join(source.channels)}), but that of the run is "
+                    f"({', '.join(system.channels)}); give data of the system that "
+                    "was fitted"
+                )
             return source
     return None
 

@@ -12,7 +12,7 @@ from pinav.commands.fitted_run import FittedRun
 from pinav.dynamics import AbstractDynamics, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.evaluation import extent, square
-from pinav.forces import as_learned_force
+from pinav.forces import ZeroForce, as_learned_force
 from pinav.scenarios import source_system
 from pinav.systems import System
 from pinav.trajectories import Trajectories, Trajectory
@@ -50,7 +50,7 @@ def payload_of(run: FittedRun, plan: Tree | None = None) -> Tree:
     first = run.models[names[0]]
     return {
         "version": 1,
-        "title": f"{run.system.name}: {run.choice.name}",
+        "title": _title(run, first),
         "run": run.folder.path.name,
         "order": _order(first, run.system),
         "units": {**data.units, "force": run.system.base_units.force},
@@ -66,6 +66,14 @@ def payload_of(run: FittedRun, plan: Tree | None = None) -> Tree:
         "tracks": _tracks(run),
         "plan": plan,
     }
+
+
+def _title(run: FittedRun, model: AbstractDynamics) -> str:
+    """System and model; the system alone where nothing stands for an environment."""
+    name = run.system.name
+    if isinstance(getattr(model, "environment", None), ZeroForce):
+        return name
+    return f"{name}: {run.choice.name}"
 
 
 def _union(

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from pinav.commands.fit.metrics import FitMetrics
+from pinav.commands.fit.metrics import FitMetrics, support_sentence
 from pinav.commands.fit.structure import StructureRow
 from pinav.commands.fit.thermal import FIELDS_FILE, ThermalRow
 from pinav.commands.fitted_run import DATA_FILE
@@ -21,7 +21,15 @@ from pinav.figures.profiles import (
     value_band,
 )
 from pinav.figures.style import new_figure, with_unit
-from pinav.report import Cell, Image, Paragraph, Section, Table
+from pinav.report import (
+    Cell,
+    Image,
+    Paragraph,
+    Section,
+    Table,
+    heading,
+    quantity,
+)
 from pinav.runs import RunFolder
 from pinav.trajectories import Trajectories, load
 
@@ -31,8 +39,9 @@ def fit_sections(folder: RunFolder) -> list[Section]:
     metrics = folder.read_metrics("metrics.json", FitMetrics)
     data = load(folder.path / DATA_FILE)
     arrays = folder.read_arrays("results.npz")
+    supported = () if metrics.support is None else (support_sentence(metrics.support),)
     content = [
-        *map(Paragraph, metrics.remarks),
+        *map(Paragraph, (*supported, *metrics.remarks)),
         *_tables(metrics),
         _paths(folder, data, arrays),
     ]
@@ -74,15 +83,25 @@ def _tables(metrics: FitMetrics) -> list[Table]:
 
 def _errors(metrics: FitMetrics) -> Table:
     """Errors by the length of rollouts for a recording, else those of whole ones."""
-    restarts = metrics.restarts
+    units, restarts = metrics.units, metrics.restarts
+    length, time = units.get("x", "1"), units.get("t", "1")
     if restarts is None:
-        return _one_row(metrics.rmse, "Root-mean-square errors of rollouts.")
+        whole = {"position": length, **units}
+        rmse = {
+            heading(name, whole.get(name, "1")): error
+            for name, error in metrics.rmse.items()
+        }
+        return _one_row(rmse, "Root-mean-square errors of rollouts.")
     note = (
         f"Median end-point error of {restarts.rollouts} rollouts from observed "
-        "positions, by their length in units of time. A rollout of the whole film adds "
-        "up all that wanders; its error is in metrics.json."
+        "positions, by their length. A rollout of the whole film adds up all that "
+        "wanders; its error is in metrics.json."
     )
-    return _one_row({f"after {k}": v for k, v in restarts.errors.items()}, note)
+    errors = {
+        heading(f"after {quantity(float(after), time)}", length): error
+        for after, error in restarts.errors.items()
+    }
+    return _one_row(errors, note)
 
 
 def _checks(thermal: ThermalRow) -> list[Paragraph | Image | Table]:

@@ -106,6 +106,7 @@ def _outcome(steps: list[Step], tolerance: float) -> Outcome:
     if len(steps) > 1:
         before = steps[-2].hyperparameters.log_evidence
         change = abs(last.hyperparameters.log_evidence - before)
+        # The evidence alone may stand still while the states do not yet obey the model.
         if change < tolerance and last.defect < DEFECT_TOLERANCE:
             return Outcome.CONVERGED
     if last.defect < ROUNDING:

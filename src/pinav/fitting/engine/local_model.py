@@ -88,6 +88,7 @@ class PenalisedSquares(eqx.Module):
         squares = float(jnp.sum(residuals**2)) / self.noise**2
         prior = float(self.precision @ theta**2) + self.energy(theta)
         cost = squares + prior + self.priors.squares(theta)
+        # NaN compares false with everything: as infinity a step to it is refused.
         return cost if np.isfinite(cost) else np.inf
 
     def half_gradient(

@@ -99,6 +99,8 @@ def propagate(
     """Sensitivities to the parameters whose effect on each step is given."""
     defects = steps.ends - states[1:]
     count, state = defects.shape
+    # Columns by the parameters, by the start and of the defects obey one recursion with
+    # three sources.
     nothing = jnp.zeros((count, state, state))
     sources = jnp.concatenate([steps.by_parameter, nothing, defects[..., None]], axis=2)
     start = jnp.eye(state, sources.shape[2], k=steps.by_parameter.shape[2])
@@ -188,6 +190,7 @@ def _condense(
         residuals = states + reach[..., -1] - data
         rows = jnp.concatenate([reach[..., :-1], residuals[..., None]], axis=2)
         rows = jnp.where(observed[..., None], rows, 0.0).reshape(-1, rows.shape[2])
+        # Each trajectory's start has a flat prior, and is eliminated where it stands.
         rest, factor, start_rows = eliminate(rows, count, states.shape[1])
         return total + rest.T @ rest, (factor, start_rows, reach, local.defects)
 
@@ -226,6 +229,7 @@ def eliminate(
     if rows.shape[0] < count:
         padding = ((0, count - rows.shape[0]), (0, 0))
         chosen, others = jnp.pad(chosen, padding), jnp.pad(others, padding)
+    # QR and no normal equations, which would square the condition of unstable starts.
     basis, factor = jnp.linalg.qr(chosen)
     along = basis.T @ others
     start_rows = jax.scipy.linalg.solve_triangular(factor, along)

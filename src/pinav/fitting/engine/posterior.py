@@ -64,6 +64,7 @@ class Posterior(eqx.Module):
     def draws(self, count: int, *, key: PRNGKeyArray) -> Float[Array, "draw parameter"]:
         """Parameters drawn from the posterior, one vector a row."""
         eigenvalues, vectors = np.linalg.eigh(self.covariance)
+        # A posterior of many weights is singular to rounding, where Cholesky fails.
         root = vectors * np.sqrt(np.maximum(eigenvalues, 0.0))
         with jax.enable_x64(new_val=True):
             normal = jax.random.normal(key, (count, len(self.mean)), jnp.float64)

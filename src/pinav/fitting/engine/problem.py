@@ -127,6 +127,8 @@ class AbstractProblem(eqx.Module):
             return None
         last_noise = self.first_noise if before is None else before.noise
         noise = last_noise if self.noise is None else self.noise
+        # A prior is one more residual in units of the noise, which is not known before
+        # the step: that of the step before stands for it.
         whole = self.priors.add_to(local.quadratic, max(noise, self.least_noise))
         quadratic, block = eliminate_flat(whole, self.flat)
         weights = self.weights.about(move.theta[~self.flat])

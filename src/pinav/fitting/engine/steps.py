@@ -84,6 +84,7 @@ class ShortenedStep(AbstractStepRule):
         before: float,
     ) -> Move:
         for _ in range(self.corrections):
+            # A chord: the Jacobian of the start with the residuals of here.
             slope = cost.half_gradient(theta, prediction.residuals)
             change = scipy.linalg.solve(cost.hessian, slope, assume_a="pos")
             if slope @ change < WORTH:
@@ -127,6 +128,7 @@ class ChordSteps(AbstractStepRule):
     def __call__(self, cost: PenalisedSquares, mean: Parameters) -> Move:
         start, hessian = cost.local.theta, cost.hessian
         flat = self.by_curvature or not np.any(cost.precision)
+        # Damping in units of the prior, or of the curvature where there is no prior.
         scale = np.diag(hessian) if flat else cost.precision
         here = cost.local.predict(start)
         before = cost.cost(start, here.residuals)
@@ -139,6 +141,8 @@ class ChordSteps(AbstractStepRule):
         if not gains.max() > 0:
             rule = ChordSteps(100 * self.damping, self.by_curvature)
             return Move(start, here.states, rule)
+        # The least damping that gains half of what the best one does keeps the search
+        # quick.
         chosen = int(np.argmax(gains >= 0.5 * gains.max()))
         theta = trials[chosen][0]
         rule = ChordSteps(max(dampings[chosen], LEAST_DAMPING), self.by_curvature)

@@ -111,6 +111,7 @@ class ForcePrior(eqx.Module):
         r"""$C$ with $C C^\top = a^2 K + \tau^2 I$, its columns from large to small."""
         smooth = self.environment.prior().covariance(self.chosen.shape)
         values, vectors = np.linalg.eigh(self.chosen.amplitude**2 * smooth)
+        # A white part leaves room for what the smooth prior misses.
         variances = np.maximum(values, 0.0) + self.white**2
         return (vectors * np.sqrt(variances))[:, ::-1]
 
@@ -174,6 +175,8 @@ def _independent(
     columns: Float[np.ndarray, "row weight"], targets: Float[np.ndarray, " row"]
 ) -> LinearisedObservations:
     """The directions in which the forces tell something of the weights."""
+    # Directions that the forces hardly see are left out: what they would tell is
+    # rounding.
     left, sizes, right = np.linalg.svd(columns, full_matrices=False)
     kept = sizes > LEAST_SINGULAR * sizes[0]
     along = left[:, kept].T @ targets

@@ -158,6 +158,7 @@ class _ForceSamples(NamedTuple):
 def _try_grids(kinds: Sequence[KernelKind], samples: _ForceSamples) -> "list[_Trial]":
     """Errors of grids from coarse to fine, until one needs no finer kernels."""
     places, positions, forces = samples
+    # Every fourth sample, so that held-out places lie among the others.
     held_out = np.arange(len(positions)) % 4 == 2
     size = float(np.sqrt(np.mean(forces[held_out] ** 2))) or 1.0
     trials: list[_Trial] = []
@@ -238,6 +239,8 @@ def _choose(trials: list[_Trial]) -> _Trial:
         min(several, key=lambda trial: trial.held_out)
         for several in (trials, potentials)
     )
+    # A force can only look better by chance where it has more weights than a potential:
+    # it must be far better.
     far_better = FAR_BETTER * best.held_out < potential.held_out
     chosen = best if far_better else potential
     return next(

@@ -29,6 +29,7 @@ def observed_rates(trajectories: Trajectories, degree: int = DEGREE) -> Rates | 
         complete = one.observed.all(axis=1)
         times, states = one.times[complete], one.states[complete]
         if len(times) > degree:
+            # Samples without noise bear a high degree, whose derivative errs little.
             spline = make_interp_spline(times, states, k=degree)
             parts.append(Rates(times, states, spline(times, nu=1)))
     if not parts:

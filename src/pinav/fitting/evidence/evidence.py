@@ -68,6 +68,8 @@ class LinearisedObservations(eqx.Module):
             FitError: the data do not depend on the weights at all.
         """
         values, vectors = np.linalg.eigh(quadratic.hessian)
+        # Below this share eigenvalues are rounding; their directions the data do not
+        # see.
         kept = values > 1e-14 * values[-1]
         if not kept.any():
             raise FitError(
@@ -111,6 +113,9 @@ class Whitened(eqx.Module):
         columns = root(prior)
         reached = data.rows @ columns
         if reached.shape[1] < reached.shape[0]:
+            # A QR first: the singular values then come from the small square, and
+            # squares of singular values keep digits that the eigenvalues of a product
+            # lose.
             basis, square = np.linalg.qr(reached)
             rotation, singular, _ = np.linalg.svd(square)
             vectors, variances = (basis @ rotation)[:, ::-1], singular[::-1] ** 2
@@ -135,6 +140,7 @@ class Whitened(eqx.Module):
 
 def root(matrix: Matrix) -> Float[np.ndarray, "weight rank"]:
     r"""$C$ with $C C^\top$ the matrix: a long length scale needs few columns."""
+    # Pivoting lets the factor stop at the numerical rank of a smooth covariance.
     least = ROOT_TOLERANCE * matrix.diagonal().max()
     (pivoted_cholesky,) = scipy.linalg.get_lapack_funcs(("pstrf",), (matrix,))
     factor, pivots, rank, _ = pivoted_cholesky(matrix, lower=1, tol=least)
@@ -245,6 +251,7 @@ def covariance_pull(
     pulled, held = (white.targets / shifted) @ rows, scaled.T @ scaled
     if white.vectors.shape[1] < len(data.rows):
         unreached = data.rows - white.vectors @ rows
+        # What no weight reaches is known to the noise alone.
         pulled += white.missed @ unreached / ratio
         held += unreached.T @ unreached / ratio
     pulled /= chosen.amplitude
@@ -279,6 +286,7 @@ def best_amplitude(
     def loss(log_ratio: float) -> float:
         return -float(evidence_at(largest * np.exp(log_ratio))[0])
 
+    # The evidence may have several maxima in the ratio: a scan first, then the best.
     coarse = LOG_RATIOS[np.argmax(evidence_at(largest * np.exp(LOG_RATIOS))[0])]
     step = LOG_RATIOS[1] - LOG_RATIOS[0]
     search = minimize_scalar(
@@ -322,6 +330,7 @@ def _by_ratio(
     """
     variances, targets, count = white.variances, white.targets, data.num_free
     rest = max(data.squares, 0.0) + float(white.missed @ white.missed)
+    # Squares below rounding are no evidence of less noise.
     least = np.finfo(float).eps * float(data.targets @ data.targets) ** 0.5
     floor, log_determinant = max(least**2, np.finfo(float).tiny), data.log_determinant
 
@@ -350,6 +359,8 @@ def weight_posterior(
     shifted = white.variances + (chosen.noise / chosen.amplitude) ** 2
     columns = white.to_weights(np.eye(len(shifted)))
     learned = (columns / shifted) @ columns.T
+    # The prior less what was learned: directions that no datum sees keep their
+    # variance.
     return posterior_mean(white, chosen), chosen.amplitude**2 * (prior - learned)
 
 

@@ -86,9 +86,11 @@ def _slopes_and_spread(
         return np.append(slope, posterior_mean(white, best))
 
     unit = STEP * np.eye(len(chosen.shape))
+    # Differences of slopes, not of values, which would lose half of the digits.
     both = np.stack([at(a) - at(-a) for a in unit], axis=1) / (2 * STEP)
     bend, slopes = -both[: len(unit)], both[len(unit) :]
     values, vectors = np.linalg.eigh((bend + bend.T) / 2)
+    # A flat or rising direction is held by the prior of the shape alone.
     return slopes, vectors / np.sqrt(np.maximum(values, 0.0) + SHAPE_SD**-2)
 
 

@@ -129,6 +129,8 @@ def _correction(
         return log_evidence(data, covariance, amplitude, noise)
 
     bend = curvature(value, start, STEP)
+    # Where the evidence hardly bends within a range, Laplace's method would leave the
+    # range: there it is integrated on a grid.
     wide = np.diag(bend) < (BROAD * ranges) ** -2
     lower = np.append(prior.bounds[:, 0], start[len(chosen.shape) :] - LOG_RANGE / 2)
     cost = sum(
@@ -157,6 +159,8 @@ def curvature(
     hessian = np.diag(sums)
     for i, j in zip(*np.triu_indices(len(point), 1), strict=True):
         both = value(point + steps[i] + steps[j]) + value(point - steps[i] - steps[j])
+        # From second differences along the sum of two steps: two new values a pair, not
+        # four.
         mixed = 0.5 * (both - 2 * middle - sums[i] - sums[j])
         hessian[i, j] = hessian[j, i] = mixed
     return -hessian / step**2
@@ -167,6 +171,7 @@ def _narrow_cost(
 ) -> float:
     """By Laplace's method: a normal prior as high as the uniform one."""
     widths = ranges / np.sqrt(2 * np.pi)
+    # In units of the ranges no direction can be wider than its range.
     values = np.linalg.eigvalsh(bend * np.outer(widths, widths))
     return float(0.5 * np.log(np.maximum(values, 1.0)).sum())
 
@@ -184,5 +189,7 @@ def _broad_cost(
         moved = point.copy()
         moved[index] = place
         values.append(value(moved))
+    # A place of the grid above the maximum that was found must not make the cost
+    # negative.
     fraction = np.mean(np.exp(np.minimum(np.array(values) - value(point), 0.0)))
     return float(-np.log(max(fraction, 1 / POINTS)))

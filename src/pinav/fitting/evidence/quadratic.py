@@ -78,6 +78,7 @@ def eliminate_flat(
             "learn fewer of them"
         )
     covariance = np.linalg.inv(free_block)
+    # Schur's complement: what has a flat prior is at its best for any weights.
     slope, change = -covariance @ border, -covariance @ gradient[mask]
     point = quadratic.point
     block = FlatBlock(
@@ -116,6 +117,7 @@ def restrict(quadratic: Quadratic, kept: Bool[np.ndarray, " parameter"]) -> Quad
 
 def is_singular(matrix: Float[np.ndarray, "n n"]) -> bool:
     """Whether a normal matrix, its rows and columns scaled, lost all digits."""
+    # Scaled to a unit diagonal, so that units do not decide what is singular.
     scale = np.sqrt(np.diag(matrix))
     if not (np.all(np.isfinite(matrix)) and np.all(scale > 0)):
         return True
@@ -133,6 +135,7 @@ def joint_posterior(
 ) -> tuple[Float[np.ndarray, " parameter"], Float[np.ndarray, "parameter parameter"]]:
     """Mean and covariance of all parameters from those of the weights."""
     joint, mask = block.lift(covariance), block.mask
+    # At given weights, what has a flat prior is as uncertain as the data leave it.
     joint[np.ix_(mask, mask)] += noise**2 * block.covariance
     offset = np.zeros(len(mask))
     offset[mask] = block.offset

@@ -113,7 +113,10 @@ def _shares(
     for (middle, spread), count in zip(stages, DRAWS, strict=False):
         scaled = np.linalg.solve(spread, (shapes - middle).T)
         size = np.linalg.slogdet(spread)[1]
+        # Each draw is weighed by the density of all stages together, which bounds the
+        # weight of one that its own stage would seldom have made.
         densities.append(np.log(count) - size - 0.5 * (scaled**2).sum(axis=0))
+    # In logarithms: evidences differ by hundreds of nats.
     logs = log_evidence - np.logaddexp.reduce(densities, axis=0)
     shares = np.exp(logs - logs.max())
     return shares / shares.sum()
@@ -125,6 +128,8 @@ def _next_stage(
     """A normal distribution like the draws, flattened where few of them count."""
     least = 1e-3
     if 1 / (shares**2).sum() < FEW:
+        # A few draws outweigh all others: tempered, they do not collapse the next
+        # stage.
         shares, least = np.sqrt(shares) / np.sqrt(shares).sum(), 1e-2
     middle = shares @ shapes
     offsets = shapes - middle

@@ -151,6 +151,7 @@ class NoWeights(AbstractWeights):
     def infer(
         self, quadratic: Quadratic, shape: Shape, noise: float | None
     ) -> Inference:
+        # Exact data may leave no squares, and their logarithm is needed.
         squares = max(quadratic.squares, np.finfo(float).tiny)
         variance = squares / quadratic.num_free if noise is None else noise**2
         log_evidence = -0.5 * (

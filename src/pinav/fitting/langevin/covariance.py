@@ -87,6 +87,7 @@ def cut(bands: Bands, mask: Rows) -> Bands:
         bands: of padded rows.
         mask: one where there is an increment, else zero.
     """
+    # Padding is independent and of unit variance: it adds nothing to the likelihood.
     follows = jnp.concatenate([mask[1:], jnp.zeros_like(mask[:1])])
     return Bands(
         jnp.where(mask > 0, bands.diagonal, 1.0),
@@ -99,6 +100,8 @@ def factorise(bands: Bands) -> Factor:
 
     def step(carry: Array, row: tuple[Array, Array]) -> tuple[Array, tuple]:
         variance, beside = row
+        # Rounding may leave no variance where the localisation error is nearly all of
+        # it.
         left = jnp.maximum(variance - carry**2, LEAST * variance)
         root = jnp.sqrt(left)
         below = beside / root
@@ -148,6 +151,7 @@ def inverse_bands(factor: Factor) -> Bands:
 
     def step(carry: Array, row: tuple[Array, Array]) -> tuple[Array, tuple]:
         root, below = row
+        # Takahashi's recursion: the bands of the inverse without the inverse.
         ratio = below / root
         here = root**-2 + ratio**2 * carry
         return here, (here, -ratio * carry)

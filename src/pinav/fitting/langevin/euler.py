@@ -84,5 +84,6 @@ def _diffusion(step: Step, known: float | None) -> Estimate:
     if known is not None:
         return Estimate(known, 0.0)
     variance = step.hyperparameters.noise**2
+    # Each direction that the data determine takes one observation from the variance.
     left = max(step.quadratic.num_free - step.num_determined, 1.0)
     return Estimate(variance / 2, variance / 2 * float(np.sqrt(2 / left)))

@@ -69,6 +69,8 @@ class Increments(eqx.Module):
         """
         steps = self.steps.copy()
         for axis, period in periods.items():
+            # The shortest way round, which is right while a step is below half a
+            # period.
             steps[:, axis] -= period * np.round(steps[:, axis] / period)
         return Increments(
             self.times, self.positions, steps, self.intervals, self.counts
@@ -76,6 +78,8 @@ class Increments(eqx.Module):
 
     def __call__(self, model: OverdampedSwimmer) -> Float[Array, " residual"]:
         r"""Residuals $(\text{drift}\,\Delta t - \Delta x) / \sqrt{\Delta t}$ ."""
+        # Increments over the root of their interval have one variance, whatever the
+        # interval.
         root = jnp.sqrt(jnp.asarray(self.intervals))[:, None]
         drift = jax.vmap(model)(jnp.asarray(self.times), jnp.asarray(self.positions))
         return (drift * root - jnp.asarray(self.steps) / root).reshape(-1)
@@ -108,6 +112,7 @@ class Padding(eqx.Module):
         starts = np.cumsum(lengths) - lengths
         time = np.arange(lengths.max())[:, None]
         inside = time < lengths[None]
+        # Padding repeats a real increment: what is computed there stays finite.
         sources = np.where(inside, starts[None] + time, 0)
         tracks = np.repeat(np.arange(len(lengths)), lengths)
         within = np.concatenate([np.arange(length) for length in lengths])

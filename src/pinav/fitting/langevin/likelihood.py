@@ -141,6 +141,7 @@ class DiffusionProblem(AbstractProblem):
     def linearise(self, theta: Parameters, states: States) -> AbstractLocalModel | None:
         data = self.fluctuations
         motion = self.parametric(jnp.asarray(theta))
+        # Each learned leaf holds the places of its parameters, counted from one.
         marks = self.parametric.unravel(jnp.arange(1.0, len(theta) + 1.0))
         value = 0.0
         gradient, hessian = np.zeros(len(theta)), np.zeros((len(theta),) * 2)
@@ -205,6 +206,8 @@ class LimitedStep(AbstractStepRule):
 
     def __call__(self, cost: PenalisedSquares, mean: Parameters) -> Move:
         change = mean - cost.local.theta
+        # Logarithms are learned: a long step would change a diffusion by orders of
+        # magnitude.
         fraction = min(
             1.0, LONGEST / max(float(np.abs(change).max(initial=0.0)), 1e-300)
         )
@@ -267,6 +270,8 @@ def local_terms(
         local = jnp.exp(logs)[..., None] * factors
         return cut(increment_bands(local, intervals, exposure, variance), mask)
 
+    # The score of the bands is known in closed form; only its way back through the
+    # bands is left to differentiation.
     matrix, chain = jax.vjp(bands, logs, exposure, variance)
     slope = score(matrix, data.residuals[..., columns] * mask)
     by_log, by_exposure, by_variance = chain(slope.by_bands)
@@ -294,6 +299,7 @@ def _group_terms(
     pairs = local.information
     both = (design * pairs[:, :1]).T @ design
     border = design.T @ pairs[:, 1:3] * scales[None]
+    # Three sums of products are the symmetric matrix of exposure and error.
     left = jnp.sum(pairs[:, 3:], axis=0)[np.array([[0, 1], [1, 2]])]
     corner = left * scales[:, None] * scales[None]
     others = local.by_observation * scales
@@ -316,6 +322,7 @@ def _whittle(
     """
     blur = jnp.minimum(exposure, intervals) / 3
     pairs = [jnp.zeros_like(diffusion)] * 6
+    # Midpoints: at zero frequency a localisation error adds nothing.
     for frequency in np.pi * (np.arange(FREQUENCIES) + 0.5) / FREQUENCIES:
         turn = float(1 - np.cos(frequency))
         motion = 2 * diffusion * (intervals - blur * turn)

@@ -180,6 +180,8 @@ def whiten_increments(
     targets = jnp.asarray(increments.steps) - belief.second.means
     if relation.einstein:
         spread = divergences(motion.diffusion, positions)
+        # With Ito's convention a mobility that varies in space adds its divergence to
+        # the drift.
         targets = targets - spread * intervals[:, None]
     return WhitenedIncrements(
         times=jnp.asarray(increments.times),
@@ -295,6 +297,8 @@ def diffusion_share(
         local = problem.linearise(problem.theta, None)
         if local is not None:
             means.append(weights.posterior(local.quadratic, chosen)[0])
+    # The law of total variance: what the drift shifts with the diffusion adds to the
+    # spread at a given diffusion.
     spread = np.cov(np.array(means), rowvar=False) if len(means) > 1 else 0.0
     covariance = fit.posterior.covariance + spread
     return eqx.tree_at(lambda f: f.posterior.covariance, fit, covariance)

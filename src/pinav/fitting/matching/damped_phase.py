@@ -145,6 +145,7 @@ class AbstractRolloutPhase(AbstractDampedPhase):
         theta, unravel = ravel_pytree(params)
         windows = Windows.of(problem, params, self.window, self.linearisation)
         step = self.best_step(windows, theta, state)
+        # Windows flatter: the phase is judged by rollouts of the whole length.
         full, coloured = windows.full_error(step.theta)
         slow = jnp.where(step.left > SLOW, state.slow + 1, 0)
         state = DampedState(

@@ -138,9 +138,11 @@ def full_step(
         damping: of the last step.
     """
     residual, jacobian = linear
+    # The smaller of both normal matrices gives the same step.
     tall = jacobian.shape[0] >= jacobian.shape[1]
     normal = jacobian.T @ jacobian if tall else jacobian @ jacobian.T
     dampings = damping * jnp.asarray(DAMPINGS, theta.dtype)
+    # Below its rounding the normal matrix may be indefinite.
     dampings = jnp.maximum(dampings, ROUNDING * jnp.trace(normal))
 
     def pull_back(residual: Float[Array, " residual"]) -> Float[Array, " unknown"]:

@@ -111,6 +111,7 @@ def damped_step(
     """
     residual, jacobian = linear
     left, scale, right = low_rank(jacobian, rank)
+    # All smaller but the last two: a step that works is followed by a bolder one.
     exponents = jnp.arange(num_dampings) - (num_dampings - 2)
     dampings = damping * 10.0 ** exponents.astype(theta.dtype)
 
@@ -136,6 +137,7 @@ def damped_step(
     lower = costs[best] < cost
     return DampedStep(
         theta=jnp.where(lower, theta + right @ moves[best], theta),
+        # Where no damping lowers the cost all were too small.
         damping=jnp.where(lower, dampings[best], 100.0 * damping),
         left=costs[best] / cost,
         promised=_predicted_decrease(residual, left, scale, dampings[0]) / cost,
@@ -154,6 +156,8 @@ def low_rank(
     if columns <= rank:
         basis = jnp.eye(columns, dtype=jacobian.dtype)
     else:
+        # A random projection of the rows finds the directions that matter without the
+        # decomposition of the whole Jacobian.
         signs = np.random.default_rng(0).choice([-1.0, 1.0], (rank, rows))
         basis = _orthonormal((jnp.asarray(signs, jacobian.dtype) @ jacobian).T)
     left, triangle = jnp.linalg.qr(jacobian @ basis)
@@ -165,6 +169,7 @@ def _orthonormal(
     columns: Float[Array, "row column"],
 ) -> Float[Array, "row column"]:
     """Orthonormal basis by two rounds of the Gram matrix: quicker than a QR here."""
+    # Twice: the first pass leaves what the rounding of a Gram matrix hides.
     for floor in (1e-11, 1e-15):
         values, vectors = jnp.linalg.eigh(columns.T @ columns)
         lengths = jnp.sqrt(jnp.maximum(values, floor * values[-1]))
@@ -180,6 +185,7 @@ def _predicted_decrease(
 ) -> Float[Array, ""]:
     """By how much the linear model says that a damped step lowers the squares."""
     along = left.T @ residual
+    # The share of the residual along each direction that a damped step leaves.
     kept = damping / (scale**2 + damping)
     return along @ along - (kept * along) @ (kept * along)
 

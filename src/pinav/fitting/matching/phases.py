@@ -280,11 +280,13 @@ def _weak_wolfe_search(
         low, high, length, best, evaluations, _ = state
         point = optax.tree.add_scale(params, length, direction)
         point_value, point_gradient = value_and_grad(point)
+        # Sufficient decrease and curvature, with the usual constants 1e-4 and 0.9.
         enough = point_value <= value + 1e-4 * length * slope
         flat = jnp.asarray(optax.tree.vdot(point_gradient, direction)) >= 0.9 * slope
         candidate = (point, point_value, point_gradient)
         best = _where(enough & (point_value <= best[1]), candidate, best)
         low, high = jnp.where(enough, length, low), jnp.where(enough, high, length)
+        # Doubled until it is too long, then bisected between both conditions.
         length = jnp.where(jnp.isinf(high), 2.0 * low, 0.5 * (low + high))
         return low, high, length, best, evaluations + 1, enough & flat
 

@@ -46,6 +46,7 @@ class Windows(eqx.Module):
             )
         observed = problem.observations.observed
         index = jnp.arange(observed.shape[1] - 1)
+        # A window can begin only where the whole state was observed.
         known = jnp.all(observed[:, :-1], axis=-1)
         restart = known & ((index % window) == 0)[None]
         return cls(problem, solver, restart, ravel_pytree(params)[1])
@@ -96,6 +97,7 @@ class Windows(eqx.Module):
         correction).
         """
         starts, ends = self.rollouts(theta, self.problem.objective.solver, self.restart)
+        # The cheap solver is off by its own error, which hardly changes over a step.
         correction = ends - self.rollouts(theta, self.solver, self.restart)[1]
 
         def residuals(theta: Float[Array, " parameter"]) -> Float[Array, " residual"]:
@@ -112,6 +114,7 @@ class Windows(eqx.Module):
         _, ends = self.rollouts(theta, self.problem.objective.solver, nowhere)
         residuals = self._differences(ends)
         squares = jnp.sum(residuals**2)
+        # Errors of a model are alike from sample to sample, white noise is not.
         neighbours = jnp.sum(residuals[:, 1:] * residuals[:, :-1])
         return jnp.sqrt(squares / self.count), neighbours > COLOURED * squares
 
@@ -132,6 +135,7 @@ class Windows(eqx.Module):
         def one(inputs: tuple[Array, ...]) -> Float[Array, "step state parameter"]:
             times, starts, restart, observed = inputs
             sources, matrices = jax.vmap(local)(starts, times[:-1], times[1:])
+            # A restart forgets what came before it.
             matrices = jnp.where(restart[:, None, None], 0.0, matrices)
             rows = _sensitivities(matrices, sources)
             return jnp.where(observed[1:, :, None], rows, 0.0)
