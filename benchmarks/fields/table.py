@@ -33,6 +33,10 @@ class Options(Settings, frozen=True):
         tyro.conf.arg(help="Even keys, on which methods are tried, or odd ones."),
     ] = "development"
     draws: Annotated[int, tyro.conf.arg(help="Draws of each family.")] = 10
+    keys: Annotated[
+        tuple[int, ...],
+        tyro.conf.arg(help="Keys of the draws; those of --half and --draws if none."),
+    ] = ()
     families: Annotated[
         tuple[str, ...], tyro.conf.arg(help="Any of: " + ", ".join(FAMILIES) + ".")
     ] = tuple(FAMILIES)
@@ -52,6 +56,9 @@ class Options(Settings, frozen=True):
                     )
         if self.draws < 1 or self.count < 1:
             raise InputError("--draws and --count: expected one or more")
+        for key in self.keys:
+            if key < 0:
+                raise InputError(f"--keys: expected 0 or more, got {key}")
 
 
 def main(argv: Sequence[str]) -> None:
@@ -71,7 +78,7 @@ def cells(options: Options) -> list[Cell]:
     return [
         cell_of(family, key, column, options.count)
         for family in options.families
-        for key in range(first, 2 * options.draws, 2)
+        for key in options.keys or range(first, 2 * options.draws, 2)
         for column in options.columns
     ]
 

@@ -21,6 +21,7 @@ def measurement(**changes):
         (["--columns", "magic"], "--columns: 'magic' is unknown; choose some of"),
         (["--families", "hills"], "--families: 'hills' is unknown; choose some of"),
         (["--draws", "0"], "--draws and --count: expected one or more"),
+        (["--keys", "-1"], "--keys: expected 0 or more, got -1"),
     ],
 )
 def test_bad_options_are_refused(words, message, tmp_path):
@@ -32,6 +33,7 @@ def test_even_keys_are_for_development_and_odd_ones_for_judging():
     both = [Options(half=half, draws=3) for half in ("development", "judged")]
     first, second = ({cell.seed for cell in cells(options)} for options in both)
     assert (first, second) == ({0, 2, 4}, {1, 3, 5})
+    assert {cell.seed for cell in cells(Options(keys=(3,)))} == {3}
 
 
 def test_the_table_says_what_was_found_and_whether_rightly(tmp_path):
