@@ -67,6 +67,18 @@ def test_the_search_names_what_is_there_and_nothing_beside_it(truth, kinds):
     assert [term.kind for term in found.terms] == kinds
 
 
+SPACE = np.random.default_rng(1).uniform(0.0, 10.0, (1, 150, 3))
+
+
+def test_a_centre_is_found_in_space():
+    center = [4.0, 6.0, 5.0]
+    truth = GaussianBarrier(3.0, center, 2.0)
+    data = observed_forces(truth, SPACE, 0.01)
+    found = propose(data, Region.of(SPACE[0]), 0.01, rotational=True)
+    assert [term.kind for term in found.terms] == ["central"]
+    np.testing.assert_allclose(found.terms[0].center, center, atol=0.03)
+
+
 def test_a_needless_term_goes_and_a_needed_one_stays():
     data = response(HILL + SADDLE)
     hill = central_term(REGION, np.array([4.1, 5.9]))

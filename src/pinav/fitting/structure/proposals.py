@@ -77,8 +77,7 @@ def propose(
         noise: of the observations, roughly.
         rotational: whether the force may have no potential.
     """
-    planar = len(region.middle) == 2
-    seen = PotentialMap.of(response) if planar else None
+    seen = PotentialMap.of(response) if region.is_planar else None
     summits = np.zeros((0, len(region.middle))) if seen is None else seen.summits()
     ground = _Ground(response, region, noise, seen, summits)
     best: Proposal | None = None

@@ -32,6 +32,7 @@ from pinav.fitting.evidence.model_evidence import DECISIVE, model_evidence
 from pinav.fitting.outcome import Outcome
 from pinav.fitting.structure.proposals import Proposal
 from pinav.fitting.structure.rotation import fitted_gain, mixture_on, survey_rotation
+from pinav.fitting.structure.starts import GRID
 from pinav.fitting.structure.survey import Survey
 from pinav.fitting.structure.trials import Terms
 from pinav.forces import (
@@ -109,19 +110,19 @@ def fit_structured(
             return StructuredFit(search.fit(search.free(), AS_FINE_AS_ASKED), np.nan)
         survey = Survey.of(specification, search.free())
         turning = not search.kernels.is_conservative
-        if weigh_rotation and not turning:
+        if weigh_rotation and not turning and survey.region.is_planar:
             return _weigh_rotation(search, survey)
         return search.best(survey.proposal(rotational=turning))
 
 
 def is_worth_a_search(model: Any, trajectories: Trajectories) -> bool:
-    """Whether the data could tell a structure, in a plane and of static kernels."""
+    """Whether the data could tell a structure of a force that does not change."""
     force = as_learned_force(model.environment)
     return (
         force is not None
         and force.kernels is not None
         and force.is_static
-        and force.dim == 2
+        and force.dim in GRID
         and len(trajectories) >= LEAST_TRAJECTORIES
         and trajectories.num_observed >= LEAST_SAMPLES
     )

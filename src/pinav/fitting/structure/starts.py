@@ -25,8 +25,11 @@ which there are more across the extent where that is larger, once or a few times
 BEYOND = 4.0
 """Reach of a profile beyond the data, in widths of its kernels."""
 
-GRID, ANGLES = 7, 18
-"""Places along each side of the data, and directions, that are scanned."""
+GRID = {2: 7, 3: 5}
+"""Places along each side of the data that are scanned, by the dimension of space."""
+
+ANGLES = 18
+"""Directions that are scanned."""
 
 
 class Region(eqx.Module):
@@ -61,8 +64,15 @@ class Region(eqx.Module):
             crowded=float((most - few).max()),
             heart=(few + most) / 2,
             inner=2 * float((upper - lower).max()),
-            ranks=np.quantile(positions, np.linspace(0.05, 0.95, GRID), axis=0),
+            ranks=np.quantile(
+                positions, np.linspace(0.05, 0.95, GRID[positions.shape[1]]), axis=0
+            ),
         )
+
+    @property
+    def is_planar(self) -> bool:
+        """Whether the data lie in a plane, which alone has walls and swirls here."""
+        return len(self.middle) == 2
 
     @property
     def width(self) -> float:
@@ -82,7 +92,7 @@ class Region(eqx.Module):
             fraction: its size, as a share of the extent of most of the data.
         """
         middle = self.heart if middle is None else middle
-        axis = np.linspace(-0.5, 0.5, GRID) * self.crowded * fraction
+        axis = np.linspace(-0.5, 0.5, GRID[len(middle)]) * self.crowded * fraction
         return middle + _mesh([axis] * len(middle))
 
     def places(self) -> Float[np.ndarray, "point dim"]:
@@ -120,13 +130,13 @@ def scanned_terms(
     Args:
         region: of the data.
         summits: further places of centres [L]; there may be none.
-        rotational: whether terms without a potential are among them.
+        rotational: whether terms without a potential are among them, in a plane.
     """
     centers = np.concatenate([region.places(), summits])
-    for turn in (False, True) if rotational else (False,):
+    for turn in (False, True) if rotational and region.is_planar else (False,):
         yield [linear_term(region, rotational=turn)]
         yield [central_term(region, place, rotational=turn) for place in centers]
-        if len(region.middle) == 2:
+        if region.is_planar:
             angles = np.pi * np.arange(ANGLES) / ANGLES
             yield [wall_term(region, angle, rotational=turn) for angle in angles]
 
