@@ -10,7 +10,11 @@ import pytest
 
 from pinav import cli
 from pinav.commands.analyse import rollouts
-from pinav.commands.analyse.metrics import AnalysisMetrics
+from pinav.commands.analyse.metrics import (
+    AnalysisMetrics,
+    HelmholtzMetrics,
+    LyapunovMetrics,
+)
 from pinav.commands.analyse.settings import AnalyseSettings
 from pinav.errors import InputError
 from pinav.runs import RunFolder
@@ -76,7 +80,7 @@ def test_the_report_has_the_figures(inferred):
     page = (inferred / "report.html").read_text(encoding="utf-8")
     for title in (
         "What was learned",
-        "What the force depends on",
+        "What the field depends on",
         "What a rollout depends on",
     ):
         assert title in page
@@ -99,8 +103,19 @@ def test_without_a_posterior_the_rest_is_done_and_said(tiny_fit, tmp_path, capsy
     page = (copy / "report.html").read_text(encoding="utf-8")
     assert "Left out of the analysis" in page
     assert "left out: standard deviations" in (
-        msgspec.convert(found, AnalysisMetrics).text()
+        msgspec.convert(found, AnalysisMetrics).text({})
     )
+
+
+def test_the_findings_are_stated_in_the_units_of_the_data():
+    split = HelmholtzMetrics(31.2213, 0.02, 0.98, 0.0, 0.4, 1e-3)
+    units = {"x": "um", "t": "s"}
+    assert "of the learned field within 31.2 um of the data." in split.sentence(units)
+    assert "within 31.2 of the data." in split.sentence({})
+    growth = LyapunovMetrics(10.23, 1.0, 6.85, 0.1)
+    assert "over 10.2 s; median" in growth.sentence("s")
+    missing = LyapunovMetrics(10.23, None, None, None)
+    assert "no finite growth" in missing.sentence("s")
 
 
 def test_what_cannot_be_analysed_is_refused(tiny_fit, tmp_path, capsys):

@@ -213,7 +213,8 @@ def test_training_data_are_called_so():
     assert "none of those that it was fitted to" in held.purpose
     assert trained.error_name == "training error"
     assert "These are the training data" in trained.purpose
-    assert "1 of the 4 trajectories are training data" in mixed.purpose
+    assert "Of the 4 trajectories the run was fitted to 1" in mixed.purpose
+    assert mixed.error_name == "error, in part on training data"
     assert "training error" in as_text(tables(trained)[0])
 
 

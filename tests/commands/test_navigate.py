@@ -88,9 +88,14 @@ def test_the_words_name_truth_regret_and_suggestion():
     found = text(msgspec.convert(metrics, NavigationMetrics))
     assert "95 % (85–100)" in found
     assert "1.020 (1.000–∞)" in found
-    assert "the true environment of scenario barrier-crossings (synthetic)" in found
-    assert "from 0.3 to 0.1, a random one to 0.2" in found
+    assert "the true environment of barrier-crossings (synthetic)" in found
+    assert "from 0.30 to 0.10, a random one to 0.20." in found
     assert "No run with the model oracle: goal: expected a place" in found
+    known = metrics | {"units": {"x": "um", "t": "s"}, "order": 1, "delay": 0.1}
+    stated = text(msgspec.convert(known, NavigationMetrics))
+    assert "The plan takes 5.50 s from rest" in stated
+    assert "Commands act after 0.100 s." in stated
+    assert "from 0.30 um s⁻¹ to 0.10 um s⁻¹, a random one to 0.20 um s⁻¹." in stated
     unknown = text(msgspec.convert(metrics | {"truth": None}, NavigationMetrics))
     assert "the true one is not known" in unknown
 

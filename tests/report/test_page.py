@@ -7,7 +7,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pinav.errors import InputError
-from pinav.report.page import Code, Image, Paragraph, Section, Table, number, render
+from pinav.report.page import (
+    Code,
+    Image,
+    Paragraph,
+    Section,
+    Table,
+    capitalise,
+    number,
+    render,
+)
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg"><circle r="1"/></svg>'
 
@@ -147,6 +156,11 @@ def test_number_is_within_half_a_unit_of_its_last_digit(value):
     digits = str.maketrans("−⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "--0123456789")
     text = number(value, digits=6).translate(digits).replace(" × 10", "e")
     assert float(text) == pytest.approx(value, rel=5.1e-6)
+
+
+def test_a_capital_at_the_start_leaves_names_and_units_as_they_are():
+    assert capitalise("entropy of k_B. Near data") == "Entropy of k_B. Near data"
+    assert capitalise("") == ""
 
 
 def test_ragged_table_is_refused():

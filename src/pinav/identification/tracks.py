@@ -231,10 +231,10 @@ def round_up_to(count: int, step: int) -> int:
 
 def _drop_unseen(piece: Trajectory) -> Trajectory:
     """The samples at which both coordinates were seen."""
-    return _cut(piece, piece.observed.all(axis=1))
+    return _keep_rows(piece, piece.observed.all(axis=1))
 
 
-def _cut(piece: Trajectory, kept: Any) -> Trajectory:
+def _keep_rows(piece: Trajectory, kept: Any) -> Trajectory:
     return Trajectory(
         times=piece.times[kept],
         states=piece.states[kept],
@@ -254,13 +254,15 @@ def commands_of(piece: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 
 def before(track: Track, time: float) -> Track:
     """The part of a track before a time; blocks keep their length."""
-    cut = [_cut(piece, np.less(piece.times, time)) for piece in track.pieces]
+    cut = [_keep_rows(piece, np.less(piece.times, time)) for piece in track.pieces]
     return _shorten(track, cut)
 
 
 def after(track: Track, time: float) -> Track:
     """The part of a track from a time on; blocks keep their length."""
-    cut = [_cut(piece, np.greater_equal(piece.times, time)) for piece in track.pieces]
+    cut = [
+        _keep_rows(piece, np.greater_equal(piece.times, time)) for piece in track.pieces
+    ]
     return _shorten(track, cut)
 
 

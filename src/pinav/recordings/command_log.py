@@ -112,7 +112,7 @@ def with_commands(
     if not log.counts_frames:
         offset = find_offset(recording, log._replace(times=times))
         times = times + offset.value
-    merged = _held(recording, log._replace(times=times), reading)
+    merged = _hold_commands(recording, log._replace(times=times), reading)
     last = max(float(p.times[-1]) for p in recording)
     first = min(float(p.times[0]) for p in recording)
     if times[0] > last or times[-1] < first:
@@ -154,7 +154,7 @@ def _note(offset: Offset | None) -> list[str]:
     ]
 
 
-def _held(
+def _hold_commands(
     recording: Trajectories, log: CommandLog, reading: Reading
 ) -> dict[str, list[np.ndarray]]:
     """The last command at each time; before the first one, the first."""
@@ -235,7 +235,7 @@ def _explained_fraction(
         [piece.times for piece in recording],
         [piece.states for piece in recording],
         observed=[piece.observed for piece in recording],
-        commands=_held(recording, moved, Reading()),
+        commands=_hold_commands(recording, moved, Reading()),
         channels=recording.channels,
         units=recording.units,
     )

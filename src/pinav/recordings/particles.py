@@ -160,7 +160,7 @@ def _acting(
     logged: Mapping[str, np.ndarray], times: np.ndarray, reading: Reading
 ) -> dict[str, np.ndarray]:
     """Commands as they act: gaps held, offset added, shifted by the delay."""
-    commands = {name: _held(values) for name, values in logged.items()}
+    commands = {name: _hold_last(values) for name, values in logged.items()}
     if "heading" in commands:
         commands["heading"] = commands["heading"] + reading.heading_offset
     if reading.delay > 0:
@@ -171,7 +171,7 @@ def _acting(
     return commands
 
 
-def _held(values: np.ndarray) -> np.ndarray:
+def _hold_last(values: np.ndarray) -> np.ndarray:
     """The last known value where there is none, and at the start the first one.
 
     One value at least must be known.

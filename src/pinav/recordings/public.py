@@ -99,7 +99,7 @@ def _ring(content: bytes) -> TableOfNumbers:
     return TableOfNumbers(("t_s", *names), rows, 6)
 
 
-def _dragged(content: bytes) -> TableOfNumbers:
+def _read_dragged(content: bytes) -> TableOfNumbers:
     """Trap, bead and a rounded time; 145 Hz."""
     trap, bead, _ = _rows(content).T
     rows = np.stack([np.arange(len(bead)) / 145, trap, bead], axis=1)
@@ -164,7 +164,7 @@ PUBLIC = (
         licence="none stated",
         sha256="80da7843a802e78254853c94d5a90b5ff023829123596dd1423f87b0218e1d17",
         file="recording.csv.gz",
-        convert=_dragged,
+        convert=_read_dragged,
         reference=GIESELER,
     ),
     PublicRecording(

@@ -8,6 +8,7 @@ from pinav.report.page import Link as Link
 from pinav.report.page import Paragraph as Paragraph
 from pinav.report.page import Section as Section
 from pinav.report.page import Table as Table
+from pinav.report.page import capitalise as capitalise
 from pinav.report.page import heading as heading
 from pinav.report.page import measured as measured
 from pinav.report.page import number as number

@@ -61,6 +61,11 @@ def quantity(value: float | int | None, unit: str, digits: int = 3) -> str:
     return number(value, digits) + ("" if unit in NO_UNIT else f" {unit}")
 
 
+def capitalise(sentence: str) -> str:
+    """A sentence with a capital at its start; names and units in it keep theirs."""
+    return sentence[:1].upper() + sentence[1:]
+
+
 def heading(name: str, unit: str) -> str:
     """The heading of a column of numbers in a unit, such as "x [um]"."""
     return name if unit in NO_UNIT else f"{name} [{unit}]"

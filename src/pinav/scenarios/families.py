@@ -102,7 +102,7 @@ def _gaussian(rng: np.random.Generator) -> AbstractForce:
     return GaussianBarrier(_height(rng), _place(rng), float(rng.uniform(1.5, 3.0)))
 
 
-def _screened(rng: np.random.Generator) -> AbstractForce:
+def _screened_force(rng: np.random.Generator) -> AbstractForce:
     return PowerHill(_height(rng), _place(rng), float(rng.uniform(1.5, 2.5)), 0.5)
 
 
@@ -209,7 +209,7 @@ def _sum(*draws: Draw) -> Draw:
 
 FAMILIES: dict[str, Family] = {
     "gaussian": Family(_gaussian, ("central",)),
-    "screened": Family(_screened, ("central",)),
+    "screened": Family(_screened_force, ("central",)),
     "lorentzian": Family(_lorentzian, ("central",)),
     "compact": Family(_compact, ("central",)),
     "ring": Family(_ring, ("central",)),

@@ -155,9 +155,7 @@ def decode(key: str, wanted: Any, value: Any, context: Context) -> Any:
     if isinstance(value, wanted) and (wanted is bool or not isinstance(value, bool)):
         return value
     words = {int: "a whole number", str: "text in quotes", bool: "true or false"}
-    raise InputError(
-        f"{key}: expected {words.get(wanted, wanted)}, got {_shown(value)}"
-    )
+    raise InputError(f"{key}: expected {words.get(wanted, wanted)}, got {_show(value)}")
 
 
 def number(key: str, value: Any) -> float:
@@ -167,7 +165,7 @@ def number(key: str, value: Any) -> float:
         InputError: the value is another thing.
     """
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"{key}: expected a number, got {_shown(value)}")
+        raise InputError(f"{key}: expected a number, got {_show(value)}")
     if not math.isfinite(value):
         raise InputError(f"{key}: expected a finite number, got {value}")
     return float(value)
@@ -182,7 +180,7 @@ def _decode_union(key: str, options: tuple, value: Any, context: Context) -> Any
 
 def _decode_tuple(key: str, parts: tuple, value: Any, context: Context) -> tuple:
     if not isinstance(value, list):
-        raise InputError(f"{key}: expected a list [...], got {_shown(value)}")
+        raise InputError(f"{key}: expected a list [...], got {_show(value)}")
     if parts[-1] is Ellipsis:
         parts = (parts[0],) * len(value)
     if len(parts) != len(value):
@@ -199,7 +197,7 @@ def _decode_array(key: str, axes: list[str], value: Any, context: Context) -> An
     except ValueError as error:
         raise InputError(f"{key}: expected rows of equal length") from error
     if numbers.dtype.kind not in "fiu" or not np.isfinite(numbers).all():
-        raise InputError(f"{key}: expected finite numbers, got {_shown(value)}")
+        raise InputError(f"{key}: expected finite numbers, got {_show(value)}")
     named = {"dim": context.dim}
     sizes = [int(a) if a.isdigit() else named.get(a) for a in axes]
     fits = len(sizes) == numbers.ndim and all(
@@ -212,7 +210,7 @@ def _decode_array(key: str, axes: list[str], value: Any, context: Context) -> An
         )
         raise InputError(
             f"{key}: expected {shape or 'one'} numbers, as the dimension "
-            f"{context.dim} asks for, got {_shown(value)}"
+            f"{context.dim} asks for, got {_show(value)}"
         )
     return jnp.asarray(numbers, float)
 
@@ -225,7 +223,7 @@ def decode_module(key: str, family: type, value: Any, context: Context) -> Any:
     """
     if not isinstance(value, dict):
         raise InputError(
-            f"{key}: expected a table with the key kind, got {_shown(value)}"
+            f"{key}: expected a table with the key kind, got {_show(value)}"
         )
     cls = _class_of(key, family, value, context)
     table = {name: part for name, part in value.items() if name != "kind"}
@@ -318,6 +316,6 @@ def _guess(name: Any, known: Any) -> str:
     return f"; did you mean {close[0]!r}?" if close else ""
 
 
-def _shown(value: Any) -> str:
+def _show(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."

@@ -324,4 +324,5 @@ def _write(folder: RunFolder, metrics: AnalysisMetrics, arrays: Arrays) -> None:
 def run(options: AnalyseOptions) -> CommandResult:
     """Analyse as the command line does."""
     metrics = analyse(options.settings, options.run)
-    return CommandResult(metrics, metrics.text(), RunFolder.open(options.run))
+    text = metrics.text(FittedRun.open(options.run).data.units)
+    return CommandResult(metrics, text, RunFolder.open(options.run))

@@ -1,6 +1,10 @@
 """The results of `pinav analyse`, as `analysis.json` holds them."""
 
+from collections.abc import Mapping
+
 import msgspec
+
+from pinav.report import quantity
 
 
 class HelmholtzMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -24,14 +28,20 @@ class HelmholtzMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
     misfit: float
     sd: float | None = None
 
-    def sentence(self) -> str:
-        """The rotational fraction in words, and what its bounds mean."""
+    def sentence(self, units: Mapping[str, str]) -> str:
+        """The rotational fraction in words, and what its bounds mean.
+
+        Args:
+            units: of the channels and of time.
+        """
+        reach = quantity(self.reach, units.get("x", ""))
         spread = "" if self.sd is None else f" ± {self.sd:.2%} (sd)"
         return (
-            f"rotational part: {self.rotational:.2%}{spread} of the squared force "
-            f"within {self.reach:g} of the data. Near the data alone some fields are "
-            "gradient and rotational at once (harmonic fields): counted as gradient "
-            f"they leave {self.least:.2%}, counted as rotational {self.greatest:.2%}"
+            f"rotational part: {self.rotational:.2%}{spread} of the square of the "
+            f"learned field within {reach} of the data. Near the data alone some "
+            "fields are gradient and rotational at once (harmonic fields): counted as "
+            f"gradient they leave {self.least:.2%}, counted as rotational "
+            f"{self.greatest:.2%}"
         )
 
 
@@ -136,6 +146,16 @@ class LyapunovMetrics(msgspec.Struct, frozen=True):
     greatest: float | None
     exponent: float | None
 
+    def sentence(self, time: str) -> str:
+        """The growth and the exponent in words; with the unit of time."""
+        if self.median is None or self.greatest is None or self.exponent is None:
+            return "separations of neighbouring starts: no finite growth"
+        return (
+            f"separations of neighbouring starts grow by {self.median:.3g} (median) to "
+            f"{self.greatest:.3g} (greatest) over {quantity(self.horizon, time)}; "
+            f"median finite-time Lyapunov exponent {self.exponent:.2g} per unit of time"
+        )
+
 
 class AnalysisMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
     """The numbers of an analysis.
@@ -173,29 +193,29 @@ class AnalysisMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
     landmark: tuple[float, float] | None = None
     entropy: EntropyMetrics | None = None
 
-    def text(self) -> str:
-        """The findings for a terminal."""
-        lines = [self.helmholtz.sentence()]
+    def text(self, units: Mapping[str, str]) -> str:
+        """The findings for a terminal.
+
+        Args:
+            units: of the channels and of time.
+        """
+        length, time = units.get("x", ""), units.get("t", "")
+        lines = [self.helmholtz.sentence(units)]
         if self.entropy is not None:
             lines.append(self.entropy.sentence())
         if self.above_two_sd is not None:
             parts = ", ".join(f"{k} {v:.0%}" for k, v in self.above_two_sd.items())
-            lines.append(f"force above two standard deviations: {parts} of the region")
+            lines.append(f"field above two standard deviations: {parts} of the region")
         if self.influence:
             most = max(self.influence, key=lambda row: row.force)
             lines.append(
-                f"most influential: trajectory {most.trajectory}; without it the force "
+                f"most influential: trajectory {most.trajectory}; without it the field "
                 f"changes by {most.force:.2%}"
             )
         for row in self.constants or ():
             lines.append(
-                f"{row.constant} one percent larger: force {row.force:.2%}, final "
-                f"position {row.final:.3g}"
+                f"{row.constant} one percent larger: field {row.force:.2%}, final "
+                f"position {quantity(row.final, length)}"
             )
-        growth = self.lyapunov
-        lines.append(
-            f"separations of neighbouring starts grow by {growth.median:.3g} (median) "
-            f"to {growth.greatest:.3g} (greatest) over {growth.horizon:.4g}; median "
-            f"finite-time Lyapunov exponent {growth.exponent:.3g}"
-        )
+        lines.append(self.lyapunov.sentence(time))
         return "\n".join([*lines, *(f"left out: {line}" for line in self.left_out)])

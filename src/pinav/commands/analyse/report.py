@@ -28,7 +28,7 @@ from pinav.figures import (
 )
 from pinav.figures.analysis import one_legend
 from pinav.figures.style import new_figure, title_panel
-from pinav.report import Cell, Image, Paragraph, Section, Table
+from pinav.report import Cell, Image, Paragraph, Section, Table, capitalise, quantity
 from pinav.report.images import Figures
 from pinav.runs import RunFolder
 from pinav.trajectories import load
@@ -85,11 +85,11 @@ def analysis_sections(folder: RunFolder) -> list[Section]:
         )
     ]
     if results.metrics.entropy is not None:
-        paragraph = Paragraph(f"{results.metrics.entropy.sentence().capitalize()}.")
+        paragraph = Paragraph(f"{capitalise(results.metrics.entropy.sentence())}.")
         sections.append(Section("Out of equilibrium", [paragraph]))
     if results.metrics.influence:
         content = [*_influence(results, figures), *_constants(results, figures)]
-        sections.append(Section("What the force depends on", content))
+        sections.append(Section("What the field depends on", content))
     content = [_lyapunov(results, figures), *_sobol(results, figures)]
     sections.append(Section("What a rollout depends on", content))
     if results.metrics.left_out:
@@ -122,10 +122,11 @@ def _parts(results: Results, figures: Figures) -> Content:
     image = figures.image(
         "analysis-helmholtz",
         figure,
-        "Helmholtz split of the learned force, by least squares in the region within "
-        f"{parts.reach:g} of the data. Fractions are of the squared force there. "
+        "Helmholtz split of the learned field, by least squares in the region within "
+        f"{quantity(parts.reach, results.units.get('x', ''))} of the data. Fractions "
+        "are of the square of the field there. "
         "Harmonic fields are both; they are shared equally.",
-        alt="Gradient part and rotational part of the learned force",
+        alt="Gradient part and rotational part of the learned field",
     )
     percent = [100 * v for v in (parts.rotational, parts.least, parts.greatest)]
     spread = "–" if parts.sd is None else 100 * parts.sd
@@ -136,7 +137,7 @@ def _parts(results: Results, figures: Figures) -> Content:
         "potential explains. Greatest: they all count as rotational. sd: over "
         "posterior samples.",
     )
-    return [Paragraph(f"{parts.sentence().capitalize()}."), image, table]
+    return [Paragraph(f"{capitalise(parts.sentence(results.units))}."), image, table]
 
 
 def _potential(results: Results, figures: Figures) -> Image:
@@ -153,13 +154,13 @@ def _potential(results: Results, figures: Figures) -> Image:
         trust_map(results.field, sd, ax=axes[1], **options)
         title_panel(axes[1], "(b) signal to noise")
         caption += (
-            " Right: size of the force over its standard deviation; outside the "
+            " Right: size of the field over its standard deviation; outside the "
             "marked line it is not significantly different from zero. Away from the "
             "data the standard deviation is that of the assumed prior and is not to "
             "be trusted."
         )
     one_legend(figure, axes)
-    alt = "Potential, and where the force is known"
+    alt = "Potential, and where the field is known"
     return figures.image("analysis-potential", figure, caption, alt=alt)
 
 
@@ -171,15 +172,15 @@ def _influence(results: Results, figures: Figures) -> Content:
     image = figures.image(
         "analysis-influence",
         figure,
-        "Change of the learned force where the trajectory that is drawn is left out of "
+        "Change of the learned field where the trajectory that is drawn is left out of "
         "the fit, to first order, the hyperparameters held.",
-        alt="Change of the force where one trajectory is left out",
+        alt="Change of the field where one trajectory is left out",
     )
     columns: dict[str, Callable[[InfluenceRow], Cell]] = {
         "trajectory": lambda row: row.trajectory,
         "leverage": lambda row: row.leverage,
         "Cook's distance": lambda row: row.cook,
-        "change of the force (%)": lambda row: 100 * row.force,
+        "change of the field (%)": lambda row: 100 * row.force,
         "change of the final position": lambda row: row.final,
     }
     rows = results.metrics.influence or ()
@@ -188,8 +189,8 @@ def _influence(results: Results, figures: Figures) -> Content:
 
 INFLUENCE_CAPTION = (
     "Each trajectory: leverage, the number of parameters that it determines; Cook's "
-    "distance; root-mean-square change of the force near the data without it, relative "
-    "to that of the force; change of the final position of the reference rollout."
+    "distance; root-mean-square change of the field near the data without it, relative "
+    "to that of the field; change of the final position of the reference rollout."
 )
 
 
@@ -206,15 +207,15 @@ def _constants(results: Results, figures: Figures) -> Content:
     image = figures.image(
         "analysis-constants",
         constants_figure(slopes, results.field, **options),
-        "Change of the learned force where a constant is one percent larger and "
+        "Change of the learned field where a constant is one percent larger and "
         "everything else is fitted anew.",
-        alt="Change of the force with known constants",
+        alt="Change of the field with known constants",
     )
     columns: dict[str, Callable[[ConstantEffect], Cell]] = {
         "constant": lambda row: row.constant,
         "value": lambda row: row.value,
         "learned": lambda row: "yes" if row.learned else "no",
-        "change of the force (%)": lambda row: 100 * row.force,
+        "change of the field (%)": lambda row: 100 * row.force,
         "change of the final position": lambda row: row.final,
     }
     rows = results.metrics.constants or ()
@@ -222,8 +223,8 @@ def _constants(results: Results, figures: Figures) -> Content:
 
 
 CONSTANTS_CAPTION = (
-    "Each constant one percent larger: root-mean-square change of the force near the "
-    "data, relative to that of the force, and change of the final position of the "
+    "Each constant one percent larger: root-mean-square change of the field near the "
+    "data, relative to that of the field, and change of the final position of the "
     "reference rollout."
 )
 

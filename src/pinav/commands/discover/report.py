@@ -8,7 +8,7 @@ from pinav.commands.force_units import units_of
 from pinav.commands.system_choice import read_system_of
 from pinav.figures import formula_figure, law_figure
 from pinav.figures.style import force_unit
-from pinav.report import Cell, Code, Image, Paragraph, Section, Table
+from pinav.report import Cell, Code, Image, Paragraph, Section, Table, capitalise
 from pinav.report.images import Figures
 from pinav.runs import RunFolder
 from pinav.trajectories import load
@@ -36,7 +36,7 @@ def law_sections(folder: RunFolder) -> list[Section]:
         "and the learned force at points in visited regions, bars 95 %.",
         alt="Ranking of candidate laws, and the best one against the learned force",
     )
-    sentences = [Paragraph(f"{line.capitalize()}.") for line in metrics.sentences()]
+    sentences = [Paragraph(f"{capitalise(line)}.") for line in metrics.sentences()]
     details = [
         block
         for index, law in enumerate(metrics.close_laws)

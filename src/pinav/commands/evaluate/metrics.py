@@ -122,7 +122,10 @@ class EvaluationMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
     @property
     def error_name(self) -> str:
         """The name of the errors: of predictions, or of the fit itself."""
-        return "training error" if self.num_training else "held-out error"
+        if not self.num_training:
+            return "held-out error"
+        whole = self.num_training == self.trajectories
+        return "training error" if whole else "error, in part on training data"
 
     @property
     def purpose(self) -> str:
@@ -139,8 +142,7 @@ class EvaluationMetrics(msgspec.Struct, frozen=True, omit_defaults=True):
                 "predicts."
             )
         return (
-            f"{self.num_training} of the {self.trajectories} trajectories are training "
-            "data: "
-            "the scores are in part training errors; score other trajectories to "
-            "learn how well the run predicts."
+            f"Of the {self.trajectories} trajectories the run was fitted to "
+            f"{self.num_training}: the scores are in part training errors; score other "
+            "trajectories to learn how well the run predicts."
         )

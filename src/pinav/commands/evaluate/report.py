@@ -10,7 +10,7 @@ from pinav.commands.evaluate.tables import tables
 from pinav.evaluation import ErrorCurve
 from pinav.figures.errors import error_over_time, residual_autocorrelation
 from pinav.figures.style import new_figure, title_panel
-from pinav.report import Image, Paragraph, Section
+from pinav.report import Image, Paragraph, Section, capitalise
 from pinav.report.images import Figures
 from pinav.runs import RunFolder
 
@@ -22,7 +22,7 @@ def evaluation_sections(folder: RunFolder) -> list[Section]:
     metrics = folder.read_metrics(EVALUATION_FILE, EvaluationMetrics)
     arrays = folder.read_arrays(ARRAYS_FILE)
     figures = Figures(folder.path)
-    words = (metrics.purpose, f"{metrics.regions.capitalize()}.", *metrics.notes)
+    words = (metrics.purpose, f"{capitalise(metrics.regions)}.", *metrics.notes)
     blocks = [
         *map(Paragraph, words),
         *tables(metrics),

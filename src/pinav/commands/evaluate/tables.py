@@ -9,7 +9,7 @@ from pinav.commands.evaluate.metrics import (
     EvaluationMetrics,
     ResidualRow,
 )
-from pinav.report import Table, heading, quantity
+from pinav.report import Table, capitalise, heading, quantity
 
 BEYOND_DATA = (
     "In unvisited places a band rests on the assumed prior alone, which fades away "
@@ -94,7 +94,7 @@ def _force(metrics: EvaluationMetrics) -> Table:
         ("force of", "relative L2 error (%)", "cosine", "grid points"),
         rows,
         "Against the truth of the system, on a grid around the training data, a "
-        f"swimmer at rest. {metrics.regions.capitalize()}.",
+        f"swimmer at rest. {capitalise(metrics.regions)}.",
     )
 
 

@@ -8,7 +8,8 @@ from pinav.commands.navigate.metrics import (
     NavigationMetrics,
     SuggestionRow,
 )
-from pinav.report import Table
+from pinav.figures.style import force_unit, with_order
+from pinav.report import Table, quantity
 from pinav.report.text import as_text
 
 
@@ -52,20 +53,20 @@ CAPTION = (
 
 def sentences(metrics: NavigationMetrics) -> list[str]:
     """The findings in words."""
-    plan, step = metrics.plan, metrics.step
+    plan, step, time = metrics.plan, metrics.step, metrics.units.get("t", "")
     lines = [
-        f"The plan takes {plan.time:.3g} from rest; from "
+        f"The plan takes {quantity(plan.time, time)} from rest; from "
         f"{plan.unreachable:.0%} of the arena the goal cannot be reached in time.",
         f"Tried in {environment_words(metrics)}.",
         f"A control step takes {1e3 * step.median:.2g} ms, the first one "
         f"{step.first:.2g} s with its compilation.",
     ]
     if metrics.delay:
-        lines.append(f"Commands come into force after {metrics.delay:.3g}.")
+        lines.append(f"Commands act after {quantity(metrics.delay, time)}.")
     for name, reason in metrics.refused.items():
         lines.append(f"No run with the model {name}: {reason}.")
     if metrics.suggestion is not None:
-        lines.append(_advice(metrics.suggestion))
+        lines.append(_advice(metrics.suggestion, unit_of_field(metrics)))
     return lines
 
 
@@ -76,17 +77,23 @@ def environment_words(metrics: NavigationMetrics) -> str:
             "environments drawn from the posterior, or the model itself where there is "
             "none: the true one is not known"
         )
-    return f"the true environment of scenario {metrics.truth} (synthetic)"
+    return f"the true environment of {metrics.truth} (synthetic)"
 
 
-def _advice(suggestion: SuggestionRow) -> str:
-    text = (
-        f"The next trajectory to record (suggestion.csv) should lower the standard "
-        f"deviation of forces along the route from {suggestion.sd:.2g} to "
-        f"{suggestion.sd_after:.2g}"
-    )
+def unit_of_field(metrics: NavigationMetrics) -> str:
+    """Unit of the learned field: of a velocity for a swimmer without inertia."""
+    return force_unit(with_order(metrics.units, metrics.order, metrics.force))
+
+
+def _advice(suggestion: SuggestionRow, unit: str) -> str:
     random = suggestion.sd_after_random
-    return text + ("." if random is None else f", a random one to {random:.2g}.")
+    other = "" if random is None else f", a random one to {quantity(random, unit, 2)}"
+    return (
+        "The next trajectory to record (suggestion.csv) should lower the standard "
+        "deviation of the learned field along the route from "
+        f"{quantity(suggestion.sd, unit, 2)} to "
+        f"{quantity(suggestion.sd_after, unit, 2)}{other}."
+    )
 
 
 def text(metrics: NavigationMetrics) -> str:

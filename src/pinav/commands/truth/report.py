@@ -3,7 +3,7 @@
 from pinav.commands.truth.job import curve_file
 from pinav.commands.truth.metrics import TruthCase, TruthMetrics, case_table
 from pinav.figures import truth_band
-from pinav.report import Paragraph, Section
+from pinav.report import Paragraph, Section, capitalise
 from pinav.report.images import Figures
 from pinav.runs import RunFolder
 
@@ -31,7 +31,7 @@ def _case_section(folder: RunFolder, case: TruthCase) -> Section:
             labels=(x, y),
         )
         caption = (
-            f"{title.capitalize()}. Blue: learned, with its 95 % band; black: the "
+            f"{capitalise(title)}. Blue: learned, with its 95 % band; black: the "
             "truth, with twice its standard deviation."
         )
         name = f"truth-{case.name}-{index}"

@@ -166,12 +166,12 @@ def _unit_of(column: str) -> str:
 
 def _robot(table: Table) -> Table:
     """A robot's sheet without exact repeats of a row."""
-    cells = list(zip(*(table.columns[n] for n in _kept(table)), strict=True))
+    cells = list(zip(*(table.columns[n] for n in _columns_to_keep(table)), strict=True))
     again = [i > 0 and row == cells[i - 1] for i, row in enumerate(cells)]
     return table.select(~np.array(again))
 
 
-def _kept(table: Table) -> list[str]:
+def _columns_to_keep(table: Table) -> list[str]:
     return [_column_named(table, n) for n in ("Frame", "Pos X", "Pos Y")]
 
 

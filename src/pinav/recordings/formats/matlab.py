@@ -34,7 +34,9 @@ class Matlab(AbstractFormat):
 
     def tracks(self, source: Source, reading: Reading) -> Tracks:
         variables = _variables(source)
-        name, value = _chosen(variables, (reading.columns or {}).get("variable"))
+        name, value = _choose_variable(
+            variables, (reading.columns or {}).get("variable")
+        )
         if value.dtype == object:
             return _of_cells(name, value)
         return _of_matrix(name, value)
@@ -66,7 +68,7 @@ def _variables(source: Source) -> dict[str, np.ndarray]:
     }
 
 
-def _chosen(
+def _choose_variable(
     variables: dict[str, np.ndarray], name: str | None
 ) -> tuple[str, np.ndarray]:
     """The variable that holds the tracks."""

@@ -145,7 +145,7 @@ def quality(recording: Trajectories) -> Quality:
         for (run, particle), indices in groups(recording).items()
     ]
     runs = [
-        _run(str(name), [recording.trajectory(i) for i in indices], tracks)
+        _summarise_run(str(name), [recording.trajectory(i) for i in indices], tracks)
         for (name,), indices in groups(recording, "run").items()
     ]
     provenance = recording.provenance
@@ -221,7 +221,7 @@ def _track(run: str, particle: str, segments: list[Trajectory]) -> Track:
     )
 
 
-def _run(name: str, segments: list[Trajectory], tracks: list[Track]) -> Run:
+def _summarise_run(name: str, segments: list[Trajectory], tracks: list[Track]) -> Run:
     particles = [track for track in tracks if track.run == name]
     known = [t.localisation for t in particles if t.localisation is not None]
     covered = drive(segments)
