@@ -28,13 +28,13 @@ class Options(Settings, frozen=True):
     )
     half: Annotated[
         Literal["development", "judged"],
-        tyro.conf.arg(help="Even keys, on which recipes are tried, or odd ones."),
+        tyro.conf.arg(help="Even keys, to try recipes on, or odd ones from 61."),
     ] = "development"
     keys: Annotated[
         tuple[int, ...],
         tyro.conf.arg(
-            help="Keys of systems; those of --half if none. From 60 on they are "
-            "further systems for development."
+            help="Keys of systems; those of --half if none. Odd ones below 60 "
+            "were judged with earlier recipes."
         ),
     ] = ()
     columns: Annotated[

@@ -31,7 +31,9 @@ def test_bad_options_are_refused(words, message, tmp_path):
 
 def test_no_system_is_both_for_development_and_for_judging():
     assert not set(DEVELOPMENT) & set(JUDGED)
-    assert sorted(DEVELOPMENT + JUDGED) == list(range(60))
+    assert len(DEVELOPMENT) == len(JUDGED) == 30
+    assert not any(key % 2 for key in DEVELOPMENT)
+    assert all(key % 2 for key in JUDGED)
 
 
 def test_kernels_are_fitted_once_and_networks_for_each_seed():
