@@ -46,7 +46,7 @@ def test_the_terminal_shows_the_checks_of_thermal_motion():
         thermal=ROW,
     )
     lines = metrics.text().splitlines()
-    assert "diffusion: 0.250000 ± 0.0060 (sd)" in lines
+    assert "diffusion: 0.2500 ± 0.0060 (sd)" in lines
     assert (
         "exposure: 0.400 ± 0.10 (sd) of the interval; error: 0.200 ± 0.050 (sd) of a "
         "step"

@@ -85,7 +85,7 @@ BAD = {
         ["{file}", "--columns", "x"],
         "--columns: expected words such as x=X, got 'x'",
     ),
-    "unknown format": (["{file}", "--format", "excel"], "format: expected one of tidy"),
+    "unknown format": (["{file}", "--format", "excel"], "format: expected one of "),
     "number": (["{file}", "--fps", "-1"], "fps: expected > 0, got -1"),
 }
 

@@ -128,7 +128,7 @@ def test_kernels_stay_where_the_force_acts():
     seen = observe(narrow)
     environment = match_kernels(narrow, rates_of(seen))
     distance = np.linalg.norm(np.asarray(environment.centers) - [2.0, 0.3], axis=1)
-    assert distance.max() < 0.55 * np.ptp(seen.states[..., :2], axis=(0, 1)).max()
+    assert distance.max() < 0.7 * np.ptp(seen.states[..., :2], axis=(0, 1)).max()
 
 
 def test_too_few_samples_give_no_rates(data):

@@ -54,6 +54,7 @@ def test_square_lattices_of_every_period_and_direction_are_tried():
         assert abs(one @ other) < 1e-12
 
 
+@pytest.mark.slow
 def test_the_search_names_a_lattice():
     along = 2 * np.pi / 4.0 * np.array([np.cos(0.4), np.sin(0.4)])
     vectors = np.stack([along, [-along[1], along[0]]])

@@ -70,6 +70,7 @@ def test_the_search_names_what_is_there_and_nothing_beside_it(truth, kinds):
 SPACE = np.random.default_rng(1).uniform(0.0, 10.0, (1, 150, 3))
 
 
+@pytest.mark.slow
 def test_a_centre_is_found_in_space():
     center = [4.0, 6.0, 5.0]
     truth = GaussianBarrier(3.0, center, 2.0)

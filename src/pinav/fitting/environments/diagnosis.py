@@ -115,7 +115,7 @@ UNEXPLAINED, FAR_BETTER, NO_FIELD = 3e-3, 0.2, 0.2
 """Relative error of held-out forces that a field leaves unexplained; share of it that a
 better field leaves; error at which there is no field."""
 
-RELIABLE, DOUBTFUL = 1e-3, 0.2
+RELIABLE, DOUBTFUL = 1e-3, 0.03
 """Differences between the rates of two splines, relative to the largest force."""
 
 CHAOTIC = 1e4
