@@ -46,6 +46,6 @@ def test_a_short_film_has_none():
 def test_the_errors_are_said_by_length():
     row = RestartRow.of_errors(restart_errors(still(), film(35.0)))
     assert row.text({"x": "um", "t": "s"}) == (
-        "error of rollouts from observed positions, median of 3: 0.500 um after 1.00 s, "
-        "2.50 um after 5.00 s, 5.00 um after 10.0 s"
+        "error of rollouts from observed positions, median of 3: 0.500 um after "
+        "1.00 s, 2.50 um after 5.00 s, 5.00 um after 10.0 s"
     )

@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 from tests.fitting.structure.observed_forces import observed_forces
 
 from pinav.fitting.structure.patterns import (
