@@ -276,12 +276,12 @@ class Search:
         bounds = self.prior.bounds()[self.places]
         low, high = bounds.T
 
-        def scaled(place: np.ndarray) -> tuple[float, np.ndarray]:
+        def objective(place: np.ndarray) -> tuple[float, np.ndarray]:
             value, slope = self(place * units)
             return value, slope * units
 
         end = minimize(
-            scaled,
+            objective,
             np.clip(begin, low, high) / units,
             jac=True,
             method="L-BFGS-B",

@@ -24,6 +24,7 @@ from pinav.fitting.environments.force_regression import (
 from pinav.fitting.environments.gradient_matching import (
     ACROSS,
     MOST_KERNELS,
+    RELIABLE,
     match_kernels,
 )
 from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
@@ -115,8 +116,9 @@ UNEXPLAINED, FAR_BETTER, NO_FIELD = 3e-3, 0.2, 0.2
 """Relative error of held-out forces that a field leaves unexplained; share of it that a
 better field leaves; error at which there is no field."""
 
-RELIABLE, DOUBTFUL = 1e-3, 0.03
-"""Differences between the rates of two splines, relative to the largest force."""
+DOUBTFUL = 0.03
+"""Difference between the rates of two splines, relative to the largest force, above
+which the samples are too far apart; below `RELIABLE` a rate is not in doubt."""
 
 CHAOTIC = 1e4
 """Growth of a small difference between two rollouts."""

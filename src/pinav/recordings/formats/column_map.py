@@ -191,12 +191,13 @@ def _particles(table: Table, pattern: str) -> list[str]:
 def _check_columns(
     columns: Mapping[str, str], stated: Mapping[str, str]
 ) -> dict[str, str]:
-    columns = {
-        (name if name in QUANTITIES or column not in QUANTITIES else column): (
-            column if name in QUANTITIES or column not in QUANTITIES else name
-        )
+    columns = dict(
+        # 0=t says the same as t=0
+        (column, name)
+        if column in QUANTITIES and name not in QUANTITIES
+        else (name, column)
         for name, column in columns.items()
-    }  # 0=t says the same as t=0
+    )
     for given, what in ((columns, "columns"), (stated, "units")):
         for name in given:
             if name not in QUANTITIES:

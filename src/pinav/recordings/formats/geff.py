@@ -40,7 +40,7 @@ class Geff(AbstractFormat):
             column = group.array(f"nodes/props/{name}/values")
             if column is not None:
                 column = column.astype(np.float64)
-                values[quantity], unit_of[quantity] = _scaled(column, axes[name])
+                values[quantity], unit_of[quantity] = _scale(column, axes[name])
         for quantity in ("x", "y", "t"):
             if quantity not in values:
                 raise InputError(
@@ -78,9 +78,9 @@ def _graph(folder: Path) -> Group:
         return root
     graphs = [group for group in root.groups() if "geff" in group.attributes()]
     if len(graphs) != 1:
-        found = ", ".join(graph.path.name for graph in graphs) or "none"
+        names = ", ".join(graph.path.name for graph in graphs) or "none"
         raise InputError(
-            f"expected one graph of GEFF, got {found}; give its folder, or export "
+            f"expected one graph of GEFF, got {names}; give its folder, or export "
             "its nodes as CSV and give --columns frame=t x=x y=y particle=track"
         )
     return graphs[0]
@@ -96,7 +96,7 @@ def _names(axes: Mapping[str, Any], hints: Mapping[str, str]) -> dict[str, str]:
     return {q: name for q, name in named.items() if name in axes}
 
 
-def _scaled(
+def _scale(
     values: Float64[np.ndarray, " node"], axis: Mapping[str, Any]
 ) -> tuple[Float64[np.ndarray, " node"], str]:
     """Values along an axis, and their unit."""

@@ -198,11 +198,11 @@ def _of_blosc(content: bytes) -> bytes:
             rest, whole = content[at + 4 : at + 4 + packed], length // streams
             part += rest if packed == whole else _plain(rest, codec, whole)
             at += 4 + packed
-        blocks.append(_unshuffled(part, width) if flags & 1 else part)
+        blocks.append(_unshuffle(part, width) if flags & 1 else part)
     return b"".join(blocks)
 
 
-def _unshuffled(block: bytes, width: int) -> bytes:
+def _unshuffle(block: bytes, width: int) -> bytes:
     """Values whose first bytes stand first, then all second ones, and so on."""
     count = len(block) // width
     places = np.frombuffer(block, np.uint8, count * width).reshape(width, count)
