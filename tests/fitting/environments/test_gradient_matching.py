@@ -25,7 +25,12 @@ from pinav.fitting.environments.gradient_matching import (
     simpler_models,
 )
 from pinav.fitting.environments.kernels import KernelGrid
-from pinav.fitting.environments.rates import force_region, observed_rates
+from pinav.fitting.environments.rates import (
+    force_region,
+    forces_beside_drag,
+    observed_rates,
+    residual_forces,
+)
 from pinav.fitting.environments.summary import DataSummary, summarise_for_matching
 from pinav.forces import (
     ConstantForce,
@@ -156,7 +161,9 @@ def test_physics_alone_is_among_the_simpler_models(data):
 
 
 def test_the_region_of_a_force_is_where_it_acts(data):
-    region = force_region(TRUTH.without_environment(), rates_of(data))
+    rates = rates_of(data)
+    forces = residual_forces(TRUTH.without_environment(), rates)
+    region = force_region(rates, forces)
     assert region is not None
     positions = data.states[..., :2].reshape(-1, 2)
     still = jnp.zeros(2)
@@ -174,7 +181,30 @@ def test_no_force_has_no_region():
     states = np.random.default_rng(0).normal(size=(9, 4))
     times = np.arange(9.0)
     rates = np.asarray(jax.vmap(free)(jnp.asarray(times), jnp.asarray(states)))
-    assert force_region(free, Rates(times, states, rates)) is None
+    none = Rates(times, states, rates)
+    assert force_region(none, residual_forces(free, none)) is None
+
+
+def test_drag_and_thrust_are_told_from_a_force_that_acts_in_few_places():
+    """Without any known physics the force is left, and the least squares bend it."""
+    rng = np.random.default_rng(1)
+    states, times = rng.uniform(-1.0, 1.0, size=(200, 4)), np.arange(200.0)
+    drag, thrust = np.array([[-0.4, 0.1], [0.0, -0.7]]), np.array([0.1, -0.3])
+    forces = np.zeros((200, 2))
+    forces[states[:, 0] > 0.8] = [30.0, -10.0]
+    accelerations = states[:, 2:] @ drag.T + thrust + forces
+    rates = Rates(times, states, np.concatenate([states[:, 2:], accelerations], axis=1))
+    np.testing.assert_allclose(forces_beside_drag(rates), forces, atol=0.05)
+    region = force_region(rates, forces_beside_drag(rates))
+    assert region is not None
+    assert region.center[0] == pytest.approx(0.9, abs=0.05)
+
+
+def test_a_motion_of_drag_alone_leaves_no_force():
+    states = np.random.default_rng(0).normal(size=(9, 4))
+    rates = np.concatenate([states[:, 2:], -0.5 * states[:, 2:] + 0.2], axis=1)
+    left = forces_beside_drag(Rates(np.arange(9.0), states, rates))
+    np.testing.assert_allclose(left, 0.0, atol=1e-12)
 
 
 def test_a_hill_with_a_long_tail_gets_layers_that_a_file_keeps():

@@ -19,6 +19,7 @@ from pinav.dynamics import (
 )
 from pinav.errors import InputError
 from pinav.fitting.environments.choice import (
+    BLACK_BOX,
     CONSTANTS,
     MIXTURE,
     PROFILE,
@@ -177,7 +178,7 @@ MODELS: dict[str, Builder] = {
     "neural-force": _static_network(NeuralForce),
     "ude": _in_environment(_timed_network),
     "physics-only": _in_environment(lambda choice, summary: ZeroForce()),
-    "nn-only": _black_box,
+    BLACK_BOX: _black_box,
     PROFILE: _in_environment(_profile),
     "paper-ude": _in_environment(
         lambda choice, summary: paper_force(jax.random.key(choice.seed))

@@ -14,6 +14,9 @@ KnownSwimmer = Swimmer | OverdampedSwimmer
 POSITION_NETWORKS = ("neural-potential", "neural-force", "ude")
 """Models whose network sees standardised positions."""
 
+BLACK_BOX = "nn-only"
+"""The network in place of all physics."""
+
 MIXTURE = "kernel-mixture"
 """The model with a gradient and a rotational part."""
 

@@ -99,22 +99,23 @@ class ForceRegion(NamedTuple):
     radius: float
 
 
-def force_region(swimmer: Swimmer, rates: Rates) -> ForceRegion | None:
-    """Where the force that the known physics leave unexplained acts.
+def force_region(
+    rates: Rates, forces: Float[np.ndarray, "point dim"]
+) -> ForceRegion | None:
+    """Where the unknown force acts.
 
     A network whose positions are standardised by this region begins with a force that
     varies over the right distance, however far the swimmer coasts beyond it.
 
     Args:
-        swimmer: the known physics.
         rates: at observed states.
+        forces: there, that nothing known explains.
 
     Returns:
         The region; None where nothing acts.
     """
-    rates = thin_rates(rates, MOST_SAMPLES)
     positions = rates.states[:, : rates.states.shape[1] // 2]
-    sizes = np.linalg.norm(residual_forces(swimmer, rates), axis=1)
+    sizes = np.linalg.norm(forces, axis=1)
     spread = float(np.sqrt(positions.var(axis=0).mean()))
     if not (sizes.max() > ROUNDING * np.abs(rates.rates).max() and spread > 0):
         return None
@@ -123,6 +124,33 @@ def force_region(swimmer: Swimmer, rates: Rates) -> ForceRegion | None:
     radius = float(np.sqrt((weights @ (positions - center) ** 2).mean()))
     return ForceRegion(center, max(radius, LEAST_RADIUS * spread))
 
+
+def forces_beside_drag(rates: Rates) -> Float[np.ndarray, "point dim"]:
+    """What a uniform force and a linear drag leave of the accelerations.
+
+    They are those of the least absolute misfit, by iterated weights, because a force
+    that acts in few places must not bend them. No known physics enters.
+
+    Args:
+        rates: at observed states.
+    """
+    dim = rates.states.shape[1] // 2
+    columns = np.insert(rates.states[:, dim:], 0, 1.0, axis=1)
+    accelerations = rates.rates[:, dim:]
+    forces, weights = accelerations, np.ones((len(columns), 1))
+    for _ in range(ROUNDS):
+        law, *_ = np.linalg.lstsq(weights * columns, weights * accelerations)
+        forces = accelerations - columns @ law
+        sizes = np.linalg.norm(forces, axis=1, keepdims=True)
+        if not sizes.any():
+            break
+        weights = 1.0 / np.sqrt(sizes + SMALL * sizes.max())
+    return forces
+
+
+ROUNDS, SMALL = 20, 1e-3
+"""Iterations of the weights; misfit below which they no longer grow, as a share of the
+largest."""
 
 ROUNDING = 1e-12
 """Relative to the largest rate: no force that is told from rounding."""

@@ -6,7 +6,12 @@ import msgspec
 import numpy as np
 
 from pinav.dynamics import Swimmer
-from pinav.fitting.environments.choice import POSITION_NETWORKS, TIMED, ModelChoice
+from pinav.fitting.environments.choice import (
+    BLACK_BOX,
+    POSITION_NETWORKS,
+    TIMED,
+    ModelChoice,
+)
 from pinav.fitting.environments.gradient_matching import (
     lay_kernels_of,
     match_kernels,
@@ -20,7 +25,14 @@ from pinav.fitting.environments.kernels import (
     kernel_environment,
 )
 from pinav.fitting.environments.profiles import MobilitySummary, ProfileSummary
-from pinav.fitting.environments.rates import force_region, observed_rates
+from pinav.fitting.environments.rates import (
+    MOST_SAMPLES,
+    force_region,
+    forces_beside_drag,
+    observed_rates,
+    residual_forces,
+    thin_rates,
+)
 from pinav.fitting.environments.terms import TermSummary, summarise_terms
 from pinav.forces import AbstractForce, KernelForce, KernelPotential, as_learned_force
 from pinav.trajectories import Trajectories
@@ -142,10 +154,15 @@ def summarise_for_matching(
     if choice.name.startswith("kernel-"):
         laid = lay_kernels_of(KernelForce, swimmer, rates)
         return summary.with_kernels_of(laid or match_kernels(swimmer, rates))
-    region = force_region(swimmer, rates) if choice.name in POSITION_NETWORKS else None
+    few, dim = thin_rates(rates, MOST_SAMPLES), summary.dim
+    if choice.name in POSITION_NETWORKS:
+        region = force_region(few, residual_forces(swimmer, few))
+    elif choice.name == BLACK_BOX:
+        region = force_region(few, forces_beside_drag(few))
+    else:
+        return summary
     if region is None:
         return summary
-    dim = summary.dim
     return msgspec.structs.replace(
         summary,
         mean=(*map(float, region.center), *summary.mean[dim:]),

@@ -120,7 +120,8 @@ def defect_recipe(
     if rates is None:
         return match(1, None), match(last, None)
     samples = informative_samples(trajectories, MOST_SAMPLES) - np.array([0, 1])
-    return RateMatching(rates, patience=patience), match(last, samples)
+    steps = STEPS_OF_A_RATE * rates.rates.shape[1]
+    return RateMatching(rates, steps, patience), match(last, samples)
 
 
 def is_complete(trajectories: Trajectories) -> bool:
@@ -139,6 +140,9 @@ def _full_rollout(
         steps=max_steps,
     )
 
+
+STEPS_OF_A_RATE = 20
+"""Steps for each channel of the rates that a network learns, at most."""
 
 FIRST_DAMPING, LINEAR_DAMPING = 1e-2, 1e-7
 """Of the first step, and that of a model that is linear in its parameters."""
