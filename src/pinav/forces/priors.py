@@ -227,7 +227,11 @@ class MixturePrior(AbstractPrior):
         second = [self._join(self.first.start, shape) for shape in self.second.starts]
         return first + second[1:]
 
-    def _join(self, first: Shape, second: Shape) -> Shape:
+    def _join(
+        self,
+        first: Float[np.ndarray, " first"],
+        second: Float[np.ndarray, " second"],
+    ) -> Shape:
         return np.concatenate([first, second, [self.first_ratio]])
 
     @property
