@@ -13,9 +13,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
 # sixth less of that where a program is not divided among threads.
 os.environ.setdefault(
     "XLA_FLAGS",
-    "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0 "
-    "--xla_cpu_parallel_codegen_split_count=1",
+    "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1",
 )
+os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "true")  # but: `optimised`
 os.environ.setdefault("JAX_TRACEBACK_FILTERING", "off")  # which takes time
 os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
 
@@ -36,6 +36,15 @@ hypothesis.settings.load_profile("no deadline")  # other work may slow the machi
 
 
 gc.set_threshold(50_000, 20, 100)  # as the command line does
+
+
+@pytest.fixture
+def optimised(monkeypatch):
+    """Compile with optimisations, also in processes, for closed loops of many steps."""
+    monkeypatch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "false")
+    jax.config.update("jax_disable_most_optimizations", val=False)
+    yield
+    jax.config.update("jax_disable_most_optimizations", val=True)
 
 
 MANY_MAPPINGS = 20_000

@@ -60,6 +60,7 @@ def mark_of(page: Path) -> pytest.MarkDecorator:
     "page",
     [pytest.param(p, marks=mark_of(p), id=page_id(p)) for p in PAGES if blocks(p)],
 )
+@pytest.mark.usefixtures("optimised")
 def test_the_code_of_a_page_runs(page, sandbox, fitted_runs, recording):
     """README and tutorials begin with nothing, others with a fitted run."""
     if page.name != "README.md" and page not in TUTORIALS:
@@ -215,6 +216,7 @@ def test_the_example_of_the_readme_has_a_small_error():
 @pytest.mark.parametrize(
     "path", sorted((ROOT / "examples").glob("*.py")), ids=lambda p: p.name
 )
+@pytest.mark.usefixtures("optimised")
 def test_the_examples_run(path):
     done = subprocess.run([sys.executable, path], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -1,5 +1,6 @@
 """One cell of the benchmark: a system, a way to fit it, a seed."""
 
+import dataclasses
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -11,17 +12,30 @@ import jax.numpy as jnp
 import msgspec
 
 from benchmarks._sweep import write_measurement
-from benchmarks.trainer.systems import BenchmarkSystem, benchmark_system
+from benchmarks.trainer.systems import CENTER, BenchmarkSystem, benchmark_system
 from pinav.commands.matching import CurriculumSettings, matching
 from pinav.dynamics import Swimmer
-from pinav.evaluation import predict, score
-from pinav.evaluation.force_fields import field_map, force_errors
-from pinav.fitting import Outcome, confirm, diagnose, fit_bayes, kernel_environment
+from pinav.evaluation import (
+    field_map,
+    force_error_at_samples,
+    force_errors,
+    predict,
+    score,
+)
+from pinav.fitting import (
+    Cause,
+    Outcome,
+    confirm,
+    diagnose,
+    fit_bayes,
+    kernel_environment,
+)
 from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.choice import ModelChoice, learned_part
 from pinav.fitting.environments.summary import summarise_for_matching
-from pinav.forces import KernelPotential
+from pinav.forces import GaussianSwirl, KernelPotential, SumForce
 from pinav.sweeps import Cell
+from pinav.systems import System
 from pinav.trajectories import Trajectories, simulate
 
 
@@ -41,9 +55,8 @@ class Measurement(msgspec.Struct, frozen=True):
         form: of the potential.
         width: of the potential [L].
         cause: of an error above `FAILED`, as `diagnose` tells it.
-        visited: relative error of the force within a short distance of the data
-            (`pinav.evaluation.Regions`); None without a force.
-        near: the same within a longer distance.
+        samples: relative error of the force at the samples; None without a force.
+        near: the same on a map, near the data (`pinav.evaluation.Regions`).
     """
 
     key: int
@@ -57,7 +70,7 @@ class Measurement(msgspec.Struct, frozen=True):
     form: str
     width: float
     cause: str = ""
-    visited: float | None = None
+    samples: float | None = None
     near: float | None = None
 
 
@@ -70,10 +83,36 @@ Ending = tuple[Any, Outcome, float]
 infinite where noise decides it."""
 
 
-def _by_matching(model: str, recipe: str) -> Callable[..., Ending]:
-    def run(drawn: BenchmarkSystem, data: Trajectories, seed: int) -> Ending:
+def _truth(drawn: BenchmarkSystem) -> System:
+    return drawn.system
+
+
+@dataclasses.dataclass(frozen=True)
+class Column:
+    """A way to fit a system, or a reason why no fit to it can succeed.
+
+    Attributes:
+        fit: fits the known physics and what is learned beside them.
+        truth: the system that is observed.
+        wrong: factor by which the drag that the fit is told is wrong.
+        cause: the cause that a failed fit should name.
+    """
+
+    fit: Callable[[Any, Trajectories, int], Ending]
+    truth: Callable[[BenchmarkSystem], System] = _truth
+    wrong: float = 1.0
+    cause: Cause | None = None
+
+    def known(self, drawn: BenchmarkSystem) -> Swimmer:
+        """The physics that the fit is told."""
+        swimmer: Any = drawn.system.swimmer
+        damping = self.wrong * swimmer.drag.damping
+        return eqx.tree_at(lambda s: s.drag.damping, swimmer, damping)
+
+
+def _by_matching(model: str, recipe: str) -> Callable[[Any, Trajectories, int], Ending]:
+    def run(known: Any, data: Trajectories, seed: int) -> Ending:
         choice = ModelChoice(model, seed=seed)
-        known: Any = drawn.system.swimmer
         summary = summarise_for_matching(choice, known, data)
         untrained = build(choice, known, summary)
         method = matching(CurriculumSettings(recipe), data, untrained)
@@ -88,22 +127,46 @@ def _by_matching(model: str, recipe: str) -> Callable[..., Ending]:
     return run
 
 
-def _by_evidence(drawn: BenchmarkSystem, data: Trajectories, seed: int) -> Ending:
+def _by_evidence(known: Any, data: Trajectories, seed: int) -> Ending:
     del seed
-    known: Any = drawn.system.swimmer
     model = known.with_environment(kernel_environment(KernelPotential, data))
     result = fit_bayes(model, data, throw=False)
     return result.model, result.outcome, float("inf")
 
 
-COLUMNS: dict[str, Callable[..., Ending]] = {
-    "network": _by_matching("ude", "curriculum"),
-    "kernel": _by_matching("kernel-potential", "curriculum"),
-    "black-box": _by_matching("nn-only", "curriculum"),
-    "paper": _by_matching("paper-ude", "paper"),
-    "noisy-kernel": _by_evidence,
+def _noisy(drawn: BenchmarkSystem) -> System:
+    return eqx.tree_at(lambda s: s.observation.noise, drawn.system, NOISE)
+
+
+def _swirling(drawn: BenchmarkSystem) -> System:
+    """With a swirl about the same centre, whose largest force is half the barrier's."""
+    speed = float(jnp.max(jnp.linalg.norm(drawn.system.starts[:, 2:], axis=1)))
+    swirl = GaussianSwirl(0.25 * speed**2, CENTER, drawn.width)
+    barrier: Any = drawn.system.environment
+    return dataclasses.replace(drawn.system, environment=SumForce((barrier, swirl)))
+
+
+def _coarse(drawn: BenchmarkSystem) -> System:
+    """Observed so seldom that the force changes much between two samples."""
+    apart = drawn.width / float(jnp.max(jnp.abs(drawn.system.starts[:, 2:])))
+    every = max(round(apart / 0.1), 2)
+    return dataclasses.replace(drawn.system, times=drawn.system.times[::every])
+
+
+_POTENTIAL = _by_matching("neural-potential", "curriculum")
+
+COLUMNS: dict[str, Column] = {
+    "network": Column(_by_matching("ude", "curriculum")),
+    "kernel": Column(_by_matching("kernel-potential", "curriculum")),
+    "black-box": Column(_by_matching("nn-only", "curriculum")),
+    "paper": Column(_by_matching("paper-ude", "paper")),
+    "noisy-kernel": Column(_by_evidence, _noisy),
+    "wrong-drag": Column(_POTENTIAL, wrong=1.3, cause=Cause.PHYSICS),
+    "swirl": Column(_POTENTIAL, _swirling, cause=Cause.NO_POTENTIAL),
+    "coarse": Column(_POTENTIAL, _coarse, cause=Cause.SAMPLES),
 }
-"""Ways to fit by name; the last one is given data with noise."""
+"""Ways to fit by name. With the last three a potential without time should
+fail: the drag is 30 % too large, a swirl is added, or samples are a width apart."""
 
 SEEDLESS = ("kernel", "noisy-kernel")
 """Ways without a network, which has a seed."""
@@ -136,13 +199,12 @@ def cell_of(key: int, column: str, seed: int) -> Cell:
 def measure(cell: Cell, folder: Path) -> None:
     """Fit and score one cell."""
     key, column, seed = int(cell.system), cell.read(TrainerCell).column, cell.seed
-    drawn = benchmark_system(key)
-    clean = data = simulate(drawn.system)
-    if column == "noisy-kernel":
-        noisy = eqx.tree_at(lambda s: s.observation.noise, drawn.system, NOISE)
-        data = simulate(noisy, key=jax.random.key(key))
+    drawn, way = benchmark_system(key), COLUMNS[column]
+    truth = way.truth(drawn)
+    data = simulate(truth, key=jax.random.key(key))
+    clean = simulate(eqx.tree_at(lambda s: s.observation.noise, truth, 0.0))
     start, spent = time.perf_counter(), time.process_time()
-    model, outcome, residual = COLUMNS[column](drawn, data, seed)
+    model, outcome, residual = way.fit(way.known(drawn), data, seed)
     jax.block_until_ready(eqx.filter(model, eqx.is_array))
     seconds, spent = time.perf_counter() - start, time.process_time() - spent
     rmse = score(*predict(model, clean), clean).total
@@ -161,20 +223,18 @@ def measure(cell: Cell, folder: Path) -> None:
             form=drawn.form,
             width=drawn.width,
             cause=_cause(model, clean) if not rmse <= FAILED else "",
-            **_force_errors(model, drawn, clean),
+            **_force_errors(model, truth, clean),
         ),
     )
 
 
-def _force_errors(
-    model: Any, drawn: BenchmarkSystem, data: Trajectories
-) -> dict[str, float]:
-    if not isinstance(model, Swimmer) or drawn.system.environment is None:
+def _force_errors(model: Any, truth: System, data: Trajectories) -> dict[str, float]:
+    if not isinstance(model, Swimmer) or truth.environment is None:
         return {}
-    pair = model.environment, drawn.system.environment
+    pair = model.environment, truth.environment
     learned, true = (field_map(force, data) for force in pair)
-    errors = force_errors(learned, true)
-    return {name: errors[name] for name in ("visited", "near")}
+    near = force_errors(learned, true)["near"]
+    return {"samples": force_error_at_samples(*pair, data), "near": near}
 
 
 def _cause(model: Any, data: Trajectories) -> str:

@@ -8,13 +8,22 @@ import numpy as np
 import tyro
 
 from benchmarks._sweep import measurements
-from benchmarks.trainer.cells import COLUMNS, SEEDLESS, Measurement, cell_of
+from benchmarks.trainer.cells import (
+    COLUMNS,
+    FAILED,
+    SEEDLESS,
+    Measurement,
+    cell_of,
+)
 from benchmarks.trainer.systems import DEVELOPMENT, JUDGED
 from pinav.commands.parsing import parse
 from pinav.commands.settings import Settings
 from pinav.commands.worker_settings import WorkerSettings
 from pinav.errors import InputError
 from pinav.sweeps import Cell
+
+USUAL = tuple(name for name, column in COLUMNS.items() if column.cause is None)
+"""Columns of fits that should succeed."""
 
 
 class Options(Settings, frozen=True):
@@ -39,7 +48,7 @@ class Options(Settings, frozen=True):
     ] = ()
     columns: Annotated[
         tuple[str, ...], tyro.conf.arg(help="Any of: " + ", ".join(COLUMNS) + ".")
-    ] = tuple(COLUMNS)
+    ] = USUAL
     seeds: Annotated[tuple[int, ...], tyro.conf.arg(help="Seeds of networks.")] = (0,)
     workers: WorkerSettings = WorkerSettings()
 
@@ -83,8 +92,8 @@ def line(one: Measurement) -> str:
     name = f"{one.key:>3} {one.encounter:<6}{one.form:<9}{one.width:>5.2f}"
     fit = f"{one.column:<13}{one.seed:>3}{one.rmse:>10.1e}{one.seconds:>7.1f} s"
     fit += f"{one.processor_seconds:>7.1f} s"
-    if one.visited is not None and one.near is not None:
-        fit += f"  force {one.visited:.1e} {one.near:.1e}"
+    if one.samples is not None and one.near is not None:
+        fit += f"  force {one.samples:.1e} {one.near:.1e}"
     return f"{name}  {fit}  {one.outcome} {one.cause}".rstrip()
 
 
@@ -100,8 +109,20 @@ def summary(measurements: Sequence[Measurement]) -> str:
         cells = [f"{len(chosen):>11}", *(f"{error:>11.1e}" for error in errors)]
         spent = float(np.median([one.processor_seconds for one in chosen]))
         cells += [f"{seconds:>9.1f} s" for seconds in (*times, spent)]
-        for force in ("visited", "near"):
+        for force in ("samples", "near"):
             known = [e for one in chosen if (e := getattr(one, force)) is not None]
             cells += [f"{np.median(known):>11.1e}" if known else f"{'-':>11}"]
         lines.append(f"{column:<13}" + "".join(cells))
+        lines += _causes(column, chosen)
     return "\n".join(lines)
+
+
+def _causes(column: str, measurements: Sequence[Measurement]) -> list[str]:
+    """How many fits failed, and how many of these named the cause that is true."""
+    cause = COLUMNS[column].cause
+    failed = [one for one in measurements if one.rmse > FAILED]
+    if cause is None or not failed:
+        return []
+    told = sum(one.cause == cause.name.lower() for one in failed)
+    word = cause.name.lower().replace("_", " ")
+    return [f"  {len(failed)} above {FAILED:g}; {told} of these name it: {word}"]

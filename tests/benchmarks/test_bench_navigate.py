@@ -45,6 +45,7 @@ def test_finished_tasks_are_read(tmp_path, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimised")
 def test_a_learned_current_serves_a_follower(tmp_path):
     """One fit and two runs; the swimmers are observed under a programme of commands."""
     out = tmp_path / "bench"

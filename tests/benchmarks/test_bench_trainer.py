@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from benchmarks.trainer import main
-from benchmarks.trainer.cells import Measurement
+from benchmarks.trainer.cells import COLUMNS, Measurement
 from benchmarks.trainer.systems import DEVELOPMENT, JUDGED, benchmark_system
 from benchmarks.trainer.table import Options, cells, line, summary
 
@@ -58,3 +58,27 @@ def test_the_table_gives_quantiles_of_each_column():
     assert "1.0e-03" in summary(several)
     assert "turn" in line(several[0])
     assert "converged" in line(several[0])
+
+
+def test_the_table_counts_the_causes_that_failed_fits_name():
+    causes = {1e-1: "physics", 1e-2: "", 1.0: "search"}
+    several = [
+        measurement(column="wrong-drag", rmse=rmse, cause=cause)
+        for rmse, cause in causes.items()
+    ]
+    assert "2 above 0.01; 1 of these name it: physics" in summary(several)
+    assert "above" not in summary([measurement(rmse=1.0, cause="search")])
+
+
+def test_a_column_that_must_fail_changes_what_the_fit_is_told_or_what_is_observed():
+    drawn = benchmark_system(4)
+    damping = float(drawn.system.swimmer.drag.damping)
+    told = COLUMNS["wrong-drag"].known(drawn)
+    np.testing.assert_allclose(told.drag.damping, 1.3 * damping)
+    assert COLUMNS["network"].known(drawn).drag.damping == damping
+    coarse = COLUMNS["coarse"].truth(drawn).times
+    assert coarse[1] - coarse[0] > 2 * drawn.system.times[1]
+    (barrier, swirl) = COLUMNS["swirl"].truth(drawn).environment.terms
+    assert barrier is drawn.system.environment
+    places = drawn.system.starts[0, :2] + 0.1
+    assert abs(float(swirl(0.0, places, places) @ (places - swirl.center))) < 1e-12

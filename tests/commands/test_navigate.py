@@ -101,6 +101,7 @@ def test_the_words_name_truth_regret_and_suggestion():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimised")
 def test_a_run_from_data_to_report(tmp_path, capsys):
     def ran(*words):
         with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
@@ -240,6 +241,7 @@ def test_places_of_another_dimension_are_refused(tmp_path, change, message):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimised")
 def test_a_run_in_space_from_plan_to_report(tmp_path):
     problem = navigation_problem(
         NavigateSettings(**IN_SPACE, seeds=2, noise=0.02), space_run(tmp_path)

@@ -154,7 +154,9 @@ def full_step(
     def attempt(
         damping: Float[Array, ""],
     ) -> tuple[Float[Array, " parameter"], Float[Array, ""], Float[Array, ""]]:
-        factor = jnp.linalg.cholesky(normal + damping * jnp.eye(normal.shape[0]))
+        # Only the lower triangle is read: to symmetrise it first costs a fifth more.
+        damped = normal + damping * jnp.eye(normal.shape[0])
+        factor = jax.lax.linalg.cholesky(damped, symmetrize_input=False)
 
         def newton(
             current: Float[Array, " residual"], z: Float[Array, " unknown"]
