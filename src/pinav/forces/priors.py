@@ -39,6 +39,11 @@ class AbstractPrior(eqx.Module):
         """Shape at which the search begins."""
 
     @property
+    def starts(self) -> list[Shape]:
+        """Shapes of which the likeliest is where a search begins; `start` first."""
+        return [self.start]
+
+    @property
     @abc.abstractmethod
     def bounds(self) -> Float[np.ndarray, "shape 2"]:
         """Between which the shape is sought."""
@@ -72,15 +77,11 @@ class WeightPrior(AbstractPrior):
         centers: $c$ of the kernels [L].
         width: of a kernel [L].
         components: weights of each kernel, independent of each other.
-        floor: $\varphi$, below which no standard deviation falls: $D_i D_j$ becomes
-            $D_i D_j + \varphi^2$. Where the data end, an envelope that they chose knows
-            nothing, and without a floor its band would be too sure.
     """
 
     centers: Centers = eqx.field(converter=_exact)
     width: float = eqx.field(converter=float)
     components: int = 1
-    floor: float = 0.0
 
     @property
     def start(self) -> Shape:
@@ -103,7 +104,7 @@ class WeightPrior(AbstractPrior):
         alike, faded = self._factors(shape)
         by_envelope = alike * faded / reach**2
         scalars = [
-            alike * (faded + self.floor**2) * self._squares / length_scale**2,
+            alike * faded * self._squares / length_scale**2,
             by_envelope * (squares[:, None] + squares[None]),
             *(by_envelope * (x[:, None] + x[None]) for x in from_middle.T),
         ]
@@ -112,7 +113,7 @@ class WeightPrior(AbstractPrior):
     def _scalar(self, shape: Shape) -> Gram:
         """Covariance of one component."""
         alike, faded = self._factors(shape)
-        return alike * (faded + self.floor**2)
+        return alike * faded
 
     def _factors(self, shape: Shape) -> tuple[Gram, Gram]:
         """What two kernels have in common by their distance, and by the envelope."""
@@ -198,45 +199,6 @@ class StationaryPrior(AbstractPrior):
         return root * np.sqrt((offsets**2).sum(axis=-1)) / np.exp(shape[0])
 
 
-class DistancePrior(AbstractPrior):
-    r"""Prior of a profile of a distance: $\rho_i \rho_j$ times a `WeightPrior`.
-
-    The force of a smooth potential grows with the distance; where the length scale is
-    infinite the envelope about zero leaves the force of a Gaussian. A search begins
-    there, with smooth profiles.
-
-    Attributes:
-        base: prior of the kernels on the line.
-    """
-
-    base: WeightPrior
-
-    @property
-    def start(self) -> Shape:
-        low, high = self.bounds[2]
-        reach = np.log(0.3 * (high - low))
-        return np.array([SMOOTH, reach, 0.99 * low])
-
-    @property
-    def bounds(self) -> Float[np.ndarray, "shape 2"]:
-        return self.base.bounds
-
-    def covariance(self, shape: Shape) -> Matrix:
-        return self.base.covariance(shape) * self._scales
-
-    def slopes(self, shape: Shape) -> Matrices:
-        return self.base.slopes(shape) * self._scales
-
-    @property
-    def _scales(self) -> Gram:
-        places = self.base.centers[:, 0] / self.base.centers.max()
-        return np.outer(places, places)
-
-
-SMOOTH = 1.5
-"""Logarithm of the length scale, in widths of a kernel, at which profiles begin."""
-
-
 class MixturePrior(AbstractPrior):
     r"""Prior of two parts of a force, independent of each other.
 
@@ -256,8 +218,21 @@ class MixturePrior(AbstractPrior):
 
     @property
     def start(self) -> Shape:
-        starts = [self.first.start, self.second.start, [self.first_ratio]]
-        return np.concatenate(starts)
+        return self._join(self.first.start, self.second.start)
+
+    @property
+    def starts(self) -> list[Shape]:
+        """One part differs from its start at a time."""
+        first = [self._join(shape, self.second.start) for shape in self.first.starts]
+        second = [self._join(self.first.start, shape) for shape in self.second.starts]
+        return first + second[1:]
+
+    def _join(
+        self,
+        first: Float[np.ndarray, " first"],
+        second: Float[np.ndarray, " second"],
+    ) -> Shape:
+        return np.concatenate([first, second, [self.first_ratio]])
 
     @property
     def bounds(self) -> Float[np.ndarray, "shape 2"]:

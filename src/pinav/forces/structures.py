@@ -23,11 +23,8 @@ from jaxtyping import Array, Float, PyTree
 from pinav.arguments import Scalar, Vector
 from pinav.errors import InputError
 from pinav.forces.force import AbstractForce
-from pinav.forces.priors import (
-    AbstractPrior,
-    DistancePrior,
-    WeightPrior,
-)
+from pinav.forces.priors import AbstractPrior
+from pinav.forces.profile_priors import DistancePrior, ProfilePrior
 
 Places = Float[Array, " kernel"]
 """Places of the kernels of a profile [L]."""
@@ -36,11 +33,6 @@ Places = Float[Array, " kernel"]
 ROUNDING = 1e-3
 """Distance, in widths of a kernel, within which the distance to a point is rounded: its
 derivative at the point itself would not exist."""
-
-
-FLOOR = 0.01
-"""Least standard deviation of a profile where its envelope ends, relative to where it
-is largest."""
 
 
 class AbstractTerm(AbstractForce):
@@ -103,8 +95,7 @@ class AbstractProfileTerm(AbstractTerm):
         return profile_kernels(self, z) @ self.weights
 
     def prior(self) -> AbstractPrior:
-        places = np.asarray(self.places)[:, None]
-        base = WeightPrior(places, float(self.width), floor=FLOOR)
+        base = ProfilePrior(np.asarray(self.places), float(self.width))
         return DistancePrior(base) if self.is_odd else base
 
     def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:

@@ -132,7 +132,10 @@ class AbstractProblem(eqx.Module):
         whole = self.priors.add_to(local.quadratic, max(noise, self.least_noise))
         quadratic, block = eliminate_flat(whole, self.flat)
         weights = self.weights.about(move.theta[~self.flat])
-        shape = weights.start if before is None else before.shape
+        if before is None:
+            shape = weights.first_shape(quadratic, self.noise)
+        else:
+            shape = before.shape
         inference = weights.infer(quadratic, shape, self.noise)
         chosen = inference.hyperparameters
         mean, covariance = joint_posterior(

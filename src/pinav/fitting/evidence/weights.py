@@ -13,6 +13,7 @@ from jaxtyping import Float
 from pinav.fitting.evidence.evidence import (
     Hyperparameters,
     LinearisedObservations,
+    at_shape,
     best_hyperparameters,
     weight_posterior,
 )
@@ -45,6 +46,10 @@ class AbstractWeights(eqx.Module):
     @abc.abstractmethod
     def start(self) -> Shape:
         """Shape of the prior at which a fit begins."""
+
+    def first_shape(self, quadratic: Quadratic, noise: float | None) -> Shape:
+        """Shape at which the first search in a fit begins."""
+        return self.start
 
     @abc.abstractmethod
     def about(self, weights: Float[np.ndarray, " weight"]) -> "AbstractWeights":
@@ -89,6 +94,14 @@ class GaussianWeights(AbstractWeights):
     @property
     def start(self) -> Shape:
         return self.prior.start
+
+    def first_shape(self, quadratic: Quadratic, noise: float | None) -> Shape:
+        starts = self.prior.starts
+        if len(starts) == 1:
+            return starts[0]
+        data, covariance = LinearisedObservations.of(quadratic), self.prior.covariance
+        tried = [at_shape(data, covariance, start, noise) for start in starts]
+        return max(tried, key=lambda one: one.log_evidence).shape
 
     def about(self, weights: Float[np.ndarray, " weight"]) -> "AbstractWeights":
         return self

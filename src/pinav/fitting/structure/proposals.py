@@ -108,7 +108,10 @@ def propose(
 
 
 def refine(proposal: Proposal, response: ForceResponse) -> Proposal:
-    """Lay kernels of profiles closer to each other where the evidence gains.
+    """Lay kernels of profiles closer to each other where they are too coarse.
+
+    Kernels that are coarser than the process asks for know of fewer profiles than
+    there are, and their band is too sure. So finer ones need not gain.
 
     Args:
         proposal: terms that explain the data.
@@ -117,7 +120,7 @@ def refine(proposal: Proposal, response: ForceResponse) -> Proposal:
     for _ in range(MOST_HALVINGS):
         finer = proposal.finer
         made = None if finer is None else polish(finer, response)
-        if made is None or made.log_evidence < proposal.log_evidence + DECISIVE:
+        if made is None or made.log_evidence < proposal.log_evidence - DECISIVE:
             break
         proposal = made
     return proposal

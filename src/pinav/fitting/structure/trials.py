@@ -66,9 +66,9 @@ class Proposal(eqx.Module):
         )
 
 
-SHORTEST = 1.5
+SHORTEST = 4.0
 """Length scale of a profile, in widths of its kernels, below which they are laid closer
-to each other."""
+to each other: a process of few derivatives needs several kernels for each."""
 
 
 def _with_finer_profile(term: AbstractProfileTerm) -> AbstractTerm:
