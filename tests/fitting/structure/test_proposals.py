@@ -59,7 +59,9 @@ SADDLE = LinearForce(np.array([[2.0, 0.5], [0.5, -2.0]]), [5.0, 5.0])
     ("truth", "kinds"),
     [
         (SADDLE, ["linear"]),
-        (HILL + SADDLE, ["linear", "central"]),
+        pytest.param(
+            HILL + SADDLE, ["linear", "central"], marks=pytest.mark.slow, id="sum"
+        ),
     ],
 )
 def test_the_search_names_what_is_there_and_nothing_beside_it(truth, kinds):
