@@ -52,7 +52,7 @@ from pinav.trajectories import Trajectories, informative_rows
 ACROSS = (6, 8, 11, 15, 20, 27, 36, 48)
 """Intervals of the grids of kernels that are tried, along the extent of the data."""
 
-MOST_KERNELS, MOST_MATCHED = 900, 500
+MOST_KERNELS, MOST_MATCHED = 900, 300
 """Kernels of a grid, and samples whose rates a network learns, at most."""
 
 GOOD_ENOUGH = 1e-6

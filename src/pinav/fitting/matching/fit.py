@@ -1,12 +1,13 @@
 """`fit`: a recipe of phases applied to one model, or to many at once."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Int, PyTree, Shaped
+from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree, Shaped
 
 from pinav.arguments import on_device
 from pinav.dynamics import AbstractDynamics, with_dtype
@@ -125,8 +126,11 @@ def fit_many(
         start = task.state_before(0)
         state = checkpoint.load(task.state_before) if checkpoint else None
         state = start if state is None else state
-        while state.phase < len(recipe):
-            state = task.advance(state, checkpoint, on_chunk)
+        with ThreadPoolExecutor(1) as beside:
+            # Steps leave a core idle, on which the phases to come can be compiled.
+            beside.submit(task.compile_after, state.phase)
+            while state.phase < len(recipe):
+                state = task.advance(state, checkpoint, on_chunk)
         return task.results(start, state)
 
 
@@ -178,6 +182,34 @@ class _FitTask(eqx.Module):
         members = (params, values)
         return begin_phase(self.problem, self.recipe[phase], members, self.at_once)
 
+    def compile_after(self, phase: int) -> None:
+        """Compile the steps of all phases after this one, by taking none of them.
+
+        It is called from another thread, to which the precision in force here is told:
+        JAX keeps it for each thread.
+        """
+        compiled = {_program(one) for one in self.recipe[phase : phase + 1]}
+        with jax.enable_x64(self.problem.observations.times.dtype == jnp.float64):
+            for number in range(phase + 1, len(self.recipe)):
+                if _program(self.recipe[number]) not in compiled:
+                    compiled.add(_program(self.recipe[number]))
+                    self.take_steps(self.state_before(number), 0)
+
+    def take_steps(
+        self, state: FitState, count: int
+    ) -> tuple[PyTree, PyTree, Float[Array, "member step"], Bool[Array, ""]]:
+        """As `run_chunk`, from a state in the middle of its phase."""
+        phase = self.recipe[state.phase]
+        return run_chunk(
+            self.problem,
+            phase,
+            state.params,
+            state.minimiser,
+            state.losses,
+            jnp.asarray([state.taken, count]),
+            self.abreast(phase),
+        )
+
     def abreast(self, phase: AbstractPhase) -> int | None:
         """How many members take a step side by side; None for all of them."""
         alone = not phase.side_by_side and jax.default_backend() == "cpu"
@@ -193,15 +225,7 @@ class _FitTask(eqx.Module):
         phase = self.recipe[state.phase]
         left = phase.num_steps - (state.taken - state.starts[-1])
         count = min(phase.chunk_steps, left)
-        params, minimiser, losses, done = run_chunk(
-            self.problem,
-            phase,
-            state.params,
-            state.minimiser,
-            state.losses,
-            jnp.asarray([state.taken, count]),
-            self.abreast(phase),
-        )
+        params, minimiser, losses, done = self.take_steps(state, count)
         starts, taken = state.starts, state.taken + count
         if count == left or bool(done):
             params = finish_phase(self.problem, phase, params, minimiser, self.at_once)
@@ -238,6 +262,12 @@ class _FitTask(eqx.Module):
             return Fit(model, initial, losses[member], phases, outcome)
 
         return [one(member) for member in range(losses.shape[0])]
+
+
+def _program(phase: AbstractPhase) -> Hashable:
+    """What phases that share a compiled program have in common."""
+    leaves, structure = jax.tree.flatten(phase)
+    return structure, tuple((np.shape(leaf), np.result_type(leaf)) for leaf in leaves)
 
 
 def _in_mode(tree: PyTree) -> PyTree:

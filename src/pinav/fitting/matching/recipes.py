@@ -150,7 +150,7 @@ FIRST_DAMPING, LINEAR_DAMPING = 1e-2, 1e-7
 LEAST_RESIDUAL = 1e-7
 """Of a step from exact data, in units of their spread, that a prior takes for noise."""
 
-MOST_SAMPLES = 500
+MOST_SAMPLES = 300
 """Samples whose errors a network is trained on at once, at most: with fewer, its error
 between them stays."""
 
