@@ -41,10 +41,11 @@ gc.set_threshold(50_000, 20, 100)  # as the command line does
 @pytest.fixture
 def optimised(monkeypatch):
     """Compile with optimisations, also in processes, for closed loops of many steps."""
+    before = jax.config.read("jax_disable_most_optimizations")
     monkeypatch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "false")
     jax.config.update("jax_disable_most_optimizations", val=False)
     yield
-    jax.config.update("jax_disable_most_optimizations", val=True)
+    jax.config.update("jax_disable_most_optimizations", val=before)
 
 
 MANY_MAPPINGS = 20_000

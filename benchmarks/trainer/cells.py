@@ -138,19 +138,35 @@ def _noisy(drawn: BenchmarkSystem) -> System:
     return eqx.tree_at(lambda s: s.observation.noise, drawn.system, NOISE)
 
 
+def _crossing(drawn: BenchmarkSystem) -> System:
+    """From eight sides, at two speeds: a field along one path explains anything."""
+    start, paths = drawn.system.starts[0], []
+    for turn in range(8):
+        angle = turn * jnp.pi / 4
+        rotate = jnp.asarray(
+            [[jnp.cos(angle), -jnp.sin(angle)], [jnp.sin(angle), jnp.cos(angle)]]
+        )
+        speed = 1.0 if turn % 2 == 0 else 1.5
+        position, velocity = rotate @ (start[:2] - CENTER), rotate @ start[2:]
+        paths.append(jnp.concatenate([CENTER + position, speed * velocity]))
+    return dataclasses.replace(drawn.system, starts=jnp.stack(paths))
+
+
 def _swirling(drawn: BenchmarkSystem) -> System:
     """With a swirl about the same centre, whose largest force is half the barrier's."""
     speed = float(jnp.max(jnp.linalg.norm(drawn.system.starts[:, 2:], axis=1)))
     swirl = GaussianSwirl(0.25 * speed**2, CENTER, drawn.width)
     barrier: Any = drawn.system.environment
-    return dataclasses.replace(drawn.system, environment=SumForce((barrier, swirl)))
+    crossing = _crossing(drawn)
+    return dataclasses.replace(crossing, environment=SumForce((barrier, swirl)))
 
 
 def _coarse(drawn: BenchmarkSystem) -> System:
     """Observed so seldom that the force changes much between two samples."""
     apart = drawn.width / float(jnp.max(jnp.abs(drawn.system.starts[:, 2:])))
     every = max(round(apart / 0.1), 2)
-    return dataclasses.replace(drawn.system, times=drawn.system.times[::every])
+    crossing = _crossing(drawn)
+    return dataclasses.replace(crossing, times=drawn.system.times[::every])
 
 
 _POTENTIAL = _by_matching("neural-potential", "curriculum")
@@ -161,7 +177,7 @@ COLUMNS: dict[str, Column] = {
     "black-box": Column(_by_matching("nn-only", "curriculum")),
     "paper": Column(_by_matching("paper-ude", "paper")),
     "noisy-kernel": Column(_by_evidence, _noisy),
-    "wrong-drag": Column(_POTENTIAL, wrong=1.3, cause=Cause.PHYSICS),
+    "wrong-drag": Column(_POTENTIAL, _crossing, wrong=1.3, cause=Cause.PHYSICS),
     "swirl": Column(_POTENTIAL, _swirling, cause=Cause.NO_POTENTIAL),
     "coarse": Column(_POTENTIAL, _coarse, cause=Cause.SAMPLES),
 }
@@ -202,7 +218,12 @@ def measure(cell: Cell, folder: Path) -> None:
     drawn, way = benchmark_system(key), COLUMNS[column]
     truth = way.truth(drawn)
     data = simulate(truth, key=jax.random.key(key))
-    clean = simulate(eqx.tree_at(lambda s: s.observation.noise, truth, 0.0))
+    noisy = truth.observation.noise > 0
+    clean = (
+        simulate(eqx.tree_at(lambda s: s.observation.noise, truth, 0.0))
+        if noisy
+        else data
+    )
     start, spent = time.perf_counter(), time.process_time()
     model, outcome, residual = way.fit(way.known(drawn), data, seed)
     jax.block_until_ready(eqx.filter(model, eqx.is_array))

@@ -49,13 +49,15 @@ def _with_middles(times: Float[np.ndarray, " time"]) -> Float[np.ndarray, " poin
 
 
 def thin_rates(rates: Rates, most: int) -> Rates:
-    """The rates of the most informative samples.
+    """The rates of the most informative samples: of states that differ, or their rates.
+
+    Where a narrow force acts, rates change although states hardly do.
 
     Args:
         rates: at observed states.
         most: samples that are kept.
     """
-    rows = informative_rows(rates.states, most)
+    rows = informative_rows(np.hstack([rates.states, rates.rates]), most)
     return jax.tree.map(lambda array: array[rows], rates)
 
 
