@@ -6,68 +6,14 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-from pinav.live.checkpoint import read_session
-from pinav.live.drive_estimator import DriveEstimator
-from pinav.live.session import Session
+from tests.live.processes import Both, kill_and_resume
 
 pytestmark = pytest.mark.slow
 
-RIG = Path(__file__).parents[1] / "rig.py"
 STEER = ("--to=60,40", "--tolerance", "4", "--keep-out=45,10,12")
-
-
-class Both:
-    """A rig and a pinav, by a growing file or by a socket."""
-
-    def __init__(
-        self, folder: Path, way: str, *faults: str, frames: int = 420, pace="0.002"
-    ):
-        self.folder, self.way = folder, way
-        self.frames, self.truth = folder / "frames.jsonl", folder / "truth.jsonl"
-        words = ["--truth", str(self.truth), "--frames", str(frames), "--pace", pace]
-        words += ["--wait"] if pace == "0.002" else []
-        words += [word for fault in faults for word in ("--fault", fault)]
-        if way == "file":
-            commands = folder / "commands.jsonl"
-            words += ["--file", str(self.frames), "--commands", str(commands)]
-            self.words = [str(self.frames), "--commands-to", str(commands)]
-        self.rig = subprocess.Popen(
-            [sys.executable, RIG, *words], stdout=subprocess.PIPE, text=True
-        )
-        if way == "socket":
-            port = self.rig.stdout.readline().strip()
-            self.words = [f"tcp://127.0.0.1:{port}"]
-
-    def start(self, *words: str, out: str = "out.jsonl") -> subprocess.Popen:
-        with (self.folder / out).open("w") as file:
-            return subprocess.Popen(
-                [sys.executable, "-m", "pinav", "live", *self.words, *words],
-                stdout=file,
-                stderr=subprocess.PIPE,
-                text=True,
-            )
-
-    def wait(self, process: subprocess.Popen) -> str:
-        """Let the rig end, and then pinav; what it complained of."""
-        self.rig.wait(120)
-        self.rig.stdout.close()
-        _, complaint = process.communicate(timeout=60)
-        return complaint
-
-    def said(self, kind: str, out: str = "out.jsonl") -> list[dict]:
-        lines = (self.folder / out).read_text().splitlines()
-        return [row for line in lines if (row := json.loads(line))["type"] == kind]
-
-    def told(self) -> np.ndarray:
-        """Number, time, position and command of each frame, as they truly were."""
-        return np.array(
-            [json.loads(line) for line in self.truth.read_text().splitlines()]
-        )
 
 
 @pytest.mark.parametrize(
@@ -100,34 +46,7 @@ def test_the_goal_is_reached_through_faults_and_the_disc_is_not_entered(
 
 def test_a_killed_session_goes_on_as_if_nothing_had_been(tmp_path):
     """Killed at random frames; the belief is that of a session that lived on."""
-    both = Both(tmp_path, "file", frames=600, pace="0.02")
-    keep = ("--out", str(tmp_path / "kept"), "--watch")
-    draw = np.random.default_rng(0)
-    begin = time.monotonic()
-    for number in range(3):
-        process = both.start(*keep, *(["--resume"] * (number > 0)), out=f"{number}")
-        while not (tmp_path / "kept" / "session.npz").exists():
-            time.sleep(0.05)
-            assert time.monotonic() < begin + 60
-        time.sleep(draw.uniform(1.0, 2.5))
-        process.kill()
-        process.communicate()
-    both.rig.wait(60)
-    complaint = both.wait(both.start(*keep, "--resume", out="last"))
-    assert "Traceback" not in complaint
-    last = both.said("state", "last")
-    seqs = [state["seq"] for state in last]
-    assert seqs == list(range(seqs[0], 600))
-    ready = both.said("ready", "last")[0]
-    assert ready["resumed_at"] == seqs[0] - 1 > 0
-    kept = read_session(tmp_path / "kept" / "session.npz", Session(DriveEstimator()))
-    assert kept.counts.frames == 600
-    whole = Session(DriveEstimator())
-    for line in both.frames.read_bytes().splitlines():
-        whole = whole.after(line).session
-    for name, array in whole.estimator.to_arrays().items():
-        again = kept.estimator.to_arrays()[name]
-        assert np.allclose(array, again, rtol=0, atol=1e-9, equal_nan=True), name
+    kill_and_resume(tmp_path, 3, 1.0, 2.5)
 
 
 def test_a_rig_without_pinav_stops(tmp_path):
