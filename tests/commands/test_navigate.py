@@ -102,14 +102,12 @@ def test_the_words_name_truth_regret_and_suggestion():
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("optimised")
-def test_a_run_from_data_to_report(tmp_path, capsys):
+def test_a_run_from_a_fit_to_report(tmp_path, capsys, fitted_run):
     def ran(*words):
         with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
             return cli.run(words)
 
-    data, fit, out = (str(tmp_path / name) for name in ("data.npz", "fit", "out"))
-    assert ran("simulate", "barrier-crossings", "--out", data) == 0
-    assert ran("fit", data, "--out", fit) == 0
+    fit, out = str(fitted_run("kernel")[0]), str(tmp_path / "out")
     ends = ("--from", "0.5,1", "--to", "9.5,9.5")
     words = ("navigate", fit, *ends, "--out", out, "--seeds", "3")
     capsys.readouterr()

@@ -40,6 +40,7 @@ def read_evaluation(folder):
 def test_a_recording_goes_through_all_commands_on_the_same_runs(tmp_path, capsys):
     jax.config.update("jax_numpy_dtype_promotion", "standard")
     file, response, force = (str(tmp_path / n) for n in ("robot.csv", "I", "F"))
+    there = ["--from=-3,-3", "--to=4,4", "--seeds", "3", "--out", f"{force}-there"]
     save(robot(), tmp_path / "robot.csv")
     try:
         for words in (
@@ -49,7 +50,7 @@ def test_a_recording_goes_through_all_commands_on_the_same_runs(tmp_path, capsys
             ["evaluate", response, file],
             ["evaluate", force, file],
             ["analyse", force],
-            ["navigate", force, "--from=-3,-3", "--to=4,4", "--out", f"{force}-there"],
+            ["navigate", force, *there],
         ):
             assert cli.run(words) == 0, capsys.readouterr().err
     finally:
