@@ -16,12 +16,14 @@ from pinav.fitting import (
     Adam,
     BestSoFar,
     FitState,
+    GaussNewton,
     Outcome,
     TrajectoryLoss,
     curriculum,
     fit,
     fit_many,
 )
+from pinav.fitting.matching.fit import _FitTask
 from pinav.fitting.matching.objectives import Observations
 from pinav.forces import (
     GaussianBarrier,
@@ -66,6 +68,23 @@ def network_swimmer(seed: int) -> Swimmer:
 
 def environment(model):
     return model.environment
+
+
+def test_phases_to_come_are_compiled_once_for_each_program(data, monkeypatch):
+    """Phases that differ in a window share a program; the first one has its own."""
+    compiled, take_steps = [], _FitTask.take_steps
+
+    def note(self, state, count):
+        if count == 0:
+            compiled.append(state.phase)
+        return take_steps(self, state, count)
+
+    monkeypatch.setattr(_FitTask, "take_steps", note)
+    windows = [GaussNewton(window, target=1e-9, steps=1) for window in (1, 5)]
+    steps = [Adam(learning_rate=1e-3, steps=2), Adam(learning_rate=1e-3, steps=2)]
+    result = fit(network_swimmer(0), data, [*windows, *steps], trainable=environment)
+    assert compiled == [2]
+    assert [start for _, start in result.phases] == [0, 1, 2, 4]
 
 
 RECIPE = (Adam(1e-2, 300), BestSoFar(LBFGS(40)))

@@ -128,9 +128,10 @@ def fit_many(
         state = start if state is None else state
         with ThreadPoolExecutor(1) as beside:
             # Steps leave a core idle, on which the phases to come can be compiled.
-            beside.submit(task.compile_after, state.phase)
+            compiled = beside.submit(task.compile_after, state.phase)
             while state.phase < len(recipe):
                 state = task.advance(state, checkpoint, on_chunk)
+            compiled.result()
         return task.results(start, state)
 
 
@@ -267,7 +268,7 @@ class _FitTask(eqx.Module):
 def _program(phase: AbstractPhase) -> Hashable:
     """What phases that share a compiled program have in common."""
     leaves, structure = jax.tree.flatten(phase)
-    return structure, tuple((np.shape(leaf), np.result_type(leaf)) for leaf in leaves)
+    return structure, tuple((jnp.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
 
 
 def _in_mode(tree: PyTree) -> PyTree:
