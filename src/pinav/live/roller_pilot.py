@@ -179,21 +179,33 @@ class RollerPilot(AbstractPilot):
         time: float,
         sd: float = 0.0,
     ) -> Advice:
-        """The advice, or one that keeps the tube out of every disc."""
+        """The advice, or else what keeps the tube out of every disc and leads on most.
+
+        Where nothing keeps it out, what keeps it farthest away.
+        """
         if not len(self.discs) or fit.bank is None:
             return advice
         if self._clearance(fit, advice, time, sd) > 0:
             return advice
         still = dataclasses.replace(advice, frequency=0.0, intent=Intent.AVOID)
-        choices = [still]
+        choices, lead = [still], [0.0]
         for turn in range(8):
-            heading = _wrap(advice.heading + turn * math.pi / 4)
+            angle = turn * math.pi / 4
             for part in (0.3, 1.0):
-                frequency = part * hello.limits.frequency
                 choices.append(
-                    Advice(frequency, heading, Intent.AVOID, advice.time_to_go)
+                    Advice(
+                        part * hello.limits.frequency,
+                        _wrap(advice.heading + angle),
+                        Intent.AVOID,
+                        advice.time_to_go,
+                    )
                 )
-        return max(choices, key=lambda one: self._clearance(fit, one, time, sd))
+                lead.append(part * math.cos(angle))
+        apart = [self._clearance(fit, one, time, sd) for one in choices]
+        clear = [i for i, least in enumerate(apart) if least > 0]
+        if clear:
+            return choices[max(clear, key=lambda i: lead[i])]
+        return choices[int(np.argmax(apart))]
 
     def _clearance(
         self, fit: RunningFit, advice: Advice, time: float, sd: float
