@@ -95,7 +95,7 @@ def kill_and_resume(folder: Path, kills: int, least: float, most: float) -> list
         # A killed process may leave half a line.
         words = [json.loads(line) for line in lines if line.endswith(b"}")]
         resumed += [w["resumed_at"] for w in words if w["type"] == "ready"]
-    both.rig.wait(frames * PACE + 60)
+    both.rig.wait(3 * frames * PACE + 60)
     complaint = both.wait(both.start(*keep, "--resume", out="last"))
     assert "Traceback" not in complaint
     seqs = [state["seq"] for state in both.said("state", "last")]
