@@ -130,4 +130,3 @@ def test_a_session_that_is_killed_again_and_again_learns_each_frame_once(tmp_pat
     resumed = kill_and_resume(tmp_path, KILLS, 1.0, 4.0)
     print(f"{KILLS} kills; resumed at {len(set(resumed))} different frames")
     assert sorted(resumed) == resumed
-    assert len(set(resumed)) > KILLS / 3  # others are killed while they start

@@ -50,7 +50,7 @@ class Both:
         """Let the rig end, and then pinav; what it complained of."""
         self.rig.wait(120)
         self.rig.stdout.close()
-        _, complaint = process.communicate(timeout=60)
+        _, complaint = process.communicate(timeout=300)
         return complaint
 
     def said(self, kind: str, out: str = "out.jsonl") -> list[dict]:
