@@ -218,12 +218,9 @@ def measure(cell: Cell, folder: Path) -> None:
     drawn, way = benchmark_system(key), COLUMNS[column]
     truth = way.truth(drawn)
     data = simulate(truth, key=jax.random.key(key))
-    noisy = truth.observation.noise > 0
-    clean = (
-        simulate(eqx.tree_at(lambda s: s.observation.noise, truth, 0.0))
-        if noisy
-        else data
-    )
+    clean = data
+    if truth.observation.noise > 0:
+        clean = simulate(eqx.tree_at(lambda s: s.observation.noise, truth, 0.0))
     start, spent = time.perf_counter(), time.process_time()
     model, outcome, residual = way.fit(way.known(drawn), data, seed)
     jax.block_until_ready(eqx.filter(model, eqx.is_array))
