@@ -64,17 +64,16 @@ class Both:
         )
 
 
-def kill_and_resume(folder: Path, kills: int, least: float, most: float) -> list[int]:
-    """Kill a session at random moments and resume it; then compare its belief.
+def kill_and_resume(folder: Path, kills: int, most: float) -> list[int]:
+    """Kill a session at random moments while it learns, and resume it each time.
 
-    The belief at the end is that of a session that lived on, and no frame is learned
-    twice.
+    Each session lives on for up to `most` seconds after its first frame. The belief at
+    the end is that of a session that was never killed, and no frame is learned twice.
 
     Args:
         folder: of all files.
         kills: how many sessions end by `kill -9`.
-        least: shortest life of a session after its checkpoint was found [s].
-        most: longest.
+        most: longest life of a session after it began to learn [s].
 
     Returns:
         The frames that were learned from when each session began anew.
@@ -82,13 +81,14 @@ def kill_and_resume(folder: Path, kills: int, least: float, most: float) -> list
     frames = int(kills * (most + START) / PACE)
     both = Both(folder, "file", frames=frames, pace=str(PACE))
     keep = ("--out", str(folder / "kept"), "--watch")
-    draw, begin, resumed = np.random.default_rng(0), time.monotonic(), []
+    draw, resumed = np.random.default_rng(0), []
     for number in range(kills):
+        begin = time.monotonic()
         process = both.start(*keep, *(["--resume"] * (number > 0)), out=f"{number}")
-        while not (folder / "kept" / "session.npz").exists():
-            time.sleep(0.05)
+        while b'"state"' not in (folder / f"{number}").read_bytes():
+            time.sleep(0.02)
             assert time.monotonic() < begin + 60
-        time.sleep(draw.uniform(least, most))
+        time.sleep(draw.uniform(0, most))
         process.kill()
         process.communicate()
         lines = (folder / f"{number}").read_bytes().splitlines()
@@ -112,7 +112,9 @@ def kill_and_resume(folder: Path, kills: int, least: float, most: float) -> list
     for name, array in whole.estimator.to_arrays().items():
         again = kept.estimator.to_arrays()[name]
         assert np.allclose(array, again, rtol=0, atol=1e-9, equal_nan=True), name
-    return [one for one in resumed if one is not None]
+    resumed = [seq for seq in resumed if seq is not None]
+    assert sorted(resumed) == resumed
+    return resumed
 
 
 FEW = 3

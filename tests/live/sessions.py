@@ -12,7 +12,16 @@ from pinav.live.estimators import (
     Intent,
     Whereabouts,
 )
-from pinav.live.messages import VERSION, Frame, Hello, Limits, encode
+from pinav.live.messages import (
+    VERSION,
+    Command,
+    Event,
+    EventKind,
+    Frame,
+    Hello,
+    Limits,
+    encode,
+)
 from pinav.live.session import Session
 
 
@@ -95,3 +104,23 @@ def feed(session, lines):
 
 def begun(**fields):
     return Session(LastPosition(), **fields).after(line(HELLO)).session
+
+
+def steer(session, robot, steps):
+    """Steer a robot until it arrives: its path, the session and the events."""
+    command, path, events = (0.0, 0.0), [], []
+    for seq in range(steps):
+        x, y = robot.seen()
+        more = {"frequency": command[0], "heading": command[1]}
+        outcome = session.after(frame_line(seq, t=robot.t, x=x, y=y, **more))
+        session = outcome.session
+        robot.move(*command)
+        path.append((robot.x, robot.y))
+        for answer in outcome.answers:
+            if isinstance(answer, Command):
+                command = answer.frequency, answer.heading
+            if isinstance(answer, Event):
+                events.append(answer)
+        if any(event.kind is EventKind.ARRIVED for event in events):
+            break
+    return np.array(path), session, events

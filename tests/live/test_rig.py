@@ -46,7 +46,7 @@ def test_the_goal_is_reached_through_faults_and_the_disc_is_not_entered(
 
 def test_a_killed_session_goes_on_as_if_nothing_had_been(tmp_path):
     """Killed at random frames; the belief is that of a session that lived on."""
-    kill_and_resume(tmp_path, 3, 1.0, 2.5)
+    kill_and_resume(tmp_path, 3, 2.5)
 
 
 def test_a_rig_without_pinav_stops(tmp_path):

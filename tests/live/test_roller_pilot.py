@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 from tests.identification.running.test_running_fit import small_grid
-from tests.live.sessions import HELLO, frame_line, line
+from tests.live.sessions import HELLO, frame_line, line, steer
 from tests.rig import Robot
 
 from pinav.live.drive_estimator import DriveEstimator
 from pinav.live.estimators import Advice, Intent
-from pinav.live.messages import Command, Event, EventKind, Mode
+from pinav.live.messages import Command, EventKind, Mode
 from pinav.live.roller_pilot import RollerPilot, _tangent, _way_point
 from pinav.live.session import Session
 
@@ -23,30 +23,15 @@ def estimator():
     return DriveEstimator(RunningFit.begin(small_grid()))
 
 
-def fly(pilot, steps, robot=None):
+def fly(pilot, steps, robot):
     """The path of a robot that a session steers, the session, and its events."""
-    robot = Robot() if robot is None else robot
-    session = Session(estimator(), pilot).after(line(HELLO)).session
-    command, path, events = (0.0, 0.0), [], []
-    for seq in range(steps):
-        x, y = robot.seen()
-        more = {"frequency": command[0], "heading": command[1]}
-        outcome = session.after(frame_line(seq, t=robot.t, x=x, y=y, **more))
-        session = outcome.session
-        robot.move(*command)
-        for answer in outcome.answers:
-            if isinstance(answer, Command):
-                command = answer.frequency, answer.heading
-            if isinstance(answer, Event):
-                events.append(answer)
-        path.append((robot.x, robot.y))
-    return np.array(path), session, events
+    return steer(Session(estimator(), pilot).after(line(HELLO)).session, robot, steps)
 
 
 @pytest.mark.slow
 def test_an_unknown_robot_reaches_the_goal_around_a_disc():
     pilot = RollerPilot(np.array([70.0, 20.0]), 3.0, DISC)
-    path, session, events = fly(pilot, 300)
+    path, session, events = fly(pilot, 300, Robot())
     assert EventKind.ARRIVED in [event.kind for event in events]
     assert np.hypot(*(path[-1] - (70, 20))) < 5
     assert np.hypot(*(path - DISC[0, :2]).T).min() > DISC[0, 2]

@@ -91,8 +91,7 @@ class Loop:
             arrived = time.perf_counter()
             self.buffer, lines = self.buffer.after(reading.data)
             self._learn([t for line in lines for t in self._translate(line)], arrived)
-        if time.monotonic() - self.saved_at >= CHECKPOINT_EVERY:
-            self._save()
+        self._save_when_due()
 
     def _learn(self, lines: list[bytes], arrived: float) -> None:
         if len(lines) > LAGGING:
@@ -102,6 +101,7 @@ class Loop:
             outcome = self.session.after(line, newest=place in places[-1:])
             self.session = outcome.session
             self._say_all(outcome.answers, arrived)
+            self._save_when_due()  # many lines may wait after a pause, or a kill
             if outcome.hang_up:
                 self.source.hang_up()
                 self.buffer = LineBuffer()
@@ -136,6 +136,10 @@ class Loop:
         if isinstance(answer, Command | Ready | Event):
             self.sink.write(encode(answer))
         self.show(answer)
+
+    def _save_when_due(self) -> None:
+        if time.monotonic() - self.saved_at >= CHECKPOINT_EVERY:
+            self._save()
 
     def _save(self) -> None:
         """Keep the session, where it has learned anything since it was kept last."""
