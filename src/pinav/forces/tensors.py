@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 
 from pinav.arguments import Scalar, Vector, check_positive, point, refuse_text
 from pinav.errors import InputError
+from pinav.forces.kernels import kernel_values
 
 
 class AbstractTensorField(eqx.Module):
@@ -207,8 +208,7 @@ class BrinkmanTensor(AbstractTensorField):
 
     def value(self, x: Vector) -> Float[Array, ""]:
         r"""$\eta(x)$."""
-        offsets = (x[None] - self.centers) / self.width
-        bumps = jnp.exp(-0.5 * jnp.sum(offsets**2, axis=1))
+        bumps = kernel_values(x, self.centers, self.width)
         thickness = self.radius * (self.screening @ bumps)
         return self.clear * (1 + thickness + thickness**2 / 9)
 
