@@ -30,7 +30,8 @@ jax.config.update("jax_enable_x64", val=True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
-jaxtyping.install_import_hook("pinav", "beartype.beartype")
+if "PINAV_UNCHECKED" not in os.environ:  # `make test-slow`: as users run the package
+    jaxtyping.install_import_hook("pinav", "beartype.beartype")
 hypothesis.settings.register_profile("no deadline", deadline=None)
 hypothesis.settings.load_profile("no deadline")  # other work may slow the machine
 

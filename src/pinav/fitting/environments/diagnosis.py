@@ -17,9 +17,10 @@ from jaxtyping import Array, Bool, Float
 
 from pinav.dynamics import RK4, FixedStep, Swimmer
 from pinav.fitting.environments.force_regression import (
+    RIDGE,
     KernelKind,
     force_columns,
-    regress,
+    regress_with_ridges,
 )
 from pinav.fitting.environments.gradient_matching import (
     ACROSS,
@@ -102,7 +103,7 @@ def diagnose(model: Swimmer, trajectories: Trajectories) -> Cause | None:
         return Cause.SAMPLES
     learned = as_learned_force(model.environment)
     if learned is not None and learned.is_conservative:
-        turns = fields.free < FAR_BETTER * fields.potential
+        turns = fields.free < BETTER * fields.potential
         if turns and fields.potential > UNEXPLAINED:
             return Cause.NO_POTENTIAL
     if static > NO_FIELD:
@@ -112,9 +113,16 @@ def diagnose(model: Swimmer, trajectories: Trajectories) -> Cause | None:
     return Cause.CHAOS if chaotic else Cause.SEARCH
 
 
-UNEXPLAINED, FAR_BETTER, NO_FIELD = 3e-3, 0.2, 0.2
-"""Relative error of held-out forces that a field leaves unexplained; share of it that a
-better field leaves; error at which there is no field."""
+UNEXPLAINED, NO_FIELD = 3e-3, 0.2
+"""Relative error of held-out forces that a field leaves unexplained; that from which on
+there is no field."""
+
+FAR_BETTER, BETTER = 0.2, 0.8
+"""Share of the error of a field that is left beside a drag, and share of that of a
+potential that a force without one leaves: it has twice as many weights to find."""
+
+RIDGES = (RIDGE, 1e-9, 1e-7, 1e-5, 1e-3)
+"""Between paths that are far apart a field needs more than rounding asks for."""
 
 DOUBTFUL = 0.03
 """Difference between the rates of two splines, relative to the largest force, above
@@ -185,7 +193,8 @@ def _explain(
     dim = forces.shape[1]
     positions, forces = states[rows, :dim], forces[rows]
     velocities = states[rows, dim:]
-    velocities = velocities * np.abs(forces).max() / np.abs(velocities).max()
+    # As large as kernels are, so that the ridge hardly touches it.
+    velocities = velocities / np.abs(velocities).max()
     beside = velocities[:, :, None]
     if dim == PLANE:
         beside = np.stack([velocities, velocities[:, ::-1] * [-1.0, 1.0]], axis=2)
@@ -208,7 +217,7 @@ def _held_out_error(
     forces: Float[np.ndarray, "point dim"],
     extra: Float[np.ndarray, "point dim column"],
 ) -> float:
-    """Relative error of every fourth force, by the best grid of kernels."""
+    """Relative error of every fourth force, by the best grid of kernels and ridge."""
     held_out = np.arange(len(positions)) % 4 == 2
     size, errors = float(np.sqrt(np.mean(forces**2))) or 1.0, [1.0]
     for across in ACROSS[:-1]:
@@ -217,7 +226,9 @@ def _held_out_error(
         if columns.shape[2] > MOST_KERNELS:
             break
         columns = np.concatenate([columns, extra], axis=2)
-        weights = regress(columns[~held_out], forces[~held_out])
-        missed = (columns @ weights - forces)[held_out]
-        errors.append(float(np.sqrt(np.mean(missed**2))) / size)
+        for weights in regress_with_ridges(
+            columns[~held_out], forces[~held_out], RIDGES
+        ):
+            missed = (columns @ weights - forces)[held_out]
+            errors.append(float(np.sqrt(np.mean(missed**2))) / size)
     return min(errors)

@@ -34,7 +34,25 @@ def regress(
     forces: Float[np.ndarray, "point dim"],
 ) -> Float[np.ndarray, " weight"]:
     """Weights of least squares, with a ridge that rounding asks for."""
+    return regress_with_ridges(columns, forces, (RIDGE,))[0]
+
+
+def regress_with_ridges(
+    columns: Float[np.ndarray, "point dim weight"],
+    forces: Float[np.ndarray, "point dim"],
+    ridges: tuple[float, ...],
+) -> list[Float[np.ndarray, " weight"]]:
+    """Weights of least squares with each of several ridges.
+
+    Args:
+        columns: force of each weight at each position.
+        forces: to be explained.
+        ridges: relative to the largest diagonal entry of the normal equations.
+    """
     rows = columns.reshape(-1, columns.shape[-1])
-    normal = rows.T @ rows
-    normal[np.diag_indices_from(normal)] += RIDGE * normal.diagonal().max()
-    return scipy.linalg.solve(normal, rows.T @ forces.reshape(-1), assume_a="sym")
+    normal, right = rows.T @ rows, rows.T @ forces.reshape(-1)
+    unit = normal.diagonal().max() * np.eye(len(normal))
+    return [
+        scipy.linalg.solve(normal + ridge * unit, right, assume_a="sym")
+        for ridge in ridges
+    ]
