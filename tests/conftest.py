@@ -93,6 +93,11 @@ def _empty_when_large(folder: Path) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
+def pytest_collection_modifyitems(items):
+    """Begin with the pages: the longest tests must not be left for one worker."""
+    items.sort(key=lambda item: item.path.name != "test_docs.py")
+
+
 def pytest_collection_finish():
     """Leave what was imported out of every later search for garbage."""
     gc.freeze()

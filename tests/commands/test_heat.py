@@ -193,6 +193,7 @@ def test_damage_and_a_law_of_ones_own(tmp_path, capsys):
     assert metrics["dead_target"] > 0.5
 
 
+@pytest.mark.slow
 def test_a_run_records_its_case(tmp_path):
     case, out = small("tumour", tmp_path), tmp_path / "run"
     assert run("simulate", case, "--out", out) == 0

@@ -85,6 +85,7 @@ def test_a_stored_model_predicts_what_was_scored(run):
     np.testing.assert_array_equal(predicted[0], stored)
 
 
+@pytest.mark.slow
 def test_a_finished_run_is_not_done_again(run, capsys):
     before = results(run)
     stamps = {p: p.stat().st_mtime_ns for p in run.path.glob("model*.eqx")}
@@ -109,6 +110,7 @@ def plain_figures(monkeypatch):
     monkeypatch.setattr(reproduction_report, "save_figure", save)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("writes", [0, 1, 2, 3, 5, 6, 8, 11])
 def test_a_run_broken_off_at_any_write_ends_with_the_same_numbers(
     run, tmp_path, monkeypatch, plain_figures, writes

@@ -181,6 +181,7 @@ def test_a_ring_is_judged_by_density_and_current(tmp_path, capsys):
     assert rows["drift off density and current, uniform [%]"]["learned"] < 20
 
 
+@pytest.mark.slow
 def test_diffusion_that_obeys_hydrodynamics_meets_the_bars_of_a_wall():
     gaps = np.linspace(0.1, 1.2, 30)
     along, across = (

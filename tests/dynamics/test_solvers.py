@@ -89,6 +89,7 @@ TIGHT = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", FIXED.values(), ids=list(FIXED))
 def test_fixed_step_gradient_equals_differences(solver):
     loss, vector = loss_of(solver)
@@ -164,6 +165,7 @@ def test_fixed_step_reverse_mode_equals_a_plain_scan(both_ways):
     assert_relative(pull(cotangent)[0], pull_plain(cotangent)[0], 1e-12)
 
 
+@pytest.mark.slow
 def test_fixed_step_forward_mode_equals_a_plain_scan(both_ways):
     arranged, plain, vector = both_ways
     tangent = jnp.sin(jnp.arange(float(len(vector))))
@@ -269,6 +271,7 @@ def test_bad_arguments_are_named(make, message):
         make()
 
 
+@pytest.mark.slow
 def test_forward_only_takes_the_steps_of_adaptive_across_jumps_of_the_thrust():
     asked = jnp.array([[1.0, 0.0], [0.0, 2.0], [0.0, 0.0]])
     thrust = ScheduledThrust(jnp.array([0.0, 0.3, 0.7]), asked, 0 * asked, 0.1, 0.2)

@@ -347,6 +347,7 @@ def test_figure1_has_the_panels_of_the_paper():
     assert "(b) truth and trained NN only" in other
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FIGURES)
 def test_saved_figures_are_whole_and_the_same_every_time(tmp_path, name):
     first = figures.save_figure(FIGURES[name](), tmp_path / "new" / "one", name)

@@ -164,6 +164,7 @@ def test_equal_principal_values_are_linear_drag(tensor):
     np.testing.assert_allclose(drag(T, X, V), LinearDrag(0.3)(T, X, V), rtol=1e-13)
 
 
+@pytest.mark.slow
 def test_a_cholesky_tensor_has_its_matrix_and_slopes_even_where_isotropic():
     matrix = jnp.array([[2.0, 0.4, 0.1], [0.4, 1.0, -0.3], [0.1, -0.3, 0.5]])
     tensor = CholeskyTensor.of(matrix)

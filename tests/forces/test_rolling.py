@@ -133,6 +133,7 @@ def test_a_lag_follows_its_differential_equation():
     np.testing.assert_allclose(prompt, programme.integral(response, TIMES), atol=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, STRETCH, 3 * STRETCH + 5])
 def test_a_follower_goes_step_by_step_through_any_number_of_commands(count):
     times = jnp.cumsum(jax.random.uniform(jax.random.key(0), (count,)))

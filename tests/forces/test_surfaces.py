@@ -108,6 +108,7 @@ def test_tubes_that_continue_each_other_are_a_tube():
         assert 0.8 * one >= other >= one  # both run backwards
 
 
+@pytest.mark.slow
 def test_where_tubes_meet_distance_and_flow_have_slopes_that_are_continuous():
     flow = BifurcationFlow(3.0, FORK, jnp.array([0.6, 0.4]))
     beside = FORK.middle + jnp.array([0.5, 0.4, 0.3])  # off the axes, as the cusps are
@@ -136,6 +137,7 @@ def test_what_enters_a_bifurcation_leaves_it_by_its_shares():
     np.testing.assert_allclose(volumes, [-whole, 0.7 * whole, 0.3 * whole], rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_the_fluid_rests_at_the_walls_of_a_bifurcation_and_is_smooth_in_it():
     flow = BifurcationFlow(3.0, FORK, jnp.array([0.5, 0.5]))
     directions = jax.random.normal(jax.random.key(2), (6, 3))

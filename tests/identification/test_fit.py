@@ -169,6 +169,7 @@ def test_intervals_of_the_response_are_those_of_the_posterior(track):
                 assert 0.2 < rise < 1.0, (candidate.learned[index], sign)
 
 
+@pytest.mark.slow
 def test_evidence_does_not_depend_on_the_place_or_on_padding(track, fit):
     theta = jnp.asarray(fit.theta)
     design = Design.of(RUNG, Blocks.of(track))
@@ -308,6 +309,7 @@ def test_tracks_of_like_length_share_a_size_that_encloses_them():
     assert shared_sizes(counts[::-1]) == sizes[::-1]
 
 
+@pytest.mark.slow
 def test_a_heading_that_never_changes_leaves_the_other_gain_at_zero(synthetic):
     """Its columns are proportional to each other: the information is singular."""
     times, _, _ = synthetic.robot(duration=30.0)

@@ -76,6 +76,7 @@ def fits():
     return results
 
 
+@pytest.mark.slow
 def test_a_gain_that_wanders_is_found(fits):
     _, _, constant, fit = fits[0]
     assert fit.log_evidence > constant.log_evidence + 20
@@ -114,6 +115,7 @@ def test_bands_of_a_wandering_gain_grow_with_the_speed(fits):
     assert variances[1] / variances[0] < 3 < variances[3] / variances[2]
 
 
+@pytest.mark.slow
 def test_bands_of_a_wandering_gain_hold():
     inside = {"constant": [], "wandering": []}
     for seed in range(1, 5):
@@ -128,6 +130,7 @@ def test_bands_of_a_wandering_gain_hold():
     assert 0.8 < np.mean(inside["wandering"]) < 0.98
 
 
+@pytest.mark.slow
 def test_the_selection_allows_for_a_wandering_gain_in_the_bands_alone():
     selection = select_model(robot(WANDER))
     best = selection.best
@@ -140,6 +143,7 @@ def test_the_selection_allows_for_a_wandering_gain_in_the_bands_alone():
     assert sentence.endswith("the bands allow for it.")
 
 
+@pytest.mark.slow
 def test_bands_hold_where_the_test_part_is_faster_and_slips():
     """Trained up to 4 Hz, where nothing slips yet; at 5 Hz the robot loses grip."""
     inside = []

@@ -71,6 +71,7 @@ def test_pauses_lower_the_eddy_temperature_but_not_the_product():
     assert reached(ATKINSON_BREZOVICH, bursts) == pytest.approx(4.85e8)
 
 
+@pytest.mark.slow
 def test_an_exposure_has_a_derivative():
     eddy = EddyTemperatureLimit(41.0, 0.15, 0.4, lang("muscle"), MUSCLE)
     slope = jax.grad(

@@ -62,6 +62,7 @@ def test_the_langevin_ratio_is_smooth_through_zero():
     assert float(jax.grad(langevin_ratio)(jnp.asarray(0.0))) == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spread", [0.05, 0.1, 0.2])
 def test_sizes_are_averaged_by_mass(spread):
     median = LinearResponse(12e-9)

@@ -76,6 +76,7 @@ def test_a_mask_mixes_laws_by_volume():
     assert law(jnp.full(3, 40.0)).tolist() == pytest.approx([1.0, 1.25, 2.0])
 
 
+@pytest.mark.slow
 def test_a_localised_mixture_is_the_mixture():
     """With its derivatives, where the mask is and where it is not."""
     share = jnp.zeros((6, 5)).at[2:4, 1:3].set(0.7).at[3, 2].set(1.0)

@@ -38,6 +38,7 @@ def test_the_steady_slab_converges_at_second_order(medium):
     assert errors[1] < 1e-3
 
 
+@pytest.mark.slow
 def test_a_steady_state_with_nonlinear_perfusion_is_where_a_run_ends(medium):
     grid = RadialGrid.sphere(0.04, 40)
     share = grid.ball(0.01)

@@ -95,6 +95,7 @@ def test_without_drift_or_turns_residuals_are_those_of_probes():
     assert jnp.allclose(residuals(TRUTH), -2.0)
 
 
+@pytest.mark.slow
 def test_the_shift_of_a_source_keeps_its_power_and_moves_its_middle():
     moved = TRUTH.sources[0].shape(GRID)
     still = model().sources[0].shape(GRID)

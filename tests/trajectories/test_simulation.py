@@ -64,6 +64,7 @@ def test_an_exposure_averages_before_the_noise():
     )
 
 
+@pytest.mark.slow
 def test_increments_of_a_blurred_brownian_path_have_the_law_of_blur():
     """Variance 2 D (t - T / 3), covariance D T / 3, and nothing two steps apart."""
     interval, exposure, diffusion = 0.1, 0.08, 0.5

@@ -100,6 +100,7 @@ def test_far_from_the_kernels_the_force_is_zero_and_certain(fitted):
     assert np.all(fitted.posterior.force_sd(np.array([[100.0, 100.0]])) < 1e-12)
 
 
+@pytest.mark.slow
 def test_samples_spread_as_the_posterior_says(fitted):
     points = np.array([[4.0, 5.0], [6.0, 7.0]])
     models = fitted.posterior.samples(400, key=jax.random.key(0))

@@ -42,6 +42,7 @@ def cause_of(truth: Swimmer, known: Swimmer, interval: float = 0.05) -> Cause | 
     return diagnose(known.with_environment(UNTRAINED), observe(truth, interval))
 
 
+@pytest.mark.slow
 def test_a_field_that_is_there_and_was_not_found_is_a_failed_search():
     assert cause_of(TRUTH, TRUTH) is Cause.SEARCH
 
@@ -59,6 +60,7 @@ def test_a_swirl_has_no_potential_but_a_field():
     assert diagnose(truth.with_environment(free), observe(truth)) is Cause.SEARCH
 
 
+@pytest.mark.slow
 def test_a_narrow_hill_between_two_samples_asks_for_shorter_intervals():
     narrow = TRUTH.with_environment(GaussianBarrier(1.0, [0.0, 0.3], 0.12))
     assert cause_of(narrow, narrow, 0.2) is Cause.SAMPLES

@@ -1,5 +1,6 @@
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from pinav.fitting.environments.force_prior import (
     AS_FINE_AS_FORCES,
@@ -47,6 +48,7 @@ def test_kernels_are_as_fine_as_the_force_asks_for():
     assert widths[1] < widths[0]
 
 
+@pytest.mark.slow
 def test_forces_that_no_grid_explains_have_no_kernels_of_one_width():
     noise = np.random.default_rng(0).normal(size=PATH.shape)
     assert lay_smooth_kernels(KernelPotential, PATH, PATH, noise) is None

@@ -219,6 +219,7 @@ def test_a_hill_with_a_long_tail_gets_layers_that_a_file_keeps():
     assert widths == sorted(widths, reverse=True)
 
 
+@pytest.mark.slow
 def test_exact_data_leave_the_force_beside_the_path_to_a_smooth_prior():
     paper = scenario("paper")
     data, choice = simulate(paper), ModelChoice("kernel-potential")

@@ -61,6 +61,7 @@ def by_quadrature(observed, prior, noise):
     return mean, within + (means - mean).T * shares @ (means - mean)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("second", [0.05, 0.5, 3.0])
 @pytest.mark.parametrize("low", [-4.0, -1.0])
 def test_it_is_the_integral_over_shapes(second, low):

@@ -77,6 +77,7 @@ def test_factor_solutions_and_inverse_are_those_of_dense_matrices():
     np.testing.assert_allclose(found.beside[:-1, 0], np.diag(inverse, 1))
 
 
+@pytest.mark.slow
 def test_the_gradient_is_that_of_differences():
     residuals = jnp.asarray(RNG.normal(size=(COUNT, 1)))
     whole = jnp.ones((COUNT, 1))

@@ -38,6 +38,7 @@ def data():
     return Trajectories.from_arrays(times, states, channels=CHANNELS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("window", [5, 100])
 def test_propagated_defects_are_the_errors_of_rollouts_to_first_order(data, window):
     params, static = split_trainable(TRUTH, lambda m: m.environment, np.float64)
@@ -68,6 +69,7 @@ def test_a_step_of_a_linear_problem_is_that_of_the_ridge(shape):
     np.testing.assert_allclose(step.theta, theta - ridge, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_what_the_data_leave_open_stays_where_the_prior_has_no_variance(data):
     params, static = split_trainable(TRUTH, lambda m: m.environment, np.float64)
     theta, _ = ravel_pytree(params)

@@ -194,6 +194,7 @@ def test_a_phase_that_is_done_stays_where_it_is(data):
     assert len(found.losses) == 2, "one step, then it saw that the target is met"
 
 
+@pytest.mark.slow
 def test_a_stalled_phase_ends(data):
     phase = GaussNewton(window=jnp.asarray(1), target=0.0, steps=50)
     found = learn_environment(kernel_swimmer(data), data, (phase,))

@@ -82,6 +82,7 @@ def test_a_centre_is_found_in_space():
     np.testing.assert_allclose(found.terms[0].center, center, atol=0.03)
 
 
+@pytest.mark.slow
 def test_a_needless_term_goes_and_a_needed_one_stays():
     data = response(HILL + SADDLE)
     hill = central_term(REGION, np.array([4.1, 5.9]))
@@ -92,6 +93,7 @@ def test_a_needless_term_goes_and_a_needed_one_stays():
     assert term.kind == "central"
 
 
+@pytest.mark.slow
 def test_profiles_become_finer_where_the_data_ask_for_it():
     narrow = RingBarrier(2.0, [5.0, 5.0], 3.0, 0.15)
     data = response(narrow)

@@ -124,6 +124,7 @@ def test_where_both_fail_the_error_is_that_of_the_potential(ended):
     assert ended(-9.0, -9.0, 40.0, BAD, None)[:2] == (KernelPotential, BAD)
 
 
+@pytest.mark.slow
 def test_trajectories_of_a_vortex_show_its_rotation_before_any_fit():
     truth = random_system("vortex", 0)
     data = simulate(truth.with_starts(count=6), key=jax.random.key(0))

@@ -33,6 +33,7 @@ UNEQUAL = RollingActuator(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("actuator", "limits"),
     [

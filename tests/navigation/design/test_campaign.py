@@ -191,6 +191,7 @@ def test_nobody_is_released_in_a_disc():
         RandomDesign().choose(stage, key=jax.random.key(0))
 
 
+@pytest.mark.slow
 def test_a_campaign_ends_when_the_way_is_known(adaptive):
     design = InformedDesign(candidates=6, variations=2, rounds=1)
     campaign = run_campaign(

@@ -76,6 +76,7 @@ def quadratic(x):
     return jnp.stack([1 + 2 * a - b + a * a * b, a * b - 3 * b * b + a * a * b * b])
 
 
+@pytest.mark.slow
 def test_a_table_is_exact_where_the_values_are_of_degree_two_along_each_axis(places):
     table = table_of(quadratic)
     found = jax.vmap(lambda x: table(0.0, x))(places)

@@ -98,6 +98,7 @@ def test_against_a_drift_that_is_faster_only_a_cone_reaches_the_goal():
     assert plan.unreachable[far & (angle > np.radians(45))].all()
 
 
+@pytest.mark.slow
 def test_the_way_around_a_disc_is_two_tangents_and_an_arc():
     disc = Disc([0.25, 0.25], 1.2)
     task = swimming(keep_out=(disc,))
@@ -154,6 +155,7 @@ def test_start_and_goal_must_be_free():
         planned(swimming(start=(-9.0, 0.0)))
 
 
+@pytest.mark.slow
 def test_a_goal_behind_walls_or_up_a_drift_is_refused():
     closed = Wall([0.0, -5.0], [0.0, 5.0], 0.15)
     for task in (swimming(keep_out=(closed,)), swimming((-1.5, 0.0))):

@@ -71,6 +71,7 @@ def drifted_time(x, drift):
     return min(r.real for r in roots if abs(r.imag) < 1e-12 and r.real > 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drift", [(0.0, 0.0, 0.0), (0.4, -0.3, 0.2)])
 def test_time_to_go_in_a_uniform_drift_is_that_of_the_closed_form(drift):
     """Without a drift it is the distance over the speed."""
@@ -195,6 +196,7 @@ def test_what_is_behind_a_wall_or_outside_a_tube_is_forbidden():
     assert vessel.distance(jnp.array([9.0, 0.0, 1.6])) < 0
 
 
+@pytest.mark.slow
 def test_a_plan_in_a_drift_that_changes_is_that_of_its_mean():
     steady = swimming((0.3, 0.0, 0.0))
     times = jnp.array([0.0, steady.time_limit])

@@ -254,6 +254,7 @@ def test_truncated_workbook_is_refused(read, content, message):
         read(content, name="a.xlsx")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("workbook", "tidy", "run", "robots"),
     [
