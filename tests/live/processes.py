@@ -120,5 +120,5 @@ def kill_and_resume(folder: Path, kills: int, most: float) -> list[int]:
 FEW = 3
 """Kills after which the rig and the last session end within a minute."""
 
-PACE, START = 0.02, 1.5
+PACE, START = 0.02, 2.5
 """Time between frames [s]; that of a process to start, for the length of the rig."""
