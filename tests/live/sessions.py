@@ -1,6 +1,7 @@
 """Sessions with an estimator that needs no numerical work, for the state machine."""
 
 import dataclasses
+import itertools
 
 import numpy as np
 
@@ -16,7 +17,6 @@ from pinav.live.messages import (
     VERSION,
     Command,
     Event,
-    EventKind,
     Frame,
     Hello,
     Limits,
@@ -106,21 +106,17 @@ def begun(**fields):
     return Session(LastPosition(), **fields).after(line(HELLO)).session
 
 
-def steer(session, robot, steps):
-    """Steer a robot until it arrives: its path, the session and the events."""
-    command, path, events = (0.0, 0.0), [], []
-    for seq in range(steps):
+def steer(session, robot):
+    """Steer a robot: after each frame its place, the session and what happened."""
+    command = (0.0, 0.0)
+    for seq in itertools.count():
         x, y = robot.seen()
         more = {"frequency": command[0], "heading": command[1]}
         outcome = session.after(frame_line(seq, t=robot.t, x=x, y=y, **more))
         session = outcome.session
         robot.move(*command)
-        path.append((robot.x, robot.y))
         for answer in outcome.answers:
             if isinstance(answer, Command):
                 command = answer.frequency, answer.heading
-            if isinstance(answer, Event):
-                events.append(answer)
-        if any(event.kind is EventKind.ARRIVED for event in events):
-            break
-    return np.array(path), session, events
+        events = [answer for answer in outcome.answers if isinstance(answer, Event)]
+        yield (robot.x, robot.y), session, events

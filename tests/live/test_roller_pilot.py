@@ -1,6 +1,7 @@
 """The pilot against the simulated robot, without processes; discs are not entered."""
 
 import math
+from itertools import chain, islice
 
 import numpy as np
 import pytest
@@ -25,7 +26,9 @@ def estimator():
 
 def fly(pilot, steps, robot):
     """The path of a robot that a session steers, the session, and its events."""
-    return steer(Session(estimator(), pilot).after(line(HELLO)).session, robot, steps)
+    session = Session(estimator(), pilot).after(line(HELLO)).session
+    path, sessions, events = zip(*islice(steer(session, robot), steps), strict=True)
+    return np.array(path), sessions[-1], list(chain(*events))
 
 
 @pytest.mark.slow
