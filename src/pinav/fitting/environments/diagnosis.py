@@ -113,7 +113,7 @@ def diagnose(model: Swimmer, trajectories: Trajectories) -> Cause | None:
     return Cause.CHAOS if chaotic else Cause.SEARCH
 
 
-DECISIVE, EXPLAINED, NO_FIELD = 0.1, 5.5, -0.8
+DECISIVE, EXPLAINED, NO_FIELD = 0.5, 5.5, -0.8
 """Evidence for each number [nats]: by which one explanation is better than another, of
 a field that leaves a thousandth of the forces, and from which on there is a field (a
 force of pure noise has -1.4)."""
