@@ -98,7 +98,9 @@ def test_growth_is_on_a_logarithmic_scale_with_plain_labels():
     assert bar.get_xscale() == "log"
     labels = [text.get_text() for text in bar.get_xticklabels()]
     assert {"1", "10"} <= set(labels)
-    assert maps(figure)[0].get_title(loc="left") == "Lyapunov exponent, $T$ = 20 [s]"
+    assert (
+        maps(figure)[0].get_title(loc="left") == "Growth of separations, $T$ = 20 [s]"
+    )
 
 
 def test_bars_have_intervals_and_leave_out_what_does_not_vary():

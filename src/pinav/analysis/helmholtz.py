@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
-from jaxtyping import Array, Bool, Float, PRNGKeyArray
+from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray
 
 from pinav.errors import InputError
 from pinav.evaluation import FieldMap
@@ -137,13 +137,10 @@ def sample_forces(
         count: number of draws.
         key: random key of the draws.
     """
-    eigenvalues, vectors = np.linalg.eigh(posterior.covariance)
-    root = vectors * np.sqrt(np.maximum(eigenvalues, 0.0))
     points = np.stack(np.meshgrid(field.x, field.y), axis=-1)
     with jax.enable_x64(new_val=True):
-        normal = jax.random.normal(key, (count, len(root)), jnp.float64)
-        draws = jnp.asarray(posterior.mean)[None] + normal @ jnp.asarray(root).T
-        forces = _forces(posterior.free, draws, jnp.asarray(points.reshape(-1, 2)))
+        draws = posterior.draws(count, key=key)
+        forces = _forces(posterior.free, draws, points.reshape(-1, 2))
     return np.asarray(forces).reshape(count, *field.force.shape)
 
 
@@ -151,7 +148,7 @@ def sample_forces(
 def _forces(
     free: ParametricModel,
     draws: Float[Array, "sample parameter"],
-    points: Float[Array, "point 2"],
+    points: Float[ArrayLike, "point 2"],
 ) -> Float[Array, "sample point 2"]:
     def one(theta: Float[Array, " parameter"]) -> Float[Array, "point 2"]:
         force = free(theta).environment

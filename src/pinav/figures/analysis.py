@@ -227,7 +227,9 @@ def lyapunov_figure(
     path: Path | None = None,
     units: Mapping[str, str] = DIMENSIONLESS,
 ) -> Figure:
-    r"""Finite-time Lyapunov exponents over the starts, as the growth $e^{\lambda T}$.
+    r"""Growth $e^{\lambda T}$ of separations, over the starts of rollouts.
+
+    $\lambda$ is the finite-time Lyapunov exponent.
 
     Args:
         exponents: the map.
@@ -237,7 +239,7 @@ def lyapunov_figure(
     figure = new_figure(4.2, 4.6)
     ax = growth_map(exponents, path=path, units=units, ax=figure.subplots())
     horizon = with_unit(f"$T$ = {exponents.horizon:.4g}", units.get("t", "1"))
-    title_panel(ax, f"Lyapunov exponent, {horizon}")
+    title_panel(ax, f"Growth of separations, {horizon}")
     return figure
 
 

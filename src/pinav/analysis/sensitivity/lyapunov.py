@@ -18,8 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from pinav.arguments import Scalar, State
-from pinav.dynamics import AbstractDynamics, FixedStep, linear_recursion, with_dtype
+from pinav.arguments import State
+from pinav.dynamics import AbstractDynamics, FixedStep, with_dtype
 from pinav.errors import InputError
 
 
@@ -41,12 +41,30 @@ def start_jacobians(
     Raises:
         InputError: the starts are not rows of states, or the times fewer than two.
     """
-    starts, ts = np.asarray(starts, float), np.asarray(ts, float)
+    starts = np.asarray(starts, float)
     if starts.ndim != 2:
         raise InputError(
             "start_jacobians starts: expected one state a row, got shape "
             f"{starts.shape}"
         )
+    return _start_slopes(dynamics, starts, ts, np.eye(starts.shape[1]), solver)
+
+
+def _start_slopes(
+    dynamics: AbstractDynamics,
+    starts: Float[np.ndarray, "start state"],
+    ts: ArrayLike,
+    directions: Float[np.ndarray, "direction state"],
+    solver: FixedStep | None,
+) -> tuple[
+    Float[np.ndarray, "start state"], Float[np.ndarray, "start state direction"]
+]:
+    """Last states, and their derivatives along directions of the starts.
+
+    Raises:
+        InputError: the times are fewer than two.
+    """
+    ts = np.asarray(ts, float)
     if ts.ndim != 1 or len(ts) < 2:
         raise InputError(
             f"start_jacobians ts: expected two or more times, got shape {ts.shape}"
@@ -54,31 +72,40 @@ def start_jacobians(
     solver = FixedStep() if solver is None else solver
     with jax.enable_x64(new_val=True):
         exact = with_dtype(dynamics, jnp.float64)
-        ends, slopes = _jacobians(exact, jnp.asarray(starts), jnp.asarray(ts), solver)
+        ends, slopes = _slopes(exact, starts, ts, directions, solver)
     return np.asarray(ends), np.asarray(slopes)
 
 
 @eqx.filter_jit
-def _jacobians(
+def _slopes(
     dynamics: AbstractDynamics,
-    starts: Float[Array, "start state"],
-    ts: Float[Array, " time"],
+    starts: Float[ArrayLike, "start state"],
+    ts: Float[ArrayLike, " time"],
+    directions: Float[ArrayLike, "direction state"],
     solver: FixedStep,
-) -> tuple[Float[Array, "start state"], Float[Array, "start state state"]]:
-    def one(y0: State) -> tuple[State, Float[Array, "state state"]]:
-        ys, _ = solver.solve(dynamics, y0, ts)
+) -> tuple[Float[Array, "start state"], Float[Array, "start state direction"]]:
+    intervals = jnp.stack([jnp.asarray(ts)[:-1], jnp.asarray(ts)[1:]], axis=1)
 
-        def slope(y: State, t0: Scalar, t1: Scalar) -> Float[Array, "state state"]:
-            return jax.jacfwd(lambda y: solver.looped_step(dynamics, y, t0, t1))(y)
+    def advance(
+        now: tuple[State, Float[Array, "direction state"]], interval: Float[Array, "2"]
+    ) -> tuple[tuple[State, Float[Array, "direction state"]], None]:
+        y, tangents = now
 
-        steps = jax.vmap(slope)(ys[:-1], ts[:-1], ts[1:])
-        nothing = jnp.zeros((steps.shape[0], y0.shape[0]))
-        columns = [
-            linear_recursion(unit, steps, nothing)[-1] for unit in jnp.eye(y0.shape[0])
-        ]
-        return ys[-1], jnp.stack(columns, axis=1)
+        def step(y: State) -> State:
+            return solver.looped_step(dynamics, y, interval[0], interval[1])
 
-    return jax.lax.map(one, starts, batch_size=64)
+        def push(tangent: State) -> tuple[State, State]:
+            return jax.jvp(step, (y,), (tangent,))
+
+        # The tangents go along, so that a step has one for each direction asked for.
+        return jax.vmap(push, out_axes=(None, 0))(tangents), None
+
+    def one(y0: State) -> tuple[State, Float[Array, "state direction"]]:
+        start = y0, jnp.asarray(directions)
+        (y, tangents), _ = jax.lax.scan(advance, start, intervals)
+        return y, tangents.T
+
+    return jax.lax.map(one, jnp.asarray(starts), batch_size=64)
 
 
 class LyapunovMap(eqx.Module):
@@ -131,11 +158,13 @@ def lyapunov_map(
     if velocity is not None:
         velocities = [np.asarray(velocity(point), float) for point in points]
         starts = np.concatenate([points, np.stack(velocities)], axis=1)
-    ends, slopes = start_jacobians(dynamics, starts, ts, solver=solver)
+    # Starts differ in position alone: no derivative by the velocity is needed.
+    positions = np.eye(starts.shape[1])[:2]
+    ends, slopes = _start_slopes(dynamics, starts, ts, positions, solver)
     finite = np.asarray(
         np.isfinite(slopes).all(axis=(1, 2)) & np.isfinite(ends).all(axis=1)
     )
-    block = np.where(finite[:, None, None], slopes[:, :2, :2], 0.0)
+    block = np.where(finite[:, None, None], slopes[:, :2], 0.0)
     separation = np.linalg.svd(block, compute_uv=False)[:, 0]
     times = np.asarray(ts, float)
     return LyapunovMap(

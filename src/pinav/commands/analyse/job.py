@@ -5,14 +5,14 @@ Each part is a function of the fitted run; `analyse` puts their results together
 
 import dataclasses
 from operator import attrgetter
-from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import msgspec
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, ArrayLike, Float
 from tqdm import tqdm
 
 from pinav.analysis import (
@@ -54,15 +54,13 @@ ANALYSIS_FILE, ARRAYS_FILE = "analysis.json", "analysis.npz"
 NO_POSTERIOR = "the run has no posterior; fit with --recipe bayes"
 
 
-def analyse(settings: AnalyseSettings, run: Path) -> AnalysisMetrics:
+def analyse(settings: AnalyseSettings, fitted: FittedRun) -> AnalysisMetrics:
     """Analyse a fitted run and write the results into its folder.
 
     Raises:
-        InputError: the folder holds no finished fit of a planar force, or there is no
-            trajectory of the number that was asked for.
+        InputError: the run is no fit of a planar force, or there is no trajectory of
+            the number that was asked for.
     """
-    settings.check()
-    fitted = FittedRun.open(run)
     with tqdm(total=4, desc="analyse", unit="part") as bar:
         subject = _subject(settings, fitted)
         arrays = {n: getattr(subject.field, n) for n in ("x", "y", "force", "distance")}
@@ -135,10 +133,16 @@ def split_force(subject: Subject) -> tuple[HelmholtzMetrics, Arrays]:
     arrays = {f"split/{name}": getattr(split, name) for name in names}
     arrays["potential"] = split.potential
     if subject.has_potential:
-        at = jax.vmap(lambda x: force.potential(0.0, x))
-        values = np.asarray(at(jnp.asarray(subject.grid)), float)
+        values = np.asarray(_potentials(force, subject.grid), float)
         arrays["potential"] = values.reshape(field.distance.shape)
     return metrics, arrays
+
+
+@eqx.filter_jit
+def _potentials(
+    force: Any, points: Float[ArrayLike, "point 2"]
+) -> Float[Array, " point"]:
+    return jax.vmap(lambda x: force.potential(0.0, x))(jnp.asarray(points))
 
 
 def judge_significance(
@@ -323,6 +327,7 @@ def _write(folder: RunFolder, metrics: AnalysisMetrics, arrays: Arrays) -> None:
 
 def run(options: AnalyseOptions) -> CommandResult:
     """Analyse as the command line does."""
-    metrics = analyse(options.settings, options.run)
-    text = metrics.text(FittedRun.open(options.run).data.units)
-    return CommandResult(metrics, text, RunFolder.open(options.run))
+    options.settings.check()
+    fitted = FittedRun.open(options.run)
+    metrics = analyse(options.settings, fitted)
+    return CommandResult(metrics, metrics.text(fitted.data.units), fitted.folder)

@@ -230,7 +230,7 @@ CONSTANTS_CAPTION = (
 
 
 def _lyapunov(results: Results, figures: Figures) -> Image:
-    """Finite-time Lyapunov exponents over starts."""
+    """Growth of separations over starts."""
     index = int(results.metrics.settings["reference"])
     names = ("x", "y", "separation", "final")
     exponents = LyapunovMap(
@@ -244,7 +244,7 @@ def _lyapunov(results: Results, figures: Figures) -> Image:
         f"side, with the velocity of trajectory {index} at its start; its logarithm "
         "over the time is the finite-time Lyapunov exponent. Ridges separate starts "
         "with different fates.",
-        alt="Finite-time Lyapunov exponents over starts",
+        alt="Growth of separations over starts",
         width=0.6,
     )
 

@@ -141,7 +141,7 @@ def _keys(settings: NavigateSettings) -> Shaped[PRNGKeyArray, " episode"]:
 def _plan_row(plan: TimeToGo, route: Route) -> PlanRow:
     arrival = float(route.arrival_time)
     return PlanRow(
-        time=float(plan.at(route.ys[0])),
+        time=plan.time_from(route.ys[0]),
         route_time=arrival if np.isfinite(arrival) else None,
         unreachable=float(np.mean(plan.unreachable)),
     )

@@ -1,8 +1,11 @@
 """The trajectory to record next, for the route of `pinav navigate`."""
 
+from typing import Any
+
+import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from pinav.commands.navigate.metrics import SuggestionRow
 from pinav.commands.navigate.settings import NavigateSettings
@@ -109,6 +112,13 @@ def _path(
     problem: NavigationProblem, design: Experiment, candidate: CandidateTrajectories
 ) -> Float[np.ndarray, "time 2"]:
     """Its path as the model predicts it."""
-    driven = problem.model.with_propulsion(design.thrust(candidate))
+    return np.asarray(_states(problem.model, design, candidate))[:, :2]
+
+
+@eqx.filter_jit
+def _states(
+    model: Any, design: Experiment, candidate: CandidateTrajectories
+) -> Float[Array, "time state"]:
+    driven = model.with_propulsion(design.thrust(candidate))
     states, _ = FixedStep().solve(driven, candidate.starts, design.times)
-    return np.asarray(states)[:, :2]
+    return states

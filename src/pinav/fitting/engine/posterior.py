@@ -67,7 +67,7 @@ class Posterior(eqx.Module):
         # A posterior of many weights is singular to rounding, where Cholesky fails.
         root = vectors * np.sqrt(np.maximum(eigenvalues, 0.0))
         with jax.enable_x64(new_val=True):
-            normal = jax.random.normal(key, (count, len(self.mean)), jnp.float64)
+            normal = _normal(key, (count, len(self.mean)))
             return on_device(self.mean[None] + np.asarray(normal) @ root.T)
 
     def samples(self, count: int, *, key: PRNGKeyArray) -> list[Any]:
@@ -183,3 +183,9 @@ def _spread(
     rows = jacobians.reshape(math.prod(places), count)
     variance = np.sum((rows @ covariance) * rows, axis=-1)
     return np.sqrt(np.maximum(variance, 0.0)).reshape(places)
+
+
+@eqx.filter_jit
+def _normal(key: PRNGKeyArray, shape: tuple[int, int]) -> Float[Array, "draw number"]:
+    """Independent standard normal numbers."""
+    return jax.random.normal(key, shape, jnp.float64)

@@ -96,6 +96,10 @@ class TimeToGo(eqx.Module):
         value = _interpolate(values, place).astype(y.dtype)
         return -self.scale.astype(y.dtype) * jnp.log(jnp.maximum(value, FLOOR))
 
+    def time_from(self, y: State) -> float:
+        """Cost-to-go [T] from a state at first, by a compiled program."""
+        return float(_cost_from(self, y))
+
     @property
     def map(self) -> Float[np.ndarray, "*lattice"]:
         """Cost-to-go at the points of the plan's grid, from rest, at first [T]."""
@@ -138,6 +142,11 @@ class TimeToGo(eqx.Module):
             step: how long a command holds [T].
         """
         return _route(self, jnp.asarray(start), step, math.ceil(self.horizon / step))
+
+
+@eqx.filter_jit
+def _cost_from(plan: TimeToGo, y: State) -> Float[Array, ""]:
+    return plan.at(y)
 
 
 FLOOR = 1e-30
@@ -253,7 +262,7 @@ def check_reachable(task: Task, plan: TimeToGo) -> None:
     Raises:
         InputError: it cannot.
     """
-    if float(eqx.filter_jit(plan.at)(task.start)) > plan.horizon:
+    if plan.time_from(task.start) > plan.horizon:
         start = task.start[: task.dim]
         raise InputError(
             f"goal: expected a place that can be reached within {plan.horizon:g}, got "
