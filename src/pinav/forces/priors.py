@@ -130,10 +130,8 @@ class WeightPrior(AbstractPrior):
 
     @property
     def _squares(self) -> Gram:
-        # one coordinate after the other: a sum along so short an axis takes ten times
-        # as long, and a fit asks a thousand times
-        along = (np.subtract.outer(x, x) ** 2 for x in self._scaled_centers.T)
-        return functools.reduce(operator.add, along)
+        scaled = np.ascontiguousarray(self._scaled_centers)
+        return _squares(scaled.tobytes(), self._dim)
 
     @property
     def _scaled_centers(self) -> Centers:
@@ -147,6 +145,18 @@ class WeightPrior(AbstractPrior):
     @property
     def _dim(self) -> int:
         return self.centers.shape[1]
+
+
+@functools.lru_cache(maxsize=8)
+def _squares(centers: bytes, dim: int) -> Gram:
+    """Squared distances between centres; a search asks for them a thousand times."""
+    points = np.frombuffer(centers).reshape(-1, dim)
+    # one coordinate after the other: a sum along so short an axis takes ten times as
+    # long
+    along = (np.subtract.outer(x, x) ** 2 for x in points.T)
+    squares = functools.reduce(operator.add, along)
+    squares.flags.writeable = False
+    return squares
 
 
 class StationaryPrior(AbstractPrior):

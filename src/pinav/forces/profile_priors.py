@@ -11,6 +11,8 @@ References:
     Gaussian Processes for Machine Learning (2006), section 4.2.
 """
 
+import functools
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import ArrayLike, Float
@@ -56,12 +58,13 @@ class ProfilePrior(AbstractPrior):
         return np.array([(-1.2, longest), (0.0, longest), (-half, half)])
 
     def covariance(self, shape: Shape) -> Matrix:
-        alike, _ = _matern(self._distances, shape[0])
+        alike, _, _ = _matern(self._distances, shape[0])
         envelope, _ = self._envelope(shape)
         return alike * (np.outer(envelope, envelope) + self.floor**2)
 
     def slopes(self, shape: Shape) -> Matrices:
-        alike, by_scale = _matern(self._distances, shape[0])
+        alike, a, fade = _matern(self._distances, shape[0])
+        by_scale = a * a * (3 + 3 * a + a * a) / 15 * fade
         envelope, by_place = self._envelope(shape)
         faded = np.outer(envelope, envelope)
         by_reach = by_place**2 * np.exp(2 * shape[1])
@@ -85,20 +88,27 @@ class ProfilePrior(AbstractPrior):
 
     @property
     def _distances(self) -> Gram:
-        scaled = self._scaled_places
-        return np.abs(np.subtract.outer(scaled, scaled))
+        return _gaps(np.ascontiguousarray(self._scaled_places).tobytes())
 
     @property
     def _extent(self) -> float:
         return max(float(np.ptp(self._scaled_places)), 1.0)
 
 
-def _matern(distances: Gram, log_scale: float) -> tuple[Gram, Gram]:
-    """Matern's covariance of order 7/2, and its derivative by the logarithm."""
+@functools.lru_cache(maxsize=32)
+def _gaps(places: bytes) -> Gram:
+    """Distances between places; a search asks for the same ones a thousand times."""
+    numbers = np.frombuffer(places)
+    gaps = np.abs(np.subtract.outer(numbers, numbers))
+    gaps.flags.writeable = False
+    return gaps
+
+
+def _matern(distances: Gram, log_scale: float) -> tuple[Gram, Gram, Gram]:
+    """Matern's covariance of order 7/2, its argument, and the exponential in it."""
     a = np.sqrt(7.0) / np.exp(log_scale) * distances
-    fade = np.exp(-a)
-    alike = (1 + a + 0.4 * a**2 + a**3 / 15) * fade
-    return alike, a**2 * (3 + 3 * a + a**2) / 15 * fade
+    fade, squares = np.exp(-a), a * a
+    return (1 + a + 0.4 * squares + squares * a / 15) * fade, a, fade
 
 
 class DistancePrior(AbstractPrior):
