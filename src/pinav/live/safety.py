@@ -4,9 +4,9 @@ A command is let through if, held for the next seconds, it keeps the tube of thr
 standard deviations (of state, drive and wandering) out of every disc; else one that
 does so and leads on most is given. With it goes a reserve: the command that, from the
 next frame on, keeps farthest away. Where that frame offers no clear command, the
-reserve is followed as long as the rest of its tube is clear; else the sequence of two
-commands with the best chance to stay out is begun. To stand still has no privilege,
-since a drift pushes.
+reserve is followed as long as the rest of its tube is clear; else the command that has
+the best chance to stay out is given. To stand still has no privilege, since a drift
+pushes.
 """
 
 import math
@@ -104,7 +104,7 @@ class Outlook(eqx.Module):
         if margins.max() < 0:
             if self._is_clear(reserve):
                 return Verdict(reserve.order, reserve, changed=True)
-            margins = self._chances(firsts, np.concatenate([escapes, slow]))
+            margins = self._chances(firsts)
         lead = firsts[:, 0] * np.cos(firsts[:, 1] - wanted[1])
         best = choose_command(margins, lead)
         escapes = np.concatenate([firsts[best : best + 1], escapes])
@@ -114,16 +114,17 @@ class Outlook(eqx.Module):
         return Verdict(firsts[best], reserve, changed=best > 0)
 
     def _chances(
-        self, firsts: Float[np.ndarray, "plan 2"], escapes: Float[np.ndarray, "_ 2"]
-    ) -> Float[np.ndarray, " plan"]:
-        """Log of the chance to stay out of discs, with the best way out after each.
+        self, orders: Float[np.ndarray, "order 2"]
+    ) -> Float[np.ndarray, " order"]:
+        """Log of the chance that each command, held, stays out of discs.
 
         Pieces of a path count as independent. The least distance of the tube would not
         do to rank commands none of which is clear: it is often that of the present
-        place, which no command changes, and else favours rest, whose tube is thin.
+        place, which no command changes, and else favours rest, whose tube is thin. Nor
+        would ways out that begin later: a way out that can wait would always wait.
         """
-        distance, sd = self._approaches(firsts[:, None], escapes, AHEAD)
-        return log_ndtr(distance / np.maximum(sd, 1e-12)).sum(axis=-1).max(axis=1)
+        distance, sd = self._approaches(orders, orders, AHEAD)
+        return log_ndtr(distance / np.maximum(sd, 1e-12)).sum(axis=-1)
 
     def _is_clear(self, reserve: Reserve) -> bool:
         """Whether what is left of a reserve keeps clear, by what is known now."""
