@@ -96,7 +96,7 @@ def gusts(number):
 WORLDS = {
     "wide": (wide_gate, 0.005, 0.95),
     "narrow": (narrow_gate, 0.005, 0.85),
-    "gusts": (gusts, 0.25, 0.25),
+    "gusts": (gusts, 0.25, 0.1),
 }
 """Robots and discs, how many may enter one, and how many must arrive."""
 
