@@ -10,7 +10,7 @@ from pinav.identification.running import RunningFit
 from pinav.identification.running.arrays import fit_of, to_arrays
 from pinav.identification.running.forecast import DriveEstimate, estimate, locate
 from pinav.live.estimators import AbstractEstimator, Drive, Whereabouts
-from pinav.live.messages import Frame
+from pinav.live.messages import Frame, Point
 
 
 class DriveEstimator(AbstractEstimator):
@@ -59,6 +59,11 @@ class DriveEstimator(AbstractEstimator):
             variance = variance + jitter
         place = (float(mean[0]), float(mean[1]))
         return Whereabouts(place, float(np.sqrt(variance.mean())))
+
+    def seen_at(self, time: float) -> Point | None:
+        """The position that was seen at a time [s]; none if the last one is older."""
+        x, y, seen_at, _ = (float(value) for value in self.last)
+        return (x, y) if seen_at == time else None
 
     def _sd_without_blocks(self, jitter: float, elapsed: float) -> float | None:
         """Of the last position, before a block is closed; none if nothing tells it."""

@@ -3,8 +3,7 @@
 While the drive is not known the robot moves about, by headings that turn by the golden
 angle, so that it stays where it is on the whole and no two headings are alike. Then it
 goes straight on, or along tangents of the discs, slower near the goal. The last word
-has a filter: a command whose tube of three standard deviations meets a disc within the
-next seconds is replaced by one that leads away from it, or by standing still.
+has the filter of `pinav.live.safety`.
 """
 
 import dataclasses
@@ -19,6 +18,7 @@ from pinav.identification.running.forecast import DriveEstimate, gain_at
 from pinav.live.drive_estimator import DriveEstimator
 from pinav.live.estimators import AbstractEstimator, AbstractPilot, Advice, Intent
 from pinav.live.messages import Hello
+from pinav.live.safety import Outlook, Reserve
 
 GOLDEN = math.pi * (3 - math.sqrt(5))
 """Turn from one probe to the next [rad]."""
@@ -34,12 +34,6 @@ LEAST_PROBES = 6
 
 KNOWN = 0.15
 """Standard deviation of the gain, relative, below which the goal is aimed at."""
-
-AHEAD = 2.0
-"""Time for which the filter looks ahead [s]."""
-
-TUBE = 3.0
-"""Standard deviations of the tube."""
 
 MARGIN = 0.1
 """By which discs are wider for the path, in parts of their radius."""
@@ -63,6 +57,7 @@ class RollerPilot(AbstractPilot):
         probe: number of probes so far, and when the present one began [s]; NaN before.
         best: shortest way to go so far [L], and when that was [s]; NaN before.
         stalls: how often the goal has come no nearer.
+        reserve: what may be done where the next frame offers no way out.
     """
 
     goal: Point
@@ -73,6 +68,7 @@ class RollerPilot(AbstractPilot):
     )
     best: Float[np.ndarray, "2"] = eqx.field(default_factory=lambda: np.full(2, np.nan))
     stalls: int = 0
+    reserve: Reserve = eqx.field(default_factory=Reserve)
 
     def after(
         self, estimator: AbstractEstimator, hello: Hello, time: float
@@ -84,15 +80,15 @@ class RollerPilot(AbstractPilot):
         position = np.array(where.position)
         if math.dist(position, self.goal) <= self.tolerance:
             return self, Advice(0.0, 0.0, Intent.ARRIVED)
-        fit = estimator.fit
         if not self._knows(estimator.known):
-            return self._look_about(fit, hello, time, Intent.PROBE)
+            return self._look_about(estimator, hello, time, Intent.PROBE)
         pilot = self._watch_progress(position, time)
         if pilot.stalls > MOST_STALLS:
             return pilot, Advice(0.0, 0.0, Intent.GIVE_UP)
         if pilot.stalls > self.stalls or pilot._probes_still(time):
-            return pilot._look_about(fit, hello, time, Intent.STALLED)
-        return pilot, pilot._steer(estimator, position, hello, where.sd or 0.0, time)
+            return pilot._look_about(estimator, hello, time, Intent.STALLED)
+        advice = pilot._steer(estimator, position, hello, time)
+        return pilot._filter(estimator, advice, hello, time)
 
     def _knows(self, now: DriveEstimate | None) -> bool:
         """Whether the goal can be aimed at."""
@@ -101,7 +97,7 @@ class RollerPilot(AbstractPilot):
         return now.gain_sd <= KNOWN * now.gain
 
     def _look_about(
-        self, fit: RunningFit, hello: Hello, time: float, intent: Intent
+        self, estimator: DriveEstimator, hello: Hello, time: float, intent: Intent
     ) -> tuple["RollerPilot", Advice]:
         """The next probe, or more of the present one."""
         count, begun = self.probe
@@ -113,7 +109,7 @@ class RollerPilot(AbstractPilot):
         frequency = PROBE_PART * hello.limits.frequency
         heading = _wrap(float(count) * GOLDEN)
         advice = Advice(frequency, heading, intent)
-        return pilot, pilot._filter(fit, advice, hello, time)
+        return pilot._filter(estimator, advice, hello, time)
 
     def _probes_still(self, time: float) -> bool:
         """Whether a probe after a stall still lasts."""
@@ -135,7 +131,6 @@ class RollerPilot(AbstractPilot):
         estimator: DriveEstimator,
         position: Point,
         hello: Hello,
-        sd: float,
         time: float,
     ) -> Advice:
         """The command that leads on."""
@@ -161,8 +156,7 @@ class RollerPilot(AbstractPilot):
         frequency *= min(1.0, slow / speed)
         heading = float(np.arctan2(aim[1], aim[0]))
         to_go = (length + math.dist(target, self.goal)) / speed
-        advice = Advice(frequency, heading, Intent.STEER, to_go)
-        return self._filter(fit, advice, hello, time, sd)
+        return Advice(frequency, heading, Intent.STEER, to_go)
 
     def _pending(self, fit: RunningFit, delay: float, time: float) -> Point:
         """Way that commands which are given already will still make [L]."""
@@ -173,65 +167,49 @@ class RollerPilot(AbstractPilot):
 
     def _filter(
         self,
-        fit: RunningFit,
+        estimator: DriveEstimator,
         advice: Advice,
         hello: Hello,
         time: float,
-        sd: float = 0.0,
-    ) -> Advice:
-        """The advice, or else what keeps the tube out of every disc and leads on most.
-
-        Where nothing keeps it out, what keeps it farthest away.
-        """
-        if not len(self.discs) or fit.bank is None:
-            return advice
-        if self._clearance(fit, advice, time, sd) > 0:
-            return advice
-        still = dataclasses.replace(advice, frequency=0.0, intent=Intent.AVOID)
-        choices, lead = [still], [0.0]
-        for turn in range(8):
-            angle = turn * math.pi / 4
-            for part in (0.3, 1.0):
-                choices.append(
-                    Advice(
-                        part * hello.limits.frequency,
-                        _wrap(advice.heading + angle),
-                        Intent.AVOID,
-                        advice.time_to_go,
-                    )
-                )
-                lead.append(part * math.cos(angle))
-        apart = [self._clearance(fit, one, time, sd) for one in choices]
-        clear = [i for i, least in enumerate(apart) if least > 0]
-        if clear:
-            return choices[max(clear, key=lambda i: lead[i])]
-        return choices[int(np.argmax(apart))]
-
-    def _clearance(
-        self, fit: RunningFit, advice: Advice, time: float, sd: float
-    ) -> float:
-        """Least distance of the tube from a disc in the next seconds [L]."""
-        times = time + np.linspace(0.0, AHEAD, 9)
-        held = np.full_like(times, advice.frequency)
-        ahead = forecast(fit, times, held, np.full_like(times, advice.heading))
-        observed = fit.frames.observed
-        start = observed.positions[-1] if len(observed) else np.full(2, np.nan)
-        path = start + ahead.displacement
-        tube = TUBE * np.sqrt(ahead.variance.max(axis=1) + sd**2)
-        apart = np.hypot(*(path[:, None] - self.discs[:, :2]).transpose(2, 0, 1))
-        least = apart - self.discs[:, 2] - tube[:, None]
-        return float(np.nanmin(least)) if not np.isnan(start[0]) else math.inf
+    ) -> tuple["RollerPilot", Advice]:
+        """The advice, or else what the last filter gives in its place."""
+        where = estimator.whereabouts(time)
+        if not len(self.discs) or estimator.fit.bank is None or where is None:
+            return self, advice
+        outlook = Outlook(
+            estimator.fit,
+            time,
+            hello.step,
+            np.array(estimator.seen_at(time) or where.position),
+            where.sd or 0.0,
+            hello.limits.frequency,
+            self.discs,
+        )
+        wanted = np.array([advice.frequency, advice.heading])
+        verdict = outlook.judge(wanted, self.reserve)
+        pilot = dataclasses.replace(self, reserve=verdict.reserve)
+        if not verdict.changed:
+            return pilot, advice
+        frequency, heading = (float(number) for number in verdict.order)
+        return pilot, Advice(frequency, heading, Intent.AVOID, advice.time_to_go)
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         return {
             "probe": self.probe,
             "best": self.best,
             "stalls": np.array(self.stalls),
+            "reserve": np.append(self.reserve.order, self.reserve.until),
         }
 
     def from_arrays(self, arrays: dict[str, np.ndarray]) -> "RollerPilot":
-        memory = {"probe": arrays["probe"], "best": arrays["best"]}
-        return dataclasses.replace(self, **memory, stalls=int(arrays["stalls"]))
+        *order, until = arrays["reserve"]
+        return dataclasses.replace(
+            self,
+            probe=arrays["probe"],
+            best=arrays["best"],
+            stalls=int(arrays["stalls"]),
+            reserve=Reserve(np.array(order), float(until)),
+        )
 
 
 def _way_point(start: Point, goal: Point, discs: np.ndarray) -> Point:

@@ -86,6 +86,36 @@ def test_a_rollout_stays_within_its_band(known):
     assert np.allclose(old.displacement, ahead.displacement, atol=1.0)
 
 
+def test_forecasts_of_many_plans_are_those_of_each(known):
+    fit, robot = known
+    fit = fit.after(robot.t, robot.seen(), 1.5, 0.0)
+    draw, times = np.random.default_rng(0), robot.t + 0.2 * np.arange(6)
+    frequency, heading = draw.uniform(0, 3, (2, 3, 6)), draw.uniform(-3, 3, (2, 3, 6))
+    many = forecast(fit, times, frequency, heading)
+    for place in np.ndindex(2, 3):
+        one = forecast(fit, times, frequency[place], heading[place])
+        assert np.allclose(many.displacement[place], one.displacement, atol=1e-12)
+        assert np.allclose(many.variance[place], one.variance, atol=1e-12)
+
+
+def test_a_forecast_adds_commands_to_those_that_act_late(known):
+    """The mean is linear in what the history of all commands together has turned."""
+    fit, robot = known
+    times = robot.t + np.array([0.0, 0.15, 0.4, 1.0])
+    frequency, heading = np.array([2.0, 0.5, 1.0, 9.0]), np.array([0.1, 2.0, -1.0, 0.0])
+    ahead = forecast(fit, times, frequency, heading)
+    whole = fit.history.extend(fit.grid, times, frequency, heading)
+    turned = whole.at(times, fit.grid.delays)[:, fit.grid.drive]
+    gains = fit.bank.mean[:, :, 3:]
+    moved = np.einsum("mab,tmb->tma", gains, turned - turned[0])
+    still = forecast(fit, times, np.zeros(4), np.zeros(4)).displacement
+    before = fit.history.extend(fit.grid, times[:1], np.zeros(1), np.zeros(1))
+    turned = before.at(times, fit.grid.delays)[:, fit.grid.drive]
+    late = np.einsum("mab,tmb->tma", gains, turned - turned[0])
+    by_drive = np.einsum("m,tma->ta", fit.bank.weight, moved - late)
+    assert np.allclose(ahead.displacement - still, by_drive, atol=1e-9)
+
+
 def test_the_position_is_followed(known):
     fit, robot = known
     place = locate(fit, robot.t - 0.1)

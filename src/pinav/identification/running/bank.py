@@ -149,7 +149,7 @@ class Bank(eqx.Module):
 
 def rows(
     cycles: Float[np.ndarray, "*batch member 2"],
-    interval: float | Float[np.ndarray, "*batch 1"],
+    interval: float | Float[np.ndarray, "*#batch 1"],
     memory: Float[np.ndarray, " member"],
 ) -> Float[np.ndarray, "*batch member 5"]:
     """What each part of the state adds to the position after an interval [s]."""
@@ -161,14 +161,16 @@ def rows(
 
 
 def wandering(
-    interval: float, memory: Float[np.ndarray, " member"], frequency: float
+    interval: float,
+    memory: Float[np.ndarray, " member"],
+    frequency: float | Float[np.ndarray, "*plan 1"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     r"""What wandering adds in an interval to the variances, over $\sigma^2$.
 
     Of the position, of position with velocity, and of the velocity: exact, as in
     `pinav.identification.kalman`, for the strength at a frequency [Hz].
     """
-    strength = STILL**2 + np.sqrt(max(frequency, 0.0))
+    strength = STILL**2 + np.sqrt(np.maximum(frequency, 0.0))
     ratio = interval / memory
     decay = np.exp(-ratio)
     spread = 2 * ratio - 3 + 4 * decay - decay**2

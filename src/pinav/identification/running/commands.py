@@ -28,7 +28,7 @@ class CommandHistory(eqx.Module):
         cls, grid: DriveGrid, time: float, frequency: float, heading: float
     ) -> "CommandHistory":
         """One command, held from `time` on, and no drive before it."""
-        rates = _rates(grid, np.array([frequency]), np.array([heading]))
+        rates = effective_rates(grid, np.array([frequency]), np.array([heading]))
         return cls(np.array([time]), rates, np.zeros_like(rates))
 
     def extend(
@@ -39,7 +39,7 @@ class CommandHistory(eqx.Module):
         heading: Float[np.ndarray, " later"],
     ) -> "CommandHistory":
         """The history with later commands, whose times increase."""
-        rates = np.concatenate([self.rates, _rates(grid, frequency, heading)])
+        rates = np.concatenate([self.rates, effective_rates(grid, frequency, heading)])
         times = np.concatenate([self.times, times])
         first = len(self.times) - 1
         steps = np.diff(times[first:])[:, None, None] * rates[first:-1]
@@ -53,7 +53,9 @@ class CommandHistory(eqx.Module):
         heading: Float[np.ndarray, "1"],
     ) -> "CommandHistory":
         """The history with another command from its last time on."""
-        rates = np.concatenate([self.rates[:-1], _rates(grid, frequency, heading)])
+        rates = np.concatenate(
+            [self.rates[:-1], effective_rates(grid, frequency, heading)]
+        )
         return CommandHistory(self.times, rates, self.integrals)
 
     def forget(self, before: float) -> "CommandHistory":
@@ -78,10 +80,17 @@ class CommandHistory(eqx.Module):
         return values.reshape(len(times), -1, 2)
 
 
-def _rates(
+def effective_rates(
     grid: DriveGrid,
-    frequency: Float[np.ndarray, " time"],
-    heading: Float[np.ndarray, " time"],
-) -> Float[np.ndarray, "time response 2"]:
-    direction = np.stack([np.cos(heading), np.sin(heading)], axis=1)
-    return grid.response(frequency)[..., None] * direction[:, None]
+    frequency: Float[np.ndarray, "*times"],
+    heading: Float[np.ndarray, "*times"],
+) -> Float[np.ndarray, "*times response 2"]:
+    """Velocity per gain that commands ask for, by response [Hz].
+
+    Args:
+        grid: the hypotheses.
+        frequency: [Hz].
+        heading: [rad].
+    """
+    direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    return grid.response(frequency)[..., None] * direction[..., None, :]

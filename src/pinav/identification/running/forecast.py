@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.identification.running.bank import Bank, G, P, W, rows, wandering
-from pinav.identification.running.commands import CommandHistory
+from pinav.identification.running.commands import effective_rates
 from pinav.identification.running.running_fit import RunningFit
 
 MEMBERS = 48
@@ -20,8 +20,8 @@ class DriveForecast(eqx.Module):
         variance: of each coordinate, jitter of frames left out [L²].
     """
 
-    displacement: Float[np.ndarray, "time 2"]
-    variance: Float[np.ndarray, "time 2"]
+    displacement: Float[np.ndarray, "*plan time 2"]
+    variance: Float[np.ndarray, "*plan time 2"]
 
 
 class _Members(eqx.Module):
@@ -64,12 +64,15 @@ class _Members(eqx.Module):
             row: what each part of the state adds, by time and member.
             noise: what wandering adds to the variance, in units of it.
         """
-        paths = np.einsum("tms,mas->tma", row, self.mean)
-        inside = np.einsum("tms,msu,tmu->tm", row, self.covariance, row)
-        mean = np.einsum("m,tma->ta", self.weight, paths)
-        between = np.einsum("m,tma->ta", self.weight, (paths - mean[:, None]) ** 2)
+        paths = np.einsum("...ms,mas->...ma", row, self.mean)
+        # A product with each covariance first: three factors at once are slow.
+        by_member = np.einsum("...ms,msu->...mu", row, self.covariance)
+        inside = np.einsum("...ms,...ms->...m", by_member, row)
+        mean = np.einsum("m,...ma->...a", self.weight, paths)
+        apart = (paths - mean[..., None, :]) ** 2
+        between = np.einsum("m,...ma->...a", self.weight, apart)
         within = (inside + noise * self.unit) @ self.weight
-        return DriveForecast(mean, between + within[:, None])
+        return DriveForecast(mean, between + within[..., None])
 
 
 def locate(fit: RunningFit, time: float) -> DriveForecast | None:
@@ -87,8 +90,8 @@ def locate(fit: RunningFit, time: float) -> DriveForecast | None:
 def forecast(
     fit: RunningFit,
     times: Float[np.ndarray, " time"],
-    frequency: Float[np.ndarray, " time"],
-    heading: Float[np.ndarray, " time"],
+    frequency: Float[np.ndarray, "*plan time"],
+    heading: Float[np.ndarray, "*plan time"],
     *,
     bank: Bank | None = None,
 ) -> DriveForecast:
@@ -97,19 +100,18 @@ def forecast(
     Args:
         fit: after the frame at the first time; it has a bank.
         times: the first one is that of the last frame [s].
-        frequency: held from each time on [Hz].
+        frequency: held from each time on [Hz]; of one plan, or of many.
         heading: likewise [rad].
         bank: another one, such as that of a time before; its wandering velocity counts
             for nothing.
     """
-    assert fit.history is not None
     chosen = fit.bank if bank is None else bank
     assert chosen is not None
     members = _Members.of(fit, chosen)
-    history = _extend_commands(fit, times, frequency, heading)
-    turned = history.at(times, fit.grid.delays)[:, members.drive]
+    turned = _turned_before(fit, members, times)
+    turned = turned + _turned_after(fit, members, times, frequency, heading)
     elapsed = times - times[0]
-    row = rows(turned - turned[0], elapsed[:, None], members.memory)
+    row = rows(turned, elapsed[:, None], members.memory)
     # Before the first block after a restart the last one is of another clock.
     known = bank is None and fit.cycles is not None
     age = times[0] - fit.block_time if known else np.inf
@@ -120,22 +122,43 @@ def forecast(
     return members.mix(row, noise)
 
 
-def _extend_commands(
-    fit: RunningFit, times: np.ndarray, frequency: np.ndarray, heading: np.ndarray
-) -> CommandHistory:
-    """The commands so far and those to come; the first may replace the last one."""
+def _turned_before(
+    fit: RunningFit, members: _Members, times: np.ndarray
+) -> Float[np.ndarray, "time member 2"]:
+    """Cycles after the first time [cycles] by the commands before it, which act late.
+
+    The command of the last frame counts up to that time.
+    """
     assert fit.history is not None
-    first = 1 if times[0] <= fit.history.times[-1] else 0
-    kept = fit.history
-    if first:
-        kept = kept.replace_last(fit.grid, frequency[:1], heading[:1])
-    return kept.extend(fit.grid, times[first:], frequency[first:], heading[first:])
+    none, history = np.zeros(1), fit.history
+    if times[0] <= history.times[-1]:
+        history = history.replace_last(fit.grid, none, none)
+    else:
+        history = history.extend(fit.grid, times[:1], none, none)
+    turned = history.at(times, fit.grid.delays)[:, members.drive]
+    return turned - turned[0]
+
+
+def _turned_after(
+    fit: RunningFit,
+    members: _Members,
+    times: np.ndarray,
+    frequency: np.ndarray,
+    heading: np.ndarray,
+) -> Float[np.ndarray, "*plan time member 2"]:
+    """Cycles by the commands from the first time on [cycles]."""
+    late = times[:, None, None] - fit.grid.delays[:, None] - times[:-1]
+    held = np.clip(late, 0.0, np.diff(times))
+    rates = effective_rates(fit.grid, frequency[..., :-1], heading[..., :-1])
+    delay, response = np.divmod(members.drive, rates.shape[-2])
+    of_members = rates[..., response, :]
+    return np.einsum("tmi,...imk->...tmk", held[:, delay], of_members, optimize=True)
 
 
 def _wandering(
     elapsed: np.ndarray, memory: np.ndarray, frequency: np.ndarray, fresh: np.ndarray
-) -> np.ndarray:
-    """Variance of the way that wandering adds, in units of it, by time and member.
+) -> Float[np.ndarray, "*plan time member"]:
+    """Variance of the way that wandering adds, in units of it.
 
     Args:
         elapsed: since the start [s].
@@ -143,19 +166,20 @@ def _wandering(
         frequency: held from each time on [Hz].
         fresh: part of the present variance that is not in the covariance of a member.
     """
-    _, _, velocity = wandering(np.inf, memory, float(frequency[0]))
+    _, _, velocity = wandering(np.inf, memory, frequency[..., :1])
     velocity = velocity * fresh
-    way, cross = np.zeros_like(memory), np.zeros_like(memory)
+    way, cross = np.zeros_like(velocity), np.zeros_like(velocity)
     variances = [way]
-    for interval, held in zip(np.diff(elapsed), frequency, strict=False):
+    for place, interval in enumerate(np.diff(elapsed)):
         decay = np.exp(-interval / memory)
         reach = memory * -np.expm1(-interval / memory)
-        added = wandering(float(interval), memory, float(held))
+        held = frequency[..., place, None]
+        added = wandering(float(interval), memory, held)
         way = way + 2 * reach * cross + reach**2 * velocity + added[0]
         cross = decay * (cross + reach * velocity) + added[1]
         velocity = decay**2 * velocity + added[2]
         variances.append(way)
-    return np.stack(variances)
+    return np.stack(variances, axis=-2)
 
 
 class DriveEstimate(eqx.Module):

@@ -68,13 +68,13 @@ class DriveGrid(eqx.Module):
         return cls(corners, residuals, delays, drive, blur, memory, log_prior)
 
     def response(
-        self, frequency: Float[np.ndarray, " time"]
-    ) -> Float[np.ndarray, "time response"]:
+        self, frequency: Float[np.ndarray, "*times"]
+    ) -> Float[np.ndarray, "*times response"]:
         r"""Effective frequencies $\rho f + (1 - \rho) f / \sqrt{1 + (f / f_c)^2}$ [Hz].
 
         That of `SlippingResponse`; an infinite corner is the linear law.
         """
-        f = frequency[:, None]
+        f = frequency[..., None]
         slip = f / np.sqrt(1 + (f / self.corners) ** 2)
         return self.residuals * f + (1 - self.residuals) * slip
 

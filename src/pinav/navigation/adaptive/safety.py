@@ -19,6 +19,7 @@ from jaxtyping import Array, Float
 from pinav.arguments import Planar, State
 from pinav.navigation.belief.belief import Belief
 from pinav.navigation.control.controller import Observation
+from pinav.navigation.control.escapes import choose_command
 from pinav.navigation.control.prediction import TrajectoryPrediction
 from pinav.navigation.model.time_cost import TimeCost
 from pinav.navigation.task.steering import AbstractActuator, Command
@@ -74,11 +75,13 @@ def check_command(
     controls, after, instead = _margins(
         prediction, observation, command, time_cost, jnp.asarray(tube)
     )
-    if float(jnp.max(after)) >= 0 or float(jnp.max(after)) >= float(jnp.max(instead)):
-        return Verdict(command, float(jnp.max(after)), changed=False)
-    best = int(jnp.argmax(instead))
-    safer = prediction.command(observation, controls[best])
-    return Verdict(safer, float(instead[best]), changed=True)
+    others = np.asarray(instead)
+    margins = np.append(float(jnp.max(after)), others)
+    best = choose_command(margins, np.append(np.inf, others))
+    if best == 0:
+        return Verdict(command, float(margins[0]), changed=False)
+    safer = prediction.command(observation, controls[best - 1])
+    return Verdict(safer, float(margins[best]), changed=True)
 
 
 def farthest(state: Float[np.ndarray, " state"], thrust: float) -> float:
