@@ -12,7 +12,7 @@ from pinav.files import atomic_write
 from pinav.live.messages import Frame, Hello, Mode
 from pinav.live.session import Counts, Session
 
-SCHEMA = 1
+SCHEMA = 2
 """Version of the file; another one is refused."""
 
 
