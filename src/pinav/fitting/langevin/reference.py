@@ -29,7 +29,11 @@ class SlowReference(eqx.Module):
     axis: int = eqx.field(static=True)
     knots: int = eqx.field(static=True, default=46)
     scale: float | None = None
-    start: tuple[float, ...] | None = eqx.field(static=True, default=None)
+    start: tuple[float, ...] | None = eqx.field(
+        static=True,
+        default=None,
+        converter=lambda start: None if start is None else tuple(map(float, start)),
+    )
 
     def __check_init__(self) -> None:
         if self.knots < 2 or not (self.scale is None or self.scale > 0):

@@ -80,9 +80,10 @@ def tabulate_model(
     inertial = isinstance(model.dynamics, Swimmer)
     predictor = (InertialTable if inertial else OverdampedTable)(table, model.actuator)
     drive = ControlMap.of(model.actuator, task.limits, task.dim)
-    # A table of zeros instead of none: one compiled program serves all models.
+    # A table of zeros instead of none: one compiled program serves all models. It has
+    # one time, as that of samples whose force does not change.
     spread = eqx.tree_at(
-        lambda s: s.values, table, jnp.zeros_like(table.values[..., :1])
+        lambda s: s.values, table, jnp.zeros_like(table.values[:1, ..., :1])
     )
     if samples:
         changes = sample_times(at_rest(samples[0]), grid, task.time_limit, times)
