@@ -6,7 +6,7 @@ scenario `box` with another field: 64 trajectories, positions alone, an error of
 
 import time
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -139,7 +139,8 @@ def judge(name: str, key: int) -> Score:
     fit = fit_structured(model, data, throw=False).fit
     seconds = time.process_time() - began
     learned = fit.model.environment
-    terms, free = split_structure(learned)
+    terms, rest = split_structure(learned)
+    free: Any = rest
     return Score(
         f"{name}, {key}",
         ", ".join(term.kind for term in terms) or "none",
