@@ -18,6 +18,7 @@ from pinav.fitting import (
     curriculum,
     defect_recipe,
     fit_in_turns,
+    fit_with_finer_steps,
     is_complete,
     paper_recipe,
     prior_root,
@@ -81,11 +82,14 @@ class Matching:
         recipes: the phases of each attempt.
         objective: what they minimise.
         dtype: floating-point type of the fit.
+        finer: the objective by finer steps, which a fit must follow, too; None where
+            its own steps are part of the recipe.
     """
 
     recipes: tuple[tuple[AbstractPhase, ...], ...]
     objective: AbstractObjective
     dtype: type
+    finer: AbstractObjective | None = None
 
     @property
     def precision(self) -> str:
@@ -101,8 +105,8 @@ class Matching:
         checkpoint: AbstractCheckpoint | None = None,
         on_chunk: Callable[[FitProgress], None] | None = None,
     ) -> list[Fit]:
-        """Fit several models; see `fit_in_turns`."""
-        return fit_in_turns(
+        """Fit several models; see `fit_in_turns` and `fit_with_finer_steps`."""
+        fits = fit_in_turns(
             models,
             data,
             self.recipes,
@@ -110,6 +114,17 @@ class Matching:
             objective=self.objective,
             dtype=self.dtype,
             checkpoint=checkpoint,
+            on_chunk=on_chunk,
+        )
+        if self.finer is None:
+            return fits
+        return fit_with_finer_steps(
+            fits,
+            data,
+            self.recipes[0][-1:],
+            trainable=trainable,
+            objective=self.finer,
+            dtype=self.dtype,
             on_chunk=on_chunk,
         )
 
@@ -146,8 +161,14 @@ def matching(
                 max_steps=steps,
             )
             recipes = (first, *recipes) if linear else (first, first, *recipes)
-    solver = FixedStep(substeps=2 * substeps)
-    return Matching(recipes, TrajectoryLoss(solver), jnp.float64)
+    coarse, fine = (
+        TrajectoryLoss(FixedStep(substeps=steps * substeps)) for steps in (2, FINER)
+    )
+    return Matching(recipes, coarse, jnp.float64, fine)
+
+
+FINER = 8
+"""Steps that confirm a fit, for each of those that its linearisation takes."""
 
 
 DEFECT_STEPS = 2

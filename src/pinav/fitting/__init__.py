@@ -57,6 +57,7 @@ from pinav.fitting.langevin import fit_langevin as fit_langevin
 from pinav.fitting.langevin import judge_increments as judge_increments
 from pinav.fitting.langevin import slow_reference as slow_reference
 from pinav.fitting.matching.attempts import fit_in_turns as fit_in_turns
+from pinav.fitting.matching.attempts import fit_with_finer_steps as fit_with_finer_steps
 from pinav.fitting.matching.defects import DefectMatching as DefectMatching
 from pinav.fitting.matching.fit import fit as fit
 from pinav.fitting.matching.fit import fit_many as fit_many

@@ -4,9 +4,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pinav.dynamics import Adaptive, Swimmer
-from pinav.fitting import Adam, Outcome, RateMatching, Rates, curriculum, fit_in_turns
-from pinav.fitting.matching.attempts import _join, _shuffle
+from pinav.dynamics import Adaptive, FixedStep, Swimmer
+from pinav.fitting import (
+    Adam,
+    Outcome,
+    RateMatching,
+    Rates,
+    TrajectoryLoss,
+    curriculum,
+    fit_in_turns,
+    fit_with_finer_steps,
+)
+from pinav.fitting.matching.attempts import _is_worse, _join, _shuffle
 from pinav.fitting.matching.state import Fit
 from pinav.forces import (
     GaussianBarrier,
@@ -39,23 +48,26 @@ def ended(outcome, *losses):
 def test_the_better_attempt_is_kept_with_the_losses_of_both():
     first = ended(Outcome.STALLED, 9.0, 1.0)
     worse, better = (ended(Outcome.MISFIT, 9.0, x) for x in (2.0, 0.5))
-    kept = _join(first, worse, worse)
+    kept = _join(first, worse, worse, keep=True)
     assert kept.outcome is Outcome.STALLED
     assert kept.losses.tolist() == [9.0, 1.0, 9.0, 1.0]
     assert kept.phases == (("Adam", 0), ("Adam", 2))
-    assert _join(first, better, better).outcome is Outcome.MISFIT
+    after = _join(first, better, better, keep=False)
+    assert (after.outcome, after.losses[-1]) == (Outcome.MISFIT, 0.5)
+    assert _is_worse(worse, first)
+    assert not _is_worse(better, first)
 
 
 def test_a_diverged_attempt_gives_way_and_never_wins():
     lost = ended(Outcome.DIVERGED, 9.0, np.nan)
     fine = ended(Outcome.STALLED, 9.0, 3.0)
-    assert _join(lost, fine, fine).outcome is Outcome.STALLED
-    assert _join(fine, lost, lost).outcome is Outcome.STALLED
+    assert _is_worse(lost, fine)
+    assert not _is_worse(fine, lost)
 
 
 def test_what_converged_waits_for_the_others():
     other = ended(Outcome.STALLED, 9.0, 8.0, 7.0)
-    kept = _join(ended(Outcome.CONVERGED, 9.0, 1.0), None, other)
+    kept = _join(ended(Outcome.CONVERGED, 9.0, 1.0), None, other, keep=False)
     assert kept.losses.tolist() == [9.0, 1.0, 1.0, 1.0, 1.0]
 
 
@@ -94,3 +106,33 @@ def test_a_fit_that_failed_is_tried_again(data):
     assert fit.outcome is Outcome.CONVERGED
     assert fit.model.environment.height == pytest.approx(2.0, rel=1e-4)
     assert [name for name, _ in fit.phases][:2] == ["L = 1", "Rates"]
+
+
+FINER = {
+    "trainable": lambda m: m.environment.height,
+    "objective": TrajectoryLoss(FixedStep(substeps=8)),
+    "dtype": jnp.float64,
+}
+
+
+def test_a_fit_that_follows_the_data_by_finer_steps_is_left_alone(data):
+    fits = [
+        Fit(TRUTH, START, np.array([9.0, 1e-12]), (), Outcome.CONVERGED),
+        ended(Outcome.STALLED, 9.0, 8.0),
+    ]
+    after = fit_with_finer_steps(fits, data, curriculum(data)[-1:], **FINER)
+    assert all(one is other for one, other in zip(after, fits, strict=True))
+
+
+@pytest.mark.slow
+def test_a_fit_that_only_its_own_steps_follow_goes_on_by_finer_ones(data):
+    near = eqx.tree_at(lambda s: s.environment.height, TRUTH, 1.99)
+    fits = [
+        Fit(near, START, np.array([9.0, 1e-12]), (), Outcome.CONVERGED),
+        ended(Outcome.STALLED, 9.0, 8.0),
+    ]
+    after, other = fit_with_finer_steps(fits, data, curriculum(data)[-1:], **FINER)
+    assert after.model.environment.height == pytest.approx(2.0, rel=1e-6)
+    assert after.initial_model is START
+    assert other.model is TRUTH
+    assert len(after.losses) == len(other.losses) > 2

@@ -17,10 +17,9 @@ from jaxtyping import Array, Bool, Float
 
 from pinav.dynamics import RK4, FixedStep, Swimmer
 from pinav.fitting.environments.force_regression import (
-    RIDGE,
     KernelKind,
     force_columns,
-    regress_with_ridges,
+    regression_evidence,
 )
 from pinav.fitting.environments.gradient_matching import (
     ACROSS,
@@ -31,6 +30,7 @@ from pinav.fitting.environments.gradient_matching import (
 from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
 from pinav.fitting.environments.rates import (
     MOST_SAMPLES,
+    forces_beside_drag,
     observed_rates,
     residual_forces,
 )
@@ -96,33 +96,27 @@ def diagnose(model: Swimmer, trajectories: Trajectories) -> Cause | None:
     if np.median(doubts) > RELIABLE * largest:
         return None
     fields = _explain(rates.states, forces, doubts < RELIABLE * largest)
-    static = min(fields.potential, fields.free)
-    if static > UNEXPLAINED and fields.beside_drag < FAR_BETTER * static:
+    static = max(fields.potential, fields.free)
+    if fields.beside_drag > static + DECISIVE:
         return Cause.PHYSICS
     if doubts.max() > DOUBTFUL * largest:
         return Cause.SAMPLES
     learned = as_learned_force(model.environment)
     if learned is not None and learned.is_conservative:
-        turns = fields.free < BETTER * fields.potential
-        if turns and fields.potential > UNEXPLAINED:
+        turns = fields.free > fields.potential + DECISIVE
+        if turns and fields.potential < EXPLAINED:
             return Cause.NO_POTENTIAL
-    if static > NO_FIELD:
+    if static < NO_FIELD:
         return Cause.PHYSICS
     teacher = model.with_environment(match_kernels(model, rates))
     chaotic = largest_growth(teacher, trajectories) > CHAOTIC
     return Cause.CHAOS if chaotic else Cause.SEARCH
 
 
-UNEXPLAINED, NO_FIELD = 3e-3, 0.2
-"""Relative error of held-out forces that a field leaves unexplained; that from which on
-there is no field."""
-
-FAR_BETTER, BETTER = 0.2, 0.8
-"""Share of the error of a field that is left beside a drag, and share of that of a
-potential that a force without one leaves: it has twice as many weights to find."""
-
-RIDGES = (RIDGE, 1e-9, 1e-7, 1e-5, 1e-3)
-"""Between paths that are far apart a field needs more than rounding asks for."""
+DECISIVE, EXPLAINED, NO_FIELD = 0.5, 5.5, -0.8
+"""Evidence for each number [nats]: by which one explanation is better than another, of
+a field that leaves a thousandth of the forces, and from which on there is a field (a
+force of pure noise has -1.4)."""
 
 DOUBTFUL = 0.03
 """Difference between the rates of two splines, relative to the largest force, above
@@ -168,7 +162,7 @@ def _derivatives(
 
 
 class _Fields(NamedTuple):
-    """Relative errors of held-out forces, of the best grid of each kind of field.
+    """Evidence of the best grid of each kind of field, for each number [nats].
 
     Attributes:
         potential: of a potential.
@@ -187,48 +181,55 @@ def _explain(
     reliable: Bool[np.ndarray, " point"],
 ) -> _Fields:
     rows = np.flatnonzero(reliable)
-    if len(rows) < FEWEST:
-        return _Fields(0.0, 0.0, 0.0)
-    rows = rows[informative_rows(states[rows], MOST_SAMPLES)]
+    if len(rows) < FEWEST or not forces[rows].any():
+        return _Fields(np.inf, np.inf, np.inf)
     dim = forces.shape[1]
-    positions, forces = states[rows, :dim], forces[rows]
-    velocities = states[rows, dim:]
-    # As large as kernels are, so that the ridge hardly touches it.
-    velocities = velocities / np.abs(velocities).max()
-    beside = velocities[:, :, None]
+    beside = forces_beside_drag(states[rows, dim:], forces[rows])
+    left = np.linalg.norm(beside, axis=1)
+    places = states[rows[left >= ACTS * left.max()], :dim]
+    # Where a narrow force acts, forces change although states hardly do.
+    told = np.hstack([states, forces])[rows]
+    rows = rows[informative_rows(told, MOST_SAMPLES)]
+    positions, velocities, forces = states[rows, :dim], states[rows, dim:], forces[rows]
+    along = velocities[:, :, None]
     if dim == PLANE:
-        beside = np.stack([velocities, velocities[:, ::-1] * [-1.0, 1.0]], axis=2)
-    nothing = beside[:, :, :0]
+        along = np.stack([velocities, velocities[:, ::-1] * [-1.0, 1.0]], axis=2)
+    nothing = along[:, :, :0]
     potential, free, with_drag, free_with_drag = (
-        _held_out_error(kind, positions, forces, extra)
-        for extra in (nothing, beside)
+        _best_evidence(kind, places, positions, forces, extra)
+        for extra in (nothing, along)
         for kind in (KernelPotential, KernelForce)
     )
-    return _Fields(potential, free, min(with_drag, free_with_drag))
+    return _Fields(potential, free, max(with_drag, free_with_drag))
 
 
 FEWEST, PLANE = 50, 2
 """Reliable samples that tell a field, and the dimension in which a velocity turns."""
 
+ACTS = 1e-2
+"""Force beside a uniform one and a drag that needs a field, in units of the largest."""
 
-def _held_out_error(
+
+def _best_evidence(
     kind: KernelKind,
+    places: Float[np.ndarray, "place dim"],
     positions: Float[np.ndarray, "point dim"],
     forces: Float[np.ndarray, "point dim"],
     extra: Float[np.ndarray, "point dim column"],
 ) -> float:
-    """Relative error of every fourth force, by the best grid of kernels and ridge."""
-    held_out = np.arange(len(positions)) % 4 == 2
-    size, errors = float(np.sqrt(np.mean(forces**2))) or 1.0, [1.0]
-    for across in ACROSS[:-1]:
-        centers, width = surround_with_kernels(positions, KernelGrid(across, 1.5, 2.0))
+    """Evidence of the forces by the best grid of kernels around places."""
+    evidence = [-np.inf]
+    for across in ACROSS:
+        centers, width = surround_with_kernels(places, KernelGrid(across, 1.5, 2.0))
         columns = force_columns(kind, positions, centers, width)
         if columns.shape[2] > MOST_KERNELS:
             break
-        columns = np.concatenate([columns, extra], axis=2)
-        for weights in regress_with_ridges(
-            columns[~held_out], forces[~held_out], RIDGES
-        ):
-            missed = (columns @ weights - forces)[held_out]
-            errors.append(float(np.sqrt(np.mean(missed**2))) / size)
-    return min(errors)
+        size = BROAD * np.sqrt(np.sum(columns**2, axis=(0, 1)).max())
+        beside = size * extra / np.sqrt(np.sum(extra**2, axis=(0, 1)))
+        columns = np.concatenate([columns, beside], axis=2)
+        evidence.append(regression_evidence(columns, forces))
+    return max(evidence)
+
+
+BROAD = 3.0
+"""Size of the force of a drag in the prior, in units of that of a kernel."""

@@ -127,27 +127,28 @@ def force_region(
     return ForceRegion(center, max(radius, LEAST_RADIUS * spread))
 
 
-def forces_beside_drag(rates: Rates) -> Float[np.ndarray, "point dim"]:
-    """What a uniform force and a linear drag leave of the accelerations.
+def forces_beside_drag(
+    velocities: Float[np.ndarray, "point dim"], forces: Float[np.ndarray, "point dim"]
+) -> Float[np.ndarray, "point dim"]:
+    """What a uniform force and a linear drag leave of forces.
 
     They are those of the least absolute misfit, by iterated weights, because a force
-    that acts in few places must not bend them. No known physics enters.
+    that acts in few places must not bend them.
 
     Args:
-        rates: at observed states.
+        velocities: at which the forces are known [L T⁻¹].
+        forces: all of them, or those that known physics leave [L T⁻²].
     """
-    dim = rates.states.shape[1] // 2
-    columns = np.insert(rates.states[:, dim:], 0, 1.0, axis=1)
-    accelerations = rates.rates[:, dim:]
-    forces, weights = accelerations, np.ones((len(columns), 1))
+    columns = np.insert(velocities, 0, 1.0, axis=1)
+    left, weights = forces, np.ones((len(columns), 1))
     for _ in range(ROUNDS):
-        law, *_ = np.linalg.lstsq(weights * columns, weights * accelerations)
-        forces = accelerations - columns @ law
-        sizes = np.linalg.norm(forces, axis=1, keepdims=True)
+        law, *_ = np.linalg.lstsq(weights * columns, weights * forces)
+        left = forces - columns @ law
+        sizes = np.linalg.norm(left, axis=1, keepdims=True)
         if not sizes.any():
             break
         weights = 1.0 / np.sqrt(sizes + SMALL * sizes.max())
-    return forces
+    return left
 
 
 ROUNDS, SMALL = 20, 1e-3

@@ -158,7 +158,9 @@ def summarise_for_matching(
     if choice.name in POSITION_NETWORKS:
         region = force_region(few, residual_forces(swimmer, few))
     elif choice.name == BLACK_BOX:
-        region = force_region(few, forces_beside_drag(few))
+        region = force_region(
+            few, forces_beside_drag(few.states[:, dim:], few.rates[:, dim:])
+        )
     else:
         return summary
     if region is None:
