@@ -122,6 +122,22 @@ def test_twins_of_ring_and_wall_are_unbiased_and_covered(name):
         assert misses.covered * DRAWS >= 17
 
 
+def test_twins_of_a_drifting_wall_are_unbiased_and_covered():
+    """Bars as those of the wall at rest; draws of odd seeds are judged.
+
+    Its path is followed to a third of what it drifts.
+    """
+    judged = list(thermal_twins.judge_drifting_walls(3, draws=10))
+    followed = np.sqrt(np.mean([one["path error"] ** 2 for one in judged]))
+    print(f"drifting wall: path followed to {1e3 * followed:.1f} nm")
+    assert followed < thermal_twins.DRIFT / 3
+    for quantity in ("D normal", "D along", "force"):
+        misses = thermal_twins.Misses(np.array([one[quantity] for one in judged]))
+        print(f"drifting wall: {quantity}: {misses}")
+        assert misses.bias < 1 / 3
+        assert 0.90 < misses.covered < 0.99
+
+
 @pytest.mark.parametrize("turning", [0.0, 1.0])
 def test_entropy_production_of_a_turning_trap_is_covered(turning):
     """Bar: at least 17 of 20 draws with odd seeds within the 95 % interval."""

@@ -12,6 +12,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pinav.commands.truth.cases import Recording
+from pinav.commands.truth.wall_fields import fit_wall
 from pinav.dynamics import BrownianSwimmer, OverdampedSwimmer
 from pinav.fitting import (
     Estimate,
@@ -173,7 +175,12 @@ def judge_wall(seed):
         diffusion=KernelDiffusion((axis,), groups=((0, 1), (2,))),
         observation=LearnedObservation(),
     )
-    gaps = np.quantile(tracks[..., 2], np.linspace(0.02, 0.98, 40))
+    return _wall_misses(fit, tracks[..., 2])
+
+
+def _wall_misses(fit, heights):
+    """Misses at 40 gaps; the zero of height is the mean place of the wall."""
+    gaps = np.quantile(heights, np.linspace(0.02, 0.98, 40))
     points = np.stack([0 * gaps, 0 * gaps, gaps], axis=1)
     normal, along, force = wall_law(gaps)
     assert isinstance(fit.diffusion, DiffusionField)
@@ -186,3 +193,37 @@ def judge_wall(seed):
         "normal relative": float(np.sqrt(np.mean((learned[:, 2] / normal - 1) ** 2))),
         "along relative": float(np.sqrt(np.mean((learned[:, 0] / along - 1) ** 2))),
     }
+
+
+DRIFT = 0.030
+"""Standard deviation of the wall's path over a record [um]."""
+
+
+def drift_of_wall(random, frames):
+    """A slow path of the wall: half a wave and a whole one over the record [um]."""
+    turns = math.pi * np.arange(frames) / frames
+    sizes = random.normal(size=2)
+    path = sizes[0] * np.cos(turns) + sizes[1] * np.cos(2 * turns)
+    return DRIFT * (path - path.mean()) / path.std()
+
+
+def judge_drifting_walls(seed, draws, frames=30_000):
+    """Misses of as many single beads, each above a wall that drifts, with all learned.
+
+    They are fitted as `pinav truth` fits the recording. The path is scored at its
+    knots, and by its root mean square error [um].
+    """
+    random = np.random.default_rng([17, seed])
+    times = np.arange(frames) / WALL_RATE
+    for track in wall_tracks(seed, draws, frames):
+        drift = drift_of_wall(random, frames)
+        seen = track + np.stack([0 * drift, 0 * drift, drift], axis=1)
+        fit = fit_wall(Recording(times, seen, None), RADIUS, HEAT)
+        path = fit.reference
+        assert path is not None
+        misses = path.values - np.interp(path.times, times, drift)
+        yield {
+            **_wall_misses(fit, track[:, 2]),
+            "path": misses / path.sd,
+            "path error": float(np.sqrt(np.mean((path(times) - drift) ** 2))),
+        }

@@ -198,8 +198,8 @@ def test_the_divergence_of_the_diffusion_is_no_force(round_the_ring):
 
 
 @pytest.mark.slow
-def test_a_reference_that_drifts_is_followed():
-    """A trap that wanders by more than its width."""
+def test_a_reference_that_drifts_is_followed_from_two_starts():
+    """A trap that wanders by more than its width; begun at rest and on its path."""
 
     def trap(time):
         return 0.6 * np.sin(TURN * time / 40)
@@ -211,15 +211,22 @@ def test_a_reference_that_drifts_is_followed():
         10 * np.arange(1, 801),
     )
     data = tracks(times, seen)
-    reference = SlowReference(0, knots=16)
     model = swimmer(data, KernelAxis(0))
-    fit = fit_langevin(model, data, einstein=False, reference=reference)
-    path = fit.reference
-    assert path is not None
+
+    def follow(start=None):
+        reference = SlowReference(0, knots=16, start=start)
+        fit = fit_langevin(model, data, einstein=False, reference=reference)
+        assert fit.reference is not None
+        return fit.reference
+
+    path = follow()
     truth = trap(path.times) - trap(path.times).mean()
     miss = path(path.times) - truth
-    assert np.sqrt(np.mean(miss**2)) < 0.4 * np.sqrt(np.mean(truth**2))
+    wide = 0.4 * np.sqrt(np.mean(truth**2))
+    assert np.sqrt(np.mean(miss**2)) < wide
     assert np.all(path.sd < np.std(truth))
+    apart = follow(truth).values - path.values
+    assert np.sqrt(np.mean(apart**2)) < wide
 
 
 @pytest.mark.slow

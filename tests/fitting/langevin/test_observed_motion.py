@@ -135,6 +135,8 @@ def test_what_does_not_fit_together_is_refused():
         LearnedObservation(spread=0.0)
     with pytest.raises(InputError, match="two or more knots"):
         SlowReference(0, knots=1)
+    with pytest.raises(InputError, match="start: expected 3 values.*, got 2"):
+        SlowReference(0, knots=3, start=(0.0, 1.0))
 
 
 def test_kernels_in_coordinates_of_their_own_are_checked():

@@ -69,6 +69,13 @@ def test_the_search_names_what_is_there_and_nothing_beside_it(truth, kinds):
     assert [term.kind for term in found.terms] == kinds
 
 
+def test_what_no_force_explains_is_noise():
+    data = response(HILL)
+    assert data.least_noise == np.inf  # a force explains each datum
+    more = dataclasses.replace(data, num_free=data.num_free + 50, squares=50 * 0.02**2)
+    assert more.least_noise == pytest.approx(0.02)
+
+
 SPACE = np.random.default_rng(1).uniform(0.0, 10.0, (1, 150, 3))
 
 

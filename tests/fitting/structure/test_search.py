@@ -3,9 +3,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from pinav.dynamics import FixedStep
 from pinav.fitting import fit_structured
-from pinav.fitting.environments.kernels import kernel_environment
+from pinav.fitting.bayes.neural import FitSpecification
+from pinav.fitting.environments.kernels import KernelGrid, kernel_environment
 from pinav.fitting.structure.starts import Region, linear_term
+from pinav.fitting.structure.survey import Survey
 from pinav.forces import (
     KernelMixture,
     KernelPotential,
@@ -13,6 +16,7 @@ from pinav.forces import (
     forces_at,
 )
 from pinav.scenarios import random_system
+from pinav.scenarios.spaces import box
 from pinav.trajectories import simulate
 
 PLACES = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
@@ -47,3 +51,17 @@ def test_a_linear_force_is_found_and_each_step_names_what_is_fitted():
     true = forces_at(truth.environment, times, places)
     learned = forces_at(found.fit.model.environment, times, places)
     assert jnp.linalg.norm(learned - true) < 0.05 * jnp.linalg.norm(true)
+
+
+@pytest.mark.slow
+def test_the_noise_is_told_where_a_thrust_turns_at_once():
+    """Smoothed states miss such paths by five times the error of 0.02."""
+    data = simulate(box(count=4), key=jax.random.key(0))
+    kernels = kernel_environment(KernelPotential, data, KernelGrid(3), dim=3)
+    model = box().swimmer.with_environment(kernels)
+    specification = FitSpecification(model, data, lambda _: (), None, FixedStep())
+    with jax.enable_x64(new_val=True):
+        problem = specification.problem(model)
+        noise = Survey.of(specification, problem).noise
+    assert problem.first_noise > 0.06
+    assert noise == pytest.approx(0.02, rel=0.2)

@@ -1,5 +1,7 @@
 """Tables of models: exact for low degrees, convergent, honest about what is not."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -22,6 +24,7 @@ from pinav.forces import (
     UniaxialTensor,
     ZeroForce,
 )
+from pinav.navigation import task
 from pinav.navigation.model.predictors import ControlMap, InertialTable, OverdampedTable
 from pinav.navigation.model.tables import (
     FieldTable,
@@ -31,6 +34,7 @@ from pinav.navigation.model.tables import (
     tabulate,
     tabulate_over_time,
 )
+from pinav.navigation.model.tabulated import tabulate_model
 from pinav.navigation.task.steering import (
     CommandLimits,
     RollingActuator,
@@ -183,6 +187,17 @@ def test_a_flow_that_swings_is_all_that_is_evaluated_over_time(flow):
     assert len(moments) == (7 if isinstance(flow, Swinging) else 1)
     assert jnp.allclose(table.values, plain.values, rtol=1e-12, atol=1e-14)
     assert (table.start, table.interval) == (plain.start, plain.interval)
+
+
+def test_the_spread_of_no_samples_has_the_times_that_samples_would_have():
+    barrier = GaussianBarrier(2.0, [2.0, 0.5], 1.0)
+    carrying = OverdampedSwimmer(ZeroForce(), barrier, 0.7, flow=Swinging())
+    model = SteeredSwimmer(carrying, ROLLING)
+    there = dataclasses.replace(task("shear"), truth=model, arena=REGION)
+    tables = tabulate_model(there, model, points=9, times=7)
+    assert len(tables.table.values) == 7
+    assert tables.time_cost.spread.values.shape[0] == 1
+    assert not tables.time_cost.spread.values.any()
 
 
 def test_the_spread_of_two_models_is_that_of_two_numbers():

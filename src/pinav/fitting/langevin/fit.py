@@ -46,7 +46,11 @@ from pinav.fitting.langevin.rounds import (
     motion_covariance,
 )
 from pinav.fitting.langevin.shapes import mix_over_shapes
-from pinav.fitting.langevin.tracking import resting_path, track_reference
+from pinav.fitting.langevin.tracking import (
+    first_path,
+    from_reference,
+    track_reference,
+)
 from pinav.forces import as_learned_force
 from pinav.trajectories import Trajectories
 
@@ -169,9 +173,10 @@ def _fit_in_turns(
     periods = _periods(swimmer, diffusion)
     increments = Increments.of(trajectories).wrap(periods)
     padding = Padding.of(increments.counts)
-    motion = begin_motion(diffusion, observation, increments)
-    belief = Belief.first(swimmer, motion, increments)
-    path = None if reference is None else resting_path(reference, increments)
+    path = None if reference is None else first_path(reference, increments)
+    first = increments if path is None else from_reference(increments, path)
+    motion = begin_motion(diffusion, observation, first)
+    belief = Belief.first(swimmer, motion, first)
     turns = 0
     while True:
         before, turns = belief, turns + 1

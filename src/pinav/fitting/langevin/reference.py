@@ -19,20 +19,32 @@ class SlowReference(eqx.Module):
         axis: which coordinate.
         knots: number of them, over all the time of the data.
         scale: standard deviation of w [L]; chosen by the evidence unless given.
+        start: w at the knots where the fit begins [L]; at rest unless given.
 
     Raises:
-        InputError: there are fewer than two knots, or `scale` is not positive.
+        InputError: there are fewer than two knots, `scale` is not positive, or `start`
+            has not a value for each knot.
     """
 
     axis: int = eqx.field(static=True)
     knots: int = eqx.field(static=True, default=46)
     scale: float | None = None
+    start: tuple[float, ...] | None = eqx.field(
+        static=True,
+        default=None,
+        converter=lambda start: None if start is None else tuple(map(float, start)),
+    )
 
     def __check_init__(self) -> None:
         if self.knots < 2 or not (self.scale is None or self.scale > 0):
             raise InputError(
                 "SlowReference: expected two or more knots and a scale > 0, got "
                 f"{self.knots} and {self.scale}"
+            )
+        if self.start is not None and len(self.start) != self.knots:
+            raise InputError(
+                f"SlowReference.start: expected {self.knots} values, one for each "
+                f"knot, got {len(self.start)}"
             )
 
 

@@ -37,13 +37,14 @@ LOG_TIME = float(np.log(3.0))
 """Logarithm of the correlation time, in knots, where the scale of the path is given."""
 
 
-def resting_path(reference: SlowReference, increments: Increments) -> ReferencePath:
-    """A reference that rests, with its knots over all the time of the data."""
+def first_path(reference: SlowReference, increments: Increments) -> ReferencePath:
+    """Where the path of a reference begins, its knots over all the time of the data."""
     ends = increments.times + increments.intervals
     knots = np.linspace(increments.times.min(), ends.max(), reference.knots)
     count = reference.knots
+    values = np.zeros(count) if reference.start is None else np.array(reference.start)
     return ReferencePath(
-        reference.axis, knots, np.zeros(count), np.zeros((count, count))
+        reference.axis, knots, values - values.mean(), np.zeros((count, count))
     )
 
 

@@ -37,8 +37,9 @@ from pinav.forces import (
     ObstaclesTerm,
 )
 
-CLOSER = (0.3, 0.1)
-"""Sizes of further grids of centres, each about the best of those before."""
+CLOSER = {2: (7, (0.3, 0.1)), 3: (3, (0.25, 0.12, 0.06))}
+"""Places along each side of further grids of centres, and their sizes, each about the
+best of those before; by the dimension of space."""
 
 MOST_TERMS = 3
 """Terms of a structure."""
@@ -186,7 +187,9 @@ class _Ground(eqx.Module):
         worth = [quick_evidence(one, self.response) for one in best]
         least = sorted(worth)[-PROMISING:][0]
         best = [one for one, value in zip(best, worth, strict=True) if value >= least]
-        proposals = self._polish_each([(*terms, *linear), *best])
+        if not any(isinstance(one, LinearTerm) and not one.rotational for one in terms):
+            best = [(*terms, *linear), *best]
+        proposals = self._polish_each(best)
         if self.seen is None or self._is_explained(proposals):
             return proposals
         starts = ellipses(self.region, self.summits)
@@ -218,8 +221,11 @@ class _Ground(eqx.Module):
             likely = max(others, key=lambda one: quick_evidence(one, self.response))
             for other in self._polish_each([likely]):
                 gain = other.log_evidence - proposal.log_evidence
-                if gain > (-2 if simpler else 2) * DECISIVE:
-                    return self.exchange(other, rotational=rotational)
+                if gain <= (-2 if simpler else 2) * DECISIVE:
+                    continue
+                if not simpler and other.noise > PROGRESS * proposal.noise:
+                    return other
+                return self.exchange(other, rotational=rotational)
         return proposal
 
     def _with_twins(self, terms: Terms) -> list[Terms]:
@@ -242,10 +248,11 @@ class _Ground(eqx.Module):
     def _scan(self, starts: Sequence[AbstractTerm], terms: Terms) -> AbstractTerm:
         """The best term of a kind, its centre on finer and finer grids."""
         chosen = self._best(starts, terms)
-        for fraction in CLOSER:
+        side, fractions = CLOSER[len(self.region.middle)]
+        for fraction in fractions:
             if not isinstance(chosen, CentralTerm | EllipticTerm | ObstaclesTerm):
                 break
-            places = self.region.grid(_last_center(chosen), fraction)
+            places = self.region.grid(side, _last_center(chosen), fraction)
             closer = [_move(chosen, place) for place in places]
             chosen = self._best([chosen, *closer], terms)
         return chosen

@@ -60,6 +60,12 @@ class ForceResponse(eqx.Module):
         """Data that count less than one each: the starts, and what was compressed."""
         return self.targets.size + 1 - self.num_free
 
+    @property
+    def least_noise(self) -> float:
+        """Standard deviation of what no force explains; infinite where all is."""
+        left = self.num_free - self.targets.size
+        return float(np.sqrt(self.squares / left)) if left > 0 else np.inf
+
     def __call__(self, force: AbstractForce) -> Float[Array, " residual"]:
         """Residuals of another force, the last of them what no force explains."""
         changes = forces_at(force, self.times, self.points) - self.forces

@@ -83,22 +83,26 @@ class Region(eqx.Module):
         return float(self.extent / round(KERNELS * finer))
 
     def grid(
-        self, middle: Float[np.ndarray, " dim"] | None = None, fraction: float = 1.0
+        self,
+        side: int,
+        middle: Float[np.ndarray, " dim"] | None = None,
+        fraction: float = 1.0,
     ) -> Float[np.ndarray, "point dim"]:
         """Places that are scanned.
 
         Args:
+            side: places along each side.
             middle: of the grid [L]; that of most of the data unless given.
             fraction: its size, as a share of the extent of most of the data.
         """
         middle = self.heart if middle is None else middle
-        axis = np.linspace(-0.5, 0.5, GRID[len(middle)]) * self.crowded * fraction
+        axis = np.linspace(-0.5, 0.5, side) * self.crowded * fraction
         return middle + _mesh([axis] * len(middle))
 
     def places(self) -> Float[np.ndarray, "point dim"]:
         """Where centres are scanned first: evenly, and densely where the data are."""
         # swimmers that are flung out make the even grid coarse
-        return np.concatenate([self.grid(), _mesh(self.ranks.T)])
+        return np.concatenate([self.grid(GRID[len(self.middle)]), _mesh(self.ranks.T)])
 
     def distances(self) -> tuple[Float[Array, " kernel"], Float[Array, ""]]:
         """Places of the kernels of a profile of a distance, and their width."""

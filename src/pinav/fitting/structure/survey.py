@@ -14,8 +14,9 @@ from pinav.fitting.structure.starts import Region
 from pinav.fitting.structure.trials import Proposal, Terms, polish
 from pinav.forces import ZeroForce
 
-MOST_TRAJECTORIES = 32
-"""Trajectories that a survey looks at; the fits see all."""
+MOST_TRAJECTORIES = {2: 32, 3: 10}
+"""Trajectories that a survey looks at, by the dimension of space, in which many more
+places are scanned; the fits see all."""
 
 
 class Survey(eqx.Module):
@@ -51,7 +52,7 @@ class Survey(eqx.Module):
         still = eqx.tree_at(lambda m: m.environment, specification.model, ZeroForce())
         if states is None:
             raise ValueError("Survey.of: expected a problem with states")
-        chosen = slice(None, None, -(-len(data) // MOST_TRAJECTORIES))
+        chosen = slice(None, None, -(-len(data) // MOST_TRAJECTORIES[dim]))
         response = force_response(
             still if fit is None else fit.model,
             jnp.asarray(states)[chosen],
@@ -64,7 +65,10 @@ class Survey(eqx.Module):
         return cls(
             response=response,
             region=Region.of(data.states[..., :dim][is_observed]),
-            noise=problem.first_noise if given is None else given,
+            # Smoothed states miss a path that a thrust turns at once.
+            noise=min(problem.first_noise, response.least_noise)
+            if given is None
+            else given,
         )
 
     def proposal(self, *, rotational: bool) -> Proposal | None:

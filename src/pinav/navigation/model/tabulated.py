@@ -80,15 +80,16 @@ def tabulate_model(
     inertial = isinstance(model.dynamics, Swimmer)
     predictor = (InertialTable if inertial else OverdampedTable)(table, model.actuator)
     drive = ControlMap.of(model.actuator, task.limits, task.dim)
-    # A table of zeros instead of none: one compiled program serves all models.
-    spread = eqx.tree_at(
-        lambda s: s.values, table, jnp.zeros_like(table.values[..., :1])
-    )
+    at_times = sample_times(at_rest((*samples, model)[0]), grid, task.time_limit, times)
     if samples:
-        changes = sample_times(at_rest(samples[0]), grid, task.time_limit, times)
-        spread = force_spread([tabulate(one, grid, changes) for one in samples])
+        spread = force_spread([tabulate(one, grid, at_times) for one in samples])
         thrust = greatest_rate(table, drive, inertial=inertial)
         spread = eqx.tree_at(lambda s: s.values, spread, spread.values / thrust)
+    else:
+        # Zeros instead of none, at as many times as samples would have: one compiled
+        # program serves all models.
+        nothing = jnp.zeros_like(table.values[: len(at_times), ..., :1])
+        spread = eqx.tree_at(lambda s: s.values, table, nothing)
     time_cost = TimeCost(
         task.keep_out,
         task.arena,
