@@ -32,6 +32,22 @@ def atomic_write(
             to write (no such folder, no permission, disk full).
     """
     path = Path(path)
+    check_destination(path, overwrite=overwrite)
+    try:
+        write_whole(path, write)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InputError(f"{path}: cannot write: {reason}") from error
+
+
+def check_destination(path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+    """Refuse a file that `atomic_write` would refuse, before the work that fills it.
+
+    Raises:
+        InputError: it is a folder, it exists and `overwrite` is false, or there is no
+            folder for it.
+    """
+    path = Path(path)
     if path.is_dir():
         raise InputError(f"{path}: expected the name of a file, got a folder")
     if path.exists() and not overwrite:
@@ -39,11 +55,10 @@ def atomic_write(
             f"{path}: exists already; choose another name, or replace it by "
             "--overwrite (in Python by overwrite=True)"
         )
-    try:
-        write_whole(path, write)
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise InputError(f"{path}: cannot write: {reason}") from error
+    if not path.absolute().parent.is_dir():
+        raise InputError(
+            f"{path}: cannot write: no folder {path.parent}; make it first"
+        )
 
 
 def write_whole(path: Path, write: Callable[[BinaryIO], object]) -> None:

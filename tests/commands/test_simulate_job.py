@@ -1,8 +1,12 @@
 """`pinav simulate` and its options."""
 
+import re
+
 import numpy as np
+import pytest
 
 from pinav import cli
+from pinav.commands.simulate import job
 from pinav.scenarios import source_system
 from pinav.trajectories import load
 
@@ -78,3 +82,23 @@ def test_a_system_of_ones_own_is_simulated_from_its_file(tmp_path, capsys):
     assert said.endswith("mine.toml: mobility: expected > 0, got -0.5")
     assert "\n" not in said
     assert not (tmp_path / "other.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("out", "message"),
+    [
+        ("sim", "expected a name ending in .npz or .csv"),
+        ("there.csv", "exists already"),
+        ("absent/a.npz", "no folder .*absent; make it first"),
+    ],
+)
+def test_a_file_that_cannot_be_written_is_refused_before_the_work(
+    tmp_path, monkeypatch, capsys, out, message
+):
+    def never(*_, **__):
+        raise AssertionError("the system was simulated")
+
+    monkeypatch.setattr(job, "simulate_system", never)
+    (tmp_path / "there.csv").write_text("t,x,y\n")
+    assert cli.run(["simulate", "swirl", "--out", str(tmp_path / out)]) == 2
+    assert re.search(message, capsys.readouterr().err)

@@ -8,6 +8,7 @@ from pinav.trajectories.degradation import MotionBlur as MotionBlur
 from pinav.trajectories.degradation import Subsample as Subsample
 from pinav.trajectories.degradation import Unobserved as Unobserved
 from pinav.trajectories.degradation import degrade as degrade
+from pinav.trajectories.files import check_savable as check_savable
 from pinav.trajectories.files import is_trajectories as is_trajectories
 from pinav.trajectories.files import load as load
 from pinav.trajectories.files import save as save

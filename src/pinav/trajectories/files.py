@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from pinav.errors import InputError
-from pinav.files import atomic_write, check_regular
+from pinav.files import atomic_write, check_destination, check_regular
 from pinav.trajectories.csv_files import PREFIX, delimiter_of, read_csv, write_csv
 from pinav.trajectories.npz_files import is_foreign, read_npz, write_npz
 from pinav.trajectories.tables import split_headings
@@ -38,8 +38,23 @@ def save(
         InputError: the suffix is another, the file exists and `overwrite` is false,
             or the file cannot be written; then nothing of it is left behind.
     """
-    write = _by_suffix(path, {".npz": write_npz, ".csv": write_csv})
+    write = _by_suffix(path, WRITERS)
     atomic_write(path, lambda file: write(trajectories, file), overwrite=overwrite)
+
+
+WRITERS = {".npz": write_npz, ".csv": write_csv}
+"""What writes a file, by its suffix."""
+
+
+def check_savable(path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+    """Refuse a file that `save` would refuse, before the work whose result it holds.
+
+    Raises:
+        InputError: the suffix is another, the file exists and `overwrite` is false, or
+            there is no folder for it.
+    """
+    _by_suffix(path, WRITERS)
+    check_destination(path, overwrite=overwrite)
 
 
 def load(

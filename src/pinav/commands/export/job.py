@@ -11,7 +11,7 @@ from pinav.commands.export.settings import ExportOptions
 from pinav.commands.export.spots import SpotTable, napari_csv, spot_table, trackmate_csv
 from pinav.commands.fitted_run import FittedRun
 from pinav.errors import InputError
-from pinav.files import atomic_write
+from pinav.files import atomic_write, check_destination
 
 
 class ExportMetrics(msgspec.Struct, frozen=True):
@@ -35,6 +35,7 @@ def run(options: ExportOptions) -> CommandResult:
         InputError: the folder holds no fit of a force, the file exists, or a package
             that writes the format is not installed.
     """
+    check_destination(options.out, overwrite=options.overwrite)
     fit = FittedRun.open(options.run)
     table = spot_table(fit)
     content = _content(fit, table, options)

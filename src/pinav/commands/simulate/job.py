@@ -13,6 +13,7 @@ from pinav.trajectories import (
     FrameLoss,
     Trajectories,
     Unobserved,
+    check_savable,
     degrade,
     save,
 )
@@ -29,6 +30,7 @@ def simulate(
             there.
     """
     settings.check()
+    check_savable(out, overwrite=overwrite)
     starts_key, noise_key = jax.random.split(jax.random.key(settings.seed))
     system = find_system(name, starts_key, count=settings.count)
     if settings.noise is not None:
