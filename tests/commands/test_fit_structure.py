@@ -22,6 +22,8 @@ def test_structures_are_weighed_against_free_kernels():
     found = StructureRow((CENTRE,), gain=31.0)
     assert found.text().endswith("; 31.0 nats over free kernels")
     assert "no structure tried explains" in StructureRow((), None).text()
+    unsought = StructureRow((), None, sought=False).text()
+    assert "none was sought, which takes 6 trajectories and 600 numbers" in unsought
     assert "differs by −4.40 nats" in StructureRow((), -4.4).text()
 
 

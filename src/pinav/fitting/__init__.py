@@ -85,5 +85,6 @@ from pinav.fitting.outcome import confirm as confirm
 from pinav.fitting.structure.search import StructuredFit as StructuredFit
 from pinav.fitting.structure.search import fit_structured as fit_structured
 from pinav.fitting.structure.search import is_worth_a_search as is_worth_a_search
+from pinav.fitting.structure.search import may_turn as may_turn
 from pinav.fitting.traps import TrapFit as TrapFit
 from pinav.fitting.traps import fit_trap as fit_trap

@@ -5,7 +5,7 @@ from tests.fitting.structure.observed_forces import observed_forces
 
 from pinav.dynamics import FixedStep
 from pinav.errors import FitError
-from pinav.fitting import EvidenceFit, Outcome
+from pinav.fitting import EvidenceFit, Outcome, fit_structured
 from pinav.fitting.bayes.neural import FitSpecification
 from pinav.fitting.environments.kernels import kernel_environment
 from pinav.fitting.evidence.model_evidence import DECISIVE
@@ -136,3 +136,18 @@ def test_trajectories_of_a_vortex_show_its_rotation_before_any_fit():
         survey = Survey.of(asked, asked.problem(model))
         found = survey_rotation(survey.response, survey.noise, (), kernels.kernels)
     assert found.gain > 100
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("truth", [PULL, SWIRL])
+def test_two_trajectories_tell_whether_a_force_turns(truth):
+    """They are too few for a search of a structure; the evidence is asked anyway."""
+    system = scenario("barrier-crossings", count=2).with_truth(truth)
+    data = simulate(system, key=jax.random.key(2))
+    kernels = kernel_environment(KernelPotential, data)
+    model = system.swimmer.with_environment(kernels)
+    fit = fit_structured(model, data, weigh_rotation=True)
+    turns = isinstance(fit.fit.model.environment, KernelMixture)
+    assert turns == (truth is SWIRL)
+    assert (fit.rotation > DECISIVE) == turns
+    assert np.isnan(fit.gain)

@@ -4,6 +4,7 @@ import dataclasses
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from pinav.commands.cells import EstimateRow
 from pinav.commands.command import CommandResult
@@ -23,6 +24,7 @@ from pinav.commands.fit.fields import (
 from pinav.commands.fit.metrics import FitMetrics, Loss, RestartRow
 from pinav.commands.fit.plan import FitPlan, plan_fit
 from pinav.commands.fit.remarks import (
+    assumed_potential,
     confirm_outcome,
     likely_cause,
     narrow_prior,
@@ -62,6 +64,7 @@ from pinav.fitting import (
     fit_bayes,
     fit_structured,
     is_worth_a_search,
+    may_turn,
 )
 from pinav.fitting.environments.catalogue import build
 from pinav.fitting.environments.choice import MIXTURE, KnownSwimmer
@@ -152,7 +155,8 @@ def _infer(plan: FitPlan, folder: RunFolder) -> None:
         write_fit(folder, header, result, plan.data, support=support)
         return
     search = plan.settings.structure == "search"
-    searched = search and is_worth_a_search(model, plan.data)
+    weighed = plan.weigh_rotation and may_turn(model)
+    searched = search and (weighed or is_worth_a_search(model, plan.data))
     with BayesReporter(folder, plan.choice.name) as report:
         options = {
             "learn": plan.choice.constants,
@@ -163,7 +167,7 @@ def _infer(plan: FitPlan, folder: RunFolder) -> None:
         }
         if searched:
             structured = fit_structured(
-                model, plan.data, weigh_rotation=plan.weigh_rotation, **options
+                model, plan.data, weigh_rotation=weighed, **options
             )
             result = structured.fit
             finding = StructureSearch(structured.gain, structured.rotation)
@@ -258,12 +262,14 @@ def _metrics(
             loss=Loss(float(curve[0]), float(curve[-1])),
             **common,
         )
+    search = evidence.structure or StructureSearch(np.nan, np.nan)
     return FitMetrics(
         outcome=evidence.outcome,
         remarks=(
             *outcome_remarks(evidence.outcome),
             *filter(None, [evidence.goodness]),
             *narrow_prior(fitted.model, evidence.hyperparameters),
+            *assumed_potential(plan, fitted.model, search.rotation),
             *thermal_remarks(plan),
             *remarks(plan.data),
         ),

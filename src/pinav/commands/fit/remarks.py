@@ -53,6 +53,28 @@ def narrow_prior(model: Any, chosen: Hyperparameters) -> tuple[str, ...]:
     )
 
 
+ASSUMED_POTENTIAL = (
+    "The force was taken to have a potential, which these data were not asked to "
+    "decide. If it may have a rotational part, fit --model kernel-mixture (in space "
+    "kernel-force), too, and compare the log evidence."
+)
+"""What is said of a default that nothing has tested."""
+
+
+def assumed_potential(plan: FitPlan, model: Any, rotation: float) -> tuple[str, ...]:
+    """That the default took the force for a gradient, where nothing weighed it.
+
+    Args:
+        plan: of the fit.
+        model: that was fitted.
+        rotation: log evidence of a rotational part [nats]; NaN where none was weighed.
+    """
+    force = as_learned_force(model.environment)
+    if force is None or not force.is_conservative or plan.data.dim < 2:
+        return ()
+    return (ASSUMED_POTENTIAL,) if plan.weigh_rotation and np.isnan(rotation) else ()
+
+
 def confirm_outcome(
     outcome: str, loss: float, data: Trajectories, rmse: dict[str, float]
 ) -> str:

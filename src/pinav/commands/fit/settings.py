@@ -37,7 +37,7 @@ class FitSettings(Settings, frozen=True):
             network of position and time; physics-only: nothing (fits --train); nn-only:
             a black box in place of all physics. Unless given: the model that the system
             names, and where that is kernel-potential, kernel-mixture if the evidence of
-            six planar trajectories or more prefers it.
+            planar data prefers it.
         recipe: bayes: noisy or incomplete data, every setting chosen by the evidence,
             with uncertainty; langevin: the same for thermal motion without inertia,
             with the diffusion coefficient; curriculum: noise-free data, Gauss-Newton

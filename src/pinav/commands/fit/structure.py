@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.commands.fitted_run import FittedRun
-from pinav.fitting import derive
+from pinav.fitting import derive, is_worth_a_search
 from pinav.fitting.environments.choice import MIXTURE
+from pinav.fitting.structure.search import LEAST_SAMPLES, LEAST_TRAJECTORIES
 from pinav.forces import AbstractProfileTerm, split_structure
 from pinav.report import number
 
@@ -59,12 +60,14 @@ class StructureRow(msgspec.Struct, frozen=True):
         rotation: log evidence of a rotational part beside a potential [nats]; None
             where none was weighed.
         turns: whether the force has a rotational part.
+        sought: whether there were data enough for a search.
     """
 
     terms: tuple[TermRow, ...]
     gain: float | None
     rotation: float | None = None
     turns: bool = False
+    sought: bool = True
 
     def text(self) -> str:
         """One line for a terminal, and one on the rotation where it was weighed."""
@@ -88,6 +91,11 @@ class StructureRow(msgspec.Struct, frozen=True):
         if self.terms:
             names = ", and ".join(term.text() for term in self.terms)
             return f"structure: {names}; {number(self.gain, 3)} nats over free kernels"
+        if not self.sought:
+            return (
+                "structure: free kernels; none was sought, which takes "
+                f"{LEAST_TRAJECTORIES} trajectories and {LEAST_SAMPLES} numbers"
+            )
         if self.gain is None:
             return "structure: free kernels; no structure tried explains the data"
         return (
@@ -121,6 +129,7 @@ def structure_row(run: FittedRun) -> StructureRow | None:
         gain if np.isfinite(gain) else None,
         rotation if np.isfinite(rotation) else None,
         turns=run.choice.name == MIXTURE,
+        sought=is_worth_a_search(model, run.data),
     )
 
 

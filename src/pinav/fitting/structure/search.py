@@ -37,6 +37,7 @@ from pinav.fitting.structure.survey import Survey
 from pinav.fitting.structure.trials import Terms
 from pinav.forces import (
     AbstractForce,
+    AbstractLearnedForce,
     StructuredForce,
     as_learned_force,
     split_structure,
@@ -94,7 +95,8 @@ def fit_structured(
         max_iterations: after which a fit counts as stalled.
         on_step: called after each step.
         weigh_rotation: fit a `KernelMixture` in place of a `KernelPotential` where the
-            evidence prefers a rotational part, or the potential alone diverges.
+            evidence of planar data, however few, prefers a rotational part, or the
+            potential alone diverges.
         throw: raise where the fit did not converge.
 
     Raises:
@@ -106,26 +108,37 @@ def fit_structured(
         solver = FixedStep() if solver is None else solver
         specification = FitSpecification(model, trajectories, learn, noise, solver)
         search = _Search(specification, max_iterations, on_step, throw)
+        weigh_rotation &= may_turn(model)
         if not is_worth_a_search(model, trajectories):
-            return StructuredFit(search.fit(search.free(), AS_FINE_AS_ASKED), np.nan)
+            return _weigh_few(search) if weigh_rotation else search.best(None)
         survey = Survey.of(specification, search.free())
-        turning = not search.kernels.is_conservative
-        if weigh_rotation and not turning and survey.region.is_planar:
+        if weigh_rotation:
             return _weigh_rotation(search, survey)
+        turning = not search.kernels.is_conservative
         return search.best(survey.proposal(rotational=turning))
 
 
 def is_worth_a_search(model: Any, trajectories: Trajectories) -> bool:
     """Whether the data could tell a structure of a force that does not change."""
-    force = as_learned_force(model.environment)
     return (
-        force is not None
-        and force.kernels is not None
-        and force.is_static
-        and force.dim in GRID
+        _static_field(model) is not None
         and len(trajectories) >= LEAST_TRAJECTORIES
         and trajectories.num_observed >= LEAST_SAMPLES
     )
+
+
+def may_turn(model: Any) -> bool:
+    """Whether a rotational part can be weighed beside the potential of a model."""
+    field = _static_field(model)
+    return field is not None and field.is_conservative and field.dim == 2
+
+
+def _static_field(model: Any) -> AbstractLearnedForce | None:
+    """The force of a model where it is a field of kernels that does not change."""
+    force = as_learned_force(model.environment)
+    if force is None or force.kernels is None or force.dim not in GRID:
+        return None
+    return force if force.is_static else None
 
 
 class _Search(eqx.Module):
@@ -247,14 +260,9 @@ def _weigh_rotation(search: _Search, survey: Survey) -> StructuredFit:
     except FitError as raised:
         error = raised
     if still is not None and still.fit.outcome is not Outcome.DIVERGED:
-        if rotation > DECISIVE:
-            rotation = _rotation_beside(search, survey, still.fit)
-        if rotation > DECISIVE:
-            turning = _turning(search, proposal if turned is None else turned)
-            rotation = np.nan if turning is None else turning.rotation
-            if turning is not None and rotation > DECISIVE:
-                return turning
-        return StructuredFit(still.fit, still.gain, rotation)
+        if rotation <= DECISIVE:
+            return StructuredFit(still.fit, still.gain, rotation)
+        return _weigh_beside(search, still, proposal if turned is None else turned)
     turning = _turning(search, turned) if turning is None else turning
     if turning is not None:
         return turning
@@ -264,12 +272,50 @@ def _weigh_rotation(search: _Search, survey: Survey) -> StructuredFit:
     return still
 
 
-def _rotation_beside(search: _Search, survey: Survey, fit: EvidenceFit) -> float:
+def _weigh_few(search: _Search) -> StructuredFit:
+    """The fit of a potential or that of a mixture, of data too few for a search.
+
+    The kernels with which fits begin are too coarse to ask them before the fit: a few
+    precise trajectories ask for much finer ones.
+    """
+    try:
+        still = search.best(None)
+    except FitError:
+        turning = _turning(search, None)
+        if turning is None:
+            raise
+        return turning
+    if still.fit.outcome is Outcome.DIVERGED:
+        turning = _turning(search, None)
+        return still if turning is None else turning
+    return _weigh_beside(search, still, None)
+
+
+def _weigh_beside(
+    search: _Search, still: StructuredFit, proposal: Proposal | None
+) -> StructuredFit:
+    """The fit of a potential, or that of a mixture where the data about it ask for one.
+
+    Args:
+        search: of the potential.
+        still: its fit.
+        proposal: terms beside which a mixture is fitted.
+    """
+    rotation, turning = _rotation_beside(search, still.fit), None
+    if rotation > DECISIVE:
+        turning = _turning(search, proposal)
+        rotation = np.nan if turning is None else turning.rotation
+    if turning is not None and rotation > DECISIVE:
+        return turning
+    return StructuredFit(still.fit, still.gain, rotation)
+
+
+def _rotation_beside(search: _Search, fit: EvidenceFit) -> float:
     """Log evidence of a rotational part in the data linearised about a potential."""
     force = fit.model.environment
     terms, _ = split_structure(force)
     about = Survey.of(search.specification, search.free(), fit)
-    return survey_rotation(about.response, survey.noise, terms, force.kernels).gain
+    return survey_rotation(about.response, about.noise, terms, force.kernels).gain
 
 
 def _turning(search: _Search, proposal: Proposal | None) -> StructuredFit | None:
