@@ -16,6 +16,7 @@ from pinav.fitting.evidence.evidence import (
     LinearisedObservations,
     Whitened,
     at_shape,
+    evidence_of_scales,
     shape_slope,
 )
 from pinav.fitting.evidence.model_evidence import LOG_RANGE
@@ -185,6 +186,30 @@ def test_hyperparameters_cost_the_logarithm_of_the_range_they_lose():
     values = np.array([log_density(design, data, np.exp(v)) for v in logs])
     exact = -np.log(np.mean(np.exp(values - chosen.log_evidence)))
     assert model_evidence(linear, chosen).correction == pytest.approx(exact, abs=0.3)
+
+
+def test_the_evidence_at_many_scales_asks_once_for_the_prior(monkeypatch):
+    """By the closed form; most of the work is that of the prior, once for a shape."""
+    design, data, quadratic = problem(3)
+    lines = LinearisedObservations.of(quadratic)
+    at = evidence_of_scales(lines, np.eye(3))
+    scales = [(1.0, 0.1), (0.5, 0.1), (0.5, 0.2)]
+    levels = np.array([at(*scale) for scale in scales])
+    exact = np.array([log_density(design, data, *scale) for scale in scales])
+    np.testing.assert_allclose(levels, exact, rtol=1e-9)
+
+    asked, prior, plain = [], Fixed(0.0), Fixed.covariance
+
+    def counted(prior, shape):
+        asked.append(tuple(shape))
+        return plain(prior, shape)
+
+    chosen = at_shape(lines, prior.covariance, np.zeros(1))
+    monkeypatch.setattr(Fixed, "covariance", counted)
+    linear = LinearFit(quadratic, GaussianWeights(prior), None, len(data), 0.0)
+    model_evidence(linear, chosen)
+    assert asked
+    assert len(asked) == len(set(asked))
 
 
 def test_a_flat_constant_costs_half_the_logarithm_of_the_data():

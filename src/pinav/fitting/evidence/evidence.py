@@ -281,7 +281,10 @@ def best_amplitude(
     # None are left where a narrow envelope is so far away that it underflows.
     largest = max(white.variances.max(initial=0.0), LEAST_VARIANCE)
 
-    evidence_at = _by_ratio(data, white, noise)
+    by_ratio = _by_ratio(data, white)
+
+    def evidence_at(ratio: Numbers) -> tuple[Numbers, Numbers]:
+        return by_ratio(ratio, noise)
 
     def loss(log_ratio: float) -> float:
         return -float(evidence_at(largest * np.exp(log_ratio))[0])
@@ -316,17 +319,31 @@ def log_evidence(
         amplitude: of the prior.
         noise: standard deviation of the residuals.
     """
-    white = Whitened.of(data, prior)
-    return float(_by_ratio(data, white, noise)((noise / amplitude) ** 2)[0])
+    return evidence_of_scales(data, prior)(amplitude, noise)
+
+
+def evidence_of_scales(
+    data: LinearisedObservations, prior: Matrix
+) -> Callable[[float, float], float]:
+    """Log evidence as a function of amplitude and noise; see `log_evidence`.
+
+    Nearly all of the work is that of the prior. What is kept of it is small.
+    """
+    by_ratio = _by_ratio(data, Whitened.of(data, prior))
+
+    def at(amplitude: float, noise: float) -> float:
+        return float(by_ratio((noise / amplitude) ** 2, noise)[0])
+
+    return at
 
 
 def _by_ratio(
-    data: LinearisedObservations, white: Whitened, noise: float | None
-) -> Callable[[Numbers], tuple[Numbers, Numbers]]:
-    r"""Log evidence, and the variance $\sigma^2$, as functions of the ratio $\beta$.
+    data: LinearisedObservations, white: Whitened
+) -> Callable[[Numbers, float | None], tuple[Numbers, Numbers]]:
+    r"""Log evidence, and the variance $\sigma^2$, by the ratio $\beta$ and the noise.
 
     Thousands of ratios are tried in a fit; what does not depend on them is computed
-    once, and several ratios at a time.
+    once, and several ratios at a time. The noise is estimated where it is None.
     """
     variances, targets, count = white.variances, white.targets, data.num_free
     rest = max(data.squares, 0.0) + float(white.missed @ white.missed)
@@ -334,7 +351,7 @@ def _by_ratio(
     least = np.finfo(float).eps * float(data.targets @ data.targets) ** 0.5
     floor, log_determinant = max(least**2, np.finfo(float).tiny), data.log_determinant
 
-    def at(ratio: Numbers) -> tuple[Numbers, Numbers]:
+    def at(ratio: Numbers, noise: float | None) -> tuple[Numbers, Numbers]:
         ratio = np.asarray(ratio)
         shifted = variances + ratio[..., None]
         explained = ratio * ((targets / shifted) @ targets)

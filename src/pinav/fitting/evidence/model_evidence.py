@@ -15,6 +15,7 @@ References:
     90, 928 (1995), the prior of unit information.
 """
 
+import functools
 from collections.abc import Callable
 
 import equinox as eqx
@@ -24,7 +25,7 @@ from jaxtyping import Float
 from pinav.fitting.evidence.evidence import (
     Hyperparameters,
     LinearisedObservations,
-    log_evidence,
+    evidence_of_scales,
 )
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import AbstractWeights, GaussianWeights
@@ -122,11 +123,14 @@ def _correction(
     if known:
         start, ranges = start[:-1], ranges[:-1]
 
+    @functools.cache  # many points differ in amplitude and noise alone
+    def by_scales(shape: tuple[float, ...]) -> Callable[[float, float], float]:
+        return evidence_of_scales(data, prior.covariance(np.array(shape)))
+
     def value(point: Float[np.ndarray, " n"]) -> float:
-        covariance = prior.covariance(point[: len(chosen.shape)])
         amplitude = float(np.exp(point[len(chosen.shape)]))
         noise = float(np.exp(point[-1])) if linear.noise is None else linear.noise
-        return log_evidence(data, covariance, amplitude, noise)
+        return by_scales(tuple(point[: len(chosen.shape)]))(amplitude, noise)
 
     bend = curvature(value, start, STEP)
     # Where the evidence hardly bends within a range, Laplace's method would leave the

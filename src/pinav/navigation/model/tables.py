@@ -96,6 +96,8 @@ class FieldTable(eqx.Module):
         values: at the points.
         start: first time [T].
         interval: between times [T], positive.
+        lasting: further channels, which do not change in time, or None; looked up once
+            where the values are looked up at two times.
 
     References:
         Keys, IEEE Trans. Acoust. Speech Signal Process. 29, 1153 (1981), with a = -1/2.
@@ -105,16 +107,29 @@ class FieldTable(eqx.Module):
     values: Float[Array, "time *lattice channel"]
     start: Scalar = 0.0
     interval: Scalar = 1.0
+    lasting: Float[Array, "*lattice more"] | None = None
 
     def __call__(self, t: Scalar, x: Vector) -> Float[Array, " channel"]:
         """Values at time `t` [T] and position `x` [L]."""
         most = jnp.asarray(self.grid.shape, x.dtype)
         place = jnp.clip(self.grid.coordinates(x), 1.0, most - 2.0)
         cell = jnp.minimum(jnp.floor(place), most - 3.0)
-        block = self._block(t, cell.astype(int) - 1)
+        corner = cell.astype(int) - 1
+        block = self._block(t, corner)
+        if self.lasting is not None:
+            shape = (*(4,) * self.grid.dim, self.lasting.shape[-1])
+            more = jax.lax.dynamic_slice(self.lasting, (*corner, 0), shape)
+            block = jnp.concatenate([block, more], axis=-1)
         weights = cubic_weights(place - cell)
         product = functools.reduce(jnp.multiply.outer, weights)
         return jnp.tensordot(product, block, self.grid.dim)
+
+    @property
+    def first(self) -> Float[Array, "*lattice channel"]:
+        """All channels at the points, at the first time."""
+        if self.lasting is None:
+            return self.values[0]
+        return jnp.concatenate([self.values[0], self.lasting], axis=-1)
 
     @property
     def mean(self) -> "FieldTable":
@@ -274,10 +289,8 @@ def tabulate_over_time(
         tabulate(_flow(model), grid, moments),
     )
     rates = table.values[..., : grid.dim] + carried.values[..., : grid.dim]
-    mobility = table.values[..., grid.dim :]
-    mobility = jnp.broadcast_to(mobility, (*rates.shape[:-1], mobility.shape[-1]))
-    values = jnp.concatenate([rates, mobility], axis=-1)
-    return dataclasses.replace(carried, values=values)
+    mobility = table.values[0, ..., grid.dim :]
+    return dataclasses.replace(carried, values=rates, lasting=mobility)
 
 
 STATIC = np.zeros(1)

@@ -1,5 +1,6 @@
 r"""A model on a task's arena, as tables: what plan and controllers work with."""
 
+import dataclasses
 import math
 from collections.abc import Sequence
 
@@ -89,7 +90,7 @@ def tabulate_model(
         # Zeros instead of none, at as many times as samples would have: one compiled
         # program serves all models.
         nothing = jnp.zeros_like(table.values[: len(at_times), ..., :1])
-        spread = eqx.tree_at(lambda s: s.values, table, nothing)
+        spread = dataclasses.replace(table, values=nothing, lasting=None)
     time_cost = TimeCost(
         task.keep_out,
         task.arena,
@@ -118,6 +119,6 @@ def greatest_rate(
     """Greatest acceleration, or velocity, that thrust gives."""
     thrusts = drive.thrusts(HEADINGS)
     if not inertial:
-        _, mobility = split_rates(table.values[0])
+        _, mobility = split_rates(table.first)
         thrusts = jnp.einsum("...ab,hb->...ha", mobility, thrusts)
     return jnp.max(jnp.linalg.norm(thrusts, axis=-1))
