@@ -335,6 +335,14 @@ class Blocks(eqx.Module):
             begins=begins,
         )
 
+    def means(
+        self, values: Float[np.ndarray, "sample column"]
+    ) -> Float[np.ndarray, "block column"]:
+        """Means over the samples of each block; zero in padding."""
+        index, count = self.block[self.real], len(self.counts)
+        totals = [np.bincount(index, one[self.real], count) for one in values.T]
+        return np.stack(totals, axis=1) / np.maximum(self.counts, 1.0)[:, None]
+
 
 def block_indices(times: np.ndarray, width: float) -> np.ndarray:
     """Number of the block of each sample; empty blocks are left out."""
