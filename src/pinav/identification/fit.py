@@ -26,6 +26,7 @@ from pinav.identification.likelihood import (
     Design,
     Field,
     Moved,
+    moved_by_commands,
     value_and_slope,
 )
 from pinav.identification.models import (
@@ -260,10 +261,10 @@ class Search:
         key = learned.tobytes()
         if key not in self.known:
             self.evaluations += 1
-            theta, still = self.theta(learned), self.design.still
+            theta = self.theta(learned)
             moved = self._moved(theta[: len(COMMAND_RESPONSE)])
             self.known[key] = value_and_slope(
-                jnp.asarray(theta), moved, still, self.field
+                theta, moved, self.design.still, self.field
             )
         return self.known[key]
 
@@ -271,7 +272,8 @@ class Search:
         """The way at a point, kept for the next one: only the noise may have moved."""
         key = drive.tobytes()
         if self.latest is None or self.latest[0] != key:
-            self.latest = key, self.design.moved(jnp.asarray(drive))
+            design = self.design
+            self.latest = key, moved_by_commands(drive, design.blocks, design.response)
         return self.latest[1]
 
     def descend(

@@ -7,7 +7,7 @@ n innovations, k coefficients whose priors hold the information of one observati
 normal priors of the nonlinear parameters $\theta$.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -32,8 +32,10 @@ from pinav.identification.models import (
 from pinav.identification.tracks import Blocks
 
 
-class Regressors(eqx.Module):
+class Regressors(NamedTuple):
     """Means over the blocks of a track, and what a candidate makes of them.
+
+    A tuple, which passes into a compiled program more quickly than a module does.
 
     Attributes:
         times: since the first sample [T]; zero in padding, as all of these.
@@ -70,7 +72,7 @@ class Regressors(eqx.Module):
         return jnp.concatenate([by_gain, columns[..., 2:] @ drifts[None]], axis=-1)
 
 
-class Moved(eqx.Module):
+class Moved(NamedTuple):
     """The way that the commands ask for, with its derivatives.
 
     Attributes:
@@ -114,22 +116,23 @@ class Design(eqx.Module):
         index = jnp.asarray(RESPONSES.index(candidate.response))
         return cls(jax.tree.map(jnp.asarray, blocks), still, index)
 
-    def moved(self, drive: Float[Array, "4"]) -> Moved:
-        """The way at these values of `COMMAND_RESPONSE`, compiled."""
-        return _moved(drive, self.blocks, self.response)
-
     def regressors(self, theta: Float[Array, " parameter"]) -> Regressors:
         """All regressors at these parameters of the response."""
-        cycles = self.moved(theta[: len(COMMAND_RESPONSE)]).cycles
-        return eqx.tree_at(lambda still: still.cycles, self.still, cycles)
+        drive = theta[: len(COMMAND_RESPONSE)]
+        moved = moved_by_commands(drive, self.blocks, self.response)
+        return self.still._replace(cycles=moved.cycles)
 
 
 @jax.jit
-def _moved(drive: Array, blocks: Blocks, response: Array) -> Moved:
+def moved_by_commands(
+    drive: Float[Array | np.ndarray, "4"], blocks: Blocks, response: Int[Array, ""]
+) -> Moved:
+    """The way at these values of `COMMAND_RESPONSE`."""
+
     def cycles(drive: Array) -> Float[Array, "block 2"]:
         return block_means(displacements(drive, blocks, response), blocks)
 
-    value, push = jax.linearize(cycles, drive)
+    value, push = jax.linearize(cycles, jnp.asarray(drive))
     return Moved(value, jax.vmap(push, out_axes=-1)(jnp.eye(len(drive))))
 
 
@@ -304,7 +307,7 @@ def evidence_and_coefficients(
 
 @jax.jit
 def value_and_slope(
-    theta: Float[Array, " parameter"],
+    theta: Float[Array | np.ndarray, " parameter"],
     moved: Moved,
     still: Regressors,
     field: Field | None = None,
@@ -318,10 +321,9 @@ def value_and_slope(
     """
 
     def value(theta: Array, cycles: Array) -> Any:
-        regressors = eqx.tree_at(lambda still: still.cycles, still, cycles)
-        return evidence_and_coefficients(theta, regressors, field)
+        return evidence_and_coefficients(theta, still._replace(cycles=cycles), field)
 
     both = jax.value_and_grad(value, argnums=(0, 1), has_aux=True)
-    result, (slope, by_cycles) = both(theta, moved.cycles)
+    result, (slope, by_cycles) = both(jnp.asarray(theta), moved.cycles)
     by_drive = jnp.einsum("ba,bap->p", by_cycles, moved.slopes)
     return result, slope.at[: len(by_drive)].add(by_drive)
