@@ -29,6 +29,7 @@ from pinav.identification import (
     tracks,
 )
 from pinav.identification.findings import BEYOND
+from pinav.identification.selection import LEAST_SQUARES, STACKED
 from pinav.recordings import read_recording
 
 
@@ -97,6 +98,7 @@ class Split(msgspec.Struct, frozen=True):
         chosen: name of the model.
         error: median error of rollouts over their path; None without rollouts.
         least_squares: the same of least squares.
+        stacked: the same of the average of both.
         inside: share of held-out coordinates in bands of 90 %; None without rollouts.
         rollouts: their number.
         faster: whether the test part exceeds the training part in frequency.
@@ -108,6 +110,7 @@ class Split(msgspec.Struct, frozen=True):
     chosen: str
     error: float | None
     least_squares: float | None
+    stacked: float | None
     inside: float | None
     rollouts: int
     faster: bool
@@ -156,9 +159,9 @@ def judge(track: Track, fraction: float, group: str, out: Path) -> list[Split]:
     fastest = max(p.commands["frequency"].max() for p in selection.held_out.pieces)
     errors = [
         selection.row(name).errors[HORIZON] if selection.row(name).errors else None
-        for name in (selection.chosen, "least squares")
+        for name in (selection.chosen, LEAST_SQUARES, STACKED)
     ]
-    ours, theirs = (
+    ours, theirs, both = (
         e.relative if e is not None and e.rollouts else None for e in errors
     )
     row = Split(
@@ -168,6 +171,7 @@ def judge(track: Track, fraction: float, group: str, out: Path) -> list[Split]:
         chosen=selection.chosen,
         error=ours,
         least_squares=theirs,
+        stacked=both,
         inside=bands.inside if bands.rollouts else None,
         rollouts=bands.rollouts,
         faster=bool(fastest > BEYOND * best.fastest),
@@ -179,23 +183,28 @@ def judge(track: Track, fraction: float, group: str, out: Path) -> list[Split]:
 
 HEADER = (
     f"{'':<24}{'splits':>7}{'rollouts':>9}{'error':>7}{'least sq.':>10}{'ratio':>7}"
-    f"{'worse':>7}{'in 90 %':>9}\n"
+    f"{'worse':>7}{'stacked':>9}{'worse':>7}{'in 90 %':>9}\n"
     "error: median over splits; worse: splits on which it exceeds least squares by 10 %"
+    "; stacked: the average with least squares"
 )
 
 
 def line(name: str, rows: list[Split]) -> str:
     """A row of the table; splits without rollouts or least squares are left out."""
-    whole = [row for row in rows if None not in (row.error, row.least_squares)]
+    whole = [
+        row for row in rows if None not in (row.error, row.least_squares, row.stacked)
+    ]
     if not whole:
         return f"{name:<24}{0:>7}"
     ours = np.array([row.error for row in whole], float)
     theirs = np.array([row.least_squares for row in whole], float)
+    both = np.array([row.stacked for row in whole], float)
     counts = np.array([row.rollouts for row in whole])
     inside = float(counts @ np.array([row.inside for row in whole], float))
     error, baseline = np.median(ours), np.median(theirs)
     return (
         f"{name:<24}{len(whole):>7}{counts.sum():>9}{error:>7.3f}{baseline:>10.3f}"
         f"{error / baseline:>7.2f}{(ours > 1.1 * theirs).sum():>7}"
+        f"{np.median(both):>9.3f}{(both > 1.1 * theirs).sum():>7}"
         f"{inside / counts.sum():>9.1%}"
     )

@@ -39,13 +39,14 @@ def test_splits_that_were_done_are_kept_and_counted(tmp_path, capsys, monkeypatc
         raise InputError(f"split {train_fraction} of {track.name} is not fitted")
 
     monkeypatch.setattr(choice, "select_model", select_model)
-    done = choice.Split("a", "a/1", 0.5, "drift", 0.02, 0.04, 0.9, 6, faster=True)
+    done = choice.Split("a", "a/1", 0.5, "drift", 0.02, 0.04, 0.05, 0.9, 6, faster=True)
     out = tmp_path / "out"
     out.mkdir()
     (out / "a-a-1-0.5.json").write_bytes(msgspec.json.encode(done))
     choice.main(["--folder", str(tmp_path), "--out", str(out), "--groups", "a"])
     *_, group, everything, faster = capsys.readouterr().out.splitlines()
-    assert group.split() == ["a", "1", "6", "0.020", "0.040", "0.50", "0", "90.0%"]
+    cells = ["a", "1", "6", "0.020", "0.040", "0.50", "0", "0.050", "1", "90.0%"]
+    assert group.split() == cells
     assert everything.split()[1:] == faster.split()[4:] == group.split()[1:]
 
 

@@ -65,7 +65,8 @@ def _drawing(figure: Figure) -> Iterator[None]:
     """
     engine, canvas, dpi = figure.get_layout_engine(), figure.canvas, figure.dpi
     figure.dpi = DPI
-    figure.draw_without_rendering()
+    if engine is not None:
+        engine.execute(figure)  # `draw_without_rendering` would draw besides
     figure.set_layout_engine("none")
     try:
         yield

@@ -51,7 +51,7 @@ from pinav.identification.displacement_field import (
 from pinav.identification.fit import Search
 from pinav.identification.likelihood import (
     Design,
-    compiled_whiten,
+    whiten,
 )
 from pinav.identification.numbers import (
     GAIN,
@@ -136,8 +136,8 @@ class _Problem:
         design = Design.of(self.candidate, Blocks.of(track))
         # The propulsion is a force: what the gain moves passes through the mobility.
         mobility = tensor_matrix(swimmer.mobility, jnp.zeros(2))
-        gains = jnp.einsum("ab,gbc->gac", mobility, design.gains)
-        self.design = eqx.tree_at(lambda d: d.gains, design, gains)
+        gains = jnp.einsum("ab,gbc->gac", mobility, design.still.gains)
+        self.design = eqx.tree_at(lambda d: d.still.gains, design, gains)
         self.swimmer, self.environment = swimmer, environment
         self.field = displacements_by(
             swimmer, self.candidate, self.design.blocks, mobility
@@ -152,7 +152,7 @@ class _Problem:
     def quadratic(self, learned: np.ndarray) -> tuple[Quadratic, FlatBlock, float]:
         """Squares as a function of the weights, coefficients integrated out."""
         theta = jnp.asarray(self.search.theta(learned))
-        problem = compiled_whiten(theta, self.design, self.field)
+        problem = whiten(theta, self.design.regressors(theta), self.field)
         rows = np.asarray(problem.rows)
         present = np.any(rows != 0, axis=0)
         columns = np.concatenate([rows[:, present], np.asarray(problem.field)], axis=1)

@@ -24,7 +24,7 @@ from pinav.identification.models import (
     with_response,
 )
 from pinav.identification.restoring import restoring_force
-from pinav.identification.selection import Row, Selection
+from pinav.identification.selection import LEAST_SQUARES, Row, Selection
 from pinav.identification.tracks import Track
 
 TURNING_WINDOW = 2.0
@@ -208,10 +208,6 @@ def _shortcomings(selection: Selection) -> list[str]:
     if LEAST_SQUARES not in names:
         return []
     return shortcomings(selection.row(selection.chosen), selection.row(LEAST_SQUARES))
-
-
-LEAST_SQUARES = "least squares"
-"""Name of the baseline that no model should lose to."""
 
 
 def shortcomings(row: Row, baseline: Row) -> list[str]:

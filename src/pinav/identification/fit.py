@@ -25,10 +25,13 @@ from pinav.identification.kalman import Disturbance
 from pinav.identification.likelihood import (
     Design,
     Field,
+    Moved,
+    moved_by_commands,
     value_and_slope,
 )
 from pinav.identification.models import (
     ABSENT,
+    COMMAND_RESPONSE,
     NAMES,
     CandidateModel,
     response_of,
@@ -184,6 +187,7 @@ class Search:
         self.base = np.array([fixed.get(name, 0.0) for name in NAMES])
         self.evaluations = 0
         self.known, self.known_field = {}, field
+        self.latest: tuple[bytes, Moved] | None = None
 
     def begins(self, start: TrackFit | None) -> list[np.ndarray]:
         """Where searches begin: at the prior, or where a simpler candidate ended.
@@ -258,8 +262,19 @@ class Search:
         if key not in self.known:
             self.evaluations += 1
             theta = self.theta(learned)
-            self.known[key] = value_and_slope(theta, self.design, self.field)
+            moved = self._moved(theta[: len(COMMAND_RESPONSE)])
+            self.known[key] = value_and_slope(
+                theta, moved, self.design.still, self.field
+            )
         return self.known[key]
+
+    def _moved(self, drive: Float[np.ndarray, "4"]) -> Moved:
+        """The way at a point, kept for the next one: only the noise may have moved."""
+        key = drive.tobytes()
+        if self.latest is None or self.latest[0] != key:
+            design = self.design
+            self.latest = key, moved_by_commands(drive, design.blocks, design.response)
+        return self.latest[1]
 
     def descend(
         self,

@@ -59,6 +59,20 @@ class Rollouts(eqx.Module):
     def __len__(self) -> int:
         return len(self.first)
 
+    def lengths(self, track: Track) -> Float[np.ndarray, " rollout"]:
+        """Lengths of the observed paths, polygons from frame to frame [L]."""
+        return ways(track, self, _cumulated_length)[:, 0]
+
+
+def ways(
+    track: Track, rollouts: Rollouts, path: Displacement
+) -> Float[np.ndarray, "rollout column"]:
+    """What a path of each segment adds from the start of each rollout to its end."""
+    paths = [path(piece) for piece in track.pieces]
+    places = zip(rollouts.piece, rollouts.first, rollouts.last, strict=True)
+    rows = [paths[index][b] - paths[index][a] for index, a, b in places]
+    return np.stack(rows) if rows else np.zeros((0, paths[0].shape[1]))
+
 
 class Errors(eqx.Module):
     """End-point errors of rollouts.
@@ -93,21 +107,15 @@ def errors(track: Track, rollouts: Rollouts, displacement: Displacement) -> Erro
 
     The path is the polygon of the observed positions, frame by frame.
     """
-    paths = [displacement(piece) for piece in track.pieces]
-    lengths = [_cumulated_length(piece.states) for piece in track.pieces]
-    distance, path = [], []
-    for index, a, b in zip(rollouts.piece, rollouts.first, rollouts.last, strict=True):
-        observed = track.pieces[index].states
-        miss = observed[b] - observed[a] - (paths[index][b] - paths[index][a])
-        distance.append(np.hypot(*miss))
-        path.append(lengths[index][b] - lengths[index][a])
-    return Errors(np.array(distance), np.array(path))
+    observed = ways(track, rollouts, lambda piece: piece.states)
+    miss = observed - ways(track, rollouts, displacement)
+    return Errors(np.hypot(*miss.T), rollouts.lengths(track))
 
 
-def _cumulated_length(positions: np.ndarray) -> np.ndarray:
+def _cumulated_length(piece: Trajectory) -> Float[np.ndarray, "time 1"]:
     # The noise of the frames lengthens this path, and that of other models alike.
-    steps = np.hypot(*np.diff(positions, axis=0).T)
-    return np.concatenate([[0.0], np.cumsum(steps)])
+    steps = np.hypot(*np.diff(piece.states, axis=0).T)
+    return np.concatenate([[0.0], np.cumsum(steps)])[:, None]
 
 
 def programme_of(piece: Trajectory) -> HeldProgramme:

@@ -7,11 +7,12 @@ n innovations, k coefficients whose priors hold the information of one observati
 normal priors of the nonlinear parameters $\theta$.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Complex, Float, Int
 
 from pinav.actuation import HeldProgramme
@@ -31,30 +32,35 @@ from pinav.identification.models import (
 from pinav.identification.tracks import Blocks
 
 
-class Design(eqx.Module):
-    """What a candidate makes of a track, as arrays.
+class Regressors(NamedTuple):
+    """Means over the blocks of a track, and what a candidate makes of them.
+
+    A tuple, which passes into a compiled program more quickly than a module does.
 
     Attributes:
-        blocks: the track.
+        times: since the first sample [T]; zero in padding, as all of these.
+        positions: observed [L].
+        frequency: commanded [T⁻¹].
+        cycles: integral of the response along the heading, delayed and lagged.
+        counts: samples in each block.
+        begins: 1 where a segment begins with the block.
         gains: gain matrices, zero where absent.
         drifts: drift velocities, zero where absent.
-        response: place in `RESPONSES`.
     """
 
-    blocks: Blocks
+    times: Float[Array, " block"]
+    positions: Float[Array, "block 2"]
+    frequency: Float[Array, " block"]
+    cycles: Float[Array, "block 2"]
+    counts: Float[Array, " block"]
+    begins: Float[Array, " block"]
     gains: Float[Array, "4 2 2"]
     drifts: Float[Array, "2 2"]
-    response: Int[Array, ""]
 
-    @classmethod
-    def of(cls, candidate: CandidateModel, blocks: Blocks) -> "Design":
-        """The design of a candidate."""
-        return cls(
-            jax.tree.map(jnp.asarray, blocks),
-            jnp.asarray(candidate.matrices()),
-            jnp.asarray(candidate.velocities()),
-            jnp.asarray(RESPONSES.index(candidate.response)),
-        )
+    @property
+    def drive(self) -> Drive:
+        """What moves the blocks."""
+        return Drive(self.times, self.frequency, in_plane(self.cycles))
 
     def combine(
         self, columns: Complex[Array, "*shape 3"]
@@ -64,6 +70,70 @@ class Design(eqx.Module):
         drifts = in_plane(self.drifts)
         by_gain = columns[..., :2] @ gains.T
         return jnp.concatenate([by_gain, columns[..., 2:] @ drifts[None]], axis=-1)
+
+
+class Moved(NamedTuple):
+    """The way that the commands ask for, with its derivatives.
+
+    Attributes:
+        cycles: mean of each block.
+        slopes: of it, by each parameter of `COMMAND_RESPONSE`.
+    """
+
+    cycles: Float[Array, "block 2"]
+    slopes: Float[Array, "block 2 4"]
+
+
+class Design(eqx.Module):
+    """What a candidate makes of a track, as arrays.
+
+    Attributes:
+        blocks: the track.
+        still: the regressors before the commands move anything.
+        response: place in `RESPONSES`.
+    """
+
+    blocks: Blocks
+    still: Regressors
+    response: Int[Array, ""]
+
+    @classmethod
+    def of(cls, candidate: CandidateModel, blocks: Blocks) -> "Design":
+        """The design of a candidate."""
+        elapsed = (blocks.times - blocks.times[0])[:, None]
+        samples = [elapsed, blocks.positions, blocks.frequency[:, None]]
+        means = jnp.asarray(blocks.means(np.concatenate(samples, axis=1)))
+        still = Regressors(
+            times=means[:, 0],
+            positions=means[:, 1:3],
+            frequency=means[:, 3],
+            cycles=jnp.zeros_like(means[:, 1:3]),
+            counts=jnp.asarray(blocks.counts),
+            begins=jnp.asarray(blocks.begins),
+            gains=jnp.asarray(candidate.matrices()),
+            drifts=jnp.asarray(candidate.velocities()),
+        )
+        index = jnp.asarray(RESPONSES.index(candidate.response))
+        return cls(jax.tree.map(jnp.asarray, blocks), still, index)
+
+    def regressors(self, theta: Float[Array, " parameter"]) -> Regressors:
+        """All regressors at these parameters of the response."""
+        drive = theta[: len(COMMAND_RESPONSE)]
+        moved = moved_by_commands(drive, self.blocks, self.response)
+        return self.still._replace(cycles=moved.cycles)
+
+
+@jax.jit
+def moved_by_commands(
+    drive: Float[Array | np.ndarray, "4"], blocks: Blocks, response: Int[Array, ""]
+) -> Moved:
+    """The way at these values of `COMMAND_RESPONSE`."""
+
+    def cycles(drive: Array) -> Float[Array, "block 2"]:
+        return block_means(displacements(drive, blocks, response), blocks)
+
+    value, push = jax.linearize(cycles, jnp.asarray(drive))
+    return Moved(value, jax.vmap(push, out_axes=-1)(jnp.eye(len(drive))))
 
 
 class Field(eqx.Module):
@@ -82,7 +152,7 @@ class Field(eqx.Module):
     drift: Float[Array, "2"]
 
     @classmethod
-    def nothing(cls, blocks: Blocks) -> "Field":
+    def nothing(cls, blocks: Blocks | Regressors) -> "Field":
         """No field, and nothing known."""
         count = len(blocks.counts)
         return cls(
@@ -143,16 +213,18 @@ class Whitened(eqx.Module):
         return self.solve(self.rows.T @ self.target), self.information
 
 
-def displacements(theta: Array, design: Design) -> Float[Array, "sample 2"]:
+def displacements(
+    drive: Float[Array, "4"], blocks: Blocks, response: Int[Array, ""]
+) -> Float[Array, "sample 2"]:
     """Integral of the response along the heading, delayed and lagged [cycles].
 
     A candidate without a lag has one that is too short to matter: one program for all.
     """
-    corner, residual, delay, lag = theta[: len(COMMAND_RESPONSE)]
-    blocks: Any = design.blocks  # as JAX arrays
-    programme = HeldProgramme(blocks.times, blocks.frequency, blocks.heading)
-    response = SwitchedResponse(design.response, corner, residual)
-    return programme.lagged_integral(response, blocks.times - delay, jnp.exp(lag))
+    corner, residual, delay, lag = drive
+    along: Any = blocks  # as JAX arrays
+    programme = HeldProgramme(along.times, along.frequency, along.heading)
+    switched = SwitchedResponse(response, corner, residual)
+    return programme.lagged_integral(switched, along.times - delay, jnp.exp(lag))
 
 
 def block_means(values: Array, blocks: Blocks) -> Array:
@@ -163,47 +235,35 @@ def block_means(values: Array, blocks: Blocks) -> Array:
     return total / jnp.maximum(blocks.counts, 1.0)[:, None]
 
 
+@eqx.filter_jit
 def whiten(
-    theta: Float[Array, " parameter"], design: Design, field: Field | None = None
+    theta: Float[Array, " parameter"],
+    regressors: Regressors,
+    field: Field | None = None,
 ) -> Whitened:
     """Filter observations and regressors of a candidate, and those of a field."""
-    blocks = design.blocks
-    field = Field.nothing(blocks) if field is None else field
-    along = displacements(theta, design)
-    elapsed = (blocks.times - blocks.times[0])[:, None]
+    along, elapsed = regressors.cycles, regressors.times[:, None]
+    field = Field.nothing(regressors) if field is None else field
     # What is known is taken from the positions before they are filtered.
-    known = along @ field.gain.T + elapsed * field.drift[None]
-    samples = [blocks.positions - known, along, elapsed, blocks.frequency[:, None]]
-    means = block_means(jnp.concatenate(samples, axis=-1), blocks)
-    drive = Drive(means[:, 4], means[:, 5], in_plane(means[:, 2:4]))
-    observed = in_plane(means[:, :2] - field.offset)
+    known = along @ field.gain.T + elapsed * field.drift[None] + field.offset
+    observed = in_plane(regressors.positions - known)
     weights = in_plane(jnp.swapaxes(field.columns, 1, 2))
-    given = means[:, 2:5].astype(weights.dtype)
+    given = jnp.concatenate([along, elapsed], axis=1).astype(weights.dtype)
     columns = jnp.concatenate([observed[:, None], given, weights], axis=1)
-    filtered = innovations_of_columns(theta, columns, drive, blocks)
-    rows = design.combine(filtered.columns[:, 1:4])
+    filtered = innovations_of_columns(theta, columns, regressors.drive, regressors)
+    rows = regressors.combine(filtered.columns[:, 1:4])
     return Whitened(
         rows=apart(rows),
         field=apart(filtered.columns[:, 4:]),
         target=apart(filtered.columns[:, 0]),
         log_variance=jnp.sum(filtered.log_variance),
-        count=jnp.sum(steps_within(blocks)),
+        count=jnp.sum(steps_within(regressors)),
     )
-
-
-@eqx.filter_jit
-def drive_of(theta: Float[Array, " parameter"], design: Design) -> Drive:
-    """The drive of a candidate on a track."""
-    blocks = design.blocks
-    rest = jnp.stack([blocks.times, blocks.frequency], axis=-1)
-    samples = jnp.concatenate([rest, displacements(theta, design)], axis=-1)
-    means = block_means(samples, blocks)
-    return Drive(means[:, 0], means[:, 1], in_plane(means[:, 2:]))
 
 
 def evidence_and_coefficients(
     theta: Float[Array, " parameter"],
-    design: Design,
+    regressors: Regressors,
     field: Field | None = None,
 ) -> tuple[Float[Array, ""], tuple[Float[Array, " coefficient"], Float[Array, "k k"]]]:
     r"""Negative log evidence, without the priors of the nonlinear parameters.
@@ -214,13 +274,13 @@ def evidence_and_coefficients(
 
     Args:
         theta: nonlinear parameters.
-        design: the track, as the candidate sees it.
+        regressors: of the candidate, moved by its commands.
         field: displacements by a field; none unless given.
 
     Returns:
         It, and the best coefficients with their information, a field left out.
     """
-    problem = whiten(theta, design, field)
+    problem = whiten(theta, regressors, field)
     best, information = problem.coefficients()
     # Absent coefficients have zero columns and cost nothing.
     present = jnp.sum(jnp.any(problem.rows != 0, axis=0).astype(theta.dtype))
@@ -245,11 +305,25 @@ def evidence_and_coefficients(
     return value, (best, information)
 
 
-value_and_slope = jax.jit(jax.value_and_grad(evidence_and_coefficients, has_aux=True))
-"""The negative log evidence with the coefficients, and its gradient, compiled once for
-each size of track: a second program for the coefficients alone costs more than the
-gradients that it saves."""
+@jax.jit
+def value_and_slope(
+    theta: Float[Array | np.ndarray, " parameter"],
+    moved: Moved,
+    still: Regressors,
+    field: Field | None = None,
+) -> Any:
+    """The negative log evidence with the coefficients, and its gradient.
 
+    The way that the commands ask for is a program of its own, with its derivatives: a
+    search that does not move the response does not compute it again. One program
+    serves values and coefficients, as a second one would cost more than the gradients
+    that it saves.
+    """
 
-compiled_whiten = eqx.filter_jit(whiten)
-"""The least-squares problem, compiled."""
+    def value(theta: Array, cycles: Array) -> Any:
+        return evidence_and_coefficients(theta, still._replace(cycles=cycles), field)
+
+    both = jax.value_and_grad(value, argnums=(0, 1), has_aux=True)
+    result, (slope, by_cycles) = both(jnp.asarray(theta), moved.cycles)
+    by_drive = jnp.einsum("ba,bap->p", by_cycles, moved.slopes)
+    return result, slope.at[: len(by_drive)].add(by_drive)

@@ -30,8 +30,7 @@ from pinav.identification.fit import TrackFit
 from pinav.identification.forecast import Errors, Rollouts, path_of
 from pinav.identification.likelihood import (
     Design,
-    compiled_whiten,
-    drive_of,
+    whiten,
 )
 from pinav.identification.tracks import Blocks, Track
 from pinav.trajectories import Trajectories, Trajectory
@@ -165,13 +164,14 @@ class _BaseDesign(eqx.Module):
     def of(cls, track: Track, base: TrackFit) -> "_BaseDesign":
         blocks, theta = Blocks.of(track), jnp.asarray(base.theta)
         design = Design.of(base.candidate, blocks)
-        whitened = compiled_whiten(theta, design)
+        regressors = design.regressors(theta)
+        whitened = whiten(theta, regressors)
         rows = np.asarray(whitened.rows)
         present = np.any(rows != 0, axis=0)
         residuals = FilteredDisplacement(
             theta=theta,
             blocks=design.blocks,
-            drive=drive_of(theta, design),
+            drive=regressors.drive,
             target=whitened.target,
             basis=jnp.asarray(np.linalg.qr(rows[:, present])[0]),
         )

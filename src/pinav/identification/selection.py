@@ -50,8 +50,15 @@ from pinav.identification.residual_field import (
     positions_of,
     residual_errors,
 )
+from pinav.identification.stacking import stack, stacking_weight
 from pinav.identification.tracks import Track, after, before
 from pinav.trajectories import Trajectory
+
+LEAST_SQUARES = "least squares"
+"""The baseline that a choice should never lose to by much."""
+
+STACKED = "chosen and least squares, averaged"
+"""Line of the average of both."""
 
 ENCLOSING = "slipping"
 """The response kept where the evidence is not decisive: it contains the others."""
@@ -124,7 +131,7 @@ def select_model(
     *,
     train_fraction: float = 0.7,
     residuals: Sequence[str] = (),
-    baselines: Sequence[str] = ("least squares",),
+    baselines: Sequence[str] = (LEAST_SQUARES,),
     on_row: Callable[[Row], None] | None = None,
 ) -> Selection:
     """Fit every candidate to the first part of a track and roll it out on the rest.
@@ -268,7 +275,21 @@ class _Comparison:
         except InputError as error:
             self._refuse(name, str(error))
             return
-        self._add(name, float("nan"), fitted.seconds, fitted.displacement())
+        path = fitted.displacement()
+        self._add(name, float("nan"), fitted.seconds, path)
+        if name == LEAST_SQUARES and self.train.commanded:
+            self._stack_with(path)
+
+    def _stack_with(self, other: Displacement) -> None:
+        """The average of the chosen candidate and least squares; never chosen.
+
+        It is no system that could be steered with, but loses to least squares less.
+        """
+        begin = time.perf_counter()
+        chosen = path_of(self.fits[self.chosen])
+        weight = stacking_weight(self.train, chosen, other)
+        seconds = time.perf_counter() - begin
+        self._add(STACKED, float("nan"), seconds, stack(chosen, other, weight))
 
     def _rollouts(self, horizon: float) -> Rollouts:
         return Rollouts.of(self.held_out, horizon)
@@ -339,7 +360,7 @@ RESIDUALS: dict[str, Callable[[Track], Any]] = {
 
 
 BASELINES: dict[str, Callable[[Track], Baseline]] = {
-    "least squares": least_squares,
+    LEAST_SQUARES: least_squares,
     "Gaussian-process disturbance": gaussian_process,
     "neural ODE": black_box,
 }

@@ -6,7 +6,7 @@ of each block of time, in which the jitter averages out.
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -276,8 +276,10 @@ def _shorten(track: Track, pieces: Sequence[Trajectory]) -> Track:
     return Track(track.name, long, track.width, track.sizes)
 
 
-class Blocks(eqx.Module):
+class Blocks(NamedTuple):
     """A track as padded arrays, one segment after the other.
+
+    A tuple, which passes into a compiled program more quickly than a module does.
 
     Attributes:
         times: of each sample [s]; padding goes on increasing.
@@ -334,6 +336,14 @@ class Blocks(eqx.Module):
             counts=counts,
             begins=begins,
         )
+
+    def means(
+        self, values: Float[np.ndarray, "sample column"]
+    ) -> Float[np.ndarray, "block column"]:
+        """Means over the samples of each block; zero in padding."""
+        index, count = self.block[self.real], len(self.counts)
+        totals = [np.bincount(index, one[self.real], count) for one in values.T]
+        return np.stack(totals, axis=1) / np.maximum(self.counts, 1.0)[:, None]
 
 
 def block_indices(times: np.ndarray, width: float) -> np.ndarray:

@@ -22,8 +22,8 @@ from pinav.figures.identification import (
 from pinav.figures.style import new_figure
 from pinav.fitting import Estimate
 from pinav.identification import interval, positive_interval
-from pinav.identification.findings import LEAST_SQUARES
 from pinav.identification.forecast import HORIZONS
+from pinav.identification.selection import LEAST_SQUARES
 from pinav.report import Image, Paragraph, Section, Table
 from pinav.runs import RunFolder
 
