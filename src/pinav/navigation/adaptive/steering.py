@@ -19,6 +19,7 @@ from pinav.navigation.adaptive.strategies import (
 )
 from pinav.navigation.belief.belief import Belief, Frame
 from pinav.navigation.belief.motion import InertialMotion, OverdampedMotion
+from pinav.navigation.belief.prior import ForcePrior
 from pinav.navigation.control.compensation import Timing
 from pinav.navigation.control.controller import (
     AbstractController,
@@ -115,6 +116,7 @@ class Adaptive:
         replanner: over the arena.
         window: over the surroundings of the goal, with finer cells.
         safe: whether the last filter is in use.
+        prior: what an earlier fit found; nothing is known unless given.
     """
 
     task: Task
@@ -125,6 +127,7 @@ class Adaptive:
     replanner: Replanner
     window: Replanner
     safe: bool = True
+    prior: ForcePrior | None = None
 
     @classmethod
     def of(
@@ -187,7 +190,7 @@ class Adaptive:
         Args:
             frame: the first one.
         """
-        return Belief.start(
+        belief = Belief.start(
             frame,
             lower=np.asarray(self.task.arena.lower),
             upper=np.asarray(self.task.arena.upper),
@@ -196,6 +199,7 @@ class Adaptive:
             speed_sd=frame.sd,
             longest=self.task.step,
         )
+        return belief if self.prior is None else self.prior.lead(belief)
 
     def start(self, belief: Belief) -> Mind:
         """What is remembered before the first command; the first plan is complete."""
