@@ -24,6 +24,7 @@ from pinav.navigation.adaptive.safety import check_command
 from pinav.navigation.adaptive.scores import score_force
 from pinav.navigation.adaptive.steering import Adaptive
 from pinav.navigation.adaptive.strategies import (
+    Bold,
     Certain,
     Doubted,
     Priced,
@@ -44,6 +45,7 @@ STRATEGIES = {
     "curious": Priced(-0.5),
     "sampled": Sampled(),
     "doubted": Doubted(0.5),
+    "bold": Bold(2),
 }
 
 

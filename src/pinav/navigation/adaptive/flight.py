@@ -182,7 +182,7 @@ class _Record:
         self.consistency.append(score)
         self.leaders.append(mind.belief.leader)
         self.learn_times.append(elapsed)
-        self.stalls += mind.stalled
+        self.stalls += mind.progress.stalled
         if mind.belief.time >= self.next - 1e-9 and math.isfinite(self.every):
             self.moments.append(mind.belief)
             self.next += self.every
