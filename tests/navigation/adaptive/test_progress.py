@@ -20,12 +20,12 @@ from pinav.navigation.belief.prior import ForcePrior
 from pinav.navigation.task.steering import SteeredSwimmer
 
 
-def walk(places, step=0.1):
+def walk(places, step=0.1, time_to_go=lambda _: 9.0):
     """The progress after each of some places."""
-    now = Progress(1.0, np.array(places[:1], float), 0.0)
+    now = Progress(1.0, np.array(places[:1], float), 0.0, time_to_go(0.0))
     steps = [now]
     for k, place in enumerate(places[1:], 1):
-        now = now.after(step * k, np.array(place, float))
+        now = now.after(step * k, np.array(place, float), time_to_go(step * k))
         steps.append(now)
     return steps
 
@@ -52,6 +52,19 @@ def test_who_comes_nowhere_new_is_stalled_and_becomes_bolder(move):
     last = max(seen, default=0)
     assert 0.1 * (first - last) == pytest.approx(PATIENCE)
     assert way[-1].boldness == int((39.9 - 0.1 * last + 1e-6) / PATIENCE)
+
+
+def test_who_goes_back_out_of_a_dead_end_is_not_stalled():
+    """The way in was short, and is believed to be long on the way back."""
+    there = [(0.1 * k, 0.0) for k in range(150)]
+    way = walk(there + there[::-1], time_to_go=lambda t: t if t < 15 else 45 - t)
+    assert not any(p.stalled or p.boldness for p in way)
+
+
+def test_who_comes_nearer_now_and_then_is_stalled_all_the_same():
+    places = [(4 * np.sin(k / 30), 0.0) for k in range(2000)]
+    way = walk(places, time_to_go=lambda t: 9 + 4 * np.sin(t / 3))
+    assert way[-1].boldness > 5
 
 
 def test_a_new_place_ends_a_stall_and_the_boldness_stays():

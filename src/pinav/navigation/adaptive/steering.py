@@ -218,7 +218,8 @@ class Adaptive:
         plan = self.replanner.plan(tables)
         controls = jnp.zeros((STEPS, 2))
         extent = float(jnp.max(self.task.arena.upper - self.task.arena.lower))
-        places = belief.state.mean[None, :2]
+        state = belief.state.mean
+        time_to_go = plan.time_from(jnp.asarray(state))
         return Mind(
             belief,
             tables,
@@ -228,7 +229,7 @@ class Adaptive:
             controls=controls,
             planned=belief.time,
             leader=belief.leader,
-            progress=Progress(NEW * extent, places, belief.time),
+            progress=Progress(NEW * extent, state[None, :2], belief.time, time_to_go),
         )
 
     def learn(self, mind: Mind, frame: Frame) -> Mind:
@@ -239,7 +240,9 @@ class Adaptive:
             frame: with the mean thrust since the last one.
         """
         belief = mind.belief.after(with_known(frame, mind.belief, self.physics))
-        progress = mind.progress.after(belief.time, belief.state.mean[:2])
+        state = belief.state.mean
+        time_to_go = mind.plan.time_from(jnp.asarray(state))
+        progress = mind.progress.after(belief.time, state[:2], time_to_go)
         mind = dataclasses.replace(mind, belief=belief, progress=progress)
         if belief.time - mind.planned < EVERY - self.task.step / 2:
             return mind
