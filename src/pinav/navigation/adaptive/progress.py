@@ -1,6 +1,7 @@
 """Whether a swimmer gets anywhere, and how bold it has to become if not."""
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float
@@ -24,8 +25,7 @@ class Progress:
         length: distance from old places that makes a place new [L].
         places: old ones, that far apart.
         since: when it came to the last of them, nearer, or became bolder [T].
-        time_to_go: the highest since then, as it was believed [T]; what is learned may
-            raise it.
+        state: in which it was then.
         boldness: how often the patience ended so far.
         stalled: whether it has ended since the swimmer came to a new place.
     """
@@ -33,26 +33,30 @@ class Progress:
     length: float
     places: Float[np.ndarray, "place 2"]
     since: float
-    time_to_go: float
+    state: Float[np.ndarray, " state"]
     boldness: int = 0
     stalled: bool = False
 
     def after(
-        self, time: float, place: Float[np.ndarray, "2"], time_to_go: float
+        self,
+        time: float,
+        state: Float[np.ndarray, " state"],
+        time_to_go: Callable[[Float[np.ndarray, " state"]], float],
     ) -> "Progress":
         """The progress a frame later.
 
         Args:
             time: of the frame [T].
-            place: where the swimmer is [L].
-            time_to_go: as the last plan has it [T].
+            state: of the swimmer, its position first.
+            time_to_go: from a state, as the last plan has it [T]. Old and new state are
+                compared by one plan, because what is learned changes all of them.
         """
+        place = state[None, :2]
         new = np.min(np.linalg.norm(self.places - place, axis=1)) > self.length
         if not new and time - self.since < PATIENCE - CLOCK:
-            highest = max(time_to_go, self.time_to_go)
-            return dataclasses.replace(self, time_to_go=highest)
-        places = np.concatenate([self.places, place[None]]) if new else self.places
-        nearer = time_to_go < self.time_to_go - PATIENCE / 2
-        stalled = not (new or nearer)
+            return self
+        places = np.concatenate([self.places, place]) if new else self.places
+        gained = time_to_go(self.state) - time_to_go(state)
+        stalled = not new and bool(gained < PATIENCE / 2)
         boldness = self.boldness + stalled
-        return Progress(self.length, places, time, time_to_go, boldness, stalled)
+        return Progress(self.length, places, time, state, boldness, stalled)

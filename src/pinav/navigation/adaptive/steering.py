@@ -219,7 +219,6 @@ class Adaptive:
         controls = jnp.zeros((STEPS, 2))
         extent = float(jnp.max(self.task.arena.upper - self.task.arena.lower))
         state = belief.state.mean
-        time_to_go = plan.time_from(jnp.asarray(state))
         return Mind(
             belief,
             tables,
@@ -229,7 +228,7 @@ class Adaptive:
             controls=controls,
             planned=belief.time,
             leader=belief.leader,
-            progress=Progress(NEW * extent, state[None, :2], belief.time, time_to_go),
+            progress=Progress(NEW * extent, state[None, :2], belief.time, state),
         )
 
     def learn(self, mind: Mind, frame: Frame) -> Mind:
@@ -240,9 +239,11 @@ class Adaptive:
             frame: with the mean thrust since the last one.
         """
         belief = mind.belief.after(with_known(frame, mind.belief, self.physics))
-        state = belief.state.mean
-        time_to_go = mind.plan.time_from(jnp.asarray(state))
-        progress = mind.progress.after(belief.time, state[:2], time_to_go)
+        progress = mind.progress.after(
+            belief.time,
+            belief.state.mean,
+            lambda state: mind.plan.time_from(jnp.asarray(state)),
+        )
         mind = dataclasses.replace(mind, belief=belief, progress=progress)
         if belief.time - mind.planned < EVERY - self.task.step / 2:
             return mind
