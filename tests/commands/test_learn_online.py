@@ -1,13 +1,28 @@
 """`pinav navigate --learn-online`: refusals, words, and a run from end to end."""
 
+import dataclasses
 import json
 
 import jax
+import jax.numpy as jnp
 import msgspec
+import numpy as np
 import pytest
 
 from pinav import cli
-from pinav.commands.navigate.online import STRATEGIES, OnlineMetrics, text
+from pinav.commands.fitted_run import FittedRun
+from pinav.commands.navigate.online import (
+    STRATEGIES,
+    OnlineMetrics,
+    online_task,
+    text,
+    with_prior,
+)
+from pinav.dynamics import paper_black_box
+from pinav.errors import InputError
+from pinav.navigation.adaptive.steering import Adaptive
+from pinav.navigation.belief.belief import Frame
+from pinav.systems import Units
 
 REFUSALS = {
     "task alone": (["--task", "vortex"], "expected it together with --task or with"),
@@ -19,7 +34,15 @@ REFUSALS = {
     "nothing": ([], "RUN: expected the folder of a fit, or --learn-online"),
     "a run": (
         ["somewhere", "--learn-online", "--task", "vortex"],
-        "--learn-online: expected no run",
+        "--learn-online: expected no RUN",
+    ),
+    "a prior without learning": (
+        ["somewhere", "--prior", "elsewhere", "--from=1,1", "--to=2,2"],
+        "--prior: expected it together with --learn-online",
+    ),
+    "a prior that is no run": (
+        ["--learn-online", "--task", "vortex", "--prior", "nowhere"],
+        "nowhere",
     ),
     "places": (
         ["--learn-online", "--task", "vortex", "--from", "1,1"],
@@ -170,3 +193,37 @@ def test_a_system_of_the_users_own_is_learned_with_what_it_knows(tmp_path, capsy
     assert rows["visit 1"]["force_error"] < 0.4
     assert rows["visit 1"]["cover"] > 0.8
     assert rows["visit 1"]["consistency"] < 2.0
+
+
+def adaptive_of(name):
+    return Adaptive.of(online_task(name, position_noise=0.02, delay=0.0), points=13)
+
+
+def test_a_fit_is_taken_over_with_its_posterior(fitted_run):
+    run = FittedRun.open(fitted_run("kernel")[0])
+    adaptive = with_prior(adaptive_of("barrier-weak"), run, Units())
+    places = np.array([[2.0, 2.0], [4.0, 4.5]])
+    first = Frame(0.0, places[0], 0.02, np.zeros(2))
+    mean, sd = adaptive.believe(first).force(places)
+    environment = run.model.environment
+    for x, force in zip(places, mean, strict=True):
+        exact = environment(0.0, jnp.asarray(x), jnp.zeros(2))
+        np.testing.assert_allclose(force, exact, atol=5e-3)
+    _, unknown = adaptive_of("barrier-weak").believe(first).force(places)
+    assert np.all(sd < unknown / 2)
+
+
+def test_a_fit_that_cannot_be_a_prior_is_refused(fitted_run):
+    inertial = FittedRun.open(fitted_run("kernel")[0])
+    with pytest.raises(InputError, match="swimmer without inertia in 2 dimensions"):
+        with_prior(adaptive_of("vortex"), inertial, Units())
+    network = FittedRun.open(fitted_run("network")[0])
+    with pytest.raises(InputError, match="expected a fit with a posterior, got"):
+        with_prior(adaptive_of("barrier-weak"), network, Units())
+    other = dataclasses.replace(
+        inertial, models={"model": paper_black_box(jax.random.key(0))}
+    )
+    with pytest.raises(InputError, match="expected a fitted swimmer, got the model"):
+        with_prior(adaptive_of("barrier-weak"), other, Units())
+    with pytest.raises(InputError, match="expected a fit in um, s and pN, got one in"):
+        with_prior(adaptive_of("vortex"), inertial, Units("um", "s", "pN"))

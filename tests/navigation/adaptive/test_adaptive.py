@@ -24,6 +24,7 @@ from pinav.navigation.adaptive.safety import check_command
 from pinav.navigation.adaptive.scores import score_force
 from pinav.navigation.adaptive.steering import Adaptive
 from pinav.navigation.adaptive.strategies import (
+    Bold,
     Certain,
     Doubted,
     Priced,
@@ -31,7 +32,7 @@ from pinav.navigation.adaptive.strategies import (
     axes_of,
 )
 from pinav.navigation.belief.belief import Frame
-from pinav.navigation.belief.given import take_for_granted
+from pinav.navigation.belief.given import GivenForce, take_for_granted
 from pinav.navigation.control.controller import Observation
 from pinav.navigation.control.prediction import TrajectoryPrediction
 from pinav.navigation.model.tabulated import tabulate_model
@@ -44,6 +45,7 @@ STRATEGIES = {
     "curious": Priced(-0.5),
     "sampled": Sampled(),
     "doubted": Doubted(0.5),
+    "bold": Bold(2),
 }
 
 
@@ -131,7 +133,8 @@ def test_a_goal_out_of_reach_is_no_error_in_the_loop(adaptive):
     belief = know_truth(adaptive, frame_at(1.0, 5.0))
     one = belief.filters[0]
     x, y = axes_of(grid)
-    blown = take_for_granted((x, y), gale, frame_at(1.0, 5.0), motion=one.motion)
+    force = GivenForce.of((x, y), gale)
+    blown = take_for_granted(force, frame_at(1.0, 5.0), motion=one.motion)
     mind = adaptive.start(blown)
     assert float(mind.plan.at(jnp.array([1.0, 5.0]))) > adaptive.task.time_limit
     again = adaptive.replan(mind)
@@ -147,7 +150,9 @@ def safety_case(adaptive, position, heading, force=(0.0, 0.0), *, disc=True):
     grid = physics.table.grid
     current = np.zeros((*grid.shape, 2)) + np.array(force)
     belief = take_for_granted(
-        axes_of(grid), current, frame_at(*position), motion=adaptive.motion
+        GivenForce.of(axes_of(grid), current),
+        frame_at(*position),
+        motion=adaptive.motion,
     )
     tables = Certain().tables(belief, physics, adaptive.thrust)
     prediction = TrajectoryPrediction(

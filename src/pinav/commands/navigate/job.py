@@ -248,7 +248,13 @@ def run(options: NavigateOptions) -> CommandResult:
             observe_positions(known, options.online.position_noise),
             online.STRATEGIES[options.online.strategy],
         )
-        folder = start_run(NAVIGATE, options, settings, options.online)
+        identity = {}
+        if options.prior is not None:
+            fitted = FittedRun.open(options.prior)
+            units = online.units_of(options.online)
+            adaptive = online.with_prior(adaptive, fitted, units)
+            identity["prior"] = options.prior.name
+        folder = start_run(NAVIGATE, options, settings, options.online, **identity)
         learned = online.learn_online(
             settings, options.online, adaptive, known.time_limit, folder
         )

@@ -11,11 +11,15 @@ from jaxtyping import PRNGKeyArray
 from tqdm import tqdm
 
 from pinav.commands.cells import Row
+from pinav.commands.fitted_run import FittedRun
 from pinav.commands.navigate.metrics import ArrivalRow, IntervalRow
 from pinav.commands.navigate.settings import NavigateSettings, OnlineSettings
 from pinav.commands.steering import observe_positions, system_task
+from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.errors import InputError
 from pinav.navigation import Disc, Task, task
 from pinav.navigation.adaptive.flight import Flight, fly
+from pinav.navigation.adaptive.prior import with_prior_of
 from pinav.navigation.adaptive.scores import Outcome, judge_flights, true_force
 from pinav.navigation.adaptive.steering import Adaptive
 from pinav.navigation.adaptive.strategies import (
@@ -31,6 +35,7 @@ from pinav.report import Table
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
 from pinav.scenarios import find_system
+from pinav.systems import Units
 
 STRATEGIES: Mapping[str, AbstractStrategy] = {
     "certain": Certain(),
@@ -105,6 +110,7 @@ class OnlineMetrics(msgspec.Struct, frozen=True):
         own_limit: time limit of the task itself [T].
         thrust: greatest thrust.
         controllers: the oracle, and the visits.
+        prior: whether the first visit began with a fit.
     """
 
     task: str
@@ -115,6 +121,7 @@ class OnlineMetrics(msgspec.Struct, frozen=True):
     own_limit: float
     thrust: float
     controllers: dict[str, OnlineRow]
+    prior: bool = False
 
 
 def online_task(name: str, *, position_noise: float, delay: float | None) -> Task:
@@ -187,6 +194,48 @@ def task_to_learn(settings: NavigateSettings, online: OnlineSettings) -> Task:
     return dataclasses.replace(known, delay=settings.delay)
 
 
+def units_of(online: OnlineSettings) -> Units:
+    """Units of the places and forces of the task; the package's tasks have none."""
+    return Units() if online.system is None else find_system(online.system).base_units
+
+
+def with_prior(adaptive: Adaptive, run: FittedRun, units: Units) -> Adaptive:
+    """The controller that begins with the force and the posterior of a fit.
+
+    Args:
+        adaptive: the controller.
+        run: the fit.
+        units: of the controller's task.
+
+    Raises:
+        InputError: the run holds no fitted swimmer, no posterior, one in other units,
+            or one that does not move as that of the task does.
+    """
+    if run.system.base_units != units:
+        raise InputError(
+            f"--prior: expected a fit in {_words(units)}, got one in "
+            f"{_words(run.system.base_units)}; fit and task must have the same units"
+        )
+    model, path = run.model, run.folder.path
+    if not isinstance(model, Swimmer | OverdampedSwimmer):
+        raise InputError(
+            f"--prior: expected a fitted swimmer, got the model {run.choice.name} of "
+            f"{path}"
+        )
+    if run.posterior is None:
+        raise InputError(
+            f"--prior: expected a fit with a posterior, got {path}, which has none; "
+            "fit with --recipe bayes"
+        )
+    dim = run.data.dim
+    places = [p.states[p.observed[:, :dim].all(axis=1), :dim] for p in run.data]
+    return with_prior_of(adaptive, model, run.posterior, np.concatenate(places))
+
+
+def _words(units: Units) -> str:
+    return f"{units.length}, {units.time} and {units.force}"
+
+
 def learn_online(
     settings: NavigateSettings,
     online: OnlineSettings,
@@ -218,6 +267,7 @@ def learn_online(
         own_limit=own_limit,
         thrust=adaptive.thrust,
         controllers=rows_of(flights, adaptive, own_limit),
+        prior=adaptive.prior is not None,
     )
     folder.write_arrays("results.npz", _arrays(adaptive, flights))
     folder.write_metrics("metrics.json", metrics)
@@ -325,8 +375,9 @@ CAPTION = (
 def sentences(metrics: OnlineMetrics) -> list[str]:
     """The findings in words."""
     last = list(metrics.controllers.values())[1]
+    known = "the fit alone" if metrics.prior else "nothing"
     return [
-        f"Task {metrics.task} (synthetic), strategy {metrics.strategy}: nothing is "
+        f"Task {metrics.task} (synthetic), strategy {metrics.strategy}: {known} is "
         f"known of the force beforehand; positions with an error of "
         f"{metrics.position_noise:g} are all that is observed, commands come into "
         f"force after {metrics.delay:g}.",

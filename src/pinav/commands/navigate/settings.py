@@ -82,13 +82,21 @@ class NavigateOptions(RunOptions, frozen=True):
     Attributes:
         run: Folder of pinav fit, of trajectories or of a recording; none with
             --learn-online.
+        prior: Folder of pinav fit, with a posterior: the force that it found is the
+            first guess of --learn-online.
     """
 
     run: tyro.conf.Positional[Path | None] = None
     settings: NavigateSettings = NavigateSettings()
     online: OnlineSettings = OnlineSettings()
+    prior: Path | None = None
 
     def check_together(self) -> None:
+        if self.prior is not None and not self.online.learn_online:
+            raise InputError(
+                "--prior: expected it together with --learn-online; a run that is not "
+                "to learn on the way is given as RUN"
+            )
         if self.run is None and not self.online.learn_online:
             raise InputError(
                 "RUN: expected the folder of a fit, or --learn-online with --task or "
@@ -96,8 +104,8 @@ class NavigateOptions(RunOptions, frozen=True):
             )
         if self.run is not None and self.online.learn_online:
             raise InputError(
-                "--learn-online: expected no run, because nothing is known beforehand; "
-                "leave out one of them"
+                "--learn-online: expected no RUN, because the force is learned on the "
+                "way; a fit to begin with is given as --prior RUN"
             )
         if self.online.task is None:
             self.settings.places()

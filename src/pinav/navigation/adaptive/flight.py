@@ -10,12 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int, PRNGKeyArray
 
-from pinav.errors import InputError
+from pinav.navigation.adaptive.prior import environment_rate
 from pinav.navigation.adaptive.steering import Adaptive, Mind
-from pinav.navigation.adaptive.strategies import axes_of
 from pinav.navigation.belief.belief import Belief, Frame
 from pinav.navigation.belief.given import take_for_granted
-from pinav.navigation.model.tabulated import tabulate_model
 from pinav.navigation.task.task import Task
 from pinav.navigation.trials.closed_loop import Situation, advance, begin, observe
 
@@ -73,16 +71,8 @@ def know_truth(adaptive: Adaptive, frame: Frame) -> Belief:
         InputError: the true force changes in time.
     """
     task = adaptive.task
-    truth = tabulate_model(task, task.truth).table
-    if len(truth.values) > 1:
-        raise InputError(
-            f"task {task.name!r}: learning on the way expected a true force that does "
-            "not change in time"
-        )
-    force = np.asarray(truth.values - adaptive.physics.table.values)[0, ..., :2]
     return take_for_granted(
-        axes_of(truth.grid),
-        force,
+        environment_rate(task, task.truth),
         frame,
         motion=adaptive.motion,
         speed_sd=frame.sd,
@@ -192,7 +182,7 @@ class _Record:
         self.consistency.append(score)
         self.leaders.append(mind.belief.leader)
         self.learn_times.append(elapsed)
-        self.stalls += mind.stalled
+        self.stalls += mind.progress.stalled
         if mind.belief.time >= self.next - 1e-9 and math.isfinite(self.every):
             self.moments.append(mind.belief)
             self.next += self.every

@@ -1,6 +1,7 @@
 """The controller that learns: each frame changes its belief, and often its plan."""
 
 import dataclasses
+import math
 import time
 
 import equinox as eqx
@@ -11,14 +12,17 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from pinav.errors import InputError
 from pinav.navigation.adaptive.known import motion_of, with_known
+from pinav.navigation.adaptive.progress import Progress
 from pinav.navigation.adaptive.safety import Verdict, check_command
 from pinav.navigation.adaptive.strategies import (
     BONUS,
     AbstractStrategy,
+    Bold,
     Priced,
 )
 from pinav.navigation.belief.belief import Belief, Frame
 from pinav.navigation.belief.motion import InertialMotion, OverdampedMotion
+from pinav.navigation.belief.prior import ForcePrior
 from pinav.navigation.control.compensation import Timing
 from pinav.navigation.control.controller import (
     AbstractController,
@@ -60,8 +64,11 @@ CHANGED = 48
 WINDOW = 0.3
 """Half of the finer lattice about the goal, over the longer side of the arena."""
 
-STALL_TIME, STALL_LENGTH = 6.0, 0.06
-"""Stalled is who came no further in so long [T] than this part of the arena."""
+FINER = 0.6
+"""Cells of the finer lattice over the whole arena, in those of the usual one."""
+
+NEW = 0.06
+"""Distance from old places that makes a place new, over the arena's longer side."""
 
 STEPS = 20
 """Steps that the control looks ahead."""
@@ -77,13 +84,12 @@ class Mind:
         plan: the last one.
         prediction: of sequences of controls on these tables.
         controller: follows the plan.
-        fine: whether it stands on the finer lattice.
+        lattice: on which it stands.
         controls: sequence that is kept.
         planned: when the plan was made [T].
         leader: of the bank at that time.
-        track: times and believed positions of the last frames.
+        progress: where the swimmer was, and whether it comes to new places.
         verdict: of the safety filter on the last command.
-        stalled: whether no progress was noticed.
         replan_time: computing time of the last plan [s].
     """
 
@@ -92,13 +98,12 @@ class Mind:
     plan: TimeToGo
     prediction: TrajectoryPrediction
     controller: AbstractController
-    fine: bool
+    lattice: Replanner
     controls: Controls
     planned: float
     leader: int
-    track: tuple[tuple[float, Float[np.ndarray, "2"]], ...]
+    progress: Progress
     verdict: Verdict | None = None
-    stalled: bool = False
     replan_time: float = 0.0
 
 
@@ -114,7 +119,9 @@ class Adaptive:
         thrust: greatest rate of the thrust.
         replanner: over the arena.
         window: over the surroundings of the goal, with finer cells.
+        detailed: over the arena with finer cells, for a swimmer that was stalled.
         safe: whether the last filter is in use.
+        prior: what an earlier fit found; nothing is known unless given.
     """
 
     task: Task
@@ -124,7 +131,9 @@ class Adaptive:
     thrust: float
     replanner: Replanner
     window: Replanner
+    detailed: Replanner
     safe: bool = True
+    prior: ForcePrior | None = None
 
     @classmethod
     def of(
@@ -164,11 +173,17 @@ class Adaptive:
         if points is None:
             points = POINTS if inertial else FLAT_POINTS
         objective = task.objective
-        over_arena, about_goal = (
+        arena, more = task.arena, math.ceil((points - 1) / FINER) + 1
+        parts = (
+            (arena, points),
+            (_window(task, objective), points),
+            (arena, more),
+        )
+        lattices = (
             Replanner.of(
-                task, objective, physics, points=points, speeds=speeds, window=window
+                task, objective, physics, points=count, speeds=speeds, window=window
             )
-            for window in (task.arena, _window(task, objective))
+            for window, count in parts
         )
         return cls(
             task,
@@ -176,9 +191,8 @@ class Adaptive:
             physics,
             motion_of(task, physics),
             float(greatest_rate(physics.table, physics.control_map, inertial=inertial)),
-            over_arena,
-            about_goal,
-            safe,
+            *lattices,
+            safe=safe,
         )
 
     def believe(self, frame: Frame) -> Belief:
@@ -187,7 +201,7 @@ class Adaptive:
         Args:
             frame: the first one.
         """
-        return Belief.start(
+        belief = Belief.start(
             frame,
             lower=np.asarray(self.task.arena.lower),
             upper=np.asarray(self.task.arena.upper),
@@ -196,23 +210,25 @@ class Adaptive:
             speed_sd=frame.sd,
             longest=self.task.step,
         )
+        return belief if self.prior is None else self.prior.lead(belief)
 
     def start(self, belief: Belief) -> Mind:
         """What is remembered before the first command; the first plan is complete."""
         tables = self.strategy.tables(belief, self.physics, self.thrust)
         plan = self.replanner.plan(tables)
         controls = jnp.zeros((STEPS, 2))
-        place = (belief.time, belief.state.mean[:2])
+        extent = float(jnp.max(self.task.arena.upper - self.task.arena.lower))
+        state = belief.state.mean
         return Mind(
             belief,
             tables,
             plan,
             *_path_integral(plan, self.task.step),
-            fine=False,
+            lattice=self.replanner,
             controls=controls,
             planned=belief.time,
             leader=belief.leader,
-            track=(place,),
+            progress=Progress(NEW * extent, state[None, :2], belief.time, state),
         )
 
     def learn(self, mind: Mind, frame: Frame) -> Mind:
@@ -223,28 +239,28 @@ class Adaptive:
             frame: with the mean thrust since the last one.
         """
         belief = mind.belief.after(with_known(frame, mind.belief, self.physics))
-        oldest = belief.time - STALL_TIME - self.task.step / 2
-        track = (*mind.track, (belief.time, belief.state.mean[:2]))
-        track = tuple(entry for entry in track if entry[0] >= oldest)
-        mind = dataclasses.replace(
-            mind, belief=belief, track=track, stalled=self._stalled(track)
+        progress = mind.progress.after(
+            belief.time,
+            belief.state.mean,
+            lambda state: mind.plan.time_from(jnp.asarray(state)),
         )
+        mind = dataclasses.replace(mind, belief=belief, progress=progress)
         if belief.time - mind.planned < EVERY - self.task.step / 2:
             return mind
         return self.replan(mind)
 
     def replan(self, mind: Mind) -> Mind:
         """The mind with a new plan from the old values."""
-        began, belief = time.perf_counter(), mind.belief
-        tables = self.strategy.tables(belief, self.physics, self.thrust)
-        fine = self._needs_window(mind)
-        replanner = self.window if fine else self.replanner
+        began, belief, progress = time.perf_counter(), mind.belief, mind.progress
+        strategy = Bold(progress.boldness) if progress.boldness else self.strategy
+        tables = strategy.tables(belief, self.physics, self.thrust)
+        lattice = self._lattice(mind)
         changed = belief.leader != mind.leader
-        sweeps = CHANGED if changed or mind.stalled else SWEEPS
-        if fine == mind.fine:
-            plan = replanner.plan(tables, mind.plan.values, sweeps=sweeps)
+        sweeps = CHANGED if changed or progress.stalled else SWEEPS
+        if lattice is mind.lattice:
+            plan = lattice.plan(tables, mind.plan.values, sweeps=sweeps)
         else:
-            plan = replanner.plan(tables)
+            plan = lattice.plan(tables)
         jax.block_until_ready(plan.values)
         prediction, controller = _path_integral(plan, self.task.step)
         return dataclasses.replace(
@@ -253,7 +269,7 @@ class Adaptive:
             plan=plan,
             prediction=prediction,
             controller=controller,
-            fine=fine,
+            lattice=lattice,
             planned=belief.time,
             leader=belief.leader,
             replan_time=time.perf_counter() - began,
@@ -295,22 +311,19 @@ class Adaptive:
         )
         return verdict.command, dataclasses.replace(mind, verdict=verdict)
 
-    def _stalled(self, track: tuple[tuple[float, np.ndarray], ...]) -> bool:
-        (first, before), (last, here) = track[0], track[-1]
-        arena = self.task.arena
-        extent = float(jnp.max(arena.upper - arena.lower))
-        long = last - first > STALL_TIME - self.task.step
-        return long and float(np.linalg.norm(here - before)) < STALL_LENGTH * extent
-
-    def _needs_window(self, mind: Mind) -> bool:
-        """Whether the goal is near and the force finer than the lattice shows."""
+    def _lattice(self, mind: Mind) -> Replanner:
+        """The lattice for the next plan: finer where the goal or a trap is near."""
         grid, place = self.window.grid, mind.belief.state.mean[:2]
         lower = np.asarray(grid.lower)
         upper = lower + np.asarray(grid.spacing) * (np.array(grid.shape) - 1)
-        edge = 2 * self.window.cell if not mind.fine else 0.0
+        within = mind.lattice is self.window
+        edge = 0.0 if within else 2 * self.window.cell
         inside = bool(np.all((place > lower + edge) & (place < upper - edge)))
         narrow = mind.belief.length_scale < 2 * self.replanner.cell
-        return inside and (narrow or mind.stalled or mind.fine)
+        bold = mind.progress.boldness > 0
+        if inside and (narrow or bold or within):
+            return self.window
+        return self.detailed if bold else self.replanner
 
 
 def _window(task: Task, objective: ReachGoal) -> Rectangle:

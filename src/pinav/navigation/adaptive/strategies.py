@@ -60,11 +60,8 @@ class Priced(AbstractStrategy):
     def tables(
         self, belief: Belief, physics: TabulatedModel, thrust: float
     ) -> TabulatedModel:
-        grid = physics.table.grid
-        model = with_force(physics, mean_on(belief, grid))
-        draws = belief.samples(axes_of(grid), DRAWS, seed=belief.count)
-        variance = np.mean(np.var(draws, axis=0, ddof=1), axis=-1)
-        return with_spread(model, np.sqrt(variance) / thrust, self.price)
+        force, spread = mean_and_spread(belief, physics.table.grid)
+        return with_spread(with_force(physics, force), spread / thrust, self.price)
 
 
 class Sampled(AbstractStrategy):
@@ -101,13 +98,35 @@ class Doubted(AbstractStrategy):
     def tables(
         self, belief: Belief, physics: TabulatedModel, thrust: float
     ) -> TabulatedModel:
-        grid = physics.table.grid
-        force = mean_on(belief, grid)
-        draws = belief.samples(axes_of(grid), DRAWS, seed=belief.count)
-        spread = np.sqrt(np.mean(np.var(draws, axis=0, ddof=1), axis=-1))
+        force, spread = mean_and_spread(belief, physics.table.grid)
         size = np.linalg.norm(force, axis=-1)
         factor = 1 + self.caution * spread / np.maximum(np.maximum(size, spread), 1e-12)
         return with_force(physics, force * factor[..., None])
+
+
+class Bold(AbstractStrategy):
+    r"""What a stalled swimmer makes of what is not known: it may be harmless.
+
+    The mean force is weaker by $b$ standard deviations, down to nothing,
+    $F \max(0, 1 - b\, s / |F|)$, and time costs $1 - p\,(s/u)^2$ with
+    $p = 1 - 0.7^{1 + b}$, which is the usual bonus for b = 0. What is known well stays
+    as it is.
+
+    Attributes:
+        boldness: b, from one on.
+    """
+
+    boldness: int
+
+    def tables(
+        self, belief: Belief, physics: TabulatedModel, thrust: float
+    ) -> TabulatedModel:
+        force, spread = mean_and_spread(belief, physics.table.grid)
+        size = np.maximum(np.linalg.norm(force, axis=-1), 1e-12)
+        factor = np.maximum(1 - self.boldness * spread / size, 0.0)
+        model = with_force(physics, force * factor[..., None])
+        price = (1 + BONUS) ** (1 + self.boldness) - 1
+        return with_spread(model, spread / thrust, price)
 
 
 def axes_of(grid: Grid) -> tuple[Float[np.ndarray, " x"], Float[np.ndarray, " y"]]:
@@ -120,6 +139,15 @@ def axes_of(grid: Grid) -> tuple[Float[np.ndarray, " x"], Float[np.ndarray, " y"
 def mean_on(belief: Belief, grid: Grid) -> Float[np.ndarray, "x y 2"]:
     """Mean force on a grid."""
     return belief.force_on(axes_of(grid))
+
+
+def mean_and_spread(
+    belief: Belief, grid: Grid
+) -> tuple[Float[np.ndarray, "x y 2"], Float[np.ndarray, "x y"]]:
+    """Mean force on a grid, and standard deviation of a component, from draws."""
+    draws = belief.samples(axes_of(grid), DRAWS, seed=belief.count)
+    variance = np.mean(np.var(draws, axis=0, ddof=1), axis=-1)
+    return mean_on(belief, grid), np.sqrt(variance)
 
 
 def with_force(

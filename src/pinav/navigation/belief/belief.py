@@ -266,7 +266,11 @@ class Belief:
         return sum(one.nbytes for one in self.filters)
 
     def to_arrays(self) -> dict[str, np.ndarray]:
-        """Everything as arrays, for a checkpoint."""
+        """Everything as arrays, for a checkpoint.
+
+        Raises:
+            InputError: a filter holds a given force, which is no array.
+        """
         motion = self.filters[0].motion
         arrays = {
             "time": np.array(self.time),
@@ -328,9 +332,14 @@ POSTERIOR = ("members", "mean", "base", "factors", "cross")
 
 def _arrays_of(one: KernelFilter) -> dict[str, np.ndarray]:
     grid, weights = one.kernels.grid, one.weights
-    kind = next(k for k, kind in enumerate(KINDS) if isinstance(one.kernels, kind))
+    kinds = [k for k, kind in enumerate(KINDS) if isinstance(one.kernels, kind)]
+    if not kinds:
+        raise InputError(
+            "Belief.to_arrays: expected kernels alone, got a given force; store that "
+            "from which it comes"
+        )
     return {
-        "kind": np.array(kind),
+        "kind": np.array(kinds[0]),
         "lower": grid.lower,
         "width": np.array(grid.width),
         "shape": np.array(grid.shape),

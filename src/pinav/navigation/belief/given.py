@@ -30,6 +30,21 @@ class GivenForce(AbstractKernels):
 
     splines: tuple[RectBivariateSpline, RectBivariateSpline]
 
+    @classmethod
+    def of(
+        cls, axes: tuple[Axis, Axis], force: Float[np.ndarray, "x y 2"]
+    ) -> "GivenForce":
+        """The force whose values on a lattice are given.
+
+        Args:
+            axes: coordinates of the lattice [L].
+            force: on it.
+        """
+        lower = np.array([along[0] for along in axes])
+        grid = KernelGrid(lower, float(axes[0][-1] - axes[0][0]), (2, 2))
+        x, y = (RectBivariateSpline(*axes, force[..., k]) for k in range(2))
+        return cls(grid, (x, y))
+
     @property
     def size(self) -> int:
         return 1
@@ -58,8 +73,7 @@ class GivenForce(AbstractKernels):
 
 
 def take_for_granted(
-    axes: tuple[Axis, Axis],
-    force: Float[np.ndarray, "x y 2"],
+    force: GivenForce,
     frame: Frame,
     *,
     motion: InertialMotion | OverdampedMotion,
@@ -69,22 +83,15 @@ def take_for_granted(
     """The belief of one who knows the force: what it learns is the state.
 
     Args:
-        axes: coordinates of a lattice [L].
-        force: on it.
+        force: the force.
         frame: the first one.
         motion: what is known of the dynamics.
         speed_sd: standard deviation of each component of the first velocity.
         longest: longest step of a prediction [T].
     """
-    splines = (
-        RectBivariateSpline(*axes, force[..., 0]),
-        RectBivariateSpline(*axes, force[..., 1]),
-    )
-    lower = np.array([along[0] for along in axes])
-    grid = KernelGrid(lower, float(axes[0][-1] - axes[0][0]), (2, 2))
     assert frame.position is not None
     state, spread = motion.start(frame.position, frame.sd, speed_sd)
     empty = WeightPosterior.before_data(1, len(state), 0.0).reach(np.zeros(1, int))
     weights = dataclasses.replace(empty, mean=np.ones(1))
-    one = KernelFilter(GivenForce(grid, splines), motion, state, spread, weights)
+    one = KernelFilter(force, motion, state, spread, weights)
     return Belief(float(frame.time), (one,), 0, 1, longest)

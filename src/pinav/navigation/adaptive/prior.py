@@ -1,0 +1,102 @@
+"""What a swimmer is told of its environment before it starts: all of it, or a fit."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.errors import InputError
+from pinav.fitting import Posterior
+from pinav.navigation.adaptive.steering import Adaptive
+from pinav.navigation.adaptive.strategies import axes_of
+from pinav.navigation.belief.given import GivenForce
+from pinav.navigation.belief.kernels import Points
+from pinav.navigation.belief.prior import ForcePrior
+from pinav.navigation.control.simple import physics_only, steered_swimmer
+from pinav.navigation.model.predictors import split_rates
+from pinav.navigation.model.tables import FieldTable
+from pinav.navigation.model.tabulated import tabulate_model
+from pinav.navigation.task.steering import SteeredSwimmer
+from pinav.navigation.task.task import Task
+
+PLACES = 256
+"""Places of the data at most at which the fit is told how well it knows the force."""
+
+DISTRUST = 0.05
+"""Error of a fit that its posterior does not know, over the greatest thrust."""
+
+
+def environment_rate(task: Task, model: SteeredSwimmer) -> GivenForce:
+    """What the environment of a model adds to the rate of a swimmer at rest.
+
+    Args:
+        task: the arena.
+        model: the swimmer.
+
+    Raises:
+        InputError: the environment changes in time.
+    """
+    table = tabulate_model(task, model).table
+    if len(table.values) > 1:
+        raise InputError(
+            f"task {task.name!r}: learning on the way expected an environment that "
+            "does not change in time"
+        )
+    without = tabulate_model(task, physics_only(model)).table
+    rate = np.asarray(table.values - without.values, float)[0, ..., :2]
+    return GivenForce.of(axes_of(table.grid), rate)
+
+
+def with_prior_of(
+    adaptive: Adaptive,
+    swimmer: Swimmer | OverdampedSwimmer,
+    posterior: Posterior,
+    places: Points,
+) -> Adaptive:
+    """The controller that begins with what a fit of earlier trajectories found.
+
+    The fitted force is the first guess everywhere; what the posterior knows of its
+    error is taken over where there were data. A structured force may be sure of itself
+    far from them; that certainty is not, so that the swimmer looks for itself.
+
+    Args:
+        adaptive: the controller.
+        swimmer: the fit.
+        posterior: of its parameters.
+        places: where the data were [L].
+
+    Raises:
+        InputError: the fit has inertia and the swimmer of the task has none, or the
+            other way round; it is not planar; its environment changes in time.
+    """
+    task, dim = adaptive.task, places.shape[1]
+    if isinstance(swimmer, Swimmer) != task.inertial or dim != task.dim:
+        kinds = {True: "with inertia", False: "without inertia"}
+        raise InputError(
+            f"prior: expected a fit of a swimmer {kinds[task.inertial]} in {task.dim} "
+            f"dimensions, as task {task.name!r} has it, got one "
+            f"{kinds[isinstance(swimmer, Swimmer)]} in {dim}"
+        )
+    rate = environment_rate(task, steered_swimmer(task, swimmer))
+    chosen = np.linspace(0, len(places) - 1, min(len(places), PLACES)).astype(int)
+    rows = posterior.force_jacobians(places[chosen])
+    if not task.inertial:
+        mobility = _mobility(adaptive.physics.table, jnp.asarray(places[chosen]))
+        rows = np.asarray(mobility, float) @ rows
+    rows = rows.reshape(-1, rows.shape[-1])
+    covariance = rows @ posterior.covariance @ rows.T
+    covariance += (DISTRUST * adaptive.thrust) ** 2 * np.eye(len(rows))
+    prior = ForcePrior(rate, places[chosen], covariance)
+    return dataclasses.replace(adaptive, prior=prior)
+
+
+@eqx.filter_jit
+def _mobility(
+    table: FieldTable, places: Float[Array, "point 2"]
+) -> Float[Array, "point 2 2"]:
+    channels = jax.vmap(lambda x: table(jnp.zeros(()), x))(places)
+    return split_rates(channels)[1]

@@ -1,0 +1,156 @@
+"""A swimmer that gets nowhere: it notices, and what it does about it."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.dynamics import OverdampedSwimmer
+from pinav.forces import GaussianBarrier, ZeroForce
+from pinav.navigation import task
+from pinav.navigation.adaptive.flight import fly, know_truth
+from pinav.navigation.adaptive.progress import PATIENCE, Progress
+from pinav.navigation.adaptive.steering import Adaptive
+from pinav.navigation.adaptive.strategies import Bold, Certain, axes_of
+from pinav.navigation.belief.belief import Frame
+from pinav.navigation.belief.given import GivenForce
+from pinav.navigation.belief.prior import ForcePrior
+from pinav.navigation.task.steering import SteeredSwimmer
+
+
+def walk(places, step=0.1, time_to_go=lambda _: 9.0):
+    """The progress after each of some places."""
+    first = np.array(places[0], float)
+    now = Progress(1.0, first[None], 0.0, first)
+    steps = [now]
+    for k, place in enumerate(places[1:], 1):
+        now = now.after(step * k, np.array(place, float), time_to_go)
+        steps.append(now)
+    return steps
+
+
+def test_who_moves_on_is_never_stalled():
+    way = walk([(0.06 * k, 0.02 * k) for k in range(600)])
+    assert not any(p.stalled or p.boldness for p in way)
+    assert len(way[-1].places) < 40
+
+
+ROUNDS = {
+    "hovering": lambda s: (0.3 * np.sin(s), 0.3 * np.cos(s)),
+    "to and fro": lambda s: (4 * np.sin(s), 0.0),
+    "in a circle": lambda s: (3 * np.sin(s), 3 * np.cos(s)),
+}
+
+
+@pytest.mark.parametrize("move", ROUNDS.values(), ids=ROUNDS)
+def test_who_comes_nowhere_new_is_stalled_and_becomes_bolder(move):
+    places = [move(k / 10) for k in range(400)]
+    way = walk(places)
+    first = next(k for k, p in enumerate(way) if p.stalled)
+    seen = [k for k in range(1, 400) if len(way[k].places) > len(way[k - 1].places)]
+    last = max(seen, default=0)
+    assert 0.1 * (first - last) == pytest.approx(PATIENCE)
+    assert way[-1].boldness == int((39.9 - 0.1 * last + 1e-6) / PATIENCE)
+
+
+def test_who_goes_back_out_of_a_dead_end_is_not_stalled():
+    there = [(0.1 * k, 0.0) for k in range(150)]
+    way = walk(there + there[::-1], time_to_go=lambda state: state[0])
+    assert not any(p.stalled or p.boldness for p in way)
+
+
+def test_who_comes_nearer_now_and_then_is_stalled_all_the_same():
+    places = [(4 * np.sin(k / 30), 0.0) for k in range(2000)]
+    way = walk(places, time_to_go=lambda state: state[0])
+    assert way[-1].boldness > 5
+
+
+def test_a_new_place_ends_a_stall_and_the_boldness_stays():
+    way = walk([(0.0, 0.0)] * 130 + [(5.0, 0.0)])
+    assert way[-2].stalled
+    assert way[-2].boldness == 2
+    assert not way[-1].stalled
+    assert way[-1].boldness == 2
+
+
+def frame_at(x, y, time=0.0):
+    return Frame(time, np.array([x, y]), 0.02, np.zeros(2))
+
+
+@pytest.fixture(scope="module")
+def still():
+    """The vortex' task in water at rest."""
+    known = dataclasses.replace(task("vortex"), sensor_noise=0.02)
+    swimmer = OverdampedSwimmer(ZeroForce(), ZeroForce(), 1.0)
+    truth = SteeredSwimmer(swimmer, known.truth.actuator)
+    return Adaptive.of(dataclasses.replace(known, truth=truth), Certain(), points=21)
+
+
+def wall(adaptive):
+    """A counter-current of twice the thrust across the arena, of which nobody is sure.
+
+    A fit that had data on the near side alone.
+    """
+    x, y = axes_of(adaptive.physics.table.grid)
+    force = np.zeros((len(x), len(y), 2))
+    force[(x > 4.5) & (x < 6.5), :, 0] = -2.0 * adaptive.thrust
+    places = np.array([[1.0, 5.0], [2.0, 5.0]])
+    return ForcePrior(GivenForce.of((x, y), force), places, 1e-4 * np.eye(4))
+
+
+def test_the_bold_take_nothing_from_what_is_known(still):
+    belief = know_truth(Adaptive.of(task("vortex"), points=13), frame_at(1.0, 5.0))
+    certain, bold = (
+        strategy.tables(belief, still.physics, still.thrust)
+        for strategy in (Certain(), Bold(3))
+    )
+    np.testing.assert_allclose(bold.table.values, certain.table.values, atol=1e-12)
+    np.testing.assert_allclose(bold.time_cost.spread.values, 0.0, atol=1e-9)
+
+
+def test_each_stall_makes_a_doubtful_wall_lower_and_its_ground_cheaper(still):
+    walled = dataclasses.replace(still, prior=wall(still))
+    belief = walled.believe(frame_at(1.0, 5.0))
+    place, heights, prices = jnp.array([5.5, 5.0]), [], []
+    for boldness in (1, 2, 3, 9):
+        tables = Bold(boldness).tables(belief, still.physics, still.thrust)
+        heights.append(-float(tables.table(0.0, place)[0]))
+        prices.append(float(tables.time_cost.running_cost(0.0, place)))
+    assert np.all(np.diff(heights[:3]) < 0)
+    assert heights[-1] == pytest.approx(0.0, abs=1e-6)
+    assert np.all(np.diff(prices) < 0)
+    assert prices[-1] > 0
+
+
+@pytest.mark.slow
+def test_a_goal_that_cannot_be_reached_ends_with_the_time_and_no_error():
+    """On the top of a hill that no thrust climbs."""
+    known = dataclasses.replace(task("vortex"), sensor_noise=0.02, time_limit=40.0)
+    hill = GaussianBarrier(6.0, [9.0, 5.0], 1.5)
+    truth = OverdampedSwimmer(ZeroForce(), hill, 1.0)
+    steered = SteeredSwimmer(truth, known.truth.actuator)
+    adaptive = Adaptive.of(dataclasses.replace(known, truth=steered), points=21)
+    flight = fly(adaptive, key=jax.random.key(1))
+    assert not flight.reached
+    assert not flight.violated
+    assert flight.stalls > 0
+    assert len(flight.states) == 401
+
+
+@pytest.mark.slow
+def test_who_is_held_plans_on_finer_cells_and_never_stops_planning(still):
+    """Held at its place behind a wall that, as it believes, lets nobody through."""
+    held = dataclasses.replace(still, prior=wall(still))
+    mind = held.start(held.believe(frame_at(1.0, 5.0)))
+    assert float(mind.plan.at(jnp.array([1.0, 5.0]))) > held.task.time_limit
+    for k in range(1, 130):
+        mind = held.learn(mind, frame_at(1.0, 5.0, 0.1 * k))
+    assert mind.progress.stalled
+    assert mind.progress.boldness == 2
+    assert mind.lattice is held.detailed
+    assert held.detailed.cell < 0.65 * held.replanner.cell
+    assert np.all(np.isfinite(mind.plan.values))
+    command, _ = held.command(mind, jnp.zeros((1, 2)), jax.random.key(0))
+    assert np.all(np.isfinite(command))
