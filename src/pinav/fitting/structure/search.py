@@ -275,8 +275,10 @@ def _weigh_rotation(search: _Search, survey: Survey) -> StructuredFit:
 def _weigh_few(search: _Search) -> StructuredFit:
     """The fit of a potential or that of a mixture, of data too few for a search.
 
-    The kernels with which fits begin are too coarse to ask them before the fit: a few
-    precise trajectories ask for much finer ones.
+    A potential that is refined may follow a few trajectories whatever the force is, so
+    that nothing linearised about it asks for more. A mixture on the kernels with which
+    fits begin costs little and, where the force turns, needs no finer ones to explain
+    the data better.
     """
     try:
         still = search.best(None)
@@ -286,9 +288,25 @@ def _weigh_few(search: _Search) -> StructuredFit:
             raise
         return turning
     if still.fit.outcome is Outcome.DIVERGED:
-        turning = _turning(search, None)
-        return still if turning is None else turning
-    return _weigh_beside(search, still, None)
+        return _turning(search, None) or still
+    rotation = _coarse_rotation(search, still.fit)
+    turning = _turning(search, None) if rotation > DECISIVE else None
+    if turning is None:
+        return StructuredFit(still.fit, still.gain, rotation)
+    rotation = _evidence(turning.fit) - _evidence(still.fit)
+    chosen = turning if rotation > DECISIVE else still
+    return StructuredFit(chosen.fit, chosen.gain, rotation)
+
+
+def _coarse_rotation(search: _Search, still: EvidenceFit) -> float:
+    """Log evidence of a mixture that is not refined over a potential that is [nats]."""
+    mixture = search.of(mixture_on(search.kernels.kernels))
+    try:
+        fit = mixture.fit(mixture.free(), None)
+    except FitError:
+        return np.nan
+    is_bad = fit.outcome is Outcome.DIVERGED
+    return np.nan if is_bad else _evidence(fit) - _evidence(still)
 
 
 def _weigh_beside(
