@@ -65,7 +65,7 @@ def _drawing(figure: Figure) -> Iterator[None]:
     """
     engine, canvas, dpi = figure.get_layout_engine(), figure.canvas, figure.dpi
     figure.dpi = DPI
-    if engine is not None:
+    if figure.axes and engine is not None:  # as `Figure.draw` does
         engine.execute(figure)  # `draw_without_rendering` would draw besides
     figure.set_layout_engine("none")
     try:
