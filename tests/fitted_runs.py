@@ -26,6 +26,9 @@ from filelock import FileLock
 from matplotlib.figure import Figure
 
 DATA, RUN = "data.npz", "run"
+POTENTIAL = ("--model", "kernel-potential")
+"""Named, so that no mixture is fitted besides, which takes as long again."""
+
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
@@ -41,7 +44,7 @@ def kernel(folder: Path) -> list[str]:
     from pinav.trajectories import save
 
     save(crossings(51), folder / DATA)
-    return ["fit", str(folder / DATA), "--train", "damping"]
+    return ["fit", str(folder / DATA), *POTENTIAL, "--train", "damping"]
 
 
 def positions(folder: Path) -> list[str]:
@@ -57,7 +60,7 @@ def positions(folder: Path) -> list[str]:
     )
     save(tracks, folder / DATA)
     argv = ["fit", str(folder / DATA), "--system", "barrier-crossings"]
-    return [*argv, "--train", "damping"]
+    return [*argv, *POTENTIAL, "--train", "damping"]
 
 
 def langevin(folder: Path) -> list[str]:

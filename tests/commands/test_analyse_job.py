@@ -42,7 +42,8 @@ def inferred(tmp_path_factory):
     )
     save(simulate(short, key=jax.random.key(3)), folder / "data.npz")
     argv = ["fit", str(folder / "data.npz"), "--out", str(folder / "run")]
-    assert cli.run([*argv, "--train", "damping", "--noise", "0.02"]) == 0
+    argv += ["--model", "kernel-potential", "--train", "damping", "--noise", "0.02"]
+    assert cli.run(argv) == 0
     assert cli.run(["analyse", str(folder / "run"), *SMALL]) == 0
     return folder / "run"
 
