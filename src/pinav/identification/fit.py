@@ -23,10 +23,10 @@ from pinav.forces import (
 from pinav.identification.blocks_filter import disturbance_of
 from pinav.identification.kalman import Disturbance
 from pinav.identification.likelihood import (
+    CommandedPath,
     Design,
     Field,
-    Moved,
-    moved_by_commands,
+    commanded_path,
     value_and_slope,
 )
 from pinav.identification.models import (
@@ -187,7 +187,7 @@ class Search:
         self.base = np.array([fixed.get(name, 0.0) for name in NAMES])
         self.evaluations = 0
         self.known, self.known_field = {}, field
-        self.latest: tuple[bytes, Moved] | None = None
+        self.latest: tuple[bytes, CommandedPath] | None = None
 
     def begins(self, start: TrackFit | None) -> list[np.ndarray]:
         """Where searches begin: at the prior, or where a simpler candidate ended.
@@ -262,18 +262,18 @@ class Search:
         if key not in self.known:
             self.evaluations += 1
             theta = self.theta(learned)
-            moved = self._moved(theta[: len(COMMAND_RESPONSE)])
+            path = self._commanded_path(theta[: len(COMMAND_RESPONSE)])
             self.known[key] = value_and_slope(
-                theta, moved, self.design.still, self.field
+                theta, path, self.design.still, self.field
             )
         return self.known[key]
 
-    def _moved(self, drive: Float[np.ndarray, "4"]) -> Moved:
-        """The way at a point, kept for the next one: only the noise may have moved."""
+    def _commanded_path(self, drive: Float[np.ndarray, "4"]) -> CommandedPath:
+        """It at a point, kept for the next one: there only the noise may differ."""
         key = drive.tobytes()
         if self.latest is None or self.latest[0] != key:
             design = self.design
-            self.latest = key, moved_by_commands(drive, design.blocks, design.response)
+            self.latest = key, commanded_path(drive, design.blocks, design.response)
         return self.latest[1]
 
     def descend(

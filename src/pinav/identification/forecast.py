@@ -61,10 +61,10 @@ class Rollouts(eqx.Module):
 
     def lengths(self, track: Track) -> Float[np.ndarray, " rollout"]:
         """Lengths of the observed paths, polygons from frame to frame [L]."""
-        return ways(track, self, _cumulated_length)[:, 0]
+        return changes_along(track, self, _cumulated_length)[:, 0]
 
 
-def ways(
+def changes_along(
     track: Track, rollouts: Rollouts, path: Displacement
 ) -> Float[np.ndarray, "rollout column"]:
     """What a path of each segment adds from the start of each rollout to its end."""
@@ -107,8 +107,8 @@ def errors(track: Track, rollouts: Rollouts, displacement: Displacement) -> Erro
 
     The path is the polygon of the observed positions, frame by frame.
     """
-    observed = ways(track, rollouts, lambda piece: piece.states)
-    miss = observed - ways(track, rollouts, displacement)
+    observed = changes_along(track, rollouts, lambda piece: piece.states)
+    miss = observed - changes_along(track, rollouts, displacement)
     return Errors(np.hypot(*miss.T), rollouts.lengths(track))
 
 

@@ -72,8 +72,8 @@ class Regressors(NamedTuple):
         return jnp.concatenate([by_gain, columns[..., 2:] @ drifts[None]], axis=-1)
 
 
-class Moved(NamedTuple):
-    """The way that the commands ask for, with its derivatives.
+class CommandedPath(NamedTuple):
+    """The path that the commands ask for, with its derivatives.
 
     Attributes:
         cycles: mean of each block.
@@ -119,21 +119,21 @@ class Design(eqx.Module):
     def regressors(self, theta: Float[Array, " parameter"]) -> Regressors:
         """All regressors at these parameters of the response."""
         drive = theta[: len(COMMAND_RESPONSE)]
-        moved = moved_by_commands(drive, self.blocks, self.response)
-        return self.still._replace(cycles=moved.cycles)
+        path = commanded_path(drive, self.blocks, self.response)
+        return self.still._replace(cycles=path.cycles)
 
 
 @jax.jit
-def moved_by_commands(
+def commanded_path(
     drive: Float[Array | np.ndarray, "4"], blocks: Blocks, response: Int[Array, ""]
-) -> Moved:
-    """The way at these values of `COMMAND_RESPONSE`."""
+) -> CommandedPath:
+    """The path at these values of `COMMAND_RESPONSE`."""
 
     def cycles(drive: Array) -> Float[Array, "block 2"]:
         return block_means(displacements(drive, blocks, response), blocks)
 
     value, push = jax.linearize(cycles, jnp.asarray(drive))
-    return Moved(value, jax.vmap(push, out_axes=-1)(jnp.eye(len(drive))))
+    return CommandedPath(value, jax.vmap(push, out_axes=-1)(jnp.eye(len(drive))))
 
 
 class Field(eqx.Module):
@@ -308,13 +308,13 @@ def evidence_and_coefficients(
 @jax.jit
 def value_and_slope(
     theta: Float[Array | np.ndarray, " parameter"],
-    moved: Moved,
+    path: CommandedPath,
     still: Regressors,
     field: Field | None = None,
 ) -> Any:
     """The negative log evidence with the coefficients, and its gradient.
 
-    The way that the commands ask for is a program of its own, with its derivatives: a
+    The path that the commands ask for is a program of its own, with its derivatives: a
     search that does not move the response does not compute it again. One program
     serves values and coefficients, as a second one would cost more than the gradients
     that it saves.
@@ -324,6 +324,6 @@ def value_and_slope(
         return evidence_and_coefficients(theta, still._replace(cycles=cycles), field)
 
     both = jax.value_and_grad(value, argnums=(0, 1), has_aux=True)
-    result, (slope, by_cycles) = both(jnp.asarray(theta), moved.cycles)
-    by_drive = jnp.einsum("ba,bap->p", by_cycles, moved.slopes)
+    result, (slope, by_cycles) = both(jnp.asarray(theta), path.cycles)
+    by_drive = jnp.einsum("ba,bap->p", by_cycles, path.slopes)
     return result, slope.at[: len(by_drive)].add(by_drive)

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from pinav.identification.forecast import Displacement, Rollouts, ways
+from pinav.identification.forecast import Displacement, Rollouts, changes_along
 from pinav.identification.tracks import Track
 
 HORIZON = 10.0
@@ -26,14 +26,15 @@ def stacking_weight(track: Track, ours: Displacement, theirs: Displacement) -> f
         theirs: the other one.
     """
     rollouts = Rollouts.of(track, HORIZON)
-    other = ways(track, rollouts, theirs)
+    other = changes_along(track, rollouts, theirs)
     length = np.maximum(rollouts.lengths(track), 1e-12)[:, None]
-    apart = (ways(track, rollouts, ours) - other) / length
-    wanted = (ways(track, rollouts, lambda piece: piece.states) - other) / length
-    return _drawn_weight(apart, wanted)
+    apart = (changes_along(track, rollouts, ours) - other) / length
+    observed = changes_along(track, rollouts, lambda piece: piece.states)
+    wanted = (observed - other) / length
+    return _shrink_weight(apart, wanted)
 
 
-def _drawn_weight(
+def _shrink_weight(
     apart: Float[np.ndarray, "rollout 2"], wanted: Float[np.ndarray, "rollout 2"]
 ) -> float:
     squares = float(np.sum(apart**2))

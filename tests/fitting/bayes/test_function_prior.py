@@ -17,7 +17,7 @@ from pinav.fitting.engine.steps import ShortenedStep
 from pinav.fitting.evidence.evidence import (
     Hyperparameters,
     LinearisedObservations,
-    log_evidence,
+    evidence_of_scales,
     weight_posterior,
 )
 from pinav.fitting.evidence.quadratic import Quadratic
@@ -101,7 +101,7 @@ def test_a_network_that_is_linear_has_the_posterior_of_the_process(
         to_force @ inference.covariance @ to_force.T, expected, atol=1e-5 * size
     )
     np.testing.assert_allclose(to_force @ inference.mean, to_force @ mean, atol=1e-4)
-    evidence = log_evidence(data, prior, AMPLITUDE, NOISE)
+    evidence = evidence_of_scales(data, prior)(AMPLITUDE, NOISE)
     assert inference.hyperparameters.log_evidence == pytest.approx(evidence, abs=0.05)
     again = found.posterior(quadratic, chosen)[1]
     np.testing.assert_array_equal(again, inference.covariance)

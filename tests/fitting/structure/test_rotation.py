@@ -74,7 +74,7 @@ def ended(monkeypatch):
     survey = Survey(response(PULL), Region.of(POINTS[0]), 0.05)
     monkeypatch.setattr(Survey, "proposal", lambda self, *, rotational: None)
 
-    def weigh(surveyed, beside, fitted, potential, mixture):
+    def weigh(surveyed, beside, fitted, potential, mixture, *, is_plain=False):
         def best(self, proposal):
             outcome = mixture if isinstance(self.kernels, KernelMixture) else potential
             if outcome is None:
@@ -84,7 +84,7 @@ def ended(monkeypatch):
             object.__setattr__(fit, "outcome", outcome)
             return search.StructuredFit(fit, 0.0)
 
-        asked = SurveyedRotation(surveyed)
+        asked = SurveyedRotation(surveyed, is_plain)
         monkeypatch.setattr(search, "survey_rotation", lambda *_: asked)
         monkeypatch.setattr(search, "_rotation_beside", lambda *_: beside)
         monkeypatch.setattr(search, "fitted_gain", lambda _: fitted)
@@ -116,6 +116,12 @@ def test_the_evidence_of_the_fit_decides_and_a_potential_that_fails_yields(
     taken, outcome, told = ended(*gains, potential, mixture)
     assert (taken, outcome) == (kind, FINE)
     assert np.isnan(told) if rotation is None else told == rotation
+
+
+def test_a_mixture_that_failed_is_not_fitted_again_beside_the_potential(ended):
+    taken, outcome, told = ended(80.0, -4.0, 40.0, FINE, BAD, is_plain=True)
+    assert (taken, outcome) == (KernelPotential, FINE)
+    assert np.isnan(told)
 
 
 def test_where_both_fail_the_error_is_that_of_the_potential(ended):

@@ -154,9 +154,10 @@ def _infer(plan: FitPlan, folder: RunFolder) -> None:
         result, support = _fit_commanded(plan, model.environment, folder)
         write_fit(folder, header, result, plan.data, support=support)
         return
-    search = plan.settings.structure == "search"
-    weighed = plan.weigh_rotation and may_turn(model)
-    searched = search and (weighed or is_worth_a_search(model, plan.data))
+    weighs = plan.weigh_rotation and may_turn(model)
+    searches = plan.settings.structure == "search" and (
+        weighs or is_worth_a_search(model, plan.data)
+    )
     with BayesReporter(folder, plan.choice.name) as report:
         options = {
             "learn": plan.choice.constants,
@@ -165,9 +166,9 @@ def _infer(plan: FitPlan, folder: RunFolder) -> None:
             "on_step": report,
             "throw": False,
         }
-        if searched:
+        if searches:
             structured = fit_structured(
-                model, plan.data, weigh_rotation=weighed, **options
+                model, plan.data, weigh_rotation=plan.weigh_rotation, **options
             )
             result = structured.fit
             finding = StructureSearch(structured.gain, structured.rotation)

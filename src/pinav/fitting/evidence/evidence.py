@@ -308,26 +308,16 @@ def best_amplitude(
     )
 
 
-def log_evidence(
-    data: LinearisedObservations, prior: Matrix, amplitude: float, noise: float
-) -> float:
-    """Log evidence of given hyperparameters.
+def evidence_of_scales(
+    data: LinearisedObservations, prior: Matrix
+) -> Callable[[float, float], float]:
+    """Log evidence as a function of the amplitude of the prior and the noise.
+
+    Nearly all of the work is that of the prior. What is kept of it is small.
 
     Args:
         data: what the weights are to explain.
         prior: covariance of the weights for unit amplitude.
-        amplitude: of the prior.
-        noise: standard deviation of the residuals.
-    """
-    return evidence_of_scales(data, prior)(amplitude, noise)
-
-
-def evidence_of_scales(
-    data: LinearisedObservations, prior: Matrix
-) -> Callable[[float, float], float]:
-    """Log evidence as a function of amplitude and noise; see `log_evidence`.
-
-    Nearly all of the work is that of the prior. What is kept of it is small.
     """
     by_ratio = _by_ratio(data, Whitened.of(data, prior))
 

@@ -254,22 +254,43 @@ def _weigh_rotation(search: _Search, survey: Survey) -> StructuredFit:
         if turning is not None and turning.rotation > DECISIVE:
             return turning
         rotation = np.nan if turning is None else turning.rotation
-    still, error = None, None
+    still, is_potential = _potential(
+        search,
+        proposal,
+        lambda: _turning(search, turned) if turning is None else turning,
+    )
+    if not is_potential:
+        return still
+    if not rotation > DECISIVE:  # which may be NaN
+        return StructuredFit(still.fit, still.gain, rotation)
+    return _weigh_beside(search, still, proposal if turned is None else turned)
+
+
+def _potential(
+    search: _Search,
+    proposal: Proposal | None,
+    mixture: Callable[[], StructuredFit | None],
+) -> tuple[StructuredFit, bool]:
+    """The fit of a potential, or where that fails one of a mixture; which of them.
+
+    Args:
+        search: of the potential.
+        proposal: terms beside it.
+        mixture: gives the other fit, or None where that fails, too.
+
+    Raises:
+        FitError: both failed; the error is that of the potential.
+    """
     try:
         still = search.best(proposal)
-    except FitError as raised:
-        error = raised
-    if still is not None and still.fit.outcome is not Outcome.DIVERGED:
-        if rotation <= DECISIVE:
-            return StructuredFit(still.fit, still.gain, rotation)
-        return _weigh_beside(search, still, proposal if turned is None else turned)
-    turning = _turning(search, turned) if turning is None else turning
-    if turning is not None:
-        return turning
-    if still is None:
-        assert error is not None
-        raise error
-    return still
+    except FitError:
+        turning = mixture()
+        if turning is None:
+            raise
+        return turning, False
+    if still.fit.outcome is Outcome.DIVERGED:
+        return mixture() or still, False
+    return still, True
 
 
 def _weigh_few(search: _Search) -> StructuredFit:
@@ -280,15 +301,9 @@ def _weigh_few(search: _Search) -> StructuredFit:
     fits begin costs little and, where the force turns, needs no finer ones to explain
     the data better.
     """
-    try:
-        still = search.best(None)
-    except FitError:
-        turning = _turning(search, None)
-        if turning is None:
-            raise
-        return turning
-    if still.fit.outcome is Outcome.DIVERGED:
-        return _turning(search, None) or still
+    still, is_potential = _potential(search, None, lambda: _turning(search, None))
+    if not is_potential:
+        return still
     rotation = _coarse_rotation(search, still.fit)
     turning = _turning(search, None) if rotation > DECISIVE else None
     if turning is None:

@@ -100,19 +100,19 @@ class ForcePrior:
         Args:
             before: a filter that knows nothing.
         """
-        root = np.linalg.cholesky(self._variance(self._scaled(before)))
+        root = np.linalg.cholesky(self._variance(self._columns(before)))
         force = self.force.basis(self.places).ravel()
         surprise = solve_triangular(root, force, lower=True)
         return float(-0.5 * surprise @ surprise - np.sum(np.log(np.diagonal(root))))
 
-    def _scaled(self, one: KernelFilter) -> Float[np.ndarray, "component weight"]:
+    def _columns(self, one: KernelFilter) -> Float[np.ndarray, "component weight"]:
         """Force at the places of a standard deviation of each weight."""
         basis = one.kernels.basis(self.places)
         return one.weights.prior_sd * basis.reshape(-1, one.kernels.size)
 
-    def _variance(self, scaled: Float[np.ndarray, "component weight"]) -> Square:
+    def _variance(self, columns: Float[np.ndarray, "component weight"]) -> Square:
         """Of what the fit tells of kernels at the places."""
-        return scaled @ scaled.T + self.covariance
+        return columns @ columns.T + self.covariance
 
     def _correct(self, before: KernelFilter) -> KernelFilter:
         """The filter of the correction of the force.
@@ -121,10 +121,10 @@ class ForcePrior:
             before: a filter that knows nothing.
         """
         kernels, sd = before.kernels, before.weights.prior_sd
-        scaled = self._scaled(before)
-        felt = np.flatnonzero(np.max(np.abs(scaled), axis=0) > FELT * sd)
-        root = np.linalg.cholesky(self._variance(scaled))
-        known = sd * solve_triangular(root, scaled[:, felt], lower=True).T
+        columns = self._columns(before)
+        felt = np.flatnonzero(np.max(np.abs(columns), axis=0) > FELT * sd)
+        root = np.linalg.cholesky(self._variance(columns))
+        known = sd * solve_triangular(root, columns[:, felt], lower=True).T
         # The given force comes first, because the prior of the first weights is a
         # matrix of its own: here a zero, for its factor is known.
         weights = WeightPosterior.of_arrays(
