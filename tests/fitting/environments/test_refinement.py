@@ -18,6 +18,7 @@ from pinav.fitting import (
     kernel_environment,
     neural_environment,
 )
+from pinav.fitting.environments.refinement import MOST_IN_SPACE, WORTH
 from pinav.forces import (
     AbstractForce,
     KernelForce,
@@ -185,6 +186,20 @@ def test_a_change_in_time_stays_as_it_is(walk):
 def test_too_many_weights_are_refused(walk):
     made = kernel_environment(KernelForce, walk, dim=2)
     assert Refinement(max_weights=made.weights.size).finer(made, walk) is None
+
+
+def test_in_space_a_finer_grid_has_at_most_so_many_kernels():
+    """Where half of the spacing has no room, what has room, unless it is no finer."""
+    places = np.random.default_rng(2).uniform(0.0, 3.0, (1, 400, 3))
+    crowd = Trajectories.from_arrays(
+        np.arange(400.0), list(places), channels=("x", "y", "z")
+    )
+    made = kernel_environment(KernelPotential, crowd, dim=3)
+    finer = Refinement().finer(made, crowd)
+    assert finer is not None
+    assert len(made.centers) < len(finer.centers) <= MOST_IN_SPACE
+    assert finer.width < made.width / WORTH
+    assert Refinement().finer(finer, crowd) is None
 
 
 def test_only_parts_that_have_a_say_are_asked(walk):

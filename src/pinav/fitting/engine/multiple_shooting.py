@@ -12,11 +12,14 @@ References:
     Albersmeyer and Diehl, SIAM J. Optim. 20, 1655 (2010), the lifted Newton method.
 """
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from pinav.arguments import Scalar, State
 from pinav.dynamics import FixedStep, linear_recursion
 from pinav.fitting.engine.local_model import Prediction
 from pinav.fitting.engine.parametric_model import ModelOfParameters
@@ -51,11 +54,11 @@ def sensitivities(
 
 
 class StepDerivatives(eqx.Module):
-    """Steps from one sample to the next, and their derivatives."""
+    """Steps from one sample to the next, one or more, and their derivatives."""
 
-    by_parameter: Float[Array, "... step state parameter"]
-    by_state: Float[Array, "... step state state"]
-    ends: Float[Array, "... step state"]
+    by_parameter: Float[Array, "*step state parameter"]
+    by_state: Float[Array, "*step state state"]
+    ends: Float[Array, "*step state"]
 
 
 FEW = 16
@@ -72,25 +75,37 @@ def _step_derivatives(
     parameters: bool = True,
 ) -> StepDerivatives:
     """Along one trajectory; without derivatives by the parameters if told so."""
+    derive = _derive_step(parametric, theta, solver, parameters=parameters)
+    return jax.vmap(derive)((states[:-1], times[:-1], times[1:]))
+
+
+def _derive_step(
+    parametric: ModelOfParameters,
+    theta: Float[Array, " parameter"],
+    solver: FixedStep,
+    *,
+    parameters: bool = True,
+) -> Callable[[tuple[State, Scalar, Scalar]], StepDerivatives]:
+    """Derivatives of one step as a function of its start and its two times."""
 
     def step(
-        theta: Float[Array, " parameter"],
-        y: Float[Array, " state"],
-        t0: Float[Array, ""],
-        t1: Float[Array, ""],
-    ) -> tuple[Float[Array, " state"], Float[Array, " state"]]:
+        theta: Float[Array, " parameter"], y: State, t0: Scalar, t1: Scalar
+    ) -> tuple[State, State]:
         end = solver.looped_step(parametric(theta), y, t0, t1)
         return end, end
 
     # One derivative by both with the end beside it: half of the code and of the work.
     is_reverse = parameters and theta.shape[0] > FEW
     derivative = jax.jacrev if is_reverse else jax.jacfwd
-    by = (0, 1) if parameters else 1
-    slopes = jax.vmap(derivative(step, by, has_aux=True), (None, 0, 0, 0))
-    jacobians, ends = slopes(theta, states[:-1], times[:-1], times[1:])
-    nothing = jnp.zeros((*ends.shape, 0), ends.dtype)
-    by_parameter, by_state = jacobians if parameters else (nothing, jacobians)
-    return StepDerivatives(by_parameter, by_state, ends)
+    slopes = derivative(step, (0, 1) if parameters else 1, has_aux=True)
+
+    def derive(inputs: tuple[State, Scalar, Scalar]) -> StepDerivatives:
+        jacobians, end = slopes(theta, *inputs)
+        nothing = jnp.zeros((*end.shape, 0), end.dtype)
+        by_parameter, by_state = jacobians if parameters else (nothing, jacobians)
+        return StepDerivatives(by_parameter, by_state, end)
+
+    return derive
 
 
 def propagate(
@@ -159,19 +174,23 @@ def _all_step_derivatives(
     times: Float[Array, "trajectory time"],
     solver: FixedStep,
 ) -> StepDerivatives:
-    """Of all trajectories, one after the other.
+    """Of the steps of all trajectories, a few at a time.
 
     What a step leaves behind for its derivative would take many times the memory of the
-    result.
+    result; that of a few stays in the processor's cache.
     """
+    starts, begins, ends = states[:, :-1], times[:, :-1], times[:, 1:]
+    inputs = starts.reshape(-1, states.shape[-1]), begins.ravel(), ends.ravel()
+    count = begins.size
+    # A divisor, because steps that are left over would be compiled once more.
+    batch = max(size for size in range(1, AT_ONCE + 1) if count % size == 0)
+    derive = _derive_step(parametric, theta, solver)
+    steps = jax.lax.map(derive, inputs, batch_size=batch)
+    return jax.tree.map(lambda x: x.reshape(*begins.shape, *x.shape[1:]), steps)
 
-    def one(
-        inputs: tuple[Float[Array, "..."], Float[Array, "..."]],
-    ) -> StepDerivatives:
-        states, times = inputs
-        return _step_derivatives(parametric, theta, states, times, solver)
 
-    return jax.lax.map(one, (states, times))
+AT_ONCE = 10
+"""Steps whose derivatives are taken together."""
 
 
 @eqx.filter_jit

@@ -4,6 +4,7 @@ A grid of radial basis functions of width b, whose weights have a squared-expone
 covariance, is a Gaussian process: the basis filters the weights.
 """
 
+from collections.abc import Callable
 from typing import TypeVar
 
 import equinox as eqx
@@ -90,20 +91,40 @@ def kernel_environment(
             there are no `dim` channels.
     """
     made = kind.with_zero_weights(*lay_kernels(trajectories, grid, dim))
-    across = FINEST
-    while grid is None and num_weights(made) > MOST_WEIGHTS and across > 1:
-        across -= 1
-        coarse = KernelGrid(across, margin=IN_TIME.margin)
-        made = kind.with_zero_weights(*lay_kernels(trajectories, coarse, dim))
+    if grid is None and num_weights(made) > MOST_WEIGHTS:
+        grid = finest_grid(kind.with_zero_weights, trajectories, MOST_WEIGHTS, dim)
+        made = kind.with_zero_weights(*lay_kernels(trajectories, grid, dim))
     return made
 
 
-MOST_WEIGHTS = 1000
+MOST_WEIGHTS = 700
 """Weights with which a fit begins at most, unless a grid is given. A plane never has as
 many; in space a twelfth of the extent makes thousands, and the search for the shape of
 their prior costs the cube of their number."""
 
-FINEST = 24
+
+def finest_grid(
+    make: Callable[[Float[np.ndarray, "kernel dim"], float], AbstractLearnedForce],
+    trajectories: Trajectories,
+    most: int,
+    dim: int | None = None,
+) -> KernelGrid:
+    """The finest grid close to the data with few weights.
+
+    Args:
+        make: the environment of centres and width of kernels.
+        trajectories: around which they are laid.
+        most: weights; there may be more on a grid of one interval.
+        dim: see `kernel_environment`.
+    """
+    for across in range(FINEST, 1, -1):
+        grid = KernelGrid(across, margin=IN_TIME.margin)
+        if num_weights(make(*lay_kernels(trajectories, grid, dim))) <= most:
+            return grid
+    return KernelGrid(1, margin=IN_TIME.margin)
+
+
+FINEST = 23
 """Intervals across the data of the finest grid in space: that of a long, thin region
 has few kernels."""
 

@@ -15,7 +15,12 @@ import numpy as np
 from pinav.errors import InputError
 from pinav.fitting.engine.iterate import EvidenceProgress, iterate
 from pinav.fitting.engine.problem import AbstractProblem, Step
-from pinav.fitting.environments.kernels import KernelGrid, lay_kernels, num_weights
+from pinav.fitting.environments.kernels import (
+    KernelGrid,
+    finest_grid,
+    lay_kernels,
+    num_weights,
+)
 from pinav.fitting.evidence.hyperparameter_uncertainty import is_confined
 from pinav.fitting.outcome import Outcome
 from pinav.forces import AbstractForce, AbstractLearnedForce, as_learned_force
@@ -73,7 +78,9 @@ class Refinement(eqx.Module):
         """The untrained environment on a finer grid; None where it has no room.
 
         Its kernels are as far apart as they are wide, and reach as far beyond the data
-        as those of `KernelGrid()`. The part that changes with time stays as it is.
+        as those of `KernelGrid()`; where these are too many in space, less far, and
+        there are `MOST_IN_SPACE` at most. The part that changes with time stays as it
+        is.
 
         Args:
             environment: one whose kernels are too coarse.
@@ -86,7 +93,20 @@ class Refinement(eqx.Module):
         extent = np.ptp(trajectories.states[..., :dim][is_observed], axis=0).max()
         grid = KernelGrid(across=round(self.factor * extent / float(kernels.width)))
         made = environment.kernels_on(*lay_kernels(trajectories, grid, dim))
-        return made if num_weights(made) <= self.max_weights else None
+        if num_weights(made) <= self.max_weights:
+            return made
+        if dim < SPACE:
+            return None
+        most = min(self.max_weights, MOST_IN_SPACE)
+        grid = finest_grid(environment.kernels_on, trajectories, most, dim)
+        centers, width = lay_kernels(trajectories, grid, dim)
+        is_finer = WORTH * width < float(kernels.width)
+        return environment.kernels_on(centers, width) if is_finer else None
+
+
+SPACE, MOST_IN_SPACE, WORTH = 3, 1000, 1.1
+"""Dimension; weights at most of a grid that is less fine than was asked, and the factor
+by which its spacing must be smaller."""
 
 
 AS_FINE_AS_ASKED = Refinement()

@@ -12,6 +12,7 @@ from pinav.fitting.evidence.evidence import (
     shape_slope,
 )
 from pinav.forces.priors import AbstractPrior, Matrix, Shape, WeightPrior
+from pinav.threads import map_on_cores
 
 STEP, SHAPE_SD = 1e-3, 2.0
 """Difference step in the shape, and standard deviation of its own prior.
@@ -87,7 +88,8 @@ def _slopes_and_spread(
 
     unit = STEP * np.eye(len(chosen.shape))
     # Differences of slopes, not of values, which would lose half of the digits.
-    both = np.stack([at(a) - at(-a) for a in unit], axis=1) / (2 * STEP)
+    above, below = np.array(map_on_cores(at, [*unit, *-unit])).reshape(2, len(unit), -1)
+    both = (above - below).T / (2 * STEP)
     bend, slopes = -both[: len(unit)], both[len(unit) :]
     values, vectors = np.linalg.eigh((bend + bend.T) / 2)
     # A flat or rising direction is held by the prior of the shape alone.

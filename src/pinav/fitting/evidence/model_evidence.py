@@ -30,6 +30,7 @@ from pinav.fitting.evidence.evidence import (
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import AbstractWeights, GaussianWeights
 from pinav.forces.priors import AbstractPrior
+from pinav.threads import map_on_cores
 
 DECISIVE = 5.0
 """Nats from which a verdict is called decisive: odds of 150 to 1.
@@ -153,20 +154,27 @@ def curvature(
     """Hessian of minus a function, by central differences.
 
     Args:
-        value: the function; it is called n (n + 1) + 1 times.
+        value: the function; it is called n (n + 1) + 1 times, by several threads.
         point: where.
         step: of the differences.
     """
     steps = step * np.eye(len(point))
     middle = value(point)
-    sums = np.array([value(point + s) + value(point - s) - 2 * middle for s in steps])
-    hessian = np.diag(sums)
-    for i, j in zip(*np.triu_indices(len(point), 1), strict=True):
-        both = value(point + steps[i] + steps[j]) + value(point - steps[i] - steps[j])
-        # From second differences along the sum of two steps: two new values a pair, not
-        # four.
-        mixed = 0.5 * (both - 2 * middle - sums[i] - sums[j])
-        hessian[i, j] = hessian[j, i] = mixed
+
+    def second_differences(
+        changes: Float[np.ndarray, "change n"],
+    ) -> Float[np.ndarray, " change"]:
+        both = [*(point + changes), *(point - changes)]
+        above, below = np.reshape(map_on_cores(value, both), (2, -1))
+        return above + below - 2 * middle
+
+    along = second_differences(steps)
+    hessian = np.diag(along)
+    first, second = np.triu_indices(len(point), 1)
+    # Along the sum of two steps: two new values a pair, not four.
+    mixed = second_differences(steps[first] + steps[second])
+    mixed = 0.5 * (mixed - along[first] - along[second])
+    hessian[first, second] = hessian[second, first] = mixed
     return -hessian / step**2
 
 
@@ -188,11 +196,9 @@ def _broad_cost(
     extent: float,
 ) -> float:
     """By a sum over the range, the other hyperparameters held."""
-    values = []
-    for place in lower + extent * (np.arange(POINTS) + 0.5) / POINTS:
-        moved = point.copy()
-        moved[index] = place
-        values.append(value(moved))
+    moved = np.tile(point, (POINTS, 1))
+    moved[:, index] = lower + extent * (np.arange(POINTS) + 0.5) / POINTS
+    values = map_on_cores(value, list(moved))
     # A place of the grid above the maximum that was found must not make the cost
     # negative.
     fraction = np.mean(np.exp(np.minimum(np.array(values) - value(point), 0.0)))

@@ -44,6 +44,10 @@ from pinav.forces import (
 )
 from pinav.trajectories import Trajectories, with_velocities
 
+CLEAR = 100.0
+"""Nats before the cost of hyperparameters by which a free fit has lost to a structured
+one, converged or not."""
+
 LEAST_TRAJECTORIES, LEAST_SAMPLES = 6, 600
 """Trajectories and observed numbers below which data are not worth a search."""
 
@@ -190,44 +194,69 @@ class _Search(eqx.Module):
         return evidence_fit(*how, not_finite=NOT_FINITE, advice=advice)
 
     def best(self, proposal: Proposal | None) -> StructuredFit:
-        """The free fit or that of a proposed structure, by their evidence."""
-        model, free = self.specification.model, self.free()
-        structured = None if proposal is None else self._fit_proposal(proposal)
-        if structured is None or structured.outcome is Outcome.DIVERGED:
-            return StructuredFit(self.fit(free, AS_FINE_AS_ASKED), np.nan)
+        """The free fit or that of a proposed structure, by their evidence.
+
+        The free fit begins where the other ended, and ends early where it cannot win.
+        """
+        proposed = None if proposal is None else self._fit_proposal(proposal)
+        if proposed is None:
+            return StructuredFit(self.fit(self.free(), AS_FINE_AS_ASKED), np.nan)
+        structured, evidence = proposed
+        model, best = self.specification.model, structured.hyperparameters.log_evidence
 
         def is_coarse(step: Step) -> bool:
             shape = step.hyperparameters.shape
             return AS_FINE_AS_ASKED.is_needed(model.environment, shape)
 
-        outcome, steps = iterate(free, self.max_iterations, self.report, is_coarse)
-        alone = evidence_fit(free, outcome, steps, not_finite=NOT_FINITE, advice={})
-        gain = _evidence(structured) - _evidence(alone)
+        def has_lost(step: Step) -> bool:
+            return step.hyperparameters.log_evidence < best - CLEAR
+
+        free = self.specification.problem(model, states=structured.states)
+        outcome, steps = iterate(
+            free,
+            self.max_iterations,
+            self.report,
+            lambda step: is_coarse(step) or has_lost(step),
+        )
+        if not steps:
+            return StructuredFit(structured, np.nan)
+        last = steps[-1]
+        linear, chosen = free.linear_fit(last), last.hyperparameters
+        gain = evidence - model_evidence(linear, chosen).log_evidence
         if gain > DECISIVE:
             return StructuredFit(structured, gain)
-        if outcome is Outcome.CONVERGED and not is_coarse(steps[-1]):
+        if outcome is Outcome.CONVERGED and not is_coarse(last):
+            alone = evidence_fit(free, outcome, steps, not_finite=NOT_FINITE, advice={})
             return StructuredFit(alone, gain)
-        return StructuredFit(self.fit(free, AS_FINE_AS_ASKED), gain)
+        return StructuredFit(self.fit(self.free(), AS_FINE_AS_ASKED), gain)
 
-    def _fit_proposal(self, proposal: Proposal) -> EvidenceFit | None:
+    def _fit_proposal(self, proposal: Proposal) -> tuple[EvidenceFit, float] | None:
         """The fit of a proposal beside the free kernels; None where it fails.
 
         The proposal explains data linearised about smoothed states, whose errors
         needless terms may explain; about the fit it is asked again what is needed.
+
+        Returns:
+            The fit, and its log evidence.
         """
         try:
             fit = self._fit_terms(proposal.terms)
             if fit.outcome is Outcome.DIVERGED:
-                return fit
+                return None
+            evidence = _evidence(fit)
             survey = Survey.of(self.specification, self.free(), fit)
             other = survey.better(fit.model.environment.terms)
             if other is None:
-                return fit
+                return fit, evidence
             better = self._fit_terms(other.terms, fit.states)
         except FitError:
             return None
-        is_worse = _evidence(fit) - _evidence(better) > DECISIVE
-        return fit if is_worse or better.outcome is Outcome.DIVERGED else better
+        if better.outcome is Outcome.DIVERGED:
+            return fit, evidence
+        other_evidence = _evidence(better)
+        if evidence - other_evidence > DECISIVE:
+            return fit, evidence
+        return better, other_evidence
 
     def _fit_terms(self, terms: Terms, states: Any = None) -> EvidenceFit:
         """The fit of terms beside the free kernels, begun at given states or anew."""

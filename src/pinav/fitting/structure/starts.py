@@ -28,6 +28,9 @@ BEYOND = 4.0
 GRID = {2: 7, 3: 5}
 """Places along each side of the data that are scanned, by the dimension of space."""
 
+RANKS = {2: 7, 3: 3}
+"""Shares of the data along each axis at which further places are scanned."""
+
 ANGLES = 18
 """Directions that are scanned."""
 
@@ -65,7 +68,7 @@ class Region(eqx.Module):
             heart=(few + most) / 2,
             inner=2 * float((upper - lower).max()),
             ranks=np.quantile(
-                positions, np.linspace(0.05, 0.95, GRID[positions.shape[1]]), axis=0
+                positions, np.linspace(0.05, 0.95, RANKS[positions.shape[1]]), axis=0
             ),
         )
 
