@@ -17,7 +17,11 @@ MOST_THREADS = 8
 def num_cores() -> int:
     """Cores that this process may use; `NPROC` where that is set, as XLA has it."""
     given = os.environ.get("NPROC", "")
-    return int(given) if given.isdigit() else len(os.sched_getaffinity(0))
+    if given.isdigit():
+        return int(given)
+    if hasattr(os, "sched_getaffinity"):  # Linux alone has it
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def map_on_cores(
