@@ -17,6 +17,7 @@ ORDER = [
     "errors",
     "files",
     "numerics",
+    "threads",
     "sweeps",
     "arguments",
     "actuation",

@@ -179,14 +179,14 @@ def _all_step_derivatives(
     What a step leaves behind for its derivative would take many times the memory of the
     result; that of a few stays in the processor's cache.
     """
-    starts, begins, ends = states[:, :-1], times[:, :-1], times[:, 1:]
-    inputs = starts.reshape(-1, states.shape[-1]), begins.ravel(), ends.ravel()
-    count = begins.size
+    inputs = states[:, :-1], times[:, :-1], times[:, 1:]
+    shape = inputs[1].shape
+    count = shape[0] * shape[1]
     # A divisor, because steps that are left over would be compiled once more.
     batch = max(size for size in range(1, AT_ONCE + 1) if count % size == 0)
-    derive = _derive_step(parametric, theta, solver)
-    steps = jax.lax.map(derive, inputs, batch_size=batch)
-    return jax.tree.map(lambda x: x.reshape(*begins.shape, *x.shape[1:]), steps)
+    few = jax.tree.map(lambda x: x.reshape(count // batch, batch, *x.shape[2:]), inputs)
+    steps = jax.lax.map(jax.vmap(_derive_step(parametric, theta, solver)), few)
+    return jax.tree.map(lambda x: x.reshape(*shape, *x.shape[2:]), steps)
 
 
 AT_ONCE = 10
