@@ -21,6 +21,8 @@ def test_a_term_is_named_with_its_numbers():
 def test_structures_are_weighed_against_free_kernels():
     found = StructureRow((CENTRE,), gain=31.0)
     assert found.text().endswith("; 31.0 nats over free kernels")
+    alone = StructureRow((CENTRE,), None).text()
+    assert alone.endswith("; a fit of free kernels alone diverges")
     assert "no structure tried explains" in StructureRow((), None).text()
     unsought = StructureRow((), None, sought=False).text()
     assert "none was sought, which takes 6 trajectories and 600 numbers" in unsought

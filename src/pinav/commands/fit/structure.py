@@ -56,7 +56,7 @@ class StructureRow(msgspec.Struct, frozen=True):
     Attributes:
         terms: with structure; none where free kernels alone are preferred.
         gain: log evidence over free kernels [nats]; None where no structure explained
-            the data well enough to be fitted.
+            the data well enough to be fitted, or free kernels alone diverge.
         rotation: log evidence of a rotational part beside a potential [nats]; None
             where none was weighed.
         turns: whether the force has a rotational part.
@@ -90,6 +90,8 @@ class StructureRow(msgspec.Struct, frozen=True):
     def _structure(self) -> str:
         if self.terms:
             names = ", and ".join(term.text() for term in self.terms)
+            if self.gain is None:
+                return f"structure: {names}; a fit of free kernels alone diverges"
             return f"structure: {names}; {number(self.gain, 3)} nats over free kernels"
         if not self.sought:
             return (
