@@ -54,11 +54,11 @@ def sensitivities(
 
 
 class StepDerivatives(eqx.Module):
-    """Steps from one sample to the next, one or more, and their derivatives."""
+    """Steps from one sample to the next, and their derivatives."""
 
-    by_parameter: Float[Array, "*step state parameter"]
-    by_state: Float[Array, "*step state state"]
-    ends: Float[Array, "*step state"]
+    by_parameter: Float[Array, "... step state parameter"]
+    by_state: Float[Array, "... step state state"]
+    ends: Float[Array, "... step state"]
 
 
 FEW = 16
@@ -76,7 +76,14 @@ def _step_derivatives(
 ) -> StepDerivatives:
     """Along one trajectory; without derivatives by the parameters if told so."""
     derive = _derive_step(parametric, theta, solver, parameters=parameters)
-    return jax.vmap(derive)((states[:-1], times[:-1], times[1:]))
+    steps = jax.vmap(derive)(states[:-1], times[:-1], times[1:])
+    return StepDerivatives(*steps)
+
+
+StepDerivative = tuple[
+    Float[Array, "state parameter"], Float[Array, "state state"], State
+]
+"""Derivatives of one step by the parameters and by its start, and its end."""
 
 
 def _derive_step(
@@ -85,7 +92,7 @@ def _derive_step(
     solver: FixedStep,
     *,
     parameters: bool = True,
-) -> Callable[[tuple[State, Scalar, Scalar]], StepDerivatives]:
+) -> Callable[[State, Scalar, Scalar], StepDerivative]:
     """Derivatives of one step as a function of its start and its two times."""
 
     def step(
@@ -99,11 +106,11 @@ def _derive_step(
     derivative = jax.jacrev if is_reverse else jax.jacfwd
     slopes = derivative(step, (0, 1) if parameters else 1, has_aux=True)
 
-    def derive(inputs: tuple[State, Scalar, Scalar]) -> StepDerivatives:
-        jacobians, end = slopes(theta, *inputs)
+    def derive(y: State, t0: Scalar, t1: Scalar) -> StepDerivative:
+        jacobians, end = slopes(theta, y, t0, t1)
         nothing = jnp.zeros((*end.shape, 0), end.dtype)
         by_parameter, by_state = jacobians if parameters else (nothing, jacobians)
-        return StepDerivatives(by_parameter, by_state, end)
+        return by_parameter, by_state, end
 
     return derive
 
@@ -185,8 +192,9 @@ def _all_step_derivatives(
     # A divisor, because steps that are left over would be compiled once more.
     batch = max(size for size in range(1, AT_ONCE + 1) if count % size == 0)
     few = jax.tree.map(lambda x: x.reshape(count // batch, batch, *x.shape[2:]), inputs)
-    steps = jax.lax.map(jax.vmap(_derive_step(parametric, theta, solver)), few)
-    return jax.tree.map(lambda x: x.reshape(*shape, *x.shape[2:]), steps)
+    derive = jax.vmap(_derive_step(parametric, theta, solver))
+    steps = jax.lax.map(lambda some: derive(*some), few)
+    return StepDerivatives(*(x.reshape(*shape, *x.shape[2:]) for x in steps))
 
 
 AT_ONCE = 10

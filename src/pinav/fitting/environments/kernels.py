@@ -92,8 +92,8 @@ def kernel_environment(
     """
     made = kind.with_zero_weights(*lay_kernels(trajectories, grid, dim))
     if grid is None and num_weights(made) > MOST_WEIGHTS:
-        grid = finest_grid(kind.with_zero_weights, trajectories, MOST_WEIGHTS, dim)
-        made = kind.with_zero_weights(*lay_kernels(trajectories, grid, dim))
+        make = kind.with_zero_weights
+        made = make(*finest_kernels(make, trajectories, MOST_WEIGHTS, dim))
     return made
 
 
@@ -103,13 +103,13 @@ many; in space a twelfth of the extent makes thousands, and the search for the s
 their prior costs the cube of their number."""
 
 
-def finest_grid(
+def finest_kernels(
     make: Callable[[Float[np.ndarray, "kernel dim"], float], AbstractLearnedForce],
     trajectories: Trajectories,
     most: int,
     dim: int | None = None,
-) -> KernelGrid:
-    """The finest grid close to the data with few weights.
+) -> tuple[Float[np.ndarray, "kernel dim"], float]:
+    """Centres and width of kernels on the finest grid near the data with few weights.
 
     Args:
         make: the environment of centres and width of kernels.
@@ -119,9 +119,10 @@ def finest_grid(
     """
     for across in range(FINEST, 1, -1):
         grid = KernelGrid(across, margin=IN_TIME.margin)
-        if num_weights(make(*lay_kernels(trajectories, grid, dim))) <= most:
-            return grid
-    return KernelGrid(1, margin=IN_TIME.margin)
+        centers, width = lay_kernels(trajectories, grid, dim)
+        if num_weights(make(centers, width)) <= most:
+            return centers, width
+    return lay_kernels(trajectories, KernelGrid(1, margin=IN_TIME.margin), dim)
 
 
 FINEST = 23

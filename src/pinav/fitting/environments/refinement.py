@@ -17,7 +17,7 @@ from pinav.fitting.engine.iterate import EvidenceProgress, iterate
 from pinav.fitting.engine.problem import AbstractProblem, Step
 from pinav.fitting.environments.kernels import (
     KernelGrid,
-    finest_grid,
+    finest_kernels,
     lay_kernels,
     num_weights,
 )
@@ -95,13 +95,13 @@ class Refinement(eqx.Module):
         made = environment.kernels_on(*lay_kernels(trajectories, grid, dim))
         if num_weights(made) <= self.max_weights:
             return made
-        if dim < SPACE:
+        if dim < SPACE:  # in a plane kernels keep how far they reach
             return None
         most = min(self.max_weights, MOST_IN_SPACE)
-        grid = finest_grid(environment.kernels_on, trajectories, most, dim)
-        centers, width = lay_kernels(trajectories, grid, dim)
+        make = environment.kernels_on
+        centers, width = finest_kernels(make, trajectories, most, dim)
         is_finer = WORTH * width < float(kernels.width)
-        return environment.kernels_on(centers, width) if is_finer else None
+        return make(centers, width) if is_finer else None
 
 
 SPACE, MOST_IN_SPACE, WORTH = 3, 1000, 1.1
