@@ -7,14 +7,16 @@ from tests.fitting.structure.observed_forces import observed_forces
 
 from pinav.errors import InputError
 from pinav.fitting.environments.terms import TermSummary, summarise_terms, with_terms
+from pinav.fitting.evidence.evidence import LinearisedObservations, at_shape
 from pinav.fitting.structure.proposals import propose, prune, refine
+from pinav.fitting.structure.response import AT_ONCE, force_quadratic
 from pinav.fitting.structure.starts import (
     Region,
     central_term,
     linear_term,
     wall_term,
 )
-from pinav.fitting.structure.trials import polish, quick_evidence
+from pinav.fitting.structure.trials import cost, polish, quick_evidences
 from pinav.forces import (
     GaussianBarrier,
     KernelPotential,
@@ -22,11 +24,17 @@ from pinav.forces import (
     RingBarrier,
     SoftWall,
     StructuredForce,
+    SumForce,
 )
+from pinav.forces.priors import MixturePrior
 from pinav.scenarios import scenario
 
 POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 150, 2))
 REGION = Region.of(POINTS[0])
+
+
+HILL = GaussianBarrier(3.0, [4.0, 6.0], 1.5)
+SADDLE = LinearForce(np.array([[2.0, 0.5], [0.5, -2.0]]), [5.0, 5.0])
 
 
 def response(truth, noise=0.01):
@@ -42,17 +50,32 @@ def test_a_centre_is_polished_from_nearby():
 
 def test_the_evidence_prefers_the_kind_that_is_right():
     data = response(SoftWall(4.0, 0.7, 7.0, 0.8))
-    wall = quick_evidence((wall_term(REGION, 0.7),), data)
-    others = [
-        (linear_term(REGION),),
-        (central_term(REGION, np.array([7.0, 5.0])),),
-        (wall_term(REGION, 1.2),),
-    ]
-    assert wall > max(quick_evidence(terms, data) for terms in others) + 20
+    walls = quick_evidences([wall_term(REGION, a) for a in (0.7, 1.2)], (), data)
+    others = [linear_term(REGION), central_term(REGION, np.array([7.0, 5.0]))]
+    values = [quick_evidences([term], (), data)[0] for term in others]
+    assert walls[0] > max(*values, walls[1]) + 20
 
 
-HILL = GaussianBarrier(3.0, [4.0, 6.0], 1.5)
-SADDLE = LinearForce(np.array([[2.0, 0.5], [0.5, -2.0]]), [5.0, 5.0])
+def both_weights(force):
+    return [term.weights for term in force.terms]
+
+
+def test_each_of_many_terms_has_the_evidence_that_it_has_alone():
+    """More of them than are computed in one call, beside a linear term."""
+    data, linear = response(HILL + SADDLE), linear_term(REGION)
+    starts = [central_term(REGION, p) for p in REGION.grid(6)]
+    assert len(starts) > AT_ONCE
+    values = quick_evidences(starts, (linear,), data)
+    for value, start in list(zip(values, starts, strict=True))[::9]:
+        quadratic = force_quadratic(SumForce((linear, start)), data, both_weights)
+        prior = MixturePrior(linear.prior(), start.prior())
+        shapes = [prior.start.copy(), prior.start.copy()]
+        first = len(linear.prior().start)
+        shapes[0][first], shapes[1][first] = np.log(3.6), np.log(1.44)
+        seen = LinearisedObservations.of(quadratic)
+        whole = [at_shape(seen, prior.covariance, s).log_evidence for s in shapes]
+        price = cost((linear, start), data)
+        assert value == pytest.approx(max(whole) - price, abs=1e-5)
 
 
 @pytest.mark.parametrize(

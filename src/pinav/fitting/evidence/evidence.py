@@ -110,7 +110,13 @@ class Whitened(eqx.Module):
     @classmethod
     def of(cls, data: LinearisedObservations, prior: Matrix) -> "Whitened":
         """The data under a prior covariance of the weights."""
-        columns = root(prior)
+        return cls.by_root(data, root(prior))
+
+    @classmethod
+    def by_root(
+        cls, data: LinearisedObservations, columns: Float[np.ndarray, "weight column"]
+    ) -> "Whitened":
+        """The data under a prior whose covariance has this root."""
         reached = data.rows @ columns
         if reached.shape[1] < reached.shape[0]:
             # A QR first: the singular values then come from the small square, and

@@ -28,7 +28,7 @@ from pinav.fitting.structure.starts import (
     ellipses,
     scanned_terms,
 )
-from pinav.fitting.structure.trials import Proposal, Terms, polish, quick_evidence
+from pinav.fitting.structure.trials import Proposal, Terms, polish, quick_evidences
 from pinav.forces import (
     AbstractTerm,
     CentralTerm,
@@ -54,6 +54,9 @@ ends: none of them is worth leaving out for another."""
 
 MOST_ROUNDS = 4
 """Times that a term is added, after some of which an earlier one may go."""
+
+MOST_HALVINGS = 2
+"""Times that the width of the kernels of a profile may be halved."""
 
 PROMISING = 3
 """Kinds that are polished, of those that were scanned."""
@@ -108,7 +111,9 @@ def propose(
     return best
 
 
-def refine(proposal: Proposal, response: ForceResponse) -> Proposal:
+def refine(
+    proposal: Proposal, response: ForceResponse, halvings: int = MOST_HALVINGS
+) -> Proposal:
     """Lay kernels of profiles closer to each other where they are too coarse.
 
     Kernels that are coarser than the process asks for know of fewer profiles than
@@ -117,18 +122,15 @@ def refine(proposal: Proposal, response: ForceResponse) -> Proposal:
     Args:
         proposal: terms that explain the data.
         response: of the data to forces.
+        halvings: of the width of the kernels at most.
     """
-    for _ in range(MOST_HALVINGS):
+    for _ in range(halvings):
         finer = proposal.finer
         made = None if finer is None else polish(finer, response)
         if made is None or made.log_evidence < proposal.log_evidence - DECISIVE:
             break
         proposal = made
     return proposal
-
-
-MOST_HALVINGS = 2
-"""Times that the width of the kernels of a profile may be halved."""
 
 
 def prune(proposal: Proposal, response: ForceResponse) -> Proposal:
@@ -182,23 +184,22 @@ class _Ground(eqx.Module):
         """
         linear, *kinds = scanned_terms(self.region, self.summits, rotational=rotational)
         beside = terms or tuple(linear)
-        best = [(*beside, self._scan(starts, beside)) for starts in kinds]
-        best += self._with_twins(terms)
-        worth = [quick_evidence(one, self.response) for one in best]
-        least = sorted(worth)[-PROMISING:][0]
-        best = [one for one, value in zip(best, worth, strict=True) if value >= least]
+        scanned = [self._scan(starts, beside) for starts in kinds]
+        scanned += self._with_twins(terms)
+        least = sorted(one.log_evidence for one in scanned)[-PROMISING:][0]
+        best = [one.terms for one in scanned if one.log_evidence >= least]
         if not any(isinstance(one, LinearTerm) and not one.rotational for one in terms):
             best = [(*terms, *linear), *best]
         proposals = self._polish_each(best)
         if self.seen is None or self._is_explained(proposals):
             return proposals
         starts = ellipses(self.region, self.summits)
-        proposals += self._polish_each([(*beside, self._scan(starts, beside))])
+        proposals += self._polish_each([self._scan(starts, beside).terms])
         if terms or self._is_explained(proposals):
             return proposals
         starts = obstacles(self.seen, self.region)
-        lattice = self._best(lattices(self.region), ())
-        patterns = self._polish_each([(lattice,), *((start,) for start in starts)])
+        lattice = self._best(lattices(self.region), ()).terms
+        patterns = self._polish_each([lattice, *((start,) for start in starts)])
         # of a sum that is not explained yet a pattern is a poor beginning
         return proposals + [
             one for one in patterns if one.noise < EXPLAINED * self.noise
@@ -217,9 +218,9 @@ class _Ground(eqx.Module):
                 continue
             rest = proposal.terms[:index] + proposal.terms[index + 1 :]
             _, *kinds = scanned_terms(self.region, self.summits, rotational=rotational)
-            others = [(self._scan(starts, rest), *rest) for starts in kinds]
-            likely = max(others, key=lambda one: quick_evidence(one, self.response))
-            for other in self._polish_each([likely]):
+            others = [self._scan(starts, rest) for starts in kinds]
+            likely = max(others, key=lambda one: one.log_evidence)
+            for other in self._polish_each([likely.terms]):
                 gain = other.log_evidence - proposal.log_evidence
                 if gain <= (-2 if simpler else 2) * DECISIVE:
                     continue
@@ -228,14 +229,14 @@ class _Ground(eqx.Module):
                 return self.exchange(other, rotational=rotational)
         return proposal
 
-    def _with_twins(self, terms: Terms) -> list[Terms]:
+    def _with_twins(self, terms: Terms) -> "list[_Scanned]":
         """Structures in which a centre of force has another one of its kind."""
-        made: list[Terms] = []
+        made: list[_Scanned] = []
         places = np.concatenate([self.region.places(), self.summits])
         for index, term in enumerate(terms):
             if isinstance(term, CentralTerm | ObstaclesTerm):
                 rest = terms[:index] + terms[index + 1 :]
-                made.append((*rest, self._scan(twins(term, places), rest)))
+                made.append(self._scan(twins(term, places), rest))
         return made
 
     def _is_explained(self, proposals: Sequence[Proposal]) -> bool:
@@ -245,22 +246,36 @@ class _Ground(eqx.Module):
         made = [polish(terms, self.response) for terms in structures]
         return [one for one in made if one and np.isfinite(one.log_evidence)]
 
-    def _scan(self, starts: Sequence[AbstractTerm], terms: Terms) -> AbstractTerm:
-        """The best term of a kind, its centre on finer and finer grids."""
-        chosen = self._best(starts, terms)
+    def _scan(self, starts: Sequence[AbstractTerm], terms: Terms) -> "_Scanned":
+        """The best term of a kind beside others; its centre on ever finer grids."""
+        best = self._best(starts, terms)
         side, fractions = CLOSER[len(self.region.middle)]
         for fraction in fractions:
+            chosen = best.terms[-1]
             if not isinstance(chosen, CentralTerm | EllipticTerm | ObstaclesTerm):
                 break
             places = self.region.grid(side, _last_center(chosen), fraction)
             closer = [_move(chosen, place) for place in places]
-            chosen = self._best([chosen, *closer], terms)
-        return chosen
+            best = self._best([chosen, *closer], terms)
+        return best
 
-    def _best(self, starts: Sequence[AbstractTerm], terms: Terms) -> AbstractTerm:
+    def _best(self, starts: Sequence[AbstractTerm], terms: Terms) -> "_Scanned":
         """The term that explains most beside those that there are."""
-        values = [quick_evidence((*terms, start), self.response) for start in starts]
-        return starts[int(np.argmax(values))]
+        values = quick_evidences(starts, terms, self.response)
+        index = int(np.argmax(values))
+        return _Scanned((*terms, starts[index]), values[index])
+
+
+class _Scanned(eqx.Module):
+    """A structure that was scanned.
+
+    Attributes:
+        terms: the last of them is the best of its kind.
+        log_evidence: at the better of a few smoothnesses, less what the geometry costs.
+    """
+
+    terms: Terms
+    log_evidence: float
 
 
 Centered = CentralTerm | EllipticTerm | ObstaclesTerm

@@ -6,7 +6,7 @@ then the evidence of any structure is a regression without dynamics, in millisec
 It is that of the fit to first order; the fit of the chosen structure has the last word.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -24,7 +24,7 @@ from pinav.fitting.engine.multiple_shooting import (
 )
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.matching.objectives import Observations
-from pinav.forces import AbstractForce, ConstantForce, forces_at
+from pinav.forces import AbstractForce, AbstractTerm, ConstantForce, forces_at
 
 MOST_GROUPS = 100
 """Groups of steps of a trajectory, in each of which the force counts as constant."""
@@ -89,11 +89,52 @@ def force_quadratic(
     """
     normal = _weight_equations(force, response, weights)
     hessian, gradient, squares = map(np.asarray, normal)
+    return _about_none(hessian, gradient, float(squares), response)
+
+
+def term_quadratics(
+    terms: Sequence[AbstractTerm],
+    beside: tuple[AbstractTerm, ...],
+    response: ForceResponse,
+) -> list[Quadratic]:
+    """What the data say of the weights of each of several terms, beside others.
+
+    Args:
+        terms: of one kind, with as many kernels each.
+        beside: whose weights come first.
+        response: of the data to forces.
+    """
+    quadratics: list[Quadratic] = []
+    for first in range(0, len(terms), AT_ONCE):
+        some = terms[first : first + AT_ONCE]
+        # always as many, so that lists of every length share a compilation
+        filled = [*some, *[some[-1]] * (AT_ONCE - len(some))]
+        stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *filled)
+        equations = _term_equations(stacked, beside, response)
+        hessians, gradients, squares = map(np.asarray, equations)
+        quadratics += [
+            _about_none(hessian, gradient, float(squares), response)
+            for hessian, gradient, _ in zip(hessians, gradients, some, strict=False)
+        ]
+    return quadratics
+
+
+AT_ONCE = 32
+"""Terms whose equations are computed in one call."""
+
+
+def _about_none(
+    hessian: Float[np.ndarray, "weight weight"],
+    gradient: Float[np.ndarray, " weight"],
+    squares: float,
+    response: ForceResponse,
+) -> Quadratic:
+    """Normal equations about no weights as a quadratic."""
     return Quadratic(
         point=np.zeros(len(gradient)),
         hessian=hessian,
         gradient=gradient,
-        squares=float(squares) + response.squares,
+        squares=squares + response.squares,
         num_free=response.num_free,
         log_determinant=0.0,
     )
@@ -104,6 +145,40 @@ def _weight_equations(
     force: AbstractForce, response: ForceResponse, weights: Callable[[Any], PyTree]
 ) -> tuple[Float[Array, "weight weight"], Float[Array, " weight"], Float[Array, ""]]:
     """Normal equations of the weights, about none."""
+    columns, offset = _columns(force, response, weights), _offset(response)
+    return columns.T @ columns, columns.T @ offset, offset @ offset
+
+
+@eqx.filter_jit
+def _term_equations(
+    terms: AbstractTerm, beside: tuple[AbstractTerm, ...], response: ForceResponse
+) -> tuple[
+    Float[Array, "term weight weight"], Float[Array, "term weight"], Float[Array, ""]
+]:
+    """Normal equations of the weights of stacked terms, each beside the others."""
+    offset = _offset(response)
+    others = [_columns(term, response, _own_weights) for term in beside]
+    kept = jnp.concatenate([jnp.zeros((len(offset), 0)), *others], axis=1)
+    among, along = kept.T @ kept, kept.T @ offset
+
+    def one(term: AbstractTerm) -> tuple[Array, Array]:
+        columns = _columns(term, response, _own_weights)
+        cross, alone = kept.T @ columns, columns.T @ columns
+        hessian = jnp.block([[among, cross], [cross.T, alone]])
+        return hessian, jnp.concatenate([along, columns.T @ offset])
+
+    hessians, gradients = jax.lax.map(one, terms)
+    return hessians, gradients, offset @ offset
+
+
+def _own_weights(term: AbstractTerm) -> PyTree:
+    return term.weights
+
+
+def _columns(
+    force: AbstractForce, response: ForceResponse, weights: Callable[[Any], PyTree]
+) -> Float[Array, "datum weight"]:
+    """Residuals by each weight of a force that is linear in them."""
 
     def at(leaves: list[Array], t: Scalar, x: Vector) -> Vector:
         placed = eqx.tree_at(lambda f: jax.tree.leaves(weights(f)), force, leaves)
@@ -115,12 +190,15 @@ def _weight_equations(
     shape = response.points.shape
     basis = jnp.concatenate([part.reshape(*shape, -1) for part in parts], axis=-1)
     basis = basis.reshape(len(basis), -1, basis.shape[-1])
-    rows = jnp.einsum("idf,ifw->idw", response.rows, basis)
-    rows = rows.reshape(-1, rows.shape[-1])
-    flat = response.forces.reshape(len(basis), -1)
+    columns = jnp.einsum("idf,ifw->idw", response.rows, basis)
+    return columns.reshape(-1, columns.shape[-1])
+
+
+def _offset(response: ForceResponse) -> Float[Array, " datum"]:
+    """Residuals of no force."""
+    flat = response.forces.reshape(len(response.forces), -1)
     offset = response.targets - jnp.einsum("idf,if->id", response.rows, flat)
-    offset = offset.reshape(-1)
-    return rows.T @ rows, rows.T @ offset, offset @ offset
+    return offset.reshape(-1)
 
 
 def force_response(

@@ -18,9 +18,13 @@ from pinav.forces import (
     WallTerm,
 )
 
-KERNELS, FINER, FINEST = 36, 1.5, 3
-"""Kernels of a profile across the ground that most of the data are on; the factor by
-which there are more across the extent where that is larger, once or a few times."""
+KERNELS = {2: 36, 3: 18}
+"""Kernels of a profile across the ground that most of the data are on, by the dimension
+of space, in which many more places are scanned."""
+
+FINER, FINEST = 1.5, 3
+"""The factor by which there are more across the extent where that is larger, once or a
+few times."""
 
 BEYOND = 4.0
 """Reach of a profile beyond the data, in widths of its kernels."""
@@ -83,7 +87,7 @@ class Region(eqx.Module):
         # few widths, so that regions share compilations
         wanted = np.log(self.extent / max(self.inner, 1e-9)) / np.log(FINER)
         finer = FINER ** np.clip(np.floor(wanted + 0.3), 0, FINEST - 1)
-        return float(self.extent / round(KERNELS * finer))
+        return float(self.extent / round(KERNELS[len(self.middle)] * finer))
 
     def grid(
         self,

@@ -78,7 +78,10 @@ class Survey(eqx.Module):
             rotational: whether the force may have no potential.
         """
         best = propose(self.response, self.region, self.noise, rotational=rotational)
-        return best if best and best.noise < EXPLAINED * self.noise else None
+        if best is None or best.noise > EXPLAINED * self.noise:
+            return None
+        # In space the kernels of the search are half as many as those of a fit.
+        return best if self.region.is_planar else refine(best, self.response, 1)
 
     def better(self, terms: Terms) -> Proposal | None:
         """A structure of fewer terms, or of finer profiles, where the data ask for it.

@@ -4,6 +4,7 @@ A geometry is scored at a fixed smoothness of the profiles in milliseconds; the 
 own steps polish the geometries that are worth it.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -16,19 +17,26 @@ from pinav.errors import FitError
 from pinav.fitting.engine.iterate import iterate
 from pinav.fitting.engine.steps import FullStep
 from pinav.fitting.evidence.evidence import (
-    Hyperparameters,
     LinearisedObservations,
     Whitened,
     at_shape,
+    best_amplitude,
     best_hyperparameters,
     posterior_mean,
+    root,
 )
+from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.fitting.least_squares import Regression
-from pinav.fitting.structure.response import ForceResponse, force_quadratic
+from pinav.fitting.structure.response import (
+    ForceResponse,
+    force_quadratic,
+    term_quadratics,
+)
 from pinav.fitting.structure.starts import KERNELS
 from pinav.forces import AbstractProfileTerm, AbstractTerm, SumForce
 from pinav.forces.priors import AbstractPrior, MixturePrior
+from pinav.threads import map_on_cores
 
 POLISH = 8
 """Steps of the engine for the geometry of a proposal."""
@@ -102,18 +110,37 @@ def _prior(terms: Terms) -> AbstractPrior:
     return whole
 
 
-def quick_evidence(terms: Terms, response: ForceResponse) -> float:
-    """Log evidence of terms of a geometry, at the better of a few smoothnesses.
+def quick_evidences(
+    starts: Sequence[AbstractTerm], beside: Terms, response: ForceResponse
+) -> list[float]:
+    """Log evidence of each of several terms beside others, at a few smoothnesses.
 
     The noise is estimated: far from the right geometry nothing explains the data, and
     with the noise fixed wild profiles would.
+
+    Args:
+        starts: terms of one kind on the same kernels, of different geometry.
+        beside: terms that there are.
+        response: of the data to forces.
     """
+    terms = (*beside, starts[0])
     prior = _prior(terms)
-    try:
-        data = _linearise(terms, response)
-    except FitError:
-        return -np.inf
-    return _smoothest(terms, data, prior).log_evidence - cost(terms, response)
+    shapes = _smooth_shapes(terms, prior, response)
+    roots = [root(prior.covariance(shape)) for shape in shapes]
+    price = cost(terms, response)
+
+    def evidence(quadratic: Quadratic) -> float:
+        try:
+            data = LinearisedObservations.of(quadratic)
+        except FitError:
+            return -np.inf
+        tried = [
+            best_amplitude(data, Whitened.by_root(data, columns), shape).log_evidence
+            for columns, shape in zip(roots, shapes, strict=True)
+        ]
+        return max(tried) - price
+
+    return map_on_cores(evidence, term_quadratics(starts, beside, response))
 
 
 def with_profiles(terms: Terms, response: ForceResponse) -> Terms:
@@ -123,7 +150,9 @@ def with_profiles(terms: Terms, response: ForceResponse) -> Terms:
         FitError: the data do not depend on them.
     """
     prior, data = _prior(terms), _linearise(terms, response)
-    start = _smoothest(terms, data, prior).shape
+    shapes = _smooth_shapes(terms, prior, response)
+    tried = [at_shape(data, prior.covariance, shape) for shape in shapes]
+    start = max(tried, key=lambda one: one.log_evidence).shape
     chosen = best_hyperparameters(
         data, prior.covariance, start, prior.bounds, None, prior.slopes
     )
@@ -136,26 +165,19 @@ def with_profiles(terms: Terms, response: ForceResponse) -> Terms:
     return tuple(made)
 
 
-def _smoothest(
-    terms: Terms, data: LinearisedObservations, prior: AbstractPrior
-) -> Hyperparameters:
-    """The best of a few smoothnesses, which all profiles share."""
-    tried = [
-        at_shape(data, prior.covariance, _smooth(terms, prior, scale))
-        for scale in SMOOTHNESSES
-    ]
-    return max(tried, key=lambda one: one.log_evidence)
-
-
-def _smooth(
-    terms: Terms, prior: AbstractPrior, scale: float
-) -> Float[np.ndarray, " shape"]:
-    """The start of a search, with profiles of a length scale, in extents."""
-    shape = prior.start.copy()
-    for term, place in zip(terms, _shape_places(terms), strict=True):
-        if isinstance(term, AbstractProfileTerm):
-            shape[place] = np.log(scale * KERNELS)
-    return shape
+def _smooth_shapes(
+    terms: Terms, prior: AbstractPrior, response: ForceResponse
+) -> list[Float[np.ndarray, " shape"]]:
+    """Starts of a search, of a few smoothnesses that all profiles share."""
+    shapes = []
+    for smoothness in SMOOTHNESSES:
+        shape = prior.start.copy()
+        for term, place in zip(terms, _shape_places(terms), strict=True):
+            if isinstance(term, AbstractProfileTerm):
+                kernels = KERNELS[response.points.shape[-1]]
+                shape[place] = np.log(smoothness * kernels)
+        shapes.append(shape)
+    return shapes
 
 
 def _shape_places(terms: Terms) -> list[int]:
