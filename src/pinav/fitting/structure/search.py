@@ -45,8 +45,11 @@ from pinav.forces import (
 from pinav.trajectories import Trajectories, with_velocities
 
 CLEAR = 100.0
-"""Nats before the cost of hyperparameters by which a free fit has lost to a structured
-one, converged or not."""
+"""Nats before the cost of hyperparameters by which a fit has lost to another, converged
+or not."""
+
+BEFORE_SURVEY = 3
+"""Steps of the fit of a proposal, after which the data are asked for a better one."""
 
 LEAST_TRAJECTORIES, LEAST_SAMPLES = 6, 600
 """Trajectories and observed numbers below which data are not worth a search."""
@@ -234,36 +237,47 @@ class _Search(eqx.Module):
         """The fit of a proposal beside the free kernels; None where it fails.
 
         The proposal explains data linearised about smoothed states, whose errors
-        needless terms may explain; about the fit it is asked again what is needed.
+        needless terms may explain. So its fit is interrupted after a few steps, and
+        about it the data are asked again what is needed.
 
         Returns:
             The fit, and its log evidence.
         """
         try:
-            fit = self._fit_terms(proposal.terms)
-            if fit.outcome is Outcome.DIVERGED:
+            begun = self._begin(proposal.terms)
+            if begun.outcome is Outcome.DIVERGED:
                 return None
-            evidence = _evidence(fit)
-            survey = Survey.of(self.specification, self.free(), fit)
-            other = survey.better(fit.model.environment.terms)
-            if other is None:
-                return fit, evidence
-            better = self._fit_terms(other.terms, fit.states)
+            survey = Survey.of(self.specification, self.free(), begun)
+            other = survey.better(begun.model.environment.terms)
+            fit = None if other is None else self._fit_terms(other.terms, begun)
+            if fit is None or not _is_as_good(fit, begun):
+                fit = self._fit_terms(begun.model.environment.terms, begun)
         except FitError:
             return None
-        if better.outcome is Outcome.DIVERGED:
-            return fit, evidence
-        other_evidence = _evidence(better)
-        if evidence - other_evidence > DECISIVE:
-            return fit, evidence
-        return better, other_evidence
+        return None if fit.outcome is Outcome.DIVERGED else (fit, _evidence(fit))
 
-    def _fit_terms(self, terms: Terms, states: Any = None) -> EvidenceFit:
-        """The fit of terms beside the free kernels, begun at given states or anew."""
+    def _begin(self, terms: Terms) -> EvidenceFit:
+        """The first steps of the fit of terms beside the free kernels."""
+        search = self.of(StructuredForce(terms, self.kernels))
+        problem = search.free()
+        how = iterate(problem, BEFORE_SURVEY, search.report)
+        return evidence_fit(problem, *how, not_finite=NOT_FINITE, advice={})
+
+    def _fit_terms(self, terms: Terms, begun: EvidenceFit) -> EvidenceFit:
+        """The fit of terms beside the free kernels, from the states of another."""
         search = self.of(StructuredForce(terms, self.kernels))
         specification = search.specification
-        problem = specification.problem(specification.model, states=states)
+        problem = specification.problem(specification.model, states=begun.states)
         return search.fit(problem, None)
+
+
+def _is_as_good(fit: EvidenceFit, begun: EvidenceFit) -> bool:
+    """Whether a fit of other terms explains the data nearly as well as one that began.
+
+    The evidence about states that have not converged is too rough for more.
+    """
+    lost = begun.hyperparameters.log_evidence - fit.hyperparameters.log_evidence
+    return fit.outcome is not Outcome.DIVERGED and lost < CLEAR
 
 
 def _evidence(fit: EvidenceFit) -> float:
