@@ -38,3 +38,25 @@ def test_gaps_and_single_samples_count_for_nothing():
     with_gap[10:20] = np.nan
     goodness = judge([with_gap, np.zeros((1, 2))])
     assert np.isfinite(goodness.lag1)
+
+
+def test_a_smooth_path_through_noise_leaves_neighbours_a_negative_correlation():
+    """Of cosines through noise alone, with a sixth as many numbers as samples."""
+    times = np.linspace(0.0, 1.0, 300)
+    columns = np.cos(np.pi * np.arange(50) * times[:, None])
+    basis, _ = np.linalg.qr(columns)
+    noise = RNG.normal(size=(40, 300, 1))
+    left = noise - basis @ (basis.T @ noise)
+    count = 40 * 300
+    goodness = goodness_of_fit(list(left), 1.0, count - 40 * 50.0, noise_known=False)
+    assert goodness.num_fitted == 40 * 50
+    # what is expected: neighbours of the hat matrix over its complement's trace
+    hat = basis @ basis.T
+    expected = -np.trace(hat, offset=1) / (300 - 50)
+    assert abs(goodness.lag1 - expected) < 4 / np.sqrt(count)
+    assert goodness.lag1 < -0.15
+    assert goodness.is_adequate
+    alternating = [r + 0.7 * (-1.0) ** np.arange(300)[:, None] for r in left]
+    assert not goodness_of_fit(
+        alternating, 1.2, count - 40 * 50.0, noise_known=False
+    ).is_adequate

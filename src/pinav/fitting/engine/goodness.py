@@ -11,20 +11,27 @@ SIGNIFICANT = 4.0
 class GoodnessOfFit(eqx.Module):
     r"""Two statistics of the residuals, divided by the standard deviation of the noise.
 
-    The residuals of a right model are independent, of variance one. A missing force
+    The noise of a right model is independent, of variance one. A missing force
     correlates neighbours in time. Where the noise is estimated, $\chi^2$ is one by
     construction and only the correlation tells.
+
+    Fitted numbers take some of the noise with them. Of the hat matrix $H$, with a
+    trace of p, they leave neighbours a covariance of $-H_{t,t+1}$. A matrix with no
+    negative eigenvalue has $|2 H_{t,t+1}| \le H_{tt} + H_{t+1,t+1}$, so that a right
+    model may have a correlation down to $-p$ in the number of degrees of freedom.
 
     Attributes:
         reduced_chi2: sum of squares per degree of freedom.
         lag1: correlation of neighbours in time.
         num_free: degrees of freedom.
+        num_fitted: p, residuals less degrees of freedom.
         noise_known: whether the noise was given.
     """
 
     reduced_chi2: float
     lag1: float
     num_free: float
+    num_fitted: float
     noise_known: bool
 
     @property
@@ -34,7 +41,9 @@ class GoodnessOfFit(eqx.Module):
 
     @property
     def _correlated(self) -> bool:
-        return bool(abs(self.lag1) * np.sqrt(self.num_free) > SIGNIFICANT)
+        chance = SIGNIFICANT / np.sqrt(self.num_free)
+        least = -self.num_fitted / self.num_free - chance
+        return bool(not least <= self.lag1 <= chance)
 
     @property
     def _too_large(self) -> bool:
@@ -77,10 +86,11 @@ def goodness_of_fit(
     squares = sum(float(np.nansum(r**2)) for r in scaled)
     # pairs with a gap between them are left out: how far apart they are varies
     pairs = sum(float(np.nansum(r[1:] * r[:-1])) for r in scaled)
-    left = max(num_free, 1.0)
+    left, count = max(num_free, 1.0), sum(int(np.isfinite(r).sum()) for r in scaled)
     return GoodnessOfFit(
         reduced_chi2=squares / left,
         lag1=pairs / max(squares, np.finfo(float).tiny),
         num_free=left,
+        num_fitted=max(count - left, 0.0),
         noise_known=noise_known,
     )
