@@ -21,6 +21,7 @@ from pinav.fitting import (
 from pinav.fitting.langevin import Increments
 from pinav.fitting.langevin.diffusion import DiffusionField
 from pinav.fitting.langevin.drift import second_order
+from pinav.fitting.langevin.relation import Relation
 from pinav.forces import (
     HarmonicTrap,
     KernelAxis,
@@ -104,6 +105,9 @@ def pull(fit):
     return -np.polyfit(points, values, 1, w=np.sqrt(density))[0]
 
 
+FREE = Relation(thermal_energy=None, learn_diffusion=True, observation=None)
+
+
 def test_terms_of_second_order_are_those_of_the_exact_propagator():
     tau = 0.01
     places = np.array([[-0.8], [0.1], [0.6]])
@@ -117,7 +121,7 @@ def test_terms_of_second_order_are_those_of_the_exact_propagator():
         KernelBasis.constant(),
         ((0,),),
     )
-    terms = second_order(model, tensor, increments, einstein=False)
+    terms = second_order(model, tensor, increments, FREE)
     mean = np.expm1(-RATE * tau) * places + RATE * tau * places
     np.testing.assert_allclose(terms.means, mean, rtol=tau)
     variance = -np.expm1(-2 * RATE * tau) / (2 * RATE * tau)

@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 from pinav.dynamics import OverdampedSwimmer
 from pinav.fitting.langevin.covariance import Factor, whiten
 from pinav.fitting.langevin.increments import Increments, Padding
+from pinav.fitting.langevin.relation import Relation
 from pinav.forces import KernelTensor
 
 
@@ -71,16 +72,21 @@ class SecondOrder(eqx.Module):
     Attributes:
         means: of each increment [L].
         factors: of its variance.
+        slopes: of the logarithm of these, the mean over the axes of each group, by
+            level and weights of the group.
     """
 
     means: Float[Array, "increment dim"]
     factors: Float[Array, "increment dim"]
+    slopes: Float[Array, "increment group parameter"]
 
     @classmethod
-    def none(cls, increments: Increments) -> "SecondOrder":
+    def none(cls, increments: Increments, tensor: KernelTensor) -> "SecondOrder":
         """Steps that are short."""
-        shape = increments.steps.shape
-        return cls(jnp.zeros(shape), jnp.ones(shape))
+        count, dim = increments.steps.shape
+        groups, kernels = tensor.weights.shape
+        slopes = jnp.zeros((count, groups, 1 + kernels))
+        return cls(jnp.zeros((count, dim)), jnp.ones((count, dim)), slopes)
 
 
 LARGEST_MEAN, FACTORS = 0.3, (0.6, 1.6)
@@ -93,51 +99,77 @@ AT_ONCE = 4096
 
 @eqx.filter_jit
 def second_order(
-    model: OverdampedSwimmer,
+    swimmer: OverdampedSwimmer,
     tensor: KernelTensor,
     increments: Increments,
-    *,
-    einstein: bool,
+    relation: Relation,
 ) -> SecondOrder:
     """Corrections for steps that are not short, of the fields as they are.
 
     Args:
-        model: the drift; without the divergence of the diffusion.
+        swimmer: its force, and its mobility where Einstein's relation does not hold.
         tensor: the diffusion [L² T⁻¹].
         increments: positions from the reference.
-        einstein: whether the divergence of the diffusion is part of the drift.
+        relation: how drift and diffusion hang together.
     """
 
-    def at(row: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+    def at(row: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         time, x, interval = row
-        units = jnp.eye(x.shape[0], dtype=x.dtype)
 
-        def drift(x: Array) -> Array:
-            known = model(time, x)
-            return known + divergence(tensor, x) if einstein else known
+        def logarithms(levels: Array, weights: Array) -> tuple[Array, Any]:
+            there = KernelTensor(levels, weights, tensor.basis, tensor.groups)
+            mean, factors = _terms(swimmer, there, relation, time, x, interval)
+            each = jnp.log(factors)
+            means = [each[np.array(axes)].mean() for axes in tensor.groups]
+            return jnp.stack(means), (mean, factors)
 
-        def generator(field: Any) -> tuple[Array, Array]:
-            def along(unit: Array) -> tuple[Array, Array]:
-                def slope(x: Array) -> Array:
-                    return jax.jvp(field, (x,), (unit,))[1]
-
-                return jax.jvp(slope, (x,), (unit,))
-
-            slopes, bends = jax.vmap(along)(units)
-            return drift(x) @ slopes + diffusion @ bends, jnp.diagonal(slopes)
-
-        diffusion = tensor.diagonal(x)
-        change, strain = generator(drift)
-        growth, _ = generator(tensor.diagonal)
-        most = LARGEST_MEAN * jnp.sqrt(2 * diffusion * interval)
-        mean = jnp.clip(0.5 * interval**2 * change, -most, most)
-        excess = interval * (0.5 * growth / diffusion + strain)
-        return mean, jnp.clip(1 + excess, *FACTORS)
+        by_numbers = jax.jacrev(logarithms, argnums=(0, 1), has_aux=True)
+        (levels, weights), terms = by_numbers(tensor.levels, tensor.weights)
+        # What the diffusion of another group changes is left to the next turn.
+        alone = jnp.arange(len(tensor.groups))
+        alone_levels, alone_weights = levels[alone, alone], weights[alone, alone]
+        slopes = jnp.concatenate([alone_levels[:, None], alone_weights], axis=1)
+        return (*terms, slopes)
 
     rows = tuple(
         map(jnp.asarray, (increments.times, increments.positions, increments.intervals))
     )
     return SecondOrder(*jax.lax.map(at, rows, batch_size=AT_ONCE))
+
+
+def _terms(
+    swimmer: OverdampedSwimmer,
+    tensor: KernelTensor,
+    relation: Relation,
+    time: Array,
+    x: Array,
+    interval: Array,
+) -> tuple[Array, Array]:
+    """Correction of the mean and factors of the variance of one increment."""
+    model = relation.swimmer_in(swimmer, tensor)
+    units = jnp.eye(x.shape[0], dtype=x.dtype)
+
+    def drift(x: Array) -> Array:
+        known = model(time, x)
+        return known + divergence(tensor, x) if relation.einstein else known
+
+    def generator(field: Any) -> tuple[Array, Array]:
+        def along(unit: Array) -> tuple[Array, Array]:
+            def slope(x: Array) -> Array:
+                return jax.jvp(field, (x,), (unit,))[1]
+
+            return jax.jvp(slope, (x,), (unit,))
+
+        slopes, bends = jax.vmap(along)(units)
+        return drift(x) @ slopes + diffusion @ bends, jnp.diagonal(slopes)
+
+    diffusion = tensor.diagonal(x)
+    change, strain = generator(drift)
+    growth, _ = generator(tensor.diagonal)
+    most = LARGEST_MEAN * jnp.sqrt(2 * diffusion * interval)
+    mean = jnp.clip(0.5 * interval**2 * change, -most, most)
+    excess = interval * (0.5 * growth / diffusion + strain)
+    return mean, jnp.clip(1 + excess, *FACTORS)
 
 
 def divergence(tensor: KernelTensor, x: Float[Array, " dim"]) -> Float[Array, " dim"]:

@@ -33,12 +33,12 @@ from pinav.fitting.langevin.observation import (
     ObservedAxes,
 )
 from pinav.fitting.langevin.reference import SlowReference
+from pinav.fitting.langevin.relation import Relation
 from pinav.fitting.langevin.result import LangevinFit
 from pinav.fitting.langevin.rounds import (
     LATER_STEPS,
     SCORING_STEPS,
     Belief,
-    Relation,
     diffusion_share,
     fit_drift,
     fit_motion,

@@ -62,16 +62,17 @@ class Fluctuations(eqx.Module):
 
     Attributes:
         residuals: increments less their mean, time first [L]; zero in the padding.
-        factors: of the variance, for steps that are not short.
+        offsets: of the logarithm of 2D over the increment, from the terms of second
+            order at level and weights of zero.
         intervals: duration [T].
-        design: kernels of log D at the start of each increment.
+        design: derivatives of that logarithm by level and weights of each group.
         padding: the layout.
     """
 
     residuals: Float[Array, "time track dim"]
-    factors: Float[Array, "time track dim"]
+    offsets: Float[Array, "time track dim"]
     intervals: Float[Array, "time track"]
-    design: Float[Array, "increment kernel"]
+    design: Float[Array, "increment group parameter"]
     padding: Padding
 
 
@@ -261,26 +262,26 @@ def local_terms(
     columns, padding = np.array(axes), data.padding
     levels, weights = motion.diffusion.levels, motion.diffusion.weights
     exposure, variance = motion.exposures[group], motion.variances[group]
-    logs = levels[group] + padding.pad(data.design @ weights[group])
+    numbers = jnp.concatenate([levels[group][None], weights[group]])
+    linear = padding.pad(data.design[:, group] @ numbers)[..., None]
+    logs = linear + data.offsets[..., columns]
     mask = jnp.broadcast_to(padding.mask[..., None], (*padding.mask.shape, len(axes)))
-    factors = data.factors[..., columns]
     intervals = jnp.broadcast_to(data.intervals[..., None], mask.shape)
 
     def bands(logs: Array, exposure: Array, variance: Array) -> Bands:
-        local = jnp.exp(logs)[..., None] * factors
-        return cut(increment_bands(local, intervals, exposure, variance), mask)
+        local = increment_bands(jnp.exp(logs), intervals, exposure, variance)
+        return cut(local, mask)
 
     # The score of the bands is known in closed form; only its way back through the
     # bands is left to differentiation.
     matrix, chain = jax.vjp(bands, logs, exposure, variance)
     slope = score(matrix, data.residuals[..., columns] * mask)
     by_log, by_exposure, by_variance = chain(slope.by_bands)
-    local = jnp.exp(logs)[..., None] * factors
-    pairs = _whittle(local, intervals, exposure, variance)
+    pairs = _whittle(jnp.exp(logs), intervals, exposure, variance)
     summed = jnp.stack([jnp.sum(one * mask, axis=2) for one in pairs], axis=-1)
     return LocalTerms(
         slope.value,
-        padding.flatten(by_log),
+        padding.flatten(by_log.sum(axis=-1)),
         jnp.stack([by_exposure, by_variance]),
         padding.flatten(summed),
         padding.flatten(slope.pulled),
@@ -294,8 +295,7 @@ def _group_terms(
     exposure, variance = motion.exposures[group], motion.variances[group]
     fraction = jnp.minimum(exposure / motion.interval, 1.0)
     scales = jnp.stack([exposure * (1 - fraction), variance])
-    ones = jnp.ones((data.design.shape[0], 1))
-    design = jnp.concatenate([ones, data.design], axis=1)
+    design = data.design[:, group]
     pairs = local.information
     both = (design * pairs[:, :1]).T @ design
     border = design.T @ pairs[:, 1:3] * scales[None]

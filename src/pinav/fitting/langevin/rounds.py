@@ -30,46 +30,15 @@ from pinav.fitting.langevin.drift import (
 from pinav.fitting.langevin.euler import NOT_FINITE, without_weights
 from pinav.fitting.langevin.increments import Increments, Padding
 from pinav.fitting.langevin.likelihood import DiffusionProblem, Fluctuations
-from pinav.fitting.langevin.observation import LearnedObservation, ObservedAxes
+from pinav.fitting.langevin.observation import ObservedAxes
+from pinav.fitting.langevin.relation import Relation
 from pinav.fitting.langevin.thinning import thinned_diffusion
 from pinav.fitting.least_squares import Regression
+from pinav.forces import KernelTensor
 from pinav.trajectories import Trajectories
 
 SCORING_STEPS, LATER_STEPS = 10, 3
 """Steps of Fisher's scoring at most, from moments and from the round before."""
-
-
-class Relation(eqx.Module):
-    """How drift and diffusion hang together, and what of them is known.
-
-    Attributes:
-        thermal_energy: $k_BT$ of Einstein's relation; None for a free drift.
-        learn_diffusion: whether D is not known.
-        observation: priors of exposure and error, where they are learned.
-    """
-
-    thermal_energy: float | None
-    learn_diffusion: bool
-    observation: LearnedObservation | None
-
-    @property
-    def einstein(self) -> bool:
-        r"""Whether the drift is $\beta D F + \nabla\cdot D$."""
-        return self.thermal_energy is not None
-
-    def swimmer_in(
-        self, swimmer: OverdampedSwimmer, motion: ThermalMotion
-    ) -> OverdampedSwimmer:
-        """The swimmer with the mobility that belongs to the diffusion."""
-        if self.thermal_energy is None:
-            return swimmer
-        mobility = motion.diffusion.scale_by(1 / self.thermal_energy)
-        return eqx.tree_at(
-            lambda m: m.mobility,
-            swimmer,
-            mobility,
-            is_leaf=lambda leaf: leaf is swimmer.mobility,
-        )
 
 
 class Belief(eqx.Module):
@@ -94,7 +63,7 @@ class Belief(eqx.Module):
         cls, swimmer: OverdampedSwimmer, motion: ThermalMotion, increments: Increments
     ) -> "Belief":
         """Constant diffusion and no drift."""
-        second = SecondOrder.none(increments)
+        second = SecondOrder.none(increments, motion.diffusion)
         return cls(swimmer, motion, second, second.means, increments)
 
     def moved_from(self, before: "Belief") -> float:
@@ -117,15 +86,21 @@ def _diagonals(
     return jax.vmap(motion.diffusion.diagonal)(positions)
 
 
-def fluctuations(
-    belief: Belief, padding: Padding, design: Float[Array, "increment kernel"]
-) -> Fluctuations:
+def fluctuations(belief: Belief, padding: Padding) -> Fluctuations:
     """Increments about the means of a belief."""
-    increments = belief.increments
+    increments, second = belief.increments, belief.second
+    tensor = belief.motion.diffusion
     residuals = padding.pad(jnp.asarray(increments.steps) - belief.means)
+    kernels = _kernels(tensor, jnp.asarray(increments.positions))
+    ones = jnp.ones((len(kernels), 1))
+    design = jnp.concatenate([ones, kernels], axis=1)[:, None] + second.slopes
+    start = jnp.concatenate([tensor.levels[:, None], tensor.weights], axis=1)
+    # The factors are linear in level and weights about the belief: without their
+    # slopes, an error of the curvature of log D would feed itself from turn to turn.
+    shifts = jnp.einsum("ngp,gp->ng", second.slopes, start)[:, tensor.group_of_axis]
     return Fluctuations(
         residuals=residuals * padding.mask[..., None],
-        factors=padding.pad(belief.second.factors),
+        offsets=padding.pad(jnp.log(second.factors) - shifts),
         intervals=padding.pad(jnp.asarray(increments.intervals)),
         design=design,
         padding=padding,
@@ -133,11 +108,11 @@ def fluctuations(
 
 
 @eqx.filter_jit
-def kernel_design(
-    motion: ThermalMotion, positions: Float[Array, "increment dim"]
+def _kernels(
+    tensor: KernelTensor, positions: Float[Array, "increment dim"]
 ) -> Float[Array, "increment kernel"]:
     """Kernels of log D at positions."""
-    return jax.vmap(motion.diffusion.basis)(positions)
+    return jax.vmap(tensor.basis)(positions)
 
 
 def fit_motion(
@@ -156,10 +131,9 @@ def fit_motion(
     """
     if not relation.learn_diffusion and relation.observation is None:
         return belief, None, None
-    design = kernel_design(belief.motion, jnp.asarray(belief.increments.positions))
     problem = DiffusionProblem.of(
         belief.motion,
-        fluctuations(belief, padding, design),
+        fluctuations(belief, padding),
         learn_diffusion=relation.learn_diffusion,
         observation=relation.observation,
     )
@@ -225,7 +199,7 @@ def fit_drift(
         FitError: the drift is not finite at the positions.
     """
     residuals = whiten_increments(belief, relation, padding)
-    swimmer = relation.swimmer_in(belief.swimmer, belief.motion)
+    swimmer = relation.swimmer_in(belief.swimmer, belief.motion.diffusion)
 
     def begin(model: OverdampedSwimmer, states: None = None) -> Regression:
         return _drift_problem(model, residuals)
@@ -256,9 +230,7 @@ def _drift_problem(
 def follow(belief: Belief, relation: Relation, swimmer: Any) -> Belief:
     """The belief with a force, and the means and corrections that follow from it."""
     increments, motion = belief.increments, belief.motion
-    second = second_order(
-        swimmer, motion.diffusion, increments, einstein=relation.einstein
-    )
+    second = second_order(swimmer, motion.diffusion, increments, relation)
     positions = jnp.asarray(increments.positions)
     speeds = drifts(swimmer, jnp.asarray(increments.times), positions)
     if relation.einstein:
@@ -291,7 +263,7 @@ def diffusion_share(
     for tensor in field.samples(DRAWS):
         there = eqx.tree_at(lambda b: b.motion.diffusion, belief, tensor)
         problem = _drift_problem(
-            relation.swimmer_in(start, there.motion),
+            relation.swimmer_in(start, there.motion.diffusion),
             whiten_increments(there, relation, padding),
         )
         local = problem.linearise(problem.theta, None)

@@ -23,12 +23,11 @@ from pinav.fitting.langevin.drift import divergence
 from pinav.fitting.langevin.increments import Increments, Padding
 from pinav.fitting.langevin.likelihood import local_terms
 from pinav.fitting.langevin.reference import ReferencePath, SlowReference
+from pinav.fitting.langevin.relation import Relation
 from pinav.fitting.langevin.rounds import (
     Belief,
-    Relation,
     fluctuations,
     follow,
-    kernel_design,
 )
 from pinav.forces import KernelTensor
 from pinav.forces.priors import StationaryPrior
@@ -110,7 +109,7 @@ def _by_height(
     """Slope of the log likelihood by the coordinate of each increment; information."""
     motion, increments = belief.motion, belief.increments
     positions = jnp.asarray(increments.positions)
-    data = fluctuations(belief, padding, kernel_design(motion, positions))
+    data = fluctuations(belief, padding)
     by_logs, by_drift = _slopes(
         belief.swimmer,
         motion.diffusion,
