@@ -68,6 +68,12 @@ class KernelAxis(eqx.Module):
             return x
         return jnp.arcsinh((x - self.warp.origin) / self.warp.scale)
 
+    def slope(self, x: Float[Array, ""]) -> Float[Array, ""]:
+        """Slope of the coordinate, relative to that at the origin of a warp."""
+        if self.warp is None:
+            return jnp.ones_like(x)
+        return 1 / jnp.hypot(1.0, (x - self.warp.origin) / self.warp.scale)
+
     def embed(self, x: Float[Array, ""], spacing: float) -> Float[Array, " embedded"]:
         """The coordinate in spacings of the kernels: one number, or two on a circle."""
         if self.period is None:

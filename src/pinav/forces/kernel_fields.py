@@ -19,10 +19,12 @@ from pinav.forces.tensors import AbstractTensorField
 
 
 class KernelProfile(AbstractLearnedForce):
-    r"""Force $F_i(x) = \sum_j w_{ji} \phi_j(x)$ along some axes, zero along the others.
+    r"""Force $F_i(x) = s_i(x_i) \sum_j w_{ji} \phi_j(x)$ along some axes, else zero.
 
     On a ring `along` is (0,) and the basis periodic; above a wall `along` is (2,) and
-    the basis that of the height alone.
+    the basis that of the height alone. Along a warped coordinate u(x) the factor s is
+    the slope of u relative to that at the origin, so that the sum is the derivative of
+    a potential by u; along others it is one.
 
     Attributes:
         weights: $w_{ji}$, what trains [F].
@@ -76,7 +78,12 @@ class KernelProfile(AbstractLearnedForce):
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         values = self.basis(x) @ self.weights
-        return jnp.zeros_like(x).at[np.array(self.along)].set(values)
+        slopes = {axis.index: axis.slope(x[axis.index]) for axis in self.basis.axes}
+        one = jnp.ones((), x.dtype)
+        # The prior is the same everywhere along u: so it expects a potential to change
+        # as much from one to two layers above a wall as from ten to twenty.
+        scale = jnp.stack([slopes.get(i, one) for i in self.along])
+        return jnp.zeros_like(x).at[np.array(self.along)].set(scale * values)
 
 
 class KernelTensor(AbstractTensorField):

@@ -128,6 +128,34 @@ def test_terms_of_second_order_are_those_of_the_exact_propagator():
     np.testing.assert_allclose(terms.factors, variance, atol=tau**2)
 
 
+def test_the_likelihood_knows_what_the_diffusion_changes_in_terms_of_second_order():
+    """Its derivative by level and weights, against differences of new terms."""
+    places = np.linspace(-1.0, 1.0, 6)[:, None]
+    count = len(places)
+    increments = Increments(
+        np.zeros(count), places, 0.01 * np.ones((count, 1)), np.full(count, 0.02), (6,)
+    )
+    basis = KernelBasis.around((KernelAxis(0),), places, across=4, margin=1)
+    weights = jnp.linspace(-0.3, 0.4, len(basis.centers))[None]
+    model = OverdampedSwimmer(ZeroForce(), HarmonicTrap(RATE, [0.0]), 1.0)
+    bound = Relation(thermal_energy=0.7, learn_diffusion=True, observation=None)
+    for relation in (FREE, bound):
+
+        def logarithms(numbers, relation=relation):
+            tensor = KernelTensor(numbers[:1], numbers[None, 1:], basis, ((0,),))
+            factors = second_order(model, tensor, increments, relation).factors
+            return np.log(np.asarray(factors)[:, 0])
+
+        numbers = jnp.concatenate([jnp.log(jnp.array([DIFFUSION])), weights[0]])
+        tensor = KernelTensor(numbers[:1], weights, basis, ((0,),))
+        slopes = second_order(model, tensor, increments, relation).slopes[:, 0]
+        for index in range(len(numbers)):
+            change = 1e-5 * jnp.eye(len(numbers))[index]
+            difference = logarithms(numbers + change) - logarithms(numbers - change)
+            np.testing.assert_allclose(slopes[:, index], difference / 2e-5, atol=1e-8)
+    assert np.abs(slopes).max() > 1e-3
+
+
 @pytest.mark.slow
 def test_terms_of_second_order_lower_the_bias_of_long_steps():
     tau = 0.3

@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import msgspec
 import numpy as np
 import pytest
 
@@ -17,6 +18,7 @@ from pinav.fitting import (
     fit_langevin,
     profile_environment,
 )
+from pinav.fitting.environments.profiles import ProfileSummary
 from pinav.forces import KernelAxis, KernelBasis, KernelProfile, Warp, ZeroForce
 from pinav.trajectories import Trajectories
 
@@ -154,3 +156,39 @@ def test_kernels_in_coordinates_of_their_own_are_checked():
     basis = KernelBasis.around((KernelAxis(0),), places)
     with pytest.raises(InputError, match="KernelProfile.along: expected one or more"):
         KernelProfile.with_zero_weights(basis, (1,), 1)
+
+
+def test_the_force_along_a_warped_coordinate_is_that_of_a_potential_in_it():
+    """Equal weights are a potential linear in u: the force is the slope of u."""
+    warp = Warp(0.2, 0.05)
+    heights = np.geomspace(0.2, 3.0, 40)[:, None]
+    basis = KernelBasis.around((KernelAxis(0, warp=warp),), heights)
+    profile = KernelProfile(jnp.ones((len(basis.centers), 1)), basis, (0,), 1)
+    force = jax.vmap(lambda x: profile(0.0, x, jnp.zeros_like(x)))
+    values = np.asarray(force(jnp.asarray(heights)))[:, 0]
+    places = np.arcsinh((heights[:, 0] - warp.origin) / warp.scale)
+    slope = np.gradient(places, heights[:, 0])[1:-1]
+    flat = values[1:-1] / slope
+    assert np.ptp(flat) < 0.02 * flat.mean()
+    at_origin = float(force(jnp.array([[warp.origin]]))[0, 0])
+    kernels = basis(jnp.array([warp.origin]))
+    assert at_origin == pytest.approx(float(kernels.sum()), rel=1e-6)
+
+
+def test_a_force_that_an_earlier_version_wrote_along_a_warp_is_refused():
+    heights = np.geomspace(0.2, 3.0, 40)[:, None]
+    straight, warped = (
+        ProfileSummary.of(
+            KernelProfile.with_zero_weights(
+                KernelBasis.around((KernelAxis(0, warp=warp),), heights), (0,), 1
+            )
+        )
+        for warp in (None, Warp(0.2, 0.05))
+    )
+    assert warped.profile(1).space == 1
+    old = msgspec.to_builtins(warped) | {"edition": 1}
+    with pytest.raises(InputError, match="by an earlier version.*fit the data again"):
+        msgspec.convert(old, ProfileSummary).profile(1)
+    before = msgspec.to_builtins(straight)
+    del before["edition"]
+    assert msgspec.convert(before, ProfileSummary).profile(1).space == 1

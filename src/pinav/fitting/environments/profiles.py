@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import msgspec
 import numpy as np
 
+from pinav.errors import InputError
 from pinav.forces import (
     AbstractTensorField,
     KernelAxis,
@@ -67,24 +68,41 @@ class BasisSummary(msgspec.Struct, frozen=True):
         return KernelBasis(axes, self.spacings, jnp.asarray(self.centers))
 
 
+EDITION = 2
+"""Of the force that weights mean: until 1 the slope of a warp was no part of it."""
+
+
 class ProfileSummary(msgspec.Struct, frozen=True):
     """A force along some axes.
 
     Attributes:
         basis: of its kernels.
         along: the components that are learned.
+        edition: what its weights mean, see `EDITION`.
     """
 
     basis: BasisSummary
     along: tuple[int, ...]
+    edition: int = 1
 
     @classmethod
     def of(cls, profile: KernelProfile) -> "ProfileSummary":
         """The summary of a profile."""
-        return cls(BasisSummary.of(profile.basis), profile.along)
+        return cls(BasisSummary.of(profile.basis), profile.along, EDITION)
 
     def profile(self, dim: int) -> KernelProfile:
-        """No force yet, in a space of that dimension."""
+        """No force yet, in a space of that dimension.
+
+        Raises:
+            InputError: an earlier version wrote it, along a warped coordinate.
+        """
+        is_warped = any(axis.warp is not None for axis in self.basis.axes)
+        if is_warped and self.edition < EDITION:
+            raise InputError(
+                "the force of this run was fitted by an earlier version, in which "
+                "weights along a warped coordinate meant another force; fit the data "
+                "again"
+            )
         return KernelProfile.with_zero_weights(self.basis.basis(), self.along, dim)
 
 
