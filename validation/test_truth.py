@@ -14,7 +14,9 @@ from validation import thermal_twins
 from validation.conftest import pinav
 from validation.rotating_trap import judge_trap
 
-from pinav.fitting import fit_trap
+from pinav.commands.truth.cases import find_cases
+from pinav.commands.truth.wall_fields import fit_wall
+from pinav.fitting import SlowReference, fit_trap
 
 ROOT = Path(__file__).parents[1]
 FOLDER = Path(os.environ.get("PINAV_RECORDINGS", ROOT.parent / "shared" / "data"))
@@ -52,6 +54,34 @@ def test_every_bar_of_a_recording_is_met(name, tmp_path):
     uncovered = [row for row in case["rows"] if row.get("covered") is False]
     assert not uncovered
     print(f"{name}: {case['seconds']:.0f} s, bar {CASES[name]:g} s")
+
+
+def test_the_path_of_the_wall_is_the_same_from_wherever_it_begins():
+    """Bar: 8 nm rms between the path from rest and that from a moving minimum."""
+    case = next(one for one in find_cases(RECORDINGS) if one.name == "wall_bead_60hz")
+    if not case.path.is_file():
+        pytest.skip(f"no {case.path}; pinav data fetch {case.name} gets it")
+    recording, constants = case.read(), case.description.constants
+    knots = []
+
+    def at_minimum(resting):
+        parts = np.array_split(recording.positions[:, 2], resting.knots)
+        lowest = np.array([np.quantile(part, 0.01) for part in parts])
+        knots.append(lowest - lowest.mean())
+        return SlowReference(2, knots=resting.knots, start=tuple(knots[0]))
+
+    radius, heat = constants.radius_um, constants.heat
+    assert radius is not None
+    assert heat is not None
+    fits = [fit_wall(recording, radius, heat)]
+    fits.append(fit_wall(recording, radius, heat, at_minimum))
+    paths = [fit.reference(recording.times) for fit in fits if fit.reference]
+    apart = float(np.sqrt(np.mean((paths[0] - paths[1]) ** 2)))
+    print(
+        f"wall_bead_60hz: path from two starts {1e3 * apart:.1f} nm apart; they begin "
+        f"{1e3 * knots[0].std():.0f} nm apart, the path has {1e3 * paths[0].std():.0f}"
+    )
+    assert apart < 8e-3
 
 
 def trapped(seed, frames=8000, ratio=0.38, exposure=6, error=0.005):
@@ -127,7 +157,7 @@ def test_twins_of_a_drifting_wall_are_unbiased_and_covered():
 
     Its path is followed to a third of what it drifts.
     """
-    judged = list(thermal_twins.judge_drifting_walls(3, draws=10))
+    judged = list(thermal_twins.judge_drifting_walls(5, draws=DRAWS))
     followed = np.sqrt(np.mean([one["path error"] ** 2 for one in judged]))
     print(f"drifting wall: path followed to {1e3 * followed:.1f} nm")
     assert followed < thermal_twins.DRIFT / 3

@@ -1,5 +1,6 @@
 """Force and diffusions of a bead above a wall: ours, of one lag, and the peer's."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ from pinav.fitting.langevin import (
     DiffusionField,
     KernelDiffusion,
     LearnedObservation,
+    SlowReference,
     slow_reference,
 )
 from pinav.forces import KernelAxis, Warp, ZeroForce
@@ -40,8 +42,20 @@ class WallFields(NamedTuple):
     across_sd: Float[np.ndarray, " height"]
 
 
-def fit_wall(recording: Recording, radius: float, heat: float) -> LangevinFit:
-    """Force along z and both diffusions over a wall that drifts slowly."""
+def fit_wall(
+    recording: Recording,
+    radius: float,
+    heat: float,
+    begin: Callable[[SlowReference], SlowReference] = lambda resting: resting,
+) -> LangevinFit:
+    """Force along z and both diffusions over a wall that drifts slowly.
+
+    Args:
+        recording: positions of one bead, z last.
+        radius: of the bead [um].
+        heat: thermal energy [pN um].
+        begin: where the path of the wall begins; at rest unless given.
+    """
     times, positions = recording.times, recording.positions
     data = Trajectories.from_arrays([times], [positions], channels=("x", "y", "z"))
     lowest = float(np.quantile(positions[:, 2], 0.002))
@@ -53,7 +67,7 @@ def fit_wall(recording: Recording, radius: float, heat: float) -> LangevinFit:
         data,
         diffusion=KernelDiffusion((axis,), groups=((0, 1), (2,))),
         observation=LearnedObservation(),
-        reference=slow_reference(data, 2),
+        reference=begin(slow_reference(data, 2)),
     )
 
 
