@@ -37,8 +37,12 @@ RMS, WORST, WEIGHT_SD, WEIGHT_OFF = 2.5e-3, 5e-3, 0.9e-3, 2.5
 NEAR = 0.1
 """Gap [radii] above which D counts; closer a step is as long as the Debye length."""
 
-FORCE_FROM, FORCE_TO = 0.165, 1.32
-"""Gaps [radii] between which the force is the weight alone."""
+FORCE_FROM, FORCE_TO = 0.25, 2.0
+"""Gaps [um] between which the force is the weight alone: five Debye lengths of 50 nm,
+whatever the radius, and where a light bead still goes."""
+
+VISITED = 0.99
+"""Quantile of the gaps beyond which nothing is said of the force."""
 
 LEAST_FRAMES = 100
 """Frames between the two without which nothing is said of the weight."""
@@ -60,7 +64,7 @@ def judge_wall(case: Case, recording: Recording, *, peer: bool) -> Judgement:
     fields = wall_fields(fit, heights)
     free = [_score(fields, radius, normal=n) for n in (False, True)]
     contact = free[1].contact
-    notes = (*_notes(fit, free), *_boltzmann(heights - contact, radius, heat))
+    notes = (*_notes(fit, free), *_boltzmann(heights - contact, heat))
     seconds = time.perf_counter() - begun
     other = None
     if peer and is_installed():
@@ -176,19 +180,21 @@ def _force_rows(
     """The force where it is the weight alone: rms, worst, and its mean."""
     if constants.density_excess_kg_m3 is None or constants.radius_um is None:
         return []
-    radius = constants.radius_um
-    if len(_far(gaps, radius)) < LEAST_FRAMES:
+    far = _far(gaps)
+    if len(far) < LEAST_FRAMES:
         return []
-    weight = Weight(radius, constants.density_excess_kg_m3, [0.0, 0.0, -1.0])
+    weight = Weight(
+        constants.radius_um, constants.density_excess_kg_m3, [0.0, 0.0, -1.0]
+    )
     true = -float(weight.size)
-    places = np.linspace(FORCE_FROM * radius, FORCE_TO * radius, 60)
+    places = np.linspace(FORCE_FROM, far.max(), 60)
     points = np.zeros((60, 3))
     points[:, 2] = places + contact
     environment = fit.model.environment
     force = jax.vmap(lambda x: environment(0.0, x, jnp.zeros_like(x)))
     off = np.asarray(force(jnp.asarray(points)))[:, 2] - true
     rms, worst = float(np.sqrt(np.mean(off**2))), float(np.abs(off).max())
-    mean = _mean_force(fit, gaps, contact, radius)
+    mean = _mean_force(fit, far, contact)
     away = abs(mean.value - true) / mean.sd
     row = compare_estimates(
         "mean force far from the wall [pN]",
@@ -201,8 +207,8 @@ def _force_rows(
     if other is not None:
         theirs = other.force(places + contact) - true
         rest = float(np.sqrt(np.mean(theirs**2))), float(np.abs(theirs).max())
-        far = other.force(_far(gaps, radius) + contact)
-        row = msgspec.structs.replace(row, peer=float(far.mean()))
+        theirs = float(other.force(far + contact).mean())
+        row = msgspec.structs.replace(row, peer=theirs)
     return [
         _small("force off the weight, rms [pN]", rms, RMS, rest[0]),
         _small("force off the weight, worst [pN]", worst, WORST, rest[1]),
@@ -225,14 +231,11 @@ def _small(
 
 
 def _mean_force(
-    fit: LangevinFit,
-    gaps: Float[np.ndarray, " frame"],
-    contact: float,
-    radius: float,
+    fit: LangevinFit, far: Float[np.ndarray, " far"], contact: float
 ) -> Estimate:
-    """Force over the heights that were visited far from the wall, with its error."""
-    far = np.quantile(_far(gaps, radius), np.linspace(0.01, 0.99, 50))
-    points = jnp.zeros((50, 3)).at[:, 2].set(far + contact)
+    """Force over the gaps that were visited far from the wall, with its error."""
+    places = np.quantile(far, np.linspace(0.01, 0.99, 50))
+    points = jnp.zeros((50, 3)).at[:, 2].set(places + contact)
     posterior = fit.posterior
 
     def mean(parameters: jax.Array) -> jax.Array:
@@ -246,9 +249,10 @@ def _mean_force(
     return Estimate(float(value), math.sqrt(slope @ posterior.covariance @ slope))
 
 
-def _far(gaps: Float[np.ndarray, " frame"], radius: float) -> Float[np.ndarray, " far"]:
+def _far(gaps: Float[np.ndarray, " frame"]) -> Float[np.ndarray, " far"]:
     """The gaps where the force is the weight alone."""
-    return gaps[(gaps > FORCE_FROM * radius) & (gaps < FORCE_TO * radius)]
+    most = min(FORCE_TO, float(np.quantile(gaps, VISITED)))
+    return gaps[(gaps > FORCE_FROM) & (gaps < most)]
 
 
 def _notes(fit: LangevinFit, free: list[WallScore]) -> tuple[str, ...]:
@@ -270,12 +274,11 @@ def _notes(fit: LangevinFit, free: list[WallScore]) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _boltzmann(
-    gaps: Float[np.ndarray, " frame"], radius: float, heat: float
-) -> tuple[str, ...]:
-    if len(_far(gaps, radius)) < LEAST_FRAMES:
+def _boltzmann(gaps: Float[np.ndarray, " frame"], heat: float) -> tuple[str, ...]:
+    far = _far(gaps)
+    if len(far) < LEAST_FRAMES:
         return ()
-    low, high = FORCE_FROM * radius, FORCE_TO * radius
+    low, high = FORCE_FROM, float(far.max())
     force = boltzmann_force(gaps, low, high, heat)
     return (
         f"Boltzmann's law over {low:.2f} to {high:.2f} um: {1e3 * force.value:.1f} ± "
