@@ -14,20 +14,25 @@ from pinav.errors import InputError
 from pinav.forces.force import AbstractLearnedForce
 from pinav.forces.kernel_basis import KernelBasis
 from pinav.forces.kernels import KernelForce
-from pinav.forces.priors import Centers, StationaryPrior
+from pinav.forces.priors import (
+    AbstractPrior,
+    Centers,
+    MixturePrior,
+    StationaryPrior,
+)
 from pinav.forces.tensors import AbstractTensorField
 
 
 class KernelProfile(AbstractLearnedForce):
-    r"""Force $F_i(x) = s_i(x_i) \sum_j w_{ji} \phi_j(x)$ along some axes, else zero.
+    r"""Force $F_i(x) = \sum_j w_{ji} \phi_j(x)$ along some axes, zero along the others.
 
     On a ring `along` is (0,) and the basis periodic; above a wall `along` is (2,) and
-    the basis that of the height alone. Along a warped coordinate u(x) the factor s is
-    the slope of u relative to that at the origin, so that the sum is the derivative of
-    a potential by u; along others it is one.
+    the basis that of the height alone. Where a coordinate u(x) is warped there is a
+    second part, $s_i(x_i) \sum_j w'_{ji} \phi_j(x)$, with the slope s of u relative to
+    that at its origin: a potential in u. The evidence chooses the shares of both.
 
     Attributes:
-        weights: $w_{ji}$, what trains [F].
+        weights: $w_{ji}$, and $w'_{ji}$ below, what trains [F].
         basis: $\phi_j$; fixed.
         along: the components of the force that are learned.
         space: dimension of the positions.
@@ -53,7 +58,7 @@ class KernelProfile(AbstractLearnedForce):
         cls, basis: KernelBasis, along: tuple[int, ...], space: int
     ) -> "KernelProfile":
         """No force yet."""
-        shape = len(basis.centers), len(along)
+        shape = _num_parts(basis) * len(basis.centers), len(along)
         return cls(jnp.zeros(shape), basis, along, space)
 
     @property
@@ -69,21 +74,32 @@ class KernelProfile(AbstractLearnedForce):
         axes = self.basis.axes
         return {axis.index: axis.period for axis in axes if axis.period is not None}
 
-    def prior(self) -> StationaryPrior:
-        return StationaryPrior(np.asarray(self.basis.centers), len(self.along))
+    def prior(self) -> AbstractPrior:
+        part = StationaryPrior(np.asarray(self.basis.centers), len(self.along))
+        return part if _num_parts(self.basis) == 1 else MixturePrior(part, part)
 
     def kernels_on(self, centers: Centers, width: float) -> KernelForce:
         """A free force: other places have no coordinates of their own."""
         return KernelForce.with_zero_weights(centers, width)
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
-        values = self.basis(x) @ self.weights
-        slopes = {axis.index: axis.slope(x[axis.index]) for axis in self.basis.axes}
-        one = jnp.ones((), x.dtype)
-        # The prior is the same everywhere along u: so it expects a potential to change
-        # as much from one to two layers above a wall as from ten to twenty.
-        scale = jnp.stack([slopes.get(i, one) for i in self.along])
-        return jnp.zeros_like(x).at[np.array(self.along)].set(scale * values)
+        values = self.basis(x)
+        if _num_parts(self.basis) == 1:
+            along = values @ self.weights
+        else:
+            even, in_potential = jnp.split(self.weights, 2)
+            slopes = {axis.index: axis.slope(x[axis.index]) for axis in self.basis.axes}
+            one = jnp.ones((), x.dtype)
+            scale = jnp.stack([slopes.get(i, one) for i in self.along])
+            along = values @ even + scale * (values @ in_potential)
+        return jnp.zeros_like(x).at[np.array(self.along)].set(along)
+
+
+def _num_parts(basis: KernelBasis) -> int:
+    # A potential that changes as much from one to two layers above a wall as from ten
+    # to twenty pulls far harder near the wall: kernels of one amplitude would flatten
+    # it there, and a potential alone a weight, which is the same everywhere.
+    return 2 if any(axis.warp is not None for axis in basis.axes) else 1
 
 
 class KernelTensor(AbstractTensorField):
