@@ -52,6 +52,12 @@ class KernelProfile(AbstractLearnedForce):
                 "KernelProfile.along: expected one or more components from 0 to "
                 f"{self.space - 1}, got {self.along}"
             )
+        rows = _num_parts(self.basis) * len(self.basis.centers)
+        if self.weights.shape[0] != rows:
+            raise InputError(
+                f"KernelProfile.weights: expected {rows} rows, one for each kernel and "
+                f"part, got {self.weights.shape[0]}"
+            )
 
     @classmethod
     def with_zero_weights(

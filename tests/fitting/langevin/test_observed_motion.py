@@ -158,21 +158,27 @@ def test_kernels_in_coordinates_of_their_own_are_checked():
         KernelProfile.with_zero_weights(basis, (1,), 1)
 
 
-def test_the_force_along_a_warped_coordinate_is_that_of_a_potential_in_it():
-    """Equal weights are a potential linear in u: the force is the slope of u."""
+def test_a_force_along_a_warped_coordinate_is_even_or_that_of_a_potential_in_it():
+    """Equal weights are a constant force, and a potential linear in u: its slope."""
     warp = Warp(0.2, 0.05)
     heights = np.geomspace(0.2, 3.0, 40)[:, None]
     basis = KernelBasis.around((KernelAxis(0, warp=warp),), heights)
-    profile = KernelProfile(jnp.ones((len(basis.centers), 1)), basis, (0,), 1)
-    force = jax.vmap(lambda x: profile(0.0, x, jnp.zeros_like(x)))
-    values = np.asarray(force(jnp.asarray(heights)))[:, 0]
+    ones = jnp.ones((len(basis.centers), 1))
+    even, in_potential = (
+        np.asarray(jax.vmap(lambda x, f=f: f(0.0, x, jnp.zeros_like(x)))(heights))
+        for f in (
+            KernelProfile(jnp.concatenate([ones, 0 * ones]), basis, (0,), 1),
+            KernelProfile(jnp.concatenate([0 * ones, ones]), basis, (0,), 1),
+        )
+    )
+    assert np.ptp(even) < 0.02 * even.mean()
     places = np.arcsinh((heights[:, 0] - warp.origin) / warp.scale)
     slope = np.gradient(places, heights[:, 0])[1:-1]
-    flat = values[1:-1] / slope
+    flat = in_potential[1:-1, 0] / slope
     assert np.ptp(flat) < 0.02 * flat.mean()
-    at_origin = float(force(jnp.array([[warp.origin]]))[0, 0])
-    kernels = basis(jnp.array([warp.origin]))
-    assert at_origin == pytest.approx(float(kernels.sum()), rel=1e-6)
+    assert in_potential[0] == pytest.approx(even[0], rel=1e-6)
+    with pytest.raises(InputError, match="KernelProfile.weights: expected 66 rows"):
+        KernelProfile(ones, basis, (0,), 1)
 
 
 def test_a_force_that_an_earlier_version_wrote_along_a_warp_is_refused():
