@@ -142,6 +142,11 @@ class KernelBasis(eqx.Module):
             centers = _near(everywhere, positions, margin)
         return cls(axes, spacings, jnp.asarray(centers))
 
+    @property
+    def is_warped(self) -> bool:
+        """Whether a coordinate is warped."""
+        return any(axis.warp is not None for axis in self.axes)
+
     def coordinates(self, x: Vector) -> Float[Array, " embedded"]:
         """The coordinates $u(x)$ of a position [L], in spacings."""
         if not self.axes:

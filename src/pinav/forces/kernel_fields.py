@@ -105,7 +105,7 @@ def _num_parts(basis: KernelBasis) -> int:
     # A potential that changes as much from one to two layers above a wall as from ten
     # to twenty pulls far harder near the wall: kernels of one amplitude would flatten
     # it there, and a potential alone a weight, which is the same everywhere.
-    return 2 if any(axis.warp is not None for axis in basis.axes) else 1
+    return 2 if basis.is_warped else 1
 
 
 class KernelTensor(AbstractTensorField):

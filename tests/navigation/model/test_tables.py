@@ -75,6 +75,25 @@ def places():
     return REGION.lower[None] + fractions * (REGION.upper - REGION.lower)[None]
 
 
+def test_linear_interpolation_is_exact_for_linear_fields_and_of_second_order(places):
+    def linear(x):
+        return jnp.stack([1.0 + 2.0 * x[0] - x[1], x[0] * x[1]])
+
+    table = table_of(linear)
+    values = jax.vmap(lambda x: table.interpolate_linearly(0.0, x))(places)
+    np.testing.assert_allclose(values, jax.vmap(linear)(places), atol=1e-12)
+
+    def wave(x):
+        return jnp.sin(x[:1] + 0.5 * x[1:])
+
+    errors = []
+    for count in (17, 33):
+        finer = table_of(wave, count)
+        values = jax.vmap(lambda x, t=finer: t.interpolate_linearly(0.0, x))(places)
+        errors.append(float(jnp.abs(values - jax.vmap(wave)(places)).max()))
+    assert 2.5 < errors[0] / errors[1] < 6.5
+
+
 def quadratic(x):
     a, b = x
     return jnp.stack([1 + 2 * a - b + a * a * b, a * b - 3 * b * b + a * a * b * b])

@@ -207,8 +207,8 @@ def _force_rows(
     if other is not None:
         theirs = other.force(places + contact) - true
         rest = float(np.sqrt(np.mean(theirs**2))), float(np.abs(theirs).max())
-        theirs = float(other.force(far + contact).mean())
-        row = msgspec.structs.replace(row, peer=theirs)
+        peer = float(other.force(far + contact).mean())
+        row = msgspec.structs.replace(row, peer=peer)
     return [
         _small("force off the weight, rms [pN]", rms, RMS, rest[0]),
         _small("force off the weight, worst [pN]", worst, WORST, rest[1]),

@@ -1,6 +1,5 @@
 """Force and diffusions of a bead above a wall: ours, of one lag, and the peer's."""
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -46,7 +45,7 @@ def fit_wall(
     recording: Recording,
     radius: float,
     heat: float,
-    begin: Callable[[SlowReference], SlowReference] = lambda resting: resting,
+    reference: SlowReference | None = None,
 ) -> LangevinFit:
     """Force along z and both diffusions over a wall that drifts slowly.
 
@@ -54,7 +53,8 @@ def fit_wall(
         recording: positions of one bead, z last.
         radius: of the bead [um].
         heat: thermal energy [pN um].
-        begin: where the path of the wall begins; at rest unless given.
+        reference: knots of the wall's path, and where it begins; as many as the data
+            tell of, at rest, unless given.
     """
     times, positions = recording.times, recording.positions
     data = Trajectories.from_arrays([times], [positions], channels=("x", "y", "z"))
@@ -67,7 +67,7 @@ def fit_wall(
         data,
         diffusion=KernelDiffusion((axis,), groups=((0, 1), (2,))),
         observation=LearnedObservation(),
-        reference=begin(slow_reference(data, 2)),
+        reference=slow_reference(data, 2) if reference is None else reference,
     )
 
 

@@ -96,14 +96,14 @@ class ProfileSummary(msgspec.Struct, frozen=True):
         Raises:
             InputError: an earlier version wrote it, along a warped coordinate.
         """
-        is_warped = any(axis.warp is not None for axis in self.basis.axes)
-        if is_warped and self.edition < EDITION:
+        basis = self.basis.basis()
+        if basis.is_warped and self.edition < EDITION:
             raise InputError(
                 "the force of this run was fitted by an earlier version, in which "
                 "weights along a warped coordinate meant another force; fit the data "
                 "again"
             )
-        return KernelProfile.with_zero_weights(self.basis.basis(), self.along, dim)
+        return KernelProfile.with_zero_weights(basis, self.along, dim)
 
 
 class MobilitySummary(msgspec.Struct, frozen=True):

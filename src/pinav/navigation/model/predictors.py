@@ -92,7 +92,7 @@ class OverdampedTable(AbstractPredictor):
             return drift + mobility @ thrust
 
         # What the first look-up misses counts for half a step alone.
-        middle = y + duration / 2 * velocity(self.table.roughly(t, y))
+        middle = y + duration / 2 * velocity(self.table.interpolate_linearly(t, y))
         return y + duration * velocity(self.table(t + duration / 2, middle))
 
 
