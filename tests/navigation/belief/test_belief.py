@@ -217,7 +217,7 @@ def test_draws_have_the_deviation_that_is_stated():
 
 @pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
 def test_ahead_is_what_lost_frames_would_say(motion):
-    belief = believe(motion)
+    belief = believe(motion, scales=(6.0,), kinds=(PotentialKernels,))
     thrusts = np.array([[0.3, 0.1], [0.0, -0.4]])
     states = belief.ahead(thrusts, 0.1)
     for k, thrust in enumerate(thrusts):
@@ -226,6 +226,30 @@ def test_ahead_is_what_lost_frames_would_say(motion):
         np.testing.assert_allclose(
             states[k].covariance, belief.state.covariance, atol=1e-12
         )
+
+
+@pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
+def test_ahead_counts_what_filters_disagree_on(motion):
+    """The covariance is that of the mixture about the mean of the leader."""
+    belief = believe(motion)
+    for frame in frames(motion, swirl, 30)[0]:
+        belief = belief.after(frame)
+    thrusts = np.array([[0.3, 0.1]] * 5)
+    mixed = belief.ahead(thrusts, 0.1)[-1]
+    filters, probabilities = belief.filters, belief.probabilities
+    for thrust in thrusts:
+        filters = [one.predict(thrust, 0.1) for one in filters]
+    mean = filters[belief.leader].state
+    likely = [k for k, p in enumerate(probabilities) if p >= 0.05 * probabilities.max()]
+    assert belief.leader in likely
+    assert len(likely) > 1
+    total, expected = sum(probabilities[likely]), np.zeros_like(mixed.covariance)
+    for k in likely:
+        apart = filters[k].state - mean
+        spread = filters[k].spread + np.outer(apart, apart)
+        expected += probabilities[k] / total * spread
+    np.testing.assert_array_equal(mixed.mean, mean)
+    np.testing.assert_allclose(mixed.covariance, expected, rtol=1e-10, atol=1e-14)
 
 
 def test_a_frame_that_is_not_later_is_refused():

@@ -17,10 +17,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.arguments import Planar, State
+from pinav.navigation.adaptive.strategies import Certain
 from pinav.navigation.belief.belief import Belief
 from pinav.navigation.control.controller import Observation
 from pinav.navigation.control.escapes import choose_command
 from pinav.navigation.control.prediction import TrajectoryPrediction
+from pinav.navigation.model.tabulated import TabulatedModel
 from pinav.navigation.model.time_cost import TimeCost
 from pinav.navigation.task.steering import AbstractActuator, Command
 
@@ -54,6 +56,7 @@ def check_command(
     observation: Observation,
     belief: Belief,
     prediction: TrajectoryPrediction,
+    physics: TabulatedModel,
     time_cost: TimeCost,
     thrust: float,
 ) -> Verdict:
@@ -63,13 +66,17 @@ def check_command(
         command: what the controller wants.
         observation: the state when it comes into force.
         belief: of the last frame.
-        prediction: of sequences of controls, on the tables of the mean force.
+        prediction: of sequences of controls; the force is taken from the belief.
+        physics: tables without the environment.
         time_cost: what is forbidden.
         thrust: greatest thrust [L T⁻²], or velocity [L T⁻¹] without inertia.
     """
     near = float(_clearance(time_cost, observation.state))
     if near > farthest(np.asarray(observation.state), thrust):
         return Verdict(command, near, changed=False)
+    # The tables of the last plan are older than the belief, by half a time unit.
+    predictor = Certain().tables(belief, physics, thrust).predictor
+    prediction = dataclasses.replace(prediction, predictor=predictor)
     steps = round(HORIZON / prediction.step)
     tube = tube_radii(belief, command, prediction, steps, observation)
     controls, after, instead = _margins(

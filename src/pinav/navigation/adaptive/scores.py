@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from pinav.navigation.adaptive.flight import Flight
 from pinav.navigation.adaptive.steering import Adaptive
+from pinav.navigation.belief.belief import Belief
 from pinav.navigation.control.simple import physics_only
 from pinav.navigation.task.task import Task
 from pinav.navigation.trials.metrics import Interval, median, proportion
@@ -31,16 +32,22 @@ def true_force(
     return np.asarray(jax.vmap(at)(jnp.asarray(positions)), float)
 
 
-def score_force(flight: Flight, adaptive: Adaptive) -> tuple[float, float]:
-    """Error and cover of the last belief along the true path.
+def score_force(
+    path: Float[np.ndarray, "point 2"], belief: Belief, task: Task
+) -> tuple[float, float]:
+    """Error and cover of a belief along the true path.
+
+    Args:
+        path: true positions [L].
+        belief: at the end of it.
+        task: which holds the truth.
 
     Returns:
         Root sum of squared errors of the force over that of the force, and the fraction
         of its components within their bands of 95 %.
     """
-    path = flight.states[:, :2]
-    truth = true_force(adaptive.task, path)
-    mean, sd = flight.belief.force(path)
+    truth = true_force(task, path)
+    mean, sd = belief.force(path)
     error = float(np.linalg.norm(mean - truth) / np.linalg.norm(truth))
     return error, float(np.mean(np.abs(mean - truth) <= NOMINAL * sd))
 
@@ -107,7 +114,12 @@ def judge_flights(
         best = np.array([flight.arrival_time for flight in oracle])
         pairs = np.isfinite(best)
         ratio = median(times[pairs] / best[pairs]) if pairs.any() else None
-        scores = np.array([score_force(flight, adaptive) for flight in flights])
+        scores = np.array(
+            [
+                score_force(flight.states[:, :2], flight.belief, adaptive.task)
+                for flight in flights
+            ]
+        )
     quantiles = (np.nan, np.nan, np.nan)
     if len(arrived):
         low, middle, high = np.quantile(

@@ -306,6 +306,7 @@ class Adaptive:
             ahead,
             belief,
             mind.prediction,
+            self.physics,
             mind.tables.time_cost,
             self.thrust,
         )

@@ -44,6 +44,9 @@ SETTLE_EVERY = 8
 MEMORY = 32_000_000
 """Memory of a bank above which its least probable filter is given up [byte]."""
 
+NEGLIGIBLE = 0.05
+"""Probability, over the greatest, of a filter that predictions do without."""
+
 CLOCK = 1e-9
 """Times that are nearer than this are one [T]."""
 
@@ -245,19 +248,40 @@ class Belief:
         weights = self.best.sample_weights(count, seed)
         return self.best.kernels.on_axes(axes, weights)
 
+    @property
+    def probabilities(self) -> Float[np.ndarray, " filter"]:
+        """Of the filters, which are equally probable before the first frame."""
+        evidence = self.log_evidence
+        weights = np.exp(evidence - evidence.max())
+        return weights / weights.sum()
+
     def ahead(self, thrusts: Points, duration: float) -> list[StateEstimate]:
         """The state after each of some thrusts, as long as no frame comes.
+
+        The mean is that of the leader, and the covariance is that of the whole bank
+        about it: a filter that is hardly less probable than the leader may be much less
+        sure of the force.
 
         Args:
             thrusts: as in `Frame`, one after the other.
             duration: of each [T].
         """
-        one, states = self.best, []
+        probabilities = self.probabilities
+        kept = probabilities >= NEGLIGIBLE * probabilities.max()
+        kept[self.leader] = True
+        places = np.flatnonzero(kept)
+        weights = probabilities[places] / probabilities[places].sum()
         steps, h = substeps(duration, self.longest)
+        filters, states = [self.filters[place] for place in places], []
         for thrust in thrusts:
             for _ in range(steps):
-                one = one.predict(thrust, h)
-            states.append(StateEstimate(one.state, one.spread))
+                filters = [one.predict(thrust, h) for one in filters]
+            mean = filters[int(np.searchsorted(places, self.leader))].state
+            apart = np.stack([one.state - mean for one in filters])
+            spreads = np.stack([one.spread for one in filters])
+            covariance = np.tensordot(weights, spreads, 1)
+            covariance += (weights * apart.T) @ apart
+            states.append(StateEstimate(mean, covariance))
         return states
 
     @property
