@@ -26,6 +26,7 @@ from pinav.navigation.adaptive.steering import Adaptive
 from pinav.navigation.adaptive.strategies import (
     Bold,
     Certain,
+    Curious,
     Doubted,
     Priced,
     Sampled,
@@ -42,7 +43,7 @@ from pinav.navigation.task.steering import SteeredSwimmer
 STRATEGIES = {
     "certain": Certain(),
     "averse": Priced(1.0),
-    "curious": Priced(-0.5),
+    "curious": Curious(),
     "sampled": Sampled(),
     "doubted": Doubted(0.5),
     "bold": Bold(2),
@@ -90,6 +91,20 @@ def test_a_price_is_paid_where_nothing_was_seen(adaptive):
         extra = [float(cost.running_cost(0.0, x)) - 1 for x in (seen, unseen)]
         assert sign * extra[1] > 0.2 * abs(price)
         assert abs(extra[0]) < 0.2 * abs(extra[1])
+
+
+@pytest.mark.parametrize(
+    ("leader", "worth", "price"), [(0, 4.0, -4 / 18), (3, 4.0, -0.8), (3, 9.0, -0.9)]
+)
+def test_what_is_unknown_is_worth_more_where_the_force_is_smooth(
+    adaptive, leader, worth, price
+):
+    """The leaders have a length scale of an 18th and of a 5th of the arena."""
+    belief = adaptive.believe(frame_at(1.0, 5.0))
+    belief = dataclasses.replace(belief, leader=leader)
+    strategy = Curious(worth)
+    cost = strategy.tables(belief, adaptive.physics, adaptive.thrust).time_cost
+    np.testing.assert_allclose(cost.risk_aversion, price, rtol=1e-6)
 
 
 def test_doubt_makes_no_force_of_nothing(adaptive):

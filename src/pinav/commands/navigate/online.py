@@ -23,9 +23,9 @@ from pinav.navigation.adaptive.prior import with_prior_of
 from pinav.navigation.adaptive.scores import Outcome, judge_flights, true_force
 from pinav.navigation.adaptive.steering import Adaptive
 from pinav.navigation.adaptive.strategies import (
-    BONUS,
     AbstractStrategy,
     Certain,
+    Curious,
     Doubted,
     Priced,
     Sampled,
@@ -40,7 +40,7 @@ from pinav.systems import Units
 STRATEGIES: Mapping[str, AbstractStrategy] = {
     "certain": Certain(),
     "averse": Priced(1.0),
-    "curious": Priced(BONUS),
+    "curious": Curious(),
     "doubted": Doubted(0.5),
     "sampled": Sampled(),
 }

@@ -15,10 +15,9 @@ from pinav.navigation.adaptive.known import motion_of, with_known
 from pinav.navigation.adaptive.progress import Progress
 from pinav.navigation.adaptive.safety import Verdict, check_command
 from pinav.navigation.adaptive.strategies import (
-    BONUS,
     AbstractStrategy,
     Bold,
-    Priced,
+    Curious,
 )
 from pinav.navigation.belief.belief import Belief, Frame
 from pinav.navigation.belief.motion import InertialMotion, OverdampedMotion
@@ -149,7 +148,7 @@ class Adaptive:
 
         Args:
             task: what is to be done.
-            strategy: the price `BONUS` unless given.
+            strategy: `Curious` unless given.
             safe: whether the last filter is used.
             points: of the lattice along the arena.
             speeds: the same along a velocity.
@@ -187,7 +186,7 @@ class Adaptive:
         )
         return cls(
             task,
-            Priced(BONUS) if strategy is None else strategy,
+            Curious() if strategy is None else strategy,
             physics,
             motion_of(task, physics),
             float(greatest_rate(physics.table, physics.control_map, inertial=inertial)),

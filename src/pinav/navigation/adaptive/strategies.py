@@ -15,8 +15,12 @@ DRAWS = 12
 """Draws of the force from which its standard deviation on a map is taken."""
 
 
-BONUS = -0.3
-"""Price of a unit of time where as much is unknown as the thrust gives."""
+WORTH = 4.0
+"""Bonus of a unit of time where as much is unknown as the thrust gives, over the length
+scale in parts of the arena."""
+
+MOST = 0.9
+"""The greatest bonus, so that time always costs something."""
 
 
 class AbstractStrategy(eqx.Module):
@@ -47,9 +51,7 @@ class Certain(AbstractStrategy):
 class Priced(AbstractStrategy):
     r"""Time costs $1 + \rho\,(s/u)^2$ with the standard deviation s of the force.
 
-    A positive price avoids what is not known. A negative one is a bonus for what a
-    visit would tell: a flight through the unknown lowers its variance nearly to zero,
-    so that the variance is the information to be had there.
+    A positive price avoids what is not known.
 
     Attributes:
         price: $\rho$, above -2, so that time always costs something.
@@ -62,6 +64,27 @@ class Priced(AbstractStrategy):
     ) -> TabulatedModel:
         force, spread = mean_and_spread(belief, physics.table.grid)
         return with_spread(with_force(physics, force), spread / thrust, self.price)
+
+
+class Curious(AbstractStrategy):
+    r"""A bonus for what a visit would tell: time costs $1 - w\,(\ell/L)\,(s/u)^2$.
+
+    A flight through the unknown lowers its variance nearly to zero, so that the
+    variance is the information to be had there. It tells of surroundings as wide as the
+    length scale $\ell$ of the force: in an arena of the longer side L, more of the way
+    to the goal where the force is smooth than where it changes from place to place.
+
+    Attributes:
+        worth: w.
+    """
+
+    worth: float = WORTH
+
+    def tables(
+        self, belief: Belief, physics: TabulatedModel, thrust: float
+    ) -> TabulatedModel:
+        bonus = bonus_of(belief, physics.table.grid, self.worth)
+        return Priced(-bonus).tables(belief, physics, thrust)
 
 
 class Sampled(AbstractStrategy):
@@ -109,8 +132,8 @@ class Bold(AbstractStrategy):
 
     The mean force is weaker by $b$ standard deviations, down to nothing,
     $F \max(0, 1 - b\, s / |F|)$, and time costs $1 - p\,(s/u)^2$ with
-    $p = 1 - 0.7^{1 + b}$, which is the usual bonus for b = 0. What is known well stays
-    as it is.
+    $p = 1 - (1 - w \ell / L)^{1 + b}$, which is the bonus of `Curious` for b = 0. What
+    is known well stays as it is.
 
     Attributes:
         boldness: b, from one on.
@@ -125,8 +148,15 @@ class Bold(AbstractStrategy):
         size = np.maximum(np.linalg.norm(force, axis=-1), 1e-12)
         factor = np.maximum(1 - self.boldness * spread / size, 0.0)
         model = with_force(physics, force * factor[..., None])
-        price = (1 + BONUS) ** (1 + self.boldness) - 1
+        bonus = bonus_of(belief, physics.table.grid)
+        price = (1 - bonus) ** (1 + self.boldness) - 1
         return with_spread(model, spread / thrust, price)
+
+
+def bonus_of(belief: Belief, grid: Grid, worth: float = WORTH) -> float:
+    """The bonus for what is unknown: by the length scale, in parts of a grid."""
+    sides = [float(axis[-1] - axis[0]) for axis in axes_of(grid)]
+    return min(worth * belief.length_scale / max(sides), MOST)
 
 
 def axes_of(grid: Grid) -> tuple[Float[np.ndarray, " x"], Float[np.ndarray, " y"]]:

@@ -131,12 +131,15 @@ class WeightPosterior:
     def covariance(self) -> Float[np.ndarray, "member member"]:
         """$P_{ww}$ as one matrix, symmetric."""
         first, count = len(self.base), len(self.members)
-        matrix = np.zeros((count, count))
-        matrix[:first, :first] = self.base
+        # A product with its own transpose is symmetric to the last bit. It is changed
+        # in place: for many members, memory takes longer than arithmetic.
+        matrix = self.factors @ self.factors.T
+        old = matrix[:first, :first]
+        np.subtract(self.base, old, out=old)
+        for new in (matrix[:first, first:], matrix[first:]):
+            np.negative(new, out=new)
         rest = np.arange(first, count)
-        matrix[rest, rest] = self.prior_sd**2
-        # A product with its own transpose is symmetric to the last bit.
-        matrix -= self.factors @ self.factors.T
+        matrix[rest, rest] += self.prior_sd**2
         return matrix
 
     def settle(self) -> "WeightPosterior":
