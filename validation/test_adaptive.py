@@ -10,7 +10,13 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
-from validation.adaptive_flights import Lesson, Row, fly_rows, wander_rows
+from validation.adaptive_flights import (
+    Lesson,
+    Row,
+    endings,
+    fly_rows,
+    wander_rows,
+)
 
 FIRST = int(os.environ.get("PINAV_FIRST_FLIGHT", "1001"))
 FLIGHTS = int(os.environ.get("PINAV_FLIGHTS", "20"))
@@ -114,3 +120,22 @@ def test_what_a_wandering_swimmer_learns(world):
     assert np.median(errors) <= ERRORS[world]
     assert 0.88 <= cover <= 0.98
     assert 0.6 <= consistency <= 1.5
+
+
+def test_campaigns_end_when_the_way_is_known():
+    """A campaign ends when the belief says that the error is below a tenth."""
+    informed = list(endings("vortex", "informed", NUMBERS))
+    random = list(endings("vortex", "random", NUMBERS[:10]))
+    counts = [
+        np.median([one.trajectories for one in some]) for some in (informed, random)
+    ]
+    finished = [one for one in informed if one.finished]
+    right = np.mean([one.error <= 0.1 for one in finished])
+    print(
+        f"{len(finished)} of {len(informed)} campaigns finished, {right:.3f} rightly, "
+        f"true error {spread([one.error for one in finished])}; {counts[0]:g} "
+        f"trajectories (median), random ones {counts[1]:g}"
+    )
+    assert len(finished) == len(informed)
+    assert right >= 0.95
+    assert counts[0] <= counts[1] / 2
