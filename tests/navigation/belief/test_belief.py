@@ -228,28 +228,54 @@ def test_ahead_is_what_lost_frames_would_say(motion):
         )
 
 
+def mixture(belief, means, covariances):
+    """Mean and covariance of what the filters say, weighted by their evidence."""
+    odds = np.exp(belief.log_evidence - belief.log_evidence.max())
+    odds[odds < bank.NEGLIGIBLE] = 0.0
+    assert np.sum(odds > 0) > 1
+    probabilities = odds / odds.sum()
+    mean = sum(p * m for p, m in zip(probabilities, means, strict=True))
+    return mean, sum(
+        p * (c + np.outer(m - mean, m - mean))
+        for p, m, c in zip(probabilities, means, covariances, strict=True)
+    )
+
+
 @pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
-def test_ahead_counts_what_filters_disagree_on(motion):
-    """The covariance is that of the mixture about the mean of the leader."""
+def test_what_is_believed_is_the_mixture_of_the_filters(motion):
     belief = believe(motion)
     for frame in frames(motion, swirl, 30)[0]:
         belief = belief.after(frame)
-    thrusts = np.array([[0.3, 0.1]] * 5)
-    mixed = belief.ahead(thrusts, 0.1)[-1]
-    filters, probabilities = belief.filters, belief.probabilities
-    for thrust in thrusts:
+    filters, thrust = belief.filters, np.array([0.3, 0.1])
+    states = [one.state for one in filters], [one.spread for one in filters]
+    mean, covariance = mixture(belief, *states)
+    np.testing.assert_allclose(belief.state.mean, mean, rtol=1e-12)
+    np.testing.assert_allclose(belief.state.covariance, covariance, rtol=1e-10)
+    place = np.array([[2.5, 2.5]])
+    parts = [one.force(place) for one in filters]
+    mean, covariance = mixture(
+        belief, [m[0] for m, _ in parts], [np.diag(sd[0] ** 2) for _, sd in parts]
+    )
+    force, sd = belief.force(place)
+    np.testing.assert_allclose(force[0], mean, rtol=1e-12)
+    np.testing.assert_allclose(sd[0], np.sqrt(np.diag(covariance)), rtol=1e-12)
+    ahead = belief.ahead(np.array([thrust] * 5), 0.1)[-1]
+    for _ in range(5):
         filters = [one.predict(thrust, 0.1) for one in filters]
-    mean = filters[belief.leader].state
-    likely = [k for k, p in enumerate(probabilities) if p >= 0.05 * probabilities.max()]
-    assert belief.leader in likely
-    assert len(likely) > 1
-    total, expected = sum(probabilities[likely]), np.zeros_like(mixed.covariance)
-    for k in likely:
-        apart = filters[k].state - mean
-        spread = filters[k].spread + np.outer(apart, apart)
-        expected += probabilities[k] / total * spread
-    np.testing.assert_array_equal(mixed.mean, mean)
-    np.testing.assert_allclose(mixed.covariance, expected, rtol=1e-10, atol=1e-14)
+    states = [one.state for one in filters], [one.spread for one in filters]
+    mean, covariance = mixture(belief, *states)
+    np.testing.assert_allclose(ahead.mean, mean, rtol=1e-12)
+    np.testing.assert_allclose(ahead.covariance, covariance, rtol=1e-10)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 12])
+def test_there_are_as_many_draws_as_were_asked_for(count):
+    belief = believe(MOTIONS["inertia"])
+    for frame in frames(MOTIONS["inertia"], swirl, 20)[0]:
+        belief = belief.after(frame)
+    axes = [np.array([2.0, 3.0]), np.array([2.0, 6.0, 7.0])]
+    for seed in range(20):
+        assert belief.samples(axes, count, seed=seed).shape == (count, 2, 3, 2)
 
 
 def test_a_frame_that_is_not_later_is_refused():

@@ -88,7 +88,8 @@ class Belief:
     """State and force, in a bank of filters that the evidence compares.
 
     It is a value: a frame gives a new one. The filters differ in the kind of force and
-    in its length scale; the leader is the one whose answers are given.
+    in its length scale; what is believed of state and force is their mixture. The
+    leader is the most probable one, but for a nat.
 
     Attributes:
         time: of the last frame [T].
@@ -206,14 +207,25 @@ class Belief:
         return self.filters[self.leader]
 
     @property
-    def state(self) -> StateEstimate:
-        """Position and, with inertia, velocity at the time of the last frame."""
-        return StateEstimate(self.best.state, self.best.spread)
-
-    @property
     def log_evidence(self) -> Float[np.ndarray, " filter"]:
         """Logarithm of the density of all positions so far, by each filter."""
         return np.array([one.log_evidence for one in self.filters])
+
+    @property
+    def likely(self) -> tuple[list[KernelFilter], Float[np.ndarray, " likely"]]:
+        """The filters that count, and their probabilities.
+
+        They are equally probable before the first frame.
+        """
+        evidence = self.log_evidence
+        odds = np.exp(evidence - evidence.max())
+        kept = np.flatnonzero(odds >= NEGLIGIBLE)
+        return [self.filters[k] for k in kept], odds[kept] / odds[kept].sum()
+
+    @property
+    def state(self) -> StateEstimate:
+        """Position and, with inertia, velocity at the time of the last frame."""
+        return _mix_states(*self.likely)
 
     @property
     def length_scale(self) -> float:
@@ -227,61 +239,57 @@ class Belief:
 
         Without inertia the force is a velocity.
         """
-        return self.best.force(np.asarray(positions, float))
+        filters, probabilities = self.likely
+        parts = [one.force(np.asarray(positions, float)) for one in filters]
+        means, sds = (np.stack(values) for values in zip(*parts, strict=True))
+        mean = np.tensordot(probabilities, means, 1)
+        variance = np.tensordot(probabilities, sds**2 + (means - mean) ** 2, 1)
+        return mean, np.sqrt(variance)
 
     def force_on(
         self, axes: Sequence[Float[np.ndarray, " _"]]
     ) -> Float[np.ndarray, "... dim"]:
         """Mean force at the points of a lattice, by its coordinates along each axis."""
-        return self.best.kernels.on_axes(axes, self.best.all_weights())
+        filters, probabilities = self.likely
+        maps = [one.kernels.on_axes(axes, one.all_weights()) for one in filters]
+        return np.tensordot(probabilities, np.stack(maps), 1)
 
     def samples(
         self, axes: Sequence[Float[np.ndarray, " _"]], count: int, *, seed: int
     ) -> Float[np.ndarray, "{count} ... dim"]:
-        """Draws of the force at the points of a lattice.
+        """Draws of the force at the points of a lattice, in no order.
+
+        Of each filter as many as its probability asks for.
 
         Args:
             axes: coordinates along each axis [L].
             count: of draws.
             seed: of the random numbers.
         """
-        weights = self.best.sample_weights(count, seed)
-        return self.best.kernels.on_axes(axes, weights)
-
-    @property
-    def probabilities(self) -> Float[np.ndarray, " filter"]:
-        """Of the filters, which are equally probable before the first frame."""
-        evidence = self.log_evidence
-        weights = np.exp(evidence - evidence.max())
-        return weights / weights.sum()
+        filters, probabilities = self.likely
+        start = np.random.default_rng([seed, 1]).uniform()
+        ends = np.floor(np.cumsum(probabilities) * count + start).astype(int)
+        ends[-1] = count
+        parts = []
+        for one, number in zip(filters, np.diff(ends, prepend=0), strict=True):
+            if number:
+                weights = one.sample_weights(int(number), seed)
+                parts.append(one.kernels.on_axes(axes, weights))
+        return np.concatenate(parts)
 
     def ahead(self, thrusts: Points, duration: float) -> list[StateEstimate]:
         """The state after each of some thrusts, as long as no frame comes.
-
-        The mean is that of the leader, and the covariance is that of the whole bank
-        about it: a filter that is hardly less probable than the leader may be much less
-        sure of the force.
 
         Args:
             thrusts: as in `Frame`, one after the other.
             duration: of each [T].
         """
-        probabilities = self.probabilities
-        kept = probabilities >= NEGLIGIBLE * probabilities.max()
-        kept[self.leader] = True
-        places = np.flatnonzero(kept)
-        weights = probabilities[places] / probabilities[places].sum()
         steps, h = substeps(duration, self.longest)
-        filters, states = [self.filters[place] for place in places], []
+        (filters, probabilities), states = self.likely, []
         for thrust in thrusts:
             for _ in range(steps):
                 filters = [one.predict(thrust, h) for one in filters]
-            mean = filters[int(np.searchsorted(places, self.leader))].state
-            apart = np.stack([one.state - mean for one in filters])
-            spreads = np.stack([one.spread for one in filters])
-            covariance = np.tensordot(weights, spreads, 1)
-            covariance += (weights * apart.T) @ apart
-            states.append(StateEstimate(mean, covariance))
+            states.append(_mix_states(filters, probabilities))
         return states
 
     @property
@@ -331,6 +339,19 @@ class Belief:
             int(arrays["count"]),
             float(arrays["longest"]),
         )
+
+
+def _mix_states(
+    filters: Sequence[KernelFilter], probabilities: Float[np.ndarray, " filter"]
+) -> StateEstimate:
+    """Mean and covariance of the state, by filters of some probabilities."""
+    means = np.stack([one.state for one in filters])
+    mean = probabilities @ means
+    apart = means - mean
+    covariance = (probabilities * apart.T) @ apart
+    for one, probability in zip(filters, probabilities, strict=True):
+        covariance += probability * one.spread
+    return StateEstimate(mean, covariance)
 
 
 def _within_memory(

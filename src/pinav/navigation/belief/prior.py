@@ -10,6 +10,7 @@ and elsewhere the kernels keep the prior of one who knows nothing.
 """
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -21,6 +22,9 @@ from pinav.navigation.belief.given import Axis, GivenForce
 from pinav.navigation.belief.kernel_filter import KernelFilter, WeightPosterior
 from pinav.navigation.belief.kernels import AbstractKernels, Local, Points
 from pinav.navigation.belief.motion import Square
+
+TRUST = 0.9
+"""Probability, before the first frame, that the surroundings are those of the fit."""
 
 FELT = 3e-4
 """Force of a unit of a weight below which its kernel is not felt at a place."""
@@ -91,7 +95,9 @@ class ForcePrior:
         """
         densities = [self._log_density(one) for one in belief.filters]
         likely = belief.filters[int(np.argmax(densities))]
-        filters = (self._correct(likely), *belief.filters)
+        odds = TRUST / (1 - TRUST) * len(belief.filters)
+        first = dataclasses.replace(self._correct(likely), log_evidence=math.log(odds))
+        filters = (first, *belief.filters)
         return dataclasses.replace(belief, filters=filters, leader=0)
 
     def _log_density(self, before: KernelFilter) -> float:
