@@ -243,6 +243,7 @@ def wander(world: str, number: int) -> Lesson:
     path, scores, times = [], [], []
     sensing = [jax.random.fold_in(key, 2 * k) for k in range(200)]
     belief = adaptive.believe(_seen(task, now, np.zeros(2), sensing[0]))
+    assert isinstance(task.objective, ReachGoal)
     while not bool(now.ended(task)):
         step = int(now.step)
         turned += 0.15 * draw.standard_normal()

@@ -94,16 +94,19 @@ def test_a_price_is_paid_where_nothing_was_seen(adaptive):
 
 
 @pytest.mark.parametrize(
-    ("leader", "worth", "price"), [(0, 4.0, -4 / 18), (3, 4.0, -0.8), (3, 9.0, -0.9)]
+    ("leader", "worth", "bonus"),
+    [(0, 4.0, 4.0 * 12 / 18), (3, 4.0, 4.0 * 12 / 5), (3, 9.0, None)],
 )
 def test_what_is_unknown_is_worth_more_where_the_force_is_smooth(
-    adaptive, leader, worth, price
+    adaptive, leader, worth, bonus
 ):
-    """The leaders have a length scale of an 18th and of a 5th of the arena."""
+    """The leaders have a length scale of an 18th and of a 5th of an arena of 12."""
     belief = adaptive.believe(frame_at(1.0, 5.0))
     belief = dataclasses.replace(belief, leader=leader)
     strategy = Curious(worth)
     cost = strategy.tables(belief, adaptive.physics, adaptive.thrust).time_cost
+    x, _ = axes_of(adaptive.physics.table.grid)
+    price = -0.9 if bonus is None else -bonus / (x[-1] - x[0])
     np.testing.assert_allclose(cost.risk_aversion, price, rtol=1e-6)
 
 

@@ -17,7 +17,7 @@ DRAWS = 12
 
 WORTH = 4.0
 """Bonus of a unit of time where as much is unknown as the thrust gives, over the length
-scale in parts of the arena."""
+scale in parts of the grid."""
 
 MOST = 0.9
 """The greatest bonus, so that time always costs something."""
@@ -71,8 +71,8 @@ class Curious(AbstractStrategy):
 
     A flight through the unknown lowers its variance nearly to zero, so that the
     variance is the information to be had there. It tells of surroundings as wide as the
-    length scale $\ell$ of the force: in an arena of the longer side L, more of the way
-    to the goal where the force is smooth than where it changes from place to place.
+    length scale $\ell$ of the force: on a grid of the longer side L, more of the way to
+    the goal where the force is smooth than where it changes from place to place.
 
     Attributes:
         worth: w.
