@@ -15,12 +15,11 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from typing import TypeVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import msgspec
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float
 
 from pinav.actuation import LinearResponse
 from pinav.arguments import Scalar, Vector
@@ -37,20 +36,16 @@ from pinav.navigation import (
     SteeredSwimmer,
     Task,
 )
-from pinav.navigation.adaptive.flight import Flight, fly
+from pinav.navigation.adaptive.flight import Flight, advance_compiled, fly, see_frame
 from pinav.navigation.adaptive.known import with_known
 from pinav.navigation.adaptive.scores import score_force
 from pinav.navigation.adaptive.steering import Adaptive
 from pinav.navigation.adaptive.strategies import Certain
-from pinav.navigation.belief.belief import Frame
-from pinav.navigation.design.campaign import run_campaign
-from pinav.navigation.design.candidates import Experiment
-from pinav.navigation.trials.closed_loop import Situation, advance, begin, observe
+from pinav.navigation.design.campaign import record_positions, run_campaign
+from pinav.navigation.trials.closed_loop import begin
 from pinav.numerics import ONE_CORE
 
 Result = TypeVar("Result")
-
-_advance, _observe = eqx.filter_jit(advance), eqx.filter_jit(observe)
 
 WAVES = 60
 """Plane waves of a random field."""
@@ -242,7 +237,7 @@ def wander(world: str, number: int) -> Lesson:
     now, turned = begin(task), 0.0
     path, scores, times = [], [], []
     sensing = [jax.random.fold_in(key, 2 * k) for k in range(200)]
-    belief = adaptive.believe(_seen(task, now, np.zeros(2), sensing[0]))
+    belief = adaptive.believe(see_frame(task, now, np.zeros(2), sensing[0]))
     assert isinstance(task.objective, ReachGoal)
     while not bool(now.ended(task)):
         step = int(now.step)
@@ -251,9 +246,9 @@ def wander(world: str, number: int) -> Lesson:
         heading = float(np.arctan2(way[1], way[0]) + turned)
         command = jnp.array([task.limits.max_frequency, heading])
         pushes = jax.random.fold_in(key, 2 * step + 1)
-        now, allowed = _advance(task, task.truth, now, command, pushes)
+        now, allowed = advance_compiled(task, task.truth, now, command, pushes)
         thrust = np.asarray(task.truth.actuator(allowed), float)
-        frame = _seen(task, now, thrust, sensing[int(now.step)])
+        frame = see_frame(task, now, thrust, sensing[int(now.step)])
         began = time.perf_counter()
         belief = belief.after(with_known(frame, belief, adaptive.physics))
         times.append(time.perf_counter() - began)
@@ -302,16 +297,7 @@ def end_campaign(world: str, design: str, number: int) -> Ending:
     """
     task = online_task(world, position_noise=NOISE, delay=0.0)
     adaptive = Adaptive.of(task, Certain())
-    experiment = Experiment(
-        actuator=task.truth.actuator,
-        limits=task.limits,
-        region=task.arena,
-        noise=np.array([NOISE] * 2 + [np.inf] * (len(task.start) - 2)),
-        duration=5.0,
-        interval=task.step,
-        knot=5.0 / 8,
-        turning=1.2 / (5.0 / 8) ** 0.5,
-    )
+    experiment = record_positions(task, task.arena, 5.0)
     campaign = run_campaign(
         adaptive,
         DESIGNS[design],
@@ -331,12 +317,6 @@ def end_campaign(world: str, design: str, number: int) -> Ending:
         last.error,
         last.true_error,
     )
-
-
-def _seen(task: Task, now: Situation, thrust: np.ndarray, key: PRNGKeyArray) -> Frame:
-    observation = _observe(task, now, key)
-    position = np.asarray(observation.state[:2], float)
-    return Frame(float(observation.time), position, NOISE, thrust)
 
 
 def quantile(flight: Flight, times: str, level: float) -> float:

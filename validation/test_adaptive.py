@@ -6,12 +6,11 @@ validation/test_adaptive.py -s` flies more, on odd numbers.
 """
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 from validation.adaptive_flights import (
-    Lesson,
     Row,
     endings,
     fly_rows,
@@ -46,10 +45,6 @@ ERRORS = {
     "shear": 0.06,
 }
 """The greatest error of the force after 16 time units of being driven about."""
-
-
-def middle(rows: Sequence[Row | Lesson], what: Callable[..., float]) -> float:
-    return float(np.median([what(row) for row in rows]))
 
 
 def spread(values: Sequence[float]) -> str:
@@ -115,7 +110,7 @@ def test_what_a_wandering_swimmer_learns(world):
     print(
         f"{world}: error {spread(errors)}, cover {cover:.3f}, squared error of the "
         f"position over its variance {consistency:.2f}, 99 % of a flight's frames "
-        f"within {1e3 * middle(lessons, lambda one: one.frame):.1f} ms"
+        f"within {1e3 * np.median([lesson.frame for lesson in lessons]):.1f} ms"
     )
     assert np.median(errors) <= ERRORS[world]
     assert 0.88 <= cover <= 0.98

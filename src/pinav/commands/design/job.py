@@ -25,7 +25,13 @@ from pinav.navigation import Disc, Experiment, Rectangle, Task
 from pinav.navigation.adaptive.steering import Adaptive
 from pinav.navigation.adaptive.strategies import Certain
 from pinav.navigation.belief.belief import Belief
-from pinav.navigation.design.campaign import Campaign, Decision, decide, run_campaign
+from pinav.navigation.design.campaign import (
+    Campaign,
+    Decision,
+    decide,
+    record_positions,
+    run_campaign,
+)
 from pinav.navigation.design.choices import (
     AbstractDesign,
     GridDesign,
@@ -46,9 +52,6 @@ DESIGNS: Mapping[str, AbstractDesign] = {
     "grid": GridDesign(),
 }
 """What `--designs` names."""
-
-KNOTS = 8
-"""Changes of the command in a trajectory."""
 
 MAP_POINTS = 41
 """Points of the maps of the force along each side."""
@@ -171,19 +174,7 @@ def _experiment(settings: DesignSettings, adaptive: Adaptive) -> Experiment:
                 f"--release: expected a rectangle inside of the arena, got "
                 f"{settings.release}; state a larger one with --arena"
             )
-    knot = max(settings.duration / KNOTS, settings.step)
-    noise = np.full(len(task.start), np.inf)
-    noise[:2] = settings.position_noise
-    return Experiment(
-        actuator=task.truth.actuator,
-        limits=task.limits,
-        region=region,
-        noise=noise,
-        duration=settings.duration,
-        interval=settings.step,
-        knot=knot,
-        turning=1.2 / knot**0.5,
-    )
+    return record_positions(task, region, settings.duration)
 
 
 def _map_arrays(adaptive: Adaptive, belief: Belief, decision: Decision) -> Arrays:

@@ -17,7 +17,7 @@ from pinav.navigation.belief.given import take_for_granted
 from pinav.navigation.task.task import Task
 from pinav.navigation.trials.closed_loop import Situation, advance, begin, observe
 
-_advance = eqx.filter_jit(advance)
+advance_compiled = eqx.filter_jit(advance)
 _observe = eqx.filter_jit(observe)
 
 
@@ -101,7 +101,7 @@ def fly(
         every: time between the beliefs that are kept, to be shown [T].
     """
     task, now = adaptive.task, begin(adaptive.task)
-    frame = _frame(task, now, np.zeros(2), _keys(key, 0)[0])
+    frame = see_frame(task, now, np.zeros(2), _keys(key, 0)[0])
     if oracle:
         belief = know_truth(adaptive, frame)
     elif belief is not None:
@@ -116,10 +116,10 @@ def fly(
         command, mind = adaptive.command(mind, now.pending, keys[1])
         record.decided(mind, time.perf_counter() - start)
         before = now.pending
-        now, allowed = _advance(task, task.truth, now, command, keys[2])
+        now, allowed = advance_compiled(task, task.truth, now, command, keys[2])
         thrust = mean_thrust(task, jnp.concatenate([before, allowed[None]]))
         sensing = _keys(key, int(now.step))[0]
-        frame = _frame(task, now, thrust, sensing)
+        frame = see_frame(task, now, thrust, sensing)
         start, planned = time.perf_counter(), mind.planned
         mind = adaptive.learn(mind, frame)
         elapsed = time.perf_counter() - start
@@ -134,13 +134,20 @@ def _keys(key: PRNGKeyArray, step: int) -> list[PRNGKeyArray]:
     return list(jax.random.split(jax.random.fold_in(key, step), 3))
 
 
-def _frame(
+def see_frame(
     task: Task,
     now: Situation,
     thrust: Float[np.ndarray, "2"],
     key: PRNGKeyArray,
 ) -> Frame:
-    """What the camera tells: a position, at the time of the control step."""
+    """What the camera tells: a position, at the time of the control step.
+
+    Args:
+        task: whose positions have an error.
+        now: the situation.
+        thrust: mean one since the last frame.
+        key: random key of the error.
+    """
     observation = _observe(task, now, key)
     position = np.asarray(observation.state[:2], float)
     sd = max(task.sensor_noise, 1e-6)

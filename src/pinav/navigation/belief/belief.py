@@ -1,6 +1,7 @@
 """What is believed of a swimmer and its surroundings, and how a frame changes it."""
 
 import dataclasses
+import functools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -211,7 +212,7 @@ class Belief:
         """Logarithm of the density of all positions so far, by each filter."""
         return np.array([one.log_evidence for one in self.filters])
 
-    @property
+    @functools.cached_property
     def likely(self) -> tuple[list[KernelFilter], Float[np.ndarray, " likely"]]:
         """The filters that count, and their probabilities.
 
@@ -222,7 +223,7 @@ class Belief:
         kept = np.flatnonzero(odds >= NEGLIGIBLE)
         return [self.filters[k] for k in kept], odds[kept] / odds[kept].sum()
 
-    @property
+    @functools.cached_property
     def state(self) -> StateEstimate:
         """Position and, with inertia, velocity at the time of the last frame."""
         return _mix_states(*self.likely)

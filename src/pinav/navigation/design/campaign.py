@@ -9,14 +9,13 @@ import dataclasses
 import math
 from collections.abc import Sequence
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from pinav.errors import InputError
-from pinav.navigation.adaptive.flight import mean_thrust
+from pinav.navigation.adaptive.flight import advance_compiled, mean_thrust
 from pinav.navigation.adaptive.known import with_known
 from pinav.navigation.adaptive.scores import true_force
 from pinav.navigation.adaptive.steering import Adaptive
@@ -26,7 +25,8 @@ from pinav.navigation.design.candidates import CandidateTrajectories, Experiment
 from pinav.navigation.design.choices import AbstractDesign, Stage
 from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.task import Task
-from pinav.navigation.trials.closed_loop import advance, begin
+from pinav.navigation.task.zones import Rectangle
+from pinav.navigation.trials.closed_loop import begin
 
 DRAWS = 100
 """Draws of the force whose errors decide whether a way is known."""
@@ -34,12 +34,13 @@ DRAWS = 100
 CONFIDENCE = 0.95
 """Probability that the error is below the accuracy when a campaign ends."""
 
+KNOTS = 8
+"""Changes of the command in a trajectory."""
+
 WAY_POINTS = 40
 """Points of a way at which the force is asked for."""
 
 Way = Float[np.ndarray, "point 2"]
-
-_advance = eqx.filter_jit(advance)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -139,6 +140,29 @@ def run_campaign(
     return Campaign(accuracy, tuple(paths), tuple(decisions), belief)
 
 
+def record_positions(task: Task, region: Rectangle, duration: float) -> Experiment:
+    """How trajectories of a task are recorded whose positions alone are observed.
+
+    Args:
+        task: which states the error of a position.
+        region: where swimmers are released.
+        duration: of a trajectory [T].
+    """
+    knot = max(duration / KNOTS, task.step)
+    noise = np.full(len(task.start), np.inf)
+    noise[:2] = task.sensor_noise
+    return Experiment(
+        actuator=task.truth.actuator,
+        limits=task.limits,
+        region=region,
+        noise=noise,
+        duration=duration,
+        interval=task.step,
+        knot=knot,
+        turning=1.2 / knot**0.5,
+    )
+
+
 def record(
     task: Task,
     experiment: Experiment,
@@ -170,7 +194,7 @@ def record(
     states, thrusts = [now.state], [np.zeros(2)]
     for k, command in enumerate(commands):
         before = now.pending
-        now, allowed = _advance(
+        now, allowed = advance_compiled(
             endless, endless.truth, now, command, jax.random.fold_in(key, k)
         )
         if bool(now.violated):
