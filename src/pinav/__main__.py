@@ -13,7 +13,10 @@ def main() -> None:
     signal.signal(signal.SIGINT, _leave)
     from pinav.cli import main as run
 
-    run()
+    try:
+        run()
+    finally:  # the work is done: an interrupt while Python ends has nothing to stop
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _leave(number: int, frame: object) -> None:

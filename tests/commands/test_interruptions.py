@@ -73,6 +73,14 @@ def interrupt(words, moment):
 
 
 @pytest.mark.slow
+def test_an_interrupt_after_the_work_does_not_turn_success_into_a_failure():
+    late = "import atexit, os, signal; atexit.register(os.kill, os.getpid(), signal.SIGINT)"
+    start = "from pinav.__main__ import main; import sys; sys.argv[1:] = ['--version']"
+    process = subprocess.run([sys.executable, "-c", f"{late}; {start}; main()"])
+    assert process.returncode == 0
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("words", ["fit --help", "report run"])
 def test_a_reader_that_leaves_a_pipe_is_no_error(words, fitted_run):
     run, _ = fitted_run("network")
