@@ -74,7 +74,7 @@ def interrupt(words, moment):
 
 @pytest.mark.slow
 def test_an_interrupt_after_the_work_does_not_turn_success_into_a_failure():
-    late = "import atexit, os, signal; atexit.register(os.kill, os.getpid(), signal.SIGINT)"
+    late = "import atexit, os, signal; atexit.register(os.kill, os.getpid(), 2)"
     start = "from pinav.__main__ import main; import sys; sys.argv[1:] = ['--version']"
     process = subprocess.run([sys.executable, "-c", f"{late}; {start}; main()"])
     assert process.returncode == 0
