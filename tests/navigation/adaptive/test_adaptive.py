@@ -24,13 +24,13 @@ from pinav.navigation.adaptive.safety import check_command
 from pinav.navigation.adaptive.scores import score_force
 from pinav.navigation.adaptive.steering import Adaptive
 from pinav.navigation.adaptive.strategies import (
-    Bold,
     Certain,
     Curious,
     Doubted,
     Priced,
     Sampled,
     axes_of,
+    mean_and_spread,
 )
 from pinav.navigation.belief.belief import Frame
 from pinav.navigation.belief.given import GivenForce, take_for_granted
@@ -46,7 +46,7 @@ STRATEGIES = {
     "curious": Curious(),
     "sampled": Sampled(),
     "doubted": Doubted(0.5),
-    "bold": Bold(2),
+    "bold": Curious(boldness=2),
 }
 
 
@@ -108,6 +108,24 @@ def test_what_is_unknown_is_worth_more_where_the_force_is_smooth(
     x, _ = axes_of(adaptive.physics.table.grid)
     price = -0.9 if bonus is None else -bonus / (x[-1] - x[0])
     np.testing.assert_allclose(cost.risk_aversion, price, rtol=1e-6)
+
+
+def test_hope_takes_half_a_deviation_off_the_mean_force(
+    adaptive,
+):
+    """A push is observed; the hoped for force is exact by hand at each node."""
+    belief = adaptive.believe(frame_at(1.0, 5.0))
+    for k in range(1, 12):
+        belief = belief.after(frame_at(1.0, 5.0 + 0.02 * k**2, 0.1 * k))
+    grid, physics = adaptive.physics.table.grid, adaptive.physics.table.values
+    mean, spread = mean_and_spread(belief, grid)
+    tables = Curious(hope=0.5).tables(belief, adaptive.physics, adaptive.thrust)
+    added = np.asarray(tables.table.values - physics)[0, ..., :2]
+    sizes = np.linalg.norm(mean, axis=-1)
+    hoped = np.maximum(sizes - 0.5 * spread, 0.0)
+    np.testing.assert_allclose(np.linalg.norm(added, axis=-1), hoped, atol=1e-12)
+    assert np.max(hoped) > 0.05
+    assert np.all(np.sum(added * mean, axis=-1) >= 0)
 
 
 def test_doubt_makes_no_force_of_nothing(adaptive):

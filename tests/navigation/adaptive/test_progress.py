@@ -13,7 +13,7 @@ from pinav.navigation import task
 from pinav.navigation.adaptive.flight import fly, know_truth
 from pinav.navigation.adaptive.progress import PATIENCE, Progress
 from pinav.navigation.adaptive.steering import Adaptive
-from pinav.navigation.adaptive.strategies import Bold, Certain, axes_of
+from pinav.navigation.adaptive.strategies import Certain, Curious, axes_of
 from pinav.navigation.belief.belief import Frame
 from pinav.navigation.belief.given import GivenForce
 from pinav.navigation.belief.prior import ForcePrior
@@ -104,7 +104,7 @@ def test_the_bold_take_nothing_from_what_is_known(still):
     belief = know_truth(Adaptive.of(task("vortex"), points=13), frame_at(1.0, 5.0))
     certain, bold = (
         strategy.tables(belief, still.physics, still.thrust)
-        for strategy in (Certain(), Bold(3))
+        for strategy in (Certain(), Curious(boldness=3))
     )
     np.testing.assert_allclose(bold.table.values, certain.table.values, atol=1e-12)
     np.testing.assert_allclose(bold.time_cost.spread.values, 0.0, atol=1e-9)
@@ -115,7 +115,7 @@ def test_each_stall_makes_a_doubtful_wall_lower_and_its_ground_cheaper(still):
     belief = walled.believe(frame_at(1.0, 5.0))
     place, heights, prices = jnp.array([5.5, 5.0]), [], []
     for boldness in (1, 2, 3, 9):
-        tables = Bold(boldness).tables(belief, still.physics, still.thrust)
+        tables = Curious(boldness=boldness).tables(belief, still.physics, still.thrust)
         heights.append(-float(tables.table(0.0, place)[0]))
         prices.append(float(tables.time_cost.running_cost(0.0, place)))
     assert np.all(np.diff(heights[:3]) < 0)

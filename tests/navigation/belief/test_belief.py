@@ -213,6 +213,8 @@ def test_draws_have_the_deviation_that_is_stated():
     np.testing.assert_allclose(draws.mean(0).reshape(-1, 2), mean, atol=0.05)
     on_axes = belief.force_on(axes).reshape(-1, 2)
     np.testing.assert_allclose(on_axes, mean, atol=1e-10)
+    at_places = belief.samples_at(places, 3000, seed=3)
+    np.testing.assert_allclose(at_places, draws.reshape(3000, -1, 2), atol=1e-10)
 
 
 @pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)

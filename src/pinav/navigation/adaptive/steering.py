@@ -16,7 +16,6 @@ from pinav.navigation.adaptive.progress import Progress
 from pinav.navigation.adaptive.safety import Verdict, check_command
 from pinav.navigation.adaptive.strategies import (
     AbstractStrategy,
-    Bold,
     Curious,
 )
 from pinav.navigation.belief.belief import Belief, Frame
@@ -251,7 +250,8 @@ class Adaptive:
     def replan(self, mind: Mind) -> Mind:
         """The mind with a new plan from the old values."""
         began, belief, progress = time.perf_counter(), mind.belief, mind.progress
-        strategy = Bold(progress.boldness) if progress.boldness else self.strategy
+        boldness = progress.boldness
+        strategy = Curious(boldness=boldness) if boldness else self.strategy
         tables = strategy.tables(belief, self.physics, self.thrust)
         lattice = self._lattice(mind)
         changed = belief.leader != mind.leader

@@ -14,10 +14,12 @@ from pinav.navigation.model.tabulated import TabulatedModel
 DRAWS = 12
 """Draws of the force from which its standard deviation on a map is taken."""
 
-
 WORTH = 4.0
 """Bonus of a unit of time where as much is unknown as the thrust gives, over the length
 scale in parts of the grid."""
+
+HOPE = 0.25
+"""Standard deviations by which a hopeful plan takes the mean force to be weaker."""
 
 MOST = 0.9
 """The greatest bonus, so that time always costs something."""
@@ -67,24 +69,39 @@ class Priced(AbstractStrategy):
 
 
 class Curious(AbstractStrategy):
-    r"""A bonus for what a visit would tell: time costs $1 - w\,(\ell/L)\,(s/u)^2$.
+    r"""Hope, and a bonus for what a visit would tell.
 
-    A flight through the unknown lowers its variance nearly to zero, so that the
-    variance is the information to be had there. It tells of surroundings as wide as the
-    length scale $\ell$ of the force: on a grid of the longer side L, more of the way to
-    the goal where the force is smooth than where it changes from place to place.
+    The mean force is weaker by $c = \kappa + b$ standard deviations, down to nothing,
+    $F \max(0, 1 - c\, s / |F|)$: what a flight against it shows to be true is
+    avoided then, but a detour never shows that it was not needed. What is known well
+    stays as it is.
+
+    Time costs $1 - p\,(s/u)^2$ with $p = 1 - (1 - w\,\ell/L)^{1+b}$. A flight through
+    the unknown lowers its variance nearly to zero, so that the variance is the
+    information to be had there. It tells of surroundings as wide as the length scale
+    $\ell$ of the force: on a grid of the longer side L, more of the way to the goal
+    where the force is smooth than where it changes from place to place.
 
     Attributes:
         worth: w.
+        hope: $\kappa$.
+        boldness: b, how often the swimmer was stalled.
     """
 
     worth: float = WORTH
+    hope: float = HOPE
+    boldness: int = 0
 
     def tables(
         self, belief: Belief, physics: TabulatedModel, thrust: float
     ) -> TabulatedModel:
-        bonus = bonus_of(belief, physics.table.grid, self.worth)
-        return Priced(-bonus).tables(belief, physics, thrust)
+        grid = physics.table.grid
+        force, spread = mean_and_spread(belief, grid)
+        size = np.maximum(np.linalg.norm(force, axis=-1), 1e-12)
+        hoped = np.maximum(1 - (self.hope + self.boldness) * spread / size, 0.0)
+        bonus = 1 - (1 - bonus_of(belief, grid, self.worth)) ** (1 + self.boldness)
+        model = with_force(physics, force * hoped[..., None])
+        return with_spread(model, spread / thrust, -bonus)
 
 
 class Sampled(AbstractStrategy):
@@ -127,33 +144,7 @@ class Doubted(AbstractStrategy):
         return with_force(physics, force * factor[..., None])
 
 
-class Bold(AbstractStrategy):
-    r"""What a stalled swimmer makes of what is not known: it may be harmless.
-
-    The mean force is weaker by $b$ standard deviations, down to nothing,
-    $F \max(0, 1 - b\, s / |F|)$, and time costs $1 - p\,(s/u)^2$ with
-    $p = 1 - (1 - w \ell / L)^{1 + b}$, which is the bonus of `Curious` for b = 0. What
-    is known well stays as it is.
-
-    Attributes:
-        boldness: b, from one on.
-    """
-
-    boldness: int
-
-    def tables(
-        self, belief: Belief, physics: TabulatedModel, thrust: float
-    ) -> TabulatedModel:
-        force, spread = mean_and_spread(belief, physics.table.grid)
-        size = np.maximum(np.linalg.norm(force, axis=-1), 1e-12)
-        factor = np.maximum(1 - self.boldness * spread / size, 0.0)
-        model = with_force(physics, force * factor[..., None])
-        bonus = bonus_of(belief, physics.table.grid)
-        price = (1 - bonus) ** (1 + self.boldness) - 1
-        return with_spread(model, spread / thrust, price)
-
-
-def bonus_of(belief: Belief, grid: Grid, worth: float = WORTH) -> float:
+def bonus_of(belief: Belief, grid: Grid, worth: float) -> float:
     """The bonus for what is unknown: by the length scale, in parts of a grid."""
     sides = [float(axis[-1] - axis[0]) for axis in axes_of(grid)]
     return min(worth * belief.length_scale / max(sides), MOST)

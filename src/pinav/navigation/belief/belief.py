@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -260,23 +260,43 @@ class Belief:
     ) -> Float[np.ndarray, "{count} ... dim"]:
         """Draws of the force at the points of a lattice, in no order.
 
-        Of each filter as many as its probability asks for.
-
         Args:
             axes: coordinates along each axis [L].
             count: of draws.
             seed: of the random numbers.
         """
+        draws = self._weights(count, seed)
+        return np.concatenate([one.kernels.on_axes(axes, ws) for one, ws in draws])
+
+    def samples_at(
+        self, positions: Points, count: int, *, seed: int
+    ) -> Float[np.ndarray, "{count} point dim"]:
+        """Draws of the force at positions [L], in no order.
+
+        Args:
+            positions: of any number.
+            count: of draws.
+            seed: of the random numbers.
+        """
+        draws = self._weights(count, seed)
+        return np.concatenate(
+            [
+                np.einsum("pdw,kw->kpd", one.kernels.basis(positions), ws)
+                for one, ws in draws
+            ]
+        )
+
+    def _weights(
+        self, count: int, seed: int
+    ) -> Iterator[tuple[KernelFilter, Float[np.ndarray, "draw weight"]]]:
+        """Draws of the weights, of each filter as many as its probability asks for."""
         filters, probabilities = self.likely
         start = np.random.default_rng([seed, 1]).uniform()
         ends = np.floor(np.cumsum(probabilities) * count + start).astype(int)
         ends[-1] = count
-        parts = []
         for one, number in zip(filters, np.diff(ends, prepend=0), strict=True):
             if number:
-                weights = one.sample_weights(int(number), seed)
-                parts.append(one.kernels.on_axes(axes, weights))
-        return np.concatenate(parts)
+                yield one, one.sample_weights(int(number), seed)
 
     def ahead(self, thrusts: Points, duration: float) -> list[StateEstimate]:
         """The state after each of some thrusts, as long as no frame comes.
