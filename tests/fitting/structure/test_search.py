@@ -1,13 +1,16 @@
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from pinav.dynamics import FixedStep
+from pinav.errors import FitError
 from pinav.fitting import fit_structured
 from pinav.fitting.bayes.neural import FitSpecification
 from pinav.fitting.environments.kernels import KernelGrid, kernel_environment
-from pinav.fitting.structure.starts import Region, linear_term
+from pinav.fitting.structure.search import _Search
+from pinav.fitting.structure.starts import Region, central_term, linear_term
 from pinav.fitting.structure.survey import Survey
 from pinav.forces import (
     KernelMixture,
@@ -30,13 +33,18 @@ def test_a_force_is_named_by_its_terms_and_its_free_kernels():
     assert potential.kind == "kernel-potential"
 
 
-@pytest.mark.slow
-def test_a_linear_force_is_found_and_each_step_names_what_is_fitted():
+def saddle():
+    """A force that is linear, an untrained model, and what was observed."""
     truth = random_system("saddle", 0)
     data = simulate(truth.with_starts(count=6), key=jax.random.key(0))
     positions = data.only(("x", "y"))
     kernels = kernel_environment(KernelPotential, positions, dim=2)
-    model = truth.swimmer.with_environment(kernels)
+    return truth, truth.swimmer.with_environment(kernels), positions
+
+
+@pytest.mark.slow
+def test_a_linear_force_is_found_and_each_step_names_what_is_fitted():
+    truth, model, positions = saddle()
     fitted: list[str] = []
     found = fit_structured(
         model,
@@ -51,6 +59,30 @@ def test_a_linear_force_is_found_and_each_step_names_what_is_fitted():
     true = forces_at(truth.environment, times, places)
     learned = forces_at(found.fit.model.environment, times, places)
     assert jnp.linalg.norm(learned - true) < 0.05 * jnp.linalg.norm(true)
+
+
+@pytest.mark.slow
+def test_a_proposal_that_no_fit_carries_loses_the_term_that_was_added_last(monkeypatch):
+    _, model, positions = saddle()
+    propose, begin, begun = Survey.proposal, _Search._begin, []
+
+    def with_a_needless_centre(self, **options):
+        made = propose(self, **options)
+        centre = central_term(self.region, self.region.middle)
+        return eqx.tree_at(lambda one: one.terms, made, (*made.terms, centre))
+
+    def begin_one(self, terms):
+        begun.append([term.kind for term in terms])
+        if len(terms) > 1:
+            raise FitError("the fit is singular")
+        return begin(self, terms)
+
+    monkeypatch.setattr(Survey, "proposal", with_a_needless_centre)
+    monkeypatch.setattr(_Search, "_begin", begin_one)
+    fit = fit_structured(model, positions)
+    assert begun == [["linear", "central"], ["linear"]]
+    assert fit.structure is not None
+    assert [term.kind for term in fit.structure.terms] == ["linear"]
 
 
 @pytest.mark.slow

@@ -201,7 +201,7 @@ class _Search(eqx.Module):
 
         The free fit begins where the other ended, and ends early where it cannot win.
         """
-        proposed = None if proposal is None else self._fit_proposal(proposal)
+        proposed = None if proposal is None else self._fit_proposal(proposal.terms)
         if proposed is None:
             return StructuredFit(self.fit(self.free(), AS_FINE_AS_ASKED), np.nan)
         structured, evidence = proposed
@@ -233,28 +233,38 @@ class _Search(eqx.Module):
             return StructuredFit(alone, gain)
         return StructuredFit(self.fit(self.free(), AS_FINE_AS_ASKED), gain)
 
-    def _fit_proposal(self, proposal: Proposal) -> tuple[EvidenceFit, float] | None:
-        """The fit of a proposal beside the free kernels; None where it fails.
+    def _fit_proposal(self, terms: Terms) -> tuple[EvidenceFit, float] | None:
+        """The fit of proposed terms beside the free kernels; None where it fails.
 
-        The proposal explains data linearised about smoothed states, whose errors
-        needless terms may explain. So its fit is interrupted after a few steps, and
-        about it the data are asked again what is needed.
+        The terms explain data linearised about smoothed states, whose errors needless
+        terms may explain. So their fit is interrupted after a few steps, and about it
+        the data are asked again what is needed. Where no fit carries all terms, as
+        about a centre that swimmers circle faster than smoothing follows, the one that
+        was added last is left out.
 
         Returns:
             The fit, and its log evidence.
         """
         try:
-            begun = self._begin(proposal.terms)
-            if begun.outcome is Outcome.DIVERGED:
-                return None
-            survey = Survey.of(self.specification, self.free(), begun)
-            other = survey.better(begun.model.environment.terms)
-            fit = None if other is None else self._fit_terms(other.terms, begun)
-            if fit is None or not _is_as_good(fit, begun):
-                fit = self._fit_terms(begun.model.environment.terms, begun)
+            fit = self._fit_needed(terms)
         except FitError:
-            return None
-        return None if fit.outcome is Outcome.DIVERGED else (fit, _evidence(fit))
+            fit = None
+        if fit is not None and fit.outcome is not Outcome.DIVERGED:
+            return fit, _evidence(fit)
+        return self._fit_proposal(terms[:-1]) if len(terms) > 1 else None
+
+    def _fit_needed(self, terms: Terms) -> EvidenceFit:
+        """The fit of those of some terms that are needed, or one that diverged."""
+        begun = self._begin(terms)
+        if begun.outcome is Outcome.DIVERGED:
+            return begun
+        survey = Survey.of(self.specification, self.free(), begun)
+        other = survey.better(begun.model.environment.terms)
+        if other is not None:
+            fit = self._fit_terms(other.terms, begun)
+            if _is_as_good(fit, begun):
+                return fit
+        return self._fit_terms(begun.model.environment.terms, begun)
 
     def _begin(self, terms: Terms) -> EvidenceFit:
         """The first steps of the fit of terms beside the free kernels."""
