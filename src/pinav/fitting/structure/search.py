@@ -201,7 +201,7 @@ class _Search(eqx.Module):
 
         The free fit begins where the other ended, and ends early where it cannot win.
         """
-        proposed = None if proposal is None else self._fit_proposal(proposal.terms)
+        proposed = None if proposal is None else self._fit_proposal(proposal)
         if proposed is None:
             return StructuredFit(self.fit(self.free(), AS_FINE_AS_ASKED), np.nan)
         structured, evidence = proposed
@@ -233,7 +233,7 @@ class _Search(eqx.Module):
             return StructuredFit(alone, gain)
         return StructuredFit(self.fit(self.free(), AS_FINE_AS_ASKED), gain)
 
-    def _fit_proposal(self, terms: Terms) -> tuple[EvidenceFit, float] | None:
+    def _fit_proposal(self, proposal: Proposal) -> tuple[EvidenceFit, float] | None:
         """The fit of proposed terms beside the free kernels; None where it fails.
 
         The terms explain data linearised about smoothed states, whose errors needless
@@ -246,25 +246,35 @@ class _Search(eqx.Module):
             The fit, and its log evidence.
         """
         try:
-            fit = self._fit_needed(terms)
+            fit = self._fit_needed(proposal)
+            if fit is None or fit.outcome is not Outcome.DIVERGED:
+                return fit and (fit, _evidence(fit))
         except FitError:
-            fit = None
-        if fit is not None and fit.outcome is not Outcome.DIVERGED:
-            return fit, _evidence(fit)
-        return self._fit_proposal(terms[:-1]) if len(terms) > 1 else None
+            pass
+        if len(proposal.terms) == 1:
+            return None
+        fewer = dataclasses.replace(proposal, terms=proposal.terms[:-1], is_rough=True)
+        return self._fit_proposal(fewer)
 
-    def _fit_needed(self, terms: Terms) -> EvidenceFit:
-        """The fit of those of some terms that are needed, or one that diverged."""
-        begun = self._begin(terms)
+    def _fit_needed(self, proposal: Proposal) -> EvidenceFit | None:
+        """The fit of the terms that are needed, which may have diverged.
+
+        None where the terms do not explain the data about their own fit.
+        """
+        begun = self._begin(proposal.terms)
         if begun.outcome is Outcome.DIVERGED:
             return begun
+        terms = begun.model.environment.terms
         survey = Survey.of(self.specification, self.free(), begun)
-        other = survey.better(begun.model.environment.terms)
-        if other is not None:
-            fit = self._fit_terms(other.terms, begun)
+        whole = survey.polished(terms)
+        needed = whole and survey.needed(whole)
+        if proposal.is_rough and not (needed and survey.is_explained(needed)):
+            return None
+        if needed is not None and needed is not whole:
+            fit = self._fit_terms(needed.terms, begun)
             if _is_as_good(fit, begun):
                 return fit
-        return self._fit_terms(begun.model.environment.terms, begun)
+        return self._fit_terms(terms, begun)
 
     def _begin(self, terms: Terms) -> EvidenceFit:
         """The first steps of the fit of terms beside the free kernels."""
@@ -300,9 +310,11 @@ def _weigh_rotation(search: _Search, survey: Survey) -> StructuredFit:
     asked = survey_rotation(survey.response, survey.noise, (), kernels)
     turning, rotation = None, asked.gain
     proposal, turned = survey.proposal(rotational=False), None
-    if rotation > DECISIVE and proposal is None:
+    is_sure = proposal is not None and not proposal.is_rough
+    if rotation > DECISIVE and not is_sure:
         turned = survey.proposal(rotational=True)
-    if proposal is None and (asked.is_plain or turned is not None):
+        turned = None if turned is None or turned.is_rough else turned
+    if not is_sure and (asked.is_plain or turned is not None):
         turning = _turning(search, turned)
         if turning is not None and turning.rotation > DECISIVE:
             return turning

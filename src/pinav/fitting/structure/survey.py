@@ -1,5 +1,7 @@
 """A survey of the data, before a fit or about one: their response to forces."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,7 +10,13 @@ import numpy as np
 from pinav.fitting.bayes.neural import FitSpecification
 from pinav.fitting.bayes.problem import BayesProblem
 from pinav.fitting.engine.evidence_fit import EvidenceFit
-from pinav.fitting.structure.proposals import EXPLAINED, propose, prune, refine
+from pinav.fitting.structure.proposals import (
+    EXPLAINED,
+    HOPELESS,
+    propose,
+    prune,
+    refine,
+)
 from pinav.fitting.structure.response import ForceResponse, force_response
 from pinav.fitting.structure.starts import Region
 from pinav.fitting.structure.trials import Proposal, Terms, polish
@@ -72,25 +80,31 @@ class Survey(eqx.Module):
         )
 
     def proposal(self, *, rotational: bool) -> Proposal | None:
-        """The structure that explains the data nearly to the noise, if any does.
+        """The structure that explains most of the data, if it comes near the noise.
+
+        In space one that explains them but roughly is not worth the time of its fit.
 
         Args:
             rotational: whether the force may have no potential.
         """
         best = propose(self.response, self.region, self.noise, rotational=rotational)
-        if best is None or best.noise > EXPLAINED * self.noise:
+        if best is None or best.noise > HOPELESS * self.noise:
             return None
+        if not self.is_explained(best):
+            rough = dataclasses.replace(best, is_rough=True)
+            return rough if self.region.is_planar else None
         # In space the kernels of the search are half as many as those of a fit.
         return best if self.region.is_planar else refine(best, self.response, 1)
 
-    def better(self, terms: Terms) -> Proposal | None:
-        """A structure of fewer terms, or of finer profiles, where the data ask for it.
+    def is_explained(self, proposal: Proposal) -> bool:
+        """Whether terms explain the data nearly to the noise."""
+        return proposal.noise <= EXPLAINED * self.noise
 
-        Args:
-            terms: those that there are.
-        """
+    def polished(self, terms: Terms) -> Proposal | None:
+        """Terms with the best of their geometries; None where none is finite."""
         whole = polish(terms, self.response)
-        if whole is None or not np.isfinite(whole.log_evidence):
-            return None
-        other = prune(refine(whole, self.response), self.response)
-        return None if other is whole else other
+        return whole if whole and np.isfinite(whole.log_evidence) else None
+
+    def needed(self, whole: Proposal) -> Proposal:
+        """The structure of fewer terms, or of finer profiles, that the data ask for."""
+        return prune(refine(whole, self.response), self.response)

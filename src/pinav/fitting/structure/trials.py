@@ -53,12 +53,15 @@ class Proposal(eqx.Module):
         noise: standard deviation of what they leave unexplained.
         length_scales: of the profile of each term, in widths of its kernels; infinite
             where it has none.
+        is_rough: whether they leave more unexplained than the noise, which they must
+            not do about the path of a fit.
     """
 
     terms: Terms
     log_evidence: float
     noise: float
     length_scales: tuple[float, ...] = ()
+    is_rough: bool = False
 
     @property
     def finer(self) -> Terms | None:
