@@ -28,7 +28,7 @@ REGRETS = {
     ("shear", 0.0): 1.17,
     ("barrier-weak", 0.0): 1.30,
     ("keep-out", 0.0): 1.40,
-    ("many-barriers", 0.0): 1.25,  # 1.20 is aimed at, and missed (docs/adaptive.md)
+    ("many-barriers", 0.0): 1.20,  # missed by 0.02 (docs/adaptive.md)
     ("vortex", 0.2): 1.18,
     ("barrier-weak", 0.2): 1.42,
 }
@@ -87,7 +87,7 @@ def test_fibres_are_crossed():
     print(f"fibres, {len(rows)} flights: regret {spread(regrets)}")
     show(rows)
     assert np.mean(np.array(regrets) <= 3.0) >= 0.95
-    assert np.mean([row.violated for row in rows]) <= 0.05
+    assert not any(row.violated for row in rows)
 
 
 def test_gates_in_random_fields_are_passed_without_touching_a_disc():

@@ -1,3 +1,5 @@
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -83,6 +85,24 @@ def test_a_proposal_that_no_fit_carries_loses_the_term_that_was_added_last(monke
     assert begun == [["linear", "central"], ["linear"]]
     assert fit.structure is not None
     assert [term.kind for term in fit.structure.terms] == ["linear"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("is_near", [True, False])
+def test_a_rough_proposal_must_explain_the_data_about_its_own_fit(monkeypatch, is_near):
+    _, model, positions = saddle()
+    propose = Survey.proposal
+
+    def propose_roughly(self, **options):
+        made = propose(self, **options)
+        return dataclasses.replace(made, is_rough=True)
+
+    monkeypatch.setattr(Survey, "proposal", propose_roughly)
+    if not is_near:
+        monkeypatch.setattr(Survey, "is_near_noise", lambda *_: False)
+    fit = fit_structured(model, positions)
+    terms = () if fit.structure is None else fit.structure.terms
+    assert [term.kind for term in terms] == (["linear"] if is_near else [])
 
 
 @pytest.mark.slow

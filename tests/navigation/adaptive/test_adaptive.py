@@ -110,9 +110,7 @@ def test_what_is_unknown_is_worth_more_where_the_force_is_smooth(
     np.testing.assert_allclose(cost.risk_aversion, price, rtol=1e-6)
 
 
-def test_hope_takes_half_a_deviation_off_the_mean_force(
-    adaptive,
-):
+def test_hope_takes_half_a_deviation_off_the_mean_force(adaptive):
     """A push is observed; the hoped for force is exact by hand at each node."""
     belief = adaptive.believe(frame_at(1.0, 5.0))
     for k in range(1, 12):

@@ -244,7 +244,7 @@ class _Ground(eqx.Module):
 
     def _polish_each(self, structures: Sequence[Terms]) -> list[Proposal]:
         made = [polish(terms, self.response) for terms in structures]
-        return [one for one in made if one and np.isfinite(one.log_evidence)]
+        return [one for one in made if one is not None]
 
     def _scan(self, starts: Sequence[AbstractTerm], terms: Terms) -> "_Scanned":
         """The best term of a kind beside others; its centre on ever finer grids."""

@@ -30,11 +30,11 @@ from pinav.fitting.environments.refinement import (
 )
 from pinav.fitting.evidence.model_evidence import DECISIVE, model_evidence
 from pinav.fitting.outcome import Outcome
-from pinav.fitting.structure.proposals import Proposal
+from pinav.fitting.structure.proposals import Proposal, prune, refine
 from pinav.fitting.structure.rotation import fitted_gain, mixture_on, survey_rotation
 from pinav.fitting.structure.starts import GRID
 from pinav.fitting.structure.survey import Survey
-from pinav.fitting.structure.trials import Terms
+from pinav.fitting.structure.trials import Terms, polish
 from pinav.forces import (
     AbstractForce,
     AbstractLearnedForce,
@@ -246,7 +246,7 @@ class _Search(eqx.Module):
             The fit, and its log evidence.
         """
         try:
-            fit = self._fit_needed(proposal)
+            fit = self._fit_in_two_stages(proposal)
             if fit is None or fit.outcome is not Outcome.DIVERGED:
                 return fit and (fit, _evidence(fit))
         except FitError:
@@ -256,8 +256,8 @@ class _Search(eqx.Module):
         fewer = dataclasses.replace(proposal, terms=proposal.terms[:-1], is_rough=True)
         return self._fit_proposal(fewer)
 
-    def _fit_needed(self, proposal: Proposal) -> EvidenceFit | None:
-        """The fit of the terms that are needed, which may have diverged.
+    def _fit_in_two_stages(self, proposal: Proposal) -> EvidenceFit | None:
+        """The fit of the terms that prove needed in a first one; it may have diverged.
 
         None where the terms do not explain the data about their own fit.
         """
@@ -266,12 +266,12 @@ class _Search(eqx.Module):
             return begun
         terms = begun.model.environment.terms
         survey = Survey.of(self.specification, self.free(), begun)
-        whole = survey.polished(terms)
-        needed = whole and survey.needed(whole)
-        if proposal.is_rough and not (needed and survey.is_explained(needed)):
+        whole = polish(terms, survey.response)
+        other = whole and prune(refine(whole, survey.response), survey.response)
+        if proposal.is_rough and not (other and survey.is_near_noise(other)):
             return None
-        if needed is not None and needed is not whole:
-            fit = self._fit_terms(needed.terms, begun)
+        if other is not None and other is not whole:
+            fit = self._fit_terms(other.terms, begun)
             if _is_as_good(fit, begun):
                 return fit
         return self._fit_terms(terms, begun)
@@ -310,11 +310,10 @@ def _weigh_rotation(search: _Search, survey: Survey) -> StructuredFit:
     asked = survey_rotation(survey.response, survey.noise, (), kernels)
     turning, rotation = None, asked.gain
     proposal, turned = survey.proposal(rotational=False), None
-    is_sure = proposal is not None and not proposal.is_rough
-    if rotation > DECISIVE and not is_sure:
-        turned = survey.proposal(rotational=True)
-        turned = None if turned is None or turned.is_rough else turned
-    if not is_sure and (asked.is_plain or turned is not None):
+    is_open = _unless_rough(proposal) is None
+    if rotation > DECISIVE and is_open:
+        turned = _unless_rough(survey.proposal(rotational=True))
+    if is_open and (asked.is_plain or turned is not None):
         turning = _turning(search, turned)
         if turning is not None and turning.rotation > DECISIVE:
             return turning
@@ -329,6 +328,11 @@ def _weigh_rotation(search: _Search, survey: Survey) -> StructuredFit:
     if not rotation > DECISIVE:  # which may be NaN
         return StructuredFit(still.fit, still.gain, rotation)
     return _weigh_beside(search, still, proposal if turned is None else turned)
+
+
+def _unless_rough(proposal: Proposal | None) -> Proposal | None:
+    """A proposal that explains the data nearly to the noise, or None."""
+    return None if proposal is None or proposal.is_rough else proposal
 
 
 def _potential(

@@ -5,7 +5,6 @@ import dataclasses
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from pinav.fitting.bayes.neural import FitSpecification
 from pinav.fitting.bayes.problem import BayesProblem
@@ -14,12 +13,11 @@ from pinav.fitting.structure.proposals import (
     EXPLAINED,
     HOPELESS,
     propose,
-    prune,
     refine,
 )
 from pinav.fitting.structure.response import ForceResponse, force_response
 from pinav.fitting.structure.starts import Region
-from pinav.fitting.structure.trials import Proposal, Terms, polish
+from pinav.fitting.structure.trials import Proposal
 from pinav.forces import ZeroForce
 
 MOST_TRAJECTORIES = {2: 32, 3: 10}
@@ -90,21 +88,12 @@ class Survey(eqx.Module):
         best = propose(self.response, self.region, self.noise, rotational=rotational)
         if best is None or best.noise > HOPELESS * self.noise:
             return None
-        if not self.is_explained(best):
+        if not self.is_near_noise(best):
             rough = dataclasses.replace(best, is_rough=True)
             return rough if self.region.is_planar else None
         # In space the kernels of the search are half as many as those of a fit.
         return best if self.region.is_planar else refine(best, self.response, 1)
 
-    def is_explained(self, proposal: Proposal) -> bool:
-        """Whether terms explain the data nearly to the noise."""
+    def is_near_noise(self, proposal: Proposal) -> bool:
+        """Whether terms leave little more of the data unexplained than the noise."""
         return proposal.noise <= EXPLAINED * self.noise
-
-    def polished(self, terms: Terms) -> Proposal | None:
-        """Terms with the best of their geometries; None where none is finite."""
-        whole = polish(terms, self.response)
-        return whole if whole and np.isfinite(whole.log_evidence) else None
-
-    def needed(self, whole: Proposal) -> Proposal:
-        """The structure of fewer terms, or of finer profiles, that the data ask for."""
-        return prune(refine(whole, self.response), self.response)

@@ -53,8 +53,8 @@ class Proposal(eqx.Module):
         noise: standard deviation of what they leave unexplained.
         length_scales: of the profile of each term, in widths of its kernels; infinite
             where it has none.
-        is_rough: whether they leave more unexplained than the noise, which they must
-            not do about the path of a fit.
+        is_rough: whether they may leave more unexplained than the noise, which they
+            must not do about the path of a fit.
     """
 
     terms: Terms
@@ -231,6 +231,8 @@ def polish(terms: Terms, response: ForceResponse) -> Proposal | None:
         return None
     chosen = best.hyperparameters
     value = float(chosen.log_evidence) - cost(terms, response)
+    if not np.isfinite(value):
+        return None
     scales = tuple(
         float(np.exp(chosen.shape[place]))
         if isinstance(term, AbstractProfileTerm)

@@ -98,9 +98,9 @@ class Curious(AbstractStrategy):
         grid = physics.table.grid
         force, spread = mean_and_spread(belief, grid)
         size = np.maximum(np.linalg.norm(force, axis=-1), 1e-12)
-        hoped = np.maximum(1 - (self.hope + self.boldness) * spread / size, 0.0)
+        factor = np.maximum(1 - (self.hope + self.boldness) * spread / size, 0.0)
         bonus = 1 - (1 - bonus_of(belief, grid, self.worth)) ** (1 + self.boldness)
-        model = with_force(physics, force * hoped[..., None])
+        model = with_force(physics, force * factor[..., None])
         return with_spread(model, spread / thrust, -bonus)
 
 

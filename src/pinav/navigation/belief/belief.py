@@ -265,8 +265,9 @@ class Belief:
             count: of draws.
             seed: of the random numbers.
         """
-        draws = self._weights(count, seed)
-        return np.concatenate([one.kernels.on_axes(axes, ws) for one, ws in draws])
+        draws = self._draw_weights(count, seed)
+        parts = [one.kernels.on_axes(axes, weights) for one, weights in draws]
+        return np.concatenate(parts)
 
     def samples_at(
         self, positions: Points, count: int, *, seed: int
@@ -278,15 +279,14 @@ class Belief:
             count: of draws.
             seed: of the random numbers.
         """
-        draws = self._weights(count, seed)
-        return np.concatenate(
-            [
-                np.einsum("pdw,kw->kpd", one.kernels.basis(positions), ws)
-                for one, ws in draws
-            ]
-        )
+        draws = self._draw_weights(count, seed)
+        parts = [
+            np.einsum("pdw,kw->kpd", one.kernels.basis(positions), weights)
+            for one, weights in draws
+        ]
+        return np.concatenate(parts)
 
-    def _weights(
+    def _draw_weights(
         self, count: int, seed: int
     ) -> Iterator[tuple[KernelFilter, Float[np.ndarray, "draw weight"]]]:
         """Draws of the weights, of each filter as many as its probability asks for."""
