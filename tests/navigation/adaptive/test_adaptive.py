@@ -204,6 +204,7 @@ def safety_case(adaptive, position, heading, force=(0.0, 0.0), *, disc=True):
         physics,
         physics.time_cost,
         adaptive.thrust,
+        2.0,
     )
     return wanted, verdict
 

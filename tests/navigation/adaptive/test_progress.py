@@ -11,7 +11,7 @@ from pinav.dynamics import OverdampedSwimmer
 from pinav.forces import GaussianBarrier, ZeroForce
 from pinav.navigation import task
 from pinav.navigation.adaptive.flight import fly, know_truth
-from pinav.navigation.adaptive.progress import PATIENCE, Progress
+from pinav.navigation.adaptive.progress import Progress
 from pinav.navigation.adaptive.steering import Adaptive
 from pinav.navigation.adaptive.strategies import Certain, Curious, axes_of
 from pinav.navigation.belief.belief import Frame
@@ -19,11 +19,13 @@ from pinav.navigation.belief.given import GivenForce
 from pinav.navigation.belief.prior import ForcePrior
 from pinav.navigation.task.steering import SteeredSwimmer
 
+PATIENCE = 6.0
+
 
 def walk(places, step=0.1, time_to_go=lambda _: 9.0):
     """The progress after each of some places."""
     first = np.array(places[0], float)
-    now = Progress(1.0, first[None], 0.0, first)
+    now = Progress(1.0, first[None], 0.0, first, PATIENCE)
     steps = [now]
     for k, place in enumerate(places[1:], 1):
         now = now.after(step * k, np.array(place, float), time_to_go)

@@ -221,7 +221,7 @@ def test_draws_have_the_deviation_that_is_stated():
 def test_ahead_is_what_lost_frames_would_say(motion):
     belief = believe(motion, scales=(6.0,), kinds=(PotentialKernels,))
     thrusts = np.array([[0.3, 0.1], [0.0, -0.4]])
-    states = belief.ahead(thrusts, 0.1)
+    states = belief.ahead(thrusts, np.full(2, 0.1))
     for k, thrust in enumerate(thrusts):
         belief = belief.after(Frame(0.1 * (k + 1), None, 0.02, thrust))
         np.testing.assert_allclose(states[k].mean, belief.state.mean, atol=1e-12)
@@ -261,7 +261,7 @@ def test_what_is_believed_is_the_mixture_of_the_filters(motion):
     force, sd = belief.force(place)
     np.testing.assert_allclose(force[0], mean, rtol=1e-12)
     np.testing.assert_allclose(sd[0], np.sqrt(np.diag(covariance)), rtol=1e-12)
-    ahead = belief.ahead(np.array([thrust] * 5), 0.1)[-1]
+    ahead = belief.ahead(np.array([thrust] * 5), np.full(5, 0.1))[-1]
     for _ in range(5):
         filters = [one.predict(thrust, 0.1) for one in filters]
     states = [one.state for one in filters], [one.spread for one in filters]

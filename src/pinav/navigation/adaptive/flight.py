@@ -75,7 +75,7 @@ def know_truth(adaptive: Adaptive, frame: Frame) -> Belief:
         environment_rate(task, task.truth),
         frame,
         motion=adaptive.motion,
-        speed_sd=frame.sd,
+        speed_sd=adaptive.rest_sd(frame),
         longest=task.step,
     )
 
@@ -105,7 +105,7 @@ def fly(
     if oracle:
         belief = know_truth(adaptive, frame)
     elif belief is not None:
-        belief = belief.restart(frame, speed_sd=frame.sd)
+        belief = belief.restart(frame, speed_sd=adaptive.rest_sd(frame))
     else:
         belief = adaptive.believe(frame)
     mind, record = adaptive.start(belief), _Record(every)

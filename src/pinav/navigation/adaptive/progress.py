@@ -6,9 +6,6 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
-PATIENCE = 6.0
-"""Stalled is who came nowhere new in so long [T], and not nearer by half of it."""
-
 CLOCK = 1e-6
 """Times that are nearer than this are one [T]."""
 
@@ -26,6 +23,8 @@ class Progress:
         places: old ones, that far apart.
         since: when it came to the last of them, nearer, or became bolder [T].
         state: in which it was then.
+        patience: stalled is who came nowhere new in so long [T], and not nearer by half
+            of it.
         boldness: how often the patience ended so far.
         stalled: whether it has ended since the swimmer came to a new place.
     """
@@ -34,6 +33,7 @@ class Progress:
     places: Float[np.ndarray, "place 2"]
     since: float
     state: Float[np.ndarray, " state"]
+    patience: float
     boldness: int = 0
     stalled: bool = False
 
@@ -53,10 +53,12 @@ class Progress:
         """
         place = state[None, :2]
         new = np.min(np.linalg.norm(self.places - place, axis=1)) > self.length
-        if not new and time - self.since < PATIENCE - CLOCK:
+        if not new and time - self.since < self.patience - CLOCK:
             return self
         places = np.concatenate([self.places, place]) if new else self.places
         gained = time_to_go(self.state) - time_to_go(state)
-        stalled = not new and bool(gained < PATIENCE / 2)
+        stalled = not new and bool(gained < self.patience / 2)
         boldness = self.boldness + stalled
-        return Progress(self.length, places, time, state, boldness, stalled)
+        return Progress(
+            self.length, places, time, state, self.patience, boldness, stalled
+        )

@@ -1,11 +1,14 @@
 r"""A last filter between control and swimmer: no command without a way out.
 
 A command is let through if, after it, there is a sequence of commands that keeps the
-tube of the next time unit out of every forbidden place: the predicted mean path and
-three standard deviations of state and force about it. Each such sequence is one heading
-held at full thrust, or none at all; zero frequency has no privilege, for a force may
-push. The best one is kept in reserve. If there is none, the swimmer does what keeps the
-tube furthest from forbidden places.
+tube of some time ahead out of every forbidden place: the predicted mean path and three
+standard deviations of state and force about it, later fewer, as one over the time. A
+swimmer with inertia may need that long to stop; with the full width the tube would fill
+every gate in which nothing is known yet, although the swimmer sees more on the way and
+steers by it. Each such sequence is one heading held at full thrust, or none
+at all; zero frequency has no privilege, for a force may push. The best one is kept in
+reserve. If there is none, the swimmer does what keeps the tube furthest from forbidden
+places.
 """
 
 import dataclasses
@@ -27,13 +30,16 @@ from pinav.navigation.model.time_cost import TimeCost
 from pinav.navigation.task.steering import AbstractActuator, Command
 
 DEVIATIONS = 3.0
-"""Half width of the tube, in standard deviations."""
+"""Half width of the tube at first, in standard deviations."""
 
 ESCAPES = 16
 """Headings of the sequences in reserve."""
 
-HORIZON = 1.0
-"""How far the tube goes [T]."""
+FULL = 1 / 3
+"""How long it has that width, in parts of the time for which it is looked at."""
+
+PIECES = 8
+"""Steps in which its width is predicted."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -59,6 +65,7 @@ def check_command(
     physics: TabulatedModel,
     time_cost: TimeCost,
     thrust: float,
+    horizon: float,
 ) -> Verdict:
     """Let a command through, or give a safer one.
 
@@ -70,15 +77,15 @@ def check_command(
         physics: tables without the environment.
         time_cost: what is forbidden.
         thrust: greatest thrust [L T⁻²], or velocity [L T⁻¹] without inertia.
+        horizon: how far the tube goes [T].
     """
     near = float(_clearance(time_cost, observation.state))
-    if near > farthest(np.asarray(observation.state), thrust):
+    if near > farthest(np.asarray(observation.state), thrust, horizon):
         return Verdict(command, near, changed=False)
     # The tables of the last plan are older than the belief, by half a time unit.
     predictor = Certain().tables(belief, physics, thrust).predictor
     prediction = dataclasses.replace(prediction, predictor=predictor)
-    steps = round(HORIZON / prediction.step)
-    tube = tube_radii(belief, command, prediction, steps, observation)
+    tube = tube_radii(belief, command, prediction, horizon, observation)
     controls, after, instead = _margins(
         prediction, observation, command, time_cost, jnp.asarray(tube)
     )
@@ -91,22 +98,24 @@ def check_command(
     return Verdict(safer, float(margins[best]), changed=True)
 
 
-def farthest(state: Float[np.ndarray, " state"], thrust: float) -> float:
+def farthest(
+    state: Float[np.ndarray, " state"], thrust: float, horizon: float
+) -> float:
     """Distance within which a forbidden place matters at all [L].
 
     The way at the present speed, that by twice the thrust (so much may a force add),
     and a tube as wide.
     """
     if len(state) == 2:
-        return 4 * thrust * HORIZON
-    return float(np.linalg.norm(state[2:])) * HORIZON + 2.5 * thrust * HORIZON**2
+        return 4 * thrust * horizon
+    return float(np.linalg.norm(state[2:])) * horizon + 2.5 * thrust * horizon**2
 
 
 def tube_radii(
     belief: Belief,
     command: Command,
     prediction: TrajectoryPrediction,
-    steps: int,
+    horizon: float,
     observation: Observation,
 ) -> Float[np.ndarray, " step"]:
     """Half width of the tube after each step [L], until the horizon.
@@ -118,11 +127,16 @@ def tube_radii(
     given = jnp.stack([observation.pending[-1], command])
     waiting, wanted = np.asarray(_thrusts(actuator, given))
     delayed = round((float(observation.time) - belief.time) / prediction.step)
-    held = np.tile(wanted, (steps, 1))
-    before = np.tile(waiting, (delayed, 1))
-    states = belief.ahead(np.concatenate([before, held]), prediction.step)[delayed:]
+    ends = np.linspace(0, horizon, PIECES + 1)
+    thrusts = np.repeat([waiting, wanted], [delayed, PIECES], axis=0)
+    durations = np.repeat([prediction.step, ends[1]], [delayed, PIECES])
+    ahead = belief.ahead(thrusts, durations)
+    states = [belief.state, *ahead][delayed:]
     greatest = [np.linalg.eigvalsh(s.covariance[:2, :2])[-1] for s in states]
-    return DEVIATIONS * np.sqrt(np.maximum(greatest, 0.0))
+    count = max(round(horizon / prediction.step), 1)
+    times = prediction.step * np.arange(1, count + 1)
+    deviations = DEVIATIONS * np.minimum(1.0, FULL * horizon / times)
+    return deviations * np.interp(times, ends, np.sqrt(np.maximum(greatest, 0.0)))
 
 
 @eqx.filter_jit

@@ -38,7 +38,7 @@ from pinav.navigation.model.tabulated import (
     tabulate_model,
 )
 from pinav.navigation.planning.plan import TimeToGo, check_places
-from pinav.navigation.planning.replanning import Replanner
+from pinav.navigation.planning.replanning import HEADROOM, Replanner
 from pinav.navigation.task.objectives import ReachGoal
 from pinav.navigation.task.steering import Command
 from pinav.navigation.task.task import Task
@@ -50,8 +50,14 @@ POINTS, SPEEDS = 25, 11
 FLAT_POINTS = 61
 """Points of the lattice along the arena, without inertia."""
 
-EVERY = 0.5
-"""Time between two plans [T]."""
+EVERY = 0.04
+"""Time between two plans, over the time to cross the arena."""
+
+HORIZON = 0.3
+"""How far the last filter looks, over the time to cross the arena."""
+
+PATIENCE = 0.5
+"""How long a swimmer may come nowhere new, over the time to cross the arena."""
 
 SWEEPS = 12
 """Sweeps of a plan from the values before."""
@@ -115,6 +121,7 @@ class Adaptive:
         physics: tables of what is known.
         motion: the same for the belief.
         thrust: greatest rate of the thrust.
+        crossing: time to cross the arena, from top speed to rest included [T].
         replanner: over the arena.
         window: over the surroundings of the goal, with finer cells.
         detailed: over the arena with finer cells, for a swimmer that was stalled.
@@ -127,6 +134,7 @@ class Adaptive:
     physics: TabulatedModel
     motion: InertialMotion | OverdampedMotion
     thrust: float
+    crossing: float
     replanner: Replanner
     window: Replanner
     detailed: Replanner
@@ -177,18 +185,22 @@ class Adaptive:
             (_window(task, objective), points),
             (arena, more),
         )
-        lattices = (
+        lattices = [
             Replanner.of(
                 task, objective, physics, points=count, speeds=speeds, window=window
             )
             for window, count in parts
+        ]
+        thrust = float(
+            greatest_rate(physics.table, physics.control_map, inertial=inertial)
         )
         return cls(
             task,
             Curious() if strategy is None else strategy,
             physics,
             motion_of(task, physics),
-            float(greatest_rate(physics.table, physics.control_map, inertial=inertial)),
+            thrust,
+            _crossing_time(task, lattices[0], thrust),
             *lattices,
             safe=safe,
         )
@@ -205,10 +217,20 @@ class Adaptive:
             upper=np.asarray(self.task.arena.upper),
             motion=self.motion,
             thrust=self.thrust,
-            speed_sd=frame.sd,
+            speed_sd=self.rest_sd(frame),
             longest=self.task.step,
         )
         return belief if self.prior is None else self.prior.lead(belief)
+
+    def rest_sd(self, frame: Frame) -> float:
+        """Standard deviation of a component of a resting swimmer's velocity [L T⁻¹].
+
+        In a tenth of the time to cross the arena it goes as far as positions err.
+
+        Args:
+            frame: the first one.
+        """
+        return 10 * frame.sd / self.crossing
 
     def start(self, belief: Belief) -> Mind:
         """What is remembered before the first command; the first plan is complete."""
@@ -226,7 +248,13 @@ class Adaptive:
             controls=controls,
             planned=belief.time,
             leader=belief.leader,
-            progress=Progress(NEW * extent, state[None, :2], belief.time, state),
+            progress=Progress(
+                NEW * extent,
+                state[None, :2],
+                belief.time,
+                state,
+                PATIENCE * self.crossing,
+            ),
         )
 
     def learn(self, mind: Mind, frame: Frame) -> Mind:
@@ -243,7 +271,8 @@ class Adaptive:
             lambda state: mind.plan.time_from(jnp.asarray(state)),
         )
         mind = dataclasses.replace(mind, belief=belief, progress=progress)
-        if belief.time - mind.planned < EVERY - self.task.step / 2:
+        every = EVERY * self.crossing
+        if belief.time - mind.planned < every - self.task.step / 2:
             return mind
         return self.replan(mind)
 
@@ -308,6 +337,7 @@ class Adaptive:
             self.physics,
             mind.tables.time_cost,
             self.thrust,
+            HORIZON * self.crossing,
         )
         return verdict.command, dataclasses.replace(mind, verdict=verdict)
 
@@ -324,6 +354,19 @@ class Adaptive:
         if inside and (narrow or bold or within):
             return self.window
         return self.detailed if bold else self.replanner
+
+
+def _crossing_time(task: Task, lattice: Replanner, thrust: float) -> float:
+    """Time to cross the arena at top speed, and to stop from it by thrust alone [T].
+
+    All that is done now and then, or looks ahead, is measured by it, so that nothing
+    depends on the units of the task.
+    """
+    extent = float(jnp.max(task.arena.upper - task.arena.lower))
+    if lattice.velocities is None:
+        return extent / thrust
+    speed = float(lattice.velocities[-1]) / HEADROOM
+    return extent / speed + speed / thrust
 
 
 def _window(task: Task, objective: ReachGoal) -> Rectangle:

@@ -105,18 +105,18 @@ class Curious(AbstractStrategy):
 
 
 class Sampled(AbstractStrategy):
-    """Thompson's rule: a draw is taken for true, another one every three time units.
+    """Thompson's rule: a draw is taken for true, after some frames another one.
 
     Attributes:
-        hold: how long a draw is kept [T].
+        hold: how many frames a draw is kept.
     """
 
-    hold: float = 3.0
+    hold: int = 30
 
     def tables(
         self, belief: Belief, physics: TabulatedModel, thrust: float
     ) -> TabulatedModel:
-        grid, seed = physics.table.grid, int(belief.time / self.hold)
+        grid, seed = physics.table.grid, belief.count // self.hold
         draw = belief.samples(axes_of(grid), 1, seed=seed)[0]
         return with_force(physics, draw)
 

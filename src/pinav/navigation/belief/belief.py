@@ -298,18 +298,18 @@ class Belief:
             if number:
                 yield one, one.sample_weights(int(number), seed)
 
-    def ahead(self, thrusts: Points, duration: float) -> list[StateEstimate]:
+    def ahead(
+        self, thrusts: Points, durations: Float[np.ndarray, " thrust"]
+    ) -> list[StateEstimate]:
         """The state after each of some thrusts, as long as no frame comes.
 
         Args:
-            thrusts: as in `Frame`, one after the other.
-            duration: of each [T].
+            thrusts: as in `Frame`, one after the other; each is one step.
+            durations: of each [T].
         """
-        steps, h = substeps(duration, self.longest)
         (filters, probabilities), states = self.likely, []
-        for thrust in thrusts:
-            for _ in range(steps):
-                filters = [one.predict(thrust, h) for one in filters]
+        for thrust, duration in zip(thrusts, durations, strict=True):
+            filters = [one.predict(thrust, float(duration)) for one in filters]
             states.append(_mix_states(filters, probabilities))
         return states
 

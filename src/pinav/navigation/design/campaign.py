@@ -238,10 +238,8 @@ def learn(
         speed_sd: standard deviation of each component of the first velocity; at rest
             unless given.
     """
-    at_rest = frames[0].sd
-    belief = belief.restart(
-        frames[0], speed_sd=at_rest if speed_sd is None else speed_sd
-    )
+    speed_sd = adaptive.rest_sd(frames[0]) if speed_sd is None else speed_sd
+    belief = belief.restart(frames[0], speed_sd=speed_sd)
     for frame in frames[1:]:
         belief = belief.after(with_known(frame, belief, adaptive.physics))
     return belief

@@ -49,7 +49,7 @@ def believe_data(
         places = [f.position for f in frames if f.position is not None]
         moved = np.linalg.norm(np.diff(np.stack(places), axis=0), axis=1)
         speed = SPEED * float(np.sum(moved)) / (frames[-1].time - frames[0].time)
-        sd = max(speed, position_noise)
+        sd = max(speed, adaptive.rest_sd(frames[0]))
         if belief is None:
             belief = adaptive.believe(frames[0])
         belief = learn(adaptive, belief, frames, sd)

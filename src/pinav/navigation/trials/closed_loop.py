@@ -2,8 +2,8 @@ r"""A controller steers the true swimmer: one episode, or many at once.
 
 At every control step the controller observes the state, with the error of the sensor,
 and gives a command, which comes into force after the delay and holds for one step. The
-true swimmer takes Runge-Kutta steps of at most `LONGEST`; after each the white noise
-adds a normal number of standard deviation $\sigma \sqrt{dt}$ to its velocity (or to its
+true swimmer takes at least `PARTS` Runge-Kutta steps; after each the white noise adds a
+normal number of standard deviation $\sigma \sqrt{dt}$ to its velocity (or to its
 position where it has no inertia). An episode ends where the task is done, where a
 forbidden place is entered, and when time is up.
 """
@@ -31,8 +31,8 @@ from pinav.navigation.task.steering import (
 from pinav.navigation.task.task import Task
 from pinav.navigation.task.zones import clearance
 
-LONGEST = 0.025
-"""Longest step of the true swimmer [T]."""
+PARTS = 4
+"""Least number of steps of the true swimmer within a control step."""
 
 
 class Situation(eqx.Module):
@@ -377,7 +377,7 @@ def _parts(task: Task) -> tuple[Int[Array, " part"], Float[Array, " part"]]:
         spans = [(0 if whole else 1, task.step)]
     rows, durations = [], []
     for row, span in spans:
-        count = math.ceil(span / LONGEST - 1e-9)
+        count = math.ceil(PARTS * span / task.step - 1e-9)
         rows += [row] * count
         durations += [span / count] * count
     return jnp.asarray(rows), jnp.asarray(durations, float)

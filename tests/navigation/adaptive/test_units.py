@@ -1,0 +1,74 @@
+"""A flight does not depend on the units in which the task is stated."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.actuation import LinearResponse
+from pinav.dynamics import OverdampedSwimmer, Swimmer
+from pinav.forces import GaussianBarrier, LinearDrag, ZeroForce
+from pinav.navigation import (
+    CommandLimits,
+    Disc,
+    ReachGoal,
+    Rectangle,
+    RollingActuator,
+    SteeredSwimmer,
+    Task,
+)
+from pinav.navigation.adaptive.flight import fly
+from pinav.navigation.adaptive.steering import Adaptive
+
+
+def barrier_task(length, time, *, inertial):
+    """Past a barrier and a disc, with one unit of length and one of time."""
+    rate = length / time**2 if inertial else length / time
+    barrier = GaussianBarrier(
+        height=1.8 * rate * length, center=[5 * length, 5.2 * length], width=length
+    )
+    if inertial:
+        truth = Swimmer(ZeroForce(), LinearDrag(0.5 / time), barrier)
+        noise, rest = 0.1 * length / time**1.5, [0.0, 0.0]
+    else:
+        truth = OverdampedSwimmer(ZeroForce(), barrier, 1.0)
+        noise, rest = 0.02 * length / time**0.5, []
+    return Task(
+        name="units",
+        truth=SteeredSwimmer(
+            truth, RollingActuator(0.8 * rate * jnp.eye(2), LinearResponse())
+        ),
+        start=jnp.array([length, 5 * length, *rest]),
+        objective=ReachGoal([9.0 * length, 5.0 * length], 0.4 * length),
+        limits=CommandLimits(1.0),
+        arena=Rectangle([-length, -length], [11 * length, 11 * length]),
+        keep_out=(Disc([5.0 * length, 8.0 * length], length),),
+        step=0.125 * time,
+        time_limit=60 * time,
+        noise=noise,
+        sensor_noise=0.02 * length,
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("inertial", [True, False], ids=["inertia", "current"])
+def test_flights_in_other_units_are_the_same_flights(inertial):
+    """Rounding differs, and a flight makes it grow."""
+    key, flights = jax.random.key(3), []
+    for length, time in ((1.0, 1.0), (64.0, 0.0625), (0.125, 16.0)):
+        adaptive = Adaptive.of(
+            barrier_task(length, time, inertial=inertial), points=15, speeds=7
+        )
+        flight = fly(adaptive, key=key)
+        states = flight.states.copy()
+        states[:, :2] /= length
+        states[:, 2:] *= time / length
+        flights.append((states, flight.arrival_time / time, flight.stalls))
+    first, *others = flights
+    assert np.isfinite(first[1])
+    for states, arrival, stalls in others:
+        assert abs(len(states) - len(first[0])) <= 1
+        for one, other in zip(states, first[0], strict=False):
+            np.testing.assert_allclose(one, other, atol=0.1)
+        assert arrival == pytest.approx(first[1], rel=0.01)
+        assert stalls == first[2]
