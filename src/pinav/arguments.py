@@ -36,6 +36,13 @@ def on_device(values: ArrayLike) -> Array:
     return jnp.asarray(numbers, jax.dtypes.canonicalize_dtype(numbers.dtype))
 
 
+def real_array(values: ArrayLike) -> Array:
+    """The same as an array of real numbers, also where whole ones were given."""
+    array = jnp.asarray(values)
+    is_real = jnp.issubdtype(array.dtype, jnp.inexact)
+    return array if is_real else array.astype(float)
+
+
 def point(name: str, dim: int | None = None) -> Callable[[Any], Vector]:
     """Converter of a field that takes a point as list, tuple or array.
 
@@ -51,7 +58,7 @@ def point(name: str, dim: int | None = None) -> Callable[[Any], Vector]:
                 f"{name}: expected a point of shape {expected}, got {shape}"
             )
         if isinstance(value, jax.Array):
-            return value
+            return real_array(value)
         try:
             return jnp.asarray(value, float)
         except (TypeError, ValueError) as error:

@@ -36,6 +36,10 @@ def test_regions_of_dimensionless_data_are_fixed_and_others_scale_with_the_exten
     for units in ({"x": "um"}, {}):
         scaled = default_regions(line(units))
         assert (scaled.visited, scaled.near) == pytest.approx((0.7, 2.0))
+    small = line({"x": "1", "y": "1"})
+    small = eqx.tree_at(lambda t: t.states, small, 0.01 * small.states)
+    scaled = default_regions(small)
+    assert (scaled.visited, scaled.near) == pytest.approx((0.007, 0.02))
     assert square(line({"x": "um"})) == pytest.approx((-2.0, 30.0, -12.5, 19.5))
 
 

@@ -2,6 +2,7 @@
 
 import inspect
 
+import equinox as eqx
 import hypothesis.strategies as st
 import jax
 import jax.numpy as jnp
@@ -21,6 +22,7 @@ from pinav.forces import (
     KernelPotential,
     KernelProfile,
     KernelStream,
+    LatticeTerm,
     LayeredPotential,
     LinearTerm,
     NeuralForce,
@@ -113,3 +115,31 @@ def test_length_scales_and_prior_need_no_weights(force):
     )
     shape = force.prior().start
     assert fixed.length_scales(shape) == force.length_scales(shape)
+
+
+@pytest.mark.parametrize("second", ["linear", "lattice", "kernels"])
+def test_the_unit_of_length_decides_nothing_between_parts_of_a_force(second):
+    """One shape of the prior means the same forces in any unit of length."""
+    ratios = []
+    for unit in (1.0, 1000.0):
+        central = CentralTerm(
+            jnp.zeros(5), jnp.zeros(2), unit * jnp.arange(0.5, 5.0), unit
+        )
+        others = {
+            "linear": LinearTerm(jnp.zeros(5), jnp.zeros(2), 2.0 * unit),
+            "lattice": LatticeTerm(jnp.zeros(12), jnp.eye(2) / unit, jnp.zeros(2)),
+        }
+        terms = (central, others[second]) if second in others else (central,)
+        free = KernelPotential.with_zero_weights(unit * CENTERS, unit)
+        force = StructuredForce(terms, free)
+        prior, place = force.prior(), unit * jnp.array([1.3, -0.4])
+
+        def at_place(parameters, force=force, place=place):
+            whole = eqx.tree_at(lambda f: f.parameters, force, parameters)
+            return whole(jnp.zeros(()), place, jnp.zeros(2))
+
+        rows = jax.tree.leaves(jax.jacobian(at_place)(force.parameters))
+        by_weight = np.concatenate([np.reshape(r, (2, -1)) for r in rows], axis=1)
+        covariance = by_weight @ prior.covariance(prior.start) @ by_weight.T
+        ratios.append(covariance)
+    np.testing.assert_allclose(ratios[1], ratios[0], rtol=1e-5)

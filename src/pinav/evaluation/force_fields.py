@@ -26,6 +26,9 @@ VISITED_FRACTION, NEAR_FRACTION = 1 / 40, 1 / 14
 """The same as fractions of the data's extent, where lengths have a unit. The shots of
 `barrier-crossings` cover a square of side 14, so that the two rules agree on it."""
 
+LEAST, MOST = 3.5, 56.0
+"""Extents between which lengths without a unit are taken for dimensionless."""
+
 
 class Regions(eqx.Module):
     r"""Distances from the data up to which places are called visited, and near.
@@ -76,16 +79,17 @@ def default_regions(trajectories: Trajectories) -> Regions:
     """The lengths that suit the data: fixed if dimensionless, else by their extent.
 
     Args:
-        trajectories: the training data. Where the unit of `x` is "1" the lengths are
-            `VISITED` and `NEAR`; otherwise those fractions of the largest side of the
-            box around all observed positions.
+        trajectories: the training data. Where the unit of `x` is "1" and the largest
+            side of the box around all observed positions is between `LEAST` and `MOST`
+            the lengths are `VISITED` and `NEAR`; otherwise those fractions of it.
 
     Raises:
         InputError: all observed positions are the same.
     """
-    if trajectories.units.get(trajectories.channels[0]) == "1":
-        return Regions()
     length = extent(trajectories)
+    is_bare = trajectories.units.get(trajectories.channels[0]) == "1"
+    if is_bare and (length == 0 or LEAST < length < MOST):
+        return Regions()
     if not length > 0:
         raise InputError(
             "regions: all observed positions are the same, so there is no extent; "

@@ -84,6 +84,10 @@ class LatticeTerm(AbstractTerm):
     def geometry(self) -> PyTree:
         return (self.wave_vectors,)
 
+    @property
+    def force_per_weight(self) -> float:
+        return float(np.mean(np.linalg.norm(self.wave_vectors, axis=1)))
+
     def prior(self) -> LatticePrior:
         return LatticePrior(HARMONICS)
 
@@ -129,6 +133,10 @@ class LinearTerm(AbstractTerm):
     @property
     def geometry(self) -> PyTree:
         return ()
+
+    @property
+    def force_per_weight(self) -> float:
+        return 1 / float(self.scale)
 
     def prior(self) -> AbstractPrior:
         """Either part may be all there is: a uniform force has no slope."""

@@ -77,6 +77,10 @@ class KernelMixture(AbstractLearnedForce):
             parts = parts + self.rotation.length_scales(shape[second:])
         return parts
 
+    @property
+    def force_per_weight(self) -> float:
+        return self.gradient.force_per_weight
+
     def prior(self) -> MixturePrior:
         return MixturePrior(self.gradient.prior(), self.rotation.prior())
 

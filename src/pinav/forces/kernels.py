@@ -65,6 +65,11 @@ class AbstractKernels(AbstractLearnedForce):
     def length_scales(self, shape: Shape) -> list[float]:
         return [float(np.exp(shape[0]))]
 
+    @property
+    @abc.abstractmethod
+    def force_per_weight(self) -> float:
+        """About what force a weight of one makes: of energies [L⁻¹], of forces 1."""
+
     def prior(self) -> WeightPrior:
         # Not from the weights, which are left out of the fixed part of a model.
         components = math.prod(self.weight_shape(self.centers.shape)[1:])
@@ -94,6 +99,10 @@ class KernelForce(AbstractKernels):
     def kind(self) -> str:
         return "kernel-force"
 
+    @property
+    def force_per_weight(self) -> float:
+        return 1.0
+
     @staticmethod
     def weight_shape(centers: tuple[int, ...]) -> tuple[int, ...]:
         return centers
@@ -118,6 +127,10 @@ class KernelPotential(AbstractKernels):
     @property
     def kind(self) -> str:
         return "kernel-potential"
+
+    @property
+    def force_per_weight(self) -> float:
+        return 1 / float(self.width)
 
     @staticmethod
     def weight_shape(centers: tuple[int, ...]) -> tuple[int, ...]:
@@ -160,6 +173,10 @@ class KernelStream(AbstractKernels):
                 "KernelStream.centers: expected points in the plane, shape (n, 2), got "
                 f"{np.shape(self.centers)}; choose a KernelForce"
             )
+
+    @property
+    def force_per_weight(self) -> float:
+        return 1 / float(self.width)
 
     @staticmethod
     def weight_shape(centers: tuple[int, ...]) -> tuple[int, ...]:

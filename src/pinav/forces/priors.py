@@ -209,6 +209,10 @@ class StationaryPrior(AbstractPrior):
         return root * np.sqrt((offsets**2).sum(axis=-1)) / np.exp(shape[0])
 
 
+LOG_RATIO = 8.0
+"""Largest logarithm of the ratio of two amplitudes: one part then is nothing."""
+
+
 class MixturePrior(AbstractPrior):
     r"""Prior of two parts of a force, independent of each other.
 
@@ -220,11 +224,17 @@ class MixturePrior(AbstractPrior):
         first: prior of the first part.
         second: prior of the second part.
         first_ratio: logarithm of the ratio of amplitudes at which a search begins.
+        least_ratio: the lowest one.
+        unit: amplitude of the second part, over that of the first, at a ratio of one:
+            weights may be energies here and forces there, and no choice may depend on
+            the unit of length.
     """
 
     first: AbstractPrior
     second: AbstractPrior
     first_ratio: float = 0.0
+    least_ratio: float = -LOG_RATIO
+    unit: float = 1.0
 
     @property
     def start(self) -> Shape:
@@ -246,18 +256,18 @@ class MixturePrior(AbstractPrior):
 
     @property
     def bounds(self) -> Float[np.ndarray, "shape 2"]:
-        ratio = [[-LOG_RATIO, LOG_RATIO]]
+        ratio = [[self.least_ratio, LOG_RATIO]]
         return np.concatenate([self.first.bounds, self.second.bounds, ratio])
 
     def covariance(self, shape: Shape) -> Matrix:
         half = len(self.first.start)
         return _blocks(
             self.first.covariance(shape[:half]),
-            np.exp(2 * shape[-1]) * self.second.covariance(shape[half:-1]),
+            self._square(shape) * self.second.covariance(shape[half:-1]),
         )
 
     def slopes(self, shape: Shape) -> Matrices:
-        half, ratio = len(self.first.start), np.exp(2 * shape[-1])
+        half, ratio = len(self.first.start), self._square(shape)
         first = self.first.slopes(shape[:half])
         second = self.second.slopes(shape[half:-1])
         covariance = ratio * self.second.covariance(shape[half:-1])
@@ -267,15 +277,16 @@ class MixturePrior(AbstractPrior):
         slopes += [_blocks(nothing, ratio * slope) for slope in second]
         return np.stack([*slopes, _blocks(nothing, 2 * covariance)])
 
+    def _square(self, shape: Shape) -> float:
+        """Square of the ratio of the amplitudes of weights."""
+        return float((self.unit * np.exp(shape[-1])) ** 2)
+
 
 def _blocks(
     first: Float[np.ndarray, "first first"], second: Float[np.ndarray, "second second"]
 ) -> Matrix:
     return np.asarray(scipy.linalg.block_diag(first, second))
 
-
-LOG_RATIO = 8.0
-"""Largest logarithm of the ratio of two amplitudes: one part then is nothing."""
 
 ABSENT = 0.5 * LOG_RATIO
 """Logarithm of a ratio of amplitudes at which one part is all there is."""

@@ -14,7 +14,7 @@ from pinav.forces.force import (
 from pinav.forces.kernel_mixtures import KernelMixture
 from pinav.forces.kernels import KernelForce, KernelPotential
 from pinav.forces.priors import AbstractPrior, Centers, MixturePrior
-from pinav.forces.structures import AbstractTerm, check_rotation
+from pinav.forces.structures import AbstractTerm, check_rotation, prior_of
 
 Remainder = KernelPotential | KernelForce | KernelMixture
 """Free kernels beside structured terms."""
@@ -23,6 +23,11 @@ SMALL = -3.0
 """Logarithm of the remainder's amplitude relative to that of the terms at the start of
 a search: from equal ones it ends where the remainder carries all, and the geometry of
 terms without weight is not determined."""
+
+
+LEAST = -12.0
+"""The lowest logarithm of that ratio. A profile of great length scale has a far greater
+amplitude than its force: the remainder must be able to vanish beside the force."""
 
 
 class StructuredForce(AbstractLearnedForce):
@@ -82,10 +87,10 @@ class StructuredForce(AbstractLearnedForce):
         return self.remainder.dim
 
     def prior(self) -> AbstractPrior:
-        whole = self.terms[0].prior()
-        for term in self.terms[1:]:
-            whole = MixturePrior(whole, term.prior())
-        return MixturePrior(whole, self.remainder.prior(), SMALL)
+        unit = self.terms[0].force_per_weight / self.remainder.force_per_weight
+        return MixturePrior(
+            prior_of(self.terms), self.remainder.prior(), SMALL, LEAST, unit
+        )
 
     def kernels_on(self, centers: Centers, width: float) -> "StructuredForce":
         """The terms stay as they are."""

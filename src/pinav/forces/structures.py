@@ -13,6 +13,7 @@ References:
 """
 
 import abc
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -23,7 +24,7 @@ from jaxtyping import Array, Float, PyTree
 from pinav.arguments import Scalar, Vector
 from pinav.errors import InputError
 from pinav.forces.force import AbstractForce
-from pinav.forces.priors import AbstractPrior
+from pinav.forces.priors import AbstractPrior, MixturePrior
 from pinav.forces.profile_priors import DistancePrior, ProfilePrior
 
 Places = Float[Array, " kernel"]
@@ -61,6 +62,11 @@ class AbstractTerm(AbstractForce):
     def geometry(self) -> PyTree:
         """The numbers with a flat prior."""
 
+    @property
+    @abc.abstractmethod
+    def force_per_weight(self) -> float:
+        """About what force a weight of one makes: of energies [L⁻¹], of forces 1."""
+
     @abc.abstractmethod
     def prior(self) -> AbstractPrior:
         """Prior of the weights."""
@@ -68,6 +74,16 @@ class AbstractTerm(AbstractForce):
     @abc.abstractmethod
     def potential(self, t: Scalar, x: Vector) -> Float[Array, ""]:
         """Potential energy per mass, or the stream function of a rotational term."""
+
+
+def prior_of(terms: Sequence[AbstractTerm]) -> AbstractPrior:
+    """Prior of several terms, independent of each other."""
+    first, *others = terms
+    whole = first.prior()
+    for term in others:
+        unit = first.force_per_weight / term.force_per_weight
+        whole = MixturePrior(whole, term.prior(), unit=unit)
+    return whole
 
 
 class AbstractProfileTerm(AbstractTerm):
@@ -93,6 +109,10 @@ class AbstractProfileTerm(AbstractTerm):
     def profile(self, z: Scalar) -> Float[Array, ""]:
         """The force along the coordinate at `z` [L T⁻²]."""
         return profile_kernels(self, z) @ self.weights
+
+    @property
+    def force_per_weight(self) -> float:
+        return 1.0
 
     def prior(self) -> AbstractPrior:
         base = ProfilePrior(np.asarray(self.places), float(self.width))

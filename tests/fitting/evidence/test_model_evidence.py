@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.special
 import scipy.stats
 
 from pinav.errors import InputError
@@ -19,7 +20,7 @@ from pinav.fitting.evidence.evidence import (
     evidence_of_scales,
     shape_slope,
 )
-from pinav.fitting.evidence.model_evidence import LOG_RANGE
+from pinav.fitting.evidence.model_evidence import LOG_RANGE, evidence_without_second
 from pinav.fitting.evidence.quadratic import Quadratic, eliminate_flat
 from pinav.fitting.evidence.weights import GaussianWeights, NoWeights
 from pinav.forces import (
@@ -30,7 +31,7 @@ from pinav.forces import (
     KernelStream,
     TimedKernelPotential,
 )
-from pinav.forces.priors import AbstractPrior
+from pinav.forces.priors import AbstractPrior, IsotropicPrior, MixturePrior
 from pinav.trajectories import Trajectories
 
 RNG = np.random.default_rng(0)
@@ -186,6 +187,40 @@ def test_hyperparameters_cost_the_logarithm_of_the_range_they_lose():
     values = np.array([log_density(design, data, np.exp(v)) for v in logs])
     exact = -np.log(np.mean(np.exp(values - chosen.log_evidence)))
     assert model_evidence(linear, chosen).correction == pytest.approx(exact, abs=0.3)
+
+
+def test_a_part_that_is_not_needed_costs_the_share_of_ratios_at_which_it_vanishes():
+    """Two parts with fixed shapes: the integral over the ratio, by quadrature."""
+    design, _, _ = problem(4)
+    useful, idle = design[:, :2], design[:, 2:]
+    data = useful @ np.array([1.0, -0.7]) + 0.1 * RNG.normal(size=len(design))
+    prior = MixturePrior(IsotropicPrior(2), IsotropicPrior(2), least_ratio=-12.0)
+    chosen = at_shape(
+        LinearisedObservations.of(quadratic_of(design, data)),
+        prior.covariance,
+        np.array([-4.0]),
+        0.1,
+    )
+    linear = LinearFit(
+        quadratic_of(design, data), GaussianWeights(prior), 0.1, len(data), 0.0
+    )
+    amplitudes = np.exp(np.linspace(-4.0, 4.0, 81)) * chosen.amplitude
+    ratios = np.linspace(*prior.bounds[0], 81)
+    values = [
+        [both_parts(useful, idle, data, a, np.exp(r)) for r in ratios]
+        for a in amplitudes
+    ]
+    exact = scipy.special.logsumexp(values) - np.log(np.size(values))
+    value = evidence_without_second(linear, chosen)
+    assert value == pytest.approx(exact, abs=0.5)
+
+
+def both_parts(first, second, data, amplitude, ratio, noise=0.1):
+    covariance = amplitude**2 * (first @ first.T + ratio**2 * second @ second.T)
+    factor = np.linalg.cholesky(covariance + noise**2 * np.eye(len(data)))
+    surprise = np.linalg.solve(factor, data)
+    normalisation = np.log(2 * np.pi * np.diag(factor) ** 2).sum()
+    return -0.5 * (surprise @ surprise + normalisation)
 
 
 def test_the_evidence_at_many_scales_asks_once_for_the_prior(monkeypatch):

@@ -22,6 +22,7 @@ from pinav.forces import (
 )
 from pinav.scenarios import random_system
 from pinav.scenarios.spaces import box
+from pinav.systems.files import parse_system
 from pinav.trajectories import simulate
 
 PLACES = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
@@ -117,3 +118,70 @@ def test_the_noise_is_told_where_a_thrust_turns_at_once():
         noise = Survey.of(specification, problem).noise
     assert problem.first_noise > 0.06
     assert noise == pytest.approx(0.02, rel=0.2)
+
+
+HILL = """
+dimension = 2
+order = 2
+drag = {drag!r}
+
+[propulsion]
+kind = "magnetic-propulsion"
+moment = [0.0, 0.0, 1.0]
+gain = {gain!r}
+axis = [0.0, 1.0]
+field = {{ kind = "rotating-field", amplitude = 1.0, frequency = {turning!r} }}
+
+[observation]
+noise = {noise!r}
+
+[unknown]
+model = "kernel-potential"
+
+[truth]
+kind = "gaussian-barrier"
+height = {height!r}
+center = [{center!r}, {center!r}]
+width = {width!r}
+
+[starts]
+kind = "coasting-starts"
+lower = [0.0, 0.0]
+upper = [{side!r}, {side!r}]
+damping = {drag!r}
+count = 16
+
+[times]
+first = 0.0
+last = {last!r}
+samples = 201
+"""
+
+
+@pytest.mark.slow
+def test_a_hill_is_found_in_any_units():
+    """One swimmer, stated in three pairs of units of length and time."""
+    gains = []
+    for length, time in ((1.0, 1.0), (64.0, 0.0625), (0.03125, 128.0)):
+        acceleration = length / time**2
+        text = HILL.format(
+            drag=0.36 / time,
+            gain=0.034 * acceleration,
+            turning=6.283185307179586 / time,
+            noise=0.02 * length,
+            height=2.0 * acceleration * length,
+            center=5.0 * length,
+            width=1.5 * length,
+            side=10.0 * length,
+            last=20.0 * time,
+        )
+        system = parse_system(text)
+        data = simulate(system, key=jax.random.key(1)).only(("x", "y"))
+        kernels = kernel_environment(KernelPotential, data, dim=2)
+        model = system.swimmer.with_environment(kernels)
+        fit = fit_structured(model, data)
+        assert fit.structure is not None
+        assert [term.kind for term in fit.structure.terms] == ["central"]
+        gains.append(fit.gain)
+    assert max(gains) - min(gains) < 0.5
+    assert min(gains) > 5.0

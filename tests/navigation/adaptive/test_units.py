@@ -1,4 +1,6 @@
-"""A flight does not depend on the units in which the task is stated."""
+"""Plans and flights do not depend on the units in which a task is stated."""
+
+import dataclasses
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +18,8 @@ from pinav.navigation import (
     RollingActuator,
     SteeredSwimmer,
     Task,
+    physics_only,
+    time_to_go,
 )
 from pinav.navigation.adaptive.flight import fly
 from pinav.navigation.adaptive.steering import Adaptive
@@ -72,3 +76,24 @@ def test_flights_in_other_units_are_the_same_flights(inertial):
             np.testing.assert_allclose(one, other, atol=0.1)
         assert arrival == pytest.approx(first[1], rel=0.01)
         assert stalls == first[2]
+
+
+@pytest.mark.parametrize("inertial", [True, False], ids=["inertia", "current"])
+def test_plans_in_other_units_are_the_same_plans(inertial):
+    """Metres and seconds of a microrobot, say: nothing is of order one."""
+    times, options = [], {"points": 15, **({"speeds": 7} if inertial else {})}
+    for length, time in ((1.0, 1.0), (1e-5, 3.0), (1e4, 0.02)):
+        problem = barrier_task(length, time, inertial=inertial)
+        plan = time_to_go(problem, physics_only(problem.truth), **options)
+        times.append(plan.time_from(problem.start) / time)
+    np.testing.assert_allclose(times, times[0], rtol=1e-3)
+
+
+def test_a_start_in_whole_numbers_is_one_in_real_numbers():
+    problem = barrier_task(1.0, 1.0, inertial=False)
+    whole = dataclasses.replace(problem, start=jnp.array([1, 5]))
+    times = [
+        time_to_go(one, physics_only(one.truth), points=15).time_from(one.start)
+        for one in (problem, whole)
+    ]
+    assert times[0] == times[1] < problem.time_limit

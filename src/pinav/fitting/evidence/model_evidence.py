@@ -15,6 +15,7 @@ References:
     90, 928 (1995), the prior of unit information.
 """
 
+import dataclasses
 import functools
 from collections.abc import Callable
 
@@ -25,11 +26,12 @@ from jaxtyping import Float
 from pinav.fitting.evidence.evidence import (
     Hyperparameters,
     LinearisedObservations,
+    best_hyperparameters,
     evidence_of_scales,
 )
-from pinav.fitting.evidence.quadratic import Quadratic
+from pinav.fitting.evidence.quadratic import Quadratic, restrict
 from pinav.fitting.evidence.weights import AbstractWeights, GaussianWeights
-from pinav.forces.priors import AbstractPrior
+from pinav.forces.priors import AbstractPrior, MixturePrior
 from pinav.threads import map_on_cores
 
 DECISIVE = 5.0
@@ -111,6 +113,50 @@ def model_evidence(linear: LinearFit, chosen: Hyperparameters) -> ModelEvidence:
         np.full((1, 1), 2.0 * quadratic.num_free), np.array([LOG_RANGE])
     )
     return ModelEvidence(float(best), 0.0 if linear.noise else cost)
+
+
+def evidence_without_second(linear: LinearFit, chosen: Hyperparameters) -> float:
+    """Log evidence of a model of two parts from where the second one is absent.
+
+    About hyperparameters at which a part contributes next to nothing, Laplace's method
+    charges all of its own: a small gain hides a whole range of ratios of amplitudes in
+    which they are free.
+
+    Args:
+        linear: the problem of the fit, whose prior is a `MixturePrior`.
+        chosen: its best hyperparameters.
+    """
+    weights = linear.weights
+    assert isinstance(weights, GaussianWeights)
+    prior = weights.prior
+    assert isinstance(prior, MixturePrior)
+    count = len(prior.first.start)
+    start = chosen.shape[:count]
+    kept = np.arange(len(linear.quadratic.point)) < len(prior.first.covariance(start))
+    alone = dataclasses.replace(
+        linear,
+        quadratic=restrict(linear.quadratic, kept),
+        weights=GaussianWeights(prior.first),
+    )
+    best = best_hyperparameters(
+        LinearisedObservations.of(alone.quadratic),
+        prior.first.covariance,
+        start,
+        prior.first.bounds,
+        linear.noise,
+        prior.first.slopes,
+    )
+    data = LinearisedObservations.of(linear.quadratic)
+    lowest, highest = prior.bounds[-1]
+
+    def value(ratio: Float[np.ndarray, " n"]) -> float:
+        shape = np.concatenate([best.shape, chosen.shape[count:-1], ratio])
+        covariance = prior.covariance(shape)
+        return evidence_of_scales(data, covariance)(best.amplitude, best.noise)
+
+    absent = np.array([lowest])
+    share = _broad_cost(value, absent, 0, lowest, highest - lowest)
+    return model_evidence(alone, best).log_evidence - share
 
 
 def _correction(

@@ -28,7 +28,11 @@ from pinav.fitting.environments.refinement import (
     Refinement,
     iterate_refined,
 )
-from pinav.fitting.evidence.model_evidence import DECISIVE, model_evidence
+from pinav.fitting.evidence.model_evidence import (
+    DECISIVE,
+    evidence_without_second,
+    model_evidence,
+)
 from pinav.fitting.outcome import Outcome
 from pinav.fitting.structure.proposals import Proposal, prune, refine
 from pinav.fitting.structure.rotation import fitted_gain, mixture_on, survey_rotation
@@ -301,7 +305,11 @@ def _is_as_good(fit: EvidenceFit, begun: EvidenceFit) -> bool:
 
 
 def _evidence(fit: EvidenceFit) -> float:
-    return model_evidence(fit.linear, fit.hyperparameters).log_evidence
+    """Log evidence of a fit; of terms also where the free kernels are absent."""
+    whole = model_evidence(fit.linear, fit.hyperparameters).log_evidence
+    if not split_structure(fit.model.environment)[0]:
+        return whole
+    return max(whole, evidence_without_second(fit.linear, fit.hyperparameters))
 
 
 def _weigh_rotation(search: _Search, survey: Survey) -> StructuredFit:

@@ -35,7 +35,8 @@ from pinav.fitting.structure.response import (
 )
 from pinav.fitting.structure.starts import KERNELS
 from pinav.forces import AbstractProfileTerm, AbstractTerm, SumForce
-from pinav.forces.priors import AbstractPrior, MixturePrior
+from pinav.forces.priors import AbstractPrior
+from pinav.forces.structures import prior_of
 from pinav.threads import map_on_cores
 
 POLISH = 8
@@ -105,14 +106,6 @@ def _weights(force: Any) -> PyTree:
     return [term.weights for term in force.terms]
 
 
-def _prior(terms: Terms) -> AbstractPrior:
-    """Prior of several terms, independent of each other."""
-    whole = terms[0].prior()
-    for term in terms[1:]:
-        whole = MixturePrior(whole, term.prior())
-    return whole
-
-
 def quick_evidences(
     starts: Sequence[AbstractTerm], beside: Terms, response: ForceResponse
 ) -> list[float]:
@@ -127,7 +120,7 @@ def quick_evidences(
         response: of the data to forces.
     """
     terms = (*beside, starts[0])
-    prior = _prior(terms)
+    prior = prior_of(terms)
     shapes = _smooth_shapes(terms, prior, response)
     roots = [root(prior.covariance(shape)) for shape in shapes]
     price = cost(terms, response)
@@ -152,7 +145,7 @@ def with_profiles(terms: Terms, response: ForceResponse) -> Terms:
     Raises:
         FitError: the data do not depend on them.
     """
-    prior, data = _prior(terms), _linearise(terms, response)
+    prior, data = prior_of(terms), _linearise(terms, response)
     shapes = _smooth_shapes(terms, prior, response)
     tried = [at_shape(data, prior.covariance, shape) for shape in shapes]
     start = max(tried, key=lambda one: one.log_evidence).shape
@@ -213,7 +206,7 @@ def polish(terms: Terms, response: ForceResponse) -> Proposal | None:
             SumForce(terms),
             response,
             weights=_weights,
-            weights_prior=GaussianWeights(_prior(terms)),
+            weights_prior=GaussianWeights(prior_of(terms)),
             constants=lambda m: [term.geometry for term in m.terms],
             step_rule=FullStep(),
             is_linear=not shaped,

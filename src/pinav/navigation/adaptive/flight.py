@@ -150,8 +150,7 @@ def see_frame(
     """
     observation = _observe(task, now, key)
     position = np.asarray(observation.state[:2], float)
-    sd = max(task.sensor_noise, 1e-6)
-    return Frame(float(observation.time), position, sd, thrust)
+    return Frame(float(observation.time), position, task.position_sd, thrust)
 
 
 def mean_thrust(task: Task, queue: jax.Array) -> Float[np.ndarray, "2"]:
@@ -181,11 +180,11 @@ class _Record:
     def note(self, now: Situation, mind: Mind, elapsed: float) -> None:
         """The situation after a frame, and what is believed of it."""
         state, believed = np.asarray(now.state, float), mind.belief.state
-        error = state - believed.mean
-        spread = believed.covariance + 1e-12 * np.eye(len(error))
+        error = state[:2] - believed.mean[:2]
+        spread = believed.covariance[:2, :2]
         self.states.append(state)
         self.means.append(believed.mean)
-        score = float(error[:2] @ np.linalg.solve(spread[:2, :2], error[:2])) / 2
+        score = float(error @ np.linalg.solve(spread, error)) / 2
         self.consistency.append(score)
         self.leaders.append(mind.belief.leader)
         self.learn_times.append(elapsed)

@@ -237,7 +237,6 @@ class Adaptive:
         tables = self.strategy.tables(belief, self.physics, self.thrust)
         plan = self.replanner.plan(tables)
         controls = jnp.zeros((STEPS, 2))
-        extent = float(jnp.max(self.task.arena.upper - self.task.arena.lower))
         state = belief.state.mean
         return Mind(
             belief,
@@ -249,7 +248,7 @@ class Adaptive:
             planned=belief.time,
             leader=belief.leader,
             progress=Progress(
-                NEW * extent,
+                NEW * self.task.extent,
                 state[None, :2],
                 belief.time,
                 state,
@@ -362,11 +361,10 @@ def _crossing_time(task: Task, lattice: Replanner, thrust: float) -> float:
     All that is done now and then, or looks ahead, is measured by it, so that nothing
     depends on the units of the task.
     """
-    extent = float(jnp.max(task.arena.upper - task.arena.lower))
     if lattice.velocities is None:
-        return extent / thrust
+        return task.extent / thrust
     speed = float(lattice.velocities[-1]) / HEADROOM
-    return extent / speed + speed / thrust
+    return task.extent / speed + speed / thrust
 
 
 def _window(task: Task, objective: ReachGoal) -> Rectangle:

@@ -122,8 +122,8 @@ def run_campaign(
     if most < 1:
         raise InputError(f"most: expected 1 or more, got {most}")
     task = adaptive.task
-    sd = max(task.sensor_noise, 1e-6)
-    first = Frame(0.0, np.asarray(task.start[:2], float), sd, np.zeros(2))
+    start = np.asarray(task.start[:2], float)
+    first = Frame(0.0, start, task.position_sd, np.zeros(2))
     belief = adaptive.believe(first)
     decisions, paths = [decide(adaptive, belief)], []
     for count in range(most):
@@ -188,7 +188,7 @@ def record(
         objective=ReachGoal(task.objective.goal, 1e-9),
         time_limit=experiment.duration,
     )
-    now, sd = begin(endless), max(task.sensor_noise, 1e-6)
+    now, sd = begin(endless), task.position_sd
     moments = np.arange(round(experiment.duration / task.step)) * task.step
     commands = commands_at(experiment, candidate, moments)
     states, thrusts = [now.state], [np.zeros(2)]

@@ -154,7 +154,7 @@ def expected_sd(stage: Stage, candidate: CandidateTrajectories) -> float:
     knots = np.asarray(experiment.knots)
     commands = [np.interp(moments + step / 2, knots, np.asarray(s)) for s in series]
     thrusts = _thrusts(task.truth.actuator, jnp.asarray(np.stack(commands, axis=1)))
-    sd = max(task.sensor_noise, 1e-6) / math.sqrt(COARSE)
+    sd = task.position_sd / math.sqrt(COARSE)
     place = np.asarray(candidate.starts[:2], float)
     one = stage.belief.best
     one = one.restart(*one.motion.start(place, sd, sd))

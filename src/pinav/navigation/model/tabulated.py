@@ -106,11 +106,12 @@ def noise_margin(task: Task) -> float:
     """Distance from walls that the noise of a task asks for [L].
 
     Three standard deviations of where it takes a swimmer during one time unit or, where
-    the position itself is noisy, five control steps; and of the sensor.
+    the position itself is noisy, five control steps; of the sensor; and a little more,
+    by the size of the arena.
     """
     reaction = 5 * task.step + task.delay
     noise = math.sqrt(reaction**3 / 3 if task.inertial else reaction)
-    return 3 * math.hypot(task.noise * noise, task.sensor_noise) + 0.1
+    return 3 * math.hypot(task.noise * noise, task.sensor_noise) + task.extent / 140
 
 
 def greatest_rate(

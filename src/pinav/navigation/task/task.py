@@ -1,8 +1,9 @@
 """What a navigation task is."""
 
 import equinox as eqx
+import numpy as np
 
-from pinav.arguments import State
+from pinav.arguments import State, real_array
 from pinav.navigation.task.objectives import AbstractObjective
 from pinav.navigation.task.steering import CommandLimits, SteeredSwimmer
 from pinav.navigation.task.zones import AbstractZone, Rectangle
@@ -33,7 +34,7 @@ class Task(eqx.Module):
 
     name: str = eqx.field(static=True)
     truth: SteeredSwimmer
-    start: State
+    start: State = eqx.field(converter=real_array)
     objective: AbstractObjective
     limits: CommandLimits
     arena: Rectangle
@@ -48,6 +49,21 @@ class Task(eqx.Module):
     def dim(self) -> int:
         """Dimensions of the space."""
         return self.arena.dim
+
+    @property
+    def extent(self) -> float:
+        """Longer side of the arena [L]."""
+        return float(
+            np.max(np.asarray(self.arena.upper) - np.asarray(self.arena.lower))
+        )
+
+    @property
+    def position_sd(self) -> float:
+        """Standard deviation of an observed position as a belief takes it [L].
+
+        A sensor without any error is taken to be sure to a ten-millionth of the arena.
+        """
+        return max(self.sensor_noise, 1e-7 * self.extent)
 
     @property
     def inertial(self) -> bool:
