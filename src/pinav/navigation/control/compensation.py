@@ -143,7 +143,7 @@ class DriftEstimation(AbstractController[FilterState[Inner]], Generic[Inner]):
     def start(self, observation: Observation) -> FilterState[Inner]:
         state = observation.state
         mean = jnp.concatenate([state, jnp.zeros(self.dim, state.dtype)])
-        known = jnp.full(state.shape[0], self.sensor_noise**2 + LEAST, state.dtype)
+        known = jnp.full(state.shape[0], self.sensor_noise**2, state.dtype)
         spread = jnp.full(self.dim, self.prior**2, state.dtype)
         covariance = jnp.diag(jnp.concatenate([known, spread]))
         time = jnp.asarray(observation.time, state.dtype)
@@ -202,7 +202,7 @@ class DriftEstimation(AbstractController[FilterState[Inner]], Generic[Inner]):
     def _process_noise(self, mean: Float[Array, " all"]) -> Float[Array, "all all"]:
         """What a step adds to the covariance."""
         size, step = mean.shape[0], self.timing.step
-        variances = jnp.full(size, LEAST, mean.dtype)
+        variances = jnp.zeros(size, mean.dtype)
         variances = variances.at[-2 * self.dim : -self.dim].add(self.noise**2 * step)
         variances = variances.at[-self.dim :].add(self.wandering**2 * step)
         return jnp.diag(variances)
@@ -210,9 +210,10 @@ class DriftEstimation(AbstractController[FilterState[Inner]], Generic[Inner]):
     def _gain(self, covariance: Float[Array, "all all"]) -> Float[Array, "all known"]:
         known = covariance.shape[0] - self.dim
         observed = covariance[:known, :known]
-        error = (self.sensor_noise**2 + LEAST) * jnp.eye(known, dtype=observed.dtype)
-        return jnp.linalg.solve(observed + error, covariance[:known]).T
+        error = self.sensor_noise**2 + LEAST * jnp.diag(observed)
+        return jnp.linalg.solve(observed + jnp.diag(error), covariance[:known]).T
 
 
-LEAST = 1e-10
-"""Variance that everything has, so that matrices can be inverted."""
+LEAST = 1e-6
+"""Share of its variance that is added to each component, so that matrices can be
+inverted, whatever the units."""
