@@ -26,7 +26,7 @@ from pinav.forces import (
     StructuredForce,
     SumForce,
 )
-from pinav.forces.priors import MixturePrior
+from pinav.forces.structures import prior_of
 from pinav.scenarios import scenario
 
 POINTS = np.random.default_rng(1).uniform(0.0, 10.0, (1, 150, 2))
@@ -68,7 +68,7 @@ def test_each_of_many_terms_has_the_evidence_that_it_has_alone():
     values = quick_evidences(starts, (linear,), data)
     for value, start in list(zip(values, starts, strict=True))[::9]:
         quadratic = force_quadratic(SumForce((linear, start)), data, both_weights)
-        prior = MixturePrior(linear.prior(), start.prior())
+        prior = prior_of((linear, start))
         shapes = [prior.start.copy(), prior.start.copy()]
         first = len(linear.prior().start)
         shapes[0][first], shapes[1][first] = np.log(3.6), np.log(1.44)

@@ -12,6 +12,7 @@ places.
 """
 
 import dataclasses
+import math
 
 import equinox as eqx
 import jax
@@ -40,6 +41,13 @@ FULL = 1 / 3
 
 PIECES = 8
 """Steps in which its width is predicted."""
+
+MOST = 80
+"""Steps in which its middle is predicted, at most."""
+
+
+CLOCK = 1e-6
+"""Share of a piece that is no delay but rounding."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -84,7 +92,9 @@ def check_command(
         return Verdict(command, near, changed=False)
     # The tables of the last plan are older than the belief, by half a time unit.
     predictor = Certain().tables(belief, physics, thrust).predictor
-    prediction = dataclasses.replace(prediction, predictor=predictor)
+    # A camera may be far quicker than a swimmer that takes minutes to cross the arena.
+    step = max(prediction.step, horizon / MOST)
+    prediction = dataclasses.replace(prediction, predictor=predictor, step=step)
     tube = tube_radii(belief, command, prediction, horizon, observation)
     controls, after, instead = _margins(
         prediction, observation, command, time_cost, jnp.asarray(tube)
@@ -126,10 +136,11 @@ def tube_radii(
     actuator = prediction.control_map.actuator
     given = jnp.stack([observation.pending[-1], command])
     waiting, wanted = np.asarray(_thrusts(actuator, given))
-    delayed = round((float(observation.time) - belief.time) / prediction.step)
     ends = np.linspace(0, horizon, PIECES + 1)
+    delay = float(observation.time) - belief.time
+    delayed = math.ceil(delay / ends[1] - CLOCK)
     thrusts = np.repeat([waiting, wanted], [delayed, PIECES], axis=0)
-    durations = np.repeat([prediction.step, ends[1]], [delayed, PIECES])
+    durations = np.repeat([delay / max(delayed, 1), ends[1]], [delayed, PIECES])
     ahead = belief.ahead(thrusts, durations)
     states = [belief.state, *ahead][delayed:]
     greatest = [np.linalg.eigvalsh(s.covariance[:2, :2])[-1] for s in states]
