@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from scipy.stats import beta
 from validation.adaptive_flights import (
     Row,
     endings,
@@ -91,13 +92,21 @@ def test_fibres_are_crossed():
 
 
 def test_gates_in_random_fields_are_passed_without_touching_a_disc():
-    """With no violation in n runs the one-sided bound of 95 % is 3 / n."""
+    """With no violation in n runs the one-sided bound of 95 % is 3 / n.
+
+    `PINAV_GATES=1000` flies as many as the bound of 0.5 % takes.
+    """
     rows = list(fly_rows("gate", range(FIRST, FIRST + GATES), oracle=False))
     entered = [row.number for row in rows if row.violated]
     arrived = [row for row in rows if np.isfinite(row.arrival)]
-    print(f"{len(rows)} gates: {entered} entered, {len(arrived)} arrived")
+    bound = beta.ppf(0.95, len(entered) + 1, len(rows) - len(entered))
+    print(
+        f"{len(rows)} gates: {entered} entered, at most {bound:.2%}; "
+        f"{len(arrived)} arrived"
+    )
     show(rows)
     assert len(entered) <= 0.005 * len(rows)
+    assert bound <= 0.005 or len(rows) < 1000
     assert len(arrived) >= 0.98 * len(rows)
 
 
