@@ -120,7 +120,7 @@ def test_length_scales_and_prior_need_no_weights(force):
 @pytest.mark.parametrize("second", ["linear", "lattice", "kernels"])
 def test_the_unit_of_length_decides_nothing_between_parts_of_a_force(second):
     """One shape of the prior means the same forces in any unit of length."""
-    ratios = []
+    covariances = []
     for unit in (1.0, 1000.0):
         central = CentralTerm(
             jnp.zeros(5), jnp.zeros(2), unit * jnp.arange(0.5, 5.0), unit
@@ -141,5 +141,5 @@ def test_the_unit_of_length_decides_nothing_between_parts_of_a_force(second):
         rows = jax.tree.leaves(jax.jacobian(at_place)(force.parameters))
         by_weight = np.concatenate([np.reshape(r, (2, -1)) for r in rows], axis=1)
         covariance = by_weight @ prior.covariance(prior.start) @ by_weight.T
-        ratios.append(covariance)
-    np.testing.assert_allclose(ratios[1], ratios[0], rtol=1e-5)
+        covariances.append(covariance)
+    np.testing.assert_allclose(covariances[1], covariances[0], rtol=1e-5)

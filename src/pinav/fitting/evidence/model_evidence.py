@@ -155,8 +155,8 @@ def evidence_without_second(linear: LinearFit, chosen: Hyperparameters) -> float
         return evidence_of_scales(data, covariance)(best.amplitude, best.noise)
 
     absent = np.array([lowest])
-    share = _broad_cost(value, absent, 0, lowest, highest - lowest)
-    return model_evidence(alone, best).log_evidence - share
+    ratio_cost = _broad_cost(value, absent, 0, lowest, highest - lowest)
+    return model_evidence(alone, best).log_evidence - ratio_cost
 
 
 def _correction(

@@ -370,7 +370,7 @@ def _crossing_time(task: Task, lattice: Replanner, thrust: float) -> float:
 def _window(task: Task, objective: ReachGoal) -> Rectangle:
     """The part of the arena about the goal, of full size where there is room."""
     lower, upper = np.asarray(task.arena.lower), np.asarray(task.arena.upper)
-    half = WINDOW * float(np.max(upper - lower))
+    half = WINDOW * task.extent
     middle = np.clip(np.asarray(objective.goal), lower + half, upper - half)
     return Rectangle(middle - half, middle + half)
 
