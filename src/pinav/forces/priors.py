@@ -64,11 +64,13 @@ def _exact(values: Float[ArrayLike, "kernel dim"]) -> Centers:
 class WeightPrior(AbstractPrior):
     r"""Gaussian-process prior of the weights of one environment, of unit amplitude.
 
-    $K_{ij} = D_i D_j \exp(-|c_i - c_j|^2 / 2\ell^2)$ with the envelope
-    $D_i = \exp(-|c_i - m|^2 / 2 R^2)$: a field of length scale $\ell$ that may fade
+    $K_{ij} = (D_i D_j + \varphi^2) \exp(-|c_i - c_j|^2 / 2\ell^2)$ with the envelope
+    $D_i = \exp(-|c_i - m|^2 / 2 R^2)$ and a floor: a field of length scale $\ell$ that may fade
     away from a place. Where nothing fades the evidence makes R large, and the prior is
     stationary. The envelope is what separates an obstacle from a constant force: a
-    stationary prior takes a slope over the whole domain for an obstacle.
+    stationary prior takes a slope over the whole domain for an obstacle. Its floor
+    keeps it from being a force of its own: without one the tail of an envelope whose
+    middle is far from all data stands for a wall.
 
     Its shape is $\log \ell$, $\log R$, and $m$ from the middle, all in widths; a search
     begins with a wide envelope about the middle of the kernels.
@@ -77,11 +79,14 @@ class WeightPrior(AbstractPrior):
         centers: $c$ of the kernels [L].
         width: of a kernel [L].
         components: weights of each kernel, independent of each other.
+        floor: $\varphi$, below which no standard deviation falls, relative to where it
+            is largest.
     """
 
     centers: Centers = eqx.field(converter=_exact)
     width: float = eqx.field(converter=float)
     components: int = 1
+    floor: float = 0.01
 
     @property
     def start(self) -> Shape:
@@ -104,7 +109,7 @@ class WeightPrior(AbstractPrior):
         alike, faded = self._factors(shape)
         by_envelope = alike * faded / reach**2
         scalars = [
-            alike * faded * self._squares / length_scale**2,
+            alike * (faded + self.floor**2) * self._squares / length_scale**2,
             by_envelope * (squares[:, None] + squares[None]),
             *(by_envelope * (x[:, None] + x[None]) for x in from_middle.T),
         ]
@@ -113,7 +118,7 @@ class WeightPrior(AbstractPrior):
     def _scalar(self, shape: Shape) -> Gram:
         """Covariance of one component."""
         alike, faded = self._factors(shape)
-        return alike * faded
+        return alike * (faded + self.floor**2)
 
     def _factors(self, shape: Shape) -> tuple[Gram, Gram]:
         """What two kernels have in common by their distance, and by the envelope."""

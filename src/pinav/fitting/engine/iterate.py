@@ -60,6 +60,7 @@ def iterate(
     move = Move(problem.theta, problem.states, problem.step_rule)
     chosen: Hyperparameters | None = None
     steps: list[Step] = []
+    is_settled = False
     while len(steps) < max_iterations:
         step = _attempt(problem, move, chosen)
         if step is None:
@@ -69,6 +70,14 @@ def iterate(
         if on_step:
             on_step(_progress(steps, max_iterations))
         outcome = _outcome(steps, problem.tolerance)
+        if outcome is Outcome.CONVERGED and not is_settled:
+            # Each search begins where the last one ended, so that the first
+            # linearisations, which are rough, may have led to a lower maximum.
+            is_settled = True
+            likelier = step.weights.search_anew(step.quadratic, chosen, problem.noise)
+            if likelier is not None:
+                chosen = likelier
+                continue
         if outcome is not Outcome.STALLED:
             return outcome, steps
         if len(steps) >= PROBES and enough(step):

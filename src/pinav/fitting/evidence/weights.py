@@ -51,6 +51,15 @@ class AbstractWeights(eqx.Module):
         """Shape at which the first search in a fit begins."""
         return self.start
 
+    def search_anew(
+        self, quadratic: Quadratic, chosen: Hyperparameters, noise: float | None
+    ) -> Hyperparameters | None:
+        """Hyperparameters that are likelier than the chosen ones, from other starts.
+
+        None where there is one start alone, or the chosen ones are the likeliest.
+        """
+        return None
+
     @abc.abstractmethod
     def about(self, weights: Float[np.ndarray, " weight"]) -> "AbstractWeights":
         """The same where it depends on the point of linearisation."""
@@ -103,6 +112,22 @@ class GaussianWeights(AbstractWeights):
         tried = [at_shape(data, covariance, start, noise) for start in starts]
         return max(tried, key=lambda one: one.log_evidence).shape
 
+    def search_anew(
+        self, quadratic: Quadratic, chosen: Hyperparameters, noise: float | None
+    ) -> Hyperparameters | None:
+        prior = self.prior
+        if len(prior.starts) == 1:
+            return None
+        data = LinearisedObservations.of(quadratic)
+        tried = [
+            best_hyperparameters(
+                data, prior.covariance, start, prior.bounds, noise, prior.slopes
+            )
+            for start in prior.starts
+        ]
+        best = max(tried, key=lambda one: one.log_evidence)
+        return best if best.log_evidence > chosen.log_evidence + LIKELIER else None
+
     def about(self, weights: Float[np.ndarray, " weight"]) -> "AbstractWeights":
         return self
 
@@ -133,6 +158,10 @@ class GaussianWeights(AbstractWeights):
     ) -> Matrix:
         data = LinearisedObservations.of(quadratic)
         return shape_covariance(data, self.prior, chosen, noise)
+
+
+LIKELIER = 1.0
+"""Nats for which a fit goes on from other hyperparameters than those it came to."""
 
 
 class NoWeights(AbstractWeights):

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pinav.fitting.evidence.model_evidence import DECISIVE
+from pinav.fitting.structure.pairs import scan_pairs
 from pinav.fitting.structure.patterns import (
     PotentialMap,
     lattices,
@@ -28,7 +29,13 @@ from pinav.fitting.structure.starts import (
     ellipses,
     scanned_terms,
 )
-from pinav.fitting.structure.trials import Proposal, Terms, polish, quick_evidences
+from pinav.fitting.structure.trials import (
+    Proposal,
+    Terms,
+    polish,
+    quick_evidences,
+    smooth_shape,
+)
 from pinav.forces import (
     AbstractTerm,
     CentralTerm,
@@ -58,8 +65,11 @@ MOST_ROUNDS = 4
 MOST_HALVINGS = 2
 """Times that the width of the kernels of a profile may be halved."""
 
-PROMISING = 3
-"""Kinds that are polished, of those that were scanned."""
+PROMISING, PAIRS = 3, 2
+"""Kinds, and pairs of kinds, that are polished, of those that were scanned."""
+
+AGAIN = 3
+"""Times that the polish of several terms is repeated at most."""
 
 ENOUGH, PROGRESS = 1.4, 0.8
 """Misfit, relative to the noise, at which nothing is left to explain; and relative to
@@ -184,13 +194,18 @@ class _Ground(eqx.Module):
         """
         linear, *kinds = scanned_terms(self.region, self.summits, rotational=rotational)
         beside = terms or tuple(linear)
+        pairs: list[Proposal] = []
+        if sum(not isinstance(one, LinearTerm) for one in terms) == 1:
+            pairs = self._pair(linear[0], kinds)
+            if self._is_explained(pairs):
+                return pairs
         scanned = [self._scan(starts, beside) for starts in kinds]
         scanned += self._with_twins(terms)
         least = sorted(one.log_evidence for one in scanned)[-PROMISING:][0]
         best = [one.terms for one in scanned if one.log_evidence >= least]
         if not any(isinstance(one, LinearTerm) and not one.rotational for one in terms):
             best = [(*terms, *linear), *best]
-        proposals = self._polish_each(best)
+        proposals = pairs + self._polish_each(best)
         if self.seen is None or self._is_explained(proposals):
             return proposals
         starts = ellipses(self.region, self.summits)
@@ -204,6 +219,21 @@ class _Ground(eqx.Module):
         return proposals + [
             one for one in patterns if one.noise < EXPLAINED * self.noise
         ]
+
+    def _pair(
+        self, linear: AbstractTerm, kinds: Sequence[Sequence[AbstractTerm]]
+    ) -> list[Proposal]:
+        """Structures of the two terms that explain most together, polished."""
+        profiles = [one for one in kinds if not isinstance(one[0], LinearTerm)]
+        shapes = [smooth_shape(one[0], self.response) for one in profiles]
+        pairs = scan_pairs(profiles, shapes, linear, self.response)
+        made = []
+        for pair in pairs[:PAIRS]:
+            terms = (linear, *pair.terms)
+            for _ in pair.terms:  # each beside the other, on finer grids
+                terms = self._scan([terms[1]], (linear, *terms[2:])).terms
+            made.append(terms)
+        return self._polish_each(made, AGAIN)
 
     def exchange(self, proposal: Proposal, *, rotational: bool) -> Proposal:
         """The structure with earlier terms in place of which another explains more.
@@ -220,7 +250,7 @@ class _Ground(eqx.Module):
             _, *kinds = scanned_terms(self.region, self.summits, rotational=rotational)
             others = [self._scan(starts, rest) for starts in kinds]
             likely = max(others, key=lambda one: one.log_evidence)
-            for other in self._polish_each([likely.terms]):
+            for other in self._polish_each([likely.terms], AGAIN):
                 gain = other.log_evidence - proposal.log_evidence
                 if gain <= (-2 if simpler else 2) * DECISIVE:
                     continue
@@ -242,8 +272,10 @@ class _Ground(eqx.Module):
     def _is_explained(self, proposals: Sequence[Proposal]) -> bool:
         return any(one.noise < ENOUGH * self.noise for one in proposals)
 
-    def _polish_each(self, structures: Sequence[Terms]) -> list[Proposal]:
-        made = [polish(terms, self.response) for terms in structures]
+    def _polish_each(
+        self, structures: Sequence[Terms], again: int = 0
+    ) -> list[Proposal]:
+        made = [polish(terms, self.response, again=again) for terms in structures]
         return [one for one in made if one is not None]
 
     def _scan(self, starts: Sequence[AbstractTerm], terms: Terms) -> "_Scanned":

@@ -119,6 +119,40 @@ def term_quadratics(
     return quadratics
 
 
+def reduced_columns(
+    terms: Sequence[AbstractTerm],
+    root: Float[np.ndarray, "weight column"],
+    response: ForceResponse,
+) -> Float[np.ndarray, "term datum column"]:
+    """Residuals by each direction of the weights that a root of their prior holds.
+
+    Args:
+        terms: of one kind, with as many kernels each.
+        root: of the covariance of their weights.
+        response: of the data to forces.
+    """
+    parts = []
+    for first in range(0, len(terms), AT_ONCE):
+        some = terms[first : first + AT_ONCE]
+        filled = [*some, *[some[-1]] * (AT_ONCE - len(some))]
+        stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *filled)
+        columns = _reduced_columns(stacked, on_device(root), response)
+        parts.append(np.asarray(columns)[: len(some)])
+    return np.concatenate(parts)
+
+
+@eqx.filter_jit
+def _reduced_columns(
+    terms: AbstractTerm, root: Float[Array, "weight column"], response: ForceResponse
+) -> Float[Array, "term datum column"]:
+    return jax.lax.map(lambda one: _columns(one, response, _own_weights) @ root, terms)
+
+
+def residuals_of_none(response: ForceResponse) -> Float[np.ndarray, " datum"]:
+    """Residuals of no force."""
+    return np.asarray(_offset(response))
+
+
 AT_ONCE = 32
 """Terms whose equations are computed in one call."""
 

@@ -176,6 +176,13 @@ def _smooth_shapes(
     return shapes
 
 
+def smooth_shape(
+    term: AbstractTerm, response: ForceResponse
+) -> Float[np.ndarray, " shape"]:
+    """The roughest of the shapes at which terms are scanned."""
+    return _smooth_shapes((term,), term.prior(), response)[-1]
+
+
 def _shape_places(terms: Terms) -> list[int]:
     """Where in the shape of their prior that of each term begins."""
     counts = [len(term.prior().start) for term in terms]
@@ -193,12 +200,35 @@ def cost(terms: Terms, response: ForceResponse) -> float:
     return 0.5 * count * float(np.log(response.num_free)) + 3.0 * len(terms)
 
 
-def polish(terms: Terms, response: ForceResponse) -> Proposal | None:
+def polish(
+    terms: Terms, response: ForceResponse, *, again: int = 0
+) -> Proposal | None:
     """Profiles and geometry of the highest evidence; None where there is no best.
 
     A geometry has no derivative while its profile is zero, so that the profiles come
     first.
+
+    Args:
+        terms: where the search begins.
+        response: of the data to forces.
+        again: times that it begins anew from where it ended, at most; see `GAIN`.
     """
+    best = _polish_once(terms, response)
+    for _ in range(again):
+        after = None if best is None else _polish_once(best.terms, response)
+        if after is None or after.log_evidence < best.log_evidence + GAIN:
+            break
+        best = after
+    return best
+
+
+GAIN = 10.0
+"""Nats that a polish must gain when it is repeated. About a poor geometry the evidence
+prefers profiles without any smoothness, and holds on to them when the geometry is right
+unless the search for them begins anew."""
+
+
+def _polish_once(terms: Terms, response: ForceResponse) -> Proposal | None:
     try:
         terms = with_profiles(terms, response)
         shaped = any(term.geometry for term in terms)
