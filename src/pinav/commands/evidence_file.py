@@ -154,7 +154,9 @@ def read_evidence(
             log_evidence=float(stored["log_evidence"]),
         )
         return EvidenceResult(
-            posterior=Posterior(free, stored["mean"], stored["covariance"]),
+            posterior=Posterior(
+                free, stored["mean"], stored["covariance"], hyperparameters
+            ),
             hyperparameters=hyperparameters,
             constants={
                 name.removeprefix("constant/"): Estimate(*map(float, stored[name]))

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from pinav.arguments import Scalar, Vector, refuse_text
@@ -153,6 +154,23 @@ class AbstractLearnedForce(AbstractForce):
     def kernels(self) -> "KernelPlaces | None":
         """Its kernels on a grid that may be refined; None where there are none."""
         return None
+
+    def variance_beyond(
+        self, shape: Shape, positions: Float[np.ndarray, "point dim"]
+    ) -> Float[np.ndarray, "point dim"]:
+        """Variance of the force that kernels beyond those that there are would make.
+
+        Kernels are laid about the data alone. Where there are none the force is no
+        better known than its prior, though no weight says so.
+
+        Args:
+            shape: of its prior, of unit amplitude.
+            positions: where it is asked for [L].
+
+        Returns:
+            Of each component; none where the force is not made of kernels on a grid.
+        """
+        return np.zeros_like(positions)
 
     def length_scales(self, shape: Shape) -> list[float]:
         """Length scale of each part that contributes, in widths of its kernels.

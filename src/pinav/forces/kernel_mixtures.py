@@ -62,6 +62,15 @@ class KernelMixture(AbstractLearnedForce):
     def helmholtz(self) -> HelmholtzParts:
         return HelmholtzParts(self.gradient, self.rotation)
 
+    def variance_beyond(
+        self, shape: Shape, positions: Float[np.ndarray, "point dim"]
+    ) -> Float[np.ndarray, "point dim"]:
+        half = len(self.gradient.prior().start)
+        gradient = self.gradient.variance_beyond(shape[:half], positions)
+        return gradient + self.prior().second_variance(
+            shape, lambda other: self.rotation.variance_beyond(other, positions)
+        )
+
     @property
     def dim(self) -> int:
         return self.gradient.dim

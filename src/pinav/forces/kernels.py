@@ -12,7 +12,11 @@ from jaxtyping import Array, Float, PyTree
 from pinav.arguments import Scalar, Vector, on_device
 from pinav.errors import InputError
 from pinav.forces.force import AbstractLearnedForce, KernelPlaces
+from pinav.forces.kernel_gaps import KernelGaps
 from pinav.forces.priors import Centers, Shape, WeightPrior
+
+AT_ONCE = 1000
+"""Positions whose variance is computed in one call."""
 
 Kernels = TypeVar("Kernels", bound="AbstractKernels")
 
@@ -70,6 +74,32 @@ class AbstractKernels(AbstractLearnedForce):
     def force_per_weight(self) -> float:
         """About what force a weight of one makes: of energies [L⁻¹], of forces 1."""
 
+    @staticmethod
+    @abc.abstractmethod
+    def kernel_forces(
+        offsets: Float[np.ndarray, "*place dim"], width: float
+    ) -> Float[np.ndarray, "*place dim"]:
+        """Force of a kernel of weight one at offsets from its centre [L].
+
+        Of a kernel with a weight for each component, that of each of them.
+        """
+
+    def variance_beyond(
+        self, shape: Shape, positions: Float[np.ndarray, "point dim"]
+    ) -> Float[np.ndarray, "point dim"]:
+        variance, prior = np.zeros_like(positions), self.prior()
+        centers, width = np.asarray(self.centers), float(self.width)
+        gaps = KernelGaps.of(centers, width)
+        if gaps is None:
+            return variance
+        for begin in range(0, len(positions), AT_ONCE):
+            some = positions[begin : begin + AT_ONCE]
+            places, is_missing = gaps.about(some)
+            forces = self.kernel_forces(some[:, None] - places, width)
+            forces = np.where(is_missing[..., None], forces, 0.0)
+            variance[begin : begin + AT_ONCE] = prior.variance(shape, places, forces)
+        return variance
+
     def prior(self) -> WeightPrior:
         # Not from the weights, which are left out of the fixed part of a model.
         components = math.prod(self.weight_shape(self.centers.shape)[1:])
@@ -107,6 +137,13 @@ class KernelForce(AbstractKernels):
     def weight_shape(centers: tuple[int, ...]) -> tuple[int, ...]:
         return centers
 
+    @staticmethod
+    def kernel_forces(
+        offsets: Float[np.ndarray, "*place dim"], width: float
+    ) -> Float[np.ndarray, "*place dim"]:
+        squares = (offsets**2).sum(axis=-1, keepdims=True)
+        return np.broadcast_to(np.exp(-0.5 * squares / width**2), offsets.shape)
+
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:
         return kernel_values(x, self.centers, self.width) @ self.weights
 
@@ -135,6 +172,12 @@ class KernelPotential(AbstractKernels):
     @staticmethod
     def weight_shape(centers: tuple[int, ...]) -> tuple[int, ...]:
         return centers[:1]
+
+    @staticmethod
+    def kernel_forces(
+        offsets: Float[np.ndarray, "*place dim"], width: float
+    ) -> Float[np.ndarray, "*place dim"]:
+        return offsets / width**2 * KernelForce.kernel_forces(offsets, width)
 
     @property
     def is_conservative(self) -> bool:
@@ -181,6 +224,15 @@ class KernelStream(AbstractKernels):
     @staticmethod
     def weight_shape(centers: tuple[int, ...]) -> tuple[int, ...]:
         return centers[:1]
+
+    @staticmethod
+    def kernel_forces(
+        offsets: Float[np.ndarray, "*place dim"], width: float
+    ) -> Float[np.ndarray, "*place dim"]:
+        along, across = np.moveaxis(
+            KernelPotential.kernel_forces(offsets, width), -1, 0
+        )
+        return np.stack([-across, along], axis=-1)
 
     def stream(self, x: Float[Array, "2"]) -> Float[Array, ""]:
         r"""Stream function $\psi(x)$ [L² T⁻²]; positive turns counter-clockwise."""

@@ -8,6 +8,7 @@ not part of it.
 import abc
 import functools
 import operator
+from collections.abc import Callable
 
 import equinox as eqx
 import numpy as np
@@ -64,29 +65,26 @@ def _exact(values: Float[ArrayLike, "kernel dim"]) -> Centers:
 class WeightPrior(AbstractPrior):
     r"""Gaussian-process prior of the weights of one environment, of unit amplitude.
 
-    $K_{ij} = (D_i D_j + \varphi^2) \exp(-|c_i - c_j|^2 / 2\ell^2)$ with the envelope
-    $D_i = \exp(-|c_i - m|^2 / 2 R^2)$ and a floor: a field of length scale $\ell$ that may fade
+    $K_{ij} = D_i D_j \exp(-|c_i - c_j|^2 / 2\ell^2)$ with the envelope
+    $D_i = \exp(-|c_i - m|^2 / 2 R^2)$: a field of length scale $\ell$ that may fade
     away from a place. Where nothing fades the evidence makes R large, and the prior is
     stationary. The envelope is what separates an obstacle from a constant force: a
-    stationary prior takes a slope over the whole domain for an obstacle. Its floor
-    keeps it from being a force of its own: without one the tail of an envelope whose
-    middle is far from all data stands for a wall.
+    stationary prior takes a slope over the whole domain for an obstacle.
 
     Its shape is $\log \ell$, $\log R$, and $m$ from the middle, all in widths; a search
-    begins with a wide envelope about the middle of the kernels.
+    begins with a wide envelope about the middle of the kernels. It does not leave the
+    middle `MIDDLE` of them, where data are: the tail of an envelope whose middle is far
+    from all data explains a wall as well as a wall does.
 
     Attributes:
         centers: $c$ of the kernels [L].
         width: of a kernel [L].
         components: weights of each kernel, independent of each other.
-        floor: $\varphi$, below which no standard deviation falls, relative to where it
-            is largest.
     """
 
     centers: Centers = eqx.field(converter=_exact)
     width: float = eqx.field(converter=float)
     components: int = 1
-    floor: float = 0.01
 
     @property
     def start(self) -> Shape:
@@ -95,7 +93,7 @@ class WeightPrior(AbstractPrior):
     @property
     def bounds(self) -> Float[np.ndarray, "shape 2"]:
         extent = self._extent
-        half = 0.5 * extent
+        half = 0.5 * MIDDLE * extent
         scales = [(-1.2, np.log(10 * extent)), (0.0, np.log(10 * extent))]
         return np.array(scales + [(-half, half)] * self._dim)
 
@@ -109,16 +107,37 @@ class WeightPrior(AbstractPrior):
         alike, faded = self._factors(shape)
         by_envelope = alike * faded / reach**2
         scalars = [
-            alike * (faded + self.floor**2) * self._squares / length_scale**2,
+            alike * faded * self._squares / length_scale**2,
             by_envelope * (squares[:, None] + squares[None]),
             *(by_envelope * (x[:, None] + x[None]) for x in from_middle.T),
         ]
         return np.stack([self._per_component(scalar) for scalar in scalars])
 
+    def variance(
+        self,
+        shape: Shape,
+        places: Float[np.ndarray, "point place dim"],
+        forces: Float[np.ndarray, "point place dim"],
+    ) -> Float[np.ndarray, "point dim"]:
+        r"""Prior variance of $\sum_j w_j f_j$ at points, with kernels at other places.
+
+        Args:
+            shape: of the prior.
+            places: of kernels about each point, alike but for a shift [L].
+            forces: $f_j$ of each of them at the point.
+        """
+        length_scale, reach = np.exp(shape[:2])
+        scaled = (places - self._middle) / self.width
+        squares = ((scaled - shape[2:]) ** 2).sum(axis=-1)
+        faded = forces * np.exp(-0.5 * squares / reach**2)[..., None]
+        apart = scaled[0][:, None] - scaled[0]
+        alike = np.exp(-0.5 * (apart**2).sum(axis=-1) / length_scale**2)
+        return np.sum(faded * np.einsum("ij,pjd->pid", alike, faded), axis=1)
+
     def _scalar(self, shape: Shape) -> Gram:
         """Covariance of one component."""
         alike, faded = self._factors(shape)
-        return alike * (faded + self.floor**2)
+        return alike * faded
 
     def _factors(self, shape: Shape) -> tuple[Gram, Gram]:
         """What two kernels have in common by their distance, and by the envelope."""
@@ -140,8 +159,11 @@ class WeightPrior(AbstractPrior):
 
     @property
     def _scaled_centers(self) -> Centers:
-        middle = (self.centers.min(axis=0) + self.centers.max(axis=0)) / 2
-        return (self.centers - middle) / self.width
+        return (self.centers - self._middle) / self.width
+
+    @property
+    def _middle(self) -> Float[np.ndarray, " dim"]:
+        return (self.centers.min(axis=0) + self.centers.max(axis=0)) / 2
 
     @property
     def _extent(self) -> float:
@@ -162,6 +184,11 @@ def _squares(centers: bytes, dim: int) -> Gram:
     squares = functools.reduce(operator.add, along)
     squares.flags.writeable = False
     return squares
+
+
+MIDDLE = 0.6
+"""Share of the extent of kernels in which the middle of an envelope lies: as they are
+laid, a fifth of them or more on each side is beyond the data."""
 
 
 class StationaryPrior(AbstractPrior):
@@ -263,6 +290,19 @@ class MixturePrior(AbstractPrior):
     def bounds(self) -> Float[np.ndarray, "shape 2"]:
         ratio = [[self.least_ratio, LOG_RATIO]]
         return np.concatenate([self.first.bounds, self.second.bounds, ratio])
+
+    def second_variance(
+        self,
+        shape: Shape,
+        of_second: Callable[[Shape], Float[np.ndarray, "point dim"]],
+    ) -> Float[np.ndarray, "point dim"]:
+        """A variance of the second part, relative to the amplitude of the first.
+
+        Args:
+            shape: of this prior.
+            of_second: gives it by the shape of the second part, for unit amplitude.
+        """
+        return self._square(shape) * of_second(shape[len(self.first.start) : -1])
 
     def covariance(self, shape: Shape) -> Matrix:
         half = len(self.first.start)

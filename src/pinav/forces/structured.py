@@ -1,6 +1,7 @@
 """A learned force that is a sum of structured terms and a free remainder."""
 
 import equinox as eqx
+import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from pinav.arguments import Scalar, Vector
@@ -13,7 +14,7 @@ from pinav.forces.force import (
 )
 from pinav.forces.kernel_mixtures import KernelMixture
 from pinav.forces.kernels import KernelForce, KernelPotential
-from pinav.forces.priors import AbstractPrior, Centers, MixturePrior
+from pinav.forces.priors import Centers, MixturePrior, Shape
 from pinav.forces.structures import AbstractTerm, check_rotation, prior_of
 
 Remainder = KernelPotential | KernelForce | KernelMixture
@@ -86,10 +87,18 @@ class StructuredForce(AbstractLearnedForce):
     def dim(self) -> int:
         return self.remainder.dim
 
-    def prior(self) -> AbstractPrior:
+    def prior(self) -> MixturePrior:
         unit = self.terms[0].force_per_weight / self.remainder.force_per_weight
         return MixturePrior(
             prior_of(self.terms), self.remainder.prior(), SMALL, LEAST, unit
+        )
+
+    def variance_beyond(
+        self, shape: Shape, positions: Float[np.ndarray, "point dim"]
+    ) -> Float[np.ndarray, "point dim"]:
+        """Of the remainder."""
+        return self.prior().second_variance(
+            shape, lambda other: self.remainder.variance_beyond(other, positions)
         )
 
     def kernels_on(self, centers: Centers, width: float) -> "StructuredForce":

@@ -13,7 +13,9 @@ from pinav.arguments import Scalar, State, Vector, on_device
 from pinav.dynamics import FixedStep
 from pinav.fitting.engine.multiple_shooting import sensitivities
 from pinav.fitting.engine.parametric_model import ParametricModel
+from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.evidence.quadratic import Parameters
+from pinav.forces import as_learned_force
 
 
 class Estimate(eqx.Module):
@@ -49,11 +51,14 @@ class Posterior(eqx.Module):
         free: the model as a function of them.
         mean: their best values.
         covariance: their covariance, given the chosen hyperparameters.
+        hyperparameters: of the prior of the weights, for places without kernels; None
+            where the weights are all there is.
     """
 
     free: ParametricModel
     mean: Parameters
     covariance: Float[np.ndarray, "parameter parameter"]
+    hyperparameters: Hyperparameters | None = None
 
     @property
     def model(self) -> Any:
@@ -81,13 +86,26 @@ class Posterior(eqx.Module):
     ) -> Float[np.ndarray, "point dim"]:
         """Standard deviation of the environment's force [L T⁻²] on a swimmer at rest.
 
-        A band of 1.96 of them has a nominal probability of 95 %.
+        A band of 1.96 of them has a nominal probability of 95 %. Beyond the kernels it
+        is that of the prior.
 
         Args:
             positions: points, one a row [L].
             time: at which the force acts [T].
         """
-        return _spread(self.force_jacobians(positions, time), self.covariance)
+        known = _spread(self.force_jacobians(positions, time), self.covariance)
+        return np.sqrt(known**2 + self._variance_beyond(np.asarray(positions, float)))
+
+    def _variance_beyond(
+        self, positions: Float[np.ndarray, "point dim"]
+    ) -> Float[np.ndarray, "point dim"]:
+        """Prior variance of what kernels beyond those that there are would add."""
+        chosen, force = self.hyperparameters, self.model.environment
+        learned = as_learned_force(force)
+        if chosen is None or learned is None or not len(chosen.shape):
+            return np.zeros_like(positions)
+        made = learned.variance_beyond(chosen.shape, positions)
+        return chosen.amplitude**2 * made
 
     def force_jacobians(
         self, positions: ArrayLike, time: float = 0.0

@@ -166,7 +166,9 @@ class AbstractProblem(eqx.Module):
             step.quadratic, step.hyperparameters, self.noise
         )
         covariance = step.covariance + step.block.lift(extra)
-        return Posterior(self.parametric, step.move.theta, covariance)
+        return Posterior(
+            self.parametric, step.move.theta, covariance, step.hyperparameters
+        )
 
     def linear_fit(self, step: Step) -> LinearFit:
         """The linear problem of a step, for the evidence of the model."""

@@ -6,6 +6,7 @@ pairs of scanned terms are compared: at a fixed smoothness a profile has few dir
 and the products of all of them with each other are one matrix.
 """
 
+import itertools
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -26,6 +27,9 @@ DIRECTIONS = 24
 
 RATIOS = (1e-4, 1e-6, 1e-8)
 """Variances of the noise that are tried, relative to the largest of the force."""
+
+ROUNDING = 1e-12
+"""Share of the squares that are rounding."""
 
 AT_ONCE = 2000
 """Pairs whose evidence is computed in one call."""
@@ -57,22 +61,25 @@ def scan_pairs(
         beside: a term that is there in any case.
         response: of the data to forces.
     """
-    offset = residuals_of_none(response)
-    fixed = _directions([beside], beside.prior().start, response)[0]
+    grounds = _Grounds(
+        offset=residuals_of_none(response),
+        fixed=_directions([beside], beside.prior().start, response)[0],
+        squares=response.squares,
+        num_free=response.num_free,
+    )
     blocks = [
         _directions(terms, shape, response)
         for terms, shape in zip(kinds, shapes, strict=True)
     ]
     made = []
-    for first, ones in enumerate(blocks):
-        for second in range(first, len(blocks)):
-            others = blocks[second]
-            values = _pair_evidences(fixed, ones, others, offset, response)
-            if second == first:
-                values = np.where(np.tri(len(ones), dtype=bool), -np.inf, values)
-            i, j = np.unravel_index(int(np.argmax(values)), values.shape)
-            pair = kinds[first][i], kinds[second][j]
-            made.append(ScannedPair(pair, float(values[i, j])))
+    for first, second in itertools.combinations_with_replacement(range(len(kinds)), 2):
+        values = grounds.evidences(blocks[first], blocks[second])
+        if second == first:  # each pair once, and no term beside itself
+            values[np.tri(len(values), dtype=bool)] = -np.inf
+        best = int(np.argmax(values))
+        i, j = divmod(best, values.shape[1])
+        pair = kinds[first][i], kinds[second][j]
+        made.append(ScannedPair(pair, float(values.flat[best])))
     return sorted(made, key=lambda one: -one.log_evidence)
 
 
@@ -84,55 +91,60 @@ def _directions(
     return reduced_columns(terms, columns, response)
 
 
-def _pair_evidences(
-    fixed: Float[np.ndarray, "datum direction"],
-    ones: Float[np.ndarray, "one datum direction"],
-    others: Float[np.ndarray, "other datum direction"],
-    offset: Float[np.ndarray, " datum"],
-    response: ForceResponse,
-) -> Float[np.ndarray, "one other"]:
-    """Log evidence of each pair, but for a constant."""
-    sizes = [fixed.shape[1], ones.shape[2], others.shape[2]]
-    ends = np.cumsum([0, *sizes])
-    held, left, right = (slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True))
-    rows = [np.concatenate(list(block), axis=1) for block in (ones, others)]
-    stacked = np.concatenate([fixed, *rows], axis=1)
-    gram, along = stacked.T @ stacked, stacked.T @ offset
-    starts = [sizes[0], sizes[0] + rows[0].shape[1]]
-    squares = float(offset @ offset) + response.squares
-    pairs = np.stack(np.mgrid[: len(ones), : len(others)], axis=-1).reshape(-1, 2)
-    values = np.empty(len(pairs))
-    for begin in range(0, len(pairs), AT_ONCE):
-        some = pairs[begin : begin + AT_ONCE]
-        places = np.empty((len(some), ends[-1]), int)
-        places[:, held] = np.arange(sizes[0])
-        places[:, left] = starts[0] + some[:, :1] * sizes[1] + np.arange(sizes[1])
-        places[:, right] = starts[1] + some[:, 1:] * sizes[2] + np.arange(sizes[2])
-        values[begin : begin + AT_ONCE] = _evidences(
-            gram, along, places, squares, response.num_free
-        )
-    return values.reshape(len(ones), len(others))
+class _Grounds(eqx.Module):
+    """What is the same for all pairs.
 
+    Attributes:
+        offset: residuals of no force.
+        fixed: residuals by the directions of a term that is there in any case.
+        squares: sum of squares that no force explains.
+        num_free: residuals less starts.
+    """
 
-def _evidences(
-    gram: Float[np.ndarray, "all all"],
-    along: Float[np.ndarray, " all"],
-    places: Int[np.ndarray, "pair direction"],
-    squares: float,
-    num_free: int,
-) -> Float[np.ndarray, " pair"]:
-    """Log evidence of weights at several places, at the best of a few ratios."""
-    matrices = gram[places[:, :, None], places[:, None, :]]
-    vectors = along[places]
-    largest = np.trace(matrices, axis1=1, axis2=2)
-    best = np.full(len(places), -np.inf)
-    for share in RATIOS:
-        ratio = share * largest
-        shifted = matrices + ratio[:, None, None] * np.eye(places.shape[1])
-        lower = np.linalg.cholesky(shifted)
-        whitened = np.linalg.solve(lower, vectors[..., None])[..., 0]
-        left = np.maximum(squares - (whitened**2).sum(axis=1), 1e-12 * squares)
-        sizes = np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
-        sizes -= 0.5 * places.shape[1] * np.log(ratio)
-        best = np.maximum(best, -0.5 * num_free * np.log(left) - sizes)
-    return best
+    offset: Float[np.ndarray, " datum"]
+    fixed: Float[np.ndarray, "datum direction"]
+    squares: float
+    num_free: int
+
+    def evidences(
+        self,
+        ones: Float[np.ndarray, "one datum direction"],
+        others: Float[np.ndarray, "other datum direction"],
+    ) -> Float[np.ndarray, "one other"]:
+        """Log evidence of each of one kind beside each of another."""
+        sides = [np.concatenate(list(block), axis=1) for block in (ones, others)]
+        stacked = np.concatenate([self.fixed, *sides], axis=1)
+        gram, along = stacked.T @ stacked, stacked.T @ self.offset
+        count, left, right = self.fixed.shape[1], ones.shape[2], others.shape[2]
+        pairs = np.argwhere(np.ones((len(ones), len(others)), bool))
+        first = count + pairs[:, :1] * left + np.arange(left)
+        second = count + len(ones) * left + pairs[:, 1:] * right + np.arange(right)
+        held = np.broadcast_to(np.arange(count), (len(pairs), count))
+        places = np.concatenate([held, first, second], axis=1)
+        parts = [
+            self._evidences(gram, along, places[begin : begin + AT_ONCE])
+            for begin in range(0, len(places), AT_ONCE)
+        ]
+        return np.concatenate(parts).reshape(len(ones), len(others))
+
+    def _evidences(
+        self,
+        gram: Float[np.ndarray, "all all"],
+        along: Float[np.ndarray, " all"],
+        places: Int[np.ndarray, "pair direction"],
+    ) -> Float[np.ndarray, " pair"]:
+        """Log evidence of weights at several places, at the best of a few ratios."""
+        matrices = gram[places[:, :, None], places[:, None, :]]
+        vectors, count = along[places], places.shape[1]
+        largest = np.trace(matrices, axis1=1, axis2=2)
+        squares = float(self.offset @ self.offset) + self.squares
+        best = np.full(len(places), -np.inf)
+        for share in RATIOS:
+            ratio = share * largest
+            lower = np.linalg.cholesky(matrices + ratio[:, None, None] * np.eye(count))
+            whitened = np.linalg.solve(lower, vectors[..., None])[..., 0]
+            left = np.maximum(squares - (whitened**2).sum(axis=1), ROUNDING * squares)
+            sizes = np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
+            values = -0.5 * (self.num_free * np.log(left) - count * np.log(ratio))
+            best = np.maximum(best, values - sizes)
+        return best

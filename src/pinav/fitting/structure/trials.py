@@ -200,9 +200,7 @@ def cost(terms: Terms, response: ForceResponse) -> float:
     return 0.5 * count * float(np.log(response.num_free)) + 3.0 * len(terms)
 
 
-def polish(
-    terms: Terms, response: ForceResponse, *, again: int = 0
-) -> Proposal | None:
+def polish(terms: Terms, response: ForceResponse, *, again: int = 0) -> Proposal | None:
     """Profiles and geometry of the highest evidence; None where there is no best.
 
     A geometry has no derivative while its profile is zero, so that the profiles come
@@ -214,11 +212,11 @@ def polish(
         again: times that it begins anew from where it ended, at most; see `GAIN`.
     """
     best = _polish_once(terms, response)
-    for _ in range(again):
-        after = None if best is None else _polish_once(best.terms, response)
-        if after is None or after.log_evidence < best.log_evidence + GAIN:
+    while best is not None and again > 0:
+        other = _polish_once(best.terms, response)
+        if other is None or other.log_evidence < best.log_evidence + GAIN:
             break
-        best = after
+        best, again = other, again - 1
     return best
 
 
