@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from pinav.arguments import on_device
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.fitting.structure.pairs import scan_pairs
 from pinav.fitting.structure.patterns import (
@@ -24,6 +25,7 @@ from pinav.fitting.structure.patterns import (
 )
 from pinav.fitting.structure.response import ForceResponse
 from pinav.fitting.structure.starts import (
+    ANGLES,
     Region,
     circular,
     ellipses,
@@ -42,11 +44,16 @@ from pinav.forces import (
     EllipticTerm,
     LinearTerm,
     ObstaclesTerm,
+    WallTerm,
 )
 
 CLOSER = {2: (7, (0.3, 0.1)), 3: (3, (0.25, 0.12, 0.06))}
 """Places along each side of further grids of centres, and their sizes, each about the
 best of those before; by the dimension of space."""
+
+FINER_ANGLES = (0.8, 0.16)
+"""Sizes of further grids of directions about the best one, relative to the distance of
+those that are scanned first, to either side."""
 
 MOST_TERMS = 3
 """Terms of a structure."""
@@ -232,6 +239,10 @@ class _Ground(eqx.Module):
             terms = (linear, *pair.terms)
             for _ in pair.terms:  # each beside the other, on finer grids
                 terms = self._scan([terms[1]], (linear, *terms[2:])).terms
+            first, second = terms[1:]
+            if isinstance(first, CentralTerm) and isinstance(second, CentralTerm):
+                alike = twins(first, np.asarray(second.center)[None])
+                made.append((linear, *alike))
             made.append(terms)
         return self._polish_each(made, AGAIN)
 
@@ -273,14 +284,25 @@ class _Ground(eqx.Module):
         return any(one.noise < ENOUGH * self.noise for one in proposals)
 
     def _polish_each(
-        self, structures: Sequence[Terms], again: int = 0
+        self, structures: Sequence[Terms], again: int = 1
     ) -> list[Proposal]:
-        made = [polish(terms, self.response, again=again) for terms in structures]
+        """Each polished, and again where that explains too little."""
+        enough = ENOUGH * self.noise
+        made = [
+            polish(terms, self.response, enough=enough, again=again)
+            for terms in structures
+        ]
         return [one for one in made if one is not None]
 
     def _scan(self, starts: Sequence[AbstractTerm], terms: Terms) -> "_Scanned":
-        """The best term of a kind beside others; its centre on ever finer grids."""
+        """The best term of a kind beside others; its geometry on ever finer grids."""
         best = self._best(starts, terms)
+        wall = best.terms[-1]
+        for fraction in FINER_ANGLES if isinstance(wall, WallTerm) else ():
+            turns = fraction * np.pi / ANGLES * np.linspace(-1, 1, 9)
+            angles = [on_device(float(best.terms[-1].angle) + turn) for turn in turns]
+            closer = [eqx.tree_at(lambda t: t.angle, wall, angle) for angle in angles]
+            best = self._best(closer, terms)
         side, fractions = CLOSER[len(self.region.middle)]
         for fraction in fractions:
             chosen = best.terms[-1]

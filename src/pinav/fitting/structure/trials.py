@@ -200,7 +200,9 @@ def cost(terms: Terms, response: ForceResponse) -> float:
     return 0.5 * count * float(np.log(response.num_free)) + 3.0 * len(terms)
 
 
-def polish(terms: Terms, response: ForceResponse, *, again: int = 0) -> Proposal | None:
+def polish(
+    terms: Terms, response: ForceResponse, *, enough: float = 0.0, again: int = 0
+) -> Proposal | None:
     """Profiles and geometry of the highest evidence; None where there is no best.
 
     A geometry has no derivative while its profile is zero, so that the profiles come
@@ -209,10 +211,11 @@ def polish(terms: Terms, response: ForceResponse, *, again: int = 0) -> Proposal
     Args:
         terms: where the search begins.
         response: of the data to forces.
+        enough: noise at which the data are explained, and once is enough.
         again: times that it begins anew from where it ended, at most; see `GAIN`.
     """
     best = _polish_once(terms, response)
-    while best is not None and again > 0:
+    while best is not None and again > 0 and best.noise > enough:
         other = _polish_once(best.terms, response)
         if other is None or other.log_evidence < best.log_evidence + GAIN:
             break
