@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from pinav.arguments import on_device
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.fitting.structure.pairs import scan_pairs
 from pinav.fitting.structure.patterns import (
@@ -219,9 +218,9 @@ class _Ground(eqx.Module):
         proposals += self._polish_each([self._scan(starts, beside).terms])
         if terms or self._is_explained(proposals):
             return proposals
-        starts = obstacles(self.seen, self.region)
+        peaks = [self._move_each(one) for one in obstacles(self.seen, self.region)]
         lattice = self._best(lattices(self.region), ()).terms
-        patterns = self._polish_each([lattice, *((start,) for start in starts)])
+        patterns = self._polish_each([lattice, *((one,) for one in peaks)])
         # of a sum that is not explained yet a pattern is a poor beginning
         return proposals + [
             one for one in patterns if one.noise < EXPLAINED * self.noise
@@ -297,11 +296,12 @@ class _Ground(eqx.Module):
     def _scan(self, starts: Sequence[AbstractTerm], terms: Terms) -> "_Scanned":
         """The best term of a kind beside others; its geometry on ever finer grids."""
         best = self._best(starts, terms)
-        wall = best.terms[-1]
-        for fraction in FINER_ANGLES if isinstance(wall, WallTerm) else ():
-            turns = fraction * np.pi / ANGLES * np.linspace(-1, 1, 9)
-            angles = [on_device(float(best.terms[-1].angle) + turn) for turn in turns]
-            closer = [eqx.tree_at(lambda t: t.angle, wall, angle) for angle in angles]
+        for step in FINER_ANGLES:
+            wall = best.terms[-1]
+            if not isinstance(wall, WallTerm):
+                break
+            angles = wall.angle + step * np.pi / ANGLES * jnp.linspace(-1, 1, 9)
+            closer = [eqx.tree_at(lambda one: one.angle, wall, x) for x in angles]
             best = self._best(closer, terms)
         side, fractions = CLOSER[len(self.region.middle)]
         for fraction in fractions:
@@ -312,6 +312,17 @@ class _Ground(eqx.Module):
             closer = [_move(chosen, place) for place in places]
             best = self._best([chosen, *closer], terms)
         return best
+
+    def _move_each(self, term: ObstaclesTerm) -> AbstractTerm:
+        """Obstacles with each centre in turn moved to where it explains most."""
+        moved: AbstractTerm = term
+        for _ in term.centers:
+            # the last centre is the one that a scan moves
+            turned = eqx.tree_at(
+                lambda one: one.centers, moved, replace_fn=lambda x: jnp.roll(x, 1, 0)
+            )
+            (moved,) = self._scan([turned], ()).terms
+        return moved
 
     def _best(self, starts: Sequence[AbstractTerm], terms: Terms) -> "_Scanned":
         """The term that explains most beside those that there are."""
