@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 
 import pinav.forces
+from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
 from pinav.forces import (
     AbstractLearnedForce,
     CentralTerm,
@@ -32,6 +33,7 @@ from pinav.forces import (
     TimedKernelPotential,
     tanh_network,
 )
+from pinav.forces.priors import WeightPrior
 
 CENTERS = np.random.default_rng(0).uniform(-3.0, 3.0, size=(9, 2))
 STILL = KernelPotential.with_zero_weights(CENTERS, 1.0)
@@ -115,6 +117,17 @@ def test_length_scales_and_prior_need_no_weights(force):
     )
     shape = force.prior().start
     assert fixed.length_scales(shape) == force.length_scales(shape)
+
+
+def test_the_middle_of_an_envelope_lies_where_data_are():
+    """Kernels are laid four spacings beyond the data, in which it does not lie."""
+    positions = np.random.default_rng(1).uniform(0.0, 12.0, (400, 2))
+    centers, width = surround_with_kernels(positions, KernelGrid())
+    prior = WeightPrior(centers, width)
+    middle = (centers.min(axis=0) + centers.max(axis=0)) / 2
+    for corner in (middle + width * bound for bound in prior.bounds[2:].T):
+        assert np.all(corner < positions.max(axis=0) + width)
+        assert np.all(corner > positions.min(axis=0) - width)
 
 
 @pytest.mark.parametrize("second", ["linear", "lattice", "kernels"])

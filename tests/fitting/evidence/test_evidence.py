@@ -17,6 +17,7 @@ from pinav.fitting.evidence.quadratic import (
     is_singular,
     joint_posterior,
 )
+from pinav.fitting.evidence.weights import GaussianWeights
 from pinav.forces.priors import AbstractPrior
 
 WEIGHTS, FLAT, ROWS = 4, 2, 30
@@ -240,3 +241,57 @@ def test_weights_on_which_no_datum_depends_are_refused():
     nothing = Quadratic(np.zeros(3), np.zeros((3, 3)), np.zeros(3), 1.0, 10, 0.0)
     with pytest.raises(FitError, match="do not depend on the weights"):
         LinearisedObservations.of(nothing)
+
+
+class Bumpy(AbstractPrior):
+    """Two weights, one of which alone is free at either end of the shape."""
+
+    both: bool = True
+
+    @property
+    def start(self):
+        return np.array([-2.0])
+
+    @property
+    def starts(self):
+        return [self.start, np.array([2.0])] if self.both else [self.start]
+
+    @property
+    def bounds(self):
+        return np.array([(-3.0, 3.0)])
+
+    def covariance(self, shape):
+        return np.diag(self.variances(shape[0])) + 1e-12 * np.eye(2)
+
+    def slopes(self, shape):
+        offsets = shape[0] + np.array([2.0, -2.0])
+        return np.diag(-18 * offsets * self.variances(shape[0]))[None]
+
+    def variances(self, x):
+        return np.exp(-9 * (x + np.array([2.0, -2.0])) ** 2)
+
+
+SECOND = Quadratic(
+    point=np.zeros(2),
+    hessian=np.eye(2),
+    gradient=-np.array([0.01, 3.0]),
+    squares=9.0001,
+    num_free=2,
+    log_determinant=0.0,
+)
+"""Two weights that are observed, of which the second is large."""
+
+
+def test_a_search_from_every_start_finds_what_one_from_a_bad_start_does_not():
+    weights = GaussianWeights(Bumpy())
+    low = weights.infer(SECOND, np.array([-2.0]), 0.1).hyperparameters
+    better = weights.search_anew(SECOND, low, 0.1)
+    assert better.log_evidence > low.log_evidence + 10
+    assert better.shape[0] > 0
+    assert weights.search_anew(SECOND, better, 0.1) is None
+
+
+def test_with_one_start_there_is_nothing_to_search_anew():
+    weights = GaussianWeights(Bumpy(both=False))
+    low = weights.infer(SECOND, np.array([-2.0]), 0.1).hyperparameters
+    assert weights.search_anew(SECOND, low, 0.1) is None

@@ -48,6 +48,16 @@ def test_a_centre_is_polished_from_nearby():
     assert made.noise == pytest.approx(0.01, rel=0.2)
 
 
+def test_a_polish_begins_anew_until_that_gains_nothing():
+    data = response(HILL + SoftWall(6.0, 0.7, 9.0, 0.8))
+    terms = central_term(REGION, np.array([4.8, 5.0])), wall_term(REGION, 0.5)
+    once = polish(terms, data)
+    often = polish(terms, data, again=3)
+    assert often.log_evidence >= once.log_evidence
+    explained = polish(terms, data, again=3, enough=10 * once.noise)
+    assert explained.log_evidence == once.log_evidence
+
+
 def test_the_evidence_prefers_the_kind_that_is_right():
     data = response(SoftWall(4.0, 0.7, 7.0, 0.8))
     walls = quick_evidences([wall_term(REGION, a) for a in (0.7, 1.2)], (), data)

@@ -1,0 +1,102 @@
+"""The variance of the force where kernels were not laid, against kernels that are."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinav.forces import (
+    CentralTerm,
+    KernelForce,
+    KernelMixture,
+    KernelPotential,
+    KernelStream,
+    StructuredForce,
+    kernel_centers,
+)
+from pinav.forces.kernel_gaps import KernelGaps
+
+SPACING, WIDTH = 0.7, 0.7
+AROUND = np.array([[0.0, 0.0], [1.0, 0.4]])
+CENTERS = kernel_centers(AROUND, spacing=SPACING, margin=2.8)
+FAR = np.array([[40.0, 3.0], [-25.0, 8.0]])
+SHAPE = np.array([0.6, 3.5, 0.3, -0.2])
+
+
+def lattice(place):
+    """All kernels of the grid of `CENTERS` that reach a place."""
+    nearest = CENTERS[0] + SPACING * np.round((place - CENTERS[0]) / SPACING)
+    side = SPACING * np.arange(-7, 8)
+    return nearest + np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+
+
+def explicit_variance(kind, place):
+    """Of a force whose kernels are laid at the place, by the prior of `CENTERS`."""
+    centers = lattice(place)
+    both = np.concatenate([CENTERS, centers])
+    # the shape counts from the middle of the kernels that there are
+    middle = (CENTERS.min(axis=0) + CENTERS.max(axis=0)) / 2
+    moved = (both.min(axis=0) + both.max(axis=0)) / 2
+    shape = SHAPE + np.append([0.0, 0.0], (middle - moved) / WIDTH)
+    force = kind.with_zero_weights(both, WIDTH)
+    covariance = force.prior().covariance(shape)
+
+    def at(weights):
+        return kind(weights, force.centers, force.width)(
+            0.0, jnp.asarray(place), jnp.zeros(2)
+        )
+
+    rows = np.asarray(jax.jacobian(at)(force.weights)).reshape(2, -1)
+    return np.diag(rows @ covariance @ rows.T)
+
+
+@pytest.mark.parametrize("kind", [KernelForce, KernelPotential, KernelStream])
+def test_far_from_all_kernels_it_is_that_of_the_prior(kind):
+    force = kind.with_zero_weights(CENTERS, WIDTH)
+    variance = force.variance_beyond(SHAPE, FAR)
+    expected = [explicit_variance(kind, place) for place in FAR]
+    np.testing.assert_allclose(variance, expected, rtol=1e-3)
+    assert variance.min() > 0
+
+
+@pytest.mark.parametrize("kind", [KernelForce, KernelPotential, KernelStream])
+def test_among_the_data_it_is_next_to_nothing(kind):
+    force = kind.with_zero_weights(CENTERS, WIDTH)
+    there = force.variance_beyond(SHAPE, AROUND)
+    assert np.sqrt(there.max() / force.variance_beyond(SHAPE, FAR).max()) < 5e-3
+
+
+def test_parts_add_with_their_own_shapes_and_ratio():
+    gradient = KernelPotential.with_zero_weights(CENTERS, WIDTH)
+    rotation = KernelStream.with_zero_weights(CENTERS, WIDTH)
+    other = SHAPE + np.array([0.4, 0.0, 0.0, 0.0])
+    shape = np.concatenate([SHAPE, other, [-0.5]])
+    both = KernelMixture(gradient, rotation).variance_beyond(shape, FAR)
+    expected = gradient.variance_beyond(SHAPE, FAR)
+    expected = expected + np.exp(-1.0) * rotation.variance_beyond(other, FAR)
+    np.testing.assert_allclose(both, expected)
+
+
+def test_of_a_structured_force_it_is_that_of_the_remainder():
+    free = KernelPotential.with_zero_weights(CENTERS, WIDTH)
+    term = CentralTerm(jnp.zeros(5), jnp.zeros(2), jnp.arange(0.5, 5.0), 1.0)
+    force = StructuredForce((term,), free)
+    shape = np.concatenate([term.prior().start, SHAPE, [-1.0]])
+    ratio = force.prior().unit * np.exp(-1.0)
+    expected = ratio**2 * free.variance_beyond(SHAPE, FAR)
+    np.testing.assert_allclose(force.variance_beyond(shape, FAR), expected)
+
+
+def test_kernels_on_no_grid_have_no_gaps():
+    places = np.random.default_rng(0).uniform(size=(9, 2))
+    assert KernelGaps.of(places, 0.1) is None
+    assert KernelGaps.of(places[:1], 0.1) is None
+    force = KernelForce.with_zero_weights(places, 0.1)
+    assert not force.variance_beyond(SHAPE, FAR).any()
+
+
+def test_filled_places_are_not_missing():
+    gaps = KernelGaps.of(CENTERS, WIDTH)
+    places, is_missing = gaps.about(CENTERS[:3])
+    gap = np.linalg.norm(places[:, :, None] - CENTERS, axis=-1).min(axis=-1)
+    np.testing.assert_array_equal(is_missing, gap > 0.5 * SPACING)
