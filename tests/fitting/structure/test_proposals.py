@@ -54,8 +54,9 @@ def test_a_polish_begins_anew_until_that_gains_nothing():
     once = polish(terms, data)
     often = polish(terms, data, again=3)
     assert often.log_evidence >= once.log_evidence
-    explained = polish(terms, data, again=3, enough=10 * once.noise)
-    assert explained.log_evidence == once.log_evidence
+    for between in ((2 * once.noise, np.inf), (0.0, 0.5 * once.noise)):
+        left = polish(terms, data, again=3, between=between)
+        assert left.log_evidence == once.log_evidence
 
 
 def test_the_evidence_prefers_the_kind_that_is_right():

@@ -285,10 +285,10 @@ class _Ground(eqx.Module):
     def _polish_each(
         self, structures: Sequence[Terms], again: int = 1
     ) -> list[Proposal]:
-        """Each polished, and again where that explains too little."""
-        enough = ENOUGH * self.noise
+        """Each polished, and again where that may explain more of what is left."""
+        between = ENOUGH * self.noise, HOPELESS * self.noise
         made = [
-            polish(terms, self.response, enough=enough, again=again)
+            polish(terms, self.response, again=again, between=between)
             for terms in structures
         ]
         return [one for one in made if one is not None]

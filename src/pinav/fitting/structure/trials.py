@@ -201,7 +201,11 @@ def cost(terms: Terms, response: ForceResponse) -> float:
 
 
 def polish(
-    terms: Terms, response: ForceResponse, *, enough: float = 0.0, again: int = 0
+    terms: Terms,
+    response: ForceResponse,
+    *,
+    again: int = 0,
+    between: tuple[float, float] = (0.0, np.inf),
 ) -> Proposal | None:
     """Profiles and geometry of the highest evidence; None where there is no best.
 
@@ -211,11 +215,11 @@ def polish(
     Args:
         terms: where the search begins.
         response: of the data to forces.
-        enough: noise at which the data are explained, and once is enough.
         again: times that it begins anew from where it ended, at most; see `GAIN`.
+        between: what must be left for that: less is explained, more is hopeless.
     """
     best = _polish_once(terms, response)
-    while best is not None and again > 0 and best.noise > enough:
+    while best is not None and again > 0 and between[0] < best.noise < between[1]:
         other = _polish_once(best.terms, response)
         if other is None or other.log_evidence < best.log_evidence + GAIN:
             break
