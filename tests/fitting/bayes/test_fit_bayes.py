@@ -1,3 +1,5 @@
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -96,8 +98,19 @@ def test_the_band_covers_the_true_force(fitted, scenario, data):
     assert inside.mean() > 0.85
 
 
-def test_far_from_the_kernels_the_force_is_zero_and_certain(fitted):
-    assert np.all(fitted.posterior.force_sd(np.array([[100.0, 100.0]])) < 1e-12)
+def test_far_from_the_kernels_the_force_is_as_uncertain_as_its_prior(fitted):
+    """The prior of a hill fades to nothing; one that does not fade is as wide there."""
+    far = np.array([[100.0, 100.0]])
+    assert np.all(fitted.posterior.force_sd(far) < 1e-12)
+    chosen = fitted.hyperparameters
+    still = np.array([chosen.shape[0], 10.0, 0.0, 0.0])
+    wide = dataclasses.replace(chosen, shape=still)
+    posterior = dataclasses.replace(fitted.posterior, hyperparameters=wide)
+    variance = fitted.model.environment.variance_beyond(still, far)
+    np.testing.assert_allclose(
+        posterior.force_sd(far), chosen.amplitude * np.sqrt(variance)
+    )
+    assert np.all(posterior.force_sd(far) > 0.1 * chosen.amplitude)
 
 
 @pytest.mark.slow
