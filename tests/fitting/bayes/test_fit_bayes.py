@@ -103,7 +103,7 @@ def test_far_from_the_kernels_the_force_is_as_uncertain_as_its_prior(fitted):
     far = np.array([[100.0, 100.0]])
     assert np.all(fitted.posterior.force_sd(far) < 1e-12)
     chosen = fitted.hyperparameters
-    still = np.array([chosen.shape[0], 10.0, 0.0, 0.0])
+    still = np.array([1.0, 10.0, 0.0, 0.0])
     wide = dataclasses.replace(chosen, shape=still)
     posterior = dataclasses.replace(fitted.posterior, hyperparameters=wide)
     variance = fitted.model.environment.variance_beyond(still, far)
