@@ -23,7 +23,7 @@ from pinav.forces import (
 from pinav.scenarios import random_system
 from pinav.scenarios.spaces import box
 from pinav.systems.files import parse_system
-from pinav.trajectories import simulate
+from pinav.trajectories import simulate, with_velocities
 
 PLACES = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
 
@@ -185,3 +185,20 @@ def test_a_hill_is_found_in_any_units():
         gains.append(fit.gain)
     assert max(gains) - min(gains) < 0.5
     assert min(gains) > 5.0
+
+
+@pytest.mark.slow
+def test_obstacles_that_no_peak_shows_grow_from_a_pair():
+    """A draw for development, whose free potential has its peaks elsewhere."""
+    system = random_system("obstacles", 12)
+    data = simulate(system, key=jax.random.key(12)).only(("x", "y"))
+    start = system.swimmer.with_environment(kernel_environment(KernelPotential, data))
+    specification = FitSpecification(
+        start, with_velocities(data), lambda _: (), None, FixedStep()
+    )
+    survey = Survey.of(specification, specification.problem(start))
+    (term,) = survey.proposal(rotational=False).terms
+    centers = np.array([hill.center for hill in system.environment.terms])
+    gaps = np.linalg.norm(np.asarray(term.centers)[:, None] - centers, axis=-1)
+    assert gaps.shape == (3, 3)
+    assert gaps.min(axis=0).max() < 0.02

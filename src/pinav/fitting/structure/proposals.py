@@ -74,6 +74,9 @@ MOST_HALVINGS = 2
 PROMISING, PAIRS = 3, 2
 """Kinds, and pairs of kinds, that are polished, of those that were scanned."""
 
+MOST_GROWN = 5
+"""Obstacles of one kind to which a pair of them grows; needless ones go later."""
+
 AGAIN = 3
 """Times that the polish of several terms is repeated at most."""
 
@@ -233,17 +236,22 @@ class _Ground(eqx.Module):
         profiles = [one for one in kinds if not isinstance(one[0], LinearTerm)]
         shapes = [smooth_shape(one[0], self.response) for one in profiles]
         pairs = scan_pairs(profiles, shapes, linear, self.response)
-        made = []
+        made: list[Terms] = []
+        alike: list[ObstaclesTerm] = []
         for pair in pairs[:PAIRS]:
             terms = (linear, *pair.terms)
             for _ in pair.terms:  # each beside the other, on finer grids
                 terms = self._scan([terms[1]], (linear, *terms[2:])).terms
             first, second = terms[1:]
             if isinstance(first, CentralTerm) and isinstance(second, CentralTerm):
-                alike = twins(first, np.asarray(second.center)[None])
-                made.append((linear, *alike))
+                alike += twins(first, np.asarray(second.center)[None])
+                made.append((linear, alike[-1]))
             made.append(terms)
-        return self._polish_each(made, AGAIN)
+        proposals = self._polish_each(made, AGAIN)
+        if self._is_explained(proposals):
+            return proposals
+        several = [(linear, self._grow(one, linear)) for one in alike]
+        return proposals + self._polish_each(several, AGAIN)
 
     def exchange(self, proposal: Proposal, *, rotational: bool) -> Proposal:
         """The structure with earlier terms in place of which another explains more.
@@ -313,16 +321,28 @@ class _Ground(eqx.Module):
             best = self._best([chosen, *closer], terms)
         return best
 
-    def _move_each(self, term: ObstaclesTerm) -> AbstractTerm:
+    def _grow(self, term: ObstaclesTerm, linear: AbstractTerm) -> ObstaclesTerm:
+        """Obstacles with as many more of their kind as explain more, then moved."""
+        places = np.concatenate([self.region.places(), self.summits])
+        best, reached = term, self._best([term], (linear,)).log_evidence
+        while len(best.centers) < MOST_GROWN:
+            scanned = self._scan(twins(best, places), (linear,))
+            if scanned.log_evidence < reached + 2 * DECISIVE:
+                break
+            moved = self._move_each(scanned.terms[-1], (linear,))
+            best, reached = moved, self._best([moved], (linear,)).log_evidence
+        return best
+
+    def _move_each(self, term: AbstractTerm, beside: Terms = ()) -> ObstaclesTerm:
         """Obstacles with each centre in turn moved to where it explains most."""
-        moved: AbstractTerm = term
+        assert isinstance(term, ObstaclesTerm)
         for _ in term.centers:
             # the last centre is the one that a scan moves
-            turned = eqx.tree_at(
-                lambda one: one.centers, moved, replace_fn=lambda x: jnp.roll(x, 1, 0)
-            )
-            (moved,) = self._scan([turned], ()).terms
-        return moved
+            turned = jnp.roll(term.centers, 1, axis=0)
+            start = eqx.tree_at(lambda one: one.centers, term, turned)
+            term = self._scan([start], beside).terms[-1]
+            assert isinstance(term, ObstaclesTerm)
+        return term
 
     def _best(self, starts: Sequence[AbstractTerm], terms: Terms) -> "_Scanned":
         """The term that explains most beside those that there are."""
