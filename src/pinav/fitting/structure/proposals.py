@@ -204,7 +204,8 @@ class _Ground(eqx.Module):
         linear, *kinds = scanned_terms(self.region, self.summits, rotational=rotational)
         beside = terms or tuple(linear)
         pairs: list[Proposal] = []
-        if sum(not isinstance(one, LinearTerm) for one in terms) == 1:
+        shaped = [one for one in terms if not isinstance(one, LinearTerm)]
+        if self.region.is_planar and len(shaped) == 1:
             pairs = self._pair(linear[0], kinds)
             if self._is_explained(pairs):
                 return pairs
@@ -242,16 +243,15 @@ class _Ground(eqx.Module):
             terms = (linear, *pair.terms)
             for _ in pair.terms:  # each beside the other, on finer grids
                 terms = self._scan([terms[1]], (linear, *terms[2:])).terms
-            first, second = terms[1:]
-            if isinstance(first, CentralTerm) and isinstance(second, CentralTerm):
-                alike += twins(first, np.asarray(second.center)[None])
-                made.append((linear, alike[-1]))
+            for several in _as_one_kind(*terms[1:]):
+                alike.append(several)
+                made.append((linear, several))
             made.append(terms)
         proposals = self._polish_each(made, AGAIN)
         if self._is_explained(proposals):
             return proposals
-        several = [(linear, self._grow(one, linear)) for one in alike]
-        return proposals + self._polish_each(several, AGAIN)
+        grown = [(linear, self._grow(one, linear)) for one in alike]
+        return proposals + self._polish_each(grown, AGAIN)
 
     def exchange(self, proposal: Proposal, *, rotational: bool) -> Proposal:
         """The structure with earlier terms in place of which another explains more.
@@ -361,6 +361,14 @@ class _Scanned(eqx.Module):
 
     terms: Terms
     log_evidence: float
+
+
+def _as_one_kind(first: AbstractTerm, second: AbstractTerm) -> list[ObstaclesTerm]:
+    """Two centres as obstacles of one kind; nothing where they could not be."""
+    if not (isinstance(first, CentralTerm) and isinstance(second, CentralTerm)):
+        return []
+    is_alike = first.rotational == second.rotational
+    return twins(first, np.asarray(second.center)[None]) if is_alike else []
 
 
 Centered = CentralTerm | EllipticTerm | ObstaclesTerm

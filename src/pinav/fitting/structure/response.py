@@ -6,7 +6,7 @@ then the evidence of any structure is a regression without dynamics, in millisec
 It is that of the fit to first order; the fit of the chosen structure has the last word.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -105,11 +105,7 @@ def term_quadratics(
         response: of the data to forces.
     """
     quadratics: list[Quadratic] = []
-    for first in range(0, len(terms), AT_ONCE):
-        some = terms[first : first + AT_ONCE]
-        # always as many, so that lists of every length share a compilation
-        filled = [*some, *[some[-1]] * (AT_ONCE - len(some))]
-        stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *filled)
+    for some, stacked in _stacks(terms):
         equations = _term_equations(stacked, beside, response)
         hessians, gradients, squares = map(np.asarray, equations)
         quadratics += [
@@ -131,14 +127,24 @@ def reduced_columns(
         root: of the covariance of their weights.
         response: of the data to forces.
     """
-    parts = []
+    parts = [
+        np.asarray(_reduced_columns(stacked, on_device(root), response))[: len(some)]
+        for some, stacked in _stacks(terms)
+    ]
+    return np.concatenate(parts)
+
+
+def _stacks(
+    terms: Sequence[AbstractTerm],
+) -> Iterator[tuple[Sequence[AbstractTerm], AbstractTerm]]:
+    """Terms in groups, and each group as one term whose leaves are stacked.
+
+    Always as many are stacked, so that lists of every length share a compilation.
+    """
     for first in range(0, len(terms), AT_ONCE):
         some = terms[first : first + AT_ONCE]
         filled = [*some, *[some[-1]] * (AT_ONCE - len(some))]
-        stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *filled)
-        columns = _reduced_columns(stacked, on_device(root), response)
-        parts.append(np.asarray(columns)[: len(some)])
-    return np.concatenate(parts)
+        yield some, jax.tree.map(lambda *leaves: jnp.stack(leaves), *filled)
 
 
 @eqx.filter_jit
