@@ -12,6 +12,7 @@ from pinav.forces import (
     KernelPotential,
     KernelStream,
     StructuredForce,
+    forces_at,
     kernel_centers,
 )
 from pinav.forces.kernel_gaps import KernelGaps
@@ -100,3 +101,46 @@ def test_filled_places_are_not_missing():
     places, is_missing = gaps.about(CENTERS[:3])
     gap = np.linalg.norm(places[:, :, None] - CENTERS, axis=-1).min(axis=-1)
     np.testing.assert_array_equal(is_missing, gap > 0.5 * SPACING)
+
+
+def test_draws_of_missing_kernels_have_the_variance_beyond():
+    around = np.array([[0.0, 0.0], [7.0, 0.0], [0.0, 7.0]])
+    centers = kernel_centers(around, spacing=SPACING, margin=2.8)
+    force = KernelPotential.with_zero_weights(centers, WIDTH)
+    inside = np.array([[6.5, 6.9], [3.0, 5.0], [0.0, 7.0]])
+    generator = np.random.default_rng(0)
+    drawn = [force.draw_beyond(SHAPE, 1.7, generator)[0] for _ in range(600)]
+    forces = np.array([forces_at(one, np.zeros(3), inside) for one in drawn])
+    expected = 1.7 * np.sqrt(force.variance_beyond(SHAPE, inside))
+    np.testing.assert_allclose(forces.std(axis=0), expected, rtol=0.1, atol=0.02)
+    assert expected[:2].min() > 0.2
+
+
+def test_missing_kernels_and_those_that_there_are_fill_the_box():
+    missing = KernelGaps.of(CENTERS, WIDTH).in_box()
+    both = np.concatenate([CENTERS, missing])
+    sides = np.round(np.ptp(CENTERS, axis=0) / SPACING).astype(int) + 1
+    assert len(both) == sides.prod()
+    assert len(np.unique(np.round(both / SPACING, 3), axis=0)) == len(both)
+
+
+def test_parts_are_drawn_with_their_own_amplitude():
+    mixture = KernelMixture.with_zero_weights(CENTERS, WIDTH)
+    shape = np.concatenate([SHAPE, SHAPE, [-0.5]])
+    parts = mixture.draw_beyond(shape, 2.0, np.random.default_rng(1))
+    assert [type(part) for part in parts] == [KernelPotential, KernelStream]
+    ratio = np.std(parts[1].weights) / np.std(parts[0].weights)
+    assert ratio == pytest.approx(np.exp(-0.5), rel=0.5)
+    term = CentralTerm(jnp.zeros(5), jnp.zeros(2), jnp.arange(0.5, 5.0), 1.0)
+    force = StructuredForce((term,), mixture.gradient)
+    shape = np.concatenate([term.prior().start, SHAPE, [-1.0]])
+    (rest,) = force.draw_beyond(shape, 1.0, np.random.default_rng(1))
+    amplitude = force.prior().unit * np.exp(-1.0)
+    expected = mixture.gradient.draw_beyond(SHAPE, amplitude, np.random.default_rng(1))
+    np.testing.assert_array_equal(rest.weights, expected[0].weights)
+
+
+def test_kernels_on_no_grid_are_drawn_nowhere():
+    places = np.random.default_rng(0).uniform(size=(9, 2))
+    force = KernelForce.with_zero_weights(places, 0.1)
+    assert force.draw_beyond(SHAPE, 1.0, np.random.default_rng(0)) == []

@@ -172,6 +172,24 @@ class AbstractLearnedForce(AbstractForce):
         """
         return np.zeros_like(positions)
 
+    def draw_beyond(
+        self, shape: Shape, amplitude: float, generator: np.random.Generator
+    ) -> list[AbstractForce]:
+        """Forces, drawn from the prior, of kernels beyond those that there are.
+
+        They fill the box of its kernels: within it a variance of many draws is
+        `variance_beyond`.
+
+        Args:
+            shape: of its prior.
+            amplitude: of its prior.
+            generator: of the draw.
+
+        Returns:
+            One force a part; nothing where it is not made of kernels on a grid.
+        """
+        return []
+
     def length_scales(self, shape: Shape) -> list[float]:
         """Length scale of each part that contributes, in widths of its kernels.
 

@@ -51,6 +51,13 @@ class KernelGaps(eqx.Module):
         near = (around**2).sum(axis=1) <= reach**2
         return cls(centers[0], spacing, filled, around[near])
 
+    def in_box(self) -> Float[np.ndarray, "place dim"]:
+        """Places without a kernel in the box of the kernels that there are [L]."""
+        low, high = self.filled.min(axis=0), self.filled.max(axis=0)
+        is_missing = np.ones(high - low + 1, bool)
+        is_missing[tuple((self.filled - low).T)] = False
+        return self.origin + self.spacing * (np.argwhere(is_missing) + low)
+
     def about(
         self, positions: Float[np.ndarray, "point dim"]
     ) -> tuple[Float[np.ndarray, "point place dim"], Bool[np.ndarray, "point place"]]:

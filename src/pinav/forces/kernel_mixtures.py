@@ -10,7 +10,12 @@ from jaxtyping import Array, Float, PyTree
 
 from pinav.arguments import Scalar, Vector
 from pinav.errors import InputError
-from pinav.forces.force import AbstractLearnedForce, HelmholtzParts, KernelPlaces
+from pinav.forces.force import (
+    AbstractForce,
+    AbstractLearnedForce,
+    HelmholtzParts,
+    KernelPlaces,
+)
 from pinav.forces.kernels import (
     KernelPotential,
     KernelStream,
@@ -65,11 +70,16 @@ class KernelMixture(AbstractLearnedForce):
     def variance_beyond(
         self, shape: Shape, positions: Float[np.ndarray, "point dim"]
     ) -> Float[np.ndarray, "point dim"]:
-        half = len(self.gradient.prior().start)
-        gradient = self.gradient.variance_beyond(shape[:half], positions)
-        return gradient + self.prior().second_variance(
-            shape, lambda other: self.rotation.variance_beyond(other, positions)
-        )
+        first, second, ratio = self.prior().split(shape)
+        rotation = self.rotation.variance_beyond(second, positions)
+        return self.gradient.variance_beyond(first, positions) + ratio**2 * rotation
+
+    def draw_beyond(
+        self, shape: Shape, amplitude: float, generator: np.random.Generator
+    ) -> list[AbstractForce]:
+        first, second, ratio = self.prior().split(shape)
+        rotation = self.rotation.draw_beyond(second, ratio * amplitude, generator)
+        return self.gradient.draw_beyond(first, amplitude, generator) + rotation
 
     @property
     def dim(self) -> int:
@@ -80,10 +90,10 @@ class KernelMixture(AbstractLearnedForce):
         return self.gradient.kernels
 
     def length_scales(self, shape: Shape) -> list[float]:
-        parts = [] if shape[-1] > ABSENT else self.gradient.length_scales(shape)
+        first, second, _ = self.prior().split(shape)
+        parts = [] if shape[-1] > ABSENT else self.gradient.length_scales(first)
         if shape[-1] > -ABSENT:
-            second = len(self.gradient.prior().start)
-            parts = parts + self.rotation.length_scales(shape[second:])
+            parts = parts + self.rotation.length_scales(second)
         return parts
 
     @property

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, PyTree
 
 from pinav.arguments import Scalar, Vector, on_device
 from pinav.errors import InputError
-from pinav.forces.force import AbstractLearnedForce, KernelPlaces
+from pinav.forces.force import AbstractForce, AbstractLearnedForce, KernelPlaces
 from pinav.forces.kernel_gaps import KernelGaps
 from pinav.forces.priors import Centers, Shape, WeightPrior
 
@@ -99,6 +99,19 @@ class AbstractKernels(AbstractLearnedForce):
             forces = np.where(is_missing[..., None], forces, 0.0)
             variance[begin : begin + AT_ONCE] = prior.variance(shape, places, forces)
         return variance
+
+    def draw_beyond(
+        self, shape: Shape, amplitude: float, generator: np.random.Generator
+    ) -> list[AbstractForce]:
+        centers, width = np.asarray(self.centers), float(self.width)
+        gaps = KernelGaps.of(centers, width)
+        places = centers[:0] if gaps is None else gaps.in_box()
+        if not len(places):
+            return []
+        empty = self.with_zero_weights(places, width)
+        weights = amplitude * self.prior().draw(shape, places, generator)
+        weights = on_device(weights.reshape(empty.weights.shape))
+        return [eqx.tree_at(lambda force: force.weights, empty, weights)]
 
     def prior(self) -> WeightPrior:
         # Not from the weights, which are left out of the fixed part of a model.

@@ -8,7 +8,6 @@ not part of it.
 import abc
 import functools
 import operator
-from collections.abc import Callable
 
 import equinox as eqx
 import numpy as np
@@ -134,6 +133,37 @@ class WeightPrior(AbstractPrior):
         alike = np.exp(-0.5 * (apart**2).sum(axis=-1) / length_scale**2)
         return np.sum(faded * np.einsum("ij,pjd->pid", alike, faded), axis=1)
 
+    def draw(
+        self,
+        shape: Shape,
+        centers: Centers,
+        generator: np.random.Generator,
+    ) -> Float[np.ndarray, "kernel component"]:
+        r"""Weights drawn from the prior for kernels at other places, however many.
+
+        $w = D\,M^{-1/2} \sum_m a_m \cos(\omega_m c) + b_m \sin(\omega_m c)$ with
+        standard normal $a$ and $b$, and $\omega$ normal with a deviation of $1/\ell$:
+        random Fourier features, whose covariance is that of the prior.
+
+        Args:
+            shape: of the prior.
+            centers: of the kernels [L].
+            generator: of the numbers.
+
+        References:
+            Rahimi and Recht, Advances in Neural Information Processing Systems 20
+            (2007).
+        """
+        length_scale, reach = np.exp(shape[:2])
+        scaled = (centers - self._middle) / self.width
+        waves = generator.normal(size=(self._dim, FEATURES)) / length_scale
+        phases = scaled @ waves
+        parts = np.concatenate([np.cos(phases), np.sin(phases)], axis=1)
+        normal = generator.normal(size=(2 * FEATURES, self.components))
+        squares = ((scaled - shape[2:]) ** 2).sum(axis=-1)
+        envelope = np.exp(-0.5 * squares / reach**2)
+        return envelope[:, None] * (parts @ normal) / np.sqrt(FEATURES)
+
     def _scalar(self, shape: Shape) -> Gram:
         """Covariance of one component."""
         alike, faded = self._factors(shape)
@@ -189,6 +219,10 @@ def _squares(centers: bytes, dim: int) -> Gram:
 MIDDLE = 0.6
 """Share of the extent of kernels in which the middle of an envelope lies: as they are
 laid, a fifth of them or more on each side is beyond the data."""
+
+
+FEATURES = 256
+"""Waves of which weights of the prior are drawn."""
 
 
 class StationaryPrior(AbstractPrior):
@@ -291,40 +325,35 @@ class MixturePrior(AbstractPrior):
         ratio = [[self.least_ratio, LOG_RATIO]]
         return np.concatenate([self.first.bounds, self.second.bounds, ratio])
 
-    def second_variance(
-        self,
-        shape: Shape,
-        of_second: Callable[[Shape], Float[np.ndarray, "point dim"]],
-    ) -> Float[np.ndarray, "point dim"]:
-        """A variance of the second part, relative to the amplitude of the first.
+    def split(
+        self, shape: Shape
+    ) -> tuple[Float[np.ndarray, " first"], Float[np.ndarray, " second"], float]:
+        """The shapes of both parts, and the ratio of the amplitudes of their weights.
 
         Args:
             shape: of this prior.
-            of_second: gives it by the shape of the second part, for unit amplitude.
         """
-        return self._square(shape) * of_second(shape[len(self.first.start) : -1])
+        half = len(self.first.start)
+        ratio = float(self.unit * np.exp(shape[-1]))
+        return shape[:half], shape[half:-1], ratio
 
     def covariance(self, shape: Shape) -> Matrix:
-        half = len(self.first.start)
+        first, second, ratio = self.split(shape)
         return _blocks(
-            self.first.covariance(shape[:half]),
-            self._square(shape) * self.second.covariance(shape[half:-1]),
+            self.first.covariance(first), ratio**2 * self.second.covariance(second)
         )
 
     def slopes(self, shape: Shape) -> Matrices:
-        half, ratio = len(self.first.start), self._square(shape)
-        first = self.first.slopes(shape[:half])
-        second = self.second.slopes(shape[half:-1])
-        covariance = ratio * self.second.covariance(shape[half:-1])
-        nothing = np.zeros(first.shape[1:])
+        first, second, ratio = self.split(shape)
+        covariance = ratio**2 * self.second.covariance(second)
+        first_slopes = self.first.slopes(first)
+        nothing = np.zeros(first_slopes.shape[1:])
         absent = np.zeros_like(covariance)
-        slopes: list[np.ndarray] = [_blocks(slope, absent) for slope in first]
-        slopes += [_blocks(nothing, ratio * slope) for slope in second]
+        slopes: list[np.ndarray] = [_blocks(slope, absent) for slope in first_slopes]
+        slopes += [
+            _blocks(nothing, ratio**2 * slope) for slope in self.second.slopes(second)
+        ]
         return np.stack([*slopes, _blocks(nothing, 2 * covariance)])
-
-    def _square(self, shape: Shape) -> float:
-        """Square of the ratio of the amplitudes of weights."""
-        return float((self.unit * np.exp(shape[-1])) ** 2)
 
 
 def _blocks(

@@ -97,9 +97,15 @@ class StructuredForce(AbstractLearnedForce):
         self, shape: Shape, positions: Float[np.ndarray, "point dim"]
     ) -> Float[np.ndarray, "point dim"]:
         """Of the remainder."""
-        return self.prior().second_variance(
-            shape, lambda other: self.remainder.variance_beyond(other, positions)
-        )
+        _, rest, ratio = self.prior().split(shape)
+        return ratio**2 * self.remainder.variance_beyond(rest, positions)
+
+    def draw_beyond(
+        self, shape: Shape, amplitude: float, generator: np.random.Generator
+    ) -> list[AbstractForce]:
+        """Of the remainder."""
+        _, rest, ratio = self.prior().split(shape)
+        return self.remainder.draw_beyond(rest, ratio * amplitude, generator)
 
     def kernels_on(self, centers: Centers, width: float) -> "StructuredForce":
         """The terms stay as they are."""

@@ -1,12 +1,11 @@
 """A run as a tree of datasets, as xarray holds it and ArviZ 1 reads it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from pinav.commands.export.spots import (
     exact_forces,
@@ -17,8 +16,9 @@ from pinav.commands.export.spots import (
 from pinav.commands.fitted_run import FittedRun
 from pinav.errors import InputError
 from pinav.evaluation import extent, require_x64
-from pinav.fitting import ParametricModel, Posterior
+from pinav.fitting import Posterior
 from pinav.fitting.engine.parametric_model import parameter_names
+from pinav.forces import AbstractForce
 from pinav.trajectories import POSITION_CHANNELS
 
 if TYPE_CHECKING:
@@ -65,12 +65,15 @@ def datatree_of(
         from xarray import DataTree
     except ImportError as error:
         raise InputError(MISSING.format("xarray")) from error
-    theta, groups = None, _data(run)
+    samples, groups = [], _data(run)
     if run.posterior is not None:
-        theta = np.asarray(run.posterior.draws(draws, key=jax.random.key(seed)))
+        key = jax.random.key(seed)
+        theta = np.asarray(run.posterior.draws(draws, key=key))
         paths = {name: name for name in run.constants} | run.choice.paths()
         groups["posterior"] = _posterior(run.posterior, theta, paths)
-    groups["predictions"] = _predictions(run, points, theta)
+        # of the same key, thus of the same parameters
+        samples = [one.environment for one in run.posterior.samples(draws, key=key)]
+    groups["predictions"] = _predictions(run, points, samples)
     tree = DataTree.from_dict({f"/{name}": data for name, data in groups.items()})
     tree.attrs.update(
         inference_library="pinav",
@@ -102,7 +105,7 @@ def _posterior(
 
 
 def _predictions(
-    run: FittedRun, points: int, draws: Float[np.ndarray, "draw parameter"] | None
+    run: FittedRun, points: int, samples: Sequence[AbstractForce]
 ) -> "Dataset":
     """The force on a grid around the data."""
     from xarray import Dataset
@@ -116,35 +119,16 @@ def _predictions(
     dims, units = (*axes, "axis"), {"units": unit}
     mean = exact_forces(force, places, moments).reshape(grid.shape)
     variables: dict[str, Variable] = {"force_mean": (dims, mean, units)}
-    if posterior is not None and draws is not None:
+    if posterior is not None:
         sd = force_sds(posterior, force, places, moments).reshape(grid.shape)
-        drawn = _drawn_forces(posterior.free, draws, places, float(moments[0]))
-        shape = (1, len(draws), *grid.shape)
+        drawn = np.stack([exact_forces(one, places, moments) for one in samples])
+        shape = (1, len(samples), *grid.shape)
         variables["force_sd"] = (dims, sd, units)
         variables["force"] = ((*CHAIN, *dims), drawn.reshape(shape), units)
     coordinates = {
         name: (name, x, {"units": length}) for name, x in zip(axes, along, strict=True)
     }
     return Dataset(variables, {**coordinates, "axis": list(axes)})
-
-
-def _drawn_forces(
-    free: ParametricModel,
-    draws: Float[np.ndarray, "draw parameter"],
-    places: Float[np.ndarray, "point dim"],
-    time: float,
-) -> Float[np.ndarray, "draw point dim"]:
-    """The force of every drawn model on a swimmer at rest."""
-
-    @jax.jit
-    def forces(theta: Float[Array, " parameter"]) -> Float[Array, "point dim"]:
-        force = free(theta).environment
-        return jax.vmap(lambda x: force(time, x, jnp.zeros_like(x)))(
-            jnp.asarray(places)
-        )
-
-    with jax.enable_x64(new_val=True):
-        return np.stack([np.asarray(forces(jnp.asarray(theta))) for theta in draws])
 
 
 def _grid(run: FittedRun, points: int) -> list[Float[np.ndarray, " point"]]:

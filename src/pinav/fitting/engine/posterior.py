@@ -10,12 +10,12 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
 from pinav.arguments import Scalar, State, Vector, on_device
-from pinav.dynamics import FixedStep
+from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer
 from pinav.fitting.engine.multiple_shooting import sensitivities
 from pinav.fitting.engine.parametric_model import ParametricModel
 from pinav.fitting.evidence.evidence import Hyperparameters
 from pinav.fitting.evidence.quadratic import Parameters
-from pinav.forces import as_learned_force
+from pinav.forces import SumForce, as_learned_force
 
 
 class Estimate(eqx.Module):
@@ -76,10 +76,16 @@ class Posterior(eqx.Module):
             return on_device(self.mean[None] + np.asarray(normal) @ root.T)
 
     def samples(self, count: int, *, key: PRNGKeyArray) -> list[Any]:
-        """Models drawn from the posterior."""
+        """Models drawn from the posterior.
+
+        Where the box of the kernels has none, the force is drawn from the prior.
+        """
         draws = self.draws(count, key=key)
+        generator = np.random.default_rng(np.asarray(jax.random.key_data(key)))
         with jax.enable_x64(new_val=True):
-            return [self.free(theta) for theta in draws]
+            return [
+                self._with_prior_beyond(self.free(theta), generator) for theta in draws
+            ]
 
     def force_sd(
         self, positions: ArrayLike, time: float = 0.0
@@ -100,12 +106,21 @@ class Posterior(eqx.Module):
         self, positions: Float[np.ndarray, "point dim"]
     ) -> Float[np.ndarray, "point dim"]:
         """Prior variance of what kernels beyond those that there are would add."""
-        chosen, force = self.hyperparameters, self.model.environment
-        learned = as_learned_force(force)
-        if chosen is None or learned is None or not len(chosen.shape):
+        prior, force = self.hyperparameters, as_learned_force(self.model.environment)
+        if prior is None or force is None or not len(prior.shape):
             return np.zeros_like(positions)
-        made = learned.variance_beyond(chosen.shape, positions)
-        return chosen.amplitude**2 * made
+        return prior.amplitude**2 * force.variance_beyond(prior.shape, positions)
+
+    def _with_prior_beyond(self, model: Any, generator: np.random.Generator) -> Any:
+        """A model whose force has kernels, drawn from the prior, where it had none."""
+        prior = self.hyperparameters
+        if prior is None or not isinstance(model, Swimmer | OverdampedSwimmer):
+            return model
+        force = as_learned_force(model.environment)
+        if force is None or not len(prior.shape):
+            return model
+        drawn = force.draw_beyond(prior.shape, prior.amplitude, generator)
+        return model.with_environment(SumForce((force, *drawn))) if drawn else model
 
     def force_jacobians(
         self, positions: ArrayLike, time: float = 0.0
