@@ -86,6 +86,10 @@ class EllipticTerm(AbstractProfileTerm):
         return self.center, self.shear
 
     @property
+    def geometry_scales(self) -> tuple[float, ...]:
+        return self.reach, 1.0
+
+    @property
     def is_odd(self) -> bool:
         return True
 
@@ -131,6 +135,10 @@ class WallTerm(AbstractProfileTerm):
     @property
     def geometry(self) -> PyTree:
         return (self.angle,)
+
+    @property
+    def geometry_scales(self) -> tuple[float, ...]:
+        return (1.0,)
 
     @property
     def is_odd(self) -> bool:

@@ -85,6 +85,10 @@ class LatticeTerm(AbstractTerm):
         return (self.wave_vectors,)
 
     @property
+    def geometry_scales(self) -> tuple[float, ...]:
+        return (float(np.linalg.norm(self.wave_vectors, axis=1).mean()),)
+
+    @property
     def force_per_weight(self) -> float:
         return float(np.mean(np.linalg.norm(self.wave_vectors, axis=1)))
 
@@ -132,6 +136,10 @@ class LinearTerm(AbstractTerm):
 
     @property
     def geometry(self) -> PyTree:
+        return ()
+
+    @property
+    def geometry_scales(self) -> tuple[float, ...]:
         return ()
 
     @property

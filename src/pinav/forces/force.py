@@ -95,7 +95,12 @@ class AbstractLearnedForce(AbstractForce):
 
     @property
     def geometry(self) -> PyTree:
-        """Further leaves that train, with a flat prior; none in most forces."""
+        """Further leaves that train, each with a wide prior; none in most forces."""
+        return ()
+
+    @property
+    def geometry_scales(self) -> tuple[float, ...]:
+        """Of each leaf of the geometry: how far it may be from where a fit begins."""
         return ()
 
     @property

@@ -70,6 +70,10 @@ class StructuredForce(AbstractLearnedForce):
         return tuple(leaf for term in self.terms for leaf in term.geometry)
 
     @property
+    def geometry_scales(self) -> tuple[float, ...]:
+        return tuple(scale for term in self.terms for scale in term.geometry_scales)
+
+    @property
     def is_conservative(self) -> bool:
         turning = any(term.rotational for term in self.terms)
         return self.remainder.is_conservative and not turning

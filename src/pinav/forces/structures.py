@@ -60,7 +60,16 @@ class AbstractTerm(AbstractForce):
     @property
     @abc.abstractmethod
     def geometry(self) -> PyTree:
-        """The numbers with a flat prior."""
+        """The numbers that shape it, each with a wide prior."""
+
+    @property
+    @abc.abstractmethod
+    def geometry_scales(self) -> tuple[float, ...]:
+        """Of each leaf of the geometry: how far it may be from where a fit begins.
+
+        Without a bound a term that is next to nothing would have any geometry, and the
+        integral over it would count for it.
+        """
 
     @property
     @abc.abstractmethod
@@ -109,6 +118,15 @@ class AbstractProfileTerm(AbstractTerm):
     def profile(self, z: Scalar) -> Float[Array, ""]:
         """The force along the coordinate at `z` [L T⁻²]."""
         return profile_kernels(self, z) @ self.weights
+
+    @property
+    def reach(self) -> float:
+        """Distance of the farthest kernel from the term [L]."""
+        return float(np.max(np.abs(self.places)))
+
+    @property
+    def geometry_scales(self) -> tuple[float, ...]:
+        return (self.reach,)
 
     @property
     def force_per_weight(self) -> float:

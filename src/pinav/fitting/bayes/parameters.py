@@ -1,5 +1,6 @@
 """Parameters of a fit: the weights of the environment, and constants to learn."""
 
+import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -18,8 +19,9 @@ from pinav.fitting.engine.parametric_model import (
     ravel_model,
     selected_entries,
 )
+from pinav.fitting.evidence.quadratic import Parameters
 from pinav.forces import AbstractLearnedForce, as_learned_force
-from pinav.systems.priors import Flat, FreeNumber
+from pinav.systems.priors import AbstractNumberPrior, Flat, FreeNumber, Normal
 from pinav.trajectories import Trajectories
 
 
@@ -65,7 +67,7 @@ def weight_leaves(model: Any) -> tuple:
 
 
 def geometry_leaves(model: Any) -> tuple:
-    """Leaves of the environment that have a flat prior."""
+    """Leaves of the environment that shape it, and have no part in its weights."""
     environment = learned_environment(model)
     return () if environment is None else environment.geometry
 
@@ -84,23 +86,34 @@ def constant_leaves(model: Any, learn: Learn) -> tuple:
 
 
 def constant_priors(
-    parametric: ParametricModel, count: int, learn: Learn
+    model: Any, parametric: ParametricModel, theta: Parameters, learn: Learn
 ) -> ConstantPriors:
-    """The priors of constants that have one.
+    """The priors of constants that have one, and of the geometry of structured terms.
 
     Args:
-        parametric: the model.
-        count: number of its parameters.
+        model: at which a fit begins.
+        parametric: the model as a function of its parameters.
+        theta: the parameters at which a fit begins.
         learn: the constants.
     """
-    if learn is None or callable(learn):
-        return ConstantPriors()
-    pairs = [
-        (int(entry), number.prior)
-        for number in learn
-        if not isinstance(number.prior, Flat)
-        for entry in np.flatnonzero(selected_entries(parametric, count, number.pick))
-    ]
+
+    def entries(pick: Callable[[Any], PyTree]) -> list[int]:
+        chosen = selected_entries(parametric, len(theta), pick)
+        return [int(entry) for entry in np.flatnonzero(chosen)]
+
+    pairs: list[tuple[int, AbstractNumberPrior]] = []
+    if learn is not None and not callable(learn):
+        pairs = [
+            (entry, number.prior)
+            for number in learn
+            if not isinstance(number.prior, Flat)
+            for entry in entries(number.pick)
+        ]
+    force = learned_environment(model)
+    for index, scale in enumerate(force.geometry_scales if force else ()):
+        leaf = operator.itemgetter(index)
+        for entry in entries(lambda model, leaf=leaf: leaf(geometry_leaves(model))):
+            pairs.append((entry, Normal(float(theta[entry]), scale)))
     return ConstantPriors(tuple(e for e, _ in pairs), tuple(p for _, p in pairs))
 
 

@@ -147,7 +147,7 @@ class BayesProblem(AbstractProblem):
         check_learned(model, names, flat & ~shaping)
         dim = num_positions(model, trajectories)
         states = smooth_states(trajectories, dim) if states is None else states
-        priors = constant_priors(parametric, len(theta), learn)
+        priors = constant_priors(model, parametric, np.asarray(theta), learn)
         equations = trajectories.num_observed + len(priors.entries)
         if equations - states[:, 0].size <= flat.sum():
             raise InputError(

@@ -11,8 +11,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
+from pinav.arguments import on_device
 from pinav.fitting.evidence.quadratic import Parameters, Quadratic
 from pinav.systems.priors import AbstractNumberPrior
 
@@ -80,9 +81,18 @@ class ConstantPriors(eqx.Module):
         self, theta: Parameters
     ) -> tuple[Float[np.ndarray, " prior"], Float[np.ndarray, " prior"]]:
         """Standardised values, and their derivatives."""
-        pairs = [
-            jax.value_and_grad(prior.standard_score)(jnp.asarray(theta[entry]))
-            for entry, prior in zip(self.entries, self.priors, strict=True)
-        ]
-        values, slopes = np.array(pairs, float).T
-        return values, slopes
+        values, slopes = _scores(self.priors, on_device(theta[list(self.entries)]))
+        return np.asarray(values), np.asarray(slopes)
+
+
+@eqx.filter_jit
+def _scores(
+    priors: tuple[AbstractNumberPrior, ...], values: Float[Array, " prior"]
+) -> tuple[Float[Array, " prior"], Float[Array, " prior"]]:
+    """The standardised value of each number, and its derivative."""
+    pairs = [
+        jax.value_and_grad(prior.standard_score)(value)
+        for prior, value in zip(priors, values, strict=True)
+    ]
+    scores, slopes = zip(*pairs, strict=True)
+    return jnp.stack(scores), jnp.stack(slopes)
