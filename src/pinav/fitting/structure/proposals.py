@@ -104,11 +104,18 @@ def propose(
     summits = np.zeros((0, len(region.middle))) if seen is None else seen.summits()
     ground = _Ground(response, region, noise, seen, summits)
     best: Proposal | None = None
+    may_pair = region.is_planar
     for _ in range(MOST_ROUNDS):
         if best is not None and len(best.terms) == MOST_TERMS:
             break
         terms = () if best is None else best.terms
-        trials = ground.extend(terms, rotational=rotational)
+        trials: list[Proposal] = []
+        shaped = [one for one in terms if not isinstance(one, LinearTerm)]
+        if may_pair and len(shaped) == 1:
+            may_pair = False  # what pairs explain does not depend on the terms
+            trials = ground.pair(rotational=rotational)
+        if not ground.is_explained(trials):
+            trials += ground.extend(terms, rotational=rotational)
         if not trials:
             break
         most = max(one.log_evidence for one in trials)
@@ -203,24 +210,18 @@ class _Ground(eqx.Module):
         """
         linear, *kinds = scanned_terms(self.region, self.summits, rotational=rotational)
         beside = terms or tuple(linear)
-        pairs: list[Proposal] = []
-        shaped = [one for one in terms if not isinstance(one, LinearTerm)]
-        if self.region.is_planar and len(shaped) == 1:
-            pairs = self._pair(linear[0], kinds)
-            if self._is_explained(pairs):
-                return pairs
         scanned = [self._scan(starts, beside) for starts in kinds]
         scanned += self._with_twins(terms)
         least = sorted(one.log_evidence for one in scanned)[-PROMISING:][0]
         best = [one.terms for one in scanned if one.log_evidence >= least]
         if not any(isinstance(one, LinearTerm) and not one.rotational for one in terms):
             best = [(*terms, *linear), *best]
-        proposals = pairs + self._polish_each(best)
-        if self.seen is None or self._is_explained(proposals):
+        proposals = self._polish_each(best)
+        if self.seen is None or self.is_explained(proposals):
             return proposals
         starts = ellipses(self.region, self.summits)
         proposals += self._polish_each([self._scan(starts, beside).terms])
-        if terms or self._is_explained(proposals):
+        if terms or self.is_explained(proposals):
             return proposals
         peaks = [self._move_each(one) for one in obstacles(self.seen, self.region)]
         lattice = self._best(lattices(self.region), ()).terms
@@ -230,10 +231,11 @@ class _Ground(eqx.Module):
             one for one in patterns if one.noise < EXPLAINED * self.noise
         ]
 
-    def _pair(
-        self, linear: AbstractTerm, kinds: Sequence[Sequence[AbstractTerm]]
-    ) -> list[Proposal]:
+    def pair(self, *, rotational: bool) -> list[Proposal]:
         """Structures of the two terms that explain most together, polished."""
+        (linear, *_), *kinds = scanned_terms(
+            self.region, self.summits, rotational=rotational
+        )
         profiles = [one for one in kinds if not isinstance(one[0], LinearTerm)]
         shapes = [smooth_shape(one[0], self.response) for one in profiles]
         pairs = scan_pairs(profiles, shapes, linear, self.response)
@@ -248,7 +250,7 @@ class _Ground(eqx.Module):
                 made.append((linear, several))
             made.append(terms)
         proposals = self._polish_each(made, AGAIN)
-        if self._is_explained(proposals):
+        if self.is_explained(proposals):
             return proposals
         grown = [(linear, self._grow(one, linear)) for one in alike]
         return proposals + self._polish_each(grown, AGAIN)
@@ -259,7 +261,7 @@ class _Ground(eqx.Module):
         The first of several terms is found while the others are not there, and takes
         what it can of them: an ellipse stands for a hill and a wall.
         """
-        explained = self._is_explained([proposal])
+        explained = self.is_explained([proposal])
         for index, term in enumerate(proposal.terms[:-1]):
             simpler = isinstance(term, EllipticTerm)
             if isinstance(term, LinearTerm) or (explained and not simpler):
@@ -287,7 +289,8 @@ class _Ground(eqx.Module):
                 made.append(self._scan(twins(term, places), rest))
         return made
 
-    def _is_explained(self, proposals: Sequence[Proposal]) -> bool:
+    def is_explained(self, proposals: Sequence[Proposal]) -> bool:
+        """Whether one of them leaves next to nothing but noise."""
         return any(one.noise < ENOUGH * self.noise for one in proposals)
 
     def _polish_each(
