@@ -12,6 +12,7 @@ from pinav.fitting import (
     model_evidence,
     timed_kernel_environment,
 )
+from pinav.fitting.engine.constant_priors import ConstantPriors
 from pinav.fitting.evidence.evidence import (
     Hyperparameters,
     LinearisedObservations,
@@ -32,6 +33,7 @@ from pinav.forces import (
     TimedKernelPotential,
 )
 from pinav.forces.priors import AbstractPrior, IsotropicPrior, MixturePrior
+from pinav.systems.priors import Normal
 from pinav.trajectories import Trajectories
 
 RNG = np.random.default_rng(0)
@@ -264,6 +266,21 @@ def test_a_flat_constant_costs_half_the_logarithm_of_the_data():
     )
     likelihood = scipy.stats.norm.logpdf(residual).sum()
     np.testing.assert_allclose(costs, likelihood - 0.5 * np.log(rows), rtol=1e-10)
+
+
+def test_a_wide_prior_of_a_constant_costs_what_a_flat_one_does():
+    rows, noise = 40, 0.02
+    column, data = RNG.normal(size=(rows, 1)), noise * RNG.normal(size=rows)
+    costs = []
+    for entries, priors in (((), ()), ((0,), (Normal(0.0, 100.0),))):
+        whole = ConstantPriors(entries, priors).add_to(
+            quadratic_of(column, data), noise
+        )
+        quadratic, _ = eliminate_flat(whole, np.array([True]))
+        chosen = NoWeights().infer(quadratic, np.zeros(0), noise).hyperparameters
+        linear = LinearFit(quadratic, NoWeights(), noise, rows, float(np.log(rows)))
+        costs.append(model_evidence(linear, chosen).log_evidence)
+    assert costs[0] == pytest.approx(costs[1], abs=1e-3)
 
 
 def test_kernels_in_time_keep_their_number_small():

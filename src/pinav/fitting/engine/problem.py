@@ -177,7 +177,7 @@ class AbstractProblem(eqx.Module):
             quadratic=step.quadratic,
             weights=step.weights,
             noise=self.noise,
-            num_observed=count + len(self.priors.entries),
+            num_observed=count,
             flat_information=information,
             teacher=self.teacher,
         )

@@ -53,7 +53,8 @@ class LinearFit(eqx.Module):
         quadratic: sum of squares as a function of the weights.
         weights: their prior.
         noise: standard deviation of the residuals, where it was given.
-        num_observed: number of residuals.
+        num_observed: number of residuals of the data; those that stand for priors of
+            constants do not count, as these are charged like flat ones.
         flat_information: $\sum_j \log n_j$ over all unknowns with a flat prior; it
             takes the place of the determinant of what was integrated out.
         teacher: the fit that chose the prior, where it was another.
