@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.integrate
 
-from pinav.fitting import fit_bayes, kernel_environment
+from pinav.fitting import fit_bayes, kernel_environment, model_evidence
 from pinav.fitting.engine.constant_priors import ConstantPriors
 from pinav.fitting.evidence.quadratic import Quadratic, eliminate_flat
 from pinav.fitting.evidence.weights import NoWeights
@@ -89,16 +89,23 @@ def test_a_tight_prior_holds_a_constant_and_a_wide_one_leaves_it(crossings):
     true = float(truth.drag.damping)
     start = eqx.tree_at(lambda m: m.drag.damping, model, jnp.asarray(true))
 
-    def damping(prior):
+    def fit(prior):
         learn = (FreeNumber("drag.damping", prior),)
-        fit = fit_bayes(start, data, learn=learn, refine=None)
-        return fit.constants["drag.damping"]
+        return fit_bayes(start, data, learn=learn, refine=None)
+
+    def damping(prior):
+        return fit(prior).constants["drag.damping"]
+
+    def evidence(fit):
+        return model_evidence(fit.linear, fit.hyperparameters).log_evidence
 
     flat = fit_bayes(start, data, learn=lambda m: m.drag.damping, refine=None)
     free = flat.constants["drag.damping"]
     held = damping(Normal(true + 5 * free.sd, 1e-3 * free.sd))
     assert held.value == pytest.approx(true + 5 * free.sd, abs=0.1 * free.sd)
-    wide = damping(LogNormal(free.value, 10.0))
+    wide_fit = fit(LogNormal(free.value, 10.0))
+    wide = wide_fit.constants["drag.damping"]
+    assert evidence(wide_fit) == pytest.approx(evidence(flat), abs=0.1)
     assert wide.value == pytest.approx(free.value, abs=0.1 * free.sd)
     assert wide.sd == pytest.approx(free.sd, rel=0.05)
     between = damping(Normal(free.value, free.sd))

@@ -1,6 +1,5 @@
 """Parameters of a fit: the weights of the environment, and constants to learn."""
 
-import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -12,7 +11,7 @@ from jaxtyping import Bool, Float, PyTree
 
 from pinav.dynamics import Swimmer, with_dtype
 from pinav.errors import InputError
-from pinav.fitting.engine.constant_priors import ConstantPriors
+from pinav.fitting.engine.constant_priors import ConstantPriors, wide_priors
 from pinav.fitting.engine.parametric_model import (
     ParametricModel,
     known_model,
@@ -21,7 +20,7 @@ from pinav.fitting.engine.parametric_model import (
 )
 from pinav.fitting.evidence.quadratic import Parameters
 from pinav.forces import AbstractLearnedForce, as_learned_force
-from pinav.systems.priors import AbstractNumberPrior, Flat, FreeNumber, Normal
+from pinav.systems.priors import Flat, FreeNumber
 from pinav.trajectories import Trajectories
 
 
@@ -96,25 +95,23 @@ def constant_priors(
         theta: the parameters at which a fit begins.
         learn: the constants.
     """
-
-    def entries(pick: Callable[[Any], PyTree]) -> list[int]:
-        chosen = selected_entries(parametric, len(theta), pick)
-        return [int(entry) for entry in np.flatnonzero(chosen)]
-
-    pairs: list[tuple[int, AbstractNumberPrior]] = []
-    if learn is not None and not callable(learn):
-        pairs = [
-            (entry, number.prior)
-            for number in learn
-            if not isinstance(number.prior, Flat)
-            for entry in entries(number.pick)
-        ]
     force = learned_environment(model)
-    for index, scale in enumerate(force.geometry_scales if force else ()):
-        leaf = operator.itemgetter(index)
-        for entry in entries(lambda model, leaf=leaf: leaf(geometry_leaves(model))):
-            pairs.append((entry, Normal(float(theta[entry]), scale)))
-    return ConstantPriors(tuple(e for e, _ in pairs), tuple(p for _, p in pairs))
+    scales = () if force is None else force.geometry_scales
+    shaping = wide_priors(parametric, theta, geometry_leaves, scales)
+    if learn is None or callable(learn):
+        return shaping
+    pairs = [
+        (int(entry), number.prior)
+        for number in learn
+        if not isinstance(number.prior, Flat)
+        for entry in np.flatnonzero(
+            selected_entries(parametric, len(theta), number.pick)
+        )
+    ]
+    return ConstantPriors(
+        (*shaping.entries, *(entry for entry, _ in pairs)),
+        (*shaping.priors, *(prior for _, prior in pairs)),
+    )
 
 
 def num_positions(model: Any, trajectories: Trajectories) -> int:

@@ -7,15 +7,19 @@ the two agree. While the noise is estimated, a constant that the data pull $z$ s
 deviations away from its prior counts as one residual of that size.
 """
 
+from collections.abc import Callable, Sequence
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from pinav.arguments import on_device
+from pinav.fitting.engine.parametric_model import ParametricModel, selected_entries
 from pinav.fitting.evidence.quadratic import Parameters, Quadratic
-from pinav.systems.priors import AbstractNumberPrior
+from pinav.systems.priors import AbstractNumberPrior, Normal
 
 
 class ConstantPriors(eqx.Module):
@@ -45,10 +49,9 @@ class ConstantPriors(eqx.Module):
         hessian, gradient = quadratic.hessian.copy(), quadratic.gradient.copy()
         hessian[index, index] += (noise * slopes) ** 2
         gradient[index] += noise**2 * slopes * values
-        heights = sum(float(prior.log_height) for prior in self.priors)
         # The evidence takes every residual for one of the data, of density 1/sqrt(2 pi
         # sigma^2) at its peak; that of a prior has the height of the prior instead.
-        volume = -2 * heights - len(index) * np.log(2 * np.pi * noise**2)
+        volume = -2 * self.log_height - len(index) * np.log(2 * np.pi * noise**2)
         return Quadratic(
             point=quadratic.point,
             hessian=hessian,
@@ -57,6 +60,11 @@ class ConstantPriors(eqx.Module):
             num_free=quadratic.num_free + len(index),
             log_determinant=quadratic.log_determinant + float(volume),
         )
+
+    @property
+    def log_height(self) -> float:
+        """Logarithm of the product of the densities at their peaks."""
+        return sum(float(prior.log_height) for prior in self.priors)
 
     def squares(self, theta: Parameters) -> float:
         """Sum of the squared standardised values."""
@@ -83,6 +91,32 @@ class ConstantPriors(eqx.Module):
         """Standardised values, and their derivatives."""
         values, slopes = _scores(self.priors, on_device(theta[list(self.entries)]))
         return np.asarray(values), np.asarray(slopes)
+
+
+def wide_priors(
+    parametric: ParametricModel,
+    theta: Parameters,
+    leaves: Callable[[Any], Sequence[PyTree]],
+    scales: Sequence[float],
+) -> ConstantPriors:
+    """Normal priors of some leaves about where a fit begins.
+
+    Args:
+        parametric: the model as a function of its parameters.
+        theta: the parameters at which the fit begins.
+        leaves: picks the leaves of a model.
+        scales: of each leaf, the deviation of all of its numbers.
+    """
+    entries: list[int] = []
+    priors: list[Normal] = []
+    for index, scale in enumerate(scales):
+        chosen = selected_entries(
+            parametric, len(theta), lambda model, index=index: leaves(model)[index]
+        )
+        for entry in np.flatnonzero(chosen).tolist():
+            entries.append(entry)
+            priors.append(Normal(float(theta[entry]), scale))
+    return ConstantPriors(tuple(entries), tuple(priors))
 
 
 @eqx.filter_jit

@@ -44,6 +44,7 @@ from pinav.forces import (
     AbstractLearnedForce,
     StructuredForce,
     as_learned_force,
+    forces_at,
     split_structure,
 )
 from pinav.trajectories import Trajectories, with_velocities
@@ -54,6 +55,9 @@ or not."""
 
 BEFORE_SURVEY = 3
 """Steps of the fit of a proposal, after which the data are asked for a better one."""
+
+ABSENT = 0.02
+"""Force of a term, relative to the greatest one, below which it may be needless."""
 
 LEAST_TRAJECTORIES, LEAST_SAMPLES = 6, 600
 """Trajectories and observed numbers below which data are not worth a search."""
@@ -277,8 +281,24 @@ class _Search(eqx.Module):
         if other is not None and other is not whole:
             fit = self._fit_terms(other.terms, begun)
             if _is_as_good(fit, begun):
-                return fit
-        return self._fit_terms(terms, begun)
+                return self._without_absent(fit)
+        return self._without_absent(self._fit_terms(terms, begun))
+
+    def _without_absent(self, fit: EvidenceFit) -> EvidenceFit:
+        """The fit without terms that it left next to nothing to do.
+
+        About the first steps, which are rough, they may have seemed needed.
+        """
+        if fit.outcome is Outcome.DIVERGED:
+            return fit
+        terms = fit.model.environment.terms
+        shares = zip(terms, _shares(fit), strict=True)
+        kept = tuple(term for term, share in shares if share > ABSENT)
+        if len(kept) == len(terms):
+            return fit
+        fewer = self._fit_terms(kept, fit)
+        is_worse = _evidence(fewer) < _evidence(fit) - DECISIVE
+        return fit if fewer.outcome is Outcome.DIVERGED or is_worse else fewer
 
     def _begin(self, terms: Terms) -> EvidenceFit:
         """The first steps of the fit of terms beside the free kernels."""
@@ -293,6 +313,15 @@ class _Search(eqx.Module):
         specification = search.specification
         problem = specification.problem(specification.model, states=begun.states)
         return search.fit(problem, None)
+
+
+def _shares(fit: EvidenceFit) -> list[float]:
+    """Of each term of a fit: its force at the samples, relative to the greatest."""
+    states, force = np.asarray(fit.states), fit.model.environment
+    places = states[..., : force.dim].reshape(-1, force.dim)
+    times = np.zeros(len(places))
+    sizes = [float(np.std(forces_at(term, times, places))) for term in force.terms]
+    return [size / max(*sizes, np.finfo(float).tiny) for size in sizes]
 
 
 def _is_as_good(fit: EvidenceFit, begun: EvidenceFit) -> bool:

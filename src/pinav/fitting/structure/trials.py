@@ -4,6 +4,7 @@ A geometry is scored at a fixed smoothness of the profiles in milliseconds; the 
 own steps polish the geometries that are worth it.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,6 +15,7 @@ from jaxtyping import Array, Float, PyTree
 
 from pinav.arguments import on_device
 from pinav.errors import FitError
+from pinav.fitting.engine.constant_priors import wide_priors
 from pinav.fitting.engine.iterate import iterate
 from pinav.fitting.engine.steps import FullStep
 from pinav.fitting.evidence.evidence import (
@@ -100,6 +102,10 @@ def _linearise(terms: Terms, response: ForceResponse) -> LinearisedObservations:
     """What the data say of the weights of terms of a given geometry."""
     quadratic = force_quadratic(SumForce(terms), response, _weights)
     return LinearisedObservations.of(quadratic)
+
+
+def _geometry(force: Any) -> list[PyTree]:
+    return [leaf for term in force.terms for leaf in term.geometry]
 
 
 def _weights(force: Any) -> PyTree:
@@ -236,17 +242,21 @@ unless the search for them begins anew."""
 def _polish_once(terms: Terms, response: ForceResponse) -> Proposal | None:
     try:
         terms = with_profiles(terms, response)
-        shaped = any(term.geometry for term in terms)
+        force, shaped = SumForce(terms), any(term.geometry for term in terms)
         problem = Regression.of(
-            SumForce(terms),
+            force,
             response,
             weights=_weights,
             weights_prior=GaussianWeights(prior_of(terms)),
-            constants=lambda m: [term.geometry for term in m.terms],
+            constants=_geometry,
             step_rule=FullStep(),
             is_linear=not shaped,
             num_projected=response.num_projected,
         )
+        # Without bounds that of a term of no weight would not be determined.
+        reach = [scale for term in terms for scale in term.geometry_scales]
+        priors = wide_priors(problem.parametric, problem.theta, _geometry, reach)
+        problem = dataclasses.replace(problem, priors=priors)
         _, steps = iterate(problem, POLISH)
     except FitError:
         return None
@@ -258,7 +268,8 @@ def _polish_once(terms: Terms, response: ForceResponse) -> Proposal | None:
     else:
         return None
     chosen = best.hyperparameters
-    value = float(chosen.log_evidence) - cost(terms, response)
+    # what the geometry costs is said by `cost`, the same for angles and for places
+    value = float(chosen.log_evidence) - priors.log_height - cost(terms, response)
     if not np.isfinite(value):
         return None
     scales = tuple(
