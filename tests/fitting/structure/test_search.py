@@ -11,6 +11,7 @@ from pinav.errors import FitError
 from pinav.fitting import fit_structured
 from pinav.fitting.bayes.neural import FitSpecification
 from pinav.fitting.environments.kernels import KernelGrid, kernel_environment
+from pinav.fitting.structure import search
 from pinav.fitting.structure.search import _Search
 from pinav.fitting.structure.starts import Region, central_term, linear_term
 from pinav.fitting.structure.survey import Survey
@@ -84,6 +85,29 @@ def test_a_proposal_that_no_fit_carries_loses_the_term_that_was_added_last(monke
     monkeypatch.setattr(_Search, "_begin", begin_one)
     fit = fit_structured(model, positions)
     assert begun == [["linear", "central"], ["linear"]]
+    assert fit.structure is not None
+    assert [term.kind for term in fit.structure.terms] == ["linear"]
+
+
+@pytest.mark.slow
+def test_a_term_that_a_fit_leaves_nothing_to_do_goes(monkeypatch):
+    _, model, positions = saddle()
+    propose, fit_terms, fitted = Survey.proposal, _Search._fit_terms, []
+
+    def with_a_needless_centre(self, **options):
+        made = propose(self, **options)
+        centre = central_term(self.region, self.region.middle)
+        return eqx.tree_at(lambda one: one.terms, made, (*made.terms, centre))
+
+    def fit_one(self, terms, begun):
+        fitted.append([term.kind for term in terms])
+        return fit_terms(self, terms, begun)
+
+    monkeypatch.setattr(Survey, "proposal", with_a_needless_centre)
+    monkeypatch.setattr(search, "prune", lambda proposal, _: proposal)
+    monkeypatch.setattr(_Search, "_fit_terms", fit_one)
+    fit = fit_structured(model, positions)
+    assert fitted == [["linear", "central"], ["linear"]]
     assert fit.structure is not None
     assert [term.kind for term in fit.structure.terms] == ["linear"]
 

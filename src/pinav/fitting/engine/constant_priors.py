@@ -64,7 +64,7 @@ class ConstantPriors(eqx.Module):
     @property
     def log_height(self) -> float:
         """Logarithm of the product of the densities at their peaks."""
-        return sum(float(prior.log_height) for prior in self.priors)
+        return float(sum(prior.log_height for prior in self.priors))
 
     def squares(self, theta: Parameters) -> float:
         """Sum of the squared standardised values."""
