@@ -122,6 +122,13 @@ def test_the_words_name_what_was_known_and_what_it_took():
     assert "nothing is known of the force beforehand" in words
     assert "The safety filter changed 3 commands in a flight." in words
     assert "takes 1 MB" in words
+    assert "after 30.0; the task's own limit is 30.0." in words
+    stated = {"units": {"x": "um", "y": "um", "t": "s", "order": "1"}}
+    words = text(msgspec.convert(metrics | stated, OnlineMetrics))
+    assert "arrival [s]" in words
+    assert "least clearance [µm]" in words
+    assert "an error of 0.0200 um" in words
+    assert "after 30.0 s; the task's own limit is 30.0 s." in words
 
 
 def test_every_strategy_has_a_name():

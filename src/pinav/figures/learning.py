@@ -11,17 +11,29 @@ from pinav.figures.palette import (
     LEARNED,
     TRUTH,
 )
-from pinav.figures.style import label_axes, new_figure, prepare_axes, title_panel
+from pinav.figures.style import (
+    DIMENSIONLESS,
+    channel_label,
+    force_unit,
+    label_axes,
+    new_figure,
+    prepare_axes,
+    title_panel,
+    with_unit,
+)
 
 Arrays = Mapping[str, np.ndarray]
 
 
-def moments_figure(arrays: Arrays, *, thrust: float) -> Figure:
+def moments_figure(
+    arrays: Arrays, *, thrust: float, units: Mapping[str, str] = DIMENSIONLESS
+) -> Figure:
     """Path so far over mean and standard deviation of the force, at some moments.
 
     Args:
         arrays: results of a run that learned on the way.
         thrust: greatest thrust of the swimmer [L T⁻²].
+        units: unit of each channel; "1" means dimensionless.
     """
     times, step = arrays["moments/time"], float(arrays["step"])
     course, path = Course(arrays), arrays["path/visit 1/0"]
@@ -34,17 +46,21 @@ def moments_figure(arrays: Arrays, *, thrust: float) -> Figure:
         nothing = np.zeros(mean.shape[:2])
         field = FieldMap(arrays["field/x"], arrays["field/y"], mean, nothing)
         shown = {"visit 1": [so_far]}
-        paths_map(field, course, shown, limit=limit, ax=axes[0, k])
-        spread_map(field, sd, course, thrust=thrust, route=so_far, ax=axes[1, k])
-        title_panel(axes[0, k], f"t = {float(now):.3g}")
+        top, low = axes[:, k]
+        paths_map(field, course, shown, limit=limit, units=units, ax=top)
+        ground = {"thrust": thrust, "route": so_far, "units": units}
+        spread_map(field, sd, course, **ground, ax=low)
+        unit = units.get("t", "1")
+        title_panel(top, f"t = {float(now):.3g}{'' if unit == '1' else f' {unit}'}")
     return figure
 
 
-def bands_figure(arrays: Arrays) -> Figure:
+def bands_figure(arrays: Arrays, *, units: Mapping[str, str] = DIMENSIONLESS) -> Figure:
     """Both components of the force along a path, with their bands of 95 %.
 
     Args:
         arrays: results of a run that learned on the way.
+        units: unit of each channel; "1" means dimensionless.
     """
     truth, mean, sd = (arrays[f"band/{name}"] for name in ("true", "mean", "sd"))
     t = float(arrays["step"]) * np.arange(len(truth))
@@ -55,5 +71,6 @@ def bands_figure(arrays: Arrays) -> Figure:
         ax.fill_between(t, low, high, color=LEARNED, alpha=0.3, lw=0)
         ax.plot(t, mean[:, k], color=LEARNED, lw=1.2)
         ax.plot(t, truth[:, k], color=TRUTH, lw=1.0)
-        label_axes(ax, "t" if k else "", f"$F_{'xy'[k]}$")
+        force = with_unit(f"$F_{'xy'[k]}$", force_unit(units))
+        label_axes(ax, channel_label("t", units) if k else "", force)
     return figure

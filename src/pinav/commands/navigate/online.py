@@ -17,6 +17,7 @@ from pinav.commands.navigate.settings import NavigateSettings, OnlineSettings
 from pinav.commands.steering import observe_positions, system_task
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
+from pinav.figures.style import DIMENSIONLESS, with_order, with_unit
 from pinav.navigation import Disc, Task, task
 from pinav.navigation.adaptive.flight import Flight, fly
 from pinav.navigation.adaptive.prior import with_prior_of
@@ -31,7 +32,7 @@ from pinav.navigation.adaptive.strategies import (
     Sampled,
 )
 from pinav.navigation.belief.belief import Belief
-from pinav.report import Table
+from pinav.report import Table, quantity
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
 from pinav.scenarios import find_system
@@ -111,6 +112,8 @@ class OnlineMetrics(msgspec.Struct, frozen=True):
         thrust: greatest thrust.
         controllers: the oracle, and the visits.
         prior: whether the first visit began with a fit.
+        units: of each channel, with the order of the dynamics; none of a task of the
+            package.
     """
 
     task: str
@@ -122,6 +125,7 @@ class OnlineMetrics(msgspec.Struct, frozen=True):
     thrust: float
     controllers: dict[str, OnlineRow]
     prior: bool = False
+    units: dict[str, str] = {}
 
 
 def online_task(name: str, *, position_noise: float, delay: float | None) -> Task:
@@ -199,6 +203,13 @@ def units_of(online: OnlineSettings) -> Units:
     return Units() if online.system is None else find_system(online.system).base_units
 
 
+def channel_units(online: OnlineSettings, adaptive: Adaptive) -> Mapping[str, str]:
+    """Units of the channels of the task, and the order of its dynamics."""
+    units = units_of(online)
+    order = 2 if adaptive.task.inertial else 1
+    return with_order(units.of_channels(("x", "y")), order, units.force)
+
+
 def with_prior(adaptive: Adaptive, run: FittedRun, units: Units) -> Adaptive:
     """The controller that begins with the force and the posterior of a fit.
 
@@ -268,6 +279,7 @@ def learn_online(
         thrust=adaptive.thrust,
         controllers=rows_of(flights, adaptive, own_limit),
         prior=adaptive.prior is not None,
+        units=dict(channel_units(online, adaptive)),
     )
     folder.write_arrays("results.npz", _arrays(adaptive, flights))
     folder.write_metrics("metrics.json", metrics)
@@ -335,21 +347,25 @@ def _arrays(
     return arrays
 
 
-def online_table(controllers: Mapping[str, OnlineRow]) -> Table:
+def online_table(
+    controllers: Mapping[str, OnlineRow], units: Mapping[str, str] = DIMENSIONLESS
+) -> Table:
     """One row for each controller.
 
     Args:
         controllers: rows by their names.
+        units: of each channel; "1" means dimensionless.
     """
+    length, time = units.get("x", "1"), units.get("t", "1")
     columns = {
         "success": lambda row: row.success.percent(),
         "in time": lambda row: row.in_time.percent(),
         "violation": lambda row: row.violation.percent(),
-        "arrival": lambda row: row.arrival.median,
+        with_unit("arrival", time): lambda row: row.arrival.median,
         "5 %": lambda row: row.arrival.low,
         "95 %": lambda row: row.arrival.high,
         "regret": lambda row: "–" if row.regret is None else row.regret.ratio(),
-        "least clearance": lambda row: row.clearance,
+        with_unit("least clearance", length): lambda row: row.clearance,
         "force error": lambda row: "–" if row.force_error is None else row.force_error,
         "cover": lambda row: "–" if row.cover is None else row.cover,
         "consistency": lambda row: row.consistency,
@@ -375,14 +391,15 @@ CAPTION = (
 def sentences(metrics: OnlineMetrics) -> list[str]:
     """The findings in words."""
     last = list(metrics.controllers.values())[1]
+    length, time = (metrics.units.get(channel, "1") for channel in ("x", "t"))
     known = "the fit alone" if metrics.prior else "nothing"
     return [
         f"Task {metrics.task} (synthetic), strategy {metrics.strategy}: {known} is "
         f"known of the force beforehand; positions with an error of "
-        f"{metrics.position_noise:g} are all that is observed, commands come into "
-        f"force after {metrics.delay:g}.",
-        f"Flights were given up after {metrics.time_limit:g}; the task's own limit is "
-        f"{metrics.own_limit:g}.",
+        f"{quantity(metrics.position_noise, length)} are all that is observed, "
+        f"commands come into force after {quantity(metrics.delay, time)}.",
+        f"Flights were given up after {quantity(metrics.time_limit, time)}; the "
+        f"task's own limit is {quantity(metrics.own_limit, time)}.",
         f"Learning from a frame takes at most {1e3 * (last.frame_time or 0):.2g} ms "
         f"(99 %), a command {1e3 * (last.command_time or 0):.2g} ms, a plan "
         f"{1e3 * (last.replan_time or 0):.2g} ms (medians); the belief takes "
@@ -393,4 +410,5 @@ def sentences(metrics: OnlineMetrics) -> list[str]:
 
 def text(metrics: OnlineMetrics) -> str:
     """The findings for a terminal."""
-    return "\n".join([as_text(online_table(metrics.controllers)), *sentences(metrics)])
+    table = online_table(metrics.controllers, metrics.units)
+    return "\n".join([as_text(table), *sentences(metrics)])

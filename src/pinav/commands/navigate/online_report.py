@@ -44,19 +44,19 @@ def online_sections(folder: RunFolder) -> list[Section]:
     words = [Paragraph(line) for line in sentences(metrics)]
     belief = figures.image(
         "learn-online-belief",
-        moments_figure(arrays, thrust=metrics.thrust),
+        moments_figure(arrays, thrust=metrics.thrust, units=metrics.units),
         "The first flight over its belief at several moments. Top: the mean force; "
         "bottom: its standard deviation. Where nothing was seen the mean is zero.",
     )
     bands = figures.image(
         "learn-online-bands",
-        bands_figure(arrays),
+        bands_figure(arrays, units=metrics.units),
         "The force along the first flight, as it was (line) and as it is believed at "
         "the end (mean and band of 95 %).",
         width=0.8,
     )
     return [
-        Section("Outcome", [*words, online_table(rows), regrets]),
+        Section("Outcome", [*words, online_table(rows, metrics.units), regrets]),
         Section("Belief", [belief, bands]),
         Section("Flights", [_paths(figures, arrays, metrics)]),
         Section("A flight", [_animation(figures, arrays, metrics)]),
@@ -74,7 +74,7 @@ def _paths(
     ax = figure.add_subplot()
     limit = max(float(np.linalg.norm(arrays["field/true"], axis=-1).max()), 1e-12)
     field = field_of(arrays, "field/true")
-    paths_map(field, Course(arrays), paths, limit=limit, ax=ax)
+    paths_map(field, Course(arrays), paths, limit=limit, units=metrics.units, ax=ax)
     caption = f"At most {DRAWN} flights of each controller over the true force."
     return figures.image("learn-online-paths", figure, caption, width=0.6)
 
@@ -89,6 +89,7 @@ def _animation(
         for name, path in paths.items()
     }
     file = figures.folder / "learn-online-flight.gif"
-    save_animation(arrays, Trails(still, float(arrays["step"])), file)
+    trails = Trails(still, float(arrays["step"]))
+    save_animation(arrays, trails, file, units=metrics.units)
     caption = "One flight of each controller with the same noise."
     return Image(file, caption, caption)
