@@ -117,10 +117,14 @@ def test_contents_lead_to_every_section():
 
 
 def test_only_columns_of_numbers_are_flush_right():
-    rows = [["ude", 0.015, "1.2 × 10⁻³", None], ["nn-only", float("nan"), "7 %", 3]]
-    outline = Outline(Table(["model", "total", "loss", "seed"], rows).html())
+    rows = [
+        ["ude", 0.015, "1.2 × 10⁻³", None, "100 % (34–100)", "50 (of 100)"],
+        ["nn-only", float("nan"), "7 %", 3, "1.025 (1.0–∞)", "7"],
+    ]
+    header = ["model", "total", "loss", "seed", "success", "share"]
+    outline = Outline(Table(header, rows).html())
     cells = [attrs.get("class") for name, attrs in outline.tags if name in ("th", "td")]
-    assert cells == [None, "number", "number", "number"] * 3
+    assert cells == [None, "number", "number", "number", "number", None] * 3
     assert "diverged" in outline.text
 
 

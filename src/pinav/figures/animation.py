@@ -80,10 +80,12 @@ def save_animation(
     still = canvas.copy_from_bbox(figure.bbox)  # what no frame changes is drawn once
     moving = [_actors(ax, trails) for ax in axes]
     clock = figure.text(0.99, 0.99, "", fontsize=SMALL, ha="right", va="top")
+    time = units.get("t", "1")
+    unit = "" if time in ("1", "?") else f" {time}"
     frames = []
     for step in _frame_steps(trails.steps):
         canvas.restore_region(still)
-        clock.set_text(f"t = {step * trails.step:.2f}")
+        clock.set_text(f"t = {step * trails.step:.2f}{unit}")
         figure.draw_artist(clock)
         for ax, actors in zip(axes, moving, strict=True):
             _move(actors, trails, step)

@@ -23,7 +23,10 @@ Cell = str | float | int | None
 
 _MEDIA_TYPES = {".png": "image/png", ".svg": "image/svg+xml", ".gif": "image/gif"}
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-_NUMBER = re.compile(r"[-−+±<>≤≥≈~ ]*\d[\d.,\s×·⁻⁰¹²³⁴⁵⁶⁷⁸⁹eE+−-]*[%×]?")
+_NUMBER = re.compile(
+    r"[-−+±<>≤≥≈~ ]*\d[\d.,\s×·⁻⁰¹²³⁴⁵⁶⁷⁸⁹eE+−-]*[%×]?"
+    r"( \([-−\d.]+–([-−\d.]+|∞)\))?"  # with its interval
+)
 _WORDS_FOR_NUMBERS = frozenset({"", "–", "diverged"})
 
 
