@@ -13,6 +13,7 @@ from pinav.forces import (
     KernelStream,
     StructuredForce,
     forces_at,
+    kernels,
     kernel_centers,
 )
 from pinav.forces.kernel_gaps import KernelGaps
@@ -138,6 +139,16 @@ def test_parts_are_drawn_with_their_own_amplitude():
     amplitude = force.prior().unit * np.exp(-1.0)
     expected = mixture.gradient.draw_beyond(SHAPE, amplitude, np.random.default_rng(1))
     np.testing.assert_array_equal(rest.weights, expected[0].weights)
+
+
+def test_more_missing_kernels_than_a_map_bears_are_not_drawn(monkeypatch):
+    force = KernelForce.with_zero_weights(CENTERS, WIDTH)
+    count = len(KernelGaps.of(CENTERS, WIDTH).in_box())
+    generator = np.random.default_rng(0)
+    monkeypatch.setattr(kernels, "MOST_DRAWN", count)
+    assert len(force.draw_beyond(SHAPE, 1.0, generator)[0].centers) == count
+    monkeypatch.setattr(kernels, "MOST_DRAWN", count - 1)
+    assert force.draw_beyond(SHAPE, 1.0, generator) == []
 
 
 def test_kernels_on_no_grid_are_drawn_nowhere():

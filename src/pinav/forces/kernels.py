@@ -18,6 +18,9 @@ from pinav.forces.priors import Centers, Shape, WeightPrior
 AT_ONCE = 1000
 """Positions whose variance is computed in one call."""
 
+MOST_DRAWN = 20_000
+"""Kernels beyond those that there are that are drawn: a map of more takes minutes."""
+
 Kernels = TypeVar("Kernels", bound="AbstractKernels")
 
 
@@ -106,7 +109,7 @@ class AbstractKernels(AbstractLearnedForce):
         centers, width = np.asarray(self.centers), float(self.width)
         gaps = KernelGaps.of(centers, width)
         places = centers[:0] if gaps is None else gaps.in_box()
-        if not len(places):
+        if not 0 < len(places) <= MOST_DRAWN:
             return []
         empty = self.with_zero_weights(places, width)
         weights = amplitude * self.prior().draw(shape, places, generator)
