@@ -13,8 +13,8 @@ from pinav.forces import (
     KernelStream,
     StructuredForce,
     forces_at,
-    kernels,
     kernel_centers,
+    kernels,
 )
 from pinav.forces.kernel_gaps import KernelGaps
 

@@ -191,8 +191,8 @@ class AbstractLearnedForce(AbstractForce):
             generator: of the draw.
 
         Returns:
-            One force a part; nothing where it is not made of kernels on a grid, or where
-            more than `kernels.MOST_DRAWN` of them would fill it.
+            One force a part; nothing where it is not made of kernels on a grid, or
+            where more than `kernels.MOST_DRAWN` of them would fill it.
         """
         return []
 
