@@ -74,8 +74,9 @@ MOST_HALVINGS = 2
 PROMISING, PAIRS = 3, 2
 """Kinds, and pairs of kinds, that are polished, of those that were scanned."""
 
-MOST_GROWN = 5
-"""Obstacles of one kind to which a pair of them grows; needless ones go later."""
+MOST_GROWN, ALIKE = 5, 1.5
+"""Obstacles of one kind to which a pair of them grows; needless ones go later. And the
+misfit of that pair relative to the least of any, above which it does not grow."""
 
 AGAIN = 3
 """Times that the polish of several terms is repeated at most."""
@@ -240,18 +241,21 @@ class _Ground(eqx.Module):
         shapes = [smooth_shape(one[0], self.response) for one in profiles]
         pairs = scan_pairs(profiles, shapes, linear, self.response)
         made: list[Terms] = []
-        alike: list[ObstaclesTerm] = []
         for pair in pairs[:PAIRS]:
             terms = (linear, *pair.terms)
             for _ in pair.terms:  # each beside the other, on finer grids
                 terms = self._scan([terms[1]], (linear, *terms[2:])).terms
-            for several in _as_one_kind(*terms[1:]):
-                alike.append(several)
-                made.append((linear, several))
+            made += [(linear, one) for one in _as_one_kind(*terms[1:])]
             made.append(terms)
         proposals = self._polish_each(made, AGAIN)
         if self.is_explained(proposals):
             return proposals
+        least = min((one.noise for one in proposals), default=0.0)
+        alike = [
+            one.terms[-1]
+            for one in proposals
+            if isinstance(one.terms[-1], ObstaclesTerm) and one.noise < ALIKE * least
+        ]
         grown = [(linear, self._grow(one, linear)) for one in alike]
         return proposals + self._polish_each(grown, AGAIN)
 
