@@ -19,7 +19,6 @@ os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "true")  # but: `optimis
 os.environ.setdefault("JAX_TRACEBACK_FILTERING", "off")  # which takes time
 os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
 
-import equinox as eqx
 import hypothesis
 import jax
 import jaxtyping
@@ -49,23 +48,17 @@ def optimised(monkeypatch):
     jax.config.update("jax_disable_most_optimizations", val=before)
 
 
-MANY_MAPPINGS = 20_000
-"""Regions of memory from which on compiled programs are let go."""
-
-
 MOST_KEPT = 2**30
 """Bytes of compiled code that are kept for the next call."""
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _let_compiled_programs_go():
-    """Each compiled program holds several of the 65 530 regions that Linux allows."""
+    """Each compiled program holds several of the regions that Linux allows."""
     yield
-    regions = Path("/proc/self/maps")
-    if regions.exists() and regions.read_bytes().count(b"\n") > MANY_MAPPINGS:
-        eqx.clear_caches()
-        jax.clear_caches()
-        gc.collect()
+    from pinav.numerics import free_programs  # after the hook that checks types
+
+    free_programs()
 
 
 def pytest_configure(config):

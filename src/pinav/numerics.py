@@ -8,7 +8,9 @@ import contextlib
 import gc
 import os
 import platform
+import sys
 from collections.abc import Mapping
+from pathlib import Path
 
 CACHE_BYTES = 256 * 2**20
 """Compiled code kept on disk; the oldest goes first."""
@@ -81,3 +83,33 @@ def compilation_cache(environ: Mapping[str, str]) -> dict[str, str]:
         "JAX_COMPILATION_CACHE_MAX_SIZE": str(CACHE_BYTES),
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
     }
+
+
+MANY_REGIONS = 20_000
+"""Regions of memory from which on compiled programs are let go: Linux allows a process
+65 530, each program holds several, and XLA ends the process when there are no more."""
+
+
+def free_programs(regions: Path = Path("/proc/self/maps")) -> bool:
+    """Let compiled programs go where they hold many regions of memory.
+
+    Some fifteen fits of different data would otherwise end a process. What is needed
+    again is compiled again, or read from the cache on disk.
+
+    Args:
+        regions: lists those of this process, one a line, where the system has it.
+
+    Returns:
+        Whether they were let go.
+    """
+    if "jax" not in sys.modules or not regions.exists():
+        return False
+    if regions.read_bytes().count(b"\n") <= MANY_REGIONS:
+        return False
+    import equinox
+    import jax
+
+    equinox.clear_caches()
+    jax.clear_caches()
+    gc.collect()
+    return True

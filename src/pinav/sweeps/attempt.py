@@ -17,6 +17,7 @@ import msgspec
 
 from pinav import __version__
 from pinav.errors import FitError, InputError
+from pinav.numerics import free_programs
 from pinav.sweeps.cell import Cell, Outcome
 from pinav.sweeps.store import HANG_FILE, RESULT, CellStore
 
@@ -104,6 +105,7 @@ def _carry_out(order: Order) -> None:
     _check_folder(store, order)
     if store.outcome(cell) is not None:
         return
+    free_programs()
     before = store.attempts(cell.name)
     here, begin = store.begin(cell), time.monotonic()
     try:

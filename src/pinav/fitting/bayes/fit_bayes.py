@@ -24,6 +24,7 @@ from pinav.fitting.environments.refinement import (
     iterate_refined,
 )
 from pinav.fitting.outcome import Outcome
+from pinav.numerics import free_programs
 from pinav.trajectories import Trajectories, with_velocities
 
 
@@ -79,6 +80,7 @@ def fit_bayes(
             not converge and `throw` is true.
     """
     _check(model, noise, max_iterations)
+    free_programs()
     if isinstance(model, Swimmer):
         trajectories = with_velocities(trajectories)
     with jax.enable_x64(new_val=True):

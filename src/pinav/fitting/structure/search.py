@@ -47,6 +47,7 @@ from pinav.forces import (
     forces_at,
     split_structure,
 )
+from pinav.numerics import free_programs
 from pinav.trajectories import Trajectories, with_velocities
 
 CLEAR = 100.0
@@ -117,6 +118,7 @@ def fit_structured(
     Raises:
         FitError: as `fit_bayes` does.
     """
+    free_programs()
     if isinstance(model, Swimmer):
         trajectories = with_velocities(trajectories)
     with jax.enable_x64(new_val=True):
