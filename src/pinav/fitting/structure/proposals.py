@@ -112,7 +112,8 @@ def propose(
         terms = () if best is None else best.terms
         trials: list[Proposal] = []
         shaped = [one for one in terms if not isinstance(one, LinearTerm)]
-        if may_pair and len(shaped) == 1:
+        is_poor = best is not None and best.noise > EXPLAINED * noise
+        if may_pair and is_poor and len(shaped) == 1:
             may_pair = False  # what pairs explain does not depend on the terms
             trials = ground.pair(rotational=rotational)
         if not ground.is_explained(trials):
