@@ -289,14 +289,17 @@ class _Search(eqx.Module):
     def _without_absent(self, fit: EvidenceFit) -> EvidenceFit:
         """The fit without terms that it left next to nothing to do.
 
-        About the first steps, which are rough, they may have seemed needed.
+        About the first steps, which are rough, they may have seemed needed. Where the
+        free remainder does something it may have taken their place, and they stay.
         """
         if fit.outcome is Outcome.DIVERGED:
             return fit
         terms = fit.model.environment.terms
-        shares = zip(terms, _shares(fit), strict=True)
-        kept = tuple(term for term, share in shares if share > ABSENT)
-        if len(kept) == len(terms):
+        *shares, rest = _shares(fit)
+        kept = tuple(
+            term for term, share in zip(terms, shares, strict=True) if share > ABSENT
+        )
+        if rest > ABSENT or len(kept) == len(terms):
             return fit
         fewer = self._fit_terms(kept, fit)
         is_worse = _evidence(fewer) < _evidence(fit) - DECISIVE
@@ -318,11 +321,15 @@ class _Search(eqx.Module):
 
 
 def _shares(fit: EvidenceFit) -> list[float]:
-    """Of each term of a fit: its force at the samples, relative to the greatest."""
+    """Of each term of a fit, and of the remainder: its force, relative to the greatest.
+
+    Forces are those at the samples.
+    """
     states, force = np.asarray(fit.states), fit.model.environment
     places = states[..., : force.dim].reshape(-1, force.dim)
     times = np.zeros(len(places))
-    sizes = [float(np.std(forces_at(term, times, places))) for term in force.terms]
+    parts = (*force.terms, force.remainder)
+    sizes = [float(np.std(forces_at(part, times, places))) for part in parts]
     return [size / max(*sizes, np.finfo(float).tiny) for size in sizes]
 
 
