@@ -1,5 +1,7 @@
 """Priors of constants: against closed forms and quadrature."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,9 +10,11 @@ import pytest
 import scipy.integrate
 
 from pinav.fitting import fit_bayes, kernel_environment, model_evidence
-from pinav.fitting.engine.constant_priors import ConstantPriors
+from pinav.fitting.engine.constant_priors import ConstantPriors, wide_priors
+from pinav.fitting.engine.iterate import iterate
 from pinav.fitting.evidence.quadratic import Quadratic, eliminate_flat
 from pinav.fitting.evidence.weights import NoWeights
+from pinav.fitting.least_squares import Regression
 from pinav.forces import KernelPotential
 from pinav.scenarios import barrier_crossings
 from pinav.systems.priors import FreeNumber, LogNormal, Normal
@@ -70,6 +74,23 @@ def test_a_normal_prior_of_a_constant_gives_the_exact_evidence_and_posterior():
     mean = (column @ data / NOISE**2 + 0.7 / 0.2**2) / precision
     assert block.offset[0] == pytest.approx(mean)
     assert NOISE**2 * block.covariance[0, 0] == pytest.approx(1 / precision)
+
+
+def test_the_evidence_of_a_first_step_does_not_depend_on_the_noise_before_it():
+    column, data = linear_problem()
+    values = []
+    for first in (NOISE, 30 * NOISE):
+        problem = Regression.of(
+            jnp.asarray(0.3),
+            lambda slope: column * slope - data,
+            weights=lambda _: (),
+            weights_prior=NoWeights(),
+            constants=lambda slope: slope,
+        )
+        wide = wide_priors(problem.parametric, problem.theta, lambda m: [m], [100.0])
+        problem = dataclasses.replace(problem, priors=wide, first_noise=first)
+        values.append(iterate(problem, 1)[1][0].hyperparameters.log_evidence)
+    assert values[0] == pytest.approx(values[1], abs=0.05)
 
 
 @pytest.fixture(scope="module")

@@ -129,14 +129,17 @@ class AbstractProblem(eqx.Module):
         noise = last_noise if self.noise is None else self.noise
         # A prior is one more residual in units of the noise, which is not known before
         # the step: that of the step before stands for it.
-        whole = self.priors.add_to(local.quadratic, max(noise, self.least_noise))
+        noise = max(noise, self.least_noise)
+        whole = self.priors.add_to(local.quadratic, noise)
         quadratic, block = eliminate_flat(whole, self.flat)
         weights = self.weights.about(move.theta[~self.flat])
         if before is None:
             shape = weights.first_shape(quadratic, self.noise)
         else:
             shape = before.shape
-        inference = weights.infer(quadratic, shape, self.noise)
+        inference = self._without_stale_noise(
+            weights.infer(quadratic, shape, self.noise), noise
+        )
         chosen = inference.hyperparameters
         mean, covariance = joint_posterior(
             block, inference.mean, inference.covariance, chosen.noise
@@ -158,6 +161,21 @@ class AbstractProblem(eqx.Module):
             covariance=covariance,
             move=move.rule(cost, mean),
             weights=weights,
+        )
+
+    def _without_stale_noise(self, inference: Inference, before: float) -> Inference:
+        """The evidence with the priors in units of the noise that was chosen.
+
+        In those of the step before each prior would add the logarithm of the change.
+        """
+        count, noise = len(self.priors.entries), inference.hyperparameters.noise
+        if not count:
+            return inference
+        change = np.log(max(noise, self.least_noise, np.finfo(float).tiny) / before)
+        return eqx.tree_at(
+            lambda one: one.hyperparameters.log_evidence,
+            inference,
+            inference.hyperparameters.log_evidence + count * float(change),
         )
 
     def posterior(self, step: Step) -> Posterior:

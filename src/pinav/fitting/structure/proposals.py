@@ -242,21 +242,24 @@ class _Ground(eqx.Module):
         shapes = [smooth_shape(one[0], self.response) for one in profiles]
         pairs = scan_pairs(profiles, shapes, linear, self.response)
         made: list[Terms] = []
+        alike: list[ObstaclesTerm] = []
         for pair in pairs[:PAIRS]:
             terms = (linear, *pair.terms)
             for _ in pair.terms:  # each beside the other, on finer grids
                 terms = self._scan([terms[1]], (linear, *terms[2:])).terms
-            made += [(linear, one) for one in _as_one_kind(*terms[1:])]
-            made.append(terms)
+            several = _as_one_kind(*terms[1:])
+            alike += several
+            made += [*((linear, one) for one in several), terms]
         proposals = self._polish_each(made, AGAIN)
         if self.is_explained(proposals):
             return proposals
         least = min((one.noise for one in proposals), default=0.0)
-        alike = [
-            one.terms[-1]
+        if not any(
+            isinstance(one.terms[-1], ObstaclesTerm) and one.noise < ALIKE * least
             for one in proposals
-            if isinstance(one.terms[-1], ObstaclesTerm) and one.noise < ALIKE * least
-        ]
+        ):
+            return proposals
+        # from where they were scanned: polished, two have moved to stand for the others
         grown = [(linear, self._grow(one, linear)) for one in alike]
         return proposals + self._polish_each(grown, AGAIN)
 

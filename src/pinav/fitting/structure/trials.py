@@ -15,8 +15,9 @@ from jaxtyping import Array, Float, PyTree
 
 from pinav.arguments import on_device
 from pinav.errors import FitError
-from pinav.fitting.engine.constant_priors import wide_priors
+from pinav.fitting.engine.constant_priors import ConstantPriors, wide_priors
 from pinav.fitting.engine.iterate import iterate
+from pinav.fitting.engine.problem import Step
 from pinav.fitting.engine.steps import FullStep
 from pinav.fitting.evidence.evidence import (
     LinearisedObservations,
@@ -268,8 +269,7 @@ def _polish_once(terms: Terms, response: ForceResponse) -> Proposal | None:
     else:
         return None
     chosen = best.hyperparameters
-    # what the geometry costs is said by `cost`, the same for angles and for places
-    value = float(chosen.log_evidence) - priors.log_height - cost(terms, response)
+    value = float(chosen.log_evidence) - _charged(best, priors) - cost(terms, response)
     if not np.isfinite(value):
         return None
     scales = tuple(
@@ -279,6 +279,25 @@ def _polish_once(terms: Terms, response: ForceResponse) -> Proposal | None:
         for term, place in zip(terms, _shape_places(terms), strict=True)
     )
     return Proposal(fitted.terms, value, chosen.noise, scales)
+
+
+def _charged(step: Step, priors: ConstantPriors) -> float:
+    """What the evidence has charged of the numbers that `cost` charges, too.
+
+    That of a number which the data determine is the same for angles and for places. One
+    that they leave open costs what its prior allows as well: its term is needless.
+    """
+    deviations = np.sqrt(np.diag(step.covariance)[list(priors.entries)])
+    return sum(
+        float(prior.log_height)
+        for prior, deviation in zip(priors.priors, deviations, strict=True)
+        if prior.standard_score(deviation) - prior.standard_score(0.0) < OPEN
+    )
+
+
+OPEN = 0.5
+"""Deviation of a number of the geometry, relative to that of its prior, above which the
+data leave it open."""
 
 
 def _is_in_reach(term: AbstractTerm, response: ForceResponse) -> bool:
