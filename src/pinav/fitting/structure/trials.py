@@ -288,11 +288,12 @@ def _charged(step: Step, priors: ConstantPriors) -> float:
     that they leave open costs what its prior allows as well: its term is needless.
     """
     deviations = np.sqrt(np.diag(step.covariance)[list(priors.entries)])
-    return sum(
-        float(prior.log_height)
+    charged = [
+        prior.log_height
         for prior, deviation in zip(priors.priors, deviations, strict=True)
         if prior.standard_score(deviation) - prior.standard_score(0.0) < OPEN
-    )
+    ]
+    return float(sum(charged))
 
 
 OPEN = 0.5
