@@ -65,15 +65,22 @@ def test_a_linear_force_is_found_and_each_step_names_what_is_fitted():
     assert jnp.linalg.norm(learned - true) < 0.05 * jnp.linalg.norm(true)
 
 
-@pytest.mark.slow
-def test_a_proposal_that_no_fit_carries_loses_the_term_that_was_added_last(monkeypatch):
-    _, model, positions = saddle()
-    propose, begin, begun = Survey.proposal, _Search._begin, []
+def add_a_needless_centre(monkeypatch):
+    """Let every proposal have a central term beside what was proposed."""
+    propose = Survey.proposal
 
     def with_a_needless_centre(self, **options):
         made = propose(self, **options)
         centre = central_term(self.region, self.region.middle)
         return eqx.tree_at(lambda one: one.terms, made, (*made.terms, centre))
+
+    monkeypatch.setattr(Survey, "proposal", with_a_needless_centre)
+
+
+@pytest.mark.slow
+def test_a_proposal_that_no_fit_carries_loses_the_term_that_was_added_last(monkeypatch):
+    _, model, positions = saddle()
+    begin, begun = _Search._begin, []
 
     def begin_one(self, terms):
         begun.append([term.kind for term in terms])
@@ -81,7 +88,7 @@ def test_a_proposal_that_no_fit_carries_loses_the_term_that_was_added_last(monke
             raise FitError("the fit is singular")
         return begin(self, terms)
 
-    monkeypatch.setattr(Survey, "proposal", with_a_needless_centre)
+    add_a_needless_centre(monkeypatch)
     monkeypatch.setattr(_Search, "_begin", begin_one)
     fit = fit_structured(model, positions)
     assert begun == [["linear", "central"], ["linear"]]
@@ -92,18 +99,13 @@ def test_a_proposal_that_no_fit_carries_loses_the_term_that_was_added_last(monke
 @pytest.mark.slow
 def test_a_term_that_a_fit_leaves_nothing_to_do_goes(monkeypatch):
     _, model, positions = saddle()
-    propose, fit_terms, fitted = Survey.proposal, _Search._fit_terms, []
-
-    def with_a_needless_centre(self, **options):
-        made = propose(self, **options)
-        centre = central_term(self.region, self.region.middle)
-        return eqx.tree_at(lambda one: one.terms, made, (*made.terms, centre))
+    fit_terms, fitted = _Search._fit_terms, []
 
     def fit_one(self, terms, begun):
         fitted.append([term.kind for term in terms])
         return fit_terms(self, terms, begun)
 
-    monkeypatch.setattr(Survey, "proposal", with_a_needless_centre)
+    add_a_needless_centre(monkeypatch)
     monkeypatch.setattr(search, "prune", lambda proposal, _: proposal)
     monkeypatch.setattr(_Search, "_fit_terms", fit_one)
     fit = fit_structured(model, positions)

@@ -295,7 +295,7 @@ class _Search(eqx.Module):
         if fit.outcome is Outcome.DIVERGED:
             return fit
         terms = fit.model.environment.terms
-        *shares, rest = _shares(fit)
+        *shares, rest = _relative_forces(fit)
         kept = tuple(
             term for term, share in zip(terms, shares, strict=True) if share > ABSENT
         )
@@ -320,7 +320,7 @@ class _Search(eqx.Module):
         return search.fit(problem, None)
 
 
-def _shares(fit: EvidenceFit) -> list[float]:
+def _relative_forces(fit: EvidenceFit) -> list[float]:
     """Of each term of a fit, and of the remainder: its force, relative to the greatest.
 
     Forces are those at the samples.

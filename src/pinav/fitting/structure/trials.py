@@ -269,7 +269,11 @@ def _polish_once(terms: Terms, response: ForceResponse) -> Proposal | None:
     else:
         return None
     chosen = best.hyperparameters
-    value = float(chosen.log_evidence) - _charged(best, priors) - cost(terms, response)
+    value = (
+        float(chosen.log_evidence)
+        - _determined_heights(best, priors)
+        - cost(terms, response)
+    )
     if not np.isfinite(value):
         return None
     scales = tuple(
@@ -281,19 +285,19 @@ def _polish_once(terms: Terms, response: ForceResponse) -> Proposal | None:
     return Proposal(fitted.terms, value, chosen.noise, scales)
 
 
-def _charged(step: Step, priors: ConstantPriors) -> float:
+def _determined_heights(step: Step, priors: ConstantPriors) -> float:
     """What the evidence has charged of the numbers that `cost` charges, too.
 
     That of a number which the data determine is the same for angles and for places. One
     that they leave open costs what its prior allows as well: its term is needless.
     """
     deviations = np.sqrt(np.diag(step.covariance)[list(priors.entries)])
-    charged = [
+    heights = [
         prior.log_height
         for prior, deviation in zip(priors.priors, deviations, strict=True)
         if prior.standard_score(deviation) - prior.standard_score(0.0) < OPEN
     ]
-    return float(sum(charged))
+    return float(sum(heights))
 
 
 OPEN = 0.5
