@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.forces.pullbacks import check_pullback
 
 import pinav
 from pinav.actuation import LinearProgramme, RotatingField, SaturatingResponse
@@ -309,16 +310,12 @@ def test_a_rotational_term_is_turned_by_a_right_angle():
 
 
 @pytest.mark.parametrize("kind", ["central", "wall", "lattice", "linear"])
-def test_the_prior_of_a_structured_force_has_the_slopes_of_its_covariance(kind):
+def test_the_prior_of_a_structured_force_has_the_pullback_of_its_covariance(kind):
     term = SHAPED[f"{kind} term"]()
     prior = StructuredForce((term,), kernel_potential()).prior()
-    shape, step = prior.start + 0.1, 1e-5
-    count = len(term.weights) + 3
+    shape, count = prior.start + 0.1, len(term.weights) + 3
     assert prior.covariance(shape).shape == (count, count)
-    for index, slope in enumerate(prior.slopes(shape)):
-        change = step * np.eye(len(shape))[index]
-        ends = [prior.covariance(shape + sign * change) for sign in (1, -1)]
-        np.testing.assert_allclose(slope, (ends[0] - ends[1]) / (2 * step), atol=1e-7)
+    check_pullback(prior, shape)
 
 
 T, X, V = 0.4, jnp.array([4.2, 5.5]), jnp.array([0.3, -0.1])

@@ -1,6 +1,7 @@
 """Priors of profiles: what they know where data end, and beside what they saw."""
 
 import numpy as np
+from tests.forces.pullbacks import check_pullback
 
 from pinav.fitting.evidence.evidence import (
     LinearisedObservations,
@@ -25,13 +26,9 @@ def test_a_floor_holds_the_variance_where_the_envelope_ends():
     np.testing.assert_allclose(with_floor[0, 0], without[0, 0] + 0.01)
 
 
-def test_slopes_of_the_prior_of_a_distance_are_differences_of_its_covariance():
+def test_the_prior_of_a_distance_has_the_pullback_of_its_covariance():
     prior = DistancePrior(ProfilePrior(PLACES, 0.5, floor=0.1))
-    shape, step = np.array([1.2, 2.0, -3.0]), 1e-5
-    for index, slope in enumerate(prior.slopes(shape)):
-        change = step * np.eye(3)[index]
-        ends = prior.covariance(shape + change), prior.covariance(shape - change)
-        np.testing.assert_allclose(slope, (ends[0] - ends[1]) / (2 * step), atol=1e-8)
+    check_pullback(prior, np.array([1.2, 2.0, -3.0]))
 
 
 def test_a_profile_is_matern_of_order_seven_halves():
@@ -90,9 +87,7 @@ def _share(prior, rows, truth, seed) -> float:
     data = LinearisedObservations.of(
         _seen(rows, truth, 0.01, np.random.default_rng(seed))
     )
-    chosen = best_hyperparameters(
-        data, prior.covariance, prior.start, prior.bounds, None, prior.slopes
-    )
+    chosen = best_hyperparameters(data, prior, prior.start)
     mean, covariance = weight_posterior(data, prior.covariance(chosen.shape), chosen)
     sd = np.sqrt(np.maximum(((rows @ covariance) * rows).sum(axis=1), 0.0))
     return float(np.mean(np.abs(rows @ mean - truth) < 1.96 * sd))

@@ -12,7 +12,9 @@ from pinav.arguments import Scalar, Vector
 from pinav.forces.priors import (
     AbstractPrior,
     IsotropicPrior,
+    Matrix,
     MixturePrior,
+    Shape,
 )
 from pinav.forces.structures import AbstractTerm, quarter_turn
 
@@ -29,23 +31,20 @@ class LatticePrior(AbstractPrior):
     orders: Any = eqx.field(converter=lambda value: np.asarray(value, float))
 
     @property
-    def start(self) -> Float[np.ndarray, " shape"]:
+    def start(self) -> Shape:
         return np.zeros(1)
 
     @property
     def bounds(self) -> Float[np.ndarray, "shape 2"]:
         return np.array([[-3.0, 2.0]])
 
-    def covariance(
-        self, shape: Float[np.ndarray, " shape"]
-    ) -> Float[np.ndarray, "weight weight"]:
+    def covariance(self, shape: Shape) -> Matrix:
         return np.diag(np.exp(-np.exp(2 * shape[0]) * self._squares))
 
-    def slopes(
-        self, shape: Float[np.ndarray, " shape"]
-    ) -> Float[np.ndarray, "shape weight weight"]:
-        factor = -2 * np.exp(2 * shape[0]) * self._squares
-        return (self.covariance(shape) * factor)[None]
+    def pullback(self, shape: Shape, pull: Matrix) -> Shape:
+        logarithms = -np.exp(2 * shape[0]) * self._squares
+        by_variance = np.diagonal(pull) * np.exp(logarithms)
+        return np.array([2 * by_variance @ logarithms])
 
     @property
     def _squares(self) -> Float[np.ndarray, " weight"]:

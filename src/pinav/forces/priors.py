@@ -18,10 +18,7 @@ Shape = Float[np.ndarray, " shape"]
 """What a prior depends on: logarithms of length scales, envelopes, ratios."""
 
 Matrix = Float[np.ndarray, "weight weight"]
-"""A covariance of weights, or its derivative by one entry of the shape."""
-
-Matrices = Float[np.ndarray, "shape weight weight"]
-"""Derivatives of a covariance by every entry of the shape."""
+"""A number for each pair of weights, such as their covariance."""
 
 Gram = Float[np.ndarray, "kernel kernel"]
 """A number for each pair of kernels."""
@@ -53,8 +50,16 @@ class AbstractPrior(eqx.Module):
         """Covariance of the weights, flattened as they are."""
 
     @abc.abstractmethod
-    def slopes(self, shape: Shape) -> Matrices:
-        """Derivative of the covariance by each entry of the shape."""
+    def pullback(self, shape: Shape, pull: Matrix) -> Shape:
+        r"""Derivative of $\sum_{ij} P_{ij} K_{ij}$ by each entry of the shape.
+
+        A search asks for it a thousand times; the derivatives of the covariance
+        themselves would be as many matrices as the shape has entries.
+
+        Args:
+            shape: at which it is taken.
+            pull: $P$, symmetric.
+        """
 
 
 def _exact(values: Float[ArrayLike, "kernel dim"]) -> Centers:
@@ -97,20 +102,17 @@ class WeightPrior(AbstractPrior):
         return np.array(scales + [(-half, half)] * self._dim)
 
     def covariance(self, shape: Shape) -> Matrix:
-        return self._per_component(self._scalar(shape))
+        return _per_component(self._scalar(shape), self.components)
 
-    def slopes(self, shape: Shape) -> Matrices:
+    def pullback(self, shape: Shape, pull: Matrix) -> Shape:
         length_scale, reach = np.exp(shape[:2])
         from_middle = self._scaled_centers - shape[2:]
+        weighed = _over_components(pull, self.components) * self._scalar(shape)
+        by_scale = np.vdot(weighed, self._squares) / length_scale**2
+        # Both kernels of a pair have an envelope, and the pull is symmetric.
+        by_envelope = 2 * weighed.sum(axis=1) / reach**2
         squares = (from_middle**2).sum(axis=-1)
-        alike, faded = self._factors(shape)
-        by_envelope = alike * faded / reach**2
-        scalars = [
-            alike * faded * self._squares / length_scale**2,
-            by_envelope * (squares[:, None] + squares[None]),
-            *(by_envelope * (x[:, None] + x[None]) for x in from_middle.T),
-        ]
-        return np.stack([self._per_component(scalar) for scalar in scalars])
+        return np.array([by_scale, by_envelope @ squares, *(by_envelope @ from_middle)])
 
     def variance(
         self,
@@ -125,12 +127,10 @@ class WeightPrior(AbstractPrior):
             places: of kernels about each point, alike but for a shift [L].
             forces: $f_j$ of each of them at the point.
         """
-        length_scale, reach = np.exp(shape[:2])
         scaled = (places - self._middle) / self.width
-        squares = ((scaled - shape[2:]) ** 2).sum(axis=-1)
-        faded = forces * np.exp(-0.5 * squares / reach**2)[..., None]
+        faded = forces * self._envelope(shape, scaled)[..., None]
         apart = scaled[0][:, None] - scaled[0]
-        alike = np.exp(-0.5 * (apart**2).sum(axis=-1) / length_scale**2)
+        alike = np.exp(-0.5 * (apart**2).sum(axis=-1) / np.exp(2 * shape[0]))
         return np.sum(faded * np.einsum("ij,pjd->pid", alike, faded), axis=1)
 
     def draw(
@@ -154,33 +154,26 @@ class WeightPrior(AbstractPrior):
             Rahimi and Recht, Advances in Neural Information Processing Systems 20
             (2007).
         """
-        length_scale, reach = np.exp(shape[:2])
         scaled = (centers - self._middle) / self.width
-        waves = generator.normal(size=(self._dim, FEATURES)) / length_scale
+        waves = generator.normal(size=(self._dim, FEATURES)) / np.exp(shape[0])
         phases = scaled @ waves
         parts = np.concatenate([np.cos(phases), np.sin(phases)], axis=1)
         normal = generator.normal(size=(2 * FEATURES, self.components))
-        squares = ((scaled - shape[2:]) ** 2).sum(axis=-1)
-        envelope = np.exp(-0.5 * squares / reach**2)
-        return envelope[:, None] * (parts @ normal) / np.sqrt(FEATURES)
+        envelope = self._envelope(shape, scaled)[:, None]
+        return envelope * (parts @ normal) / np.sqrt(FEATURES)
 
     def _scalar(self, shape: Shape) -> Gram:
         """Covariance of one component."""
-        alike, faded = self._factors(shape)
-        return alike * faded
+        envelope = self._envelope(shape, self._scaled_centers)
+        alike = np.exp(-0.5 / np.exp(2 * shape[0]) * self._squares)
+        return alike * np.outer(envelope, envelope)
 
-    def _factors(self, shape: Shape) -> tuple[Gram, Gram]:
-        """What two kernels have in common by their distance, and by the envelope."""
-        length_scale, reach = np.exp(shape[:2])
-        from_middle = self._scaled_centers - shape[2:]
-        envelope = np.exp(-0.5 * (from_middle**2).sum(axis=-1) / reach**2)
-        alike = np.exp(-0.5 * self._squares / length_scale**2)
-        return alike, np.outer(envelope, envelope)
-
-    def _per_component(self, scalar: Gram) -> Matrix:
-        if self.components > 1:
-            return np.kron(scalar, np.eye(self.components))
-        return scalar
+    @staticmethod
+    def _envelope(
+        shape: Shape, scaled: Float[np.ndarray, "*point dim"]
+    ) -> Float[np.ndarray, "*point"]:
+        squares = ((scaled - shape[2:]) ** 2).sum(axis=-1)
+        return np.exp(-0.5 * squares / np.exp(2 * shape[1]))
 
     @property
     def _squares(self) -> Gram:
@@ -202,6 +195,18 @@ class WeightPrior(AbstractPrior):
     @property
     def _dim(self) -> int:
         return self.centers.shape[1]
+
+
+def _per_component(scalar: Gram, components: int) -> Matrix:
+    """The covariance of independent components that are alike."""
+    return np.kron(scalar, np.eye(components)) if components > 1 else scalar
+
+
+def _over_components(pull: Matrix, components: int) -> Gram:
+    """What `_per_component` carries back: the sum over the components."""
+    count = len(pull) // components
+    split = pull.reshape(count, components, count, components)
+    return np.einsum("icjc->ij", split)
 
 
 @functools.lru_cache(maxsize=8)
@@ -261,12 +266,12 @@ class StationaryPrior(AbstractPrior):
     def covariance(self, shape: Shape) -> Matrix:
         scaled = self._relative_distances(shape)
         gram = np.exp(-scaled) * (1 + scaled if self.smooth else 1.0)
-        return np.kron(gram, np.eye(self.components))
+        return _per_component(gram, self.components)
 
-    def slopes(self, shape: Shape) -> Matrices:
+    def pullback(self, shape: Shape, pull: Matrix) -> Shape:
         scaled = self._relative_distances(shape)
         slope = np.exp(-scaled) * (scaled**2 if self.smooth else scaled)
-        return np.kron(slope, np.eye(self.components))[None]
+        return np.array([np.vdot(_over_components(pull, self.components), slope)])
 
     def _relative_distances(self, shape: Shape) -> Gram:
         """Distances in length scales."""
@@ -339,27 +344,21 @@ class MixturePrior(AbstractPrior):
 
     def covariance(self, shape: Shape) -> Matrix:
         first, second, ratio = self.split(shape)
-        return _blocks(
-            self.first.covariance(first), ratio**2 * self.second.covariance(second)
-        )
+        first, second = self.first.covariance(first), self.second.covariance(second)
+        return np.asarray(scipy.linalg.block_diag(first, ratio**2 * second))
 
-    def slopes(self, shape: Shape) -> Matrices:
+    def pullback(self, shape: Shape, pull: Matrix) -> Shape:
         first, second, ratio = self.split(shape)
-        covariance = ratio**2 * self.second.covariance(second)
-        first_slopes = self.first.slopes(first)
-        nothing = np.zeros(first_slopes.shape[1:])
-        absent = np.zeros_like(covariance)
-        slopes: list[np.ndarray] = [_blocks(slope, absent) for slope in first_slopes]
-        slopes += [
-            _blocks(nothing, ratio**2 * slope) for slope in self.second.slopes(second)
-        ]
-        return np.stack([*slopes, _blocks(nothing, 2 * covariance)])
-
-
-def _blocks(
-    first: Float[np.ndarray, "first first"], second: Float[np.ndarray, "second second"]
-) -> Matrix:
-    return np.asarray(scipy.linalg.block_diag(first, second))
+        covariance = self.second.covariance(second)
+        last = len(covariance)
+        pull_first, pull_second = pull[:-last, :-last], ratio**2 * pull[-last:, -last:]
+        return np.concatenate(
+            [
+                self.first.pullback(first, pull_first),
+                self.second.pullback(second, pull_second),
+                [2 * np.vdot(pull_second, covariance)],
+            ]
+        )
 
 
 ABSENT = 0.5 * LOG_RATIO
@@ -393,12 +392,18 @@ class TimedPrior(AbstractPrior):
         space = self.space.covariance(shape[:-1])
         return np.kron(space, np.exp(-0.5 * self._gaps(shape)))
 
-    def slopes(self, shape: Shape) -> Matrices:
+    def pullback(self, shape: Shape, pull: Matrix) -> Shape:
         gaps = self._gaps(shape)
         time = np.exp(-0.5 * gaps)
-        slopes = [np.kron(s, time) for s in self.space.slopes(shape[:-1])]
-        space = self.space.covariance(shape[:-1])
-        return np.stack([*slopes, np.kron(space, gaps * time)])
+        count = len(pull) // self.splines
+        split = pull.reshape(count, self.splines, count, self.splines)
+        by_space = self.space.pullback(
+            shape[:-1], np.einsum("ikjl,kl->ij", split, time)
+        )
+        by_time = np.einsum(
+            "ikjl,ij,kl", split, self.space.covariance(shape[:-1]), gaps * time
+        )
+        return np.append(by_space, by_time)
 
     def _gaps(self, shape: Shape) -> Float[np.ndarray, "spline spline"]:
         """Squared distances in time, in correlation times."""
@@ -433,5 +438,5 @@ class IsotropicPrior(AbstractPrior):
     def covariance(self, shape: Shape) -> Matrix:
         return np.eye(self.count)
 
-    def slopes(self, shape: Shape) -> Matrices:
-        return np.zeros((0, self.count, self.count))
+    def pullback(self, shape: Shape, pull: Matrix) -> Shape:
+        return np.zeros(0)

@@ -17,7 +17,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from pinav.forces.priors import AbstractPrior, Gram, Matrices, Matrix, Shape
+from pinav.forces.priors import AbstractPrior, Gram, Matrix, Shape
 
 Places = Float[np.ndarray, " kernel"]
 
@@ -62,17 +62,18 @@ class ProfilePrior(AbstractPrior):
         envelope, _ = self._envelope(shape)
         return alike * (np.outer(envelope, envelope) + self.floor**2)
 
-    def slopes(self, shape: Shape) -> Matrices:
+    def pullback(self, shape: Shape, pull: Matrix) -> Shape:
         alike, a, fade = _matern(self._distances, shape[0])
         by_scale = a * a * (3 + 3 * a + a * a) / 15 * fade
         envelope, by_place = self._envelope(shape)
         faded = np.outer(envelope, envelope)
-        by_reach = by_place**2 * np.exp(2 * shape[1])
-        return np.stack(
+        # Both kernels of a pair have an envelope, and the pull is symmetric.
+        by_envelope = 2 * (pull * alike * faded).sum(axis=1)
+        return np.array(
             [
-                by_scale * (faded + self.floor**2),
-                alike * faded * np.add.outer(by_reach, by_reach),
-                alike * faded * np.add.outer(by_place, by_place),
+                np.vdot(pull, by_scale * (faded + self.floor**2)),
+                by_envelope @ by_place**2 * np.exp(2 * shape[1]),
+                by_envelope @ by_place,
             ]
         )
 
@@ -142,8 +143,8 @@ class DistancePrior(AbstractPrior):
     def covariance(self, shape: Shape) -> Matrix:
         return self.base.covariance(shape) * self._scales
 
-    def slopes(self, shape: Shape) -> Matrices:
-        return self.base.slopes(shape) * self._scales
+    def pullback(self, shape: Shape, pull: Matrix) -> Shape:
+        return self.base.pullback(shape, pull * self._scales)
 
     @property
     def _scales(self) -> Gram:

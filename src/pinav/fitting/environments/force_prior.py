@@ -88,14 +88,7 @@ class ForcePrior(eqx.Module):
         columns, targets = _regression(environment, positions, forces)
         size = _root_mean_square(targets) or 1.0
         data, prior = _independent(columns, targets), environment.prior()
-        chosen = best_hyperparameters(
-            data,
-            prior.covariance,
-            prior.start,
-            prior.bounds,
-            NOISE * size,
-            prior.slopes,
-        )
+        chosen = best_hyperparameters(data, prior, prior.start, NOISE * size)
         mean = posterior_mean(Whitened.of(data, prior.covariance(chosen.shape)), chosen)
         missed = _root_mean_square(columns @ mean - targets)
         return cls(environment, chosen, missed / size, _white(columns, missed))

@@ -26,7 +26,7 @@ from jaxtyping import Float
 
 from pinav.errors import FitError
 from pinav.fitting.evidence.quadratic import Quadratic
-from pinav.forces.priors import Matrices, Matrix, Shape
+from pinav.forces.priors import AbstractPrior, Matrix, Shape
 
 Numbers = float | np.ndarray
 """One number, or several."""
@@ -174,38 +174,28 @@ class Hyperparameters(eqx.Module):
 Covariance = Callable[[Shape], Matrix]
 """Prior covariance of the weights for a shape, of unit amplitude."""
 
-Slopes = Callable[[Shape], Matrices]
-"""Its derivative by each entry of the shape."""
-
 
 def best_hyperparameters(
     data: LinearisedObservations,
-    covariance: Covariance,
+    prior: AbstractPrior,
     start: Shape,
-    bounds: Float[np.ndarray, "shape 2"],
     noise: float | None = None,
-    slopes: Slopes | None = None,
 ) -> Hyperparameters:
     """The hyperparameters of highest evidence, by L-BFGS-B from `start`.
 
     Args:
         data: what the weights are to explain.
-        covariance: prior of the weights.
+        prior: of the weights.
         start: shape at which the search begins, each entry scaled to order one.
-        bounds: between which each entry is sought.
         noise: standard deviation of the residuals; estimated unless given.
-        slopes: derivatives of `covariance`; by differences of the evidence unless
-            given.
     """
     if not len(start):
-        return at_shape(data, covariance, start, noise)
+        return at_shape(data, prior.covariance, start, noise)
 
-    def loss(shape: Shape) -> float | tuple[float, Shape]:
-        white = Whitened.of(data, covariance(shape))
+    def loss(shape: Shape) -> tuple[float, Shape]:
+        white = Whitened.of(data, prior.covariance(shape))
         chosen = best_amplitude(data, white, shape, noise)
-        if slopes is None:
-            return -chosen.log_evidence
-        return -chosen.log_evidence, -shape_slope(data, white, chosen, slopes)
+        return -chosen.log_evidence, -shape_slope(data, white, chosen, prior)
 
     from scipy.optimize import minimize  # 0.2 s that other fits do without
 
@@ -213,18 +203,18 @@ def best_hyperparameters(
         loss,
         start,
         method="L-BFGS-B",
-        jac=slopes is not None,
-        bounds=bounds,
-        options={"ftol": 1e-8, "gtol": 1e-3, "eps": 1e-4, "maxiter": 60},
+        jac=True,
+        bounds=prior.bounds,
+        options={"ftol": 1e-8, "gtol": 1e-3, "maxiter": 60},
     )
-    return at_shape(data, covariance, search.x, noise)
+    return at_shape(data, prior.covariance, search.x, noise)
 
 
 def shape_slope(
     data: LinearisedObservations,
     white: Whitened,
     chosen: Hyperparameters,
-    slopes: Slopes,
+    prior: AbstractPrior,
 ) -> Shape:
     r"""Derivative of $\log Z$ by the shape, at its best amplitude and noise.
 
@@ -232,10 +222,9 @@ def shape_slope(
         data: what the weights are to explain.
         white: the same under the prior of this shape.
         chosen: the shape, and amplitude and noise of highest evidence.
-        slopes: derivatives of the prior.
+        prior: of the weights.
     """
-    pull = covariance_pull(data, white, chosen)
-    return np.tensordot(slopes(chosen.shape), pull, axes=2)
+    return prior.pullback(chosen.shape, covariance_pull(data, white, chosen))
 
 
 def covariance_pull(

@@ -83,7 +83,7 @@ def _slopes_and_spread(
         shape = chosen.shape + offset
         white = Whitened.of(data, prior.covariance(shape))
         best = best_amplitude(data, white, shape, noise)
-        slope = shape_slope(data, white, best, prior.slopes)
+        slope = shape_slope(data, white, best, prior)
         return np.append(slope, posterior_mean(white, best))
 
     unit = STEP * np.eye(len(chosen.shape))

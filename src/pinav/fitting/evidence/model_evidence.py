@@ -141,11 +141,9 @@ def evidence_without_second(linear: LinearFit, chosen: Hyperparameters) -> float
     )
     best = best_hyperparameters(
         LinearisedObservations.of(alone.quadratic),
-        prior.first.covariance,
+        prior.first,
         start,
-        prior.first.bounds,
         linear.noise,
-        prior.first.slopes,
     )
     data = LinearisedObservations.of(linear.quadratic)
     lowest, highest = prior.bounds[-1]

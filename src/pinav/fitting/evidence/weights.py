@@ -120,10 +120,7 @@ class GaussianWeights(AbstractWeights):
             return None
         data = LinearisedObservations.of(quadratic)
         tried = [
-            best_hyperparameters(
-                data, prior.covariance, start, prior.bounds, noise, prior.slopes
-            )
-            for start in prior.starts
+            best_hyperparameters(data, prior, start, noise) for start in prior.starts
         ]
         best = max(tried, key=lambda one: one.log_evidence)
         return best if best.log_evidence > chosen.log_evidence + LIKELIER else None
@@ -146,11 +143,9 @@ class GaussianWeights(AbstractWeights):
     def infer(
         self, quadratic: Quadratic, shape: Shape, noise: float | None
     ) -> Inference:
-        data, covariance = LinearisedObservations.of(quadratic), self.prior.covariance
-        chosen = best_hyperparameters(
-            data, covariance, shape, self.prior.bounds, noise, self.prior.slopes
-        )
-        weights = weight_posterior(data, covariance(chosen.shape), chosen)
+        data = LinearisedObservations.of(quadratic)
+        chosen = best_hyperparameters(data, self.prior, shape, noise)
+        weights = weight_posterior(data, self.prior.covariance(chosen.shape), chosen)
         return Inference(chosen, *weights)
 
     def shape_covariance(

@@ -81,9 +81,7 @@ def survey_rotation(
     except FitError:
         return SurveyedRotation(0.0)
     prior = _beside(terms, potential).prior()
-    chosen = best_hyperparameters(
-        alone, prior.covariance, prior.start, prior.bounds, None, prior.slopes
-    )
+    chosen = best_hyperparameters(alone, prior, prior.start)
     shared, ratio = np.split(chosen.shape, [-1 if terms else len(chosen.shape)])
     scale = shared[-len(potential.prior().start)]
     covariance = _beside(terms, mixture).prior().covariance
@@ -123,11 +121,9 @@ def fitted_gain(fit: EvidenceFit) -> float:
     )
     chosen = best_hyperparameters(
         LinearisedObservations.of(reduced.quadratic),
-        prior.covariance,
+        prior,
         prior.start,
-        prior.bounds,
         linear.noise,
-        prior.slopes,
     )
     with_rotation = model_evidence(linear, fit.hyperparameters).log_evidence
     # the geometry of turning terms is a cost of theirs alone

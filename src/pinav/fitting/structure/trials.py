@@ -156,9 +156,7 @@ def with_profiles(terms: Terms, response: ForceResponse) -> Terms:
     shapes = _smooth_shapes(terms, prior, response)
     tried = [at_shape(data, prior.covariance, shape) for shape in shapes]
     start = max(tried, key=lambda one: one.log_evidence).shape
-    chosen = best_hyperparameters(
-        data, prior.covariance, start, prior.bounds, None, prior.slopes
-    )
+    chosen = best_hyperparameters(data, prior, start)
     white = Whitened.of(data, prior.covariance(chosen.shape))
     mean, made = posterior_mean(white, chosen), []
     for term in terms:
