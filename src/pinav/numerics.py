@@ -81,7 +81,7 @@ def compilation_cache(environ: Mapping[str, str]) -> dict[str, str]:
     return {
         "JAX_COMPILATION_CACHE_DIR": folder,
         "JAX_COMPILATION_CACHE_MAX_SIZE": str(CACHE_BYTES),
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.05",
     }
 
 

@@ -20,6 +20,7 @@ from pinav.fitting.evidence.evidence import (
 from pinav.fitting.evidence.hyperparameter_uncertainty import shape_covariance
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.forces.priors import AbstractPrior, Matrix, Shape
+from pinav.threads import map_on_cores
 
 WeightPosterior = tuple[Float[np.ndarray, " weight"], Matrix]
 """Mean and covariance of the weights."""
@@ -119,9 +120,9 @@ class GaussianWeights(AbstractWeights):
         if len(prior.starts) == 1:
             return None
         data = LinearisedObservations.of(quadratic)
-        tried = [
-            best_hyperparameters(data, prior, start, noise) for start in prior.starts
-        ]
+        tried = map_on_cores(
+            lambda start: best_hyperparameters(data, prior, start, noise), prior.starts
+        )
         best = max(tried, key=lambda one: one.log_evidence)
         return best if best.log_evidence > chosen.log_evidence + LIKELIER else None
 
