@@ -1,11 +1,13 @@
 """Independent computations side by side, as threads of one process."""
 
+import contextlib
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
 import jax
+from tqdm import tqdm
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -25,7 +27,7 @@ def num_cores() -> int:
 
 
 def map_on_cores(
-    function: Callable[[Item], Result], items: Sequence[Item]
+    function: Callable[[Item], Result], items: Sequence[Item], *, title: str = ""
 ) -> list[Result]:
     """The function of each item, in their order, as many at a time as there are cores.
 
@@ -35,6 +37,7 @@ def map_on_cores(
     Args:
         function: must not change what other calls of it read.
         items: one call each.
+        title: of a progress bar; none unless given.
     """
     exact = jax.config.read("jax_enable_x64")
 
@@ -44,7 +47,9 @@ def map_on_cores(
             return function(item)
 
     threads = min(num_cores(), MOST_THREADS, len(items))
-    if threads < 2:
-        return [function(item) for item in items]
-    with ThreadPoolExecutor(threads) as pool:
-        return list(pool.map(compute, items))
+    with contextlib.ExitStack() as stack:
+        results = map(function, items)
+        if threads > 1:
+            pool = stack.enter_context(ThreadPoolExecutor(threads))
+            results = pool.map(compute, items)
+        return list(tqdm(results, title, len(items)) if title else results)

@@ -39,6 +39,7 @@ from pinav.dynamics import FixedStep, OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.evaluation import normal_quantile
 from pinav.fitting import Outcome, Posterior
+from pinav.threads import map_on_cores
 from pinav.trajectories import Trajectories
 
 CLOSE = 6.0
@@ -213,12 +214,14 @@ def screen(
             two is one as well.
         rotations: tried alone and beside the best three potentials.
     """
-    conservative = [fit_law(law, sample) for law in potentials]
-    single = [fit for fit in conservative if fit.law is GAUSSIAN]
-    pairs = [fit_two_gaussians(fit, sample) for fit in single]
+    laws = [*potentials, *rotations]
+    single = map_on_cores(lambda law: fit_law(law, sample), laws)
+    conservative, alone = single[: len(potentials)], single[len(potentials) :]
+    gaussian = [fit for fit in conservative if fit.law is GAUSSIAN]
+    pairs = [fit_two_gaussians(fit, sample) for fit in gaussian]
     leaders = sorted(conservative, key=lambda fit: fit.bic)[:3]
-    alone = [fit_law(law, sample) for law in rotations]
-    sums = [fit_sum(fit, law, sample) for fit in leaders for law in rotations]
+    both = [(fit, law) for fit in leaders for law in rotations]
+    sums = map_on_cores(lambda pair: fit_sum(*pair, sample), both)
     return sorted([*conservative, *pairs, *alone, *sums], key=lambda fit: fit.bic)
 
 
@@ -239,9 +242,10 @@ def _refit_best(
         return all(fit.bic < alone.get(term, np.inf) for term in terms)
 
     def refit_each(fits: list[FieldFit]) -> list[tuple[FieldFit, Refit]]:
-        return [
-            (fit, refit(fit.law, fit.constants, model, learned.problem)) for fit in fits
-        ]
+        made = map_on_cores(
+            lambda fit: refit(fit.law, fit.constants, model, learned.problem), fits
+        )
+        return list(zip(fits, made, strict=True))
 
     chosen = [fit for fit in screened if gains(fit)][:refits]
     results = refit_each(chosen)

@@ -1,11 +1,12 @@
 """`pinav navigate`: plan on a learned force, and try it in closed loop."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
 
 import jax
 import numpy as np
 from jaxtyping import Float, PRNGKeyArray, Shaped
-from tqdm import tqdm
 
 from pinav.commands.command import CommandResult
 from pinav.commands.fitted_run import FittedRun
@@ -19,7 +20,7 @@ from pinav.commands.navigate.metrics import (
 )
 from pinav.commands.navigate.settings import NavigateOptions, NavigateSettings
 from pinav.commands.navigate.setup import NavigationProblem, navigation_problem
-from pinav.commands.navigate.suggestion import suggest_trajectory
+from pinav.commands.navigate.suggestion import Suggestion, suggest_trajectory
 from pinav.commands.navigate.tables import text
 from pinav.commands.start import start_run
 from pinav.commands.steering import observe_positions
@@ -31,6 +32,7 @@ from pinav.navigation import (
     Episodes,
     Route,
     SteeredSwimmer,
+    Task,
     TimeToGo,
     concatenate_episodes,
     controller,
@@ -41,6 +43,7 @@ from pinav.navigation import (
 from pinav.navigation import run as run_episode
 from pinav.navigation.adaptive.steering import Adaptive
 from pinav.runs import RunFolder
+from pinav.threads import map_on_cores
 
 MAP_POINTS = 61
 """Points of the maps along each side."""
@@ -64,16 +67,21 @@ def navigate(
     steered = controller(task, problem.model, samples=problem.samples)
     plan = plan_of(steered)
     route = plan.route(task.start, task.step)
-    others, refused = _others(problem)
-    controllers: dict[str, AbstractController] = {"learned": steered, **others}
-    episodes = {}
-    for name in tqdm(controllers, desc="closed loop", unit="controller"):
-        episodes[name] = trials(problem, controllers[name], settings)
-    arrays, suggestion = _arrays(problem, plan, route, episodes), None
-    if problem.evidence is not None:
-        suggestion, arrays["suggestion"] = suggest_trajectory(
-            settings, problem, problem.evidence, arrays["route"], folder
-        )
+    path = _path(task, route)
+
+    def suggest() -> Suggestion | None:
+        if problem.evidence is None:
+            return None
+        return suggest_trajectory(settings, problem, problem.evidence, path, folder)
+
+    # The first loops compile what the others need, while these are planned.
+    jobs: list[Callable[[], Any]] = [*_attempts(problem, steered, settings), suggest]
+    *tried, suggested = map_on_cores(lambda job: job(), jobs, title="closed loops")
+    episodes = {name: runs for name, runs in tried if isinstance(runs, Episodes)}
+    refused = {name: reason for name, reason in tried if isinstance(reason, str)}
+    arrays, suggestion = _arrays(problem, plan, path, episodes), None
+    if suggested is not None:
+        suggestion, arrays["suggestion"] = suggested
     metrics = NavigationMetrics(
         truth=problem.truth,
         plan=_plan_row(plan, route),
@@ -102,23 +110,32 @@ def plan_of(steered: AbstractController) -> TimeToGo:
     return next(part for part in parts if isinstance(part, TimeToGo))
 
 
-def _others(
-    problem: NavigationProblem,
-) -> tuple[dict[str, AbstractController], dict[str, str]]:
-    """Physics alone, and the same controller with the truth where it is known.
+Attempt = tuple[str, Episodes | str]
+"""Name of a model, and closed loops with it, or why it sees no way."""
 
-    A model that sees no way is an answer, too: those and their reasons come second.
+
+def _attempts(
+    problem: NavigationProblem, steered: AbstractController, settings: NavigateSettings
+) -> list[Callable[[], Attempt]]:
+    """Closed loops with the learned model, with physics alone, and with the truth.
+
+    The truth is left out where it is not known. A model that sees no way is an answer,
+    too.
     """
     models = {"physics only": problem.physics}
     if problem.truth is not None:
         models["oracle"] = problem.task.truth
-    controllers, refused = {}, {}
-    for name, model in models.items():
+
+    def attempt(name: str) -> Attempt:
+        if name not in models:
+            return name, trials(problem, steered, settings)
         try:
-            controllers[name] = controller(problem.task, model)
+            other = controller(problem.task, models[name])
         except InputError as error:
-            refused[name] = str(error)
-    return controllers, refused
+            return name, str(error)
+        return name, trials(problem, other, settings)
+
+    return [partial(attempt, name) for name in ("learned", *models)]
 
 
 def trials(
@@ -167,16 +184,21 @@ def _step_times(
     return StepTimes(first=float(compute[0]), median=float(np.median(compute[1:])))
 
 
+def _path(task: Task, route: Route) -> Float[np.ndarray, "time dim"]:
+    """Places along the route, until it arrives."""
+    end = np.isfinite(float(route.arrival_time)) and float(route.arrival_time)
+    count = round(end / task.step) + 1 if end else len(route.ts)
+    return np.asarray(route.ys)[:count, : task.dim]
+
+
 def _arrays(
     problem: NavigationProblem,
     plan: TimeToGo,
-    route: Route,
+    path: Float[np.ndarray, "time dim"],
     episodes: Mapping[str, Episodes],
 ) -> Arrays:
     """Everything that the figures need."""
     task = problem.task
-    end = np.isfinite(float(route.arrival_time)) and float(route.arrival_time)
-    count = round(end / task.step) + 1 if end else len(route.ts)
     arrays = {
         "arena": np.array([task.arena.lower, task.arena.upper]),
         "start": np.asarray(task.start[: task.dim]),
@@ -184,7 +206,7 @@ def _arrays(
         "tolerance": np.asarray(problem.goal.tolerance),
         "discs": np.array([[*z.center, z.radius] for z in problem.discs]),
         "step": np.asarray(task.step),
-        "route": np.asarray(route.ys)[:count, : task.dim],
+        "route": path,
         "plan/time": np.where(plan.unreachable, np.inf, plan.map),
     }
     if task.dim == 2:

@@ -32,19 +32,20 @@ STRENGTH = 0.5
 """Forces that there may be away from the data, in units of the greatest thrust."""
 
 
+Suggestion = tuple[SuggestionRow, Float[np.ndarray, "sample 2"]]
+"""What is expected of a trajectory, and its predicted path."""
+
+
 def suggest_trajectory(
     settings: NavigateSettings,
     problem: NavigationProblem,
     evidence: Evidence,
     route: Float[np.ndarray, "time 2"],
     folder: RunFolder,
-) -> tuple[SuggestionRow, Float[np.ndarray, "sample 2"]]:
+) -> Suggestion:
     """The trajectory that would tell most about the force along the route.
 
     Its commands go to `suggestion.csv`.
-
-    Returns:
-        What is expected of it, and its predicted path.
     """
     task = problem.task
     uncertainty = prior_uncertainty(
