@@ -4,17 +4,19 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
+from tqdm import tqdm
 
 from pinav.commands.navigate.online import (
+    ORACLE,
     STRATEGIES,
     OnlineRow,
-    flights_of,
+    fly_swimmer,
     online_table,
     online_task,
-    oracle_flights,
     rows_of,
 )
 from pinav.navigation import task
+from pinav.navigation.adaptive.scores import FlightRecord
 from pinav.navigation.adaptive.steering import Adaptive
 from pinav.report.text import as_text
 from pinav.runs import RunFolder
@@ -52,9 +54,14 @@ def compare_strategies(out: Path, tasks: Sequence[str], seeds: int) -> None:
 def _contest(name: str, seeds: Sequence[int]) -> dict[str, OnlineRow]:
     """The outcome of the oracle and of each strategy on a task."""
     problem = online_task(name, position_noise=NOISE, delay=None)
-    adaptive = Adaptive.of(problem)
-    flights = {"oracle": oracle_flights(adaptive, seeds, 0)}
+    flights: dict[str, list[FlightRecord]] = {}
     for label, strategy in STRATEGIES.items():
         steered = Adaptive.of(problem, strategy)
-        flights[label] = flights_of(steered, seeds, 0, 1)["visit 1"]
-    return rows_of(flights, adaptive, task(name).time_limit)
+        swimmers = [
+            fly_swimmer(steered, 0, number, visits=1, oracle=not flights)
+            for number in tqdm(seeds, desc=label, unit="swimmer")
+        ]
+        if not flights:
+            flights[ORACLE] = [one.records[ORACLE] for one in swimmers]
+        flights[label] = [one.records["visit 1"] for one in swimmers]
+    return rows_of(flights, task(name).time_limit)

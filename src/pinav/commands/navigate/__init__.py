@@ -9,4 +9,5 @@ NAVIGATE = Command(
     run="pinav.commands.navigate.job:run",
     title="Navigation",
     report="pinav.commands.navigate.report:navigation_sections",
+    resumable=True,
 )

@@ -1,16 +1,24 @@
 """`pinav navigate`: plan on a learned force, and try it in closed loop."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Float, PRNGKeyArray, Shaped
+from jaxtyping import Float
 
 from pinav.commands.command import CommandResult
 from pinav.commands.fitted_run import FittedRun
 from pinav.commands.navigate import NAVIGATE, online
+from pinav.commands.navigate.cells import sweep_flights, sweep_loops
+from pinav.commands.navigate.loops import (
+    LEARNED,
+    Attempt,
+    attempt,
+    controller_of,
+    models_to_try,
+)
 from pinav.commands.navigate.metrics import (
     ControllerRow,
     IntervalRow,
@@ -23,8 +31,8 @@ from pinav.commands.navigate.setup import NavigationProblem, navigation_problem
 from pinav.commands.navigate.suggestion import Suggestion, suggest_trajectory
 from pinav.commands.navigate.tables import text
 from pinav.commands.start import start_run
-from pinav.commands.steering import observe_positions
-from pinav.errors import InputError
+from pinav.commands.sweep import start_sweep
+from pinav.commands.worker_settings import WorkerSettings
 from pinav.evaluation import distances
 from pinav.forces import forces_at
 from pinav.navigation import (
@@ -34,14 +42,10 @@ from pinav.navigation import (
     SteeredSwimmer,
     Task,
     TimeToGo,
-    concatenate_episodes,
-    controller,
     regret,
-    run_many,
     summary,
 )
 from pinav.navigation import run as run_episode
-from pinav.navigation.adaptive.steering import Adaptive
 from pinav.runs import RunFolder
 from pinav.threads import map_on_cores
 
@@ -55,16 +59,25 @@ Arrays = dict[str, np.ndarray]
 
 
 def navigate(
-    settings: NavigateSettings, problem: NavigationProblem, folder: RunFolder
+    settings: NavigateSettings,
+    problem: NavigationProblem,
+    folder: RunFolder,
+    sweep: Callable[[Sequence[str]], list[Attempt]] | None = None,
 ) -> NavigationMetrics:
     """Plan, try in closed loop, and write the results.
+
+    Args:
+        settings: of the command.
+        problem: of navigation.
+        folder: of the run.
+        sweep: lets workers try models, by their names; here unless given.
 
     Raises:
         InputError: start or goal are in a wall or outside the arena, or the goal
             cannot be reached with this thrust, as far as the model knows.
     """
     task = problem.task
-    steered = controller(task, problem.model, samples=problem.samples)
+    steered = controller_of(problem, LEARNED)
     plan = plan_of(steered)
     route = plan.route(task.start, task.step)
     path = _path(task, route)
@@ -74,9 +87,16 @@ def navigate(
             return None
         return suggest_trajectory(settings, problem, problem.evidence, path, folder)
 
-    # The first loops compile what the others need, while these are planned.
-    jobs: list[Callable[[], Any]] = [*_attempts(problem, steered, settings), suggest]
-    *tried, suggested = map_on_cores(lambda job: job(), jobs, title="closed loops")
+    models = models_to_try(problem)
+    if sweep is not None:
+        tried, suggested = sweep(models), suggest()
+    else:
+        # The first loops compile what the others need, while these are planned.
+        attempts = [
+            partial(attempt, problem, LEARNED, settings, steered),
+            *(partial(attempt, problem, name, settings) for name in models[1:]),
+        ]
+        *tried, suggested = map_on_cores(_call, [*attempts, suggest], title="loops")
     episodes = {name: runs for name, runs in tried if isinstance(runs, Episodes)}
     refused = {name: reason for name, reason in tried if isinstance(reason, str)}
     arrays, suggestion = _arrays(problem, plan, path, episodes), None
@@ -104,55 +124,14 @@ def navigate(
     return metrics
 
 
+def _call(job: Callable[[], Any]) -> Any:
+    return job()
+
+
 def plan_of(steered: AbstractController) -> TimeToGo:
     """The plan inside of a controller that `controller` made for a place to reach."""
     parts = jax.tree.leaves(steered, is_leaf=lambda x: isinstance(x, TimeToGo))
     return next(part for part in parts if isinstance(part, TimeToGo))
-
-
-Attempt = tuple[str, Episodes | str]
-"""Name of a model, and closed loops with it, or why it sees no way."""
-
-
-def _attempts(
-    problem: NavigationProblem, steered: AbstractController, settings: NavigateSettings
-) -> list[Callable[[], Attempt]]:
-    """Closed loops with the learned model, with physics alone, and with the truth.
-
-    The truth is left out where it is not known. A model that sees no way is an answer,
-    too.
-    """
-    models = {"physics only": problem.physics}
-    if problem.truth is not None:
-        models["oracle"] = problem.task.truth
-
-    def attempt(name: str) -> Attempt:
-        if name not in models:
-            return name, trials(problem, steered, settings)
-        try:
-            other = controller(problem.task, models[name])
-        except InputError as error:
-            return name, str(error)
-        return name, trials(problem, other, settings)
-
-    return [partial(attempt, name) for name in ("learned", *models)]
-
-
-def trials(
-    problem: NavigationProblem, steering: AbstractController, settings: NavigateSettings
-) -> Episodes:
-    """Closed loops of a controller, over seeds and over the possible truths."""
-    truths = problem.truths[: settings.seeds]
-    keys = _keys(settings)
-    parts = [
-        run_many(problem.task, steering, keys[index :: len(truths)], truth=truth)
-        for index, truth in enumerate(truths)
-    ]
-    return concatenate_episodes(parts)
-
-
-def _keys(settings: NavigateSettings) -> Shaped[PRNGKeyArray, " episode"]:
-    return jax.random.split(jax.random.key(settings.seed), settings.seeds)
 
 
 def _plan_row(plan: TimeToGo, route: Route) -> PlanRow:
@@ -180,7 +159,8 @@ def _step_times(
     problem: NavigationProblem, steering: AbstractController, settings: NavigateSettings
 ) -> StepTimes:
     """Time that one command takes to compute [s], and the first one."""
-    compute = run_episode(problem.task, steering, key=_keys(settings)[0]).compute
+    key = jax.random.key(settings.seed)
+    compute = run_episode(problem.task, steering, key=key).compute
     return StepTimes(first=float(compute[0]), median=float(np.median(compute[1:])))
 
 
@@ -263,25 +243,30 @@ def _forces(
 
 def run(options: NavigateOptions) -> CommandResult:
     """Navigate as the command line does."""
-    settings = options.settings
     if options.run is None:
-        known = online.task_to_learn(settings, options.online)
-        adaptive = Adaptive.of(
-            observe_positions(known, options.online.position_noise),
-            online.STRATEGIES[options.online.strategy],
-        )
-        identity = {}
-        if options.prior is not None:
-            fitted = FittedRun.open(options.prior)
-            units = online.units_of(options.online)
-            adaptive = online.with_prior(adaptive, fitted, units)
-            identity["prior"] = options.prior.name
-        folder = start_run(NAVIGATE, options, settings, options.online, **identity)
-        learned = online.learn_online(
-            settings, options.online, adaptive, known.time_limit, folder
-        )
-        return CommandResult(learned, online.text(learned), folder)
-    problem = navigation_problem(settings, FittedRun.open(options.run))
-    folder = start_run(NAVIGATE, options, settings, fitted=options.run.name)
-    metrics = navigate(settings, problem, folder)
+        return _learn_online(options)
+    settings, run = options.settings, options.run
+    problem = navigation_problem(settings, FittedRun.open(run))
+    if options.workers == WorkerSettings():
+        folder = start_run(NAVIGATE, options, settings, fitted=run.name)
+        metrics = navigate(settings, problem, folder)
+    else:
+        with start_sweep(
+            NAVIGATE, options, options.workers, settings, fitted=run.name
+        ) as sweep:
+            folder = sweep.folder
+            swept = partial(sweep_loops, sweep, settings, run)
+            metrics = navigate(settings, problem, folder, swept)
     return CommandResult(metrics, text(metrics), folder)
+
+
+def _learn_online(options: NavigateOptions) -> CommandResult:
+    settings, learning, prior = options.settings, options.online, options.prior
+    problem = online.online_problem(settings, learning, prior)
+    identity = {} if prior is None else {"prior": prior.name}
+    with start_sweep(
+        NAVIGATE, options, options.workers, settings, learning, **identity
+    ) as sweep:
+        swimmers = sweep_flights(sweep, settings, learning, prior)
+        metrics = online.write_online(problem, learning, swimmers, sweep.folder)
+        return CommandResult(metrics, online.text(metrics), sweep.folder)

@@ -3,12 +3,11 @@
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import jax
 import msgspec
 import numpy as np
-from jaxtyping import PRNGKeyArray
-from tqdm import tqdm
 
 from pinav.commands.cells import Row
 from pinav.commands.fitted_run import FittedRun
@@ -18,10 +17,15 @@ from pinav.commands.steering import observe_positions, system_task
 from pinav.dynamics import OverdampedSwimmer, Swimmer
 from pinav.errors import InputError
 from pinav.figures.style import DIMENSIONLESS, with_order, with_unit
-from pinav.navigation import Disc, Task, task
+from pinav.navigation import Disc, ReachGoal, Task, task
 from pinav.navigation.adaptive.flight import Flight, fly
 from pinav.navigation.adaptive.prior import with_prior_of
-from pinav.navigation.adaptive.scores import Outcome, judge_flights, true_force
+from pinav.navigation.adaptive.scores import (
+    FlightRecord,
+    Outcome,
+    judge_flights,
+    true_force,
+)
 from pinav.navigation.adaptive.steering import Adaptive
 from pinav.navigation.adaptive.strategies import (
     AbstractStrategy,
@@ -50,8 +54,11 @@ STRATEGIES: Mapping[str, AbstractStrategy] = {
 MAP_POINTS = 41
 """Points of the maps of the force along each side."""
 
-MOMENTS = 4
-"""Beliefs of the first flight that are shown."""
+MOMENTS, MOMENTS_KEPT = 4, 40
+"""Beliefs of the first flight that are shown, and those among which are chosen."""
+
+ORACLE = "oracle"
+"""The controller that knows the true force."""
 
 
 class OnlineRow(Row, frozen=True):
@@ -144,43 +151,72 @@ def online_task(name: str, *, position_noise: float, delay: float | None) -> Tas
     return observe_positions(delayed, position_noise)
 
 
-def oracle_flights(adaptive: Adaptive, seeds: Sequence[int], seed: int) -> list[Flight]:
-    """Flights with the true force.
+@dataclasses.dataclass(frozen=True, eq=False)
+class SwimmerFlights:
+    """The flights of one swimmer.
+
+    Attributes:
+        records: by the controller: the oracle, and each visit.
+        shown: arrays behind the figures of the first swimmer; empty for others.
+    """
+
+    records: Mapping[str, FlightRecord]
+    shown: Mapping[str, np.ndarray]
+
+    @property
+    def arrays(self) -> dict[str, np.ndarray]:
+        """All of it, for a file."""
+        flown = {
+            f"flight/{name}/{field}": array
+            for name, record in self.records.items()
+            for field, array in record.arrays.items()
+        }
+        return flown | {f"shown/{name}": array for name, array in self.shown.items()}
+
+    @classmethod
+    def of_arrays(cls, arrays: Mapping[str, np.ndarray]) -> "SwimmerFlights":
+        """The flights that `arrays` came from."""
+        flown: dict[str, dict[str, np.ndarray]] = {}
+        shown: dict[str, np.ndarray] = {}
+        for key, array in arrays.items():
+            part, _, rest = key.partition("/")
+            if part == "shown":
+                shown[rest] = array
+            else:
+                name, _, field = rest.partition("/")
+                flown.setdefault(name, {})[field] = array
+        records = {name: FlightRecord.of_arrays(some) for name, some in flown.items()}
+        return cls(records, shown)
+
+
+def fly_swimmer(
+    adaptive: Adaptive, seed: int, number: int, visits: int, *, oracle: bool = True
+) -> SwimmerFlights:
+    """The oracle's flight and those of each visit, with the same noise.
 
     Args:
         adaptive: the controller.
-        seeds: one flight each.
         seed: of all noise.
+        number: of the swimmer; the first one is shown.
+        visits: to the task, with the map kept.
+        oracle: whether its flight is wanted.
     """
-    keys = (_key(seed, index) for index in tqdm(seeds, desc="oracle", unit="flight"))
-    return [fly(adaptive, key=key, oracle=True) for key in keys]
-
-
-def flights_of(
-    adaptive: Adaptive, seeds: Sequence[int], seed: int, visits: int
-) -> dict[str, list[Flight]]:
-    """Flights of each visit, with the noise of the oracle's.
-
-    Args:
-        adaptive: the controller.
-        seeds: one swimmer each.
-        seed: of all noise.
-        visits: of each swimmer to the task, with the map kept.
-    """
-    flights: dict[str, list[Flight]] = {}
-    every = adaptive.task.time_limit / 40
-    for index in tqdm(seeds, desc="learning", unit="swimmer"):
-        belief: Belief | None = None
-        for visit in range(1, visits + 1):
-            shown = every if index == seeds[0] and visit == 1 else math.inf
-            flight = fly(adaptive, key=_key(seed, index), belief=belief, every=shown)
-            flights.setdefault(f"visit {visit}", []).append(flight)
-            belief = flight.belief
-    return flights
-
-
-def _key(seed: int, index: int) -> PRNGKeyArray:
-    return jax.random.fold_in(jax.random.key(seed), index)
+    problem, key = adaptive.task, jax.random.fold_in(jax.random.key(seed), number)
+    records: dict[str, FlightRecord] = {}
+    if oracle:
+        known = fly(adaptive, key=key, oracle=True)
+        records[ORACLE] = FlightRecord.of(known, problem)
+    belief: Belief | None = None
+    shown: dict[str, np.ndarray] = {}
+    for visit in range(1, visits + 1):
+        is_shown = number == 0 and visit == 1
+        every = problem.time_limit / MOMENTS_KEPT if is_shown else math.inf
+        flight = fly(adaptive, key=key, belief=belief, every=every)
+        records[f"visit {visit}"] = FlightRecord.of(flight, problem)
+        if is_shown:
+            shown = _arrays_of_flight(problem, flight)
+        belief = flight.belief
+    return SwimmerFlights(records, shown)
 
 
 def task_to_learn(settings: NavigateSettings, online: OnlineSettings) -> Task:
@@ -247,74 +283,107 @@ def _words(units: Units) -> str:
     return f"{units.length}, {units.time} and {units.force}"
 
 
-def learn_online(
-    settings: NavigateSettings,
-    online: OnlineSettings,
-    adaptive: Adaptive,
-    own_limit: float,
-    folder: RunFolder,
-) -> OnlineMetrics:
-    """Do a task without data beforehand, and write the results.
+@dataclasses.dataclass(frozen=True, eq=False)
+class OnlineProblem:
+    """A task that is learned on the way.
+
+    Attributes:
+        adaptive: the controller, with the task.
+        own_limit: time limit of the task itself [T].
+    """
+
+    adaptive: Adaptive
+    own_limit: float
+
+
+def online_problem(
+    settings: NavigateSettings, online: OnlineSettings, prior: Path | None
+) -> OnlineProblem:
+    """The problem that the options ask for.
 
     Args:
         settings: of the command.
         online: of learning.
-        adaptive: the controller.
-        own_limit: time limit of the task itself [T].
+        prior: folder of the fit to begin with; none to know nothing.
+
+    Raises:
+        InputError: the task or the system is unknown, or the system cannot be steered
+            through, or the fit does not suit it.
+    """
+    known = task_to_learn(settings, online)
+    observed = observe_positions(known, online.position_noise)
+    adaptive = Adaptive.of(observed, STRATEGIES[online.strategy])
+    if prior is not None:
+        adaptive = with_prior(adaptive, FittedRun.open(prior), units_of(online))
+    return OnlineProblem(adaptive, known.time_limit)
+
+
+def write_online(
+    problem: OnlineProblem,
+    online: OnlineSettings,
+    swimmers: Sequence[SwimmerFlights],
+    folder: RunFolder,
+) -> OnlineMetrics:
+    """Judge the flights of all swimmers, and write the results.
+
+    Args:
+        problem: the task.
+        online: of learning.
+        swimmers: the first one with what is shown.
         folder: of the run.
     """
-    problem = adaptive.task
-    seeds = range(settings.seeds)
+    adaptive, flown = problem.adaptive, problem.adaptive.task
     flights = {
-        "oracle": oracle_flights(adaptive, seeds, settings.seed),
-        **flights_of(adaptive, seeds, settings.seed, online.visits),
+        name: [one.records[name] for one in swimmers] for name in swimmers[0].records
     }
     metrics = OnlineMetrics(
-        task=problem.name,
+        task=flown.name,
         strategy=online.strategy,
         position_noise=online.position_noise,
-        delay=problem.delay,
-        time_limit=problem.time_limit,
-        own_limit=own_limit,
+        delay=flown.delay,
+        time_limit=flown.time_limit,
+        own_limit=problem.own_limit,
         thrust=adaptive.thrust,
-        controllers=rows_of(flights, adaptive, own_limit),
+        controllers=rows_of(flights, problem.own_limit),
         prior=adaptive.prior is not None,
         units=dict(channel_units(online, adaptive)),
     )
-    folder.write_arrays("results.npz", _arrays(adaptive, flights))
+    paths = {
+        f"path/{name}/{index}": record.path
+        for name, some in flights.items()
+        for index, record in enumerate(some)
+    }
+    folder.write_arrays("results.npz", dict(swimmers[0].shown) | paths)
     folder.write_metrics("metrics.json", metrics)
     return metrics
 
 
 def rows_of(
-    flights: Mapping[str, Sequence[Flight]], adaptive: Adaptive, own_limit: float
+    flights: Mapping[str, Sequence[FlightRecord]], own_limit: float
 ) -> dict[str, OnlineRow]:
     """The outcome of each controller.
 
     Args:
         flights: the oracle's and others.
-        adaptive: the controller.
         own_limit: time limit of the task itself [T].
     """
-    oracle = flights["oracle"]
+    oracle = flights[ORACLE]
     return {
         name: OnlineRow.of_outcome(
-            judge_flights(some, adaptive, own_limit, oracle if name != "oracle" else ())
+            judge_flights(some, own_limit, oracle if name != ORACLE else ())
         )
         for name, some in flights.items()
     }
 
 
-def _arrays(
-    adaptive: Adaptive, flights: Mapping[str, Sequence[Flight]]
-) -> dict[str, np.ndarray]:
-    """Everything that the figures need."""
-    problem, first = adaptive.task, flights["visit 1"][0]
+def _arrays_of_flight(problem: Task, first: Flight) -> dict[str, np.ndarray]:
+    """What the figures show of the first flight, and of the task."""
     lower, upper = np.asarray(problem.arena.lower), np.asarray(problem.arena.upper)
     x, y = np.linspace(lower, upper, MAP_POINTS).T
     points = np.stack(np.meshgrid(x, y), axis=-1)
     flat, shape = points.reshape(-1, 2), points.shape
-    goal = adaptive.replanner.objective
+    goal = problem.objective
+    assert isinstance(goal, ReachGoal)
     discs = [[*z.center, z.radius] for z in problem.keep_out if isinstance(z, Disc)]
     path = first.states[:, :2]
     mean, sd = first.belief.force(path)
@@ -341,9 +410,6 @@ def _arrays(
     for name, part in (("mean", 0), ("sd", 1)):
         maps = [belief.force(flat)[part].reshape(shape) for belief in moments]
         arrays[f"moments/{name}"] = np.stack(maps)
-    for name, some in flights.items():
-        for index, flight in enumerate(some):
-            arrays[f"path/{name}/{index}"] = flight.states[:, :2]
     return arrays
 
 

@@ -5,8 +5,9 @@ from typing import Annotated, Literal
 
 import tyro
 
-from pinav.commands.settings import Range, RunOptions, Settings
+from pinav.commands.settings import Range, ResumableOptions, Settings
 from pinav.commands.steering_settings import SteeringSettings
+from pinav.commands.worker_settings import WorkerSettings
 from pinav.errors import InputError
 
 
@@ -66,7 +67,7 @@ class OnlineSettings(Settings, frozen=True):
             )
 
 
-class NavigateOptions(RunOptions, frozen=True):
+class NavigateOptions(ResumableOptions, frozen=True, kw_only=True):
     """Go from a place to a place through the force that a run has learned.
 
     Plans on the learned force (from where the goal cannot be reached, and where the
@@ -84,12 +85,14 @@ class NavigateOptions(RunOptions, frozen=True):
             --learn-online.
         prior: Folder of pinav fit, with a posterior: the force that it found is the
             first guess of --learn-online.
+        workers: Who does the closed loops of all seeds.
     """
 
     run: tyro.conf.Positional[Path | None] = None
     settings: NavigateSettings = NavigateSettings()
     online: OnlineSettings = OnlineSettings()
     prior: Path | None = None
+    workers: WorkerSettings = WorkerSettings()
 
     def check_together(self) -> None:
         if self.prior is not None and not self.online.learn_online:

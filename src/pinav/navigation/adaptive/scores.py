@@ -1,7 +1,8 @@
 """Judges what a flight has learned, by the truth."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +10,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.navigation.adaptive.flight import Flight
-from pinav.navigation.adaptive.steering import Adaptive
 from pinav.navigation.belief.belief import Belief
 from pinav.navigation.control.simple import physics_only
 from pinav.navigation.task.task import Task
@@ -53,6 +53,82 @@ def score_force(
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
+class FlightRecord:
+    """What counts of a flight; all of it are numbers and arrays.
+
+    Attributes:
+        path: true positions at the frames [L].
+        reached: whether the goal was reached.
+        violated: whether a forbidden place was entered.
+        arrival_time: [T]; infinite if it was not.
+        clearance: least distance from forbidden places [L].
+        consistency: mean of the squared error of the position over its variance.
+        changed: commands that the safety filter changed.
+        learn_times: computing time of each frame [s].
+        command_times: computing time of each command [s].
+        replan_times: computing time of each later plan [s].
+        memory: of the belief at the end [byte].
+        force_error: of the belief along the path; see `score_force`.
+        cover: of its bands there.
+    """
+
+    path: Float[np.ndarray, "frame 2"]
+    reached: bool
+    violated: bool
+    arrival_time: float
+    clearance: float
+    consistency: float
+    changed: int
+    learn_times: Float[np.ndarray, " control"]
+    command_times: Float[np.ndarray, " control"]
+    replan_times: Float[np.ndarray, " plan"]
+    memory: int
+    force_error: float
+    cover: float
+
+    @classmethod
+    def of(cls, flight: Flight, task: Task) -> "FlightRecord":
+        """The record of a flight.
+
+        Args:
+            flight: that ended.
+            task: which holds the truth.
+        """
+        path = flight.states[:, :2]
+        error, cover = score_force(path, flight.belief, task)
+        return cls(
+            path=path,
+            reached=flight.reached,
+            violated=flight.violated,
+            arrival_time=flight.arrival_time,
+            clearance=flight.clearance,
+            consistency=float(np.mean(flight.consistency[1:])),
+            changed=flight.changed,
+            learn_times=flight.learn_times,
+            command_times=flight.command_times,
+            replan_times=flight.replan_times,
+            memory=flight.belief.nbytes,
+            force_error=error,
+            cover=cover,
+        )
+
+    @classmethod
+    def of_arrays(cls, arrays: Mapping[str, np.ndarray]) -> "FlightRecord":
+        """The record that `arrays` came from."""
+        fields: dict[str, Any] = {
+            name: array if array.ndim else array.item()
+            for name, array in arrays.items()
+        }
+        return cls(**fields)
+
+    @property
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Its fields, for a file."""
+        names = [field.name for field in dataclasses.fields(self)]
+        return {name: np.asarray(getattr(self, name)) for name in names}
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
 class Outcome:
     """Flights of one controller on one task.
 
@@ -93,33 +169,25 @@ class Outcome:
 
 
 def judge_flights(
-    flights: Sequence[Flight],
-    adaptive: Adaptive,
+    flights: Sequence[FlightRecord],
     own_limit: float,
-    oracle: Sequence[Flight] = (),
+    oracle: Sequence[FlightRecord] = (),
 ) -> Outcome:
     """The outcome of some flights.
 
     Args:
         flights: of one controller.
-        adaptive: the controller; its task says what is true.
         own_limit: time limit of the task itself [T].
         oracle: flights with the truth, of the same keys; none for the oracle itself.
             A pair whose oracle did not arrive has no regret.
     """
     times = np.array([flight.arrival_time for flight in flights])
     arrived = times[np.isfinite(times)]
-    count, ratio, scores = len(flights), None, None
+    count, ratio = len(flights), None
     if oracle:
         best = np.array([flight.arrival_time for flight in oracle])
         pairs = np.isfinite(best)
         ratio = median(times[pairs] / best[pairs]) if pairs.any() else None
-        scores = np.array(
-            [
-                score_force(flight.states[:, :2], flight.belief, adaptive.task)
-                for flight in flights
-            ]
-        )
     quantiles = (np.nan, np.nan, np.nan)
     if len(arrived):
         low, middle, high = np.quantile(
@@ -137,12 +205,14 @@ def judge_flights(
         arrival=quantiles,
         regret=ratio,
         clearance=min(flight.clearance for flight in flights),
-        force_error=None if scores is None else float(np.median(scores[:, 0])),
-        cover=None if scores is None else float(np.mean(scores[:, 1])),
-        consistency=float(np.mean([np.mean(f.consistency[1:]) for f in flights])),
+        force_error=float(np.median([f.force_error for f in flights]))
+        if oracle
+        else None,
+        cover=float(np.mean([f.cover for f in flights])) if oracle else None,
+        consistency=float(np.mean([flight.consistency for flight in flights])),
         changed=float(np.mean([flight.changed for flight in flights])),
         frame_time=float(np.quantile(frames, 0.99)) if len(frames) else np.nan,
         command_time=float(np.median(commands)) if len(commands) else np.nan,
         replan_time=float(np.median(plans)) if len(plans) else np.nan,
-        memory=float(max(flight.belief.nbytes for flight in flights)),
+        memory=float(max(flight.memory for flight in flights)),
     )

@@ -119,6 +119,17 @@ class Episodes(eqx.Module):
             compute=np.asarray(compute, float),
         )
 
+    def select(self, runs: Int[np.ndarray, " chosen"]) -> "Episodes":
+        """Some of many runs, in the order of `runs`."""
+        chosen = [array[runs] for array in self._each]
+        return eqx.tree_at(lambda episodes: list(episodes._each), self, chosen)
+
+    @property
+    def _each(self) -> tuple[np.ndarray, ...]:
+        """What each run has of its own."""
+        ends = self.steps, self.reached, self.violated, self.arrival_time
+        return (self.states, self.commands, *ends, self.clearance)
+
 
 def concatenate_episodes(parts: Sequence[Episodes]) -> Episodes:
     """Episodes of one task, one part after the other."""

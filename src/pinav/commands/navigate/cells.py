@@ -1,0 +1,241 @@
+"""Closed loops and flights of `pinav navigate` as cells of a sweep.
+
+Text goes in: the settings, and the folders of runs that are read. Arrays come out.
+"""
+
+import dataclasses
+import functools
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from pinav.commands.fitted_run import FittedRun
+from pinav.commands.navigate.loops import Attempt, controller_of, trials
+from pinav.commands.navigate.online import (
+    OnlineProblem,
+    SwimmerFlights,
+    fly_swimmer,
+    online_problem,
+)
+from pinav.commands.navigate.settings import NavigateSettings, OnlineSettings
+from pinav.commands.navigate.setup import NavigationProblem, navigation_problem
+from pinav.commands.sweep import Sweep
+from pinav.errors import InputError
+from pinav.navigation import AbstractController, Episodes, concatenate_episodes
+from pinav.runs import RunFolder
+from pinav.sweeps import Cell
+
+LOOPS_OF_A_CELL = 10
+"""Closed loops in a cell: fewer would take less time than the plan before them."""
+
+FILE = "loops.npz"
+"""Arrays of a cell."""
+
+EPISODES = tuple(field.name for field in dataclasses.fields(Episodes))
+"""Arrays of closed loops."""
+
+
+class LoopsCell(msgspec.Struct, frozen=True):
+    """What decides some closed loops with one model.
+
+    Attributes:
+        settings: of the command, as JSON.
+        digest: of the files of the fit.
+        model: name of the model.
+        first: number of the first seed.
+        last: number of the last one.
+    """
+
+    settings: str
+    digest: str
+    model: str
+    first: int
+    last: int
+
+
+class FlightsCell(msgspec.Struct, frozen=True):
+    """What decides the flights of one swimmer that learns on the way.
+
+    Attributes:
+        settings: of the command, as JSON.
+        online: of learning, as JSON.
+        prior: folder of the fit to begin with; empty for none.
+        digest: of its files, and of that of the system.
+    """
+
+    settings: str
+    online: str
+    prior: str
+    digest: str
+
+
+def sweep_loops(
+    sweep: Sweep, settings: NavigateSettings, run: Path, models: Sequence[str]
+) -> list[Attempt]:
+    """Closed loops with several models, by the workers of a sweep.
+
+    Args:
+        sweep: of the run.
+        settings: of the command.
+        run: folder of the fit.
+        models: their names.
+
+    Raises:
+        InputError: workers cannot do anything, or have failed.
+    """
+    digest = _digest(run)
+    cells = {
+        model: [
+            Cell.of(
+                "pinav.commands.navigate.cells:do_loops",
+                LoopsCell(_json(settings), digest, model, first, last),
+                system=str(run.absolute()),
+                label=f"{model}, seeds {first} to {last}",
+                shape=model,
+            )
+            for first, last in _parts(settings.seeds)
+        ]
+        for model in models
+    }
+    sweep.run([cell for some in cells.values() for cell in some], "closed loops")
+    return [(model, _loops(sweep, some)) for model, some in cells.items()]
+
+
+def _parts(seeds: int) -> list[tuple[int, int]]:
+    firsts = range(0, seeds, LOOPS_OF_A_CELL)
+    return [(first, min(first + LOOPS_OF_A_CELL, seeds) - 1) for first in firsts]
+
+
+def _loops(sweep: Sweep, cells: Sequence[Cell]) -> Episodes | str:
+    """The loops of several cells; the reason where a model sees no way."""
+    parts = []
+    for cell in cells:
+        arrays = _arrays(sweep, cell)
+        if "refused" in arrays:
+            return str(arrays["refused"])
+        parts.append(Episodes(**{name: arrays[name] for name in EPISODES}))
+    return concatenate_episodes(parts)
+
+
+def do_loops(cell: Cell, folder: Path) -> None:
+    """Do the closed loops of a cell.
+
+    Raises:
+        InputError: the run cannot be read.
+    """
+    one = cell.read(LoopsCell)
+    settings = msgspec.json.decode(one.settings, type=NavigateSettings)
+    problem = _problem(cell.system, one.settings)
+    arrays: dict[str, np.ndarray]
+    try:
+        steering = _steering(cell.system, one.settings, one.model)
+    except InputError as error:
+        arrays = {"refused": np.array(str(error))}
+    else:
+        loops = trials(problem, steering, settings, range(one.first, one.last + 1))
+        arrays = {name: getattr(loops, name) for name in EPISODES}
+    RunFolder(folder).write_arrays(FILE, arrays)
+
+
+@functools.lru_cache(maxsize=1)
+def _problem(run: str, settings: str) -> NavigationProblem:
+    decoded = msgspec.json.decode(settings, type=NavigateSettings)
+    return navigation_problem(decoded, FittedRun.open(Path(run)))
+
+
+@functools.lru_cache(maxsize=3)
+def _steering(run: str, settings: str, model: str) -> AbstractController:
+    return controller_of(_problem(run, settings), model)
+
+
+def sweep_flights(
+    sweep: Sweep,
+    settings: NavigateSettings,
+    online: OnlineSettings,
+    prior: Path | None,
+) -> list[SwimmerFlights]:
+    """The flights of every swimmer, by the workers of a sweep.
+
+    Args:
+        sweep: of the run.
+        settings: of the command.
+        online: of learning.
+        prior: folder of the fit to begin with; none to know nothing.
+
+    Raises:
+        InputError: workers cannot do anything, or have failed.
+    """
+    system = Path(online.system or "")
+    if system.is_file():  # a worker may have another working directory
+        online = msgspec.structs.replace(online, system=str(system.absolute()))
+    one = FlightsCell(
+        _json(settings),
+        _json(online),
+        prior="" if prior is None else str(prior.absolute()),
+        digest=_digest(prior, system),
+    )
+    cells = [
+        Cell.of(
+            "pinav.commands.navigate.cells:do_flights",
+            one,
+            system=online.task or online.system or "",
+            seed=number,
+            label=f"swimmer {number}",
+        )
+        for number in range(settings.seeds)
+    ]
+    sweep.run(cells, "swimmers")
+    return [SwimmerFlights.of_arrays(_arrays(sweep, cell)) for cell in cells]
+
+
+def do_flights(cell: Cell, folder: Path) -> None:
+    """Do the flights of one swimmer.
+
+    Raises:
+        InputError: the true force changes in time, or a run cannot be read.
+    """
+    one = cell.read(FlightsCell)
+    problem = _online_problem(one.settings, one.online, one.prior)
+    settings = msgspec.json.decode(one.settings, type=NavigateSettings)
+    online = msgspec.json.decode(one.online, type=OnlineSettings)
+    flights = fly_swimmer(problem.adaptive, settings.seed, cell.seed, online.visits)
+    RunFolder(folder).write_arrays(FILE, flights.arrays)
+
+
+@functools.lru_cache(maxsize=1)
+def _online_problem(settings: str, online: str, prior: str) -> OnlineProblem:
+    return online_problem(
+        msgspec.json.decode(settings, type=NavigateSettings),
+        msgspec.json.decode(online, type=OnlineSettings),
+        Path(prior) if prior else None,
+    )
+
+
+def _json(settings: msgspec.Struct) -> str:
+    return msgspec.json.encode(settings).decode()
+
+
+def _digest(*paths: Path | None) -> str:
+    """Of files, and of everything that fits are made of."""
+    digest = hashlib.sha256()
+    for path in paths:
+        for name in ("", "model.eqx", "posterior.npz", "data.npz", "system.toml"):
+            if path is not None and (path / name).is_file():
+                digest.update((path / name).read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _arrays(sweep: Sweep, cell: Cell) -> dict[str, np.ndarray]:
+    """What a cell has computed.
+
+    Raises:
+        InputError: it failed.
+    """
+    outcome = sweep.store.outcome(cell)
+    if outcome is None or outcome.failure:
+        reason = "it was not done" if outcome is None else outcome.failure
+        raise InputError(f"{cell.label}: {reason}")
+    return RunFolder(sweep.store.folder(cell)).read_arrays(FILE)

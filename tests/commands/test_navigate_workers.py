@@ -1,0 +1,130 @@
+"""`pinav navigate --workers`: the same loops as cells, and what is done stays done."""
+
+import dataclasses
+import json
+import shutil
+
+import jax
+import numpy as np
+import pytest
+
+from pinav import cli
+from pinav.commands import sweep
+from pinav.commands.navigate.online import SwimmerFlights
+from pinav.navigation import Episodes
+from pinav.navigation.adaptive.scores import FlightRecord
+from pinav.sweeps import CellStore
+from pinav.sweeps.engines import InThisProcess
+
+PLACES = ("--from=1,8.5", "--to=8.5,8.5")
+
+
+def navigate(*words):
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        return cli.run(["navigate", *map(str, words)])
+
+
+@pytest.fixture
+def workers_here(monkeypatch):
+    """Workers are this process, which has the programs compiled."""
+    monkeypatch.setattr(sweep, "LocalProcesses", lambda count: InThisProcess())
+
+
+RECORD = FlightRecord(
+    path=np.array([[0.0, 1.0], [2.0, 3.0]]),
+    reached=True,
+    violated=False,
+    arrival_time=np.inf,
+    clearance=0.5,
+    consistency=1.1,
+    changed=3,
+    learn_times=np.array([0.1]),
+    command_times=np.array([0.2, 0.3]),
+    replan_times=np.zeros(0),
+    memory=1000,
+    force_error=0.2,
+    cover=0.9,
+)
+
+
+def test_flights_of_a_swimmer_survive_a_file(tmp_path):
+    flights = SwimmerFlights(
+        {"oracle": RECORD, "visit 1": dataclasses.replace(RECORD, reached=False)},
+        {"field/x": np.arange(3.0)},
+    )
+    np.savez(tmp_path / "flights.npz", **flights.arrays)
+    with np.load(tmp_path / "flights.npz", allow_pickle=False) as stored:
+        again = SwimmerFlights.of_arrays(dict(stored))
+    assert list(again.records) == ["oracle", "visit 1"]
+    np.testing.assert_array_equal(again.shown["field/x"], [0.0, 1.0, 2.0])
+    for name, record in flights.records.items():
+        for field in dataclasses.fields(FlightRecord):
+            stored = getattr(again.records[name], field.name)
+            expected = getattr(record, field.name)
+            assert type(stored) is type(expected)
+            np.testing.assert_array_equal(stored, expected)
+
+
+def test_runs_are_selected_with_all_that_is_theirs():
+    count = 4
+    episodes = Episodes(
+        ts=np.arange(3.0),
+        states=np.arange(24.0).reshape(count, 3, 2),
+        commands=np.arange(16.0).reshape(count, 2, 2),
+        steps=np.arange(count),
+        reached=np.array([True, False, True, False]),
+        violated=np.zeros(count, bool),
+        arrival_time=np.arange(4.0),
+        clearance=np.arange(4.0),
+        compute=np.zeros(0),
+    )
+    two = episodes.select(np.array([2, 1]))
+    np.testing.assert_array_equal(two.steps, [2, 1])
+    np.testing.assert_array_equal(two.reached, [True, False])
+    np.testing.assert_array_equal(two.states, episodes.states[[2, 1]])
+    np.testing.assert_array_equal(two.ts, episodes.ts)
+
+
+@pytest.mark.slow
+def test_loops_of_cells_are_those_of_the_command(
+    fitted_run, tmp_path, workers_here, capsys
+):
+    run = fitted_run("kernel")[0]
+    words = [run, *PLACES, "--seeds", "12", "--samples", "0", "--json"]
+    results = {}
+    for name, more in {"here": [], "cells": ["--workers", "2"]}.items():
+        assert navigate(*words, *more, "--out", tmp_path / name) == 0
+        results[name] = json.loads(capsys.readouterr().out)
+    for part in ("controllers", "regret", "refused"):
+        assert results["here"][part] == results["cells"][part]
+    store = CellStore.of_run(tmp_path / "cells")
+    done = sorted(store.path.glob("*/outcome.json"))
+    assert len(done) == 6  # two parts of twelve seeds, three models
+    before = [file.stat().st_mtime_ns for file in done[1:]]
+    shutil.rmtree(done[0].parent)
+    again = [*words, "--workers", "2", "--out", tmp_path / "cells", "--resume"]
+    assert navigate(*again) == 0
+    resumed = json.loads(capsys.readouterr().out)
+    assert resumed["controllers"] == results["cells"]["controllers"]
+    assert before == [file.stat().st_mtime_ns for file in done[1:]]
+
+
+@pytest.mark.slow
+def test_a_killed_flight_is_flown_again_and_no_other(tmp_path, workers_here, capsys):
+    out = tmp_path / "out"
+    words = ["--learn-online", "--task", "vortex", "--seeds", "2", "--visits", "1"]
+    words += ["--json", "--out", out]
+    assert navigate(*words) == 0
+    first = json.loads(capsys.readouterr().out)["controllers"]
+    (out / "metrics.json").unlink()
+    store = CellStore.of_run(out)
+    stays, goes = sorted(store.path.glob("*/outcome.json"))
+    before = stays.stat().st_mtime_ns
+    shutil.rmtree(goes.parent)
+    assert navigate(*words, "--resume") == 0
+    second = json.loads(capsys.readouterr().out)["controllers"]
+    for name in first:
+        for part in ("arrival", "success", "force_error", "cover", "consistency"):
+            assert first[name][part] == second[name][part]
+    assert stays.stat().st_mtime_ns == before
+    assert goes.exists()
