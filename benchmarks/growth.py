@@ -1,4 +1,4 @@
-"""How the time of a Gauss-Newton iteration grows with the data and the network.
+"""How the time of a Gauss-Newton iteration grows with data, samples and weights.
 
 Run with `pinav bench growth`. Full rollouts of the clean `barrier-crossings` scenario,
 the network recipe in float64; and many fits of the paper's benchmark in one call. What
@@ -41,7 +41,7 @@ from pinav.trajectories import Trajectories, concatenate, simulate
 
 
 class Options(Settings, frozen=True):
-    """Time a Gauss-Newton iteration as trajectories, widths and fits grow in number."""
+    """Time a Gauss-Newton iteration as trajectories, samples, weights, fits grow."""
 
     out: Annotated[Path, tyro.conf.arg(help="Folder of the results.")] = Path(
         "runs/bench-growth"
@@ -49,6 +49,9 @@ class Options(Settings, frozen=True):
     trajectories: Annotated[
         tuple[int, ...], tyro.conf.arg(help="Numbers of trajectories.")
     ] = (1, 4, 16, 64)
+    samples: Annotated[
+        tuple[int, ...], tyro.conf.arg(help="Samples of each of 4 trajectories.")
+    ] = (51, 101, 201, 401)
     widths: Annotated[
         tuple[int, ...], tyro.conf.arg(help="Widths of the network, 4 trajectories.")
     ] = (16, 32, 64)
@@ -62,7 +65,7 @@ class Options(Settings, frozen=True):
 
     def check_together(self) -> None:
         """Raise `InputError` where an option makes no sense."""
-        for name in ("trajectories", "widths", "fits"):
+        for name in ("trajectories", "samples", "widths", "fits"):
             if any(value < 1 for value in getattr(self, name)):
                 raise InputError(f"--{name}: expected numbers of 1 or more")
         for name in ("rounds", "max_steps"):
@@ -84,7 +87,10 @@ def main(argv: Sequence[str]) -> None:
     print(f"figure: {save_figure(figure(measured), options.out, 'growth').png}")
 
 
-TRAJECTORIES, WIDTHS, FITS = "trajectories", "width", "fits"
+TRAJECTORIES, SAMPLES, WEIGHTS, FITS = "trajectories", "samples", "weights", "fits"
+
+WIDTH = 32
+"""Of the network, where it does not vary."""
 
 Measured = Mapping[str, Mapping[int, float]]
 """Seconds by what was varied and its number."""
@@ -93,32 +99,53 @@ Measured = Mapping[str, Mapping[int, float]]
 def measure(options: Options) -> dict[str, dict[int, float]]:
     data = crossings(max(options.trajectories, default=1))
     four = crossings(4)
-    some = {n: iteration(data.select(range(n)), 32) for n in options.trajectories}
-    wide = {width: iteration(four, width) for width in options.widths}
+    some = {n: iteration(data.select(range(n)), WIDTH) for n in options.trajectories}
+    fine = {n: iteration(crossings(4, n), WIDTH) for n in options.samples}
+    wide = {
+        num_weights(four, width): iteration(four, width) for width in options.widths
+    }
     measured = {
         TRAJECTORIES: medians(some, options.rounds),
-        WIDTHS: medians(wide, options.rounds),
+        SAMPLES: medians(fine, options.rounds),
+        WEIGHTS: medians(wide, options.rounds),
         FITS: many_fits(options.fits, options.max_steps),
     }
     return {name: times for name, times in measured.items() if times}
 
 
-def crossings(count: int) -> Trajectories:
-    """Clean crossings of the barrier from random starts, eight for each key."""
+def crossings(count: int, samples: int | None = None) -> Trajectories:
+    """Clean crossings of the barrier from random starts, eight for each key.
+
+    Args:
+        count: number of trajectories.
+        samples: of each, from the same start to the same end; as the scenario has them
+            unless given.
+    """
     batches = []
     for seed in range(-(-count // 8)):
         scenario = barrier_crossings(jax.random.key(seed))
-        batches.append(
-            simulate(eqx.tree_at(lambda s: s.observation.noise, scenario, 0.0))
-        )
+        scenario = eqx.tree_at(lambda s: s.observation.noise, scenario, 0.0)
+        if samples is not None:
+            times = jnp.linspace(scenario.times[0], scenario.times[-1], samples)
+            scenario = eqx.tree_at(lambda s: s.times, scenario, times)
+        batches.append(simulate(scenario))
     return concatenate(batches).select(range(count))
+
+
+def num_weights(data: Trajectories, width: int) -> int:
+    """Weights of the network of this width."""
+    leaves = jax.tree.leaves(learned_part(_model(data, width)))
+    return sum(leaf.size for leaf in leaves if eqx.is_inexact_array(leaf))
+
+
+def _model(data: Trajectories, width: int) -> Any:
+    known = barrier_crossings().swimmer
+    return build(ModelChoice("ude", width=width), known, summarise_data(data))
 
 
 def iteration(data: Trajectories, width: int) -> Callable[[], object]:
     """One compiled Gauss-Newton iteration on full rollouts, ready to be called."""
-    known, summary = barrier_crossings().swimmer, summarise_data(data)
-    model: Any = build(ModelChoice("ude", width=width), known, summary)
-    params, static = split_trainable(model, learned_part, jnp.float64)
+    params, static = split_trainable(_model(data, width), learned_part, jnp.float64)
     objective = TrajectoryLoss(FixedStep(substeps=2))
     problem = Problem(static, Observations.of(data, jnp.float64), objective)
     window = jnp.asarray(data.states.shape[1] - 1)
@@ -178,8 +205,9 @@ def slope(times: Mapping[int, float]) -> float:
 def text(measured: Measured) -> str:
     """The tables: time by number, and the slope under each."""
     heads = {
-        TRAJECTORIES: "trajectories, width 32 (one Gauss-Newton iteration)",
-        WIDTHS: "width, 4 trajectories (one Gauss-Newton iteration)",
+        TRAJECTORIES: f"trajectories, width {WIDTH} (one Gauss-Newton iteration)",
+        SAMPLES: f"samples of 4 trajectories, width {WIDTH} (one iteration)",
+        WEIGHTS: "weights of the network, 4 trajectories (one iteration)",
         FITS: "fits in one call, paper's benchmark (all iterations)",
     }
     lines = []

@@ -20,6 +20,16 @@ def test_crossings_differ_and_begin_alike():
     starts = nine.states[:, 0]
     assert len(np.unique(starts.round(6), axis=0)) == 9
     assert np.array_equal(starts[:2], growth.crossings(2).states[:, 0])
+    fewer = growth.crossings(2, 51)
+    assert fewer.times.shape == (2, 51)
+    np.testing.assert_allclose(fewer.states[:, -1], nine.states[:2, -1], atol=1e-6)
+
+
+def test_weights_of_a_network_grow_with_the_square_of_its_width():
+    data = growth.crossings(1)
+    few, many = (growth.num_weights(data, width) for width in (32, 64))
+    assert few == pytest.approx(32 * 32, rel=0.5)
+    assert many / few == pytest.approx(4.0, rel=0.2)
 
 
 def test_calls_take_turns():
@@ -33,7 +43,7 @@ def test_calls_take_turns():
 def test_a_tiny_run_prints_and_draws(tmp_path, capsys):
     words = ["--trajectories", "1", "2", "--rounds", "1", "--out", str(tmp_path)]
     with jax.numpy_dtype_promotion("standard"):
-        growth.main([*words, "--widths", "--fits"])
+        growth.main([*words, "--samples", "--widths", "--fits"])
     printed = capsys.readouterr().out
     assert "slope" in printed
     assert "fits/s" not in printed

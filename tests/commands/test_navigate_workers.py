@@ -38,7 +38,7 @@ RECORD = FlightRecord(
     clearance=0.5,
     consistency=1.1,
     changed=3,
-    learn_times=np.array([0.1]),
+    learn_times=np.array([0.1, 0.2]),
     command_times=np.array([0.2, 0.3]),
     replan_times=np.zeros(0),
     memory=1000,
@@ -90,6 +90,7 @@ def test_loops_of_cells_are_those_of_the_command(
     fitted_run, tmp_path, workers_here, capsys
 ):
     run = fitted_run("kernel")[0]
+    capsys.readouterr()  # of the fit
     words = [run, *PLACES, "--seeds", "12", "--samples", "0", "--json"]
     results = {}
     for name, more in {"here": [], "cells": ["--workers", "2"]}.items():

@@ -8,6 +8,7 @@ position where it has no inertia). An episode ends where the task is done, where
 forbidden place is entered, and when time is up.
 """
 
+import dataclasses
 import math
 import time
 from collections.abc import Sequence
@@ -121,14 +122,12 @@ class Episodes(eqx.Module):
 
     def select(self, runs: Int[np.ndarray, " chosen"]) -> "Episodes":
         """Some of many runs, in the order of `runs`."""
-        chosen = [array[runs] for array in self._each]
-        return eqx.tree_at(lambda episodes: list(episodes._each), self, chosen)
-
-    @property
-    def _each(self) -> tuple[np.ndarray, ...]:
-        """What each run has of its own."""
-        ends = self.steps, self.reached, self.violated, self.arrival_time
-        return (self.states, self.commands, *ends, self.clearance)
+        own = {
+            name: getattr(self, name)[runs]
+            for name in self.__dataclass_fields__
+            if name not in ("ts", "compute")
+        }
+        return dataclasses.replace(self, **own)
 
 
 def concatenate_episodes(parts: Sequence[Episodes]) -> Episodes:
