@@ -174,7 +174,7 @@ class RKL2(AbstractStepper):
 
     @property
     def kept_values(self) -> int:
-        return 60_000_000  # half a gigabyte
+        return 150_000_000  # 1.2 gigabytes
 
     def march(
         self,
