@@ -10,8 +10,8 @@ class BenchOptions(Settings, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         name: Name of the benchmark: accelerator, choice, fields, fit, gradient, growth,
-            heat, navigate, recordings, start or trainer. What follows it are options of
-            its own: pinav bench fit --help.
+            heat, navigate, recordings, roofline, start or trainer. What follows it are
+            options of its own: pinav bench fit --help.
     """
 
     name: tyro.conf.Positional[str]
