@@ -5,18 +5,25 @@ import json
 import shutil
 
 import jax
+import msgspec
 import numpy as np
 import pytest
 
 from pinav import cli
 from pinav.commands import sweep
+from pinav.commands.fitted_run import FittedRun
+from pinav.commands.navigate import NAVIGATE, cells
+from pinav.commands.navigate.cells import sweep_loops
+from pinav.commands.navigate.loops import PHYSICS, attempt
 from pinav.commands.navigate.online import SwimmerFlights
+from pinav.commands.navigate.settings import NavigateOptions, NavigateSettings
+from pinav.commands.navigate.setup import navigation_problem
+from pinav.commands.sweep import start_sweep
+from pinav.commands.worker_settings import WorkerSettings
 from pinav.navigation import Episodes
 from pinav.navigation.adaptive.scores import FlightRecord
 from pinav.sweeps import CellStore
 from pinav.sweeps.engines import InThisProcess
-
-PLACES = ("--from=1,8.5", "--to=8.5,8.5")
 
 
 def navigate(*words):
@@ -87,27 +94,33 @@ def test_runs_are_selected_with_all_that_is_theirs():
 
 @pytest.mark.slow
 def test_loops_of_cells_are_those_of_the_command(
-    fitted_run, tmp_path, workers_here, capsys
+    fitted_run, tmp_path, workers_here, monkeypatch
 ):
-    run = fitted_run("kernel")[0]
-    capsys.readouterr()  # of the fit
-    words = [run, *PLACES, "--seeds", "12", "--samples", "0", "--json"]
-    results = {}
-    for name, more in {"here": [], "cells": ["--workers", "2"]}.items():
-        assert navigate(*words, *more, "--out", tmp_path / name) == 0
-        results[name] = json.loads(capsys.readouterr().out)
-    for part in ("controllers", "regret", "refused"):
-        assert results["here"][part] == results["cells"][part]
-    store = CellStore.of_run(tmp_path / "cells")
-    done = sorted(store.path.glob("*/outcome.json"))
-    assert len(done) == 6  # two parts of twelve seeds, three models
-    before = [file.stat().st_mtime_ns for file in done[1:]]
-    shutil.rmtree(done[0].parent)
-    again = [*words, "--workers", "2", "--out", tmp_path / "cells", "--resume"]
-    assert navigate(*again) == 0
-    resumed = json.loads(capsys.readouterr().out)
-    assert resumed["controllers"] == results["cells"]["controllers"]
-    assert before == [file.stat().st_mtime_ns for file in done[1:]]
+    monkeypatch.setattr(cells, "LOOPS_OF_A_CELL", 1)
+    run, out = fitted_run("kernel")[0], tmp_path / "out"
+    settings = NavigateSettings(start="1,8.5", goal="8.5,8.5", samples=0, seeds=2)
+    options = NavigateOptions(
+        run=run, settings=settings, out=out, workers=WorkerSettings(workers=2)
+    )
+
+    def swept(resume):
+        again = msgspec.structs.replace(options, resume=resume)
+        with start_sweep(NAVIGATE, again, again.workers, settings) as of:
+            return dict(sweep_loops(of, settings, run, [PHYSICS]))[PHYSICS]
+
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        problem = navigation_problem(settings, FittedRun.open(run))
+        _, here = attempt(problem, PHYSICS, settings)
+        first = swept(resume=False)
+        stays, goes = sorted(CellStore.of_run(out).path.glob("*/outcome.json"))
+        before = stays.stat().st_mtime_ns
+        shutil.rmtree(goes.parent)
+        second = swept(resume=True)
+    assert stays.stat().st_mtime_ns == before
+    for loops in (first, second):
+        np.testing.assert_array_equal(loops.states, here.states)
+        np.testing.assert_array_equal(loops.arrival_time, here.arrival_time)
+    assert here.reached.all()
 
 
 @pytest.mark.slow
