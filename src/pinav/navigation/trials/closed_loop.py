@@ -122,12 +122,12 @@ class Episodes(eqx.Module):
 
     def select(self, runs: Int[np.ndarray, " chosen"]) -> "Episodes":
         """Some of many runs, in the order of `runs`."""
-        own = {
+        arrays = {
             name: getattr(self, name)[runs]
             for name in self.__dataclass_fields__
             if name not in ("ts", "compute")
         }
-        return dataclasses.replace(self, **own)
+        return dataclasses.replace(self, **arrays)
 
 
 def concatenate_episodes(parts: Sequence[Episodes]) -> Episodes:
