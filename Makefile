@@ -64,6 +64,7 @@ clean:
 	$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(0 if v >= (3, 11) else f"pinav needs Python 3.11 or later, this is {v.major}.{v.minor}; run make PYTHON=python3.12")'
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable .
+	$(BIN)/python -m compileall -q src  # pip does it for a package that is not editable
 	touch $@
 
 .venv/installed-dev: .venv/installed
