@@ -72,12 +72,29 @@ def interrupt(words, moment):
     assert process.returncode == 0 or one_line(errors), errors
 
 
+AFTER = "atexit.register(os.kill, os.getpid(), signal.SIGINT); sys.exit(0)"
+THROUGH_COMPILED_CODE = """
+try:
+    exec('raise KeyboardInterrupt')
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+
+
 @pytest.mark.slow
-def test_an_interrupt_after_the_work_does_not_turn_success_into_a_failure():
-    late = "import atexit, os, signal; atexit.register(os.kill, os.getpid(), 2)"
-    start = "from pinav.__main__ import main; import sys; sys.argv[1:] = ['--version']"
-    process = subprocess.run([sys.executable, "-c", f"{late}; {start}; main()"])
-    assert process.returncode == 0
+@pytest.mark.parametrize(
+    ("work", "code"), [(AFTER, 0), (THROUGH_COMPILED_CODE, 130), ("1 / 0", 1)]
+)
+def test_how_a_command_ends_is_the_exit_status_of_its_process(work, code, tmp_path):
+    (tmp_path / "command.py").write_text(
+        "import atexit, os, signal, sys; import pinav.cli; from pinav.__main__ import "
+        f"main; pinav.cli.main = lambda: exec({work!r}); main()"
+    )
+    process = subprocess.run(
+        [sys.executable, "-m", "command"], capture_output=True, cwd=tmp_path
+    )
+    assert process.returncode == code
+    assert (b"ZeroDivisionError" in process.stderr) == (code == 1)
 
 
 @pytest.mark.slow
