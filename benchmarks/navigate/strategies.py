@@ -6,15 +6,14 @@ from pathlib import Path
 import msgspec
 from tqdm import tqdm
 
+from pinav.commands.navigate.flights import ORACLE, fly_swimmer
 from pinav.commands.navigate.online import (
-    ORACLE,
     STRATEGIES,
     OnlineRow,
-    fly_swimmer,
-    online_table,
     online_task,
     rows_of,
 )
+from pinav.commands.navigate.online_tables import online_table
 from pinav.navigation import task
 from pinav.navigation.adaptive.scores import FlightRecord
 from pinav.navigation.adaptive.steering import Adaptive

@@ -17,9 +17,9 @@ def main() -> None:
     code = 1  # of an error that nobody foresaw, which Python prints
 
     def end() -> None:
-        # To take down modules and compiled programs one by one takes up to a second, and
-        # Python would remember an interrupt that passed through compiled code, and turn
-        # the exit status into a signal.
+        # To take modules and compiled programs down one by one takes up to a second.
+        # Besides, Python remembers an interrupt that passed through compiled code, and
+        # would end with a signal in place of the exit status.
         for stream in (sys.stdout, sys.stderr):
             with contextlib.suppress(OSError, ValueError):  # closed by who reads it
                 stream.flush()

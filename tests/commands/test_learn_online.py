@@ -15,9 +15,9 @@ from pinav.commands.navigate.online import (
     STRATEGIES,
     OnlineMetrics,
     online_task,
-    text,
     with_prior,
 )
+from pinav.commands.navigate.online_tables import text
 from pinav.dynamics import paper_black_box
 from pinav.errors import InputError
 from pinav.navigation.adaptive.steering import Adaptive

@@ -14,8 +14,8 @@ from pinav.commands import sweep
 from pinav.commands.fitted_run import FittedRun
 from pinav.commands.navigate import NAVIGATE, cells
 from pinav.commands.navigate.cells import sweep_loops
+from pinav.commands.navigate.flights import SwimmerFlights
 from pinav.commands.navigate.loops import PHYSICS, attempt
-from pinav.commands.navigate.online import SwimmerFlights
 from pinav.commands.navigate.settings import NavigateOptions, NavigateSettings
 from pinav.commands.navigate.setup import navigation_problem
 from pinav.commands.sweep import start_sweep

@@ -13,13 +13,9 @@ import msgspec
 import numpy as np
 
 from pinav.commands.fitted_run import FittedRun
+from pinav.commands.navigate.flights import SwimmerFlights, fly_swimmer
 from pinav.commands.navigate.loops import Attempt, controller_of, trials
-from pinav.commands.navigate.online import (
-    OnlineProblem,
-    SwimmerFlights,
-    fly_swimmer,
-    online_problem,
-)
+from pinav.commands.navigate.online import OnlineProblem, online_problem
 from pinav.commands.navigate.settings import NavigateSettings, OnlineSettings
 from pinav.commands.navigate.setup import NavigationProblem, navigation_problem
 from pinav.commands.sweep import Sweep

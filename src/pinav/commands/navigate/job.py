@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from pinav.commands.command import CommandResult
 from pinav.commands.fitted_run import FittedRun
-from pinav.commands.navigate import NAVIGATE, online
+from pinav.commands.navigate import NAVIGATE, online, online_tables
 from pinav.commands.navigate.cells import sweep_flights, sweep_loops
 from pinav.commands.navigate.loops import (
     LEARNED,
@@ -269,4 +269,4 @@ def _learn_online(options: NavigateOptions) -> CommandResult:
     ) as sweep:
         swimmers = sweep_flights(sweep, settings, learning, prior)
         metrics = online.write_online(problem, learning, swimmers, sweep.folder)
-        return CommandResult(metrics, online.text(metrics), sweep.folder)
+        return CommandResult(metrics, online_tables.text(metrics), sweep.folder)

@@ -4,11 +4,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from pinav.commands.navigate.online import (
-    OnlineMetrics,
-    online_table,
-    sentences,
-)
+from pinav.commands.navigate.online import OnlineMetrics
+from pinav.commands.navigate.online_tables import online_table, sentences
 from pinav.figures.animation import Trails, save_animation
 from pinav.figures.learning import bands_figure, moments_figure
 from pinav.figures.navigation import Course, field_of, outcome_bars, paths_map
