@@ -24,7 +24,7 @@ from pinav.fitting.evidence.evidence import (
     posterior_mean,
 )
 from pinav.fitting.structure.response import ForceResponse, force_quadratic
-from pinav.fitting.structure.starts import Region, central_term
+from pinav.fitting.structure.starts import Region, central_term, circular
 from pinav.forces import CentralTerm, KernelPotential, LatticeTerm, ObstaclesTerm
 from pinav.forces.field_terms import HARMONICS
 
@@ -164,13 +164,7 @@ def with_one_less(term: ObstaclesTerm) -> Iterator[ObstaclesTerm | CentralTerm]:
         if len(centers) > 1:
             yield eqx.tree_at(lambda one: one.centers, term, centers)
         else:
-            yield CentralTerm(
-                weights=term.weights,
-                center=centers[0],
-                places=term.places,
-                width=term.width,
-                rotational=term.rotational,
-            )
+            yield circular(term, centers[0])
 
 
 def free_potential(

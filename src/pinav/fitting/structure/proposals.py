@@ -182,9 +182,23 @@ def _simpler(terms: Terms) -> Iterator[Terms]:
         if after:  # without the last term the evidence was asked before
             yield before + after
         if isinstance(term, EllipticTerm):
-            yield (*before, circular(term), *after)
+            yield (*before, circular(term, term.center), *after)
         if isinstance(term, ObstaclesTerm):
             yield from ((*before, fewer, *after) for fewer in with_one_less(term))
+
+
+def fallbacks(terms: Terms) -> Iterator[Terms]:
+    """Structures to fit in place of one that no fit carries.
+
+    One centre in place of obstacles, which errors of the smoothed states may ask for
+    about a single one; all but the term that was added last.
+    """
+    for index, term in enumerate(terms):
+        if isinstance(term, ObstaclesTerm):
+            single = circular(term, jnp.mean(term.centers, axis=0))
+            yield (*terms[:index], single, *terms[index + 1 :])
+    if len(terms) > 1:
+        yield terms[:-1]
 
 
 class _Ground(eqx.Module):
@@ -221,9 +235,11 @@ class _Ground(eqx.Module):
         proposals = self._polish_each(best)
         if self.seen is None or self.is_explained(proposals):
             return proposals
-        starts = ellipses(self.region, self.summits)
-        proposals += self._polish_each([self._scan(starts, beside).terms])
-        if terms or self.is_explained(proposals):
+        for ellipse in self._ellipses(beside):
+            proposals += self._polish_each([ellipse])
+            if self.is_explained(proposals):
+                return proposals
+        if terms:
             return proposals
         peaks = [self._move_each(one) for one in obstacles(self.seen, self.region)]
         lattice = self._best(lattices(self.region), ()).terms
@@ -262,6 +278,21 @@ class _Ground(eqx.Module):
         # from where they were scanned: polished, two have moved to stand for the others
         grown = [(linear, self._grow(one, linear)) for one in alike]
         return proposals + self._polish_each(grown, AGAIN)
+
+    def _ellipses(self, terms: Terms) -> Iterator[Terms]:
+        """Structures with an ellipse more, about the most likely summits.
+
+        The one that is scanned moves towards whatever its wrong axes explain best. So
+        those about single summits are polished from there, too.
+        """
+        starts = ellipses(self.region, self.summits)
+        yield self._scan(starts, terms).terms
+        values = np.reshape(
+            quick_evidences(starts, terms, self.response), (len(self.summits), -1)
+        )
+        turns = values.argmax(axis=1)
+        for place in np.argsort(-values.max(axis=1))[:PROMISING]:
+            yield (*terms, starts[place * values.shape[1] + turns[place]])
 
     def exchange(self, proposal: Proposal, *, rotational: bool) -> Proposal:
         """The structure with earlier terms in place of which another explains more.

@@ -6,7 +6,9 @@ one, each with its own engine run on the same data. The one of higher evidence i
 result. A structured force keeps free kernels beside its terms.
 """
 
+import contextlib
 import dataclasses
+import operator
 from collections.abc import Callable
 from typing import Any
 
@@ -34,7 +36,7 @@ from pinav.fitting.evidence.model_evidence import (
     model_evidence,
 )
 from pinav.fitting.outcome import Outcome
-from pinav.fitting.structure.proposals import Proposal, prune, refine
+from pinav.fitting.structure.proposals import Proposal, fallbacks, prune, refine
 from pinav.fitting.structure.rotation import fitted_gain, mixture_on, survey_rotation
 from pinav.fitting.structure.starts import GRID
 from pinav.fitting.structure.survey import Survey
@@ -250,21 +252,25 @@ class _Search(eqx.Module):
         terms may explain. So their fit is interrupted after a few steps, and about it
         the data are asked again what is needed. Where no fit carries all terms, as
         about a centre that swimmers circle faster than smoothing follows, the one that
-        was added last is left out.
+        was added last is left out; of obstacles, which such errors multiply, one stays.
 
         Returns:
             The fit, and its log evidence.
         """
-        try:
+        fit: EvidenceFit | None = None
+        with contextlib.suppress(FitError):
             fit = self._fit_in_two_stages(proposal)
-            if fit is None or fit.outcome is not Outcome.DIVERGED:
+            if fit is None or fit.outcome is Outcome.CONVERGED:
                 return fit and (fit, _evidence(fit))
-        except FitError:
-            pass
-        if len(proposal.terms) == 1:
-            return None
-        fewer = dataclasses.replace(proposal, terms=proposal.terms[:-1], is_rough=True)
-        return self._fit_proposal(fewer)
+        best = None
+        if fit is not None and fit.outcome is not Outcome.DIVERGED:
+            best = fit, _evidence(fit)
+        for fewer in fallbacks(proposal.terms):
+            rough = dataclasses.replace(proposal, terms=fewer, is_rough=True)
+            other = self._fit_proposal(rough)
+            if other is not None:
+                return max(best or other, other, key=operator.itemgetter(1))
+        return best
 
     def _fit_in_two_stages(self, proposal: Proposal) -> EvidenceFit | None:
         """The fit of the terms that prove needed in a first one; it may have diverged.

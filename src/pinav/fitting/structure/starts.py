@@ -15,6 +15,7 @@ from pinav.forces import (
     CentralTerm,
     EllipticTerm,
     LinearTerm,
+    ObstaclesTerm,
     WallTerm,
 )
 
@@ -191,11 +192,13 @@ def linear_term(region: Region, *, rotational: bool = False) -> LinearTerm:
     )
 
 
-def circular(term: EllipticTerm) -> CentralTerm:
-    """The central term with the profile of an elliptic one."""
+def circular(
+    term: EllipticTerm | ObstaclesTerm, center: Float[Array, "2"]
+) -> CentralTerm:
+    """The central term about a place with the profile of an ellipse or of obstacles."""
     return CentralTerm(
         weights=term.weights,
-        center=term.center,
+        center=center,
         places=term.places,
         width=term.width,
         rotational=term.rotational,
