@@ -8,7 +8,8 @@ from tests.fitting.structure.observed_forces import observed_forces
 from pinav.errors import InputError
 from pinav.fitting.environments.terms import TermSummary, summarise_terms, with_terms
 from pinav.fitting.evidence.evidence import LinearisedObservations, at_shape
-from pinav.fitting.structure.proposals import propose, prune, refine
+from pinav.fitting.structure.patterns import twins
+from pinav.fitting.structure.proposals import fallbacks, propose, prune, refine
 from pinav.fitting.structure.response import AT_ONCE, force_quadratic
 from pinav.fitting.structure.starts import (
     Region,
@@ -101,6 +102,18 @@ def test_each_of_many_terms_has_the_evidence_that_it_has_alone():
 def test_the_search_names_what_is_there_and_nothing_beside_it(truth, kinds):
     found = propose(response(truth), REGION, 0.01, rotational=False)
     assert [term.kind for term in found.terms] == kinds
+
+
+def test_one_centre_stands_for_obstacles_that_no_fit_carries():
+    linear = linear_term(REGION)
+    (several,) = twins(
+        central_term(REGION, np.array([3.0, 4.0])), np.array([[5.0, 8.0]])
+    )
+    (_, single), rest = fallbacks((linear, several))
+    assert single.kind == "central"
+    np.testing.assert_allclose(single.center, [4.0, 6.0])
+    assert rest == (linear,)
+    assert not list(fallbacks((single,)))
 
 
 def test_what_no_force_explains_is_noise():

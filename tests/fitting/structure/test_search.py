@@ -214,16 +214,31 @@ def test_a_hill_is_found_in_any_units():
 
 
 @pytest.mark.slow
-def test_obstacles_that_no_peak_shows_grow_from_a_pair():
-    """A draw for development, whose free potential has its peaks elsewhere."""
-    system = random_system("obstacles", 12)
-    data = simulate(system, key=jax.random.key(12)).only(("x", "y"))
+def test_a_ridge_is_found_from_the_summit_of_the_free_potential():
+    """Scanned on finer grids, an ellipse of wrong axes had gone to the rim."""
+    system, (term,) = proposed_terms("elliptic", 37)
+    np.testing.assert_allclose(term.center, system.environment.center, atol=0.02)
+    ratio = np.exp(2 * np.linalg.norm(term.shear))
+    ridge = system.environment
+    assert ratio == pytest.approx(ridge.length / ridge.width, rel=0.02)
+
+
+def proposed_terms(family, key):
+    """A system, and the terms that are proposed from its simulated positions."""
+    system = random_system(family, key)
+    data = simulate(system, key=jax.random.key(key)).only(("x", "y"))
     start = system.swimmer.with_environment(kernel_environment(KernelPotential, data))
     specification = FitSpecification(
         start, with_velocities(data), lambda _: (), None, FixedStep()
     )
     survey = Survey.of(specification, specification.problem(start))
-    (term,) = survey.proposal(rotational=False).terms
+    return system, survey.proposal(rotational=False).terms
+
+
+@pytest.mark.slow
+def test_obstacles_that_no_peak_shows_grow_from_a_pair():
+    """A draw for development, whose free potential has its peaks elsewhere."""
+    system, (term,) = proposed_terms("obstacles", 12)
     centers = np.array([hill.center for hill in system.environment.terms])
     gaps = np.linalg.norm(np.asarray(term.centers)[:, None] - centers, axis=-1)
     assert gaps.shape == (3, 3)
