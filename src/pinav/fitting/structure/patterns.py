@@ -25,11 +25,21 @@ from pinav.fitting.evidence.evidence import (
 )
 from pinav.fitting.structure.response import ForceResponse, force_quadratic
 from pinav.fitting.structure.starts import Region, central_term, circular
-from pinav.forces import CentralTerm, KernelPotential, LatticeTerm, ObstaclesTerm
+from pinav.forces import (
+    CentralTerm,
+    KernelPotential,
+    LatticeTerm,
+    ObstaclesTerm,
+    WallTerm,
+)
 from pinav.forces.field_terms import HARMONICS
 
 MOST_PERIODS = 6
 """Periods of a lattice across most of the data, at most."""
+
+WAVE, WAVES = 4, 1000
+"""Length of the shortest wave of a profile that is sought, in widths of its kernels,
+and how many are tried."""
 
 MAP, MAP_POINTS = KernelGrid(across=16, margin=2.0), 61
 """Kernels of the map whose peaks are sought, and points along each side of it."""
@@ -55,6 +65,36 @@ def lattices(region: Region) -> list[LatticeTerm]:
             lattice = LatticeTerm(weights=weights, wave_vectors=vectors, origin=origin)
             made.append(lattice)
     return made
+
+
+def lattice_of(first: WallTerm, second: WallTerm) -> LatticeTerm:
+    """The lattice of the dominant waves in the profiles of two walls.
+
+    Two plane waves are two walls, which explain the data as well where these are, but
+    not what repeats beyond them.
+
+    Args:
+        first: with its weights; it gives the origin.
+        second: likewise; both rotational, or neither.
+    """
+    return LatticeTerm(
+        weights=jnp.zeros(2 * len(HARMONICS)),
+        wave_vectors=jnp.asarray([_wave_vector(first), _wave_vector(second)]),
+        origin=first.origin,
+        rotational=first.rotational,
+    )
+
+
+def _wave_vector(wall: WallTerm) -> Float[np.ndarray, "2"]:
+    """Of the strongest wave in a profile [rad L⁻¹]."""
+    z = np.asarray(wall.places)
+    profile = np.asarray(jax.vmap(wall.profile)(wall.places))
+    waving = profile - np.polyval(np.polyfit(z, profile, 1), z)
+    longest, shortest = np.ptp(z), WAVE * float(wall.width)
+    sizes = np.linspace(2 * np.pi / longest, 2 * np.pi / shortest, WAVES)
+    power = np.abs(np.exp(1j * np.outer(sizes, z)) @ waving)
+    size, angle = sizes[np.argmax(power)], float(wall.angle)
+    return size * np.array([np.cos(angle), np.sin(angle)])
 
 
 class PotentialMap(eqx.Module):

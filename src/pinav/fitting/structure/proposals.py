@@ -6,6 +6,7 @@ polished by the engine's own steps. Terms are added as long as the evidence gain
 than their geometry costs.
 """
 
+import itertools
 from collections.abc import Iterator, Sequence
 
 import equinox as eqx
@@ -17,6 +18,7 @@ from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.fitting.structure.pairs import scan_pairs
 from pinav.fitting.structure.patterns import (
     PotentialMap,
+    lattice_of,
     lattices,
     obstacles,
     twins,
@@ -41,6 +43,7 @@ from pinav.forces import (
     AbstractTerm,
     CentralTerm,
     EllipticTerm,
+    LatticeTerm,
     LinearTerm,
     ObstaclesTerm,
     WallTerm,
@@ -176,7 +179,13 @@ def prune(proposal: Proposal, response: ForceResponse) -> Proposal:
 
 
 def _simpler(terms: Terms) -> Iterator[Terms]:
-    """Structures with one term, one centre or one direction less."""
+    """Structures with one term, one centre or one direction less.
+
+    Two plane waves are two walls, too, where data explain no more than those.
+    """
+    for pair in itertools.combinations(terms, 2):
+        for waves in _as_waves(*pair):
+            yield (*(one for one in terms if all(one is not t for t in pair)), waves)
     for index, term in enumerate(terms):
         before, after = terms[:index], terms[index + 1 :]
         if after:  # without the last term the evidence was asked before
@@ -411,6 +420,13 @@ def _as_one_kind(first: AbstractTerm, second: AbstractTerm) -> list[ObstaclesTer
         return []
     is_alike = first.rotational == second.rotational
     return twins(first, np.asarray(second.center)[None]) if is_alike else []
+
+
+def _as_waves(first: AbstractTerm, second: AbstractTerm) -> list[LatticeTerm]:
+    """Two walls as a lattice; nothing where they could not be."""
+    if not (isinstance(first, WallTerm) and isinstance(second, WallTerm)):
+        return []
+    return [lattice_of(first, second)] if first.rotational == second.rotational else []
 
 
 Centered = CentralTerm | EllipticTerm | ObstaclesTerm
