@@ -9,14 +9,16 @@ from pinav.fitting.structure.patterns import (
     twins,
     with_one_less,
 )
-from pinav.fitting.structure.proposals import propose
-from pinav.fitting.structure.starts import Region, central_term
+from pinav.fitting.structure.proposals import propose, prune
+from pinav.fitting.structure.starts import Region, central_term, wall_term
+from pinav.fitting.structure.trials import polish
 from pinav.forces import (
     CentralTerm,
     GaussianBarrier,
     LatticeTerm,
     LinearForce,
     PlaneWaves,
+    SoftWall,
     SumForce,
 )
 
@@ -64,6 +66,32 @@ def test_the_search_names_a_lattice():
     assert isinstance(term, LatticeTerm)
     found = np.asarray(term.wave_vectors)
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), 2 * np.pi / 4, rtol=0.01)
+
+
+def normal(angle):
+    return np.array([np.cos(angle), np.sin(angle)])
+
+
+SIZES = 2 * np.pi / np.array([4.0, 5.0])
+WAVES = np.stack([SIZES[0] * normal(0.4), SIZES[1] * normal(1.8)])
+STEPS = SoftWall(3.0, 0.4, 5.0, 0.8) + SoftWall(3.0, 1.8, 4.0, 0.8)
+
+
+@pytest.mark.parametrize(
+    ("truth", "kinds"),
+    [
+        (PlaneWaves(np.full(2, 1.0), WAVES, np.array([0.3, 1.0])), ["lattice"]),
+        (STEPS, ["wall", "wall"]),
+    ],
+)
+def test_two_walls_become_a_lattice_where_they_are_waves(truth, kinds):
+    data = response(truth)
+    walls = polish((wall_term(REGION, 0.42), wall_term(REGION, 1.78)), data)
+    terms = prune(walls, data).terms
+    assert [term.kind for term in terms] == kinds
+    if kinds == ["lattice"]:
+        sizes = np.linalg.norm(terms[0].wave_vectors, axis=1)
+        np.testing.assert_allclose(sizes, SIZES, rtol=0.01)
 
 
 def test_obstacles_are_joined_one_by_one_and_left_out_one_by_one():
