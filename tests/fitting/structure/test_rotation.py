@@ -10,8 +10,9 @@ from pinav.fitting.bayes.neural import FitSpecification
 from pinav.fitting.environments.kernels import kernel_environment
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.fitting.evidence.quadratic import Quadratic, restrict
-from pinav.fitting.structure import search
+from pinav.fitting.structure import fit as structure_fit
 from pinav.fitting.structure.rotation import SurveyedRotation, survey_rotation
+from pinav.fitting.structure.search import Search, StructuredFit
 from pinav.fitting.structure.starts import Region
 from pinav.fitting.structure.survey import Survey
 from pinav.forces import (
@@ -70,7 +71,7 @@ def ended(monkeypatch):
     data = simulate(truth, key=jax.random.key(0))
     model = truth.swimmer.with_environment(kernel_environment(KernelPotential, data))
     asked = FitSpecification(model, data, lambda _: (), None, FixedStep())
-    made = search._Search(asked, 20, None, throw=False)
+    made = Search(asked, 20, None, throw=False)
     survey = Survey(response(PULL), Region.of(POINTS[0]), 0.05)
     monkeypatch.setattr(Survey, "proposal", lambda self, *, rotational: None)
 
@@ -82,14 +83,14 @@ def ended(monkeypatch):
             fit = object.__new__(EvidenceFit)
             object.__setattr__(fit, "model", self.specification.model)
             object.__setattr__(fit, "outcome", outcome)
-            return search.StructuredFit(fit, 0.0)
+            return StructuredFit(fit, 0.0)
 
         asked = SurveyedRotation(surveyed, is_plain)
-        monkeypatch.setattr(search, "survey_rotation", lambda *_: asked)
-        monkeypatch.setattr(search, "_rotation_beside", lambda *_: beside)
-        monkeypatch.setattr(search, "fitted_gain", lambda _: fitted)
-        monkeypatch.setattr(search._Search, "best", best)
-        found = search._weigh_rotation(made, survey)
+        monkeypatch.setattr(structure_fit, "survey_rotation", lambda *_: asked)
+        monkeypatch.setattr(structure_fit, "_rotation_beside", lambda *_: beside)
+        monkeypatch.setattr(structure_fit, "fitted_gain", lambda _: fitted)
+        monkeypatch.setattr(Search, "best", best)
+        found = structure_fit._weigh_rotation(made, survey)
         return type(found.fit.model.environment), found.fit.outcome, found.rotation
 
     return weigh

@@ -12,7 +12,7 @@ from pinav.fitting import fit_structured
 from pinav.fitting.bayes.neural import FitSpecification
 from pinav.fitting.environments.kernels import KernelGrid, kernel_environment
 from pinav.fitting.structure import search
-from pinav.fitting.structure.search import _Search
+from pinav.fitting.structure.search import Search
 from pinav.fitting.structure.starts import Region, central_term, linear_term
 from pinav.fitting.structure.survey import Survey
 from pinav.forces import (
@@ -80,7 +80,7 @@ def add_a_needless_centre(monkeypatch):
 @pytest.mark.slow
 def test_a_proposal_that_no_fit_carries_loses_the_term_that_was_added_last(monkeypatch):
     _, model, positions = saddle()
-    begin, begun = _Search._begin, []
+    begin, begun = Search._begin, []
 
     def begin_one(self, terms):
         begun.append([term.kind for term in terms])
@@ -89,7 +89,7 @@ def test_a_proposal_that_no_fit_carries_loses_the_term_that_was_added_last(monke
         return begin(self, terms)
 
     add_a_needless_centre(monkeypatch)
-    monkeypatch.setattr(_Search, "_begin", begin_one)
+    monkeypatch.setattr(Search, "_begin", begin_one)
     fit = fit_structured(model, positions)
     assert begun == [["linear", "central"], ["linear"]]
     assert fit.structure is not None
@@ -99,7 +99,7 @@ def test_a_proposal_that_no_fit_carries_loses_the_term_that_was_added_last(monke
 @pytest.mark.slow
 def test_a_term_that_a_fit_leaves_nothing_to_do_goes(monkeypatch):
     _, model, positions = saddle()
-    fit_terms, fitted = _Search._fit_terms, []
+    fit_terms, fitted = Search._fit_terms, []
 
     def fit_one(self, terms, begun):
         fitted.append([term.kind for term in terms])
@@ -107,7 +107,7 @@ def test_a_term_that_a_fit_leaves_nothing_to_do_goes(monkeypatch):
 
     add_a_needless_centre(monkeypatch)
     monkeypatch.setattr(search, "prune", lambda proposal, _: proposal)
-    monkeypatch.setattr(_Search, "_fit_terms", fit_one)
+    monkeypatch.setattr(Search, "_fit_terms", fit_one)
     fit = fit_structured(model, positions)
     assert fitted == [["linear", "central"], ["linear"]]
     assert fit.structure is not None

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from pinav.commands.fitted_run import FittedRun
 from pinav.fitting import derive, is_worth_a_search
 from pinav.fitting.environments.choice import MIXTURE
-from pinav.fitting.structure.search import LEAST_SAMPLES, LEAST_TRAJECTORIES
+from pinav.fitting.structure.fit import LEAST_SAMPLES, LEAST_TRAJECTORIES
 from pinav.forces import AbstractProfileTerm, split_structure
 from pinav.report import number
 

@@ -294,14 +294,11 @@ class _Ground(eqx.Module):
         The one that is scanned moves towards whatever its wrong axes explain best. So
         those about single summits are polished from there, too.
         """
-        starts = ellipses(self.region, self.summits)
-        yield self._scan(starts, terms).terms
-        values = np.reshape(
-            quick_evidences(starts, terms, self.response), (len(self.summits), -1)
-        )
-        turns = values.argmax(axis=1)
-        for place in np.argsort(-values.max(axis=1))[:PROMISING]:
-            yield (*terms, starts[place * values.shape[1] + turns[place]])
+        starts = [ellipses(self.region, place[None]) for place in self.summits]
+        scanned = [self._best(turned, terms) for turned in starts]
+        scanned.sort(key=lambda one: one.log_evidence, reverse=True)
+        yield self._scan([scanned[0].terms[-1]], terms).terms
+        yield from (one.terms for one in scanned[:PROMISING])
 
     def exchange(self, proposal: Proposal, *, rotational: bool) -> Proposal:
         """The structure with earlier terms in place of which another explains more.

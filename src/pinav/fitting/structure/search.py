@@ -1,9 +1,9 @@
-r"""`fit_structured`: a free fit, and the structure that the evidence prefers to it.
+"""Fits of free kernels and of a proposed structure, and which of them is the better.
 
-The structure is sought first, because it costs seconds and spares the refinement of
-kernels where it explains the data; then the free field is fitted, and the structured
-one, each with its own engine run on the same data. The one of higher evidence is the
-result. A structured force keeps free kernels beside its terms.
+The structure is fitted first, because it spares the refinement of kernels where it
+explains the data; then the free field, each with its own engine run on the same data.
+The one of higher evidence is the result. A structured force keeps free kernels beside
+its terms.
 """
 
 import contextlib
@@ -13,14 +13,11 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
-import jax
 import numpy as np
 
-from pinav.dynamics import FixedStep, Swimmer
 from pinav.errors import FitError
 from pinav.fitting.bayes.fit_bayes import ADVICE, NOT_FINITE
 from pinav.fitting.bayes.neural import FitSpecification
-from pinav.fitting.bayes.parameters import Learn
 from pinav.fitting.bayes.problem import BayesProblem
 from pinav.fitting.engine.evidence_fit import EvidenceFit, evidence_fit
 from pinav.fitting.engine.iterate import EvidenceProgress, iterate
@@ -37,20 +34,14 @@ from pinav.fitting.evidence.model_evidence import (
 )
 from pinav.fitting.outcome import Outcome
 from pinav.fitting.structure.proposals import Proposal, fallbacks, prune, refine
-from pinav.fitting.structure.rotation import fitted_gain, mixture_on, survey_rotation
-from pinav.fitting.structure.starts import GRID
 from pinav.fitting.structure.survey import Survey
 from pinav.fitting.structure.trials import Terms, polish
 from pinav.forces import (
     AbstractForce,
-    AbstractLearnedForce,
     StructuredForce,
-    as_learned_force,
     forces_at,
     split_structure,
 )
-from pinav.numerics import free_programs
-from pinav.trajectories import Trajectories, with_velocities
 
 CLEAR = 100.0
 """Nats before the cost of hyperparameters by which a fit has lost to another, converged
@@ -61,9 +52,6 @@ BEFORE_SURVEY = 3
 
 ABSENT = 0.02
 """Force of a term, relative to the greatest one, below which it may be needless."""
-
-LEAST_TRAJECTORIES, LEAST_SAMPLES = 6, 600
-"""Trajectories and observed numbers below which data are not worth a search."""
 
 
 class StructuredFit(eqx.Module):
@@ -89,78 +77,7 @@ class StructuredFit(eqx.Module):
         return environment if split_structure(environment)[0] else None
 
 
-def fit_structured(
-    model: Any,
-    trajectories: Trajectories,
-    *,
-    learn: Learn = lambda _: (),
-    noise: float | None = None,
-    solver: FixedStep | None = None,
-    max_iterations: int = 20,
-    on_step: Callable[[EvidenceProgress], None] | None = None,
-    weigh_rotation: bool = False,
-    throw: bool = True,
-) -> StructuredFit:
-    """Fit kernels, and a structured force where the data show one; see `fit_bayes`.
-
-    Args:
-        model: dynamics whose environment is a `KernelPotential`, a `KernelForce` or a
-            `KernelMixture`.
-        trajectories: what was observed.
-        learn: constants to learn too.
-        noise: standard deviation of the observations; estimated unless given.
-        solver: steps between samples; `FixedStep()` unless given.
-        max_iterations: after which a fit counts as stalled.
-        on_step: called after each step.
-        weigh_rotation: fit a `KernelMixture` in place of a `KernelPotential` where the
-            evidence of planar data, however few, prefers a rotational part, or the
-            potential alone diverges.
-        throw: raise where the fit did not converge.
-
-    Raises:
-        FitError: as `fit_bayes` does.
-    """
-    free_programs()
-    if isinstance(model, Swimmer):
-        trajectories = with_velocities(trajectories)
-    with jax.enable_x64(new_val=True):
-        solver = FixedStep() if solver is None else solver
-        specification = FitSpecification(model, trajectories, learn, noise, solver)
-        search = _Search(specification, max_iterations, on_step, throw)
-        weigh_rotation &= may_turn(model)
-        if not is_worth_a_search(model, trajectories):
-            return _weigh_few(search) if weigh_rotation else search.best(None)
-        survey = Survey.of(specification, search.free())
-        if weigh_rotation:
-            return _weigh_rotation(search, survey)
-        turning = not search.kernels.is_conservative
-        return search.best(survey.proposal(rotational=turning))
-
-
-def is_worth_a_search(model: Any, trajectories: Trajectories) -> bool:
-    """Whether the data could tell a structure of a force that does not change."""
-    return (
-        _static_field(model) is not None
-        and len(trajectories) >= LEAST_TRAJECTORIES
-        and trajectories.num_observed >= LEAST_SAMPLES
-    )
-
-
-def may_turn(model: Any) -> bool:
-    """Whether a rotational part can be weighed beside the potential of a model."""
-    field = _static_field(model)
-    return field is not None and field.is_conservative and field.dim == 2
-
-
-def _static_field(model: Any) -> AbstractLearnedForce | None:
-    """The force of a model where it is a field of kernels that does not change."""
-    force = as_learned_force(model.environment)
-    if force is None or force.kernels is None or force.dim not in GRID:
-        return None
-    return force if force.is_static else None
-
-
-class _Search(eqx.Module):
+class Search(eqx.Module):
     """Fits of one kind of free kernels, with structured terms and without.
 
     Attributes:
@@ -179,7 +96,7 @@ class _Search(eqx.Module):
     def kernels(self) -> Any:
         return self.specification.model.environment
 
-    def of(self, environment: AbstractForce) -> "_Search":
+    def of(self, environment: AbstractForce) -> "Search":
         """The same with other free kernels."""
         model = eqx.tree_at(
             lambda m: m.environment, self.specification.model, environment
@@ -261,10 +178,10 @@ class _Search(eqx.Module):
         with contextlib.suppress(FitError):
             fit = self._fit_in_two_stages(proposal)
             if fit is None or fit.outcome is Outcome.CONVERGED:
-                return fit and (fit, _evidence(fit))
+                return fit and (fit, evidence_of(fit))
         best = None
         if fit is not None and fit.outcome is not Outcome.DIVERGED:
-            best = fit, _evidence(fit)
+            best = fit, evidence_of(fit)
         for fewer in fallbacks(proposal.terms):
             rough = dataclasses.replace(proposal, terms=fewer, is_rough=True)
             other = self._fit_proposal(rough)
@@ -308,7 +225,7 @@ class _Search(eqx.Module):
         if rest > ABSENT or len(kept) == len(terms):
             return fit
         fewer = self._fit_terms(kept, fit)
-        is_worse = _evidence(fewer) < _evidence(fit) - DECISIVE
+        is_worse = evidence_of(fewer) < evidence_of(fit) - DECISIVE
         return fit if fewer.outcome is Outcome.DIVERGED or is_worse else fewer
 
     def _begin(self, terms: Terms) -> EvidenceFit:
@@ -348,136 +265,9 @@ def _is_as_good(fit: EvidenceFit, begun: EvidenceFit) -> bool:
     return fit.outcome is not Outcome.DIVERGED and lost < CLEAR
 
 
-def _evidence(fit: EvidenceFit) -> float:
+def evidence_of(fit: EvidenceFit) -> float:
     """Log evidence of a fit; of terms also where the free kernels are absent."""
     whole = model_evidence(fit.linear, fit.hyperparameters).log_evidence
     if not split_structure(fit.model.environment)[0]:
         return whole
     return max(whole, evidence_without_second(fit.linear, fit.hyperparameters))
-
-
-def _weigh_rotation(search: _Search, survey: Survey) -> StructuredFit:
-    """The fit of a potential or that of a mixture, by the evidence of its rotation."""
-    kernels = search.kernels.kernels
-    asked = survey_rotation(survey.response, survey.noise, (), kernels)
-    turning, rotation = None, asked.gain
-    proposal, turned = survey.proposal(rotational=False), None
-    is_open = _unless_rough(proposal) is None
-    if rotation > DECISIVE and is_open:
-        turned = _unless_rough(survey.proposal(rotational=True))
-    if is_open and (asked.is_plain or turned is not None):
-        turning = _turning(search, turned)
-        if turning is not None and turning.rotation > DECISIVE:
-            return turning
-        rotation = np.nan if turning is None else turning.rotation
-    still, is_potential = _potential(
-        search,
-        proposal,
-        lambda: _turning(search, turned) if turning is None else turning,
-    )
-    if not is_potential:
-        return still
-    if not rotation > DECISIVE:  # which may be NaN
-        return StructuredFit(still.fit, still.gain, rotation)
-    return _weigh_beside(search, still, proposal if turned is None else turned)
-
-
-def _unless_rough(proposal: Proposal | None) -> Proposal | None:
-    """A proposal that explains the data nearly to the noise, or None."""
-    return None if proposal is None or proposal.is_rough else proposal
-
-
-def _potential(
-    search: _Search,
-    proposal: Proposal | None,
-    mixture: Callable[[], StructuredFit | None],
-) -> tuple[StructuredFit, bool]:
-    """The fit of a potential, or where that fails one of a mixture; which of them.
-
-    Args:
-        search: of the potential.
-        proposal: terms beside it.
-        mixture: gives the other fit, or None where that fails, too.
-
-    Raises:
-        FitError: both failed; the error is that of the potential.
-    """
-    try:
-        still = search.best(proposal)
-    except FitError:
-        turning = mixture()
-        if turning is None:
-            raise
-        return turning, False
-    if still.fit.outcome is Outcome.DIVERGED:
-        return mixture() or still, False
-    return still, True
-
-
-def _weigh_few(search: _Search) -> StructuredFit:
-    """The fit of a potential or that of a mixture, of data too few for a search.
-
-    A potential that is refined may follow a few trajectories whatever the force is, so
-    that nothing linearised about it asks for more. A mixture on the kernels with which
-    fits begin costs little and, where the force turns, needs no finer ones to explain
-    the data better.
-    """
-    still, is_potential = _potential(search, None, lambda: _turning(search, None))
-    if not is_potential:
-        return still
-    rotation = _coarse_rotation(search, still.fit)
-    turning = _turning(search, None) if rotation > DECISIVE else None
-    if turning is None:
-        return StructuredFit(still.fit, still.gain, rotation)
-    rotation = _evidence(turning.fit) - _evidence(still.fit)
-    chosen = turning if rotation > DECISIVE else still
-    return StructuredFit(chosen.fit, chosen.gain, rotation)
-
-
-def _coarse_rotation(search: _Search, still: EvidenceFit) -> float:
-    """Log evidence of a mixture that is not refined over a potential that is [nats]."""
-    mixture = search.of(mixture_on(search.kernels.kernels))
-    try:
-        fit = mixture.fit(mixture.free(), None)
-    except FitError:
-        return np.nan
-    is_bad = fit.outcome is Outcome.DIVERGED
-    return np.nan if is_bad else _evidence(fit) - _evidence(still)
-
-
-def _weigh_beside(
-    search: _Search, still: StructuredFit, proposal: Proposal | None
-) -> StructuredFit:
-    """The fit of a potential, or that of a mixture where the data about it ask for one.
-
-    Args:
-        search: of the potential.
-        still: its fit.
-        proposal: terms beside which a mixture is fitted.
-    """
-    rotation, turning = _rotation_beside(search, still.fit), None
-    if rotation > DECISIVE:
-        turning = _turning(search, proposal)
-        rotation = np.nan if turning is None else turning.rotation
-    if turning is not None and rotation > DECISIVE:
-        return turning
-    return StructuredFit(still.fit, still.gain, rotation)
-
-
-def _rotation_beside(search: _Search, fit: EvidenceFit) -> float:
-    """Log evidence of a rotational part in the data linearised about a potential."""
-    force = fit.model.environment
-    terms, _ = split_structure(force)
-    about = Survey.of(search.specification, search.free(), fit)
-    return survey_rotation(about.response, about.noise, terms, force.kernels).gain
-
-
-def _turning(search: _Search, proposal: Proposal | None) -> StructuredFit | None:
-    """The fit of a mixture, beside a structure or alone; None where it fails."""
-    try:
-        mixture = search.of(mixture_on(search.kernels.kernels)).best(proposal)
-    except FitError:
-        return None
-    if mixture.fit.outcome is Outcome.DIVERGED:
-        return None
-    return StructuredFit(mixture.fit, mixture.gain, fitted_gain(mixture.fit))

@@ -1,0 +1,229 @@
+"""`fit_structured`: the structure that the evidence prefers; whether a force turns.
+
+Where the data are worth it the structure is sought first (`Search`); in a plane it is
+also asked whether a mixture, which may turn, explains more than a potential.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+
+from pinav.dynamics import FixedStep, Swimmer
+from pinav.errors import FitError
+from pinav.fitting.bayes.neural import FitSpecification
+from pinav.fitting.bayes.parameters import Learn
+from pinav.fitting.engine.evidence_fit import EvidenceFit
+from pinav.fitting.engine.iterate import EvidenceProgress
+from pinav.fitting.evidence.model_evidence import DECISIVE
+from pinav.fitting.outcome import Outcome
+from pinav.fitting.structure.proposals import Proposal
+from pinav.fitting.structure.rotation import fitted_gain, mixture_on, survey_rotation
+from pinav.fitting.structure.search import Search, StructuredFit, evidence_of
+from pinav.fitting.structure.starts import GRID
+from pinav.fitting.structure.survey import Survey
+from pinav.forces import AbstractLearnedForce, as_learned_force, split_structure
+from pinav.numerics import free_programs
+from pinav.trajectories import Trajectories, with_velocities
+
+LEAST_TRAJECTORIES, LEAST_SAMPLES = 6, 600
+"""Trajectories and observed numbers below which data are not worth a search."""
+
+
+def fit_structured(
+    model: Any,
+    trajectories: Trajectories,
+    *,
+    learn: Learn = lambda _: (),
+    noise: float | None = None,
+    solver: FixedStep | None = None,
+    max_iterations: int = 20,
+    on_step: Callable[[EvidenceProgress], None] | None = None,
+    weigh_rotation: bool = False,
+    throw: bool = True,
+) -> StructuredFit:
+    """Fit kernels, and a structured force where the data show one; see `fit_bayes`.
+
+    Args:
+        model: dynamics whose environment is a `KernelPotential`, a `KernelForce` or a
+            `KernelMixture`.
+        trajectories: what was observed.
+        learn: constants to learn too.
+        noise: standard deviation of the observations; estimated unless given.
+        solver: steps between samples; `FixedStep()` unless given.
+        max_iterations: after which a fit counts as stalled.
+        on_step: called after each step.
+        weigh_rotation: fit a `KernelMixture` in place of a `KernelPotential` where the
+            evidence of planar data, however few, prefers a rotational part, or the
+            potential alone diverges.
+        throw: raise where the fit did not converge.
+
+    Raises:
+        FitError: as `fit_bayes` does.
+    """
+    free_programs()
+    if isinstance(model, Swimmer):
+        trajectories = with_velocities(trajectories)
+    with jax.enable_x64(new_val=True):
+        solver = FixedStep() if solver is None else solver
+        specification = FitSpecification(model, trajectories, learn, noise, solver)
+        search = Search(specification, max_iterations, on_step, throw)
+        weigh_rotation &= may_turn(model)
+        if not is_worth_a_search(model, trajectories):
+            return _weigh_few(search) if weigh_rotation else search.best(None)
+        survey = Survey.of(specification, search.free())
+        if weigh_rotation:
+            return _weigh_rotation(search, survey)
+        turning = not search.kernels.is_conservative
+        return search.best(survey.proposal(rotational=turning))
+
+
+def is_worth_a_search(model: Any, trajectories: Trajectories) -> bool:
+    """Whether the data could tell a structure of a force that does not change."""
+    return (
+        _static_field(model) is not None
+        and len(trajectories) >= LEAST_TRAJECTORIES
+        and trajectories.num_observed >= LEAST_SAMPLES
+    )
+
+
+def may_turn(model: Any) -> bool:
+    """Whether a rotational part can be weighed beside the potential of a model."""
+    field = _static_field(model)
+    return field is not None and field.is_conservative and field.dim == 2
+
+
+def _static_field(model: Any) -> AbstractLearnedForce | None:
+    """The force of a model where it is a field of kernels that does not change."""
+    force = as_learned_force(model.environment)
+    if force is None or force.kernels is None or force.dim not in GRID:
+        return None
+    return force if force.is_static else None
+
+
+def _weigh_rotation(search: Search, survey: Survey) -> StructuredFit:
+    """The fit of a potential or that of a mixture, by the evidence of its rotation."""
+    kernels = search.kernels.kernels
+    asked = survey_rotation(survey.response, survey.noise, (), kernels)
+    turning, rotation = None, asked.gain
+    proposal, turned = survey.proposal(rotational=False), None
+    is_open = _unless_rough(proposal) is None
+    if rotation > DECISIVE and is_open:
+        turned = _unless_rough(survey.proposal(rotational=True))
+    if is_open and (asked.is_plain or turned is not None):
+        turning = _turning(search, turned)
+        if turning is not None and turning.rotation > DECISIVE:
+            return turning
+        rotation = np.nan if turning is None else turning.rotation
+    still, is_potential = _potential(
+        search,
+        proposal,
+        lambda: _turning(search, turned) if turning is None else turning,
+    )
+    if not is_potential:
+        return still
+    if not rotation > DECISIVE:  # which may be NaN
+        return StructuredFit(still.fit, still.gain, rotation)
+    return _weigh_beside(search, still, proposal if turned is None else turned)
+
+
+def _unless_rough(proposal: Proposal | None) -> Proposal | None:
+    """A proposal that explains the data nearly to the noise, or None."""
+    return None if proposal is None or proposal.is_rough else proposal
+
+
+def _potential(
+    search: Search,
+    proposal: Proposal | None,
+    mixture: Callable[[], StructuredFit | None],
+) -> tuple[StructuredFit, bool]:
+    """The fit of a potential, or where that fails one of a mixture; which of them.
+
+    Args:
+        search: of the potential.
+        proposal: terms beside it.
+        mixture: gives the other fit, or None where that fails, too.
+
+    Raises:
+        FitError: both failed; the error is that of the potential.
+    """
+    try:
+        still = search.best(proposal)
+    except FitError:
+        turning = mixture()
+        if turning is None:
+            raise
+        return turning, False
+    if still.fit.outcome is Outcome.DIVERGED:
+        return mixture() or still, False
+    return still, True
+
+
+def _weigh_few(search: Search) -> StructuredFit:
+    """The fit of a potential or that of a mixture, of data too few for a search.
+
+    A potential that is refined may follow a few trajectories whatever the force is, so
+    that nothing linearised about it asks for more. A mixture on the kernels with which
+    fits begin costs little and, where the force turns, needs no finer ones to explain
+    the data better.
+    """
+    still, is_potential = _potential(search, None, lambda: _turning(search, None))
+    if not is_potential:
+        return still
+    rotation = _coarse_rotation(search, still.fit)
+    turning = _turning(search, None) if rotation > DECISIVE else None
+    if turning is None:
+        return StructuredFit(still.fit, still.gain, rotation)
+    rotation = evidence_of(turning.fit) - evidence_of(still.fit)
+    chosen = turning if rotation > DECISIVE else still
+    return StructuredFit(chosen.fit, chosen.gain, rotation)
+
+
+def _coarse_rotation(search: Search, still: EvidenceFit) -> float:
+    """Log evidence of a mixture that is not refined over a potential that is [nats]."""
+    mixture = search.of(mixture_on(search.kernels.kernels))
+    try:
+        fit = mixture.fit(mixture.free(), None)
+    except FitError:
+        return np.nan
+    is_bad = fit.outcome is Outcome.DIVERGED
+    return np.nan if is_bad else evidence_of(fit) - evidence_of(still)
+
+
+def _weigh_beside(
+    search: Search, still: StructuredFit, proposal: Proposal | None
+) -> StructuredFit:
+    """The fit of a potential, or that of a mixture where the data about it ask for one.
+
+    Args:
+        search: of the potential.
+        still: its fit.
+        proposal: terms beside which a mixture is fitted.
+    """
+    rotation, turning = _rotation_beside(search, still.fit), None
+    if rotation > DECISIVE:
+        turning = _turning(search, proposal)
+        rotation = np.nan if turning is None else turning.rotation
+    if turning is not None and rotation > DECISIVE:
+        return turning
+    return StructuredFit(still.fit, still.gain, rotation)
+
+
+def _rotation_beside(search: Search, fit: EvidenceFit) -> float:
+    """Log evidence of a rotational part in the data linearised about a potential."""
+    force = fit.model.environment
+    terms, _ = split_structure(force)
+    about = Survey.of(search.specification, search.free(), fit)
+    return survey_rotation(about.response, about.noise, terms, force.kernels).gain
+
+
+def _turning(search: Search, proposal: Proposal | None) -> StructuredFit | None:
+    """The fit of a mixture, beside a structure or alone; None where it fails."""
+    try:
+        mixture = search.of(mixture_on(search.kernels.kernels)).best(proposal)
+    except FitError:
+        return None
+    if mixture.fit.outcome is Outcome.DIVERGED:
+        return None
+    return StructuredFit(mixture.fit, mixture.gain, fitted_gain(mixture.fit))
