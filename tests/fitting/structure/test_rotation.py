@@ -13,8 +13,9 @@ from pinav.fitting.evidence.quadratic import Quadratic, restrict
 from pinav.fitting.structure import fit as structure_fit
 from pinav.fitting.structure.rotation import SurveyedRotation, survey_rotation
 from pinav.fitting.structure.search import Search, StructuredFit
-from pinav.fitting.structure.starts import Region
+from pinav.fitting.structure.starts import Region, central_term
 from pinav.fitting.structure.survey import Survey
+from pinav.fitting.structure.trials import Proposal
 from pinav.forces import (
     GaussianBarrier,
     GaussianSwirl,
@@ -73,9 +74,10 @@ def ended(monkeypatch):
     asked = FitSpecification(model, data, lambda _: (), None, FixedStep())
     made = Search(asked, 20, None, throw=False)
     survey = Survey(response(PULL), Region.of(POINTS[0]), 0.05)
-    monkeypatch.setattr(Survey, "proposal", lambda self, *, rotational: None)
 
-    def weigh(surveyed, beside, fitted, potential, mixture, *, is_plain=False):
+    def weigh(
+        surveyed, beside, fitted, potential, mixture, *, is_plain=False, proposal=None
+    ):
         def best(self, proposal):
             outcome = mixture if isinstance(self.kernels, KernelMixture) else potential
             if outcome is None:
@@ -85,7 +87,8 @@ def ended(monkeypatch):
             object.__setattr__(fit, "outcome", outcome)
             return StructuredFit(fit, 0.0)
 
-        asked = SurveyedRotation(surveyed, is_plain)
+        asked = SurveyedRotation(surveyed, surveyed > DECISIVE, is_plain)
+        monkeypatch.setattr(Survey, "proposal", proposal or propose_nothing)
         monkeypatch.setattr(structure_fit, "survey_rotation", lambda *_: asked)
         monkeypatch.setattr(structure_fit, "_rotation_beside", lambda *_: beside)
         monkeypatch.setattr(structure_fit, "fitted_gain", lambda _: fitted)
@@ -94,6 +97,10 @@ def ended(monkeypatch):
         return type(found.fit.model.environment), found.fit.outcome, found.rotation
 
     return weigh
+
+
+def propose_nothing(survey, *, rotational):
+    return None
 
 
 FINE, BAD = Outcome.CONVERGED, Outcome.DIVERGED
@@ -123,6 +130,20 @@ def test_a_mixture_that_failed_is_not_fitted_again_beside_the_potential(ended):
     taken, outcome, told = ended(80.0, -4.0, 40.0, FINE, BAD, is_plain=True)
     assert (taken, outcome) == (KernelPotential, FINE)
     assert np.isnan(told)
+
+
+def test_where_a_rotation_is_plain_no_potential_is_sought(ended):
+    sought = []
+
+    def propose(survey, *, rotational):
+        sought.append(rotational)
+        swirl = central_term(survey.region, survey.region.middle, rotational=True)
+        return Proposal((swirl,), 0.0, 0.05)
+
+    taken, _, told = ended(
+        80.0, 90.0, 40.0, FINE, FINE, is_plain=True, proposal=propose
+    )
+    assert (taken, told, sought) == (KernelMixture, 40.0, [True])
 
 
 def test_where_both_fail_the_error_is_that_of_the_potential(ended):

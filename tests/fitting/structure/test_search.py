@@ -11,6 +11,8 @@ from pinav.errors import FitError
 from pinav.fitting import fit_structured
 from pinav.fitting.bayes.neural import FitSpecification
 from pinav.fitting.environments.kernels import KernelGrid, kernel_environment
+from pinav.fitting.evidence.model_evidence import DECISIVE
+from pinav.fitting.structure import fit as structure_fit
 from pinav.fitting.structure import search
 from pinav.fitting.structure.search import Search
 from pinav.fitting.structure.starts import Region, central_term, linear_term
@@ -20,6 +22,7 @@ from pinav.forces import (
     KernelPotential,
     StructuredForce,
     forces_at,
+    split_structure,
 )
 from pinav.scenarios import random_system
 from pinav.scenarios.spaces import box
@@ -80,18 +83,19 @@ def add_a_needless_centre(monkeypatch):
 @pytest.mark.slow
 def test_a_proposal_that_no_fit_carries_loses_the_term_that_was_added_last(monkeypatch):
     _, model, positions = saddle()
-    begin, begun = Search._begin, []
+    begin, begun = Search.begin, []
 
-    def begin_one(self, terms):
+    def begin_one(self):
+        terms, _ = split_structure(self.kernels)
         begun.append([term.kind for term in terms])
         if len(terms) > 1:
             raise FitError("the fit is singular")
-        return begin(self, terms)
+        return begin(self)
 
     add_a_needless_centre(monkeypatch)
-    monkeypatch.setattr(Search, "_begin", begin_one)
+    monkeypatch.setattr(Search, "begin", begin_one)
     fit = fit_structured(model, positions)
-    assert begun == [["linear", "central"], ["linear"]]
+    assert begun == [[], ["linear", "central"], ["linear"]]
     assert fit.structure is not None
     assert [term.kind for term in fit.structure.terms] == ["linear"]
 
@@ -130,6 +134,48 @@ def test_a_rough_proposal_must_explain_the_data_about_its_own_fit(monkeypatch, i
     fit = fit_structured(model, positions)
     terms = () if fit.structure is None else fit.structure.terms
     assert [term.kind for term in terms] == (["linear"] if is_near else [])
+
+
+@pytest.mark.slow
+def test_where_the_evidence_cannot_tell_terms_alone_are_preferred():
+    """Free kernels of the width of a hill explain it as well as a profile does."""
+    truth, model, positions = drawn("gaussian", 47)
+    fit = fit_structured(model, positions)
+    assert abs(fit.gain) < DECISIVE
+    (term,) = fit.structure.terms
+    np.testing.assert_allclose(term.center, truth.environment.center, atol=0.1)
+
+
+@pytest.mark.slow
+def test_no_force_is_not_called_a_linear_one():
+    _, model, positions = drawn("none", 40)
+    fit = fit_structured(model, positions)
+    assert abs(fit.gain) < DECISIVE
+    assert fit.structure is None
+
+
+@pytest.mark.slow
+def test_quick_swimmers_are_surveyed_about_the_first_steps_of_a_fit():
+    """Smoothed states miss their path; about those an ellipse lay off the data."""
+    truth, model, positions = drawn("elliptic", 43)
+    data, noise = with_velocities(positions), None
+    asked = FitSpecification(model, data, lambda _: (), noise, FixedStep())
+    with jax.enable_x64(new_val=True):
+        start = Search(asked, 20, None, throw=False)
+        begun, survey = structure_fit._survey(start)
+        (term,) = survey.proposal(rotational=False).terms
+    assert begun.states is not None
+    assert survey.noise == pytest.approx(0.02, rel=0.1)
+    assert term.kind == "elliptic"
+    np.testing.assert_allclose(term.center, truth.environment.center, atol=0.02)
+
+
+def drawn(family, key):
+    """A system, its model with kernels that know nothing, and simulated positions."""
+    system = random_system(family, key).with_starts(count=16)
+    data = simulate(system, key=jax.random.key(key)).only(("x", "y"))
+    kernels = kernel_environment(KernelPotential, data, dim=2)
+    return system, system.swimmer.with_environment(kernels), data
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ Where the data are worth it the structure is sought first (`Search`); in a plane
 also asked whether a mixture, which may turn, explains more than a potential.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -18,7 +19,7 @@ from pinav.fitting.engine.evidence_fit import EvidenceFit
 from pinav.fitting.engine.iterate import EvidenceProgress
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.fitting.outcome import Outcome
-from pinav.fitting.structure.proposals import Proposal
+from pinav.fitting.structure.proposals import EXPLAINED, Proposal
 from pinav.fitting.structure.rotation import fitted_gain, mixture_on, survey_rotation
 from pinav.fitting.structure.search import Search, StructuredFit, evidence_of
 from pinav.fitting.structure.starts import GRID
@@ -72,11 +73,31 @@ def fit_structured(
         weigh_rotation &= may_turn(model)
         if not is_worth_a_search(model, trajectories):
             return _weigh_few(search) if weigh_rotation else search.best(None)
-        survey = Survey.of(specification, search.free())
+        search, survey = _survey(search)
         if weigh_rotation:
             return _weigh_rotation(search, survey)
         turning = not search.kernels.is_conservative
         return search.best(survey.proposal(rotational=turning))
+
+
+def _survey(search: Search) -> tuple[Search, Survey]:
+    """A survey about the first steps of the free fit, and the search from there.
+
+    Smoothed states miss the path of quick swimmers, and the data linearised about them
+    ask for forces that are not there. They stay where free kernels do not explain the
+    data, as a potential does not those of a swirl.
+    """
+    specification, smooth = search.specification, search.free()
+    survey = Survey.of(specification, smooth)
+    try:
+        begun = search.begin()
+    except FitError:
+        return search, survey
+    is_bad = begun.outcome is Outcome.DIVERGED
+    if is_bad or begun.hyperparameters.noise > EXPLAINED * survey.noise:
+        return search, survey
+    search = search.about(begun)
+    return search, Survey.of(specification, search.free(), begun)
 
 
 def is_worth_a_search(model: Any, trajectories: Trajectories) -> bool:
@@ -106,26 +127,35 @@ def _weigh_rotation(search: Search, survey: Survey) -> StructuredFit:
     """The fit of a potential or that of a mixture, by the evidence of its rotation."""
     kernels = search.kernels.kernels
     asked = survey_rotation(survey.response, survey.noise, (), kernels)
-    turning, rotation = None, asked.gain
-    proposal, turned = survey.proposal(rotational=False), None
-    is_open = _unless_rough(proposal) is None
-    if rotation > DECISIVE and is_open:
+    turning, turned, rotation = None, None, asked.gain
+    potential = functools.cache(lambda: survey.proposal(rotational=False))
+
+    def is_open() -> bool:
+        return _unless_rough(potential()) is None
+
+    # Where a rotation is plain a search for a potential would take long, for nothing.
+    if asked.is_plain or (asked.is_needed and is_open()):
         turned = _unless_rough(survey.proposal(rotational=True))
-    if is_open and (asked.is_plain or turned is not None):
+    if _has_swirl(turned) or (is_open() and (asked.is_plain or turned is not None)):
         turning = _turning(search, turned)
         if turning is not None and turning.rotation > DECISIVE:
             return turning
         rotation = np.nan if turning is None else turning.rotation
     still, is_potential = _potential(
         search,
-        proposal,
+        potential(),
         lambda: _turning(search, turned) if turning is None else turning,
     )
     if not is_potential:
         return still
     if not rotation > DECISIVE:  # which may be NaN
         return StructuredFit(still.fit, still.gain, rotation)
-    return _weigh_beside(search, still, proposal if turned is None else turned)
+    return _weigh_beside(search, still, potential() if turned is None else turned)
+
+
+def _has_swirl(proposal: Proposal | None) -> bool:
+    """Whether a proposal has a term without a potential."""
+    return proposal is not None and any(term.rotational for term in proposal.terms)
 
 
 def _unless_rough(proposal: Proposal | None) -> Proposal | None:

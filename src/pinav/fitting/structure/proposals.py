@@ -119,7 +119,8 @@ def propose(
         if may_pair and is_poor and len(shaped) == 1:
             may_pair = False  # what pairs explain does not depend on the terms
             trials = ground.pair(rotational=rotational)
-        if not ground.is_explained(trials):
+        least = min((one.noise for one in trials), default=0.0)
+        if not ground.is_explained(trials) and least < HOPELESS * noise:
             trials += ground.extend(terms, rotational=rotational)
         if not trials:
             break

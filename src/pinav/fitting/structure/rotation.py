@@ -19,6 +19,7 @@ from pinav.fitting.evidence.evidence import (
     best_hyperparameters,
 )
 from pinav.fitting.evidence.model_evidence import (
+    DECISIVE,
     LinearFit,
     model_evidence,
 )
@@ -40,15 +41,23 @@ RATIOS = (-3.0, -1.0, 1.0)
 tried before any fit."""
 
 
+PLAIN = 3.0
+"""Misfit of a potential, relative to that of a mixture, from which a rotation is plain.
+Of fields with a potential, for which the kernels are too coarse, it is up to 2.1 (four
+draws of each family, keys 40 to 46), of swirls 4.4 to 21."""
+
+
 class SurveyedRotation(NamedTuple):
     """What data that are linearised before any fit say of a rotational part.
 
     Attributes:
         gain: log evidence of it beside a potential [nats].
-        is_plain: a mixture explains the data, and a potential alone does not.
+        is_needed: a potential alone leaves more of the data unexplained than the noise.
+        is_plain: a mixture explains the data, and a potential by far less.
     """
 
     gain: float
+    is_needed: bool = False
     is_plain: bool = False
 
 
@@ -98,7 +107,9 @@ def survey_rotation(
     )
     gain = float(best.log_evidence - chosen.log_evidence)
     enough = EXPLAINED * noise
-    return SurveyedRotation(gain, best.noise < enough < chosen.noise)
+    is_needed = gain > DECISIVE and chosen.noise > enough
+    is_plain = best.noise < min(enough, chosen.noise / PLAIN)
+    return SurveyedRotation(gain, is_needed, is_needed and is_plain)
 
 
 def fitted_gain(fit: EvidenceFit) -> float:

@@ -18,7 +18,7 @@ import numpy as np
 from pinav.errors import FitError
 from pinav.fitting.bayes.fit_bayes import ADVICE, NOT_FINITE
 from pinav.fitting.bayes.neural import FitSpecification
-from pinav.fitting.bayes.problem import BayesProblem
+from pinav.fitting.bayes.problem import BayesProblem, States
 from pinav.fitting.engine.evidence_fit import EvidenceFit, evidence_fit
 from pinav.fitting.engine.iterate import EvidenceProgress, iterate
 from pinav.fitting.engine.problem import Step
@@ -27,6 +27,7 @@ from pinav.fitting.environments.refinement import (
     Refinement,
     iterate_refined,
 )
+from pinav.fitting.evidence.evidence import LinearisedObservations
 from pinav.fitting.evidence.model_evidence import (
     DECISIVE,
     evidence_without_second,
@@ -48,7 +49,7 @@ CLEAR = 100.0
 or not."""
 
 BEFORE_SURVEY = 3
-"""Steps of the fit of a proposal, after which the data are asked for a better one."""
+"""Steps of a fit, free or of a proposal, about which the data are asked for terms."""
 
 ABSENT = 0.02
 """Force of a term, relative to the greatest one, below which it may be needless."""
@@ -85,12 +86,14 @@ class Search(eqx.Module):
         max_iterations: of each fit.
         on_step: called after each step.
         throw: raise where a fit did not converge.
+        states: about which fits begin; smoothed ones unless given.
     """
 
     specification: FitSpecification
     max_iterations: int
     on_step: Callable[[EvidenceProgress], None] | None
     throw: bool
+    states: States | None = None
 
     @property
     def kernels(self) -> Any:
@@ -104,7 +107,18 @@ class Search(eqx.Module):
         return eqx.tree_at(lambda s: s.specification.model, self, model)
 
     def free(self) -> BayesProblem:
-        return self.specification.problem(self.specification.model)
+        model, states = self.specification.model, self.states
+        return self.specification.problem(model, states=states)
+
+    def begin(self) -> EvidenceFit:
+        """The first steps of the fit of what is free."""
+        problem = self.free()
+        how = iterate(problem, BEFORE_SURVEY, self.report)
+        return evidence_fit(problem, *how, not_finite=NOT_FINITE, advice={})
+
+    def about(self, fit: EvidenceFit) -> "Search":
+        """The same from the states of a fit."""
+        return dataclasses.replace(self, states=fit.states)
 
     def report(self, progress: EvidenceProgress) -> None:
         """Pass a step on, with the name of the force."""
@@ -129,6 +143,8 @@ class Search(eqx.Module):
         """The free fit or that of a proposed structure, by their evidence.
 
         The free fit begins where the other ended, and ends early where it cannot win.
+        Where the evidence cannot tell, terms that need nothing beside them are
+        preferred: they are simpler, and say more where there are no data.
         """
         proposed = None if proposal is None else self._fit_proposal(proposal)
         if proposed is None:
@@ -155,7 +171,7 @@ class Search(eqx.Module):
         last = steps[-1]
         linear, chosen = free.linear_fit(last), last.hyperparameters
         gain = evidence - model_evidence(linear, chosen).log_evidence
-        if gain > DECISIVE:
+        if gain > (-DECISIVE if stands_alone(structured) else DECISIVE):
             return StructuredFit(structured, gain)
         if outcome is Outcome.CONVERGED and not is_coarse(last):
             alone = evidence_fit(free, outcome, steps, not_finite=NOT_FINITE, advice={})
@@ -194,7 +210,7 @@ class Search(eqx.Module):
 
         None where the terms do not explain the data about their own fit.
         """
-        begun = self._begin(proposal.terms)
+        begun = self._beside(proposal.terms).begin()
         if begun.outcome is Outcome.DIVERGED:
             return begun
         terms = begun.model.environment.terms
@@ -202,7 +218,10 @@ class Search(eqx.Module):
         whole = polish(terms, survey.response)
         other = whole and prune(refine(whole, survey.response), survey.response)
         if proposal.is_rough and not (other and survey.is_near_noise(other)):
-            return None
+            # Smoothed states that miss the path misplace terms; these do not.
+            other = survey.proposal(rotational=not self.kernels.is_conservative)
+            if other is None or other.is_rough:
+                return None
         if other is not None and other is not whole:
             fit = self._fit_terms(other.terms, begun)
             if _is_as_good(fit, begun):
@@ -228,19 +247,14 @@ class Search(eqx.Module):
         is_worse = evidence_of(fewer) < evidence_of(fit) - DECISIVE
         return fit if fewer.outcome is Outcome.DIVERGED or is_worse else fewer
 
-    def _begin(self, terms: Terms) -> EvidenceFit:
-        """The first steps of the fit of terms beside the free kernels."""
-        search = self.of(StructuredForce(terms, self.kernels))
-        problem = search.free()
-        how = iterate(problem, BEFORE_SURVEY, search.report)
-        return evidence_fit(problem, *how, not_finite=NOT_FINITE, advice={})
-
     def _fit_terms(self, terms: Terms, begun: EvidenceFit) -> EvidenceFit:
         """The fit of terms beside the free kernels, from the states of another."""
-        search = self.of(StructuredForce(terms, self.kernels))
-        specification = search.specification
-        problem = specification.problem(specification.model, states=begun.states)
-        return search.fit(problem, None)
+        search = self._beside(terms).about(begun)
+        return search.fit(search.free(), None)
+
+    def _beside(self, terms: Terms) -> "Search":
+        """The same with terms beside the free kernels."""
+        return self.of(StructuredForce(terms, self.kernels))
 
 
 def _relative_forces(fit: EvidenceFit) -> list[float]:
@@ -268,6 +282,19 @@ def _is_as_good(fit: EvidenceFit, begun: EvidenceFit) -> bool:
 def evidence_of(fit: EvidenceFit) -> float:
     """Log evidence of a fit; of terms also where the free kernels are absent."""
     whole = model_evidence(fit.linear, fit.hyperparameters).log_evidence
+    return max(whole, _evidence_of_terms(fit))
+
+
+def stands_alone(fit: EvidenceFit) -> bool:
+    """Whether terms explain the data without free kernels, and no force does not."""
+    whole = model_evidence(fit.linear, fit.hyperparameters).log_evidence
+    nothing = LinearisedObservations.of(fit.linear.quadratic).log_evidence_without
+    is_a_force = fit.hyperparameters.log_evidence > nothing + CLEAR
+    return is_a_force and _evidence_of_terms(fit) > whole - DECISIVE
+
+
+def _evidence_of_terms(fit: EvidenceFit) -> float:
+    """Log evidence of the terms of a fit where the free kernels are absent."""
     if not split_structure(fit.model.environment)[0]:
-        return whole
-    return max(whole, evidence_without_second(fit.linear, fit.hyperparameters))
+        return -np.inf
+    return evidence_without_second(fit.linear, fit.hyperparameters)
