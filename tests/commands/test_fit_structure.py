@@ -21,6 +21,9 @@ def test_a_term_is_named_with_its_numbers():
 def test_structures_are_weighed_against_free_kernels():
     found = StructureRow((CENTRE,), gain=31.0)
     assert found.text().endswith("; 31.0 nats over free kernels")
+    tied = StructureRow((CENTRE,), gain=-4.0).text()
+    assert "simpler than free kernels, which the log evidence cannot tell" in tied
+    assert tied.endswith("(−4.00 nats over them)")
     alone = StructureRow((CENTRE,), None).text()
     assert alone.endswith("; a fit of free kernels alone diverges")
     assert "no structure tried explains" in StructureRow((), None).text()

@@ -7,6 +7,7 @@ from pinav.fitting.evidence.evidence import (
     Whitened,
     at_shape,
     best_hyperparameters,
+    evidence_of_scales,
     shape_slope,
     weight_posterior,
 )
@@ -303,3 +304,10 @@ def test_with_one_start_there_is_nothing_to_search_anew():
     weights = GaussianWeights(Bumpy(both=False))
     low = weights.infer(SECOND, np.array([-2.0]), 0.1).hyperparameters
     assert weights.search_anew(SECOND, low, 0.1) is None
+
+
+def test_without_weights_the_evidence_is_that_of_the_least_amplitude(quadratic):
+    data = LinearisedObservations.of(eliminate_flat(quadratic, MASK)[0])
+    noise = np.sqrt((data.squares + data.targets @ data.targets) / data.num_free)
+    at = evidence_of_scales(data, prior(np.zeros(1)))
+    assert data.log_evidence_without == pytest.approx(at(1e-7 * noise, noise))

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from pinav.commands.fitted_run import FittedRun
 from pinav.fitting import derive, is_worth_a_search
 from pinav.fitting.environments.choice import MIXTURE
+from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.fitting.structure.fit import LEAST_SAMPLES, LEAST_TRAJECTORIES
 from pinav.forces import AbstractProfileTerm, split_structure
 from pinav.report import number
@@ -92,7 +93,13 @@ class StructureRow(msgspec.Struct, frozen=True):
             names = ", and ".join(term.text() for term in self.terms)
             if self.gain is None:
                 return f"structure: {names}; a fit of free kernels alone diverges"
-            return f"structure: {names}; {number(self.gain, 3)} nats over free kernels"
+            nats = f"{number(self.gain, 3)} nats"
+            if self.gain > DECISIVE:
+                return f"structure: {names}; {nats} over free kernels"
+            return (
+                f"structure: {names}; it is simpler than free kernels, which the log "
+                f"evidence cannot tell from it ({nats} over them)"
+            )
         if not self.sought:
             return (
                 "structure: free kernels; none was sought, which takes "
