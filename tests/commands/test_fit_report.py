@@ -5,20 +5,21 @@ import pytest
 
 from pinav.commands.fit.metrics import FitMetrics, RestartRow
 from pinav.commands.fit.report import fit_sections
+from pinav.commands.fit.structure import StructureRow
 from pinav.report import Paragraph, Table
 from pinav.runs import RunFolder
 
 
 @pytest.fixture
 def content_with(fitted_run):
-    """The first section of a fit whose metrics have other fields."""
+    """A section of a fit, the first, whose metrics have other fields."""
     folder, _ = fitted_run("kernel")
 
-    def content(**fields):
+    def content(section=0, **fields):
         run = RunFolder.open(folder)
         metrics = run.read_metrics("metrics.json", FitMetrics)
         run.write_metrics("metrics.json", msgspec.structs.replace(metrics, **fields))
-        return fit_sections(run)[0].blocks
+        return fit_sections(run)[section].blocks
 
     return content
 
@@ -45,3 +46,12 @@ def test_the_page_says_whether_the_evidence_supports_a_field(content_with):
     table = first_table(content)
     assert table.header == ("after 1.00 s [um]", "after 10.0 s [um]")
     assert table.rows == [(2.5, None)]
+
+
+def test_structure_and_rotation_are_two_paragraphs(content_with):
+    row = StructureRow((), gain=None, rotation=-3.2)
+    first, second = content_with(section=1, structure=row)
+    assert isinstance(first, Paragraph)
+    assert isinstance(second, Paragraph)
+    assert first.text.startswith("structure: free kernels")
+    assert second.text.startswith("force: a potential")

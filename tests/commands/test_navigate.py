@@ -86,6 +86,10 @@ def test_the_words_name_truth_regret_and_suggestion():
         "suggestion": {"sd": 0.3, "sd_after": 0.1, "sd_after_random": 0.2},
     }
     found = text(msgspec.convert(metrics, NavigationMetrics))
+    assert "from 25 % of the arena the goal cannot be reached in time." in found
+    whole = metrics | {"plan": metrics["plan"] | {"unreachable": 0.0}}
+    reached = text(msgspec.convert(whole, NavigationMetrics))
+    assert "from everywhere in the arena the goal can be reached in time." in reached
     assert "95 % (85–100)" in found
     assert "1.020 (1.000–∞)" in found
     assert "the true environment of barrier-crossings (synthetic)" in found

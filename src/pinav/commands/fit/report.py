@@ -244,7 +244,8 @@ def _structure(
     structure: StructureRow,
 ) -> list[Paragraph | Image | Table]:
     """What the search came to, and each profile with its band."""
-    content: list[Paragraph | Image | Table] = [Paragraph(structure.text())]
+    content: list[Paragraph | Image | Table] = []
+    content += map(Paragraph, structure.text().splitlines())
     for index, term in enumerate(structure.terms):
         name = f"structure/{index}"
         if name not in arrays:

@@ -54,9 +54,13 @@ CAPTION = (
 def sentences(metrics: NavigationMetrics) -> list[str]:
     """The findings in words."""
     plan, step, time = metrics.plan, metrics.step, metrics.units.get("t", "")
+    reach = (
+        f"from {100 * plan.unreachable:.2g} % of the arena the goal cannot be reached"
+        if plan.unreachable
+        else "from everywhere in the arena the goal can be reached"
+    )
     lines = [
-        f"The plan takes {quantity(plan.time, time)} from rest; from "
-        f"{plan.unreachable:.0%} of the arena the goal cannot be reached in time.",
+        f"The plan takes {quantity(plan.time, time)} from rest; {reach} in time.",
         f"Tried in {environment_words(metrics)}.",
         f"A control step takes {1e3 * step.median:.2g} ms, the first one "
         f"{step.first:.2g} s with its compilation.",
