@@ -66,3 +66,17 @@ def test_a_recording_goes_through_all_commands_on_the_same_runs(tmp_path, capsys
     np.testing.assert_allclose(
         run.model.propulsion.gain, system.swimmer.propulsion.gain
     )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["dev1-pil0-dis0", "sorted-dev1-pil3-dis1"])
+def test_bacteria_that_overlap_in_time_are_identified(recording, name, tmp_path):
+    jax.config.update("jax_numpy_dtype_promotion", "standard")
+    file = recording(f"ecoli_pillars_trackmate/{name}-rep1-02022024.csv")
+    words = ["identify", str(file), "--fps", "20", "--mpp", "0.656"]
+    try:
+        assert cli.run([*words, "--out", str(tmp_path / "I")]) == 0
+    finally:
+        jax.config.update("jax_numpy_dtype_promotion", "strict")
+    metrics = json.loads((tmp_path / "I" / "metrics.json").read_text())
+    assert not any(track.get("reason") for track in metrics["tracks"].values())

@@ -16,7 +16,7 @@ from pinav.figures.palette import (
     BLUE,
     VERMILLION,
 )
-from pinav.figures.style import pale
+from pinav.figures.style import add_legend, pale
 
 UNITS = {"x": "um", "y": "um", "t": "s", "vx": "um/s", "vy": "um/s"}
 PHASES = (("Adam", 0), ("L-BFGS", 75))
@@ -383,3 +383,12 @@ def test_failed_write_keeps_the_old_file_and_leaves_no_part(tmp_path, monkeypatc
 def test_import_leaves_pyplot_alone():
     code = "import sys, pinav.report; assert 'matplotlib.pyplot' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_nothing_drawn_has_no_legend():
+    ax = Figure().add_subplot()
+    add_legend(ax)
+    assert ax.get_legend() is None
+    ax.plot([0, 1], label="a line")
+    add_legend(ax)
+    assert ax.get_legend() is not None

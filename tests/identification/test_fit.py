@@ -28,7 +28,7 @@ from pinav.identification.findings import extrapolation
 from pinav.identification.fit import Search
 from pinav.identification.forecast import programme_of
 from pinav.identification.likelihood import Design, evidence_and_coefficients
-from pinav.identification.models import MATRIX
+from pinav.identification.models import DRIFT_ONLY, MATRIX
 from pinav.identification.priors import Prior
 from pinav.identification.tracks import (
     COMPILATION,
@@ -36,8 +36,10 @@ from pinav.identification.tracks import (
     PER_SAMPLE,
     after,
     before,
+    one_track,
     shared_sizes,
 )
+from pinav.trajectories import Trajectories
 
 RUNG = with_free(with_response(MATRIX, "saturating"), "delay", "delay")
 
@@ -327,3 +329,23 @@ def test_a_heading_that_never_changes_leaves_the_other_gain_at_zero(synthetic):
     np.testing.assert_allclose(fit.gain[:, 0], 0.0, atol=0.01)
     assert np.linalg.eigvalsh(fit.covariance).min() >= 0
     assert fit.estimates()["heading offset"].sd > 1.0
+
+
+def test_particles_that_overlap_in_time_are_pooled_one_after_the_other():
+    random = np.random.default_rng(3)
+    steps = 0.1 * random.normal(size=(2, 200, 2)) + np.array([0.02, -0.01])
+    times = 0.1 * np.arange(200)
+    fits = []
+    for begins in ((0.0, 5.0), (0.0, 40.0)):
+        clocks = [begin + times for begin in begins]
+        paths = list(np.cumsum(steps, axis=1))
+        pooled = Trajectories.from_arrays(clocks, paths, channels=("x", "y"))
+        track = one_track(pooled, "all")
+        overlapping = eqx.tree_at(
+            lambda t: [piece.times for piece in t.pieces], track, clocks
+        )
+        assert np.all(np.diff(Blocks.of(overlapping).times) > 0)
+        fits.append(fit_track(overlapping, DRIFT_ONLY))
+    first, apart = fits
+    assert first.log_evidence == pytest.approx(apart.log_evidence, abs=0.01)
+    np.testing.assert_allclose(first.drift, apart.drift, rtol=1e-3)

@@ -226,7 +226,12 @@ LegendPlace = Literal["best", "upper left", "upper right"]
 
 
 def add_legend(ax: Axes, *, columns: int = 1, loc: LegendPlace = "best") -> None:
-    """Add the legend, on a ground that keeps lines behind it visible."""
+    """Add the legend, on a ground that keeps lines behind it visible, if any.
+
+    Where nothing was drawn, as of tracks none of which could be fitted, there is none.
+    """
+    if not ax.get_legend_handles_labels()[0]:
+        return
     ax.legend(
         fontsize=SMALL,
         ncols=columns,

@@ -125,16 +125,12 @@ def one_track(data: Trajectories, name: str) -> Track:
         InputError: the channels are not x and y, or nothing is long enough to fit.
     """
     _check_planar(data)
-    pieces, end = [], -np.inf
-    for piece in sorted(
-        map(_drop_unseen, data), key=lambda piece: float(piece.times[0])
-    ):
-        if len(piece.times) < LEAST_SAMPLES:
-            continue
-        begin = float(piece.times[0])
-        later = end + GAP - begin if begin <= end else 0.0
-        pieces.append(eqx.tree_at(lambda p: p.times, piece, piece.times + later))
-        end = float(pieces[-1].times[-1])
+    seen = sorted(map(_drop_unseen, data), key=lambda piece: float(piece.times[0]))
+    long = [piece for piece in seen if len(piece.times) >= LEAST_SAMPLES]
+    pieces = [
+        eqx.tree_at(lambda p: p.times, piece, times)
+        for piece, times in zip(long, _times_in_turn(long), strict=True)
+    ]
     if not pieces:
         raise InputError(_too_short(data))
     width = _block_width(pieces)
@@ -143,6 +139,22 @@ def one_track(data: Trajectories, name: str) -> Track:
 
 GAP = 10.0
 """Time between trajectories that are put one after the other [s]."""
+
+
+def _times_in_turn(pieces: Sequence[Trajectory]) -> list[Float[np.ndarray, " time"]]:
+    """Times of each piece, later where it begins before the one before it ended.
+
+    Pieces of several particles overlap. Commands are a function of time, and a filter
+    goes forward in it.
+    """
+    made: list[Float[np.ndarray, " time"]] = []
+    end = -np.inf
+    for piece in pieces:
+        begin = float(piece.times[0])
+        later = end + GAP - begin if begin <= end else 0.0
+        made.append(piece.times + later)
+        end = float(made[-1][-1])
+    return made
 
 
 def _check_planar(recording: Trajectories) -> None:
@@ -282,7 +294,8 @@ class Blocks(NamedTuple):
     A tuple, which passes into a compiled program more quickly than a module does.
 
     Attributes:
-        times: of each sample [s]; padding goes on increasing.
+        times: of each sample [s], increasing, in the padding too; segments that
+            overlap are put one after the other.
         positions: of each sample [L].
         frequency: commanded [Hz]; 0 where nothing was recorded.
         heading: commanded [rad].
@@ -322,7 +335,7 @@ class Blocks(NamedTuple):
             ]
             return np.pad(np.concatenate(values), (0, samples - length))
 
-        times = np.concatenate([piece.times for piece in track.pieces])
+        times = np.concatenate(_times_in_turn(track.pieces))
         # Time goes on in the padding, so that no interval vanishes.
         later = times.max() + 1.0 + np.arange(samples - length)
         states = np.concatenate([piece.states for piece in track.pieces])
