@@ -158,8 +158,8 @@ def test_no_force_is_not_called_a_linear_one():
 def test_quick_swimmers_are_surveyed_about_the_first_steps_of_a_fit():
     """Smoothed states miss their path; about those an ellipse lay off the data."""
     truth, model, positions = drawn("elliptic", 43)
-    data, noise = with_velocities(positions), None
-    asked = FitSpecification(model, data, lambda _: (), noise, FixedStep())
+    data = with_velocities(positions)
+    asked = FitSpecification(model, data, lambda _: (), None, FixedStep())
     with jax.enable_x64(new_val=True):
         start = Search(asked, 20, None, throw=False)
         begun, survey = structure_fit._survey(start)

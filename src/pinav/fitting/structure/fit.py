@@ -130,13 +130,15 @@ def _weigh_rotation(search: Search, survey: Survey) -> StructuredFit:
     turning, turned, rotation = None, None, asked.gain
     potential = functools.cache(lambda: survey.proposal(rotational=False))
 
-    def is_open() -> bool:
+    def no_potential_explains() -> bool:
         return _unless_rough(potential()) is None
 
     # Where a rotation is plain a search for a potential would take long, for nothing.
-    if asked.is_plain or (asked.is_needed and is_open()):
+    if asked.is_plain or (asked.is_needed and no_potential_explains()):
         turned = _unless_rough(survey.proposal(rotational=True))
-    if _has_swirl(turned) or (is_open() and (asked.is_plain or turned is not None)):
+    if _has_swirl(turned) or (
+        no_potential_explains() and (asked.is_plain or turned is not None)
+    ):
         turning = _turning(search, turned)
         if turning is not None and turning.rotation > DECISIVE:
             return turning

@@ -159,7 +159,7 @@ class Search(eqx.Module):
         def has_lost(step: Step) -> bool:
             return step.hyperparameters.log_evidence < best - CLEAR
 
-        free = self.specification.problem(model, states=structured.states)
+        free = self.about(structured).free()
         outcome, steps = iterate(
             free,
             self.max_iterations,
@@ -171,7 +171,7 @@ class Search(eqx.Module):
         last = steps[-1]
         linear, chosen = free.linear_fit(last), last.hyperparameters
         gain = evidence - model_evidence(linear, chosen).log_evidence
-        if gain > (-DECISIVE if stands_alone(structured) else DECISIVE):
+        if gain > DECISIVE or (gain > -DECISIVE and stands_alone(structured)):
             return StructuredFit(structured, gain)
         if outcome is Outcome.CONVERGED and not is_coarse(last):
             alone = evidence_fit(free, outcome, steps, not_finite=NOT_FINITE, advice={})
@@ -181,11 +181,12 @@ class Search(eqx.Module):
     def _fit_proposal(self, proposal: Proposal) -> tuple[EvidenceFit, float] | None:
         """The fit of proposed terms beside the free kernels; None where it fails.
 
-        The terms explain data linearised about smoothed states, whose errors needless
-        terms may explain. So their fit is interrupted after a few steps, and about it
-        the data are asked again what is needed. Where no fit carries all terms, as
-        about a centre that swimmers circle faster than smoothing follows, the one that
-        was added last is left out; of obstacles, which such errors multiply, one stays.
+        The terms explain data linearised about states that have not converged, whose
+        errors needless terms may explain. So their fit is interrupted after a few
+        steps, and about it the data are asked again what is needed. Where no fit
+        carries all terms, as about a centre that swimmers circle faster than smoothing
+        follows, the one that was added last is left out; of obstacles, which such
+        errors multiply, one stays.
 
         Returns:
             The fit, and its log evidence.
@@ -218,7 +219,7 @@ class Search(eqx.Module):
         whole = polish(terms, survey.response)
         other = whole and prune(refine(whole, survey.response), survey.response)
         if proposal.is_rough and not (other and survey.is_near_noise(other)):
-            # Smoothed states that miss the path misplace terms; these do not.
+            # States that miss the path misplace terms; those of these steps do not.
             other = survey.proposal(rotational=not self.kernels.is_conservative)
             if other is None or other.is_rough:
                 return None
