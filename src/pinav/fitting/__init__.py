@@ -83,8 +83,8 @@ from pinav.fitting.matching.state import FitState as FitState
 from pinav.fitting.outcome import Outcome as Outcome
 from pinav.fitting.outcome import confirm as confirm
 from pinav.fitting.structure.fit import fit_structured as fit_structured
-from pinav.fitting.structure.fit import is_worth_a_search as is_worth_a_search
-from pinav.fitting.structure.fit import may_turn as may_turn
 from pinav.fitting.structure.search import StructuredFit as StructuredFit
+from pinav.fitting.structure.survey import is_worth_a_search as is_worth_a_search
+from pinav.fitting.structure.survey import may_turn as may_turn
 from pinav.fitting.traps import TrapFit as TrapFit
 from pinav.fitting.traps import fit_trap as fit_trap

@@ -31,6 +31,7 @@ from pinav.forces.force import SumForce as SumForce
 from pinav.forces.force import ZeroForce as ZeroForce
 from pinav.forces.force import as_learned_force as as_learned_force
 from pinav.forces.force import forces_at as forces_at
+from pinav.forces.hills import HillsTerm as HillsTerm
 from pinav.forces.kernel_basis import KernelAxis as KernelAxis
 from pinav.forces.kernel_basis import KernelBasis as KernelBasis
 from pinav.forces.kernel_basis import Warp as Warp

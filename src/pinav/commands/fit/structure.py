@@ -12,8 +12,8 @@ from pinav.commands.fitted_run import FittedRun
 from pinav.fitting import derive, is_worth_a_search
 from pinav.fitting.environments.choice import MIXTURE
 from pinav.fitting.evidence.model_evidence import DECISIVE
-from pinav.fitting.structure.fit import LEAST_SAMPLES, LEAST_TRAJECTORIES
-from pinav.forces import AbstractProfileTerm, split_structure
+from pinav.fitting.structure.survey import LEAST_SAMPLES, LEAST_TRAJECTORIES
+from pinav.forces import AbstractProfileTerm, HillsTerm, split_structure
 from pinav.report import number
 
 POINTS = 121
@@ -47,6 +47,12 @@ class TermRow(msgspec.Struct, frozen=True):
             return (
                 f"{self.kind} with its normal at {number(degrees, 5)}{spread} degrees"
             )
+        if self.kind == HillsTerm.KIND:
+            count = HillsTerm.count(len(self.geometry))
+            centers = np.reshape(self.geometry[: 2 * count], (count, 2))
+            places = ", ".join(f"({number(x, 4)}, {number(y, 4)})" for x, y in centers)
+            spread = f" ± {number(max(self.sd[: 2 * count]), 2)}"
+            return f"{count} {self.kind} at {places}{spread}"
         word = "about" if self.kind.startswith("central") else "with"
         return f"{self.kind} {word} ({values}){spread}"
 

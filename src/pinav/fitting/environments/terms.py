@@ -13,6 +13,7 @@ from pinav.forces import (
     AbstractTerm,
     CentralTerm,
     EllipticTerm,
+    HillsTerm,
     LatticeTerm,
     LinearTerm,
     ObstaclesTerm,
@@ -27,6 +28,7 @@ TERMS: dict[str, type[AbstractTerm]] = {
     for kind in (
         CentralTerm,
         EllipticTerm,
+        HillsTerm,
         LatticeTerm,
         LinearTerm,
         ObstaclesTerm,

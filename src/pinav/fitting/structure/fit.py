@@ -22,14 +22,10 @@ from pinav.fitting.outcome import Outcome
 from pinav.fitting.structure.proposals import EXPLAINED, Proposal
 from pinav.fitting.structure.rotation import fitted_gain, mixture_on, survey_rotation
 from pinav.fitting.structure.search import Search, StructuredFit, evidence_of
-from pinav.fitting.structure.starts import GRID
-from pinav.fitting.structure.survey import Survey
-from pinav.forces import AbstractLearnedForce, as_learned_force, split_structure
+from pinav.fitting.structure.survey import Survey, is_worth_a_search, may_turn
+from pinav.forces import split_structure
 from pinav.numerics import free_programs
 from pinav.trajectories import Trajectories, with_velocities
-
-LEAST_TRAJECTORIES, LEAST_SAMPLES = 6, 600
-"""Trajectories and observed numbers below which data are not worth a search."""
 
 
 def fit_structured(
@@ -98,29 +94,6 @@ def _survey(search: Search) -> tuple[Search, Survey]:
         return search, survey
     search = search.about(begun)
     return search, Survey.of(specification, search.free(), begun)
-
-
-def is_worth_a_search(model: Any, trajectories: Trajectories) -> bool:
-    """Whether the data could tell a structure of a force that does not change."""
-    return (
-        _static_field(model) is not None
-        and len(trajectories) >= LEAST_TRAJECTORIES
-        and trajectories.num_observed >= LEAST_SAMPLES
-    )
-
-
-def may_turn(model: Any) -> bool:
-    """Whether a rotational part can be weighed beside the potential of a model."""
-    field = _static_field(model)
-    return field is not None and field.is_conservative and field.dim == 2
-
-
-def _static_field(model: Any) -> AbstractLearnedForce | None:
-    """The force of a model where it is a field of kernels that does not change."""
-    force = as_learned_force(model.environment)
-    if force is None or force.kernels is None or force.dim not in GRID:
-        return None
-    return force if force.is_static else None
 
 
 def _weigh_rotation(search: Search, survey: Survey) -> StructuredFit:

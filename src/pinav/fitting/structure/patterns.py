@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, PyTree
+from jaxtyping import Array, Bool, Float, PyTree
 from scipy.ndimage import maximum_filter
 
 from pinav.arguments import on_device
@@ -115,17 +115,35 @@ class PotentialMap(eqx.Module):
         """The map of the data; None where they do not depend on it."""
         positions = np.asarray(response.points).reshape(-1, 2)
         potential = free_potential(response, positions)
-        if potential is None:
-            return None
-        axes = np.linspace(positions.min(axis=0), positions.max(axis=0), MAP_POINTS).T
+        return None if potential is None else cls.of_potential(potential, positions)
+
+    @classmethod
+    def of_potential(
+        cls,
+        potential: KernelPotential,
+        positions: Float[np.ndarray, "point 2"],
+        points: int = MAP_POINTS,
+        reach: float = 1.0,
+    ) -> "PotentialMap":
+        """The map of a potential.
+
+        Args:
+            potential: of kernels.
+            positions: where there are data [L].
+            points: along each side of the map.
+            reach: distance from the data, in widths of the kernels, up to which the
+                potential counts as seen.
+        """
+        from scipy.spatial import KDTree
+
+        axes = np.linspace(positions.min(axis=0), positions.max(axis=0), points).T
         places = np.stack(np.meshgrid(*axes), axis=-1)
-        at = jax.jit(jax.vmap(lambda x: potential.potential(0.0, x)))
-        heights = np.asarray(at(places.reshape(-1, 2)))
-        gaps = np.linalg.norm(places[:, :, None] - positions[None, None, ::4], axis=-1)
+        heights = np.asarray(_heights(potential, on_device(places.reshape(-1, 2))))
+        gaps = KDTree(positions).query(places)[0]
         return cls(
             places=places,
             heights=heights.reshape(places.shape[:2]),
-            is_seen=gaps.min(axis=-1) < float(potential.width),
+            is_seen=gaps < reach * float(potential.width),
         )
 
     def peaks(
@@ -152,6 +170,13 @@ class PotentialMap(eqx.Module):
         seen = columns[self.is_seen], self.heights[self.is_seen]
         rest = self.heights - columns @ np.linalg.lstsq(*seen, rcond=None)[0]
         return self.peaks(np.abs(rest), NEARBY, SUMMIT)[:MOST_PEAKS]
+
+
+@eqx.filter_jit
+def _heights(
+    potential: KernelPotential, places: Float[Array, "place 2"]
+) -> Float[Array, " place"]:
+    return jax.vmap(lambda x: potential.potential(0.0, x))(places)
 
 
 NEARBY, SUMMIT = 9, 0.3

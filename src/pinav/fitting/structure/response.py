@@ -25,6 +25,7 @@ from pinav.fitting.engine.multiple_shooting import (
 from pinav.fitting.evidence.quadratic import Quadratic
 from pinav.fitting.matching.objectives import Observations
 from pinav.forces import AbstractForce, AbstractTerm, ConstantForce, forces_at
+from pinav.forces.kernels import AbstractKernels
 
 MOST_GROUPS = 100
 """Groups of steps of a trajectory, in each of which the force counts as constant."""
@@ -154,6 +155,20 @@ def _reduced_columns(
     return jax.lax.map(lambda one: _columns(one, response, _own_weights) @ root, terms)
 
 
+def force_columns(
+    kernels: AbstractKernels, response: ForceResponse
+) -> Float[np.ndarray, "datum weight"]:
+    """Residuals by each weight of kernels."""
+    return np.asarray(_force_columns(kernels, response))
+
+
+@eqx.filter_jit
+def _force_columns(
+    kernels: AbstractKernels, response: ForceResponse
+) -> Float[Array, "datum weight"]:
+    return _columns(kernels, response, _own_weights)
+
+
 def residuals_of_none(response: ForceResponse) -> Float[np.ndarray, " datum"]:
     """Residuals of no force."""
     return np.asarray(_offset(response))
@@ -211,7 +226,7 @@ def _term_equations(
     return hessians, gradients, offset @ offset
 
 
-def _own_weights(term: AbstractTerm) -> PyTree:
+def _own_weights(term: AbstractTerm | AbstractKernels) -> PyTree:
     return term.weights
 
 

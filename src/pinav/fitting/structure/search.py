@@ -34,11 +34,13 @@ from pinav.fitting.evidence.model_evidence import (
     model_evidence,
 )
 from pinav.fitting.outcome import Outcome
+from pinav.fitting.structure.hills import propose_hills
 from pinav.fitting.structure.proposals import Proposal, fallbacks, prune, refine
-from pinav.fitting.structure.survey import Survey
+from pinav.fitting.structure.survey import Survey, is_worth_a_search
 from pinav.fitting.structure.trials import Terms, polish
 from pinav.forces import (
     AbstractForce,
+    KernelPotential,
     StructuredForce,
     forces_at,
     split_structure,
@@ -51,6 +53,9 @@ or not."""
 BEFORE_SURVEY = 3
 """Steps of a fit, free or of a proposal, about which the data are asked for terms."""
 
+AS_FINE_AS_HILLS_NEED = Refinement(max_weights=1000)
+"""Kernels on which the places of hills are seen, if there are hills."""
+
 ABSENT = 0.02
 """Force of a term, relative to the greatest one, below which it may be needless."""
 
@@ -61,7 +66,8 @@ class StructuredFit(eqx.Module):
     Attributes:
         fit: the result, structured or free.
         gain: log evidence of the structured force over the free one on the kernels with
-            which fits begin [nats]; NaN where no structure was fitted.
+            which fits begin, of hills over that on finer ones [nats]; NaN where no
+            structure was fitted.
         rotation: log evidence of a rotational part beside a potential [nats]: of the
             fit where it has one, of the data linearised before it where it has none;
             NaN where none was weighed.
@@ -148,7 +154,7 @@ class Search(eqx.Module):
         """
         proposed = None if proposal is None else self._fit_proposal(proposal)
         if proposed is None:
-            return StructuredFit(self.fit(self.free(), AS_FINE_AS_ASKED), np.nan)
+            return self._fit_rugged()
         structured, evidence = proposed
         model, best = self.specification.model, structured.hyperparameters.log_evidence
 
@@ -176,7 +182,59 @@ class Search(eqx.Module):
         if outcome is Outcome.CONVERGED and not is_coarse(last):
             alone = evidence_fit(free, outcome, steps, not_finite=NOT_FINITE, advice={})
             return StructuredFit(alone, gain)
-        return StructuredFit(self.fit(self.free(), AS_FINE_AS_ASKED), gain)
+        return self._fit_rugged(gain)
+
+    def _fit_rugged(self, gain: float = np.nan) -> StructuredFit:
+        """The fit of kernels as fine as the evidence asks for, or of hills.
+
+        Where kernels must be finer than those with which fits begin, the detail may be
+        in a few places: hills and wells beside coarse kernels are then the simpler
+        model, and the quicker one.
+
+        Args:
+            gain: of the best structure that was tried before [nats].
+        """
+        quiet = dataclasses.replace(self, throw=False)
+        rough = quiet.fit(self.free(), AS_FINE_AS_HILLS_NEED)
+        kernels = rough.model.environment
+        if float(kernels.width) < float(self.kernels.width):
+            hills = quiet._fit_hills(rough)
+            if hills is not None and hills.gain > DECISIVE:
+                return hills
+            finer = AS_FINE_AS_ASKED.finer(kernels, self.specification.trajectories)
+            if rough.outcome is Outcome.UNDER_RESOLVED and finer is not None:
+                finest = quiet.of(finer).about(rough)
+                fit = finest.fit(finest.free(), AS_FINE_AS_ASKED)
+                rough = rough if fit.outcome is Outcome.DIVERGED else fit
+        if self.throw and rough.outcome in ADVICE:
+            raise FitError(ADVICE[rough.outcome], str(rough.outcome))
+        return StructuredFit(rough, gain)
+
+    def _fit_hills(self, rough: EvidenceFit) -> StructuredFit | None:
+        """The fit of hills about that of free kernels; None where there are none."""
+        specification, potential = self.specification, rough.model.environment
+        if not (
+            is_worth_a_search(specification.model, specification.trajectories)
+            and isinstance(potential, KernelPotential)
+            and potential.dim == 2
+            and rough.outcome is not Outcome.DIVERGED
+        ):
+            return None
+        survey = Survey.of(specification, self.free(), rough)
+        inputs = survey.response, survey.noise, potential, self.kernels
+        hills = propose_hills(*inputs)
+        if hills is None:
+            return None
+        try:
+            fit = self._fit_terms((hills,), rough)
+        except FitError:
+            return None
+        is_bad = fit.outcome is Outcome.DIVERGED
+        return (
+            None
+            if is_bad
+            else StructuredFit(fit, evidence_of(fit) - evidence_of(rough))
+        )
 
     def _fit_proposal(self, proposal: Proposal) -> tuple[EvidenceFit, float] | None:
         """The fit of proposed terms beside the free kernels; None where it fails.

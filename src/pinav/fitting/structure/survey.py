@@ -1,6 +1,7 @@
 """A survey of the data, before a fit or about one: their response to forces."""
 
 import dataclasses
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -16,9 +17,10 @@ from pinav.fitting.structure.proposals import (
     refine,
 )
 from pinav.fitting.structure.response import ForceResponse, force_response
-from pinav.fitting.structure.starts import Region
+from pinav.fitting.structure.starts import GRID, Region
 from pinav.fitting.structure.trials import Proposal
-from pinav.forces import ZeroForce
+from pinav.forces import AbstractLearnedForce, ZeroForce, as_learned_force
+from pinav.trajectories import Trajectories
 
 MOST_TRAJECTORIES = {2: 32, 3: 10}
 """Trajectories that a survey looks at, by the dimension of space, in which many more
@@ -97,3 +99,30 @@ class Survey(eqx.Module):
     def is_near_noise(self, proposal: Proposal) -> bool:
         """Whether terms leave little more of the data unexplained than the noise."""
         return proposal.noise <= EXPLAINED * self.noise
+
+
+LEAST_TRAJECTORIES, LEAST_SAMPLES = 6, 600
+"""Trajectories and observed numbers below which data are not worth a search."""
+
+
+def is_worth_a_search(model: Any, trajectories: Trajectories) -> bool:
+    """Whether the data could tell a structure of a force that does not change."""
+    return (
+        _static_field(model) is not None
+        and len(trajectories) >= LEAST_TRAJECTORIES
+        and trajectories.num_observed >= LEAST_SAMPLES
+    )
+
+
+def may_turn(model: Any) -> bool:
+    """Whether a rotational part can be weighed beside the potential of a model."""
+    field = _static_field(model)
+    return field is not None and field.is_conservative and field.dim == 2
+
+
+def _static_field(model: Any) -> AbstractLearnedForce | None:
+    """The force of a model where it is a field of kernels that does not change."""
+    force = as_learned_force(model.environment)
+    if force is None or force.kernels is None or force.dim not in GRID:
+        return None
+    return force if force.is_static else None

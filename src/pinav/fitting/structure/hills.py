@@ -1,0 +1,433 @@
+r"""Hills and wells of a rugged potential, proposed from the linearised data.
+
+Where the evidence asks for kernels finer than those with which fits begin, the detail
+of a force is often in a few places: obstacles, each of a height and a shape of its own,
+and little between them. The summits of the potential of free kernels are where a
+search begins. In the linearised data (`ForceResponse`) hills of Gaussian form are
+fitted by least squares with a trust region, beside coarse free kernels of a fixed
+prior, which carry what no hill has been found for and are projected out. Hills are
+added where the kernels have to carry most, split and left out, as long as the misfit
+says so; the fit of the engine has the last word.
+
+References:
+    Golub and Pereyra, SIAM J. Numer. Anal. 10, 413 (1973), linear unknowns that are
+    projected out; Branch, Coleman and Li, SIAM J. Sci. Comput. 21, 1 (1999), the
+    trust region.
+"""
+
+import dataclasses
+from collections.abc import Iterator
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from pinav.arguments import on_device
+from pinav.fitting.evidence.evidence import root
+from pinav.fitting.structure.patterns import PotentialMap
+from pinav.fitting.structure.response import (
+    ForceResponse,
+    force_columns,
+    residuals_of_none,
+)
+from pinav.forces import HillsTerm, KernelPotential, forces_at
+from pinav.forces.hills import MIDDLE, WIDTHS
+
+Hills = Float[np.ndarray, "hill 6"]
+"""Of each hill: height [L² T⁻²], centre [L], and shape as in `HillsTerm`."""
+
+NUMBERS = 6
+
+POINTS, REACH = 161, 1.5
+"""Points along each side of the map of a potential, and distance from the data, in
+widths of its kernels, up to which it counts."""
+
+APART, LEAST = 9, 0.3
+"""Points of the map within which a summit is the only one, and the height of a summit
+that counts, relative to the highest."""
+
+INSIDE = 1.2
+"""Distance from a higher summit, in its own sizes, within which one is a part of it."""
+
+SIZES = (0.4, 4.0)
+"""Smallest and largest size at which a hill begins, in widths of the kernels."""
+
+MOST_HILLS = 24
+"""Summits above which the field is rough everywhere."""
+
+ROUGH, SHARES = 0.3, (0.1, 0.03)
+"""Deviation of the coarse kernels, relative to the height of a typical hill: the first
+fit leaves them much to carry, the last ones little."""
+
+LENGTH = 1.2
+"""Length scale of the coarse kernels, in their widths."""
+
+PLACE, HEIGHT, SIZE, SHEAR = 0.7, 2.0, 0.3, 0.7
+"""Deviations of the priors of hills: of a place from where its fit begins, in sizes of
+the hill; of the height, in typical heights; of the logarithm of the size from the
+typical one; and of the shear."""
+
+DOUBTFUL = 3
+"""Smallest hills that are left out where they may be, beside those within another."""
+
+PEAKS, SPLITS = 3, 2
+"""Places at which a hill is added, and longest hills that are split, in a round."""
+
+TRIED, SETTLED = 12, 30
+"""Evaluations of the residuals for a trial, and for a fit."""
+
+ROUNDS = 8
+"""Rounds of additions at most."""
+
+SPURIOUS, LATENT = 0.02, 0.1
+"""Height of a peak of the remainder that counts, relative to a typical hill; and what a
+datum tells of forces as great as there are, in deviations of the noise, below which it
+is left out."""
+
+
+def propose_hills(
+    response: ForceResponse,
+    noise: float,
+    potential: KernelPotential,
+    kernels: KernelPotential,
+) -> HillsTerm | None:
+    """Hills and wells that explain the data; None where there are no summits, or many.
+
+    Args:
+        response: of the data to forces, about a fit of free kernels.
+        noise: of the observations.
+        potential: of that fit.
+        kernels: coarse ones, beside which hills are fitted.
+    """
+    first = _summits(potential, np.asarray(response.points).reshape(-1, 2))
+    if not 0 < len(first) <= MOST_HILLS:
+        return None
+    landscape = _Landscape.of(response, noise, kernels, first)
+    best = landscape.with_share(ROUGH).fit(first, SETTLED)
+    for share in SHARES:
+        landscape = landscape.with_share(share)
+        best = landscape.without_needless(landscape.fit(best.hills, SETTLED))
+        for _ in range(ROUNDS):
+            tried = [landscape.fit(one, TRIED) for one in landscape.longer(best)]
+            better = min(tried, key=lambda one: one.misfit, default=best)
+            if better.misfit > best.misfit - landscape.price:
+                break
+            best = landscape.fit(better.hills, SETTLED)
+            best = landscape.without_needless(best)
+    return _term(best.hills)
+
+
+class _Fit(eqx.Module):
+    """Hills, and the sum of squares that they leave, in variances of the noise."""
+
+    hills: Hills
+    misfit: float
+
+
+class _Landscape(eqx.Module):
+    """Least squares of hills in the linearised data, coarse kernels projected out.
+
+    Attributes:
+        points: where forces act [L].
+        rows: from forces to data, in deviations of the noise.
+        offset: of the data without any force, likewise.
+        kernels: the coarse ones.
+        root: of the covariance of their weights, for a deviation of one.
+        columns: data by each of the columns of that root.
+        height: of a typical hill [L² T⁻²].
+        price: misfit that one more hill must explain.
+        deviation: of the coarse kernels [L² T⁻²].
+        basis: orthonormal, of what they explain.
+    """
+
+    points: Float[Array, "trajectory group 2"]
+    rows: Float[np.ndarray, "trajectory datum force"]
+    offset: Float[np.ndarray, " residual"]
+    kernels: KernelPotential
+    root: Float[np.ndarray, "kernel column"]
+    columns: Float[np.ndarray, "residual column"]
+    height: float
+    price: float
+    deviation: float
+    basis: Float[np.ndarray, "row column"]
+
+    @classmethod
+    def of(
+        cls,
+        response: ForceResponse,
+        noise: float,
+        kernels: KernelPotential,
+        hills: Hills,
+    ) -> "_Landscape":
+        rows, count = np.asarray(response.rows), len(response.rows)
+        # In each trajectory the data that say most come last.
+        strength = np.sqrt(np.mean(rows**2, axis=(0, 2)) * rows.shape[2])
+        is_told = strength * float(np.std(np.asarray(response.forces))) > LATENT * noise
+        first = int(np.argmax(is_told)) if is_told.any() else 0
+        prior = kernels.prior()
+        shape = prior.start.copy()
+        shape[:2] = np.log(LENGTH), prior.bounds[1, 1]
+        columns = root(prior.covariance(shape))
+
+        def told(
+            data: Float[np.ndarray, "trajectory datum ..."],
+        ) -> Float[np.ndarray, "residual ..."]:
+            return data[:, first:].reshape(-1, *data.shape[2:]) / noise
+
+        explained = force_columns(kernels, response) @ columns
+        return cls(
+            points=response.points,
+            rows=rows[:, first:] / noise,
+            offset=told(residuals_of_none(response).reshape(count, -1)),
+            kernels=kernels,
+            root=columns,
+            columns=told(explained.reshape(count, -1, explained.shape[1])),
+            height=float(np.median(np.abs(hills[:, 0]))),
+            price=NUMBERS * float(np.log(response.num_free)),
+            deviation=0.0,
+            basis=np.zeros((0, 0)),
+        )
+
+    def with_share(self, share: float) -> "_Landscape":
+        """The same for another deviation of the coarse kernels.
+
+        Args:
+            share: relative to the height of a typical hill.
+        """
+        deviation = share * self.height
+        basis, _ = np.linalg.qr(self._equations(deviation))
+        return dataclasses.replace(self, deviation=deviation, basis=basis)
+
+    def fit(self, hills: Hills, evaluations: int) -> _Fit:
+        """Hills of least misfit, their priors about where they are."""
+        from scipy.optimize import least_squares
+
+        def at(numbers: Float[np.ndarray, " number"]) -> Float[np.ndarray, " row"]:
+            now = numbers.reshape(-1, NUMBERS)
+            return np.append(self._project(self._residuals(now)), _scores(now, hills))
+
+        def slopes(numbers: Float[np.ndarray, " number"]) -> Float[np.ndarray, "r n"]:
+            now = numbers.reshape(-1, NUMBERS)
+            return np.vstack([self._project(self._jacobian(now)), held])
+
+        held = np.diag(1 / _deviations(hills).ravel())
+        search = least_squares(
+            at,
+            hills.ravel(),
+            jac=slopes,
+            x_scale="jac",
+            max_nfev=evaluations,
+            ftol=1e-5,
+            xtol=1e-5,
+        )
+        return _Fit(search.x.reshape(-1, NUMBERS), 2 * float(search.cost))
+
+    def without_needless(self, fit: _Fit) -> _Fit:
+        """The fit without hills that explain less than they cost, the lowest first."""
+        if len(fit.hills) == 1:
+            return fit
+        volumes = np.abs(fit.hills[:, 0]) * np.exp(2 * fit.hills[:, 3])
+        doubtful = dict.fromkeys(
+            [*_overlapping(fit.hills), *np.argsort(volumes)[:DOUBTFUL]]
+        )
+        for index in doubtful:
+            fewer = self.fit(np.delete(fit.hills, index, axis=0), TRIED)
+            if fewer.misfit < fit.misfit + self.price:
+                return self.without_needless(fewer)
+        return fit
+
+    def longer(self, fit: _Fit) -> Iterator[Hills]:
+        """One hill more: at peaks of what the kernels carry, or two in place of one."""
+        hills = fit.hills
+        if len(hills) >= MOST_HILLS:
+            return
+        positions = np.asarray(self.points).reshape(-1, 2)
+        peaks = _summits(self._remainder(hills), positions, SPURIOUS * self.height)
+        typical = float(np.median(hills[:, 3]))
+        for peak in peaks[:PEAKS]:
+            yield np.vstack([hills, [*peak[:3], typical, 0.0, 0.0]])
+        lengths = hills[:, 3] + np.hypot(hills[:, 4], hills[:, 5])
+        for index in np.argsort(-lengths)[:SPLITS]:
+            yield np.vstack([np.delete(hills, index, axis=0), _halves(hills[index])])
+
+    def _residuals(self, hills: Hills) -> Float[np.ndarray, " residual"]:
+        forces = sum(np.asarray(_hill_forces(self.points, one)) for one in hills)
+        flat = np.reshape(forces, (len(self.rows), -1, 1))
+        return (self.rows @ flat).ravel() + self.offset
+
+    def _jacobian(self, hills: Hills) -> Float[np.ndarray, "residual number"]:
+        slopes = [np.asarray(_hill_slopes(self.points, one)) for one in hills]
+        flat = np.concatenate(slopes, axis=-1).reshape(len(self.rows), -1, hills.size)
+        return (self.rows @ flat).reshape(-1, hills.size)
+
+    def _equations(self, deviation: float) -> Float[np.ndarray, "row column"]:
+        count = self.columns.shape[1]
+        return np.vstack([deviation * self.columns, np.eye(count)])
+
+    def _project(
+        self, values: Float[np.ndarray, "residual ..."]
+    ) -> Float[np.ndarray, "row ..."]:
+        """What the coarse kernels leave of residuals, and what that costs."""
+        count = len(values)
+        explained = self.basis @ (self.basis[:count].T @ values)
+        explained[:count] -= values
+        return -explained
+
+    def _remainder(self, hills: Hills) -> KernelPotential:
+        """The coarse kernels, with what they have to carry beside hills."""
+        residuals = self._residuals(hills)
+        wanted = np.append(-residuals, np.zeros(self.columns.shape[1]))
+        values = np.linalg.lstsq(self._equations(self.deviation), wanted, rcond=None)[0]
+        weights = on_device(self.deviation * (self.root @ values))
+        return eqx.tree_at(lambda one: one.weights, self.kernels, weights)
+
+
+def _deviations(hills: Hills) -> Hills:
+    """Of the priors of the numbers of hills; see `PLACE`."""
+    sizes, height = np.exp(hills[:, 3]), np.median(np.abs(hills[:, 0]))
+    ones = np.ones(len(hills))
+    return np.stack(
+        [
+            HEIGHT * height * ones,
+            PLACE * sizes,
+            PLACE * sizes,
+            SIZE * ones,
+            SHEAR * ones,
+            SHEAR * ones,
+        ],
+        axis=1,
+    )
+
+
+def _scores(hills: Hills, first: Hills) -> Float[np.ndarray, " number"]:
+    """Numbers of hills in deviations of their priors, from their means."""
+    means = np.zeros_like(first)
+    means[:, 1:3], means[:, 3] = first[:, 1:3], np.median(first[:, 3])
+    return ((hills - means) / _deviations(first)).ravel()
+
+
+@eqx.filter_jit
+def _hill_forces(
+    points: Float[Array, "trajectory group 2"], hill: Float[np.ndarray, "6"]
+) -> Float[Array, "trajectory group 2"]:
+    """Of one hill, so that any number of them shares a compilation."""
+    return _forces(jnp.asarray(hill), points)
+
+
+@eqx.filter_jit
+def _hill_slopes(
+    points: Float[Array, "trajectory group 2"], hill: Float[np.ndarray, "6"]
+) -> Float[Array, "trajectory group 2 6"]:
+    return jax.jacfwd(_forces)(jnp.asarray(hill), points)
+
+
+def _forces(
+    hill: Float[Array, "6"], points: Float[Array, "trajectory group 2"]
+) -> Float[Array, "trajectory group 2"]:
+    weights = jnp.zeros(len(WIDTHS)).at[MIDDLE].set(hill[0])
+    term = HillsTerm(weights, hill[None, 1:3], hill[None, 3:])
+    return forces_at(term, jnp.zeros(points.shape[:-1]), points)
+
+
+def _term(hills: Hills) -> HillsTerm:
+    """The term of Gaussian hills."""
+    weights = np.zeros((len(hills), len(WIDTHS)))
+    weights[:, MIDDLE] = hills[:, 0]
+    return HillsTerm(
+        on_device(weights.ravel()), on_device(hills[:, 1:3]), on_device(hills[:, 3:])
+    )
+
+
+def _summits(
+    potential: KernelPotential,
+    positions: Float[np.ndarray, "point 2"],
+    least: float | None = None,
+) -> Hills:
+    """Hills and wells as curved as a potential at its summits, the highest first.
+
+    Args:
+        potential: of kernels.
+        positions: where there are data [L].
+        least: height that counts [L² T⁻²]; a share of the highest unless given.
+    """
+    seen = PotentialMap.of_potential(potential, positions, POINTS, REACH)
+    width = float(potential.width)
+    heights = seen.heights - np.median(seen.heights[seen.is_seen])
+    highest = float(np.abs(heights[seen.is_seen]).max())
+    share = LEAST if least is None else least / max(highest, np.finfo(float).tiny)
+    places = seen.peaks(np.abs(heights), APART, share)
+    middle = float(np.median(seen.heights[seen.is_seen]))
+    hills: list[Float[np.ndarray, 6]] = []
+    for place in places:
+        height = float(potential.potential(0.0, on_device(place))) - middle
+        bend = -np.asarray(_bend(potential, on_device(place))) / height
+        values, vectors = np.linalg.eigh(bend)
+        lowest, largest = (1 / (size * width) ** 2 for size in reversed(SIZES))
+        hill = _hill(height, place, np.clip(values, lowest, largest), vectors)
+        if all(_distance(other, place) > INSIDE for other in hills):
+            hills.append(hill)
+    return np.array(hills).reshape(-1, NUMBERS)
+
+
+@eqx.filter_jit
+def _bend(potential: KernelPotential, x: Float[Array, "2"]) -> Float[Array, "2 2"]:
+    return jax.hessian(lambda place: potential.potential(0.0, place))(x)
+
+
+def _hill(
+    height: float,
+    place: Float[np.ndarray, "2"],
+    values: Float[np.ndarray, "2"],
+    vectors: Float[np.ndarray, "2 2"],
+) -> Float[np.ndarray, "6"]:
+    """The hill whose metric has these eigenvalues [L⁻²] and eigenvectors."""
+    logarithms = 0.5 * np.log(values)
+    size = -np.mean(logarithms)
+    shear = (vectors * (logarithms + size)) @ vectors.T
+    return np.array([height, *place, size, shear[0, 0], shear[0, 1]])
+
+
+def _axes(
+    hill: Float[np.ndarray, "6"],
+) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2 2"]]:
+    """Semi-axes of a hill, the longer first [L], and their directions as columns."""
+    p, q = hill[4:]
+    # e^{S - s} shrinks most along the eigenvector of the larger eigenvalue of S
+    values, vectors = np.linalg.eigh(np.array([[p, q], [q, -p]]))
+    return np.exp(hill[3] - values), vectors
+
+
+def _distance(hill: Float[np.ndarray, "6"], place: Float[np.ndarray, "2"]) -> float:
+    """Distance of a place from a hill, in its own sizes."""
+    lengths, directions = _axes(hill)
+    return float(np.linalg.norm(directions.T @ (place - hill[1:3]) / lengths))
+
+
+def _overlapping(hills: Hills) -> list[int]:
+    """Which hills are within another."""
+    return [
+        index
+        for index, hill in enumerate(hills)
+        if any(
+            _distance(other, hill[1:3]) < INSIDE for other in np.delete(hills, index, 0)
+        )
+    ]
+
+
+def _halves(hill: Float[np.ndarray, "6"]) -> Hills:
+    """Two hills in a row in place of a long one."""
+    lengths, directions = _axes(hill)
+    away = 0.6 * lengths[0] * directions[:, 0]
+    halved = lengths * np.array([HALF, 1.0])
+    return np.array(
+        [
+            _hill(hill[0], hill[1:3] + sign * away, halved**-2, directions)
+            for sign in (1.0, -1.0)
+        ]
+    )
+
+
+HALF = 0.6
+"""Length of each of two hills that take the place of one, relative to it."""
