@@ -38,6 +38,7 @@ from pinav.forces import (
     GaussianRidge,
     GaussianSwirl,
     HarmonicTrap,
+    HillsTerm,
     InductionPull,
     InFlow,
     IsotropicTensor,
@@ -250,6 +251,11 @@ SHAPED: dict[str, Callable[[], Any]] = {
                 jnp.linspace(-0.3, 0.5, 12), jnp.array([[1.0, 0.1], [0.2, 0.9]]), X
             ),
             "linear": lambda: LinearTerm(jnp.arange(5.0) / 9, centers[0], 2.0),
+            "hills": lambda: HillsTerm(
+                jnp.linspace(-0.4, 0.7, 6),
+                centers[:2],
+                jnp.array([[0.3, 0.2, -0.4], [0.9, 0.0, 0.0]]),
+            ),
         }.items()
     },
 }
@@ -300,6 +306,24 @@ def test_a_central_force_vanishes_at_its_centre_and_points_away_from_it():
     assert abs(float(force[0] * offset[1] - force[1] * offset[0])) < 1e-12
 
 
+def test_a_hill_has_the_semi_axes_that_its_shape_says():
+    """A Gaussian falls to exp(-1/2) of its height at the end of a semi-axis."""
+    size, strain, turn = np.log(1.5), 0.4, 0.7
+    shape = [size, -strain * np.cos(2 * turn), -strain * np.sin(2 * turn)]
+    hill = HillsTerm(
+        jnp.array([0.0, 2.0, 0.0]), jnp.array([[5.0, 4.0]]), jnp.array([shape])
+    )
+    along = np.array([np.cos(turn), np.sin(turn)])
+    across = np.array([-along[1], along[0]])
+    for direction, semi_axis in (
+        (along, 1.5 * np.exp(0.4)),
+        (across, 1.5 * np.exp(-0.4)),
+    ):
+        end = jnp.asarray([5.0, 4.0] + semi_axis * direction)
+        height = hill.potential(T, end)
+        np.testing.assert_allclose(height, 2.0 * np.exp(-0.5), rtol=1e-6)
+
+
 def test_a_rotational_term_is_turned_by_a_right_angle():
     plain = SHAPED["central term"]()
     swirl = dataclasses.replace(plain, rotational=True)
@@ -309,7 +333,7 @@ def test_a_rotational_term_is_turned_by_a_right_angle():
         StructuredForce((swirl,), kernel_potential()).potential(T, X)
 
 
-@pytest.mark.parametrize("kind", ["central", "wall", "lattice", "linear"])
+@pytest.mark.parametrize("kind", ["central", "wall", "lattice", "linear", "hills"])
 def test_the_prior_of_a_structured_force_has_the_pullback_of_its_covariance(kind):
     term = SHAPED[f"{kind} term"]()
     prior = StructuredForce((term,), kernel_potential()).prior()

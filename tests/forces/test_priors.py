@@ -16,6 +16,7 @@ from pinav.forces import (
     AbstractLearnedForce,
     CentralTerm,
     ChangingPotential,
+    HillsTerm,
     KernelAxis,
     KernelBasis,
     KernelForce,
@@ -130,7 +131,7 @@ def test_the_middle_of_an_envelope_lies_where_data_are():
         assert np.all(corner > positions.min(axis=0) - width)
 
 
-@pytest.mark.parametrize("second", ["linear", "lattice", "kernels"])
+@pytest.mark.parametrize("second", ["linear", "lattice", "hills", "kernels"])
 def test_the_unit_of_length_decides_nothing_between_parts_of_a_force(second):
     """One shape of the prior means the same forces in any unit of length."""
     covariances = []
@@ -141,6 +142,9 @@ def test_the_unit_of_length_decides_nothing_between_parts_of_a_force(second):
         others = {
             "linear": LinearTerm(jnp.zeros(5), jnp.zeros(2), 2.0 * unit),
             "lattice": LatticeTerm(jnp.zeros(12), jnp.eye(2) / unit, jnp.zeros(2)),
+            "hills": HillsTerm(
+                jnp.zeros(3), jnp.zeros((1, 2)), jnp.array([[np.log(unit), 0.0, 0.0]])
+            ),
         }
         terms = (central, others[second]) if second in others else (central,)
         free = KernelPotential.with_zero_weights(unit * CENTERS, unit)

@@ -17,11 +17,17 @@ from pinav.fitting.bayes.neural import FitSpecification
 from pinav.fitting.bayes.parameters import Learn
 from pinav.fitting.engine.evidence_fit import EvidenceFit
 from pinav.fitting.engine.iterate import EvidenceProgress
+from pinav.fitting.environments.refinement import AS_FINE_AS_ASKED
 from pinav.fitting.evidence.model_evidence import DECISIVE
 from pinav.fitting.outcome import Outcome
 from pinav.fitting.structure.proposals import EXPLAINED, Proposal
 from pinav.fitting.structure.rotation import fitted_gain, mixture_on, survey_rotation
-from pinav.fitting.structure.search import Search, StructuredFit, evidence_of
+from pinav.fitting.structure.search import (
+    Search,
+    StructuredFit,
+    evidence_of,
+    has_many_hills,
+)
 from pinav.fitting.structure.survey import Survey, is_worth_a_search, may_turn
 from pinav.forces import split_structure
 from pinav.numerics import free_programs
@@ -69,37 +75,60 @@ def fit_structured(
         weigh_rotation &= may_turn(model)
         if not is_worth_a_search(model, trajectories):
             return _weigh_few(search) if weigh_rotation else search.best(None)
-        search, survey = _survey(search)
+        search, survey, is_rugged = _survey(search)
+        fit_free = functools.cache(search.fit_free)
         if weigh_rotation:
-            return _weigh_rotation(search, survey)
-        turning = not search.kernels.is_conservative
-        return search.best(survey.proposal(rotational=turning))
+            return _weigh_rotation(search, survey, fit_free, is_rugged=is_rugged)
+        is_still = search.kernels.is_conservative
+        if is_rugged and is_still and has_many_hills(fit_free()):
+            return fit_free()
+        return search.best(survey.proposal(rotational=not is_still), fit_free)
 
 
-def _survey(search: Search) -> tuple[Search, Survey]:
+def _survey(search: Search) -> tuple[Search, Survey, bool]:
     """A survey about the first steps of the free fit, and the search from there.
 
     Smoothed states miss the path of quick swimmers, and the data linearised about them
     ask for forces that are not there. They stay where free kernels do not explain the
     data, as a potential does not those of a swirl.
+
+    Returns:
+        The search, the survey, and whether the free kernels fail, too coarse.
     """
     specification, smooth = search.specification, search.free()
     survey = Survey.of(specification, smooth)
     try:
         begun = search.begin()
     except FitError:
-        return search, survey
-    is_bad = begun.outcome is Outcome.DIVERGED
-    if is_bad or begun.hyperparameters.noise > EXPLAINED * survey.noise:
-        return search, survey
+        return search, survey, False
+    is_bad, chosen = begun.outcome is Outcome.DIVERGED, begun.hyperparameters
+    if is_bad or chosen.noise > EXPLAINED * survey.noise:
+        kernels = search.kernels
+        return search, survey, AS_FINE_AS_ASKED.is_needed(kernels, chosen.shape)
     search = search.about(begun)
-    return search, Survey.of(specification, search.free(), begun)
+    return search, Survey.of(specification, search.free(), begun), False
 
 
-def _weigh_rotation(search: Search, survey: Survey) -> StructuredFit:
-    """The fit of a potential or that of a mixture, by the evidence of its rotation."""
+def _weigh_rotation(
+    search: Search,
+    survey: Survey,
+    fit_free: Callable[[], StructuredFit],
+    *,
+    is_rugged: bool,
+) -> StructuredFit:
+    """The fit of a potential or that of a mixture, by the evidence of its rotation.
+
+    Args:
+        search: of the potential.
+        survey: of the data.
+        fit_free: the fit of free kernels, or of hills.
+        is_rugged: whether hills are sought before any other structure, unless a
+            rotation is plain.
+    """
     kernels = search.kernels.kernels
     asked = survey_rotation(survey.response, survey.noise, (), kernels)
+    if is_rugged and not asked.is_plain and has_many_hills(fit_free()):
+        return _weigh_beside(search, fit_free(), None)
     turning, turned, rotation = None, None, asked.gain
     potential = functools.cache(lambda: survey.proposal(rotational=False))
 
@@ -120,6 +149,7 @@ def _weigh_rotation(search: Search, survey: Survey) -> StructuredFit:
         search,
         potential(),
         lambda: _turning(search, turned) if turning is None else turning,
+        fit_free,
     )
     if not is_potential:
         return still
@@ -142,6 +172,7 @@ def _potential(
     search: Search,
     proposal: Proposal | None,
     mixture: Callable[[], StructuredFit | None],
+    fit_free: Callable[[], StructuredFit] | None = None,
 ) -> tuple[StructuredFit, bool]:
     """The fit of a potential, or where that fails one of a mixture; which of them.
 
@@ -149,12 +180,13 @@ def _potential(
         search: of the potential.
         proposal: terms beside it.
         mixture: gives the other fit, or None where that fails, too.
+        fit_free: see `Search.best`.
 
     Raises:
         FitError: both failed; the error is that of the potential.
     """
     try:
-        still = search.best(proposal)
+        still = search.best(proposal, fit_free)
     except FitError:
         turning = mixture()
         if turning is None:
@@ -211,7 +243,8 @@ def _weigh_beside(
         turning = _turning(search, proposal)
         rotation = np.nan if turning is None else turning.rotation
     if turning is not None and rotation > DECISIVE:
-        return turning
+        is_better = evidence_of(turning.fit) > evidence_of(still.fit)
+        return turning if is_better or not has_many_hills(still) else still
     return StructuredFit(still.fit, still.gain, rotation)
 
 

@@ -40,6 +40,7 @@ from pinav.fitting.structure.survey import Survey, is_worth_a_search
 from pinav.fitting.structure.trials import Terms, polish
 from pinav.forces import (
     AbstractForce,
+    HillsTerm,
     KernelPotential,
     StructuredForce,
     forces_at,
@@ -145,16 +146,25 @@ class Search(eqx.Module):
         advice = ADVICE if self.throw else {}
         return evidence_fit(*how, not_finite=NOT_FINITE, advice=advice)
 
-    def best(self, proposal: Proposal | None) -> StructuredFit:
+    def best(
+        self,
+        proposal: Proposal | None,
+        fit_free: Callable[[], StructuredFit] | None = None,
+    ) -> StructuredFit:
         """The free fit or that of a proposed structure, by their evidence.
 
         The free fit begins where the other ended, and ends early where it cannot win.
         Where the evidence cannot tell, terms that need nothing beside them are
         preferred: they are simpler, and say more where there are no data.
+
+        Args:
+            proposal: of a structure, if there is one.
+            fit_free: `fit_free` unless given, as where it has been asked before.
         """
+        fit_free = self.fit_free if fit_free is None else fit_free
         proposed = None if proposal is None else self._fit_proposal(proposal)
         if proposed is None:
-            return self._fit_rugged()
+            return fit_free()
         structured, evidence = proposed
         model, best = self.specification.model, structured.hyperparameters.log_evidence
 
@@ -182,17 +192,15 @@ class Search(eqx.Module):
         if outcome is Outcome.CONVERGED and not is_coarse(last):
             alone = evidence_fit(free, outcome, steps, not_finite=NOT_FINITE, advice={})
             return StructuredFit(alone, gain)
-        return self._fit_rugged(gain)
+        alone = fit_free()
+        return alone if alone.structure else StructuredFit(alone.fit, gain)
 
-    def _fit_rugged(self, gain: float = np.nan) -> StructuredFit:
+    def fit_free(self) -> StructuredFit:
         """The fit of kernels as fine as the evidence asks for, or of hills.
 
         Where kernels must be finer than those with which fits begin, the detail may be
         in a few places: hills and wells beside coarse kernels are then the simpler
         model, and the quicker one.
-
-        Args:
-            gain: of the best structure that was tried before [nats].
         """
         quiet = dataclasses.replace(self, throw=False)
         rough = quiet.fit(self.free(), AS_FINE_AS_HILLS_NEED)
@@ -208,7 +216,7 @@ class Search(eqx.Module):
                 rough = rough if fit.outcome is Outcome.DIVERGED else fit
         if self.throw and rough.outcome in ADVICE:
             raise FitError(ADVICE[rough.outcome], str(rough.outcome))
-        return StructuredFit(rough, gain)
+        return StructuredFit(rough, np.nan)
 
     def _fit_hills(self, rough: EvidenceFit) -> StructuredFit | None:
         """The fit of hills about that of free kernels; None where there are none."""
@@ -229,12 +237,9 @@ class Search(eqx.Module):
             fit = self._fit_terms((hills,), rough)
         except FitError:
             return None
-        is_bad = fit.outcome is Outcome.DIVERGED
-        return (
-            None
-            if is_bad
-            else StructuredFit(fit, evidence_of(fit) - evidence_of(rough))
-        )
+        if fit.outcome is Outcome.DIVERGED:
+            return None
+        return StructuredFit(fit, evidence_of(fit) - evidence_of(rough))
 
     def _fit_proposal(self, proposal: Proposal) -> tuple[EvidenceFit, float] | None:
         """The fit of proposed terms beside the free kernels; None where it fails.
@@ -314,6 +319,16 @@ class Search(eqx.Module):
     def _beside(self, terms: Terms) -> "Search":
         """The same with terms beside the free kernels."""
         return self.of(StructuredForce(terms, self.kernels))
+
+
+def has_many_hills(fit: StructuredFit) -> bool:
+    """Whether a fit has so many hills that no other structure is worth a search."""
+    terms, _ = split_structure(fit.fit.model.environment)
+    return any(isinstance(t, HillsTerm) and len(t.centers) >= MANY for t in terms)
+
+
+MANY = 4
+"""Hills of a rugged field: one or two may be those of a centre or of a sum."""
 
 
 def _relative_forces(fit: EvidenceFit) -> list[float]:
