@@ -205,7 +205,7 @@ class Search(eqx.Module):
         quiet = dataclasses.replace(self, throw=False)
         rough = quiet.fit(self.free(), AS_FINE_AS_HILLS_NEED)
         kernels = rough.model.environment
-        if float(kernels.width) < float(self.kernels.width):
+        if float(kernels.kernels.width) < float(self.kernels.kernels.width):
             hills = quiet._fit_hills(rough)
             if hills is not None and hills.gain > DECISIVE:
                 return hills
