@@ -6,8 +6,8 @@ and little between them. The summits of the potential of free kernels are where 
 search begins. In the linearised data (`ForceResponse`) hills of Gaussian form are
 fitted by least squares with a trust region, beside coarse free kernels of a fixed
 prior, which carry what no hill has been found for and are projected out. Hills are
-added where the kernels have to carry most, split and left out, as long as the misfit
-says so; the fit of the engine has the last word.
+added where the kernels have to carry most, split and left out, as long as the evidence
+(by Laplace's method) grows; the fit of the engine has the last word.
 
 References:
     Golub and Pereyra, SIAM J. Numer. Anal. 10, 413 (1973), linear unknowns that are
@@ -25,6 +25,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pinav.arguments import on_device
+from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
 from pinav.fitting.evidence.evidence import root
 from pinav.fitting.structure.patterns import PotentialMap
 from pinav.fitting.structure.response import (
@@ -57,9 +58,12 @@ SIZES = (0.4, 4.0)
 MOST_HILLS = 24
 """Summits above which the field is rough everywhere."""
 
-ROUGH, SHARES = 0.3, (0.1, 0.03)
+ROUGH, SHARES = 0.3, (0.1, 0.03, 0.01)
 """Deviation of the coarse kernels, relative to the height of a typical hill: the first
 fit leaves them much to carry, the last ones little."""
+
+COARSE = KernelGrid(across=12, margin=2.0)
+"""Where those kernels are."""
 
 LENGTH = 1.2
 """Length scale of the coarse kernels, in their widths."""
@@ -88,10 +92,7 @@ is left out."""
 
 
 def propose_hills(
-    response: ForceResponse,
-    noise: float,
-    potential: KernelPotential,
-    kernels: KernelPotential,
+    response: ForceResponse, noise: float, potential: KernelPotential
 ) -> HillsTerm | None:
     """Hills and wells that explain the data; None where there are no summits, or many.
 
@@ -99,20 +100,19 @@ def propose_hills(
         response: of the data to forces, about a fit of free kernels.
         noise: of the observations.
         potential: of that fit.
-        kernels: coarse ones, beside which hills are fitted.
     """
     first = _summits(potential, np.asarray(response.points).reshape(-1, 2))
     if not 0 < len(first) <= MOST_HILLS:
         return None
-    landscape = _Landscape.of(response, noise, kernels, first)
+    landscape = _Landscape.of(response, noise, first)
     best = landscape.with_share(ROUGH).fit(first, SETTLED)
     for share in SHARES:
         landscape = landscape.with_share(share)
         best = landscape.without_needless(landscape.fit(best.hills, SETTLED))
         for _ in range(ROUNDS):
             tried = [landscape.fit(one, TRIED) for one in landscape.longer(best)]
-            better = min(tried, key=lambda one: one.misfit, default=best)
-            if better.misfit > best.misfit - landscape.price:
+            better = max(tried, key=lambda one: one.log_evidence, default=best)
+            if better.log_evidence <= best.log_evidence:
                 break
             best = landscape.fit(better.hills, SETTLED)
             best = landscape.without_needless(best)
@@ -120,10 +120,10 @@ def propose_hills(
 
 
 class _Fit(eqx.Module):
-    """Hills, and the sum of squares that they leave, in variances of the noise."""
+    """Hills, and the logarithm of their evidence by Laplace's method."""
 
     hills: Hills
-    misfit: float
+    log_evidence: float
 
 
 class _Landscape(eqx.Module):
@@ -137,7 +137,7 @@ class _Landscape(eqx.Module):
         root: of the covariance of their weights, for a deviation of one.
         columns: data by each of the columns of that root.
         height: of a typical hill [L² T⁻²].
-        price: misfit that one more hill must explain.
+        price: logarithm of the number of places at which a hill may be.
         deviation: of the coarse kernels [L² T⁻²].
         basis: orthonormal, of what they explain.
     """
@@ -154,13 +154,11 @@ class _Landscape(eqx.Module):
     basis: Float[np.ndarray, "row column"]
 
     @classmethod
-    def of(
-        cls,
-        response: ForceResponse,
-        noise: float,
-        kernels: KernelPotential,
-        hills: Hills,
-    ) -> "_Landscape":
+    def of(cls, response: ForceResponse, noise: float, hills: Hills) -> "_Landscape":
+        positions = np.asarray(response.points).reshape(-1, 2)
+        kernels = KernelPotential.with_zero_weights(
+            *surround_with_kernels(positions, COARSE)
+        )
         rows, count = np.asarray(response.rows), len(response.rows)
         # In each trajectory the data that say most come last.
         strength = np.sqrt(np.mean(rows**2, axis=(0, 2)) * rows.shape[2])
@@ -185,7 +183,7 @@ class _Landscape(eqx.Module):
             root=columns,
             columns=told(explained.reshape(count, -1, explained.shape[1])),
             height=float(np.median(np.abs(hills[:, 0]))),
-            price=NUMBERS * float(np.log(response.num_free)),
+            price=_log_places(positions, hills),
             deviation=0.0,
             basis=np.zeros((0, 0)),
         )
@@ -201,7 +199,12 @@ class _Landscape(eqx.Module):
         return dataclasses.replace(self, deviation=deviation, basis=basis)
 
     def fit(self, hills: Hills, evaluations: int) -> _Fit:
-        """Hills of least misfit, their priors about where they are."""
+        """Hills of least misfit, their priors about where they are.
+
+        Args:
+            hills: where the fit begins.
+            evaluations: of the misfit at most.
+        """
         from scipy.optimize import least_squares
 
         def at(numbers: Float[np.ndarray, " number"]) -> Float[np.ndarray, " row"]:
@@ -222,10 +225,14 @@ class _Landscape(eqx.Module):
             ftol=1e-5,
             xtol=1e-5,
         )
-        return _Fit(search.x.reshape(-1, NUMBERS), 2 * float(search.cost))
+        scaled = search.jac * _deviations(hills).ravel()
+        volume = float(np.linalg.slogdet(scaled.T @ scaled).logabsdet)
+        price = len(hills) * self.price
+        value = -float(search.cost) - 0.5 * volume - price
+        return _Fit(search.x.reshape(-1, NUMBERS), value)
 
     def without_needless(self, fit: _Fit) -> _Fit:
-        """The fit without hills that explain less than they cost, the lowest first."""
+        """The fit without hills that explain less than they cost."""
         if len(fit.hills) == 1:
             return fit
         volumes = np.abs(fit.hills[:, 0]) * np.exp(2 * fit.hills[:, 3])
@@ -234,7 +241,7 @@ class _Landscape(eqx.Module):
         )
         for index in doubtful:
             fewer = self.fit(np.delete(fit.hills, index, axis=0), TRIED)
-            if fewer.misfit < fit.misfit + self.price:
+            if fewer.log_evidence > fit.log_evidence:
                 return self.without_needless(fewer)
         return fit
 
@@ -282,6 +289,13 @@ class _Landscape(eqx.Module):
         values = np.linalg.lstsq(self._equations(self.deviation), wanted, rcond=None)[0]
         weights = on_device(self.deviation * (self.root @ values))
         return eqx.tree_at(lambda one: one.weights, self.kernels, weights)
+
+
+def _log_places(positions: Float[np.ndarray, "point 2"], hills: Hills) -> float:
+    """Logarithm of how many places there are for a hill where there are data."""
+    size = np.exp(np.median(hills[:, 3]))
+    ground = float(np.prod(np.ptp(positions, axis=0)))
+    return float(np.log1p(ground / (2 * np.pi * (PLACE * size) ** 2)))
 
 
 def _deviations(hills: Hills) -> Hills:

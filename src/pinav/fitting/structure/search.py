@@ -229,8 +229,7 @@ class Search(eqx.Module):
         ):
             return None
         survey = Survey.of(specification, self.free(), rough)
-        inputs = survey.response, survey.noise, potential, self.kernels
-        hills = propose_hills(*inputs)
+        hills = propose_hills(survey.response, survey.noise, potential)
         if hills is None:
             return None
         try:
