@@ -110,7 +110,7 @@ class HillsTerm(AbstractTerm):
         squares = jax.vmap(_squared_distance, (None, 0, 0))(
             x, self.centers, self.shapes
         )
-        exponents = -0.5 * squares[:, None] / jnp.asarray(WIDTHS) ** 2
+        exponents = -0.5 * squares[:, None] / jnp.asarray(WIDTHS)[None] ** 2
         return jnp.ravel(jnp.exp(exponents)) @ self.weights
 
     def __call__(self, t: Scalar, x: Vector, v: Vector) -> Vector:

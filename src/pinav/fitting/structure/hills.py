@@ -16,7 +16,7 @@ References:
 """
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import equinox as eqx
 import jax
@@ -35,6 +35,7 @@ from pinav.fitting.structure.response import (
 )
 from pinav.forces import HillsTerm, KernelPotential, forces_at
 from pinav.forces.hills import MIDDLE, WIDTHS
+from pinav.threads import map_on_cores
 
 Hills = Float[np.ndarray, "hill 6"]
 """Of each hill: height [L² T⁻²], centre [L], and shape as in `HillsTerm`."""
@@ -110,8 +111,8 @@ def propose_hills(
         landscape = landscape.with_share(share)
         best = landscape.without_needless(landscape.fit(best.hills, SETTLED))
         for _ in range(ROUNDS):
-            tried = [landscape.fit(one, TRIED) for one in landscape.longer(best)]
-            better = max(tried, key=lambda one: one.log_evidence, default=best)
+            tried = landscape.fit_each(list(landscape.longer(best)))
+            better = max(tried, key=_log_evidence, default=best)
             if better.log_evidence <= best.log_evidence:
                 break
             best = landscape.fit(better.hills, SETTLED)
@@ -124,6 +125,10 @@ class _Fit(eqx.Module):
 
     hills: Hills
     log_evidence: float
+
+
+def _log_evidence(fit: _Fit) -> float:
+    return fit.log_evidence
 
 
 class _Landscape(eqx.Module):
@@ -151,7 +156,7 @@ class _Landscape(eqx.Module):
     height: float
     price: float
     deviation: float
-    basis: Float[np.ndarray, "row column"]
+    basis: Float[np.ndarray, "row explained"]
 
     @classmethod
     def of(cls, response: ForceResponse, noise: float, hills: Hills) -> "_Landscape":
@@ -231,19 +236,19 @@ class _Landscape(eqx.Module):
         value = -float(search.cost) - 0.5 * volume - price
         return _Fit(search.x.reshape(-1, NUMBERS), value)
 
+    def fit_each(self, trials: Sequence[Hills]) -> list[_Fit]:
+        """Short fits from several starts."""
+        return map_on_cores(lambda hills: self.fit(hills, TRIED), trials)
+
     def without_needless(self, fit: _Fit) -> _Fit:
         """The fit without hills that explain less than they cost."""
-        if len(fit.hills) == 1:
-            return fit
-        volumes = np.abs(fit.hills[:, 0]) * np.exp(2 * fit.hills[:, 3])
-        doubtful = dict.fromkeys(
-            [*_overlapping(fit.hills), *np.argsort(volumes)[:DOUBTFUL]]
+        shorter = [np.delete(fit.hills, i, axis=0) for i in _doubtful(fit.hills)]
+        best = max(self.fit_each(shorter), key=_log_evidence, default=fit)
+        return (
+            fit
+            if best.log_evidence <= fit.log_evidence
+            else self.without_needless(best)
         )
-        for index in doubtful:
-            fewer = self.fit(np.delete(fit.hills, index, axis=0), TRIED)
-            if fewer.log_evidence > fit.log_evidence:
-                return self.without_needless(fewer)
-        return fit
 
     def longer(self, fit: _Fit) -> Iterator[Hills]:
         """One hill more: at peaks of what the kernels carry, or two in place of one."""
@@ -260,12 +265,16 @@ class _Landscape(eqx.Module):
             yield np.vstack([np.delete(hills, index, axis=0), _halves(hills[index])])
 
     def _residuals(self, hills: Hills) -> Float[np.ndarray, " residual"]:
-        forces = sum(np.asarray(_hill_forces(self.points, one)) for one in hills)
+        forces = sum(
+            np.asarray(_hill_forces(self.points, on_device(one))) for one in hills
+        )
         flat = np.reshape(forces, (len(self.rows), -1, 1))
         return (self.rows @ flat).ravel() + self.offset
 
     def _jacobian(self, hills: Hills) -> Float[np.ndarray, "residual number"]:
-        slopes = [np.asarray(_hill_slopes(self.points, one)) for one in hills]
+        slopes = [
+            np.asarray(_hill_slopes(self.points, on_device(one))) for one in hills
+        ]
         flat = np.concatenate(slopes, axis=-1).reshape(len(self.rows), -1, hills.size)
         return (self.rows @ flat).reshape(-1, hills.size)
 
@@ -324,17 +333,17 @@ def _scores(hills: Hills, first: Hills) -> Float[np.ndarray, " number"]:
 
 @eqx.filter_jit
 def _hill_forces(
-    points: Float[Array, "trajectory group 2"], hill: Float[np.ndarray, "6"]
+    points: Float[Array, "trajectory group 2"], hill: Float[Array, "6"]
 ) -> Float[Array, "trajectory group 2"]:
     """Of one hill, so that any number of them shares a compilation."""
-    return _forces(jnp.asarray(hill), points)
+    return _forces(hill, points)
 
 
 @eqx.filter_jit
 def _hill_slopes(
-    points: Float[Array, "trajectory group 2"], hill: Float[np.ndarray, "6"]
+    points: Float[Array, "trajectory group 2"], hill: Float[Array, "6"]
 ) -> Float[Array, "trajectory group 2 6"]:
-    return jax.jacfwd(_forces)(jnp.asarray(hill), points)
+    return jax.jacfwd(_forces)(hill, points)
 
 
 def _forces(
@@ -419,15 +428,18 @@ def _distance(hill: Float[np.ndarray, "6"], place: Float[np.ndarray, "2"]) -> fl
     return float(np.linalg.norm(directions.T @ (place - hill[1:3]) / lengths))
 
 
-def _overlapping(hills: Hills) -> list[int]:
-    """Which hills are within another."""
-    return [
+def _doubtful(hills: Hills) -> list[int]:
+    """Which hills may be needless: the smallest, and those within another."""
+    if len(hills) == 1:
+        return []
+    volumes = np.abs(hills[:, 0]) * np.exp(2 * hills[:, 3])
+    smallest = np.argsort(volumes)[:DOUBTFUL].tolist()
+    within = [
         index
         for index, hill in enumerate(hills)
-        if any(
-            _distance(other, hill[1:3]) < INSIDE for other in np.delete(hills, index, 0)
-        )
+        if any(_distance(one, hill[1:3]) < INSIDE for one in np.delete(hills, index, 0))
     ]
+    return list(dict.fromkeys([*within, *smallest]))
 
 
 def _halves(hill: Float[np.ndarray, "6"]) -> Hills:
