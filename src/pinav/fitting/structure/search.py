@@ -225,7 +225,7 @@ class Search(eqx.Module):
             is_worth_a_search(specification.model, specification.trajectories)
             and isinstance(potential, KernelPotential)
             and potential.dim == 2
-            and rough.outcome is not Outcome.DIVERGED
+            and rough.outcome in (Outcome.CONVERGED, Outcome.UNDER_RESOLVED)
         ):
             return None
         survey = Survey.of(specification, self.free(), rough)
