@@ -14,6 +14,10 @@ def test_a_term_is_named_with_its_numbers():
     assert TermRow("linear", "A x", (), ()).text() == "linear"
     wall = TermRow("wall", "f(n x)", (np.pi / 3,), (0.01,))
     assert wall.text() == "wall with its normal at 60.000 ± 0.57 degrees"
+    hills = TermRow(
+        "hills and wells", "U", (1.0, 2.0, 3.0, 4.0, *[0.1] * 6), (0.2,) * 10
+    )
+    assert hills.text() == "2 hills and wells at (1.000, 2.000), (3.000, 4.000) ± 0.20"
     other = TermRow("obstacles", "h", (1.0, 2.0), (0.1, 0.2))
     assert other.text() == "obstacles with (1.000, 2.000) ± 0.20"
 

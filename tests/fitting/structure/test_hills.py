@@ -1,6 +1,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.optimize
 from tests.fitting.structure.observed_forces import observed_forces
 
 from pinav.fitting.environments.kernels import KernelGrid, surround_with_kernels
@@ -62,6 +63,19 @@ def test_what_no_hill_is_like_is_left_to_coarse_kernels():
         np.asarray(term.centers) - np.asarray(BARRIERS[0].center), axis=1
     )
     assert gaps.min() < 0.1
+
+
+def test_a_fit_that_fails_leaves_hills_where_they_are(monkeypatch):
+    def fail(*_, **__):
+        raise ValueError("Residuals are not finite in the initial point.")
+
+    monkeypatch.setattr(scipy.optimize, "least_squares", fail)
+    term = hills_of(SumForce(BARRIERS))
+    for barrier in BARRIERS:
+        gaps = np.linalg.norm(
+            np.asarray(term.centers) - np.asarray(barrier.center), axis=1
+        )
+        assert gaps.min() < 0.4
 
 
 def test_a_rough_field_of_many_summits_has_no_hills():

@@ -11,7 +11,9 @@ from pinav.errors import FitError
 from pinav.fitting import fit_structured
 from pinav.fitting.bayes.neural import FitSpecification
 from pinav.fitting.environments.kernels import KernelGrid, kernel_environment
+from pinav.fitting.environments.refinement import Refinement
 from pinav.fitting.evidence.model_evidence import DECISIVE
+from pinav.fitting.outcome import Outcome
 from pinav.fitting.structure import fit as structure_fit
 from pinav.fitting.structure import search
 from pinav.fitting.structure.search import Search
@@ -24,7 +26,7 @@ from pinav.forces import (
     forces_at,
     split_structure,
 )
-from pinav.scenarios import random_system
+from pinav.scenarios import fibres, many_barriers, random_system
 from pinav.scenarios.spaces import box
 from pinav.systems.files import parse_system
 from pinav.trajectories import simulate, with_velocities
@@ -162,9 +164,10 @@ def test_quick_swimmers_are_surveyed_about_the_first_steps_of_a_fit():
     asked = FitSpecification(model, data, lambda _: (), None, FixedStep())
     with jax.enable_x64(new_val=True):
         start = Search(asked, 20, None, throw=False)
-        begun, survey = structure_fit._survey(start)
+        begun, survey, is_rugged = structure_fit._survey(start)
         (term,) = survey.proposal(rotational=False).terms
     assert begun.states is not None
+    assert not is_rugged
     assert survey.noise == pytest.approx(0.02, rel=0.1)
     assert term.kind == "elliptic"
     np.testing.assert_allclose(term.center, truth.environment.center, atol=0.02)
@@ -176,6 +179,45 @@ def drawn(family, key):
     data = simulate(system, key=jax.random.key(key)).only(("x", "y"))
     kernels = kernel_environment(KernelPotential, data, dim=2)
     return system, system.swimmer.with_environment(kernels), data
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("weigh_rotation", [True, False])
+def test_a_rugged_field_is_hills_of_their_own_places_and_shapes(weigh_rotation):
+    """Twelve fibres, one of which no swimmer came near."""
+    truth_key, noise_key = jax.random.split(jax.random.key(3))
+    truth = fibres(key=truth_key)
+    data = simulate(truth, key=noise_key)
+    kernels = kernel_environment(KernelPotential, data)
+    model = truth.swimmer.with_environment(kernels)
+    fit = fit_structured(model, data, weigh_rotation=weigh_rotation)
+    assert fit.fit.outcome is Outcome.CONVERGED
+    assert fit.gain > 1000.0
+    (term,) = fit.structure.terms
+    assert term.kind == "hills and wells"
+    centers = np.asarray(truth.environment.stacked.center)
+    gaps = np.linalg.norm(np.asarray(term.centers)[:, None] - centers, axis=-1)
+    assert np.sum(gaps.min(axis=0) < 0.2) >= 9
+    close = np.asarray(term.shapes)[gaps.min(axis=1) < 0.2]
+    lengths = np.exp(close[:, 0] + np.hypot(close[:, 1], close[:, 2]))
+    np.testing.assert_allclose(lengths, 2.5, rtol=0.05)
+
+
+@pytest.mark.slow
+def test_where_hills_are_no_better_kernels_are_as_fine_as_asked(monkeypatch):
+    truth_key, noise_key = jax.random.split(jax.random.key(0))
+    truth = many_barriers(key=truth_key)
+    data = simulate(truth, key=noise_key)
+    kernels = kernel_environment(KernelPotential, data)
+    model = truth.swimmer.with_environment(kernels)
+    asked = FitSpecification(model, data, lambda _: (), None, FixedStep())
+    monkeypatch.setattr(search, "propose_hills", lambda *_: None)
+    monkeypatch.setattr(search, "AS_FINE_AS_HILLS_NEED", Refinement(max_weights=500))
+    with jax.enable_x64(new_val=True):
+        fit = Search(asked, 20, None, throw=True).fit_free()
+    assert fit.structure is None
+    assert fit.fit.outcome is Outcome.CONVERGED
+    assert 500 < len(fit.fit.posterior.mean) < 1000
 
 
 @pytest.mark.slow

@@ -206,6 +206,8 @@ class _Landscape(eqx.Module):
     def fit(self, hills: Hills, evaluations: int) -> _Fit:
         """Hills of least misfit, their priors about where they are.
 
+        The evidence of hills whose forces are not finite is none.
+
         Args:
             hills: where the fit begins.
             evaluations: of the misfit at most.
@@ -221,15 +223,18 @@ class _Landscape(eqx.Module):
             return np.vstack([self._project(self._jacobian(now)), held])
 
         held = np.diag(1 / _deviations(hills).ravel())
-        search = least_squares(
-            at,
-            hills.ravel(),
-            jac=slopes,
-            x_scale="jac",
-            max_nfev=evaluations,
-            ftol=1e-5,
-            xtol=1e-5,
-        )
+        try:
+            search = least_squares(
+                at,
+                hills.ravel(),
+                jac=slopes,
+                x_scale="jac",
+                max_nfev=evaluations,
+                ftol=1e-5,
+                xtol=1e-5,
+            )
+        except (ValueError, np.linalg.LinAlgError):  # forces that are not finite
+            return _Fit(hills, -np.inf)
         scaled = search.jac * _deviations(hills).ravel()
         volume = float(np.linalg.slogdet(scaled.T @ scaled).logabsdet)
         price = len(hills) * self.price
@@ -244,11 +249,9 @@ class _Landscape(eqx.Module):
         """The fit without hills that explain less than they cost."""
         shorter = [np.delete(fit.hills, i, axis=0) for i in _doubtful(fit.hills)]
         best = max(self.fit_each(shorter), key=_log_evidence, default=fit)
-        return (
-            fit
-            if best.log_evidence <= fit.log_evidence
-            else self.without_needless(best)
-        )
+        if best.log_evidence <= fit.log_evidence:
+            return fit
+        return self.without_needless(best)
 
     def longer(self, fit: _Fit) -> Iterator[Hills]:
         """One hill more: at peaks of what the kernels carry, or two in place of one."""
