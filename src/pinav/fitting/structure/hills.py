@@ -17,6 +17,7 @@ References:
 
 import dataclasses
 from collections.abc import Iterator, Sequence
+from typing import Any, cast
 
 import equinox as eqx
 import jax
@@ -227,7 +228,7 @@ class _Landscape(eqx.Module):
             search = least_squares(
                 at,
                 hills.ravel(),
-                jac=slopes,
+                cast(Any, slopes),  # SciPy's types know of names alone
                 x_scale="jac",
                 max_nfev=evaluations,
                 ftol=1e-5,
@@ -353,7 +354,7 @@ def _forces(
     hill: Float[Array, "6"], points: Float[Array, "trajectory group 2"]
 ) -> Float[Array, "trajectory group 2"]:
     weights = jnp.zeros(len(WIDTHS)).at[MIDDLE].set(hill[0])
-    term = HillsTerm(weights, hill[None, 1:3], hill[None, 3:])
+    term = HillsTerm(weights=weights, centers=hill[None, 1:3], shapes=hill[None, 3:])
     return forces_at(term, jnp.zeros(points.shape[:-1]), points)
 
 
@@ -362,7 +363,9 @@ def _term(hills: Hills) -> HillsTerm:
     weights = np.zeros((len(hills), len(WIDTHS)))
     weights[:, MIDDLE] = hills[:, 0]
     return HillsTerm(
-        on_device(weights.ravel()), on_device(hills[:, 1:3]), on_device(hills[:, 3:])
+        weights=on_device(weights.ravel()),
+        centers=on_device(hills[:, 1:3]),
+        shapes=on_device(hills[:, 3:]),
     )
 
 
