@@ -49,7 +49,7 @@ from pinav.forces import (
 
 CLEAR = 100.0
 """Nats before the cost of hyperparameters by which a fit has lost to another, converged
-or not."""
+or not; and those that hills must gain."""
 
 BEFORE_SURVEY = 3
 """Steps of a fit, free or of a proposal, about which the data are asked for terms."""
@@ -200,14 +200,15 @@ class Search(eqx.Module):
 
         Where kernels must be finer than those with which fits begin, the detail may be
         in a few places: hills and wells beside coarse kernels are then the simpler
-        model, and the quicker one.
+        model, and the quicker one. They must be clearly better, because the evidence of
+        their fit is not charged for their places, which the data chose before.
         """
         quiet = dataclasses.replace(self, throw=False)
         rough = quiet.fit(self.free(), AS_FINE_AS_HILLS_NEED)
         kernels = rough.model.environment
         if float(kernels.kernels.width) < float(self.kernels.kernels.width):
             hills = quiet._fit_hills(rough)
-            if hills is not None and hills.gain > DECISIVE:
+            if hills is not None and hills.gain > CLEAR:
                 return hills
             finer = AS_FINE_AS_ASKED.finer(kernels, self.specification.trajectories)
             if rough.outcome is Outcome.UNDER_RESOLVED and finer is not None:
@@ -236,7 +237,7 @@ class Search(eqx.Module):
             fit = self._fit_terms((hills,), rough)
         except FitError:
             return None
-        if fit.outcome is Outcome.DIVERGED:
+        if fit.outcome is not Outcome.CONVERGED:
             return None
         return StructuredFit(fit, evidence_of(fit) - evidence_of(rough))
 
@@ -326,8 +327,8 @@ def has_many_hills(fit: StructuredFit) -> bool:
     return any(isinstance(t, HillsTerm) and len(t.centers) >= MANY for t in terms)
 
 
-MANY = 4
-"""Hills of a rugged field: one or two may be those of a centre or of a sum."""
+MANY = 9
+"""Hills of a rugged field: fewer may be a ring, a sum, or obstacles of one kind."""
 
 
 def _relative_forces(fit: EvidenceFit) -> list[float]:
