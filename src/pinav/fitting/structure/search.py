@@ -322,13 +322,20 @@ class Search(eqx.Module):
 
 
 def has_many_hills(fit: StructuredFit) -> bool:
-    """Whether a fit has so many hills that no other structure is worth a search."""
+    """Whether a fit has so many hills that no other structure is worth a search.
+
+    Hills that overlap may be parts of a ring or of a wall.
+    """
     terms, _ = split_structure(fit.fit.model.environment)
-    return any(isinstance(t, HillsTerm) and len(t.centers) >= MANY for t in terms)
+    return any(
+        isinstance(term, HillsTerm) and np.sum(term.gaps > SEPARATE) >= MANY
+        for term in terms
+    )
 
 
-MANY = 9
-"""Hills of a rugged field: fewer may be a ring, a sum, or obstacles of one kind."""
+MANY, SEPARATE = 9, 1.5
+"""Hills of a rugged field, of which fewer may be a sum or obstacles of one kind; and the
+distance of each from the others, in its own sizes."""
 
 
 def _relative_forces(fit: EvidenceFit) -> list[float]:
