@@ -80,7 +80,7 @@ def fit_structured(
         if weigh_rotation:
             return _weigh_rotation(search, survey, fit_free, is_rugged=is_rugged)
         is_still = search.kernels.is_conservative
-        if is_rugged and is_still and has_many_hills(fit_free()):
+        if is_rugged and is_still and has_many_hills(fit_free().force):
             return fit_free()
         return search.best(survey.proposal(rotational=not is_still), fit_free)
 
@@ -127,7 +127,7 @@ def _weigh_rotation(
     """
     kernels = search.kernels.kernels
     asked = survey_rotation(survey.response, survey.noise, (), kernels)
-    if is_rugged and not asked.is_plain and has_many_hills(fit_free()):
+    if is_rugged and not asked.is_plain and has_many_hills(fit_free().force):
         return _weigh_beside(search, fit_free(), None)
     turning, turned, rotation = None, None, asked.gain
     potential = functools.cache(lambda: survey.proposal(rotational=False))
@@ -244,7 +244,7 @@ def _weigh_beside(
         rotation = np.nan if turning is None else turning.rotation
     if turning is not None and rotation > DECISIVE:
         is_better = evidence_of(turning.fit) > evidence_of(still.fit)
-        return turning if is_better or not has_many_hills(still) else still
+        return turning if is_better or not has_many_hills(still.force) else still
     return StructuredFit(still.fit, still.gain, rotation)
 
 

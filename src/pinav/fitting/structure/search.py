@@ -81,8 +81,13 @@ class StructuredFit(eqx.Module):
     @property
     def structure(self) -> StructuredForce | None:
         """The structured force, where one was preferred."""
-        environment = self.fit.model.environment
-        return environment if split_structure(environment)[0] else None
+        force = self.force
+        return force if isinstance(force, StructuredForce) else None
+
+    @property
+    def force(self) -> AbstractForce:
+        """The learned force."""
+        return self.fit.model.environment
 
 
 class Search(eqx.Module):
@@ -321,12 +326,12 @@ class Search(eqx.Module):
         return self.of(StructuredForce(terms, self.kernels))
 
 
-def has_many_hills(fit: StructuredFit) -> bool:
-    """Whether a fit has so many hills that no other structure is worth a search.
+def has_many_hills(force: AbstractForce) -> bool:
+    """Whether a force has so many hills that no other structure is worth a search.
 
     Hills that overlap may be parts of a ring or of a wall.
     """
-    terms, _ = split_structure(fit.fit.model.environment)
+    terms, _ = split_structure(force)
     return any(
         isinstance(term, HillsTerm) and np.sum(term.gaps > SEPARATE) >= MANY
         for term in terms
@@ -334,8 +339,8 @@ def has_many_hills(fit: StructuredFit) -> bool:
 
 
 MANY, SEPARATE = 9, 1.5
-"""Hills of a rugged field, of which fewer may be a sum or obstacles of one kind; and the
-distance of each from the others, in its own sizes."""
+"""Hills of a rugged field, of which fewer may be a sum or obstacles of one kind; and
+the distance of each from the others, in its own sizes."""
 
 
 def _relative_forces(fit: EvidenceFit) -> list[float]:
