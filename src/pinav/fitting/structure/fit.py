@@ -80,7 +80,8 @@ def fit_structured(
         if weigh_rotation:
             return _weigh_rotation(search, survey, fit_free, is_rugged=is_rugged)
         is_still = search.kernels.is_conservative
-        if is_rugged and is_still and has_many_hills(fit_free().force):
+        asks_for_hills = is_rugged and is_still and survey.is_hopeless
+        if asks_for_hills and has_many_hills(fit_free().force):
             return fit_free()
         return search.best(survey.proposal(rotational=not is_still), fit_free)
 
@@ -127,7 +128,8 @@ def _weigh_rotation(
     """
     kernels = search.kernels.kernels
     asked = survey_rotation(survey.response, survey.noise, (), kernels)
-    if is_rugged and not asked.is_plain and has_many_hills(fit_free().force):
+    asks_for_hills = is_rugged and not asked.is_plain and survey.is_hopeless
+    if asks_for_hills and has_many_hills(fit_free().force):
         return _weigh_beside(search, fit_free(), None)
     turning, turned, rotation = None, None, asked.gain
     potential = functools.cache(lambda: survey.proposal(rotational=False))

@@ -30,6 +30,7 @@ from pinav.fitting.structure.starts import (
     Region,
     circular,
     ellipses,
+    linear_term,
     scanned_terms,
 )
 from pinav.fitting.structure.trials import (
@@ -104,9 +105,7 @@ def propose(
         noise: of the observations, roughly.
         rotational: whether the force may have no potential.
     """
-    seen = PotentialMap.of(response) if region.is_planar else None
-    summits = np.zeros((0, len(region.middle))) if seen is None else seen.summits()
-    ground = _Ground(response, region, noise, seen, summits)
+    ground = _Ground.of(response, region, noise)
     best: Proposal | None = None
     may_pair = region.is_planar
     for _ in range(MOST_ROUNDS):
@@ -141,6 +140,18 @@ def propose(
         if best.noise < ENOUGH * noise:
             break
     return best
+
+
+def is_hopeless(response: ForceResponse, region: Region, noise: float) -> bool:
+    """Whether no centre, wall or linear force explains much of the data on its own.
+
+    Args:
+        response: of the data to forces.
+        region: where they are.
+        noise: of the observations, roughly.
+    """
+    tried = _Ground.of(response, region, noise).add_scanned((), rotational=False)
+    return all(one.noise > HOPELESS * noise for one in tried)
 
 
 def refine(
@@ -228,8 +239,15 @@ class _Ground(eqx.Module):
     seen: PotentialMap | None
     summits: Float[np.ndarray, "place dim"]
 
-    def extend(self, terms: Terms, *, rotational: bool) -> list[Proposal]:
-        """Structures with one term more than there are, of each kind, polished.
+    @classmethod
+    def of(cls, response: ForceResponse, region: Region, noise: float) -> "_Ground":
+        """The ground of the data, with the summits of their free potential."""
+        seen = PotentialMap.of(response) if region.is_planar else None
+        summits = np.zeros((0, len(region.middle))) if seen is None else seen.summits()
+        return cls(response, region, noise, seen, summits)
+
+    def add_scanned(self, terms: Terms, *, rotational: bool) -> list[Proposal]:
+        """Structures with one scanned term more than there are, polished.
 
         A linear force stands beside the first: where swimmers are flung out, nothing
         else explains anything without it.
@@ -242,9 +260,14 @@ class _Ground(eqx.Module):
         best = [one.terms for one in scanned if one.log_evidence >= least]
         if not any(isinstance(one, LinearTerm) and not one.rotational for one in terms):
             best = [(*terms, *linear), *best]
-        proposals = self._polish_each(best)
+        return self._polish_each(best)
+
+    def extend(self, terms: Terms, *, rotational: bool) -> list[Proposal]:
+        """Structures with one term more than there are, of each kind, polished."""
+        proposals = self.add_scanned(terms, rotational=rotational)
         if self.seen is None or self.is_explained(proposals):
             return proposals
+        beside = terms or (linear_term(self.region),)
         for ellipse in self._ellipses(beside):
             proposals += self._polish_each([ellipse])
             if self.is_explained(proposals):

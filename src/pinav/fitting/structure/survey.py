@@ -13,6 +13,7 @@ from pinav.fitting.engine.evidence_fit import EvidenceFit
 from pinav.fitting.structure.proposals import (
     EXPLAINED,
     HOPELESS,
+    is_hopeless,
     propose,
     refine,
 )
@@ -95,6 +96,11 @@ class Survey(eqx.Module):
             return rough if self.region.is_planar else None
         # In space the kernels of the search are half as many as those of a fit.
         return best if self.region.is_planar else refine(best, self.response, 1)
+
+    @property
+    def is_hopeless(self) -> bool:
+        """Whether no single term explains much of the data."""
+        return is_hopeless(self.response, self.region, self.noise)
 
     def is_near_noise(self, proposal: Proposal) -> bool:
         """Whether terms leave little more of the data unexplained than the noise."""
