@@ -1,4 +1,7 @@
+from types import SimpleNamespace
+
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from tests.fitting.structure.observed_forces import observed_forces
@@ -19,9 +22,11 @@ from pinav.fitting.structure.trials import Proposal
 from pinav.forces import (
     GaussianBarrier,
     GaussianSwirl,
+    HillsTerm,
     KernelMixture,
     KernelPlaces,
     KernelPotential,
+    StructuredForce,
     kernel_centers,
 )
 from pinav.scenarios import random_system, scenario
@@ -76,9 +81,18 @@ def ended(monkeypatch):
     survey = Survey(response(PULL), Region.of(POINTS[0]), 0.05)
 
     def weigh(
-        surveyed, beside, fitted, potential, mixture, *, is_plain=False, proposal=None
+        surveyed,
+        beside,
+        fitted,
+        potential,
+        mixture,
+        *,
+        is_plain=False,
+        is_rugged=False,
+        proposal=None,
+        fit_free=None,
     ):
-        def best(self, proposal):
+        def best(self, proposal, fit_free=None):
             outcome = mixture if isinstance(self.kernels, KernelMixture) else potential
             if outcome is None:
                 raise FitError("it failed")
@@ -93,7 +107,9 @@ def ended(monkeypatch):
         monkeypatch.setattr(structure_fit, "_rotation_beside", lambda *_: beside)
         monkeypatch.setattr(structure_fit, "fitted_gain", lambda _: fitted)
         monkeypatch.setattr(Search, "best", best)
-        found = structure_fit._weigh_rotation(made, survey)
+        found = structure_fit._weigh_rotation(
+            made, survey, fit_free or made.fit_free, is_rugged=is_rugged
+        )
         return type(found.fit.model.environment), found.fit.outcome, found.rotation
 
     return weigh
@@ -101,6 +117,34 @@ def ended(monkeypatch):
 
 def propose_nothing(survey, *, rotational):
     return None
+
+
+@pytest.mark.parametrize("is_plain", [False, True])
+def test_hills_come_first_in_a_rugged_field_without_a_plain_rotation(
+    ended, monkeypatch, is_plain
+):
+    """Nine hills that stand apart end the search; beside them a rotation is weighed."""
+    places = 4.0 * jnp.arange(9.0)[:, None] * jnp.array([[1.0, 0.0]])
+    hills = HillsTerm(weights=jnp.zeros(27), centers=places, shapes=jnp.zeros((9, 3)))
+    weighed = []
+
+    def weigh_beside(search, still, proposal):
+        weighed.append((still.gain, proposal))
+        return still
+
+    def fit_hills():
+        fit = object.__new__(EvidenceFit)
+        kernels = KernelPotential.with_zero_weights(POINTS[0][:3], 1.0)
+        model = SimpleNamespace(environment=StructuredForce((hills,), kernels))
+        object.__setattr__(fit, "model", model)
+        object.__setattr__(fit, "outcome", FINE)
+        return StructuredFit(fit, 900.0)
+
+    monkeypatch.setattr(Survey, "is_hopeless", True)
+    monkeypatch.setattr(structure_fit, "_weigh_beside", weigh_beside)
+    options = {"is_rugged": True, "is_plain": is_plain, "fit_free": fit_hills}
+    ended(80.0, 90.0, 40.0, FINE, FINE, **options)
+    assert weighed == ([] if is_plain else [(900.0, None)])
 
 
 FINE, BAD = Outcome.CONVERGED, Outcome.DIVERGED

@@ -245,8 +245,10 @@ def _weigh_beside(
         turning = _turning(search, proposal)
         rotation = np.nan if turning is None else turning.rotation
     if turning is not None and rotation > DECISIVE:
-        is_better = evidence_of(turning.fit) > evidence_of(still.fit)
-        return turning if is_better or not has_many_hills(still.force) else still
+        is_better = not has_many_hills(still.force) or (
+            evidence_of(turning.fit) > evidence_of(still.fit)
+        )
+        return turning if is_better else still
     return StructuredFit(still.fit, still.gain, rotation)
 
 

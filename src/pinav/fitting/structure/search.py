@@ -41,7 +41,6 @@ from pinav.fitting.structure.trials import Terms, polish
 from pinav.forces import (
     AbstractForce,
     HillsTerm,
-    KernelPotential,
     StructuredForce,
     forces_at,
     split_structure,
@@ -81,8 +80,8 @@ class StructuredFit(eqx.Module):
     @property
     def structure(self) -> StructuredForce | None:
         """The structured force, where one was preferred."""
-        force = self.force
-        return force if isinstance(force, StructuredForce) else None
+        force: Any = self.force
+        return force if split_structure(force)[0] else None
 
     @property
     def force(self) -> AbstractForce:
@@ -229,7 +228,7 @@ class Search(eqx.Module):
         specification, potential = self.specification, rough.model.environment
         if not (
             is_worth_a_search(specification.model, specification.trajectories)
-            and isinstance(potential, KernelPotential)
+            and potential.is_conservative
             and potential.dim == 2
             and rough.outcome in (Outcome.CONVERGED, Outcome.UNDER_RESOLVED)
         ):
