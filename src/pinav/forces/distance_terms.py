@@ -11,6 +11,7 @@ from pinav.forces.structures import (
     AbstractProfileTerm,
     Places,
     distance,
+    exponential_of_shear,
 )
 
 
@@ -94,10 +95,7 @@ class EllipticTerm(AbstractProfileTerm):
         return True
 
     def coordinates(self, x: Vector) -> Float[Array, " coordinate"]:
-        p, q = self.shear[0], self.shear[1]
-        size = jnp.sqrt(p**2 + q**2 + 1e-12)  # smooth where the ellipse is a circle
-        bent = jnp.stack([jnp.stack([p, q]), jnp.stack([q, -p])])
-        root = jnp.cosh(size) * jnp.eye(2) + jnp.sinh(size) / size * bent
+        root = exponential_of_shear(self.shear[0], self.shear[1])
         return distance(root @ (x - self.center), ROUNDING * self.width)[None]
 
 

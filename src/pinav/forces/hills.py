@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, PyTree
 
 from pinav.arguments import Scalar, Vector
 from pinav.forces.priors import AbstractPrior, Matrix, Shape
-from pinav.forces.structures import AbstractTerm, quarter_turn
+from pinav.forces.structures import AbstractTerm, exponential_of_shear, quarter_turn
 
 WIDTHS = (0.6, 1.0, 1.7)
 """Widths of the Gaussians that make a hill, relative to its size: a steeper summit, or
@@ -133,9 +133,6 @@ def _squared_distance(
     x: Vector, center: Float[Array, "2"], shape: Float[Array, "3"]
 ) -> Float[Array, ""]:
     size, p, q = shape
-    strain = jnp.sqrt(p**2 + q**2 + 1e-12)  # smooth where the ellipse is a circle
-    bent = jnp.stack([jnp.stack([p, q]), jnp.stack([q, -p])])
-    # |e^S d|^2 = d e^{2S} d
-    metric = jnp.cosh(2 * strain) * jnp.eye(2) + jnp.sinh(2 * strain) / strain * bent
+    metric = exponential_of_shear(2 * p, 2 * q)  # |e^S d|^2 = d e^{2S} d
     offset = x - center
     return jnp.exp(-2 * size) * (offset @ metric @ offset)

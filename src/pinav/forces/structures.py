@@ -173,6 +173,13 @@ def distance(offset: Vector, rounding: Scalar) -> Float[Array, ""]:
     return jnp.sqrt(offset @ offset + rounding**2)
 
 
+def exponential_of_shear(p: Scalar, q: Scalar) -> Float[Array, "2 2"]:
+    r"""$e^S$ of the traceless symmetric matrix of the entries $p$ and $q$."""
+    size = jnp.sqrt(p**2 + q**2 + 1e-12)  # smooth where there is no shear
+    shear = jnp.stack([jnp.stack([p, q]), jnp.stack([q, -p])])
+    return jnp.cosh(size) * jnp.eye(2) + jnp.sinh(size) / size * shear
+
+
 def check_rotation(term: AbstractTerm, dim: int) -> None:
     """Refuse a rotational term outside of the plane.
 

@@ -182,6 +182,15 @@ def drawn(family, key):
     return system, system.swimmer.with_environment(kernels), data
 
 
+def rugged(scenario, seed):
+    """A scenario as `pinav simulate` draws it, its untrained model, and its data."""
+    truth_key, noise_key = jax.random.split(jax.random.key(seed))
+    truth = scenario(key=truth_key)
+    data = simulate(truth, key=noise_key)
+    kernels = kernel_environment(KernelPotential, data)
+    return truth, truth.swimmer.with_environment(kernels), data
+
+
 @pytest.mark.parametrize(("apart", "are_many"), [(4.0, True), (1.0, False)])
 def test_hills_that_overlap_are_no_reason_to_seek_nothing_else(apart, are_many):
     places = apart * jnp.arange(9.0)[:, None] * jnp.array([[1.0, 0.0]])
@@ -195,11 +204,7 @@ def test_hills_that_overlap_are_no_reason_to_seek_nothing_else(apart, are_many):
 @pytest.mark.parametrize("weigh_rotation", [True, False])
 def test_a_rugged_field_is_hills_of_their_own_places_and_shapes(weigh_rotation):
     """Twelve fibres, one of which no swimmer came near."""
-    truth_key, noise_key = jax.random.split(jax.random.key(3))
-    truth = fibres(key=truth_key)
-    data = simulate(truth, key=noise_key)
-    kernels = kernel_environment(KernelPotential, data)
-    model = truth.swimmer.with_environment(kernels)
+    truth, model, data = rugged(fibres, 3)
     fit = fit_structured(model, data, weigh_rotation=weigh_rotation)
     assert fit.fit.outcome is Outcome.CONVERGED
     assert fit.gain > 1000.0
@@ -215,11 +220,7 @@ def test_a_rugged_field_is_hills_of_their_own_places_and_shapes(weigh_rotation):
 
 @pytest.mark.slow
 def test_where_hills_are_no_better_kernels_are_as_fine_as_asked(monkeypatch):
-    truth_key, noise_key = jax.random.split(jax.random.key(0))
-    truth = many_barriers(key=truth_key)
-    data = simulate(truth, key=noise_key)
-    kernels = kernel_environment(KernelPotential, data)
-    model = truth.swimmer.with_environment(kernels)
+    _, model, data = rugged(many_barriers, 0)
     asked = FitSpecification(model, data, lambda _: (), None, FixedStep())
     monkeypatch.setattr(search, "propose_hills", lambda *_: None)
     monkeypatch.setattr(search, "AS_FINE_AS_HILLS_NEED", Refinement(max_weights=500))

@@ -383,11 +383,10 @@ def _summits(
     """
     seen = PotentialMap.of_potential(potential, positions, POINTS, REACH)
     width = float(potential.width)
-    heights = seen.heights - np.median(seen.heights[seen.is_seen])
-    highest = float(np.abs(heights[seen.is_seen]).max())
-    share = LEAST if least is None else least / max(highest, np.finfo(float).tiny)
-    places = seen.peaks(np.abs(heights), APART, share)
     middle = float(np.median(seen.heights[seen.is_seen]))
+    heights = np.abs(seen.heights - middle)
+    highest = max(float(heights[seen.is_seen].max()), np.finfo(float).tiny)
+    places = seen.peaks(heights, APART, LEAST if least is None else least / highest)
     hills: list[Float[np.ndarray, 6]] = []
     for place in places:
         height = float(potential.potential(0.0, on_device(place))) - middle

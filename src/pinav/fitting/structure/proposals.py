@@ -150,7 +150,7 @@ def is_hopeless(response: ForceResponse, region: Region, noise: float) -> bool:
         region: where they are.
         noise: of the observations, roughly.
     """
-    tried = _Ground.of(response, region, noise).add_scanned((), rotational=False)
+    tried = _Ground.of(response, region, noise).add_term((), rotational=False)
     return all(one.noise > HOPELESS * noise for one in tried)
 
 
@@ -246,7 +246,7 @@ class _Ground(eqx.Module):
         summits = np.zeros((0, len(region.middle))) if seen is None else seen.summits()
         return cls(response, region, noise, seen, summits)
 
-    def add_scanned(self, terms: Terms, *, rotational: bool) -> list[Proposal]:
+    def add_term(self, terms: Terms, *, rotational: bool) -> list[Proposal]:
         """Structures with one scanned term more than there are, polished.
 
         A linear force stands beside the first: where swimmers are flung out, nothing
@@ -264,7 +264,7 @@ class _Ground(eqx.Module):
 
     def extend(self, terms: Terms, *, rotational: bool) -> list[Proposal]:
         """Structures with one term more than there are, of each kind, polished."""
-        proposals = self.add_scanned(terms, rotational=rotational)
+        proposals = self.add_term(terms, rotational=rotational)
         if self.seen is None or self.is_explained(proposals):
             return proposals
         beside = terms or (linear_term(self.region),)
